@@ -152,20 +152,6 @@ def test_the_result_is_complete_whenever_it_ends(
     assert names == {"0000", "0001", "0004"} and lift.state() is LiftState.FINISHED
 
 
-def test_killed_bake_loses_few_views(lift: LiftFolder, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bake_more, "KEEP_EVERY_S", -1.0)
-    listed = []
-    add_files = bake_more.add_files
-
-    def add(result: Path, paths: list[Path], *more: Any) -> None:
-        listed.append({path.stem for path in paths})
-        add_files(result, paths, *more)
-
-    monkeypatch.setattr(bake_more, "add_files", add)
-    bake(lift, "0000", "0001")
-    assert [stems & {"0000", "0001"} for stems in listed] == [{"0000"}, {"0001"}]
-
-
 def write_cameras(path: Path, names: list[str], shift: float = 0.0) -> Path:
     """Cameras that no frame has, wider than the frames."""
     pose = tiny_pose(1, 6)

@@ -22,7 +22,7 @@ from engine.passes.baked_view import ShownInstances, bake_view
 from engine.train.arithmetic import IN_TORCH, KERNELS
 from engine.train.progress import StageReporter
 from engine.train.trainer import Trainer
-from tests.raises_key import raises_key
+from tests.raises_key import raises_key, worded
 from tests.raster.gsplat_in_torch import use_a_stand_in
 from tests.tiny_scene import write_tiny_scene
 from tests.train.tiny_lift import TINY, colour_error, lift_into, presets_as, trainer_of, views_of
@@ -36,11 +36,7 @@ def test_without_a_cuda_device_a_lift_is_refused_before_any_work(
     scene = write_tiny_scene(tmp_path / "scene", frames=4)
     lift = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene, device="cuda"))
     assert run_engine(lift) is ExitCode.BAD_INPUT
-    told = [line for line in capfd.readouterr().err.splitlines() if line.startswith("error:")]
-    assert told == [
-        "error: torch finds no CUDA device here: --device cuda. Use a machine with a CUDA device and its driver, or "
-        "lift with --device cpu."
-    ]
+    assert worded("no-cuda --device").search(capfd.readouterr().err)
     assert '"stage"' not in lift.events_path.read_text(encoding="utf-8")
 
 

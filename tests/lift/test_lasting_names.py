@@ -132,15 +132,6 @@ def test_an_object_that_was_hardly_measured_keeps_its_name(lifts: tuple[LiftFold
     assert "cabinet" in {one["name"].split()[0] for one in names_of(lifts[1])["kept"]}
 
 
-def test_request_names_the_earlier_lift_and_events_count_objects(lifts: tuple[LiftFolder, LiftFolder]) -> None:
-    first, again = lifts
-    assert again.request.names_from == first.path
-    lines = [json.loads(line) for line in again.events_path.read_text().splitlines()]
-    (counts,) = [line["values"] for line in lines if line["event"] == "metric" and line["name"] == "names"]
-    assert counts["kept"] >= 2
-    assert read_earlier(again.path).largest_id >= 12
-
-
 def test_unfinished_earlier_lift_is_refused(tmp_path: Path, lifts: tuple[LiftFolder, LiftFolder]) -> None:
     with raises_key("no-lift-folder"):
         read_earlier(tmp_path / "nothing")

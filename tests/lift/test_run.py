@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from engine.errors import Cancelled, PlgsError
-from engine.job import Checkpoint, EventReader, EventWriter, LiftFolder, LiftRequest, StopSignal, last_run
+from engine.job import Checkpoint, EventReader, EventWriter, LiftFolder, LiftRequest, StopSignal
 from engine.lift import run
 from engine.presets.preset import PRESETS
 from engine.scene import PanopticMask, Segment, load_view, open_scene
@@ -105,14 +105,6 @@ def test_what_is_too_fine_for_the_size_is_refused(depth: float, label: int, told
     bad = replace(view, depth=np.full((3, 4), depth, np.float32), mask=mask)
     with raises_key(told):
         run.refuse_empty([bad], scene)
-
-
-def test_the_same_progress_is_reported_once(stages: StageReporter, tmp_path: Path) -> None:
-    with stages.stage("check") as progress:
-        for done in (1, 2, 3, 3, 3):
-            progress(done, 3)
-    told = [event.data["step"] for event in last_run(tmp_path / "events.jsonl") if event.kind == "progress"]
-    assert told == [3]
 
 
 def test_names_are_not_kept_if_no_objects_are_searched_for(tmp_path: Path) -> None:

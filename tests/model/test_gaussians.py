@@ -8,7 +8,7 @@ import torch
 
 from engine.model.anchors import Anchors, initial_anchors, seeded_features
 from engine.model.decoders import Decoders, DecoderShape
-from engine.model.gaussians import decode, decode_rows, visible_anchors
+from engine.model.gaussians import decode_rows, visible_anchors
 from engine.scene import Camera
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0, np.eye(4))
@@ -32,15 +32,6 @@ def some_decoders(label_view_input: bool = False) -> Decoders:
 def test_only_anchors_in_the_picture_are_decoded() -> None:
     anchors = some_anchors([[0, 0, 2], [0, 0, -2], [9, 0, 2], [0.2, 0.1, 3], [0, 0, 0.1]])
     assert visible_anchors(anchors, CAMERA).tolist() == [0, 3]
-
-
-def test_gaussians_without_opacity_are_dropped_and_labels_sum_to_one() -> None:
-    anchors, decoders = some_anchors([[0, 0, 2], [0.2, 0.1, 3], [-0.3, 0, 2.5]]), some_decoders()
-    decoded = decode(anchors, decoders, CAMERA)
-    assert (decoded.opacities > 0).all()
-    assert len(decoded.opacities) == int((decoded.all_opacities > 0).sum())
-    torch.testing.assert_close(decoded.labels[:, :3].sum(1), torch.ones(len(decoded.labels)))
-    torch.testing.assert_close(decoded.labels[:, 3:].sum(1), torch.ones(len(decoded.labels)))
 
 
 @pytest.mark.parametrize("label_view_input", [False, True])

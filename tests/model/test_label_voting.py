@@ -153,22 +153,6 @@ def test_the_decoders_are_used_where_nothing_was_seen(scene: StructuredScene) ->
     np.testing.assert_allclose(dense(votes.result()), expected, atol=2e-3)
 
 
-def test_only_the_likeliest_labels_are_kept(scene: StructuredScene, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = []
-    for kept in (2, LABELS + 3):
-        monkeypatch.setattr(label_voting, "KEPT", kept)
-        votes = LabelVotes(scene, replace(ALL, prior=0.3), "pixels")
-        votes.add(contributors(scene, CAMERA, 8), made_up_labels(0), UNKNOWN_DEPTH)
-        found.append(votes.result())
-    few, all_of_them = found
-    assert few.label.shape == few.share.shape == (GAUSSIANS, 2) and all_of_them.label.shape == (GAUSSIANS, LABELS)
-    best = all_of_them.share[:, :2]
-    torch.testing.assert_close(few.share, best / best.sum(1, keepdim=True))
-    for each in (few, all_of_them):
-        assert (each.share[:, 0] >= each.share[:, 1]).all()
-        torch.testing.assert_close(each.share.sum(1), torch.ones(GAUSSIANS))
-
-
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10_000))
 def test_labels_with_many_votes_are_never_lost_among_many(seed: int) -> None:

@@ -8,13 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from engine.job import Event, LiftFolder, LiftRequest, write_atomically, write_manifest
+from engine.job import Event
 from engine.metrics.report import INPUT_MASKS, LIFTED
 from research.results import (
     Figures,
     csv_text,
     lifting_seconds,
-    read_result,
     read_results,
     results_text,
     run_figures,
@@ -80,11 +79,6 @@ def test_both_modes_make_one_row() -> None:
     }
 
 
-def test_without_ground_truth_there_are_no_shares() -> None:
-    rows = scores_by_method([{"name": LIFTED, "mode": None, "miou": None, "pq": None, **RENDERED}])
-    assert rows == {LIFTED: Figures(psnr=20.0, psnr_fitted=22.0, ssim=0.5, depth_error_m=0.02)}
-
-
 def _events(*written: tuple[float, str, dict[str, str]]) -> list[Event]:
     return [Event(seq, time, kind, dict(data)) for seq, (time, kind, data) in enumerate(written, start=1)]
 
@@ -105,15 +99,6 @@ def test_lifting_seconds_add_up_all_runs() -> None:
     )
     assert lifting_seconds(events) == 30.0 + 40.0
     assert lifting_seconds([]) is None
-
-
-def test_finished_lift_is_read(tmp_path: Path) -> None:
-    lift = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path, preset="standard", seed=4))
-    write_atomically(lift.result_path / "metrics.json", '{"format": 1, "test_frames": [], "tables": []}')
-    write_manifest(lift.result_path, versions={}, seed=4, settings={"steps": 70}, timings={})
-    result = read_result("room", "ours", "mine", lift)
-    assert (result.key, result.steps) == (("room", "ours", "mine", 4), 70)
-    assert result.figures == Figures()
 
 
 def test_memory_and_frames_per_second() -> None:

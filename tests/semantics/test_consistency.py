@@ -10,7 +10,6 @@ from engine.semantics.consistency import (
     consistency_masks,
     neighbour_indices,
     pseudo_labels,
-    regions,
     view_overlap,
     views_are_sparse,
 )
@@ -61,22 +60,6 @@ def test_far_apart_views_are_sparse() -> None:
     assert view_overlap(near[0], near[0], options) == 1.0
     assert not views_are_sparse(near, options)
     assert views_are_sparse([wall_view(str(i), 2.5 * i) for i in range(4)], options)
-
-
-def two_chairs() -> PanopticMask:
-    """Wall with two chairs that touch, a third that touches one by a corner only, and void at the bottom."""
-    ids = np.full((12, 16), 1, np.int32)
-    ids[0:4, 0:6], ids[0:4, 6:12], ids[4:8, 12:16] = 2, 3, 4
-    ids[10:] = 0
-    return PanopticMask(ids, (Segment(1, WALL, False), *(Segment(i, CHAIR, True) for i in (2, 3, 4))))
-
-
-def test_regions_split_by_class_at_corners_but_not_between_touching_chairs() -> None:
-    region = regions(two_chairs())
-    assert region[0, 0] == region[0, 11] != region[5, 13]
-    # The two chairs and the third, which meet at a corner, cut the wall in two.
-    assert region[0, 13] != region[5, 0]
-    assert (region[10:] == 0).all() and region.max() == 4
 
 
 def test_ties_go_to_the_lower_class_and_unrendered_regions_have_no_loss() -> None:

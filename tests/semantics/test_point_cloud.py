@@ -26,15 +26,6 @@ def everything(views: list) -> list[np.ndarray]:
     return [view.mask.ids > 0 for view in views]
 
 
-def test_points_take_the_majority_of_the_views() -> None:
-    views = [wall_view("a", 0.0), wall_view("b", 0.0), wall_view("c", 0.0, classes=SOFA)]
-    cloud = build_point_cloud(views, everything(views), CLASS_IDS, OPTIONS)
-    assert (cloud.class_id == WALL).all()
-    np.testing.assert_allclose(cloud.confidence, 2 / 3, rtol=1e-6)
-    np.testing.assert_allclose(cloud.xyz[:, 1], 3.0, atol=1e-5)
-    assert (cloud.rgb == 128).all()
-
-
 def test_rejected_pixels_give_geometry_without_a_label() -> None:
     views = [wall_view("a", 0.0)]
     keep = [square(0, 1, slice(0, 20), slice(0, 30)).astype(bool)]

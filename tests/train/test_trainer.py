@@ -10,7 +10,6 @@ import pytest
 import torch
 
 from engine.errors import Cancelled
-from engine.model.gaussians import decode_rows
 from engine.model.structured import NO_OBJECT, StructuredScene
 from engine.presets.preset import LossWeights
 from engine.scene import Camera, ClassTable, View
@@ -326,13 +325,3 @@ def test_the_same_seed_gives_the_same_decoders(scenes: list[StructuredScene]) ->
     first, again, other = (scene.decoders.state_dict() for scene in scenes[2:])
     assert all(torch.equal(first[name], again[name]) for name in first)
     assert not all(torch.equal(first[name], other[name]) for name in first)
-
-
-def test_more_gaussians_start_visible(scenes: list[StructuredScene]) -> None:
-    def visible(scene: StructuredScene) -> float:
-        rows = torch.arange(len(scene.anchors))
-        with torch.no_grad():
-            gaussians = decode_rows(scene.anchors, scene.decoders, rows, torch.tensor([2.0, 1.5, 1.5]))
-        return float(np.mean(gaussians.all_opacities.numpy() > 0))
-
-    assert visible(scenes[0]) > visible(scenes[1])

@@ -141,16 +141,6 @@ def test_baselines_without_a_lift_are_measured_again_when_the_scene_or_the_engin
         assert without_a_lift.scores_without_a_lift(SceneSource(folder), cache) == first and len(measured) == 3
 
 
-def test_other_masks_are_lifted_if_there_are_any(experiment: Experiment, behave: Behave) -> None:
-    office = experiment.scenes[0]
-    shutil.copyfile(office.folder / "panoptic.json", office.folder / "other.json")
-    shutil.copytree(office.folder / "panoptic", office.folder / "other")
-    assert run(replace(experiment, only=("other masks",))) is ExitCode.FINISHED
-    assert measured(experiment) == [("office", "other masks")]
-    request = LiftRequest.read(experiment.folder / "office-preview-other-masks" / "request.json")
-    assert request.masks == office.folder / "other.json"
-
-
 def test_scenes_are_read_as_the_options_say(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
     classes = tmp_path / "mine.toml"
     classes.write_text('[[class]]\nname = "cabinet"\ninto = "wall"\n')

@@ -45,12 +45,6 @@ def test_table_shows_the_papers_figures() -> None:
     ]  # fmt: skip
 
 
-def test_a_row_may_be_the_lift_of_another() -> None:
-    heading, _, *rows = of_table("parts", OFFICE)
-    assert heading == ["", "mIoU %", "PQ-scene %", "steps", "in the paper"], "columns without a figure are left out"
-    assert rows == [["all of it", "60.0", "50.0", "500", "failed (Replica)"]], "and so are rows that are not measured"
-
-
 def test_several_seeds_have_a_spread() -> None:
     seeds = ((0, 0.5), (1, 0.6))
     results = [replace(OFFICE[2], seed=seed, figures=OFFICE[2].figures._replace(pq=pq)) for seed, pq in seeds]
@@ -100,12 +94,6 @@ def test_means_are_over_the_scenes_that_have_the_figure() -> None:
     assert hall[0][:2] == ["", "state"] and [row[:2] for row in hall[2:]] == [
         ["ours", "failed: no frames"], ["theirs", "failed: no frames"],
     ]  # fmt: skip
-
-
-def test_a_seed_that_failed_is_listed_beside_the_others() -> None:
-    failed = Result("office", "theirs", "preview", 0, 2, this_engine(), failed="a | b")
-    row = of_table("systems", [*OFFICE, failed])[4]
-    assert row[1] == "60.0" and " ".join(row[-4:-1]).strip() == "failed (seed 2): a \\ b"
 
 
 def test_means_stay_the_pages_last_section() -> None:
