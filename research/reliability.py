@@ -45,9 +45,9 @@ def pixels_of(lift: Path) -> NDArray[np.float32]:
     for frame in scene.test_frames:
         if frame.read_ground_truth is not None:
             size = size_within(frame.size, folder.request.chosen_preset.size)
-            seen, truth = baker.seen(frame.camera.resized(*size)), frame.read_ground_truth(size).semantic
-            known = (seen.classes != VOID) & (truth != VOID)
-            share, right = seen.share[known], seen.classes[known] == truth[known]
+            seen, truth = baker.decided(frame.camera.resized(*size)), frame.read_ground_truth(size).semantic
+            known = (seen.semantic != VOID) & (truth != VOID)
+            share, right = seen.confidence[known], seen.semantic[known] == truth[known]
             found.append(np.stack([share, baker.calibration(share), right]).astype(np.float32))
     return np.concatenate(found, axis=1)
 

@@ -77,15 +77,15 @@ def stages(
         class_of = np.array([0, *(one.class_id for one in matching.instances)], np.int32)
 
         def one_class(number: int) -> Labels:
-            by_point, instance = projected(number)
+            by_point, instance = projected[number]
             return np.where(instance > 0, class_of[instance], by_point), instance
 
         yield "masks, with their own numbers", lambda n: (shown[n], views[n].mask.ids + 100_000 * (n + 1))
         yield "masks' classes, numbers by Algorithm 1", lambda n: (shown[n], instance_map(views[n], number_of))
         yield "masks' classes, true numbers", lambda n: (shown[n], truth[n].instance)
-        yield "projected classes and M_match, which training learns", projected
+        yield "projected classes and M_match, which training learns", lambda n: (projected[n][0], projected[n][1])
         yield "the same, one class an object", one_class
-        yield "projected classes, true numbers", lambda n: (projected(n)[0], truth[n].instance)
+        yield "projected classes, true numbers", lambda n: (projected[n][0], truth[n].instance)
 
 
 def _truth(frame: Frame, size: tuple[int, int]) -> GroundTruth:

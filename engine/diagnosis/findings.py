@@ -28,8 +28,7 @@ _WORST = 0.2
 
 def depth_errors(views: Views, one: int, other: int, assumed: Sequence[tuple[str, Assumption]]) -> Picture:
     """How well a look's surfaces agree with another's depth, once for each assumption under its caption. Green agrees,
-    yellow and red do not, and dark is not seen by the other view.
-    """
+    yellow and red do not, and dark is not seen by the other view."""
     look = views.looks[one]
     height, width = look.depth.shape
     step = max(1, width // 240)
@@ -41,16 +40,12 @@ def depth_errors(views: Views, one: int, other: int, assumed: Sequence[tuple[str
     for caption, assumption in assumed:
         error = np.full(rows.shape, np.nan)
         error[known] = np.abs(pair.compare(np.array([[0, 1]]), assumption).error[0, : len(points)])
-        panels.append(_captioned(_fitted(_error_colours(error)), caption))
+        share = np.clip(np.nan_to_num(error, nan=0.0) / _WORST, 0.0, 1.0)
+        red, green = np.clip(share * 4.0, 0.0, 1.0), np.clip(1.5 - 1.5 * share, 0.0, 0.75)
+        colours = np.stack([red * 230, green * 255, np.full(share.shape, 40.0)], -1)
+        colours = np.where(np.isfinite(error)[..., None], colours, 30.0).astype(np.uint8)
+        panels.append(_captioned(_fitted(colours), caption))
     return np.concatenate(panels, axis=1)
-
-
-def _error_colours(error: Floats) -> Picture:
-    """Green for no error, then yellow, red at 20 % and more, dark for nan. uint8 [H, W, 3]."""
-    share = np.clip(np.nan_to_num(error, nan=0.0) / _WORST, 0.0, 1.0)
-    red, green = np.clip(share * 4.0, 0.0, 1.0), np.clip(1.5 - 1.5 * share, 0.0, 0.75)
-    colours = np.stack([red * 230, green * 255, np.full(share.shape, 40.0)], -1)
-    return np.where(np.isfinite(error)[..., None], colours, 30.0).astype(np.uint8)
 
 
 def edges_on(grey: NDArray[np.uint8], edges: Floats, moved: Floats) -> Picture:
@@ -83,22 +78,6 @@ def side_by_side(pictures: Sequence[tuple[str, NDArray[np.uint8]]]) -> Picture:
     panels = [_captioned(_fitted(picture), caption) for caption, picture in pictures]
     height = max(len(panel) for panel in panels)
     return np.concatenate([np.pad(p, ((0, height - len(p)), (0, 0), (0, 0))) for p in panels], axis=1)
-
-
-def scatter(x: Floats, y: Floats, caption: str) -> Picture:
-    """Points on axes from 0 to the largest x and the 98th percentile of y."""
-    import cv2
-
-    height = 300
-    panel = np.full((height, _WIDTH, 3), 245, np.uint8)
-    top = max(float(np.quantile(y, 0.98)), 1e-9)
-    columns = (20 + x / max(float(x.max()), 1e-9) * (_WIDTH - 40)).astype(int)
-    rows = (height - 20 - np.minimum(y / top, 1.0) * (height - 40)).astype(int)
-    cv2.line(panel, (20, height - 20), (_WIDTH - 20, height - 20), (90, 90, 90), 1)
-    cv2.line(panel, (20, 20), (20, height - 20), (90, 90, 90), 1)
-    for column, row in zip(columns.tolist(), rows.tolist(), strict=True):
-        cv2.circle(panel, (column, row), 2, (200, 60, 40), -1)
-    return _captioned(panel, caption)
 
 
 def png_bytes(pixels: NDArray[np.integer[Any]]) -> bytes:
@@ -160,26 +139,15 @@ class Finding:
     stops: bool = False
 
     def as_json(self) -> dict[str, Any]:
-        """Everything but the picture."""
-        return {
-            "cause": self.cause,
-            "severity": self.severity,
-            "text": self.text,
-            "option": self.option,
-            "figures": dict(self.figures),
-            "is_mended": self.is_mended,
-            "frames": list(self.frames),
-            "leave_out": list(self.leave_out),
-        }
+        """Everything but the picture and ``stops``."""
+        return {name: value for name, value in vars(self).items() if name not in ("picture", "stops")}
 
 
 @dataclass(frozen=True, eq=False)
 class Mending:
-    """Corrections that a scene needs.
-
-    ``assumed`` says what its poses, depth and lenses mean. ``depth_shift`` moves depth (x, y as fractions of the
-    picture). ``turn`` float64 [3, 3] rotates the world. The frames in ``dropped`` are left out.
-    """
+    """Corrections that a scene needs. ``assumed`` says what its poses, depth and lenses mean. ``depth_shift`` moves
+    depth (x, y as fractions of the picture). ``turn`` float64 [3, 3] rotates the world. The frames in ``dropped`` are
+    left out."""
 
     assumed: Assumption = Assumption()
     depth_shift: tuple[float, float] = (0.0, 0.0)
@@ -188,9 +156,8 @@ class Mending:
 
     @property
     def is_needed(self) -> bool:
-        return bool(
-            self.assumed != Assumption() or self.depth_shift != (0.0, 0.0) or self.turn is not None or self.dropped
-        )
+        changes = (self.assumed != Assumption(), self.depth_shift != (0.0, 0.0), self.turn is not None, self.dropped)
+        return any(changes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,10 +193,10 @@ class Diagnosis:
 
 def write_findings(diagnosis: Diagnosis, folder: Path) -> dict[str, Any]:
     """Write findings.json and its pictures, and return its content. The folder must be new, empty, or hold nothing but
-    earlier findings. Raises PlgsError.
-    """
+    earlier findings, their pictures ("1-depth-unit.png") and parts left by a killed run. Raises PlgsError."""
     try:
-        if folder.exists() and any(folder.iterdir()) and not _holds_findings_only(folder):
+        names = [path.name.removeprefix(PART) for path in folder.iterdir()] if folder.exists() else []
+        if not all(name == FINDINGS or re.fullmatch(r"\d+-[a-z-]+\.png", name) for name in names):
             what = "the folder for the findings holds other files"
             raise PlgsError("folder-used", what, folder, "Name a new or an empty folder.")
         folder.mkdir(parents=True, exist_ok=True)
@@ -246,9 +213,3 @@ def write_findings(diagnosis: Diagnosis, folder: Path) -> dict[str, Any]:
     except OSError as error:
         what = f"the findings cannot be written ({error.strerror or error})"
         raise PlgsError("unwritable", what, os.fspath(error.filename or folder), "Choose another folder.") from error
-
-
-def _holds_findings_only(folder: Path) -> bool:
-    """Whether all files are findings and their pictures ("1-depth-unit.png"), or parts left by a killed run."""
-    names = [path.name.removeprefix(PART) for path in folder.iterdir()]
-    return all(name == FINDINGS or re.fullmatch(r"\d+-[a-z-]+\.png", name) for name in names)

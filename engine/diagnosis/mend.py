@@ -18,7 +18,7 @@ from ..job.atomic import PART, write_atomically
 from ..scene import Camera, ClassTable, Frame, Scene, evenly_spread, open_scene
 from ..scene.depth import MILLIMETRES
 from .findings import Diagnosis, Mending, png_bytes
-from .reprojection import Assumption, Floats, assumed_poses, examine, lens_under, planar
+from .reprojection import Assumption, assumed_poses, examine, lens_under, planar
 from .trials import agreement, is_far_better
 
 _DEEPEST = 65535
@@ -26,9 +26,8 @@ _DEEPEST = 65535
 
 
 def write_mended(scene: Scene, diagnosis: Diagnosis, out: Path) -> str | None:
-    """Write the mended scene to the folder ``out``, which must not exist. It is written as a whole or not at all.
-
-    What was written is read again. If it is no improvement, it is deleted and the reason is returned, otherwise None.
+    """Write the mended scene to the folder ``out``, which must not exist. It is written as a whole or not at all. What
+    was written is read again. If it is no improvement, it is deleted and the reason is returned, otherwise None.
 
     Colour images are hard links where they are files of their own, and PNGs otherwise. Depth is in millimetres, masks
     are COCO panoptic, and ground truth is images of classes and instances. Raises PlgsError.
@@ -70,7 +69,10 @@ def _write(scene: Scene, frames: list[Frame], diagnosis: Diagnosis, folder: Path
     for frame, camera in zip(frames, _mended_cameras(scene, frames, diagnosis.mending), strict=True):
         _write_colour(frame, folder / "color")
         np.savetxt(folder / "pose" / f"{frame.name}.txt", camera.camera_to_world, "%.12g")
-        np.savetxt(folder / "intrinsic" / f"{frame.name}.txt", _matrix(camera), "%.12g")
+        matrix = np.eye(4)
+        matrix[:3, :3] = camera.K
+        matrix[:2, 2] -= 0.5  # in this layout the centres of pixels are whole numbers
+        np.savetxt(folder / "intrinsic" / f"{frame.name}.txt", matrix, "%.12g")
         if frame.read_depth is not None:
             millimetres = np.round(_mended_depth(frame, diagnosis.mending) / MILLIMETRES)
             millimetres[millimetres > _DEEPEST] = 0
@@ -101,30 +103,16 @@ def _mended_cameras(scene: Scene, frames: list[Frame], mending: Mending) -> list
         upright[:3, :3] = mending.turn
     mended = []
     for frame, pose in zip(frames, upright @ poses, strict=True):
-        camera = frame.camera
-        fx, fy, cx, cy = _lens(camera, assumed)
-        width, height = camera.width, camera.height
-        mended.append(
-            replace(camera, fx=fx * width, fy=fy * height, cx=cx * width, cy=cy * height, camera_to_world=pose)
-        )
+        w, h = frame.camera.width, frame.camera.height
+        fx, fy, cx, cy = _lens(frame.camera, assumed)[0].tolist()
+        mended.append(replace(frame.camera, fx=fx * w, fy=fy * h, cx=cx * w, cy=cy * h, camera_to_world=pose))
     return mended
 
 
-def _lens(camera: Camera, assumed: Assumption) -> tuple[float, float, float, float]:
-    """The corrected fx, fy, cx, cy, as fractions of the picture."""
-    given = np.array(
-        [[camera.fx / camera.width, camera.fy / camera.height, camera.cx / camera.width, camera.cy / camera.height]]
-    )
-    fx, fy, cx, cy = lens_under(given, assumed)[0].tolist()
-    return fx, fy, cx, cy
-
-
-def _matrix(camera: Camera) -> Floats:
-    """The intrinsics in this layout: float64 [4, 4], for pixel centres at integers."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = camera.K
-    matrix[:2, 2] -= 0.5
-    return matrix
+def _lens(camera: Camera, assumed: Assumption) -> NDArray[np.float64]:
+    """The corrected fx, fy, cx, cy, as fractions of the picture: float64 [1, 4]."""
+    w, h = camera.width, camera.height
+    return lens_under(np.array([[camera.fx / w, camera.fy / h, camera.cx / w, camera.cy / h]]), assumed)
 
 
 def _write_colour(frame: Frame, folder: Path) -> None:
@@ -149,15 +137,10 @@ def _mended_depth(frame: Frame, mending: Mending) -> NDArray[np.float64]:
     height, width = depth.shape
     x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
     places = np.stack([x, y], -1).reshape(1, -1, 2)
-    lens = np.array([_lens(frame.camera, mending.assumed)])
-    depth = planar(depth.reshape(1, -1), places, lens, mending.assumed).reshape(height, width)
-    return _moved(depth, round(mending.depth_shift[0] * width), round(mending.depth_shift[1] * height))
-
-
-def _moved(depth: NDArray[np.float64], right: int, down: int) -> NDArray[np.float64]:
-    """Depth moved by whole pixels, with 0 where it came from outside."""
-    moved = np.zeros_like(depth)
-    height, width = depth.shape
+    depth = planar(depth.reshape(1, -1), places, _lens(frame.camera, mending.assumed), mending.assumed)
+    depth = depth.reshape(height, width)
+    moved = np.zeros_like(depth)  # what comes from outside is unknown
+    right, down = round(mending.depth_shift[0] * width), round(mending.depth_shift[1] * height)
     moved[max(down, 0) : height + min(down, 0), max(right, 0) : width + min(right, 0)] = depth[
         max(-down, 0) : height - max(down, 0), max(-right, 0) : width - max(right, 0)
     ]
@@ -184,13 +167,8 @@ def _write_masks(frames: list[Frame], classes: ClassTable, folder: Path) -> None
         rgb = np.stack([mask.ids % 256, mask.ids // 256 % 256, mask.ids // 65536], -1).astype(np.uint8)
         _write_image(folder / "panoptic" / f"{frame.name}.png", rgb[..., ::-1])
         segments = [
-            {
-                "id": segment.id,
-                "category_id": segment.class_id,
-                "score": segment.score,
-                "iscrowd": int(segment.is_group),
-            }
-            for segment in mask.segments
+            {"id": each.id, "category_id": each.class_id, "score": each.score, "iscrowd": int(each.is_group)}
+            for each in mask.segments
         ]
         annotations.append({"image_id": frame.name, "file_name": f"{frame.name}.png", "segments_info": segments})
     categories = [
@@ -217,8 +195,7 @@ _NO_WORSE = 0.98
 
 def harm_of(scene: Scene, diagnosis: Diagnosis, folder: Path) -> str | None:
     """Why the mended scene in ``folder`` is no improvement on ``scene``, such as "most of the depth would be lost".
-    None if it is one: it opens, keeps its depth, has the size of a room, and its views agree far better.
-    """
+    None if it is one: it opens, keeps its depth, has the size of a room, and its views agree far better."""
     try:
         mended = open_scene(folder)
         examined = examine(mended)

@@ -31,10 +31,8 @@ Figures = dict[str, float | str]
 
 
 class _CauseWords(NamedTuple):
-    """A cause's name, the caption of the corrected picture, the sentence, and how the user can fix the files.
-
-    ``text`` and ``option`` are empty if they need numbers.
-    """
+    """A cause's name, the caption of the corrected picture, the sentence, and how the user can fix the files. ``text``
+    and ``option`` are empty if they need numbers."""
 
     name: str
     caption: str
@@ -44,39 +42,28 @@ class _CauseWords(NamedTuple):
 
 _WORDS = {
     "inverted": _CauseWords(
-        "inverted poses",
-        "poses inverted",
-        "poses are world-to-camera and are read as camera-to-world",
-        "invert them",
+        "inverted poses", "poses inverted", "poses are world-to-camera and are read as camera-to-world", "invert them"
     ),
     "opengl": _CauseWords(
-        "wrong axes",
-        "y down and z forward",
-        "poses have y up and z backward, as in OpenGL and Blender",
-        "negate their second and third columns",
+        "wrong axes", "y down and z forward",
+        "poses have y up and z backward, as in OpenGL and Blender", "negate their second and third columns",
     ),
     "inverted opengl": _CauseWords(
-        "inverted poses and wrong axes",
-        "poses inverted, y down and z forward",
+        "inverted poses and wrong axes", "poses inverted, y down and z forward",
         "poses are world-to-camera, of cameras with y up and z backward",
         "invert them, then negate their second and third columns",
     ),
     "unit": _CauseWords("depth unit", "another unit of depth"),
     "ray": _CauseWords(
-        "ray depth",
-        "depth along the axis",
-        "depth is the distance to the camera's centre, not along its axis",
-        f"divide it by {_RAY}",
+        "ray depth", "depth along the axis",
+        "depth is the distance to the camera's centre, not along its axis", f"divide it by {_RAY}",
     ),
     "lens size": _CauseWords("intrinsics of another size", "intrinsics scaled"),
     "focal": _CauseWords("focal length", "another focal length"),
     "length": _CauseWords("pose unit", "another unit of the poses"),
     "lag": _CauseWords("frames off", "poses of other frames"),
     "mirrored": _CauseWords(
-        "mirrored images",
-        "left and right swapped",
-        "left and right are swapped in pictures and depth",
-        "mirror them",
+        "mirrored images", "left and right swapped", "left and right are swapped in pictures and depth", "mirror them"
     ),
 }  # fmt: skip
 
@@ -241,23 +228,11 @@ def _doubtful_unit(found: Calibration) -> Finding:
 def _values_off(examined: Examined, found: Calibration, mended: Assumption, may_move: bool) -> tuple[str, ...]:
     """The names of the values that are certainly off."""
     left = agreement(examined.views, examined.pairs, mended).error
-    wrong = {
-        "unit": found.is_sure_of("unit", _OFF_UNIT),
-        "focal": found.is_sure_of("focal", _OFF_FOCAL),
-        "aspect": found.is_sure_of("aspect", _OFF_FOCAL),
-        "x": may_move and _is_moved(examined, found, "x", left),
-        "y": may_move and _is_moved(examined, found, "y", left),
-        "ray": found.is_sure_of("ray", _OFF_RAY),
-    }
-    names = tuple(name for name, is_wrong in wrong.items() if is_wrong)
+    pixels, focals = examined.looks[0].frame.size, np.median(examined.views.lens[:, :2], axis=0).tolist()
+    x, y = (max(_OFF_PIXELS / p, _ABOVE_NOISE * left * focal) for p, focal in zip(pixels, focals, strict=True))
+    least = {"unit": _OFF_UNIT, "focal": _OFF_FOCAL, "aspect": _OFF_FOCAL, "x": x, "y": y, "ray": _OFF_RAY}
+    names = tuple(n for n in least if found.is_sure_of(n, least[n]) and (may_move or n not in ("x", "y")))
     return tuple(dict.fromkeys((*names, "x", "y"))) if {"x", "y"} & {*names} else names
-
-
-def _is_moved(examined: Examined, found: Calibration, axis: str, left: float) -> bool:
-    column = "xy".index(axis)
-    pixels = examined.looks[0].frame.size[column]
-    focal = float(np.median(examined.views.lens[:, column]))
-    return found.is_sure_of(axis, max(_OFF_PIXELS / pixels, _ABOVE_NOISE * left * focal))
 
 
 def _measured(examined: Examined, found: Calibration, free: set[str]) -> list[tuple[str, str, str, Figures]]:

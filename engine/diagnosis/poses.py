@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from ..posed.layout import listed
 from ..scene import Frame, Scene
-from .findings import Finding, scatter, side_by_side
-from .reprojection import Assumption, Examined, Floats, Views, assumed_poses
+from .findings import Finding, side_by_side
+from .reprojection import Assumption, Examined, Floats, Views, assumed_poses, lens_under
 
 _WIDE = 0.15
 """A fraction of the depth. A surface farther off is a different one."""
@@ -42,18 +42,13 @@ synthetic hand-held capture without faults reaches a factor of 9, but 8 standard
 
 
 class Drift(NamedTuple):
-    """How far apart the surfaces of two looks are, by the number of frames between the looks.
-
-    ``near`` and ``far`` are medians in metres: over the pairs of neighbours, and over the pairs at least half as far
-    apart in time as any pair that sees the same surface. ``certainty`` is the rank correlation of distance and time in
-    standard errors. ``lags`` and ``distances`` float64 [P] are those of the pairs.
-    """
+    """How far apart the surfaces of two looks are. ``near`` and ``far`` are medians in metres: over the pairs of
+    neighbours, and over the pairs at least half as far apart in time as any pair that sees the same surface.
+    ``certainty`` is the rank correlation of distance and time in standard errors."""
 
     near: float
     far: float
     certainty: float
-    lags: Floats
-    distances: Floats
 
 
 class Gap(NamedTuple):
@@ -98,9 +93,8 @@ def pose_findings(examined: Examined, assumed: Assumption) -> PoseFindings:
 
 def _surface_distances(views: Views, pairs: NDArray[np.int64], assumed: Assumption) -> tuple[Floats, Floats]:
     """Metres along the normal between the surfaces that both looks of a pair see, float64 [P], and between those that
-    face each axis of the world, float64 [P, 3]. nan where they see too little in common.
-    """
-    lens, poses = views.lens_of(assumed), views.poses_of(assumed)
+    face each axis of the world, float64 [P, 3]. nan where they see too little in common."""
+    lens, poses = lens_under(views.lens, assumed), views.poses_of(assumed)
     world, known = views.world_points(assumed, lens, poses)
     found, along = np.full(len(pairs), np.nan), np.full((len(pairs), 3), np.nan)
     for row, (one, other) in enumerate(pairs.tolist()):
@@ -118,6 +112,8 @@ def _surface_distances(views: Views, pairs: NDArray[np.int64], assumed: Assumpti
 
 def _measure_drift(distances: Floats, lags: Floats, looks: int) -> Drift | None:
     """How the distances of pairs grow with the frames between them, float64 [P] each. None with too few pairs."""
+    from scipy.stats import rankdata  # takes half a second
+
     good = np.isfinite(distances)
     distance, lag = distances[good], lags[good]
     if len(lag) < _LEAST_PAIRS or len(np.unique(lag)) < _LEAST_LAGS:
@@ -125,23 +121,14 @@ def _measure_drift(distances: Floats, lags: Floats, looks: int) -> Drift | None:
     beside, apart = lag <= _NEAR, lag >= lag.max() / 2.0
     if beside.sum() < _LEAST_EACH or apart.sum() < _LEAST_EACH:
         return None
-    correlation = float(np.corrcoef(_ranks(distance), _ranks(lag))[0, 1])
+    correlation = float(np.corrcoef(rankdata(distance), rankdata(lag))[0, 1])
     error = float(np.sqrt(max(1.0 - correlation**2, 1e-6) / max(looks - 2, 1)))
-    near, far = np.median(distance[beside]), np.median(distance[apart])
-    return Drift(float(near), float(far), correlation / error, lag, distance)
-
-
-def _ranks(values: Floats) -> Floats:
-    """The rank of each value. Equal values share the mean of their ranks."""
-    _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
-    ends = np.cumsum(counts)
-    return (ends - (counts - 1) / 2.0)[inverse]
+    return Drift(float(np.median(distance[beside])), float(np.median(distance[apart])), correlation / error)
 
 
 def _measure_gap(distances: Floats, numbers: NDArray[np.int64]) -> Gap | None:
     """The frame at which two parts of the recording are farthest apart, by the pairs' distances and frames [P, 2]. None
-    with too few pairs.
-    """
+    with too few pairs."""
     known = np.isfinite(distances)
     first, last = numbers.min(1), numbers.max(1)
     found = []
@@ -174,7 +161,6 @@ def _drift_finding(drift: Drift, along: str = "") -> Finding:
         f"and {drift.far * 100:.1f} cm between frames far apart in time ({drift.certainty:.0f} standard errors)",
         option="register the frames again with loop closure, or lift parts of the recording with a splits.json",
         figures={"near_m": drift.near, "far_m": drift.far, "certainty": drift.certainty},
-        picture=scatter(drift.lags, drift.distances, "across: frames between two views, up: distance of surfaces"),
     )
 
 
@@ -230,12 +216,10 @@ count."""
 
 
 class FrameOrder(NamedTuple):
-    """Steps between successive frames: the metres by which the point that they look at moves.
-
-    ``given`` is the median step in the order of the names, ``shortest`` the median step of ``path``: an order found by
-    always going to the nearest frame. ``rank`` is the median fraction of all frames that are nearer to a frame than its
-    successor. ``smoothness`` is the median cosine between successive steps of ``path``: 1 if straight, 0 if random.
-    """
+    """Steps between successive frames: the metres by which the point that they look at moves. ``given`` is the median
+    step in the order of the names, ``shortest`` that of ``path``, which always goes to the nearest frame. ``rank`` is
+    the median fraction of all frames that are nearer to a frame than its successor. ``smoothness`` is the median cosine
+    between successive steps of ``path``: 1 if straight, 0 if random."""
 
     given: float
     shortest: float
@@ -264,11 +248,15 @@ def measure_order(scene: Scene, assumed: Assumption) -> FrameOrder | None:
     nearer = (distances[:-1] < steps[:, None]).sum(1)
     # The second walk begins at an end of the recording: the last frame of a walk from anywhere.
     path = _walk(distances, _walk(distances, 0)[-1])
+    moves = np.diff(places[path], axis=0)
+    lengths = np.linalg.norm(moves, axis=1)
+    moving = (lengths[1:] > 1e-9) & (lengths[:-1] > 1e-9)
+    cosines = (moves[1:] * moves[:-1]).sum(1)[moving] / (lengths[1:] * lengths[:-1])[moving]
     return FrameOrder(
         given=float(np.median(steps)),
         shortest=float(np.median(distances[path[:-1], path[1:]])),
         rank=float(np.median(nearer)) / count,
-        smoothness=_smoothness(places[path]),
+        smoothness=float(np.median(cosines)) if len(cosines) else 0.0,
         path=tuple(path),
     )
 
@@ -283,20 +271,11 @@ def _walk(distances: Floats, start: int) -> list[int]:
     return path
 
 
-def _smoothness(places: Floats) -> float:
-    steps = np.diff(places, axis=0)
-    lengths = np.linalg.norm(steps, axis=1)
-    moving = (lengths[1:] > 1e-9) & (lengths[:-1] > 1e-9)
-    cosines = (steps[1:] * steps[:-1]).sum(1)[moving] / (lengths[1:] * lengths[:-1])[moving]
-    return float(np.median(cosines)) if len(cosines) else 0.0
-
-
 def order_findings(scene: Scene, order: FrameOrder | None) -> list[Finding]:
     """Whether the frames are not in the order of their recording."""
     if order is None or not order.is_shuffled:
         return []
     best = listed([scene.frames[number].name for number in order.path], 6)
-    places = np.arange(len(order.path), dtype=np.float64)
     return [
         Finding(
             cause="unsorted frames",
@@ -305,9 +284,6 @@ def order_findings(scene: Scene, order: FrameOrder | None) -> list[Finding]:
             f"from one frame to the next, and by {order.shortest:.2f} m in the order {best}",
             option="name the files in the order of the recording",
             figures={"step_m": order.given, "shortest_step_m": order.shortest, "nearer_share": order.rank},
-            picture=scatter(
-                places, np.array(order.path, np.float64) + 1.0, "across: place in the recording, up: place by name"
-            ),
         )
     ]
 

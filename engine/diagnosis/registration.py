@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..posed.layout import plural
 from ..scene import evenly_spread
 from .findings import FIX, Finding, edges_on, side_by_side
 from .reprojection import Assumption, Examined, Floats, Look, Photo, values_at
@@ -43,11 +44,8 @@ Shift = tuple[float, float]
 
 class Registration(NamedTuple):
     """Where depth's edges fit the pictures best: an edge at p (fractions of the picture) belongs to (p - 0.5) *
-    ``scale`` + 0.5 + ``shift``.
-
-    ``gain`` is how much stronger the pictures' contrast is there than at depth's position, in standard deviations.
-    ``certainty`` is the gain over its standard error among the ``frames`` that have edges.
-    """
+    ``scale`` + 0.5 + ``shift``. ``gain`` is how much stronger the pictures' contrast is there than at depth's position,
+    in standard deviations. ``certainty`` is the gain over its standard error among the ``frames`` that have edges."""
 
     scale: float
     shift: Shift
@@ -271,25 +269,17 @@ def _correlations(examined: Examined, places: list[tuple[Floats, Floats]], taken
     """The correlation of greys where each pair sees the same surface, float64 [P]; nan where there is too little."""
     found = np.full(len(places), np.nan)
     for row, ((one, other), (mine, theirs)) in enumerate(zip(examined.pairs.tolist(), places, strict=True)):
-        first, second = (_photo(examined, look, taken) for look in (one, other))
+        first, second = (examined.photos.get(examined.looks[look].number + taken.lag) for look in (one, other))
         if first is None or second is None or len(mine) < _FEWEST_POINTS:
             continue
+        if taken.mirrored:
+            mine, theirs = (np.stack([1.0 - each[:, 0], each[:, 1]], axis=1) for each in (mine, theirs))
         greys = [
-            values_at(photo.grey, _mirrored(at) if taken.mirrored else at).astype(np.float64)
-            for photo, at in ((first, mine), (second, theirs))
-        ]
+            values_at(photo.grey, at).astype(np.float64) for photo, at in ((first, mine), (second, theirs))
+        ]  # fmt: skip
         if min(grey.std() for grey in greys) > _LEAST_CONTRAST:
             found[row] = np.corrcoef(greys[0], greys[1])[0, 1]
     return found
-
-
-def _photo(examined: Examined, look: int, taken: Taken) -> Photo | None:
-    """The picture used for a look, where it is loaded."""
-    return examined.photos.get(examined.looks[look].number + taken.lag)
-
-
-def _mirrored(places: Floats) -> Floats:
-    return np.stack([1.0 - places[:, 0], places[:, 1]], axis=1)
 
 
 def picture_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
@@ -297,8 +287,14 @@ def picture_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
     fit = measure_pictures(examined, assumed)
     if fit is None:
         return []
-    cause, what, option = _words(fit.taken)
-    row = len(examined.looks) // 2
+    taken, row = fit.taken, len(examined.looks) // 2
+    if taken.mirrored:
+        what = "left and right are swapped in the pictures, but not in depth and poses"
+        cause, option = "mirrored colour", "mirror the colour images"
+    else:
+        way, frames = "earlier" if taken.lag > 0 else "later", plural(abs(taken.lag), "frame")
+        what = f"pictures are those of other frames: each belongs to the frame {frames} {way}"
+        cause, option = "colour of other frames", "give the pictures the names of the frames that they belong to"
     photo, look = examined.photo(row), examined.looks[row]
     depth = np.clip(255.0 * look.depth / max(float(np.quantile(look.depth, 0.98)), 1e-6), 0, 255).astype(np.uint8)
     return [
@@ -313,13 +309,3 @@ def picture_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
             stops=True,
         )
     ]
-
-
-def _words(taken: Taken) -> tuple[str, str, str]:
-    if taken.mirrored:
-        what = "left and right are swapped in the pictures, but not in depth and poses"
-        return "mirrored colour", what, "mirror the colour images"
-    way = "earlier" if taken.lag > 0 else "later"
-    places = "1 frame" if abs(taken.lag) == 1 else f"{abs(taken.lag)} frames"
-    what = f"pictures are those of other frames: each belongs to the frame {places} {way}"
-    return "colour of other frames", what, "give the pictures the names of the frames that they belong to"

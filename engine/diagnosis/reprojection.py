@@ -19,11 +19,8 @@ Floats = NDArray[np.float64]
 
 
 class Sample(NamedTuple):
-    """Which frames are examined: all, or if there are more than ``most``, ``groups`` spread over the recording.
-    ``steps`` are a group's frames, counted from its first.
-
-    Neighbours show small errors. Distant views of the same surface show large ones.
-    """
+    """Which frames are examined: all, or if there are more than ``most``, ``groups`` spread over the recording, with
+    ``steps`` counted from a group's first. Neighbours show small errors, distant views of a surface large ones."""
 
     most: int
     groups: int
@@ -55,11 +52,9 @@ _DARK, _BRIGHT = 8, 247
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """A frame whose depth is loaded. ``number`` is its place in the scene's frames.
-
-    ``depth`` float32 [H, W] is in the scene's metres, 0 = none; ``camera`` has its size. ``points`` int32 [N, 2]
-    (column, row) lie on smooth surfaces, spread over the picture. They are compared with other views.
-    """
+    """A frame whose depth is loaded. ``number`` is its index in the scene's frames. ``depth`` float32 [H, W] is in the
+    scene's metres, 0 = none; ``camera`` has its size. ``points`` int32 [N, 2] (column, row) lie on smooth surfaces,
+    spread over the picture. They are compared with other views."""
 
     number: int
     frame: Frame
@@ -99,7 +94,10 @@ def load_looks(frames: Sequence[Frame], sample: Sample) -> list[Look]:
         if frame.read_depth is None:
             continue
         depth = frame.depth(None)
-        depth = _thinned(depth, _stride_for(depth.shape[1]))
+        step = _stride_for(depth.shape[1])
+        if step > 1:  # the middle pixel of each block, so that nothing moves by half a pixel
+            rows, columns = (np.arange(length // step) * step + step // 2 for length in depth.shape)
+            depth = np.ascontiguousarray(depth[rows[:, None], columns])
         points = _smooth_points(depth, np.random.default_rng(number))
         if len(points):
             looks.append(Look(number, frame, frame.camera.resized(*depth.shape[::-1]), depth, points))
@@ -108,22 +106,21 @@ def load_looks(frames: Sequence[Frame], sample: Sample) -> list[Look]:
 
 def load_photos(frames: Sequence[Frame], sample: Sample) -> dict[int, Photo]:
     """The pictures of the sample's frames, by the frames' numbers. Raises PlgsError."""
-    return {number: _load_photo(number, frames[number]) for number in sample.numbers(len(frames))}
-
-
-def _load_photo(number: int, frame: Frame) -> Photo:
     import cv2
 
-    grey = cv2.cvtColor(frame.read_colour(None), cv2.COLOR_RGB2GRAY)
-    height, width = grey.shape
-    step = _stride_for(width)
-    if step > 1:
-        grey = cv2.resize(grey, (width // step, height // step), interpolation=cv2.INTER_AREA)
-    height, width = grey.shape
-    if width > _PHOTO_WIDTH:
-        size = (_PHOTO_WIDTH, round(height * _PHOTO_WIDTH / width))
-        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-    return Photo(number, frame.name, grey.astype(np.uint8))
+    photos = {}
+    for number in sample.numbers(len(frames)):
+        grey = cv2.cvtColor(frames[number].read_colour(None), cv2.COLOR_RGB2GRAY)
+        height, width = grey.shape
+        step = _stride_for(width)
+        if step > 1:
+            grey = cv2.resize(grey, (width // step, height // step), interpolation=cv2.INTER_AREA)
+        height, width = grey.shape
+        if width > _PHOTO_WIDTH:
+            size = (_PHOTO_WIDTH, round(height * _PHOTO_WIDTH / width))
+            grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+        photos[number] = Photo(number, frames[number].name, grey.astype(np.uint8))
+    return photos
 
 
 def values_at(pixels: NDArray[Any], places: Floats) -> NDArray[Any]:
@@ -138,16 +135,6 @@ def _stride_for(width: int) -> int:
     """The odd step between pixels that reduces a picture to at most 640 across."""
     step = -(-width // _WIDEST)
     return step + 1 - step % 2
-
-
-def _thinned(pixels: NDArray[np.float32], step: int) -> NDArray[np.float32]:
-    """Every ``step``-th (odd) row and column: the middle pixel of each block, so that nothing moves by half a pixel."""
-    if step == 1:
-        return pixels
-    height, width = pixels.shape
-    rows = np.arange(height // step) * step + step // 2
-    columns = np.arange(width // step) * step + step // 2
-    return np.ascontiguousarray(pixels[rows[:, None], columns])
 
 
 def _smooth_points(depth: NDArray[np.float32], random: np.random.Generator) -> NDArray[np.int32]:
@@ -175,14 +162,12 @@ _OPENGL = np.diag([1.0, -1.0, -1.0])
 
 
 class Assumption(NamedTuple):
-    """What the numbers of a scene might mean. The defaults are how the scene was read.
-
-    ``inverted``: poses are world-to-camera. ``opengl``: cameras have y up and z backward. ``unit``: factor of depth.
-    ``ray``: 1 if depth is the distance to the camera. ``lens_scale``: factor of fx, fy, cx, cy. ``focal``: further
-    factor of fx and fy. ``aspect``: further factor of fx. ``shift``: added to the principal point, as fractions of the
-    picture. ``length``: factor of the cameras' positions. ``lag``: a frame's pose is that of the frame this many frames
-    later. ``mirrored``: pictures and depth have left and right exchanged.
-    """
+    """What the numbers of a scene might mean. The defaults are how the scene was read. ``inverted``: poses are
+    world-to-camera. ``opengl``: cameras have y up and z backward. ``unit``: factor of depth. ``ray``: 1 if depth is the
+    distance to the camera. ``lens_scale``: factor of fx, fy, cx, cy. ``focal``: further factor of fx and fy.
+    ``aspect``: further factor of fx. ``shift``: added to the principal point, as fractions of the picture. ``length``:
+    factor of the cameras' positions. ``lag``: a frame's pose is that of the frame this many frames later. ``mirrored``:
+    pictures and depth have left and right exchanged."""
 
     inverted: bool = False
     opengl: bool = False
@@ -198,12 +183,10 @@ class Assumption(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """Where the points of P pairs, M each, fall in the other view. Arrays are [P, M].
-
-    ``error`` float64: logarithm of the depth seen over the depth expected, nan where the other view shows nothing.
-    ``agrees`` float64: 1 for no error, 0 from 5 % on and where nothing is seen. ``known`` bool: the point exists.
-    ``place`` float64 [P, M, 2]: in shares of the other picture, nan behind its camera.
-    """
+    """Where the points of P pairs, M each, fall in the other view. Arrays are [P, M]. ``error`` float64: logarithm of
+    the depth seen over the depth expected, nan where the other view shows nothing. ``agrees`` float64: 1 for no error,
+    0 from 5 % on and where nothing is seen. ``known`` bool: the point exists. ``place`` float64 [P, M, 2]: in shares of
+    the other picture, nan behind its camera."""
 
     error: Floats
     agrees: Floats
@@ -213,20 +196,16 @@ class Comparison(NamedTuple):
 
 class Surface(NamedTuple):
     """The surface that a look shows where points project to. ``distance`` float64 [N]: metres by which the points lie
-    above it along its ``normal`` float64 [N, 3], in the camera's axes. nan where there is none.
-    """
+    above it along its ``normal`` float64 [N, 3], in the camera's axes. nan where there is none."""
 
     distance: Floats
     normal: Floats
 
 
 class Views:
-    """The looks as arrays, so that all pairs are compared at once.
-
-    ``turn`` float64 [3, 3] is the rotation that made the world upright when the scene was opened. Assumptions about
-    poses are about the poses as they were written, before that rotation. ``recorded`` float64 [N, 4, 4] are the poses
-    of all frames of the scene.
-    """
+    """The looks as arrays, so that all pairs are compared at once. ``turn`` float64 [3, 3] is the rotation that made
+    the world upright when the scene was opened. Assumptions about poses are about the poses as they were written,
+    before that rotation. ``recorded`` float64 [N, 4, 4] are the poses of all frames of the scene."""
 
     def __init__(self, looks: Sequence[Look], turn: Floats, recorded: Floats) -> None:
         self.looks = looks
@@ -247,10 +226,6 @@ class Views:
         self._starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
         self._pixels = np.concatenate([look.depth.ravel() for look in looks])
 
-    def lens_of(self, assumed: Assumption) -> Lens:
-        """The lenses under an assumption, float64 [F, 4]."""
-        return lens_under(self.lens, assumed)
-
     def poses_of(self, assumed: Assumption) -> Floats:
         """Camera-to-world poses in the scene's world under an assumption, float64 [F, 4, 4]."""
         meant = np.clip(self.numbers + assumed.lag, 0, len(self.recorded) - 1)
@@ -258,7 +233,7 @@ class Views:
 
     def compare(self, pairs: NDArray[np.int64], assumed: Assumption, points: int | None = None) -> Comparison:
         """Project the first ``points`` points of each pair's first look into the second; pairs int64 [P, 2]."""
-        lens, poses = self.lens_of(assumed), self.poses_of(assumed)
+        lens, poses = lens_under(self.lens, assumed), self.poses_of(assumed)
         one, other = pairs[:, 0], pairs[:, 1]
         world, known = self.world_points(assumed, lens, poses, points)
         rotation, centre = poses[other, :3, :3], poses[other, :3, 3]
@@ -387,9 +362,13 @@ class Examined:
         PlgsError."""
         if any(look.frame.read_mask is None for look in self.looks):
             return None
-        frames, within = [look.frame for look in self.looks], self.masks_within
-        sizes = [None if within is None else size_within(frame.size, within) for frame in frames]
-        return [_reduced(frame.mask(size).class_map()) for frame, size in zip(frames, sizes, strict=True)]
+        maps, within = [], self.masks_within
+        for frame in (look.frame for look in self.looks):
+            classes = frame.mask(None if within is None else size_within(frame.size, within)).class_map()
+            height, width = classes.shape
+            size = (_MASK_WIDTH, max(1, round(height * _MASK_WIDTH / width)))
+            maps.append(resize_nearest(classes, size) if width > _MASK_WIDTH else classes)
+        return maps
 
     def mean_by_look(self, values: Floats) -> Floats:
         """The mean of the pairs' values [P] for each look that has any, so that looks in many pairs count once."""
@@ -408,12 +387,6 @@ class Examined:
         apart = np.linalg.norm(centres[self.pairs[:, 0]] - centres[self.pairs[:, 1]], axis=1)
         best = int(np.argmax(share * np.sqrt(apart + 1e-9)))
         return int(self.pairs[best, 0]), int(self.pairs[best, 1])
-
-
-def _reduced(classes: NDArray[np.int32]) -> NDArray[np.int32]:
-    height, width = classes.shape
-    size = (_MASK_WIDTH, max(1, round(height * _MASK_WIDTH / width)))
-    return resize_nearest(classes, size) if width > _MASK_WIDTH else classes
 
 
 def examine(scene: Scene, sample: Sample = MANY, masks_within: Size | None = None) -> Examined | None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..posed.layout import listed
+from ..posed.matrices import shortest_rotation
 from ..scene import Scene, Size
 from .findings import Diagnosis, Finding, Mending, side_by_side
 from .labels import label_findings, table_findings
@@ -15,7 +16,7 @@ from .poses import measure_order, order_findings, pose_findings, repeat_findings
 from .registration import SHIFT, picture_findings
 from .reprojection import FEW, MANY, Assumption, Photo, examine, load_photos
 from .trials import Agreement, agreement, find_causes
-from .up import measure_tilt, tilt_finding, turn_to_z
+from .up import measure_tilt, tilt_finding
 
 _Z = np.array([0.0, 0.0, 1.0])
 _CLIPPED = 0.5
@@ -26,7 +27,9 @@ def diagnose(scene: Scene) -> Diagnosis:
     """Measure what is wrong with a scene. At most 120 of its frames are examined. Raises PlgsError for bad files."""
     examined = examine(scene)
     if examined is None:
-        return _without_depth(scene)
+        photos, order = load_photos(scene.frames, MANY), measure_order(scene, Assumption())
+        findings = [*order_findings(scene, order), *repeat_findings(scene), *clipped_findings(photos)]
+        return _diagnosis(scene, findings, Mending(dropped=_dropped(findings)), len(photos), None)
     as_it_is = agreement(examined.views, examined.pairs, Assumption())
     findings, assumed, shift = number_findings(examined, lens_is_doubtful=bool(scene.assumed_lens))
     tilt = measure_tilt(examined.views, assumed)
@@ -45,7 +48,7 @@ def diagnose(scene: Scene) -> Diagnosis:
     findings += clipped_findings(examined.photos)
     findings += label_findings(examined, assumed)
     findings += table_findings(examined, assumed, _Z if tilt is None else tilt.axis)
-    turn = None if tilt is None else turn_to_z(tilt.axis)
+    turn = None if tilt is None else shortest_rotation(tilt.axis, _Z)
     is_sure = all(finding.is_mended for finding in findings if finding.cause in NUMBER_CAUSES)
     if not is_sure:  # whatever was measured after a doubtful cause is just as doubtful
         findings = [replace(finding, is_mended=False) for finding in findings]
@@ -71,13 +74,6 @@ def diagnose_quickly(scene: Scene, masks_within: Size | None = None) -> Diagnosi
     if any(finding.severity == "wrong" for finding in measured):
         return diagnose(scene)
     return Diagnosis((*findings, *measured), Mending(), len(scene.frames), len(examined.looks), as_it_is)
-
-
-def _without_depth(scene: Scene) -> Diagnosis:
-    photos = load_photos(scene.frames, MANY)
-    order = measure_order(scene, Assumption())
-    findings = [*order_findings(scene, order), *repeat_findings(scene), *clipped_findings(photos)]
-    return _diagnosis(scene, findings, Mending(dropped=_dropped(findings)), len(photos), None)
 
 
 def _dropped(findings: list[Finding]) -> frozenset[str]:

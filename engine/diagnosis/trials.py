@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .reprojection import Assumption, Floats, Views
+from .reprojection import Assumption, Floats, Views, lens_under
 
 _PARAMETERS = ("unit", "focal", "aspect", "x", "y", "ray")
 _STEPS = np.array([1e-3, 1e-3, 1e-3, 5e-4, 5e-4, 2e-3])
@@ -30,11 +30,9 @@ _STEEPEST = 5.0
 
 
 class Calibration(NamedTuple):
-    """``values`` float64 [6] relative to the assumption, in the order of ``_PARAMETERS``, with their standard errors.
-
-    They are the logarithms of the factors of depth, of the focal lengths and of fx alone, the principal point's shift
-    in shares of width and height, and the part of the ray's length that is in depth.
-    """
+    """``values`` float64 [6] relative to the assumption, in the order of ``_PARAMETERS``, with their standard errors:
+    the logarithms of the factors of depth, of the focal lengths and of fx alone, the principal point's shift in shares
+    of width and height, and the part of the ray's length that is in depth."""
 
     values: Floats
     deviations: Floats
@@ -115,9 +113,7 @@ def _linearised(
 
 def _solve(linear: _Linear, values: Floats, prior: Floats) -> tuple[Floats, Floats]:
     """The step [p] of weighted least squares from ``values`` [p] with precisions ``prior`` [p], and its errors [p].
-
-    Errors within a frame are correlated, so the errors are summed by frame.
-    """
+    Errors within a frame are correlated, so they are summed by frame."""
     noise = float(np.sqrt((linear.weights * linear.errors**2).sum() / linear.weights.sum()))
     precision = max(noise, _FINEST) ** -2
     weighted = precision * linear.slopes * linear.weights[:, None]
@@ -169,12 +165,9 @@ class Trial(NamedTuple):
 
 
 class Agreement(NamedTuple):
-    """How well views agree.
-
-    ``by_frame`` float64 [F] is the mean agreement, 0..1, of each look's points with the other views; ``mean`` is over
-    all points. ``seen`` is the share of points where the other view shows depth. Of these, ``share`` agree within 5 %,
-    with the median relative error ``error``.
-    """
+    """How well views agree. ``by_frame`` float64 [F] is the mean agreement, 0..1, of each look's points with the other
+    views; ``mean`` is over all points. ``seen`` is the share of points where the other view shows depth. Of these,
+    ``share`` agree within 5 %, with the median relative error ``error``."""
 
     by_frame: Floats
     mean: float
@@ -184,10 +177,8 @@ class Agreement(NamedTuple):
 
 
 class FoundCause(NamedTuple):
-    """A cause that was found, the assumption with it, and how views agree before and after.
-
-    ``rival`` is a cause that explains the scene about as well, None if there is none.
-    """
+    """A cause that was found, the assumption with it, and how views agree before and after. ``rival`` is a cause that
+    explains the scene about as well, None if there is none."""
 
     cause: str
     assumed: Assumption
@@ -281,18 +272,17 @@ def _best(
     if not fitted:
         return None
     best = max(after.mean for after, _ in fitted)
-    fitted.sort(key=lambda each: (not _is_doubted(each, best, lens_first), -each[0].mean))
+
+    def is_doubted(after: Agreement, trial: Trial) -> bool:  # a lens that explains the scene about as well as the best
+        return lens_first and trial.cause in _LENS_CAUSES and after.mean * _RIVAL > best
+
+    fitted.sort(key=lambda each: (not is_doubted(*each), -each[0].mean))
     after, trial = fitted[0]
     if not _is_better(after, before):
         return None
     rival = fitted[1][1].cause if len(fitted) > 1 and fitted[1][0].mean * _RIVAL > after.mean else None
     found = FoundCause(trial.cause, trial.assumed, before, after, rival)
     return _whose_lengths(views, assumed, found) if trial.cause == "unit" else found
-
-
-def _is_doubted(each: tuple[Agreement, Trial], best: float, lens_first: bool) -> bool:
-    """Whether a trial concerns a doubtful lens, and explains the scene about as well as the ``best``."""
-    return lens_first and each[1].cause in _LENS_CAUSES and each[0].mean * _RIVAL > best
 
 
 def _whose_lengths(views: Views, before: Assumption, found: FoundCause) -> FoundCause:
@@ -327,7 +317,7 @@ def _trials(views: Views, now: Assumption) -> Iterator[Trial]:
     for lag in _LAGS:
         yield Trial("lag", now._replace(lag=lag))
     yield Trial("mirrored", now._replace(mirrored=not now.mirrored))
-    middle = np.median(views.lens_of(now)[:, 2:], axis=0)
+    middle = np.median(lens_under(views.lens, now)[:, 2:], axis=0)
     scales = {*_SCALES, *((0.5 / middle).tolist() if np.abs(middle - 0.5).max() > _ASIDE else ())}
     for scale in sorted(scales):
         yield Trial("lens size", now._replace(lens_scale=now.lens_scale * scale))

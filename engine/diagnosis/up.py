@@ -7,9 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..posed.matrices import shortest_rotation
 from .findings import Finding, level_surfaces
-from .reprojection import Assumption, Examined, Floats, Views
+from .reprojection import Assumption, Examined, Floats, Views, lens_under
 
 _CLEARLY_UP = 0.6
 _CONES = (40.0, 25.0, 15.0, 8.0, 5.0, 5.0, 5.0)
@@ -26,8 +25,7 @@ _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 class UpAxis(NamedTuple):
     """``axis`` float64 [3] is up in the scene's world, ``tilt`` the degrees between it and z. ``level`` and ``walls``
-    are the shares of normals along it and at right angles to it. ``deviation`` is its standard error in degrees.
-    """
+    are the shares of normals along it and at right angles to it. ``deviation`` is its standard error in degrees."""
 
     axis: Floats
     tilt: float
@@ -70,7 +68,7 @@ def _measure_up(views: Views, assumed: Assumption) -> UpAxis | None:
 
 def world_normals(views: Views, assumed: Assumption) -> list[tuple[Floats, NDArray[np.bool_]]]:
     """For each look the normals of its points in the world, float64 [N, 3], and which are known, bool [N]."""
-    lens, poses = views.lens_of(assumed), views.poses_of(assumed)
+    lens, poses = lens_under(views.lens, assumed), views.poses_of(assumed)
     world, known = views.world_points(assumed, lens, poses)
     found = []
     for row in range(len(views.looks)):
@@ -109,8 +107,3 @@ def tilt_finding(examined: Examined, up: UpAxis, assumed: Assumption) -> Finding
         is_mended=True,
         picture=level_surfaces(examined.looks[best], shown @ up.axis, "green: level, blue: upright"),
     )
-
-
-def turn_to_z(axis: Floats) -> Floats:
-    """The shortest rotation, float64 [3, 3], that takes the unit vector ``axis`` [3] to z."""
-    return shortest_rotation(axis, np.array([0.0, 0.0, 1.0]))

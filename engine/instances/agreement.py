@@ -86,9 +86,9 @@ class ViewsOnCloud:
 
 @dataclass(frozen=True, eq=False)
 class MasksInSpace:
-    """M ``masks`` of V views. ``view`` int64 [M], the view of each; ``is_thing`` bool
-    [M]; ``holds`` sparse 0/1 [M, N], the points of the cloud in each mask; ``sight`` sparse 0/1 [V, N], the points that
-    each view sees; ``word`` sparse [V, N], the weight of the view's evidence on each of them."""
+    """M ``masks`` of V views. ``view`` int64 [M], the view of each; ``is_thing`` bool [M]; ``holds`` sparse 0/1 [M, N],
+    the points of the cloud in each mask; ``sight`` sparse 0/1 [V, N], the points that each view sees; ``word`` sparse
+    [V, N], the weight of the view's evidence on each of them."""
 
     masks: list[ObjectMask]
     view: NDArray[np.int64]
@@ -118,9 +118,8 @@ class MasksInSpace:
 @dataclass(frozen=True, eq=False)
 class Agreement:
     """``judges`` float32 [M, V]: how much the view's judgement of mask i counts, from 0, not at all, to 1, where it
-    resolves the mask as well as the view that has it. ``inside`` sparse [M, M]: the same where mask i lies inside mask
-    k of the view (or is k). ``contained`` float32 [M, V]: the same where the view shows mask i inside one of its own.
-    """
+    resolves the mask as well as its own view. ``inside`` sparse [M, M]: the same where mask i lies inside mask k of the
+    view (or is k). ``contained`` float32 [M, V]: the same where the view shows mask i inside one of its own."""
 
     inside: Any
     judges: NDArray[np.float32]
@@ -230,17 +229,20 @@ def _rows_of_ones(columns: Sequence[NDArray[np.int32]], width: int) -> Any:
 
 
 def judge_masks(space: MasksInSpace, rules: JudgingRules) -> tuple[Agreement, NDArray[np.bool_]]:
-    """How all views judge all masks, and which masks are sound, bool [M]: shown inside one mask by most judges.
-
-    A view abstains on a mask that it shows inside an under-segmented mask, or swallowed by stuff where most views show
-    a thing. Such a view has missed the object, so it cannot tell what belongs together.
-    """
+    """How all views judge all masks, and which masks are sound, bool [M]: shown inside one mask by most judges. A view
+    abstains on a mask that it shows inside an under-segmented mask, or swallowed by stuff where most views show a
+    thing. Such a view has missed the object, so it cannot tell what belongs together."""
     first = _first_judgement(space, rules)
     judged = first.judges.sum(1)
     sound = judged - first.contained.sum(1) <= rules.under_segmented * judged
     inside = first.inside.tocoo()
     row, column = inside.row, inside.col
-    swallowed = _swallowed(space, row, column, rules)
+    swallowed = space.is_thing[row] & ~space.is_thing[column]
+    pairs = np.flatnonzero(swallowed)
+    for start in range(0, len(pairs), PAIRS_AT_A_TIME):
+        some = pairs[start : start + PAIRS_AT_A_TIME]
+        common = np.asarray(space.holds[row[some]].multiply(space.holds[column[some]]).sum(1)).reshape(-1)
+        swallowed[some] = space.size[column[some]] > rules.swallowing * common
     # Where most views see no thing, the thing was invented.
     swallowing = np.zeros_like(first.judges)
     swallowing[row[swallowed], space.view[column[swallowed]]] = inside.data[swallowed]
@@ -251,19 +253,6 @@ def judge_masks(space: MasksInSpace, rules: JudgingRules) -> tuple[Agreement, ND
     return _agreement(row[~abstains], column[~abstains], judges, space.view), sound
 
 
-def _swallowed(
-    space: MasksInSpace, row: NDArray[np.intp], column: NDArray[np.intp], rules: JudgingRules
-) -> NDArray[np.bool_]:
-    """Whether the stuff masks ``column`` swallow the things' masks ``row``, bool [n]."""
-    swallowed = space.is_thing[row] & ~space.is_thing[column]
-    pairs = np.flatnonzero(swallowed)
-    for start in range(0, len(pairs), PAIRS_AT_A_TIME):
-        some = pairs[start : start + PAIRS_AT_A_TIME]
-        common = np.asarray(space.holds[row[some]].multiply(space.holds[column[some]]).sum(1)).reshape(-1)
-        swallowed[some] = space.size[column[some]] > rules.swallowing * common
-    return swallowed
-
-
 def _first_judgement(space: MasksInSpace, rules: JudgingRules) -> Agreement:
     """The judgements before any view abstains."""
     common = (space.holds @ space.holds.T).tocoo()
@@ -271,21 +260,16 @@ def _first_judgement(space: MasksInSpace, rules: JudgingRules) -> Agreement:
     labelled = np.zeros_like(seen)
     np.add.at(labelled, (common.row, space.view[common.col]), common.data)
     size = space.size.reshape(-1, 1)
+    # How well each view resolves each mask, compared with the view that has the mask.
+    word = (space.holds @ space.word.T).toarray() / np.maximum(seen, 1)
+    own = word[np.arange(len(space.masks)), space.view]
+    resolved = np.minimum(word / np.maximum(own, 1e-12)[:, None], 1.0)
     judges = (seen >= np.maximum(rules.visible * size, rules.min_points)) & (labelled >= 0.5 * seen)
-    judges = judges * _resolved(space, seen)
+    judges = judges * resolved
     column_view = space.view[common.col]
     lies_inside = common.data >= rules.contained * labelled[common.row, column_view]
     lies_inside &= judges[common.row, column_view] > 0
     return _agreement(common.row[lies_inside], common.col[lies_inside], judges.astype(np.float32), space.view)
-
-
-def _resolved(space: MasksInSpace, seen: NDArray[np.floating]) -> NDArray[np.floating]:
-    """How well each view resolves each mask, compared with the view that has the mask, [M, V] from 0 to 1. ``seen``
-    [M, V]: the number of the mask's points that the view sees."""
-    word = (space.holds @ space.word.T).toarray() / np.maximum(seen, 1)
-    own = word[np.arange(len(space.masks)), space.view]
-    resolved: NDArray[np.floating] = np.minimum(word / np.maximum(own, 1e-12)[:, None], 1.0)
-    return resolved
 
 
 def _agreement(

@@ -40,8 +40,7 @@ class ConsensusOptions:
     it needs masks in all of them but one, and in at least 2, with a mean agreement of ``sure``. If there are more than
     ``most_masks`` masks, only those of keyframes are joined; those of the other views go to the object that owns most
     of their points. A tracker counts as ``tracker`` views on each pair of masks that it followed: it is in favour when
-    both have the same track. ``evidence`` says how a view's evidence is weighted.
-    """
+    both have the same track. ``evidence`` says how a view's evidence is weighted."""
 
     rules: JudgingRules = JudgingRules()
     agreement: float = 0.35
@@ -121,14 +120,15 @@ def objects_of_masks(
 
 
 def join_agreeing(
-    space: MasksInSpace, judgement: Agreement, rows: NDArray[np.intp], options: ConsensusOptions,
+    space: MasksInSpace,
+    judgement: Agreement,
+    rows: NDArray[np.intp],
+    options: ConsensusOptions,
     progress: Progress = lambda *_: None,
 ) -> NDArray[np.int64]:
-    """Join the masks ``rows`` by ``join_weight``. Returns the cluster of each, int64 [R], named by its lowest place.
-
+    """Join the masks ``rows`` by ``join_weight``. Returns the cluster of each, int64 [R], named by its lowest index.
     Masks that no chain of links connects are never joined. So each linked part is joined separately, and no array of
-    all masks by all masks is needed.
-    """
+    all masks by all masks is needed."""
     part = linked_parts(space, judgement, rows, options)
     cluster = np.arange(len(rows))
     order = np.argsort(part, kind="stable")
@@ -197,7 +197,10 @@ def linked_parts(
         judging[some] = np.einsum("pv,pv->p", judges[row[some]], judges[column[some]])
     most = options.tracker if has_tracks(space) else 0.0
     linked = favour.data + most > options.agreement * judging
-    one, other = same_track(space, rows)
+    track = tracks_of(space, rows)
+    order = np.argsort(track, kind="stable")
+    chained = (track[order[1:]] == track[order[:-1]]) & (track[order[1:]] >= 0)
+    one, other = order[:-1][chained], order[1:][chained]
     ends = np.concatenate([row[linked], one]), np.concatenate([column[linked], other])
     graph = coo_matrix((np.ones(len(ends[0]), bool), ends), favour.shape)
     part: NDArray[np.int32] = connected_components(graph, directed=False)[1]
@@ -207,14 +210,6 @@ def linked_parts(
 def has_tracks(space: MasksInSpace) -> bool:
     """Whether a tracker followed any of the masks."""
     return any(mask.segment.track is not None for mask in space.masks)
-
-
-def same_track(space: MasksInSpace, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Pairs of places in ``rows`` that chain the masks of each track, int64 [n] each."""
-    track = tracks_of(space, rows)
-    order = np.argsort(track, kind="stable")
-    chained = (track[order[1:]] == track[order[:-1]]) & (track[order[1:]] >= 0)
-    return order[:-1][chained], order[1:][chained]
 
 
 def tracks_of(space: MasksInSpace, rows: NDArray[np.intp]) -> NDArray[np.int64]:
@@ -274,11 +269,9 @@ WORTH_IT = 0.25
 
 
 def choose_keyframes(space: MasksInSpace, most_masks: int) -> NDArray[np.int64]:
-    """The numbers of the views whose masks are joined into objects, ascending.
-
-    These are all views if they have at most ``most_masks`` masks together. Otherwise views are chosen evenly, and every
-    view without which surfaces would be seen too rarely is added; so there may be slightly more masks than that.
-    """
+    """The numbers of the views whose masks are joined into objects, ascending: all views if they have at most
+    ``most_masks`` masks together. Otherwise views are chosen evenly, and every view without which surfaces would be
+    seen too rarely is added; so there may be slightly more masks than that."""
     views = space.sight.shape[0]
     if len(space.masks) <= most_masks:
         return np.arange(views)

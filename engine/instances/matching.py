@@ -69,7 +69,11 @@ def update_instances(
         if target is None:
             updated.append(replace(local[row], id=len(updated) + 1))
         else:
-            updated[target] = _joined(updated[target], local[row], float(cost[row, target]), voxel_size)
+            one, other = updated[target], local[row]
+            points = thin(np.concatenate([one.points, other.points]), voxel_size)
+            masks = (*one.masks, *(replace(mask, cost=float(cost[row, target])) for mask in other.masks))
+            box = fit_box(points, voxel_size)
+            updated[target] = replace(one, points=points, box=box, masks=masks, class_id=class_by_views(masks))
     return updated
 
 
@@ -90,13 +94,6 @@ def _targets(cost: NDArray[np.float64], options: Matching) -> list[int | None]:
         else:
             targets.append(best)
     return targets
-
-
-def _joined(known: SceneObject, local: SceneObject, cost: float, voxel_size: float) -> SceneObject:
-    together = thin(np.concatenate([known.points, local.points]), voxel_size)
-    masks = (*known.masks, *(replace(mask, cost=cost) for mask in local.masks))
-    box = fit_box(together, voxel_size)
-    return replace(known, points=together, box=box, masks=masks, class_id=class_by_views(masks))
 
 
 def merged(instances: Sequence[SceneObject], group: NDArray[np.int32], voxel_size: float) -> list[SceneObject]:

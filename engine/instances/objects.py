@@ -39,10 +39,8 @@ def vote_classes(
     kind: EvidenceKind,
 ) -> NDArray[np.float64]:
     """Votes for the class of each of the ``objects`` 1.., float64 [objects + 1, C]; row 0, no object, is all 0.
-
     ``views``: what each view shows at the points it sees, and the class that it shows at each, int32 [n] (0 = none);
-    ``object_of_point`` int32 [N], 0 = none. In each view an object's pixels share the votes of that ``kind``.
-    """
+    ``object_of_point`` int32 [N], 0 = none. In each view an object's pixels share the votes of that ``kind``."""
     ids = np.asarray(class_ids)
     votes = np.zeros((objects + 1, len(ids)))
     for view, shown in views:
@@ -118,11 +116,9 @@ def placed_objects(
     object_of_point: NDArray[np.int32],
     min_thickness: float,
 ) -> list[SceneObject]:
-    """The objects with their points, boxes, and the pixels of their masks. Each must own points.
-
-    ``xyz`` [N, 3] metres are the cloud's points; ``object_of_point`` int32 [N] is the object that each belongs to (0 =
-    none); ``min_thickness`` is the shortest side of a box in metres.
-    """
+    """The objects with their points, boxes, and the pixels of their masks. Each must own points. ``xyz`` [N, 3] metres
+    are the cloud's points; ``object_of_point`` int32 [N] is the object that each belongs to (0 = none);
+    ``min_thickness`` is the shortest side of a box in metres."""
     pixels = {
         (view.name, int(segment)): int(count)
         for view in views
@@ -142,8 +138,7 @@ class PieceRules:
     ``fragment`` of its object's largest piece, is a fragment: a mask's ragged edge on the wall behind. A view judges a
     piece when it sees ``min_points`` of it, and shows it inside a mask that has ``contained`` of these. Pieces of one
     object stay together when at least ``stay`` of the views that judge both join them. Pieces of two objects of one
-    class that touch become one object when at least ``join`` of these views, and at least two views, join them.
-    """
+    class that touch become one object when at least ``join`` of these views, and at least two views, join them."""
 
     reach: float = 0.15
     min_points: int = 5
@@ -162,10 +157,8 @@ def regroup_pieces(
     progress: Progress = lambda *_: None,
 ) -> tuple[NDArray[np.int32], list[int]]:
     """The new object of each point, int32 [N], numbered 1.. (0 = none), and the old object that each one comes from.
-
     ``xyz`` [N, 3] metres; ``object_of_point`` int32 [N], 0 = none; ``class_of_object``: the class of objects 1.. ;
-    ``summaries``: what each view shows at the points; ``progress`` counts the objects 1.. .
-    """
+    ``summaries``: what each view shows at the points; ``progress`` counts the objects 1.. ."""
     piece, owner = _pieces(xyz, object_of_point, rules, progress)
     if not len(owner):
         return np.zeros(len(xyz), np.int32), []
@@ -175,7 +168,11 @@ def regroup_pieces(
     together = same_object & (judged > 0) & (share >= rules.stay)
     kind = np.asarray(class_of_object)[owner - 1]
     merge = ~same_object & (kind[:, None] == kind[None]) & (joined >= 2) & (share >= rules.join)
-    merge &= _touching(xyz, piece, len(owner), rules.reach)
+    rows = np.flatnonzero(piece >= 0)
+    pairs = cKDTree(np.asarray(xyz[rows], np.float64)).query_pairs(rules.reach, output_type="ndarray")
+    touching = np.zeros((len(owner), len(owner)), bool)
+    touching[piece[rows[pairs[:, 0]]], piece[rows[pairs[:, 1]]]] = True
+    merge &= touching | touching.T
     count, group = connected_components(coo_matrix(together | merge), directed=False)
     # A group belongs to the object that contributed most of its points.
     size = np.bincount(piece[piece >= 0], minlength=len(owner))
@@ -212,20 +209,14 @@ def _pieces(
         rows = np.flatnonzero(object_of_point == number)
         if len(rows) < rules.min_points:
             continue
-        part = connected_pieces(np.asarray(xyz[rows], np.float64), rules.reach)
+        pairs = cKDTree(np.asarray(xyz[rows], np.float64)).query_pairs(rules.reach, output_type="ndarray")
+        graph = coo_matrix((np.ones(len(pairs), bool), tuple(pairs.T)), shape=(len(rows), len(rows)))
+        part = connected_components(graph, directed=False)[1]
         size = np.bincount(part)
         for each in np.flatnonzero(size >= max(rules.min_points, rules.fragment * size.max())):
             piece[rows[part == each]] = len(owner)
             owner.append(number)
     return piece, np.array(owner, np.int64)
-
-
-def connected_pieces(points: NDArray[np.float64], reach: float) -> NDArray[np.int32]:
-    """The connected piece of each point [n, 3], int32 [n]: points nearer than ``reach`` metres are connected."""
-    pairs = cKDTree(points).query_pairs(reach, output_type="ndarray")
-    graph = coo_matrix((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
-    piece: NDArray[np.int32] = connected_components(graph, directed=False)[1]
-    return piece
 
 
 def _views_on_pairs(
@@ -247,12 +238,3 @@ def _views_on_pairs(
         judged[np.ix_(judges, judges)] += 1
         joined[np.ix_(judges, judges)] += mask[:, None] == mask[None]
     return joined, judged
-
-
-def _touching(xyz: NDArray[np.floating], piece: NDArray[np.int64], pieces: int, reach: float) -> NDArray[np.bool_]:
-    """Which pieces come within ``reach`` metres of each other, bool [P, P]."""
-    rows = np.flatnonzero(piece >= 0)
-    pairs = cKDTree(np.asarray(xyz[rows], np.float64)).query_pairs(reach, output_type="ndarray")
-    touching = np.zeros((pieces, pieces), bool)
-    touching[piece[rows[pairs[:, 0]]], piece[rows[pairs[:, 1]]]] = True
-    return touching | touching.T

@@ -23,10 +23,8 @@ LEAST_OF_CLASS = 0.1
 @device_function
 def object_of_class(shown: Array, places: Array, class_of_object: Array, wanted: int, least: float) -> int:
     """The object 0..U-1 of class ``wanted`` with the largest coverage (the first if several tie); -1 if none has more
-    than ``least``.
-
-    ``shown`` [W] holds at ``places`` int64 [U] the coverage of each object, ``class_of_object`` [U] its class.
-    """
+    than ``least``. ``shown`` [W] holds at ``places`` int64 [U] the coverage of each object, ``class_of_object`` [U] its
+    class."""
     best, most = -1, least
     for number in range(len(places)):
         if class_of_object[number] == wanted and shown[places[number]] > most:
@@ -106,11 +104,9 @@ class PanopticLabels:
 def decide_labels(
     votes: NDArray[np.floating], labels: PanopticLabels, least_share: float
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """The label of each row of votes [N, C + U], int32 [N], and the winning class's share of the votes, float32 [N].
-
-    The rule is that of ``class_first``. Votes for an object also count for its class, and an object needs
-    ``least_share`` of its class's votes. Ties go to the lower label; rows without votes are unknown.
-    """
+    """The label of each row of votes [N, C + U], int32 [N], and the winning class's share of the votes, float32 [N], by
+    the rule above. Votes for an object also count for its class, and an object needs ``least_share`` of its class's
+    votes. Ties go to the lower label; rows without votes are unknown."""
     classes, column = len(labels.class_ids), labels.class_column
     by_class = np.array(votes[:, :classes], np.float32)
     for place in range(classes, len(labels)):

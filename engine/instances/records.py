@@ -53,10 +53,8 @@ class OrientedBox:
 
 
 def fit_box(points: NDArray[np.floating], min_thickness: float) -> OrientedBox:
-    """The smallest box about z around points [N, 3], with no side shorter than ``min_thickness`` metres.
-
-    Raises ValueError if there are no points.
-    """
+    """The smallest box about z around points [N, 3], with no side shorter than ``min_thickness`` metres. Raises
+    ValueError if there are no points."""
     if not len(points):
         raise ValueError("a box needs at least one point")
     xyz = np.asarray(points, np.float64)
@@ -74,19 +72,16 @@ def fit_box(points: NDArray[np.floating], min_thickness: float) -> OrientedBox:
 
 def intersection_volume(first: OrientedBox, second: OrientedBox) -> float:
     """||inter(B1, B2)|| in cubic metres: the area of the clipped footprints times the overlap in z."""
-    overlap = min(_top(first), _top(second)) - max(_bottom(first), _bottom(second))
+    top = min(float(box.centre[2] + box.size[2] / 2) for box in (first, second))
+    overlap = top - max(float(box.centre[2] - box.size[2] / 2) for box in (first, second))
     reach = (math.hypot(*first.size[:2]) + math.hypot(*second.size[:2])) / 2
     if overlap <= 0 or math.dist(first.centre[:2], second.centre[:2]) >= reach:
         return 0.0
-    return overlap * _area(_clip(first.footprint.tolist(), second.footprint.tolist()))
-
-
-def _bottom(box: OrientedBox) -> float:
-    return float(box.centre[2] - box.size[2] / 2)
-
-
-def _top(box: OrientedBox) -> float:
-    return float(box.centre[2] + box.size[2] / 2)
+    common = _clip(first.footprint.tolist(), second.footprint.tolist())
+    if len(common) < 3:
+        return 0.0
+    x, y = np.array(common).T
+    return overlap * (abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2)
 
 
 def _clip(polygon: list[list[float]], window: list[list[float]]) -> list[list[float]]:
@@ -105,21 +100,12 @@ def _clip(polygon: list[list[float]], window: list[list[float]]) -> list[list[fl
     return polygon
 
 
-def _area(polygon: Sequence[Sequence[float]]) -> float:
-    if len(polygon) < 3:
-        return 0.0
-    x, y = np.array(polygon).T
-    return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
-
-
 @dataclass(frozen=True)
 class ObjectMask:
-    """One mask of one view: the ``segment`` of a ``frame``.
-
-    ``pixels``: the number of pixels with depth, 0 until they are counted. ``cost``: O of the match by boxes, None for
-    the mask that founded the object. ``agreement``: views judge a mask together with every other mask of its object;
-    this is the share of these judgements that show both inside one mask, None if there are none.
-    """
+    """One mask of one view: the ``segment`` of a ``frame``. ``pixels``: the number of pixels with depth, 0 until they
+    are counted. ``cost``: O of the match by boxes, None for the mask that founded the object. ``agreement``: views
+    judge a mask together with every other mask of its object; this is the share of these judgements that show both
+    inside one mask, None if there are none."""
 
     frame: str
     segment: Segment

@@ -66,8 +66,7 @@ def vote_panoptic_labels(
     """The labels of a cloud of ``points`` points. ``object_of_segment`` maps a frame and segment id to the object 1..U
     that the mask belongs to; ``kind``: the votes that a view has on a point; ``neighbours``: a matrix [points, points]
     with the share of another point's votes that a point gets besides its own (sparse, or `RestOfSuperpoint`), or None.
-    Raises what ``progress`` raises.
-    """
+    Raises what ``progress`` raises."""
     views, point_of_pixel = seeing.views, seeing.point_of_pixel
     some, done = max(1, CELLS_AT_A_TIME // len(labels)), itertools.count(1)
     chosen = [slice(at, at + some) for at in range(0, points, some)]
@@ -89,18 +88,12 @@ def vote_panoptic_labels(
 
 
 def view_labels(
-    views: Sequence[View],
-    point_of_pixel: Sequence[NDArray[np.int32]],
-    label: NDArray[np.int32],
-    count: int,
+    views: Sequence[View], point_of_pixel: Sequence[NDArray[np.int32]], label: NDArray[np.int32], count: int
 ) -> OnDemand[NDArray[np.int16]]:
     """``segment_labels`` of what the points show: the labels of each view's pixels, int16 [H, W], computed on demand.
     ``label`` int32 [N], of ``count`` labels, -1 = unknown; ``point_of_pixel`` int32 [H, W] per view, -1 = none."""
     table = np.append(label, UNKNOWN_LABEL)
-    return OnDemand(
-        len(views),
-        lambda number: segment_labels(views[number].mask, table[point_of_pixel[number]], count),
-    )
+    return OnDemand(len(views), lambda n: segment_labels(views[n].mask, table[point_of_pixel[n]], count))
 
 
 def member_labels(
@@ -227,9 +220,7 @@ REACH = 2.0
 
 def neighbours_on_a_thing(xyz: NDArray[np.floating], spacing: float, seen: Iterable[ViewPoints]) -> Any:
     """The weight of each point's neighbours, sparse float32 [N, N]. A row's sum is 1, or 0 for a point without any.
-
-    ``xyz`` [N, 3] and ``spacing`` of the cloud in metres; ``seen``: what each view shows at the points.
-    """
+    ``xyz`` [N, 3] and ``spacing`` of the cloud in metres; ``seen``: what each view shows at the points."""
     points, count = np.asarray(xyz, np.float64), len(xyz)
     reach = np.nextafter(REACH * spacing, np.inf)
     nearest = cKDTree(points).query(points, NEIGHBOURS + 1, distance_upper_bound=reach, workers=worker_count())[1]

@@ -23,8 +23,7 @@ from .records import ObjectMask, SceneObject, fit_box
 class SegmentOptions:
     """Segments are eroded by ``erosion_share`` of the picture's width, rounded up to pixels, but by at most
     ``erosion_of_inradius`` of their inradius. A segment with fewer than ``min_eroded`` points left is used whole. One
-    with fewer than ``min_points`` is not matched and founds no object. ``voxel_size`` in metres thins the points.
-    """
+    with fewer than ``min_points`` is not matched and founds no object. ``voxel_size`` in metres thins the points."""
 
     voxel_size: float = 0.05
     erosion_share: float = 2 / 160
@@ -101,10 +100,8 @@ def local_instances(view: View, class_ids: frozenset[int], options: SegmentOptio
 
 
 def edge_distance(ids: NDArray[np.int32]) -> NDArray[np.float32]:
-    """The distance in pixels of each pixel from the nearest pixel of another segment, float32 [H, W].
-
-    The picture's border is not an edge, as nothing bleeds in from there. If there is no edge, the distance is large.
-    """
+    """The distance in pixels of each pixel from the nearest pixel of another segment, float32 [H, W]. The picture's
+    border is not an edge, as nothing bleeds in from there. If there is no edge, the distance is large."""
     edge = np.zeros(ids.shape, bool)
     across, down = ids[:, 1:] != ids[:, :-1], ids[1:] != ids[:-1]
     edge[:, 1:] |= across
@@ -133,15 +130,10 @@ PointOfPixel = Callable[[View], NDArray[np.int32]]
 
 
 def vote_instances(
-    views: Sequence[View],
-    point_of_pixel: PointOfPixel,
-    points: int,
-    instance_of_segment: Mapping[tuple[str, int], int],
+    views: Sequence[View], point_of_pixel: PointOfPixel, points: int, instance_of_segment: Mapping[tuple[str, int], int]
 ) -> NDArray[np.int32]:
-    """Instance of each point of the cloud by a vote of the views, int32 [points], 0 = none. Ties go to the lower id.
-
-    In each view the instances that a point's pixels belong to share one vote, so that near views do not outvote others.
-    """
+    """Instance of each point of the cloud by a vote of the views, int32 [points], 0 = none. Ties go to the lower id. In
+    each view the instances that a point's pixels belong to share one vote, so that near views do not outvote others."""
     rows, ids, weights = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0)]
     for view in views:
         instance = instance_map(view, instance_of_segment)
@@ -153,7 +145,15 @@ def vote_instances(
         rows.append(pairs >> 32)
         ids.append(pairs & 0xFFFFFFFF)
         weights.append(count / pixels[pairs >> 32])
-    return _winner(np.concatenate(rows), np.concatenate(ids), np.concatenate(weights), points)
+    pairs, inverse = np.unique((np.concatenate(rows) << 32) | np.concatenate(ids), return_inverse=True)
+    total = np.bincount(inverse.reshape(-1), np.concatenate(weights), len(pairs))
+    point, winner = pairs >> 32, pairs & 0xFFFFFFFF
+    # Sorted by point, then by descending weight, then by ascending id: the first entry of a point wins.
+    order = np.lexsort((winner, -np.round(total, 9), point))
+    first = np.unique(point[order], return_index=True)[1]
+    owner = np.zeros(points, np.int32)
+    owner[point[order][first]] = winner[order][first]
+    return owner
 
 
 def instance_map(view: View, instance_of_segment: Mapping[tuple[str, int], int]) -> NDArray[np.int32]:
@@ -169,17 +169,3 @@ def restrict_to_things(
     """M_match: instances where the projected semantic mask shows a thing, int32 [H, W], 0 elsewhere."""
     thing = np.isin(projected_class, sorted(thing_ids))
     return np.where(thing, projected_instance, 0).astype(np.int32)
-
-
-def _winner(
-    rows: NDArray[np.int64], ids: NDArray[np.int64], weights: NDArray[np.float64], points: int
-) -> NDArray[np.int32]:
-    pairs, inverse = np.unique((rows << 32) | ids, return_inverse=True)
-    total = np.bincount(inverse.reshape(-1), weights, len(pairs))
-    row, instance = pairs >> 32, pairs & 0xFFFFFFFF
-    # Sorted by row, then by descending weight, then by ascending id: the first entry of a row wins.
-    order = np.lexsort((instance, -np.round(total, 9), row))
-    first = np.unique(row[order], return_index=True)[1]
-    winner = np.zeros(points, np.int32)
-    winner[row[order][first]] = instance[order][first]
-    return winner

@@ -71,7 +71,13 @@ def superpoints(xyz: NDArray[np.floating], spacing: float, seeing: ViewsOnCloud)
     """The superpoint of each point, int64 [N], numbered from 0. Arguments are those of ``trusted_superpoints``."""
     xyz = np.asarray(xyz, np.float64)
     tree = cKDTree(xyz)
-    normal = _normals(xyz, tree, seeing)
+    near = xyz[tree.query(xyz, min(PATCH, len(xyz)), workers=worker_count())[1].reshape(len(xyz), -1)]
+    offset = near - near.mean(1, keepdims=True)
+    normal = np.linalg.eigh(np.einsum("nki,nkj->nij", offset, offset))[1][:, :, 0]
+    towards = np.zeros_like(xyz)
+    for view, seen in zip(seeing.views, seeing.seen, strict=True):
+        towards[seen.row] += view.camera.centre - xyz[seen.row]
+    normal = normal * np.where((normal * towards).sum(1) < 0, -1, 1)[:, None]  # towards the cameras
     one, two = tree.query_pairs(REACH * spacing, output_type="ndarray").T
     bend = 1 - (normal[one] * normal[two]).sum(1)
     is_convex = ((xyz[two] - xyz[one]) * normal[two]).sum(1) > 0
@@ -79,17 +85,6 @@ def superpoints(xyz: NDArray[np.floating], spacing: float, seeing: ViewsOnCloud)
     order = np.lexsort((two, one, bend))
     part = _pieces(one[order], two[order], bend[order], len(xyz), LOOSENESS, LEAST_POINTS)
     return np.unique(part, return_inverse=True)[1].astype(np.int64)
-
-
-def _normals(xyz: NDArray[np.float64], tree: cKDTree, seeing: ViewsOnCloud) -> NDArray[np.float64]:
-    """Unit normals [N, 3], towards the cameras."""
-    near = xyz[tree.query(xyz, min(PATCH, len(xyz)), workers=worker_count())[1].reshape(len(xyz), -1)]
-    offset = near - near.mean(1, keepdims=True)
-    normal = np.linalg.eigh(np.einsum("nki,nkj->nij", offset, offset))[1][:, :, 0]
-    towards = np.zeros_like(xyz)
-    for view, seen in zip(seeing.views, seeing.seen, strict=True):
-        towards[seen.row] += view.camera.centre - xyz[seen.row]
-    return np.asarray(normal * np.where((normal * towards).sum(1) < 0, -1, 1)[:, None])
 
 
 @compiled

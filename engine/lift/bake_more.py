@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -85,17 +86,17 @@ def bake_frames(
     stop: StopSignal,
     options: BakeOptions = BakeOptions(),
 ) -> None:
-    """Bake frames that are not baked yet: "test", "all", or names. The result is complete at every moment.
-
-    Raises PlgsError if the scene can no longer be read or lacks a frame, and Cancelled if stopped. Views that were
-    baked before that are kept.
-    """
+    """Bake frames that are not baked yet: "test", "all", or names. The result is complete at every moment. Raises
+    PlgsError if the scene can no longer be read or lacks a frame, and Cancelled if stopped. Views that were baked
+    before that are kept."""
 
     def views_in(scene: Scene) -> list[WantedView]:
         lost = {*names_of_frames(folder)} - {frame.name for frame in scene.frames}
         if lost and {"all", "test"}.intersection(frames):
             events.warning(f"the scene no longer has frame {listed(sorted(lost))}, which is not baked")
-        return _views_of(folder, frames_named(scene, frames))
+        names = names_of_files(folder)
+        chosen = frames_named(scene, frames)
+        return [WantedView(names.get(frame.name, frame.name), frame.camera, frame=frame.name) for frame in chosen]
 
     with BakeLocks(folder.path) as locks:
         _bake(folder, locks, views_in, events, stop, options)
@@ -105,10 +106,8 @@ def bake_cameras(
     folder: LiftFolder, cameras: Path, events: EventWriter, stop: StopSignal, options: BakeOptions = BakeOptions()
 ) -> None:
     """Bake the views in a file of cameras (see `job.cameras`) that are not baked yet, as `bake_frames` does. A view
-    that was baked from a different camera with the same name is baked again.
-
-    Raises PlgsError for a bad camera, or one with the name of a frame; otherwise it raises what `bake_frames` raises.
-    """
+    that was baked from a different camera with the same name is baked again. Raises PlgsError for a bad camera, or one
+    with the name of a frame; otherwise it raises what `bake_frames` raises."""
 
     def views_in(scene: Scene) -> list[WantedView]:
         wanted = read_cameras(cameras)
@@ -127,11 +126,6 @@ def view_from(camera: BakeCamera) -> WantedView:
     seen = Camera(pinhole.width, pinhole.height, fx, fy, cx, cy, np.array(pinhole.camera_to_world))
     shown = ShownFrame(camera.frame, camera.fps, camera.display)
     return WantedView(camera.name, seen, ClipRange(camera.near, camera.far), camera.fingerprint, shown)
-
-
-def _views_of(folder: LiftFolder, frames: Sequence[Frame]) -> list[WantedView]:
-    names = names_of_files(folder)
-    return [WantedView(names.get(frame.name, frame.name), frame.camera, frame=frame.name) for frame in frames]
 
 
 def _bake(
@@ -209,20 +203,16 @@ def frames_named(scene: Scene, names: Sequence[str]) -> list[Frame]:
         groups[name] = group + groups.get(name, ())
     wanted = set[str]()
     for name in names:
-        found: Sequence[Frame] = groups[name] if name in groups else _in_range(scene, name)
+        found: Sequence[Frame] = groups.get(name, ())
+        if name not in groups:
+            with suppress(ValueError):  # for a text that is no range
+                ranges = frame_numbers(name)
+                found = [frame for frame in scene.frames if any(number_in(frame.name) in each for each in ranges)]
         if not found and name not in groups:
             fix = f"Give all, test, names of frames, such as {scene.frames[0].name}, or numbers: 10-200:2 or 7,9."
             raise PlgsError("no-frame", f"the scene has no frame {name}", scene.folder, fix)
         wanted.update(frame.name for frame in found)
     return [frame for frame in scene.frames if frame.name in wanted]
-
-
-def _in_range(scene: Scene, text: str) -> list[Frame]:
-    try:
-        ranges = frame_numbers(text)
-    except ValueError:
-        return []
-    return [frame for frame in scene.frames if any(number_in(frame.name) in each for each in ranges)]
 
 
 def _notes_of(view: WantedView) -> dict[str, str]:
@@ -280,22 +270,17 @@ class _Result:
 
     def write(self, view: WantedView, rendered: BakedView, baker: FrameBaker, events: EventWriter) -> None:
         """Write a view, replacing one from another camera. Raises OSError."""
-        self._make_room(view)
-        baker.write(self._folder, view.name, rendered, events, _notes_of(view), self._layers, view.shown)
-        self._add(view, at_once=self._locks.others_at_work())
-
-    def _make_room(self, view: WantedView) -> None:
-        """Remove a view that is to be baked again from the manifest, so that the result is complete without it. Raises
-        OSError."""
-        old = self._listed().intersection(baked_files(self._folder, view.name))
-        if old:
-            with self._locks.manifest():
+        if old := self._listed().intersection(baked_files(self._folder, view.name)):
+            with self._locks.manifest():  # the result is complete without the view that is baked again
                 drop_files(self._folder.result_path, sorted(old))
+        baker.write(self._folder, view.name, rendered, events, _notes_of(view), self._layers, view.shown)
+        self._views.append(view)
+        if self._locks.others_at_work() or time.monotonic() - self._kept_at > KEEP_EVERY_S:
+            self.keep()  # before another process looks for views that are left to bake
 
     def _listed(self) -> frozenset[Path]:
         """The files in the manifest, which is read again only when it was replaced: with thousands of views, reading
-        it takes a large part of a second. Raises PlgsError, OSError.
-        """
+        it takes a large part of a second. Raises PlgsError, OSError."""
         result = self._folder.result_path
         if not self._folder.manifest_path.is_file():
             read_manifest(result)  # which says what is wrong
@@ -304,12 +289,6 @@ class _Result:
         if self._read is None or self._read[0] != version:
             self._read = version, frozenset(result / file.path for file in read_manifest(result).files)
         return self._read[1]
-
-    def _add(self, view: WantedView, *, at_once: bool) -> None:
-        """Record a baked view; ``at_once``: before another process looks for views that are left to bake."""
-        self._views.append(view)
-        if at_once or time.monotonic() - self._kept_at > KEEP_EVERY_S:
-            self.keep()
 
     def keep(self) -> None:
         """Add the new views to the manifest. Raises OSError."""

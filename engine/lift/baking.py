@@ -25,6 +25,7 @@ from ..metrics.report import LIFTED, PredictedView, Report, add_input_masks
 from ..model.neural_gaussians import ClipRange
 from ..model.render import render_bands
 from ..model.scene_labels import SceneLabels, shown_labels
+from ..model.settling import gaussian_centres
 from ..model.structured import GaussianLabels, LabelChannels, StructuredScene
 from ..passes.baked_view import BakedView, ShownInstances, bake_view, joined
 from ..passes.exr import NOTHING_SHOWN, ShownFrame, write_exr
@@ -34,7 +35,7 @@ from ..scene import Camera, ClassTable, Frame, Scene, View, counted
 from ..scene_of_lift import another, have_classes_changed, names_of_frames, opened_scene, refuse_other_pictures
 from ..train.progress import StageReporter
 from .device import be_repeatable
-from .judging import Seen, judge
+from .judging import judge
 from .scene_files import LIFT_ANEW, read_model, read_shown_instances
 
 CORRECTIONS_NOTE = "plgs/corrections"
@@ -73,11 +74,6 @@ class FrameBaker:
     def notes(self) -> dict[str, str]:
         """The header's notes on corrections; empty without corrections."""
         return {CORRECTIONS_NOTE: self.corrections} if self.corrections else {}
-
-    def seen(self, camera: Camera) -> Seen:
-        """The classes that a camera sees, and their shares before they are calibrated."""
-        layers = self.decided(camera, wanted=("semantic", "confidence"))
-        return Seen(layers.semantic, layers.confidence)
 
     def layers(self, camera: Camera, clip: ClipRange | None = None, wanted: Collection[str] = ()) -> PanopticLayers:
         """The ``wanted`` layers of ``render`` (see `decide`), without its mattes. Labels are drawn only if needed."""
@@ -171,17 +167,14 @@ def bake_and_evaluate(
 ) -> None:
     """Evaluate the lift with the masks of the training ``views`` and of those ``held_back``, which calibrates
     ``baker``; bake ``wanted``, score the held-out frames, and write the contact sheet and metrics.json, with the
-    ``findings``.
-
-    Ground truth is used for metrics.json only. Raises Cancelled, PlgsError, OSError.
-    """
+    ``findings``. Ground truth is used for metrics.json only. Raises Cancelled, PlgsError, OSError."""
     baked_names = {frame.name for frame in wanted}
     frames = wanted or scene.test_frames  # wanted frames include the held-out ones, or are empty
     shown = {scene.test_frames[index].name for index in chosen(len(scene.test_frames))}
     report, rows, seconds, names = Report(scene.classes), [], [], names_of_files(folder)
     with stages.stage("evaluate") as progress:
         add_input_masks(report, scene)
-        judgement = judge(baker.seen, scene, views, held_back, progress, folder.path)
+        judgement = judge(baker.decided, scene, views, held_back, progress, folder.path)
         judgement.report(events)
         baker.calibration = judgement.calibration
     with stages.stage("bake") as progress:
@@ -247,13 +240,16 @@ def corrected_scene(scene: StructuredScene, corrected: CorrectedResult) -> Struc
         return scene
     channels = scene.channels
     codes = np.array([*(-one for one in channels.class_ids), *channels.shown_ids], np.int32)
-    voted = scene.voted or _likeliest(scene, corrected)
-    means, k = _means(scene).numpy(), voted.label.shape[1]
+    voted = scene.voted
+    if voted is None:
+        labels, shares = zip(*_likeliest_of_chunks(scene, corrected), strict=True)
+        voted = GaussianLabels(torch.cat(labels), torch.cat(shares))
+    means, k = gaussian_centres(scene.anchors), voted.label.shape[1]
     before = codes[voted.label.numpy().astype(np.int64)]
     after = np.stack([corrected.relabelling.of(means, before[:, column]) for column in range(k)], axis=1)
-    kinds = {one.id: one.class_id for one in corrected.instances}
-    # An object without any point keeps its slot and its class.
-    own = dict(zip(channels.shown_ids, _classes_of_slots(channels, corrected), strict=True))
+    kinds, made = ({one.id: one.class_id for one in known} for known in (corrected.instances, corrected.made))
+    # An object without any point keeps its slot and the class that the engine decided on.
+    own = channels.class_of_shown or {one: made.get(one, channels.class_ids[0]) for one in channels.shown_ids}
     shown = sorted({*np.unique(after[after > 0]).tolist(), *(one for one in kinds if one in own)})
     of_shown = [kinds.get(one, own.get(one, 0)) for one in shown]
     class_ids = tuple(sorted({*channels.class_ids, *of_shown, *(-after[after < 0]).tolist()} - {0}))
@@ -264,32 +260,12 @@ def corrected_scene(scene: StructuredScene, corrected: CorrectedResult) -> Struc
     return replace(scene, channels=changed, voted=GaussianLabels(torch.from_numpy(label), voted.share))
 
 
-def _classes_of_slots(channels: LabelChannels, corrected: CorrectedResult) -> list[int]:
-    """The class of each shown instance, as the engine decided it."""
-    if channels.class_of_slot:
-        return [channels.class_of_slot[slot] for slot in channels.instance_slots]
-    kinds = {one.id: one.class_id for one in corrected.made}
-    return [kinds.get(one, channels.class_ids[0]) for one in channels.shown_ids]
-
-
-def _means(scene: StructuredScene) -> torch.Tensor:
-    """The positions of all Gaussians, float32 [M k, 3] metres, which do not depend on the view."""
-    anchors = scene.anchors
-    moved = anchors.offset * anchors.log_scale[:, None, :3].exp()
-    return (anchors.position[:, None] + moved).flatten(0, 1).float()
-
-
-def _likeliest(scene: StructuredScene, corrected: CorrectedResult) -> GaussianLabels:
-    """The likeliest labels that the decoders give each Gaussian."""
-    labels, shares = zip(*_likeliest_of_chunks(scene, corrected), strict=True)
-    return GaussianLabels(torch.cat(labels), torch.cat(shares))
-
-
 def _likeliest_of_chunks(
     scene: StructuredScene, corrected: CorrectedResult
 ) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
-    """If each pixel decides on its own, it shows an object only where it shows a thing. There the objects get no more
-    than the things' share. Labels that depend on the view are those seen from the middle of the scene."""
+    """The likeliest labels that the decoders give each Gaussian, and their shares, CHUNK anchors at a time. If each
+    pixel decides on its own, it shows an object only where it shows a thing. There the objects get no more than the
+    things' share. Labels that depend on the view are those seen from the middle of the scene."""
     anchors, decoders, channels = scene.anchors, scene.decoders, scene.channels
     centre, things = anchors.position.mean(dim=0), corrected.classes.thing_ids
     is_thing = torch.tensor([one in things for one in channels.class_ids])

@@ -60,10 +60,8 @@ class FrameSets:
 def sets_of_frames(
     scene: Scene, request: LiftRequest, checkpoint: Checkpoint | None, progress: StageProgress, events: EventWriter
 ) -> FrameSets:
-    """The frames of a scene by their purpose. A ``checkpoint`` names those that the lift was begun with.
-
-    Raises PlgsError if they need too much memory, are no longer in the scene, or a file is bad.
-    """
+    """The frames of a scene by their purpose. A ``checkpoint`` names those that the lift was begun with. Raises
+    PlgsError if they need too much memory, are no longer in the scene, or a file is bad."""
     if checkpoint is not None and FRAMES in checkpoint.state:
         begun = begun_with(scene, checkpoint)
         check_memory(scene, request, len(begun), main_memory(), events)
@@ -119,10 +117,8 @@ LEAST_PIXEL = 5.0
 
 def frames_that_fit(scene: Scene, request: LiftRequest, memory: MainMemory | None, events: EventWriter) -> int:
     """The most frames to train on (0: all): as many as the request or its preset asks for. If these need too much
-    memory and the request allows it, as many as fit. Warns if other programs hold the memory that is needed.
-
-    Raises PlgsError, which names the options that would make the lift fit, or a bad mask.
-    """
+    memory and the request allows it, as many as fit. Warns if other programs hold the memory that is needed. Raises
+    PlgsError, which names the options that would make the lift fit, or a bad mask."""
     preset = request.chosen_preset
     if memory is None:
         return preset.frames
@@ -131,7 +127,13 @@ def frames_that_fit(scene: Scene, request: LiftRequest, memory: MainMemory | Non
     if needed <= memory.total:
         _warn_of_other_programs(needed, memory, events)
         return preset.frames
-    fewer = _fewer_frames(scene, preset, masks, memory.total)
+    # The most frames that fit, found in steps of a fifth; None if not even FEWEST_FRAMES fit.
+    fewer: int | None = None
+    views = preset.views_of(len(scene.train_frames))
+    while fewer is None and views > FEWEST_FRAMES:
+        views = max(FEWEST_FRAMES, round(0.8 * views))
+        if _peak(scene, replace(preset, frames=views), masks) <= memory.total:
+            fewer = views
     if request.fit and fewer is not None:
         events.warning(f"memory is limited: at most {fewer} frames are trained on")
         return fewer
@@ -143,10 +145,8 @@ def frames_that_fit(scene: Scene, request: LiftRequest, memory: MainMemory | Non
 def check_memory(
     scene: Scene, request: LiftRequest, frames: int, memory: MainMemory | None, events: EventWriter
 ) -> None:
-    """Check the memory for a lift that was begun with ``frames`` frames, whose number cannot change.
-
-    Raises PlgsError if they need more memory than there is, or if a mask is bad.
-    """
+    """Check the memory for a lift that was begun with ``frames`` frames, whose number cannot change. Raises PlgsError
+    if they need more memory than there is, or if a mask is bad."""
     if memory is None:
         return
     needed = _peak(scene, replace(request.chosen_preset, frames=frames), masks_a_frame(scene))
@@ -158,10 +158,8 @@ def check_memory(
 
 
 def check_disk(folder: Path, sizes: Iterable[tuple[int, int]], events: EventWriter) -> None:
-    """Check the room for passes of these sizes (width, height) in a folder. Warns if they are likely not to fit.
-
-    Raises PlgsError if they cannot fit.
-    """
+    """Check the room for passes of these sizes (width, height) in a folder. Warns if they are likely not to fit. Raises
+    PlgsError if they cannot fit."""
     there = next(each for each in (folder, *folder.absolute().parents) if each.exists())
     pixels, free = sum(width * height for width, height in sizes), shutil.disk_usage(there).free
     if free < pixels * LEAST_PIXEL:
@@ -198,16 +196,6 @@ def predicted_lift(scene: Scene, preset: Preset, masks: float, bake: str = "test
 def _peak(scene: Scene, preset: Preset, masks: float) -> int:
     """The most bytes that a lift needs."""
     return predicted_lift(scene, preset, masks).peak_bytes
-
-
-def _fewer_frames(scene: Scene, preset: Preset, masks: float, most: int) -> int | None:
-    """The most frames that fit, found in steps of a fifth; None if not even FEWEST_FRAMES fit."""
-    views = preset.views_of(len(scene.train_frames))
-    while views > FEWEST_FRAMES:
-        views = max(FEWEST_FRAMES, round(0.8 * views))
-        if _peak(scene, replace(preset, frames=views), masks) <= most:
-            return views
-    return None
 
 
 def _advice(scene: Scene, request: LiftRequest, preset: Preset, masks: float, most: int, fewer: int | None) -> str:

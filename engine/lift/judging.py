@@ -4,7 +4,7 @@ lift misses, and how likely its classes are right."""
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -43,15 +43,6 @@ MOST_NAMED = 5
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """A camera's view of a lift: ``classes`` int32 [H, W] (0 = nothing), and the ``share`` float32 [H, W] of each
-    pixel's coverage that its class has."""
-
-    classes: NDArray[np.int32]
-    share: NDArray[np.float32]
-
-
-@dataclass(frozen=True, eq=False)
 class Judgement:
     """The result of the evaluation. ``trained`` and ``held_back``: the mean IoU with the masks over the masks' own
     classes, for training views and for held-out views; None without such views. ``calibration``: how likely a class
@@ -75,36 +66,41 @@ class Judgement:
         log.info("confidence: %s", self.calibration)
         if self.held_back is None:
             log.info("no masks were held back: those that were trained on say how likely a class is right")
-        for line in _lines(self.not_shown):
+        judges: Json = {"not_shown": [asdict(one) for one in self.not_shown]}
+        lines = [f"{text} (see frame {frame})" for text, frame in not_shown({"masks_as_judges": judges})]
+        for line in lines:
             log.info("not shown: %s", line)
-        lines = _lines(self.not_shown)
         named = [*lines[:MOST_NAMED], *([f"and {len(lines) - MOST_NAMED} more"] if len(lines) > MOST_NAMED else [])]
         if named:
             events.warning(f"some masks show objects that the lift does not: {'; '.join(named)}")
 
 
-def _lines(missed: Iterable[Unshown]) -> list[str]:
-    judges: Json = {"not_shown": [asdict(one) for one in missed]}
-    return [f"{text} (see frame {frame})" for text, frame in not_shown({"masks_as_judges": judges})]
-
-
 def judge(
-    draw: Callable[[Camera], Seen],
+    draw: Callable[[Camera], PanopticLayers],
     scene: Scene,
     views: Sequence[View],
     held_back: Sequence[View],
     progress: Callable[[int, int], object],
     scratch: Path | None = None,
 ) -> Judgement:
-    """Evaluate the finished lift with the training ``views`` and those that were ``held_back``.
-
-    ``draw`` returns what a camera sees of it. Raises PlgsError, OSError, and what ``progress`` raises.
-    """
+    """Evaluate the finished lift with the training ``views`` and those that were ``held_back``. ``draw`` returns what a
+    camera sees of it, with the classes' shares as its confidence. Raises PlgsError, OSError, and what ``progress``
+    raises."""
     trained = evenly(views)
     every = chained(trained, held_back)
     samples: list[Samples] = []
     most = MOST_SAMPLES // (len(held_back) or len(trained))
-    classes = stored(_drawn(draw, every, most, samples, progress), scratch)
+
+    def drawn() -> Iterator[NDArray[np.int32]]:
+        """The classes that each view shows; at most ``most`` of its pixels go into ``samples``."""
+        for number in range(len(every)):
+            view = every[number]
+            seen = draw(view.camera)
+            samples.append(samples_of(view, seen.semantic, seen.confidence, most))
+            yield seen.semantic
+            progress(number + 1, len(every))
+
+    classes = stored(drawn(), scratch)
     judged = Samples(*map(np.concatenate, zip(*samples[len(trained) if len(held_back) else 0 :], strict=True)))
     calibration = calibrate(judged, trained, held_back)
     judges = OnDemand(len(every), lambda number: JudgedView(every[number], classes[number]))
@@ -126,22 +122,6 @@ def read_held_back(scene: Scene, size: Size, scratch: Path | None = None) -> Sto
     """The held-out frames with masks and depth, within ``size``. Raises PlgsError, OSError."""
     masked = [frame for frame in scene.test_frames if frame.read_mask is not None and frame.read_depth is not None]
     return StoredViews(read_ahead(masked, lambda frame: load_view(frame, size_within(frame.size, size))), scratch)
-
-
-def _drawn(
-    draw: Callable[[Camera], Seen],
-    views: Sequence[View],
-    most: int,
-    samples: list[Samples],
-    progress: Callable[[int, int], object],
-) -> Iterator[NDArray[np.int32]]:
-    """The classes that each view shows; at most ``most`` of its pixels go into ``samples``."""
-    for number in range(len(views)):
-        view = views[number]
-        seen = draw(view.camera)
-        samples.append(samples_of(view, seen.classes, seen.share, most))
-        yield seen.classes
-        progress(number + 1, len(views))
 
 
 def _agreement(judges: Sequence[JudgedView], classes: ClassTable) -> float | None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from ..model.structured import StructuredScene
 from ..posed.classes import LARGEST_ID
 from ..posed.layout import plural
 from ..presets.preset import Preset
-from ..result_files import INSTANCES, SEMANTIC_POINTS, Instance, SemanticPoints, read_arrays, read_instances
+from ..result_files import INSTANCES, SEMANTIC_POINTS, SemanticPoints, read_arrays, read_instances
 from ..scene import ClassTable
 from .preparation import PreparedLift
 
@@ -78,25 +78,23 @@ def read_earlier(folder: Path) -> EarlierLift:
         ids = [*(one.id for one in listed), *(edit.largest_id for edit in edits)]
         before = int(history.get("largest_id", 0))
         largest = max(before, *ids, 0)
-        _refuse_impossible(listed, points, (before, largest), numbers.values())
+        if unknown := {*np.unique(points.instance_id).tolist()} - {0, *(one.id for one in listed)}:
+            raise ValueError(f"{INSTANCES} lacks the object {min(unknown)} of {SEMANTIC_POINTS}")
+        # No lift has other ids and numbers, or they leave none for new objects.
+        for given, most in (((before, largest), LARGEST_ID - MOST_NEW), (numbers.values(), LARGEST_NUMBER)):
+            if wrong := [number for number in given if not 0 <= number <= most]:
+                raise ValueError(f"{wrong[0]} is not a number from 0 to {most}")
     except (PlgsError, OSError, KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         what = f"the names of the earlier lift cannot be read ({error})"
         raise PlgsError("names-unreadable", what, result, _FIX, option="--names-from") from error
     for one in listed:
-        numbers[one.class_name] = max(numbers.get(one.class_name, 0), _number(one.name, one.class_name))
+        digits = one.name.removeprefix(f"{one.class_name} ")  # 3 for "chair 3"
+        if digits != one.name and digits.isdecimal() and len(digits) < len(str(LARGEST_NUMBER)):
+            numbers[one.class_name] = max(numbers.get(one.class_name, 0), int(digits))
+        else:
+            numbers.setdefault(one.class_name, 0)
     names, class_names = {one.id: one.name for one in listed}, {one.id: one.class_name for one in listed}
     return EarlierLift(lift.path, names, class_names, points.xyz, points.instance_id, largest, numbers, edits)
-
-
-def _refuse_impossible(
-    listed: Sequence[Instance], points: SemanticPoints, largest: Iterable[int], numbers: Iterable[int]
-) -> None:
-    """Raise ValueError for ids and numbers that no lift has, or that leave none for new objects."""
-    if unknown := {*np.unique(points.instance_id).tolist()} - {0, *(one.id for one in listed)}:
-        raise ValueError(f"{INSTANCES} lacks the object {min(unknown)} of {SEMANTIC_POINTS}")
-    for given, most in ((largest, LARGEST_ID - MOST_NEW), (numbers, LARGEST_NUMBER)):
-        if wrong := [number for number in given if not 0 <= number <= most]:
-            raise ValueError(f"{wrong[0]} is not a number from 0 to {most}")
 
 
 @dataclass(frozen=True)
@@ -210,10 +208,3 @@ def take_over_edits(folder: LiftFolder, earlier: EarlierLift, events: EventWrite
     summary = f"{some} here; passes show them once they are baked again"
     for line in (*corrected.warnings, summary):
         events.warning(line)
-
-
-def _number(name: str, kind: str) -> int:
-    """The number in a name: 3 for "chair 3"; 0 for a name of another form."""
-    number = name.removeprefix(f"{kind} ")
-    is_one = number != name and number.isdecimal() and len(number) < len(str(LARGEST_NUMBER))
-    return int(number) if is_one else 0

@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -36,10 +37,8 @@ SIZE_WITHIN = (480, 480)
 
 
 class LivePreviews:
-    """Writes result/previews/live.png (``folder.live_preview_path``) every few seconds, by rename, and reports it.
-
-    The first problem with preview.json gives a warning, and a held-out frame is shown instead.
-    """
+    """Writes result/previews/live.png (``folder.live_preview_path``) every few seconds, by rename, and reports it. The
+    first problem with preview.json gives a warning, and a held-out frame is shown instead."""
 
     def __init__(
         self,
@@ -90,7 +89,10 @@ class LivePreviews:
 
     def _wanted_camera(self) -> Camera:
         path = self.folder.preview_request_path
-        stamp = _stamp_of(path)
+        stamp: tuple[int, int, int] | None = None
+        with suppress(OSError):  # there is no file; otherwise these values change when it is replaced
+            found = path.stat()
+            stamp = found.st_mtime_ns, found.st_size, found.st_ino
         if stamp != self._last_read:
             self._last_read = stamp
             self._camera, self._fingerprint = self._read_camera(path)
@@ -127,12 +129,3 @@ def frame_to_show(scene: Scene) -> Frame:
     """The middle one of the held-out frames, which are not trained on, or of all frames if none is held out."""
     frames = scene.test_frames or scene.frames
     return frames[len(frames) // 2]
-
-
-def _stamp_of(path: Path) -> tuple[int, int, int] | None:
-    """Values that change when a file is replaced; None if there is no file."""
-    try:
-        found = path.stat()
-    except OSError:
-        return None
-    return found.st_mtime_ns, found.st_size, found.st_ino

@@ -121,7 +121,19 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
         neighbours = RestOfSuperpoint(part)
     elif preset.segment_voting.neighbours:
         neighbours = neighbours_on_a_thing(cloud.xyz, cloud.spacing, training.seen)
-    cloud, object_of_point = voted_points(everyone, cloud, things, preset, neighbours, progress.part(0.4, 0.85))
+    labels, members = labels_of(cloud, things), object_of_mask(things)
+    voted = vote_panoptic_labels(
+        everyone,
+        len(cloud),
+        labels,
+        members,
+        preset.segment_voting,
+        kinds.segments,
+        neighbours,
+        progress.part(0.4, 0.85),
+    )
+    cloud = replace(cloud, class_id=labels.classes(voted.label), confidence=voted.confidence)
+    object_of_point = labels.objects(voted.label)
     owner, things = pieces_in_space(things, object_of_point, training, cloud, progress.part(0.85, 0.92))
     # A point that lost its object was on the ragged edge of a few masks, so their class is no evidence for it either.
     is_fragment = (object_of_point > 0) & (owner == 0)
@@ -129,32 +141,12 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     watching = watched(things, progress.part(0.92, 0.95))
     placed = placed_objects(training.views, watching, cloud.xyz, owner, preset.voxel_size)
     instances, instance_of_point, dropped = limit_instances(placed, owner, preset.most_instances)
-    maps = watched(maps_of_points(training, cloud, instances, instance_of_point), progress.part(0.95, 1.0))
-    maps = stored(maps, given.scratch)
+    labels = labels_of(cloud, instances)
+    label = labels.of_points(cloud.class_id, instance_of_point)
+    shown = view_labels(training.views, training.point_of_pixel, label, len(labels))
+    maps = stored(watched(shown, progress.part(0.95, 1.0)), given.scratch)
     masks_agree = part is None and not len(layers.views)
     return Matching(cloud, instances, instance_of_point, dropped, maps, training.point_of_pixel, masks_agree)
-
-
-def voted_points(
-    seeing: ViewsOnCloud, cloud: SemanticPointCloud, things: Sequence[SceneObject], preset: Preset, neighbours: Any,
-    progress: Progress,
-) -> tuple[SemanticPointCloud, NDArray[np.int32]]:
-    """The cloud with the classes that segments and points vote for, and the object among ``things`` that they vote for
-    at each point, int32 [N] (0 = none). ``neighbours`` are those of ``vote_panoptic_labels``."""
-    labels = labels_of(cloud, things)
-    members, options, kind = object_of_mask(things), preset.segment_voting, preset.evidence.segments
-    voted = vote_panoptic_labels(seeing, len(cloud), labels, members, options, kind, neighbours, progress)
-    classed = replace(cloud, class_id=labels.classes(voted.label), confidence=voted.confidence)
-    return classed, labels.objects(voted.label)
-
-
-def maps_of_points(
-    seeing: ViewsOnCloud, cloud: SemanticPointCloud, instances: Sequence[SceneObject], owner: NDArray[np.int32]
-) -> OnDemand[NDArray[np.int16]]:
-    """The labels of each view's pixels, int16 [H, W], by the class of each point and the instance that owns it, int32
-    [N] (0 = none)."""
-    labels = labels_of(cloud, instances)
-    return view_labels(seeing.views, seeing.point_of_pixel, labels.of_points(cloud.class_id, owner), len(labels))
 
 
 def labels_of(cloud: SemanticPointCloud, objects: Sequence[SceneObject]) -> PanopticLabels:
@@ -217,17 +209,12 @@ def pieces_in_space(
 ) -> tuple[NDArray[np.int32], list[SceneObject]]:
     """The objects after their pieces were regrouped, and the object that owns each point, int32 [N] (0 = none).
     ``object_of_point`` int32 [N]: the object among ``things`` that the views voted for."""
-    rules = PieceRules(reach=reach_of(cloud))
+    rules = PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing))
     classes = [one.class_id for one in things]
     owner, origin = regroup_pieces(cloud.xyz, object_of_point, classes, seeing.seen, rules, progress)
     masks = masks_of_pieces([mask for one in things for mask in one.masks], seeing, owner, len(origin))
     pieces = [SceneObject(number, own, classes[number - 1]) for number, own in zip(origin, masks, strict=True)]
     return without_fragments(owner, pieces, seeing.seen)
-
-
-def reach_of(cloud: SemanticPointCloud) -> float:
-    """The largest gap in metres between neighbouring points of one thing."""
-    return max(LARGEST_GAP, 3 * cloud.spacing)
 
 
 def masks_of_pieces(

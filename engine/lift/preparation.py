@@ -4,7 +4,7 @@ semantic point cloud, Algorithm 1, anchors by voxelisation, and the projected ta
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -56,8 +56,8 @@ def prepare(
     others: Sequence[View] = (),
 ) -> PreparedLift:
     """Do everything before the first step. Arrays of every view are stored in temporary files in ``scratch`` (None: in
-    the system's folder for them). ``others`` are views that vote, but are not trained on. Raises what the
-    progress callbacks raise (Cancelled), and OSError if the disk is full."""
+    the system's folder for them). ``others`` are views that vote, but are not trained on. Raises Cancelled, and OSError
+    if the disk is full."""
     matching, photos, placed = find(views, classes, preset, stages, scratch, others)
     with stages.stage("prepare") as progress:
         channels = label_channels(used_classes(views), matching.instances, preset)
@@ -211,7 +211,7 @@ class Photos:
     """How much each photo counts, ``weights`` float64 [N], and how bright it is, ``gains`` float64 [N, 3] or None."""
 
     weights: NDArray[np.float64]
-    gains: NDArray[np.float64] | None
+    gains: NDArray[np.float64] | None = None
 
 
 def compared_photos(
@@ -219,7 +219,13 @@ def compared_photos(
 ) -> Photos:
     """The photos of the views, compared as the preset asks. ``placed``, ``scratch``: see `targets_of`."""
     weights = sharpness_weights(view.colour for view in views) if preset.weigh_sharpness else np.ones(len(views))
-    return Photos(weights, _exposures(views, placed, matching, scratch) if preset.fit_exposure else None)
+    if not preset.fit_exposure:
+        return Photos(weights)
+    rows = matching.point_of_pixel or point_of_pixels(placed, matching.cloud, scratch)
+    # Every second pixel of every second row suffices.
+    photos = OnDemand(len(views), lambda number: views[number].colour[::2, ::2])
+    points = OnDemand(len(views), lambda number: rows[number][::2, ::2])
+    return Photos(weights, exposure_gains(photos, points, len(matching.cloud)))
 
 
 def targets_of(
@@ -235,19 +241,19 @@ def targets_of(
     """The targets of each view, computed on demand: the labels voted for its segments, or else the projected cloud's
     semantic mask and M_match. ``placed`` are the views with the depth that places pixels in space; ``scratch`` is the
     folder for temporary files."""
-    weights, gains = photos.weights, photos.gains
-    if matching.label_maps is not None:
-        masks = _voted_masks(matching)
-    else:
-        masks = projected_masks(placed, matching, classes, preset, scratch)
-
+    weights, gains, maps = photos.weights, photos.gains, matching.label_maps
+    labels = labels_of(matching.cloud, matching.instances)
+    masks = None if maps is not None else projected_masks(placed, matching, classes, preset, scratch)
     with_objects = preset.objects != "none"  # without a matching there are no targets for objects
 
     def targets(number: int) -> ViewTargets:
-        view = views[number]
-        projected, matched = masks(number)
+        if masks is None:
+            assert maps is not None
+            projected, matched = labels.classes(maps[number]), labels.objects(maps[number])
+        else:
+            projected, matched = masks[number]
         return view_targets(
-            view,
+            views[number],
             channels,
             projected_class=projected,
             matched_instance=matched if with_objects else None,
@@ -259,36 +265,10 @@ def targets_of(
     return OnDemand(len(views), targets)
 
 
-def _exposures(
-    views: Sequence[View], placed: Sequence[View], matching: Matching, scratch: Path | None
-) -> NDArray[np.float64]:
-    """``exposure_gains`` of every second pixel of every second row."""
-    rows = matching.point_of_pixel or point_of_pixels(placed, matching.cloud, scratch)
-    photos = OnDemand(len(views), lambda number: views[number].colour[::2, ::2])
-    points = OnDemand(len(views), lambda number: rows[number][::2, ::2])
-    return exposure_gains(photos, points, len(matching.cloud))
-
-
-Masks = tuple[NDArray[np.int32], NDArray[np.int32]]
-"""Class ids and instance ids of a view's pixels, int32 [H, W] each."""
-
-
-def _voted_masks(matching: Matching) -> Callable[[int], Masks]:
-    assert matching.label_maps is not None
-    maps = matching.label_maps
-    labels = labels_of(matching.cloud, matching.instances)
-
-    def decide(number: int) -> Masks:
-        voted = maps[number]
-        return labels.classes(voted), labels.objects(voted)
-
-    return decide
-
-
 def projected_masks(
     placed: Sequence[View], matching: Matching, classes: ClassTable, preset: Preset, scratch: Path | None
-) -> Callable[[int], Masks]:
-    """The projected semantic mask and M_match of the view of a number."""
+) -> OnDemand[NDArray[np.int32]]:
+    """The projected semantic mask and M_match of each view: class ids and instance ids, int32 [2, H, W]."""
     cloud, reach = matching.cloud, 2 * preset.voxel_size
     classed = LabelledPoints(cloud.xyz, cloud.class_id)
     owned = LabelledPoints(cloud.xyz, matching.instance_of_point)
@@ -298,10 +278,4 @@ def projected_masks(
         instances = owned.project(view.camera, view.depth, reach)
         return np.stack([projected, restrict_to_things(instances, projected, classes.thing_ids)])
 
-    both = stored((project(view) for view in placed), scratch)
-
-    def masks(number: int) -> Masks:
-        projected, instances = both[number]
-        return projected, instances
-
-    return masks
+    return stored((project(view) for view in placed), scratch)

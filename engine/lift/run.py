@@ -37,7 +37,6 @@ from ..presets.preset import Preset
 from ..scene import (
     VOID,
     ClassTable,
-    Frame,
     Scene,
     Size,
     StoredViews,
@@ -128,12 +127,9 @@ def run_lift(
     training: Callable[[PreparedLift, Sequence[View], Preset, int], Trainer] = new_trainer,
     sources: Sequence[str] = ("engine",),
 ) -> None:
-    """Do the lift that ``folder`` asks for, or what is left of it.
-
-    Methods other than PLGS pass their own ``preparing`` and ``training``, and ``sources``, the folders of the
-    repository whose digest the manifest holds. Raises PlgsError for input that cannot be lifted, and Cancelled if
-    stopped. The folder can then be resumed.
-    """
+    """Do the lift that ``folder`` asks for, or what is left of it. Methods other than PLGS pass their own ``preparing``
+    and ``training``, and ``sources``, the folders of the repository whose digest the manifest holds. Raises PlgsError
+    for input that cannot be lifted, and Cancelled if stopped. The folder can then be resumed."""
     request, stages = folder.request, StageReporter(events, stop, STAGES)
     preset = request.chosen_preset
     refuse_names_of_no_objects(request, preset)
@@ -141,11 +137,16 @@ def run_lift(
     be_repeatable(device)
     checkpoint = folder.checkpoints.latest() if resume else None
     parts = own_parts(preset)
-    code = code_of(_with_parts(code_digest(*sources), parts), checkpoint, events)
+    digest = code_digest(*sources)
+    if parts:
+        digest = hashlib.sha256(f"{digest} {sorted(parts.items())}".encode()).hexdigest()[:8]
+    code = code_of(digest, checkpoint, events)
     with stages.stage("check") as progress:
         frames, masks_changed, findings = checked_frames(folder, preset, checkpoint, progress, events)
         earlier = None if request.names_from is None else read_earlier(request.names_from)
-    stages.course = expected_course(frames, preset, request.bake)
+    predicted = predicted_lift(frames.all, replace(preset, frames=len(frames.training)), USUAL_MASKS, request.bake)
+    left = {name: seconds for name, seconds in predicted.stages.items() if name not in ("start", "check")}
+    stages.course = Course({name: machine_slowness() * seconds for name, seconds in left.items()})
     warn_if_long(stages.course, events)
     check_disk(folder.path, (frame.size for frame in frames_to_bake(frames.all, request.bake)), events)
     with stages.stage("read") as progress:
@@ -168,7 +169,9 @@ def run_lift(
         if preset.shows_votes:
             part = progress.part(0.0, VOTED)
             trainer.scene.voted = vote_labels(trainer.scene, frames.training, prepared, preset, part, folder.path)
-        trainer.scene.finest = finest_of(trainer.scene, frames.training, preset)
+        cameras = [frame.camera.resized(*size_within(frame.size, preset.size)) for frame in frames.training]
+        positions = trainer.scene.anchors.position.numpy(force=True)
+        trainer.scene.finest = torch.from_numpy(finest_pixels(positions, cameras))
         held_back = read_held_back(frames.chosen, preset.size, folder.path)
         part = progress.part(VOTED, SIFTED)
         seen = points_to_write(prepared.cloud, prepared.instance_of_point, chained(views, held_back), part)
@@ -194,11 +197,6 @@ def own_parts(preset: Preset) -> dict[str, str]:
     return {
         **MATCHERS.sources([preset.objects]), **LOSSES.sources(preset.losses), **DECODERS.sources([preset.head])
     }  # fmt: skip
-
-
-def _with_parts(code: str, parts: Mapping[str, str]) -> str:
-    """The digest of the code with its added parts."""
-    return hashlib.sha256(f"{code} {sorted(parts.items())}".encode()).hexdigest()[:8] if parts else code
 
 
 def finish(folder: LiftFolder, preset: Preset, stages: StageReporter, code: str, parts: Mapping[str, str]) -> None:
@@ -266,19 +264,6 @@ def read_views(
     return views, read_voters(voting, preset, lambda done: progress(len(training) + done, total), events, scratch)
 
 
-def finest_of(lifted: StructuredScene, training: Sequence[Frame], preset: Preset) -> torch.Tensor:
-    """``StructuredScene.finest`` for the training frames at the size of the lift."""
-    cameras = [frame.camera.resized(*size_within(frame.size, preset.size)) for frame in training]
-    return torch.from_numpy(finest_pixels(lifted.anchors.position.numpy(force=True), cameras))
-
-
-def expected_course(frames: FrameSets, preset: Preset, bake: str) -> Course:
-    """How long the stages after the check take."""
-    seconds = predicted_lift(frames.all, replace(preset, frames=len(frames.training)), USUAL_MASKS, bake).stages
-    slowness = machine_slowness()
-    return Course({name: slowness * value for name, value in seconds.items() if name not in ("start", "check")})
-
-
 def warn_if_long(course: Course, events: EventWriter) -> None:
     """Warn of a lift that takes more than LONG_S."""
     seconds = sum(course.seconds.values())
@@ -332,11 +317,9 @@ def train(
     show: Callable[[StructuredScene], object],
 ) -> list[float]:
     """Do all remaining steps, and return the seconds that each took. Checkpoints also hold ``facts`` about the run;
-    ``show`` is called with the model after each step.
-
-    A checkpoint is written every CHECKPOINT_EVERY_S seconds or more, when stopped, and at the end, but not if a step
-    fails: half a step's changes would replace the last complete state.
-    """
+    ``show`` is called with the model after each step. A checkpoint is written every CHECKPOINT_EVERY_S seconds or more,
+    when stopped, and at the end, but not if a step fails: half a step's changes would replace the last complete
+    state."""
     steps, paces = trainer.preset.steps, []
     with stages.stage("train") as progress, closing(TrainingLog(folder.training_path, trainer.step_number)) as losses:
         saved_at, pause = time.monotonic(), CHECKPOINT_EVERY_S

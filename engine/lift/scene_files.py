@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 
 import numpy as np
 import torch
@@ -74,7 +73,7 @@ def write_scene_files(
     result = folder.result_path
     gaussians, anchors = bake(lifted, viewpoint, scene.classes.thing_ids, baked)
     near = is_within(max(FILLED, 2 * lifted.voxel_size), anchors.xyz, points.xyz)
-    anchors = Anchors(**{field.name: getattr(anchors, field.name)[near] for field in fields(anchors)})
+    anchors = Anchors(**{name: values[near] for name, values in vars(anchors).items()})
     write_arrays(result / SEMANTIC_POINTS, points)
     write_instances(result / INSTANCES, scene.classes, instances)
     write_arrays(result / ANCHORS, anchors)
@@ -192,17 +191,11 @@ def listed_instances(
         length, width, height = instance.box.size.tolist()
         segments = tuple(
             MatchedSegment(
-                mask.frame,
-                mask.segment.id,
-                mask.segment.class_id,
-                mask.segment.score,
-                mask.cost,
-                mask.agreement,
-                mask.pixels,
-                *extents[mask.key],
+                mask.frame, mask.segment.id, mask.segment.class_id, mask.segment.score,
+                mask.cost, mask.agreement, mask.pixels, *extents[mask.key],
             )
             for mask in instance.masks
-        )
+        )  # fmt: skip
         listed.append(
             Instance(
                 id=instance.id,

@@ -75,10 +75,19 @@ def parts_by_views(
     different things. Points that no such frame sees go to the nearest part. Raises PlgsError if pixels cannot be
     read."""
     segments = _segments(frames, xyz, progress)
-    cluster = join(_likeness(segments)) if segments else np.zeros(0, np.int64)
-    apart = _frames_apart(segments, cluster)
+    if not segments:
+        return PartsSeen(np.zeros(len(xyz), np.int64), {}, 0)
+    # The evidence of two views on one point is weighted by the geometric mean of their weights.
+    holds, seen = (np.sqrt(np.stack([getattr(each, name) for each in segments])) for name in ("holds", "seen"))
+    shared, in_both_frames = holds @ holds.T, holds @ seen.T
+    union = in_both_frames + in_both_frames.T - shared
+    cluster = join(shared - ALIKE * union).tolist()
+    owners: dict[int, set[int]] = {}
+    for segment, own in zip(segments, cluster, strict=True):
+        owners.setdefault(segment.frame, set()).add(own)
+    apart = {frame for frame, shown in owners.items() if len(shown) > 1}  # frames that show several things
     members: dict[int, list[_Segment]] = {}
-    for segment, own in zip(segments, cluster.tolist(), strict=True):
+    for segment, own in zip(segments, cluster, strict=True):
         if segment.frame in apart:
             members.setdefault(own, []).append(segment)
     shown = [own for own in members.values() if len({segment.frame for segment in own}) >= LEAST_FRAMES]
@@ -132,23 +141,6 @@ def _of_frame(number: int, frame: Frame, xyz: NDArray[np.floating]) -> list[_Seg
             holds[rows[shown == one]] = word[shown == one]
             found.append(_Segment(number, things[int(one)], holds, seen))
     return found
-
-
-def _likeness(segments: Sequence[_Segment]) -> NDArray[np.float64]:
-    """How far the points shared by two segments exceed `ALIKE` of them, in points [S, S]; negative if fewer."""
-    # The evidence of two views on one point is weighted by the geometric mean of their weights.
-    holds, seen = (np.sqrt(np.stack([getattr(each, name) for each in segments])) for name in ("holds", "seen"))
-    shared, in_both_frames = holds @ holds.T, holds @ seen.T
-    union = in_both_frames + in_both_frames.T - shared
-    return np.asarray(shared - ALIKE * union, np.float64)
-
-
-def _frames_apart(segments: Sequence[_Segment], cluster: NDArray[np.int64]) -> set[int]:
-    """The frames that show the object as two or more things."""
-    shown: dict[int, set[int]] = {}
-    for segment, own in zip(segments, cluster.tolist(), strict=True):
-        shown.setdefault(segment.frame, set()).add(own)
-    return {frame for frame, owners in shown.items() if len(owners) > 1}
 
 
 def _voted(votes: NDArray[np.float32], xyz: NDArray[np.floating]) -> NDArray[np.int64]:

@@ -33,7 +33,6 @@ from ..scene import (
 )
 from ..scene.hole_filling import fill_holes
 from ..scene.pixels import resize_nearest
-from ..semantics.point_cloud import SemanticPointCloud
 from .objects import Matching, labels_of
 
 MOST_BYTES = 1 << 32
@@ -61,7 +60,9 @@ def vote_labels(
     cloud, maps = prepared.cloud, prepared.label_maps
     assert maps is not None  # objects by agreement come with them
     labels = labels_of(cloud, prepared.instances)
-    point_labels = _PointLabels(cloud, labels.of_points(cloud.class_id, prepared.instance_of_point))
+    label_of_point = np.append(labels.of_points(cloud.class_id, prepared.instance_of_point), UNKNOWN_LABEL)
+    label_of_point = label_of_point.astype(np.int16)  # the last is that of pixels without a point
+    point_index, reach = cloud.index(), 2 * cloud.spacing
     rounds = ROUNDS if prepared.masks_agree else 1
     voting_frames = _VotingFrames(scene, frames, preset, scratch, most_bytes=MOST_BYTES if rounds > 1 else 0)
     named = NamedGaussians(len(scene.anchors) * scene.anchors.gaussians_per_anchor)
@@ -74,7 +75,7 @@ def vote_labels(
                 shown = pixel_labels(scene, voted, frame.seen) if voted else resize_nearest(maps[index], frame.size)
                 shown = segment_labels(frame.mask, shown, len(labels))
             else:
-                shown = point_labels.of_pixels(frame)
+                shown = label_of_point[point_index.nearest_of_pixels(frame.seen.camera, frame.depth, reach)]
             if number == 0:
                 named.add(frame.seen, frame.mask.ids > 0)
             votes.add(frame.seen, shown, frame.depth, frames[index].size[0] / frame.size[0])
@@ -82,18 +83,6 @@ def vote_labels(
         voted = votes.result()
     assert voted is not None  # there is at least one round
     return settled(scene, voted, named.are_named, OwnedPoints(cloud.xyz, prepared.instance_of_point))
-
-
-class _PointLabels:
-    """The label of each of the cloud's points, int [N], for pixels that show them."""
-
-    def __init__(self, cloud: SemanticPointCloud, label: NDArray[np.integer]) -> None:
-        self._index, self._reach = cloud.index(), 2 * cloud.spacing
-        self._label = np.append(label, UNKNOWN_LABEL).astype(np.int16)  # the last is that of pixels without a point
-
-    def of_pixels(self, frame: _VotingFrame) -> NDArray[np.int16]:
-        """The label of each pixel's point, int16 [H, W]."""
-        return self._label[self._index.nearest_of_pixels(frame.seen.camera, frame.depth, self._reach)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,18 +117,15 @@ class _VotingFrames:
             gaussian, weight, drawn, ids, depth = (self._arrays[number] for number in numbers)
             camera = self.frames[index].camera.resized(drawn.shape[1], drawn.shape[0])
             return _VotingFrame(Contributors(gaussian, weight, drawn, camera), PanopticMask(ids, segments), depth)
-        frame = _rendered(self.scene, self.frames[index], self.preset)
+        source = self.frames[index]
+        size = size_within(source.size, self.preset.vote_size)
+        mask, depth = source.mask(size), source.depth(size)
+        seen = contributors(self.scene, source.camera.resized(*size))
+        frame = _VotingFrame(seen, mask, fill_holes(depth, mask.ids))
         if self._arrays.nbytes < self.most_bytes:
             arrays = (frame.seen.gaussian, frame.seen.weight, frame.seen.depth, frame.mask.ids, frame.depth)
             self._stored[index] = [self._arrays.append(array) for array in arrays], frame.mask.segments
         return frame
-
-
-def _rendered(scene: StructuredScene, frame: Frame, preset: Preset) -> _VotingFrame:
-    size = size_within(frame.size, preset.vote_size)
-    mask, depth = frame.mask(size), frame.depth(size)
-    seen = contributors(scene, frame.camera.resized(*size))
-    return _VotingFrame(seen, mask, fill_holes(depth, mask.ids))
 
 
 SMALLER = 2

@@ -6,7 +6,6 @@ import hashlib
 import logging
 from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 
 from .compiled import CACHE_FOLDER, machine_target
 
@@ -15,7 +14,8 @@ log = logging.getLogger("plgs.machine")
 
 def log_compilation(what: str, how_long: str) -> Callable[[], None]:
     """Log that ``what`` is being compiled, unless it was before. Call the returned function when it is done."""
-    stamp = _stamp(what)
+    # An empty file beside the machine code records that it was compiled.
+    stamp = CACHE_FOLDER / f"compiled-{what.replace(' ', '-')}-{_target()}"
     if stamp.exists():
         return lambda: None
     log.info("compiling %s for this machine, about %s, once", what, how_long)
@@ -23,7 +23,5 @@ def log_compilation(what: str, how_long: str) -> Callable[[], None]:
 
 
 @cache
-def _stamp(what: str) -> Path:
-    """The empty file beside the machine code which records that ``what`` was compiled."""
-    target = hashlib.sha256(repr(machine_target()).encode()).hexdigest()[:16]
-    return CACHE_FOLDER / f"compiled-{what.replace(' ', '-')}-{target}"
+def _target() -> str:
+    return hashlib.sha256(repr(machine_target()).encode()).hexdigest()[:16]

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 ALIGNMENT = 64
-KEPT_CALLS = 150
+KEPT_CALLS = 400
 """When a new block is made, blocks unused for this many requests are returned to the system."""
 LEAST_STEP = 4096
 """Bytes, a power of two. All block sizes are multiples of it."""
@@ -58,33 +58,20 @@ if hasattr(os, "register_at_fork"):
 
 def empty(shape: int | tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
     """Like ``np.empty``, but aligned to a cache line and taken from reused blocks."""
+    global _calls
     kind = np.dtype(dtype)
-    buffer, start = _take(kind.itemsize * (math.prod(shape) if isinstance(shape, tuple) else shape))
-    return np.ndarray(shape, kind, buffer, start)
+    size = max(kind.itemsize * (math.prod(shape) if isinstance(shape, tuple) else shape), LEAST_STEP)
+    with _lock:
+        _calls += 1
+        block = _free_block(size) or _new_block(size)
+        block.used = _calls
+        buffer = block.bytes  # held from here on, before another thread can look for a free block
+    return np.ndarray(shape, kind, buffer, block.start)
 
 
 def several(*wanted: tuple[int | tuple[int, ...], DTypeLike]) -> tuple[NDArray[Any], ...]:
-    """Arrays of these shapes and dtypes, like those of ``empty``, in one block, which is free again when none of them
-    is referenced. This is cheaper than making them one by one."""
-    pieces, size = [], 0
-    for shape, dtype in wanted:
-        kind = np.dtype(dtype)
-        pieces.append((shape, kind, size))
-        length = math.prod(shape) if isinstance(shape, tuple) else shape
-        size += -(-kind.itemsize * length // ALIGNMENT) * ALIGNMENT
-    buffer, first = _take(size)
-    return tuple([np.ndarray(shape, kind, buffer, first + start) for shape, kind, start in pieces])
-
-
-def _take(size: int) -> tuple[NDArray[Any], int]:
-    """The bytes of a free block, which is made if there is none, and the index of the first aligned byte."""
-    global _calls
-    with _lock:
-        _calls += 1
-        size = max(size, LEAST_STEP)
-        block = _free_block(size) or _new_block(size)
-        block.used = _calls
-        return block.bytes, block.start  # held from here on, before another thread can look for a free block
+    """Arrays of these shapes and dtypes, like those of ``empty``."""
+    return tuple(empty(shape, dtype) for shape, dtype in wanted)
 
 
 def _is_free(block: _Block) -> bool:

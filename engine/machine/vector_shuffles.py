@@ -69,19 +69,6 @@ def _to_planes(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, c: ir.Value) -> 
     return planes
 
 
-def _zipped(builder: ir.IRBuilder, a: ir.Value, b: ir.Value) -> list[ir.Value]:
-    halves = (range(WIDTH // 2), range(WIDTH // 2, WIDTH))
-    return [_shuffled(builder, a, b, [lane + WIDTH * other for lane in half for other in (0, 1)]) for half in halves]
-
-
-def _unzipped(builder: ir.IRBuilder, a: ir.Value, b: ir.Value) -> list[ir.Value]:
-    return [_shuffled(builder, a, b, list(range(first, 2 * WIDTH, 2))) for first in (0, 1)]
-
-
-def _largest(builder: ir.IRBuilder, a: ir.Value) -> ir.Value:
-    return call(builder, "llvm.vector.reduce.fmax.v16f32", FLOAT, [a])
-
-
 def _total(builder: ir.IRBuilder, a: ir.Value) -> ir.Value:
     for half in (8, 4, 2, 1):
         a = builder.fadd(a, _shuffled(builder, a, a, [(lane + half) % WIDTH for lane in range(WIDTH)]))
@@ -93,11 +80,25 @@ interleave3 = of_values("interleave3", _three, (lanes, lanes, lanes), _to_pixels
 """interleave3(a, b, c): a0 b0 c0 a1 b1 c1 ... c15 as three vectors: planes to pixels."""
 deinterleave3 = of_values("deinterleave3", _three, (lanes, lanes, lanes), _to_planes)
 """The inverse of ``interleave3``: pixels to planes."""
-interleave2 = of_values("interleave2", _two, (lanes, lanes), _zipped)
+_halves = [[lane + WIDTH * other for lane in range(at, at + WIDTH // 2) for other in (0, 1)] for at in (0, WIDTH // 2)]
+interleave2 = of_values(
+    "interleave2", _two, (lanes, lanes), lambda builder, a, b: [_shuffled(builder, a, b, half) for half in _halves]
+)
 """interleave2(a, b): a0 b0 a1 b1 ... a15 b15 as two vectors."""
-deinterleave2 = of_values("deinterleave2", _two, (lanes, lanes), _unzipped)
+_every_second = [list(range(first, 2 * WIDTH, 2)) for first in (0, 1)]
+deinterleave2 = of_values(
+    "deinterleave2",
+    _two,
+    (lanes, lanes),
+    lambda builder, a, b: [_shuffled(builder, a, b, own) for own in _every_second],
+)
 """The inverse of ``interleave2``."""
-horizontal_max = of_values("horizontal_max", types.float32, (lanes,), _largest)
+horizontal_max = of_values(
+    "horizontal_max",
+    types.float32,
+    (lanes,),
+    lambda builder, a: call(builder, "llvm.vector.reduce.fmax.v16f32", FLOAT, [a]),
+)
 """horizontal_max(a): the largest lane. No lane may be NaN."""
 horizontal_sum = of_values("horizontal_sum", types.float32, (lanes,), _total)
 """horizontal_sum(a): the sum of the lanes, halves first: always in the same order."""

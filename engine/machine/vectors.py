@@ -220,14 +220,6 @@ def _fused(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, c: ir.Value) -> ir.V
     return call(builder, "llvm.fmuladd.v16f32", LANES_IR, [a, b, c])
 
 
-def _bits(builder: ir.IRBuilder, condition: ir.Value) -> ir.Value:
-    return builder.zext(builder.bitcast(condition, MASK_IR), ir.IntType(64))
-
-
-def _lowest_bit(builder: ir.IRBuilder, bits: ir.Value) -> ir.Value:
-    return call(builder, "llvm.cttz.i64", ir.IntType(64), [bits, ir.Constant(ir.IntType(1), 0)])
-
-
 _two, _three = (lanes, lanes), (lanes, lanes, lanes)
 broadcast = of_values("broadcast", lanes, (types.float32,), broadcast_ir)
 """broadcast(scalar): a scalar in all lanes."""
@@ -249,54 +241,38 @@ square_root = of_values(
 """square_root(a), correctly rounded."""
 select = of_values("select", lanes, (flags, lanes, lanes), ir.IRBuilder.select)
 """select(condition, a, b): a where the flag is set, else b."""
-movemask = of_values("movemask", types.int64, (flags,), _bits)
+movemask = of_values(
+    "movemask", types.int64, (flags,), lambda builder, own: builder.zext(builder.bitcast(own, MASK_IR), ir.IntType(64))
+)
 """movemask(condition): the flags as an integer, lane 0 lowest."""
-trailing_zeros = of_values("trailing_zeros", types.int64, (types.int64,), _lowest_bit)
+trailing_zeros = of_values(
+    "trailing_zeros", types.int64, (types.int64,),
+    lambda builder, bits: call(builder, "llvm.cttz.i64", ir.IntType(64), [bits, ir.Constant(ir.IntType(1), 0)]),
+)  # fmt: skip
 """trailing_zeros(bits): the index of the lowest set bit, 64 if there is none."""
 
 
-def _register_arithmetic() -> None:
-    def register(function: Any, emit: Any) -> None:
-        @type_callable(function)
-        def type_of(context: Any) -> Any:
-            return lambda a, b: lanes if a is lanes and b is lanes else None
+def _register(function: Any, given: types.Type, result: types.Type, emit: Callable[..., ir.Value]) -> None:
+    """Define an operator on two values of the type ``given``."""
 
-        @lower_builtin(function, lanes, lanes)
-        def lower(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return emit(builder, *arguments)
-
-    register(operator.add, ir.IRBuilder.fadd)
-    register(operator.sub, ir.IRBuilder.fsub)
-    register(operator.mul, ir.IRBuilder.fmul)
-    register(operator.truediv, ir.IRBuilder.fdiv)
-
-
-def _register_comparisons() -> None:
-    def register(function: Any, symbol: str) -> None:
-        @type_callable(function)
-        def type_of(context: Any) -> Any:
-            return lambda a, b: flags if a is lanes and b is lanes else None
-
-        @lower_builtin(function, lanes, lanes)
-        def lower(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return builder.fcmp_ordered(symbol, *arguments)
-
-    register(operator.gt, ">")
-    register(operator.ge, ">=")
-    register(operator.le, "<=")
-    register(operator.lt, "<")
-
-    @type_callable(operator.and_)
+    @type_callable(function)
     def type_of(context: Any) -> Any:
-        return lambda a, b: flags if a is flags and b is flags else None
+        return lambda a, b: result if a is given and b is given else None
 
-    @lower_builtin(operator.and_, flags, flags)
+    @lower_builtin(function, given, given)
     def lower(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.and_(*arguments)
+        return emit(builder, *arguments)
 
 
-_register_arithmetic()
-_register_comparisons()
+_register(operator.add, lanes, lanes, ir.IRBuilder.fadd)
+_register(operator.sub, lanes, lanes, ir.IRBuilder.fsub)
+_register(operator.mul, lanes, lanes, ir.IRBuilder.fmul)
+_register(operator.truediv, lanes, lanes, ir.IRBuilder.fdiv)
+_register(operator.gt, lanes, flags, lambda builder, a, b: builder.fcmp_ordered(">", a, b))
+_register(operator.ge, lanes, flags, lambda builder, a, b: builder.fcmp_ordered(">=", a, b))
+_register(operator.le, lanes, flags, lambda builder, a, b: builder.fcmp_ordered("<=", a, b))
+_register(operator.lt, lanes, flags, lambda builder, a, b: builder.fcmp_ordered("<", a, b))
+_register(operator.and_, flags, flags, ir.IRBuilder.and_)
 
 
 # Powers of two of sixteen float32 at a time.

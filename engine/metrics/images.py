@@ -27,12 +27,10 @@ class PictureScores(NamedTuple):
 
 
 def score_picture(rendered: NDArray[np.generic], photo: NDArray[np.uint8]) -> PictureScores:
-    """Score a picture [H, W, 3], uint8 or floats in [0, 1], against the frame's photo uint8 [H, W, 3].
-
-    A camera with auto exposure shows one surface in many colours. The fitted scores ignore what a gain and an offset
-    explain. Black borders that undistortion left in the photo count neither in the fit nor in PSNR. SSIM uses the
-    whole picture. Raises ValueError if shapes differ.
-    """
+    """Score a picture [H, W, 3], uint8 or floats in [0, 1], against the frame's photo uint8 [H, W, 3]. A camera with
+    auto exposure shows one surface in many colours. The fitted scores ignore what a gain and an offset explain. Black
+    borders that undistortion left in the photo count neither in the fit nor in PSNR. SSIM uses the whole picture.
+    Raises ValueError if shapes differ."""
     valid = ~border_mask(photo)
     fitted = fit_colours(rendered, photo, valid)
     return PictureScores(
@@ -44,13 +42,9 @@ def fit_colours(
     rendered: NDArray[np.generic], photo: NDArray[np.generic], valid: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
     """``rendered`` after the affine fit to ``photo``: a gain and an offset per channel, by least squares over the
-    ``valid`` pixels.
-
-    Pictures [H, W, 3], uint8 or floats in [0, 1]; ``valid`` bool [H, W]. The result is float64, clipped to [0, 1], so
-    its PSNR is never lower than that of ``rendered``. Raises ValueError if shapes differ.
-    """
-    x, y = _unit(rendered), _unit(photo)
-    _same_shape(x, y)
+    ``valid`` pixels. Pictures [H, W, 3], uint8 or floats in [0, 1]; ``valid`` bool [H, W]. The result is float64,
+    clipped to [0, 1], so its PSNR is never lower than that of ``rendered``. Raises ValueError if shapes differ."""
+    x, y = _unit(rendered, photo)
     here, there = x[valid], y[valid]
     mean_here, mean_there = here.mean(axis=0), there.mean(axis=0)
     variance = ((here - mean_here) ** 2).mean(axis=0)
@@ -61,22 +55,17 @@ def fit_colours(
 
 def psnr(a: NDArray[np.generic], b: NDArray[np.generic], valid: NDArray[np.bool_] | None = None) -> float:
     """-10 log10(MSE) in decibels of two pictures [H, W, 3], uint8 or floats in [0, 1], over all pixels or the ``valid``
-    ones, bool [H, W]. Raises ValueError if shapes differ.
-    """
-    x, y = _unit(a), _unit(b)
-    _same_shape(x, y)
+    ones, bool [H, W]. Raises ValueError if shapes differ."""
+    x, y = _unit(a, b)
     error = float(np.mean((x - y) ** 2 if valid is None else (x - y)[valid] ** 2))
     return BEST_PSNR if error < 10 ** (-BEST_PSNR / 10) else -10.0 * math.log10(error)
 
 
 def ssim(a: NDArray[np.generic], b: NDArray[np.generic]) -> float:
-    """Mean structural similarity of two pictures [H, W, 3], uint8 or floats in [0, 1]; 1 = identical.
-
-    11x11 Gaussian window with sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2, each channel separately: the
-    measure that the training loss uses. Raises ValueError if shapes differ.
-    """
-    x, y = _unit(a), _unit(b)
-    _same_shape(x, y)
+    """Mean structural similarity of two pictures [H, W, 3], uint8 or floats in [0, 1]; 1 = identical. 11x11 Gaussian
+    window with sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2, each channel separately: the measure that the
+    training loss uses. Raises ValueError if shapes differ."""
+    x, y = _unit(a, b)
     mean_x, mean_y = _window_mean(x), _window_mean(y)
     variance_x = _window_mean(x * x) - mean_x**2
     variance_y = _window_mean(y * y) - mean_y**2
@@ -87,16 +76,12 @@ def ssim(a: NDArray[np.generic], b: NDArray[np.generic]) -> float:
     return float(np.mean(similarity))
 
 
-def _unit(picture: NDArray[np.generic]) -> NDArray[np.float64]:
-    """Any picture as float64 in [0, 1]."""
-    values = np.asarray(picture)
-    scale = 255.0 if values.dtype == np.uint8 else 1.0
-    return np.clip(values.astype(np.float64) / scale, 0.0, 1.0)
-
-
-def _same_shape(x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
-    if x.shape != y.shape:
-        raise ValueError(f"pictures differ in shape: {x.shape} and {y.shape}")
+def _unit(*pictures: NDArray[np.generic]) -> list[NDArray[np.float64]]:
+    """Pictures as float64 in [0, 1]. Raises ValueError if shapes differ."""
+    if len({picture.shape for picture in pictures}) > 1:
+        raise ValueError(f"pictures differ in shape: {' and '.join(str(each.shape) for each in pictures)}")
+    scales = (255.0 if picture.dtype == np.uint8 else 1.0 for picture in pictures)
+    return [np.clip(each.astype(np.float64) / scale, 0.0, 1.0) for each, scale in zip(pictures, scales, strict=True)]
 
 
 def _window_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -115,10 +100,8 @@ BIN, BINS = 1e-4, 100_000
 
 class DepthErrors:
     """Absolute errors of all pixels of all views, counted in bins, so that memory does not grow with the number of
-    views.
-
-    The median is over all pixels, not the mean of the views' medians, as a view with little depth says little.
-    """
+    views. The median is over all pixels, not the mean of the views' medians, as a view with little depth says
+    little."""
 
     def __init__(self) -> None:
         self._counts = np.zeros(BINS, np.int64)
@@ -126,8 +109,7 @@ class DepthErrors:
 
     def add(self, rendered: NDArray[np.float32], alpha: NDArray[np.float32], measured: NDArray[np.float32]) -> None:
         """Count a view. All [H, W]: planar metres, coverage in [0, 1], planar metres (0 = none). Raises ValueError if
-        shapes differ.
-        """
+        shapes differ."""
         if not rendered.shape == alpha.shape == measured.shape:
             raise ValueError(f"depths differ in shape: {rendered.shape}, {alpha.shape} and {measured.shape}")
         counted = (measured > 0) & (alpha >= LEAST_ALPHA)

@@ -53,10 +53,8 @@ class ClassScore:
 @dataclass(frozen=True)
 class PanopticScores:
     """Means over the classes, each in [0, 1], and the classes that they include, in ascending order of id.
-
     ``miou_true`` is the mean IoU over only those classes that the ground truth has, as is common in the field: a
-    class that is wrongly predicted costs the pixels of true classes that it takes, but does not enter the mean.
-    """
+    class that is wrongly predicted costs the pixels of true classes that it takes, but does not enter the mean."""
 
     mode: Mode
     miou: float
@@ -85,10 +83,8 @@ class PanopticEvaluation:
         gt_instance: NDArray[np.integer],
     ) -> dict[Pair, int]:
         """Count one view: class ids and instance ids, integer [H, W] each; 0 = void, none. Returns its shared pixels.
-
         Classes that are not in the table count as void. Raises ValueError if an id is negative, or if shapes differ; in
-        ``pl_compat`` prediction and ground truth may have different sizes.
-        """
+        ``pl_compat`` prediction and ground truth may have different sizes."""
         maps = [np.asarray(m) for m in (pred_semantic, pred_instance, gt_semantic, gt_instance)]
         if self.mode == "pl_compat":
             maps = [resize_nearest(m, COMPAT_SIZE) for m in maps]
@@ -156,9 +152,7 @@ class _ClassAreas:
 
     @classmethod
     def of(cls, pixels: Counter[Pair]) -> _ClassAreas:
-        predicted: Counter[int] = Counter()
-        true: Counter[int] = Counter()
-        both: Counter[int] = Counter()
+        predicted, true, both = Counter[int](), Counter[int](), Counter[int]()
         for ((pred_class, _), (true_class, _)), n in pixels.items():
             predicted[pred_class] += n
             true[true_class] += n
@@ -202,15 +196,11 @@ class _Matches:
 
 
 def _match(pixels: Counter[Pair], kept: set[int], *, excuse_void: bool) -> _Matches:
-    """Match segments of one class whose IoU exceeds 0.5 (so each has at most one partner).
-
-    With ``excuse_void``, pixels whose label on the other side is not a kept class leave the union, and a segment with
-    more than half of its area on such pixels is not an error. Without it, predicted void is an ordinary miss.
-    """
-    predicted: Counter[Segment] = Counter()
-    true: Counter[Segment] = Counter()
-    predicted_on_void: Counter[Segment] = Counter()
-    true_on_void: Counter[Segment] = Counter()
+    """Match segments of one class whose IoU exceeds 0.5 (so each has at most one partner). With ``excuse_void``, pixels
+    whose label on the other side is not a kept class leave the union, and a segment with more than half of its area on
+    such pixels is not an error. Without it, predicted void is an ordinary miss."""
+    predicted, true = Counter[Segment](), Counter[Segment]()
+    predicted_on_void, true_on_void = Counter[Segment](), Counter[Segment]()
     for (p, t), n in pixels.items():
         predicted[p] += n
         true[t] += n

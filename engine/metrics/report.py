@@ -32,12 +32,9 @@ _NO_LABEL_SCORES: dict[str, object] = {
 
 @dataclass(frozen=True, eq=False)
 class PredictedView:
-    """What a method predicts for one frame, at the frame's own size.
-
-    ``semantic`` and ``instance`` int32 [H, W] (0 = void, none). ``image`` [H, W, 3], uint8 or floats in [0, 1],
-    sRGB-encoded, or None if the method renders no picture. ``depth``, planar metres, and ``alpha``, coverage in
-    [0, 1], float32 [H, W], or None if it renders no depth.
-    """
+    """What a method predicts for one frame, at the frame's own size. ``semantic`` and ``instance`` int32 [H, W] (0 =
+    void, none). ``image`` [H, W, 3], uint8 or floats in [0, 1], sRGB-encoded, or None if the method renders no picture.
+    ``depth``, planar metres, and ``alpha``, coverage in [0, 1], float32 [H, W], or None if it renders no depth."""
 
     semantic: NDArray[np.int32]
     instance: NDArray[np.int32]
@@ -97,7 +94,8 @@ class Report:
 
     def to_json(self) -> dict[str, object]:
         """The content of metrics.json: shares in [0, 1], decibels, metres; null for what was not measured."""
-        methods = sorted({*self._labels, *self._pictures, *self._depths}, key=_place)
+        known = {*self._labels, *self._pictures, *self._depths}
+        methods = [*(name for name in METHODS if name in known), *sorted(known.difference(METHODS))]
         return {
             "format": FORMAT,
             "test_frames": list(self._frames),
@@ -108,7 +106,10 @@ class Report:
         """One table per mode, or one without a mode if no labels could be scored."""
         errors = self._depths.get(method, DepthErrors())
         depth = {"depth_error_m": errors.median, "depth_within_5cm": errors.close_share}
-        rendered = {**self._picture_scores(method), **depth}
+        pictures = self._pictures.get(method, [])  # the means over the views
+        means = [sum(of_views) / len(pictures) for of_views in zip(*pictures, strict=True)]
+        names = PictureScores._fields
+        rendered = {**(dict(zip(names, means, strict=True)) if pictures else dict.fromkeys(names)), **depth}
         labels = self._labels.get(method)
         scores = [] if labels is None else [one.result() for one in labels.modes.values() if not one.is_empty]
         for score in scores:
@@ -118,18 +119,6 @@ class Report:
             yield {"name": method, **asdict(score), "per_class": rows, **followed, **rendered}
         if not scores and any(value is not None for value in rendered.values()):
             yield {"name": method, **_NO_LABEL_SCORES, **rendered}
-
-    def _picture_scores(self, method: str) -> dict[str, float | None]:
-        """The means over the views."""
-        pictures = self._pictures.get(method, [])
-        if not pictures:
-            return dict.fromkeys(PictureScores._fields)
-        means = [sum(of_views) / len(pictures) for of_views in zip(*pictures, strict=True)]
-        return PictureScores(*means)._asdict()
-
-
-def _place(method: str) -> tuple[int, str]:
-    return (METHODS.index(method) if method in METHODS else len(METHODS), method)
 
 
 def add_input_masks(report: Report, scene: Scene) -> None:
@@ -154,10 +143,8 @@ PREDICTIONS = "predictions"
 
 def score_folders(predictions: LabelFolder, truth: LabelFolder, *, ids_per_frame: bool = False) -> dict[str, object]:
     """The scores of all predicted frames, in the form of metrics.json. All of them need ground truth.
-
     ``ids_per_frame``: an instance id is valid only within its frame, like a detector's. Predictions are resized to the
-    ground truth. Raises PlgsError if a file is bad, or if it is a different crop of the picture.
-    """
+    ground truth. Raises PlgsError if a file is bad, or if it is a different crop of the picture."""
     unknown = [name for name in predictions.readers if name not in truth.readers]
     if unknown:
         what = f"{len(unknown)} predicted frames have no ground truth, such as {unknown[0]}"

@@ -44,12 +44,10 @@ class JudgedView(NamedTuple):
 
 @dataclass(frozen=True)
 class Unshown:
-    """A class, or one object of it (``whole_class`` false), that the masks show and the lift does not.
-
-    Of the ``near`` views that see the spot, ``views`` name it. ``frame`` shows it best, as ``segment`` with ``pixels``
-    pixels at the frame's own size and ``resolution`` pixels per centimetre. ``shown_as``: the class that the lift
-    mostly shows there, "" = none. ``centre``: world metres.
-    """
+    """A class, or one object of it (``whole_class`` false), that the masks show and the lift does not. Of the ``near``
+    views that see the spot, ``views`` name it. ``frame`` shows it best, as ``segment`` with ``pixels`` pixels at the
+    frame's own size and ``resolution`` pixels per centimetre. ``shown_as``: the class that the lift mostly shows there,
+    "" = none. ``centre``: world metres."""
 
     class_id: int
     name: str
@@ -117,25 +115,23 @@ def _missed(found: list[_Candidate], answers: _Answers, shown: set[int], classes
         if not is_missed or (whole and any(other.class_id == one.class_id for other in unshown)):
             continue  # a class is reported once, by its best view
         reported.append(one)
-        unshown.append(_unshown(one, named, near, classes, whole))
+        x, y, z = (round(float(value), 3) for value in one.centre)
+        unshown.append(
+            Unshown(
+                class_id=one.class_id,
+                name=classes[one.class_id].name,
+                whole_class=whole,
+                views=named,
+                near=near,
+                frame=one.frame,
+                segment=one.segment,
+                pixels=one.pixels,
+                resolution=round(one.resolution, 2),
+                shown_as="" if one.shown_as == VOID else classes[one.shown_as].name,
+                centre=(x, y, z),
+            )
+        )
     return unshown
-
-
-def _unshown(one: _Candidate, named: int, near: int, classes: ClassTable, is_whole: bool) -> Unshown:
-    x, y, z = (round(float(value), 3) for value in one.centre)
-    return Unshown(
-        class_id=one.class_id,
-        name=classes[one.class_id].name,
-        whole_class=is_whole,
-        views=named,
-        near=near,
-        frame=one.frame,
-        segment=one.segment,
-        pixels=one.pixels,
-        resolution=round(one.resolution, 2),
-        shown_as="" if one.shown_as == VOID else classes[one.shown_as].name,
-        centre=(x, y, z),
-    )
 
 
 def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
@@ -162,15 +158,6 @@ def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
         most = int(np.bincount(here).argmax())
         candidates.append(_Candidate(resolution, segment.class_id, view.name, segment.id, pixels, most, xyz))
     return candidates, kept
-
-
-class _Judgement(NamedTuple):
-    """The number of ``near`` views of a candidate, the number that ``named`` it, and the largest share of it that the
-    lift shows as its class in one of these."""
-
-    named: int
-    near: int
-    kept: float
 
 
 class _Answers:
@@ -204,10 +191,11 @@ class _Answers:
             (resolution, np.bincount(of[named], minlength=count) / safe, np.bincount(of[kept], minlength=count) / safe)
         )
 
-    def of(self, number: int) -> _Judgement:
-        """What the near views say about a candidate."""
+    def of(self, number: int) -> tuple[int, int, float]:
+        """The number of near views that name a candidate, the number of near views, and the largest share of it that
+        the lift shows as its class in one of those that name it."""
         answers = np.array([[part[number] for part in row] for row in self._rows])
         resolution, named, kept = answers.T
         near = are_near(resolution, self.found[number].resolution)
         naming = near & (named >= NAMES)
-        return _Judgement(int(naming.sum()), int(near.sum()), float(kept[naming].max(initial=0.0)))
+        return int(naming.sum()), int(near.sum()), float(kept[naming].max(initial=0.0))

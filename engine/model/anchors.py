@@ -80,10 +80,8 @@ def initial_anchors(
     feature: NDArray[np.float32],
     voxel_size: float,
 ) -> Anchors:
-    """Anchors at ``positions`` [M, 3] with class ids ``classes`` [M] (0 unknown) and starting features [M, F].
-
-    A lone point far from all others would start as one huge Gaussian, so the initial scale is at most three voxels.
-    """
+    """Anchors at ``positions`` [M, 3] with class ids ``classes`` [M] (0 unknown) and starting features [M, F]. A lone
+    point far from all others would start as one huge Gaussian, so the initial scale is at most three voxels."""
     count = len(positions)
     log_scale = np.log(np.minimum(spacing(positions), 3.0 * voxel_size))
     return Anchors(
@@ -120,10 +118,8 @@ def seeded_features(
 
 
 def _codes(labels: int, width: int, random: np.random.Generator) -> NDArray[np.float32]:
-    """Zeros for label 0 and a +-1 code for each of 1..``labels``, float32 [``labels`` + 1, ``width``].
-
-    If there are enough codes, no two labels share one, as nothing else would distinguish two identical chairs.
-    """
+    """Zeros for label 0 and a +-1 code for each of 1..``labels``, float32 [``labels`` + 1, ``width``]. If there are
+    enough codes, no two labels share one, as nothing else would distinguish two identical chairs."""
     sides = np.array([-1.0, 1.0], np.float32)
     codes = random.choice(sides, (labels + 1, width))
     codes[0] = 0.0

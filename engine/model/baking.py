@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -17,7 +17,6 @@ from ..result_files import Anchors
 from ..scene import Progress, watched
 from .detail import widened
 from .gaussians import decode_rows, no_labels
-from .neural_gaussians import NeuralGaussians
 from .scene_labels import shown_labels, shown_probabilities
 from .structured import LabelChannels, StructuredScene
 
@@ -77,7 +76,7 @@ class BakedGaussians:
         longest = np.sort(np.minimum(self.scales[kept], FLOATS), axis=1)[:, 1:]
         cover = np.bincount(places, self.opacities[kept] * longest.prod(axis=1))
         kept = kept[cover[places] >= LEAST_COVER]
-        return BakedGaussians(**{field.name: getattr(self, field.name)[kept] for field in fields(self)})
+        return BakedGaussians(**{name: values[kept] for name, values in vars(self).items()})
 
 
 def decided_labels(
@@ -110,12 +109,10 @@ def bake(
     thing_ids: frozenset[int],
     progress: Progress = lambda _done, _total: None,
 ) -> tuple[BakedGaussians, Anchors]:
-    """Decode every anchor as seen from ``viewpoint`` [3] metres. Raises what ``progress`` raises.
-
-    Colours and shapes depend slightly on the viewpoint, which a splat file cannot express; the mean of the camera
-    centres is a fair compromise. Gaussians keep the blur of the training pictures (see ``detail``): without it, viewers
-    show cracks in distant walls.
-    """
+    """Decode every anchor as seen from ``viewpoint`` [3] metres. Raises what ``progress`` raises. Colours and shapes
+    depend slightly on the viewpoint, which a splat file cannot express; the mean of the camera centres is a fair
+    compromise. Gaussians keep the blur of the training pictures (see ``detail``): without it, viewers show cracks in
+    distant walls."""
     centre = torch.from_numpy(viewpoint.copy()).float()
     parts: list[dict[str, NDArray]] = []
     anchor_parts: list[dict[str, NDArray]] = []
@@ -134,38 +131,18 @@ def bake(
         owner, weight = (decoded.kept // k).numpy(), decoded.opacities.numpy()
         if scene.finest is not None:
             decoded = replace(decoded, scales=widened(decoded.scales, scene.finest[rows][owner]))
-        parts.append(_gaussian_columns(decoded, labels, scene.channels, thing_ids))
+        class_id, instance_id = decided_labels(labels, scene.channels, thing_ids)
+        names = ("means", "scales", "opacities", "colours")
+        columns = {name: getattr(decoded, name).numpy() for name in names}
+        quats = torch.nn.functional.normalize(decoded.quats, dim=1).numpy()
+        parts.append({**columns, "quats": quats, "class_id": class_id, "instance_id": instance_id})
         part = _anchor_means(len(rows), owner, weight, decoded.colours.numpy(), labels)
         part["class_id"], part["instance_id"] = decided_labels(part.pop("labels"), scene.channels, thing_ids)
         part["opacity"] = decoded.all_opacities.clamp_min(0).mean(dim=1).numpy()
         anchor_parts.append(part)
-    return BakedGaussians(**_joined(parts)), _baked_anchors(scene, _joined(anchor_parts))
-
-
-def _joined(parts: list[dict[str, NDArray]]) -> dict[str, NDArray]:
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-
-
-def _gaussian_columns(
-    decoded: NeuralGaussians, labels: NDArray[np.float32], channels: LabelChannels, thing_ids: frozenset[int]
-) -> dict[str, NDArray]:
-    """The fields of ``BakedGaussians``."""
-    class_id, instance_id = decided_labels(labels, channels, thing_ids)
-    return {
-        "means": decoded.means.numpy(),
-        "scales": decoded.scales.numpy(),
-        "quats": torch.nn.functional.normalize(decoded.quats, dim=1).numpy(),
-        "opacities": decoded.opacities.numpy(),
-        "colours": decoded.colours.numpy(),
-        "class_id": class_id,
-        "instance_id": instance_id,
-    }
-
-
-def _baked_anchors(scene: StructuredScene, means: dict[str, NDArray]) -> Anchors:
-    """The anchors from their ``_anchor_means`` and decided labels. An anchor without drawn Gaussians gets no class."""
-    is_drawn = means["weight"] > 0
-    return Anchors(
+    means = _joined(anchor_parts)
+    is_drawn = means["weight"] > 0  # the other anchors get no class
+    anchors = Anchors(
         xyz=scene.anchors.position.numpy(),
         class_id=np.where(is_drawn, means["class_id"], 0).astype(np.int32),
         instance_id=np.where(is_drawn, means["instance_id"], 0).astype(np.int32),
@@ -173,6 +150,11 @@ def _baked_anchors(scene: StructuredScene, means: dict[str, NDArray]) -> Anchors
         level=scene.anchors.level.numpy().astype(np.int32),
         rgb=np.round(means["colour"] * 255).astype(np.uint8),
     )
+    return BakedGaussians(**_joined(parts)), anchors
+
+
+def _joined(parts: list[dict[str, NDArray]]) -> dict[str, NDArray]:
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def _anchor_means(
@@ -191,8 +173,5 @@ def _anchor_means(
     for column in shown:
         mean_labels[:, column] = np.bincount(owner, weight * labels[:, column], count)
     mean_labels /= safe
-    return {
-        "weight": total.astype(np.float32),
-        "colour": mean_colour.astype(np.float32),
-        "labels": mean_labels.astype(np.float32),
-    }
+    means = {"weight": total, "colour": mean_colour, "labels": mean_labels}
+    return {name: values.astype(np.float32) for name, values in means.items()}

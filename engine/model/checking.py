@@ -138,11 +138,8 @@ MOST_BYTES = 1 << 35
 
 def read_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
     """The tensors by name, and the notes in the header. Raises ValueError for a damaged file or one larger than memory,
-    and OSError.
-
-    safetensors verifies that the file is complete, so reading needs no more memory than the file's length. A sparse
-    file may be longer than its space on disk.
-    """
+    and OSError. safetensors verifies that the file is complete, so reading needs no more memory than the file's length.
+    A sparse file may be longer than its space on disk."""
     refuse_special(path)
     size, memory = path.stat().st_size, main_memory()
     if size > MOST_BYTES or (memory is not None and size > memory.free):

@@ -23,11 +23,9 @@ MOST_FEATURES = 512
 
 @dataclass(frozen=True)
 class DecoderShape:
-    """The sizes and inputs of the decoders.
-
-    ``distance_input`` adds the distance to the camera to the direction, as in the paper's formula.
-    ``label_view_input`` feeds both to the label decoders too. Without it, an object's label cannot depend on the view.
-    """
+    """The sizes and inputs of the decoders. ``distance_input`` adds the distance to the camera to the direction, as in
+    the paper's formula. ``label_view_input`` feeds both to the label decoders too. Without it, an object's label cannot
+    depend on the view."""
 
     features: int
     gaussians_per_anchor: int
@@ -68,10 +66,8 @@ def drawn_layer(inputs: int, outputs: int, generator: torch.Generator) -> nn.Lin
 
 
 class Decoders(nn.Module):
-    """Opacity, covariance, colour, semantic and instance decoders.
-
-    These are the paper's. Other kinds override methods, and are registered by ``register_head`` under their ``kind``.
-    """
+    """The paper's opacity, covariance, colour, semantic and instance decoders. Other kinds override methods, and are
+    registered by ``register_head`` under their ``kind``."""
 
     kind: ClassVar[str] = "structured"
     shape: DecoderShape
@@ -80,12 +76,8 @@ class Decoders(nn.Module):
         super().__init__()
         self.shape = shape
         generator = torch.Generator().manual_seed(seed)
-        sides = self.sides(shape)
-        self.opacity = _mlp(*sides["opacity"], generator)
-        self.covariance = _mlp(*sides["covariance"], generator)
-        self.colour = _mlp(*sides["colour"], generator)
-        self.semantic = _mlp(*sides["semantic"], generator)
-        self.instance = _mlp(*sides["instance"], generator)
+        mlps = [_mlp(*sides, generator) for sides in self.sides(shape).values()]
+        self.opacity, self.covariance, self.colour, self.semantic, self.instance = mlps
 
     @classmethod
     def sides(cls, shape: DecoderShape) -> dict[str, tuple[int, int]]:
@@ -160,6 +152,7 @@ class Decoders(nn.Module):
 
     decodes_all_anchors: ClassVar[bool] = False
     """Whether all anchors are decoded; otherwise only those whose position the camera sees."""
+
     def own_decoding(
         self,
         anchors: Anchors,

@@ -26,7 +26,7 @@ NEAREST = 0.01
 def finest_pixels(places: NDArray[np.floating], cameras: Sequence[Camera]) -> NDArray[np.float32]:
     """The side in metres, float32 [N], of the smallest pixel that any camera has at each of the ``places`` [N, 3],
     ignoring occlusion; 0 where no picture contains the position."""
-    rows = [[*camera.world_to_camera[:3].ravel(), *_lens(camera)] for camera in cameras]
+    rows = [[*c.world_to_camera[:3].ravel(), c.fx, c.fy, c.cx, c.cy, c.width, c.height] for c in cameras]
     finest = np.zeros(len(places), np.float32)
     _find_finest(np.ascontiguousarray(places, np.float32), np.array(rows).reshape(-1, 18), finest)
     return finest
@@ -42,10 +42,6 @@ def blurred_scales(scales: torch.Tensor, finest: torch.Tensor, depth: torch.Tens
 def widened(scales: torch.Tensor, pixels: torch.Tensor) -> torch.Tensor:
     """Standard deviations ``scales`` [N, 3] metres with the blur of pixels with the side ``pixels`` [N] metres."""
     return (scales.square() + BLUR * pixels.square()[:, None]).sqrt()
-
-
-def _lens(camera: Camera) -> tuple[float, ...]:
-    return camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height
 
 
 @compiled

@@ -17,10 +17,8 @@ NEAR = 0.2
 
 @torch.no_grad()
 def visible_anchors(anchors: Anchors, camera: Camera) -> torch.Tensor:
-    """Indices int64 [V] of the anchors whose 3-sigma box touches the picture (Scaffold-GS's pre-filter).
-
-    Each anchor is taken as a sphere of its largest offset scale: offsets are learnt in this unit, and rarely exceed 3.
-    """
+    """Indices int64 [V] of the anchors whose 3-sigma box touches the picture (Scaffold-GS's pre-filter). Each anchor is
+    taken as a sphere of its largest offset scale: offsets are learnt in this unit, and rarely exceed 3."""
     to_camera = torch.from_numpy(camera.world_to_camera).to(anchors.position.device, non_blocking=True)
     right, down, depth = (to_camera[:3, :3] @ anchors.position.double().T + to_camera[:3, 3:]).unbind(0)
     reach = 3.0 * anchors.log_scale[:, :3].amax(dim=1).double().exp() / depth
@@ -63,11 +61,9 @@ def decode_rows(
     known_labels: torch.Tensor | None = None,
 ) -> NeuralGaussians:
     """Decode the anchors in rows ``visible`` int64 [V] (without repetitions) as seen from ``centre`` [3] metres.
-
     ``channels`` int64 [M]: semantic channel of each anchor's class, -1 if it has none, for the cluster loss.
     ``known_labels`` float32 [M * k, L]: what every Gaussian shows, decoded earlier (see ``SceneLabels``). Then labels
-    are rows of it without a gradient, and there is no cluster loss.
-    """
+    are rows of it without a gradient, and there is no cluster loss."""
     own = decoders.own_decoding(anchors, visible, centre, channels, known_labels)
     if own is not None:
         return own

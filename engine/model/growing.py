@@ -57,7 +57,7 @@ class GrowthStatistics:
         return cls(zeros(count), zeros(count), zeros(count, k), zeros(count, k))
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        return {"visits": self.visits, "opacity": self.opacity, "gradient": self.gradient, "drawn": self.drawn}
+        return dict(vars(self))
 
     def on(self, device: torch.device | str) -> GrowthStatistics:
         return GrowthStatistics(**{name: tensor.to(device) for name, tensor in self.tensors().items()})
@@ -104,10 +104,8 @@ def grow_and_prune(
     random: np.random.Generator,
     most_anchors: int,
 ) -> GrowthRound:
-    """Do one round. The statistics of the judged anchors are set to zero in place.
-
-    Growth stops at a total of ``most_anchors``. ``random`` then also chooses among the candidates.
-    """
+    """Do one round. The statistics of the judged anchors are set to zero in place. Growth stops at a total of
+    ``most_anchors``. ``random`` then also chooses among the candidates."""
     judged = statistics.visits > rules.enough(rules.visited_share, steps_between)
     keep = ~(judged & (statistics.opacity < rules.opacity * statistics.visits))
     seen = statistics.drawn > rules.enough(rules.seen_share, steps_between)
@@ -141,7 +139,17 @@ def grow_and_prune(
             chosen = np.sort(random.choice(len(unique), room, replace=False))
             position, feature = position[chosen], feature[chosen]
         room -= len(position)
-        grown.append(_grown_anchors(position, feature, level + 1, size, k))
+        count = len(position)
+        grown.append(
+            Anchors(
+                position=torch.from_numpy(position),
+                feature=torch.from_numpy(feature),
+                offset=torch.zeros(count, k, 3),
+                log_scale=torch.full((count, 6), float(np.log(size))),
+                level=torch.full((count,), level + 1, dtype=torch.int64),
+                initial_class=torch.full((count,), UNKNOWN_CLASS, dtype=torch.int64),
+            )
+        )
     statistics.gradient[seen] = 0
     statistics.drawn[seen] = 0
     statistics.visits[judged] = 0
@@ -150,17 +158,3 @@ def grow_and_prune(
     for part in grown[1:]:
         added = added.extended(part)
     return GrowthRound(keep, added)
-
-
-def _grown_anchors(
-    position: NDArray[np.float32], feature: NDArray[np.float32], level: int, size: float, gaussians_per_anchor: int
-) -> Anchors:
-    count = len(position)
-    return Anchors(
-        position=torch.from_numpy(position),
-        feature=torch.from_numpy(feature),
-        offset=torch.zeros(count, gaussians_per_anchor, 3),
-        log_scale=torch.full((count, 6), float(np.log(size))),
-        level=torch.full((count,), level, dtype=torch.int64),
-        initial_class=torch.full((count,), UNKNOWN_CLASS, dtype=torch.int64),
-    )

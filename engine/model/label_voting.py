@@ -109,26 +109,22 @@ class LabelVotes:
     @torch.no_grad()
     def result(self) -> GaussianLabels:
         """The likeliest labels of every Gaussian, including the decoders' votes. Their shares sum to 1."""
-        k, kept = self.scene.anchors.gaussians_per_anchor, min(KEPT, self._labels)
+        k, kept, decoders = self.scene.anchors.gaussians_per_anchor, min(KEPT, self._labels), self.scene.decoders
         parts = []
         step = CHUNK * USUAL_LABELS // max(USUAL_LABELS, self._labels)
         for start in range(0, len(self.scene.anchors), step):
             feature = self.scene.anchors.feature.detach()[start : start + step]
             votes = torch.from_numpy(self._held.of_all_labels(start * k, (start + len(feature)) * k, self._labels))
-            if not self.scene.decoders.shape.label_view_input:  # otherwise they need a view
-                votes = votes + self.voting.prior * self._decoded(feature)
+            if not decoders.shape.label_view_input:  # otherwise they need a view
+                logits = decoders.label_logits(feature, feature)
+                classes, slots = (each.flatten(0, 1).softmax(dim=1) for each in logits)
+                instances = slots[:, list(self.scene.channels.instance_slots)]
+                alone = classes * (1 - instances.sum(dim=1, keepdim=True))
+                votes = votes + self.voting.prior * torch.cat([alone, instances], dim=1)
             parts.append(votes.topk(kept, dim=1))
         share = torch.cat([part.values for part in parts])
         label = torch.cat([part.indices for part in parts]).to(torch.int16)
         return GaussianLabels(label, share / share.sum(dim=1, keepdim=True).clamp_min(1e-8))
-
-    def _decoded(self, feature: torch.Tensor) -> torch.Tensor:
-        """The label decoders' probabilities for anchors with these features: those of the classes without an object,
-        then those of the instances, [anchors * k, C + U]."""
-        channels, decoders = self.scene.channels, self.scene.decoders
-        classes, slots = (logits.flatten(0, 1).softmax(dim=1) for logits in decoders.label_logits(feature, feature))
-        instances = slots[:, list(channels.instance_slots)]
-        return torch.cat([classes * (1 - instances.sum(dim=1, keepdim=True)), instances], dim=1)
 
 
 def pixel_labels(scene: StructuredScene, voted: GaussianLabels, view: Contributors) -> NDArray[np.int16]:

@@ -30,10 +30,8 @@ REACH = 3.5
 
 @torch.no_grad()
 def render_view(scene: StructuredScene, camera: Camera, labels: ShownLabels | None = None) -> PanopticRendering:
-    """Colour, depth and label coverage of one view, at the camera's size.
-
-    ``labels``: the result of ``shown_labels`` for the same scene, which saves decoding them for each view.
-    """
+    """Colour, depth and label coverage of one view, at the camera's size. ``labels``: the result of ``shown_labels``
+    for the same scene, which saves decoding them for each view."""
     (rendering,) = render_bands(scene, camera, labels, most_bytes=None)
     return rendering
 
@@ -48,10 +46,8 @@ def render_bands(
     want_surface: bool = True,
 ) -> Iterator[PanopticRendering]:
     """Render the view in bands of rows, from the top, so that the memory does not grow with labels times pixels.
-
     ``most_bytes`` limits a band's label coverage; None: all rows at once. ``labels`` is as for ``render_view``. A depth
-    that is not wanted is 0.
-    """
+    that is not wanted is 0."""
     if labels is None and scene.voted is not None:
         labels = shown_labels(scene)
     known = None if labels is None else no_labels(scene.anchors)

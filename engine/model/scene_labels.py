@@ -56,12 +56,9 @@ ShownLabels = SceneLabels | VotedLabels
 
 def shown_probabilities(classes: torch.Tensor, slots: torch.Tensor, channels: LabelChannels) -> torch.Tensor:
     """Probabilities (or coverage) of classes [..., C] and instances [..., U] together, [..., C + U], from those of the
-    semantic channels [..., C] and of all slots [..., S].
-
-    Where an object has one class throughout, all of an instance counts for its own class, and only the rest follows
-    the semantic channels. So an instance cannot appear with a class other than its own, and a class cannot take the id
-    of an instance that is not there.
-    """
+    semantic channels [..., C] and of all slots [..., S]. Where an object has one class throughout, all of an instance
+    counts for its own class, and only the rest follows the semantic channels. So an instance cannot appear with a class
+    other than its own, and a class cannot take the id of an instance that is not there."""
     used = list(channels.instance_slots)
     instances = slots[..., used]
     if not channels.class_of_slot or not used:
@@ -80,10 +77,8 @@ def shown_labels(scene: StructuredScene) -> ShownLabels | None:
 
 @torch.no_grad()
 def scene_labels(scene: StructuredScene) -> ShownLabels | None:
-    """The labels that the decoders give the Gaussians of a scene that does not change while they are used.
-
-    None if labels depend on the view, or if there are too many to keep.
-    """
+    """The labels that the decoders give the Gaussians of a scene that does not change while they are used. None if
+    labels depend on the view, or if there are too many to keep."""
     anchors, decoders, channels = scene.anchors, scene.decoders, scene.channels
     gaussians = len(anchors) * anchors.gaussians_per_anchor
     width = len(channels.class_ids) + len(channels.instance_slots)

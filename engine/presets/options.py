@@ -51,7 +51,6 @@ class PresetOption:
         text = f"{self.length} {text}" if self.length else text
         return f"{text}, or none" if self.can_be_none else text
 
-
     @property
     def allowed(self) -> list[str]:
         """The texts that are valid in this process."""

@@ -24,11 +24,8 @@ class CloudIndex:
 
     def nearest(self, queries: NDArray[np.floating], reach: float) -> NDArray[np.int32]:
         """Index of the nearest point within ``reach`` metres of each query [..., 3]; int32 [...], -1 where there is
-        none.
-
-        A query halfway between two points takes the lower index. The tree decides between three or more equally near
-        points, the same way on every run.
-        """
+        none. A query halfway between two points takes the lower index. The tree decides between three or more equally
+        near points, the same way on every run."""
         flat = np.asarray(queries, np.float64).reshape(-1, 3)
         found = np.full(len(flat), -1, np.int32)
         usable = np.isfinite(flat).all(axis=1)
@@ -56,8 +53,6 @@ class LabelledPoints:
 
     def project(self, camera: Camera, depth: NDArray[np.float32], reach: float) -> NDArray[np.int32]:
         """Label of the nearest labelled point within ``reach`` metres (twice the anchors' voxel size) of each pixel's
-        surface.
-
-        ``depth`` float32 [H, W] metres; int32 [H, W], 0 (no supervision) where no point is near or there is no depth.
-        """
+        surface; ``depth`` float32 [H, W] metres. int32 [H, W], 0 (no supervision) where no point is near or there is no
+        depth."""
         return self._label[self._index.nearest_of_pixels(camera, depth, reach)]

@@ -28,10 +28,8 @@ _OFFSET = 1 << (_BITS - 1)
 
 
 def cell_keys(points: NDArray[np.floating], size: float) -> NDArray[np.int64]:
-    """The cell of each point, packed into one integer: points [N, 3] and ``size`` in metres, int64 [N].
-
-    Cells are floor(point / size). Raises ValueError when a point lies beyond 2^20 cells.
-    """
+    """The cell floor(point / size) of each point, packed into one integer: points [N, 3] and ``size`` in metres,
+    int64 [N]. Raises ValueError when a point lies beyond 2^20 cells."""
     cells = np.floor(np.asarray(points, np.float64) / size).astype(np.int64)
     if cells.size and (cells.min() < -_OFFSET or cells.max() >= _OFFSET):
         raise ValueError(f"a point lies more than {_OFFSET} cells of {size} m from the origin")
@@ -42,10 +40,7 @@ def cell_keys(points: NDArray[np.floating], size: float) -> NDArray[np.int64]:
 
 def seed_centres(batches: PointBatches, spacing: float, cap: int) -> tuple[NDArray[np.float64], float]:
     """One centre per occupied cell, the mean of its points: float64 [K, 3] with K <= ``cap``, ordered by cell; and the
-    spacing used.
-
-    ``spacing`` (metres) is enlarged until no more than ``cap`` cells are occupied.
-    """
+    spacing used: ``spacing`` (metres) is enlarged until no more than ``cap`` cells are occupied."""
     cells = merged_points(batches(), spacing)
     while len(cells) > cap:
         # Surfaces fill space as the square of the spacing. The small extra makes one or two rounds enough.
@@ -79,10 +74,8 @@ def merge_cells(rows: NDArray[np.float64], spacing: float) -> NDArray[np.float64
 
 
 def lloyd_step(batches: PointBatches, centres: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
-    """Assign each point to the nearest centre within ``spacing`` and return the members' means, float64 [K, 3].
-
-    A centre that lost all its members is dropped, so K may shrink.
-    """
+    """Assign each point to the nearest centre within ``spacing`` and return the members' means, float64 [K, 3]. A
+    centre that lost all its members is dropped, so K may shrink."""
     index = CloudIndex(centres)
     sums, counts = np.zeros((len(centres), 3)), np.zeros(len(centres))
     for points in batches():
@@ -127,11 +120,8 @@ def adapted_centres(
     batches: LabelledBatches, centres: NDArray[np.float64], spacing: float, classes: int, wanted: float, cap: int
 ) -> NDArray[np.float64]:
     """Centres float64 [K, 3] that are dense where labels change, and twice as far apart elsewhere. There are about as
-    many as ``centres``, and at most ``cap``; none are closer than ``wanted`` metres.
-
-    ``centres``: one for every occupied cell of ``spacing`` metres, in the order of the cells; ``classes``: the number
-    of columns of votes.
-    """
+    many as ``centres``, and at most ``cap``; none are closer than ``wanted`` metres. ``centres``: one for every
+    occupied cell of ``spacing`` metres, in the order of the cells; ``classes``: the number of columns of votes."""
     cells = _edges(batches, np.sort(cell_keys(centres, spacing)), spacing, classes)
     share = float(cells.is_edge.mean())
     if share > LEAST_GAIN:

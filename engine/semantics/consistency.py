@@ -28,13 +28,10 @@ OVERLAP_STRIDE = 8
 
 @dataclass(frozen=True)
 class ConsistencyOptions:
-    """How views are compared.
-
-    ``neighbours`` is N_w, half before and half after in recording order; 0 skips the step. A pixel is kept when at
-    least ``agreement`` of the neighbours that see its surface agree: 1.0 is the paper's product, 0.75 keeps more at a
-    similar error. A pixel that no neighbour sees is kept (the empty product is 1). The depth test allows
-    max(``depth_tolerance_m``, ``depth_tolerance_share`` * z).
-    """
+    """How views are compared. ``neighbours`` is N_w, half before and half after in recording order; 0 skips the step. A
+    pixel is kept when at least ``agreement`` of the neighbours that see its surface agree: 1.0 is the paper's product,
+    0.75 keeps more at a similar error. A pixel that no neighbour sees is kept (the empty product is 1). The depth test
+    allows max(``depth_tolerance_m``, ``depth_tolerance_share`` * z)."""
 
     neighbours: int = 8
     agreement: float = 1.0
@@ -155,10 +152,8 @@ def regions(mask: PanopticMask) -> NDArray[np.int32]:
 
 def pseudo_labels(mask: PanopticMask, rendered_class: NDArray[np.int32], least_area: int) -> NDArray[np.int32]:
     """s_pse: each region takes the majority of the rendered classes in it; int32 [H, W], 0 = no supervision.
-
     ``rendered_class`` int32 [H, W]; 0 = nothing rendered, which does not vote. Ties go to the lower id. Regions of
-    fewer than ``least_area`` pixels keep the rendered class pixel by pixel; void regions stay 0.
-    """
+    fewer than ``least_area`` pixels keep the rendered class pixel by pixel; void regions stay 0."""
     region = regions(mask)
     count = int(region.max(initial=0)) + 1
     ids, column = np.unique(rendered_class, return_inverse=True)

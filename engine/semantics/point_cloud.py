@@ -40,10 +40,8 @@ class CloudOptions:
 @dataclass(frozen=True, eq=False)
 class SemanticPointCloud:
     """Clusters: ``xyz`` float32 [N, 3] world metres, ``rgb`` uint8 [N, 3], ``class_id`` int32 [N] (0 = unknown),
-    ``confidence`` float32 [N] (share of the winner among the votes, 0 without votes).
-
-    ``votes`` float32 [N, C] holds the votes for each class of ``class_ids`` (length C); ``spacing`` in metres.
-    """
+    ``confidence`` float32 [N] (share of the winner among the votes, 0 without votes). ``votes`` float32 [N, C] holds
+    the votes for each class of ``class_ids`` (length C); ``spacing`` in metres."""
 
     xyz: NDArray[np.float32]
     rgb: NDArray[np.uint8]
@@ -64,10 +62,8 @@ class SemanticPointCloud:
 def majority_vote(
     votes: NDArray[np.floating], class_ids: Sequence[int], majority: float
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """The winner of each row of votes [N, C]: class id int32 [N] and its share float32 [N].
-
-    Ties go to the lower id. The class is 0 (unknown) below the share ``majority``, and without votes.
-    """
+    """The winner of each row of votes [N, C]: class id int32 [N] and its share float32 [N]. Ties go to the lower id.
+    The class is 0 (unknown) below the share ``majority``, and without votes."""
     if not votes.shape[1]:
         return np.zeros(len(votes), np.int32), np.zeros(len(votes), np.float32)
     winner = votes.argmax(1)
@@ -85,13 +81,14 @@ def build_point_cloud(
     progress: Progress | None = None,
 ) -> SemanticPointCloud:
     """Cluster all pixels with depth and let those of ``keep`` (bool [H, W] per view, in order) vote on the labels.
-
-    Raises ValueError when no pixel has depth. Streams over the views; only the clusters stay in memory.
-    """
+    Raises ValueError when no pixel has depth. Streams over the views; only the clusters stay in memory."""
     report = progress or (lambda done, total: None)
     total, done = (2 + LLOYD_STEPS) * len(views), 0
     columns = np.asarray(class_ids)
-    stride = _stride(views, options.most_pixels)
+    # The step in rows and columns between the pixels that are used.
+    stride, pixels = 1, sum(view.camera.width * view.camera.height for view in views)
+    while options.most_pixels is not None and pixels / stride**2 > options.most_pixels:
+        stride += 1
 
     def batches() -> Iterable[NDArray[np.float64]]:
         nonlocal done
@@ -122,15 +119,6 @@ def build_point_cloud(
     return SemanticPointCloud(
         centres.astype(np.float32), tally.colour, class_id, confidence, tally.votes, tuple(class_ids), spacing
     )
-
-
-def _stride(views: Sequence[View], most_pixels: int | None) -> int:
-    """The step in rows and columns between the pixels that are used."""
-    pixels = sum(view.camera.width * view.camera.height for view in views)
-    stride = 1
-    while most_pixels is not None and pixels / stride**2 > most_pixels:
-        stride += 1
-    return stride
 
 
 def _points(view: View, stride: int) -> NDArray[np.float64]:
@@ -186,10 +174,8 @@ class _Tally:
 
 
 def voxelise(points: NDArray[np.floating], voxel_size: float) -> NDArray[np.float32]:
-    """V = {[P / eps]} * eps: points [N, 3] and eps in metres to anchor positions float32 [M, 3], in lexical order.
-
-    [.] rounds half to even.
-    """
+    """V = {[P / eps]} * eps: points [N, 3] and eps in metres to anchor positions float32 [M, 3], in lexical order. [.]
+    rounds half to even."""
     voxels, _ = _voxels(points, voxel_size)
     return (voxels * voxel_size).astype(np.float32)
 
@@ -201,12 +187,14 @@ def label_anchors(
     voxel_size: float,
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """s_v: class and instance of each anchor, int32 [M] each, by the majority of the cloud's points in its voxel.
-
     Unknown points (0) do not vote. An anchor without votes gets 0, and ties go to the lower id. ``instance_of_point``
-    int32 [N]: an anchor takes its instance from the points that carry its class.
-    """
-    voxel_of_point, anchor_of_voxel = _shared_voxels(cloud.xyz, anchor_xyz, voxel_size)
-    anchor = anchor_of_voxel[voxel_of_point]
+    int32 [N]: an anchor takes its instance from the points that carry its class."""
+    both = np.concatenate([np.asarray(cloud.xyz, np.float64), np.asarray(anchor_xyz, np.float64)])
+    voxels, voxel = _voxels(both, voxel_size)
+    anchor_of_voxel = np.full(len(voxels), -1, np.int64)
+    # Backwards, so that a voxel gets the first of several anchors.
+    anchor_of_voxel[voxel[len(cloud) :][::-1]] = np.arange(len(anchor_xyz))[::-1]
+    anchor = anchor_of_voxel[voxel[: len(cloud)]]
     class_id = _majority(anchor, cloud.class_id, len(anchor_xyz))
     agrees = (anchor >= 0) & (cloud.class_id == class_id[np.maximum(anchor, 0)])
     return class_id, _majority(np.where(agrees, anchor, -1), instance_of_point, len(anchor_xyz))
@@ -217,17 +205,6 @@ def _voxels(points: NDArray[np.floating], voxel_size: float) -> tuple[NDArray[np
     rounded = np.rint(np.asarray(points, np.float64).reshape(-1, 3) / voxel_size)
     voxels, inverse = distinct_rows(rounded.astype(np.int64))
     return voxels.astype(np.float64), inverse
-
-
-def _shared_voxels(
-    points: NDArray[np.floating], anchors: NDArray[np.floating], voxel_size: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Voxel of each point [N] and the anchor of each voxel (-1 where none; the first of several)."""
-    both = np.concatenate([np.asarray(points, np.float64), np.asarray(anchors, np.float64)])
-    voxels, inverse = _voxels(both, voxel_size)
-    anchor_of_voxel = np.full(len(voxels), -1, np.int64)
-    anchor_of_voxel[inverse[len(points) :][::-1]] = np.arange(len(anchors))[::-1]
-    return inverse[: len(points)], anchor_of_voxel
 
 
 def _majority(group: NDArray[np.int64], label: NDArray[np.int32], groups: int) -> NDArray[np.int32]:

@@ -42,21 +42,16 @@ def compare_in_torch(
     """``compare`` with a photo uint8 [H, W, 3], whose moments are not kept: those of all views may not fit."""
     assert isinstance(photo, torch.Tensor)  # as `place_in_torch` makes it
     y = photo.float() / 255.0
-    blurred = _blurred(torch.cat([image, image * image, image * y, y, y * y], dim=2))
+    planes = torch.cat([image, image * image, image * y, y, y * y], dim=2).permute(2, 0, 1)[:, None]
+    window = torch.from_numpy(WINDOW_WEIGHTS.reshape(-1)).to(planes.device, non_blocking=True)
+    across = functional.conv2d(planes, window.view(1, 1, 1, -1), padding=(0, REACH))  # zeros around the picture
+    blurred = functional.conv2d(across, window.view(1, 1, -1, 1), padding=(REACH, 0))[:, 0].permute(1, 2, 0)
     mean, square, product, y_mean, y_square = blurred.split(3, dim=2)
     luminance = 2 * mean * y_mean + float(C1)
     structure = 2 * (product - mean * y_mean) + float(C2)
     variances = (square - mean * mean) + (y_square - y_mean * y_mean)
     ssim = luminance * structure / ((mean * mean + y_mean * y_mean + float(C1)) * (variances + float(C2)))
     return l1_weight * (image - y).abs().mean() + ssim_weight * ssim.mean()
-
-
-def _blurred(pictures: torch.Tensor) -> torch.Tensor:
-    """Pictures [H, W, C] blurred by SSIM's window, with zeros around them."""
-    window = torch.from_numpy(WINDOW_WEIGHTS.reshape(-1)).to(pictures.device, non_blocking=True)
-    planes = pictures.permute(2, 0, 1)[:, None]
-    across = functional.conv2d(planes, window.view(1, 1, 1, -1), padding=(0, REACH))
-    return functional.conv2d(across, window.view(1, 1, -1, 1), padding=(REACH, 0))[:, 0].permute(1, 2, 0)
 
 
 @torch.no_grad()

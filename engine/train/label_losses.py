@@ -27,12 +27,10 @@ def label_losses(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """L_sem without L_cluster, and L_ins: -log of the rendered probability of the target label, as the mean over the
     pixels with a target. The losses of a pixel's two instance targets (linear assignment and M_match) are added.
-
     ``coverage`` float32 [H, W, C + S] holds blended probabilities of ``classes`` C classes, then of S slots; ``alpha``
     [H, W] is only a divisor: no gradient reaches it, since only the reconstruction loss may reach opacity. Targets are
-    int16 [H, W]: the number of the class or slot, -1 where it is unknown. A loss without any target is 0.
-    Differentiable once.
-    """
+    int16 [H, W]: the number of the class or slot, -1 where it is unknown. A loss without a target is 0. Differentiable
+    once."""
     losses: tuple[torch.Tensor, torch.Tensor] = _LabelLosses.apply(coverage, alpha, classes, semantic, *instance)
     return losses
 
@@ -96,12 +94,9 @@ class ThingSegments:
 def assigned_slots(
     coverage: torch.Tensor, alpha: torch.Tensor, first: int, things: ThingSegments, no_object: int | None = None
 ) -> torch.Tensor:
-    """The target slot of each pixel, int16 [H, W], -1 where there is none.
-
-    ``coverage`` float32 [H, W, C] holds the blended slot probabilities from channel ``first`` on; divided by ``alpha``
-    [H, W] they are probabilities. No thing is assigned to the slot ``no_object``. From a device, only the matrix of the
-    mean probabilities is copied.
-    """
+    """The target slot of each pixel, int16 [H, W], -1 where there is none. ``coverage`` float32 [H, W, C] holds the
+    blended slot probabilities from channel ``first`` on; divided by ``alpha`` [H, W] they are probabilities. No thing
+    is assigned to the slot ``no_object``. From a device, only the matrix of the mean probabilities is copied."""
     slots, segments = coverage.shape[-1] - first, len(things.pixels)
     row, slot_of_segment = torch.as_tensor(things.row).long(), np.full(segments + 1, NO_SLOT, np.int16)
     if slots and segments:

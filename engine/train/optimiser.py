@@ -51,11 +51,9 @@ Moments = tuple[torch.Tensor, torch.Tensor]
 def adam_step(
     parameters: Sequence[torch.Tensor], moments: Sequence[Moments], count: int, rate: float, *, eps: float, fused: bool
 ) -> None:
-    """Move ``parameters`` along their gradients, update ``moments`` in place and drop the gradients.
-
-    ``count`` steps came before. The moments of a parameter without a gradient decay. torch's own class Adam
-    imports torch's compiler, which takes 3 s.
-    """
+    """Move ``parameters`` along their gradients, update ``moments`` in place and drop the gradients. ``count`` steps
+    came before. The moments of a parameter without a gradient decay. torch's own class Adam imports torch's compiler,
+    which takes 3 s."""
     gradients = [torch.zeros_like(each) if each.grad is None else each.grad for each in parameters]
     means, squares = [mean for mean, _ in moments], [square for _, square in moments]
     counts = [each.new_full((), float(count)) for each in parameters]
@@ -153,8 +151,10 @@ class Optimiser:
         for name in Anchors.LEARNT:
             parameter, moments = getattr(anchors, name).requires_grad_(), self.moments.get(f"anchors.{name}")
             if moments is not None:
-                mean, square = (_resized(each[keep], parameter.shape) for each in moments)
-                self.moments[f"anchors.{name}"] = mean, square
+                grown = no_moments(parameter)
+                for new, old in zip(grown, moments, strict=True):
+                    new[: int(keep.sum())] = old[keep]
+                self.moments[f"anchors.{name}"] = grown
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """First and second moments by parameter name."""
@@ -171,9 +171,3 @@ class Optimiser:
             for name, _ in self._named()
             if f"{name}.mean" in tensors
         }
-
-
-def _resized(rows: torch.Tensor, size: torch.Size) -> torch.Tensor:
-    grown = rows.new_zeros(size)
-    grown[: len(rows)] = rows
-    return grown

@@ -24,14 +24,13 @@ LEAST_WEIGHT = 0.1
 def exposure_gains(
     photos: Sequence[NDArray[np.uint8]], point_of_pixel: Sequence[NDArray[np.int32]], points: int
 ) -> NDArray[np.float64]:
-    """How much brighter each photo shows the room than the photos do on average, by channel: float64 [N, 3].
+    """How much brighter each photo shows the room than the photos do on average, by channel: float64 [N, 3]. ``photos``
+    uint8 [H, W, 3]; ``point_of_pixel`` int32 [H, W] per photo: the point of the cloud (of ``points`` points) that each
+    pixel shows, -1 = none.
 
-    ``photos`` uint8 [H, W, 3]; ``point_of_pixel`` int32 [H, W] per photo: the point of the cloud (of ``points`` points)
-    that each pixel shows, -1 = none. Auto exposure and white balance multiply light, which is nearly a gain of encoded
-    values too: the logarithm of a pixel is its photo's gain plus its point's colour. Least squares separate the two
-    over all pixels, twice, the second time without outliers. The gains' geometric mean is 1. Photos are read one at a
-    time, and only sums are held.
-    """
+    Auto exposure and white balance multiply light, which is nearly a gain of encoded values too: the logarithm of a
+    pixel is its photo's gain plus its point's colour. Least squares separate the two over all pixels, twice, the second
+    time without outliers. The gains' geometric mean is 1. Photos are read one at a time, and only sums are held."""
     fit: _Fit | None = None
     for _ in range(2):
         fit = _least_squares(_log_colour_sums(photos, point_of_pixel, points, fit))
@@ -96,10 +95,8 @@ def _log_colour_sums(
 
 
 def sharpness_weights(photos: Iterable[NDArray[np.uint8]]) -> NDArray[np.float64]:
-    """The weight of each photo uint8 [H, W, 3], in recording order, in the picture loss: float64 [N] in (0, 1].
-
-    A photo blurred by motion has less detail than its neighbours, which show about the same.
-    """
+    """The weight of each photo uint8 [H, W, 3], in recording order, in the picture loss: float64 [N] in (0, 1]. A photo
+    blurred by motion has less detail than its neighbours, which show about the same."""
     details = np.array([photo_detail(photo) for photo in photos])
     weights = np.ones(len(details))
     for index, own in enumerate(details):

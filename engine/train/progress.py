@@ -51,8 +51,7 @@ class Course:
 
 class StageProgress:
     """Called with (done, total, loss) inside a stage; raises Cancelled when the lift should stop. ``course`` knows how
-    long the later stages take.
-    """
+    long the later stages take."""
 
     def __init__(self, name: str, events: EventWriter, stop: StopSignal, course: Course | None = None) -> None:
         self.name, self.events, self.stop, self.course = name, events, stop, course
@@ -68,7 +67,8 @@ class StageProgress:
         if now - self.reported < REPORT_EVERY_S and (done < total or done == self.last):
             return
         self.reported, self.last = now, done
-        eta = self._remaining(done, total, now)
+        counted = done - self.first  # None before there is a pace; then the mean pace of this run so far
+        eta = round((total - done) * (now - self.began) / counted, 1) if counted else None
         whole = None if self.course is None else self.course.left(self.name, done / max(total, 1), eta, now)
         self.events.progress(self.name, done, total, loss=loss, eta_s=eta, left_s=whole)
 
@@ -76,17 +76,10 @@ class StageProgress:
         """A progress callback (done, total) for the part of the stage between the shares ``begin`` and ``end``."""
         return part_of(self, begin, end)
 
-    def _remaining(self, done: int, total: int, now: float) -> float | None:
-        """Seconds left at the mean pace of this run so far; None before there is a pace."""
-        assert self.first is not None
-        counted = done - self.first
-        return round((total - done) * (now - self.began) / counted, 1) if counted else None
-
 
 class StageReporter:
-    """Announces the stages in order and records how long each took (``timings``, seconds). Once it has a
-    ``course``, stages report how long the whole run still takes.
-    """
+    """Announces the stages in order and records how long each took (``timings``, seconds). Once it has a ``course``,
+    stages report how long the whole run still takes."""
 
     def __init__(self, events: EventWriter, stop: StopSignal, labels: Mapping[str, str]) -> None:
         self.events, self.stop, self.labels = events, stop, labels

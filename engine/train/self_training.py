@@ -29,11 +29,9 @@ def pseudo_label_steps(every: float, steps: int) -> frozenset[int]:
 
 @dataclass(frozen=True)
 class PseudoLabels:
-    """The pseudo labels of one view, packed: regions of one label compress to a hundredth.
-
-    ``classes``: bytes of semantic channels int16 [H, W], -1 = nothing; ``slots``: the same of instance slots, or None
-    if segments were given no objects.
-    """
+    """The pseudo labels of one view, packed: regions of one label compress to a hundredth. ``classes``: bytes of
+    semantic channels int16 [H, W], -1 = nothing; ``slots``: the same of instance slots, or None if segments were given
+    no objects."""
 
     shape: tuple[int, int]
     classes: bytes

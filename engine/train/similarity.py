@@ -98,14 +98,8 @@ def _compare_strips(
         known = slice(near.start - far.start, near.stop - far.start)
         mean, square, product = (_blur(each)[known] for each in (x, x * x, x * y))
         ssim = np.empty_like(mean)
-        _similarity(
-            mean.ravel(),
-            square.ravel(),
-            product.ravel(),
-            photo.mean[near].ravel(),
-            photo.variance[near].ravel(),
-            ssim.ravel(),
-        )
+        given = (mean, square, product, photo.mean[near], photo.variance[near], ssim)
+        _similarity(*(each.ravel() for each in given))
         own = slice(first - near.start, end - near.start)
         slopes = [_blur(slope)[own].ravel() for slope in (mean, square, product)]
         pair = image[first:end].ravel(), photo.values[first:end].ravel()

@@ -38,10 +38,8 @@ def trainer_state(trainer: Trainer) -> tuple[dict[str, torch.Tensor], dict[str, 
 
 
 def restore(trainer: Trainer, tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -> None:
-    """Put ``trainer`` (made for the same input, preset and seed) into a stored state.
-
-    Raises ValueError, KeyError or TypeError if it is damaged or belongs to another lift; the trainer is then unchanged.
-    """
+    """Put ``trainer`` (made for the same input, preset and seed) into a stored state. Raises ValueError, KeyError or
+    TypeError if it is damaged or belongs to another lift; the trainer is then unchanged."""
     scene = from_tensors(_under("model.", tensors), facts["model"])
     _check(trainer, scene, tensors, facts)
     trainer.scene = scene

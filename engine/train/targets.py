@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from ..model.structured import NO_OBJECT, LabelChannels
 from ..scene import Camera, View
@@ -21,15 +20,12 @@ class ViewTargets:
 
     ``photo`` is sRGB-encoded, in [0, 1], with its moments for SSIM; on a device it is uint8 [H, W, 3]. ``projected``
     int16 [H, W]: semantic channel of the projected point cloud, -1 = none. ``matched`` int16 [H, W]: instance slot of
-    M_match, -1 = none.
-    ``things`` are the thing segments of the input mask. ``pseudo`` int16 [H, W]: semantic channel of the pseudo
-    labels, None before the self-training stage; ``pseudo_slot`` int16 [H, W]: the slots, if segments were given objects
-    as well; they then replace ``matched``.
-
-    ``depth`` float32 [H, W] is the sensor's, metres (0 = none); ``border`` bool [H, W], or None, where the photo shows
-    only a black border; ``weight`` how much the photo counts compared with sharper ones; ``gain`` float32 [3], or None,
-    its exposure relative to the room's. ``columns``: the label channels in which the view is compared, if they are
-    kept.
+    M_match, -1 = none. ``things`` are the thing segments of the input mask. ``pseudo`` int16 [H, W]: semantic channel
+    of the pseudo labels, None before the self-training stage; ``pseudo_slot`` int16 [H, W]: the slots, if segments were
+    given objects as well; they then replace ``matched``. ``depth`` float32 [H, W] is the sensor's, metres (0 = none);
+    ``border`` bool [H, W], or None, where the photo shows only a black border; ``weight`` how much the photo counts
+    compared with sharper ones; ``gain`` float32 [3], or None, its exposure relative to the room's. ``columns``: the
+    label channels in which the view is compared, if they are kept.
     """
 
     name: str
@@ -55,28 +51,21 @@ class ViewTargets:
         return self.matched if self.pseudo_slot is None else self.pseudo_slot
 
 
-def columns_of(labels: NDArray[np.integer], ids: tuple[int, ...]) -> torch.Tensor:
-    """Labels of any shape as channel numbers, int64: the index of each in ``ids`` (all >= 0), -1 for 0 and for labels
-    that are not in ``ids``."""
-    return torch.from_numpy(_indices(labels, ids, np.dtype(np.int64)))
-
-
-def _indices(labels: NDArray[np.integer], ids: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """``columns_of`` as an array."""
+def columns_of(labels: NDArray[np.integer], ids: tuple[int, ...], dtype: DTypeLike = np.int64) -> torch.Tensor:
+    """Labels of any shape as channel numbers of this ``dtype``: the index of each in ``ids`` (all >= 0), -1 for 0 and
+    for labels that are not in ``ids``."""
     table = np.full(max(int(labels.max(initial=0)), max(ids, default=0)) + 1, -1, dtype)
     for column, label in enumerate(ids):
         if label:
             table[label] = column
-    return table[np.maximum(labels, 0)]
+    return torch.from_numpy(table[np.maximum(labels, 0)])
 
 
 def slots_of(instances: NDArray[np.integer], known: NDArray[np.bool_], channels: LabelChannels) -> torch.Tensor:
     """Instance ids of any shape (0 = none) as slots, int16: "no object" for 0 where objects are ``known``,
     otherwise -1."""
-    instance_ids = tuple(max(slot, 0) for slot in channels.slot_ids)
-    slots = _indices(instances, instance_ids, np.dtype(np.int16))
-    slots[known & (instances == 0)] = channels.slot_ids.index(NO_OBJECT)
-    return torch.from_numpy(slots)
+    slots = columns_of(instances, tuple(max(slot, 0) for slot in channels.slot_ids), np.int16)
+    return slots.masked_fill_(torch.from_numpy(known & (instances == 0)), channels.slot_ids.index(NO_OBJECT))
 
 
 def view_targets(
@@ -100,7 +89,7 @@ def view_targets(
         name=view.name,
         camera=view.camera,
         photo=PhotoMoments.of(torch.from_numpy(view.colour.astype(np.float32) / 255.0)),
-        projected=torch.from_numpy(_indices(projected_class, channels.class_ids, np.dtype(np.int16))),
+        projected=columns_of(projected_class, channels.class_ids, np.int16),
         matched=matched,
         things=ThingSegments.of(np.where(is_thing, view.mask.ids, 0)),
         depth=torch.from_numpy(view.depth if view.border is None else np.where(view.border, np.float32(0), view.depth)),

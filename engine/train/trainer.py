@@ -30,8 +30,6 @@ from .similarity import PhotoMoments, compare, photo_values
 from .targets import ViewTargets, columns_of
 
 # The losses of picture, size and depth; those of labels are in ``label_losses`` (the paper's "Loss Functions").
-#
-# Their weights are ``LossWeights`` (``engine/presets/preset.py``); ``Trainer._losses`` computes the weighted sum.
 
 NEAR = 0.5
 """Metres: errors at smaller depths count as much as at this depth."""
@@ -58,14 +56,10 @@ def reconstruction_loss(
 
 
 def depth_loss(depth: torch.Tensor, alpha: torch.Tensor, sensor: torch.Tensor) -> torch.Tensor:
-    """The depth loss. It is ours: the paper supervises the geometry by pictures alone.
-
-    Mean over the pixels with depth of min(1, (|D - alpha d| + (1 - alpha) d / 2) / max(d, NEAR)), weighted by the
-    sensor's noise; 0 where no pixel has depth.
-
-    ``depth`` D float32 [H, W] is the unnormalised rendered depth in metres, ``alpha`` [H, W] the coverage, ``sensor`` d
-    [H, W] metres, 0 = none. The limit of 1 makes it robust: an error as large as the depth itself counts once.
-    """
+    """The depth loss. It is ours: the paper supervises the geometry by pictures alone. Mean over the pixels with depth
+    of min(1, (|D - alpha d| + (1 - alpha) d / 2) / max(d, NEAR)), weighted by the sensor's noise; 0 where no pixel has
+    depth. ``depth`` D float32 [H, W] is the unnormalised rendered depth in metres, ``alpha`` [H, W] the coverage,
+    ``sensor`` d [H, W] metres, 0 = none. The limit of 1 makes it robust: an error as large as the depth counts once."""
     known = sensor > 0
     gap = (depth - alpha * sensor).abs() + 0.5 * (1.0 - alpha) * sensor
     weight = known / (1.0 + (sensor / NOISY) ** 2)
@@ -129,13 +123,9 @@ class Step(NamedTuple):
     weights: LossWeights
 
 
-def weighted_depth_loss(step: Step) -> torch.Tensor:
-    """``depth_loss`` with its weight."""
-    drawn = step.rendering
-    return step.weights.depth * depth_loss(drawn.depth, drawn.alpha, step.target.depth)
-
-
-LOSSES: Parts[Callable[[Step], torch.Tensor]] = Parts("loss", {"depth": weighted_depth_loss})
+LOSSES: Parts[Callable[[Step], torch.Tensor]] = Parts(
+    "loss", {"depth": lambda s: s.weights.depth * depth_loss(s.rendering.depth, s.rendering.alpha, s.target.depth)}
+)
 """The terms of the loss that the preset's ``losses`` name."""
 
 
@@ -167,7 +157,10 @@ class Trainer:
         schedule = self.growth_schedule
         self.growth_steps = max(round(schedule.grow_every * preset.steps), schedule.at_least_steps)
         self.pseudo_label_steps = pseudo_label_steps(preset.schedule.self_training_every, preset.steps)
-        self.optimiser = Optimiser(scene.anchors, scene.decoders, self.rates, _extent(views))
+        # As in Scaffold-GS: 1.1 times the greatest distance of a camera from the mean camera centre, in metres.
+        centres = np.array([view.camera.centre for view in views])
+        extent = 1.1 * max(float(np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()), 1e-2)
+        self.optimiser = Optimiser(scene.anchors, scene.decoders, self.rates, extent)
         self.statistics = GrowthStatistics.empty(scene.anchors)
         self.device, self.arithmetic = torch.device("cpu"), KERNELS
         self._placed: dict[int, ViewTargets] = {}
@@ -208,12 +201,6 @@ class Trainer:
         self._placed[number] = self.arithmetic.place(target, self.device)
         return self._placed[number]
 
-    def _view_of_step(self, step: int) -> ViewTargets:
-        """The view of a step. Each epoch has a new random order of all views."""
-        epoch, position = divmod(step, len(self.targets))
-        order = np.random.default_rng([self.seed, 1, epoch]).permutation(len(self.targets))
-        return self.target(int(order[position]))
-
     def step(self, check: Callable[[], None] = lambda: None) -> StepReport:
         """Make pseudo labels if they are due, do one optimisation step on one view, then grow if it is due.
 
@@ -222,31 +209,44 @@ class Trainer:
         """
         if self.step_number in self.pseudo_label_steps:
             self.refresh_pseudo_labels(check)
-        target = self._view_of_step(self.step_number)
+        epoch, position = divmod(self.step_number, len(self.targets))  # each epoch has a new random order of all views
+        order = np.random.default_rng([self.seed, 1, epoch]).permutation(len(self.targets))
+        target = self.target(int(order[position]))
         self.clock.start()
         with_labels = self.step_number % self.preset.label_every == 0
         gaussians = self._decode(target, with_labels)
         self.clock.lap("decode, forward")
         columns = self._columns_to_draw(target) if with_labels else None
-        labels = None if columns is None else _of_columns(gaussians.labels, columns)
+        labels = None if columns is None else gaussians.labels
+        if labels is not None and columns is not None and len(columns) < labels.shape[1]:
+            # To copy all columns, too, would take a quarter of the paper's step.
+            labels = labels.index_select(1, torch.from_numpy(columns).to(labels.device, non_blocking=True))
         backend = self.arithmetic.backend
         rendering = gaussians.drawn_by(target.camera, labels, want_means2d_grad=True, backend=backend)
         self.clock.lap("rasterise, forward")
         losses = self._losses(gaussians, rendering, target, columns)
-        self._descend(losses.total, gaussians, rendering)
+        drawn = (gaussians.means, gaussians.scales, gaussians.quats, gaussians.opacities, gaussians.colours)
+        layers = [rendering.image] if rendering.labels is None else [rendering.image, rendering.labels]
+        self.clock.lap_on_way_back(layers, "losses, backward")
+        self.clock.lap_on_way_back(drawn, "rasterise, backward")
+        losses.total.backward()
+        self.clock.lap("decode, backward")
         terms = torch.stack([each.detach() for each in (*losses[:4], *losses.further.values())])
         loss, reconstruction, semantic, instance, *further = terms.tolist()  # on a device this waits for the step
         if not math.isfinite(loss):
             raise FloatingPointError(f"the loss of step {self.step_number + 1} is {loss}; the scene diverged")
-        progress = self.step_number / self.preset.steps
-        self._gather_statistics(gaussians, rendering, target, progress)
+        progress, schedule = self.step_number / self.preset.steps, self.growth_schedule
+        if schedule.statistics_from <= progress < schedule.grow_until:
+            camera, moved = target.camera, rendering.means2d.grad
+            assert moved is not None  # it was requested, and the backward pass is over
+            self.statistics.add(gaussians, rendering.visible, moved, camera.width, camera.height)
         self.clock.lap("growth statistics")
         self.optimiser.step(progress, gaussians.visible, self.arithmetic.move_rows)
         self.clock.lap("optimiser")
         self.step_number += 1
         self._after_step(with_labels)
-        named, drawn = dict(zip(losses.further, further, strict=True)), len(gaussians.opacities)
-        report = StepReport(self.step_number, loss, reconstruction, semantic, instance, drawn, named)
+        named, count = dict(zip(losses.further, further, strict=True)), len(gaussians.opacities)
+        report = StepReport(self.step_number, loss, reconstruction, semantic, instance, count, named)
         self.clock.lap("the rest")
         return report
 
@@ -316,15 +316,6 @@ class Trainer:
             image = torch.where(target.border[..., None], photo, image)
         return image
 
-    def _descend(self, loss: torch.Tensor, gaussians: NeuralGaussians, rendering: Rendering) -> None:
-        """Do the backward pass."""
-        drawn = (gaussians.means, gaussians.scales, gaussians.quats, gaussians.opacities, gaussians.colours)
-        layers = [rendering.image] if rendering.labels is None else [rendering.image, rendering.labels]
-        self.clock.lap_on_way_back(layers, "losses, backward")
-        self.clock.lap_on_way_back(drawn, "rasterise, backward")
-        loss.backward()
-        self.clock.lap("decode, backward")
-
     def _label_losses(
         self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, columns: NDArray[np.int64]
     ) -> tuple[torch.Tensor, torch.Tensor]:
@@ -358,24 +349,12 @@ class Trainer:
         self.clock.lap("label losses")
         return losses
 
-    def _gather_statistics(
-        self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, progress: float
-    ) -> None:
-        schedule = self.growth_schedule
-        if schedule.statistics_from <= progress < schedule.grow_until:
-            camera, moved = target.camera, rendering.means2d.grad
-            assert moved is not None  # it was requested, and the backward pass is over
-            self.statistics.add(gaussians, rendering.visible, moved, camera.width, camera.height)
-
     def _after_step(self, with_labels: bool) -> None:
         """Grow if it is due. ``with_labels``: whether the step has trained labels."""
         schedule, steps = self.growth_schedule, self.preset.steps
         growing = schedule.grow_from * steps < self.step_number < schedule.grow_until * steps
-        if growing and self.step_number % self.growth_steps == 0:
-            self._grow()
-
-    def _grow(self) -> None:
-        """A round of growth, on the CPU."""
+        if not growing or self.step_number % self.growth_steps:
+            return
         self._move_state(torch.device("cpu"))
         round_ = self._growth_round(np.random.default_rng([self.seed, 2, self.step_number]))
         statistics = {name: tensor[round_.keep] for name, tensor in self.statistics.tensors().items()}
@@ -407,17 +386,3 @@ class Trainer:
             fresh.append(rendered_labels(view.mask, render_view(self.scene, view.camera, shown), channels, least))
         self.pseudo = fresh
         self._placed.clear()
-
-
-def _extent(views: Sequence[View]) -> float:
-    """1.1 times the greatest distance of a camera from the mean camera centre, in metres, as in Scaffold-GS."""
-    centres = np.array([view.camera.centre for view in views])
-    return 1.1 * max(float(np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()), 1e-2)
-
-
-def _of_columns(labels: torch.Tensor, columns: NDArray[np.int64]) -> torch.Tensor:
-    """These columns of labels [N, L]. All columns are returned without a copy, which takes a quarter of the paper's
-    step."""
-    if len(columns) == labels.shape[1]:
-        return labels
-    return labels.index_select(1, torch.from_numpy(columns).to(labels.device, non_blocking=True))

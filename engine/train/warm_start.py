@@ -36,11 +36,9 @@ def warm_start(
     progress: Progress = lambda *_: None,
 ) -> None:
     """Fit the colour, semantic and instance decoders in place to the initial anchors; raise the opacities a little.
-
     ``colour`` uint8 [M, 3] and ``instance_id`` int32 [M] (0 = none) are the anchors', the latter None if nothing is
     known about objects; ``viewpoints`` float64 [N, 3] metres: the camera centres, from which colours are seen.
-    Deterministic for a seed.
-    """
+    Deterministic for a seed."""
     anchors, decoders = scene.anchors, scene.decoders
     random = np.random.default_rng([seed, 3])
     initial = anchors.initial_class.numpy()

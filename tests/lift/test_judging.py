@@ -7,13 +7,14 @@ import logging
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from engine.job import EventReader, EventWriter
 from engine.job.report import doubt_of_frames
-from engine.lift.judging import Judgement, Seen, Unresolved, judge, read_held_back, report_unresolved, unresolved
+from engine.lift.judging import Judgement, Unresolved, judge, read_held_back, report_unresolved, unresolved
 from engine.passes.layers import PanopticLayers
 from engine.scene import Camera, load_view, open_scene
 from tests.tiny_scene import CHAIR_ID, WALL_ID, trace_view, write_tiny_scene
@@ -26,16 +27,17 @@ def scene_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_tiny_scene(tmp_path_factory.mktemp("judging") / "scene", frames=8, size=SIZE)
 
 
-def seen_by(camera: Camera) -> Seen:
+def seen_by(camera: Camera) -> SimpleNamespace:
     """The true classes that a camera sees, with half of the votes."""
     classes = trace_view(camera.camera_to_world, camera.K, camera.size).semantic
-    return Seen(classes, np.full(classes.shape, 0.5, np.float32))
+    return SimpleNamespace(semantic=classes, confidence=np.full(classes.shape, 0.5, np.float32))
 
 
-def without_chair(camera: Camera) -> Seen:
+def without_chair(camera: Camera) -> SimpleNamespace:
     """The same with the chair shown as wall."""
     seen = seen_by(camera)
-    return Seen(np.where(seen.classes == CHAIR_ID, WALL_ID, seen.classes).astype(np.int32), seen.share)
+    seen.semantic = np.where(seen.semantic == CHAIR_ID, WALL_ID, seen.semantic).astype(np.int32)
+    return seen
 
 
 def judged(path: Path, draw: object) -> Judgement:

@@ -23,15 +23,6 @@ def test_released_block_is_reused() -> None:
     assert address in {memory.empty((7, 11), np.float64).ctypes.data for _ in range(2)}
 
 
-def test_shared_block_is_reused_once_no_array_is_held() -> None:
-    memory._blocks.clear()  # other tests' blocks of this size would be given out first
-    first, second = memory.several((5000, np.float32), (6000, np.float32))
-    address = first.ctypes.data
-    del first
-    assert memory.several((5000, np.float32), (6000, np.float32))[0].ctypes.data != address, "one of them is still held"
-    del second
-    assert address in {memory.several((5000, np.float32), (6000, np.float32))[0].ctypes.data for _ in range(2)}
-
 
 def test_larger_block_replaces_one_that_is_too_small() -> None:
     memory._blocks.clear()

@@ -106,10 +106,8 @@ def softmax(values: Array, at: int, out: Array, out_at: int, count: int) -> Any:
 
 @device_function
 def softmax_backward(p: Array, at: int, g: Array, shift: Any, out: Array, out_at: int, count: int) -> None:
-    """out = p (g - sum(p g) + shift): the gradient through a softmax whose values are p, and ``shift`` times p.
-
-    ``count`` values, of p and g from ``at`` on, of out from ``out_at`` on.
-    """
+    """out = p (g - sum(p g) + shift): the gradient through a softmax whose values are p, and ``shift`` times p, of
+    ``count`` values: p and g from ``at`` on, out from ``out_at`` on."""
     total = broadcast(ZERO)
     whole = count - count % WIDTH
     for c in range(0, whole, WIDTH):

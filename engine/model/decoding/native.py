@@ -90,10 +90,6 @@ def _flat(tensor: Tensor) -> NDArray[Any]:
     return tensor.detach().contiguous().reshape(-1).numpy()
 
 
-def _packed(weights: NDArray[np.float32], layout: Layout) -> Packed:
-    return Packed(weights, np.array(layout.heads), layout.sizes)
-
-
 def _new_work(workers: int, layout: Layout) -> Work:
     sizes = layout.sizes
     floats = memory.empty((workers, sizes.scratch), np.float32)
@@ -105,12 +101,6 @@ def _empty(shape: tuple[int, ...]) -> Tensor:
     return torch.from_numpy(memory.empty(shape, np.float32))
 
 
-def _new_drawn(count: int, channels: int) -> list[Tensor]:
-    """The tensors of ``Drawn``, to be filled."""
-    shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, 3), (count, channels))
-    return [_empty(shape) for shape in shapes]
-
-
 class _Decode(torch.autograd.Function):
     @staticmethod
     def forward(
@@ -118,14 +108,16 @@ class _Decode(torch.autograd.Function):
     ) -> tuple[Tensor, ...]:
         layout, workers, labelling = fixed.layout, worker_count(), fixed.labelling
         sizes, visible = layout.sizes, len(fixed.visible)
-        weights = _packed(packed(list(parameters), layout), layout)
+        weights = Packed(packed(list(parameters), layout), np.array(layout.heads), layout.sizes)
         anchors = fixed.anchors(feature, offset, log_scale)
         all_opacities, counts = _empty((visible, sizes.k)), np.zeros(-(-visible // BATCH), np.int64)
         opacities = _flat(all_opacities)
         parallel_for(workers, decode_opacities, anchors, weights, opacities, counts, _new_work(workers, layout))
         batches = Batches(opacities, np.cumsum(counts) - counts, np.zeros(len(counts)))
         channels = labelling.known_channels if len(labelling.known) else sizes.classes + sizes.slots
-        outputs = _new_drawn(int(counts.sum()), channels)
+        count = int(counts.sum())
+        shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, 3), (count, channels))
+        outputs = [_empty(shape) for shape in shapes]
         drawn = Drawn(*map(_flat, outputs))
         work = _new_work(workers, layout)
         parallel_for(workers, decode_gaussians, anchors, weights, labelling, batches, drawn, work)

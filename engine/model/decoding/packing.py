@@ -26,12 +26,10 @@ ROUND_ROWS = 8
 
 
 class Head(NamedTuple):
-    """One decoder: the number of its inputs and outputs, and the offsets of its parts in the packed array.
-
-    ``first`` [inputs, HIDDEN], ``first_bias`` [HIDDEN], ``last`` [HIDDEN, padded] and ``last_bias`` [padded] are also
-    the offsets of their gradients. ``first_back`` [HIDDEN, padded features] and ``last_back`` [outputs, HIDDEN] are the
-    same weights transposed, for the backward pass.
-    """
+    """One decoder: the number of its inputs and outputs, and the offsets of its parts in the packed array. ``first``
+    [inputs, HIDDEN], ``first_bias`` [HIDDEN], ``last`` [HIDDEN, padded] and ``last_bias`` [padded] are also the offsets
+    of their gradients. ``first_back`` [HIDDEN, padded features] and ``last_back`` [outputs, HIDDEN] are the same
+    weights transposed, for the backward pass."""
 
     inputs: int
     outputs: int
@@ -57,11 +55,8 @@ OPACITY, COVARIANCE, COLOUR, SEMANTIC, INSTANCE = range(5)
 
 
 class Sizes(NamedTuple):
-    """The sizes of the kernels' arrays, and the offsets of the parts of a worker's scratch, in floats.
-
-    Scratch begins with a batch of input rows. A row has ``inputs`` floats: feature, direction, distance (if wanted) and
-    zeros.
-    """
+    """The sizes of the kernels' arrays, and the offsets of the parts of a worker's scratch, in floats. Scratch begins
+    with a batch of input rows. A row has ``inputs`` floats: feature, direction, distance (if wanted) and zeros."""
 
     features: int
     padded_features: int
@@ -93,13 +88,9 @@ def _rounded(count: int, unit: int) -> int:
 @cache
 def layout_of(shape: DecoderShape) -> Layout:
     """The layout of the packed array for decoders of ``shape``."""
-    k, seen = shape.gaussians_per_anchor, shape.features + shape.view_inputs
-    labelled = seen if shape.label_view_input else shape.features
     padded_features = _rounded(shape.features, LANES)
-    sides = [(seen, k), (seen, 7 * k), (seen, 3 * k)]
-    sides += [(labelled, shape.classes * k), (labelled, shape.instance_slots * k)]
     at, offsets = 0, []
-    for inputs, outputs in sides:
+    for inputs, outputs in Decoders.sides(shape).values():
         padded = _rounded(outputs, LANES)
         counts = (_rounded(inputs, ROUND_ROWS) * HIDDEN, HIDDEN, HIDDEN * padded, padded)
         starts = [at + sum(counts[:part]) for part in range(4)]
@@ -109,14 +100,14 @@ def layout_of(shape: DecoderShape) -> Layout:
     for one in offsets:
         heads.append(Head._make((*one, at, at + HIDDEN * padded_features)))
         at += HIDDEN * (padded_features + one[1])
-    inputs = _rounded(seen, ROUND_ROWS)
+    inputs = _rounded(shape.features + shape.view_inputs, ROUND_ROWS)
     widths = (inputs, HIDDEN, HIDDEN, padded_features, max(head.padded for head in heads))
     begins = [BATCH * sum(widths[:part]) for part in range(len(widths) + 1)]
     sizes = Sizes(
         features=shape.features,
         padded_features=padded_features,
         distance=int(shape.distance_input),
-        k=k,
+        k=shape.gaussians_per_anchor,
         classes=shape.classes,
         slots=shape.instance_slots,
         inputs=inputs,
@@ -216,10 +207,8 @@ class Drawn(NamedTuple):
 
 class Gradients(NamedTuple):
     """Given: ``by``, the gradients of the Gaussians ``drawn``, and ``by_loss``, that of one Gaussian's cross entropy.
-
     Filled: the gradients of ``feature``, ``offset`` and ``log_scale``, shaped as in ``AnchorArrays`` and zero before;
-    and of the ``weights`` [chunks, parameters], a row for each chunk of batches.
-    """
+    and of the ``weights`` [chunks, parameters], a row for each chunk of batches."""
 
     drawn: Drawn
     by: Drawn
