@@ -68,7 +68,7 @@ def vote_labels(
     named = NamedGaussians(len(scene.anchors) * scene.anchors.gaussians_per_anchor)
     voted: GaussianLabels | None = None
     for number in range(rounds):
-        votes = LabelVotes(scene, preset.voting, preset.evidence.gaussians)
+        votes = LabelVotes(scene, preset.evidence.gaussians)
         for index in range(len(frames)):
             frame = voting_frames.at(index)
             if prepared.masks_agree:

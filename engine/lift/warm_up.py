@@ -87,7 +87,7 @@ def _lift_a_wall(wait_for_rasteriser: Callable[[], object]) -> None:
         while not trainer.finished:
             trainer.step()
         bake_view(render_bands(trainer.scene, camera), camera, classes, shown)
-        votes = LabelVotes(trainer.scene, preset.voting, preset.evidence.gaussians)
+        votes = LabelVotes(trainer.scene, preset.evidence.gaussians)
         seen = contributors(trainer.scene, views[0].camera)
         votes.add(seen, np.zeros(views[0].depth.shape, np.int16), views[0].depth)
         pixel_labels(trainer.scene, votes.result(), seen)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..instances.panoptic_labels import LEAST_OF_CLASS, object_of_class
 from ..machine.compiled import compiled, device_function
-from ..presets.preset import EvidenceKind, Voting
+from ..presets.preset import EvidenceKind
 from ..scene import Camera, evidence_of_pixels, evidence_of_resolution, resolution_on
 from .gaussians import decode, no_labels
 from .structured import GaussianLabels, StructuredScene
@@ -33,6 +33,8 @@ CONTRIBUTORS = 4
 DEPTH_GAP_M, DEPTH_GAP_SHARE = 0.15, 0.05
 """Metres and share of the depth. A pixel abstains if its rendered depth differs from the sensor's by more than
 both."""
+PRIOR = 0.3
+"""The votes of the label decoders on each Gaussian."""
 KEPT = 4
 """The number of labels that a Gaussian keeps."""
 
@@ -84,8 +86,8 @@ class LabelVotes:
     label with more than 1 / LABELS_HELD of a Gaussian's votes is never lost.
     """
 
-    def __init__(self, scene: StructuredScene, voting: Voting, kind: EvidenceKind) -> None:
-        self.scene, self.voting, self.kind = scene, voting, kind
+    def __init__(self, scene: StructuredScene, kind: EvidenceKind, prior: float = PRIOR) -> None:
+        self.scene, self.kind, self.prior = scene, kind, prior
         channels = scene.channels
         self._labels = len(channels.class_ids) + len(channels.instance_slots)
         gaussians = len(scene.anchors) * scene.anchors.gaussians_per_anchor
@@ -120,7 +122,7 @@ class LabelVotes:
                 classes, slots = (each.flatten(0, 1).softmax(dim=1) for each in logits)
                 instances = slots[:, list(self.scene.channels.instance_slots)]
                 alone = classes * (1 - instances.sum(dim=1, keepdim=True))
-                votes = votes + self.voting.prior * torch.cat([alone, instances], dim=1)
+                votes = votes + self.prior * torch.cat([alone, instances], dim=1)
             parts.append(votes.topk(kept, dim=1))
         share = torch.cat([part.values for part in parts])
         label = torch.cat([part.indices for part in parts]).to(torch.int16)

@@ -20,7 +20,14 @@ from ..json_file import Json
 from .parts import added_names, is_name
 from .preset import PRESETS, Preset
 
-GONE = {"vote_rounds": "segments vote on Gaussians twice, and points once where masks are weak"}
+GONE = {
+    "vote_rounds": "segments vote on Gaussians twice, and points once where masks are weak",
+    "matching.merge": "the instances of Algorithm 1 stay as they are",
+    "segments.erosion": "segments are eroded by 1/80 of the picture's width",
+    "segments.least_points": "segments need 30 pixels with depth",
+    "segments.least_region": "regions need 16 pixels for a pseudo label of their own",
+    "voting.prior": "the label decoders have 0.3 votes",
+}
 """Removed options, and what happens instead."""
 LISTING = "python -m engine presets"
 _KINDS = {"int": "a whole number", "float": "a number", "ints": "whole numbers", "bool": "true or false"}

@@ -30,12 +30,9 @@ TINY_NORM = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Pinhole:
-    """A pinhole camera.
-
-    ``rotation`` 3 by 3, row by row, world to camera (OpenCV axes); ``centre`` metres, world; ``focal`` and
-    ``principal`` (x, y) in pixels; ``width``, ``height`` in pixels; ``near`` in metres. If only some rows of a picture
-    are drawn, ``height`` counts them, ``above`` counts the rows before them, and ``whole_height`` all rows.
-    """
+    """A pinhole camera. ``rotation`` 3 by 3, row by row, world to camera (OpenCV axes); ``centre`` metres, world;
+    ``focal`` and ``principal`` (x, y) in pixels; ``width``, ``height`` in pixels; ``near`` in metres. If only some rows
+    of a picture are drawn, ``height`` counts them, ``above`` counts the rows before them, and ``whole_height`` all."""
 
     rotation: tuple[float, ...]
     centre: tuple[float, float, float]
@@ -48,20 +45,12 @@ class Pinhole:
     whole_height: int | None = None
 
     def slope_limits(self) -> tuple[float, float, float, float]:
-        """(x low, x high, y low, y high): the slopes x/z and y/z to which the Jacobian's point is clamped.
-
-        These are the limits of the whole picture, so that a Gaussian has the same footprint in all rows.
-        """
+        """(x low, x high, y low, y high): the slopes x/z and y/z to which the Jacobian's point is clamped. These are
+        the limits of the whole picture, so that a Gaussian has the same footprint in all rows."""
         (fx, fy), (cx, cy) = self.focal, self.principal
         cy, height = cy + self.above, self.whole_height or self.height
-        margin_x = CLAMP_MARGIN * 0.5 * self.width / fx
-        margin_y = CLAMP_MARGIN * 0.5 * height / fy
-        return (
-            -cx / fx - margin_x,
-            (self.width - cx) / fx + margin_x,
-            -cy / fy - margin_y,
-            (height - cy) / fy + margin_y,
-        )
+        x, y = CLAMP_MARGIN * 0.5 * self.width / fx, CLAMP_MARGIN * 0.5 * height / fy
+        return -cx / fx - x, (self.width - cx) / fx + x, -cy / fy - y, (height - cy) / fy + y
 
 
 # What the kernels know about a projected Gaussian: one cache line of float32, and the form of its footprint.

@@ -54,10 +54,8 @@ def what_is_missing() -> str | None:
 
 def what_fails(device: str) -> str | None:
     """Draw one Gaussian on ``device``, and return the error's first line, or None. `what_is_missing` must return None.
-
     At the first use gsplat compiles its CUDA code, which takes minutes and can fail for many reasons. So call this
-    before a lift's work begins.
-    """
+    before a lift's work begins."""
     one = torch.ones(1, 4, device=device)
     gaussians = GaussianSet(one[:, :3], one[:, :3], one, one[:, 0], one[:, :3], None)
     camera = Pinhole((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (1.0, 1.0), (0.5, 0.5), 1, 1, NEAR)
@@ -146,11 +144,8 @@ def _nothing_drawn(gaussians: GaussianSet, pinhole: Pinhole, want_means2d_grad: 
 
 def _call(gaussians: GaussianSet, pinhole: Pinhole) -> tuple[Tensor, Tensor, dict[str, Any]]:
     """Colour and depth [H, W, 4], alpha [H, W, 1], and what gsplat returns about the Gaussians, in pixels of the whole
-    picture.
-
-    The whole picture is drawn even if only some rows are wanted: gsplat derives the Jacobian's clamp margins from the
-    height.
-    """
+    picture, which is drawn even if only some rows are wanted: gsplat derives the Jacobian's clamp margins from the
+    height."""
     from gsplat import rasterization
 
     (fx, fy), (cx, cy) = pinhole.focal, pinhole.principal

@@ -46,18 +46,15 @@ def rasterize(
     3]; ``labels`` [N, C] or None. All are float32 on one device for the back end ``numba``.
 
     ``camera_to_world`` [4, 4] with OpenCV axes (x right, y down, z forward); ``K`` [3, 3] with any fx, fy, cx, cy, no
-    skew; the centre of pixel (i, j) is (i + 0.5, j + 0.5). No gradient flows to the camera.
+    skew; the centre of pixel (i, j) is (i + 0.5, j + 0.5). No gradient flows to the camera. ``rows``: the first row of
+    the picture to draw, and one past the last. The layers have only these rows, with the same values as in the whole
+    picture. ``top_k`` > 0 requests the largest contributors of every pixel, which ``gsplat`` does not list. ``backend``
+    None picks by the tensors' device: ``numba`` on the CPU, ``gsplat`` on CUDA. The surface is always found on the CPU.
 
     Conventions (gsplat's "classic"; ``cuda`` lists where gsplat itself differs): 0.3 px^2 is added to the diagonal of
     the 2D covariance; Gaussians with z <= ``near`` (metres) are not drawn; alpha = min(0.99, opacity * exp(-d^2/2)),
     skipped below 1/255 and nowhere else; a pixel ends before the Gaussian that would leave a transmittance <= 1e-4; the
     order is by planar depth rounded to float32, then by index.
-
-    ``rows``: the first row of the picture to draw, and one past the last. The layers have only these rows, with the
-    same values as in the whole picture.
-
-    ``top_k`` > 0 requests the largest contributors of every pixel, which ``gsplat`` does not list. ``backend`` None
-    picks by the tensors' device: ``numba`` on the CPU, ``gsplat`` on CUDA. The surface is always found on the CPU.
 
     Raises ``ValueError`` if shapes, dtypes or devices do not fit, if the image is empty, if rows lie outside it, if K
     has skew, or if the back end is unknown.

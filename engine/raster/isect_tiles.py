@@ -18,9 +18,8 @@ from ..machine.vectors import fetch_add
 from .arrays import Intersections
 from .conventions import TILE
 
-# Chunks of Gaussians. A worker that has finished one takes the next.
-#
-# With equal shares, the slowest worker, or one that wakes late, would hold up all others.
+# Chunks of Gaussians. A worker that has finished one takes the next. With equal shares, the slowest worker, or one that
+# wakes late, would hold up all others.
 
 CHUNK = 256
 """The approximate number of Gaussians in a chunk. Smaller chunks would cost more to hand out."""
@@ -55,9 +54,7 @@ def isect_tiles(
     workers: int, boxes: NDArray[np.int32], depths: NDArray[np.float32], width: int, height: int
 ) -> tuple[Intersections, int]:
     """The intersections of a picture of ``width`` times ``height`` pixels, and the length of the longest tile's list.
-
-    ``boxes`` [N, 4] and ``depths`` [N] as in ``Projected``.
-    """
+    ``boxes`` [N, 4] and ``depths`` [N] as in ``Projected``."""
     columns, rows = -(-width // TILE), -(-height // TILE)
     offsets, keys = memory.several((len(boxes) + 1, np.int64), (len(boxes), np.uint64))
     keys = keys[: list_visible(boxes, depths.view(np.uint32), keys, offsets)]

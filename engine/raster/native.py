@@ -29,8 +29,8 @@ from .arrays import (
     TileChannels,
     flat,
 )
-from .blending.backward import backward_scratch_size, blend_backward, list_channels
-from .blending.batch import PATCHES, gather
+from .blending.backward import backward_scratch_size, blend_backward
+from .blending.batch import PATCHES, gather, list_channels
 from .blending.contributors import find_surface, list_contributors, scratch_sizes
 from .blending.forward import blend_forward, scratch_size
 from .conventions import GRADIENT_WIDTH, MEMBERS, RECORD, TILE, Pinhole, padded_channels
@@ -43,11 +43,8 @@ from .rendering import GaussianSet, Rendering, Wanted
 
 @dataclass(frozen=True, eq=False)
 class ForwardState:
-    """What the forward pass keeps for the backward one.
-
-    ``camera`` float64 [CAMERA]; ``records`` float32 [N, RECORD]; ``final`` and ``last`` float32 [H * W] as in
-    ``Blended``.
-    """
+    """What the forward pass keeps for the backward one. ``camera`` float64 [CAMERA]; ``records`` float32 [N, RECORD];
+    ``final`` and ``last`` float32 [H * W] as in ``Blended``."""
 
     camera: Array
     records: Array
@@ -67,9 +64,8 @@ class Layers:
 
     @classmethod
     def empty(cls, height: int, width: int, channels: int) -> Layers:
-        shapes = ((height, width, 3), (height, width), (height, width))
-        image, alpha, depth = memory.several(*((shape, np.float32) for shape in shapes))
-        return cls(image, memory.empty((height, width, channels), np.float32), alpha, depth)
+        shapes = ((height, width, 3), (height, width, channels), (height, width), (height, width))
+        return cls(*(memory.empty(shape, np.float32) for shape in shapes))
 
     def in_order(self) -> tuple[Array, ...]:
         return self.image, self.labels, self.alpha, self.depth
@@ -110,18 +106,11 @@ def rasterize_forward(
 
 
 def new_scratch(workers: int, floats: int) -> Scratch:
-    """Scratch for ``workers``, with ``floats`` for each.
-
-    Each worker has whole cache lines, as workers that write to the same line would wait for each other.
-    """
-    return Scratch(
-        np.zeros(1, np.int64),
-        *memory.several(
-            ((workers, -(-floats // TILE) * TILE), np.float32),
-            ((workers, MEMBERS), np.int32),
-            ((workers, PATCHES), np.int64),
-        ),
-    )
+    """Scratch for ``workers``, with ``floats`` for each. Each worker has whole cache lines, as workers that write to
+    the same line would wait for each other."""
+    floats = -(-floats // TILE) * TILE
+    wanted = ((workers, floats), np.float32), ((workers, MEMBERS), np.int32), ((workers, PATCHES), np.int64)
+    return Scratch(np.zeros(1, np.int64), *memory.several(*wanted))
 
 
 def top_contributors(state: ForwardState, shape: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
@@ -151,16 +140,19 @@ def _for_contributors(kernel: Any, state: ForwardState, *out: Any) -> None:
 
 
 def rasterize_backward(state: ForwardState, shapes: Shapes, d_layers: Layers) -> GaussianGradients:
-    """The gradients of everything that was blended.
-
-    ``shapes`` are those of the forward pass; ``d_layers``: the layers' gradients, whose labels have no channels if
-    none are wanted.
-    """
+    """The gradients of everything that was blended. ``shapes`` are those of the forward pass; ``d_layers``: the layers'
+    gradients, whose labels have no channels if none are wanted."""
     height, width, channels = d_layers.labels.shape
     size, workers = Size(width, height, channels), worker_count()
-    used = _channels_of_tiles(d_layers.labels, size, len(state.isects.isect_offsets) - 1)
-    isects = _no_isect_gradients(len(state.isects.flatten_ids), used)
-    out = _no_gradients(len(state.records), channels)
+    tiles, count, n = len(state.isects.isect_offsets) - 1, len(state.isects.flatten_ids), len(state.records)
+    counts, listed = np.zeros(tiles, np.int64), memory.empty(tiles * channels, np.int32)
+    if channels:
+        parallel_for(workers, list_channels, flat(d_layers.labels).view(np.int32), size, counts, listed)
+    used = TileChannels(counts, listed, padded_channels(int(counts.max())))
+    values, labels = (count * GRADIENT_WIDTH, np.float32), (count * used.padded, np.float32)
+    isects = IsectGradients(used, *memory.several((count, np.int32), values, labels))
+    sizes = ((n, 3), (n, 3), (n, 4), (n,), (n, 3), (n, channels), (n, 2))
+    out = GaussianGradients(*(memory.empty(each, np.float32) for each in sizes))
     images = map(flat, d_layers.in_order())
     pixels = PixelGradients(*images, state.final, state.last)
     scratch = new_scratch(workers, backward_scratch_size(used.padded))
@@ -171,26 +163,6 @@ def rasterize_backward(state: ForwardState, shapes: Shapes, d_layers: Layers) ->
         workers, gather, state.isects.gaussian_offsets, isects, channels, scene, flat_out, np.zeros(1, np.int64)
     )
     return out
-
-
-def _channels_of_tiles(d_labels: Array, size: Size, tiles: int) -> TileChannels:
-    counts, channels = np.zeros(tiles, np.int64), memory.empty(tiles * size.channels, np.int32)
-    if size.channels:
-        parallel_for(worker_count(), list_channels, flat(d_labels).view(np.int32), size, counts, channels)
-    return TileChannels(counts, channels, padded_channels(int(counts.max())))
-
-
-def _no_isect_gradients(count: int, used: TileChannels) -> IsectGradients:
-    """Arrays for the gradients of ``count`` intersections, to be filled."""
-    values, labels = (count * GRADIENT_WIDTH, np.float32), (count * used.padded, np.float32)
-    return IsectGradients(used, *memory.several((count, np.int32), values, labels))
-
-
-def _no_gradients(count: int, channels: int) -> GaussianGradients:
-    """Arrays for the gradients of ``count`` Gaussians, to be filled."""
-    shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, 3), (count, 2))
-    *geometry, means2d = memory.several(*((shape, np.float32) for shape in shapes))
-    return GaussianGradients(*geometry, memory.empty((count, channels), np.float32), means2d)
 
 
 LABELS = 5
@@ -224,18 +196,9 @@ def rasterize_native(gaussians: GaussianSet, pinhole: Pinhole, wanted: Wanted) -
 class _Blend(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any,
-        means: Tensor,
-        scales: Tensor,
-        quats: Tensor,
-        opacities: Tensor,
-        colours: Tensor,
-        labels: Tensor | None,
-        centres: Tensor,
-        pinhole: Pinhole,
-        on_image: OnImage,
-        wanted: Wanted,
-    ) -> tuple[Tensor, ...]:
+        ctx: Any, means: Tensor, scales: Tensor, quats: Tensor, opacities: Tensor, colours: Tensor,
+        labels: Tensor | None, centres: Tensor, pinhole: Pinhole, on_image: OnImage, wanted: Wanted,
+    ) -> tuple[Tensor, ...]:  # fmt: skip
         gaussians = Gaussians(*map(as_array, (means, scales, quats, opacities, colours)))
         features = as_array(labels) if labels is not None else np.empty((means.shape[0], 0), np.float32)
         is_compiled = log_compilation("the forward pass of the rasteriser", COMPILATION)
@@ -254,21 +217,12 @@ class _Blend(torch.autograd.Function):
         return *map(torch.from_numpy, layers.in_order()), *more
 
     @staticmethod
-    def backward(
-        ctx: Any,
-        d_image: Tensor | None,
-        d_labels: Tensor | None,
-        d_alpha: Tensor | None,
-        d_depth: Tensor | None,
-        *_: Any,
-    ) -> tuple[Tensor | None, ...]:
-        size, needed = ctx.size, ctx.needs_input_grad
-        d_layers = Layers(
-            _or_zeros(d_image, (*size, 3)),
-            _or_zeros(d_labels if needed[LABELS] else None, (*size, 0)),
-            _or_zeros(d_alpha, size),
-            _or_zeros(d_depth, size),
-        )
+    def backward(ctx: Any, *by: Tensor | None) -> tuple[Tensor | None, ...]:
+        size, needed, (d_image, d_labels, d_alpha, d_depth) = ctx.size, ctx.needs_input_grad, by[:4]
+        wanted_labels = d_labels if needed[LABELS] else None
+        images = (d_image, (*size, 3)), (wanted_labels, (*size, 0)), (d_alpha, size), (d_depth, size)
+        # torch gives None if no loss uses a layer: then zeros.
+        d_layers = Layers(*(_zeros(shape) if each is None else as_array(each) for each, shape in images))
         shapes = Shapes(*map(as_array, ctx.saved_tensors))
         is_compiled = log_compilation("the backward pass of the rasteriser", COMPILATION)
         gradients = list(rasterize_backward(ctx.state, shapes, d_layers))
@@ -277,11 +231,6 @@ class _Blend(torch.autograd.Function):
             gradients[LABELS] = np.zeros(ctx.labels_shape, np.float32)
         wanted = zip(gradients, needed, strict=False)
         return *(torch.from_numpy(gradient) if need else None for gradient, need in wanted), None, None, None
-
-
-def _or_zeros(gradient: Tensor | None, shape: tuple[int, ...]) -> Array:
-    """A layer's gradient. torch gives None if no loss uses the layer: then zeros."""
-    return _zeros(shape) if gradient is None else as_array(gradient)
 
 
 @lru_cache(maxsize=2)

@@ -70,14 +70,6 @@ def camera_point(camera: Array, x: float, y: float, z: float) -> Any:
 
 
 @device_function
-def unit_quaternion(w: float, x: float, y: float, z: float) -> Any:
-    """The normalised quaternion, and one over its norm."""
-    norm = max(math.sqrt(w * w + x * x + y * y + z * z), TINY_NORM)
-    over = 1.0 / norm
-    return w * over, x * over, y * over, z * over, over
-
-
-@device_function
 def rotation_of(w: float, x: float, y: float, z: float) -> Any:
     """The nine entries, row by row, of a unit quaternion's matrix."""
     return (
@@ -143,7 +135,8 @@ def three_of(rows: Array, i: int) -> Any:
 def quaternion_of(quats: Array, i: int) -> Any:
     """Row i normalised, and one over its norm."""
     w, x, y, z = np.float64(quats[i, 0]), np.float64(quats[i, 1]), np.float64(quats[i, 2]), np.float64(quats[i, 3])
-    return unit_quaternion(w, x, y, z)
+    over = 1.0 / max(math.sqrt(w * w + x * x + y * y + z * z), TINY_NORM)
+    return w * over, x * over, y * over, z * over, over
 
 
 @device_function
@@ -203,11 +196,7 @@ def project_gaussian(i: int, gaussians: Gaussians, camera: Array, size: Size, ou
 
 @device_function
 def write_record(
-    i: int,
-    centre: tuple[float, float],
-    whitened: tuple[float, float, float],
-    gaussians: Gaussians,
-    records: Array,
+    i: int, centre: tuple[float, float], whitened: tuple[float, float, float], gaussians: Gaussians, records: Array
 ) -> None:
     """Write all of a record except ``LOG_OPACITY`` and ``DEPTH``."""
     for c in range(2):
@@ -237,11 +226,9 @@ def project(
 
 @device_function
 def gradient_on_image(record: Array, total: Array) -> Any:
-    """dL/d(centre x, y) and dL/d(covariance xx, xy = yx, yy) from the moments of the whitened offsets.
-
-    With A = WHITENING * L, s = A d and g = dL/d(ln alpha): ln alpha = -|s|^2 / log2(e), so
-    dL/dcentre = 2 / log2(e) * A^T sum(g s) and dL/dcov = A^T sum(g s s^T) A / (log2(e) * WHITENING^2).
-    """
+    """dL/d(centre x, y) and dL/d(covariance xx, xy = yx, yy) from the moments of the whitened offsets. With A =
+    WHITENING * L, s = A d and g = dL/d(ln alpha): ln alpha = -|s|^2 / log2(e), so dL/dcentre = 2 / log2(e) * A^T sum(g
+    s) and dL/dcov = A^T sum(g s s^T) A / (log2(e) * WHITENING^2)."""
     a = np.float64(record[L11]) + np.float64(record[L11_LOW])
     b = np.float64(record[L12]) + np.float64(record[L12_LOW])
     c = np.float64(record[L22]) + np.float64(record[L22_LOW])
@@ -310,16 +297,8 @@ def project_backward(
     c0, c1, c2 = q0 * sx, q1 * sy, q2 * sz
     c3, c4, c5 = q3 * sx, q4 * sy, q5 * sz
     c6, c7, c8 = q6 * sx, q7 * sy, q8 * sz
-    t0, t1, t2 = (
-        da0 * c0 + da1 * c1 + da2 * c2,
-        da0 * c3 + da1 * c4 + da2 * c5,
-        da0 * c6 + da1 * c7 + da2 * c8,
-    )
-    t3, t4, t5 = (
-        db0 * c0 + db1 * c1 + db2 * c2,
-        db0 * c3 + db1 * c4 + db2 * c5,
-        db0 * c6 + db1 * c7 + db2 * c8,
-    )
+    t0, t1, t2 = da0 * c0 + da1 * c1 + da2 * c2, da0 * c3 + da1 * c4 + da2 * c5, da0 * c6 + da1 * c7 + da2 * c8
+    t3, t4, t5 = db0 * c0 + db1 * c1 + db2 * c2, db0 * c3 + db1 * c4 + db2 * c5, db0 * c6 + db1 * c7 + db2 * c8
     # T = [fx/z (R0 - u R2); fy/z (R1 - v R2)] with the clamped slopes u = x/z, v = y/z
     over_z = 1.0 / z
     jx, jy = camera[12] * over_z, camera[13] * over_z

@@ -15,6 +15,7 @@ from engine.model import label_voting
 from engine.model.gaussians import decode
 from engine.model.label_voting import (
     LABELS_HELD,
+    PRIOR,
     Contributors,
     HeldVotes,
     LabelVotes,
@@ -25,7 +26,7 @@ from engine.model.label_voting import (
 from engine.model.render import render_view
 from engine.model.scene_labels import VotedLabels, scene_labels
 from engine.model.structured import NO_OBJECT, SPARE, GaussianLabels, StructuredScene
-from engine.presets.preset import EvidenceKind, Voting
+from engine.presets.preset import EvidenceKind
 from engine.raster import rasterize
 from engine.scene import Camera
 from tests.model.some_scene import CAMERA, CLASS_IDS, GAUSSIANS, SHAPE, mean_depth, some_scene
@@ -33,7 +34,6 @@ from tests.model.some_scene import CAMERA, CLASS_IDS, GAUSSIANS, SHAPE, mean_dep
 SLOT_IDS, CLASS_OF_SLOT = (4, NO_OBJECT, 9, SPARE, SPARE), (7, 0, 5, 0, 0)
 LABELS = len(CLASS_IDS) + 2
 SIZE = (CAMERA.height, CAMERA.width)
-ALL = Voting(prior=0.0)
 
 
 @pytest.fixture(autouse=True)
@@ -94,7 +94,7 @@ def test_votes_are_sums_of_blending_weights(
     scene: StructuredScene, kind: EvidenceKind, pixels: float, resolution: float
 ) -> None:
     """In two views of flat surfaces, one nearer than the other."""
-    votes, expected = LabelVotes(scene, ALL, kind), np.zeros((GAUSSIANS, LABELS))
+    votes, expected = LabelVotes(scene, kind, 0.0), np.zeros((GAUSSIANS, LABELS))
     for seed, (camera, metres) in enumerate(((CAMERA, 2.0), (moved(0.3), 1.0))):
         label = made_up_labels(seed)
         votes.add(replace_depth(contributors(scene, camera, GAUSSIANS), metres), label, UNKNOWN_DEPTH)
@@ -113,11 +113,11 @@ def test_pixels_at_the_wrong_depth_abstain(scene: StructuredScene) -> None:
     sensor[:, ::3] += 0.9 * label_voting.DEPTH_GAP_M
     sensor[:, 1::3] += 1.1 * label_voting.DEPTH_GAP_M
     sensor[:5] = 0  # not measured
-    votes = LabelVotes(scene, ALL, "pixels")
+    votes = LabelVotes(scene, "pixels", 0.0)
     votes.add(seen, label, sensor)
     abstaining = label.copy()
     abstaining[5:, 1::3] = -1
-    plain = LabelVotes(scene, ALL, "pixels")
+    plain = LabelVotes(scene, "pixels", 0.0)
     plain.add(seen, abstaining, UNKNOWN_DEPTH)
     np.testing.assert_array_equal(dense(votes.result()), dense(plain.result()))
 
@@ -127,7 +127,7 @@ def test_far_away_a_share_of_the_depth_is_allowed(scene: StructuredScene) -> Non
     far = replace_depth(seen, 20.0)
     label = np.zeros(SIZE, np.int16)
     for gap, voting in ((0.9, True), (1.1, False)):
-        votes = LabelVotes(scene, ALL, "pixels")
+        votes = LabelVotes(scene, "pixels", 0.0)
         sensor = np.full(SIZE, 20.0, np.float32)
         votes.add(replace_depth(far, 20.0 * (1 + gap * label_voting.DEPTH_GAP_SHARE)), label, sensor)
         assert bool(votes.result().share.any()) is voting
@@ -138,18 +138,17 @@ def replace_depth(view: Contributors, metres: float) -> Contributors:
 
 
 def test_the_decoders_are_used_where_nothing_was_seen(scene: StructuredScene) -> None:
-    options = replace(ALL, prior=0.3)
     decoded = scene_labels(scene)
     assert decoded is not None
-    silent = LabelVotes(scene, options, "pixels").result()
+    silent = LabelVotes(scene, "pixels").result()
     shown = VotedLabels.of_scene(silent, scene.channels).of(torch.arange(len(silent.label)))
     torch.testing.assert_close(shown, decoded.probabilities, atol=1e-5, rtol=0)
-    votes = LabelVotes(scene, options, "pixels")
+    votes = LabelVotes(scene, "pixels")
     label = np.full(SIZE, 3, np.int16)
     votes.add(contributors(scene, CAMERA, GAUSSIANS), label, UNKNOWN_DEPTH)
     weight = blending_weights(scene, CAMERA, label).sum(1)
     prior = dense(silent)
-    expected = (prior * options.prior + weight[:, None] * (np.arange(LABELS) == 3)) / (options.prior + weight)[:, None]
+    expected = (prior * PRIOR + weight[:, None] * (np.arange(LABELS) == 3)) / (PRIOR + weight)[:, None]
     np.testing.assert_allclose(dense(votes.result()), expected, atol=2e-3)
 
 
@@ -174,7 +173,7 @@ def test_labels_with_many_votes_are_never_lost_among_many(seed: int) -> None:
 def test_labels_that_depend_on_the_view_are_not_a_prior() -> None:
     """There is no one label that such a decoder would give a Gaussian."""
     dependent = some_scene(SLOT_IDS, replace(SHAPE, label_view_input=True), CLASS_OF_SLOT)
-    assert not LabelVotes(dependent, replace(ALL, prior=0.3), "pixels").result().share.any()
+    assert not LabelVotes(dependent, "pixels").result().share.any()
 
 
 def test_contributors_add_up_to_the_drawn_depth(scene: StructuredScene) -> None:

@@ -68,26 +68,6 @@ PAD_INDEX = BACKWARD_BATCH
 """Index used where there is no member. Nothing reads its labels."""
 
 
-@parallel_kernel
-def list_channels(worker: int, workers: int, d_labels: Array, size: Size, counts: Array, channels: Array) -> None:
-    """Fill ``TileChannels`` for every ``workers``-th tile. ``d_labels`` int32 [P * C]: the bits of the gradients."""
-    columns, all_channels = (size.width + TILE - 1) // TILE, size.channels
-    bits = np.empty(all_channels, np.int32)
-    for tile in range(worker, counts.shape[0], workers):
-        left, top, found = tile % columns * TILE, tile // columns * TILE, 0
-        bits[:] = 0
-        for row in range(top, min(top + TILE, size.height)):
-            for column in range(left, min(left + TILE, size.width)):
-                at = (row * size.width + column) * all_channels
-                for c in range(all_channels):
-                    bits[c] |= d_labels[at + c]
-        for c in range(all_channels):
-            if bits[c] != 0:
-                channels[tile * all_channels + found] = c
-                found += 1
-        counts[tile] = found
-
-
 @device_function
 def copy_label_gradients(tile: Tile, size: Size, d_labels: Array, channels: Array, count: int, scratch: Array) -> None:
     """Copy the gradients of a tile's ``count`` channels side by side, patch by patch, zeros outside the image.
@@ -97,7 +77,7 @@ def copy_label_gradients(tile: Tile, size: Size, d_labels: Array, channels: Arra
         top, left = tile.top + (patch & -2), tile.left + (patch & 1) * PATCH_WIDTH
         for pixel in range(TILE):
             row, column = top + (pixel & 1), left + (pixel >> 1)
-            at = pixels_at(padded) + (patch * TILE + pixel) * padded
+            at = BATCH_LABELS + (BACKWARD_BATCH + 1 + patch * TILE + pixel) * padded
             for c in range(0, padded, TILE):
                 store(scratch, at + c, broadcast(ZERO))
             if row < size.height and column < size.width:
@@ -107,12 +87,6 @@ def copy_label_gradients(tile: Tile, size: Size, d_labels: Array, channels: Arra
                 else:
                     for c in range(count):
                         scratch[at + c] = d_labels[number * size.channels + channels[c]]
-
-
-@inlined
-def pixels_at(padded: int) -> int:
-    """Offset in a worker's scratch of the label gradients of a tile's pixels."""
-    return BATCH_LABELS + (BACKWARD_BATCH + 1) * padded
 
 
 @device_function
@@ -127,24 +101,9 @@ def add_label_gradients(padded: int, scratch: Array, lists: PatchLists) -> None:
             store(scratch, WEIGHTS + (listed + missing) * TILE, broadcast(ZERO))
         out = ListedRows(scratch, BATCH_LABELS, padded, lists.members, listed)
         weights = Factors(scratch, WEIGHTS + listed * TILE, TILE, 1)
-        source = Rows(scratch, pixels_at(padded) + patch * TILE * padded, padded)
+        source = Rows(scratch, BATCH_LABELS + (BACKWARD_BATCH + 1 + patch * TILE) * padded, padded)
         add_product(out, weights, source, (count + 3) & -4, padded, TILE)
         put(lists.counts, patch, 0)
-
-
-@device_function
-def write_label_gradients(
-    first: int, count: int, isect_ids: Array, scratch: Array, padded: int, out: IsectGradients
-) -> None:
-    """Write the label gradients of a batch to their intersections, bypassing the cache. The batch has ``count``
-    members, the first of which is isect_ids[first]."""
-    stride = out.used.padded
-    for member in range(count):
-        isect = int(get(isect_ids, first + member))
-        if get(out.tiles, isect) >= 0:
-            source = BATCH_LABELS + member * padded
-            for c in range(0, padded, TILE):
-                store_nontemporal(out.labels, isect * stride + c, load(scratch, source + c))
 
 
 # A tile in the backward pass, as patches: where a worker keeps it, and how it is read from the image.
@@ -226,35 +185,21 @@ def load_tile(tile: Tile, size: Size, pixels: PixelGradients, scratch: Array) ->
         # outside there are no columns
         upper_columns, lower_columns = columns if row < height else 0, columns if row + 1 < height else 0
         upper, lower = lane_numbers() < broadcast(F(upper_columns)), lane_numbers() < broadcast(F(lower_columns))
-        store_strip(
-            select(upper, masked_load(pixels.final, pixel, upper), broadcast(ONE)),
-            select(lower, masked_load(pixels.final, below, lower), broadcast(ONE)),
-            TRANSMITTANCE + at,
-            scratch,
-        )
-        store_strip(
-            broadcast(ZERO) - masked_load(pixels.alpha, pixel, upper),
-            broadcast(ZERO) - masked_load(pixels.alpha, below, lower),
-            BEHIND + at,
-            scratch,
-        )
-        store_strip(
-            select(upper, masked_load(pixels.last, pixel, upper), broadcast(-ONE)),
-            select(lower, masked_load(pixels.last, below, lower), broadcast(-ONE)),
-            LAST + at,
-            scratch,
-        )
+        upper_final = select(upper, masked_load(pixels.final, pixel, upper), broadcast(ONE))
+        lower_final = select(lower, masked_load(pixels.final, below, lower), broadcast(ONE))
+        store_strip(upper_final, lower_final, TRANSMITTANCE + at, scratch)
+        upper_alpha, lower_alpha = masked_load(pixels.alpha, pixel, upper), masked_load(pixels.alpha, below, lower)
+        store_strip(broadcast(ZERO) - upper_alpha, broadcast(ZERO) - lower_alpha, BEHIND + at, scratch)
+        upper_last = select(upper, masked_load(pixels.last, pixel, upper), broadcast(-ONE))
+        lower_last = select(lower, masked_load(pixels.last, below, lower), broadcast(-ONE))
+        store_strip(upper_last, lower_last, LAST + at, scratch)
         upper_red, upper_green, upper_blue = colours_of(3 * pixel, 3 * upper_columns, pixels.image)
         lower_red, lower_green, lower_blue = colours_of(3 * below, 3 * lower_columns, pixels.image)
         store_strip(upper_red, lower_red, D_PLANES + at, scratch)
         store_strip(upper_green, lower_green, D_PLANES + TILE + at, scratch)
         store_strip(upper_blue, lower_blue, D_PLANES + 2 * TILE + at, scratch)
-        store_strip(
-            masked_load(pixels.depth, pixel, upper),
-            masked_load(pixels.depth, below, lower),
-            D_PLANES + 3 * TILE + at,
-            scratch,
-        )
+        upper_depth, lower_depth = masked_load(pixels.depth, pixel, upper), masked_load(pixels.depth, below, lower)
+        store_strip(upper_depth, lower_depth, D_PLANES + 3 * TILE + at, scratch)
         for each in (patch, patch + 1):
             own = horizontal_max(load(scratch, LAST + each * PATCH_STRIDE))
             put(scratch, LAST_OF_PATCH + each, own)
@@ -392,15 +337,9 @@ def blend_gaussian_backward(
 
 @parallel_kernel
 def blend_backward(
-    worker: int,
-    workers: int,
-    isects: Intersections,
-    records: Array,
-    pixels: PixelGradients,
-    size: Size,
-    out: IsectGradients,
-    scratches: Scratch,
-) -> None:
+    worker: int, workers: int, isects: Intersections, records: Array, pixels: PixelGradients, size: Size,
+    out: IsectGradients, scratches: Scratch,
+) -> None:  # fmt: skip
     """Process one tile after another until none is left."""
     scratch, counts = scratches.floats[worker], scratches.counts[worker]
     used, starts, flatten_ids, isect_ids = out.used, isects.isect_offsets, isects.flatten_ids, isects.isect_ids
@@ -444,5 +383,9 @@ def blend_backward(
                 own = WHITENED - own
             if channels > 0:
                 add_label_gradients(padded, scratch, lists)
-                count = min(BACKWARD_BATCH, far + 1 - batch)
-                write_label_gradients(first + batch, count, isect_ids, scratch, padded, out)
+                for member in range(min(BACKWARD_BATCH, far + 1 - batch)):
+                    isect = int(get(isect_ids, first + batch + member))
+                    if get(out.tiles, isect) >= 0:
+                        source = BATCH_LABELS + member * padded
+                        for c in range(0, padded, TILE):
+                            store_nontemporal(out.labels, isect * used.padded + c, load(scratch, source + c))

@@ -13,18 +13,8 @@ import numpy as np
 
 from ...machine.compiled import Array, device_function, inlined, parallel_kernel
 from ...machine.vector_shuffles import interleave2
-from ...machine.vectors import (
-    broadcast,
-    fma,
-    get,
-    load,
-    maximum,
-    movemask,
-    prefetch,
-    put,
-    store,
-)
-from ..arrays import GaussianGradients, IsectGradients, Shapes, Tile
+from ...machine.vectors import broadcast, fma, get, load, maximum, movemask, prefetch, put, store
+from ..arrays import GaussianGradients, IsectGradients, Shapes, Size, Tile
 from ..conventions import (
     BATCH,
     BLUE,
@@ -176,6 +166,26 @@ def whiten_strip(r: int, count: int, fields: Array, base: int, strip: int) -> An
 # Gradients of a Gaussian's intersections, which are added in order and carried back to its 3D parameters.
 
 
+@parallel_kernel
+def list_channels(worker: int, workers: int, d_labels: Array, size: Size, counts: Array, channels: Array) -> None:
+    """Fill ``TileChannels`` for every ``workers``-th tile. ``d_labels`` int32 [P * C]: the bits of the gradients."""
+    columns, all_channels = (size.width + TILE - 1) // TILE, size.channels
+    bits = np.empty(all_channels, np.int32)
+    for tile in range(worker, counts.shape[0], workers):
+        left, top, found = tile % columns * TILE, tile // columns * TILE, 0
+        bits[:] = 0
+        for row in range(top, min(top + TILE, size.height)):
+            for column in range(left, min(left + TILE, size.width)):
+                at = (row * size.width + column) * all_channels
+                for c in range(all_channels):
+                    bits[c] |= d_labels[at + c]
+        for c in range(all_channels):
+            if bits[c] != 0:
+                channels[tile * all_channels + found] = c
+                found += 1
+        counts[tile] = found
+
+
 @device_function
 def clear(i: int, out: GaussianGradients) -> None:
     """Zero the gradients of Gaussian i, but not those of its labels."""
@@ -192,13 +202,9 @@ def clear(i: int, out: GaussianGradients) -> None:
 
 @device_function
 def gather_geometry(
-    chunk: tuple[int, int],
-    offsets: Array,
-    isects: IsectGradients,
-    scene: tuple[Shapes, Array, Array],
-    out: GaussianGradients,
-    total: Array,
-) -> None:
+    chunk: tuple[int, int], offsets: Array, isects: IsectGradients, scene: tuple[Shapes, Array, Array],
+    out: GaussianGradients, total: Array,
+) -> None:  # fmt: skip
     """Write the gradients of the Gaussians of a chunk (the first, and one past the last) except labels, including
     zeros. ``scene``: shapes, records, camera; ``total`` float64 [GRADIENT] is scratch."""
     shapes, records, camera = scene
@@ -248,20 +254,12 @@ def gather_labels(
 
 @parallel_kernel
 def gather(
-    worker: int,
-    workers: int,
-    offsets: Array,
-    isects: IsectGradients,
-    channels: int,
-    scene: tuple[Shapes, Array, Array],
-    out: GaussianGradients,
-    next_one: Array,
-) -> None:
+    worker: int, workers: int, offsets: Array, isects: IsectGradients, channels: int,
+    scene: tuple[Shapes, Array, Array], out: GaussianGradients, next_one: Array,
+) -> None:  # fmt: skip
     """Process one chunk after another until none is left: the gradients of all N Gaussians, with labels as [N * C].
-
     ``offsets`` int64 [N + 1] is ``Intersections.gaussian_offsets``. ``scene``: the shapes, the records [N, RECORD] and
-    the camera of the forward pass. ``next_one`` int64 [1] is the next chunk to take.
-    """
+    the camera of the forward pass. ``next_one`` int64 [1] is the next chunk to take."""
     count, total = offsets.shape[0] - 1, np.empty(GRADIENT, np.float64)
     chunks = chunk_count(count)
     first, end = next_chunk(next_one, chunks, count)

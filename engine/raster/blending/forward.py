@@ -229,10 +229,8 @@ def seen_alpha(raw: Any) -> Any:
 def blend_member(
     m: int, alpha: Any, state: Any, end: int, scratch: Array, fields: int, members: Array, labels: Any
 ) -> Any:
-    """Blend one member. Returns the patch's new state, and the new end of its list of blended members.
-
-    A pixel ends once its transmittance is too small. The product continues, so it stays ended for all that follow.
-    """
+    """Blend one member. Returns the patch's new state, and the new end of its list of blended members. A pixel ends
+    once its transmittance is too small. The product continues, so it stays ended for all that follow."""
     transmittance, final, last, red, green, blue, depth = state
     after = fnmadd(alpha, transmittance, transmittance)
     blended = (alpha > broadcast(ZERO)) & (after > broadcast(ENDED))
@@ -295,12 +293,9 @@ def blend_patch(
     touching: int, at: int, scratch: Array, fields: int, members: Array, end: int, labels: tuple[int, int]
 ) -> Any:
     """Blend the members of a mask on the patch whose state is at scratch[at:], four at a time, so that none waits for
-    another's alpha.
-
-    Members blended on any pixel are appended, in order, to the list that ends before ``end``: their weights and, in
-    ``members``, the offsets of their labels. ``labels``: the first member's offset, and the labels' length in vectors.
-    Returns the list's new end, and whether the patch is still open.
-    """
+    another's alpha. Members blended on any pixel are appended, in order, to the list that ends before ``end``: their
+    weights and, in ``members``, the offsets of their labels. ``labels``: the first member's offset, and the labels'
+    length in vectors. Returns the list's new end, and whether the patch is still open."""
     columns = load(scratch, at + COLUMNS)
     state = (
         load(scratch, at + TRANSMITTANCE),
