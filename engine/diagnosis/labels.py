@@ -32,8 +32,8 @@ foreign ones agree, and no conclusion is possible."""
 
 class LabelAgreement(NamedTuple):
     """``counts`` float64 [C, C]: points of one class in one view and of another in the other view, without void.
-    ``by_look`` float64 [F]: share of a look's points that other views give the same class, nan where there are too few.
-    """
+    ``by_look`` float64 [F]: share of a look's points that other views give the same class, nan where there are too
+    few."""
 
     counts: Floats
     by_look: Floats
@@ -266,17 +266,6 @@ def measure_table(examined: Examined, assumed: Assumption, up: Floats) -> Counts
     return counts
 
 
-def _suiting(counts: Counts, kind_of: Mapping[int, str]) -> dict[str, Suiting]:
-    """Each kind of surface that classes name and that enough points show."""
-    found = {}
-    for kind in _KINDS:
-        named = [each for class_id, each in counts.items() if kind_of.get(class_id) == kind]
-        points = sum(each["all"] for each in named)
-        if points >= _FEWEST_OF_KIND:
-            found[kind] = Suiting(points, sum(each[kind] for each in named) / points)
-    return found
-
-
 def _kind(name: str) -> str | None:
     first, *others = re.findall("[a-z]+", name.lower()) or [""]
     return next((kind for kind, known in _KINDS.items() if first in known and {*others} <= _FURTHER), None)
@@ -287,7 +276,12 @@ def table_findings(examined: Examined, assumed: Assumption, up: Floats) -> list[
     counts = measure_table(examined, assumed, up)
     classes = examined.scene.classes
     kind_of = {each.id: kind for each in classes.categories if (kind := _kind(each.name))}
-    found = _suiting(counts, kind_of)
+    found = {}  # each kind of surface that classes name and that enough points show
+    for kind in _KINDS:
+        named = [each for class_id, each in counts.items() if kind_of.get(class_id) == kind]
+        points = sum(each["all"] for each in named)
+        if points >= _FEWEST_OF_KIND:
+            found[kind] = Suiting(points, sum(each[kind] for each in named) / points)
     wrong = {kind: each for kind, each in found.items() if each.share < _DIFFERS}
     is_enough = sum(each.points for each in wrong.values()) >= 2 * _FEWEST_OF_KIND
     if not is_enough or any(each.share >= _SUITS for each in found.values()):

@@ -27,11 +27,9 @@ _DEEPEST = 65535
 
 def write_mended(scene: Scene, diagnosis: Diagnosis, out: Path) -> str | None:
     """Write the mended scene to the folder ``out``, which must not exist. It is written as a whole or not at all. What
-    was written is read again. If it is no improvement, it is deleted and the reason is returned, otherwise None.
-
-    Colour images are hard links where they are files of their own, and PNGs otherwise. Depth is in millimetres, masks
-    are COCO panoptic, and ground truth is images of classes and instances. Raises PlgsError.
-    """
+    was written is read again. If it is no improvement, it is deleted and the reason is returned, otherwise None. Colour
+    images are hard links where they are files of their own, and PNGs otherwise. Depth is in millimetres, masks are COCO
+    panoptic, and ground truth is images of classes and instances. Raises PlgsError."""
     if out.exists():
         raise PlgsError("exists", "the folder for the mended scene already exists", out, "Name a new one.")
     if out.resolve().is_relative_to(scene.folder.resolve()):
@@ -66,15 +64,27 @@ def write_mended(scene: Scene, diagnosis: Diagnosis, out: Path) -> str | None:
 def _write(scene: Scene, frames: list[Frame], diagnosis: Diagnosis, folder: Path) -> None:
     for name in ("color", "pose", "intrinsic"):
         (folder / name).mkdir()
-    for frame, camera in zip(frames, _mended_cameras(scene, frames, diagnosis.mending), strict=True):
-        _write_colour(frame, folder / "color")
-        np.savetxt(folder / "pose" / f"{frame.name}.txt", camera.camera_to_world, "%.12g")
+    mending, upright = diagnosis.mending, np.eye(4)
+    if mending.turn is not None:
+        upright[:3, :3] = mending.turn
+    turn = np.eye(3) if scene.turn is None else scene.turn
+    poses = assumed_poses(np.stack([frame.camera.camera_to_world for frame in frames]), turn, mending.assumed)
+    for frame, pose in zip(frames, upright @ poses, strict=True):
+        w, h = frame.camera.width, frame.camera.height
+        fx, fy, cx, cy = _lens(frame.camera, mending.assumed)[0].tolist()
+        camera = replace(frame.camera, fx=fx * w, fy=fy * h, cx=cx * w, cy=cy * h)
+        source = frame.colour_path
+        if frame.file_shows_colour and source.suffix.lower() in (".jpg", ".jpeg", ".png"):
+            _link_or_copy(source.resolve(), folder / "color" / f"{frame.name}{source.suffix.lower()}")
+        else:
+            _write_image(folder / "color" / f"{frame.name}.png", frame.read_colour(None)[..., ::-1])
+        np.savetxt(folder / "pose" / f"{frame.name}.txt", pose, "%.12g")
         matrix = np.eye(4)
         matrix[:3, :3] = camera.K
         matrix[:2, 2] -= 0.5  # in this layout the centres of pixels are whole numbers
         np.savetxt(folder / "intrinsic" / f"{frame.name}.txt", matrix, "%.12g")
         if frame.read_depth is not None:
-            millimetres = np.round(_mended_depth(frame, diagnosis.mending) / MILLIMETRES)
+            millimetres = np.round(_mended_depth(frame, mending) / MILLIMETRES)
             millimetres[millimetres > _DEEPEST] = 0
             _write_image(folder / "depth" / f"{frame.name}.png", millimetres.astype(np.uint16))
         if frame.read_ground_truth is not None:
@@ -93,34 +103,10 @@ def _write(scene: Scene, frames: list[Frame], diagnosis: Diagnosis, folder: Path
     write_atomically(folder / "mended.json", json.dumps(said, indent=1))
 
 
-def _mended_cameras(scene: Scene, frames: list[Frame], mending: Mending) -> list[Camera]:
-    """The frames' cameras with corrected numbers."""
-    assumed = mending.assumed
-    turn = np.eye(3) if scene.turn is None else scene.turn
-    poses = assumed_poses(np.stack([frame.camera.camera_to_world for frame in frames]), turn, assumed)
-    upright = np.eye(4)
-    if mending.turn is not None:
-        upright[:3, :3] = mending.turn
-    mended = []
-    for frame, pose in zip(frames, upright @ poses, strict=True):
-        w, h = frame.camera.width, frame.camera.height
-        fx, fy, cx, cy = _lens(frame.camera, assumed)[0].tolist()
-        mended.append(replace(frame.camera, fx=fx * w, fy=fy * h, cx=cx * w, cy=cy * h, camera_to_world=pose))
-    return mended
-
-
 def _lens(camera: Camera, assumed: Assumption) -> NDArray[np.float64]:
     """The corrected fx, fy, cx, cy, as fractions of the picture: float64 [1, 4]."""
     w, h = camera.width, camera.height
     return lens_under(np.array([[camera.fx / w, camera.fy / h, camera.cx / w, camera.cy / h]]), assumed)
-
-
-def _write_colour(frame: Frame, folder: Path) -> None:
-    source = frame.colour_path
-    if frame.file_shows_colour and source.suffix.lower() in (".jpg", ".jpeg", ".png"):
-        _link_or_copy(source.resolve(), folder / f"{frame.name}{source.suffix.lower()}")
-    else:
-        _write_image(folder / f"{frame.name}.png", frame.read_colour(None)[..., ::-1])
 
 
 def _link_or_copy(source: Path, target: Path) -> None:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..posed.layout import listed
-from ..scene import Frame, Scene
+from ..scene import Scene
 from .findings import Finding, side_by_side
 from .reprojection import Assumption, Examined, Floats, Views, assumed_poses, lens_under
 
@@ -81,11 +80,24 @@ def pose_findings(examined: Examined, assumed: Assumption) -> PoseFindings:
         found = [_drift_finding(drift)]
     gap = None if found else _measure_gap(distances, numbers[examined.pairs])
     if gap is not None and gap.across > max(least, _GROWN * gap.within):
-        found.append(_gap_finding(examined, gap))
+        name = examined.scene.frames[gap.number].name
+        text = (
+            f"the poses before frame {name} do not fit those from it on: surfaces that both parts see are "
+            f"{gap.across * 100:.1f} cm apart, against {gap.within * 100:.1f} cm within the parts"
+        )
+        option = "register the two parts to each other again, or lift only one of them with a splits.json"
+        figures: dict[str, float | str] = {"across_m": gap.across, "within_m": gap.within, "frame": name}
+        found.append(Finding("parts apart", "wrong", text, option, figures, frames=(name,)))
     shifts = zip("xyz", along.T, strict=True)
     by_axis = {axis: _measure_drift(shift, lags, len(examined.looks)) for axis, shift in shifts}
     if drift is not None and not found:
-        found = _axis_findings({axis: each for axis, each in by_axis.items() if each is not None})
+        # Drift along one axis of the world, which only the surfaces that face it show.
+        grown = {
+            axis: each for axis, each in by_axis.items() if each is not None
+            and each.far > max(_AXIS_DRIFTED, _AXIS_GROWN * each.near) and each.certainty > _AXIS_CERTAIN
+        }  # fmt: skip
+        worst = sorted(grown, key=lambda axis: -grown[axis].certainty)[:1]
+        found = [_drift_finding(grown[axis], f" along {axis}") for axis in worst]
     rows = _misplaced_looks(examined.views, examined.pairs, assumed)
     found = [*found, *([_misplaced_finding(examined, rows)] if rows else [])]
     return PoseFindings(found, tuple(axis for axis, each in by_axis.items() if each is None))
@@ -140,19 +152,6 @@ def _measure_gap(distances: Floats, numbers: NDArray[np.int64]) -> Gap | None:
     return max(found, key=lambda gap: gap.across / max(gap.within, 1e-9), default=None)
 
 
-def _gap_finding(examined: Examined, gap: Gap) -> Finding:
-    name = examined.scene.frames[gap.number].name
-    return Finding(
-        cause="parts apart",
-        severity="wrong",
-        text=f"the poses before frame {name} do not fit those from it on: surfaces that both parts see are "
-        f"{gap.across * 100:.1f} cm apart, against {gap.within * 100:.1f} cm within the parts",
-        option="register the two parts to each other again, or lift only one of them with a splits.json",
-        figures={"across_m": gap.across, "within_m": gap.within, "frame": name},
-        frames=(name,),
-    )
-
-
 def _drift_finding(drift: Drift, along: str = "") -> Finding:
     return Finding(
         cause="drift",
@@ -162,19 +161,6 @@ def _drift_finding(drift: Drift, along: str = "") -> Finding:
         option="register the frames again with loop closure, or lift parts of the recording with a splits.json",
         figures={"near_m": drift.near, "far_m": drift.far, "certainty": drift.certainty},
     )
-
-
-def _axis_findings(drifts: Mapping[str, Drift]) -> list[Finding]:
-    """Drift along one axis of the world, which only the surfaces that face it show."""
-    grown = {
-        axis: drift
-        for axis, drift in drifts.items()
-        if drift.far > max(_AXIS_DRIFTED, _AXIS_GROWN * drift.near) and drift.certainty > _AXIS_CERTAIN
-    }
-    if not grown:
-        return []
-    axis = max(grown, key=lambda each: grown[each].certainty)
-    return [_drift_finding(grown[axis], f" along {axis}")]
 
 
 def _misplaced_looks(views: Views, pairs: NDArray[np.int64], assumed: Assumption) -> list[int]:
@@ -290,8 +276,14 @@ def order_findings(scene: Scene, order: FrameOrder | None) -> list[Finding]:
 
 def repeat_findings(scene: Scene) -> list[Finding]:
     """Frames that occur twice. Raises OSError."""
-    frames = scene.frames
-    repeated = _repeated_frames(frames)
+    frames, first, repeated = scene.frames, dict[bytes, int](), list[tuple[int, int]]()
+    sizes = [frame.colour_path.stat().st_size if frame.file_shows_colour else 0 for frame in frames]
+    shared = {size for size, count in Counter(sizes).items() if count > 1 and size}
+    for number, frame in enumerate(frames):  # files of different sizes differ, so only the others are read
+        if sizes[number] in shared:
+            key = hashlib.blake2b(frame.colour_path.read_bytes(), digest_size=16).digest()
+            if first.setdefault(key, number) != number:
+                repeated.append((number, first[key]))
     if not repeated:
         return []
     shown = [frames[number] for number in repeated[0][::-1]]
@@ -309,18 +301,3 @@ def repeat_findings(scene: Scene) -> list[Finding]:
             picture=side_by_side([(frame.name, frame.read_colour(None)) for frame in shown]),
         )
     ]
-
-
-def _repeated_frames(frames: Sequence[Frame]) -> list[tuple[int, int]]:
-    """(the later frame, the first frame) whose picture files are equal byte by byte. Raises OSError."""
-    first: dict[bytes, int] = {}
-    repeated = []
-    sizes = [frame.colour_path.stat().st_size if frame.file_shows_colour else 0 for frame in frames]
-    shared = {size for size, count in Counter(sizes).items() if count > 1 and size}
-    for number, frame in enumerate(frames):
-        if sizes[number] not in shared:
-            continue
-        key = hashlib.blake2b(frame.colour_path.read_bytes(), digest_size=16).digest()
-        if first.setdefault(key, number) != number:
-            repeated.append((number, first[key]))
-    return repeated

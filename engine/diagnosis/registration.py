@@ -56,7 +56,14 @@ class Registration(NamedTuple):
 
 def measure_registration(looks: list[Look], photos: dict[int, Photo]) -> Registration | None:
     """The scale and shift that bring depth's edges onto those of the pictures. None with too few edges."""
-    chosen = _distinct([look for look in looks if look.number in photos])
+    chosen: list[Look] = []  # at most 32 looks spread over the recording, each of a different place
+    seen: list[Floats] = []
+    for look in evenly_spread([look for look in looks if look.number in photos], _MOST):
+        pose = look.camera.camera_to_world
+        aim = pose[:3, 3] + _AHEAD * pose[:3, 2]
+        if all(np.linalg.norm(aim - other) > _APART for other in seen):
+            chosen.append(look)
+            seen.append(aim)
     pairs = [(_depth_edges(look.depth), _contrast(photos[look.number].grey)) for look in chosen]
     pairs = [(edges, picture) for edges, picture in pairs if len(edges) >= _LEAST_EDGES]
     if len(pairs) < _LEAST_LOOKS:
@@ -66,19 +73,6 @@ def measure_registration(looks: list[Look], photos: dict[int, Photo]) -> Registr
     gains = _fits(pairs, scale, shift) - _fits(pairs, 1.0, (0.0, 0.0))
     error = max(float(gains.std(ddof=1)) / np.sqrt(len(gains)), 1e-6)
     return Registration(scale, shift, float(gains.mean()), float(gains.mean()) / error, len(pairs))
-
-
-def _distinct(looks: list[Look]) -> list[Look]:
-    """At most 32 looks spread over the recording, each of a different place."""
-    kept: list[Look] = []
-    seen: list[Floats] = []
-    for look in evenly_spread(looks, _MOST):
-        pose = look.camera.camera_to_world
-        aim = pose[:3, 3] + _AHEAD * pose[:3, 2]
-        if all(np.linalg.norm(aim - other) > _APART for other in seen):
-            kept.append(look)
-            seen.append(aim)
-    return kept
 
 
 def _depth_edges(depth: NDArray[np.float32]) -> Floats:

@@ -72,12 +72,9 @@ def moved(base: Assumption, values: Floats) -> Assumption:
 
 
 def calibrate(
-    views: Views,
-    pairs: NDArray[np.int64],
-    base: Assumption,
-    free: tuple[str, ...] = _PARAMETERS,
+    views: Views, pairs: NDArray[np.int64], base: Assumption, free: tuple[str, ...] = _PARAMETERS,
     points: int | None = None,
-) -> Calibration | None:
+) -> Calibration | None:  # fmt: skip
     """Fit the ``free`` parameters. None where too few points agree."""
     columns = [_PARAMETERS.index(name) for name in free]
     values, deviations = np.zeros(len(_PARAMETERS)), np.full(len(_PARAMETERS), np.inf)
@@ -244,22 +241,10 @@ def is_far_better(after: Agreement, before: Agreement) -> bool:
     return after.share >= _LEAST_SHARE and (more or finer)
 
 
-def _is_better(after: Agreement, before: Agreement) -> bool:
-    """Whether views agree clearly better: by 15 %, and beyond chance."""
-    gains = after.by_frame - before.by_frame
-    error = float(gains.std(ddof=1)) / np.sqrt(len(gains)) if len(gains) > 1 else np.inf
-    is_enough = after.share >= _LEAST_SHARE and after.seen * after.share >= _LEAST_OF_ALL
-    return is_enough and after.mean > _BETTER * before.mean and float(gains.mean()) > _CERTAIN * max(error, 1e-9)
-
-
 def _best(
-    views: Views,
-    pairs: NDArray[np.int64],
-    assumed: Assumption,
-    before: Agreement,
-    done: set[str],
+    views: Views, pairs: NDArray[np.int64], assumed: Assumption, before: Agreement, done: set[str],
     lens_first: bool = False,
-) -> FoundCause | None:
+) -> FoundCause | None:  # fmt: skip
     tried = [
         (agreement(views, pairs, trial.assumed), trial) for trial in _trials(views, assumed) if trial.cause not in done
     ]
@@ -278,7 +263,12 @@ def _best(
 
     fitted.sort(key=lambda each: (not is_doubted(*each), -each[0].mean))
     after, trial = fitted[0]
-    if not _is_better(after, before):
+    # Views must agree clearly better: by 15 %, and beyond chance.
+    gains = after.by_frame - before.by_frame
+    error = float(gains.std(ddof=1)) / np.sqrt(len(gains)) if len(gains) > 1 else np.inf
+    is_enough = after.share >= _LEAST_SHARE and after.seen * after.share >= _LEAST_OF_ALL
+    is_certain = float(gains.mean()) > _CERTAIN * max(error, 1e-9)
+    if not (is_enough and is_certain and after.mean > _BETTER * before.mean):
         return None
     rival = fitted[1][1].cause if len(fitted) > 1 and fitted[1][0].mean * _RIVAL > after.mean else None
     found = FoundCause(trial.cause, trial.assumed, before, after, rival)

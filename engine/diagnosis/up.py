@@ -36,11 +36,6 @@ class UpAxis(NamedTuple):
 
 def measure_tilt(views: Views, assumed: Assumption) -> UpAxis | None:
     """The up axis, if it clearly differs from z. None also if surfaces or cameras do not show it."""
-    up = _measure_up(views, assumed)
-    return up if up is not None and up.tilt > max(_TILTED, _CERTAIN * up.deviation) else None
-
-
-def _measure_up(views: Views, assumed: Assumption) -> UpAxis | None:
     held = -views.poses_of(assumed)[:, :3, 1].mean(0)
     if np.linalg.norm(held) < _CLEARLY_UP:
         return None
@@ -57,13 +52,14 @@ def _measure_up(views: Views, assumed: Assumption) -> UpAxis | None:
     means = np.stack([signed[frames[near] == frame].mean(0) for frame in np.unique(frames[near])])
     scatter = np.linalg.norm(means - axis, axis=1)
     cosine = np.abs(normals @ axis)
-    return UpAxis(
+    up = UpAxis(
         axis=axis,
         tilt=float(np.degrees(np.arccos(np.clip(axis[2], -1.0, 1.0)))),
         level=float((cosine > np.cos(np.radians(_LEVEL))).mean()),
         walls=float((cosine < np.sin(np.radians(_LEVEL))).mean()),
         deviation=float(np.degrees(np.sqrt((scatter**2).mean() / len(means)))),
     )
+    return up if up.tilt > max(_TILTED, _CERTAIN * up.deviation) else None
 
 
 def world_normals(views: Views, assumed: Assumption) -> list[tuple[Floats, NDArray[np.bool_]]]:

@@ -99,11 +99,9 @@ def _targets(cost: NDArray[np.float64], options: Matching) -> list[int | None]:
 def limit_instances(
     instances: Sequence[SceneObject], instance_of_point: NDArray[np.int32], most: int
 ) -> tuple[list[SceneObject], NDArray[np.int32], int]:
-    """Keep the ``most`` instances with the most pixels, renumbered 1.. in their order.
-
-    Returns them, the points' instances int32 [N] in the new numbers (0 = none or dropped), and the number of dropped
-    instances, which the caller should report to the user.
-    """
+    """Keep the ``most`` instances with the most pixels, renumbered 1.. in their order. Returns them, the points'
+    instances int32 [N] in the new numbers (0 = none or dropped), and the number of dropped instances, which the caller
+    should report to the user."""
     largest = sorted(instances, key=lambda item: (-item.pixels, item.id))[:most]
     kept = sorted(largest, key=lambda item: item.id)
     number = np.zeros(max([int(instance_of_point.max(initial=0)), *(item.id for item in instances)], default=0) + 1)

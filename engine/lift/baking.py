@@ -50,17 +50,12 @@ class FrameBaker:
     """Renders views of a lifted scene and turns them into layers."""
 
     def __init__(
-        self,
-        classes: ClassTable,
-        lifted: StructuredScene,
-        instances: ShownInstances,
-        corrections: str = "",
+        self, classes: ClassTable, lifted: StructuredScene, instances: ShownInstances, corrections: str = "",
         calibration: Calibration = UNCALIBRATED,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """``corrections``: the fingerprint of the corrections that ``lifted`` and ``instances`` include.
         ``calibration`` makes probabilities of the classes' shares."""
-        self.calibration = calibration
-        self.corrections = corrections
+        self.corrections, self.calibration = corrections, calibration
         self.classes, self.lifted, self.labels = classes, lifted, shown_labels(lifted)
         self.instances, self.colours = instances, instances.colours
 
@@ -90,15 +85,9 @@ class FrameBaker:
         return joined([decide(band, self.classes, self.instances.class_of, wanted) for band in bands])
 
     def write(
-        self,
-        folder: LiftFolder,
-        name: str,
-        view: BakedView,
-        events: EventWriter,
-        notes: Mapping[str, str] | None = None,
-        layers: Collection[str] = (),
-        shown: ShownFrame = NOTHING_SHOWN,
-    ) -> None:
+        self, folder: LiftFolder, name: str, view: BakedView, events: EventWriter,
+        notes: Mapping[str, str] | None = None, layers: Collection[str] = (), shown: ShownFrame = NOTHING_SHOWN,
+    ) -> None:  # fmt: skip
         """Write passes/<name>.exr, with ``notes`` and what is ``shown`` in its header and these of FURTHER_LAYERS,
         write the three previews (`baked_files`), and report the files."""
         passes, _, semantic, _ = baked_files(folder, name)
@@ -112,18 +101,14 @@ def read_baker(folder: LiftFolder, classes: ClassTable, corrected: CorrectedResu
     """The baker of a finished lift with its corrections. Raises PlgsError if its files cannot be read, and OSError."""
     lifted = corrected_scene(read_model(folder), corrected)
     shown = read_shown_instances(folder, lifted, corrected)
-    return FrameBaker(classes, lifted, shown, corrected.fingerprint, read_calibration(folder))
-
-
-def read_calibration(folder: LiftFolder) -> Calibration:
-    """The calibration in metrics.json; none in a lift of an earlier version. Raises PlgsError for a damaged one."""
     path = folder.result_path / "metrics.json"
     judges: Any = read_metrics(folder).get("masks_as_judges") if path.is_file() else None
     found = judges.get("calibration") if isinstance(judges, dict) else None
-    try:
-        return Calibration(**found) if isinstance(found, dict) else UNCALIBRATED
+    try:  # a lift of an earlier version has none
+        calibration = Calibration(**found) if isinstance(found, dict) else UNCALIBRATED
     except (TypeError, ValueError) as error:
         raise PlgsError("calibration-damaged", f"the calibration cannot be used ({error})", path, LIFT_ANEW) from error
+    return FrameBaker(classes, lifted, shown, corrected.fingerprint, calibration)
 
 
 def baked_files(folder: LiftFolder, frame: str) -> tuple[Path, Path, Path, Path]:
@@ -234,8 +219,7 @@ CHUNK = 16384
 @torch.no_grad()
 def corrected_scene(scene: StructuredScene, corrected: CorrectedResult) -> StructuredScene:
     """The scene with the classes and objects of ``corrected``. Its Gaussians keep only their likeliest labels, as if
-    the views had voted, and each object has one class. A scene whose labels no edit changes is returned as it is.
-    """
+    the views had voted, and each object has one class. A scene whose labels no edit changes is returned as it is."""
     if not corrected.changes_labels:
         return scene
     channels = scene.channels

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..errors import PlgsError
 from ..job import EventWriter, LiftFolder, write_atomically
-from ..job.cameras import PreviewCamera, PreviewRequest, read_preview_request
+from ..job.cameras import PreviewCamera, read_preview_request
 from ..model.render import render_view
 from ..model.structured import StructuredScene
 from ..passes.baked_view import ShownInstances
@@ -104,25 +104,21 @@ class LivePreviews:
         default = frame_to_show(self.scene).camera, ""
         try:
             wanted = read_preview_request(path)
-            if wanted is None:
-                return default
-            return self._camera_of(wanted, path), wanted.fingerprint if isinstance(wanted, PreviewCamera) else ""
+            if isinstance(wanted, PreviewCamera):
+                (fx, _, cx), (_, fy, cy), _ = wanted.K
+                pose = np.array(wanted.camera_to_world)
+                return Camera(wanted.width, wanted.height, fx, fy, cx, cy, pose), wanted.fingerprint
+            named = [frame.camera for frame in self.scene.frames if frame.name == wanted]
+            if wanted is not None and not named:
+                what = f"the scene has no frame {wanted!r}"
+                raise PlgsError("no-frame", what, path, "Choose another camera for the preview.")
+            return (named[0], "") if named else default
         except PlgsError as error:
             log.warning("%s", error)
             if not self._has_warned:
                 self._has_warned = True
                 self.events.warning(f"the previews show a different camera from the requested one: {error}")
             return default
-
-    def _camera_of(self, wanted: PreviewRequest, path: Path) -> Camera:
-        if isinstance(wanted, PreviewCamera):
-            (fx, _, cx), (_, fy, cy), _ = wanted.K
-            return Camera(wanted.width, wanted.height, fx, fy, cx, cy, np.array(wanted.camera_to_world))
-        for frame in self.scene.frames:
-            if frame.name == wanted:
-                return frame.camera
-        what = f"the scene has no frame {wanted!r}"
-        raise PlgsError("no-frame", what, path, "Choose another camera for the preview.")
 
 
 def frame_to_show(scene: Scene) -> Frame:

@@ -49,14 +49,12 @@ def vote_labels(
     progress: Progress,
     scratch: Path | None = None,
 ) -> GaussianLabels:
-    """The labels of every Gaussian, by a vote of the training frames within ``vote_size``.
-
-    Where masks agree, they outline objects better than points do. In the first round, the segments of each mask take
-    the labels that its pixels got before training; in the second, those that the Gaussians of the first show. Where
-    masks contradict each other, a second round would undo what the points gained: each pixel votes once, with the label
-    of its point. Data that both rounds need is stored in temporary files in ``scratch``. Raises PlgsError if a file is
-    bad, and what ``progress`` raises.
-    """
+    """The labels of every Gaussian, by a vote of the training frames within ``vote_size``. Where masks agree, they
+    outline objects better than points do. In the first round, the segments of each mask take the labels that its pixels
+    got before training; in the second, those that the Gaussians of the first show. Where masks contradict each other, a
+    second round would undo what the points gained: each pixel votes once, with the label of its point. Data that both
+    rounds need is stored in temporary files in ``scratch``. Raises PlgsError if a file is bad, and what ``progress``
+    raises."""
     cloud, maps = prepared.cloud, prepared.label_maps
     assert maps is not None  # objects by agreement come with them
     labels = labels_of(cloud, prepared.instances)

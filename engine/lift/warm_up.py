@@ -35,11 +35,9 @@ class _Trainer(Trainer):
 
 
 def warm_up() -> None:
-    """Run every compiled path of a lift once: consistency, matching, projection, rendering and gradients, baking.
-
-    Numba compiles one function at a time. Meanwhile a second process compiles the rasteriser, which is half of the
-    work, and leaves it in the cache.
-    """
+    """Run every compiled path of a lift once: consistency, matching, projection, rendering and gradients, baking. Numba
+    compiles one function at a time. Meanwhile a second process compiles the rasteriser, which is half of the work, and
+    leaves it in the cache."""
     rasteriser = get_context("spawn").Process(target=compile_rasteriser)
     rasteriser.start()
     try:

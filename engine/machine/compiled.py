@@ -34,10 +34,8 @@ from ..user_cache import user_cache_folder
 
 
 def choose_cache_folder(name: str) -> Path:
-    """The folder ``name`` in the first safe location: the user's setting, or else the user's cache folder.
-
-    If neither is safe, it is a folder for this process alone. Then every start compiles again, and the log says why.
-    """
+    """The folder ``name`` in the first safe location: the user's setting, or else the user's cache folder. If neither
+    is safe, it is a folder for this process alone. Then every start compiles again, and the log says why."""
     setting = os.environ.get("NUMBA_CACHE_DIR")
     bases = [Path(setting).absolute()] if setting else []
     bases.append(user_cache_folder() / "plgs")
@@ -65,10 +63,8 @@ def _make(folder: Path) -> str | None:
 
 
 def why_unsafe(folder: Path) -> str | None:
-    """Who else could write to a folder or replace it; None if only this user and root can.
-
-    Windows manages permissions differently, so nothing is checked there.
-    """
+    """Who else could write to a folder or replace it; None if only this user and root can. Windows manages permissions
+    differently, so nothing is checked there."""
     if sys.platform == "win32":
         return None
     for each in (folder, *folder.parents, *folder.resolve().parents):
@@ -93,9 +89,7 @@ log = logging.getLogger("plgs.machine")
 
 def _version() -> str:
     """A name that changes with the text of every package that has kernels, and with the versions of the compilers.
-
-    Whole packages are included, as kernels freeze the constants that they use.
-    """
+    Whole packages are included, as kernels freeze the constants that they use."""
     digest = hashlib.sha256(f"{sys.version_info[:2]} {numba.__version__}".encode())
     texts = {source: source.read_bytes() for source in sorted(Path(__file__).parent.parent.rglob("*.py"))}
     packages = {source.parent for source, text in texts.items() if b"compiled import" in text}
@@ -109,11 +103,9 @@ CACHE_FOLDER = choose_cache_folder(f"plgs-kernels-{_version()}")
 
 
 def machine_target() -> tuple[str, str, str]:
-    """What Numba compiles for: (triple, processor, features such as "+avx2,-avx512f").
-
-    It depends on this machine and on ``NUMBA_CPU_NAME``, ``NUMBA_CPU_FEATURES`` and ``NUMBA_ENABLE_AVX``. Numba
-    separates machine code by the same three values, so code for different targets never mixes.
-    """
+    """What Numba compiles for: (triple, processor, features such as "+avx2,-avx512f"). It depends on this machine and
+    on ``NUMBA_CPU_NAME``, ``NUMBA_CPU_FEATURES`` and ``NUMBA_ENABLE_AVX``. Numba separates machine code by the same
+    three values, so code for different targets never mixes."""
     target: tuple[str, str, str] = cpu_target.target_context.codegen().magic_tuple()
     return target
 

@@ -74,11 +74,9 @@ def add_four_rows(out: Any, factors: Any, source: Any, a: int, c: int, count: in
 
 @device_function
 def add_product(out: Any, factors: Factors, source: Any, rows: int, columns: int, count: int) -> None:
-    """out[a, c] += sum_b factor[a, b] * source[b, c] for a < ``rows``, c < ``columns``, b < ``count``.
-
-    ``out`` and ``source`` are ``Rows`` or ``ListedRows``. ``rows`` is a multiple of 4 and ``columns`` of 16. The sum is
-    in ascending order of b.
-    """
+    """out[a, c] += sum_b factor[a, b] * source[b, c] for a < ``rows``, c < ``columns``, b < ``count``. ``out`` and
+    ``source`` are ``Rows`` or ``ListedRows``. ``rows`` is a multiple of 4 and ``columns`` of 16. The sum is in
+    ascending order of b."""
     for c in range(0, columns, WIDTH):
         for a in range(0, rows, 4):
             add_four_rows(out, factors, source, a, c, count)

@@ -13,10 +13,9 @@ from .vectors import FLOAT, INT, INTS_IR, WIDTH, call, constant, intrinsic, lane
 
 @intrinsic
 def horizontal_sums(typing_context: Any, vectors: Any) -> Any:
-    """Lane i of the result is the sum over the lanes of vector i of a tuple of at most sixteen; the other lanes are 0.
-
-    This is a tree of pairwise sums: neighbours are folded together until one vector is left, always in the same order.
-    """
+    """Lane i of the result is the sum over the lanes of vector i of a tuple of at most sixteen; the other lanes are
+    0. This is a tree of pairwise sums: neighbours are folded together until one vector is left, always in the same
+    order."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         level = list(cgutils.unpack_tuple(builder, arguments[0]))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from ..posed.layout import same_shape, shown_size
-from ..scene import ClassTable, Frame, GroundTruth, PanopticMask, Scene
+from ..scene import ClassTable, Frame, GroundTruth, Scene
 from ..scene.label_folders import LabelFolder, in_one_table
 from ..scene.pixels import resize_nearest
 from .images import DepthErrors, PictureScores, score_picture
@@ -126,16 +126,12 @@ def add_input_masks(report: Report, scene: Scene) -> None:
     first_id = 1
     for frame in scene.test_frames:
         if frame.read_ground_truth is not None:
-            view = masks_as_prediction(frame.mask(frame.size), first_id)
-            first_id = max(first_id, int(view.instance.max(initial=0)) + 1)
-            report.add(INPUT_MASKS, frame, view)
-
-
-def masks_as_prediction(mask: PanopticMask, first_id: int) -> PredictedView:
-    """An input mask as a prediction. Its ids become ``first_id``.., as the ids of different views are unrelated."""
-    values, index = np.unique(mask.ids, return_inverse=True)
-    fresh = np.where(values > 0, np.cumsum(values > 0) + first_id - 1, 0).astype(np.int32)
-    return PredictedView(mask.class_map(), fresh[index.reshape(mask.ids.shape)])
+            mask = frame.mask(frame.size)
+            values, index = np.unique(mask.ids, return_inverse=True)
+            # The ids of different views are unrelated, so each view gets fresh ones.
+            fresh = np.where(values > 0, np.cumsum(values > 0) + first_id - 1, 0).astype(np.int32)
+            first_id = max(first_id, int(fresh.max(initial=0)) + 1)
+            report.add(INPUT_MASKS, frame, PredictedView(mask.class_map(), fresh[index.reshape(mask.ids.shape)]))
 
 
 PREDICTIONS = "predictions"

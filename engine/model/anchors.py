@@ -20,13 +20,11 @@ UNKNOWN_CLASS = 0
 
 @dataclass
 class Anchors:
-    """The anchors' tensors. Row i of each belongs to anchor i; they are float32 unless stated otherwise.
-
-    ``position`` [M, 3] metres, fixed; ``feature`` [M, F]; ``offset`` [M, k, 3] in units of the offset scale;
-    ``log_scale`` [M, 6] (0:3 offset scale, 3:6 Gaussian scale, log metres); ``level`` int64 [M], 0 for initial anchors
-    and 1..3 for those grown at the 1st to 3rd cell size; ``initial_class`` int64 [M], the class id voted by the
-    semantic point cloud (0 = unknown), which is the target of the cluster loss.
-    """
+    """The anchors' tensors. Row i of each belongs to anchor i; they are float32 unless stated otherwise. ``position``
+    [M, 3] metres, fixed; ``feature`` [M, F]; ``offset`` [M, k, 3] in units of the offset scale; ``log_scale`` [M, 6]
+    (0:3 offset scale, 3:6 Gaussian scale, log metres); ``level`` int64 [M], 0 for initial anchors and 1..3 for those
+    grown at the 1st to 3rd cell size; ``initial_class`` int64 [M], the class id voted by the semantic point cloud (0 =
+    unknown), which is the target of the cluster loss."""
 
     position: torch.Tensor
     feature: torch.Tensor
@@ -102,12 +100,10 @@ def seeded_features(
     features: int,
     seed: int,
 ) -> NDArray[np.float32]:
-    """Starting features that differ by colour and consistent label, float32 [M, ``features``].
-
-    Scaffold-GS and the paper start from zero. It then takes thousands of steps until equal anchors have drifted apart,
-    but a lift on a CPU has only hundreds. Three entries hold ``rgb`` uint8 [M, 3] scaled to [-1, 1]. Half of the others
-    hold a random +-1 code of the class, the rest one of the instance; codes are unique. Unknown labels (0) give zeros.
-    """
+    """Starting features that differ by colour and consistent label, float32 [M, ``features``]. Scaffold-GS and the
+    paper start from zero. It then takes thousands of steps until equal anchors have drifted apart, but a lift on a CPU
+    has only hundreds. Three entries hold ``rgb`` uint8 [M, 3] scaled to [-1, 1]. Half of the others hold a random +-1
+    code of the class, the rest one of the instance; codes are unique. Unknown labels (0) give zeros."""
     seeded = np.zeros((len(rgb), features), np.float32)
     seeded[:, :3] = rgb.astype(np.float32) / 127.5 - 1.0
     half = 3 + (features - 3) // 2

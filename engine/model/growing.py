@@ -19,13 +19,11 @@ from .neural_gaussians import NeuralGaussians
 
 @dataclass(frozen=True)
 class GrowthRules:
-    """When to grow and prune. Visit counts are shares of the steps between two rounds.
-
-    ``gradient`` is the first level's threshold on the mean gradient of the projected centre in NDC units. Level i takes
-    2^i times that and cells of ``cell_voxels[i]`` voxels. An anchor with a mean summed opacity below ``opacity`` is
-    pruned. ``least_visits`` suffice for any number of steps between two rounds (None: only the shares count); otherwise
-    a short lift of many views would never judge anchors that few views see.
-    """
+    """When to grow and prune. Visit counts are shares of the steps between two rounds. ``gradient`` is the first
+    level's threshold on the mean gradient of the projected centre in NDC units. Level i takes 2^i times that and cells
+    of ``cell_voxels[i]`` voxels. An anchor with a mean summed opacity below ``opacity`` is pruned. ``least_visits``
+    suffice for any number of steps between two rounds (None: only the shares count); otherwise a short lift of many
+    views would never judge anchors that few views see."""
 
     gradient: float = 2e-4
     cell_voxels: tuple[int, ...] = (16, 4, 1)

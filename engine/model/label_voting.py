@@ -79,12 +79,10 @@ def contributors(scene: StructuredScene, camera: Camera, count: int = CONTRIBUTO
 
 
 class LabelVotes:
-    """Accumulates the votes of each view for the G Gaussians of a finished scene.
-
-    A Gaussian holds votes for at most LABELS_HELD labels, so that memory does not grow with the number of labels. A
-    further label replaces the one with the fewest votes and inherits these ("space saving", Metwally et al. 2005). So a
-    label with more than 1 / LABELS_HELD of a Gaussian's votes is never lost.
-    """
+    """Accumulates the votes of each view for the G Gaussians of a finished scene. A Gaussian holds votes for at most
+    LABELS_HELD labels, so that memory does not grow with the number of labels. A further label replaces the one with
+    the fewest votes and inherits these ("space saving", Metwally et al. 2005). So a label with more than 1 /
+    LABELS_HELD of a Gaussian's votes is never lost."""
 
     def __init__(self, scene: StructuredScene, kind: EvidenceKind, prior: float = PRIOR) -> None:
         self.scene, self.kind, self.prior = scene, kind, prior

@@ -17,14 +17,12 @@ from ..scene import Camera
 
 @dataclass(frozen=True)
 class NeuralGaussians:
-    """N Gaussians with opacity > 0, decoded for one camera; float32.
-
-    ``means`` [N, 3] metres, ``scales`` [N, 3] standard deviations in metres, ``quats`` [N, 4] wxyz (not normalised),
-    ``opacities`` [N] in (0, 1], ``colours`` [N, 3], ``labels`` [N, C + S]: class probabilities, then instance-slot
-    probabilities. ``visible`` int64 [V] are the decoded anchors, ``all_opacities`` [V, k] their opacities in (-1, 1)
-    without a gradient, ``kept`` int64 [N] the indices of the N Gaussians in the flattened [V * k]. ``cluster_loss`` is
-    the scalar L_cluster (the paper's equation "Cluster Loss"), 0 unless it was requested.
-    """
+    """N Gaussians with opacity > 0, decoded for one camera; float32. ``means`` [N, 3] metres, ``scales`` [N, 3]
+    standard deviations in metres, ``quats`` [N, 4] wxyz (not normalised), ``opacities`` [N] in (0, 1], ``colours`` [N,
+    3], ``labels`` [N, C + S]: class probabilities, then instance-slot probabilities. ``visible`` int64 [V] are the
+    decoded anchors, ``all_opacities`` [V, k] their opacities in (-1, 1) without a gradient, ``kept`` int64 [N] the
+    indices of the N Gaussians in the flattened [V * k]. ``cluster_loss`` is the scalar L_cluster (the paper's equation
+    "Cluster Loss"), 0 unless it was requested."""
 
     means: torch.Tensor
     scales: torch.Tensor
@@ -82,14 +80,11 @@ class ClipRange(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class PanopticRendering:
     """A rendered view, or some rows of one (``camera`` is then that of the rows), before its pixels' labels are
-    decided.
-
-    ``image`` float32 [H, W, 3], sRGB-encoded in [0, 1] over black; ``alpha`` float32 [H, W]; ``depth`` float32 [H, W],
-    planar depth of the surface in metres (0 where nothing was hit). ``class_coverage`` float32 [H, W, C] holds
+    decided. ``image`` float32 [H, W, 3], sRGB-encoded in [0, 1] over black; ``alpha`` float32 [H, W]; ``depth`` float32
+    [H, W], planar depth of the surface in metres (0 where nothing was hit). ``class_coverage`` float32 [H, W, C] holds
     sum_i w_i * p_i(class) for the blending weights w_i of the pixel's Gaussians: it sums to alpha over the classes.
     ``instance_coverage`` float32 [H, W, S] is the same for instances; the rest of alpha belongs to no object. Column c
-    belongs to ``class_ids[c]``, column s to ``instance_ids[s]``.
-    """
+    belongs to ``class_ids[c]``, column s to ``instance_ids[s]``."""
 
     camera: Camera
     image: NDArray[np.float32]

@@ -21,11 +21,9 @@ NO_OBJECT, SPARE = 0, -1
 @dataclass(frozen=True)
 class LabelChannels:
     """The meaning of the label channels: the class id of each semantic channel, ascending; the instance id of each
-    slot, ``NO_OBJECT`` or ``SPARE``. Spare slots take part in training but are never shown.
-
-    ``class_of_slot``: the class of each slot's instance (0 for the other slots), if an object has one class
-    throughout; empty if every pixel decides on its own.
-    """
+    slot, ``NO_OBJECT`` or ``SPARE``. Spare slots take part in training but are never shown. ``class_of_slot``: the
+    class of each slot's instance (0 for the other slots), if an object has one class throughout; empty if every pixel
+    decides on its own."""
 
     class_ids: tuple[int, ...]
     slot_ids: tuple[int, ...]

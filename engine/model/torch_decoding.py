@@ -83,10 +83,8 @@ def decode_in_torch(
 
 
 def cluster_loss(class_logits: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """L_cluster over visible initial anchors: ``class_logits`` [V, k, C], ``target`` int64 [V] with -1 = no label.
-
-    All k Gaussians of an anchor count, drawn or not (equation "Cluster Loss").
-    """
+    """L_cluster over visible initial anchors: ``class_logits`` [V, k, C], ``target`` int64 [V] with -1 = no label. All
+    k Gaussians of an anchor count, drawn or not (equation "Cluster Loss")."""
     known, k = target >= 0, class_logits.shape[1]
     wanted = target.clamp_min(0)[:, None, None].expand(-1, k, 1)
     # torch's own cross entropy of millions of rows takes ten times as long on a GPU

@@ -56,11 +56,10 @@ class Projected(NamedTuple):
 
 class Intersections(NamedTuple):
     """The Gaussians that each tile draws, front to back (gsplat's ``isect_offsets`` and ``flatten_ids``), and where
-    their gradients in that tile go.
-    ``isect_offsets`` int64 [tiles + 1]: tile t has the Gaussians flatten_ids[isect_offsets[t] : isect_offsets[t + 1]],
-    int32 [T]. ``isect_ids`` int32 [T], in the same order: the number of the intersection if they are counted Gaussian
-    by Gaussian; Gaussian i has those from gaussian_offsets[i] to before gaussian_offsets[i + 1], int64 [N + 1].
-    """
+    their gradients in that tile go. ``isect_offsets`` int64 [tiles + 1]: tile t has the Gaussians
+    flatten_ids[isect_offsets[t] : isect_offsets[t + 1]], int32 [T]. ``isect_ids`` int32 [T], in the same order: the
+    number of the intersection if they are counted Gaussian by Gaussian; Gaussian i has those from gaussian_offsets[i]
+    to before gaussian_offsets[i + 1], int64 [N + 1]."""
 
     gaussian_offsets: Array
     isect_offsets: Array

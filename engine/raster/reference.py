@@ -44,10 +44,8 @@ def rasterize_reference(gaussians: GaussianSet, pinhole: Pinhole, wanted: Wanted
 
 
 def project(means: Tensor, scales: Tensor, quats: Tensor, pinhole: Pinhole) -> tuple[Tensor, Tensor, Tensor]:
-    """Centres [N, 2] in pixels, blurred 2D covariances [N, 2, 2] in pixels squared, planar depths [N] in metres.
-
-    Rows at or behind the near plane are computed for a point at depth 1, so that no infinity enters the gradients.
-    """
+    """Centres [N, 2] in pixels, blurred 2D covariances [N, 2, 2] in pixels squared, planar depths [N] in metres. Rows
+    at or behind the near plane are computed for a point at depth 1, so that no infinity enters the gradients."""
     rotation = torch.as_tensor(pinhole.rotation, dtype=means.dtype).reshape(3, 3)
     centre = torch.as_tensor(pinhole.centre, dtype=means.dtype)
     x, y, z = ((means - centre) @ rotation.T).unbind(-1)

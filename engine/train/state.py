@@ -48,7 +48,11 @@ def restore(trainer: Trainer, tensors: Mapping[str, torch.Tensor], facts: Mappin
     trainer.optimiser.restore(_under("optimiser.", tensors), facts["optimiser_steps"])
     growth = _under("growth.", tensors)
     trainer.statistics = GrowthStatistics(**{name: tensor.clone() for name, tensor in growth.items()})
-    trainer.pseudo = [_pseudo_labels(number, view.camera, tensors) for number, view in enumerate(trainer.views)]
+    packed = {name: tensor.numpy().tobytes() for name, tensor in tensors.items() if name.startswith("pseudo")}
+    for number, view in enumerate(trainer.views):
+        shape, classes = (view.camera.height, view.camera.width), packed.get(f"pseudo.{number}")
+        slots = packed.get(f"pseudo_slot.{number}")
+        trainer.pseudo[number] = None if classes is None else PseudoLabels(shape, classes, slots)
     trainer.step_number = facts["step"]
     trainer.follow_anchors()
 
@@ -98,14 +102,6 @@ def _check_packed(packed: torch.Tensor, camera: Camera, channels: int) -> None:
 
 def _as_tensor(packed: bytes) -> torch.Tensor:
     return torch.frombuffer(bytearray(packed), dtype=torch.uint8)
-
-
-def _pseudo_labels(number: int, camera: Camera, tensors: Mapping[str, torch.Tensor]) -> PseudoLabels | None:
-    classes, slots = (tensors.get(f"{name}.{number}") for name in ("pseudo", "pseudo_slot"))
-    if classes is None:
-        return None
-    shape = (camera.height, camera.width)
-    return PseudoLabels(shape, classes.numpy().tobytes(), None if slots is None else slots.numpy().tobytes())
 
 
 def _under(prefix: str, tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:

@@ -16,17 +16,14 @@ from .similarity import PhotoMoments
 
 @dataclass
 class ViewTargets:
-    """Targets of one training view at lift size.
-
-    ``photo`` is sRGB-encoded, in [0, 1], with its moments for SSIM; on a device it is uint8 [H, W, 3]. ``projected``
-    int16 [H, W]: semantic channel of the projected point cloud, -1 = none. ``matched`` int16 [H, W]: instance slot of
-    M_match, -1 = none. ``things`` are the thing segments of the input mask. ``pseudo`` int16 [H, W]: semantic channel
-    of the pseudo labels, None before the self-training stage; ``pseudo_slot`` int16 [H, W]: the slots, if segments were
-    given objects as well; they then replace ``matched``. ``depth`` float32 [H, W] is the sensor's, metres (0 = none);
-    ``border`` bool [H, W], or None, where the photo shows only a black border; ``weight`` how much the photo counts
-    compared with sharper ones; ``gain`` float32 [3], or None, its exposure relative to the room's. ``columns``: the
-    label channels in which the view is compared, if they are kept.
-    """
+    """Targets of one training view at lift size. ``photo`` is sRGB-encoded, in [0, 1], with its moments for SSIM; on a
+    device it is uint8 [H, W, 3]. ``projected`` int16 [H, W]: semantic channel of the projected point cloud, -1 = none.
+    ``matched`` int16 [H, W]: instance slot of M_match, -1 = none. ``things`` are the thing segments of the input mask.
+    ``pseudo`` int16 [H, W]: semantic channel of the pseudo labels, None before the self-training stage; ``pseudo_slot``
+    int16 [H, W]: the slots, if segments were given objects as well; they then replace ``matched``. ``depth`` float32
+    [H, W] is the sensor's, metres (0 = none); ``border`` bool [H, W], or None, where the photo shows only a black
+    border; ``weight`` how much the photo counts compared with sharper ones; ``gain`` float32 [3], or None, its exposure
+    relative to the room's. ``columns``: the label channels in which the view is compared, if they are kept."""
 
     name: str
     camera: Camera

@@ -202,11 +202,9 @@ class Trainer:
         return self._placed[number]
 
     def step(self, check: Callable[[], None] = lambda: None) -> StepReport:
-        """Make pseudo labels if they are due, do one optimisation step on one view, then grow if it is due.
-
-        Between steps, and when ``check`` raises, the state is complete: a checkpoint of it continues bit for bit.
-        Raises what ``check`` raises, and FloatingPointError, before anything is changed, if the loss is not finite.
-        """
+        """Make pseudo labels if they are due, do one optimisation step on one view, then grow if it is due. Between
+        steps, and when ``check`` raises, the state is complete: a checkpoint of it continues bit for bit. Raises what
+        ``check`` raises, and FloatingPointError, before anything is changed, if the loss is not finite."""
         if self.step_number in self.pseudo_label_steps:
             self.refresh_pseudo_labels(check)
         epoch, position = divmod(self.step_number, len(self.targets))  # each epoch has a new random order of all views
@@ -319,12 +317,10 @@ class Trainer:
     def _label_losses(
         self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, columns: NDArray[np.int64]
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """L_sem (the view's target and L_cluster) and L_ins (linear assignment and M_match).
-
-        Their gradients stop at the blending weights, so they do not reach opacity, shape or colour decoders. They do
-        reach the anchors' features, which all decoders share: this is what makes labels follow what the picture shows.
-        ``columns``: the channels that were drawn.
-        """
+        """L_sem (the view's target and L_cluster) and L_ins (linear assignment and M_match). Their gradients stop at
+        the blending weights, so they do not reach opacity, shape or colour decoders. They do reach the anchors'
+        features, which all decoders share: this is what makes labels follow what the picture shows. ``columns``: the
+        channels that were drawn."""
         by_class, by_slot = self._compare_labels(gaussians, rendering, target, columns)
         return by_class + self.preset.weights.cluster * gaussians.cluster_loss, by_slot
 
