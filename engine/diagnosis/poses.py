@@ -59,16 +59,9 @@ class Gap(NamedTuple):
     within: float
 
 
-class PoseFindings(NamedTuple):
-    """What was found, and the axes of the world along which drift could not be tested: too few frames that are far
-    apart in time share surfaces that face them."""
-
-    found: list[Finding]
-    untested: tuple[str, ...]
-
-
-def pose_findings(examined: Examined, assumed: Assumption) -> PoseFindings:
-    """Drift, and single frames whose pose is off. The frames have to be in order."""
+def pose_findings(examined: Examined, assumed: Assumption) -> tuple[list[Finding], tuple[str, ...]]:
+    """Drift, and single frames whose pose is off; and the axes of the world along which drift could not be tested: too
+    few frames that are far apart in time share surfaces that face them. The frames have to be in order."""
     distances, along = _surface_distances(examined.views, examined.pairs, assumed)
     numbers = np.array([look.number for look in examined.looks])
     lags = np.abs(numbers[examined.pairs[:, 0]] - numbers[examined.pairs[:, 1]]).astype(np.float64)
@@ -100,7 +93,7 @@ def pose_findings(examined: Examined, assumed: Assumption) -> PoseFindings:
         found = [_drift_finding(grown[axis], f" along {axis}") for axis in worst]
     rows = _misplaced_looks(examined.views, examined.pairs, assumed)
     found = [*found, *([_misplaced_finding(examined, rows)] if rows else [])]
-    return PoseFindings(found, tuple(axis for axis, each in by_axis.items() if each is None))
+    return found, tuple(axis for axis, each in by_axis.items() if each is None)
 
 
 def _surface_distances(views: Views, pairs: NDArray[np.int64], assumed: Assumption) -> tuple[Floats, Floats]:

@@ -39,8 +39,8 @@ def diagnose(scene: Scene) -> Diagnosis:
     findings += [*order_findings(scene, order), *repeat_findings(scene)]
     untested: tuple[str, ...] = ()
     if order is None or not order.is_shuffled:
-        poses = pose_findings(examined, assumed)
-        findings, untested = [*findings, *poses.found], poses.untested
+        found, untested = pose_findings(examined, assumed)
+        findings += found
         pictures = picture_findings(examined, assumed)
         if pictures:  # depth's edges fit pictures of other frames only by chance
             findings, shift = [each for each in findings if each.cause != SHIFT], (0.0, 0.0)

@@ -125,15 +125,15 @@ def thin(points: NDArray[np.float64], voxel_size: float) -> NDArray[np.float64]:
     return np.column_stack([np.bincount(voxel, points[:, axis]) / count for axis in range(3)])
 
 
-PointOfPixel = Callable[[View], NDArray[np.int32]]
-"""Row in the cloud of the point nearest to each pixel's surface, int32 [H, W], -1 for none."""
-
-
 def vote_instances(
-    views: Sequence[View], point_of_pixel: PointOfPixel, points: int, instance_of_segment: Mapping[tuple[str, int], int]
+    views: Sequence[View],
+    point_of_pixel: Callable[[View], NDArray[np.int32]],
+    points: int,
+    instance_of_segment: Mapping[tuple[str, int], int],
 ) -> NDArray[np.int32]:
     """Instance of each point of the cloud by a vote of the views, int32 [points], 0 = none. Ties go to the lower id. In
-    each view the instances that a point's pixels belong to share one vote, so that near views do not outvote others."""
+    each view the instances that a point's pixels belong to share one vote, so that near views do not outvote others.
+    ``point_of_pixel``: the point nearest to each pixel's surface, int32 [H, W], -1 for none."""
     rows, ids, weights = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0)]
     for view in views:
         instance = instance_map(view, instance_of_segment)

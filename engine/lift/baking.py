@@ -127,11 +127,6 @@ def names_of_files(folder: LiftFolder) -> dict[str, str]:
     return padded if is_clear else {name: name for name in padded}
 
 
-def renamed_frames(names: Mapping[str, str]) -> dict[str, str]:
-    """``Manifest.frames`` for the `names_of_files`."""
-    return {file: name for name, file in names.items() if name != file}
-
-
 def predicted(layers: PanopticLayers) -> PredictedView:
     """A lifted view in the form that the report scores."""
     return PredictedView(

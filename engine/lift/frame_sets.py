@@ -52,10 +52,6 @@ class FrameSets:
         unreadable = tuple(frame.name for frame in gone if not frame.held_out)
         return FrameSets(replace(self.all, frames=kept), readable, self.voting, unreadable)
 
-    @property
-    def held_out(self) -> tuple[Frame, ...]:
-        return self.chosen.test_frames
-
 
 def sets_of_frames(
     scene: Scene, request: LiftRequest, checkpoint: Checkpoint | None, progress: StageProgress, events: EventWriter

@@ -124,7 +124,12 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     )
     cloud = replace(cloud, class_id=labels.classes(voted.label), confidence=voted.confidence)
     object_of_point = labels.objects(voted.label)
-    owner, things = pieces_in_space(things, object_of_point, training, cloud, progress.part(0.85, 0.92))
+    rules, kinds_of = PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing)), [one.class_id for one in things]
+    regrouping = progress.part(0.85, 0.92)
+    owner, origin = regroup_pieces(cloud.xyz, object_of_point, kinds_of, training.seen, rules, regrouping)
+    masks = masks_of_pieces([mask for one in things for mask in one.masks], training, owner, len(origin))
+    pieces = [SceneObject(number, own, kinds_of[number - 1]) for number, own in zip(origin, masks, strict=True)]
+    owner, things = without_fragments(owner, pieces, training.seen)
     # A point that lost its object was on the ragged edge of a few masks, so their class is no evidence for it either.
     is_fragment = (object_of_point > 0) & (owner == 0)
     cloud = replace(cloud, class_id=np.where(is_fragment, VOID, cloud.class_id).astype(np.int32))
@@ -188,23 +193,6 @@ def thing_objects(
     class_of_object = object_classes(votes, cloud.class_ids, is_one).tolist()
     things = (one for one in found.objects if class_of_object[one.id] in classes.thing_ids)
     return [replace(one, id=number, class_id=class_of_object[one.id]) for number, one in enumerate(things, start=1)]
-
-
-def pieces_in_space(
-    things: Sequence[SceneObject],
-    object_of_point: NDArray[np.int32],
-    seeing: ViewsOnCloud,
-    cloud: SemanticPointCloud,
-    progress: Progress,
-) -> tuple[NDArray[np.int32], list[SceneObject]]:
-    """The objects after their pieces were regrouped, and the object that owns each point, int32 [N] (0 = none).
-    ``object_of_point`` int32 [N]: the object among ``things`` that the views voted for."""
-    rules = PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing))
-    classes = [one.class_id for one in things]
-    owner, origin = regroup_pieces(cloud.xyz, object_of_point, classes, seeing.seen, rules, progress)
-    masks = masks_of_pieces([mask for one in things for mask in one.masks], seeing, owner, len(origin))
-    pieces = [SceneObject(number, own, classes[number - 1]) for number, own in zip(origin, masks, strict=True)]
-    return without_fragments(owner, pieces, seeing.seen)
 
 
 def masks_of_pieces(

@@ -14,7 +14,6 @@ from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
 from statistics import median
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -36,7 +35,6 @@ from ..model.structured import StructuredScene
 from ..presets.preset import Preset
 from ..scene import (
     VOID,
-    ClassTable,
     Scene,
     Size,
     StoredViews,
@@ -52,7 +50,7 @@ from ..scene_of_lift import masks_differ, masks_last_run, refuse_changed, rememb
 from ..train.progress import Course, StageProgress, StageReporter
 from ..train.state import OtherLabels, restore, trainer_state
 from ..train.trainer import LOSSES, Trainer
-from .baking import FrameBaker, bake_and_evaluate, names_of_files, renamed_frames
+from .baking import FrameBaker, bake_and_evaluate, names_of_files
 from .device import be_repeatable, usable_device
 from .frame_sets import FRAMES, FrameSets, check_disk, frames_to_bake, predicted_lift, sets_of_frames
 from .judging import read_held_back
@@ -60,7 +58,7 @@ from .lasting_names import keep_names, read_earlier, refuse_names_of_no_objects,
 from .live_previews import LivePreviews
 from .objects import MATCHERS
 from .preparation import PreparedLift, prepare
-from .scene_files import instance_names, points_to_write, shown_instances, write_scene_files
+from .scene_files import instance_names, is_near_measured, shown_by_depth, shown_instances, write_scene_files
 from .voting import read_voters, vote_labels
 
 log = logging.getLogger("plgs.lift")
@@ -97,19 +95,8 @@ LEAST_STEPS = 100
 """Minimum steps for which the pace is remembered. Fewer would measure the first compilation, not the computer."""
 
 
-class Preparing(Protocol):
-    """A function that does everything before the first step, as `prepare` does."""
-
-    def __call__(
-        self,
-        views: Sequence[View],
-        classes: ClassTable,
-        preset: Preset,
-        seed: int,
-        stages: StageReporter,
-        scratch: Path | None = None,
-        others: Sequence[View] = (),
-    ) -> PreparedLift: ...
+Preparing = Callable[..., PreparedLift]
+"""A function that does everything before the first step, with the arguments of `prepare`."""
 
 
 def new_trainer(prepared: PreparedLift, views: Sequence[View], preset: Preset, seed: int) -> Trainer:
@@ -173,8 +160,8 @@ def run_lift(
         positions = trainer.scene.anchors.position.numpy(force=True)
         trainer.scene.finest = torch.from_numpy(finest_pixels(positions, cameras))
         held_back = read_held_back(frames.chosen, preset.size, folder.path)
-        part = progress.part(VOTED, SIFTED)
-        seen = points_to_write(prepared.cloud, prepared.instance_of_point, chained(views, held_back), part)
+        measured = shown_by_depth(prepared.cloud, chained(views, held_back), progress.part(VOTED, SIFTED))
+        seen = is_near_measured(prepared.cloud, prepared.instance_of_point, measured)
         if earlier is not None:
             prepared, lasting = keep_names(earlier, prepared, seen, trainer.scene, classes)
             names = lasting.names
@@ -208,7 +195,7 @@ def finish(folder: LiftFolder, preset: Preset, stages: StageReporter, code: str,
         seed=folder.request.seed,
         settings=asdict(preset),
         timings=stages.timings,
-        frames=renamed_frames(names_of_files(folder)),
+        frames={file: name for name, file in names_of_files(folder).items() if name != file},
     )
 
 

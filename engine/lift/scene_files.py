@@ -83,18 +83,11 @@ def write_scene_files(
         events.artifact(result / name, name.partition(".")[0])
 
 
-def points_to_write(
-    cloud: SemanticPointCloud, owner: NDArray[np.int32], views: Sequence[View], progress: Progress
-) -> NDArray[np.bool_]:
-    """Which points of the cloud are written, bool [N]: all but planes extended far beyond what ``views`` measured.
-    Raises what ``progress`` raises."""
-    return is_near_measured(cloud, owner, shown_by_depth(cloud, views, progress))
-
-
 def is_near_measured(
     cloud: SemanticPointCloud, owner: NDArray[np.int32], measured: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Which points [N] lie near ``measured`` ones, and all of an object that has no such point."""
+    """Which points [N] lie near ``measured`` ones, and all of an object that has no such point. The others belong to
+    planes that were extended far beyond anything measured, and are not written."""
     near = is_within(max(FILLED, 2 * cloud.spacing), cloud.xyz, cloud.xyz[measured])
     return near | np.isin(owner, np.setdiff1d(owner, [0, *np.unique(owner[near])]))
 

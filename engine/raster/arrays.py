@@ -76,19 +76,8 @@ class Splats(NamedTuple):
 
 class Blended(NamedTuple):
     """The blended pixels, float32: ``image`` [P * 3], ``labels`` [P * C], ``alpha``, ``depth`` and the ``final``
-    transmittance [P]. ``last`` [P] is the last Gaussian blended, as its index in the tile's list; -1 means none."""
-
-    image: Array
-    labels: Array
-    alpha: Array
-    depth: Array
-    final: Array
-    last: Array
-
-
-class PixelGradients(NamedTuple):
-    """The gradients of ``image`` [P * 3], ``labels`` [P * C], ``alpha`` and ``depth`` [P]; and ``final`` and ``last``
-    [P] as the forward pass left them. All are float32."""
+    transmittance [P]. ``last`` [P] is the last Gaussian blended, as its index in the tile's list; -1 means none. For
+    the backward pass, the gradients of the first four, and ``final`` and ``last`` as the forward pass left them."""
 
     image: Array
     labels: Array

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -20,7 +20,6 @@ from .arrays import (
     Gaussians,
     Intersections,
     IsectGradients,
-    PixelGradients,
     Projected,
     Scratch,
     Shapes,
@@ -53,8 +52,7 @@ class ForwardState:
     last: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Layers:
+class Layers(NamedTuple):
     """Image [H, W, 3], labels [H, W, C], alpha and depth [H, W], float32."""
 
     image: Array
@@ -67,17 +65,6 @@ class Layers:
         shapes = ((height, width, 3), (height, width, channels), (height, width), (height, width))
         return cls(*(memory.empty(shape, np.float32) for shape in shapes))
 
-    def in_order(self) -> tuple[Array, ...]:
-        return self.image, self.labels, self.alpha, self.depth
-
-
-@dataclass(frozen=True, eq=False)
-class OnImage:
-    """Where the forward pass puts each Gaussian: ``means2d`` float32 [N, 2], and ``visible`` bool [N]."""
-
-    means2d: Array
-    visible: Array
-
 
 def as_array(tensor: Tensor) -> Array:
     """The tensor's numbers as a contiguous array, detached from autograd."""
@@ -85,18 +72,19 @@ def as_array(tensor: Tensor) -> Array:
 
 
 def rasterize_forward(
-    gaussians: Gaussians, labels: Array, pinhole: Pinhole, on_image: OnImage
+    gaussians: Gaussians, labels: Array, pinhole: Pinhole, on_image: tuple[Array, Array]
 ) -> tuple[Layers, ForwardState]:
-    """Draw the Gaussians with ``labels`` float32 [N, C], and fill ``on_image``."""
+    """Draw the Gaussians with ``labels`` float32 [N, C], and fill ``on_image``: where each is, float32 [N, 2], and
+    whether it is visible, bool [N]."""
     count, channels = labels.shape
     size, camera = Size(pinhole.width, pinhole.height, channels), camera_array(pinhole)
     layers = Layers.empty(size.height, size.width, channels)
     pixels = size.height * size.width
     final, last, records = memory.several((pixels, np.float32), (pixels, np.float32), ((count, RECORD), np.float32))
-    out = Blended(*map(flat, layers.in_order()), final, last)
+    out = Blended(*map(flat, layers), final, last)
 
     boxes, depths = memory.several(((count, 4), np.int32), (count, np.float32))
-    projected = Projected(records, boxes, depths, on_image.means2d, on_image.visible)
+    projected = Projected(records, boxes, depths, *on_image)
     parallel_for(worker_count(), project, gaussians, camera, size, projected, np.zeros(1, np.int64))
     isects, longest = isect_tiles(worker_count(), boxes, depths, size.width, size.height)
     workers = blending_workers(worker_count(), isects, longest)
@@ -153,8 +141,7 @@ def rasterize_backward(state: ForwardState, shapes: Shapes, d_layers: Layers) ->
     isects = IsectGradients(used, *memory.several((count, np.int32), values, labels))
     sizes = ((n, 3), (n, 3), (n, 4), (n,), (n, 3), (n, channels), (n, 2))
     out = GaussianGradients(*(memory.empty(each, np.float32) for each in sizes))
-    images = map(flat, d_layers.in_order())
-    pixels = PixelGradients(*images, state.final, state.last)
+    pixels = Blended(*map(flat, d_layers), state.final, state.last)
     scratch = new_scratch(workers, backward_scratch_size(used.padded))
     parallel_for(workers, blend_backward, state.isects, flat(state.records), pixels, size, isects, scratch)
     scene = (shapes, state.records, state.camera)
@@ -174,9 +161,9 @@ COMPILATION = "10 s"
 def rasterize_native(gaussians: GaussianSet, pinhole: Pinhole, wanted: Wanted) -> Rendering:
     """``rasterize`` for float32 tensors on the CPU. It uses ``torch.get_num_threads()`` threads."""
     count = gaussians.means.shape[0]
-    on_image = OnImage(*memory.several(((count, 2), np.float32), (count, np.bool_)))
+    on_image = memory.several(((count, 2), np.float32), (count, np.bool_))
     # the kernels write to the array; the tensor is an input so that a gradient can reach it
-    centres = torch.from_numpy(on_image.means2d)
+    centres = torch.from_numpy(on_image[0])
     if wanted.means2d_grad:
         centres.requires_grad_()
     image, labels, alpha, depth, *more = _Blend.apply(*gaussians, centres, pinhole, on_image, wanted)
@@ -185,7 +172,7 @@ def rasterize_native(gaussians: GaussianSet, pinhole: Pinhole, wanted: Wanted) -
         labels=labels if gaussians.labels is not None else None,
         alpha=alpha,
         depth=depth,
-        visible=torch.from_numpy(on_image.visible),
+        visible=torch.from_numpy(on_image[1]),
         means2d=centres,
         top_indices=more[0] if wanted.top_k else None,
         top_weights=more[1] if wanted.top_k else None,
@@ -197,7 +184,7 @@ class _Blend(torch.autograd.Function):
     @staticmethod
     def forward(
         ctx: Any, means: Tensor, scales: Tensor, quats: Tensor, opacities: Tensor, colours: Tensor,
-        labels: Tensor | None, centres: Tensor, pinhole: Pinhole, on_image: OnImage, wanted: Wanted,
+        labels: Tensor | None, centres: Tensor, pinhole: Pinhole, on_image: tuple[Array, Array], wanted: Wanted,
     ) -> tuple[Tensor, ...]:  # fmt: skip
         gaussians = Gaussians(*map(as_array, (means, scales, quats, opacities, colours)))
         features = as_array(labels) if labels is not None else np.empty((means.shape[0], 0), np.float32)
@@ -214,7 +201,7 @@ class _Blend(torch.autograd.Function):
         ctx.state = state
         ctx.size, ctx.labels_shape = (pinhole.height, pinhole.width), features.shape
         ctx.set_materialize_grads(False)
-        return *map(torch.from_numpy, layers.in_order()), *more
+        return *map(torch.from_numpy, layers), *more
 
     @staticmethod
     def backward(ctx: Any, *by: Tensor | None) -> tuple[Tensor | None, ...]:

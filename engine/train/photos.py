@@ -33,7 +33,7 @@ def exposure_gains(
     time without outliers. The gains' geometric mean is 1. Photos are read one at a time, and only sums are held."""
     fit: _Fit | None = None
     for _ in range(2):
-        fit = _least_squares(_log_colour_sums(photos, point_of_pixel, points, fit))
+        fit = _least_squares(*_log_colour_sums(photos, point_of_pixel, points, fit))
     assert fit is not None
     return np.exp(np.clip(fit.gains, -np.log(LARGEST_GAIN), np.log(LARGEST_GAIN)))
 
@@ -45,33 +45,25 @@ class _Fit(NamedTuple):
     colours: NDArray[np.float64]
 
 
-class _Sums(NamedTuple):
-    """``pixels`` sparse float64 [photos, points], how many pixels of a photo show a point; the sums of their log
-    colours, float64, by point [points, 3] and by photo [photos, 3]."""
-
-    pixels: Any
-    by_point: NDArray[np.float64]
-    by_photo: NDArray[np.float64]
-
-
-def _least_squares(sums: _Sums) -> _Fit:
-    """The least-squares fit to all pixels. The points are eliminated first."""
+def _least_squares(seen: Any, by_point: NDArray[np.float64], by_photo: NDArray[np.float64]) -> _Fit:
+    """The least-squares fit to all pixels, from their sums. The points are eliminated first."""
     from scipy import sparse
 
-    seen = sums.pixels
     pixels = np.maximum(np.asarray(seen.sum(0)).reshape(-1), 1)
-    mean = sums.by_point / pixels[:, None]
+    mean = by_point / pixels[:, None]
     system = np.diag(np.asarray(seen.sum(1)).reshape(-1)) - (seen @ sparse.diags(1 / pixels) @ seen.T).toarray()
     # A photo that shares no point with another has no gain: the smallest solution leaves it at 0.
-    gains = np.linalg.lstsq(system, sums.by_photo - seen @ mean, rcond=1e-6)[0]
+    gains = np.linalg.lstsq(system, by_photo - seen @ mean, rcond=1e-6)[0]
     gains -= gains.mean(axis=0)
     return _Fit(gains, mean - (seen.T @ gains) / pixels[:, None])
 
 
 def _log_colour_sums(
     photos: Sequence[NDArray[np.uint8]], point_of_pixel: Sequence[NDArray[np.int32]], points: int, fit: _Fit | None
-) -> _Sums:
-    """The sums over all pixels neither too dark nor too bright; with a ``fit``, only over those that it fits."""
+) -> tuple[Any, NDArray[np.float64], NDArray[np.float64]]:
+    """How many pixels of a photo show a point, sparse float64 [photos, points], and the sums of their log colours by
+    point, float64 [points, 3], and by photo [photos, 3]: of all pixels neither too dark nor too bright; with a
+    ``fit``, only of those that it fits."""
     from scipy import sparse
 
     by_point, by_photo = np.zeros((3, points)), np.zeros((len(photos), 3))
@@ -91,7 +83,7 @@ def _log_colour_sums(
         counts.append(count)
     ends = np.cumsum([0, *map(len, shown)])
     pixels = (np.concatenate(counts).astype(np.float64), np.concatenate(shown), ends)
-    return _Sums(sparse.csr_matrix(pixels, (len(photos), points)), by_point.T.copy(), by_photo)
+    return sparse.csr_matrix(pixels, (len(photos), points)), by_point.T.copy(), by_photo
 
 
 def sharpness_weights(photos: Iterable[NDArray[np.uint8]]) -> NDArray[np.float64]:

@@ -40,7 +40,7 @@ from ...machine.vectors import (
     store_nontemporal,
     trailing_zeros,
 )
-from ..arrays import Intersections, IsectGradients, PixelGradients, Scratch, Size, Tile
+from ..arrays import Blended, Intersections, IsectGradients, Scratch, Size, Tile
 from ..conventions import (
     BACKWARD_BATCH,
     BLUE,
@@ -173,7 +173,7 @@ def store_strip(upper: Any, lower: Any, at: int, scratch: Array) -> None:
 
 
 @device_function
-def load_tile(tile: Tile, size: Size, pixels: PixelGradients, scratch: Array) -> Any:
+def load_tile(tile: Tile, size: Size, pixels: Blended, scratch: Array) -> Any:
     """Load the tile's state at its far end; zeros outside the image. Returns the largest index blended in the tile."""
     left, top, width, height = tile.left, tile.top, size.width, size.height
     far = -1
@@ -337,7 +337,7 @@ def blend_gaussian_backward(
 
 @parallel_kernel
 def blend_backward(
-    worker: int, workers: int, isects: Intersections, records: Array, pixels: PixelGradients, size: Size,
+    worker: int, workers: int, isects: Intersections, records: Array, pixels: Blended, size: Size,
     out: IsectGradients, scratches: Scratch,
 ) -> None:  # fmt: skip
     """Process one tile after another until none is left."""
