@@ -51,10 +51,10 @@ def depth_errors(views: Views, one: int, other: int, assumed: Sequence[tuple[str
 def edges_on(grey: NDArray[np.uint8], edges: Floats, moved: Floats) -> Picture:
     """Depth's edges, float64 [N, 2] as fractions of the picture, drawn where they are and where they fit."""
     panels = []
-    for caption, places in (("depth's edges as they lie", edges), ("where they fit", moved)):
+    for caption, points in (("depth's edges as they lie", edges), ("where they fit", moved)):
         panel = np.repeat(_fitted(grey)[..., None] // 2 + 40, 3, axis=2)
         height, width = panel.shape[:2]
-        columns, rows = (places * (width, height)).astype(np.int64).T
+        columns, rows = (points * (width, height)).astype(np.int64).T
         inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
         panel[rows[inside], columns[inside]] = (255, 90, 40)
         panels.append(_captioned(panel, caption))

@@ -219,15 +219,15 @@ def measure_order(scene: Scene, assumed: Assumption) -> FrameOrder | None:
         return None
     turn = np.eye(3) if scene.turn is None else scene.turn
     poses = assumed_poses(np.stack([frame.camera.camera_to_world for frame in scene.frames]), turn, assumed)
-    places = np.concatenate([poses[:, :3, 3] + _REACH * poses[:, :3, 2], poses[:, :3, 3]], axis=1)
-    squares = (places**2).sum(1)
-    distances = np.sqrt(np.maximum(squares[:, None] + squares[None] - 2.0 * places @ places.T, 0.0) / 2.0)
+    points = np.concatenate([poses[:, :3, 3] + _REACH * poses[:, :3, 2], poses[:, :3, 3]], axis=1)
+    squares = (points**2).sum(1)
+    distances = np.sqrt(np.maximum(squares[:, None] + squares[None] - 2.0 * points @ points.T, 0.0) / 2.0)
     np.fill_diagonal(distances, np.inf)
     steps = distances[np.arange(count - 1), np.arange(1, count)]
     nearer = (distances[:-1] < steps[:, None]).sum(1)
     # The second walk begins at an end of the recording: the last frame of a walk from anywhere.
     path = _walk(distances, _walk(distances, 0)[-1])
-    moves = np.diff(places[path], axis=0)
+    moves = np.diff(points[path], axis=0)
     lengths = np.linalg.norm(moves, axis=1)
     moving = (lengths[1:] > 1e-9) & (lengths[:-1] > 1e-9)
     cosines = (moves[1:] * moves[:-1]).sum(1)[moving] / (lengths[1:] * lengths[:-1])[moving]

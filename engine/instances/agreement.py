@@ -59,7 +59,7 @@ class ViewsOnCloud:
 
     def layers(self) -> ViewsOnCloud:
         """The layers of the views, each as a view, in their order."""
-        pairs = [(number, place) for number, view in enumerate(self.views) for place in range(len(view.layers))]
+        pairs = [(number, layer) for number, view in enumerate(self.views) for layer in range(len(view.layers))]
         views = OnDemand(len(pairs), lambda each: self.views[pairs[each][0]].layer(pairs[each][1]))
         return ViewsOnCloud.of(views, OnDemand(len(pairs), lambda each: self.point_of_pixel[pairs[each][0]]))
 

@@ -21,20 +21,20 @@ LEAST_OF_CLASS = 0.1
 
 
 @device_function
-def object_of_class(shown: Array, places: Array, class_of_object: Array, wanted: int, least: float) -> int:
-    """The object 0..U-1 of class ``wanted`` with the largest coverage (the first if several tie); -1 if none has more
-    than ``least``. ``shown`` [W] holds at ``places`` int64 [U] the coverage of each object, ``class_of_object`` [U] its
-    class."""
+def object_of_class(shown: Array, columns: Array, class_of_object: Array, wanted: int, least: float) -> int:
+    """The object 0..U-1 of class ``wanted`` with the largest coverage (the first if several tie); -1 if none has
+    more than ``least``. ``shown`` [W] holds at ``columns`` int64 [U] the coverage of each object,
+    ``class_of_object`` [U] its class."""
     best, most = -1, least
-    for number in range(len(places)):
-        if class_of_object[number] == wanted and shown[places[number]] > most:
-            best, most = number, shown[places[number]]
+    for number in range(len(columns)):
+        if class_of_object[number] == wanted and shown[columns[number]] > most:
+            best, most = number, shown[columns[number]]
     return best
 
 
 def objects_of_classes(
     shown: NDArray[np.floating],
-    places: NDArray[np.int64],
+    columns: NDArray[np.int64],
     class_of_object: NDArray[np.integer],
     wanted: NDArray[np.integer],
     least: NDArray[np.floating],
@@ -42,17 +42,17 @@ def objects_of_classes(
     """``object_of_class`` for each row of ``shown`` [N, W], int64 [N]; ``wanted`` and ``least`` are [N]."""
     found = np.empty(len(shown), np.int64)
     classes, rows = class_of_object.astype(np.int64), np.ascontiguousarray(shown)
-    _fill_objects(rows, places, classes, wanted.astype(np.int64), least, found)
+    _fill_objects(rows, columns, classes, wanted.astype(np.int64), least, found)
     return found
 
 
 @compiled
 def _fill_objects(
-    shown: Array, places: Array, class_of_object: Array, wanted: Array, least: Array, found: Array
+    shown: Array, columns: Array, class_of_object: Array, wanted: Array, least: Array, found: Array
 ) -> None:
     """The loop behind ``objects_of_classes``."""
     for row in range(len(shown)):
-        found[row] = object_of_class(shown[row], places, class_of_object, wanted[row], least[row])
+        found[row] = object_of_class(shown[row], columns, class_of_object, wanted[row], least[row])
 
 
 UNKNOWN_LABEL = -1
@@ -86,8 +86,8 @@ class PanopticLabels:
 
     def of_points(self, class_id: NDArray[np.int32], number: NDArray[np.int32]) -> NDArray[np.int32]:
         """The labels of points with a class int32 [N] (0 = unknown) and an object int32 [N] (0 = none)."""
-        place = np.minimum(np.searchsorted(self.class_ids, class_id), len(self.class_ids) - 1)
-        of_class = np.where(np.asarray(self.class_ids)[place] == class_id, place, UNKNOWN_LABEL)
+        column = np.minimum(np.searchsorted(self.class_ids, class_id), len(self.class_ids) - 1)
+        of_class = np.where(np.asarray(self.class_ids)[column] == class_id, column, UNKNOWN_LABEL)
         return np.where(number > 0, number + len(self.class_ids) - 1, of_class).astype(np.int32)
 
     def classes(self, labels: NDArray[np.integer]) -> NDArray[np.int32]:
@@ -109,8 +109,8 @@ def decide_labels(
     votes. Ties go to the lower label; rows without votes are unknown."""
     classes, column = len(labels.class_ids), labels.class_column
     by_class = np.array(votes[:, :classes], np.float32)
-    for place in range(classes, len(labels)):
-        by_class[:, column[place]] += votes[:, place]
+    for number in range(classes, len(labels)):
+        by_class[:, column[number]] += votes[:, number]
     winner = by_class.argmax(1)
     most = by_class[np.arange(len(votes)), winner]
     total = by_class.sum(1)

@@ -103,9 +103,9 @@ def member_labels(
     present, inverse = np.unique(view.mask.ids, return_inverse=True)
     class_of = {segment.id: segment.class_id for segment in view.mask.segments}
     table = np.full(len(present), UNKNOWN_LABEL, np.int16)
-    for place, segment in enumerate(present.tolist()):
+    for index, segment in enumerate(present.tolist()):
         number = object_of_segment.get((view.name, segment), 0)
-        table[place] = labels.of_object(number) if number else labels.of_class(class_of.get(segment, VOID))
+        table[index] = labels.of_object(number) if number else labels.of_class(class_of.get(segment, VOID))
     return table[inverse.reshape(view.mask.ids.shape)]
 
 
@@ -159,10 +159,10 @@ def _votes(
         safe = np.maximum(pixels, 1)
         resolution = np.bincount(rows[seen], resolution_of(view)[seen], points) / safe
         voting = seen & (labels >= 0)
-        pairs, place = np.unique(rows[voting].astype(np.int64) * count + labels[voting], return_inverse=True)
+        pairs, index = np.unique(rows[voting].astype(np.int64) * count + labels[voting], return_inverse=True)
         said = view.mask.share_map()
         shown, whole = (
-            np.bincount(place.reshape(-1), own[voting], len(pairs)) for own in (said, said * is_whole(view.mask))
+            np.bincount(index.reshape(-1), own[voting], len(pairs)) for own in (said, said * is_whole(view.mask))
         )
         point = pairs // count
         amount = pixels[point] * view.mask_scale**2, resolution[point]
@@ -178,9 +178,9 @@ def _added(total: list[Any], parts: list[tuple[NDArray[np.int64], NDArray[np.flo
     float32 [3, n]."""
     if not parts:
         return total
-    place = np.divmod(np.concatenate([pairs for pairs, _ in parts]), total[0].shape[1])
+    cells = np.divmod(np.concatenate([pairs for pairs, _ in parts]), total[0].shape[1])
     votes = np.concatenate([votes for _, votes in parts], axis=1)
-    return [all_ + sparse.csr_matrix((own, place), shape=all_.shape) for all_, own in zip(total, votes, strict=True)]
+    return [all_ + sparse.csr_matrix((own, cells), shape=all_.shape) for all_, own in zip(total, votes, strict=True)]
 
 
 def is_whole(mask: PanopticMask) -> NDArray[np.bool_]:
@@ -236,5 +236,5 @@ def neighbours_on_a_thing(xyz: NDArray[np.floating], spacing: float, seen: Itera
         segment[one.row] = 0
     share = np.where(same > 0.5 * both, same / np.maximum(both, 1e-12), 0.0)
     weight = share / np.maximum(share.sum(1, keepdims=True), 1e-12)
-    row, place = np.nonzero(share)
-    return sparse.csr_matrix((weight[row, place].astype(np.float32), (row, other[row, place])), (count, count))
+    row, column = np.nonzero(share)
+    return sparse.csr_matrix((weight[row, column].astype(np.float32), (row, other[row, column])), (count, count))

@@ -47,13 +47,13 @@ def mask_extents(mask: PanopticMask) -> dict[int, tuple[float, Rectangle]]:
     around it."""
     height, width = mask.ids.shape
     present, number, count = np.unique(mask.ids, return_inverse=True, return_counts=True)
-    places = find_objects(number.reshape(mask.ids.shape) + 1)
+    rectangles = find_objects(number.reshape(mask.ids.shape) + 1)
     return {
         int(segment): (
             float(pixels) / mask.ids.size,
             (across.start / width, down.start / height, across.stop / width, down.stop / height),
         )
-        for segment, pixels, (down, across) in zip(present, count, places, strict=True)
+        for segment, pixels, (down, across) in zip(present, count, rectangles, strict=True)
         if segment > 0
     }
 

@@ -130,10 +130,10 @@ def held_back_agreement(
         seen, at = np.unique(row, return_inverse=True)
         others = total[seen]
         np.subtract.at(others, (at, column), word)
-        parts, place = np.unique(part[row], return_inverse=True)
+        parts, part_of_row = np.unique(part[row], return_inverse=True)
         rest = of_part[parts]
-        np.subtract.at(rest, (place, column), word)
-        whole = np.where(rest.max(1, initial=0) > 1e-5, rest.argmax(1), -1)[place]
+        np.subtract.at(rest, (part_of_row, column), word)
+        whole = np.where(rest.max(1, initial=0) > 1e-5, rest.argmax(1), -1)[part_of_row]
         each = np.where(others.max(1, initial=0) > 1e-5, others.argmax(1), -1)[at]
         each = np.where(each >= 0, each, whole)
         asked += float(word[each >= 0].sum())

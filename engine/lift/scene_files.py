@@ -93,7 +93,7 @@ def is_near_measured(
 
 
 def is_within(reach: float, xyz: NDArray[np.floating], others: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Which places ``xyz`` [N, 3] lie within ``reach`` metres of one of the ``others`` [M, 3]."""
+    """Which points ``xyz`` [N, 3] lie within ``reach`` metres of one of the ``others`` [M, 3]."""
     distance, _ = cKDTree(others).query(xyz, distance_upper_bound=reach, workers=-1)
     return np.isfinite(distance)
 

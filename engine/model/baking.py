@@ -67,15 +67,15 @@ class BakedGaussians:
         Photos do not constrain geometry that they never saw: it floats in the room or far outside."""
         near, _ = cKDTree(seen).query(self.means, distance_upper_bound=FLOATS, workers=-1)
         kept = np.flatnonzero(np.isfinite(near) & (self.opacities >= FAINTEST))
-        cell, places = np.floor(self.means[kept] / FLOATS).astype(np.int64), np.zeros(len(kept), np.int64)
+        cell, group = np.floor(self.means[kept] / FLOATS).astype(np.int64), np.zeros(len(kept), np.int64)
         if len(kept):
-            cells, places = distinct_rows(cell)
+            cells, group = distinct_rows(cell)
             beside = cKDTree(cells).query_pairs(1.8, output_type="ndarray")  # the 26 neighbours
             graph = coo_matrix((np.ones(len(beside)), tuple(beside.T)), (len(cells), len(cells)))
-            places = connected_components(graph, directed=False)[1][places]
+            group = connected_components(graph, directed=False)[1][group]
         longest = np.sort(np.minimum(self.scales[kept], FLOATS), axis=1)[:, 1:]
-        cover = np.bincount(places, self.opacities[kept] * longest.prod(axis=1))
-        kept = kept[cover[places] >= LEAST_COVER]
+        cover = np.bincount(group, self.opacities[kept] * longest.prod(axis=1))
+        kept = kept[cover[group] >= LEAST_COVER]
         return BakedGaussians(**{name: values[kept] for name, values in vars(self).items()})
 
 

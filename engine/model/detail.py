@@ -23,12 +23,12 @@ NEAREST = 0.01
 """Metres. Anything nearer to a camera is not in its picture."""
 
 
-def finest_pixels(places: NDArray[np.floating], cameras: Sequence[Camera]) -> NDArray[np.float32]:
-    """The side in metres, float32 [N], of the smallest pixel that any camera has at each of the ``places`` [N, 3],
+def finest_pixels(points: NDArray[np.floating], cameras: Sequence[Camera]) -> NDArray[np.float32]:
+    """The side in metres, float32 [N], of the smallest pixel that any camera has at each of the ``points`` [N, 3],
     ignoring occlusion; 0 where no picture contains the position."""
     rows = [[*c.world_to_camera[:3].ravel(), c.fx, c.fy, c.cx, c.cy, c.width, c.height] for c in cameras]
-    finest = np.zeros(len(places), np.float32)
-    _find_finest(np.ascontiguousarray(places, np.float32), np.array(rows).reshape(-1, 18), finest)
+    finest = np.zeros(len(points), np.float32)
+    _find_finest(np.ascontiguousarray(points, np.float32), np.array(rows).reshape(-1, 18), finest)
     return finest
 
 
@@ -45,13 +45,13 @@ def widened(scales: torch.Tensor, pixels: torch.Tensor) -> torch.Tensor:
 
 
 @compiled
-def _find_finest(places: Array, cameras: Array, finest: Array) -> None:
+def _find_finest(points: Array, cameras: Array, finest: Array) -> None:
     """The loop behind ``finest_pixels``. ``cameras`` float64 [V, 18]: world to camera row by row, and the lens."""
     for view in range(len(cameras)):
         m = cameras[view]
         focal = math.sqrt(m[12] * m[13])
-        for row in range(len(places)):
-            x, y, z = places[row, 0], places[row, 1], places[row, 2]
+        for row in range(len(points)):
+            x, y, z = points[row, 0], points[row, 1], points[row, 2]
             depth = m[8] * x + m[9] * y + m[10] * z + m[11]
             if depth < NEAREST or (0.0 < finest[row] <= depth / focal):
                 continue

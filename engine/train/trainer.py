@@ -123,9 +123,12 @@ class Step(NamedTuple):
     weights: LossWeights
 
 
-LOSSES: Parts[Callable[[Step], torch.Tensor]] = Parts(
-    "loss", {"depth": lambda s: s.weights.depth * depth_loss(s.rendering.depth, s.rendering.alpha, s.target.depth)}
-)
+def weighted_depth_loss(step: Step) -> torch.Tensor:
+    """``depth_loss`` with its weight."""
+    return step.weights.depth * depth_loss(step.rendering.depth, step.rendering.alpha, step.target.depth)
+
+
+LOSSES: Parts[Callable[[Step], torch.Tensor]] = Parts("loss", {"depth": weighted_depth_loss})
 """The terms of the loss that the preset's ``losses`` name."""
 
 
