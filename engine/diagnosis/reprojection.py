@@ -208,14 +208,12 @@ class Views:
     before that rotation. ``recorded`` float64 [N, 4, 4] are the poses of all frames of the scene."""
 
     def __init__(self, looks: Sequence[Look], turn: Floats, recorded: Floats) -> None:
-        self.looks = looks
-        self.turn = turn
+        self.looks, self.turn, self.recorded = looks, turn, recorded
         most = max(len(look.points) for look in looks)
         self.size = np.array([(look.camera.width, look.camera.height) for look in looks], np.float64)
         cameras = [look.camera for look in looks]
         self.lens = np.array([(c.fx / c.width, c.fy / c.height, c.cx / c.width, c.cy / c.height) for c in cameras])
         self.numbers = np.array([look.number for look in looks])
-        self.recorded = recorded
         self.places = np.zeros((len(looks), most, 2))
         self.values = np.zeros((len(looks), most))
         for row, look in enumerate(looks):

@@ -129,13 +129,9 @@ def view_from(camera: BakeCamera) -> WantedView:
 
 
 def _bake(
-    folder: LiftFolder,
-    locks: BakeLocks,
-    views_in: Callable[[Scene], list[WantedView]],
-    events: EventWriter,
-    stop: StopSignal,
-    options: BakeOptions,
-) -> None:
+    folder: LiftFolder, locks: BakeLocks, views_in: Callable[[Scene], list[WantedView]], events: EventWriter,
+    stop: StopSignal, options: BakeOptions,
+) -> None:  # fmt: skip
     be_repeatable()
     stages = StageReporter(events, stop, STAGES)
     with stages.stage("open"):

@@ -218,12 +218,11 @@ def _match(pixels: Counter[Pair], kept: set[int], *, excuse_void: bool) -> _Matc
             matches.iou[p[0]] = matches.iou.get(p[0], 0.0) + n / union
             matches.tp[p[0]] += 1
             matched |= {("predicted", p), ("true", t)}
-    for p, area in predicted.items():
-        if p[0] in kept and ("predicted", p) not in matched and predicted_on_void[p] <= 0.5 * area:
-            matches.fp[p[0]] += 1
-    for t, area in true.items():
-        if t[0] in kept and ("true", t) not in matched and true_on_void[t] <= 0.5 * area:
-            matches.fn[t[0]] += 1
+    sides = ("predicted", predicted, predicted_on_void, matches.fp), ("true", true, true_on_void, matches.fn)
+    for side, segments, on_void, errors in sides:
+        for one, area in segments.items():
+            if one[0] in kept and (side, one) not in matched and on_void[one] <= 0.5 * area:
+                errors[one[0]] += 1
     return matches
 
 

@@ -101,20 +101,6 @@ def new_scratch(workers: int, floats: int) -> Scratch:
     return Scratch(np.zeros(1, np.int64), *memory.several(*wanted))
 
 
-def top_contributors(state: ForwardState, shape: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
-    """The largest weights of each pixel, as Gaussians int32 and weights float32, [H, W, k] each."""
-    indices, weights = torch.full(shape, -1, dtype=torch.int32), torch.zeros(shape)
-    _for_contributors(list_contributors, state, indices.numpy(), weights.numpy())
-    return indices, weights
-
-
-def surface_depth(state: ForwardState, shape: tuple[int, int]) -> Tensor:
-    """``Rendering.surface``, of this shape [H, W]."""
-    depth = torch.empty(shape, dtype=torch.float32)
-    _for_contributors(find_surface, state, flat(depth.numpy()), shape[1])
-    return depth
-
-
 def _for_contributors(kernel: Any, state: ForwardState, *out: Any) -> None:
     """Run one of the kernels of ``blending/contributors.py``."""
     longest = int(np.diff(state.isects.isect_offsets).max(initial=0))
@@ -191,11 +177,13 @@ class _Blend(torch.autograd.Function):
         is_compiled = log_compilation("the forward pass of the rasteriser", COMPILATION)
         layers, state = rasterize_forward(gaussians, features, pinhole, on_image)
         is_compiled()
-        more: tuple[Tensor, ...] = ()
+        more, shape = list[Tensor](), (pinhole.height, pinhole.width)
         if wanted.top_k:
-            more = top_contributors(state, (pinhole.height, pinhole.width, wanted.top_k))
+            more = [torch.full((*shape, wanted.top_k), -1, dtype=torch.int32), torch.zeros((*shape, wanted.top_k))]
+            _for_contributors(list_contributors, state, *(each.numpy() for each in more))
         if wanted.surface:
-            more = *more, surface_depth(state, (pinhole.height, pinhole.width))
+            more.append(torch.empty(shape, dtype=torch.float32))
+            _for_contributors(find_surface, state, flat(more[-1].numpy()), pinhole.width)
         ctx.mark_non_differentiable(*more)
         ctx.save_for_backward(means, scales, quats)
         ctx.state = state
