@@ -143,7 +143,9 @@ def best_slot(pixels: Any, columns: Any, pixel: int, winner: int) -> int:
 
 
 @parallel_kernel
-def align_pixels(worker: int, workers: int, pixels: Any, columns: Any, decided: Any, best: Array, owned: Array) -> None:
+def align_pixels(
+    worker: int, workers: int, pixels: Any, columns: Any, decided: Any, best: Array, owned: Array
+) -> None:
     """For every ``workers``-th chunk of pixels, make ``pixels.classes`` and ``pixels.slots`` agree with ``decided``.
     ``best`` int64 and ``owned`` float32 [workers, C] are scratch."""
     for start in range(worker * CHUNK, len(pixels.alpha), workers * CHUNK):

@@ -98,7 +98,9 @@ class SplattingTrainer(SegmentTrainer):
 def lift_baseline(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
     """`run_lift` by the baseline that the preset's options name; without any, PLGS itself. Raises what `run_lift`
     raises."""
-    run_lift(folder, events, stop, resume=resume, preparing=prepare_baseline, training=new_trainer, sources=SOURCES)
+    run_lift(
+        folder, events, stop, resume=resume, preparing=prepare_baseline, training=new_trainer, sources=SOURCES
+    )
 
 
 def prepare_baseline(

@@ -116,7 +116,9 @@ def test_splats_lie_near_what_was_measured(lifts: Lifts, monkeypatch: pytest.Mon
     assert [one["points"] for one in listed] == [np.count_nonzero(points.instance_id == one["id"]) for one in listed]
 
 
-def test_a_mask_is_decoded_once_before_training_and_once_to_vote(lifts: Lifts, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_mask_is_decoded_once_before_training_and_once_to_vote(
+    lifts: Lifts, monkeypatch: pytest.MonkeyPatch
+) -> None:
     decoded, before = Counter[str](), Counter[str]()
     read, train = coco._read_ids, lift_run.train
     monkeypatch.setattr(coco, "_read_ids", lambda png: decoded.update([png.stem]) or read(png))
