@@ -45,7 +45,8 @@ def pixels_of(lift: Path) -> NDArray[np.float32]:
     for frame in scene.test_frames:
         if frame.read_ground_truth is not None:
             size = size_within(frame.size, folder.request.chosen_preset.size)
-            seen, truth = baker.decided(frame.camera.resized(*size)), frame.read_ground_truth(size).semantic
+            seen = baker.decided(frame.camera.resized(*size), wanted=("semantic", "confidence"))
+            truth = frame.read_ground_truth(size).semantic
             known = (seen.semantic != VOID) & (truth != VOID)
             share, right = seen.confidence[known], seen.semantic[known] == truth[known]
             found.append(np.stack([share, baker.calibration(share), right]).astype(np.float32))

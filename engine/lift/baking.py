@@ -7,6 +7,7 @@ import re
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -154,7 +155,8 @@ def bake_and_evaluate(
     report, rows, seconds, names = Report(scene.classes), [], [], names_of_files(folder)
     with stages.stage("evaluate") as progress:
         add_input_masks(report, scene)
-        judgement = judge(baker.decided, scene, views, held_back, progress, folder.path)
+        seen = partial(baker.decided, wanted=("semantic", "confidence"))
+        judgement = judge(seen, scene, views, held_back, progress, folder.path)
         judgement.report(events)
         baker.calibration = judgement.calibration
     with stages.stage("bake") as progress:

@@ -48,9 +48,7 @@ def stages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StageReporter:
     return StageReporter(EventWriter(tmp_path / "events.jsonl"), StopSignal(), STAGES)
 
 
-def test_cpu_torch_is_distinguished_from_a_missing_gpu(
-    stages: StageReporter, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_cpu_torch_is_distinguished_from_a_missing_gpu(stages: StageReporter, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.backends.cuda, "is_built", lambda: False)
     with raises_key("cpu-torch --device"):
         usable_device("cuda", stages)

@@ -98,7 +98,7 @@ def test_splats_lie_near_what_was_measured(lifts: Lifts, monkeypatch: pytest.Mon
     monkeypatch.setattr(progress, "REPORT_EVERY_S", 0.0)
     every = read_arrays(lifts.done.result_path / "semantic_points.npz", SemanticPoints).xyz[:, 0]
     middle = float(np.median(every))
-    monkeypatch.setattr(scene_files, "shown_by_depth", lambda cloud, *_: cloud.xyz[:, 0] < middle)
+    monkeypatch.setattr("engine.lift.run.shown_by_depth", lambda cloud, *_: cloud.xyz[:, 0] < middle)
     run(half := LiftFolder.create(lifts.root / "half", LiftRequest(scene=lifts.scene)))
     whole, left = (read_gaussians(each.result_path / "gaussians.ply") for each in (lifts.done, half))
     beyond = left[left["x"] > middle + scene_files.FILLED + FLOATS]
@@ -116,9 +116,7 @@ def test_splats_lie_near_what_was_measured(lifts: Lifts, monkeypatch: pytest.Mon
     assert [one["points"] for one in listed] == [np.count_nonzero(points.instance_id == one["id"]) for one in listed]
 
 
-def test_a_mask_is_decoded_once_before_training_and_once_to_vote(
-    lifts: Lifts, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_mask_is_decoded_once_before_training_and_once_to_vote(lifts: Lifts, monkeypatch: pytest.MonkeyPatch) -> None:
     decoded, before = Counter[str](), Counter[str]()
     read, train = coco._read_ids, lift_run.train
     monkeypatch.setattr(coco, "_read_ids", lambda png: decoded.update([png.stem]) or read(png))
