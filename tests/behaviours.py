@@ -22,7 +22,7 @@ BEHAVIOURS = {
     "a lift finds a scene that was moved": "lift/test_moved.py::test_the_scene_is_found",
     "frames are baked later with the same bytes": "lift/test_bake_more.py::test_later_bakes_write_the_same_bytes",
     "any camera is baked": "lift/test_bake_more.py::test_any_camera_can_be_baked",
-    "several commands bake side by side": "lift/test_bake_together.py::test_two_commands_share_the_frames",
+    "several commands bake side by side": "lift/test_bake_more.py::test_two_commands_share_the_frames",
     "corrections change passes, exports and scores": (
         "lift/test_bake_more.py::test_a_corrected_lift_is_baked_exported_and_scored_as_corrected"
     ),

@@ -1,4 +1,4 @@
-"""Sixteen float32 at a time: the vector operations do what NumPy does."""
+"""Sixteen float32 at a time, and distinct rows: they do what NumPy does."""
 
 from __future__ import annotations
 
@@ -7,7 +7,11 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
+from engine.machine.distinct_rows import distinct_rows
 from engine.machine.vectors import WIDTH, exp2, exp2_x4, load, store
 
 
@@ -43,3 +47,18 @@ def test_far_too_small_values_count_as_the_smallest_power() -> None:
 
     found = apply(power, np.repeat(np.float32([-1e30, -64.0]), WIDTH), 2)
     assert np.allclose(found, 2.0**-64, rtol=1e-6)
+
+
+SPREADS = st.sampled_from([1, 3, 10**6, 2**62])
+
+
+@given(
+    SPREADS.flatmap(
+        lambda far: arrays(np.int64, st.tuples(st.integers(0, 30), st.just(3)), elements=st.integers(-far, far))
+    )
+)
+def test_distinct_rows_match_numpy_unique(rows: np.ndarray) -> None:
+    distinct, index = distinct_rows(rows)
+    expected, inverse = np.unique(rows, axis=0, return_inverse=True)
+    np.testing.assert_array_equal(distinct, expected)
+    np.testing.assert_array_equal(index, inverse.reshape(-1))

@@ -7,8 +7,10 @@ from importlib import metadata
 
 import pytest
 import torch
-from gsplat_in_torch import use_a_stand_in
-from scenes import (
+
+from engine.raster import cuda, rasterize
+from tests.raster.gsplat_in_torch import use_a_stand_in
+from tests.raster.scenes import (
     GROUPS,
     LAYERS,
     Scene,
@@ -19,8 +21,6 @@ from scenes import (
     render,
     steady_pixels,
 )
-
-from engine.raster import cuda, rasterize
 
 SCENES = {
     name: scene

@@ -8,14 +8,14 @@ import tracemalloc
 import numpy as np
 import pytest
 import torch
-from scenes import LAYERS, random_scene, render
 
 from engine.machine import memory
 from engine.raster import rasterize
 from engine.raster.blending.backward import backward_scratch_size
 from engine.raster.conventions import MEMBERS
-from tests.machine.held_bytes import held_bytes
+from tests.machine.test_memory import held_bytes
 from tests.raster.room_workload import Workload, room_workload
+from tests.raster.scenes import LAYERS, random_scene, render
 
 
 def test_a_kept_picture_is_not_overwritten() -> None:

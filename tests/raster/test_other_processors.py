@@ -9,7 +9,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from test_fresh_process import ROOT, environment
+
+from tests.raster.test_fresh_process import ROOT, environment
 
 IS_X86 = platform.machine() in ("x86_64", "AMD64")
 COMPILE_FOR_ARM = r"""

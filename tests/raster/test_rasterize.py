@@ -10,7 +10,11 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import (
+
+from engine.raster import Rendering, rasterize
+from engine.raster.conventions import NEAR
+from tests.raster.room_workload import room_workload
+from tests.raster.scenes import (
     GROUPS,
     LAYERS,
     Scene,
@@ -23,10 +27,6 @@ from scenes import (
     scenes_by_channels,
     steady_pixels,
 )
-
-from engine.raster import Rendering, rasterize
-from engine.raster.conventions import NEAR
-from tests.raster.room_workload import room_workload
 
 SCENES = hard_scenes() | scenes_by_channels()
 MOST_NEAR_A_THRESHOLD = 0.03

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from gsplat_in_torch import use_a_stand_in
-from scenes import Scene, hard_scenes, steady_pixels
 
 from engine.raster import Rendering, rasterize
 from engine.raster.conventions import NEAR_MEDIAN
+from tests.raster.gsplat_in_torch import use_a_stand_in
+from tests.raster.scenes import Scene, hard_scenes, steady_pixels
 
 SCENES = hard_scenes()
 FRONT, BEHIND = 2.0, 4.0

@@ -10,13 +10,15 @@ import pytest
 import torch
 
 from engine.errors import Cancelled
-from engine.model.structured import NO_OBJECT, StructuredScene
+from engine.model.structured import NO_OBJECT, SPARE, LabelChannels, StructuredScene
 from engine.presets.preset import LossWeights
 from engine.scene import Camera, ClassTable, View
 from engine.train import warm_start
 from engine.train.state import restore, trainer_state
+from engine.train.targets import view_targets
 from engine.train.trainer import Trainer, reconstruction_loss
 from tests.model.some_scene import mean_depth
+from tests.semantics.plane_views import CHAIR, CLASS_IDS, WALL, square, wall_view
 from tests.train.tiny_lift import STEPS, TINY, WARM_STEPS, colour_error, prepared_for, trainer_of, views_of
 
 Input = tuple[list[View], ClassTable]
@@ -325,3 +327,24 @@ def test_the_same_seed_gives_the_same_decoders(scenes: list[StructuredScene]) ->
     first, again, other = (scene.decoders.state_dict() for scene in scenes[2:])
     assert all(torch.equal(first[name], again[name]) for name in first)
     assert not all(torch.equal(first[name], other[name]) for name in first)
+
+
+CHANNELS = LabelChannels(CLASS_IDS, (7, SPARE, NO_OBJECT, 3))
+
+
+def test_stuff_is_taught_to_be_no_object_and_the_unknown_nothing() -> None:
+    view = wall_view("a", 0.0, classes=square(CHAIR, WALL, slice(10, 20)).astype(np.int32))
+    projected, matched = view.mask.ids.copy(), np.where(view.mask.ids == CHAIR, 7, 0).astype(np.int32)
+    projected[:2] = 0
+    border = np.zeros(view.mask.ids.shape, bool)
+    border[0] = True
+    target = view_targets(
+        replace(view, border=border), CHANNELS, projected_class=projected, matched_instance=matched, weight=0.25
+    )
+    assert (target.slot[:2] == -1).all() and (target.semantic[:2] == -1).all()
+    expected = square(CHANNELS.slot_ids.index(7), CHANNELS.slot_ids.index(NO_OBJECT), slice(10, 20))
+    np.testing.assert_array_equal(target.slot[2:], expected[2:])
+    assert target.weight == 0.25 and target.border is not None and torch.equal(target.border, torch.from_numpy(border))
+    np.testing.assert_array_equal(target.depth, np.where(border, 0, view.depth))  # a border shows nothing
+    target.pseudo, target.pseudo_slot = torch.zeros_like(target.projected), torch.ones_like(target.matched)
+    assert target.semantic is target.pseudo and target.slot is target.pseudo_slot
