@@ -10,8 +10,6 @@ import os
 import re
 import shutil
 import sys
-import time
-from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,11 +31,11 @@ from ..job.environment import (
 )
 from ..job.handshake import ADDED, EngineAnswer, addition_hashes_path
 from ..job.lock import FileLock, is_locked
-from ..job.process import ROOT, clean_environment, engine_call
-from . import programs, uv_program
-from .environments import DOWNLOADS, LOCK, LOG, PYTHON, bytes_in, empty_trash, throw_away
+from ..job.process import ROOT, engine_call
+from . import uv_program
+from .environments import DOWNLOADS, LOCK, LOG, PYTHON, empty_trash, throw_away
+from .programs import UvTask, complaint
 
-STAGE = "set-up"
 LABELS = (
     "Downloading uv",
     "Making the environment",
@@ -47,16 +45,12 @@ LABELS = (
     "Asking the engine",
 )
 DOWNLOAD_LABELS = (LABELS[0], "Finding a Python", "Downloading wheels")
-PARTS = 1000
-"""The progress of the whole set-up is counted in this many parts."""
+_AGAIN = "set up the engine again: it continues there."
 _ANSWER_S = 10.0
 """Seconds within which a Python must answer. The first answer from a cold disk takes a few."""
-_POLL_S = 0.05
-_MEASURE_S = 1.0
-_GIGABYTE = 10**9
-NEEDED_BYTES = {"cpu": 5 * _GIGABYTE, "cuda": 15 * _GIGABYTE}
+NEEDED_BYTES = {"cpu": 5e9, "cuda": 15e9}
 """Free bytes on the disk for the environment and for what is unpacked meanwhile, rounded up."""
-_INSTALLED_BYTES = {"cpu": 1.8 * _GIGABYTE, "cuda": 7.0 * _GIGABYTE}
+_INSTALLED_BYTES = {"cpu": 1.8e9, "cuda": 7e9}
 """Bytes that the installed packages take on the disk."""
 _INSTALLED, _COMPILED = 0.8, 0.98
 """Parts of the whole that are done when the packages are installed, and when the kernels are compiled."""
@@ -83,7 +77,7 @@ class SetUpRequest:
         return f"torch-{self.torch_build}-{version[0]}.{version[1]}.txt"
 
 
-class SetUp:
+class SetUp(UvTask):
     """One set-up. `run` does all of it."""
 
     def __init__(
@@ -99,19 +93,13 @@ class SetUp:
         self.request, self.root = request, root
         self.folder = folder or environments_folder()
         self._events, self._stop = events, stop
-        self._variables = programs.variables(request.index_url, request.wheels) | {
-            "UV_CACHE_DIR": str(self.folder / DOWNLOADS),
-            "UV_PYTHON_INSTALL_DIR": str(self.folder / PYTHON),
-        }
-        self._labels = LABELS if request.download is None else DOWNLOAD_LABELS
-        self._done, self._measured_at = 0.0, 0.0
-        self._step, self._label = 0, ""
-        self._lock: FileLock | None = None
-
-    @property
-    def log_path(self) -> Path:
-        """The output of all programs."""
-        return self.folder / LOG
+        super().__init__(
+            "set-up", LABELS if request.download is None else DOWNLOAD_LABELS, _AGAIN, events, stop,
+            log_path=self.folder / LOG, cwd=self.folder, unpacks=request.download or self.folder / DOWNLOADS,
+            bytes=_INSTALLED_BYTES[request.torch_build], share=_INSTALLED,
+        )  # fmt: skip
+        self._use_packages(request.index_url, request.wheels, self.folder / DOWNLOADS)
+        self._variables["UV_PYTHON_INSTALL_DIR"] = str(self.folder / PYTHON)
 
     def run(self) -> Path:
         """Do all steps and return the environment's Python, or the folder of wheels. Raises PlgsError; Cancelled when
@@ -125,18 +113,18 @@ class SetUp:
                 self.log_path.write_bytes(b"")
                 return self._do_steps()
         except OSError as error:
-            fix = "Make room on the disk, or let PLGS write there, then set up the engine again."
+            fix = f"Make room on the disk, or let PLGS write there, then {_AGAIN}"
             where = error.filename or self.folder
             raise PlgsError("set-up-stopped", f"the set-up was stopped ({error.strerror})", where, fix) from error
 
     def _do_steps(self) -> Path:
-        programs.refuse_diverted(self.folder)
         given = self.request.base_python
         if given is not None and not os.access(given, os.X_OK):
             self.log_path.write_text(f"{given} cannot be run\n", encoding="utf-8")
             fix = "Name another Python in the preferences."
             raise PlgsError("no-python", f"{given} cannot be run", self.log_path, fix)
-        uv = self._get_uv()
+        self._tell(1)
+        uv = self._get_uv(self.folder)
         python, version = self._find_python(uv)
         if self.request.download is not None:
             self._collect_wheels(uv, python, version, self.request.download.absolute())
@@ -145,7 +133,7 @@ class SetUp:
             return self.request.download
         environment = self.folder / environment_name(self.root, version)
         if not self._is_ready(environment):
-            self._check_disk()
+            self._refuse_full_disk(self.folder, NEEDED_BYTES[self.request.torch_build])
             self._make_environment(uv, environment, python, version)
             self._install_packages(uv, environment, version)
             self._compile_kernels(environment)
@@ -153,17 +141,6 @@ class SetUp:
         throw_away(self.folder / DOWNLOADS, self.folder)
         empty_trash(self.folder)
         return python_in(environment)
-
-    def _get_uv(self) -> Path:
-        self._tell(1)
-        uv = uv_program.program_in(self.folder)
-        if not uv.exists():
-            command: list[str | Path] = [sys.executable, "-I", Path(uv_program.__file__), self.folder]
-            output, code = self._run(command, environment=self._variables)
-            if code != 0:
-                fix = "Check the connection and the package index, then set up the engine again."
-                raise PlgsError("uv-download", programs.complaint(output), "the package index", fix)
-        return uv
 
     def _find_python(self, uv: Path) -> tuple[str | Path, Version]:
         """A Python for `uv venv`: the given one, else this one, else one on this computer, else one to download."""
@@ -175,22 +152,14 @@ class SetUp:
         names = [f"{major}.{minor}" for major, minor in versions]
         for python in [given] if given is not None else [sys.executable, *names]:
             self._tell(2, str(python))
-            command: list[str | Path] = [
-                uv,
-                "python",
-                "find",
-                "--no-project",
-                "--no-python-downloads",
-                "--show-version",
-                python,
-            ]
-            output, code = self._run(command, environment=self._variables, limit_s=_ANSWER_S)
+            find = ["python", "find", "--no-project", "--no-python-downloads", "--show-version"]
+            output, code = self._run([uv, *find, python], self._variables, limit_s=_ANSWER_S)
             version = re.match(r"(\d+)\.(\d+)", output)
             if code == 0 and version is not None and (int(version[1]), int(version[2])) in versions:
                 return python, (int(version[1]), int(version[2]))
         if given is None:
             return names[0], versions[0]
-        why = programs.complaint(output) if version is None else f"it is Python {output.strip()}"
+        why = complaint(output) if version is None else f"it is Python {output.strip()}"
         fix = f"Name a Python {' or '.join(names)} in the preferences, or none: then PLGS finds or downloads one."
         what = f"{given} cannot make the engine's environment ({why})"
         raise PlgsError("no-python", what, self.log_path, fix)
@@ -208,21 +177,13 @@ class SetUp:
         throw_away(environment, self.folder)
         return False
 
-    def _check_disk(self) -> None:
-        needed, free = NEEDED_BYTES[self.request.torch_build], shutil.disk_usage(self.folder).free
-        if free < needed:
-            what = f"the disk has {free / _GIGABYTE:.1f} GB free, but the engine needs {needed / _GIGABYTE:.0f} GB"
-            raise PlgsError("disk-full", what, self.folder, "Make room, then set up the engine again.")
-
     def _make_environment(self, uv: Path, environment: Path, python: str | Path, version: Version) -> None:
         """Make it from scratch. This is quick, as downloads are kept elsewhere."""
         self._tell(2, f"Python {version[0]}.{version[1]}")
         throw_away(environment, self.folder)
-        output, code = self._run(
-            [uv, "venv", "--no-project", "--python", python, environment], environment=self._variables
-        )
+        output, code = self._run([uv, "venv", "--no-project", "--python", python, environment], self._variables)
         if code != 0:
-            what = f"{python} could not make an environment ({programs.complaint(output)})"
+            what = f"{python} could not make an environment ({complaint(output)})"
             raise PlgsError("environment-failed", what, self.log_path, "Name another Python in the preferences.")
 
     def _install_packages(self, uv: Path, environment: Path, version: Version) -> None:
@@ -278,21 +239,13 @@ class SetUp:
                 self._events.warning(f"The folder will lack {name}: {error.what}")
         write_atomically(folder / self.request.torch_list(version), "".join(lines))
 
-    def _install(self, what: str, command: Sequence[str | Path], *, for_pip: bool = False) -> None:
-        variables = uv_program.pip_variables(self._variables) if for_pip else self._variables
-        output, code = self._run(command, environment=variables)
-        if code != 0:
-            fix = "Check the connection and the disk, then set up the engine again: it continues there."
-            why = f"uv could not install {what} ({programs.complaint(output)})"
-            raise PlgsError("uv-failed", why, self.log_path, fix)
-
     def _compile_kernels(self, environment: Path) -> None:
         """Compile what a lift runs. This is also the best test that the engine works here."""
         self._done = _INSTALLED
         self._tell(5, "half a minute")
         output, code = self._run([*engine_call(python_in(environment), self.root), "warm-up"], cwd=self.root)
         if code != 0:
-            what = f"the engine does not work in its new environment ({programs.complaint(output)})"
+            what = f"the engine does not work in its new environment ({complaint(output)})"
             fix = "Remove the engine, then set it up again. The log has the details."
             raise PlgsError("engine-broken", what, self.log_path, fix)
 
@@ -313,50 +266,5 @@ class SetUp:
         answer = EngineAnswer.from_line(output.splitlines()[-1]) if code == 0 and output else None
         if answer is None:
             fix = "Remove the engine, then set it up again."
-            raise PlgsError("silent", f"the engine does not answer ({programs.complaint(output)})", python, fix)
+            raise PlgsError("silent", f"the engine does not answer ({complaint(output)})", python, fix)
         return answer
-
-    def _run(
-        self,
-        command: Sequence[str | Path],
-        *,
-        environment: Mapping[str, str] | None = None,
-        cwd: Path | None = None,
-        limit_s: float | None = None,
-    ) -> tuple[str, int]:
-        """Run a program and return its output and its exit code. When this stops, the program ends with its children.
-
-        The program holds the lock too. If this process is killed, no other set-up begins before the program has ended.
-        Raises PlgsError when it cannot be started or does not end within ``limit_s`` seconds; Cancelled.
-        """
-        assert self._lock is not None
-        return programs.run(
-            command, self.log_path, environment or clean_environment(cwd), self._pause,
-            cwd=cwd or self.folder, read_line=self._tell_news, keep_open=[self._lock.descriptor], limit_s=limit_s,
-        )  # fmt: skip
-
-    def _tell_news(self, line: str) -> None:
-        if news := programs.news_of_uv(line):
-            self._tell(self._step, news)
-
-    def _tell(self, step: int, detail: str = "") -> None:
-        """Begin a step, or report more about it."""
-        label = f"{self._labels[step - 1]}: {detail}" if detail else self._labels[step - 1]
-        if (step, label) != (self._step, self._label):
-            self._step, self._label = step, label
-            self._events.stage(STAGE, step, len(self._labels), label)
-            self._tell_progress()
-
-    def _pause(self) -> None:
-        """Wait a moment. Raises Cancelled when this is asked to stop."""
-        self._stop.check()
-        time.sleep(_POLL_S)
-        if time.monotonic() - self._measured_at > _MEASURE_S:
-            self._measured_at = time.monotonic()
-            downloads = self.request.download or self.folder / DOWNLOADS
-            unpacked = bytes_in(downloads) / _INSTALLED_BYTES[self.request.torch_build]
-            self._done = max(self._done, _INSTALLED * min(1.0, unpacked))
-            self._tell_progress()
-
-    def _tell_progress(self) -> None:
-        self._events.progress(STAGE, round(PARTS * self._done), PARTS)

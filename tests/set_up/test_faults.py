@@ -29,10 +29,10 @@ class PretendedSetUp(SetUp):
 
     faults: Faults
 
-    def _get_uv(self) -> Path:
+    def _get_uv(self, tools: Path) -> Path:
         return Path("uv")
 
-    def _run(self, command: Sequence[str | Path], **options: Any) -> tuple[str, int]:
+    def _run(self, command: Sequence[str | Path], *variables: Any, **options: Any) -> tuple[str, int]:
         with self.faults.asleep():
             if "find" in command:
                 return "3.11.9", 0
