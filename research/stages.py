@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from engine.errors import PlgsError
 from engine.instances.matching import match_views
 from engine.instances.records import object_of_mask
-from engine.instances.segments import SegmentOptions, instance_map
+from engine.instances.segments import instance_map
 from engine.job import EventWriter, LiftFolder, StopSignal
-from engine.lift.objects import MATCHERS, Matching, ViewsToMatch
+from engine.lift.objects import MATCHERS, Matching, ViewsToMatch, segment_options
 from engine.lift.preparation import filled_views, projected_masks, semantic_cloud, used_classes
 from engine.metrics.panoptic import PanopticEvaluation
 from engine.passes.exr import read_exr
@@ -71,9 +71,7 @@ def stages(
         filled = filled_views(views, Path(name)) if preset.fill_holes else views
         cloud = semantic_cloud(filled, used_classes(views), preset, events, progress)
         matching: Matching = MATCHERS.chosen(preset.objects)(ViewsToMatch(filled, cloud, classes), preset, progress)
-        number_of = object_of_mask(
-            match_views(filled, classes.thing_ids, SegmentOptions(preset.voxel_size), preset.matching)
-        )
+        number_of = object_of_mask(match_views(filled, classes.thing_ids, segment_options(preset), preset.matching))
         projected = projected_masks(filled, matching, classes, preset, Path(name))
         shown = [view.mask.class_map() for view in views]
         class_of = np.array([0, *(one.class_id for one in matching.instances)], np.int32)

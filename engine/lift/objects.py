@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from ..instances.agreement import ViewPoints, ViewsOnCloud, shown_classes
 from ..instances.consensus import ConsensusOptions, FoundObjects, find_objects, with_masks_of
 from ..instances.layers import trusted_layers
-from ..instances.matching import limit_instances, match_views
+from ..instances.matching import limit_instances, match_views, merged
 from ..instances.objects import (
     PieceRules,
     held_back_agreement,
+    joined_by_views,
     object_classes,
     placed_objects,
     regroup_pieces,
@@ -77,15 +78,24 @@ class Matching:
 def instances_by_boxes(given: ViewsToMatch, preset: Preset, progress: StageProgress) -> Matching:
     """The paper's method: Algorithm 1 on the thing segments of all views."""
     views, cloud, classes = given.views, given.cloud, given.classes
-    found = match_views(views, classes.thing_ids, SegmentOptions(preset.voxel_size), preset.matching, progress)
+    found = match_views(views, classes.thing_ids, segment_options(preset), preset.matching, progress)
     index, reach = cloud.index(), 2 * preset.voxel_size
     owner = vote_instances(
         views, lambda view: index.nearest_of_pixels(view.camera, view.depth, reach), len(cloud), object_of_mask(found)
     )
-
+    if preset.matching.merge is not None:
+        seen = on_cloud(views, cloud, given.scratch, progress).looked_at(progress).seen
+        group = joined_by_views(owner, [one.class_id for one in found], seen, preset.matching.merge)
+        found, owner = merged(found, group, preset.voxel_size), np.append(0, group + 1).astype(np.int32)[owner]
     owner[~np.isin(cloud.class_id, sorted(classes.thing_ids))] = 0
     instances, instance_of_point, dropped = limit_instances(found, owner, preset.most_instances)
     return Matching(cloud, instances, instance_of_point, dropped)
+
+
+def segment_options(preset: Preset) -> SegmentOptions:
+    """How the preset has segments become points before Algorithm 1."""
+    shape = preset.segments
+    return SegmentOptions(preset.voxel_size, erosion_share=shape.erosion, min_points=shape.least_points)
 
 
 def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StageProgress) -> Matching:

@@ -22,10 +22,6 @@ from .preset import PRESETS, Preset
 
 GONE = {
     "vote_rounds": "segments vote on Gaussians twice, and points once where masks are weak",
-    "matching.merge": "the instances of Algorithm 1 stay as they are",
-    "segments.erosion": "segments are eroded by 1/80 of the picture's width",
-    "segments.least_points": "segments need 30 pixels with depth",
-    "segments.least_region": "regions need 16 pixels for a pseudo label of their own",
     "voting.prior": "the label decoders have 0.3 votes",
 }
 """Removed options, and what happens instead."""

@@ -37,11 +37,26 @@ def _named(kind: str, default: Names, *known: str) -> Names:
 class Matching:
     """Algorithm 1. ``tau_new``: a segment whose least cost is above it is a new instance. ``rule``: "hybrid" takes the
     Hungarian partner if its cost is at most tau, else the best global instance if its cost is, else a new one;
-    "literal" is the text of Algorithm 1. ``cost``: the terms of O; the paper's table of ablations has each alone."""
+    "literal" is the text of Algorithm 1. ``cost``: the terms of O; the paper's table of ablations has each alone.
+    ``merge``: afterwards, global instances of one class are merged if at least one view, and this share of the views
+    that judge both, show them in one mask. None: never, as in the paper: parts that were seen before the whole stay
+    separate."""
 
     tau_new: float = _ranged(-0.1, -2.0, 0.0)
     rule: Literal["hybrid", "literal"] = "hybrid"
     cost: Literal["IoU+IoM", "IoU", "IoM"] = "IoU+IoM"
+    merge: float | None = _ranged(None, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Before Algorithm 1, segments are eroded by ``erosion`` of the picture's width, and those with fewer than
+    ``least_points`` pixels with depth are left out; the paper mentions neither. Regions of fewer than ``least_region``
+    pixels keep the rendered classes as pseudo labels."""
+
+    erosion: float = _ranged(2 / 160, 0.0, 0.5)
+    least_points: int = _ranged(30, 1)
+    least_region: int = _ranged(16, 0)
 
 
 @dataclass(frozen=True)
@@ -150,6 +165,7 @@ class Preset:
     warm_start: bool = True
     """The decoders are fitted to the anchors before training (see ``warm_start``)."""
     matching: Matching = Matching()
+    segments: Segments = Segments()
     schedule: Schedule = Schedule()
     weights: LossWeights = LossWeights()
     losses: tuple[str, ...] = _named("loss", ("depth",), "depth")

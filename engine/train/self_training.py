@@ -19,9 +19,6 @@ from ..scene import VOID, PanopticMask
 from ..semantics.consistency import pseudo_labels
 from .targets import ViewTargets, columns_of, slots_of
 
-LEAST_REGION = 16
-"""Pixels. Smaller regions, the crumbs of a mask's edge, keep the classes that they are rendered with."""
-
 
 def pseudo_label_steps(every: float, steps: int) -> frozenset[int]:
     """The numbers of the steps after which pseudo labels are made: at ``every``, 2 ``every``, ... of all ``steps``, but
@@ -61,14 +58,16 @@ def _packed(labels: torch.Tensor) -> bytes:
     return zlib.compress(labels.to(torch.int16).contiguous().numpy().tobytes(), 1)
 
 
-def rendered_labels(mask: PanopticMask, rendering: PanopticRendering, channels: LabelChannels) -> PseudoLabels:
-    """The pseudo labels of a view. The paper's regions of at least LEAST_REGION pixels take a class; if an object
+def rendered_labels(
+    mask: PanopticMask, rendering: PanopticRendering, channels: LabelChannels, least_region: int
+) -> PseudoLabels:
+    """The pseudo labels of a view. The paper's regions of at least ``least_region`` pixels take a class; if an object
     has one class throughout, segments take class and object together. Pixels where nothing is rendered do not vote."""
     if not channels.class_of_slot:
         class_ids = np.array(channels.class_ids, np.int32)
         coverage = rendering.class_coverage
         rendered = np.where(coverage.any(axis=2), class_ids[coverage.argmax(axis=2)], VOID).astype(np.int32)
-        return PseudoLabels.of(columns_of(pseudo_labels(mask, rendered, LEAST_REGION), channels.class_ids), None)
+        return PseudoLabels.of(columns_of(pseudo_labels(mask, rendered, least_region), channels.class_ids), None)
     things = frozenset(channels.class_of_slot) - {VOID}
     covered = np.concatenate([rendering.class_coverage, rendering.instance_coverage], axis=2)
     class_id, instance = decided_labels(covered.reshape(-1, covered.shape[2]), channels, things)

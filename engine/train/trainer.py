@@ -379,8 +379,9 @@ class Trainer:
         """Self-training: make new pseudo labels for all views or, if ``check`` raises, for none."""
         shown, channels = scene_labels(self.scene), self.scene.channels
         fresh: list[PseudoLabels | None] = []
+        least = self.preset.segments.least_region
         for view in self.views:
             check()
-            fresh.append(rendered_labels(view.mask, render_view(self.scene, view.camera, shown), channels))
+            fresh.append(rendered_labels(view.mask, render_view(self.scene, view.camera, shown), channels, least))
         self.pseudo = fresh
         self._placed.clear()

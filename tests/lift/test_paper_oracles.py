@@ -20,7 +20,7 @@ from engine.scene import PanopticMask, Segment
 from engine.semantics.consistency import ConsistencyOptions, consistency_masks, pseudo_labels
 from engine.semantics.point_cloud import CloudOptions, build_point_cloud, voxelise
 from engine.train.label_losses import ThingSegments, assigned_slots, label_losses
-from engine.train.self_training import LEAST_REGION, pseudo_label_steps
+from engine.train.self_training import pseudo_label_steps
 from engine.train.similarity import PhotoMoments
 from engine.train.trainer import reconstruction_loss
 from tests.semantics.plane_views import CHAIR, CLASS_IDS, SIZE, SOFA, WALL, wall_view
@@ -102,7 +102,7 @@ def test_each_connected_region_takes_the_class_that_is_rendered_most(seed: int) 
         for pixel in region:
             expected[pixel] = int(np.argmax(count))
     mask = PanopticMask(classes, tuple(Segment(x, x, x != WALL) for x in (WALL, CHAIR, SOFA)))
-    np.testing.assert_array_equal(pseudo_labels(mask, rendered, LEAST_REGION), expected)
+    np.testing.assert_array_equal(pseudo_labels(mask, rendered, PAPER.segments.least_region), expected)
 
 
 def cost(local: OrientedBox, known: OrientedBox) -> float:
