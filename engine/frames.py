@@ -32,10 +32,8 @@ class ColouredCloud:
 
 
 class CloudBuilder:
-    """Collects pixels in the cells of a grid; each cell becomes one point, the mean of its pixels.
-
-    Whenever more than ``cap`` cells are filled, the grid becomes twice as coarse, so that memory stays bounded.
-    """
+    """Collects pixels in the cells of a grid; each cell becomes one point, the mean of its pixels. Whenever more than
+    ``cap`` cells are filled, the grid becomes twice as coarse, so that memory stays bounded."""
 
     def __init__(self, cap: int = 400_000) -> None:
         self._cap, self._spacing = cap, 0.0
@@ -88,12 +86,10 @@ def make_frames(
     names: Collection[str] | None = None,
     progress: Progress | None = None,
 ) -> MadeFrames:
-    """Write ``kinds`` of files of the frames ``names`` (None: all) into ``folder``.
-
-    frames.json is written first with all cameras, so that a reader need not wait for pictures, and last with the files.
-    Pictures that an image file already shows unchanged are not written, nor are depth and masks that the scene lacks.
-    Files of an earlier run are kept, unless their source is newer or the frame's camera differs: then another scene,
-    with older pictures, may have taken this one's path.
+    """Write ``kinds`` of files of the frames ``names`` (None: all) into ``folder``: frames.json first with all cameras,
+    so that a reader need not wait for pictures, and last with the files. Pictures that an image file already shows
+    unchanged are not written, nor are depth and masks that the scene lacks. Files of an earlier run are kept, unless
+    their source is newer or the frame's camera differs: another scene may have taken this one's path.
 
     Raises PlgsError if the folder holds something else, a frame is missing, the scene has none of ``kinds``, or a file
     of the scene is bad. Bad depth for the cloud is reported after the pictures are written.
@@ -143,7 +139,6 @@ def _chosen(scene: Scene, names: Collection[str] | None) -> set[str]:
 
 
 def _refuse_nothing(scene: Scene, chosen: Collection[str], kinds: Collection[str]) -> None:
-    """Raise PlgsError if no frame has any of these ``kinds``."""
     frames = [frame for frame in scene.frames if frame.name in chosen]
     there = {
         "colour": True,

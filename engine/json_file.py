@@ -23,8 +23,7 @@ Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
 
 
 def plain(value: object) -> Json:
-    """The value in JSON's own types: numpy's numbers become Python's, paths become text, NaN and infinity become null.
-    Raises TypeError for other values."""
+    """The value in JSON's own types: paths become text, NaN and infinity null. Raises TypeError for other values."""
     if value is None or isinstance(value, bool | str):
         return value
     if isinstance(value, os.PathLike):

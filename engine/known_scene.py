@@ -1,8 +1,5 @@
 """What is known of a scene's frames without reading the scene: scene.json of a lift, frames.json of extracted pictures.
-
-Blender's Python has no OpenCV, and reads only plain folders itself. Cameras of all other scenes come from these files,
-as do pictures that are in a video or an archive or have to be undistorted.
-"""
+Blender reads only plain folders itself; of other scenes it has cameras and pictures from these files."""
 
 from __future__ import annotations
 
@@ -90,10 +87,8 @@ _BAKE_FIX = "Delete this file, then let an engine bake a frame of the lift, whic
 
 
 def known_scene(folder: LiftFolder, classes: ClassTable | None = None) -> PosedScene:
-    """The frames of a lift with their cameras, and the classes of its result, read unless given. No pixel can be read
-    from it; where the scene is gone, its pictures are not shown.
-
-    Raises PlgsError for a lift without a list of its frames, and for a damaged one."""
+    """The frames of a lift with their cameras, without pixels, and the classes of its result, read unless given. Raises
+    PlgsError for a lift without a list of its frames, and for a damaged one."""
     scene, known = folder.request.scene, read_known(folder)
     if known is None:
         fix = "Bake one of its frames, which writes the list."
@@ -158,8 +153,7 @@ class MadeFrames:
 
 
 def made_of(folder: Path, source: SceneSource) -> MadeFrames | None:
-    """What an earlier run made of this very scene in ``folder``; None if there is nothing. Raises PlgsError if the
-    folder holds something else."""
+    """What an earlier run made of this scene in ``folder``, or None. Raises PlgsError if it holds something else."""
     if not folder.exists():
         return None
     if (folder / FILE).is_file():

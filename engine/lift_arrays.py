@@ -52,8 +52,7 @@ class LiftArrays:
 
 
 def read_lift(folder: str | Path) -> LiftArrays:
-    """Everything that the result of a finished lift holds, but for its pictures. Raises PlgsError for a lift that is
-    not finished, and for damaged files."""
+    """The result of a finished lift, but for its pictures. Raises PlgsError if it is not finished or damaged."""
     lift = LiftFolder.open(Path(folder))
     check_sizes(lift.result_path)
     corrected = read_corrected(lift.path)

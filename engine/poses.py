@@ -36,11 +36,9 @@ from .scene.pixels import decode, write_image
 
 
 def write_pictures(film: Path, folder: Path, most: int, progress: Callable[[int, int], object]) -> None:
-    """Write at most ``most`` pictures of a film as ``folder/NNNNNN.jpg``, named by their number in the film. For a
-    Record3D film, also write the depth, as ``folder/depth/NNNNNN.npy``.
-
-    ``progress`` is called with the number of pictures done and their total. Raises PlgsError, OSError.
-    """
+    """Write at most ``most`` pictures of a film as ``folder/NNNNNN.jpg``, named by their number in the film, and the
+    depth in a Record3D film as ``folder/depth/NNNNNN.npy``. ``progress`` is called with the number of pictures done and
+    their total. Raises PlgsError, OSError."""
     video, encoded = Video(film), encoded_depth(film)
     count = video.count()
     edges = np.linspace(0, count, min(most, count) + 1).astype(int)
@@ -105,10 +103,8 @@ def colmap(photos: Path) -> Any:
 
 
 def map_photos(photos: Path, names: Sequence[str], workplace: Path, events: EventWriter, stop: StopSignal) -> Any:
-    """The largest reconstruction of photos from one camera (pycolmap's Reconstruction), or None.
-
-    The same photos give the same poses, except for effects of threading. Raises PlgsError without pycolmap; Cancelled.
-    """
+    """The largest reconstruction of photos from one camera (pycolmap's Reconstruction), or None. Only threading makes
+    the same photos give other poses. Raises PlgsError without pycolmap; Cancelled."""
     pycolmap = colmap(photos)
     pycolmap.logging.minloglevel = 2
     pycolmap.set_random_seed(0)
@@ -147,8 +143,7 @@ def map_photos(photos: Path, names: Sequence[str], workplace: Path, events: Even
 
 
 def _followed(work: Callable[[], Any], token: Any, stop: StopSignal) -> Any:
-    """The result of ``work``, which runs in its own thread until it is stopped. Raises what ``work`` raises;
-    Cancelled."""
+    """The result of ``work``, in its own thread. Raises what ``work`` raises; Cancelled."""
     answers: list[Any] = []
     errors: list[BaseException] = []
 
@@ -194,11 +189,8 @@ class Scale:
 
 
 def metres_per_length(model: Any, depths: Mapping[str, Path]) -> Scale | None:
-    """The median of measured depth over a point's depth in the reconstruction, over all photos' points.
-
-    ``depths`` are files by the photos' stems. None if too few points have depth, or their ratios disagree. Raises
-    PlgsError for a file that is not a depth map.
-    """
+    """The median of measured depth over a point's depth in the reconstruction, over all photos' points; None if too few
+    have depth, or their ratios disagree. ``depths`` are files by the photos' stems. Raises PlgsError."""
     ratios: list[NDArray[np.float64]] = []
     for image in model.images.values():
         path = depths.get(Path(image.name).stem)
@@ -268,12 +260,9 @@ class Made:
 
 
 def make_poses(source: Path, events: EventWriter, stop: StopSignal, pictures: int | None = None) -> Made:
-    """Find the poses of the photos in a folder, or of a film's pictures, and write them beside the photos.
-
-    A film's ``pictures`` (by default at most 150) go into a folder of the film's name. Existing files are never
-    overwritten; poses of an earlier call are reused. Raises PlgsError, also if the input has changed since; OSError;
-    Cancelled.
-    """
+    """Find the poses of the photos in a folder, or of a film's pictures, and write them beside the photos. A film's
+    ``pictures`` (by default at most 150) go into a folder of the film's name. Existing files are never overwritten;
+    poses of an earlier call are reused. Raises PlgsError, also if the input has changed since; OSError; Cancelled."""
     made = Made.read(source.with_suffix("") if is_film(source) else source)
     if made is not None:
         _refuse_changed(made, source)
@@ -295,7 +284,6 @@ def make_poses(source: Path, events: EventWriter, stop: StopSignal, pictures: in
 
 
 def _refuse_changed(made: Made, source: Path) -> None:
-    """Raise PlgsError if the photos, the measured depth that gave the unit, or the film have changed. OSError."""
     if is_film(source) and made.film not in ("", *digests_of_files([(source,)])):
         fix = f"Move the folder {made.folder.name} away to find this film's poses, or name that folder."
         raise PlgsError("other-photos", "the poses here were found for another film, or for photos", made.folder, fix)
@@ -311,7 +299,6 @@ def _refuse_changed(made: Made, source: Path) -> None:
 
 
 def _digest_of(files: Sequence[Path]) -> str:
-    """The digest of files and their names."""
     named = [[each.name for each in files], digests_of_files([(each,) for each in files])]
     return sha256(repr(named).encode()).hexdigest()
 

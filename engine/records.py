@@ -66,7 +66,8 @@ def record_of(
     a PlgsError that names the file, the key and the expected value."""
     declared, hints = _declared(cast(Any, kind)), _hints(cast(Any, kind))
     if unknown := sorted(content.keys() - declared.keys()):
-        what = f"the file has {', '.join(map(repr, unknown))}{_of(context)}, which this version does not know"
+        where = f" in {context}" if context else ""
+        what = f"the file has {', '.join(map(repr, unknown))}{where}, which this version does not know"
         raise PlgsError("unknown-field", what, path, "Remove it, or use the version of PLGS that wrote it.")
     values = dict(apart)
     for name, each in declared.items():
@@ -230,7 +231,3 @@ def _plain(value: Any, folder: Path | None) -> Any:
     if isinstance(value, tuple) and any(is_dataclass(each) for each in value[:1]):
         return [_plain(each, folder) for each in value]
     return value
-
-
-def _of(context: str) -> str:
-    return f" in {context}" if context else ""

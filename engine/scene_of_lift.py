@@ -26,11 +26,8 @@ _ANOTHER = "Restore it as it was, say where it is with Find Scene or --scene, or
 
 
 def scene_of_lift(folder: LiftFolder) -> Scene:
-    """The scene that a lift was made from, with the classes of the result. If it is gone, its frames and cameras, which
-    suffice to place, bake and export anything that needs no pictures; their readers raise.
-
-    Raises PlgsError for a scene that cannot be read, has been replaced by another, or is gone without a record.
-    """
+    """The scene that a lift was made from, with the classes of the result; if it is gone, frames with cameras, whose
+    readers raise. Raises PlgsError for a scene that is unreadable, replaced by another, or gone without a record."""
     if os.path.exists(folder.request.scene) or not (folder.path / KNOWN_SCENE).is_file():
         scene = opened_scene(folder)
         result = folder.result_path / INSTANCES
@@ -67,9 +64,8 @@ def names_of_frames(folder: LiftFolder) -> tuple[str, ...]:
 
 
 def remember_scene(folder: LiftFolder, scene: Scene, warn: Callable[[str], object] = lambda _: None) -> str:
-    """Write the cameras of a lift's scene, and the digests of its files, beside its request. Returns the digest of the
-    masks. Passes that were baked with other masks or classes are first moved out of the result, with a warning. Raises
-    PlgsError, OSError."""
+    """Write the cameras and the files' digests of a lift's scene beside its request. Returns the digest of the masks.
+    Passes baked with other masks or classes are moved out of the result, with a warning. Raises PlgsError, OSError."""
     masks, before = digest_of_masks(scene), read_known(folder)
     if (before is not None and masks_differ(before.masks, scene, masks)) or have_classes_changed(folder, scene):
         _move_baked(folder, warn)
@@ -110,8 +106,7 @@ def refuse_changed(folder: LiftFolder, scene: Scene) -> None:
 
 
 def refuse_other_pictures(folder: LiftFolder, scene: Scene) -> None:
-    """Raise PlgsError if a frame's photo or depth has changed since the lift was last run. Unknown and unreadable files
-    are ignored here."""
+    """Raise PlgsError if a frame's photo or depth has changed since the lift was last run, as far as it is known."""
     known = read_known(folder)
     known_as = {frame.name: (frame.files, frame.read) for frame in (known.frames if known else ())}
     for frame, now in zip(scene.frames, _digests_of(scene.frames), strict=True):

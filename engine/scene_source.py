@@ -1,8 +1,5 @@
-"""Names a scene and how to read it, for commands, requests and the panel; and the names of formats.
-
-A field's metadata holds `argparse` keywords for the command-line ``option`` that sets it. ``formats/`` and
-``mask_formats/`` have a reader for each name; a test checks that these tables are complete.
-"""
+"""Names a scene and how to read it, for commands, requests and the panel; and the names of formats. A field's metadata
+holds `argparse` keywords for the command-line ``option`` that sets it."""
 
 from __future__ import annotations
 
@@ -22,6 +19,11 @@ def option(help: str, metavar: str, type: Any = str, **more: Any) -> dict[str, A
     return {"option": {"help": help, "metavar": metavar, "type": type, **more}}
 
 
+def _set_by(help: str, metavar: str, type: Any = str, default: Any = None) -> Any:
+    """A field that an option of the command line sets."""
+    return field(default=default, metadata=option(help, metavar, type))
+
+
 def up_axis(text: str) -> str:
     """The meaning of a value of --up, for argparse: it raises ArgumentTypeError."""
     if text not in UP_OPTIONS:
@@ -36,57 +38,34 @@ def class_table(text: str) -> str:
 
 @dataclass(frozen=True)
 class SceneSource:
-    """``scene`` is its folder or file; the other fields say how to read it.
-
-    ``masks`` names panoptic masks outside the folder. ``up`` is the upward axis of the poses' world; "z" leaves it to
-    formats that know, "+z" is always the z axis. ``scene_format`` and ``mask_format`` name formats that are otherwise
-    recognised. ``depth`` is a folder of monocular depth maps to use instead of the scene's depth. ``classes`` is the
-    name of a table of the masks' classes, or the path of a .toml file. ``detections`` is a JSON of possibly overlapping
-    segments that are laid over the masks.
-    """
+    """``scene`` is its folder or file; the other fields say how to read it. ``masks`` names panoptic masks outside the
+    folder. ``up`` is the upward axis of the poses' world; "z" leaves it to formats that know, "+z" is always the z
+    axis. ``scene_format`` and ``mask_format`` name formats that are otherwise recognised. ``depth`` is a folder of
+    depth maps to use instead of the scene's. ``classes`` is the name of a table of the masks' classes, or the path of a
+    .toml file. ``detections`` is a JSON of possibly overlapping segments that are laid over the masks."""
 
     scene: Path
-    masks: Path | None = field(default=None, metadata=option("panoptic masks, if not in SCENE itself", "PATH", Path))
-    up: UpAxis = field(
-        default="z",
-        metadata=option(
-            "the axis of the poses that points up (default: auto, what the format says, else z)",
-            "|".join(UP_OPTIONS),
-            up_axis,
-        ),
+    masks: Path | None = _set_by("panoptic masks, if not in SCENE itself", "PATH", Path)
+    up: UpAxis = _set_by(
+        "the axis of the poses that points up (default: auto, what the format says, else z)",
+        "|".join(UP_OPTIONS), up_axis, "z",
+    )  # fmt: skip
+    scene_format: str | None = _set_by(
+        "how SCENE is laid out, such as colmap, nerfstudio, polycam, tum (default: recognised by its files)", "NAME"
     )
-    scene_format: str | None = field(
-        default=None,
-        metadata=option(
-            "how SCENE is laid out, such as colmap, nerfstudio, polycam, tum (default: recognised by its files)", "NAME"
-        ),
+    depth: Path | None = _set_by("depth maps of a network, fitted to the scene's sparse points", "FOLDER", Path)
+    mask_format: str | None = _set_by(
+        "how the masks are laid out, such as coco, transformers, sam2, pairs (default: recognised by their files)",
+        "NAME",
     )
-    depth: Path | None = field(
-        default=None, metadata=option("depth maps of a network, fitted to the scene's sparse points", "FOLDER", Path)
+    classes: str | None = _set_by(
+        "the masks' classes, or one of coco, ade20k, cityscapes, nyu40, nyu13, scannet, scannet200, replica, "
+        "reduced, or with its numbering, such as ade20k:1-150 or coco:90 (default: classes.toml beside them)",
+        "FILE.toml",
+        class_table,
     )
-    mask_format: str | None = field(
-        default=None,
-        metadata=option(
-            "how the masks are laid out, such as coco, transformers, sam2, pairs (default: recognised by their files)",
-            "NAME",
-        ),
-    )
-    classes: str | None = field(
-        default=None,
-        metadata=option(
-            "the masks' classes, or one of coco, ade20k, cityscapes, nyu40, nyu13, scannet, scannet200, replica, "
-            "reduced, or with its numbering, such as ade20k:1-150 or coco:90 (default: classes.toml beside them)",
-            "FILE.toml",
-            class_table,
-        ),
-    )
-    detections: Path | None = field(
-        default=None,
-        metadata=option(
-            "detections over the masks, which may overlap: COCO results or instances, as RLE or polygons",
-            "FILE.json",
-            Path,
-        ),
+    detections: Path | None = _set_by(
+        "detections over the masks, which may overlap: COCO results or instances, as RLE or polygons", "FILE.json", Path
     )
 
     @property
@@ -155,5 +134,4 @@ NUMBERINGS = (
     "ade20k:0-149", "ade20k:1-150", "cityscapes:0-18", "cityscapes:0-33", "coco:0-132", "coco:90",
     "nyu40:1-40", "nyu40:0-39", "nyu13:1-13", "nyu13:0-12", "scannet:1-1357",
 )  # fmt: skip
-"""Tables whose files number classes in several ways, or ambiguously with another table's, with these ways, the most
-usual first."""
+"""Numberings of tables that have several, or one that another table's resembles; the most usual first."""

@@ -118,7 +118,6 @@ def detections_of(class_logits: torch.Tensor, mask_probabilities: torch.Tensor) 
 
 
 def _mean(parts: list[tuple[float, int]]) -> float:
-    """The mean score, weighted by pixels."""
     return sum(score * pixels for score, pixels in parts) / sum(pixels for _, pixels in parts)
 
 
@@ -137,8 +136,7 @@ class Mask2Former:
 
     @torch.inference_mode()
     def segment(self, colour: NDArray[np.uint8]) -> tuple[NDArray[np.int32], list[MadeSegment], list[Detection]]:
-        """The panoptic mask of a picture uint8 [H, W, 3] RGB, and what it left out: see ``merge_queries`` and
-        ``detections_of``."""
+        """The mask of a picture uint8 [H, W, 3] RGB (``merge_queries``), and what it left out (``detections_of``)."""
         height, width = colour.shape[:2]
         inputs = self.processor(images=colour, return_tensors="pt", input_data_format="channels_last")
         seen = self.network(pixel_values=inputs["pixel_values"])
@@ -209,8 +207,7 @@ _ANOTHER = "Name another one, or fetch it again."
 
 
 def _checked_labels(folder: Path, name: str) -> tuple[ClassLabel, ...]:
-    """The classes of the model in this folder. Raises PlgsError unless its weights are safetensors in the folder,
-    unchanged since their download."""
+    """The classes of the model, whose weights must be safetensors in its folder, unchanged since their download."""
     config, index = folder / "config.json", folder / "model.safetensors.index.json"
     if not config.is_file() or not any(folder.glob("*.safetensors")):
         fix = "Name a folder that transformers' save_pretrained wrote, with config.json and safetensors."

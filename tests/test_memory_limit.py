@@ -30,7 +30,7 @@ from engine.job.events import last_events
 from engine.posed.array_file import read_npz, read_npy
 from engine.json_file import read_json_object
 from engine.scene.formats.record3d import _read_exr
-from engine.scene.pixels import decode, decode_single_channel
+from engine.scene.pixels import decode, read_indices
 from engine.model.checking import read_tensors
 from engine.passes.exr import read_exr, read_note
 
@@ -42,7 +42,7 @@ readers = {
     "json": lambda: read_json_object(folder / "a.json"),
     "job's json": lambda: read_value(folder / "a.json", "Fix."),
     "png": lambda: decode(folder / "a.png", as_colour=True),
-    "mask": lambda: decode_single_channel(folder / "mask.png"),
+    "mask": lambda: read_indices(folder / "mask.png"),
     "jpeg": lambda: decode(folder / "a.jpg", as_colour=True),
     "events": lambda: last_events(folder / "events.jsonl"),
     "exr": lambda: _read_exr(folder / "a.exr"),

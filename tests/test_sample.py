@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.scene import check_scene, open_scene
+from engine.scene import open_scene
+from tests.scene.refusing import check_scene
 from tests.tiny_scene import write_tiny_scene
 
 SAMPLE = Path(__file__).resolve().parents[1] / "sample"

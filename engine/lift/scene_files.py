@@ -33,8 +33,8 @@ from ..result_files import (
     write_arrays,
     write_instances,
 )
-from ..scene import ClassTable, Progress, Scene, View, distinct_colour, part_of, watched
-from ..scene.view import NEAR
+from ..scene import ClassTable, Progress, Scene, View, distinct_colour, watched
+from ..scene.view import NEAR, part_of
 from ..semantics.point_cloud import SemanticPointCloud
 from .judging import evenly
 from .preparation import PreparedLift

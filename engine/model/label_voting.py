@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from ..instances.panoptic_labels import LEAST_OF_CLASS, object_of_class
 from ..machine.compiled import compiled, device_function
 from ..presets.preset import EvidenceKind
-from ..scene import Camera, evidence_of_pixels, evidence_of_resolution, resolution_on
+from ..scene import Camera, resolution_on
+from ..scene.evidence import evidence_of_pixels, evidence_of_resolution
 from .gaussians import decode, no_labels
 from .structured import GaussianLabels, StructuredScene
 

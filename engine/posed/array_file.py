@@ -72,7 +72,6 @@ def _array(file: IO[bytes]) -> NDArray[Any]:
 
 
 def _reason(error: Exception) -> str:
-    """The error in one line."""
     return " ".join(str(error).split())[:100] or type(error).__name__
 
 

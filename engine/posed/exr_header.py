@@ -43,8 +43,7 @@ class ExrHeader:
 
 
 def read_exr_header(path: Path) -> ExrHeader:
-    """The header of a file. Raises PlgsError, also for a multi-part file, and for one that stores only part of the
-    picture."""
+    """The header of a file. Raises PlgsError, also for a multi-part file, and for a part of a picture."""
     start, attributes = _attributes_of(path)
     try:
         windows = [struct.unpack("<4i", attributes[name][1]) for name in (b"dataWindow", b"displayWindow")]
@@ -62,8 +61,7 @@ def read_exr_header(path: Path) -> ExrHeader:
 
 
 def one_pixel_of(path: Path) -> bytes:
-    """A file with one black pixel that has another one's channels and texts. Raises PlgsError, also for a tiled file,
-    which is not ours."""
+    """A file with one black pixel and another one's channels and texts. Raises PlgsError, also for a tiled file."""
     header = read_exr_header(path)
     if int.from_bytes(header.start[4:], "little") & _TILED:
         raise PlgsError("exr-tiles", "the passes have tiles", path, _FIX)

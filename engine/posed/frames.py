@@ -73,11 +73,8 @@ class Camera:
         return Camera(self.width, end - first, self.fx, self.fy, self.cx, self.cy - first, self.camera_to_world)
 
     def unproject(self, depth: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Lift planar depth, float [height, width] metres, to world points, float64 [height, width, 3].
-
-        Equation "ProjectionEquation" of the paper with the camera centre counted once. Pixels without depth (0) land on
-        the camera centre: mask them out.
-        """
+        """World points, float64 [height, width, 3], of planar depth, float [height, width] metres: the paper's equation
+        "ProjectionEquation" with the camera centre counted once. Pixels without depth (0) land on that centre."""
         if depth.shape != (self.height, self.width):
             raise ValueError(f"depth is {depth.shape[1]}x{depth.shape[0]}, the camera {self.width}x{self.height}")
         x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
@@ -109,11 +106,9 @@ Size = tuple[int, int]
 
 @dataclass(frozen=True, eq=False)
 class SparsePoints:
-    """The points of the reconstruction that a scene's poses come from.
-
-    ``xyz`` is floats [N, 3] in the world of the poses, ``rgb`` uint8 [N, 3] sRGB. ``seen_by`` maps a frame's name to
-    the indices int64 [K] of the points that were found in its picture. It is empty in formats without tracks.
-    """
+    """The points of the reconstruction that a scene's poses come from: ``xyz`` floats [N, 3] in the poses' world,
+    ``rgb`` uint8 [N, 3] sRGB. ``seen_by`` maps a frame's name to the indices int64 [K] of the points found in its
+    picture; it is empty in formats without tracks."""
 
     xyz: NDArray[np.floating]
     rgb: NDArray[np.uint8]
@@ -129,12 +124,9 @@ class SparsePoints:
 
 @dataclass(frozen=True, eq=False)
 class PosedFrame:
-    """One picture and the camera that took it.
-
-    ``colour_path`` and ``depth_path`` are the files that hold the pixels; a frame without depth has no ``depth_path``.
-    ``file_shows_colour`` is true if the file at ``colour_path`` is an image that shows the frame unmodified. It is
-    false for videos, archives, and pictures that are undistorted on reading.
-    """
+    """One picture and the camera that took it. ``colour_path`` and ``depth_path`` are the files that hold the pixels.
+    ``file_shows_colour``: the file at ``colour_path`` is an image that shows the frame unmodified, not a video, an
+    archive, or a picture that is undistorted on reading."""
 
     name: str
     camera: Camera
@@ -150,12 +142,9 @@ class PosedFrame:
 
 @dataclass(frozen=True, eq=False)
 class PosedScene:
-    """Posed frames in recording order, the classes of their masks, and what a user should know about them.
-
-    ``folder`` is what the user named: a folder, or the one file that holds everything. ``format`` is the name of its
-    reader. ``points`` are those of the reconstruction that the poses come from, if the format has them. ``turn``,
-    float64 [3, 3], is the rotation that made z point up, or None.
-    """
+    """Posed frames in recording order, the classes of their masks, and what a user should know about them. ``folder``
+    is what the user named: a folder, or the one file that holds everything; ``format`` is the name of its reader.
+    ``turn``, float64 [3, 3], is the rotation that made z point up, or None."""
 
     folder: Path
     frames: tuple[PosedFrame, ...]

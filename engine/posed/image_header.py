@@ -1,8 +1,5 @@
-"""Size and kind of a PNG or JPEG without decoding it, and whether the file is complete. Standard library only.
-
-Scenes are also opened in Blender's Python, which has no OpenCV; and OpenCV itself fills the missing part of a truncated
-image with grey instead of failing.
-"""
+"""Size and kind of a PNG or JPEG without decoding it, and whether the file is whole. Standard library only: Blender's
+Python has no OpenCV, which itself fills the missing part of a truncated image with grey instead of failing."""
 
 from __future__ import annotations
 

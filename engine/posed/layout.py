@@ -1,8 +1,5 @@
-"""Files of a scene: reading them, matching them to frames, and limits on what they may claim.
-
-Readers check here what they know: a count in a header, the bytes left, the memory that one item takes. Every format's
-frames are checked here when a scene is opened, so readers need no limits of their own.
-"""
+"""Files of a scene: reading them, matching them to frames, and limits on what they may claim. Every format's frames are
+checked here when a scene is opened, so readers need no limits of their own."""
 
 from __future__ import annotations
 
@@ -172,11 +169,8 @@ _SMALL = 1 << 25
 
 
 def check_count(count: int, things: str, path: Path, fix: str, *, most: int, room: int, made: int) -> None:
-    """Raise PlgsError for a ``count`` of ``things`` in the file ``path`` that is impossible, or too large to read.
-
-    ``room`` is how many fit into the rest of the file; ``most`` how many can be read within ten seconds; ``made`` the
-    bytes of memory that each takes.
-    """
+    """Raise PlgsError for a ``count`` of ``things`` in the file ``path`` that is impossible, or too large: ``room`` fit
+    into the rest of the file, ``most`` can be read within ten seconds, and each takes ``made`` bytes of memory."""
     if count > room:
         raise PlgsError("cut-off", "the file is cut off", path, fix)
     check_most(count, things, path, fix, most)

@@ -70,9 +70,8 @@ def _as_numbers(
 
 
 def read_poses(files: Mapping[str, Path]) -> dict[str, NDArray[np.float64] | None]:
-    """The camera-to-world pose, float64 [4, 4], in each frame's file. None if there is no file, if it holds no matrix,
-    and if it holds inf, which is how scanners mark lost tracking. Raises PlgsError as ``rigid`` does, and if more than
-    half of the existing files hold none."""
+    """The camera-to-world pose, float64 [4, 4], in each frame's file; None if it holds no matrix, or inf, which is how
+    scanners mark lost tracking. Raises PlgsError as ``rigid`` does, and if most existing files hold none."""
     there = [name for name, path in files.items() if path.is_file()]
     found = of_most(there, lambda name: read_matrix(files[name], ((4, 4),)))
     lost = {name for name, pose in found.items() if np.isinf(pose).any()}
@@ -150,11 +149,9 @@ _SPREAD = 0.3
 def upright_turn(
     poses: Sequence[NDArray[np.float64]], asked: UpAxis, own: UpAxis | None, *, is_known: bool
 ) -> tuple[NDArray[np.float64], list[str]]:
-    """The rotation, float64 [3, 3], from a capture's world into one with z up, and warnings.
-
-    ``poses`` are its cameras, float64 [4, 4] camera-to-world each. ``own`` is the axis that points up according to its
-    format, None if the format does not say; ``is_known`` means that it was measured.
-    """
+    """The rotation, float64 [3, 3], from a capture's world into one with z up, and warnings. ``poses`` are its cameras,
+    float64 [4, 4] camera-to-world each. ``own`` is the axis that its format says points up, None if it does not say;
+    ``is_known``: that was measured."""
     axis: UpAxis | None = "z" if asked == "+z" else own if asked == "z" else asked
     if axis is None:
         return upright_rotation(poses), []
@@ -171,11 +168,8 @@ def turned(pose: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.f
 
 
 def up_axis_warning(poses: Sequence[NDArray[np.float64]], up: UpAxis) -> str | None:
-    """A warning if cameras, float64 [4, 4] camera-to-world each, are upright about another axis than z, else None.
-
-    The mean of the cameras' own up axes is close to the world's. There is no warning if all of them look steeply up or
-    down, or lie on their side.
-    """
+    """A warning if cameras, float64 [4, 4] camera-to-world each, are upright about another axis than z, by the mean of
+    their own up axes; None if all look steeply up or down, or lie on their side."""
     mean = -np.mean([pose[:3, 1] for pose in poses], axis=0)
     axis = int(np.abs(mean).argmax())
     if abs(mean[axis]) < _CLEARLY_UP or (axis == 2 and mean[2] > 0.0):
@@ -190,11 +184,9 @@ def up_axis_warning(poses: Sequence[NDArray[np.float64]], up: UpAxis) -> str | N
 
 
 def upright_rotation(poses: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """The rotation, float64 [3, 3], into a world in which cameras, float64 [4, 4] camera-to-world each, stand upright.
-
-    The right axis of an upright camera is level, wherever it looks. If all cameras look the same way, that leaves their
-    pitch open, and their mean up axis is used. If z is roughly up already, the rotation is the identity.
-    """
+    """The rotation, float64 [3, 3], into a world in which cameras, float64 [4, 4] camera-to-world each, stand upright;
+    the identity if z is roughly up. The right axis of an upright camera is level, wherever it looks. If all cameras
+    look the same way, that leaves their pitch open, and their mean up axis is used."""
     rights = np.array([pose[:3, 0] for pose in poses])
     mean_up = -np.mean([pose[:3, 1] for pose in poses], axis=0)
     _, strengths, axes = np.linalg.svd(rights, full_matrices=True)

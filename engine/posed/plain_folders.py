@@ -1,8 +1,5 @@
-"""Plain folders, the layout whose cameras and pictures Blender can read without an engine, and the split of any scene.
-
-The folders are ``color/ depth/ pose/ intrinsic/``, as ScanNet exports them; ``formats/scannet.py`` describes them. Here
-are the poses, the lenses and the split; the engine's reader adds depth and masks.
-"""
+"""Plain folders (``formats/scannet.py`` describes them), whose cameras and pictures Blender can read without an engine,
+and the split of any scene. The engine's reader adds depth and masks."""
 
 from __future__ import annotations
 
@@ -58,11 +55,8 @@ def default_split(names: Sequence[str]) -> Split:
 
 
 def read_split(path: Path, names: Sequence[str], dropped: Sequence[str]) -> Split:
-    """Read ``splits.json``: {"train": [...], "test": [...]} with stems of colour images.
-
-    Names in ``dropped`` (frames without a pose) are skipped. Raises PlgsError for unknown names, and for
-    names that are in both lists or twice in one.
-    """
+    """Read ``splits.json``: {"train": [...], "test": [...]} with stems of colour images. Names in ``dropped`` (frames
+    without a pose) are skipped. Raises PlgsError for names that are unknown, in both lists, or twice in one."""
     content = read_json_object(path)
     parts: dict[str, set[str]] = {}
     for key in ("train", "test"):
@@ -98,9 +92,8 @@ FOLDERS_FIX = "Give the folders color, depth, pose and intrinsic, or let COLMAP 
 
 @dataclass(frozen=True, eq=False)
 class PlainFolders:
-    """What the folders hold: a camera and a picture for each frame of the ``split``, in recording order, by name; only
-    unreadable pictures have no camera. ``lost`` lists the readable frames without a pose, ``names`` all frames in
-    recording order."""
+    """What the folders hold, in recording order: cameras and pictures of the ``split``'s frames, by name; only
+    unreadable pictures have no camera. ``lost`` lists readable frames without a pose, ``names`` all frames."""
 
     names: tuple[str, ...]
     cameras: Mapping[str, Camera]

@@ -14,7 +14,11 @@ from ..gates import read_plain
 
 LEAST_TRIANGLES = 20
 """Meshes with fewer triangles are fragments and left out."""
-_KINDS = {"float": "<f4", "int": "<i4", "uchar": "u1"}
+_KINDS = {
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
+    "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
+    "float32": "f4", "float64": "f8",
+}  # fmt: skip
 _FACE: list[Any] = [("count", "u1"), ("corners", "<i4", 3)]
 _TEXTURED = [*_FACE, ("values", "u1"), ("uv", "<f4", (3, 2))]
 _COLUMNS = {"x", "y", "z", "red", "green", "blue", "class_id", "instance_id"}
@@ -60,8 +64,7 @@ class LabelledSurface:
 
 
 def labels_of_triangles(triangles: NDArray[np.integer], label: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The labels [T] of triangles [T, 3] from those of the vertices [V]: the one that two corners share, else the first
-    corner's."""
+    """The labels [T] of triangles [T, 3] from the vertices' [V]: what two corners share, else the first corner's."""
     corners = label[triangles]
     return np.where(corners[:, 1] == corners[:, 2], corners[:, 1], corners[:, 0])
 
@@ -122,15 +125,35 @@ def _read(path: Path, most_bytes: int, fix: str) -> tuple[bytes, int, dict[str, 
     columns in other kinds of files, nor if a name occurs twice. Raises PlgsError, with ``fix`` as the advice."""
     with reading(path, fix):
         content = read_plain(path, most_bytes)
-    end = content.find(b"end_header\n", 0, _LONGEST_HEADER) + len(b"end_header\n")
-    columns, counts, properties = dict[str, str](), {"vertex": 0, "face": 0}, 0
-    for line in content[:end].decode("ascii", "replace").splitlines():
+    header = ply_header(content, _LONGEST_HEADER)
+    vertices, columns = header.elements.get("vertex", (0, {}))
+    faces, _ = header.elements.get("face", (0, {}))
+    is_ours = header.form == "binary_little_endian" and "" not in columns.values()
+    columns = {name: f"<{kind}" for name, kind in columns.items()} if is_ours else {}
+    return content, header.end, columns, (vertices, faces)
+
+
+@dataclass(frozen=True)
+class PlyHeader:
+    """``end`` is where the numbers begin, 0 in other files. ``elements`` are counts and the numpy types of properties,
+    by name, "" for a list, an unknown type, and a name that occurs twice."""
+
+    form: str
+    end: int
+    elements: dict[str, tuple[int, dict[str, str]]]
+
+
+def ply_header(data: bytes, longest: int | None = None) -> PlyHeader:
+    """The header of a PLY, searched in its first ``longest`` bytes."""
+    form, elements, columns = "", dict[str, tuple[int, dict[str, str]]](), dict[str, str]()
+    last = data.find(b"end_header", 0, longest) if data.startswith(b"ply") else -1
+    end = data.find(b"\n", last) + 1 if last >= 0 else 0
+    for line in data[:end].decode("ascii", "replace").splitlines():
         match line.split():
-            case ["element", name, count] if name in counts and count.isdecimal():
-                counts[name] = int(count)
-            case ["property", kind, name]:
-                properties += 1
-                columns[name] = _KINDS.get(kind, "")
-    is_ours = content.startswith(b"ply\nformat binary_little_endian") and "" not in columns.values()
-    columns = columns if is_ours and len(columns) == properties else {}
-    return content, end, columns, (counts["vertex"], counts["face"])
+            case ["format", name, *_]:
+                form = name
+            case ["element", name, count] if count.isdecimal():
+                elements[name] = int(count), (columns := {})
+            case ["property", kind, *_, name]:
+                columns[name] = "" if name in columns else _KINDS.get(kind, "")
+    return PlyHeader(form, end, elements)

@@ -19,7 +19,7 @@ from .frame import Frame, PanopticMask, Scene, Size
 from .frame_choice import evenly_spread
 from .ground_truth import GroundTruthReader
 from .masks import KeptMask, OtherClasses
-from .opening import complete, require_liftable
+from .opening import complete
 from .pixels import distinct_ids, largest_of_16_bits
 from .view import Progress
 
@@ -85,21 +85,11 @@ class Survey:
     warnings: tuple[str, ...]
 
 
-def check_scene(scene: Scene, progress: Progress | None = None) -> tuple[str, ...]:
-    """Check every file of a scene and how the frames fit together; returns warnings besides those of the scene.
-
-    Frames whose files cannot be read, up to half, are named in the warnings. Raises PlgsError for the first thing that
-    cannot be lifted, missing depth or masks included. Takes about 20 ms for a
-    640x480 frame. Depth, masks and ground truth of all frames are decoded; all colour files are checked for damage, and
-    16 of them are decoded.
-    """
-    require_liftable(scene)
-    return survey_scene(scene, progress).warnings
-
-
 def survey_scene(scene: Scene, progress: Progress | None = None, keep_within: Size | None = None) -> Survey:
-    """Like ``check_scene``, but also returns the scene and the facts of the readable frames. Depth and masks may be
-    missing.
+    """Check every file of a scene and how the frames fit together, in about 20 ms for a 640x480 frame. Depth and masks
+    may be missing. Depth, masks and ground truth of all frames are decoded; all colour files are checked for damage,
+    and 16 of them are decoded. Frames whose files cannot be read, up to half, are named in the warnings. Raises
+    PlgsError for the first thing that cannot be lifted.
 
     Masks are kept at the size that frames have within ``keep_within``, so a later read at this size decodes no file.
     """
@@ -123,11 +113,8 @@ def survey_scene(scene: Scene, progress: Progress | None = None, keep_within: Si
 
 
 def _readable(scene: Scene, tick: Progress, keep_within: Size | None) -> tuple[list[_Look], Scene, tuple[str, ...]]:
-    """The facts of the frames, the scene without unreadable frames, and warnings that name these.
-
-    Raises PlgsError if more than half of all frames, or all training frames, cannot be read, if memory runs out, and
-    for a wrong class table or an unreadable ground truth, which no lift needs.
-    """
+    """The facts of the frames, the scene without unreadable frames, and warnings that name these. Raises PlgsError also
+    if memory runs out, and for a wrong class table or an unreadable ground truth."""
     looks: dict[str, _Look] = {}
     errors: dict[str, PlgsError] = {}
     total = len(scene.frames)
@@ -156,7 +143,6 @@ def _readable(scene: Scene, tick: Progress, keep_within: Size | None) -> tuple[l
 
 
 def _look(frame: Frame, unknown_truth: frozenset[int | str], keep_within: Size | None, decode: bool) -> _Look:
-    """Raises PlgsError where a file cannot be read."""
     brightest = _check_colour(frame, decode)
     measured, thumbnail, mask = None, None, None
     if frame.read_depth is not None:
@@ -175,13 +161,12 @@ def _look(frame: Frame, unknown_truth: frozenset[int | str], keep_within: Size |
 
 def _check_colour(frame: Frame, decode: bool) -> int | None:
     """The largest value of a 16-bit photo, if decoded."""
-    is_image = frame.colour_path.suffix.lower() in IMAGES
+    path, is_image = frame.colour_path, frame.colour_path.suffix.lower() in IMAGES
     if decode:
         frame.read_colour(None)
-        return largest_of_16_bits(frame.colour_path) if is_image else None
-    if is_image:
-        check_image_file(frame.colour_path)
-    return None
+    elif is_image:
+        check_image_file(path)
+    return largest_of_16_bits(path) if decode and is_image else None
 
 
 def _depth_facts(frame: Frame, depth: NDArray[np.float32]) -> DepthFacts:
@@ -215,8 +200,7 @@ def _pixel_warnings(facts: Sequence[FrameFacts]) -> Iterable[str]:
     yield from _colour_warnings({fact.name: fact.brightest for fact in facts if fact.brightest is not None})
     yield from _depth_warnings({fact.name: fact.depth for fact in facts if fact.depth is not None})
     yield from _mask_warnings({fact.name: fact.mask for fact in facts if fact.mask is not None})
-    unknown = sorted(frozenset().union(*(fact.unknown_truth for fact in facts)), key=str)
-    if unknown:
+    if unknown := sorted(frozenset().union(*(fact.unknown_truth for fact in facts)), key=str):
         yield f"classes {listed(unknown)} of the ground truth are not in the masks' table and count as void"
 
 
@@ -237,18 +221,15 @@ def _depth_warnings(depths: Mapping[str, DepthFacts]) -> Iterable[str]:
     typical = float(np.median([depth.range[1] for depth in depths.values()])) if depths else 0.0
     if typical > _LOOKS_TOO_FAR:
         yield f"the median depth is {typical:.0f} m, which is far for a room: is it in millimetres?"
-    sparse = [name for name, depth in depths.items() if depth.share < _SPARSE_DEPTH]
-    if sparse:
+    if sparse := [name for name, depth in depths.items() if depth.share < _SPARSE_DEPTH]:
         some = plural(len(sparse), "frame has", "frames have")
         yield f"{some} depth on less than 5 % of the pixels: {listed(sparse)}"
 
 
 def _mask_warnings(masks: Mapping[str, MaskFacts]) -> Iterable[str]:
-    blank = [name for name, mask in masks.items() if not mask.segments]
-    if blank:
+    if blank := [name for name, mask in masks.items() if not mask.segments]:
         yield f"{plural(len(blank), 'frame has', 'frames have')} an empty mask: {listed(blank)}"
-    unpainted = {name: mask.unpainted for name, mask in masks.items() if mask.unpainted}
-    if unpainted:
+    if unpainted := {name: mask.unpainted for name, mask in masks.items() if mask.unpainted}:
         name, ids = next(iter(unpainted.items()))
         total, first = sum(map(len, unpainted.values())), f"segment {ids[0]} of frame {name}"
         yield f"{total} segments of the masks' table have no pixel in the PNGs (the first: {first})"

@@ -1,10 +1,9 @@
 """The user's choice of the masks' classes: a small TOML file, ``classes.toml`` beside the masks or one given by path.
 
-table = "coco" # the table of the masks' numbers, if their files have none: one of ``TABLES`` or ``NUMBERINGS`` to =
-"reduced" # map the classes to the paper's 21 void = [255] # numbers that mean nothing
-
-[[class]] id = 56 # the number in the masks, or a name that they have name = "chair" thing = true into = "seat" # counts
-as that class; "void": counts as nothing colour = "#c8a064" # of the class that it is or counts as
+* ``table = "coco"``: the table of the masks' numbers, if their files have none: one of ``TABLES`` or ``NUMBERINGS``.
+* ``to = "reduced"``: maps the classes to the paper's 21. ``void = [255]``: numbers that mean nothing.
+* ``[[class]]``, for each class: ``id = 56``, the number in the masks, or a ``name`` that they have; ``thing = true``;
+  ``into = "seat"``, the class that it counts as ("void": nothing); ``colour = "#c8a064"``.
 """
 
 from __future__ import annotations
@@ -12,8 +11,7 @@ from __future__ import annotations
 import json
 import re
 import tomllib
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -114,29 +112,17 @@ def class_choice_text(choice: ClassChoice) -> str:
     """The choice as the text of a file."""
     lines = []
     if choice.table is not None:
-        lines.append(f"table = {_quoted(choice.table)}")
+        lines.append(f"table = {_toml(choice.table)}")
     if choice.to_reduced:
-        lines.append(f"to = {_quoted(REDUCED)}")
+        lines.append(f"to = {_toml(REDUCED)}")
     if choice.void:
         lines.append(f"void = {sorted(choice.void)}")
     for row in choice.rows:
-        lines += ["", "[[class]]", *_row_lines(row)]
+        given = {key: value for key, value in asdict(row).items() if value is not None}
+        lines += ["", "[[class]]", *(f"{key} = {_toml(value)}" for key, value in given.items())]
     return "\n".join(lines) + "\n"
 
 
-def _row_lines(row: ClassRow) -> Iterable[str]:
-    if row.id is not None:
-        yield f"id = {row.id}"
-    if row.name is not None:
-        yield f"name = {_quoted(row.name)}"
-    if row.thing is not None:
-        yield f"thing = {str(row.thing).lower()}"
-    if row.into is not None:
-        yield f"into = {_quoted(row.into)}"
-    if row.colour is not None:
-        yield f"colour = {_quoted(row.colour)}"
-
-
-def _quoted(text: str) -> str:
-    """TOML's basic strings take JSON's escapes."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+def _toml(value: str | int) -> str:
+    """TOML writes texts, numbers and true as JSON does."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -15,23 +15,17 @@ from .class_choice import FILE_NAME, ClassChoice, ClassRow
 from .class_tables import REDUCED, known_table, reduced_by_name
 
 _FIRST, _OTHERS = ("reduced", "nyu40"), ("nyu13", "scannet200", "replica", "coco", "ade20k", "cityscapes")
-"""Public tables whose names take colours, most distinct colours first: tables of rooms in this order, then names by how
-many tables share them. Adding a table here changes colours."""
+"""Tables whose names take colours, most distinct first: the first in this order, the others' by how many share them."""
 _CALM = {"wall": 24, "floor": 21, "ceiling": 26}
-"""Palette indices of greyish colours for the classes that fill most pictures. Names that had these take the bright
-ones."""
+"""Palette indices of greyish colours for the classes that fill most pictures, exchanged with the names there."""
 _FAR = 128
-"""The number of leading palette colours that differ by at least 9.5 (CIEDE2000) from each other. The rest differ by
-5.5."""
+"""The number of leading palette colours that differ by at least 9.5 (CIEDE2000). The rest differ by 5.5."""
 
 
 def coloured(labels: Iterable[ClassLabel]) -> ClassTable:
-    """The table of ``labels`` in ascending order of id. Labels keep a colour of their own.
-
-    Otherwise each name of the public tables has a fixed palette index. Any other name gets one by a hash, among the
-    first `_FAR`; if a class of this table has that index, the next free one is taken. Raises ValueError as `ClassTable`
-    does.
-    """
+    """The table of ``labels`` in ascending order of id. Labels keep a colour of their own; names of the public tables
+    have fixed palette indices. Other names get one by a hash, among the first `_FAR`, or the next free one. Raises
+    ValueError as `ClassTable` does."""
     labels = sorted(labels, key=lambda label: label.id)
     indices = _palette_indices()
     chosen = {label.id: label.colour for label in labels if label.colour is not None}
@@ -99,11 +93,8 @@ def class_map(
     more: Sequence[ClassLabel] = (),
 ) -> ClassMap:  # fmt: skip
     """The classes of masks whose files have ``labels`` (None: no classes), after the user's ``choice``. ``more`` are
-    classes of detections that no table lists.
-
-    A table that uses the number 0 is shifted by one as a whole, as 0 is void here. With ``objects``, labels number
-    objects, and those without a name get the class "object". Raises PlgsError.
-    """
+    classes of detections that no table lists. A table that uses the number 0, which is void here, is shifted by one as
+    a whole. With ``objects``, labels number objects; those without a name get the class "object". Raises PlgsError."""
     choice = choice or ClassChoice()
     labels = (*((labels if choice.labels is None else choice.labels) or ()), *more)
     rows = _numbered(labels, choice)
@@ -201,8 +192,7 @@ def _labels(
 def _targets(
     labels: Mapping[int, ClassLabel], rows: Sequence[tuple[int, ClassRow]], choice: ClassChoice
 ) -> dict[int, str]:
-    """The names that merged labels count into, by number. Raises PlgsError for a name that differs from a class's only
-    in case."""
+    """The names that merged labels count into, by number."""
     names, into = {number: label.name for number, label in labels.items()}, {}
     for number, row in rows:
         found = [] if row.into is None else named(names, row.into)

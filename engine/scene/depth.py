@@ -21,12 +21,11 @@ from ..posed.layout import check_size, files_by_stem, require_most, same_shape, 
 from ..posed.matrices import read_intrinsics, read_matrix
 from .files_of_frames import whole_file
 from .frame import Inferred, Size
-from .pixels import Alignment, decode_depth, decode_single_channel, resize_aligned, resize_nearest
+from .pixels import Alignment, decode_depth, read_indices, resize_aligned, resize_nearest
 
 MILLIMETRES = 0.001
 _DEPTHS = (0.0005, 10_000.0)
-"""Metres: half a step of a 16-bit image in millimetres, and the largest allowed distance of a camera from the
-origin."""
+"""Metres: half a step of a 16-bit image in millimetres, and the farthest that a camera may be from the origin."""
 _LARGEST = 65535
 """The largest value in a PNG of 16 bits."""
 _PNG_FIX = "Save millimetres as a 16-bit grey PNG."
@@ -41,13 +40,10 @@ _NEARLY_ALIGNED = 0.15
 
 @dataclass(frozen=True, eq=False)
 class DepthMap:
-    """One frame's depth. ``path`` is its file.
-
-    ``read`` returns planar depth, float32 [H, W] metres with 0 = none, at its own size. ``alignment`` maps colour
-    pixels to depth pixels. ``fault`` says why the file cannot be read, judging by its header. ``step`` is the length of
-    one step in metres, None for files that store lengths. ``confidence`` is the file that says which pixels to trust.
-    ``beside`` is the depth camera's pose in the colour camera's axes, if they differ.
-    """
+    """One frame's depth from the file ``path``. ``read`` returns planar depth, float32 [H, W] metres with 0 = none, at
+    its own size. ``alignment`` maps colour pixels to depth pixels. ``fault`` says why the file cannot be read, judging
+    by its header. ``step`` is one step in metres, None for files that store lengths. ``confidence`` is the file that
+    says which pixels to trust. ``beside`` is the depth camera's pose in the colour camera's axes, if they differ."""
 
     path: Path
     read: Callable[[], NDArray[np.float32]]
@@ -75,16 +71,22 @@ class DepthMap:
 
 
 def png_depth(path: Path, lens: Camera, unit: float = MILLIMETRES) -> DepthMap:
-    """The depth map in a 16-bit grey PNG for the colour camera ``lens``; only its header is read. Raises PlgsError for
-    other kinds of images.
-
-    ``unit`` is the length of one step in metres. The largest value means no depth, as 0 does: sensors write it where
-    they measured nothing, and where a surface is beyond the PNG's range.
-    """
+    """The depth map in a 16-bit grey PNG for the colour camera ``lens``, in steps of ``unit`` metres; only its header
+    is read. Raises PlgsError for other kinds of images. The largest value means no depth, as 0 does: sensors write it
+    where they measured nothing, and where a surface is beyond the PNG's range."""
     fault = fault_of(path)
-    if fault is None:
-        check_depth_header(path, lens)
-    return DepthMap(path, partial(_read_png, path, unit), fault=fault, step=unit)
+    if fault is not None:
+        return DepthMap(path, partial(_read_png, path, unit), fault=fault, step=unit)
+    header = read_image_header(path)
+    is_grey = header.channels == 1 or (header.channels == 3 and header.bit_depth == 16)  # see ``decode_depth``
+    if header.format != "png" or not is_grey or header.palette:
+        raise PlgsError("depth-png", "depth is not a grey PNG", path, _PNG_FIX)
+    if header.bit_depth != 16:
+        raise PlgsError("depth-bits", f"depth has {header.bit_depth} bits, not 16", path, _PNG_FIX)
+    if not same_shape(header.size, lens.size):
+        what = f"depth of {shown_size(header.size)} does not fit the colour of {shown_size(lens.size)}"
+        raise PlgsError("depth-shape", what, path, "Bring depth to the colour images' aspect ratio.")
+    return DepthMap(path, partial(_read_png, path, unit), step=unit)
 
 
 def fault_of(path: Path) -> PlgsError | None:
@@ -106,28 +108,13 @@ def _read_png(path: Path, unit: float) -> NDArray[np.float32]:
     return steps * np.float32(unit)
 
 
-def check_depth_header(path: Path, lens: Camera) -> Size:
-    """The size of a depth image for the colour camera ``lens``. Raises PlgsError unless it is a 16-bit grey PNG."""
-    header = read_image_header(path)
-    is_grey = header.channels == 1 or (header.channels == 3 and header.bit_depth == 16)  # see ``decode_depth``
-    if header.format != "png" or not is_grey or header.palette:
-        raise PlgsError("depth-png", "depth is not a grey PNG", path, _PNG_FIX)
-    if header.bit_depth != 16:
-        raise PlgsError("depth-bits", f"depth has {header.bit_depth} bits, not 16", path, _PNG_FIX)
-    if not same_shape(header.size, lens.size):
-        what = f"depth of {shown_size(header.size)} does not fit the colour of {shown_size(lens.size)}"
-        raise PlgsError("depth-shape", what, path, "Bring depth to the colour images' aspect ratio.")
-    return header.size
-
-
 def npy_depth(path: Path) -> DepthMap:
     """The depth map in a .npy file: metres as floats, or millimetres as whole numbers."""
     return DepthMap(path, lambda: in_metres(read_depth_array(path)), fault=fault_of(path))
 
 
 def read_depth_array(path: Path) -> NDArray[Any]:
-    """The numbers [H, W] in a .npy file, or the array "depth" (or the only one) in an .npz. Further axes of length 1
-    are dropped. Raises PlgsError."""
+    """The numbers [H, W] in a .npy, or in the array "depth" (or the only one) of an .npz. Raises PlgsError."""
     if path.suffix.lower() == ".npz":
         arrays = list(array_headers(path))
         values = read_array(path, "depth" if len(arrays) != 1 else arrays[0])
@@ -154,7 +141,7 @@ def trusted(depth: DepthMap, confidence: Path | None) -> DepthMap:
     """``depth`` without the pixels whose ``confidence`` is 0, the lowest of ARKit's levels."""
     if confidence is None:
         return depth
-    shown = depth.through(lambda values: drop_untrusted(values, decode_single_channel(confidence), confidence))
+    shown = depth.through(lambda values: drop_untrusted(values, read_indices(confidence), confidence))
     return replace(shown, confidence=confidence)
 
 
@@ -336,8 +323,7 @@ def measure_overlap(
 
 
 def _share_seen(one: Thumbnail, other: Thumbnail, tolerance: float) -> tuple[float, float]:
-    """The fraction of one frame's points that projects onto depth of the other, and the fraction of those that
-    agrees."""
+    """The fraction of one frame's points that projects onto depth of the other, and the fraction that agrees."""
     valid = one.depth > 0.0
     points = one.camera.unproject(one.depth)[valid]
     if not len(points):

@@ -1,8 +1,5 @@
-"""Monocular depth maps fitted to a reconstruction's sparse points: the paper's estimated-depth path.
-
-A network's map of one picture is correct up to a scale and a shift, of depth or, for many networks, of its inverse.
-Both follow from the frame's sparse points, whose depth is known.
-"""
+"""Monocular depth maps fitted to a reconstruction's sparse points: the paper's estimated-depth path. A network's map of
+one picture is correct up to a scale and a shift, of depth or of its inverse; both follow from the points' depth."""
 
 from __future__ import annotations
 
@@ -54,10 +51,8 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DepthFit:
-    """Depth is ``scale`` * value + ``shift``, or 1 / that if ``is_inverse``, and at most ``farthest``.
-
-    ``error`` is the points' median error relative to their depth.
-    """
+    """Depth is ``scale`` * value + ``shift``, or 1 / that if ``is_inverse``, and at most ``farthest``. ``error`` is the
+    points' median error relative to their depth."""
 
     scale: float
     shift: float
@@ -74,11 +69,9 @@ class DepthFit:
 
 
 def fit_depth(values: Values, depths: Values) -> DepthFit | None:
-    """The scale and shift that turn a map's ``values`` [N] into the known ``depths`` [N] (> 0).
-
-    Depth and inverse depth are both tried. Up to half of the points may be wrong: of the lines through two points, the
-    one with the least median error is refined on the points that agree with it. None if no line rises.
-    """
+    """The scale and shift that turn a map's ``values`` [N] into the known ``depths`` [N] (> 0) or their inverse. Up to
+    half of the points may be wrong: of the lines through two points, the one with the least median error is refined on
+    the points that agree with it. None if no line rises."""
     good = np.isfinite(values) & np.isfinite(depths) & (depths > 0.0)
     values, depths = values[good], depths[good]
     if len(values) < LEAST_POINTS:
@@ -243,8 +236,7 @@ def _fitting(
     pictured: Mapping[str, Pictured],
     seen: Mapping[str, tuple[Values, Values]],
 ) -> tuple[Mapping[str, Path], dict[str, Placement], tuple[Inferred, ...]]:
-    """The best of the ways to pair, turn and undistort maps: the one that fits the points ``seen`` by the frames
-    best."""
+    """The way to pair, turn and undistort maps that fits the points ``seen`` by the frames best."""
     ways: list[tuple[Mapping[str, Path], dict[str, Placement], tuple[Inferred, ...]]] = []
     bent = any(each.lens for each in usual.values())
     straight = {name: Placement() for name in usual}
@@ -291,8 +283,7 @@ def _with_depth(frame: Frame, path: Path, read: Callable[[Path], NDArray[np.floa
 
 
 def _seen_points(frame: Frame, points: SparsePoints) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The (x, y) of a frame's points as fractions of the picture, and their depth. Without tracks: all points in
-    view."""
+    """The (x, y) of a frame's points (without tracks: all in view) as fractions of the picture, and their depth."""
     xyz = points.xyz[points.seen_by.get(frame.name, np.zeros(0, np.int64))] if points.seen_by else points.xyz
     _, pixels, depths = frame.camera.seen(xyz)
     return pixels / frame.camera.size, depths

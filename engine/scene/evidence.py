@@ -1,10 +1,8 @@
 """How much a view's vote counts: by how well it resolves what it votes on (ours, beyond the paper).
 
-A network recognises a sink from 1 m away and calls it a countertop from 4 m, and far views outnumber near ones. So a
-view's votes on a point, an object, a Gaussian, or a pair of masks are weighted by the chosen kind of evidence. Pixels
-and resolution are counted at the size of the frame's own mask, whatever size the frame is read at.
-
-When masks judge a finished lift, a view names only what it ``resolves``, and only near views answer.
+A network recognises a sink from 1 m away and calls it a countertop from 4 m, and far views outnumber near ones. Pixels
+and resolution are counted at the size of the frame's own mask, whatever size the frame is read at. When masks judge a
+finished lift, a view names only what it ``resolves``, and only near views answer.
 """
 
 from __future__ import annotations
@@ -70,6 +68,5 @@ def resolves(pixels: float, mask_scale: float) -> bool:
 
 
 def are_near(resolution: NDArray[np.floating], best: float) -> NDArray[np.bool_]:
-    """Which of the views of a point are near it, bool [V], given their ``resolution`` [V] and that of the ``best``
-    view."""
+    """Which views of a point are near it, bool [V], by their ``resolution`` [V] and that of the ``best`` view."""
     return resolution >= NEAR * best

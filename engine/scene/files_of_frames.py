@@ -1,8 +1,5 @@
-"""Matches files to frames, in folders of a capture or of masks with one file per frame.
-
-A folder's content is recognised by its files, never by its name: its own pictures, one folder per camera of a rig, or
-black-and-white pictures that say which pixels count.
-"""
+"""Matches files to frames, in folders of a capture or of masks with one file per frame. A folder's content is known by
+its files, never by its name."""
 
 from __future__ import annotations
 
@@ -54,8 +51,7 @@ def mask_files(folder: Path, *suffixes: str) -> list[Path]:
 
 
 def is_camera(folder: Path) -> bool:
-    """Whether another folder beside the masks' has photos in a subfolder of the same name: those of one camera of a
-    rig."""
+    """Whether another folder beside the masks' has photos in a subfolder of the same name, as of a rig's camera."""
     beside = (path / folder.name for path in folder.parent.parent.iterdir() if path.name != folder.parent.name)
     firsts = (next(iter(sorted(shown_files(path))), None) for path in beside if path.is_dir())
     return any(first is not None and first.suffix.lower() in IMAGES and not shows_one_object(first) for first in firsts)
@@ -69,8 +65,7 @@ def _is_of_one(folder: Path) -> bool:
 
 
 def says_what_counts(folder: Path) -> bool:
-    """Whether a folder's PNGs are black and white, so that they say which pixels count and name no classes. As class
-    numbers, both values would mean nothing."""
+    """Whether a folder's PNGs are black and white: then they say which pixels count, and name no classes."""
     pictures = mask_files(folder, ".png") if folder.is_dir() and not mask_files(folder, ".json") else []
     looked = [pictures[i * len(pictures) // _FILES_LOOKED_AT] for i in range(min(len(pictures), _FILES_LOOKED_AT))]
     return bool(looked) and all(is_black_and_white(path) for path in looked)
@@ -139,13 +134,9 @@ def _digest(path: Path, size: int, changed_ns: int) -> bytes:
 
 
 def of_same_name(names: Sequence[str], files: Mapping[str, Value]) -> Mapping[str, Value]:
-    """The ``files``, by stem, of the frames ``names``, allowing for how common programs rename them.
-
-    First choice: files with the frames' names. Second: files whose stems have the same addition before or after the
-    name in all frames, as ``0001_pred`` for ``0001.jpg``, or lack the same beginning, as ``front_0001`` for
-    ``images_front_0001``. Third: files whose names differ only in words for kinds of pictures, as ``rgb_0`` and
-    ``semantic_class_0``, if only one does.
-    """
+    """The ``files``, by stem, of the frames ``names``: files with these names; else files whose stems have the same
+    addition in all frames (``0001_pred``), or lack the same beginning (``front_0001`` for ``images_front_0001``); else
+    the only one whose name differs only in words for kinds of pictures (``rgb_0`` and ``semantic_class_0``)."""
     if any(name in files for name in names):
         return files
     if found := _with_addition(names, files):
@@ -160,8 +151,7 @@ def of_same_name(names: Sequence[str], files: Mapping[str, Value]) -> Mapping[st
 
 
 def _with_addition(names: Sequence[str], files: Mapping[str, Value]) -> dict[str, Value]:
-    """The files of most frames whose stems are the names plus one addition, or minus one beginning; the shortest
-    wins."""
+    """The files of most frames whose stems are the names plus the shortest addition, or minus one beginning."""
     ways: set[tuple[str, str, str]] = set()
     for name in names[:: max(1, len(names) // _NAMES_TRIED)]:
         for stem in files:
@@ -176,14 +166,11 @@ def _with_addition(names: Sequence[str], files: Mapping[str, Value]) -> dict[str
         paired = {name: files[stem] for name, stem in stems.items() if stem in files}
         found_by.append((-len(paired), len(before) + len(after), before, after, paired))
     best = min(found_by, default=None, key=lambda each: each[:4])
-    if best is not None and any(each[0] == best[0] and not _extends(each[2:4], best[2:4]) for each in found_by):
-        return {}  # 0001_semantic and 0001_instance: a choice would be a guess
-    return best[-1] if best is not None and 2 * len(best[-1]) >= len(names) else {}
-
-
-def _extends(one: tuple[str, str], other: tuple[str, str]) -> bool:
-    """Whether an addition before and after a name has all of another one."""
-    return one[0].endswith(other[0]) and one[1].startswith(other[1])
+    if best is None or 2 * len(best[-1]) < len(names):
+        return {}
+    # Another addition that fits as many must extend the best; 0001_semantic and 0001_instance would be a guess.
+    rivals = [each for each in found_by if each[0] == best[0]]
+    return best[-1] if all(each[2].endswith(best[2]) and each[3].startswith(best[3]) for each in rivals) else {}
 
 
 def _without(words: Collection[str], stem: str) -> tuple[int | str, ...]:

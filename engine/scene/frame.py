@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError
-from ..posed.frames import PosedFrame, PosedScene, Size, SparsePoints
+from ..posed.frames import PosedFrame, PosedScene, Size
+from ..posed.frames import SparsePoints as SparsePoints
 from ..posed.plain_folders import left_out_warning
 
 
 @dataclass(frozen=True)
 class Inferred:
-    """Something that no file says: what was ``taken`` instead, and the ``reason``. If it ``is_doubtful``, it is a
-    warning, too."""
+    """What was ``taken`` where no file says, and the ``reason``. If it ``is_doubtful``, it is a warning, too."""
 
     about: Literal[
         "format", "lens", "principal point", "depth's lens", "units", "axes", "numbering", "split", "up axis",
@@ -57,11 +57,6 @@ def left_out(lacks: str, names: Iterable[str]) -> tuple[LeftOut, ...]:
     """A note that frames are left out; empty without ``names``."""
     found = tuple(names)
     return (LeftOut(lacks, found),) if found else ()
-
-
-__all__ = [
-    "Evidence", "Frame", "GroundTruth", "PanopticMask", "Scene", "Segment", "Size", "SparsePoints",
-]  # fmt: skip
 
 
 @dataclass(frozen=True)

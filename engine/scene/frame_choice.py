@@ -1,8 +1,8 @@
 """Which frames of a long capture are lifted: enough of them, evenly along the camera's path, and the sharpest.
 
-A hand-held camera takes more pictures than a room needs. As in Panoptic Lifting, the recording is cut into windows, and
-the sharpest frame of each is kept. Windows are equal in time and motion combined: a camera that stands still needs few
-frames, and one that turns quickly needs all. The masks of the other frames still vote (``engine/lift/voting.py``).
+As in Panoptic Lifting, the recording is cut into windows, and the sharpest frame of each is kept. Windows are equal in
+time and motion combined: a camera that stands still needs few frames, and one that turns quickly needs all. The masks
+of the other frames still vote (``engine/lift/voting.py``).
 """
 
 from __future__ import annotations

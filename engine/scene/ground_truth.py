@@ -1,8 +1,5 @@
-"""Ground truth for the metrics, never read by the lift itself, and which classes its numbers mean.
-
-It may name its own table, whose numbering is found as for masks. Otherwise its numbers are the class ids of the masks,
-unless they agree far better with the masks when read with another table: then that table is used, with a note.
-"""
+"""Ground truth for the metrics, never read by the lift itself, and which classes its numbers mean: those of its own
+table, else the masks' class ids, unless another table agrees far better with the masks, which is noted."""
 
 from __future__ import annotations
 
@@ -27,7 +24,7 @@ from .mask_formats.label_pairs import label_pairs
 from .mask_formats.source import IGNORED, MaskSource
 from .masks import MaskSet
 from .numbering import Asking, numbered
-from .pixels import check_label_header, decode_single_channel, distinct_ids, read_indices, resize_nearest
+from .pixels import check_label_header, distinct_ids, read_indices, resize_nearest
 
 _ANYTHING = 21
 """The last of the paper's classes: all other things."""
@@ -36,8 +33,7 @@ LOOKED_AT = 6
 _FEWEST = 500
 """Minimum number of pixels for a meaningful agreement."""
 _POOR, _AGREES = 0.1, 0.2
-"""Fractions of agreeing pixels: below the first there is hardly any agreement; a table is inferred from the second
-on."""
+"""Fractions of agreeing pixels: below the first there is hardly any; a table is inferred from the second on."""
 _DOUBTED, _REFUTED, _EQUAL = 0.8, 0.6, 0.95
 """Agreement relative to the best table's. Below the first, reading the numbers as the masks' class ids is doubted;
 below the second, it is rejected. Other tables above the third count as equally good."""
@@ -176,10 +172,8 @@ def in_classes(semantic: NDArray[np.integer], class_of: Mapping[int, int]) -> ND
 
 def classes_by_name(names: Mapping[int, str], classes: ClassTable) -> dict[int, int]:
     """The class in ``classes`` for each number of another table with ``names``; numbers without a match are left out.
-
-    Names match if they are equal, or else differ only in case and in endings such as COCO's "-merged". Otherwise the
-    paper's 21 classes decide: a class matches if it is the only one in ``classes`` with the same of the 21.
-    """
+    Names match if they are equal, or else differ only in case and in endings such as COCO's "-merged". Otherwise a
+    class matches if it is the only one in ``classes`` with the same of the paper's 21."""
     by_name = {spell(each.name): each.id for spell in (_plain, str) for each in reversed(classes.categories)}
     by_name["void"] = VOID
     by_reduced: dict[int | None, list[int]] = {}
@@ -231,14 +225,14 @@ class GroundTruthReader:
         """Classes in the file, except void, that the masks' table lacks: names, or ids without one. Raises PlgsError
         for a bad file."""
         check_image_file(self.instance)
-        found, _ = distinct_ids(decode_single_channel(self.semantic))
+        found, _ = distinct_ids(read_indices(self.semantic))
         lacking = frozenset(found.tolist()) - frozenset(self.class_of) - (IGNORED if self.names else {VOID})
         return frozenset(self.names.get(number, number) for number in lacking)
 
 
 def read_label_pair(semantic: Path, instance: Path) -> GroundTruth:
     """Class ids and instance ids from two label images. Raises PlgsError for a bad file."""
-    stored = GroundTruth(decode_single_channel(semantic), decode_single_channel(instance))
+    stored = GroundTruth(read_indices(semantic), read_indices(instance))
     if stored.semantic.shape != stored.instance.shape:
         raise PlgsError("other-size", "classes and instances differ in size", instance, "Make both the same size.")
     return stored
@@ -247,12 +241,9 @@ def read_label_pair(semantic: Path, instance: Path) -> GroundTruth:
 def open_ground_truth(
     scene: Path, sizes: Mapping[str, Size], masks: MaskSet
 ) -> tuple[dict[str, GroundTruthReader], tuple[str, ...], tuple[Inferred, ...]]:
-    """Ground truth in ``rs_semantics`` and ``rs_instance``, or ``gt/semantic*`` and ``gt/instance``; headers only.
-
-    Returns a reader for each frame with ground truth, warnings, and what was inferred. ``sizes`` are those of the
-    colour images by frame. Its classes are mapped to those of the ``masks``, see ``numbers_of_truth``. Raises PlgsError
-    if an image is not a label image or has another shape.
-    """
+    """Ground truth in ``rs_semantics`` and ``rs_instance``, or ``gt/semantic*`` and ``gt/instance``: a reader for each
+    frame that has it, in the classes of the ``masks``; warnings; and what was inferred. ``sizes`` are those of the
+    colour images by frame. Raises PlgsError if an image is not a label image or has another shape."""
     folders = _find_folders(scene) if masks.readers else None
     if folders is None:
         return {}, (), ()
@@ -272,7 +263,6 @@ def open_ground_truth(
 
 
 def _find_folders(scene: Path) -> tuple[Path, Path] | None:
-    """The folders of classes and of instances; None if either is missing."""
     if (scene / "rs_semantics").is_dir() and (scene / "rs_instance").is_dir():
         return scene / "rs_semantics", scene / "rs_instance"
     found = [path for path in shown_files(scene / "gt", "semantic*") if path.is_dir()]

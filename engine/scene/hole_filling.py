@@ -1,9 +1,8 @@
-"""Fills the holes that a depth sensor leaves on dark, shiny, grazing and far surfaces.
+"""Fills the holes that a depth sensor leaves on dark, shiny, grazing and far surfaces, which would get no anchors.
 
-A surface without depth has no points, so no anchors and no labels. Most holes lie in a plane with their surroundings: a
-screen on a wall, the far end of a floor. The inverse depth of a plane is an affine function of the pixel, so a hole is
-filled from the ring of measured pixels around it, of its own segment if that has enough of them. A hole whose ring is
-not planar stays a hole.
+Most holes lie in a plane with their surroundings. The inverse depth of a plane is an affine function of the pixel, so a
+hole is filled from the ring of measured pixels around it, of its own segment if that has enough of them. A hole whose
+ring is not planar stays a hole.
 """
 
 from __future__ import annotations
@@ -17,12 +16,9 @@ from numpy.typing import NDArray
 @dataclass(frozen=True)
 class HoleFilling:
     """``ring`` is the width in pixels of the ring around a hole; at least ``least_ring`` of its pixels must have depth.
-
     ``flatness`` is the largest allowed median residual of the plane relative to the depth. Filled depth is within
-    ``stretch`` times the ring's nearest and farthest. In a segment with more than ``many`` holes, those of at most
-    ``speck`` pixels take the mean of the pixels around them, if these are flat: a noisy sensor leaves thousands of
-    holes, and fitting a plane to each would take long.
-    """
+    ``stretch`` times the ring's nearest and farthest. In a segment with more than ``many`` holes, as a noisy sensor
+    leaves, those of at most ``speck`` pixels take the mean of the pixels around them, if these are flat."""
 
     ring: int = 6
     least_ring: int = 12

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import PlgsError
-from ..json_file import read_json_object, take_flag, take_objects, take_text, take_whole_number
-from ..posed.classes import VOID, ClassLabel, ClassTable
+from ..json_file import read_json_object
+from ..posed.classes import VOID, ClassTable
 from ..posed.layout import files_by_stem, require_all
 from .class_map import class_map, coloured
 from .class_tables import REDUCED, known_table
@@ -21,6 +21,7 @@ from .frame import GroundTruth, PanopticMask
 from .frame_choice import evenly_spread
 from .ground_truth import LOOKED_AT, classes_by_name, in_classes, joined, numbers_by_agreement, read_label_pair
 from .mask_formats import label_pairs
+from .mask_formats.coco import read_categories
 from .masks import open_masks
 from .pixels import check_label_header, resize_nearest
 
@@ -84,34 +85,21 @@ def _coco(folder: Path) -> LabelFolder:
 def _classes(folder: Path, semantics: Path) -> ClassTable | None:
     if (folder / "panoptic.json").is_file():
         return open_masks(folder, [], "coco").classes
-    if (folder / "labels.json").is_file():
-        return _classes_of_export(folder / "labels.json")
+    path = folder / "labels.json"  # of export --to instances
+    if path.is_file():
+        labels = read_categories(read_json_object(path), path, "classes", "is_thing")
+        if any(label.id == VOID for label in labels):
+            raise PlgsError("class-id", "a class has the id 0", path, "Give each class an id of its own, from 1.")
+        return coloured(labels)
     if semantics.name not in ("rs_semantics", "m2f_semantics"):
         return None
     return class_map(known_table(REDUCED).labels, None, folder, False).classes
 
 
-def _classes_of_export(path: Path) -> ClassTable:
-    """The classes in the labels.json that ``export --to instances`` writes. Raises PlgsError."""
-    found: dict[int, ClassLabel] = {}
-    for number, entry in enumerate(take_objects(read_json_object(path), "classes", "the table", path)):
-        whose = f"class {number}"
-        class_id = take_whole_number(entry, "id", whose, path)
-        if class_id <= VOID or class_id in found:
-            what = f"{whose} has the id {class_id}"
-            raise PlgsError("class-id", what, path, "Give each class an id of its own, from 1.")
-        name, is_thing = take_text(entry, "name", whose, path), take_flag(entry, "is_thing", whose, path)
-        found[class_id] = ClassLabel(class_id, name, is_thing)
-    return coloured(found.values())
-
-
 def in_one_table(predictions: LabelFolder, truth: LabelFolder) -> tuple[ClassTable, LabelFolder]:
     """One class table for both, in which ids mean the same, and the predictions in it. If an id has two names, the
-    truth's table wins: predicted classes become those of the same name there, and others are appended as classes that
-    the truth never shows.
-
-    Raises PlgsError if there is no table, if the two share no class name, or if numbers look like another table.
-    """
+    truth's table wins: predicted classes become those of the same name there, and others are appended. Raises PlgsError
+    if there is no table, if the two share no class name, or if numbers look like another table."""
     tables = [each.classes for each in (predictions, truth) if each.classes is not None]
     if not tables:
         raise PlgsError("no-table", "no class table says which classes are things", truth.folder, _TABLE_FIX)
@@ -130,7 +118,12 @@ def in_one_table(predictions: LabelFolder, truth: LabelFolder) -> tuple[ClassTab
     others = tuple(replace(each, id=next(free)) for each in own.categories if each.id not in class_of)
     left = [each.id for each in own.categories if each.id not in class_of]
     class_of |= dict(zip(left, (each.id for each in others), strict=True))
-    mapped = {name: partial(_in_classes, read, class_of) for name, read in predictions.readers.items()}
+
+    def in_its_classes(read: Callable[[], GroundTruth]) -> GroundTruth:
+        stored = read()
+        return GroundTruth(in_classes(stored.semantic, class_of), stored.instance)
+
+    mapped = {name: partial(in_its_classes, read) for name, read in predictions.readers.items()}
     return ClassTable((*true.categories, *others)), replace(predictions, readers=mapped)
 
 
@@ -148,8 +141,3 @@ def _refuse_other_numbers(folder: LabelFolder, known: LabelFolder, classes: Clas
     if found.looks_like is not None:
         what = f"its numbers look like {found.looks_like}, not like class ids of {known.folder}"
         raise PlgsError("other-numbers", what, folder.folder, _TABLE_FIX)
-
-
-def _in_classes(read: Callable[[], GroundTruth], class_of: Mapping[int, int]) -> GroundTruth:
-    stored = read()
-    return GroundTruth(in_classes(stored.semantic, class_of), stored.instance)

@@ -76,8 +76,7 @@ class Placement:
 
 @dataclass(frozen=True)
 class KeptPixels:
-    """The pixels of a frame that count: a picture in the original photo's geometry, black elsewhere, and the photo's
-    lens."""
+    """The pixels of a frame that count: a picture like the photo as taken, black elsewhere, and the photo's lens."""
 
     path: Path
     lens: tuple[Camera, Distortion] | None = None
@@ -287,8 +286,7 @@ def _fits(
 def _boxes(
     source: MaskSource, found: Mapping[str, Placement], pictured: Mapping[str, Pictured]
 ) -> dict[str, tuple[int, int, int, int]]:
-    """The part of each mask that shows its picture, if it is padded for a network and the padding is empty in all
-    masks."""
+    """The part of each mask that shows its picture, if it is padded for a network with empty borders."""
     ways: list[dict[str, tuple[int, int, int, int]]] = [{}, {}]
     for name, mask in source.masks.items():
         (width, height), (across, down) = mask.size, pictured[name].size
@@ -303,14 +301,7 @@ def _boxes(
     for way in ways:
         ids_of = {name: _ids(source, name) for name in evenly_spread([*way], _LOOKED_AT)}
         looked = [(way[name], ids) for name, ids in ids_of.items() if ids is not None and ids.any()]
-        if looked and not any(_outside(ids, box).any() for box, ids in looked):
+        inside = (np.count_nonzero(ids[y : y + h, x : x + w]) == np.count_nonzero(ids) for (x, y, w, h), ids in looked)
+        if looked and all(inside):
             return way
     return {}
-
-
-def _outside(ids: Ids, box: tuple[int, int, int, int]) -> Ids:
-    """The ids with 0 inside a box."""
-    x, y, width, height = box
-    beyond = ids.copy()
-    beyond[y : y + height, x : x + width] = 0
-    return beyond

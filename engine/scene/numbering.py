@@ -1,10 +1,9 @@
-"""Finds the numbering that masks use: by their content, otherwise the networks' own, with a warning.
-
-It also warns if the numbers look far more like those of another table than of the named one.
+"""Finds the numbering that masks or ground truth use: by their content, otherwise the networks' own, with a warning.
+Warns if the numbers look far more like those of another table than of the named one.
 
 ADE20K counts from 0 in networks and from 1 in its own files; COCO's 80 things are 0 to 79, or 1 to 90 with gaps;
 detectron2 may number COCO's stuff apart from its things. ScanNet's files have its raw ids, NYU40's or NYU13's numbers:
-masks that look like another of these than the named one are refused. Ground truth is treated likewise.
+masks that look like another of these than the named one are refused.
 """
 
 from __future__ import annotations
@@ -28,13 +27,7 @@ _LOOKED_AT = 16
 """Maximum number of frames whose masks are inspected."""
 _ROOM = {"wall", "floor", "ceiling"}
 _USUAL = {
-    "ade20k": _ROOM,
-    "nyu40": _ROOM,
-    "nyu13": _ROOM,
-    "scannet": _ROOM,
-    "scannet200": _ROOM,
-    "replica": _ROOM,
-    "reduced": _ROOM,
+    **dict.fromkeys(("ade20k", "nyu40", "nyu13", "scannet", "scannet200", "replica", "reduced"), _ROOM),
     "cityscapes": {"road", "sidewalk", "building", "vegetation", "sky", "car"},
     "coco": {
         "chair", "couch", "bed", "dining table", "toilet", "sink", "refrigerator",
@@ -103,9 +96,6 @@ class _Shown:
         """The same at any height, as pictures may lie on their side, and a sky may fill them."""
         return sum(self.shares.get(label.id, 0.0) for label in known_table(reading.table).labels if label.name in names)
 
-    def without(self, numbers: set[int]) -> _Shown:
-        return _Shown({number: share for number, share in self.shares.items() if number not in numbers}, self.upper)
-
 
 @dataclass(frozen=True)
 class _Reading:
@@ -115,20 +105,31 @@ class _Reading:
     table: str
     what: str
 
+    @property
+    def usual(self) -> set[str]:
+        """The classes that frames with this table nearly always show."""
+        return _USUAL[base_of(self.table)]
+
+    @property
+    def names(self) -> dict[int, str]:
+        return {label.id: label.name for label in known_table(self.table).labels}
+
 
 def numbered(
     source: MaskSource, choice: ClassChoice | None, where: Path, asking: Asking | None = None
 ) -> tuple[MaskSource, ClassChoice | None, tuple[Inferred, ...]]:
-    """The masks and the choice of classes with the numbering of the choice's table, and what was inferred.
-
-    Masks that number objects have no classes, so no table applies. Raises PlgsError if every numbering makes the files'
-    things stuff, or if the numbers are those of another table.
-    """
+    """The masks and the choice of classes with the numbering of the choice's table, and what was inferred. No table
+    applies to masks that number objects. Raises PlgsError if every numbering makes the files' things stuff, or if the
+    numbers are those of another table."""
     asking = asking or Asking()
     if choice is None:
         return source, None, () if source.kinds is None else (_UNNAMED,)
     if choice.table is None:
-        return _as_rows_say(source, choice), choice, ()
+        # The reading whose things match the choice's numbered rows best, as in an edited class list.
+        rows = {row.id: row.thing for row in choice.rows}
+        ways = [source] if source.apart is None else [source, source.apart]
+        wrong_kinds = [sum(rows.get(n) != is_thing for n, is_thing in (way.kinds or {}).items()) for way in ways]
+        return ways[int(np.argmin(wrong_kinds))], choice, ()
     if source.tells_no_class:
         taken = f"the table {choice.table} is left out, and all are of the class object"
         return source, replace(choice, table=None), (Inferred("numbering", taken, _OBJECTS.format(FILE_NAME)),)
@@ -151,8 +152,12 @@ def numbered(
     possible = (*agreeing, *(each for each in alike if each in fitting))
     others = [each.table for each in possible if each is not chosen]
     is_doubtful = chosen is not usual or reason is None
-    is_told = is_doubtful or len(readings) > 1 or bool(alike)
-    inferred = (_inferred(chosen, others, reason, is_doubtful, asking),) if is_told else ()
+    inferred: tuple[Inferred, ...] = ()
+    if is_doubtful or len(readings) > 1 or alike:
+        why = "their content does not show it" if reason is None else reason
+        why += f"; if that is wrong, {asking.advice(*others)}" if others else ""
+        read_as = f"{asking.whose} numbers are read as {chosen.what}"
+        inferred = (Inferred("numbering", read_as, why, is_doubtful),)
     likelier = _other_tables(chosen, choice, shown) if chosen.source is source else []
     if likelier:
         looks = f"{asking.whose} numbers are read as {chosen.what}, but look like {' or '.join(likelier)}"
@@ -170,15 +175,7 @@ def other_numberings(choice: ClassChoice) -> str:
 
 
 def _tables_like(table: str) -> tuple[str, ...]:
-    """The tables whose files are easily confused with a table's."""
     return tuple(each for each in _ALIKE if each != table) if table in (*_ALIKE, "scannet200") else ()
-
-
-def _as_rows_say(source: MaskSource, choice: ClassChoice) -> MaskSource:
-    """The masks in the reading whose things match the choice's numbered rows best, as in an edited class list."""
-    rows = {row.id: row.thing for row in choice.rows}
-    ways = [source] if source.apart is None else [source, source.apart]
-    return min(ways, key=lambda way: sum(rows.get(n) != is_thing for n, is_thing in (way.kinds or {}).items()))
 
 
 def _readings(source: MaskSource, table: str) -> list[_Reading]:
@@ -191,8 +188,7 @@ def _readings(source: MaskSource, table: str) -> list[_Reading]:
 
 
 def _disagreements(reading: _Reading, choice: ClassChoice, is_known: bool = False) -> list[str]:
-    """How the files' things and stuff differ from the table's; with ``is_known``, only for numbers in the table. The
-    user's own rows override the files."""
+    """How the files' things and stuff differ from the table's (``is_known``: of numbers in it) and the user's rows."""
     labels = {label.id: label for label in known_table(reading.table).labels}
     own = {row.name.casefold() if row.id is None and row.name else row.id for row in choice.rows}
     wrong, kinds = [], reading.source.kinds or {}
@@ -204,7 +200,7 @@ def _disagreements(reading: _Reading, choice: ClassChoice, is_known: bool = Fals
             wrong.append(f"{number} is not in it")
         elif label is not None and label.is_thing != is_thing:
             wrong.append(f"{label.name} is {_KIND[label.is_thing]} there and {_KIND[is_thing]} in the files")
-    is_strict = _base(reading) in _PANOPTIC
+    is_strict = base_of(reading.table) in _PANOPTIC
     return wrong if is_strict or len(wrong) > len(kinds) / 2 else []
 
 
@@ -218,8 +214,8 @@ def _other_tables(chosen: _Reading, choice: ClassChoice, shown: _Shown) -> list[
         if _unknown(other, shown, choice) or _disagreements(other, choice):
             continue
         seen, share = _seen(other, shown), _usual(other, shown)
-        is_usual = seen > min(2, len(_USUAL[_base(other)]) / 3) and share >= _OTHER_TABLE
-        is_street, has_sky = _base(other) == "cityscapes", shown.share(other, _SKIES) >= _SKY
+        is_usual = seen > min(2, len(other.usual) / 3) and share >= _OTHER_TABLE
+        is_street, has_sky = base_of(other.table) == "cityscapes", shown.share(other, _SKIES) >= _SKY
         if is_usual and is_street == has_sky and _is_likelier(other, chosen, shown):
             likeness[table] = seen * share
     return [table for table, measure in likeness.items() if measure == max(likeness.values())]
@@ -244,35 +240,30 @@ def _told(readings: list[_Reading], choice: ClassChoice, shown: _Shown) -> tuple
 
 
 def _compared(best: _Reading, others: list[_Reading], shown: _Shown) -> str:
-    names, most = listed(sorted(_USUAL[_base(best)]), 3), max(_usual(each, shown) for each in others)
+    names, most = listed(sorted(best.usual), 3), max(_usual(each, shown) for each in others)
     return f"{_usual(best, shown):.0%} of the pixels are then {names}, and {most:.0%} otherwise"
 
 
 def _is_likelier(one: _Reading, other: _Reading, shown: _Shown) -> bool:
     """Whether the numbers whose classes differ between the two readings favour the first."""
-    names, others = _names(one), _names(other)
-    telling = shown.without({number for number in shown.shares if names.get(number) == others.get(number)})
+    same = {number for number in shown.shares if one.names.get(number) == other.names.get(number)}
+    telling = replace(shown, shares={n: share for n, share in shown.shares.items() if n not in same})
     own = _usual(one, telling)
     return own >= _ENOUGH and own * _seen(one, telling) >= _TIMES * _usual(other, telling) * _seen(other, telling)
 
 
 def _usual(reading: _Reading, shown: _Shown) -> float:
     """The fraction of the pixels with a class that frames of this table nearly always show."""
-    return shown.share(reading, _USUAL[_base(reading)])
+    return shown.share(reading, reading.usual)
 
 
 def _seen(reading: _Reading, shown: _Shown) -> int:
     """How many of these classes occur."""
-    return sum(shown.share(reading, {name}) >= _SEEN for name in _USUAL[_base(reading)])
-
-
-def _names(reading: _Reading) -> dict[int, str]:
-    return {label.id: label.name for label in known_table(reading.table).labels}
+    return sum(shown.share(reading, {name}) >= _SEEN for name in reading.usual)
 
 
 def _shown(source: MaskSource, choice: ClassChoice) -> _Shown:
-    """What some frames show, without numbers that may mean nothing; 0 counts as such only if no other number does.
-    Unreadable files are skipped."""
+    """What some frames show, without numbers that may mean nothing; 0 counts as such only if no other number does."""
     names, counts, upper = list(source.masks), Counter[int](), Counter[int]()
     for name in evenly_spread(names, _LOOKED_AT):
         try:
@@ -296,14 +287,3 @@ def _unknown(reading: _Reading, shown: _Shown, choice: ClassChoice) -> set[int]:
     table = known_table(reading.table)
     known = {label.id for label in table.labels} | table.void | reading.source.void
     return {*shown.shares} - known - {row.id for row in choice.rows if row.id is not None}
-
-
-def _base(reading: _Reading) -> str:
-    return base_of(reading.table)
-
-
-def _inferred(chosen: _Reading, others: list[str], reason: str | None, is_doubtful: bool, asking: Asking) -> Inferred:
-    """The numbering assumed, and the alternatives."""
-    why = "their content does not show it" if reason is None else reason
-    wrong = f"; if that is wrong, {asking.advice(*others)}" if others else ""
-    return Inferred("numbering", f"{asking.whose} numbers are read as {chosen.what}", f"{why}{wrong}", is_doubtful)

@@ -1,13 +1,10 @@
-"""Opens a scene: a format's reader gives posed pictures, to which masks, ground truth and the split are added.
-
-Formats: see ``formats/``. Masks: see ``masks.py``. Ground truth: see ``ground_truth.py``. ``splits.json`` in the folder
-applies to every format; for a scene that is one file, these are in a folder of the same name beside it.
-"""
+"""Opens a scene: a format's reader gives posed pictures, to which masks, ground truth and ``splits.json`` are added.
+For a scene that is one file, these are in a folder of the same name beside it."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -56,9 +53,8 @@ def open_scene(
 
 
 def open_asked(source: SceneSource) -> Scene:
-    """Open a scene; images are decoded only to settle doubts about masks and depth maps. Masks and depth may be
-    missing, see ``require_liftable``. Raises PlgsError for the first problem; ``check_scene`` also inspects the
-    pixels."""
+    """Open a scene; images are decoded only to settle doubts about masks and depth maps, which may be missing (see
+    ``require_liftable``). Raises PlgsError for the first problem; ``survey_scene`` also inspects the pixels."""
     place = Path(source.scene)
     for path in (place, source.masks, source.detections, source.depth):
         if path is not None:
@@ -89,46 +85,39 @@ def open_asked(source: SceneSource) -> Scene:
         shot.name: _frame(shot, cameras[shot.name], shot.name in held_out, depths.get(shot.name), kept.get(shot.name))
         for shot in shots
     }
-    pictured = {shot.name: _pictured(shot, unmasked[shot.name], kept.get(shot.name)) for shot in shots}
+    pictured = {}
+    for shot in shots:
+        turn_of_photo = read_image_header(shot.colour_path).orientation if shot.read_colour is None else 1
+        read, lens = unmasked[shot.name].read_colour, _bent_lens(shot)
+        pictured[shot.name] = Pictured(read, shot.camera.size, turn_of_photo, lens, kept.get(shot.name))
     mask_set = find_masks(source, beside, pictured)
     truth, truth_warnings, of_truth = open_ground_truth(beside, sizes, mask_set)
     points = None if capture.points is None else capture.points.turned(turn)
+    readers, over = mask_set.readers, mask_set.over
     frames = tuple(
-        replace(
-            frame,
-            read_mask=mask_set.readers.get(name),
-            read_ground_truth=truth.get(name),
-            read_detections=mask_set.over.get(name),
-        )
-        for name, frame in unmasked.items()
+        replace(one, read_mask=readers.get(name), read_ground_truth=truth.get(name), read_detections=over.get(name))
+        for name, one in unmasked.items()
     )
     gone = (*left_out("a pose", capture.lost), *left_out("a readable picture", unreadable), *capture.left_out)
     inferred = (*_inferred(source, reader, capture, beside, turn), *capture.inferred, *mask_set.inferred, *of_truth)
     if source.depth is not None:
         frames, mapless, of_depth = with_estimated_depth(frames, Path(source.depth), points, pictured)
         gone, inferred = (*gone, *mapless), (*inferred, *of_depth)
-    frames, blind, told_of_depth = complete(frames, "readable depth", lambda frame: frame.read_depth is not None)
-    frames, bare, told_of_masks = complete(frames, "a readable mask", lambda frame: frame.read_mask is not None)
+    frames, blind, of_blind = complete(frames, "readable depth", lambda frame: frame.read_depth is not None)
+    frames, bare, of_bare = complete(frames, "a readable mask", lambda frame: frame.read_mask is not None)
     gone = (*gone, *blind, *bare)
+    middles = {name: (lens.cx / lens.width, lens.cy / lens.height) for name, lens in cameras.items()}
+    aside = [name for name, middle in middles.items() if max(abs(share - 0.5) for share in middle) > _FAR_ASIDE]
+    is_bent = any(shot.distortion.bends for shot in shots)
+    possible = ((f"{_ASIDE}: {listed(aside)}", aside), (_KEPT, kept), (UNDISTORTED, is_bent))
+    of_lenses = [warning for warning, is_so in possible if is_so]
+    alike = _alike(sizes, mask_set.classes)
+    of_files = (*capture.warnings, *of_blind, *of_bare, *mask_set.warnings, *alike, *truth_warnings)
     return Scene(
         folder=place,
         frames=frames,
         classes=mask_set.classes,
-        warnings=(
-            *map(str, gone),
-            *split.warnings,
-            *turn_warnings,
-            *_lens_warnings(cameras),
-            *([_KEPT] if kept else []),
-            *([UNDISTORTED] if any(shot.distortion.bends for shot in shots) else []),
-            *doubts(inferred),
-            *capture.warnings,
-            *told_of_depth,
-            *told_of_masks,
-            *mask_set.warnings,
-            *_alike(sizes, mask_set.classes),
-            *truth_warnings,
-        ),
+        warnings=(*map(str, gone), *split.warnings, *turn_warnings, *of_lenses, *doubts(inferred), *of_files),
         left_out=gone,
         inferred=inferred,
         format=reader.name,
@@ -180,7 +169,6 @@ def _refuse_repeated_names(shots: Sequence[Shot], place: Path) -> None:
 
 
 def _readable_depth(shot: Shot) -> DepthMap | None:
-    """The shot's depth map. Raises PlgsError for a file that cannot be read."""
     if shot.depth is not None and shot.depth.fault is not None:
         raise shot.depth.fault
     return shot.depth
@@ -198,12 +186,6 @@ def _kept_pixels(shots: Sequence[Shot], beside: Path) -> dict[str, KeptPixels]:
 
 def _bent_lens(shot: Shot) -> tuple[Camera, Distortion] | None:
     return (shot.camera, shot.distortion) if shot.distortion.bends else None
-
-
-def _pictured(shot: Shot, frame: Frame, kept: KeptPixels | None) -> Pictured:
-    is_file = shot.read_colour is None
-    orientation = read_image_header(shot.colour_path).orientation if is_file else 1
-    return Pictured(frame.read_colour, shot.camera.size, orientation, _bent_lens(shot), kept)
 
 
 def _frame(shot: Shot, camera: Camera, held_out: bool, depth: DepthMap | None, kept: KeptPixels | None) -> Frame:
@@ -236,19 +218,12 @@ def _frame(shot: Shot, camera: Camera, held_out: bool, depth: DepthMap | None, k
     )
 
 
-def _lens_warnings(cameras: Mapping[str, Camera]) -> Iterable[str]:
-    middles = {name: (lens.cx / lens.width, lens.cy / lens.height) for name, lens in cameras.items()}
-    aside = [name for name, middle in middles.items() if max(abs(share - 0.5) for share in middle) > _FAR_ASIDE]
-    if aside:
-        yield f"{_ASIDE}: {listed(aside)}"
-
-
 def _alike(frames: Iterable[str], classes: ClassTable) -> Iterable[str]:
     """Warnings about names that are equal, or differ only in case."""
-    for found in _same_but_for_capitals((name, name) for name in frames):
+    for found in _alike_names((name, name) for name in frames):
         what = f"frames {listed(found)} have names that differ only in capitals"
         yield f"{what}: on a disk of Windows or macOS the passes of one take the place of the other's"
-    for found in _same_but_for_capitals((each.name, f"{each.id} {each.name}") for each in classes.categories):
+    for found in _alike_names((each.name, f"{each.id} {each.name}") for each in classes.categories):
         if len({named.partition(" ")[2] for named in found}) == 1:
             what, how = "the same name", "with its number in the masks as id"
         else:
@@ -257,7 +232,7 @@ def _alike(frames: Iterable[str], classes: ClassTable) -> Iterable[str]:
         yield f"classes {listed(found)} have {what}, and are kept apart: {join}"
 
 
-def _same_but_for_capitals(named: Iterable[tuple[str, str]]) -> list[list[str]]:
+def _alike_names(named: Iterable[tuple[str, str]]) -> list[list[str]]:
     """Groups of equal names, ignoring case, each by its second text."""
     found: dict[str, list[str]] = {}
     for name, text in named:

@@ -1,8 +1,5 @@
-"""Detections over a scene's masks: segments of a frame that may overlap each other and the masks below them.
-
-A panoptic picture has one segment per pixel, so it loses what the network was less sure of: a chair that it took for a
-sofa from most viewpoints, a pillow on a bed. A JSON of detections can supply the rest (``coco_results``).
-"""
+"""Detections over a scene's masks: segments of a frame that may overlap each other and the masks below them. A panoptic
+picture has one segment per pixel, so it loses what the network was less sure of, such as a pillow on a bed."""
 
 from __future__ import annotations
 
@@ -108,8 +105,7 @@ def _word(name: str) -> str:
 
 
 def open_detections(path: Path, masks: Path, sizes: Mapping[str, Size]) -> Detections:
-    """The detections in the file ``path``, over ``masks``, for frames of these ``sizes``. Raises PlgsError; run lengths
-    are decoded later."""
+    """The detections in ``path``, over ``masks``, for frames of these ``sizes``. Raises PlgsError."""
     folder = masks if masks.is_dir() else masks.parent
     if not path.exists():
         raise PlgsError("no-detections", "there are no detections", path, "Name a JSON file.", option="--detections")

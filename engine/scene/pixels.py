@@ -24,10 +24,8 @@ _JPEG_QUALITY = 95
 
 @dataclass(frozen=True)
 class Alignment:
-    """Maps a point of the colour image to the depth image, as fractions of their widths and heights.
-
-    depth_x = x_scale * colour_x + x_shift, and y likewise. The identity unless the depth camera has its own lens.
-    """
+    """Maps a point of the colour image to the depth image, as fractions of their widths and heights: depth_x = x_scale
+    * colour_x + x_shift, and y likewise. The identity unless the depth camera has its own lens."""
 
     x_scale: float = 1.0
     x_shift: float = 0.0
@@ -37,9 +35,7 @@ class Alignment:
 
 def decode(path: Path, as_colour: bool) -> NDArray[Any]:
     """Decode an image as uint8 [H, W, 3] RGB, or as it is stored (RGB order), uint8 or uint16 [H, W] or [H, W, C].
-
-    Orientation tags are ignored, as intrinsics refer to the stored pixels. Raises PlgsError for a damaged file.
-    """
+    Orientation tags are ignored, as intrinsics refer to the stored pixels. Raises PlgsError for a damaged file."""
     return decode_bytes(check_image_file(path), path, as_colour)
 
 
@@ -107,15 +103,6 @@ def equal_channels(pixels: NDArray[Any]) -> NDArray[Any] | None:
         return pixels
     are_equal = bool((pixels[..., :3] == pixels[..., :1]).all())
     return np.ascontiguousarray(pixels[..., 0]) if are_equal else None
-
-
-def decode_single_channel(path: Path) -> NDArray[np.int32]:
-    """Decode a label image with 8 or 16 bits per pixel to int32 [H, W]. Raises PlgsError for a colour image."""
-    pixels = decode(path, as_colour=False)
-    if pixels.ndim != 2:
-        what = "a label image must have one channel, not colours"
-        raise PlgsError("mask-colours", what, path, "Save the ids themselves as 8- or 16-bit grey.")
-    return pixels.astype(np.int32)
 
 
 def resize_colour(pixels: NDArray[np.uint8], size: Size) -> NDArray[np.uint8]:
@@ -253,8 +240,7 @@ def shows_one_object(path: Path) -> bool:
 
 
 def is_black_and_white(path: Path) -> bool:
-    """Whether a one-channel PNG contains only 0 and 255, apart from soft edges, and some white. False if it cannot be
-    read."""
+    """Whether a one-channel PNG has only 0 and 255, apart from soft edges, and some white. False if unreadable."""
     try:
         values = read_indices(path)
     except PlgsError:

@@ -15,10 +15,10 @@ from ..json_file import read_object
 from ..posed.classes import VOID
 from ..records import record_of
 from ..scene_source import SceneSource
-from .checks import Survey, survey_scene
+from .checks import Survey
 from .class_choice import FILE_NAME, class_choice_text, find_class_choice
 from .class_map import NamedClass, choice_of, named_classes
-from .frame import Inferred, LeftOut, Scene, Size, doubts
+from .frame import Inferred, LeftOut, Size, doubts
 from .masks import mask_place, no_masks, open_mask_source
 from .numbering import numbered
 from .opening import open_asked
@@ -37,16 +37,13 @@ class ClassReport:
 
 @dataclass(frozen=True)
 class SceneReport:
-    """Counts and ranges over all frames that a lift would use.
-
-    ``format`` is the name of the scene's reader. ``sparse_points`` counts the points of the reconstruction behind the
-    poses, ``picture_files`` the frames whose picture is an unmodified image file. Sizes are (width, height) with their
-    number of frames, the commonest first. ``depth_range`` is the nearest, median and farthest depth in metres,
-    ``segments_per_frame`` the fewest, the median and the most; they are None without depth or masks. ``void_share`` is
-    the fraction of mask pixels without a label. ``classes`` are those that occur. ``extent`` is the size of the box
-    around the cameras' centres, in metres along x, y, z. ``left_out`` are frames that a lift would not use,
-    ``inferred`` is what no file says; ``warnings`` are all others.
-    """
+    """Counts and ranges over all frames that a lift would use. ``format`` is the name of the scene's reader.
+    ``sparse_points`` counts the points of the reconstruction behind the poses, ``picture_files`` the frames whose
+    picture is an unmodified image file. Sizes are (width, height) with their number of frames, the commonest first.
+    ``depth_range`` is the nearest, median and farthest depth in metres, ``segments_per_frame`` the fewest, the median
+    and the most; None without depth or masks. ``void_share`` is the fraction of mask pixels without a label.
+    ``classes`` are those that occur. ``extent`` is the box around the cameras' centres, in metres along x, y, z.
+    ``warnings`` are those besides ``left_out`` and ``inferred``."""
 
     folder: Path
     format: str
@@ -66,12 +63,6 @@ class SceneReport:
     left_out: tuple[LeftOut, ...]
     inferred: tuple[Inferred, ...]
     warnings: tuple[str, ...]
-
-
-def describe(scene: Scene) -> SceneReport:
-    """Survey a scene and summarise it. Decodes every frame and raises PlgsError as ``check_scene`` does. Depth and
-    masks may be missing."""
-    return report_of(survey_scene(scene))
 
 
 def report_of(survey: Survey) -> SceneReport:
@@ -146,9 +137,8 @@ def list_classes(source: SceneSource, table: str | None = None) -> ClassList:
 
 
 def write_class_list(source: SceneSource, edited: Path) -> Path:
-    """Write the classes.toml beside a scene's masks from an edited ClassList in a JSON file. Returns its path.
-    Colours in an existing classes.toml are kept. Raises PlgsError for a list of another scene, and for a class
-    without a name."""
+    """Write the classes.toml beside a scene's masks from an edited ClassList in a JSON file; its path. Colours in an
+    existing one are kept. Raises PlgsError for a list of another scene, and for a class without a name."""
     content: dict[str, Any] = read_object(edited, _AGAIN)
     listed, path = record_of(ClassList, content, edited, _AGAIN), class_list_path(source.scene, source.masks)
     if not listed.rows:
@@ -166,8 +156,7 @@ def write_class_list(source: SceneSource, edited: Path) -> Path:
 
 
 def class_list_path(folder: Path, masks: Path | None = None) -> Path:
-    """The classes.toml beside a scene's masks, which may not exist yet. Raises PlgsError without masks, and if
-    something else has its name."""
+    """The classes.toml beside a scene's masks, which may not exist yet. Raises PlgsError without masks."""
     place = _place_of_masks(folder, masks)
     beside = place if place.is_dir() else place.parent
     path = beside / FILE_NAME

@@ -63,23 +63,18 @@ def checked_ids(ids: NDArray[Any], path: Path) -> NDArray[Any]:
     return ids
 
 
-def numbers_of_colours(paths: Sequence[Path]) -> dict[bytes, int] | None:
+def numbers_of_colours(paths: Sequence[Path], is_class: bool = False) -> dict[bytes, int] | None:
     """A number for each colour in the palettes of PNGs, 0 for black; None if all have the same palette, or none. Raises
-    PlgsError if colours cannot serve as numbers."""
+    PlgsError if colours cannot serve as numbers, as with ``is_class``: then an index is a class."""
     palettes = {path: palette for path in paths if (palette := palette_of(path))}
     longest = max(palettes.values(), key=len, default=b"")
     if all(longest.startswith(each) for each in palettes.values()):
         return None
     colours = {each[i : i + 3] for each in palettes.values() for i in range(0, len(each), 3)}
-    if len(palettes) < len(paths) or _BLACK not in colours or len(colours) > _MOST_COLOURS:
-        raise _palettes_differ(paths[0])
+    if is_class or len(palettes) < len(paths) or _BLACK not in colours or len(colours) > _MOST_COLOURS:
+        what = "palettes differ between the masks, so an index means something else in each"
+        raise PlgsError("palettes-differ", what, paths[0], _PALETTE_FIX)
     return {colour: number for number, colour in enumerate(sorted(colours))}
-
-
-def require_one_palette(paths: Sequence[Path]) -> None:
-    """Raise PlgsError if indices mean different colours in different files."""
-    if numbers_of_colours(paths) is not None:
-        raise _palettes_differ(paths[0])
 
 
 def by_colour(indices: NDArray[np.int32], path: Path, numbers: Mapping[bytes, int]) -> NDArray[np.int32]:
@@ -99,8 +94,3 @@ def palette_of(path: Path) -> bytes:
                 return file.read(length)
             file.seek(length + 4, 1)
     return b""
-
-
-def _palettes_differ(path: Path) -> PlgsError:
-    what = "palettes differ between the masks, so an index means something else in each"
-    return PlgsError("palettes-differ", what, path, _PALETTE_FIX)

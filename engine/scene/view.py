@@ -1,8 +1,5 @@
-"""Views: a frame's pixels at one common size, for the lift; threads that read frames ahead; and sequences that hold
-nothing: each item is made on demand, or read back from disk.
-
-Black borders, which undistortion leaves along a picture's sides, are detected: the camera saw nothing there.
-"""
+"""Views: a frame's pixels at one common size, for the lift, without the black borders that undistortion leaves; threads
+that read frames ahead; and sequences whose items are made on demand, or read back from disk."""
 
 from __future__ import annotations
 
@@ -37,11 +34,8 @@ SEAM = 2
 
 
 def border_mask(colour: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """The pixels of a picture uint8 [H, W, 3] that show only a black border; bool [H, W].
-
-    A border is thin, black, smooth and runs along a side, at full size: detect it before reducing the picture. Dark
-    things that touch the edge are kept: they reach too far in, have ragged outlines or are not quite black.
-    """
+    """The pixels of a picture uint8 [H, W, 3] at full size that show only a black border: thin, black, smooth, along a
+    side; bool [H, W]. Dark things at the edge reach too far in, have ragged outlines or are not quite black."""
     import cv2
 
     sides = (colour[0], colour[-1], colour[:, 0], colour[:, -1])
@@ -74,8 +68,7 @@ Read = TypeVar("Read")
 READERS = 2
 """Threads that read ahead. More would fill the memory with waiting pictures."""
 NEAR, NEAR_SHARE = 0.05, 0.02
-"""A view sees a point if its depth there differs by at most this many metres, or this fraction of it, whichever is
-larger."""
+"""A view sees a point if its depth there differs by at most this many metres, or by this fraction of it."""
 
 Rows = NDArray[np.int64]
 
@@ -122,8 +115,7 @@ class View:
 
 
 def load_view(frame: Frame, size: Size | None = None) -> View:
-    """Read a frame at ``size`` (width, height), or at its own size. Raises PlgsError if a file is bad or the frame has
-    no depth or mask."""
+    """Read a frame at ``size`` (width, height), or at its own size. Raises PlgsError, also without depth or mask."""
     width, height = size or frame.size
     colour = frame.read_colour(None)
     border = border_mask(colour)
@@ -196,8 +188,7 @@ Progress = Callable[[int, int], object]
 
 
 def part_of(whole: Progress, begin: float, end: float) -> Progress:
-    """The progress of a part, which lasts from one fraction of the whole to another. ``whole`` is called with whole
-    percents."""
+    """The progress of a part, from one fraction of the ``whole`` to another, which is called with whole percents."""
     return lambda done, total: whole(round(100 * (begin + (end - begin) * done / max(total, 1))), 100)
 
 
@@ -207,11 +198,8 @@ def watched(items: Sequence[Item], progress: Progress) -> OnDemand[Item]:
 
 
 class StoredArrays:
-    """Arrays on disk, read back by number. For one thread.
-
-    The file is in ``folder`` (None: the system's for temporary files), has no name if the system allows that, and is
-    deleted with this object or at the end of the process. Raises OSError if the disk is full.
-    """
+    """Arrays on disk, read back by number, for one thread. The file is in ``folder`` (None: the system's for temporary
+    files) and is deleted with this object or at the end of the process. Raises OSError if the disk is full."""
 
     def __init__(self, folder: Path | None = None) -> None:
         self._file = TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 - open until this object is gone

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import torch
 
 from ..job import EventWriter, StopSignal
-from ..scene import Progress, part_of
+from ..scene.view import Progress, part_of
 
 REPORT_EVERY_S = 0.2
 """Progress events are written no more often than this."""

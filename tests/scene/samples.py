@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.scene import Scene, describe, open_scene
+from engine.scene import Scene, open_scene
 from tests.scene.formats import (
     test_colmap,
     test_hypersim,
@@ -23,6 +23,7 @@ from tests.scene.formats import (
     test_tum,
 )
 from tests.scene.mask_formats import test_detections, test_label_images, test_segment_maps, test_tracks
+from tests.scene.refusing import describe
 from tests.tiny_scene import write_tiny_scene
 
 

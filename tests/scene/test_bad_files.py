@@ -14,10 +14,11 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.scene import describe, survey_scene
+from engine.scene import survey_scene
 from tests.raises_key import raises_key
 from tests.scene.formats.test_record3d import lzfse  # noqa: F401 - a fixture
 from tests.scene.mask_formats import test_label_images
+from tests.scene.refusing import describe
 from tests.scene.samples import Sample, look_into, opened, samples, with_content  # noqa: F401 - a fixture among them
 
 EYE = np.eye(4).tolist()

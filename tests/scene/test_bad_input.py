@@ -14,8 +14,9 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.scene import check_scene, open_scene
+from engine.scene import open_scene
 from tests.raises_key import raises_key
+from tests.scene.refusing import check_scene
 from tests.tiny_scene import write_tiny_scene
 
 

@@ -15,10 +15,11 @@ from engine.errors import PlgsError
 from engine.json_file import read_json_object
 from engine.posed.array_file import read_npy, read_npz
 from engine.posed.image_header import MOST_PIXELS, check_image_bytes, read_image_header
-from engine.scene import check_scene, open_scene
+from engine.scene import open_scene
 from engine.scene.formats.photos import Video
 from engine.scene.pixels import decode_bytes
 from tests.raises_key import raises_key
+from tests.scene.refusing import check_scene
 from tests.tiny_scene import write_tiny_scene
 
 FIX = "Write it again."

@@ -12,10 +12,10 @@ import pytest
 
 from engine.errors import PlgsError
 from engine.posed.plain_folders import open_plain_folders
-from engine.scene import check_scene, describe, load_view, open_scene, open_scene_to_lift, report_of, survey_scene
+from engine.scene import load_view, open_scene, open_scene_to_lift, report_of, survey_scene
 from engine.scene_source import SceneSource
 from tests.raises_key import raises_key
-from tests.scene.refusing import refuses
+from tests.scene.refusing import check_scene, describe, refuses
 from tests.scene.test_bad_input import damaged
 from tests.tiny_scene import write_tiny_scene
 

@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.scene import Category, ClassTable, GroundTruth, Scene, check_scene, describe, load_view, open_scene
+from engine.scene import Category, ClassTable, GroundTruth, Scene, load_view, open_scene
 from engine.scene.class_map import class_map
 from engine.scene.class_tables import known_table
 from engine.scene.ground_truth import classes_by_name, numbers_by_agreement
 from tests.raises_key import raises_key
-from tests.scene.refusing import refuses
+from tests.scene.refusing import check_scene, describe, refuses
 from tests.scene.test_numbering import ADE, ADE_DATA, COCO_DATA, NYU13, NYU40, RAW
 from tests.tiny_scene import write_tiny_scene
 

@@ -11,10 +11,11 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.scene import check_scene, load_view, open_scene
+from engine.scene import load_view, open_scene
 from tests.scene.formats.room import write_grey
 from tests.scene.formats.test_nerfstudio import write_scene
 from tests.scene.mask_formats.labelled_room import Truth, check_on_room, write_masked_frames
+from tests.scene.refusing import check_scene
 from tests.scene.samples import WRITERS, opened
 from tests.tiny_scene import tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
 

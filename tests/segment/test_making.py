@@ -9,9 +9,10 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from engine.scene import ClassLabel, check_scene, open_scene
+from engine.scene import ClassLabel, open_scene
 from engine.segment import Detection, Job, MadeSegment, begin_job, detections_of, make_masks, merge_queries
 from tests.raises_key import raises_key
+from tests.scene.refusing import check_scene
 from tests.tiny_scene import write_tiny_scene
 
 LABELS = (ClassLabel(0, "wall", False), ClassLabel(1, "chair", True))

@@ -13,8 +13,9 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from engine.command_line.main import main
-from engine.scene import check_scene, open_scene
+from engine.scene import open_scene
 from tests.commands import exit_code
+from tests.scene.refusing import check_scene
 from tests.tiny_scene import write_tiny_scene
 
 pytest.importorskip("transformers", reason="needs transformers (requirements/segment.txt)")

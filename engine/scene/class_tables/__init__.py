@@ -21,8 +21,7 @@ from ...scene_source import TABLES as TABLES
 
 REDUCED = "reduced"
 _OF_NETWORKS = tuple(name for name in TABLES if name != "scannet")
-"""Tables that tell things from stuff by name. ScanNet's raw labels have nearly every name, but no network predicts
-them."""
+"""Tables that tell things from stuff by name. ScanNet's raw labels have nearly every name; no network has them."""
 _NUMBERS: Mapping[str, Callable[[Mapping[str, str]], int]] = {
     "ade20k:1-150": lambda row: int(row["id"]) + 1,
     "cityscapes:0-33": lambda row: int(row["label_id"]),
@@ -39,8 +38,7 @@ _VOID = {"cityscapes:0-33": frozenset({*range(7), 9, 10, 14, 15, 16, 18, 29, 30}
 
 @dataclass(frozen=True)
 class KnownTable:
-    """``labels`` in order of id. ``reduced`` maps ids to the paper's 21 classes; it may be empty. ``void``: numbers
-    that mean nothing."""
+    """``labels`` by id, their class among the paper's 21 (``reduced``, perhaps empty), and ``void`` numbers."""
 
     labels: tuple[ClassLabel, ...]
     reduced: dict[int, int]

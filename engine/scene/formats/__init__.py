@@ -11,27 +11,16 @@ from pathlib import Path
 
 from ...errors import ErrorCode, PlgsError, reading
 from ...posed.layout import listed, shown, shown_files
-from . import (
-    arkitscenes,
-    colmap,
-    hypersim,
-    nerfstudio,
-    phone_apps,
-    record3d,
-    replica,
-    scannet,
-    scannetpp,
-    seven_scenes,
-    tum,
-)
+from . import arkitscenes, colmap, hypersim, nerfstudio, phone_apps, record3d, replica, scannet, scannetpp, seven_scenes
 from .capture import Capture, SceneFormat, Shot
 from .photos import LET_COLMAP, finished_models, is_film, photos_in
+from .tum import FORMAT as TUM
 
 FORMATS: tuple[SceneFormat, ...] = (
     scannet.FOLDERS,
     nerfstudio.FORMAT,
     colmap.FORMAT,
-    tum.FORMAT,
+    TUM,
     seven_scenes.FORMAT,
     replica.FORMAT,
     scannet.SENS,
@@ -83,7 +72,6 @@ def find_format(place: Path, name: str | None = None) -> SceneFormat:
 
 
 def _unknown(place: Path, known: Iterable[str]) -> PlgsError:
-    """The error for a folder or file that no format recognises."""
     what, film, models = "no scene of a known format is here", is_film(place), finished_models(place)
     if models:
         app = "Scaniverse exports no such data. " if any("scaniverse" in name.lower() for name in models) else ""

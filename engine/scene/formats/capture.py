@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...posed.frames import Camera
-from ...posed.layout import composed
+from ...posed.layout import composed, shown_files
 from ...posed.plain_folders import Split
 from ...scene_source import UpAxis
 from ..depth import DepthMap, fault_of
@@ -25,11 +25,9 @@ _NOT_IN_NAMES = re.compile(r'[\x00-\x1f<>:"|?*]')
 @dataclass(frozen=True, eq=False)
 class Shot:
     """One posed picture. The camera is in the format's own world; its pose uses OpenCV's axes and metres.
-
-    ``read_colour`` returns uint8 [H, W, 3] RGB at the camera's size. It is None if the image file at ``colour_path`` is
-    the picture. ``distortion`` applies to the colour and depth files; the engine undistorts them on reading.
-    ``kept_pixels`` is a picture that is black where pixels do not count.
-    """
+    ``read_colour`` returns uint8 [H, W, 3] RGB at the camera's size; None if the image file at ``colour_path`` is the
+    picture. ``distortion`` of the colour and depth files is removed on reading. ``kept_pixels`` is a picture that is
+    black where pixels do not count."""
 
     name: str
     camera: Camera
@@ -46,12 +44,10 @@ Found = Shot | PlgsError | None
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """All pictures in recording order: ``found`` pairs each name with what was found.
-
-    ``up`` is the axis of the format's world that points up, None if the format does not say. ``up_is_known`` means that
-    it was measured, so sideways cameras cause no warning. ``split`` is set by readers whose format defines one.
-    ``left_out`` lists frames besides those of ``found``, ``inferred`` what no file says.
-    """
+    """All pictures in recording order: ``found`` pairs each name with what was found. ``up`` is the axis of the
+    format's world that points up, None if the format does not say; ``up_is_known``: it was measured, so sideways
+    cameras cause no warning. ``split`` is set by readers whose format defines one. ``left_out`` lists frames besides
+    those of ``found``, ``inferred`` what no file says."""
 
     found: Sequence[tuple[str, Found]]
     up: UpAxis | None
@@ -80,6 +76,14 @@ class Capture:
 def with_picture(picture: Path, make: Callable[[], Shot | None] | None) -> Found:
     """What ``make`` (None: no pose) returns for the file ``picture``, or why it cannot be read, by its header."""
     return None if make is None else fault_of(picture) or make()
+
+
+def only_file(place: Path, suffix: str) -> Path | None:
+    """The file with this suffix: ``place`` itself, or the only one in it."""
+    if place.is_file():
+        return place if place.suffix.lower() == suffix else None
+    found = [path for path in shown_files(place, f"*{suffix}") if path.is_file()]
+    return found[0] if len(found) == 1 else None
 
 
 @dataclass(frozen=True)

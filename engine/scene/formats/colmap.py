@@ -24,16 +24,7 @@ from ..depth import DepthMap, fault_of, npy_depth, only_depth, png_depth
 from ..files_of_frames import files_if_any
 from ..frame import Inferred, SparsePoints, left_out
 from .capture import Capture, SceneFormat, Shot, frame_names, with_picture
-from .colmap_model import (
-    EXPORT_AGAIN,
-    MADE_BY,
-    UNDISTORT,
-    ColmapCamera,
-    ColmapImage,
-    ColmapModel,
-    has_model,
-    read_model,
-)
+from .colmap_model import EXPORT_AGAIN, MADE_BY, UNDISTORT, ColmapImage, ColmapModel, has_model, read_model
 from .lens import Distortion, fitted, of_colmap, pinhole
 from .photos import LET_COLMAP
 from .poses import quaternion_pose
@@ -75,9 +66,9 @@ def _read(place: Path) -> Capture:
     # Depth beside the photos is read if it gave the model its unit, metres.
     if made_by.is_file() and read_object(made_by, "Make the poses again.").get("scale") is not None:
         depths = files_if_any(place / "depth", {".png", ".npy"}, "Give one map per photo.")
-    others = [each.name for each in sorted(shown_files(folder.parent, "[0-9]*")) if each != folder and has_model(each)]
-    if folder.name == "0" and others:
-        warnings.append(f"only the model 0 is read, but there are others: {listed(others)}")
+    models = [each.name for each in sorted(shown_files(folder.parent, "[0-9]*")) if each != folder and has_model(each)]
+    if folder.name == "0" and models:
+        warnings.append(f"only the model 0 is read, but there are others: {listed(models)}")
     workspaces = [] if depths or _has_depth(place) else [place / name for name in _DENSE if _has_depth(place / name)]
     dense = ((workspace, own) for workspace in workspaces if (own := _find_model(workspace)) is not None)
     if workspace := next(dense, None):
@@ -96,7 +87,11 @@ def _read(place: Path) -> Capture:
         (name, with_picture(path, partial(_shot, name, image, path, model, place, depths)))
         for name, image, path in zip(names, images, paths, strict=True)
     ]
-    lost = left_out("a pose (COLMAP did not register them)", _unregistered(root, paths))
+    folders, kinds = {path.parent for path in paths}, {path.suffix.lower() for path in paths}
+    beside = {path for each in folders if each.is_dir() for path in shown_files(each) if path.is_file()}
+    others = (path.relative_to(root) for path in beside.difference(paths) if path.suffix.lower() in kinds)
+    unregistered = sorted((path.as_posix() for path in others), key=natural_order)
+    lost = left_out("a pose (COLMAP did not register them)", unregistered)
     path = folder / "test.txt"  # of 3D Gaussian Splatting's programs
     lines = read_text(path, LARGEST_TABLE, "Write a picture's name on each line.") if path.is_file() else ""
     chosen = {line.strip() for line in lines.splitlines()}
@@ -106,14 +101,6 @@ def _read(place: Path) -> Capture:
     own_split, scale = split if split.train and split.test else None, () if depths else (_SCALE,)
     points = _points(model, names, images)
     return Capture(found, None, tuple(warnings), points, own_split, left_out=lost, inferred=scale)
-
-
-def _unregistered(root: Path, registered: list[Path]) -> list[str]:
-    """Pictures of the same kinds beside the model's that are not in the model."""
-    folders, kinds = {path.parent for path in registered}, {path.suffix.lower() for path in registered}
-    beside = {path for folder in folders if folder.is_dir() for path in shown_files(folder) if path.is_file()}
-    others = (path for path in beside.difference(registered) if path.suffix.lower() in kinds)
-    return sorted((path.relative_to(root).as_posix() for path in others), key=natural_order)
 
 
 def _find_images(place: Path, images: list[ColmapImage]) -> Path:
@@ -132,7 +119,7 @@ def _shot(
     if image.camera not in model.cameras:
         what = f"image {name} has camera {image.camera}, which is missing"
         raise PlgsError("no-camera", what, model.folder, EXPORT_AGAIN)
-    lens, distortion = _lens(model.cameras[image.camera], model.folder)
+    lens, distortion = _lens(model, image.camera)
     lens = fitted(lens, path, "Give COLMAP's own pictures.")
     pose = inverse(quaternion_pose(image.rotation, image.translation, model.folder))
     measured = depths.get(path.stem)
@@ -145,8 +132,9 @@ def _shot(
     return Shot(name, lens.at(pose), path, depth, distortion=distortion)
 
 
-def _lens(camera: ColmapCamera, folder: Path) -> tuple[Camera, Distortion]:
+def _lens(colmap: ColmapModel, number: int) -> tuple[Camera, Distortion]:
     """A camera at the origin with the lens's focal lengths, and its distortion."""
+    camera, folder = colmap.cameras[number], colmap.folder
     model, values = camera.model, camera.parameters
     alone = 1 if model.startswith(("SIMPLE", "RADIAL")) else 2
     (*focal, cx, cy), rest = values[: alone + 2], values[alone + 2 :]

@@ -22,8 +22,7 @@ _MODELS = (
 )  # fmt: skip
 """Each model's name and number of parameters. Its index is its number in binary files."""
 MADE_BY = "made_by.json"
-"""A file in models made by `python -m engine poses`: whether depth beside the photos gave the model its metric
-scale."""
+"""A file in models by `python -m engine poses`: whether depth beside the photos gave the model its metric scale."""
 _SUFFIXES = ("bin", "txt")
 _MOST_BYTES = 1 << 31
 _MOST_POINTS = 4_000_000
@@ -55,8 +54,7 @@ class ColmapCamera:
 
 @dataclass(frozen=True, eq=False)
 class ColmapImage:
-    """A registered picture: world-to-camera as quaternion w x y z and translation, and the ids of the points it
-    shows."""
+    """A registered picture: world-to-camera as quaternion w x y z and translation, and the ids of its points."""
 
     name: str
     camera: int

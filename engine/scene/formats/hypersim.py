@@ -74,8 +74,7 @@ class Projection:
 
 @lru_cache(maxsize=4)
 def _source_pixels(projection: Projection) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """For each pixel of the pinhole's picture, its position in the tilted one, float32 [H, W] x and y, pixel centres at
-    integers."""
+    """Where the tilted picture shows each pixel of the pinhole's, float32 [H, W] x and y, pixel centres at integers."""
     warp = np.linalg.inv(projection.ray_of_pixel()) @ np.linalg.inv(projection.pinhole().K)
     x, y = np.meshgrid(np.arange(projection.width) + 0.5, np.arange(projection.height) + 0.5)
     source = np.stack([x, y, np.ones_like(x)], axis=-1) @ warp.T

@@ -1,8 +1,5 @@
-"""Lenses: checked intrinsics, and distortion, which is removed on reading so that the engine sees only pinholes.
-
-Each tool orders and defines the coefficients of a distortion differently. Only ``of_opencv``, ``of_nerfstudio`` and
-``of_colmap`` know about this.
-"""
+"""Lenses: checked intrinsics, and distortion, which is removed on reading so that the engine sees only pinholes. Only
+``of_opencv``, ``of_nerfstudio`` and ``of_colmap`` know how each tool orders and defines its coefficients."""
 
 from __future__ import annotations
 
@@ -90,11 +87,8 @@ class Distortion:
 
     def bent(self, x: Values, y: Values) -> tuple[Values, Values]:
         """Where the lens shows the point that a pinhole of focal length 1 shows at ``x`` and ``y``, floats of any
-        shape.
-
-        OpenCV's formula (calib3d, "Detailed Description"). Its fisheye model is the same formula, applied to
-        coordinates whose length is the angle from the axis, and so is COLMAP's thin prism model (models.h).
-        """
+        shape: OpenCV's formula (calib3d, "Detailed Description"). Its fisheye model is the same, applied to coordinates
+        whose length is the angle from the axis, and so is COLMAP's thin prism model (models.h)."""
         if self.is_fisheye:
             radius = np.maximum(np.hypot(x, y), 1e-12)
             x, y = (each * np.arctan(radius) / radius for each in (x, y))
@@ -119,7 +113,7 @@ STRAIGHT = Distortion()
 OPENCV_COUNTS = (0, 4, 5, 8, 12)
 """Numbers of distortion coefficients that OpenCV accepts, without the tilt of its last two."""
 _OPENCV_NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-_LENS_NUMBER = re.compile(r"[kpsb]\d|tau_?[xy]|ftheta_p\d|latlong|equirectangular")
+LENS_NUMBER = re.compile(r"[kpsb]\d|tau_?[xy]|ftheta_p\d|latlong|equirectangular")
 """Lens keys in transforms.json, from nerfstudio, instant-ngp and programs that extend them."""
 
 
@@ -142,11 +136,6 @@ def of_nerfstudio(named: Mapping[str, float], model: str, is_fisheye: bool) -> D
         return of_opencv(values)
     k1, k2, p1, p2, k3, k4 = values[:6]
     return Distortion((k1, k2, k3, k4), tangential=(p1, p2), is_fisheye=is_fisheye)
-
-
-def is_lens_number(key: str) -> bool:
-    """Whether a key of transforms.json describes distortion."""
-    return _LENS_NUMBER.fullmatch(key) is not None
 
 
 def of_colmap(model: str, rest: Sequence[float]) -> Distortion | None:

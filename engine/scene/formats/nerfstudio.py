@@ -29,12 +29,13 @@ from ...posed.image_header import read_image_header
 from ...posed.layout import check_count, file_inside, natural_order, read_file
 from ...posed.matrices import take_matrix
 from ...posed.plain_folders import Split
+from ...posed.ply import ply_header
 from ...scene_source import UpAxis
 from ..depth import MILLIMETRES, DepthMap, npy_depth, png_depth
 from ..frame import Inferred, Size, SparsePoints, left_out
 from ..pixels import label_header
 from .capture import Capture, SceneFormat, Shot, frame_names, with_picture
-from .lens import Distortion, fitted, is_lens_number, of_nerfstudio, pinhole
+from .lens import LENS_NUMBER, Distortion, fitted, of_nerfstudio, pinhole
 from .poses import finite_pose, from_opengl
 
 _FILE, _TRAIN = "transforms.json", "transforms_train.json"
@@ -95,7 +96,6 @@ def _read(place: Path) -> Capture:
 
 
 def _own_split(content: dict[str, Any], frames: Mapping[str, Mapping[str, Any]], path: Path) -> Split | None:
-    """The split that the file defines for ``frames``, by name; None if it defines none. Raises PlgsError."""
     names = {_plain(frame["file_path"]): name for name, frame in frames.items()}
     listed = dict[str, set[str]]()
     for key in filter(content.get, _SPLIT):
@@ -217,7 +217,7 @@ def _distortion(entry: dict[str, Any], context: str, path: Path) -> Distortion:
     named = {
         key: float(value is True) if key in flags else take_number(entry, key, context, path)
         for key, value in entry.items()
-        if is_lens_number(key)
+        if LENS_NUMBER.fullmatch(key)
     }
     try:
         return of_nerfstudio(named, model, model == _FISHEYE or entry.get("is_fisheye") is True)
@@ -250,12 +250,6 @@ FORMAT = SceneFormat("nerfstudio", lambda place: any(path.is_file() for path in 
 _MOST_BYTES = 1 << 30
 _MOST_IN_TEXT = 1_000_000
 """Maximum number of vertices as text, which take some seconds."""
-_PLY_TYPES = {
-    **dict.fromkeys(("char", "int8"), "i1"), **dict.fromkeys(("uchar", "uint8"), "u1"),
-    **dict.fromkeys(("short", "int16"), "i2"), **dict.fromkeys(("ushort", "uint16"), "u2"),
-    **dict.fromkeys(("int", "int32"), "i4"), **dict.fromkeys(("uint", "uint32"), "u4"),
-    **dict.fromkeys(("float", "float32"), "f4"), **dict.fromkeys(("double", "float64"), "f8"),
-}  # fmt: skip
 _VERTEX_IN_MEMORY, _VALUE_IN_MEMORY = 48, 200
 """Bytes for a vertex with its colour, and for a number in a line of text with its text."""
 _SHORT = "Write this file again."
@@ -265,46 +259,29 @@ _PLY_FIX = "Write a PLY whose first element is vertex, with x, y, z."
 def read_ply_points(path: Path) -> SparsePoints:
     """The vertices of a PLY (ascii or binary), white if it has no colours. Raises PlgsError."""
     data = read_file(path, _MOST_BYTES)
-    end = data.find(b"end_header")
-    body = data.find(b"\n", end) + 1
-    if not data.startswith(b"ply") or end < 0 or not body:
+    header = ply_header(data)
+    if not header.end:
         raise PlgsError("not-ply", "this is not a PLY file", path, _PLY_FIX)
-    form, count, fields = _parse_header(data[:end].decode("ascii", "replace"), path)
-    vertices = _vertices(data[body:], form, count, np.dtype(fields), path)
-    names = vertices.dtype.names or ()
+    first, (count, columns) = next(iter(header.elements.items()), ("", (0, dict[str, str]())))
+    if first != "vertex":
+        raise PlgsError("ply-vertices", "the PLY does not begin with vertices", path, _PLY_FIX)
+    if "" in columns.values():
+        what = "the PLY's vertices have a property that is not understood, or twice"
+        raise PlgsError("ply-property", what, path, _PLY_FIX)
+    if not {"x", "y", "z"} <= columns.keys():
+        raise PlgsError("ply-positions", "the PLY's vertices have no x, y and z", path, _PLY_FIX)
+    order = ">" if header.form == "binary_big_endian" else "<"
+    fields = np.dtype([(name, order + kind) for name, kind in columns.items()])
+    vertices = _vertices(data[header.end :], header.form, count, fields, path)
     xyz = np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], axis=-1)
     rgb = np.full((count, 3), 255, np.uint8)
-    if {"red", "green", "blue"} <= {*names}:
+    if {"red", "green", "blue"} <= columns.keys():
         rgb = np.stack([vertices[name].astype(np.uint8) for name in ("red", "green", "blue")], axis=-1)
     good = np.isfinite(xyz).all(-1)
     return SparsePoints(xyz[good], rgb[good])
 
 
-def _parse_header(header: str, path: Path) -> tuple[str, int, list[tuple[str, str]]]:
-    """The format's name, the number of vertices and their fields. Raises PlgsError."""
-    lines = [line.split() for line in header.splitlines()]
-    form = next((line[1] for line in lines if len(line) > 1 and line[0] == "format"), "")
-    elements = [i for i, line in enumerate(lines) if line[:1] == ["element"]]
-    vertex = lines[elements[0]] if elements else []
-    if len(vertex) != 3 or vertex[1] != "vertex" or not vertex[2].isdecimal():
-        raise PlgsError("ply-vertices", "the PLY does not begin with vertices", path, _PLY_FIX)
-    last = elements[1] if len(elements) > 1 else len(lines)
-    order = ">" if form == "binary_big_endian" else "<"
-    fields = []
-    for line in lines[elements[0] + 1 : last]:
-        if line[:1] == ["property"]:
-            if len(line) != 3 or line[1] not in _PLY_TYPES:
-                what = "the PLY's vertices have a property that is not understood"
-                raise PlgsError("ply-property", what, path, _PLY_FIX)
-            fields.append((line[2], order + _PLY_TYPES[line[1]]))
-    names = [name for name, _ in fields]
-    if not {"x", "y", "z"} <= {*names} or len({*names}) < len(names):
-        raise PlgsError("ply-positions", "the PLY's vertices have no x, y and z", path, _PLY_FIX)
-    return form, int(vertex[2]), fields
-
-
 def _vertices(body: bytes, form: str, count: int, fields: np.dtype[np.void], path: Path) -> NDArray[np.void]:
-    """The vertices, a structured array [count]. Raises PlgsError."""
     if form != "ascii":
         room = len(body) // fields.itemsize
         check_count(count, "vertices", path, _SHORT, most=_MOST_BYTES, room=room, made=_VERTEX_IN_MEMORY)

@@ -114,8 +114,7 @@ _SCANNER_APP_FIX = "Share the scan from the app again, as All Data."
 _FIXED = np.array([[False, True, False], [True, False, False], [True, True, True]])
 """Elements of every camera's matrix that are 0 0 0 0 1."""
 _LOOKED_AT = 4
-"""The number of pictures whose JSON files are searched for a pose: other programs use the name frame_00000.json,
-too."""
+"""Pictures whose JSON files are searched for a pose: other programs use the name frame_00000.json, too."""
 
 
 def _recognises_scanner_app(place: Path) -> bool:
@@ -223,7 +222,5 @@ def _read_odometry(path: Path) -> list[dict[str, float]]:
 
 
 STRAY = SceneFormat(
-    "stray",
-    lambda place: (place / "odometry.csv").is_file() and (place / "camera_matrix.csv").is_file(),
-    _read_stray,
+    "stray", lambda place: (place / "odometry.csv").is_file() and (place / "camera_matrix.csv").is_file(), _read_stray
 )

@@ -144,8 +144,7 @@ class Video:
 
 
 def _refuse_other_files(path: Path) -> None:
-    """Raise PlgsError unless the first bytes are those of an MP4, MOV, Matroska or AVI. Otherwise the decoder would
-    open whatever addresses a playlist lists."""
+    """Raise PlgsError for other files than videos: the decoder would open the addresses that a playlist lists."""
     with reading(path, _VIDEO_FIX), open_plain(path) as file:
         start = file.read(12)
     is_avi = start[:4] == b"RIFF" and start[8:] == b"AVI "

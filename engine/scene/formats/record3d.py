@@ -33,7 +33,7 @@ from ...posed.matrices import take_matrix, take_numbers, upright_rotation
 from ..depth import DepthMap, drop_untrusted, fault_of, only_depth
 from ..frame import Size
 from ..pixels import decode_bytes
-from .capture import Capture, Found, SceneFormat, Shot
+from .capture import Capture, Found, SceneFormat, Shot, only_file
 from .lens import pinhole
 from .poses import from_opengl, quaternion_pose
 
@@ -94,13 +94,9 @@ class _Archive:
 
 
 def _find(place: Path) -> Path | None:
-    """The archive: ``place`` itself, or the only one in it."""
-    if place.is_file():
-        return place if place.suffix.lower() == ".r3d" else None
-    if (place / "metadata").is_file() and (place / "rgbd").is_dir():
-        return place
-    found = [path for path in shown_files(place, "*.r3d") if path.is_file()]
-    return found[0] if len(found) == 1 else None
+    """The archive, packed or not: ``place`` itself, or the only one in it."""
+    is_unpacked = (place / "metadata").is_file() and (place / "rgbd").is_dir()
+    return place if is_unpacked else only_file(place, ".r3d")
 
 
 def _read(place: Path) -> Capture:

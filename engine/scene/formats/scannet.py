@@ -42,7 +42,7 @@ from ...posed.matrices import read_intrinsics
 from ...posed.plain_folders import NAME, read_folders, recognises
 from ..depth import DepthMap, between_cameras, fault_of, fitting_alignment, open_depth, seen_by_colour
 from ..pixels import decode_bytes
-from .capture import Capture, SceneFormat, Shot
+from .capture import Capture, SceneFormat, Shot, only_file
 from .lens import pinhole
 from .poses import finite_pose
 
@@ -72,8 +72,7 @@ _LARGEST_NAME = 10_000
 
 @dataclass(frozen=True, eq=False)
 class _Header:
-    """Lenses stand at the origin; ``unit`` is a step of depth in metres. ``beside`` and ``warnings``: see
-    ``between_cameras``."""
+    """Lenses stand at the origin; ``unit`` is a step of depth in metres. ``beside``: see ``between_cameras``."""
 
     colour: Camera
     depth: Camera
@@ -102,16 +101,8 @@ class _Block:
         return data
 
 
-def _find(place: Path) -> Path | None:
-    """The .sens file: ``place`` itself, or the only one in it."""
-    if place.is_file():
-        return place if place.suffix.lower() == ".sens" else None
-    found = [path for path in shown_files(place, "*.sens") if path.is_file()]
-    return found[0] if len(found) == 1 else None
-
-
 def _read_sens(place: Path) -> Capture:
-    path = _find(place)
+    path = only_file(place, ".sens")
     if path is None:
         raise PlgsError("not-one-file", "there is no .sens file, or more than one", place, "Name the file.")
     with open_plain(path) as file:
@@ -201,4 +192,4 @@ def _read_depth(block: _Block, header: _Header) -> NDArray[np.float32]:
     return np.frombuffer(data, "<u2").reshape(height, width) * np.float32(header.unit)
 
 
-SENS = SceneFormat("sens", lambda place: _find(place) is not None, _read_sens)
+SENS = SceneFormat("sens", lambda place: only_file(place, ".sens") is not None, _read_sens)

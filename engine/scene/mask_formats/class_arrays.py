@@ -8,6 +8,7 @@ table that the user names. A segment's score is the mean probability of its pixe
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,16 +21,7 @@ from ...posed.array_file import array_headers, read_array
 from ..files_of_frames import files_of_frames, mask_files
 from ..frame import Size
 from ..pixels import whole_numbers
-from .source import (
-    IGNORED,
-    FoundMask,
-    FoundSegment,
-    MaskFormat,
-    MaskSource,
-    StoredMask,
-    segments_of_labels,
-    segments_of_pairs,
-)
+from .source import IGNORED, FoundMask, MaskFormat, MaskSource, StoredMask, segments_of_labels, segments_of_pairs
 
 _CLASSES = ("semantic", "semantics", "labels", "label_map", "classes", "probabilities", "probability", "probs", "arr_0")
 _INSTANCES = ("instance", "instances")
@@ -37,7 +29,6 @@ _FIX = "Save classes [H, W] as whole numbers, or probabilities [C, H, W] as floa
 
 
 def _read_mask(path: Path, name: str, instances_name: str | None) -> FoundMask:
-    """The mask in a file's array ``name``, with its instances if it has any. Raises PlgsError."""
     values = read_array(path, name)
     if values.ndim == 3:
         return _most_probable(values, path)
@@ -63,20 +54,12 @@ def _most_probable(values: NDArray[Any], path: Path) -> FoundMask:
     labels = np.where(best > 0.0, labels, -1)
     share = best / np.maximum(values.sum(0), 1e-12)
     found = segments_of_labels(labels)
-    scored = tuple(
-        FoundSegment(one.id, one.label, float(share[found.ids == one.id].mean()), has_instance=False)
-        for one in found.segments
-    )
-    return FoundMask(found.ids, scored)
+    scored = (replace(one, score=float(share[found.ids == one.id].mean())) for one in found.segments)
+    return FoundMask(found.ids, tuple(scored))
 
 
 def _is_channels_last(shape: tuple[int, ...]) -> bool:
     return shape[2] < min(shape[0], shape[1])
-
-
-def _recognises(place: Path) -> bool:
-    first = None if mask_files(place, ".json") else next(iter(mask_files(place, ".npy", ".npz")), None)
-    return first is not None and _name_of(first) is not None
 
 
 def _name_of(path: Path) -> str | None:
@@ -88,7 +71,6 @@ def _name_of(path: Path) -> str | None:
 
 
 def _read(place: Path, names: Sequence[str]) -> MaskSource:
-    """Open the arrays; headers only. Raises PlgsError."""
     masks = {}
     for name, path in files_of_frames(place, names, {".npy", ".npz"}, "mask", _FIX).items():
         key = _name_of(path)
@@ -109,4 +91,11 @@ def _size(shape: tuple[int, ...], kind: str, path: Path) -> Size:
     raise PlgsError("shape", f"an array of the shape {list(shape)} is not a mask", path, _FIX)
 
 
-FORMAT = MaskFormat("arrays", _recognises, _read)
+FORMAT = MaskFormat(
+    "arrays",
+    lambda place: (
+        not mask_files(place, ".json")
+        and any(_name_of(first) is not None for first in mask_files(place, ".npy", ".npz")[:1])
+    ),
+    _read,
+)

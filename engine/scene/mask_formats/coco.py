@@ -1,11 +1,8 @@
 """COCO panoptic masks: one JSON table, and one PNG per frame, id = R + 256 G + 65536 B.
 
-Exporters differ, and this reader is lenient without guessing: a missing score counts as 1, ``label_id`` (transformers)
-counts as ``category_id``, a palette-free grey PNG holds the ids themselves. Tables that would silently mix up segments
-are refused.
-
-Class ids are the category ids. A table that uses 0 is shifted by one as a whole, as 0 is void here: class id =
-category id + 1, in ground truth too.
+Exporters differ: a missing score counts as 1, ``label_id`` (transformers) as ``category_id``, and a palette-free grey
+PNG holds the ids themselves. Tables that would silently mix up segments are refused. Class ids are the category ids; a
+table that uses 0, which is void here, is shifted by one as a whole, in ground truth too.
 """
 
 from __future__ import annotations
@@ -24,6 +21,7 @@ from ...json_file import read_json_object, take_flag, take_list, take_objects, t
 from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
 from ...posed.image_header import read_image_header
 from ...posed.layout import LARGEST_PIXELS, composed, file_inside, listed, of_most, require_most
+from ..class_tables import is_thing_by_name
 from ..files_of_frames import of_same_name, whole_file
 from ..pixels import decode, distinct_ids
 from ..values import checked_ids
@@ -33,8 +31,7 @@ _LARGEST_SEGMENT_ID = 256**3 - 1
 
 
 def _read_mask(png: Path, table: str, segments: tuple[FoundSegment, ...], crowd_ids: frozenset[int]) -> FoundMask:
-    """One frame's mask. ``crowd_ids`` are regions of uncounted objects, which become void. Raises PlgsError for an id
-    that the JSON lacks."""
+    """One frame's mask. ``crowd_ids`` are regions of uncounted objects, which become void."""
     ids = _read_ids(png)
     found, _ = distinct_ids(ids)
     unknown = sorted({*found.tolist()} - {0} - {segment.id for segment in segments} - crowd_ids)
@@ -65,10 +62,12 @@ def _table_of(place: Path) -> Path:
 
 
 def _read(place: Path, names: Sequence[str]) -> MaskSource:
-    """Open the JSON at ``place``, or panoptic.json in it. Its folder of PNGs has the JSON's stem. Raises PlgsError."""
+    """Open the JSON at ``place``, or panoptic.json in it. Its folder of PNGs has the JSON's stem."""
     table = _table_of(place)
     content = read_json_object(table)
-    labels = _read_categories(content, table)
+    labels = read_categories(content, table)
+    if not labels:
+        raise PlgsError("no-classes", "there are no categories", table, "List the classes of the masks.")
     folder = table.with_suffix("")
     if not folder.is_dir():
         what = "the folder of mask images is missing"
@@ -87,26 +86,22 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
     return MaskSource(masks, labels, warnings)
 
 
-def _read_categories(content: dict[str, Any], table: Path) -> tuple[ClassLabel, ...]:
+def read_categories(
+    content: dict[str, Any], table: Path, key: str = "categories", kind: str = "isthing", *, may_lack: bool = False
+) -> tuple[ClassLabel, ...]:
+    """The classes that a table lists under ``key``, by ascending id. ``kind`` is the key that says whether one is a
+    thing; if it ``may_lack``, the name decides. Raises PlgsError."""
     found: dict[int, ClassLabel] = {}
-    for position, entry in enumerate(take_objects(content, "categories", "the file", table)):
+    for position, entry in enumerate(take_objects(content, key, "the file", table)):
         context = f"category {position}"
-        category_id = take_whole_number(entry, "id", context, table)
-        if not 0 <= category_id <= LARGEST_CLASS_ID:
-            what = f"the category id {category_id} is out of range"
-            raise PlgsError("class-id", what, table, f"Use ids from 1 to {LARGEST_CLASS_ID}.")
-        if category_id in found:
-            what = f"the category id {category_id} occurs twice"
-            raise PlgsError("class-twice", what, table, "Give each category its own id.")
-        found[category_id] = ClassLabel(
-            id=category_id,
-            name=take_text(entry, "name", context, table),
-            is_thing=take_flag(entry, "isthing", context, table),
-            colour=_colour(entry, context, table),
-        )
-    if not found:
-        raise PlgsError("no-classes", "there are no categories", table, "List the classes of the masks.")
-    return tuple(found[category_id] for category_id in sorted(found))
+        number, name = take_whole_number(entry, "id", context, table), take_text(entry, "name", context, table)
+        if number in found or not 0 <= number <= LARGEST_CLASS_ID:
+            what = f"the category id {number} occurs twice, or is out of range"
+            raise PlgsError("class-id", what, table, f"Use ids from 1 to {LARGEST_CLASS_ID}, each once.")
+        guessed = is_thing_by_name(name) is not False if may_lack and kind not in entry else None
+        is_thing = take_flag(entry, kind, context, table) if guessed is None else guessed
+        found[number] = ClassLabel(number, name, is_thing, _colour(entry, context, table))
+    return tuple(found[number] for number in sorted(found))
 
 
 def _colour(entry: dict[str, Any], context: str, table: Path) -> tuple[int, int, int] | None:
@@ -150,7 +145,6 @@ def stem_of(file_name: str) -> str:
 def _open_frame(
     entry: dict[str, Any], name: str, png: Path, table: Path, known: frozenset[int]
 ) -> tuple[StoredMask, bool]:
-    """A frame's mask, and whether it has crowds. Raises PlgsError."""
     context = f"the annotation of frame {name}"
     header = read_image_header(png)
     if header.width * header.height > LARGEST_PIXELS:

@@ -19,21 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
-from ...json_file import (
-    LARGEST_TABLE,
-    read_json,
-    shown_json,
-    take_list,
-    take_objects,
-    take_text,
-    take_whole_number,
-    wrong_type,
-)
+from ...json_file import LARGEST_TABLE, read_json, shown_json, take_list, take_objects, take_whole_number, wrong_type
 from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
-from ...posed.layout import LARGEST_PIXELS, listed, shown, shown_files, shown_size
-from ..class_tables import is_thing_by_name
+from ...posed.layout import LARGEST_PIXELS, listed, shown_files, shown_size
 from ..frame import Size
-from .coco import images_of, take_score
+from .coco import images_of, read_categories, take_score
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask, painted
 
 _FIX = "Write run lengths with pycocotools' encode, as detectron2 and ultralytics do."
@@ -254,23 +244,8 @@ def _table_of(path: Path) -> DetectionTable:
             sizes[str(image.get("id"))] = width, height
     found = take_objects(content, "annotations", "the file", path)
     entries = [(str(entry.get("image_id", path.stem)), entry) for entry in found]
-    return DetectionTable(path, entries, images_of(content, path), sizes, _categories(content, path))
-
-
-def _categories(content: dict[str, Any], path: Path) -> tuple[ClassLabel, ...] | None:
-    """The classes that the file names; None if it names none. Raises PlgsError."""
-    if "categories" not in content:
-        return None
-    labels: dict[int, ClassLabel] = {}
-    for position, entry in enumerate(take_objects(content, "categories", "the file", path)):
-        context = f"category {position}"
-        number, name = take_whole_number(entry, "id", context, path), take_text(entry, "name", context, path)
-        if number in labels or not 0 <= number <= LARGEST_CLASS_ID:
-            what = f"the category id {number} occurs twice, or is out of range"
-            raise PlgsError("class-id", what, path, f"Use ids from 1 to {LARGEST_CLASS_ID}, each once.")
-        is_thing = entry.get("isthing", is_thing_by_name(name) is not False)
-        labels[number] = ClassLabel(number, shown(name), bool(is_thing))
-    return tuple(labels.values()) or None
+    labels = read_categories(content, path, may_lack=True) if "categories" in content else ()
+    return DetectionTable(path, entries, images_of(content, path), sizes, labels or None)
 
 
 def _masklets(frames: list[Any], path: Path) -> DetectionTable:
@@ -296,7 +271,6 @@ def is_detections(place: Path) -> bool:
 
 
 def _read(place: Path, names: Sequence[str]) -> MaskSource:
-    """The detections as panoptic pictures. Raises PlgsError."""
     table = read_table(place)
     found, warnings = table.of_frames(dict.fromkeys(names), {})
     classless = all(one.label is None for each in found.values() for one in each)

@@ -1,10 +1,9 @@
 """A mask, a class and a score for each detection: one .npz, or one folder of PNGs, per frame.
 
-* ``<frame>.npz``: ``masks`` [N, H, W] (see ``values.inside``), ``classes`` [N] (numbers or names) and
-  ``scores`` [N]; detectron2's ``pred_masks``, ``pred_classes`` and Hugging Face's ``labels`` are read too. So are
-  SAM 3's tracks, under the names of Hugging Face (``object_ids``, ``masks``) or of its own package (``out_obj_ids``,
-  ``out_binary_masks``): a number is one object in all frames, ``classes`` may be left out, and
-  ``classes.toml`` may give each number a class, as with SAM 2.
+* ``<frame>.npz``: ``masks`` [N, H, W] (see ``values.inside``), ``classes`` [N] (numbers or names) and ``scores`` [N],
+  or what detectron2 and Hugging Face call these. SAM 3's tracks are read too, under the names of Hugging Face or of its
+  own package: a number is one object in all frames, ``classes`` may be left out, and ``classes.toml`` may give each
+  number a class, as with SAM 2.
 * ``<frame>/<k>_<class>_<score>.png``: black and white; the class is a number or a name.
 
 Of detections that overlap, the one with the highest score is on top. Class numbers count from 0.
@@ -22,9 +21,8 @@ from ...posed.array_file import array_headers, read_array
 from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
 from ...posed.layout import listed, natural_order, require_most, shown_files
 from ..files_of_frames import DETECTION, files_of_frames, mask_files
-from ..pixels import label_header
 from ..values import inside
-from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask, named_labels, painted, painted_files
+from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask, named_labels, painted, pile
 
 _KEYS = {
     "masks": ("masks", "pred_masks", "out_binary_masks"),
@@ -58,11 +56,14 @@ def _recognises(place: Path) -> bool:
 
 
 def _folders(place: Path) -> list[Path]:
-    return sorted((path for path in shown_files(place) if path.is_dir()), key=lambda path: natural_order(path.name))
+    return sorted((path for path in shown_files(place) if path.is_dir()), key=_natural)
+
+
+def _natural(path: Path) -> tuple[object, ...]:
+    return natural_order(path.name)
 
 
 def _read(place: Path, names: Sequence[str]) -> MaskSource:
-    """Open the detections: headers, classes and scores. Raises PlgsError."""
     if mask_files(place, ".npz"):
         files = files_of_frames(place, names, {".npz"}, "detections", _FIX)
         found = {name: _detections(path) for name, path in files.items()}
@@ -78,11 +79,12 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
         return MaskSource(masks, labels, void=frozenset(), tells_no_class=bool(no_class))
     folders = {path.name: path for path in _folders(place)}
     there = require_most(names, folders, "folder of detections", place, _NAME_FIX)
-    paths = {name: pictures for name in there if (pictures := _pictures(folders[name]))}
+    pictures = {name: sorted(shown_files(folders[name], "*.png"), key=_natural) for name in there}
+    paths = {name: found for name, found in pictures.items() if found}
     require_most(names, paths, "detections", place, _NAME_FIX)
-    found = {name: [_from_name(path) for path in pictures] for name, pictures in paths.items()}
+    found = {name: [_from_name(path) for path in each] for name, each in paths.items()}
     label_of, labels = _labels(found.values())
-    masks = {name: _pile(paths[name], _segments(found[name], label_of)) for name in paths}
+    masks = {name: pile(paths[name], _segments(found[name], label_of), _NAME_FIX) for name in paths}
     return MaskSource(masks, labels, void=frozenset())
 
 
@@ -93,16 +95,6 @@ def _read_stack(path: Path, segments: Sequence[FoundSegment]) -> FoundMask:
     return painted([inside(mask, path) for mask in masks], segments, (masks.shape[2], masks.shape[1]))
 
 
-def _pile(paths: Sequence[Path], segments: Sequence[FoundSegment]) -> StoredMask:
-    """The mask in PNGs, one per segment."""
-    size = label_header(paths[0]).size
-    return StoredMask(paths[0], size, partial(painted_files, paths, segments, size, _NAME_FIX))
-
-
-def _pictures(folder: Path) -> tuple[Path, ...]:
-    return tuple(sorted(shown_files(folder, "*.png"), key=lambda path: natural_order(path.stem)))
-
-
 def _from_name(path: Path) -> Detection:
     match = DETECTION.fullmatch(path.stem)
     if match is None or not 0.0 <= float(match[3]) <= 1.0:
@@ -111,9 +103,10 @@ def _from_name(path: Path) -> Detection:
 
 
 def _detections(path: Path) -> list[Detection]:
-    """The classes and scores in an .npz. Raises PlgsError."""
     headers = array_headers(path)
-    count = _count(headers[_key(path, "masks")].shape, path)
+    count, *_ = shape = headers[_key(path, "masks")].shape
+    if (len(shape) != 3 and not (len(shape) == 4 and shape[1] == 1)) or 0 in shape[-2:] or count > _MOST:
+        raise PlgsError("shape", f"masks have the shape {list(shape)}", path, _FIX)
     tracks = read_array(path, _key(path, "tracks")) if _has(path, "tracks") else None
     if tracks is not None and not (
         tracks.shape == (count,) and tracks.dtype.kind in "iu" and ((tracks >= 0) & (tracks < LARGEST_CLASS_ID)).all()
@@ -140,12 +133,6 @@ def _key(path: Path, what: str) -> str:
         if key in headers:
             return key
     raise PlgsError("no-array", f'there are no "{what}"', path, _FIX)
-
-
-def _count(shape: tuple[int, ...], path: Path) -> int:
-    if (len(shape) != 3 and not (len(shape) == 4 and shape[1] == 1)) or 0 in shape[-2:] or shape[0] > _MOST:
-        raise PlgsError("shape", f"masks have the shape {list(shape)}", path, _FIX)
-    return shape[0]
 
 
 def _labels(frames: Iterable[Sequence[Detection]]) -> tuple[dict[str, int], tuple[ClassLabel, ...] | None]:

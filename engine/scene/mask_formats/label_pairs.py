@@ -3,9 +3,9 @@
 The values are the class's number in a table that the user names (``--classes``, ``classes.toml``). 0, 255 and 65535
 mean nothing unless the table has them. Instance 0 is none: such a region may be several objects.
 
-Panoptic Lifting's network masks are folders ``<prefix>_semantics`` and ``<prefix>_instance`` of label images.
-There are two sets. The one with test-time augmentation (``m2f_``) is preferred to ``m2f_notta_``, because that
-project's readers load it; the paper seems to use the other. A warning says how to choose.
+Panoptic Lifting's network masks are folders ``<prefix>_semantics`` and ``<prefix>_instance`` of label images. Of two
+sets, that with test-time augmentation (``m2f_``) is preferred to ``m2f_notta_``, as that project's readers load it; the
+paper seems to use the other. A warning says how to choose.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ...posed.layout import shown_size
 from ..class_tables import REDUCED, known_table
 from ..files_of_frames import files_of_both, files_of_frames, mask_files
 from ..pixels import SUFFIXES, check_label_header, label_map_size, read_label_map
-from ..values import require_one_palette
+from ..values import numbers_of_colours
 from .source import IGNORED, FoundMask, MaskFormat, MaskSource, StoredMask, segments_of_labels, segments_of_pairs
 
 PAIRS = (
@@ -36,28 +36,18 @@ _LOOKS_FOR = "folders semantic and instance (or class, label-filt, semantic_clas
 _FIX = "Give a label image for every frame, with the frame's name."
 
 
-def _recognises_palette(place: Path) -> bool:
-    return not mask_files(place, ".json") and bool(mask_files(place, ".png"))
-
-
 def _pair_in(place: Path) -> tuple[Path, Path] | None:
     pairs = ((place / classes, place / instances) for classes, instances in PAIRS)
     return next((pair for pair in pairs if pair[0].is_dir() and pair[1].is_dir()), None)
 
 
 def _read_pairs(place: Path, names: Sequence[str]) -> MaskSource:
-    """Open both folders; headers only. Raises PlgsError."""
     pair = _pair_in(place)
     if pair is None:
         what = "there are no paired folders of classes and instances"
         raise PlgsError("no-label-pair", what, place, f"Looked for {_LOOKS_FOR}.")
     classes, instances = files_of_both(*pair, names, SUFFIXES, _FIX)
     return MaskSource(label_pairs(classes, instances), void=IGNORED)
-
-
-def _read_palette(place: Path, names: Sequence[str]) -> MaskSource:
-    """Open the folder of classes; headers only. Raises PlgsError."""
-    return MaskSource(label_pairs(files_of_frames(place, names, {".png"}, "mask", _FIX), {}), void=IGNORED)
 
 
 def label_pairs(classes: Mapping[str, Path], instances: Mapping[str, Path]) -> dict[str, StoredMask]:
@@ -69,7 +59,7 @@ def label_pairs(classes: Mapping[str, Path], instances: Mapping[str, Path]) -> d
             what = f"the instance image is not {shown_size(size)} like the classes"
             raise PlgsError("other-size", what, instance, "Make both the same size.")
         masks[name] = StoredMask(path, size, partial(_read_pair, path, instance))
-    require_one_palette([path for path in classes.values() if path.suffix.lower() == ".png"])
+    numbers_of_colours([path for path in classes.values() if path.suffix.lower() == ".png"], is_class=True)
     return masks
 
 
@@ -85,7 +75,13 @@ def _read_pair(classes: Path, instances: Path | None) -> FoundMask:
 
 
 PAIRS_FORMAT = MaskFormat("pairs", lambda place: _pair_in(place) is not None, _read_pairs, own_names=True)
-PALETTE = MaskFormat("palette", _recognises_palette, _read_palette)
+PALETTE = MaskFormat(
+    "palette",
+    lambda place: not mask_files(place, ".json") and bool(mask_files(place, ".png")),
+    lambda place, names: MaskSource(
+        label_pairs(files_of_frames(place, names, {".png"}, "mask", _FIX), {}), void=IGNORED
+    ),
+)
 
 
 _LIFTING_FIX = "Panoptic Lifting's masks are the folders m2f_semantics and m2f_instance."
@@ -100,7 +96,7 @@ def _semantics_of(place: Path) -> Path | None:
 
 
 def _read_lifting(place: Path, names: Sequence[str]) -> MaskSource:
-    """Open ``<prefix>_semantics`` and the ``<prefix>_instance`` beside it; headers only. Raises PlgsError."""
+    """Open ``<prefix>_semantics`` and the ``<prefix>_instance`` beside it."""
     semantics = _semantics_of(place)
     if semantics is None:
         raise PlgsError("no-masks", "there are no masks", place, _LIFTING_FIX)

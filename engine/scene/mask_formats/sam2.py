@@ -4,9 +4,8 @@ Grounded-SAM-2's tracks have.
 * SAM 2: ``<frame>.png`` with a palette, index = object, 0 = none; or ``<object>/<frame>.png``, a mask of the object,
   whose number may be 0. The numbers are the same in all frames: ``classes.toml`` may give each one a class.
 * ``amg.py``: ``<frame>/<k>.png`` beside ``<frame>/metadata.csv``, which lists each k. A smaller region is on top.
-* Grounded-SAM-2: ``mask_data/mask_<frame>.npy`` (object numbers, 0 = none), ``json_data/mask_<frame>.json``. The
-  JSON's ``labels`` give each object's ``instance_id``, ``class_name`` (free text from the prompt), box and
-  ``logit``, which is 0 if it was not set. Numbers are the same in all frames.
+* Grounded-SAM-2: ``mask_data/mask_<frame>.npy`` (object numbers, 0 = none, the same in all frames). The ``labels`` of
+  ``json_data/mask_<frame>.json`` give each object's ``instance_id`` and ``class_name`` (free text from the prompt).
 """
 
 from __future__ import annotations
@@ -26,16 +25,7 @@ from ..files_of_frames import AMG_LIST, DETECTION, files_of_frames, is_camera, m
 from ..formats.poses import read_rows
 from ..pixels import label_header, label_map_size, read_indices, read_label_map, shows_one_object
 from ..values import by_colour, numbers_of_colours
-from .source import (
-    FoundMask,
-    FoundSegment,
-    MaskFormat,
-    MaskSource,
-    StoredMask,
-    named_labels,
-    painted_files,
-    segments_of_objects,
-)
+from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask, named_labels, pile
 
 _FIX = "Name the folder that SAM 2 wrote for the video: one PNG per frame, or one folder per object."
 _LOOKED_AT = 8
@@ -44,10 +34,6 @@ _BY_COLOUR = "the masks have a palette each, so an object is known by its colour
 _LIST_FIX = "Name the folder that SAM's amg.py wrote: one folder per picture, whole, with its metadata.csv."
 _NO_LABEL = -1
 """In no table: a region's number does not give its class."""
-
-
-def _recognises(place: Path) -> bool:
-    return bool(_object_folders(place)) or (_has_palette(place) and not mask_files(place, ".json"))
 
 
 def _object_folders(place: Path) -> dict[int, Path]:
@@ -65,7 +51,6 @@ def _object_folders(place: Path) -> dict[int, Path]:
 
 
 def _has_palette(place: Path) -> bool:
-    """Whether the first PNG of a folder has a palette."""
     first = next(iter(mask_files(place, ".png")), None)
     if first is None:
         return False
@@ -74,7 +59,6 @@ def _has_palette(place: Path) -> bool:
 
 
 def _read(place: Path, names: Sequence[str]) -> MaskSource:
-    """Open the masks; headers only. Raises PlgsError."""
     folders = _object_folders(place)
     if not folders:
         files = files_of_frames(place, names, {".png"}, "mask", _FIX)
@@ -88,19 +72,14 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
     of_frame = {name: {number: files[name] for number, files in found.items() if name in files} for name in names}
     there = require_most(names, [name for name in names if of_frame[name]], "mask", place, _FIX)
     whole = of_most(there, lambda name: [whole_file(path) for path in of_frame[name].values()])
-    masks = {name: _pile([segments[n] for n in of_frame[name]], (*of_frame[name].values(),), _FIX) for name in whole}
+    masks = {name: pile([*of_frame[name].values()], [segments[n] for n in of_frame[name]], _FIX) for name in whole}
     return MaskSource(masks, tells_no_class=True, void=frozenset())
 
 
 def _read_map(path: Path, numbers: Mapping[bytes, int] | None) -> FoundMask:
-    ids = read_indices(path)
-    return segments_of_objects(ids if numbers is None else by_colour(ids, path, numbers))
-
-
-def _pile(segments: Sequence[FoundSegment], paths: Sequence[Path], fix: str) -> StoredMask:
-    """A frame's mask from one black-and-white PNG per segment. Smaller ones are on top."""
-    size = label_header(paths[0]).size
-    return StoredMask(paths[0], size, partial(painted_files, (*paths,), segments, size, fix))
+    ids = read_indices(path) if numbers is None else by_colour(read_indices(path), path, numbers)
+    objects = (int(value) for value in np.unique(ids) if value)  # the same in all frames
+    return FoundMask(ids, tuple(FoundSegment(one, one, track=one) for one in objects))
 
 
 def _picture_folders(place: Path) -> list[Path]:
@@ -110,7 +89,6 @@ def _picture_folders(place: Path) -> list[Path]:
 
 
 def _read_pictures(place: Path, names: Sequence[str]) -> MaskSource:
-    """Open the masks of ``amg.py``; headers and lists only. Raises PlgsError."""
     require_all(names, [path.name for path in _picture_folders(place)], f"PNGs with {AMG_LIST}", place, _LIST_FIX)
     return MaskSource({name: _regions(place / name) for name in names}, tells_no_class=True)
 
@@ -124,10 +102,14 @@ def _regions(folder: Path) -> StoredMask:
         what = f"PNGs of {AMG_LIST} are missing ({listed(lacking)})" if wanted else f"{AMG_LIST} lists none of the PNGs"
         raise PlgsError("list-unmatched", what, folder, _LIST_FIX)
     segments = [FoundSegment(n, _NO_LABEL) for n in range(1, len(wanted) + 1)]
-    return _pile(segments, [files[k] for k in wanted], _LIST_FIX)
+    return pile([files[k] for k in wanted], segments, _LIST_FIX)
 
 
-FORMAT = MaskFormat("sam2", _recognises, _read)
+FORMAT = MaskFormat(
+    "sam2",
+    lambda place: bool(_object_folders(place)) or (_has_palette(place) and not mask_files(place, ".json")),
+    _read,
+)
 PICTURES = MaskFormat("sam", lambda place: bool(_picture_folders(place)), _read_pictures, own_names=True)
 
 
@@ -146,7 +128,6 @@ def _read_mask(array: Path, table: str, segments: Mapping[int, FoundSegment]) ->
 
 
 def _read_grounded(place: Path, names: Sequence[str]) -> MaskSource:
-    """Open the masks; headers and JSON only. Raises PlgsError."""
     arrays = _by_frame(place / "mask_data", ".npy")
     tables = _by_frame(place / "json_data", ".json")
     there = require_most(names, arrays, "mask", place / "mask_data", _GROUNDED_FIX)
@@ -156,10 +137,9 @@ def _read_grounded(place: Path, names: Sequence[str]) -> MaskSource:
     label_of, labels = named_labels({word for found in objects.values() for word in found.values()})
     masks = {}
     for name, found in objects.items():
-        path = arrays[name]
         segments = {number: FoundSegment(number, label_of[word], track=number) for number, word in found.items()}
-        read = partial(_read_mask, path, tables[name].name, segments)
-        masks[name] = StoredMask(path, label_map_size(path), read)
+        read = partial(_read_mask, arrays[name], tables[name].name, segments)
+        masks[name] = StoredMask(arrays[name], label_map_size(arrays[name]), read)
     return MaskSource(masks, labels or None, tells_no_class=not labels)
 
 

@@ -4,11 +4,11 @@
 ``<frame>.npy``, ``.npz`` or ``.png``. Neither library writes files itself; users save its results this way.
 
 * transformers (``post_process_panoptic_segmentation``): ``{id, label_id, was_fused, score}``. Ids count from 1 with 0
-  for nothing, or from 0 with -1 for nothing; -1 everywhere if nothing was found. One stuff class may come in pieces.
-  The names are ``id2label`` of the model's ``config.json``, if that lies beside them.
+  for nothing, or from 0 with -1 for nothing. One stuff class may come in pieces. The names are ``id2label`` of the
+  model's ``config.json``, if that lies beside them.
 * detectron2: ``{id, isthing, category_id, score}``; ids outside the list are void. ``category_id`` counts without gaps
-  from 0 over all classes, or over the things and over the stuff apart (Panoptic FPN on COCO, stuff from 1), which one
-  number for a thing and a stuff class tells, or else the table that the user names (``numbering.py``).
+  from 0 over all classes, or over things and stuff apart (Panoptic FPN on COCO, stuff from 1): then one number is a
+  thing and a stuff class, or else the table that the user names decides (``numbering.py``).
 """
 
 from __future__ import annotations
@@ -77,7 +77,6 @@ def _segments_info(path: Path) -> list[dict[str, Any]]:
 
 
 def _read_transformers(place: Path, names: Sequence[str]) -> MaskSource:
-    """Open transformers' results; headers and JSON only. Raises PlgsError."""
     pictures, tables = _files(place, names)
     segments: dict[str, dict[int, FoundSegment]] = {name: {} for name in tables}
     fused = set()
@@ -91,7 +90,6 @@ def _read_transformers(place: Path, names: Sequence[str]) -> MaskSource:
 
 
 def _read_detectron2(place: Path, names: Sequence[str]) -> MaskSource:
-    """Open detectron2's results; headers and JSON only. Raises PlgsError."""
     pictures, tables = _files(place, names)
     infos = {name: _segments_info(table) for name, table in tables.items()}
     apart = _detectron2_source(pictures, tables, infos, is_apart=True)
@@ -138,12 +136,11 @@ def _files(place: Path, names: Sequence[str]) -> tuple[dict[str, Path], dict[str
 def _masks(
     pictures: Mapping[str, Path], tables: Mapping[str, Path], segments: Mapping[str, Mapping[int, FoundSegment]]
 ) -> dict[str, StoredMask]:
-    return {
-        name: StoredMask(
-            tables[name], label_map_size(path), partial(_read_mask, path, tables[name].name, segments[name])
-        )
-        for name, path in pictures.items()
-    }
+    masks = {}
+    for name, path in pictures.items():
+        read = partial(_read_mask, path, tables[name].name, segments[name])
+        masks[name] = StoredMask(tables[name], label_map_size(path), read)
+    return masks
 
 
 def _segment(info: dict[str, Any], key: str, name: str, table: Path) -> FoundSegment:
@@ -156,8 +153,7 @@ def _segment(info: dict[str, Any], key: str, name: str, table: Path) -> FoundSeg
 
 
 def _add(found: dict[int, FoundSegment], one: FoundSegment, name: str, table: Path) -> None:
-    """Adds segments, numbered from 1 in order. Fused stuff is listed once per piece. Raises PlgsError for two classes
-    with one number: the picture cannot distinguish them."""
+    """Adds segments, numbered from 1 in order. Fused stuff is listed once per piece."""
     if one.id not in found:
         found[one.id] = FoundSegment(len(found) + 1, one.label, one.score)
     elif found[one.id].label != one.label:

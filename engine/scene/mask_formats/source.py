@@ -15,7 +15,7 @@ from ...posed.classes import ClassLabel
 from ...posed.layout import shown, shown_size
 from ..class_tables import is_thing_by_name
 from ..frame import Size
-from ..pixels import read_indices
+from ..pixels import label_header, read_indices
 from ..values import inside
 
 IGNORED = frozenset({0, 255, 65535})
@@ -24,9 +24,8 @@ IGNORED = frozenset({0, 255, 65535})
 
 @dataclass(frozen=True)
 class FoundSegment:
-    """A region: its value ``id`` >= 1 in the pixels, its class ``label`` in the masks' own numbering, its score in
-    0..1. ``has_instance`` is False for the whole area of a class, which may be several objects. ``track``: see
-    Segment."""
+    """A region: its value ``id`` >= 1 in the pixels, its class ``label`` in the masks' numbering, its score in 0..1.
+    ``has_instance`` is False for the whole area of a class, perhaps several objects. ``track``: see Segment."""
 
     id: int
     label: int
@@ -60,24 +59,17 @@ class StoredMask:
     @property
     def about(self) -> str:
         """What ``read`` depends on besides files, such as the segments listed in a table."""
-        return repr([one for one in self.read.args if not isinstance(one, Path) and not _is_paths(one)])
-
-
-def _is_paths(given: object) -> bool:
-    return isinstance(given, tuple) and bool(given) and all(isinstance(one, Path) for one in given)
+        given = ((one, one if isinstance(one, tuple) and one else (one,)) for one in self.read.args)
+        return repr([one for one, parts in given if not all(isinstance(part, Path) for part in parts)])
 
 
 @dataclass(frozen=True)
 class MaskSource:
-    """All frames' masks. ``labels`` are the classes in their files, None if these do not say.
-
-    With ``stuff_in_pieces``, one stuff class may come as several segments of a frame. With ``tells_no_class``, labels
-    number objects; without a table these are all of the class "object". Labels in ``void`` mean nothing unless the
-    table has them. ``table`` is what messages call the classes' table.
-
-    ``kinds`` says whether each label is a thing, for files that give this without names. ``apart`` are the same masks
-    read as if their files numbered stuff separately from things.
-    """
+    """All frames' masks. ``labels`` are the classes in their files, None if these do not say. With ``stuff_in_pieces``,
+    one stuff class may come as several segments of a frame. With ``tells_no_class``, labels number objects; without a
+    table these are all of the class "object". Labels in ``void`` mean nothing unless the table has them. ``table`` is
+    what messages call the classes' table. ``kinds`` says whether each label is a thing, for files that give this
+    without names. ``apart`` are the same masks read as if their files numbered stuff separately from things."""
 
     masks: Mapping[str, StoredMask]
     labels: tuple[ClassLabel, ...] | None = None
@@ -92,12 +84,10 @@ class MaskSource:
 
 @dataclass(frozen=True)
 class MaskFormat:
-    """A format of masks by its ``name``, one of `MASK_FORMAT_NAMES`.
-
-    ``recognises`` says whether a folder or file has it, by names, headers and first keys; no picture is decoded.
-    ``read`` gets the frames' names and raises PlgsError. ``in_scene``: a scene's own folder is searched as well.
-    ``own_names``: its files have distinctive names, so it is tried before formats that its files resemble.
-    """
+    """A format of masks by its ``name``, one of `MASK_FORMAT_NAMES`. ``recognises`` says whether a folder or file has
+    it, by names, headers and first keys. ``read`` gets the frames' names, decodes no picture, and raises PlgsError.
+    ``in_scene``: a scene's own folder is searched as well. ``own_names``: its files have distinctive names, so it is
+    tried before formats that its files resemble."""
 
     name: str
     recognises: Callable[[Path], bool]
@@ -107,10 +97,8 @@ class MaskFormat:
 
 
 def segments_of_pairs(labels: NDArray[np.integer], instances: NDArray[np.integer]) -> FoundMask:
-    """One segment per pair of a class in ``labels`` [H, W] (< 0 = void) and an instance in ``instances`` [H, W].
-
-    Instances <= 0 are none. Segments are numbered from 1; those of class 0, which is void in most tables, come last.
-    """
+    """One segment per pair of a class in ``labels`` [H, W] (< 0 = void) and an instance in ``instances`` [H, W] (<= 0 =
+    none), numbered from 1; those of class 0, which is void in most tables, come last."""
     pairs = labels.astype(np.int64) << 32 | np.maximum(instances, 0).astype(np.int64)
     present, inverse = np.unique(pairs, return_inverse=True)
     number = np.zeros(len(present), np.int32)
@@ -125,12 +113,6 @@ def segments_of_pairs(labels: NDArray[np.integer], instances: NDArray[np.integer
 def segments_of_labels(labels: NDArray[np.integer]) -> FoundMask:
     """One segment for each class in ``labels`` [H, W] (< 0 = void). Each may be several objects."""
     return segments_of_pairs(labels, np.zeros_like(labels))
-
-
-def segments_of_objects(objects: NDArray[np.integer]) -> FoundMask:
-    """One segment for each number > 0 in ``objects`` [H, W]; numbers are the same in all frames and serve as labels."""
-    found = [int(value) for value in np.unique(objects) if value]
-    return FoundMask(objects.astype(np.int32), tuple(FoundSegment(one, one, track=one) for one in found))
 
 
 def painted(masks: Sequence[NDArray[np.bool_]], segments: Sequence[FoundSegment], size: Size) -> FoundMask:
@@ -151,6 +133,12 @@ def painted_files(paths: Sequence[Path], segments: Sequence[FoundSegment], size:
         if mask.shape != size[::-1]:
             raise PlgsError("other-size", f"this mask is not {shown_size(size)} like the others", path, fix)
     return painted(masks, segments, size)
+
+
+def pile(paths: Sequence[Path], segments: Sequence[FoundSegment], fix: str) -> StoredMask:
+    """A frame's mask from one PNG per segment. Raises PlgsError."""
+    size = label_header(paths[0]).size
+    return StoredMask(paths[0], size, partial(painted_files, (*paths,), segments, size, fix))
 
 
 def named_labels(words: Collection[str]) -> tuple[dict[str, int], tuple[ClassLabel, ...]]:

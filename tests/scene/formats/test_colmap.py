@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from engine.scene import describe, open_scene
+from engine.scene import open_scene
 from tests.raises_key import raises_key
 from tests.scene.formats.room import (
     Bend,
@@ -24,7 +24,7 @@ from tests.scene.formats.room import (
     views,
     write_colour,
 )
-from tests.scene.refusing import refuses
+from tests.scene.refusing import describe, refuses
 
 LENS = Lens().scaled(2)
 PINHOLE = ("PINHOLE", (LENS.fx, LENS.fy, LENS.cx, LENS.cy))

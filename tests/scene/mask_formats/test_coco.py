@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from engine.posed.classes import PALETTE
-from engine.scene import check_scene, open_scene
+from engine.scene import open_scene
+from tests.scene.refusing import check_scene
 from tests.tiny_scene import write_tiny_scene
 
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.scene import Scene, check_scene, open_scene, open_scene_to_lift
+from engine.scene import Scene, open_scene, open_scene_to_lift
 from engine.scene_source import SceneSource
 from tests.raises_key import raises_key
 from tests.scene.mask_formats.labelled_room import (
@@ -22,7 +22,7 @@ from tests.scene.mask_formats.labelled_room import (
     write_masked_frames,
 )
 from tests.scene.mask_formats.test_tracks import palette_png
-from tests.scene.refusing import refuses
+from tests.scene.refusing import check_scene, refuses
 from tests.tiny_scene import write_tiny_scene
 
 NYU = {1: 1, 2: 2, 3: 3, 5: 5, 13: 22}

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.scene import check_scene, open_scene
+from engine.scene import open_scene
 from engine.scene.class_tables import known_table
 from tests.scene.mask_formats.labelled_room import COCO_NAMES, COCO_NUMBERS, Truth, check_on_room, mask_of, write_frames
-from tests.scene.refusing import refuses
+from tests.scene.refusing import check_scene, refuses
 
 CONFIG = {"id2label": {str(COCO_NUMBERS[one]): COCO_NAMES[one] for one in COCO_NUMBERS}}
 CHAIRS = frozenset({"chair"})
