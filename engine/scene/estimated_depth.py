@@ -218,7 +218,7 @@ def _as_metres(frames: Sequence[Frame], files: Mapping[str, Path], placements: M
     for frame in evenly_spread([frame for frame in frames if frame.name in files], _COMPARED):
         values = read_map(files[frame.name])
         depth = np.asarray(placements[frame.name](in_metres(values)))
-        if values.dtype.kind != "f" or depth.max() > 1.0:
+        if values.dtype.kind != "f" or depth.max() > 1.0 or depth.max() == depth.min():
             return Inferred("units", _AS_METRES, "there are no sparse points to fit depth to")
         thumbnails.append(Thumbnail.of(frame.name, frame.camera, depth))
     share = measure_overlap(thumbnails, tolerance=0.0).agreement

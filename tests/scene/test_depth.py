@@ -149,27 +149,24 @@ def test_colmap_with_a_networks_maps(tmp_path: Path, kind: str) -> None:
         assert (depth > 0.0).mean() > 0.99 and np.median(off) < 0.01 and np.quantile(off, 0.9) < 0.03
 
 
-FLAT = np.full((48, 64), 2.0, np.float32)
-
-
 def test_missing_and_wrong_maps_are_one_line_errors(tmp_path: Path) -> None:
     write_colmap(tmp_path / "scene")
     (tmp_path / "maps").mkdir()
     for i in range(2):
-        np.save(tmp_path / "maps" / f"{i}.npy", FLAT)
+        np.save(tmp_path / "maps" / f"{i}.npy", np.ones((48, 64), np.float32))
     refuses("lacks-files", tmp_path / "scene", depth=tmp_path / "maps")
     for i in range(2, 5):
-        np.save(tmp_path / "maps" / f"{i}.npy", FLAT)
+        np.save(tmp_path / "maps" / f"{i}.npy", np.ones((48, 64), np.float32))
     scene = open_scene(tmp_path / "scene", depth=tmp_path / "maps")
     assert "1 frame without a readable depth map is left out: 5" in scene.warnings and len(scene.frames) == 4
-    np.save(tmp_path / "maps" / "5.npy", FLAT)
+    np.save(tmp_path / "maps" / "5.npy", np.ones((48, 64), np.float32))
     scene = open_scene(tmp_path / "scene", depth=tmp_path / "maps")
     with raises_key("depth-unrelated"):
         scene.frames[0].depth()
     (tmp_path / "scene" / "sparse" / "0" / "points3D.txt").unlink()
     metric = open_scene(tmp_path / "scene", depth=tmp_path / "maps")
     assert any("no sparse points" in warning for warning in metric.warnings)
-    np.testing.assert_array_equal(metric.frames[0].depth(), FLAT)
+    np.testing.assert_array_equal(metric.frames[0].depth(), np.ones((48, 64), np.float32))
 
 
 def test_an_8_bit_map_is_fitted_or_refused_and_never_read_as_millimetres(tmp_path: Path) -> None:
