@@ -259,14 +259,14 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
             return CANCELLED
         now = correction_tools.now[0]
         view = next(region for region in context.area.regions if region.type == "WINDOW")
-        place = (float(event.mouse_x - view.x), float(event.mouse_y - view.y))
+        mouse = (float(event.mouse_x - view.x), float(event.mouse_y - view.y))
         context.area.tag_redraw()
         if event.type == "MOUSEMOVE":
-            now.move(place)
+            now.move(mouse)
         elif event.type == "LEFTMOUSE" and event.value == "PRESS" and _is_over(context.area, event):
-            now.press(place, is_box=event.shift, is_eraser=event.ctrl)
-        elif event.type == "LEFTMOUSE" and event.value == "RELEASE" and now.places:
-            now.move(place)
+            now.press(mouse, is_box=event.shift, is_eraser=event.ctrl)
+        elif event.type == "LEFTMOUSE" and event.value == "RELEASE" and now.drag:
+            now.move(mouse)
             matrix = np.array(context.area.spaces.active.region_3d.perspective_matrix)
             now.release(matrix, (view.width, view.height))
         elif event.type in ("WHEELUPMOUSE", "WHEELDOWNMOUSE") and event.ctrl:

@@ -50,11 +50,6 @@ def name_box(box: bpy.types.Object, name: str) -> None:
     box[SHOWN] = box.name
 
 
-def corners_of(size: Sequence[float]) -> tuple[NDArray[np.float64], list[tuple[int, int, int, int]]]:
-    """The corners [8, 3] of a box of this size, centred on the origin, and its faces."""
-    return _CORNERS * size, _FACES
-
-
 def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Instance, anew: bool) -> bpy.types.Object:
     key, placed = f"{INSTANCE}{instance.id}", [*instance.centre, *instance.size, *instance.rotation]
     before, name, where = owned.known(key), instance.name, None
@@ -67,8 +62,7 @@ def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Insta
         name, where = before.name, before.matrix_world.copy()
     mesh = owned.data(key, lambda: bpy.data.meshes.new(instance.name))
     mesh.clear_geometry()
-    corners, faces = corners_of(instance.size)
-    mesh.from_pydata(corners.tolist(), [], faces)
+    mesh.from_pydata((_CORNERS * instance.size).tolist(), [], _FACES)
     mesh.update()
     mesh.materials.clear()
     mesh.materials.append(clear_material(owned))

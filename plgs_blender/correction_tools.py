@@ -82,20 +82,21 @@ _COLOUR = (1.0, 0.55, 0.1)
 _POINT, _TINT = 0.01, 0.4
 """Drawing radius of a painted point in metres, and the opacity of its colour."""
 
-Place = tuple[float, float]
+Position = tuple[float, float]
+"""Of the mouse, in pixels of the view, y up."""
 
 
 @dataclass(eq=False)
 class Painting:
     """A painting session, which ends with Enter. ``xyz`` float32 [N, 3] are the lift's points, ``chosen`` bool [N] the
-    painted ones. ``places``: the mouse positions since its button was pressed, in pixels of the view, y up; ``mouse``:
-    its current one. ``is_box``: the drag is a rectangle; ``is_eraser``: it removes points."""
+    painted ones. ``drag``: the mouse's positions since its button was pressed; ``mouse``: its current one. ``is_box``:
+    the drag is a rectangle; ``is_eraser``: it removes points."""
 
     xyz: NDArray[np.float32]
     chosen: NDArray[np.bool_]
     radius: float = _RADIUS
-    places: list[Place] = field(default_factory=list)
-    mouse: Place = (0.0, 0.0)
+    drag: list[Position] = field(default_factory=list)
+    mouse: Position = (0.0, 0.0)
     is_box: bool = False
     is_eraser: bool = False
     _shown: Highlight | None = None
@@ -110,21 +111,21 @@ class Painting:
         """An empty painting of the lift in a folder. Raises PlgsError."""
         return cls.of(read_corrected(folder).points.xyz)
 
-    def press(self, place: Place, *, is_box: bool, is_eraser: bool) -> None:
-        self.places, self.is_box, self.is_eraser = [place], is_box, is_eraser
+    def press(self, position: Position, *, is_box: bool, is_eraser: bool) -> None:
+        self.drag, self.is_box, self.is_eraser = [position], is_box, is_eraser
 
-    def move(self, place: Place) -> None:
+    def move(self, position: Position) -> None:
         """Follow the mouse; while its button is down, extend the stroke."""
-        self.mouse = place
-        if self.places:
-            self.places.append(place)
+        self.mouse = position
+        if self.drag:
+            self.drag.append(position)
 
     def release(self, to_view: NDArray[np.float64], size: tuple[int, int]) -> None:
         """End the drag and find its points at once, so the view may be turned before the next one."""
-        if self.places:
+        if self.drag:
             pick = boxed if self.is_box else painted
-            self.chosen[pick(self.xyz, to_view, size, self.places, self.radius)] = not self.is_eraser
-            self.places, self._shown = [], None
+            self.chosen[pick(self.xyz, to_view, size, self.drag, self.radius)] = not self.is_eraser
+            self.drag, self._shown = [], None
 
     def choose(self, xyz: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Which of a result's points [N, 3] were painted, bool [N]. Raises PlgsError if the points have changed."""
@@ -139,8 +140,8 @@ class Painting:
             self._shown = Highlight(("painted", self.chosen.tobytes()), self.xyz[self.chosen], _POINT)
         draw_mark(mark_of(self._shown, view, size, _COLOUR, _TINT))
         x, y = self.mouse
-        if self.is_box and self.places:
-            left, low = self.places[0]
+        if self.is_box and self.drag:
+            left, low = self.drag[0]
             draw_outline([(left, low), (x, low), (x, y), (left, y)], _COLOUR)
         else:
             turn = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
@@ -173,31 +174,28 @@ def painted(
     xyz: NDArray[np.float32],
     to_view: NDArray[np.float64],
     size: tuple[int, int],
-    stroke: Sequence[Place],
+    stroke: Sequence[Position],
     radius: float,
-) -> NDArray[np.bool_]:
-    """The ``visible`` points under a stroke, bool [N]. ``stroke`` and ``radius`` are the brush's positions and radius
-    in pixels."""
+) -> NDArray[np.int64]:
+    """Indices of the ``visible`` points under a stroke: the brush's positions and its radius, in pixels."""
     rows, pixel = visible(xyz, to_view, size)
     under = np.zeros(len(rows), bool)
-    for place in stroke:
-        under |= ((pixel - np.array(place)) ** 2).sum(axis=1) <= radius**2
-    return _chosen(rows[under], len(xyz))
+    for position in stroke:
+        under |= ((pixel - np.array(position)) ** 2).sum(axis=1) <= radius**2
+    return rows[under]
 
 
 def boxed(
-    xyz: NDArray[np.float32], to_view: NDArray[np.float64], size: tuple[int, int], drag: Sequence[Place], _: float = 0.0
-) -> NDArray[np.bool_]:
-    """The ``visible`` points in the rectangle between the ends of a drag, bool [N]."""
+    xyz: NDArray[np.float32],
+    to_view: NDArray[np.float64],
+    size: tuple[int, int],
+    drag: Sequence[Position],
+    _: float = 0.0,
+) -> NDArray[np.int64]:
+    """Indices of the ``visible`` points in the rectangle between the ends of a drag."""
     rows, pixel = visible(xyz, to_view, size)
     low, high = np.sort([drag[0], drag[-1]], axis=0)
-    return _chosen(rows[((pixel >= low) & (pixel <= high)).all(axis=1)], len(xyz))
-
-
-def _chosen(rows: NDArray[np.int64], count: int) -> NDArray[np.bool_]:
-    chosen = np.zeros(count, bool)
-    chosen[rows] = True
-    return chosen
+    return rows[((pixel >= low) & (pixel <= high)).all(axis=1)]
 
 
 class SplitByViews(Task):

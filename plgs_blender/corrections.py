@@ -159,16 +159,13 @@ def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> Non
     place_boxes(owned, child_collection(root, "Instances"), result.instances, anew=False)
     owned.sweep_only("class:", INSTANCE, TOGETHER, "anchors")
     lists = root.plgs
-    active = (
-        lists.instances[lists.instance_index].instance_id if 0 <= lists.instance_index < len(lists.instances) else 0
-    )
+    rows, at = lists.instances, lists.instance_index
+    active = rows[at].instance_id if 0 <= at < len(rows) else 0
     fill_lists(root, result, anew=False)
     fill_masks(root, result.instances, result.classes)
     if active in {row.instance_id for row in lists.instances}:
         select_instance(root, active, layer)
     remember(root, result)
-    if text_of(root, PROPOSALS):
-        keep_proposals(root, result)
 
 
 def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
@@ -190,9 +187,11 @@ def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
 
 
 def remember(root: bpy.types.Collection, result: LiftResult | CorrectedResult) -> None:
-    """Store in the collection which edits the scene shows."""
+    """Store in the collection which edits the scene shows, and what is proposed now, if proposals were asked for."""
     root[EDITS] = " ".join(each.uid for each in result.edits if not each.undone)
     root[CORRECTIONS] = result.fingerprint
+    if isinstance(result, CorrectedResult) and text_of(root, PROPOSALS):
+        keep_proposals(root, result)
 
 
 def chosen_instances(root: bpy.types.Collection, named: str, context: bpy.types.Context) -> list[int]:
@@ -236,8 +235,6 @@ def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
     if box is not None:
         name_box(box, made.name)
     remember(root, result)
-    if text_of(root, PROPOSALS):
-        keep_proposals(root, result)
     return made
 
 
@@ -276,15 +273,11 @@ def delete_around(root: bpy.types.Collection, instances: Sequence[int]) -> None:
     result = None
     try:
         for instance in instances:
-            made, result = _correct(root, partial(_delete_around, instance))
+            made, result = _correct(root, partial(lambda one, state, _: making.delete(state, one), instance))
             _mine.setdefault(str(folder_of(root)), set()).add(made.uid)
     finally:
         if result is not None:
             show_corrections(root, result)
-
-
-def _delete_around(instance: int, state: Replay, _: int) -> Edit:
-    return making.delete(state, instance)
 
 
 def accept(root: bpy.types.Collection, instances: Sequence[int]) -> Edit:

@@ -154,20 +154,16 @@ def place_of_root(root: bpy.types.Collection) -> ChosenScene:
     return ChosenScene.of(root[SCENE], **root.get(PLACE, {}))
 
 
-def has_picture(made: MadeFrame, what: str) -> bool:
-    """Whether an engine made the photo, depth or masks of a frame and the file still exists."""
-    path = _file_of(made, what)
-    return path is not None and path.is_file()
-
-
-def _file_of(made: MadeFrame, what: str) -> Path | None:
-    return {PHOTO: made.colour, DEPTH: made.depth, MASKS: made.masks}[what]
+def picture_file(made: MadeFrame, what: str) -> Path | None:
+    """The photo, depth or masks that an engine made of a frame, unless the file is gone."""
+    path = {PHOTO: made.colour, DEPTH: made.depth, MASKS: made.masks}[what]
+    return path if path is not None and path.is_file() else None
 
 
 def show_made(scene: bpy.types.Scene, ob: bpy.types.Object, what: str, made: MadeFrame) -> None:
     """Show the picture that an engine made of the camera's frame. Raises PlgsError if there is none."""
-    path = _file_of(made, what)
-    if path is None or not has_picture(made, what):
+    path = picture_file(made, what)
+    if path is None:
         raise PlgsError("no-pictures", f"has no {KIND_OF[what]}", ob["frame"], "Import the scene again.")
     owned = OwnedDataBlocks(root_of(scene, ob)[LIFT], scene)
     if what == PHOTO:
@@ -180,16 +176,12 @@ def show_made(scene: bpy.types.Scene, ob: bpy.types.Object, what: str, made: Mad
     if what == DEPTH and made.depth_range is not None:
         image[_NEAR], image[_FAR] = made.depth_range
     if what == MASKS:
-        image[_COLOURS] = _colours_in(image)
+        width, height = image.size
+        pixels = np.empty((height, width, 4), np.float32)
+        image.pixels.foreach_get(pixels.ravel())
+        # Areas of fewer than four pixels need no place in the legend.
+        image[_COLOURS] = np.unique(colour_numbers(pixels[::2, ::2, :3].reshape(-1, 3))).tolist()
     put_before(ob, image, what, 1.0)
-
-
-def _colours_in(image: bpy.types.Image) -> list[int]:
-    """The colours in an image as numbers. Areas of fewer than four pixels are left out, as a legend needs none."""
-    width, height = image.size
-    pixels = np.empty((height, width, 4), np.float32)
-    image.pixels.foreach_get(pixels.ravel())
-    return [*np.unique(colour_numbers(pixels[::2, ::2, :3].reshape(-1, 3))).tolist()]
 
 
 def colour_numbers(srgb: NDArray[np.floating]) -> NDArray[np.int32]:

@@ -17,28 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
-from ..engine.posed import Camera, ClassTable
+from ..engine.posed import Camera
 from ..engine.posed.ply import read_gaussians
 from ..engine.result_files import Instance
 from .boxes import INSTANCE, TOGETHER, place_boxes, place_together, shared_out
 from .cameras import overview_camera, place_camera, place_camera_path, place_frames
 from .clouds import SurfaceGrid, place_anchors, place_depth_clouds, place_semantic_points
 from .corrections import remember
+from .inspecting import looks
 from .inspecting.lists import fill_lists, fill_masks, fill_not_shown, registered
-from .inspecting.looks import (
-    PHOTO,
-    POINTS,
-    SHOWN_IN,
-    SPLATS,
-    SURFACE,
-    apply_catcher,
-    apply_colours,
-    apply_lit,
-    apply_look,
-    apply_show_as,
-    apply_visibility,
-    has,
-)
 from .inspecting.views import look_at_room
 from .meshes import ReadMeshes, placing_meshes, reading_meshes
 from .owned import (
@@ -139,8 +126,8 @@ def _placing_rest(read: ReadLift, placed: Placed) -> Generator[None, None, None]
     if read.meshes.parts and (found := placed.find()) is not None:
         leave_holes(found[0])
         with registered():
-            apply_lit(found[0])
-            apply_catcher(*found)
+            looks.apply_lit(found[0])
+            looks.apply_catcher(*found)
     for part in (_placing_splats, _placing_passes):
         found = placed.find()
         if found is None:
@@ -151,30 +138,25 @@ def _placing_rest(read: ReadLift, placed: Placed) -> Generator[None, None, None]
 
 def _objects_in_turn(result: LiftResult) -> Iterator[Callable[[bpy.types.Collection, bpy.types.Scene], None]]:
     """List the objects, place the boxes that were not placed at once, then list the masks."""
-    yield partial(_list_objects, result)
+    yield partial(_list, result)
     own, others = shared_out(result.instances)
     for at in range(_AT_ONCE, len(own), _AT_ONCE):
         yield partial(_place_late, place_boxes, own[at : at + _AT_ONCE])
     if others:
         yield partial(_place_late, place_together, others)
     if len(result.instances) > _AT_ONCE:
-        yield lambda root, scene: apply_visibility(root)
-        yield lambda root, scene: apply_colours(root)
+        yield lambda root, scene: looks.apply_visibility(root)
+        yield lambda root, scene: looks.apply_colours(root)
     masks = np.cumsum([1 + len(one.segments) for one in result.instances])
     for _, turn in groupby(enumerate(result.instances), key=lambda each: masks[each[0]] // _MASKS_AT_ONCE):
-        yield partial(_list_masks, [one for _, one in turn], result.classes)
+        own = [one for _, one in turn]
+        yield partial(lambda own, root, scene: fill_masks(root, own, result.classes), own)
 
 
-def _list_objects(result: LiftResult, root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
+def _list(result: LiftResult, root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
     fill_lists(root, result)
     fill_not_shown(root, result)
     leave_holes(root)
-
-
-def _list_masks(
-    instances: list[Instance], classes: ClassTable, root: bpy.types.Collection, scene: bpy.types.Scene
-) -> None:
-    fill_masks(root, instances, classes)
 
 
 def _place_late(
@@ -193,12 +175,21 @@ def _placing_splats(read: ReadLift, root: bpy.types.Collection, scene: bpy.types
     found = placed.find()
     if found is not None:
         root, scene = found
-        _choose_what_is_shown(root)
         with registered():
-            apply_visibility(root)
-            if root.plgs.look != PHOTO:
-                apply_look(root)
-            show_materials_in(scene)
+            lists = root.plgs
+            # What the user chose, else the first that there is.
+            chosen = [lists.show_as] if lists.is_property_set("show_as") else []
+            ways = (*chosen, looks.SURFACE, looks.SPLATS)
+            lists.show_as = next((kind for kind in ways if looks.has(root, kind)), looks.POINTS)
+            _show(root, scene)
+
+
+def _show(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
+    """Show what was placed in the way that its lists say."""
+    looks.apply_visibility(root)
+    if root.plgs.look != looks.PHOTO:
+        looks.apply_look(root)
+    show_materials_in(scene)
 
 
 def _placing_passes(read: ReadLift, root: bpy.types.Collection, scene: bpy.types.Scene) -> Iterator[None]:
@@ -271,13 +262,10 @@ def placing_meshes_anew(lift: Path, scene: bpy.types.Scene, *, asked: bool = Tru
     root, scene = found
     with registered():
         if count and (asked or not root.get(_WAS_ASKED)):
-            root.plgs.show_as = SURFACE
-        apply_visibility(root)
-        if root.plgs.look != PHOTO:
-            apply_look(root)
-        apply_lit(root)
-        apply_catcher(root, scene)
-        show_materials_in(scene)
+            root.plgs.show_as = looks.SURFACE
+        _show(root, scene)
+        looks.apply_lit(root)
+        looks.apply_catcher(root, scene)
     return count
 
 
@@ -285,9 +273,9 @@ def _hide_surface_until_whole(placed: Placed) -> None:
     """Hide the surface until all of it is placed, unless it is what is shown: it and the splats are never visible
     together."""
     if (found := placed.find()) is not None:
-        child_collection(found[0], SHOWN_IN[SURFACE])
+        child_collection(found[0], looks.SHOWN_IN[looks.SURFACE])
         with registered():
-            apply_show_as(found[0])
+            looks.apply_show_as(found[0])
 
 
 def place_depth_clouds_anew(lift: Path, scene: bpy.types.Scene) -> int:
@@ -390,22 +378,16 @@ def _dress(scene: bpy.types.Scene, root: bpy.types.Collection) -> None:
         look_at_room(root, overview, all_views())
 
 
-def _choose_what_is_shown(root: bpy.types.Collection) -> None:
-    """Keep the earlier choice, else show the first available of surface, splats and points."""
-    with registered():
-        lists = root.plgs
-        wanted = [lists.show_as] if lists.is_property_set("show_as") else []
-        lists.show_as = next((kind for kind in (*wanted, SURFACE, SPLATS) if has(root, kind)), POINTS)
-
-
 def show_lift_as(root: bpy.types.Collection, scene: bpy.types.Scene, kind: str) -> None:
     """Show a lift as POINTS, SPLATS or SURFACE. Splats are placed if they are missing, or are squares made by a Blender
     without native splats. Raises PlgsError if they cannot be placed or no meshes were made."""
-    if kind == SPLATS and (not has(root, SPLATS) or (are_outdated(root) and gaussians_of(root).is_file())):
+    if kind == looks.SPLATS and (
+        not looks.has(root, looks.SPLATS) or (are_outdated(root) and gaussians_of(root).is_file())
+    ):
         place_gaussians(root, scene)
-        apply_visibility(root)
-        apply_look(root)
-    if kind == SURFACE and not has(root, SURFACE):
+        looks.apply_visibility(root)
+        looks.apply_look(root)
+    if kind == looks.SURFACE and not looks.has(root, looks.SURFACE):
         raise PlgsError("no-meshes", "has no meshes yet", root.name, "Make them first: plgs.make_meshes.")
     root.plgs.show_as, root[_WAS_ASKED] = kind, True
     show_materials_in(scene)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import bpy
@@ -76,9 +77,13 @@ def placing_meshes(placed: Placed, result: LiftResult, read: ReadMeshes) -> Gene
         name = f"{one.name} mesh"  # boxes and points have just the names
         mesh = _fill(owned, keys[-1], name, surface)
         picture = read.pictures / f"{class_id}_{instance_id}.jpg"
-        has_picture = surface.uv is not None and picture.is_file()
-        shown = {"image": _image(owned, keys[-1], picture), "of": keys[-1]} if has_picture else {}
-        mesh.materials.append(surface_material(owned, **shown))
+        if surface.uv is not None and picture.is_file():
+            image = owned.block("images", keys[-1], partial(bpy.data.images.load, str(picture)))
+            image.filepath = str(picture)
+            image.reload()
+            mesh.materials.append(surface_material(owned, image=image, of=keys[-1]))
+        else:
+            mesh.materials.append(surface_material(owned))
         parent = child_collection(child_collection(root, "Meshes"), f"{kind.name} meshes")
         ob = owned.object(keys[-1], name, mesh, parent)
         ob.color = object_colour(one.colour)
@@ -94,14 +99,6 @@ def placing_meshes(placed: Placed, result: LiftResult, read: ReadMeshes) -> Gene
 def are_stale(root: bpy.types.Collection) -> bool:
     """Whether a lift was corrected since its meshes were made."""
     return text_of(root, _OF_MESHES) != text_of(root, CORRECTIONS)
-
-
-def _image(owned: OwnedDataBlocks, key: str, path: Path) -> bpy.types.Image:
-    """The current picture of our mesh `key`."""
-    image: bpy.types.Image = owned.block("images", key, lambda: bpy.data.images.load(str(path)))
-    image.filepath = str(path)
-    image.reload()
-    return image
 
 
 def _fill(owned: OwnedDataBlocks, key: str, name: str, part: LabelledSurface) -> bpy.types.Mesh:

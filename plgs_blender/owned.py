@@ -24,6 +24,8 @@ from .chosen_scene import absolute
 LIFT = "plgs_lift"
 KEY = "plgs_key"
 
+_OBJECT_TYPE = {"Camera": "CAMERA", "PointCloud": "POINTCLOUD", "Mesh": "MESH"}
+
 # Users stand before what they use: a background image is free only when its camera is gone.
 _DATA = ("cameras", "pointclouds", "meshes", "materials", "node_groups", "images", "actions")
 
@@ -101,7 +103,7 @@ class OwnedDataBlocks:
         """Our object `key` with this name and data. It goes into our collection `parent` if it is in no collection of
         the scene; if the user moved it to another, it stays there."""
         ob = self._objects.get(key)
-        if ob is None or ob.type != _object_type(data):
+        if ob is None or ob.type != _OBJECT_TYPE[type(data).__name__]:
             ob = bpy.data.objects.new(name, data)
             tag(ob, self.lift, key)
             self._objects[key] = ob
@@ -192,10 +194,6 @@ class OwnedDataBlocks:
         """Our objects in this scene or in none. A full copy of the scene keeps its copies of our objects."""
         ours = [ob for ob in bpy.data.objects if key_of(ob, self.lift) is not None]
         return [ob for ob in ours if ob in self._in_scene or not ob.users_scene]
-
-
-def _object_type(data: bpy.types.ID) -> str:
-    return {"Camera": "CAMERA", "PointCloud": "POINTCLOUD", "Mesh": "MESH"}[type(data).__name__]
 
 
 FOLDER, SCENE = "plgs_lift_folder", "plgs_scene_folder"

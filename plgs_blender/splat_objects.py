@@ -7,7 +7,7 @@ The mesh has only vertices: the points. A modifier turns each into a square, so 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, TypeVar
 
@@ -160,15 +160,13 @@ class Squares:
 
 def joined(parts: Sequence[Part]) -> Part:
     """Concatenates records of arrays [N, ...], and of such arrays by name."""
-    first: Any = parts[0]
-    columns: dict[str, Any] = {each.name: [getattr(part, each.name) for part in parts] for each in fields(first)}
-    for name, values in columns.items():
-        is_named = isinstance(values[0], Mapping)
-        columns[name] = (
-            {each: np.concatenate([part[each] for part in values]) for each in values[0]}
-            if is_named
-            else np.concatenate(values)
-        )
+    columns: dict[str, Any] = {}
+    for name in vars(parts[0]):
+        values = [getattr(part, name) for part in parts]
+        if isinstance(values[0], Mapping):
+            columns[name] = {each: np.concatenate([part[each] for part in values]) for each in values[0]}
+        else:
+            columns[name] = np.concatenate(values)
     return type(parts[0])(**columns)
 
 

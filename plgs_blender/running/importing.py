@@ -27,10 +27,10 @@ from ..frame_pictures import (
     DEPTH,
     KIND_OF,
     frames_folder,
-    has_picture,
     is_depth_current,
     made_before,
     photos,
+    picture_file,
     place_of_root,
     root_of,
     scene_of,
@@ -191,7 +191,7 @@ def show_picture(scene: bpy.types.Scene, shown_kind: str, *, asked: bool = True)
         show_photo(ob, OwnedDataBlocks(root[LIFT], scene), picture, asked=True)
         return None
     drawn = None if made is None else made.frames.get(ob["frame"])
-    if made is not None and drawn is not None and has_picture(drawn, shown_kind):
+    if made is not None and drawn is not None and picture_file(drawn, shown_kind) is not None:
         is_current = shown_kind == DEPTH and is_depth_current(made, ob["frame"])
         if is_current or engine_environment.engine_python() is None:
             show_made(scene, ob, shown_kind, drawn)
