@@ -40,16 +40,15 @@ BLEND_S = 600.0
 """Seconds that a command waits for its turn while others build the .blend of the same lift."""
 MOST_FRAMES = 1_000_000
 """The most frames of a shot."""
+_OF_A_CAMERA = ("blend", "camera", "shot", "replace", "camera_frames", "layers", "passes")
+"""Options of --bake camera only."""
 READER_GONE = 141
 """The shell's exit status of a command whose reader has ended, such as ``head``."""
 
 
 def load_package() -> None:
-    """Make the folder of this script importable as ``plgs``, whatever it is called.
-
-    The extension's own __init__ is for Blender's window: it registers operators and imports bpy, which a typing error
-    in the command line should not have to wait for.
-    """
+    """Make this script's folder importable as ``plgs``, whatever it is called."""
+    # Not by its own __init__: that imports bpy, for which a typing error in the command line should not have to wait.
     package = ModuleType("plgs")
     package.__path__ = [str(ROOT)]
     sys.modules.setdefault("plgs", package)
@@ -111,20 +110,18 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         "scene", type=Path, nargs="?", metavar="SCENE",
         help="folder or file of a capture, in one of the layouts of --format; needed except to bake a camera",
     )  # fmt: skip
-    parser.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="OUT", help="the lift folder to make; all results go there"
-    )
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT", help="the lift's folder")
     add_lift_options(parser, {"camera": "bake what a camera of a .blend sees of the finished lift, frame by frame"})
     shot = parser.add_argument_group("with --bake camera", "Several processes may bake one lift, each its own frames.")
     shot.add_argument("--blend", type=Path, metavar="FILE.blend", help="has the camera (default: the lift's own)")
     shot.add_argument("--camera", default="", metavar="NAME", help="the camera (default: the file's active one)")
     shot.add_argument(
-        "--shot", default="", metavar="NAME",
+        "--shot",
+        default="",
+        metavar="NAME",
         help="its files' name, also with {shot}, {camera}, {version:03d} (default: the .blend's and the camera's)",
     )
-    shot.add_argument(
-        "--replace", action="store_true", help="replace a shot of this name that has another file or camera"
-    )
+    shot.add_argument("--replace", action="store_true", help="replace a shot of this name from another file or camera")
     shot.add_argument(
         "--range", dest="camera_frames", type=frame_range, default=[], metavar="FRAMES",
         help="such as 1-250, 1-250:2, 1001 or 1001,1003 (default: the file's range)",
@@ -142,11 +139,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         help="where the scene of the lift in OUT is now, if it was moved; the lift remembers it",
     )  # fmt: skip
     parser.add_argument("--save", type=Path, metavar="FILE.blend", help="the .blend (default: OUT/lift.blend)")
-    parser.add_argument(
-        "--resume",
-        action="store_true",
-        help="continue the lift in OUT that was stopped or killed; start it if there is none",
-    )
+    parser.add_argument("--resume", action="store_true", help="continue the stopped lift in OUT, or start it")
     add_progress_option(parser)
     options = parser.parse_args(readable(arguments))
     options.bakes_camera = options.bake == "camera"
@@ -159,9 +152,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
             parser.error(f"without SCENE nothing is lifted: leave out {', '.join(given)}, or name SCENE")
     elif options.scene is None:
         parser.error("SCENE is needed, unless --bake camera bakes from a finished lift")
-    elif any((options.blend, options.camera, options.shot, options.replace)) or any(
-        (options.camera_frames, options.layers, options.passes)
-    ):
+    elif any(vars(options)[name] for name in _OF_A_CAMERA):
         parser.error("--blend, --camera, --shot, --replace, --range, --layers and --passes belong to --bake camera")
     return options
 
@@ -202,8 +193,11 @@ def lift_to_blend(options: argparse.Namespace, interrupts: Interrupts) -> int:
     blend = blend_path(options)
     refuse_no_blend(options.blend)
     if options.scene is None:
-        lift = finished_lift(options.output, options.relink, interrupts)
-        return bake_camera(lift, blend, options, interrupts)
+        lift = LiftFolder.open(options.output)
+        read_manifest(lift.result_path)
+        if options.relink is not None:
+            ask_engine(engine_python(), interrupts, "find-scene", lift.path, options.relink)
+        return bake_camera(LiftFolder.open(options.output), blend, options, interrupts)
     lift, code = lift_in_terminal(options, interrupts)
     if code != ExitCode.FINISHED:
         return code
@@ -220,15 +214,6 @@ def lift_to_blend(options: argparse.Namespace, interrupts: Interrupts) -> int:
     return code
 
 
-def finished_lift(folder: Path, scene: Path | None, interrupts: Interrupts) -> LiftFolder:
-    """The lift in a folder; its scene is at ``scene``, if given. Raises PlgsError."""
-    lift = LiftFolder.open(folder)
-    read_manifest(lift.result_path)
-    if scene is not None:
-        ask_engine(engine_python(), interrupts, "find-scene", lift.path, scene)
-    return LiftFolder.open(folder)
-
-
 def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, interrupts: Interrupts) -> ExitCode:
     """Bake the camera that the options name; the lift's own .blend then shows the passes. Raises PlgsError."""
     lift.refuse_read_only()
@@ -240,9 +225,8 @@ def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, inte
     passes = None if options.passes is None else options.passes.absolute()
     named = {"name": options.shot, "replace": options.replace, "output": passes}
     code = bake_shot_in_terminal(lift, options.blend or blend, *shot, interrupts, options.echo, **named)
-    if code != ExitCode.FINISHED:
-        return code
-    return build_blend(lift, blend) if options.blend is None and passes is None else code
+    shows_them = code == ExitCode.FINISHED and options.blend is None and passes is None
+    return build_blend(lift, blend) if shows_them else code
 
 
 def blend_path(options: argparse.Namespace) -> Path:
@@ -280,9 +264,7 @@ def is_blend(path: Path) -> bool:
 
 
 def build_blend(lift: LiftFolder, blend: Path) -> ExitCode:
-    """Make the .blend. An error becomes one line, and its details go to the log. The lift stays finished. Raises
-    PlgsError.
-    """
+    """Make the .blend. An unexpected error becomes one line, and its details go to the log. Raises PlgsError."""
     lift.refuse_read_only()
     print("Building the .blend ...", file=sys.stderr, flush=True)
     try:

@@ -142,19 +142,29 @@ class StartsTask(Explained):
         """Called for each new step while a script waits for the task."""
 
 
-class ChoosesFile(StartsTask):
-    """An operator whose button opens the file browser. A script passes the file and waits for the end."""
+class AsksFirst(StartsTask):
+    """An operator whose button asks for something. A script passes it and waits for the end."""
 
     was_invoked = False
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self.was_invoked = True
-        context.window_manager.fileselect_add(self)
-        return RUNNING
+        return self.ask(context.window_manager, event)
+
+    def ask(self, manager: bpy.types.WindowManager, event: bpy.types.Event) -> set[str]:
+        raise NotImplementedError
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
         return self.run(context, waits=not self.was_invoked)
+
+
+class ChoosesFile(AsksFirst):
+    """An operator whose button opens the file browser."""
+
+    def ask(self, manager: bpy.types.WindowManager, event: bpy.types.Event) -> set[str]:
+        manager.fileselect_add(self)
+        return RUNNING
 
 
 class CancelsTask(Explained):
@@ -165,7 +175,7 @@ class CancelsTask(Explained):
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        return None if registry.running(cls.cancelled_kind) else "Nothing is running that can be cancelled"
+        return None if registry.running(cls.cancelled_kind) else "There is nothing to cancel"
 
     @reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -200,4 +210,4 @@ def start_timer(operator: Any, context: bpy.types.Context, seconds: float) -> bp
 class OnLiftFolder:
     """An operator on a lift that its folder names."""
 
-    lift_folder: folder_argument("Lift Folder", "Empty: the panel's")
+    lift_folder: folder_argument("Lift Folder", "Folder of the lift; empty: the panel's")

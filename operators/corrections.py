@@ -369,7 +369,7 @@ class PLGS_OT_next_uncertain_frame(OnLift, bpy.types.Operator):
     def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str:
         frame, visited, frames = corrections.next_uncertain(root)
         views.look_from_frame(root, frame, context.scene, view_of(context)[0])
-        return f"Frame {one_line(frame)}, {visited} of {frames} looked at"
+        return f"Frame {one_line(frame)}, {visited} of {frames} visited"
 
 
 PLGS_OT_cancel_split = cancels(SplitByViews, "Stop reading the masks. An object that is not split yet stays whole")

@@ -15,6 +15,7 @@ from ..plgs_blender.running import adding
 from .base import (
     CANCELLED,
     FINISHED,
+    AsksFirst,
     Explained,
     StartsTask,
     argument,
@@ -105,7 +106,7 @@ class PLGS_OT_use_this_python(AsksEngine, bpy.types.Operator):
 
 
 class PLGS_OT_check_engine(AsksEngine, bpy.types.Operator):
-    """Check which version the engine has, and what it lacks"""
+    """Check the engine's version, and what it lacks"""
 
     bl_idname, bl_label = "plgs.check_engine", "Check"
 
@@ -128,24 +129,17 @@ class PLGS_OT_open_set_up_log(bpy.types.Operator):
         return FINISHED if bpy.app.background else bpy.ops.wm.path_open(filepath=str(log))
 
 
-class PLGS_OT_remove_engine(StartsTask, bpy.types.Operator):
+class PLGS_OT_remove_engine(AsksFirst, bpy.types.Operator):
     """Delete the environments that "Set Up Engine" made, and nothing else. A lift running in one would end"""
 
     bl_idname, bl_label = "plgs.remove_engine", "Remove Engine"
-    is_confirmed = False
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
         return None if tasks.running_set_up() is None else "The engine is being set up"
 
-    @reporting
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self.is_confirmed = True
-        return context.window_manager.invoke_confirm(self, event)
-
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        return self.run(context, waits=not self.is_confirmed)
+    def ask(self, manager: bpy.types.WindowManager, event: bpy.types.Event) -> set[str]:
+        return set(manager.invoke_confirm(self, event))
 
     def begin(self, context: bpy.types.Context) -> Task:
         return tasks.remove()

@@ -106,7 +106,7 @@ class PLGS_OT_toggle_instance_visibility(OnInstance, bpy.types.Operator):
 
 
 class PLGS_OT_isolate_instance(OnInstance, bpy.types.Operator):
-    """Show only this instance, framed; press again to show what was shown before"""
+    """Show only this instance, and frame it. Press again to go back"""
 
     bl_idname, bl_label, bl_options = "plgs.isolate_instance", "Isolate", {"REGISTER", "UNDO"}
 
@@ -184,7 +184,7 @@ class PLGS_OT_go_to_best_view(OnInstance, bpy.types.Operator):
 
 
 class PLGS_OT_go_to_mask(OnInstance, bpy.types.Operator):
-    """Look through the camera of the frame that this mask of the instance belongs to"""
+    """Look through the camera of this mask's frame"""
 
     bl_idname, bl_label, bl_options = "plgs.go_to_mask", "Go to Mask", {"REGISTER", "UNDO"}
 
@@ -210,8 +210,8 @@ class PLGS_OT_go_to_frame(OnLift, bpy.types.Operator):
 
 
 class PLGS_OT_make_objects(OnInstances, bpy.types.Operator):
-    """Turn each selected object into one mesh in its own collection, with its points hidden under it, to be moved and
-    used elsewhere. It leaves a hole in the lift"""
+    """Turn each selected object into a mesh in its own collection, which you can move and reuse. It leaves a hole in
+    the lift"""
 
     bl_idname, bl_label, bl_options = "plgs.make_objects", "Make Objects", {"REGISTER", "UNDO"}
 

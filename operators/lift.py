@@ -221,7 +221,7 @@ class PLGS_OT_open_log(OnLiftFolder, Acts, bpy.types.Operator):
 _FORMS = [(form, label, about) for form, (label, about) in exports.FORMS.items()]
 _FRAMES = [
     ("all", "All Frames", "Every frame; those that are not baked are rendered"),
-    ("test", "Test Frames", "The frames that were kept out of training, to check it"),
+    ("test", "Test Frames", "The frames held out of training, to check it"),
 ]
 
 
@@ -232,7 +232,7 @@ class Exports(OnLiftFolder, StartsTask):
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        return "Wait for the export that is running" if exports.is_busy() else why_no_engine()
+        return "An export is already running" if exports.is_busy() else why_no_engine()
 
     def lift_of(self, context: bpy.types.Context) -> str:
         """The folder of the named lift, else of the panel's lift, else of the placed one, else ""."""
@@ -265,7 +265,7 @@ class PLGS_OT_make_meshes(Exports, bpy.types.Operator):
     def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
         root = active_lift(context.scene, context.active_object)
         is_old = root is not None and has(root, SURFACE) and are_stale(root)
-        return "Make the surface again: it shows the state before the last corrections" if is_old else ""
+        return "Make the surface again: it is older than the last corrections" if is_old else ""
 
     def begin(self, context: bpy.types.Context) -> Task:
         lift = lifting.lift_at(context.scene.plgs, self.lift_of(context))

@@ -65,7 +65,7 @@ class PLGS_OT_make_masks(StartsTask, bpy.types.Operator):
 
 
 class PLGS_OT_make_poses(StartsTask, bpy.types.Operator):
-    """Find the poses of the scene's photos, or of a film's sharpest frames, with COLMAP, and write them beside it"""
+    """Find the poses of the scene's photos, or of a video's sharpest frames, with COLMAP, and write them beside it"""
 
     bl_idname, bl_label = "plgs.make_poses", "Find Poses"
 
@@ -120,7 +120,7 @@ class Measures(StartsTask):
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
         if registry.running(Diagnosis):
-            return why_no_folder(context) or "The engine is already measuring"
+            return why_no_folder(context) or "A diagnosis is already running"
         # A script waits for the engine's answer; a button is grey until there is one.
         return why_no_folder(context) or (None if panel_of(context) is None else why_no_engine())
 
@@ -163,7 +163,7 @@ class PLGS_OT_fix_scene(Measures, bpy.types.Operator):
     def report_outcome(self, context: bpy.types.Context, task: Task | None) -> set[str]:
         assert isinstance(task, Diagnosis)
         if task.is_running:
-            self.report({"INFO"}, f"An engine is writing {task.mended}")
+            self.report({"INFO"}, f"Writing the fixed copy to {task.mended}")
             return FINISHED
         if not task.is_mended:
             self.report({"ERROR"}, _NOTHING if task.error is None else with_field_names(task.error))
@@ -236,8 +236,8 @@ class PLGS_OT_leave_out(OnFinding, bpy.types.Operator):
             self.report({"WARNING"}, "There is no frame to leave out")
             return CANCELLED
         path, kept = leave_out(known, finding)
-        earlier = "" if kept is None else f"; the earlier file is {kept.name} beside it"
-        self.report({"INFO"}, f"{plural(len(finding.leave_out), 'frame')} left out by {path}{earlier}")
+        earlier = "" if kept is None else f". The earlier file is now {kept.name}"
+        self.report({"INFO"}, f"Left out {plural(len(finding.leave_out), 'frame')} in {path}{earlier}")
         return FINISHED
 
 
@@ -249,4 +249,4 @@ def _known(context: bpy.types.Context) -> Diagnosis | None:
 
 PLGS_OT_cancel_poses = cancels(PoseMaking, "Stop finding poses; nothing is written")
 PLGS_OT_cancel_masks = cancels(MaskMaking, "Stop making masks; finished masks are kept, and the next run continues")
-PLGS_OT_cancel_diagnosis = cancels(Diagnosis, "Stop measuring; your files do not change")
+PLGS_OT_cancel_diagnosis = cancels(Diagnosis, "Stop the diagnosis; your files do not change")

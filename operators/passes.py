@@ -33,7 +33,7 @@ from .inspect import OnClass, OnInstance
 
 _FRAMES = [
     ("all", "All Frames", "Bake every frame that has no passes yet"),
-    ("test", "Test Frames", "Bake the frames that were kept out of training, to check it"),
+    ("test", "Test Frames", "Bake the frames held out of training, to check it"),
     ("active", "Active Camera", "Bake the frame whose camera is the scene's active one"),
 ]
 _READ_S, _READ_EVERY_S = 0.04, 0.06
@@ -71,7 +71,7 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
     camera: text_argument("Camera", "Empty: the scene's active one")
     frame_start: argument(IntProperty, "Start", "First frame; not given: the scene's")
     frame_end: argument(IntProperty, "End", "Last frame; not given: the scene's")
-    frame_step: argument(IntProperty, "Step", "Not given: the scene's", min=1, default=1)
+    frame_step: argument(IntProperty, "Step", "Every n-th frame; not given: the scene's", min=1, default=1)
 
     shot: text_argument("Shot", "The name of its files; empty: the .blend's and the camera's")
     replace: argument(

@@ -29,7 +29,7 @@ class InView:
 class PLGS_OT_pick(InView, bpy.types.Operator):
     """Select what is under the mouse: an object by its name, points, splats or surface"""
 
-    bl_idname, bl_label, bl_options = "plgs.pick", "Select What Is Seen", {"UNDO", "INTERNAL"}
+    bl_idname, bl_label, bl_options = "plgs.pick", "Select Under Mouse", {"UNDO", "INTERNAL"}
 
     extend: argument(BoolProperty, "Extend", "Add to the selection, or remove from it")
 
@@ -86,7 +86,7 @@ def _lift_of(ob: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Collecti
 class PLGS_OT_point_at(InView, bpy.types.Operator):
     """Show the name of the object under the mouse"""
 
-    bl_idname, bl_label, bl_options = "plgs.point_at", "Name What Is Seen", {"INTERNAL"}
+    bl_idname, bl_label, bl_options = "plgs.point_at", "Name Under Mouse", {"INTERNAL"}
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         picked = picking.what_is_under(context, _middle_of(event))

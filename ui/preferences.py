@@ -21,6 +21,11 @@ _ICONS = {
 }
 
 
+def _ask_again(preferences: bpy.types.AddonPreferences, context: bpy.types.Context) -> None:
+    # Not a lambda in the annotation: Blender evaluates that, and its names would be unknown when it is called.
+    tasks.ask_chosen()
+
+
 class PLGS_AP_preferences(bpy.types.AddonPreferences):
     """Stored by Blender with its own preferences."""
 
@@ -29,7 +34,7 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
     engine_python: StringProperty(  # type: ignore[valid-type]
         name="Use This Python",
         subtype="FILE_PATH",
-        update=lambda _preferences, _context: tasks.ask_chosen(),
+        update=_ask_again,
         description="The Python that runs the engine. Empty: the one that 'Set Up Engine' made",
     )
     base_python: StringProperty(  # type: ignore[valid-type]

@@ -39,7 +39,7 @@ def test_what_cannot_be_done_says_why() -> None:
     assert not bpy.ops.plgs.set_up_engine.poll()
     with pytest.raises(RuntimeError, match="Allow online access in Preferences > System"):
         bpy.ops.plgs.set_up_engine()
-    with pytest.raises(RuntimeError, match="Nothing is running"):
+    with pytest.raises(RuntimeError, match="nothing to cancel"):
         bpy.ops.plgs.cancel_engine_set_up()
     with pytest.raises(RuntimeError, match="There is no log"):
         bpy.ops.plgs.open_set_up_log()
