@@ -24,7 +24,7 @@ from .compat import composite_without_gpu, show_stored_colours, use_nodes
 from .owned import KEY, LIFT, lifts_in
 from .timeline import places_of
 
-_VIEW_SENSOR = 72.0
+VIEW_SENSOR = 72.0
 """Sensor width of a 3D view in millimetres: twice that of a camera."""
 _LEFT_TO_VIEW = 0.6
 """Fraction of a 3D view's width that is left when a picture opens beside it."""
@@ -145,7 +145,7 @@ def own_view(scene: bpy.types.Scene) -> tuple[bpy.types.Area, Camera] | None:
     if not areas or any(area.spaces.active.region_3d.view_perspective == "CAMERA" for area in areas):
         return None
     space, window = areas[0].spaces.active, _free_of_sidebar(areas[0])[0]
-    view, focal = space.region_3d, max(window.width, window.height) * space.lens / _VIEW_SENSOR
+    view, focal = space.region_3d, max(window.width, window.height) * space.lens / VIEW_SENSOR
     if view.view_perspective != "PERSP":
         return None
     eye = view.view_location + view.view_rotation @ Vector((0.0, 0.0, view.view_distance))
@@ -182,7 +182,7 @@ def _place(
     local = (corners - middle) @ axes
     width, height = _FILLED * np.array([window.width, window.height]) / max(window.width, window.height)
     # A corner at (x, y) and z nearer than the location is seen at (x, y) / (distance - z), from -low to high.
-    low = np.array([width, height]) * _VIEW_SENSOR / 2.0 / space.lens
+    low = np.array([width, height]) * VIEW_SENSOR / 2.0 / space.lens
     high = low * [1.0 - 2.0 * covered, 1.0]
     most = (local[:, :2] + high * local[:, 2:]).max(axis=0)
     least = (local[:, :2] - low * local[:, 2:]).min(axis=0)

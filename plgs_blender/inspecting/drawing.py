@@ -1,4 +1,4 @@
-"""Drawing over 3D views with Blender's GPU module, and laying out labels at boxes and the legend, in pixels."""
+"""Draws over 3D views with Blender's GPU module, and lays out labels at boxes and the legend, in pixels."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ class Mark:
 
 @dataclass(frozen=True)
 class ViewRegion:
-    """A 3D view's region: `width` and `height` in pixels, the pixels that toolbars cover at the `left`, the matrix from
-    world to clip space, and the interface's scale."""
+    """A 3D view's region: its size and the width of toolbars at the `left` in pixels, the matrix from world to clip
+    space, and the interface's scale."""
 
     width: int
     height: int
@@ -58,8 +58,7 @@ class ViewRegion:
     def of(cls, context: bpy.types.Context) -> ViewRegion:
         region, area = context.region, context.area
         tools = next((each for each in area.regions if each.type == "TOOLS"), None)
-        covered = tools is not None and tools.x < region.x + tools.width and tools.x >= region.x
-        left = tools.width if tools is not None and covered else 0
+        left = tools.width if tools is not None and 0 <= tools.x - region.x < tools.width else 0
         scale = context.preferences.system.ui_scale
         return cls(region.width, region.height, left, context.region_data.perspective_matrix.copy(), scale)
 
@@ -71,8 +70,8 @@ class ViewRegion:
 
 @dataclass(frozen=True)
 class TextBox:
-    """A rectangle with a text. Its lower left corner, width, height and text size are in pixels, colours are sRGB 0..1.
-    A swatch of colour precedes the text unless `swatch` is None. `instance`: whose name it is, or 0."""
+    """A rectangle with a text and perhaps a `swatch` of colour before it; `instance` is whose name it is, or 0. Lengths
+    are in pixels, from the lower left corner; colours are sRGB 0..1."""
 
     x: float
     y: float
@@ -95,9 +94,8 @@ def label_text_boxes(
     hovered: int = 0,
     keep_free: Sequence[Rectangle] = (),
 ) -> list[TextBox]:
-    """Names above the boxes of instances, at most 8 and as many as fit: first the `active` one in its full colour, then
-    the one under the mouse, then those that look largest, known classes first. None covers another or a rectangle in
-    `keep_free`. An active box out of view has a label that says so."""
+    """Names above the boxes of instances, as many as `place_labels` allows: first the `active` one, then the one under
+    the mouse, then those that look largest, known classes first. An active box out of view has a label that says so."""
     size, padding = _TEXT * region.scale, _PADDING * region.scale
     height = size + 1.4 * padding
     found: list[tuple[tuple[bool, bool, bool, float], Any, str, tuple[float, float]]] = []
@@ -105,9 +103,13 @@ def label_text_boxes(
         box, name = boxes.get(row.instance_id), one_line(row.name)
         if box is None:
             continue
-        top = top_of(box)
+        corners = corners_of(box)
+        middle = sum(corners, Vector()) / 8.0
+        top = Vector((middle.x, middle.y, max(corner.z for corner in corners)))
         at, distance = region.pixel_of(top), (region.perspective @ Vector((*top, 1.0))).w
-        if row.instance_id == active and _is_out(box, region):
+        seen = [each for each in map(region.pixel_of, corners) if each is not None]
+        is_out = not any(0.0 <= x <= region.width and 0.0 <= y <= region.height for x, y in seen)
+        if row.instance_id == active and is_out:
             at, name = (region.left + 0.3 * region.width, 2.0 * height), f"{name} is out of view: Frame Selected"
         if at is not None:
             looks = max(box.dimensions) / max(distance, 1e-6)
@@ -135,12 +137,6 @@ def label_text_boxes(
     return text_boxes
 
 
-def _is_out(box: bpy.types.Object, region: ViewRegion) -> bool:
-    """Whether all corners of a box are outside the region."""
-    seen = [region.pixel_of(box.matrix_world @ Vector(corner)) for corner in box.bound_box]
-    return not any(at and 0.0 <= at[0] <= region.width and 0.0 <= at[1] <= region.height for at in seen)
-
-
 def place_labels(
     anchors: Sequence[tuple[float, float]],
     widths: Sequence[float],
@@ -148,9 +144,8 @@ def place_labels(
     space: tuple[float, float],
     keep_free: Sequence[Rectangle] = (),
 ) -> dict[int, tuple[float, float]]:
-    """The lower left corners of labels above their anchors [(x, y)], by label index, within a space (width, height),
-    all in pixels. Earlier labels win: one that would cover another or a rectangle in `keep_free`, or exceed the
-    maximum, is left out. Anchors outside the space get no label."""
+    """The lower left corners of labels above their anchors (x, y), by index, within a space (width, height), all in
+    pixels. None that would cover an earlier one or a rectangle in `keep_free`, or exceed the maximum, is kept."""
     placed: dict[int, tuple[float, float]] = {}
     taken, room = [*keep_free], _MOST_COVERED * space[0] * space[1]
     for index, ((x, y), width) in enumerate(zip(anchors, widths, strict=True)):
@@ -199,11 +194,9 @@ def is_rest(class_name: str) -> bool:
     return class_name.casefold().startswith("other")
 
 
-def top_of(box: bpy.types.Object) -> Vector:
-    """The centre of a box's upper face, in world metres."""
-    corners = [box.matrix_world @ Vector(corner) for corner in box.bound_box]
-    middle = sum(corners, Vector()) / 8.0
-    return Vector((middle.x, middle.y, max(corner.z for corner in corners)))
+def corners_of(box: bpy.types.Object) -> list[Vector]:
+    """A box's eight corners, in world metres."""
+    return [box.matrix_world @ Vector(corner) for corner in box.bound_box]
 
 
 def _text_width(text: str, size: float) -> float:
@@ -213,7 +206,7 @@ def _text_width(text: str, size: float) -> float:
 
 _PATH_COLOUR = (1.0, 0.78, 0.3, 0.9)
 _JUMP = 6.0
-"""A path breaks between frames that are more than this many times the usual distance apart."""
+"""A path breaks between frames that are this many times the usual distance apart."""
 
 _uploaded: list[tuple[NDArray[np.float32], gpu.types.GPUTexture]] = []
 """The last drawn pictures and their textures."""
@@ -222,7 +215,7 @@ _KEPT = 3
 
 
 def draw_outline(corners: Sequence[tuple[float, float]], colour: Colour) -> None:
-    """A closed line through corners in pixels, in this colour on a dark edge; nothing for fewer than three corners."""
+    """A closed line through at least three corners in pixels, in this colour with a dark edge."""
     if len(corners) < 3:
         return
     edges = [end for first in range(len(corners)) for end in (first, (first + 1) % len(corners))]
@@ -243,8 +236,7 @@ def draw_face(corners: Sequence[Vector], colour: tuple[float, float, float, floa
 
 
 def draw_path(points: Sequence[Vector]) -> None:
-    """A line through consecutive points in metres, hidden by nearer things. Steps much longer than usual are jumps to
-    another part of a recording and get no line."""
+    """A line through points in metres, hidden by nearer things. It breaks where a recording jumps to another part."""
     steps = [(end - start).length for start, end in pairwise(points)]
     longest = _JUMP * float(np.median(steps)) if steps else 0.0
     edges = [end for number, step in enumerate(steps) if step <= longest for end in (number, number + 1)]
@@ -268,7 +260,8 @@ def draw_mark(mark: Mark | None) -> None:
 def draw_picture(
     pixels: NDArray[np.float32], corners: Sequence[tuple[float, float] | None], blend: str = "NONE"
 ) -> None:
-    """A picture (float32 [H, W, 4], sRGB, lowest row first) over the upright rectangle with these corners in pixels."""
+    """A picture (float32 [H, W, 4], sRGB, lowest row first) over the upright rectangle with these corners in pixels;
+    nothing if one of them is behind the eye (None)."""
     seen = [corner for corner in corners if corner is not None]
     if len(seen) != len(corners):
         return
@@ -352,7 +345,7 @@ def _draw_lines(
 
 
 def brightened(colour: Colour) -> Colour:
-    """A highlight colour: three parts the hue at full brightness, one part white."""
+    """The colour at full brightness, mixed with a quarter of white."""
     strongest = max(*colour, 1e-3)
     red, green, blue = (0.25 + 0.75 * channel / strongest for channel in colour)
     return red, green, blue

@@ -1,7 +1,6 @@
 """Highlights in a 3D view: the outline of the selected instance, and that of a mask.
 
-A view is drawn many times, so points are read from Blender's data once per selection and the outline is computed once
-per view.
+Points are read once per selection, and an outline is computed once per view, because views are drawn often.
 """
 
 from __future__ import annotations
@@ -33,8 +32,7 @@ _CLOSED = 2
 
 @dataclass(frozen=True, eq=False)
 class Highlight:
-    """Points `xyz` float32 [N, 3] in world metres and their mean `radius` in metres. `key` identifies the instance and
-    clouds that they come from."""
+    """Points `xyz` float32 [N, 3] and their mean `radius` in world metres; `key` names their instance and clouds."""
 
     key: tuple[Any, ...]
     xyz: NDArray[np.float32]
@@ -48,17 +46,13 @@ _last_marks: list[Mark] = []
 def highlight_of(root: bpy.types.Collection, instance: int, visible: Any) -> Highlight:
     """The points of an instance in the clouds for which `visible(object)` is true."""
     clouds = [cloud for cloud in clouds_of(root) if visible(cloud)]
-    key = (root.session_uid, instance, *map(state_of, clouds))
+    states = [(cloud.data.session_uid, len(cloud.data.points), *map(tuple, cloud.matrix_world)) for cloud in clouds]
+    key = (root.session_uid, instance, *states)
     if not _last or _last[0].key != key:
         parts = [_points_of(cloud, instance) for cloud in clouds]
         xyz, radius = (np.concatenate([each[at] for each in parts]) if parts else np.zeros((0, 3)) for at in (0, 1))
         _last[:] = [Highlight(key, xyz.astype(np.float32), float(radius.mean()) if len(radius) else 0.0)]
     return _last[0]
-
-
-def state_of(cloud: bpy.types.Object) -> tuple[Any, ...]:
-    """A value that changes when a cloud's points move or are replaced."""
-    return cloud.data.session_uid, len(cloud.data.points), tuple(value for row in cloud.matrix_world for value in row)
 
 
 def forget() -> None:
@@ -78,8 +72,8 @@ def _points_of(cloud: bpy.types.Object, instance: int) -> tuple[NDArray[np.float
 
 
 def mark_of(seen: Highlight, view: Any, size: tuple[int, int], colour: Colour, tint: float = 0.1) -> Mark | None:
-    """The outline of points in a view (a RegionView3D) of `size` pixels, in an sRGB colour, filled with this opacity
-    `tint`; None if no point is in the view. Nearer things do not hide it, as with Blender's own outlines."""
+    """The outline of points in a view (a RegionView3D) of `size` pixels, in an sRGB colour, filled with opacity `tint`;
+    None if no point is in the view. Nearer things do not hide it, as with Blender's own outlines."""
     lens, looks = np.array(view.window_matrix, np.float32), np.array(view.view_matrix, np.float32)
     key = (seen.key, lens.tobytes(), looks.tobytes(), size, colour)
     for mark in _last_marks:
@@ -125,9 +119,8 @@ def _grown(mask: NDArray[np.bool_], times: int) -> NDArray[np.bool_]:
 def outline_in_space(
     camera: bpy.types.Object, outline: str, rectangle: tuple[float, float, float, float]
 ) -> list[list[Vector]]:
-    """The polygons of a mask's outline in a frame camera's picture, as world points one metre in front of the camera;
-    the mask's rectangle if the lift has no outlines. Both are as in `MatchedSegment`. Empty if the user removed the
-    lens properties from the camera."""
+    """The polygons of a mask's outline, or its rectangle if there is none (see `MatchedSegment`), as world points one
+    metre in front of a frame's camera. Empty if the user removed the lens properties from the camera."""
     if any(name not in camera for name in ("width", "height", "fx", "fy", "cx", "cy")):
         return []
 

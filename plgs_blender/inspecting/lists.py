@@ -1,13 +1,12 @@
-"""The lists of instances, their masks, and classes in a lift's collection, `collection.plgs`.
+"""The lists of instances, their masks, and classes in a lift's collection, `collection.plgs`, saved in the .blend.
 
-They are saved in the .blend and undone with it. Rows are copies of the result's instances.json, so panels and overlays
-never read a file.
+Rows are copies of the result's instances.json, so panels and overlays never read a file.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -29,41 +28,28 @@ from ...engine.result_files import Instance, MatchedSegment
 from ..lifecycle import register_modules, unregister_modules
 from ..materials import UNKNOWN
 from ..results import LiftResult
-from .looks import (
-    BY_CLASS,
-    INSTANCES,
-    PHOTO,
-    POINTS,
-    SPLATS,
-    SURFACE,
-    UNCERTAINTY,
-    apply_catcher,
-    apply_colours,
-    apply_lit,
-    apply_look,
-    apply_show_as,
-    apply_visibility,
-    size_cameras,
-)
+from . import looks
 from .selection import renaming, select_row
 
 WAYS_TO_SHOW = [
-    (POINTS, "Points", "The semantic points"),
-    (SPLATS, "Splats", "The Gaussians of the lifted model"),
-    (SURFACE, "Surface", "Meshes, one for each instance and each stuff class"),
+    (looks.POINTS, "Points", "The semantic points"),
+    (looks.SPLATS, "Splats", "The Gaussians of the lifted model"),
+    (looks.SURFACE, "Surface", "Meshes, one for each instance and each stuff class"),
 ]
-NO_COST, NO_AGREEMENT = 1.0, -1.0
-"""Values of a mask's `cost` and `agreement` that mean "none"."""
 
 
-def _update_visibility(row: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
-    apply_visibility(row.id_data)
+Update = Callable[[bpy.types.PropertyGroup, bpy.types.Context], None]
+
+
+def _applying(apply: Callable[[bpy.types.Collection], None]) -> Update:
+    """Called after a property has changed: ``apply`` it to its lift's collection."""
+    return lambda changed, _context: apply(changed.id_data)
 
 
 def _update_colours(row: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
-    apply_colours(row.id_data)
-    if row.id_data.plgs.look in (BY_CLASS, INSTANCES):
-        apply_look(row.id_data)
+    looks.apply_colours(row.id_data)
+    if row.id_data.plgs.look in (looks.BY_CLASS, looks.INSTANCES):
+        looks.apply_look(row.id_data)
 
 
 def _update_name(row: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
@@ -72,52 +58,31 @@ def _update_name(row: bpy.types.PropertyGroup, _context: bpy.types.Context) -> N
 
 
 def _update_look(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
-    apply_look(lists.id_data)
-    apply_colours(lists.id_data)
+    looks.apply_look(lists.id_data)
+    looks.apply_colours(lists.id_data)
 
 
 def _update_selection(lists: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
     select_row(lists.id_data, context.view_layer)
 
 
-def _update_show_as(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
-    apply_show_as(lists.id_data)
-
-
-def _update_lit(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
-    apply_lit(lists.id_data)
-
-
 def _update_catcher(lists: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
-    apply_catcher(lists.id_data, context.scene)
-
-
-def _update_cameras(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
-    size_cameras(lists.id_data, lists.show_cameras)
+    looks.apply_catcher(lists.id_data, context.scene)
 
 
 class PLGS_PG_mask(bpy.types.PropertyGroup):
-    """One mask that was matched to an instance. `rectangle` and `outline` are as in `MatchedSegment`."""
+    """One mask that was matched to an instance. `rectangle` and `outline`: see `MatchedSegment`."""
 
     frame: StringProperty(name="Frame")
     segment: IntProperty(name="Segment", description="Id of the segment in the frame's mask")
     class_id: IntProperty(name="Class id")
-    class_name: StringProperty(name="Class", description="The class that this mask gave it")
-    score: FloatProperty(name="Score", description="How sure the mask was, 0 to 1")
-    cost: FloatProperty(
-        name="Cost", default=NO_COST,
-        description="Cost of the match by boxes, -1.5 (the same box) to 0; 1 when it was not matched by boxes",
-    )  # fmt: skip
-    agreement: FloatProperty(
-        name="View agreement", default=NO_AGREEMENT,
-        description="Share of the views' judgements that put it together with the instance's other masks; "
-        "-1 when views did not decide",
-    )  # fmt: skip
+    class_name: StringProperty(name="Class", description="The class that the mask says")
+    score: FloatProperty(name="Score", description="The mask's confidence, 0 to 1")
     pixels: IntProperty(name="Pixels", description="Pixels with depth, at the size of the lift")
-    share: FloatProperty(name="Share", description="Share of the picture's pixels")
+    share: FloatProperty(name="Share", description="Fraction of the picture's pixels")
     rectangle: FloatVectorProperty(name="Rectangle", size=4)
     outline: StringProperty(name="Outline")
-    reason: StringProperty(name="Why", description="Why it was matched, in words")
+    reason: StringProperty(name="Why", description="Why it was matched")
 
 
 class PLGS_PG_instance(bpy.types.PropertyGroup):
@@ -130,18 +95,21 @@ class PLGS_PG_instance(bpy.types.PropertyGroup):
     class_name: StringProperty(name="Class")
     colour: FloatVectorProperty(
         name="Colour", subtype="COLOR_GAMMA", size=3, min=0.0, max=1.0, update=_update_colours,
-        description="Colour of its box and of its points when it is selected",
+        description="Colour of its box, and of its points when it is selected",
     )  # fmt: skip
     points: IntProperty(name="Points", description="Semantic points that belong to it")
-    views: IntProperty(name="Views", description="Frames in which a mask saw it")
+    views: IntProperty(name="Views", description="Frames with a mask of it")
     score: FloatProperty(name="Score", description="Mean score of its masks, 0 to 1")
     visible: BoolProperty(
-        name="Visible", default=True, update=_update_visibility, description="Show its box, points and anchors"
+        name="Visible",
+        default=True,
+        update=_applying(looks.apply_visibility),
+        description="Show its box, points and anchors",
     )
     masks: CollectionProperty(type=PLGS_PG_mask)
     mask_index: IntProperty(name="Mask", default=-1)
     best_mask: IntProperty(
-        name="Best mask", default=-1, description="The mask that sees most of it; -1 when masks are not known"
+        name="Best mask", default=-1, description="The mask that shows most of it; -1 if masks are not known"
     )
 
 
@@ -152,13 +120,16 @@ class PLGS_PG_class(bpy.types.PropertyGroup):
     class_id: IntProperty(name="Id")
     colour: FloatVectorProperty(
         name="Colour", subtype="COLOR_GAMMA", size=3, min=0.0, max=1.0, update=_update_colours,
-        description="Colour of its points, and of its boxes when these are coloured by class",
+        description="Colour of its points, and of its boxes if they are coloured by class",
     )  # fmt: skip
     points: IntProperty(name="Points")
     score: FloatProperty(name="Score", description="Mean confidence of its points, 0 to 1")
     is_thing: BoolProperty(name="Thing", description="Whether it has instances")
     visible: BoolProperty(
-        name="Visible", default=True, update=_update_visibility, description="Show its points, anchors and boxes"
+        name="Visible",
+        default=True,
+        update=_applying(looks.apply_visibility),
+        description="Show its points, anchors and boxes",
     )
 
 
@@ -184,43 +155,43 @@ class PLGS_PG_lift(bpy.types.PropertyGroup):
         name="Search", options={"TEXTEDIT_UPDATE"}, description="Show only classes whose names contain these words"
     )
     isolated: IntProperty(
-        name="Shown alone", default=0, update=_update_visibility,
-        description="Id of the only instance that is shown; 0: all are shown",
+        name="Shown alone", default=0, update=_applying(looks.apply_visibility),
+        description="Id of the only instance shown; 0: all are shown",
     )  # fmt: skip
     look: EnumProperty(
         name="Colours", update=_update_look, description="What the colours in the view mean",
         items=[
-            (PHOTO, "Photo", "The colours of the photos; boxes in the colours of their instances"),
-            (BY_CLASS, "Classes", "The colours of the classes, boxes too"),
-            (INSTANCES, "Instances", "Each instance in its own colour, everything else grey"),
-            (UNCERTAINTY, "Uncertainty", "Bright where the frames were not sure of the class"),
+            (looks.PHOTO, "Photo", "The photos' colours; boxes have the colours of their instances"),
+            (looks.BY_CLASS, "Classes", "The classes' colours, also for boxes"),
+            (looks.INSTANCES, "Instances", "Each instance in its own colour, everything else grey"),
+            (looks.UNCERTAINTY, "Uncertainty", "Bright where the class is uncertain"),
         ],
     )  # fmt: skip
     show_as: EnumProperty(
-        name="Show As", update=_update_show_as, description="How the lift is shown",
+        name="Show As", update=_applying(looks.apply_show_as), description="How the lift is shown",
         items=WAYS_TO_SHOW,
     )  # fmt: skip
     lit: BoolProperty(
-        name="Lit", update=_update_lit,
-        description="Let the scene's lights light the surface, not the photos' own",
+        name="Lit", update=_applying(looks.apply_lit),
+        description="Light the surface with the scene's lights instead of those in the photos",
     )  # fmt: skip
     catch_shadows: BoolProperty(
         name="Catch Shadows", update=_update_catcher,
-        description="Let the surface show nothing but shadows and reflections of other objects, to render them over a "
-        "photo or a baked frame. EEVEE takes the strongest light as it is now",
+        description="Show only shadows and reflections of other objects on the surface, to render them over a photo "
+        "or a baked frame. EEVEE uses the light that is strongest now",
     )  # fmt: skip
     show_cameras: BoolProperty(
-        name="Cameras", update=_update_cameras,
+        name="Cameras", update=_applying(looks.size_cameras),
         description="Draw the frames' cameras and their path",
     )  # fmt: skip
     show_labels: BoolProperty(name="Labels", default=True, description="Draw the instances' names over the view")
     show_legend: BoolProperty(name="Legend", description="Draw the classes and their colours over the view")
     show_selected: BoolProperty(
-        name="Outline Selected", default=True, description="Outline the selected instance, unless it stands alone"
+        name="Outline Selected", default=True, description="Outline the selected instance, unless it is isolated"
     )
     show_boxes: BoolProperty(
-        name="All Boxes", update=_update_visibility,
-        description="Draw the boxes of all instances, not just of the selected ones",
+        name="All Boxes", update=_applying(looks.apply_visibility),
+        description="Draw the boxes of all instances, not only of the selected ones",
     )  # fmt: skip
 
 
@@ -230,8 +201,7 @@ PROPERTIES = ((bpy.types.Collection, "plgs", PLGS_PG_lift),)
 
 @contextmanager
 def registered() -> Iterator[None]:
-    """Register `collection.plgs` for a while if the extension is disabled, as in scripts. Written data stays in the
-    file."""
+    """Register `collection.plgs` temporarily if the extension is disabled. Data written to it stays in the file."""
     if hasattr(bpy.types.Collection, "plgs"):
         yield
         return
@@ -243,10 +213,9 @@ def registered() -> Iterator[None]:
 
 
 def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult, *, anew: bool = True) -> None:
-    """List the instances, whose masks are filled in later, and the classes in the lift's collection. Listed ``anew``,
-    all are visible. Otherwise unchanged instances keep their rows, because listing thousands takes long, and hidden
-    ones stay hidden."""
-    with registered(), apply_colours.at_once(root), apply_visibility.at_once(root):
+    """List a result's classes and instances, whose masks are filled in later. Listed ``anew``, all are visible; else
+    unchanged instances keep their rows and stay hidden, because listing thousands takes long."""
+    with registered(), looks.apply_colours.at_once(root), looks.apply_visibility.at_once(root):
         lists = root.plgs
         if anew:
             lists.instances.clear()
@@ -259,41 +228,38 @@ def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult,
         scores = np.bincount(rows, np.nan_to_num(points.confidence), len(ids)) / np.maximum(counts, 1)
         for class_id, count, score in zip(ids.tolist(), counts.tolist(), scores.tolist(), strict=True):
             _fill_class(lists.classes.add(), class_id, count, score, result.classes)
-        size_cameras(root, lists.show_cameras)
-        apply_show_as(root)
-        if lists.look != PHOTO:
-            apply_look(root)
+        looks.size_cameras(root)
+        looks.apply_show_as(root)
+        if lists.look != looks.PHOTO:
+            looks.apply_look(root)
 
 
 def _fill_instances(rows: Any, instances: Sequence[Instance]) -> None:
     """Fill rows, which may hold other instances, with these, sorted by id."""
     wanted, before = {one.id for one in instances}, [row.instance_id for row in rows]
-    if before != sorted({*before}):  # somebody else's file
+    if before != sorted({*before}):  # a file that another program changed
         rows.clear()
         before.clear()
-    for place in [place for place, number in enumerate(before) if number not in wanted][::-1]:
-        rows.remove(place)
-    known = {row.instance_id: _facts_of_row(row) for row in rows}
-    for place, one in enumerate(instances):
+    for index in [index for index, number in enumerate(before) if number not in wanted][::-1]:
+        rows.remove(index)
+    known = {
+        row.instance_id: _facts(row, row.score, [(mask.frame, mask.segment) for mask in row.masks]) for row in rows
+    }
+    for index, one in enumerate(instances):
         if one.id not in known:
             _fill_instance(rows.add(), one)
-            rows.move(len(rows) - 1, place)
-        elif known[one.id] != _facts_of(one):
-            rows[place].masks.clear()
-            rows[place].mask_index = -1
-            _fill_instance(rows[place], one)
+            rows.move(len(rows) - 1, index)
+            continue
+        score = float(np.float32(one.score))  # as Blender stores it
+        if known[one.id] != _facts(one, score, [(mask.frame, mask.segment_id) for mask in one.segments]):
+            rows[index].masks.clear()
+            rows[index].mask_index = -1
+            _fill_instance(rows[index], one)
 
 
-def _facts_of_row(row: Any) -> tuple[Any, ...]:
-    """The contents of an instance's row, in the form of ``_facts_of``."""
-    masks = [(mask.frame, mask.segment) for mask in row.masks]
-    return row.name, row.class_id, row.points, row.views, row.score, masks
-
-
-def _facts_of(one: Instance) -> tuple[Any, ...]:
-    """What an instance's row should contain; numbers are float32, as in Blender."""
-    masks = [(mask.frame, mask.segment_id) for mask in one.segments]
-    return one.name, one.class_id, one.points, one.views, float(np.float32(one.score)), masks
+def _facts(one: Any, score: float, masks: list[tuple[str, int]]) -> tuple[Any, ...]:
+    """What an instance or its row says, for comparison."""
+    return one.name, one.class_id, one.points, one.views, score, masks
 
 
 def fill_masks(root: bpy.types.Collection, instances: Iterable[Instance], classes: ClassTable) -> None:
@@ -315,15 +281,10 @@ def fill_not_shown(root: bpy.types.Collection, result: LiftResult) -> None:
 
 
 def best_view(masks: Sequence[MatchedSegment]) -> int:
-    """The index of the mask with the best view of an instance: the one with the largest share of its picture. Masks cut
-    off by the picture's edge count half. The first of equals; -1 if shares are unknown."""
-    worth = [mask.share * (0.5 if _is_cut_off(mask) else 1.0) for mask in masks]
+    """The index of the mask that covers most of its picture; -1 if unknown. Masks cut off by its edge count half."""
+    is_cut_off = [min(mask.rectangle) <= 0.0 or max(mask.rectangle) >= 1.0 for mask in masks]
+    worth = [mask.share * (0.5 if cut_off else 1.0) for mask, cut_off in zip(masks, is_cut_off, strict=True)]
     return int(np.argmax(worth)) if worth and max(worth) > 0.0 else -1
-
-
-def _is_cut_off(mask: MatchedSegment) -> bool:
-    left, top, right, bottom = mask.rectangle
-    return left <= 0.0 or top <= 0.0 or right >= 1.0 or bottom >= 1.0
 
 
 def _reason(mask: MatchedSegment) -> str:
@@ -350,8 +311,6 @@ def _fill_masks(row: Any, instance: Instance, classes: ClassTable) -> None:
         each.frame, each.segment, each.class_id = mask.frame, mask.segment_id, mask.class_id
         each.class_name = classes[mask.class_id].name if mask.class_id in classes else "unknown"
         each.score, each.pixels, each.share = mask.score, mask.pixels, mask.share
-        each.cost = NO_COST if mask.cost is None else mask.cost
-        each.agreement = NO_AGREEMENT if mask.agreement is None else mask.agreement
         each.rectangle, each.outline, each.reason = mask.rectangle, mask.outline, _reason(mask)
 
 

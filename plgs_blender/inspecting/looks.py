@@ -1,9 +1,8 @@
 """Which parts of a lift are shown, how, and in which colours.
 
-Everything is drawn with the attribute Col. While Col shows something else, the photos' colours are kept in the
-attribute `photo`, so materials, Solid shading and renders need only one attribute. Boxes and the points of a class are
-objects with their own visibility and colour. An instance's points are part of its class's cloud: they carry the
-attribute `plgs_hidden`, and a modifier, present only while something is hidden, removes them from views and renders.
+Materials, Solid shading and renders draw the attribute Col. While Col shows something else, the attribute `photo` keeps
+the photos' colours. Boxes, and the points of a class, are objects with their own visibility and colour. The points of
+an instance are part of its class's cloud; the attribute `plgs_hidden` marks hidden ones, and a modifier removes them.
 """
 
 from __future__ import annotations
@@ -34,13 +33,13 @@ SHOWN_IN = {POINTS: "Semantic points", SPLATS: "Gaussians", SURFACE: "Meshes"}
 COLOUR, KEPT = "Col", "photo"
 
 _GREY = np.array([0.3, 0.6, 0.1], np.float32)
-"""Channel weights of the grey for points that are not of an instance."""
+"""Channel weights of the grey of points that belong to no instance."""
 _RAMP = np.array([[0.02, 0.03, 0.09], [0.45, 0.05, 0.25], [1.0, 0.75, 0.15]], np.float32)
 """Linear colours at confidence 1, 0.5 and 0."""
 SURENESS = (("sure", (0.15, 0.19, 0.33)), ("in doubt", (0.7, 0.25, 0.54)), ("unknown", (1.0, 0.88, 0.42)))
 """The legend of these colours, in sRGB."""
 _CELL = 0.1
-"""Metres: surfaces and splats take the confidence of the points in their cell of this side."""
+"""Side in metres of the cells in which surfaces and splats take the confidence of points."""
 
 
 def apply_look(root: bpy.types.Collection) -> None:
@@ -49,20 +48,14 @@ def apply_look(root: bpy.types.Collection) -> None:
     objects = [ob for ob in objects_by_key(root).values() if ob.type in ("POINTCLOUD", "MESH")]
     coloured = [ob for ob in objects if {COLOUR, "class_id"} <= {*ob.data.attributes.keys()}]
     sure = _Sureness(coloured) if look == UNCERTAINTY else None
-    palette = {}
-    if look in (BY_CLASS, INSTANCES):
-        rows, name = (root.plgs.classes, "class_id") if look == BY_CLASS else (root.plgs.instances, "instance_id")
-        palette = {getattr(row, name): linear_rgba([round(255.0 * channel) for channel in row.colour]) for row in rows}
+    rows, name = (root.plgs.classes, "class_id") if look == BY_CLASS else (root.plgs.instances, "instance_id")
+    palette = {getattr(row, name): linear_rgba([round(255.0 * channel) for channel in row.colour]) for row in rows}
     for ob in coloured:
-        photo = _photo(ob.data)
-        if look == BY_CLASS:
-            colours = _by_id(ids_of(ob.data, "class_id"), palette, photo)
-        elif look == INSTANCES:
-            colours = _by_id(ids_of(ob.data, "instance_id"), palette, photo)
+        colours = photo = _photo(ob.data)
+        if look in (BY_CLASS, INSTANCES):
+            colours = _by_id(ids_of(ob.data, name), palette, photo)
         elif sure is not None:
             colours = sure.colours(ob)
-        else:
-            colours = photo
         values = np.ascontiguousarray(colours, np.float32).ravel()
         ob.data.attributes[COLOUR].data.foreach_set("color", values)
         dye(ob.data)
@@ -74,13 +67,12 @@ def apply_look(root: bpy.types.Collection) -> None:
 
 
 def apply_lit(root: bpy.types.Collection) -> None:
-    """Light the lift's meshes by the scene's lights or by the photos alone, as its `lit` says."""
+    """Light the lift's meshes with the scene's lights or only with the photos', as its `lit` says."""
     _set_in_materials(root, LIT, root.plgs.lit)
 
 
 def apply_catcher(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
-    """Make the lift's meshes shadow catchers or visible, as its `catch_shadows` says. Catchers are for compositing over
-    another picture, so the background becomes transparent."""
+    """Make the lift's meshes shadow catchers, with a transparent background, or visible, as `catch_shadows` says."""
     catcher = catcher_material(OwnedDataBlocks(root[LIFT], scene), scene) if root.plgs.catch_shadows else None
     for key, ob in objects_by_key(root).items():
         if key.startswith("mesh:") and (catcher is not None or ob.is_shadow_catcher):
@@ -163,6 +155,7 @@ class _Sureness:
 
 
 def _confidence(data: Any) -> NDArray[np.float32]:
+    """The confidence of a cloud's points, float32 [N], 0..1."""
     values = np.empty(len(data.attributes["confidence"].data), np.float32)
     data.attributes["confidence"].data.foreach_get("value", values)
     return np.clip(np.nan_to_num(values), 0.0, 1.0)
@@ -182,7 +175,7 @@ def _cells(xyz: NDArray[np.float32]) -> NDArray[np.int64]:
 
 
 _CRUMBS = 0.1
-"""Fraction of its box's sides by which an isolated instance may extend beyond the box."""
+"""Fraction of a box's sides by which an isolated instance may extend beyond it."""
 HIDDEN = "plgs_hidden"
 MODIFIER = "Hidden instances"
 _GROUP = "hidden instances"
@@ -191,8 +184,7 @@ _WIRES, _DOTS = 0.15, 0.01
 
 
 class _OnceForMany:
-    """Decorates functions that update a lift's objects from its lists: within `at_once` they run only once, at the
-    end."""
+    """Decorates functions that update a lift's objects from its lists: within `at_once` they run once, at the end."""
 
     def __init__(self, apply: Callable[[bpy.types.Collection], None]) -> None:
         self._apply = apply
@@ -244,8 +236,7 @@ def _is_crumb(ob: bpy.types.Object, box: bpy.types.Object) -> NDArray[np.bool_]:
 
 @_OnceForMany
 def apply_colours(root: bpy.types.Collection) -> None:
-    """Colour the clouds by their classes, and the boxes by instance unless the lift's `look` is by class. Solid shading
-    and renders both show the objects' colours."""
+    """Give clouds the colours of their classes, and boxes those of their instances, or classes if the `look` is so."""
     lists = root.plgs
     of_class = {row.class_id: _box_colour(row.colour) for row in lists.classes}
     for cloud in clouds_of(root):
@@ -265,9 +256,9 @@ def _box_colour(srgb: bpy.types.bpy_prop_array) -> tuple[float, float, float, fl
     return object_colour((red, green, blue))
 
 
-def size_cameras(root: bpy.types.Collection, large: bool) -> None:
-    """Draw the frames' cameras and the moving one large, or so small that they do not look like dirt on the floor. They
-    are not hidden, because a hidden camera shows no photo."""
+def size_cameras(root: bpy.types.Collection) -> None:
+    """Draw the frames' cameras and the moving one, or make them tiny. A hidden camera would show no photo."""
+    large = root.plgs.show_cameras
     for key, ob in objects_by_key(root).items():
         if ob.type == "CAMERA" and (key == PATH or key.startswith("frame:")):
             ob.data.display_size = _WIRES if large else _DOTS
@@ -275,8 +266,7 @@ def size_cameras(root: bpy.types.Collection, large: bool) -> None:
 
 
 def isolate(root: bpy.types.Collection, instance: int = 0) -> None:
-    """Show only one instance (0: the list's active one) or, if it is already isolated, what was shown before. Raises
-    PlgsError."""
+    """Show only one instance (0: the list's active one), or all if it is already isolated. Raises PlgsError."""
     number = row_of(root, instance).instance_id
     root.plgs.isolated = 0 if root.plgs.isolated == number else number
 
@@ -316,19 +306,15 @@ def instances_left_out(lists: bpy.types.PropertyGroup, instances: Collection[int
 
 
 def _show_object(ob: bpy.types.Object, shown: bool | None) -> None:
-    """Show or hide an object in all its scenes and, unless it is a box, in renders. None: show it where it is
-    selected."""
+    """Show or hide an object in all scenes and, unless it is a box, in renders. None: show it where it is selected."""
     not_rendered = not shown or text_of(ob, KEY).startswith((INSTANCE, TOGETHER))
     if ob.hide_render != not_rendered:
         ob.hide_render = not_rendered
-    for scene in bpy.data.scenes:
-        for layer in scene.view_layers:
-            if layer.objects.get(ob.name) != ob:
-                continue
-            wanted = ob.select_get(view_layer=layer) if shown is None else shown
-            # Hiding an object makes Blender look through all others, so that of thousands it takes seconds.
-            if ob.hide_get(view_layer=layer) == wanted:
-                ob.hide_set(not wanted, view_layer=layer)
+    layers = [layer for scene in bpy.data.scenes for layer in scene.view_layers if layer.objects.get(ob.name) == ob]
+    for layer in layers:
+        wanted = ob.select_get(view_layer=layer) if shown is None else shown
+        if ob.hide_get(view_layer=layer) == wanted:  # hiding makes Blender look through all objects
+            ob.hide_set(not wanted, view_layer=layer)
 
 
 def _hide_points(root: bpy.types.Collection, cloud: bpy.types.Object, hidden: NDArray[np.bool_]) -> None:
@@ -348,20 +334,16 @@ def _hide_points(root: bpy.types.Collection, cloud: bpy.types.Object, hidden: ND
     if modifier.node_group is None:
         # Geometry nodes lose the materials of point clouds; those of meshes stay.
         material = next(iter(cloud.data.materials), None) if cloud.type == "POINTCLOUD" else None
-        modifier.node_group = _node_group(root[LIFT], _GROUP if material else f"{_GROUP} of meshes", material)
-
-
-def _node_group(lift: str, key: str, material: bpy.types.Material | None) -> bpy.types.NodeTree:
-    """The lift's node group that deletes points whose attribute `plgs_hidden` is true and sets a material."""
-    for tree in bpy.data.node_groups:
-        if key_of(tree, lift) == key:
-            return tree
-    tree = _new_group(material)
-    tag(tree, lift, key)
-    return tree
+        key = _GROUP if material else f"{_GROUP} of meshes"
+        tree = next((each for each in bpy.data.node_groups if key_of(each, root[LIFT]) == key), None)
+        if tree is None:
+            tree = _new_group(material)
+            tag(tree, root[LIFT], key)
+        modifier.node_group = tree
 
 
 def _new_group(material: bpy.types.Material | None) -> bpy.types.NodeTree:
+    """A node group that deletes points whose attribute `plgs_hidden` is true and sets a material, if any."""
     tree = compat.new_geometry_group("PLGS hidden instances")
     tree.is_modifier = True
     kinds = (

@@ -1,7 +1,6 @@
 """The names shown in a 3D view, and what is under the mouse: a name's instance, or what the lift shows there.
 
-To Blender, a lift's points are one object per class, its splats one object, and its boxes lines. So `rays` finds the
-instance.
+To Blender, a lift's points are one object per class and its splats are one object, so `rays` finds the instance.
 """
 
 from __future__ import annotations
@@ -20,8 +19,7 @@ from .looks import instances_left_out
 from .selection import boxes_of, objects_by_key, selected_instance
 
 hovered: list[tuple[int, int]] = []
-"""The instance under the mouse, preceded by the session uid of its lift's collection; at most one, as Blender has one
-mouse."""
+"""The session uid of a lift's collection and its instance under the mouse; at most one."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +31,8 @@ class DrawnNames:
 
 
 _drawn: dict[tuple[int, int], DrawnNames] = {}
-"""Names by the pointer of the view's region and the session uid of the lift's collection. Views are redrawn when they
-change; the mouse moves far more often and looks names up here."""
+"""Names by the pointer of the view's region and the session uid of the lift's collection. The mouse, which moves more
+often than views are drawn, looks names up here."""
 _MOST_KEPT = 16
 
 
@@ -70,8 +68,8 @@ def outline_of(context: bpy.types.Context, row: Any, region: ViewRegion) -> list
 
 
 def names_to_draw(context: bpy.types.Context, root: bpy.types.Collection, region: ViewRegion) -> list[TextBox]:
-    """The names at a lift's boxes in the context's view, which is being drawn; stored for `shown_names`. None covers an
-    outlined mask."""
+    """The names at a lift's boxes in the view that is being drawn, stored for `shown_names`. None covers an outlined
+    mask."""
     key = context.region.as_pointer(), root.session_uid
     _drawn.pop(key, None)
     _drawn[key] = DrawnNames(region, _names(context, root, region) if root.plgs.show_labels else [])
@@ -125,8 +123,7 @@ def forget() -> None:
 
 
 def what_is_under(context: bpy.types.Context, mouse: tuple[float, float]) -> Picked | None:
-    """What a 3D view shows at a pixel, from the lower left: a name's instance, else the first thing that a lift draws
-    there, else the nearest instance within `rays.MISS` pixels, else None."""
+    """What a 3D view shows at a pixel, from the lower left: a name's instance, else what a lift draws there or near."""
     region, roots, space = ViewRegion.of(context), lifts_in(context.scene), context.space_data
     for root in roots:
         number = name_under(shown_names(context, root, region), mouse)

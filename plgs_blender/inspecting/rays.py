@@ -1,6 +1,6 @@
 """What a 3D view draws of a lift at a pixel: the first triangle, square, splat or point that a ray meets.
 
-Each object is projected when the mouse comes near it, and cached until the view or the object changes.
+An object is projected when the mouse comes near it, and cached until the view or the object changes.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ def rows_of(matrix: Matrix) -> Rows:
 
 @dataclass(frozen=True)
 class View:
-    """How a view of `width` by `height` pixels draws: its matrices, as in RegionView3D; the world position of the
-    scene's camera, which decides which walls are removed from points; whether backs are hidden, and whether squares
-    fade, which they do not in Solid shading."""
+    """How a view of `width` by `height` pixels draws: its matrices, as in RegionView3D; the world position `eye` of the
+    scene's camera, which decides which walls of points are removed; whether backs are hidden; and whether squares fade,
+    which they do not in Solid shading."""
 
     looks: Rows
     lens: Rows
@@ -126,8 +126,8 @@ class Projected:
 
 
 def first_drawn(parts: Sequence[Projected], mouse: tuple[float, float]) -> tuple[int, int, int] | None:
-    """The index of the part that draws a pixel, with the instance and class there. If none does, those of the nearest
-    instance within MISS pixels, else None."""
+    """The index of the part that draws a pixel, with the instance and class there; if none does, those of the nearest
+    instance within MISS pixels; else None."""
     for offsets in (_OFFSETS[:1], _OFFSETS[1:]) if parts else ():  # most often the mouse's own pixel is drawn
         found = [part.at(np.array(mouse, np.float32) + offsets) for part in parts]
         opacities, near = (np.concatenate([each[column] for each in found], axis=1) for column in (0, 1))

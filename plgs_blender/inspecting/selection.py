@@ -1,9 +1,7 @@
-"""Finds a lift and its parts by our custom properties, and keeps one selection everywhere: the active box or mesh in
-the view and the active row in the list.
+"""Finds a lift and its parts by our custom properties, and keeps the selection in the view and in the lists the same.
 
-Blender's own selection decides. `follow_selected` moves the list's active row to it; `select_row` selects the box of
-the active row. Each does nothing when both agree, so they cannot chase each other. Lists follow changes of the
-selection. Boxes that are not selected are hidden, unless the lift shows all.
+`follow_selected` makes the selected object's row active; `select_row` selects the active row's box. Each does nothing
+if both agree, so they cannot chase each other. Boxes that are not selected are hidden, unless the lift shows all.
 """
 
 from __future__ import annotations
@@ -24,8 +22,8 @@ from ..owned import FOLDER, GAUSSIANS, KEY, LIFT, is_same_place, lifts_in, origi
 
 
 def find_lift(scene: bpy.types.Scene, lift: str = "", active: bpy.types.Object | None = None) -> bpy.types.Collection:
-    """The collection of the lift that `lift` names by its folder or its collection's name; if `lift` is empty, as
-    `active_lift`. Raises PlgsError if there is none."""
+    """The collection of the lift with this folder or collection name; if `lift` is empty, as `active_lift`. Raises
+    PlgsError if there is none."""
     roots = lifts_in(scene)
     if lift:
         named = [root for root in roots if lift == root.name or is_same_place(text_of(root, FOLDER), absolute(lift))]
@@ -56,8 +54,7 @@ def chosen_row(scene: bpy.types.Scene, active: bpy.types.Object | None) -> Any |
 
 
 def objects_by_key(root: bpy.types.Collection) -> dict[str, bpy.types.Object]:
-    """The lift's objects by key: "instance:3", "class:1", "frame:0012", "anchors". They include objects that the user
-    moved to another collection of the scene."""
+    """The lift's objects by key ("instance:3", "frame:0012"), even those moved to another collection of the scene."""
     scenes = [scene for scene in bpy.data.scenes if root in scene.collection.children_recursive]
     return originals(chain(root.all_objects, *(scene.objects for scene in scenes)), root[LIFT])
 
@@ -159,11 +156,8 @@ def select_instance(
     root: bpy.types.Collection, instance: int, layer: bpy.types.ViewLayer, *, extend: bool = False
 ) -> None:
     """Make an instance (0: the list's active one) the active row and its box the only selected object; with `extend`,
-    add its box to the selection, or remove it if it is selected.
-
-    Raises PlgsError if the lift has no such instance. A hidden box stays hidden; if there is no box, no other object of
-    the lift stays selected.
-    """
+    add its box to the selection, or remove it. A hidden box stays hidden. Raises PlgsError if there is no such
+    instance."""
     if extend and instance in selected_instances(root, layer):
         for ob in objects_by_key(root).values():
             if instance_of(ob) == instance:
@@ -214,8 +208,8 @@ def select_row(root: bpy.types.Collection, layer: bpy.types.ViewLayer) -> None:
 
 
 def follow_selected(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
-    """Make the selected object's row active in its lift's list. If nothing of a lift is selected, no row stays active,
-    except rows of hidden objects, whose boxes cannot be selected."""
+    """Make the selected object's row active in its lift's list. If nothing of a lift is selected, no row is active,
+    except that of a hidden object, whose box cannot be selected."""
     for root in lifts_in(scene):
         lists = root.plgs
         number = next(iter(selected_instances(root, layer)), 0)
@@ -257,8 +251,8 @@ def _select(root: bpy.types.Collection, box: bpy.types.Object, layer: bpy.types.
 
 
 def _select_box(root: bpy.types.Collection, number: int, layer: bpy.types.ViewLayer) -> None:
-    """Select only an instance's box. If that is impossible, deselect the lift's other objects, so that no command acts
-    on them."""
+    """Select only an instance's box. If it cannot be selected, deselect the lift's objects, so that no command acts on
+    them."""
     box, selected = boxes_of(root).get(number), [ob for ob in layer.objects if ob is not None and ob.select_get()]
     if box is not None and _select(root, box, layer):
         deselect_all(layer, but=box)
@@ -289,8 +283,8 @@ def follow() -> None:
 
 
 def follow_name() -> None:
-    """Rename the instance whose box is active if the user renamed the box, as in the outliner. Blender calls this. A
-    name that Blender only shortened or numbered is no rename."""
+    """Rename the active box's instance if the user renamed the box, as in the outliner. Blender calls this. It ignores
+    a name that Blender only shortened or numbered."""
     context = bpy.context
     box = context.view_layer.objects.active if context.view_layer is not None else None
     if box is None or not is_box(box) or box.name == text_of(box, SHOWN):
@@ -313,7 +307,7 @@ def _after_undo(*_arguments: object) -> None:
 
 @bpy.app.handlers.persistent
 def _after_update(scene: bpy.types.Scene, *_arguments: object) -> None:
-    """Follow a moment later: Blender calls this during an update, when the selection must not change."""
+    """Follow a moment later, because the selection must not change during an update."""
     layer = bpy.context.view_layer
     if layer is None or layer.id_data != scene or bpy.app.background:
         return
@@ -327,7 +321,7 @@ def _after_update(scene: bpy.types.Scene, *_arguments: object) -> None:
 
 @bpy.app.handlers.persistent
 def _subscribe(*_arguments: object) -> None:
-    """Subscribe to name changes; loading a file ends all subscriptions, so this is called again afterwards."""
+    """Subscribe to name changes, again after loading a file, which ends all subscriptions."""
     bpy.msgbus.clear_by_owner(_MSGBUS_OWNER)
     key = bpy.types.Object, "name"
     bpy.msgbus.subscribe_rna(key=key, owner=_MSGBUS_OWNER, args=(), notify=follow_name, options={"PERSISTENT"})

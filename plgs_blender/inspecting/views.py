@@ -4,33 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from itertools import product
 from typing import Any
 
 import bpy
 import numpy as np
 from mathutils import Vector
-from numpy.typing import NDArray
 
 from ...engine.errors import PlgsError
 from ..boxes import INSTANCE
 from ..owned import overview_of
 from ..timeline import follow_camera, is_of_lift, places_of
-from ..viewport import areas_of, look_through, show_room
+from ..viewport import VIEW_SENSOR, areas_of, look_through, show_room
 from .looks import places
 from .selection import box_of, objects_by_key, row_of
 
-_VIEW_SENSOR = 72.0
-"""Sensor width of a 3D view in millimetres: twice that of a camera."""
 _ROOM_AROUND = 1.6
 """Radius of the sphere that fits in the view, in radii of the framed box."""
 
 
 def frame_instance(root: bpy.types.Collection, instance: int, view: bpy.types.SpaceView3D, aspect: float = 1.0) -> None:
-    """Move a 3D view so that an instance's box (0: the list's active one) fills it, keeping its direction.
-
-    `aspect` is the view's width divided by its height. Raises PlgsError if there is no such instance or its box was
-    deleted.
-    """
+    """Move a 3D view, of width / height `aspect`, so that an instance's box (0: the list's active one) fills it. Raises
+    PlgsError if there is no such instance or box."""
     box = box_of(root, instance)
     corners = np.array([box.matrix_world @ Vector(corner) for corner in box.bound_box])
     centre = corners.mean(axis=0)
@@ -41,16 +36,16 @@ def frame_instance(root: bpy.types.Collection, instance: int, view: bpy.types.Sp
         region.view_perspective = "PERSP"
     region.view_location = Vector(centre.tolist())
     # The longer side of the view has the lens's angle.
-    half_angle = math.atan(_VIEW_SENSOR / 2.0 / view.lens * min(aspect, 1.0 / aspect))
+    half_angle = math.atan(VIEW_SENSOR / 2.0 / view.lens * min(aspect, 1.0 / aspect))
     region.view_distance = _ROOM_AROUND * radius / math.sin(half_angle)
 
 
 _before_alone: dict[int, tuple[Any, ...]] = {}
-"""How 3D views stood before an instance was isolated, by address."""
+"""Perspective, rotation, location and distance of 3D views before an instance was isolated, by address."""
 
 
 def show_alone(root: bpy.types.Collection, view: bpy.types.SpaceView3D, aspect: float) -> None:
-    """Frame the isolated instance in a 3D view; if none is isolated any more, restore the view."""
+    """Frame the isolated instance in a 3D view; restore the view if none is isolated any more."""
     region, key = view.region_3d, view.as_pointer()
     if not root.plgs.isolated:
         if key in _before_alone:
@@ -65,8 +60,7 @@ def show_alone(root: bpy.types.Collection, view: bpy.types.SpaceView3D, aspect: 
 
 
 def best_frame(root: bpy.types.Collection, instance: int = 0) -> str:
-    """The frame that sees most of an instance (0: the list's active one), by `lists.best_view`. Raises PlgsError if its
-    masks are unknown."""
+    """The frame that shows most of an instance (0: the active one). Raises PlgsError if its masks are unknown."""
     row = row_of(root, instance)
     if not 0 <= row.best_mask < len(row.masks):
         fix = "Lift again: lifts of older versions did not record where the masks lie."
@@ -76,9 +70,8 @@ def best_frame(root: bpy.types.Collection, instance: int = 0) -> str:
 
 
 def mask_frame(root: bpy.types.Collection, instance: int, frame: str, segment: int = 0) -> str:
-    """The frame of one of the masks that made an instance; that mask becomes the active one in the instance's list. It
-    is the mask of `frame` (with the id `segment`, unless that is 0), or the list's active mask if `frame` is empty.
-    Raises PlgsError."""
+    """Make one of the masks that made an instance the active one in its list, and return the mask's frame. It is the
+    mask of `frame` (with the id `segment`, unless 0), or the active mask if `frame` is empty. Raises PlgsError."""
     row = row_of(root, instance)
     chosen = [
         index
@@ -95,9 +88,8 @@ def mask_frame(root: bpy.types.Collection, instance: int, frame: str, segment: i
 def look_from_frame(
     root: bpy.types.Collection, frame: str, scene: bpy.types.Scene, view: Any = None
 ) -> bpy.types.Object:
-    """Let a 3D view (if any) look through a frame's camera, and return the camera. It becomes the scene's camera at its
-    frame of the timeline, unless the scene's camera is the user's: then only the view changes. Raises PlgsError if the
-    frame's camera was deleted."""
+    """Let a 3D view (if any) look through a frame's camera, and return it. It becomes the scene's camera, at its
+    timeline frame, unless the scene's camera is the user's. Raises PlgsError if the frame's camera was deleted."""
     camera = objects_by_key(root).get(f"frame:{frame}")
     if camera is None or camera.name not in scene.objects:
         what = f"has no camera of frame {frame} any more"
@@ -106,9 +98,9 @@ def look_from_frame(
     if not is_theirs:
         scene.camera = camera
         follow_camera(scene)
-        place = places_of(root, scene).get(camera)
-        if place is not None:
-            scene.frame_set(place)
+        frame_number = places_of(root, scene).get(camera)
+        if frame_number is not None:
+            scene.frame_set(frame_number)
             scene.camera = camera
     if view is not None:
         view.use_local_camera = is_theirs
@@ -119,7 +111,7 @@ def look_from_frame(
 
 
 def look_at_placed(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
-    """Point the 3D views that show the scene at its lift, coloured for what it is shown as."""
+    """Point the 3D views that show the scene at its lift."""
     overview = overview_of(root)
     if overview is not None and len(root.plgs.classes):
         scene.view_layers[0].update()
@@ -127,13 +119,9 @@ def look_at_placed(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
 
 
 def look_at_room(root: bpy.types.Collection, overview: bpy.types.Object, areas: Iterable[bpy.types.Area]) -> None:
-    """Point these 3D views at a lift, rotated as its overview camera."""
-    show_room(areas, overview.matrix_world.to_quaternion(), _corners(root))
-
-
-def _corners(root: bpy.types.Collection) -> NDArray[np.float64]:
-    """The corners [8, 3], in metres, of the box around all semantic points except outliers."""
-    # A hidden cloud has no bounding box.
+    """Point these 3D views at a lift's points, except outliers, rotated as its overview camera."""
+    # Bounds come from the points themselves, because a hidden cloud has no bounding box.
     clouds = [ob for ob in root.all_objects if ob.type == "POINTCLOUD" and "class_id" in ob]
     low, high = np.percentile(np.concatenate([places(ob.data) for ob in clouds]), (1.0, 99.0), axis=0)
-    return np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    corners = np.array([*product(*np.stack([low, high], axis=1))])
+    show_room(areas, overview.matrix_world.to_quaternion(), corners)
