@@ -1,7 +1,4 @@
-"""The problems that an engine finds in a scene, and the fixed scene that it writes.
-
-The panel draws from here.
-"""
+"""The problems that an engine finds in a scene, and the fixed scene that it writes."""
 
 from __future__ import annotations
 
@@ -30,8 +27,8 @@ from . import looking
 class Finding:
     """One finding: its ``cause`` in a word or two, a description with figures, its fix, and its picture.
 
-    If it ``is_wrong``, fix it before a lift; otherwise it is a note. If it ``is_mended``, "Fix" fixes it. ``frames``
-    are the affected frames, none for all; a lift is better without those in ``leave_out``.
+    It is a problem (``is_wrong``), which "Fix" can solve (``is_mended``), or a note. It concerns these ``frames``, or
+    all if there are none; a lift is better without those in ``leave_out``.
     """
 
     cause: str
@@ -63,8 +60,7 @@ class FrameSplit:
 
 
 class Diagnosis(Task):
-    """Measures a scene for problems. There are no findings before its end; if there are none afterwards, its error says
-    why. ``mended`` is the folder that "Fix" writes, and `is_mended` says whether it did."""
+    """Measures a scene for problems. ``mended`` is the folder that "Fix" writes; `is_mended` says whether it did."""
 
     kind, label, cancel_operator = "diagnosis", "Measuring", "plgs.cancel_diagnosis"
 
@@ -83,14 +79,16 @@ class Diagnosis(Task):
         return self.is_taken and self.mended is not None and self.mended.is_dir()
 
     def done(self, scene: Any) -> None:
-        """A scene that cannot be lifted has findings too, which say why."""
-        if self.answer is not None:
+        if self.answer is not None:  # also of a scene that cannot be lifted: the findings say why
             self._read(self.answer)
         if self.is_mended and not self.was_cancelled:
             assert self.mended is not None
-            for each in bpy.data.scenes:
-                if each.plgs.scene_folder and chosen_scene(each.plgs) == self.chosen:
-                    _choose_mended(each.plgs, self.mended)
+            chosen = {"masks": "", "depth": "", "up": "z", "format": AUTOMATIC, "scene_folder": str(self.mended)}
+            for settings in [each.plgs for each in bpy.data.scenes]:
+                if settings.scene_folder and chosen_scene(settings) == self.chosen:
+                    for name, value in chosen.items():
+                        if getattr(settings, name) != value:  # each assignment makes us read the folder
+                            setattr(settings, name, value)
             self.undo_step = "PLGS Fix"
 
     def _read(self, answer: Mapping[str, Any]) -> None:
@@ -118,10 +116,8 @@ def diagnosis_of(chosen: ChosenScene) -> Diagnosis | None:
 
 
 def diagnose(settings: PLGS_PG_settings, mended: Path | None = None) -> Diagnosis:
-    """Let an engine measure the panel's scene and, if ``mended`` is given, write it there with all safe fixes.
-
-    Raises PlgsError if no engine can be started, and OSError.
-    """
+    """Let an engine measure the panel's scene and, if ``mended`` is given, write it there with all safe fixes. Raises
+    PlgsError, OSError."""
     registry.refuse_second(Diagnosis)
     chosen, python = chosen_scene(settings), usable_python()
     folder = Path(tempfile.mkdtemp(prefix="plgs-findings-"))
@@ -140,9 +136,8 @@ _written: dict[Path, bytes] = {}
 
 
 def leave_out(known: Diagnosis, finding: Finding) -> tuple[Path, Path | None]:
-    """Remove a finding's frames from the capture's splits.json. An earlier splits.json that this function did not write
-    is kept beside it. Returns both paths, the second None if nothing was kept. Raises OSError, and PlgsError if no
-    training frames would be left."""
+    """Remove a finding's frames from the capture's splits.json, and keep a copy of one that we did not write. Returns
+    both paths, the second None without a copy. Raises OSError, and PlgsError if no training frames would be left."""
     assert known.split is not None
     split = known.split.without(finding.leave_out)
     if not split.train:
@@ -159,8 +154,7 @@ def leave_out(known: Diagnosis, finding: Finding) -> tuple[Path, Path | None]:
 
 
 def _keep(path: Path) -> Path | None:
-    """Copy a splits.json that `leave_out` did not write, if any, to "splits.before.json" or the like. Raises
-    OSError."""
+    """Copy a splits.json that `leave_out` did not write to "splits.before.json" or the like. Raises OSError."""
     before = path.read_bytes() if path.exists() else None
     if before is None or _written.get(path) == before:
         return None
@@ -170,15 +164,6 @@ def _keep(path: Path) -> Path | None:
         kept = path.with_name(f"splits.before_{number}.json")
     write_atomically(kept, before)
     return kept
-
-
-def _choose_mended(settings: PLGS_PG_settings, mended: Path) -> None:
-    """Switch the panel to the fixed scene. Each assignment reads the folder, so set only what differs, the folder
-    last."""
-    values = {"masks": "", "depth": "", "up": "z", "format": AUTOMATIC, "scene_folder": str(mended)}
-    for name, value in values.items():
-        if getattr(settings, name) != value:
-            setattr(settings, name, value)
 
 
 def _finding(entry: Mapping[str, Any], folder: Path) -> Finding:

@@ -1,4 +1,4 @@
-"""The cost of the lift set up in the panel, and the values it will use where the settings leave them to the preset."""
+"""The cost of the lift that the panel describes, and the preset's values that it will use."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..settings import PLGS_PG_settings, asked_of_preset, why_no_options
 from .survey import survey_of_panel
 
 _slowness = 1.0
-"""This computer's time per task, relative to the one that the predictions were measured on."""
+"""This computer's time for a task, relative to the computer on which the predictions were measured."""
 
 
 def learn_slowness() -> None:
@@ -32,8 +32,8 @@ def bake_estimate(frames: int, size: tuple[int, int], layers: Collection[str]) -
 
 
 def estimate_of(settings: PLGS_PG_settings) -> Prediction | None:
-    """Time and memory of the lift that the settings describe; None while the scene is unknown or the settings are
-    wrong. Never reads the disk, as panels call it."""
+    """Time and memory of the lift that the settings describe; None if the scene is unknown or the settings are wrong.
+    Never reads the disk."""
     survey = survey_of_panel(settings)
     if survey is None or survey.error is not None or not survey.sizes or why_no_options(settings):
         return None
@@ -65,7 +65,7 @@ class UsedOptions:
 
 
 def used_options(settings: PLGS_PG_settings) -> UsedOptions:
-    """The values that the lift will use, as far as known; the preset's if there is no survey. Never reads the disk."""
+    """The values that the lift will use, as far as known. Never reads the disk."""
     try:
         name, options = asked_of_preset(settings)
     except PlgsError:

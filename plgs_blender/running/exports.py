@@ -1,4 +1,4 @@
-"""Exports of finished lifts, including the meshes and clouds that are put into the scene."""
+"""Exports of finished lifts, also as meshes and clouds in the scene."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FORMS = {
     "splats": ("Splats", "PLY, SPZ and GLB of the Gaussians alone, with the names of their ids"),
     "boxes": ("Boxes", "The objects' oriented boxes as JSON and CSV, and for labelCloud and CVAT"),
     "mesh": ("Meshes", "The surface as PLY, and a GLB for each instance and each stuff class"),
-    "surface": ("Surface to View", "The surface as one PLY, coarser where there are no objects: what Blender shows"),
+    "surface": ("Surface to View", "The surface as one PLY, coarser away from objects, as Blender shows it"),
     "gltf": ("glTF", "The meshes of all instances and stuff classes in one GLB"),
     "usd": ("OpenUSD", "Gaussians, meshes, boxes and cameras in one USD file; needs usd-core in the engine"),
     "depth": ("Depth Maps", "The lifted surface's depth in metres, one NPY per frame"),
@@ -36,8 +36,7 @@ FORMS = {
 
 class Export(Task):
     """One export. Files written before a cancel stay. ``shown_in`` names the scene that its meshes or clouds go into.
-    If no user ``asked`` for them, they are shown only unless the user chose otherwise, and an export that is asked for
-    ends this one."""
+    If no user ``asked`` for it, the user's choice of what is shown stays, and an export by the user ends this one."""
 
     kind, label, cancel_operator = "export", "Exporting", "plgs.cancel_export"
 
@@ -108,9 +107,9 @@ def export(
 
 
 def make_meshes(lift: Path, scene: bpy.types.Scene, frames: str = "all", *, asked: bool = True) -> Export:
-    """Let an engine make the meshes of a finished lift that is placed in the scene, and place them there. Raises
-    PlgsError, OSError."""
-    root_of_placed(lift, scene)  # raises now what would otherwise be raised when the meshes are made
+    """Let an engine make the meshes of a lift that is placed in the scene, and place them. Raises PlgsError,
+    OSError."""
+    root_of_placed(lift, scene)  # raises an error now, not when the meshes are made
     python = engine_environment.usable_python()
     return export(lift, SURFACE, mesh_folder(lift), python, [frames], shown_in=scene.name, asked=asked)
 

@@ -1,9 +1,8 @@
-"""Imports the panel's scene into Blender, with an engine for what Blender cannot read, and keeps one choice of photo,
-depth or masks for all frames.
+"""Imports the panel's scene into Blender, and shows one kind of picture (photo, depth or masks) for all frames.
 
-An engine's files are shown when it is done, in the import or lift with the same key, so undo, another file or a removed
-camera do no harm. A frame's picture is made once its camera has been the scene's for a moment and no animation plays or
-render runs: scrubbing stays fast, and a render keeps the pictures it began with.
+An engine makes what Blender cannot read. Its files are shown when it is done, in the import or lift with the same key,
+so undo, another file or a removed camera do no harm. A frame's picture is made once its camera has been the scene's for
+a moment and nothing plays or renders: scrubbing stays fast, and a render keeps the pictures that it began with.
 """
 
 from __future__ import annotations
@@ -19,24 +18,10 @@ from ...engine.errors import ErrorCode, PlgsError
 from ...engine.job import LiftFolder
 from ...engine.job.follower import TaskFollower
 from ...engine.known_scene import MadeFrames, known_scene, made_of
-from .. import engine_environment, registry
+from .. import engine_environment, frame_pictures, registry
 from ..cameras import PHOTO, SHOWN, picture_of, show_photo
 from ..chosen_scene import ChosenScene, absolute, needs_engine
 from ..engine_environment import why_no_engine
-from ..frame_pictures import (
-    DEPTH,
-    KIND_OF,
-    frames_folder,
-    is_depth_current,
-    made_before,
-    photos,
-    picture_file,
-    place_of_root,
-    root_of,
-    scene_of,
-    show_made,
-    why_no_picture,
-)
 from ..import_scene import MISSING, add_made, look_at_imported, place_scene
 from ..inspecting.selection import objects_by_key
 from ..owned import FOLDER, LIFT, SCENE, OwnedDataBlocks, is_same_place, lifts_in, text_of
@@ -51,10 +36,9 @@ _NAMES = {"colour": "pictures", "cloud": "a coloured cloud"}
 class FrameOrder:
     """The files of a scene that an engine should make, and where to show them.
 
-    ``kinds`` are as in the engine's command. ``lift`` is the key of the import or lift that they belong to; without one
-    the whole import waits for the engine, and ``scene`` names the Blender scene that it goes into. With ``frame``, only
-    that frame is made, and its picture ``shown_kind`` is shown in front of its camera's view. If no user ``asked`` for
-    it, there is no undo step.
+    ``kinds`` are as in the engine's command. ``lift`` is the key of an import or lift; without one, the engine first
+    lists the cameras, which go into the Blender scene named ``scene``. With ``frame``, only that frame is made, and its
+    picture ``shown_kind`` is shown. There is an undo step only if a user ``asked`` for it.
     """
 
     chosen: ChosenScene
@@ -78,9 +62,7 @@ class FrameMaking(Task):
 
     def watch(self, scenes: Sequence[Any], has_news: bool) -> bool:
         """Place the cameras as soon as the engine has read them, while it still makes pictures."""
-        if self.order.lift or not self.is_running or not self.progress.step:
-            return False
-        return self._place_cameras()
+        return not self.order.lift and self.is_running and self.progress.step > 0 and self._place_cameras()
 
     def _place_cameras(self) -> bool:
         """Place the cameras, if they are ready. Returns whether it did. Raises PlgsError."""
@@ -93,7 +75,7 @@ class FrameMaking(Task):
 
     def done(self, scene: Any) -> None:
         is_of_bad_input = self.error is not None and self.error.code is ErrorCode.BAD_INPUT
-        if not self.has_finished and not is_of_bad_input:  # with bad depth, the pictures are made all the same
+        if not self.has_finished and not is_of_bad_input:  # pictures are made even if the depth is bad
             return
         self.undo_step = "PLGS Frames" if self.order.asked else ""
         if not self._folder.is_dir() or (not self.order.lift and not self._place_cameras()):
@@ -108,7 +90,7 @@ class FrameMaking(Task):
                     continue
                 ob = objects_by_key(root).get(f"frame:{order.frame}")
                 if ob is not None and order.frame in made.frames:
-                    show_made(each, ob, order.shown_kind, made.frames[order.frame])
+                    frame_pictures.show_made(each, ob, order.shown_kind, made.frames[order.frame])
 
     def error_for(self, chosen: ChosenScene | None, lift: str) -> PlgsError | None:
         """Its error, if it concerns this scene, or the import or lift with this key."""
@@ -119,7 +101,7 @@ class FrameMaking(Task):
 def make_frames(order: FrameOrder, python: Path) -> FrameMaking:
     """Start an engine. Raises OSError, and PlgsError if one is already running or cannot be started."""
     registry.refuse_second(FrameMaking)
-    folder = frames_folder(order.chosen.resolved)
+    folder = frame_pictures.frames_folder(order.chosen.resolved)
     command: list[str | Path] = [*order.chosen.arguments(), "-o", folder, "--make", *order.kinds]
     command += ["--frames", order.frame] if order.frame else []
     return registry.begin(FrameMaking(order, folder, start_engine("frames", python, *command)))
@@ -135,8 +117,8 @@ def _place(chosen: ChosenScene, scene: bpy.types.Scene, made: MadeFrames | None,
 
 
 def begin_import(scene: bpy.types.Scene, *, cloud: bool = True) -> FrameMaking | None:
-    """Import the panel's scene. Plain folders are placed at once, and an engine, if available, starts on what is
-    missing. Other layouts are read by an engine, and their cameras appear when it has done so.
+    """Import the panel's scene. Plain folders are placed at once, and an engine, if available, makes what is missing.
+    Cameras of other layouts appear when an engine has read them.
 
     Returns the engine's task, or None. Raises PlgsError, OSError.
     """
@@ -151,9 +133,9 @@ def begin_import(scene: bpy.types.Scene, *, cloud: bool = True) -> FrameMaking |
     if not is_plain and python is not None:
         kinds = ("colour", "cloud") if cloud else ("colour",)
         return make_frames(FrameOrder(chosen, "", kinds, scene=scene.name), python)
-    made = made_before(chosen.resolved)
+    made = frame_pictures.made_before(chosen.resolved)
     if not is_plain and made is None:
-        registry.refuse_second(FrameMaking)  # there may be an engine, which makes something else now
+        registry.refuse_second(FrameMaking)  # an engine may be there, but busy
         raise needs_engine(chosen)
     root = _place(chosen, scene, made, cloud)
     if root[MISSING] and python is not None:
@@ -169,34 +151,32 @@ def imported(scene: bpy.types.Scene) -> bpy.types.Collection | None:
 
 def what_is_missing(root: bpy.types.Collection) -> str:
     """A line about what an engine would add to an import; empty if nothing is missing."""
-    missing = [_NAMES[kind] for kind in root.get(MISSING, "").split()]
-    if not missing:
-        return ""
-    return f"An engine would add {' and '.join(missing)}: {why_no_engine() or 'import again'}"
+    missing = " and ".join(_NAMES[kind] for kind in root.get(MISSING, "").split())
+    return f"An engine would add {missing}: {why_no_engine() or 'import again'}" if missing else ""
 
 
 def show_picture(scene: bpy.types.Scene, shown_kind: str, *, asked: bool = True) -> FrameMaking | None:
-    """Show the photo, depth or masks of the active camera's frame in front of its view. If that needs an engine, its
-    task is returned; it shows the picture when done, with an undo step if a user ``asked``. Depth pictures newer than
-    their file need none, and without an engine an older picture is shown. Raises PlgsError, OSError."""
-    reason = why_no_picture(scene)
+    """Show the photo, depth or masks of the active camera's frame in front of its view. If an engine must make the
+    picture, return its task, which then shows it, with an undo step if a user ``asked``. Without an engine, an outdated
+    picture is shown. Raises PlgsError, OSError."""
+    reason = frame_pictures.why_no_picture(scene)
     if reason is not None:
         raise PlgsError("other-camera", "the active camera is not a frame's", scene.name, f"{reason}.")
     ob = scene.camera
-    root = root_of(scene, ob)
-    chosen = place_of_root(root)
-    made = made_before(chosen.resolved)
+    root = frame_pictures.root_of(scene, ob)
+    chosen = frame_pictures.place_of_root(root)
+    made = frame_pictures.made_before(chosen.resolved)
     picture = _picture_file(root, ob["frame"], chosen, made) if shown_kind == PHOTO else None
     if picture is not None:
         show_photo(ob, OwnedDataBlocks(root[LIFT], scene), picture, asked=True)
         return None
     drawn = None if made is None else made.frames.get(ob["frame"])
-    if made is not None and drawn is not None and picture_file(drawn, shown_kind) is not None:
-        is_current = shown_kind == DEPTH and is_depth_current(made, ob["frame"])
+    if made is not None and drawn is not None and frame_pictures.picture_file(drawn, shown_kind) is not None:
+        is_current = shown_kind == frame_pictures.DEPTH and frame_pictures.is_depth_current(made, ob["frame"])
         if is_current or engine_environment.engine_python() is None:
-            show_made(scene, ob, shown_kind, drawn)
+            frame_pictures.show_made(scene, ob, shown_kind, drawn)
             return None
-    order = FrameOrder(chosen, root[LIFT], (KIND_OF[shown_kind],), ob["frame"], shown_kind, asked=asked)
+    order = FrameOrder(chosen, root[LIFT], (frame_pictures.KIND_OF[shown_kind],), ob["frame"], shown_kind, asked=asked)
     return make_frames(order, engine_environment.usable_python())
 
 
@@ -207,13 +187,13 @@ def _picture_file(root: bpy.types.Collection, name: str, chosen: ChosenScene, ma
     elif chosen.is_plain:
         opened = chosen.open_plain()
     elif made is not None:
-        opened = scene_of(made)
+        opened = frame_pictures.scene_of(made)
     else:
         return None
     frame = next((each for each in opened.frames if each.name == name), None)
     if frame is None:
         raise PlgsError("frame-gone", "is no longer a frame of the scene", name, "Import the scene again.")
-    return picture_of(frame, photos(made, [frame]))
+    return picture_of(frame, frame_pictures.photos(made, [frame]))
 
 
 _CHOSEN = "plgs_picture"
@@ -221,25 +201,24 @@ _CHOSEN = "plgs_picture"
 _REST_S = 0.4
 """Seconds for which a camera must stay the scene's before its picture is made."""
 _tried: list[tuple[str, str]] = []
-"""The last requested camera and picture: if an engine cannot make it, it is not requested again."""
+"""The last requested camera and picture, which is not requested again if an engine could not make it."""
 
 
 def choose_picture(scene: bpy.types.Scene, kind: str, *, asked: bool = True) -> FrameMaking | None:
-    """Show this picture in front of the view of the active camera, and of every later active camera. If that needs an
-    engine, its task is returned, with an undo step if a user ``asked``. Raises PlgsError, OSError."""
+    """`show_picture` for the active camera and every later one."""
     making = show_picture(scene, kind, asked=asked)
-    root_of(scene, scene.camera)[_CHOSEN] = kind
+    frame_pictures.root_of(scene, scene.camera)[_CHOSEN] = kind
     _tried[:] = [(scene.camera.name, kind)]
     return making
 
 
 def wanted(scene: bpy.types.Scene) -> str:
     """The picture that the scene's camera should show but does not; empty if it shows what was chosen."""
-    if why_no_picture(scene) is not None:
+    if frame_pictures.why_no_picture(scene) is not None:
         return ""
     try:
-        kind = text_of(root_of(scene, scene.camera), _CHOSEN)
-    except PlgsError:  # a camera without its collection shows what it shows
+        kind = text_of(frame_pictures.root_of(scene, scene.camera), _CHOSEN)
+    except PlgsError:  # the camera's collection is gone
         return ""
     is_tried = (scene.camera.name, kind) in _tried
     return "" if is_tried or kind == scene.camera.get(SHOWN, PHOTO) else kind
@@ -248,16 +227,17 @@ def wanted(scene: bpy.types.Scene) -> str:
 def catch_up() -> float | None:
     """Show the picture that the camera should show. Returns the seconds to wait while an engine makes another picture,
     an animation plays or a render runs."""
-    scene = bpy.context.scene
+    scene, windows = bpy.context.scene, bpy.context.window_manager.windows
     kind = wanted(scene)
     if not kind:
         return None
-    if registry.running(FrameMaking) or _is_moving():
+    is_moving = bpy.app.is_job_running("RENDER") or any(window.screen.is_animation_playing for window in windows)
+    if is_moving or registry.running(FrameMaking):
         return _REST_S
     try:
         choose_picture(scene, kind, asked=False)
-    except (PlgsError, OSError):  # the panel's buttons say what the camera shows, and a press says why
-        root_of(scene, scene.camera)[_CHOSEN] = text_of(scene.camera, SHOWN) or PHOTO
+    except (PlgsError, OSError):  # the panel's buttons show what the camera shows, and pressing one says why
+        frame_pictures.root_of(scene, scene.camera)[_CHOSEN] = text_of(scene.camera, SHOWN) or PHOTO
     return None
 
 
@@ -268,12 +248,6 @@ def _on_change(scene: bpy.types.Scene, *_arguments: object) -> None:
     if bpy.app.timers.is_registered(catch_up):
         bpy.app.timers.unregister(catch_up)
     bpy.app.timers.register(catch_up, first_interval=_REST_S)
-
-
-def _is_moving() -> bool:
-    """Whether a render or an animation is changing the frame."""
-    windows = bpy.context.window_manager.windows
-    return bpy.app.is_job_running("RENDER") or any(window.screen.is_animation_playing for window in windows)
 
 
 HANDLERS = () if bpy.app.background else (("depsgraph_update_post", _on_change), ("frame_change_post", _on_change))

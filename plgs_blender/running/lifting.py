@@ -54,7 +54,7 @@ def why_no_lift(settings: PLGS_PG_settings) -> str | None:
 
 
 def why_no_device(settings: PLGS_PG_settings) -> str | None:
-    """Why the engine, by its last answer, cannot lift on the panel's device, or None. Never reads the disk."""
+    """Why the engine cannot lift on the panel's device, by its last answer; or None. Never reads the disk."""
     lacks = lacking("cuda") if settings.device == "cuda" else ()
     needs_torch = "torch for CUDA" in lacks
     fix = "Set the engine up with Torch: CUDA" if needs_torch else "Install gsplat with the engine's own Python"
@@ -62,8 +62,7 @@ def why_no_device(settings: PLGS_PG_settings) -> str | None:
 
 
 def earlier_lift(settings: PLGS_PG_settings) -> Path | None:
-    """The lift whose objects keep their names: a complete lift of the same scene that Blender's scene shows. None if
-    the settings do not keep names."""
+    """The complete lift of the same scene, shown in Blender's scene, whose objects keep their names; or None."""
     if not settings.keep_names or not settings.scene_folder:
         return None
     found = lift_of_scene(absolute(settings.scene_folder), settings.id_data)
@@ -72,14 +71,11 @@ def earlier_lift(settings: PLGS_PG_settings) -> Path | None:
 
 def start_lift(settings: PLGS_PG_settings, *, in_that_folder: bool = False, names_from: str = "") -> Lift:
     """Start the lift that the settings describe, in their lift folder. If that already holds a lift, use a new folder
-    beside the scene, or, with ``in_that_folder``, refuse. Objects take their names from ``names_from``, else from
-    `earlier_lift`.
-
-    Raises PlgsError, OSError; then no folder is left behind.
-    """
+    beside the scene or, with ``in_that_folder``, refuse. Objects keep their names in the lift ``names_from``, else in
+    `earlier_lift`. Raises PlgsError, OSError; then no folder is left behind."""
     if not settings.scene_folder:
         what = "no scene is chosen"
-        raise PlgsError("no-scene", what, "Scene", "Choose a folder with color, depth, pose and intrinsic.")
+        raise PlgsError("no-scene", what, "Scene", "Choose a capture's folder or file.")
     engine_environment.studio()
     python = engine_environment.usable_python()
     request = replace(request_of(settings), names_from=absolute(names_from) if names_from else earlier_lift(settings))
@@ -97,10 +93,8 @@ def start_lift(settings: PLGS_PG_settings, *, in_that_folder: bool = False, name
 
 
 def resume_lift(settings: PLGS_PG_settings, folder: str = "") -> Lift:
-    """Continue the lift in `folder`, or in that of the settings, which then take over its options.
-
-    Raises OSError, and PlgsError if there is no lift or it is running or finished.
-    """
+    """Continue the lift in `folder`, else in that of the settings, and copy its options to the settings. Raises
+    OSError, and PlgsError if there is no lift, or it is running or finished."""
     lift = lift_at(settings, folder)
     known = lifts.attach(lift.path)
     if not known.can_be_resumed:
@@ -124,7 +118,7 @@ class SceneFinding(Task):
     def done(self, scene: Any) -> None:
         if self.answer is None:
             return
-        self.message = f"The lift reads {self.answer.get('scene')}"
+        self.message = f"The lift now reads {self.answer.get('scene')}"
         lift = LiftFolder.open(self._lift.path)
         lifts.attach(lift.path)
         adopt(scene.plgs, lift.request, lift.path)
@@ -133,7 +127,7 @@ class SceneFinding(Task):
 
 
 def find_scene(scene: bpy.types.Scene, place: Path, folder: str = "") -> SceneFinding:
-    """Let an engine record where the scene of the lift in `folder`, or in that of the settings, is now. If the lift is
+    """Let an engine record where the scene of the lift in `folder`, else of the settings' lift, is now. If the lift is
     shown, its photos appear again. Raises PlgsError, also if it is another scene."""
     registry.refuse_second(SceneFinding)
     lift = lift_at(scene.plgs, folder)
@@ -142,12 +136,12 @@ def find_scene(scene: bpy.types.Scene, place: Path, folder: str = "") -> SceneFi
 
 
 def join_lift(scene: bpy.types.Scene, folder: str = "") -> Lift:
-    """Follow the lift in `folder`, or in that of the settings, which then take over its options. A finished lift is put
-    into the scene at the next polls, if the scene wants it. Raises PlgsError."""
+    """Follow the lift in `folder`, else the settings' lift, and copy its options to the settings. A finished lift is
+    put into the scene at the next polls, if the scene wants it. Raises PlgsError."""
     lift = lift_at(scene.plgs, folder)
     followed = lifts.attach(lift.path)
     adopt(scene.plgs, lift.request, lift.path)
-    followed.is_taken = False  # also while older events are still read, part by part
+    followed.is_taken = False  # so that its result is taken, at the next polls
     registry.go_on()
     return followed
 
@@ -170,15 +164,15 @@ def why_no_bake(settings: PLGS_PG_settings) -> str | None:
     """Why the panel cannot bake passes now, or None. Never reads the disk."""
     followed = followed_lift(settings)
     if followed is None or not (followed.is_finished or followed.is_running):
-        return "Passes are baked from a finished lift: lift the scene first, or choose the folder of a lift"
+        return "Passes are baked from a finished lift: lift the scene first, or choose a lift's folder"
     if followed.is_running:
         return "Passes are being baked: wait, or cancel it" if followed.is_baking else "The lift is still running"
     return None
 
 
 def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Lift:
-    """Let an engine bake passes of a finished lift: of "all" frames, the held-out ones ("test"), or the scene's
-    "active" camera. Raises PlgsError, OSError."""
+    """Let an engine bake passes of a finished lift: of "all" frames, the held-out ones ("test"), or the "active"
+    camera's. Raises PlgsError, OSError."""
     lift = lift_at(scene.plgs, folder)
     names = [frames]
     if frames == "active":
@@ -197,9 +191,8 @@ def read_camera(scene: bpy.types.Scene, shot: Shot) -> ShotReader:
 
 
 def bake_shot(scene: bpy.types.Scene, shot: ShotReader, folder: str = "", *, replace: bool = False) -> Lift:
-    """Let an engine bake passes of a finished lift from a camera that was read. Views already baked from the same
-    camera are kept. Raises OSError, and PlgsError, also for a name that another file's shot has, unless that is
-    replaced."""
+    """Let an engine bake passes of a finished lift from a camera that was read. Views already baked from it are kept.
+    Raises OSError, and PlgsError, also for the name of another file's shot, unless ``replace``."""
     lift = lift_at(scene.plgs, folder)
     cameras, python = shot.write(lift.path, replace=replace), engine_environment.usable_python()
     layers, keep_running = sorted(scene.plgs.layers), scene.plgs.keep_running
@@ -207,8 +200,8 @@ def bake_shot(scene: bpy.types.Scene, shot: ShotReader, folder: str = "", *, rep
 
 
 def bake_on_farm(scene: bpy.types.Scene, folder: str = "") -> Path:
-    """Write a farm job that bakes the scene's active camera over its frame range, and return the file. Raises
-    PlgsError, OSError."""
+    """Write a farm job that bakes the scene's active camera over its range, and return it. Raises PlgsError,
+    OSError."""
     lift = lift_at(scene.plgs, folder)
     read_manifest(lift.result_path)
     return write_farm_job(scene, lift, shot_of(scene, given=scene.plgs.shot))
@@ -223,7 +216,7 @@ def export_lift(settings: PLGS_PG_settings, form: str, output: str, frames: str,
 
 
 def make_depth_cloud(scene: bpy.types.Scene, frame: str, folder: str = "") -> exports.Export:
-    """Let an engine unproject what a frame's camera sees of a placed lift, and put the labelled points into the scene.
+    """Let an engine make labelled points of what a frame's camera sees of a placed lift, and put them into the scene.
     If ``frame`` is empty, use the active camera's current view. Raises PlgsError, OSError."""
     lift = lift_at(scene.plgs, folder).path
     root, python = root_of_placed(lift, scene), engine_environment.usable_python()
@@ -235,21 +228,20 @@ def make_depth_cloud(scene: bpy.types.Scene, frame: str, folder: str = "") -> ex
 
 
 def showing_lift(scene: bpy.types.Scene, folder: str = "") -> Generator[None, None, Placed | None]:
-    """Put the finished lift in `folder`, or in that of the scene's settings, into the scene, part by part. Returns
-    where it is; None if the scene is gone by then. Raises PlgsError."""
+    """Put the finished lift in `folder`, else the settings' lift, into the scene, part by part. Returns where it is;
+    None if the scene is gone by then. Raises PlgsError."""
     lift = lift_at(scene.plgs, folder)
     try:
         return (yield from lifts.showing_lift(scene, lift))
     except PlgsError as error:
         if not lift.is_running:
             raise
-        fix = "Wait until it is finished."
         what = "cannot be shown yet: it is still running"
-        raise PlgsError("still-running", what, lift.path, fix, code=ErrorCode.BUSY) from error
+        raise PlgsError("still-running", what, lift.path, "Wait for its end.", code=ErrorCode.BUSY) from error
 
 
 def log_of(settings: PLGS_PG_settings, folder: str = "") -> Path:
-    """The engine's log of the lift in `folder`, or in that of the settings. Raises PlgsError if there is none."""
+    """The engine's log of the lift in `folder`, else of the settings' lift. Raises PlgsError if there is none."""
     log = lift_at(settings, folder).log_path
     if not log.is_file():
         raise PlgsError("no-log", "does not exist: the engine never started", log, "Start it again.")
@@ -257,7 +249,7 @@ def log_of(settings: PLGS_PG_settings, folder: str = "") -> Path:
 
 
 def lift_at(settings: PLGS_PG_settings, folder: str = "") -> LiftFolder:
-    """The lift in `folder`, or in that of the settings. Raises PlgsError if there is none."""
+    """The lift in `folder`, else the settings' lift. Raises PlgsError if there is none."""
     path: Path | None = absolute(folder) if folder else chosen_lift(settings)
     if path is None:
         raise PlgsError("no-lift", "no lift is chosen", "Lift Folder", "Start a lift, or choose the folder of one.")

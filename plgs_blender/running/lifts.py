@@ -1,15 +1,13 @@
-"""The lifts that this Blender follows, by folder: started, watched, cancelled, resumed and baked further; and the live
-preview of the unfinished model through the scene's active camera.
+"""The lifts that this Blender follows, by folder, and the live preview of a running lift through the active camera.
 
-The engine renders the view described in the lift folder's `preview.json`. Its picture is drawn over the camera's frame
-in the 3D views: no camera is touched, and nothing stays in the file.
+The engine renders the view that the lift folder's `preview.json` describes. Its picture is drawn over the camera's
+frame in the 3D views: no camera is changed, and nothing stays in the file.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Generator, Hashable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -41,18 +39,10 @@ _LARGEST = (1024, 1024)
 """Largest width and height of a live preview in pixels."""
 
 
-@dataclass(frozen=True, eq=False)
-class Preview:
-    """A picture, float32 [H, W, 4] in sRGB, lowest row first, and its camera's fingerprint."""
-
-    camera: str
-    pixels: NDArray[np.float32]
-
-
 _asked: dict[Path, PreviewCamera] = {}
 """The last requested camera by lift folder: the request is written only if the camera changes."""
-_shown: dict[Path, Preview] = {}
-"""The newest picture, by lift folder."""
+_shown: dict[Path, tuple[str, NDArray[np.float32]]] = {}
+"""The newest picture by lift folder: its camera's fingerprint, and float32 [H, W, 4] in sRGB, lowest row first."""
 
 
 def follow_camera(lift: LiftFolder, scenes: Iterable[bpy.types.Scene]) -> None:
@@ -68,8 +58,8 @@ def follow_camera(lift: LiftFolder, scenes: Iterable[bpy.types.Scene]) -> None:
 
 
 def show(lift: LiftFolder, picture: Path, camera: str) -> bool:
-    """Store the engine's newest picture, taken by the camera with this fingerprint, if it is the requested one; returns
-    whether it is. If another Blender requested another one, ours requests again."""
+    """Store the engine's newest picture if its camera, with this fingerprint, is the requested one; returns whether it
+    is. If another Blender requested another camera, ours is requested again."""
     asked = _asked.get(lift.path)
     if asked is None or not picture.is_file():
         return False
@@ -79,17 +69,16 @@ def show(lift: LiftFolder, picture: Path, camera: str) -> bool:
     pixels = _pixels_of(picture)
     if pixels is None:
         return False
-    _shown[lift.path] = Preview(camera, pixels)
+    _shown[lift.path] = camera, pixels
     return True
 
 
 def picture_for(scene: bpy.types.Scene) -> NDArray[np.float32] | None:
-    """The picture to draw over the frame of the scene's camera or over its `own_view`; None if there is none of the
-    current view yet."""
-    for lift, preview in _shown.items():
+    """The picture to draw over the frame of the scene's camera or over its `own_view`; None if there is none yet."""
+    for lift, (camera, pixels) in _shown.items():
         view = _view_of(scene) if _shows(scene, lift) else None
-        if view is not None and view.fingerprint == preview.camera:
-            return preview.pixels
+        if view is not None and view.fingerprint == camera:
+            return pixels
     return None
 
 
@@ -101,7 +90,7 @@ def forget(lift: Path | None = None) -> None:
 
 
 def _view_of(scene: bpy.types.Scene) -> PreviewCamera | None:
-    """What a 3D view of the scene sees, or the scene's camera if one looks through it; None if neither can be drawn."""
+    """What a 3D view of the scene sees, or its camera if one looks through it; None if it cannot be rendered."""
     own = own_view(scene)
     camera = own[1] if own is not None else camera_seen(scene)
     if camera is None:
@@ -141,10 +130,7 @@ _SHOWN_RECENT = 8
 
 
 class Lift(Task):
-    """A followed lift, or a later bake of its frames, started here or elsewhere.
-
-    ``lift_state`` is the lift's state when its folder was last read.
-    """
+    """A followed lift, or a later bake of its frames, started here or elsewhere. ``lift_state`` is as last read."""
 
     kind, cancel_operator = "lift", "plgs.cancel_lift"
 
@@ -191,11 +177,10 @@ class Lift(Task):
         return bool(scene.plgs.place_when_done) and chosen_lift(scene.plgs) == self.folder.path
 
     def done(self, scene: Any) -> Iterator[object]:
-        """Put a finished result into the scene if its panel still shows the lift and wants it; baked passes wherever
-        the lift is."""
+        """Put baked passes where the lift is shown, and a finished result into the scene, if its panel wants it."""
         try:
             self.lift_state = self.folder.state_at_a_glance()
-        except (PlgsError, OSError):  # its disk is gone, or the folder was deleted
+        except (PlgsError, OSError):  # the folder was deleted, or its disk removed
             self.lift_state = LiftState.INTERRUPTED
         if self._is_new and self.error is not None and self.folder.came_to_nothing():
             self.folder.discard()  # so that the lift can be started again once the scene is fixed
@@ -223,7 +208,7 @@ class Lift(Task):
         return show(self.folder, progress.live_preview, progress.live_preview_camera)
 
     def let_go(self) -> None:
-        """Our own engine ends within a second, unless it outlives Blender. The lift can be resumed."""
+        """Our own engine ends within a second, unless it should outlive Blender. The lift can be resumed."""
         self.follower.close()
 
 
@@ -275,10 +260,8 @@ def recent() -> tuple[RecentLift, ...]:
 
 
 def start(lift: LiftFolder, python: Path, *, resume: bool = False, keep_running: bool = False) -> Lift:
-    """Start an engine on a lift folder and follow it. With ``keep_running`` it outlives this Blender.
-
-    Raises OSError, and PlgsError if an engine is already at work there or does not start.
-    """
+    """Start an engine on a lift folder and follow it. With ``keep_running`` it outlives this Blender. Raises OSError,
+    and PlgsError if an engine is already at work there or does not start."""
     _refuse_running(lift)
     command = engine_command(python, lift.path, resume=resume)
     started = TaskFollower.start(command, lift.task_files, kind=LIFT, lift=lift, stays_with_parent=not keep_running)
@@ -295,12 +278,10 @@ def bake(
     keep_running: bool = False,
 ) -> Lift:
     """Let an engine bake more passes of a finished lift: of frames ("test", "all", or names), or of the ``cameras`` in
-    a file, with these of FURTHER_LAYERS. Another process may bake the same lift at the same time. Raises PlgsError,
-    OSError."""
+    a file, with these FURTHER_LAYERS. Other processes may bake it at the same time. Raises PlgsError, OSError."""
     known = lift_of(lift.path)
     if known is not None and known.is_running and known.follower.is_own:
-        fix = "Wait for it, or cancel it first."
-        what = "this Blender is already baking or lifting here"
+        what, fix = "this Blender is already baking or lifting here", "Wait for it, or cancel it first."
         raise PlgsError("blender-busy", what, lift.path, fix, code=ErrorCode.BUSY)
     if known is not None and known.is_being_taken:
         raise PlgsError("being-placed", "its result is being placed", lift.path, "Wait a moment.", code=ErrorCode.BUSY)
@@ -324,7 +305,7 @@ def attach(folder: Path) -> Lift:
             task.follower.state = TaskState.CANCELLED
         else:
             while task.follower.poll() and task.is_running:
-                pass  # to its last event: it must not look as if it ran
+                pass  # read up to its last event, so that it does not look as if it ran
     return _follow(task)
 
 
@@ -346,7 +327,7 @@ def look_at(folder: Path) -> Lift | None:
 
 
 def show_lift(scene: Any, lift: LiftFolder) -> Any:
-    """Put a finished lift into the scene, copy its options to the panel, turn the 3D views to it, and return its
+    """Put a finished lift into the scene, copy its options to the panel, point the 3D views at it, and return its
     collection. Raises PlgsError."""
     placed = result_of(showing_lift(scene, lift))
     found = placed.find() if placed is not None else None
@@ -356,7 +337,7 @@ def show_lift(scene: Any, lift: LiftFolder) -> Any:
 def showing_lift(
     scene: Any, lift: LiftFolder, is_wanted: Callable[[Any], bool] = lambda scene: True
 ) -> Generator[None, None, Placed | None]:
-    """`show_lift` in parts, so that the window does not freeze. Returns where it is; None if the scene is gone once the
+    """`show_lift` in parts, so that the window does not freeze. Returns where it is; None if the scene is gone when the
     lift is read, or no longer wants it. Raises PlgsError."""
     name = scene.name
     read = yield from reading_lift(lift.path)

@@ -21,7 +21,7 @@ from ..settings import PLGS_PG_settings, chosen_lift, chosen_scene
 from . import estimate, lifts, survey
 
 _PARTS_S = 0.02
-"""Seconds for which a list is read without a pause, and of the pause."""
+"""Seconds of reading a list without a pause, and of the pause."""
 
 
 def look_at_scene(chosen: ChosenScene) -> None:
@@ -40,27 +40,23 @@ def look_at_lift(folder: Path) -> None:
 def find_own_lifts() -> None:
     """Follow the lifts named by the open file's scenes that are in this user's list of lifts.
 
-    A file may come from somebody else and name any path: a FIFO, or a disk that never answers. Other paths, and the
-    scene's folder, are read only when the user asks for it.
+    Somebody else's file may name any path, such as a FIFO or a disk that never answers. Other paths, and the scene's
+    folder, are read only when the user asks.
     """
-    own = _own_lifts()
+    own = {*map(Path, remembered_lifts())}
     for scene in bpy.data.scenes:
         if scene.plgs.lift_folder and absolute(scene.plgs.lift_folder) in own:
             look_at_lift(absolute(scene.plgs.lift_folder))
 
 
-def _own_lifts() -> set[Path]:
-    return {Path(path) for path in remembered_lifts()}
-
-
 def begin_to_read_objects() -> None:
-    """Start reading the objects of the lift that the open file shows: an edit needs them and would wait half a second.
-    Only if the lift is one of this user's, or the file itself lies in its folder, and no link leads elsewhere."""
-    known = _own_lifts() | {absolute("//")}
+    """Start reading the objects of the lift that the open file shows, or an edit would wait for them for half a second.
+    Only if the lift is in this user's list, or the file is in its folder, and no link leads elsewhere."""
+    known = {*map(Path, remembered_lifts()), absolute("//")}
     roots = (root for scene in (bpy.context.scene, *bpy.data.scenes) for root in lifts_in(scene))
     folder = next((folder_of(root) for root in roots if text_of(root, FOLDER)), None)
     if folder in known:
-        with suppress(PlgsError, OSError):  # an edit reads it again, and says so
+        with suppress(PlgsError, OSError):  # an edit reads it again and reports the error
             refuse_foreign(folder, f"result/{INSTANCES}")  # not the passes: there may be thousands
             begin_to_read(folder)
 
@@ -68,7 +64,7 @@ def begin_to_read_objects() -> None:
 def _read_objects() -> float | None:
     try:
         return _PARTS_S if read_on(_PARTS_S) else None
-    except PlgsError:  # an edit reads it again, and says so
+    except PlgsError:  # an edit reads it again and reports the error
         return None
 
 

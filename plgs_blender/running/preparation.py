@@ -1,5 +1,5 @@
-"""Engine tasks that prepare a scene for its lift: making masks, finding the poses of photos or of a film, and listing
-and writing the masks' classes, which the panel edits as the rows of `scene.plgs_masks`."""
+"""Engine tasks that prepare a scene for its lift: making masks, finding poses, and listing and writing the masks'
+classes, which the panel edits in `scene.plgs_masks`."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class PLGS_PG_mask_class(bpy.types.PropertyGroup):
 
     label: IntProperty(name="Number", description="Its number in the masks")
     into: StringProperty(
-        name="Counts As", description="The class that it is merged into; void: it is dropped; empty: it stays"
+        name="Counts As", description="The class that it is merged into; void drops it; empty leaves it as it is"
     )
     is_thing: BoolProperty(
         name="Thing", description="Countable objects, such as chairs; stuff, such as walls, has no instances"
@@ -82,7 +82,7 @@ PROPERTIES = ((bpy.types.Scene, "plgs_masks", PLGS_PG_masks),)
 
 
 class ClassListing(Task):
-    """Lists the classes in the rows of the scene named ``target``; after writing, the panel reads the masks again."""
+    """Lists the classes in the rows of the scene named ``target``."""
 
     kind, label = "classes", "Reading the classes"
     undo_step = "PLGS Read Classes"
@@ -139,7 +139,7 @@ def write_classes(scene: bpy.types.Scene) -> ClassWriting:
 
 
 class Preparation(Task):
-    """When it has finished, the panel reads the scene again, if it is still the chosen one."""
+    """When it has finished, the panel reads the scene again, if that is still the chosen one."""
 
     def __init__(self, chosen: ChosenScene, follower: TaskFollower) -> None:
         super().__init__(follower)
@@ -181,8 +181,8 @@ class PoseMaking(Preparation):
 
 
 def make_masks(chosen: ChosenScene, python: Path, model: str, *, download: bool) -> MaskMaking:
-    """Start an engine. ``model`` is a folder or a name on the Hugging Face Hub; empty means the engine's default.
-    ``download`` allows fetching it. Raises OSError, and PlgsError if one is already running or cannot be started."""
+    """Start an engine. ``model`` is a folder or a name on the Hugging Face Hub, which ``download`` allows fetching;
+    empty: the engine's default. Raises OSError, and PlgsError if one is already running or cannot be started."""
     registry.refuse_second(MaskMaking)
     if model and absolute(model).is_dir():  # the engine's working folder is not Blender's
         model = str(absolute(model))

@@ -1,7 +1,6 @@
 """What the panel's scene contains, and what can be done with it.
 
-An engine reads the pixels in the background; without one, only the headers of plain folders are read. The panel draws
-from here and reads nothing while it draws.
+An engine reads the pixels in the background; without one, only the headers of plain folders are read.
 """
 
 from __future__ import annotations
@@ -28,14 +27,14 @@ _GIVE = {"depth": "choose depth maps", "masks": "choose or make masks"}
 
 @dataclass(frozen=True)
 class Survey:
-    """What is known about a scene. ``error`` says why it cannot be lifted, or is None.
+    """What is known about a scene; nothing while an engine looks (``is_looking``). ``error`` says why it cannot be
+    lifted.
 
-    ``classes`` are names with their sRGB colours, 0..1, the commonest first if an engine has counted; ``things`` are
-    the names of those that have instances. ``sizes`` are the sizes of the colour images with their counts, the
-    commonest first. ``depth_range`` is the nearest, median and farthest depth in metres, None if no engine has read the
-    pixels. ``picture_files`` counts the frames whose picture is an image file that Blender can show. While an engine
-    looks (``is_looking``), nothing else is known. ``has_masks`` is None if no engine has looked for them. ``inferred``
-    is what no file states, each with whether it is doubtful. ``left_out`` counts the frames that a lift would not use.
+    ``classes`` are names with sRGB colours, 0..1, and ``things`` the names of those with instances. ``sizes`` are the
+    sizes of images with their counts. In both, the commonest come first. ``depth_range`` is the nearest, median and
+    farthest depth in metres, None if no engine has read the pixels; ``has_masks`` is None then, too. ``picture_files``
+    counts the frames whose picture is a file that Blender can show, ``left_out`` those that a lift would not use.
+    ``inferred`` is what no file states, each with whether it is doubtful.
     """
 
     chosen: ChosenScene
@@ -90,10 +89,8 @@ def survey_of_panel(settings: PLGS_PG_settings) -> Survey | None:
 
 
 def look(chosen: ChosenScene, python: Path | None) -> Survey:
-    """Let an engine read the scene if there is a ``python`` for one; else read plain folders now, 1 ms per frame.
-
-    Never raises for a bad scene: the survey says what is wrong.
-    """
+    """Let an engine read the scene if there is a ``python`` for one; else read plain folders now, 1 ms per frame. If
+    the scene is bad, the survey says why."""
     global _latest
     registry.forget(SceneLook.kind)
     _latest = Survey(chosen)
@@ -187,7 +184,7 @@ def _colour(colour: Sequence[int]) -> Colour:
 
 
 def _is_of_all(answer: Mapping[str, Any], sizes: str) -> bool:
-    """Whether the counts cover all frames."""
+    """Whether the counts of these sizes cover all frames."""
     count = sum(int(count) for _, count in answer[sizes])
     return count == int(answer["train_frames"]) + int(answer["test_frames"])
 
