@@ -1,7 +1,6 @@
-"""Turns a lift's result into Blender data-blocks, and those back into pictures.
+"""Turns a lift's result into Blender data-blocks. Start with `lift_scene.place_lift` and `lift_scene.save_lift`.
 
-These functions behave the same in a script, a test or an operator: they take a folder and a scene and never look at
-selections, modes or windows. Start with `lift_scene.place_lift` and `lift_scene.save_lift`.
+They behave the same in a script, a test or an operator: no selection, mode or window matters.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from types import ModuleType
 
 
 def _modules() -> tuple[ModuleType, ...]:
-    """The modules with classes to register, in order. Imported late, as readers of results need none of them."""
+    """The modules to register, in order. Imported late, because readers of results need none of them."""
     from . import compositing, corrections, registry, settings, timeline
     from .engine_environment import tasks
     from .inspecting import lists, selection

@@ -1,4 +1,4 @@
-"""The scene that the user chose, how it is read, and the scene or lift that a chosen or dropped file belongs to."""
+"""The scene that the user chose, how it is read, and the scene or lift that a file belongs to."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def absolute(path: str) -> Path:
 
 
 def free_folder(beside: Path, ending: str) -> Path:
-    """A folder that does not exist yet: ``beside`` with the ending "lift" is "room_lift", or "room_lift_2" and so
+    """A folder that does not exist yet: beside "room" with the ending "lift", "room_lift" or "room_lift_2" and so
     on."""
     number, folder = 1, beside.with_name(f"{beside.name}_{ending}")
     while folder.exists():
@@ -32,9 +32,8 @@ AUTOMATIC = "auto"
 """The choice that detects the format from the scene's files."""
 
 FORMAT_ITEMS = [(AUTOMATIC, "Automatic", "Detected from the names of the files"), *map(tuple, SCENE_FORMAT_NAMES)]
-"""Items of an EnumProperty."""
-MASK_FORMAT_ITEMS = [(AUTOMATIC, "Automatic", "Detected from the names of the files"), *map(tuple, MASK_FORMAT_NAMES)]
-"""Items of an EnumProperty."""
+MASK_FORMAT_ITEMS = [FORMAT_ITEMS[0], *map(tuple, MASK_FORMAT_NAMES)]
+"""Items of EnumProperties."""
 
 FILE_SUFFIXES = (".json", ".txt", ".jsonl", ".sens", ".r3d", ".log", ".bin", ".csv")
 """Suffixes of files by which users name a scene, in a file browser or by dropping them."""
@@ -52,7 +51,7 @@ def chosen_format(choice: str) -> str | None:
 
 @dataclass(frozen=True)
 class ChosenScene(SceneSource):
-    """The paths of a scene and its parts, made absolute."""
+    """A scene and its parts, with absolute paths."""
 
     @classmethod
     def of(
@@ -82,21 +81,20 @@ class ChosenScene(SceneSource):
 
     @property
     def is_plain(self) -> bool:
-        """Whether Blender can read its cameras and pictures without an engine: they are in plain folders. Reads the
-        disk."""
-        has_lens = (self.scene / "intrinsic").is_dir()  # else a sensor's own file may say it, which the engine reads
+        """Whether it has plain folders, which Blender can read without an engine. Reads the disk."""
+        has_lens = (self.scene / "intrinsic").is_dir()  # else it may be in a sensor's file, which the engine reads
         return self.scene_format in (None, NAME) and has_lens and recognises(self.scene)
 
     def open_plain(self) -> PosedScene:
-        """Opens the cameras and pictures of plain folders, reading only the headers of pictures. Raises PlgsError."""
+        """Opens plain folders, reading only the headers of pictures. Raises PlgsError."""
         try:
             return open_plain_folders(self)
-        except (OSError, ValueError) as error:  # ValueError: a path that this system cannot even look at
+        except (OSError, ValueError) as error:  # ValueError: not a possible path on this system
             what = f"cannot be looked at ({error})"
             raise PlgsError("bad-path", what, self.scene, "Choose other folders.") from error
 
     def arguments(self) -> list[str | Path]:
-        """The arguments that name this scene to the engine's commands."""
+        """This scene as arguments of the engine's commands."""
         arguments: list[str | Path] = [self.scene, f"--up={self.up_option}"]
         given = {"--masks": self.masks, "--format": self.scene_format, "--depth": self.depth}
         named = {"--mask-format": self.mask_format, "--classes": self.classes, "--detections": self.detections}
@@ -107,7 +105,7 @@ class ChosenScene(SceneSource):
 
 def needs_engine(chosen: ChosenScene) -> PlgsError:
     """The error for a scene that Blender cannot read without an engine."""
-    what = "Blender alone can read only the folders color, pose and intrinsic, and this is another layout"
+    what = "Blender alone reads only the folders color, pose and intrinsic, and this is another layout"
     return PlgsError("needs-engine", what, chosen.scene, "Set up the engine, which can read it.")
 
 
@@ -118,13 +116,13 @@ _PARTS = {
     "instance", "masks", "keyframes", "cameras", "corrected_cameras", "corrected_images", "corrected_depth",
     "confidence", "iphone", "rgbd", "sparse", "0", "model", "colmap", "_detail", "m2f_semantics", "m2f_instance",
 }  # fmt: skip
-"""Names of folders inside a scene. They only help to find the scene's folder; the engine detects the format."""
+"""Names of folders inside a scene, which help to find the scene's folder."""
 _HIGHEST = 3
-"""Search at most this many folders up: result/passes/0001.exr lies two below its lift."""
+"""Search at most this many folders up, as from result/passes/0001.exr to its lift."""
 
 
 def lift_or_scene(path: Path) -> tuple[Path | None, Path | None]:
-    """The lift's folder, or the scene's folder or file, that a path belongs to; the other one is None."""
+    """The lift's folder, or the scene's folder or file, that a path belongs to; the other is None."""
     path = path.absolute()
     for folder in [path, *path.parents][: _HIGHEST + 1]:
         if (folder / "request.json").is_file():

@@ -1,4 +1,4 @@
-"""The compositing window: the Compositing workspace, the passes behind the nodes, the selected group and its matte."""
+"""The compositor in a window: its workspace, the passes behind the nodes, the selected group and its matte."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..engine.posed.names import matte_names
 from . import compat
 from .inspecting.selection import class_row_of, row_of
 from .owned import KEY, LIFT, key_of, scene_to_fill
-from .pass_nodes import CRYPTO_CLASSES, CRYPTO_INSTANCES, PANOPTIC, PASSES, has_nodes, node_of, panoptic_node
+from .pass_nodes import CRYPTO_CLASSES, CRYPTO_INSTANCES, PANOPTIC, PASSES, has_nodes, node_of
 from .passes import SHOT, passes_scene_of
 
 _TREE = "CompositorNodeTree"
@@ -26,8 +26,8 @@ _MSGBUS_OWNER = object()
 
 @dataclass
 class _Opened:
-    """A window from which the compositor was opened: the names of what it showed then and of its last workspace.
-    ``eyes`` are the cameras that its 3D views looked through, by screen name and area index."""
+    """A window from which the compositor was opened: the names of what it showed then, and of its last workspace.
+    ``eyes`` are the cameras that its 3D views looked through, by screen and area index."""
 
     workspace: str
     room: str
@@ -36,7 +36,7 @@ class _Opened:
     eyes: dict[tuple[str, int], str]
 
     def go_back(self, window: bpy.types.Window, room: bpy.types.Scene) -> None:
-        """Show the room again, through the same cameras: a passes scene has none, so Blender leaves the camera view."""
+        """Show the room again, through the same cameras: Blender left the camera views, as a passes scene has none."""
         window.scene = room
         for (screen, number), name in self.eyes.items():
             areas, camera = getattr(bpy.data.screens.get(screen), "areas", ()), room.objects.get(name)
@@ -61,7 +61,7 @@ _opened: dict[int, _Opened] = {}
 
 
 def show_room(window: bpy.types.Window) -> None:
-    """From a passes scene, return to the scene with its lift, in the workspace from which the compositor was opened.
+    """Return from a passes scene to the scene with its lift, in the workspace from which the compositor was opened.
     Raises PlgsError if the lift's scene is gone."""
     room = scene_to_fill(window.scene)
     opened = _opened.pop(window.as_pointer(), None)
@@ -75,8 +75,8 @@ def show_room(window: bpy.types.Window) -> None:
 
 
 def follow_workspace() -> None:
-    """In a window from which the compositor was opened, show the room when its workspace is left, and the passes on
-    return. If the user chose another scene there, the window is left alone."""
+    """In a window from which the compositor was opened, show the room outside the compositor's workspace, and the
+    passes in it. If the user chose another scene there, the window is left alone."""
     windows = {window.as_pointer(): window for window in bpy.context.window_manager.windows}
     for address, opened in [*_opened.items()]:
         window = windows.get(address)
@@ -98,14 +98,13 @@ def follow_workspace() -> None:
 
 
 def _follow_soon() -> None:
-    """Blender announces a workspace before its window has switched to it, so wait a moment."""
+    """Wait a moment: Blender announces a workspace before its window has switched to it."""
     if not bpy.app.timers.is_registered(follow_workspace):
         bpy.app.timers.register(follow_workspace)
 
 
 def show_compositor(window: bpy.types.Window, passes: bpy.types.Scene) -> None:
-    """Show a passes scene in a compositor of a window: in the Compositing workspace, else in another one with a
-    compositor, else in the window's largest area."""
+    """Show a passes scene in a window: in the compositing workspace, else in the window's largest area."""
     workspace = compositing_workspace()
     if KEY not in window.scene:
         last = window.workspace.name if workspace is None else workspace.name
@@ -142,17 +141,16 @@ def compositing_workspace() -> bpy.types.WorkSpace | None:
 def select_group(passes: bpy.types.Scene) -> None:
     """Select only the panoptic group's node, unless the user has removed it."""
     tree = compat.compositor_tree(passes)
-    group = None if tree is None else next((node for node in tree.nodes if node.get(KEY) == PANOPTIC), None)
-    if tree is None or group is None:
-        return
-    for node in tree.nodes:
-        node.select = node == group
-    tree.nodes.active = group
+    group = _group_node(tree)
+    if group is not None:
+        for node in tree.nodes:
+            node.select = node == group
+        tree.nodes.active = group
 
 
 @bpy.app.handlers.persistent
 def _subscribe(*_arguments: object) -> None:
-    """Subscribe to workspace changes; loading a file ends all subscriptions, so this is called again afterwards."""
+    """Subscribe to workspace changes, again after loading a file, which ends all subscriptions."""
     _opened.clear()
     bpy.msgbus.clear_by_owner(_MSGBUS_OWNER)
     key = (bpy.types.Window, "workspace")
@@ -178,8 +176,7 @@ _SHOWING = ("Recolour", "Outline", "Isolate", "Hold out")
 
 
 def compositors_of(root: bpy.types.Collection) -> Iterator[tuple[bpy.types.Scene, bpy.types.NodeTree]]:
-    """The scenes with a lift's passes and their group nodes, the scene of its frames first. Scenes whose nodes the user
-    has taken apart are left out."""
+    """The scenes with a lift's passes and their nodes, the scene of its frames first, unless the user removed nodes."""
     found = []
     for scene in bpy.data.scenes:
         key, tree = key_of(scene, root[LIFT]) or "", compat.compositor_tree(scene)
@@ -192,7 +189,10 @@ def compositors_of(root: bpy.types.Collection) -> Iterator[tuple[bpy.types.Scene
 def panoptic_of(scene: bpy.types.Scene) -> bpy.types.Node | None:
     """The group node, which has the controls, in the compositor that opens from a scene; or None."""
     passes = passes_scene_of(scene)
-    tree = None if passes is None else compat.compositor_tree(passes)
+    return None if passes is None else _group_node(compat.compositor_tree(passes))
+
+
+def _group_node(tree: bpy.types.NodeTree | None) -> bpy.types.Node | None:
     return None if tree is None else next((node for node in tree.nodes if node.get(KEY) == PANOPTIC), None)
 
 
@@ -221,9 +221,10 @@ def _set(root: bpy.types.Collection, layer: str, name: str, by_class: float) -> 
         raise PlgsError("no-passes", "has no passes in a compositor", root.name, "Bake some in the Passes panel.")
     for tree in compositors:
         node_of(tree, layer).matte_id = name
-        if not any(node.get(KEY) == PANOPTIC for node in tree.nodes):
-            continue  # the user has built something else of the mattes
-        controls = panoptic_node(tree).inputs
+        group = _group_node(tree)
+        if group is None:
+            continue  # the user removed it
+        controls = group.inputs
         controls["By class"].default_value = by_class
         if not any(controls[each].default_value or controls[each].is_linked for each in _SHOWING):
             controls["Outline"].default_value = 1.0

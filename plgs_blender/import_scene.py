@@ -1,4 +1,4 @@
-"""Shows a scene's frames in Blender before it is lifted, to check that poses, lenses and pictures fit."""
+"""Shows a scene's frames in Blender before a lift, to check whether poses, lenses and pictures fit."""
 
 from __future__ import annotations
 
@@ -23,8 +23,7 @@ from .timeline import mark_timeline
 from .viewport import areas_of, areas_that_show, frame_room, show_room
 
 MISSING = "plgs_missing"
-"""Property of an imported scene's collection: what an engine still has to make, "colour" and "cloud" as in its
-command."""
+"""Property of an imported scene's collection: the kinds ("colour", "cloud") that an engine still has to make."""
 
 _CLOUDS, _CLOUD, _SPARSE = "Coloured points", "cloud", "sparse_points"
 """The collection of the clouds, and their keys."""
@@ -38,18 +37,16 @@ def place_scene(
     place: ChosenScene, scene: bpy.types.Scene, made: MadeFrames | None = None, *, cloud: bool = True
 ) -> bpy.types.Collection:
     """Put the frames of a scene into Blender's scene: one camera per frame, with its picture and timeline marker, a
-    camera that moves along them, the points of the reconstruction, and what an engine ``made`` of the scene before.
-    Blender reads plain folders itself; for other layouts the engine has listed the cameras. With ``cloud``, the scene's
-    coloured cloud is wanted too, if it has depth. Returns the collection, whose property MISSING lists what an engine
-    must still make.
+    camera that moves along them, the points of the reconstruction, and what an engine ``made`` before, which lists the
+    cameras unless the folders are plain. With ``cloud``, the coloured cloud of the depth, if any, is wanted too.
 
-    A later lift of the same frames fills the same collection, and an existing lift keeps everything else. Raises
-    PlgsError before anything changes.
+    Returns the collection, which a lift of the same frames fills, too. Its property MISSING lists what an engine must
+    still make. An existing lift keeps everything else. Raises PlgsError before anything changes.
     """
     is_plain = made is None or place.is_plain
     opened = place.open_plain() if made is None or is_plain else scene_of(made)
     if made is not None and is_plain and not has_cameras_of(made, opened.frames):
-        made = replace(made, cloud=None)  # it lies where the cameras were
+        made = replace(made, cloud=None)  # it fits other poses
     scene = scene_to_fill(scene)
     root = root_collection(place.scene, None, scene)
     root[PLACE] = place.as_texts()
@@ -60,7 +57,7 @@ def place_scene(
     if scene.camera is None:
         scene.camera = cameras[0]
     missing = [] if all(picture_of(frame, pictures) for frame in opened.frames) else ["colour"]
-    if not root[FOLDER]:  # the points of a lift say more
+    if not root[FOLDER]:  # a lift has better points
         missing += _place_clouds(owned, root, opened, made, cloud)
     root[MISSING] = " ".join(missing)
     return root
@@ -72,7 +69,7 @@ def look_at_imported(root: bpy.types.Collection, scene: bpy.types.Scene) -> None
 
 
 def _room(root: bpy.types.Collection, scene: bpy.types.Scene) -> tuple[Quaternion, NDArray[np.float64]]:
-    """The rotation of a camera that overlooks the frames and what they see, and the corners [8, 3] of that region in
+    """The rotation of a camera that overlooks the frames and what they see, and that region's corners [8, 3] in
     metres."""
     scene.view_layers[0].update()
     matrices = np.array([ob.matrix_world for ob in root.all_objects if "frame" in ob])
@@ -87,7 +84,7 @@ def _room(root: bpy.types.Collection, scene: bpy.types.Scene) -> tuple[Quaternio
 
 def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrames) -> None:
     """Add what an engine made since the import: photos in front of the cameras, and the cloud. 3D views that the user
-    has not moved since the import then show all of it. Raises PlgsError."""
+    has not moved since then show all of it. Raises PlgsError."""
     owned = OwnedDataBlocks(root[LIFT], scene)
     cameras = {ob["frame"]: ob for key, ob in objects_by_key(root).items() if key.startswith("frame:")}
     for name, picture in photos(made).items():

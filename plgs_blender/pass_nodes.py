@@ -1,5 +1,5 @@
-"""The compositor nodes of a passes scene, and their group "PLGS Panoptic": a matte by class or instance, and effects
-with it.
+"""The compositor nodes of a passes scene, and their group "PLGS Panoptic": a matte by class or instance, and its
+effects.
 
 Nodes are found by their tag, so users may move, rename and link them. The group lays the ids' colours over the picture,
 shifts the hue inside the matte, outlines it, and cuts out the rest or the matte itself, in this order. All controls are
@@ -34,11 +34,11 @@ class Control:
 
 CONTROLS = (
     Control("By class", "0: the instances' matte, 1: the classes' matte"),
-    Control("Overlay", "How strongly the colours of the instances, or classes, lie over the picture"),
-    Control("Recolour", "How far the matte's pixels take the hue of the colour below; they keep their light and shade"),
-    Control("Outline", "How strong the line around the matte is"),
-    Control("Isolate", "How far everything but the matte is cut out"),
-    Control("Hold out", "How far the matte itself is cut out"),
+    Control("Overlay", "Opacity of the instances' or classes' colours over the picture"),
+    Control("Recolour", "How much the matte takes the hue of the colour below; it keeps its light and shade"),
+    Control("Outline", "Opacity of the line around the matte"),
+    Control("Isolate", "How much everything but the matte is cut out"),
+    Control("Hold out", "How much the matte itself is cut out"),
 )
 PICTURES = ("Image", "Instance colours", "Class colours")
 MATTES = ("Instance matte", "Class matte", "Instance")
@@ -46,7 +46,7 @@ COLOURS = {"Outline colour": _OUTLINE, "Recolour to": _RECOLOUR}
 
 
 def panoptic_group() -> bpy.types.NodeTree:
-    """The file's group, made if there is none. A group that is linked in or lacks an input is left alone."""
+    """The file's group, made if missing. A group that is linked or lacks an input is left alone."""
     wanted = {*PICTURES, *MATTES, *COLOURS, *(control.name for control in CONTROLS)}
     for group in bpy.data.node_groups:
         if group.get(KEY) == MARK and group.library is None:
@@ -88,32 +88,28 @@ class _Wiring:
 
     def build(self) -> None:
         given = self._in
-        matte = self._chosen(given["Instance matte"], given["Class matte"])
-        line = self._product(self._ring(matte), given["Outline"])
+        instances = given["Instance matte"]
+        to_class = self._product(self._math("SUBTRACT", given["Class matte"], instances), given["By class"])
+        matte = self._math("ADD", instances, to_class)
+        grown = self._place(compat.new_dilation(self._group, LINE_PIXELS))
+        self._group.links.new(matte, grown.inputs[0])
+        line = self._product(self._math("SUBTRACT", grown.outputs[0], matte), given["Outline"])
         colours = self._mixed(given["By class"], given["Instance colours"], given["Class colours"])
         is_shown = self._larger(self._math("GREATER_THAN", given["Instance"], 0.5), given["By class"])
         image = self._mixed(self._product(given["Overlay"], is_shown), given["Image"], colours)
         image = self._mixed(self._product(given["Recolour"], matte), image, given["Recolour to"], "COLOR")
         image = self._mixed(line, image, given["Outline colour"])
-        kept = self._without(given["Isolate"], self._without(None, self._larger(matte, line)))
-        kept = self._product(kept, self._without(given["Hold out"], matte))
-        for name, socket in (("Image", self._cut(image, kept)), ("Matte", matte), ("Outline", line)):
+        around = self._without(self._larger(matte, line))
+        kept = self._without(self._product(given["Isolate"], around))
+        kept = self._product(kept, self._without(self._product(given["Hold out"], matte)))
+        cut = self._place(compat.new_alpha_factor(self._group))
+        self._group.links.new(image, cut.inputs["Image"])
+        self._group.links.new(kept, cut.inputs["Alpha"])
+        for name, socket in (("Image", cut.outputs[0]), ("Matte", matte), ("Outline", line)):
             self._group.links.new(socket, self._out[name])
 
-    def _chosen(self, instances: Any, classes: Any) -> Any:
-        """instances + by_class * (classes - instances)."""
-        difference = self._math("SUBTRACT", classes, instances)
-        return self._math("ADD", instances, self._product(difference, self._in["By class"]))
-
-    def _ring(self, matte: Any) -> Any:
-        """The outline: the grown matte minus the matte."""
-        node = self._place(compat.new_dilation(self._group, LINE_PIXELS))
-        self._group.links.new(matte, node.inputs[0])
-        return self._math("SUBTRACT", node.outputs[0], matte)
-
-    def _without(self, factor: Any | None, what: Any) -> Any:
-        """1 - factor * what."""
-        return self._math("SUBTRACT", 1.0, what if factor is None else self._product(factor, what))
+    def _without(self, what: Any) -> Any:
+        return self._math("SUBTRACT", 1.0, what)
 
     def _product(self, one: Any, other: Any) -> Any:
         return self._math("MULTIPLY", one, other)
@@ -138,12 +134,6 @@ class _Wiring:
             self._group.links.new(value, socket)
         return result
 
-    def _cut(self, image: Any, kept: Any) -> Any:
-        node = self._place(compat.new_alpha_factor(self._group))
-        self._group.links.new(image, node.inputs["Image"])
-        self._group.links.new(kept, node.inputs["Alpha"])
-        return node.outputs[0]
-
     def _place(self, node: bpy.types.Node) -> bpy.types.Node:
         """Arrange a node: rows of six, in the order of creation."""
         self._column += 1
@@ -156,7 +146,7 @@ PASSES, CRYPTO_INSTANCES, CRYPTO_CLASSES, PANOPTIC = "passes", "CryptoInstance",
 _STRENGTH = 0.55
 """Opacity of the instances' colours over the picture."""
 _LOWER = 240.0
-"""Units by which the nodes stand lower than Blender's own would, so that the backdrop stays visible."""
+"""Units by which the nodes are lowered, so that the backdrop stays visible."""
 
 
 _OUTPUTS = {
@@ -187,8 +177,7 @@ def has_nodes(tree: bpy.types.NodeTree | None) -> bool:
 
 
 def output_of(tree: bpy.types.NodeTree, name: str) -> Any:
-    """An output socket to link from: a layer ("Depth", "Semantic", ...), "Instance colours", "Class colours", "Instance
-    matte", "Class matte", "Overlay" (the group's picture), "Matte" or "Outline". Raises KeyError for others."""
+    """An output socket to link from: a layer, such as "Depth", or one of `_OUTPUTS`. Raises KeyError for others."""
     key, output = _OUTPUTS.get(name, (PASSES, name))
     for socket in node_of(tree, key).outputs:
         if socket.enabled and output == socket.name:
@@ -238,7 +227,7 @@ def build(tree: bpy.types.NodeTree, lift: str, image: bpy.types.Image) -> None:
     use_image(tree, image)
     _colour_code(make, "Instance", "Instance", -60)
     _colour_code(make, "Class", "Semantic", -420)
-    depth = make.add("depth", "Depth, near is black", 1.5, 80, "CompositorNodeNormalize")
+    depth = make.add("depth", "Depth (near: black)", 1.5, 80, "CompositorNodeNormalize")
     make.link(output_of(tree, "Depth"), depth.inputs[0])
     _show_panoptic(make)
 
@@ -256,11 +245,6 @@ def _colour_code(make: _NodeBuilder, what: str, layer: str, row: float) -> None:
     make.link(scale.outputs[0], place.inputs[0])
     make.link(palette.outputs[0], look_up.inputs["Image"])
     make.link(place.outputs[0], look_up.inputs["UV"])
-
-
-def panoptic_node(tree: bpy.types.NodeTree) -> bpy.types.Node:
-    """The node of the group "PLGS Panoptic". Raises KeyError if the user removed it."""
-    return node_of(tree, PANOPTIC)
 
 
 def _show_panoptic(make: _NodeBuilder) -> None:

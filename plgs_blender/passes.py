@@ -1,8 +1,7 @@
 """Scenes with the baked passes as compositor layers: one for the lift's frames, and one for each baked user camera.
 
-In the scene of the lift's frames, each timeline frame is one view. The EXR files are read as an image sequence with
-gaps in its numbers: a keyed offset maps frames to files. Views whose names are not numbered cannot form a sequence;
-`show_view` then swaps images.
+In the scene of the lift's frames, each timeline frame is one view. The EXR files are an image sequence with gaps in its
+numbers, and a keyed offset maps frames to files. If the names are not numbered, `show_view` swaps images.
 """
 
 from __future__ import annotations
@@ -33,28 +32,24 @@ from .pass_nodes import CRYPTO_CLASSES, CRYPTO_INSTANCES, PASSES, build, has_nod
 from .results import LiftResult
 
 SHOT = "shot:"
-"""Start of the key of a scene whose passes were baked from a camera of the user's."""
+"""Start of the key of a scene with the passes of a user's camera."""
 NOTES = ".plgs"
-"""The hidden folder beside the frames that has what is noted of shots, their cameras and locks."""
+"""The hidden folder beside a shot's passes for its origin, cameras and locks."""
 VERSION = re.compile(r"(?:^|[._-])v(\d{1,6})(?=$|[._-])", re.IGNORECASE)
 """The version in a file's name, as in "shot_v012.blend"."""
 _LAST_NUMBER = re.compile(r"(?s)(.*?)(\d+)(\D*)")
 _BEFORE_0 = re.compile(r"(?s)(.*)\.-\d+")
-"""The name of a shot's frame before 0. Blender counts only from 0 up, so these are a sequence of their own."""
+"""The name of a shot's frame before 0. Blender counts from 0, so these frames are a sequence of their own."""
 _LARGEST_NUMBER = 2**31 - 1
 _LONGEST_NAME = 80
 """Maximum length of a shot's name, to which each view adds a number."""
-_NEEDED = {"PLGS.Combined.R", "PLGS.Depth.V", "PLGS.Semantic.V", "PLGS.Instance.V"} | {
-    "CryptoInstance00.r",
-    "CryptoClass00.r",
-}
+_NEEDED = {*(f"PLGS.{layer}" for layer in ("Combined.R", "Depth.V", "Semantic.V", "Instance.V"))}
+_NEEDED |= {"CryptoInstance00.r", "CryptoClass00.r"}
 
 
 def check_layers(files: Iterable[Path]) -> None:
-    """Raises PlgsError if one of the passes' files is not an EXR or lacks a layer that the compositor reads.
-
-    Blender itself only reports a damaged file's image as having no size, and its nodes get no layer.
-    """
+    """Raises PlgsError if one of the passes' files is not an EXR or lacks a layer that the compositor reads: Blender
+    would only show nothing."""
     for path in files:
         try:
             missing = _NEEDED - {*read_exr_header(path).channels}
@@ -88,8 +83,8 @@ def place_passes(owned: OwnedDataBlocks, result: LiftResult) -> bpy.types.Scene 
 
 
 def place_shots(owned: OwnedDataBlocks, result: LiftResult, shot_scene: bpy.types.Scene) -> list[bpy.types.Scene]:
-    """Make or refill a scene "PLGS <name> <camera>" for each baked user camera. It takes its frame range, frame rate
-    and pixel aspect from `shot_scene`, in which the camera moves."""
+    """Make or refill a scene "PLGS <name> <camera>" for each baked user camera, with the frame rate and pixel aspect of
+    `shot_scene`, in which the camera moves."""
     groups = sequences(list(result.shots))
     for scene in list(bpy.data.scenes):
         key = key_of(scene, owned.lift) or ""
@@ -145,7 +140,7 @@ def _fill_scene(
             owned.keep(tree)
         use_image(tree, image)
         if sequence is not None:
-            image.source = "SEQUENCE"  # not before its layers were chosen: that only works on a single file
+            image.source = "SEQUENCE"  # after its layers were chosen, which only works on a single file
         count(scene, tree)
     _fill_palette(owned, tree, "Instance", {each.id: each.colour for each in result.instances})
     _fill_palette(owned, tree, "Class", {each.id: each.colour for each in result.classes.categories})
@@ -180,8 +175,7 @@ def _images(
 
 @contextmanager
 def _one_pixel_of(image: bpy.types.Image) -> Iterator[None]:
-    """Temporarily give an image one pixel with its file's layers: Blender rereads it for every layer that a node
-    names."""
+    """Temporarily give an image one pixel with its file's layers, because Blender rereads it for each layer."""
     path = image.filepath
     with tempfile.TemporaryDirectory(prefix="plgs-", dir=bpy.app.tempdir) as folder:
         pixel = Path(folder) / "0001.exr"
@@ -214,8 +208,7 @@ def _count_on(first: int, last: int, _scene: bpy.types.Scene, tree: bpy.types.No
 
 
 def _take_after(scene: bpy.types.Scene, shot: bpy.types.Scene, numbers: Sequence[int], size: tuple[int, int]) -> None:
-    """Take the shot's scene's frame range, frame rate and pixel aspect. Blender does not always know the files'
-    size."""
+    """Take the frame range and size of a shot's files, and the frame rate and pixel aspect of its scene."""
     scene.frame_start, scene.frame_end = min(numbers), max(numbers)
     scene.frame_step = math.gcd(*(number - min(numbers) for number in numbers)) or 1
     scene.frame_set(min(numbers))
@@ -229,7 +222,7 @@ def _take_after(scene: bpy.types.Scene, shot: bpy.types.Scene, numbers: Sequence
 def _fill_palette(
     owned: OwnedDataBlocks, tree: bpy.types.NodeTree, what: str, colours: Mapping[int, tuple[int, int, int]]
 ) -> None:
-    """Write the colours, sRGB by id, into the linear palette image, and scale ids to its width. Id 0 is black."""
+    """Write the colours, sRGB by id, into the linear palette image, and scale ids to its width."""
     width = max(colours, default=0) + 1
     name, new = f"PLGS {what.lower()} palette", bpy.data.images.new
     image = owned.block(
@@ -243,7 +236,7 @@ def _fill_palette(
         pixels[number] = linear_rgba(colour)
     image.pixels.foreach_set(pixels.ravel())
     image.update()
-    image.pack()  # it has no file: without this it would be lost on saving
+    image.pack()  # it has no file, so it would be lost on saving
     node_of(tree, f"{what} palette").image = image
     scale = node_of(tree, f"{what} scale")
     scale.inputs[1].default_value, scale.inputs[2].default_value = 1.0 / width, compat.IN_A_PIXEL / width
@@ -277,15 +270,15 @@ def is_shot(scene: bpy.types.Scene) -> bool:
 
 
 def passes_scene_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
-    """The scene itself if it holds passes, else the passes scene of its first lift that has one: the active camera's if
-    there is one, else the frames', else any."""
+    """The scene itself if it holds passes, else the first passes scene of its lifts: the active camera's, else the
+    frames', else any."""
     if text_of(scene, LIFT) and (key_of(scene, scene[LIFT]) == PASSES or is_shot(scene)):
         return scene
     for root in lifts_in(scene):
         found = {key_of(other, root[LIFT]) or "": other for other in bpy.data.scenes}
         shots = [key for key in found if key.startswith(SHOT)]
         named = () if scene.camera is None else (shot_name(scene.camera), safe_name(scene.camera.name))
-        own = [SHOT + next(iter(sequences([f"{name}.0001"]))) for name in named]  # baked before the file had a name
+        own = [SHOT + next(iter(sequences([f"{name}.0001"]))) for name in named]  # with or without the file's name
         for key in (*own, PASSES, *shots):
             if key in found:
                 return found[key]
@@ -293,12 +286,12 @@ def passes_scene_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
 
 
 def shot_name(camera: bpy.types.Object, given: str = "", later: int = 0) -> str:
-    """The name of a camera's views, without their numbers: ``given``, else made from the names of the .blend, if saved,
-    and the camera, both cut to fit a file name.
+    """The name of a camera's views, without their numbers: ``given``, else the names of the .blend and the camera, cut
+    to fit a file name.
 
-    ``given`` may have the fields of Python's format strings: {shot} (the .blend's name without its version), {camera},
-    {version} (the .blend's, "_v012" or 1, plus ``later``), and at the end ".{frame:04d}", which all names have. Raises
-    PlgsError for other fields.
+    ``given`` may have fields of Python's format strings: {shot} (the .blend's name without its version), {camera},
+    {version} (the .blend's, such as 12 of "_v012", else 1, plus ``later``), and at the end ".{frame:04d}", which all
+    names have. Raises PlgsError for other fields.
     """
     if "{" in given or "}" in given:
         given = _filled(given, camera, later)
@@ -333,25 +326,21 @@ def show_view(scene: bpy.types.Scene, name: str) -> None:
             use_image(tree, image)
     number = numbered([name])
     if number is not None and node_of(tree, PASSES).image.source == "SEQUENCE":
-        for node in reading_nodes(tree):  # Blender evaluates only the keys of the scene that its window shows
+        for node in reading_nodes(tree):  # Blender evaluates keys only of the scene that its window shows
             node.frame_offset = number.numbers[0] - frames[name]
 
 
 @dataclass(frozen=True)
 class NumberedNames:
-    """Names that Blender can step through: `first` is the name to open; `numbers[i]` in place of its number gives the
-    i-th name."""
+    """Names that Blender can step through: the `first` one, to open, with `numbers[i]` in it is the i-th name."""
 
     first: str
     numbers: tuple[int, ...]
 
 
 def numbered(names: Sequence[str]) -> NumberedNames | None:
-    """The names as one numbered sequence, possibly with gaps, or None.
-
-    Blender replaces the last number in a name, padded to its width in the opened file. So all names must have the same
-    text around that number, and padding to the shortest width must give all the others.
-    """
+    """The names as one numbered sequence, possibly with gaps, or None. Blender replaces the last number in the opened
+    name, padded to its width: this must give all the others."""
     parts = [_LAST_NUMBER.fullmatch(name) for name in names]
     if not parts or any(part is None for part in parts):
         return None
@@ -365,8 +354,8 @@ def numbered(names: Sequence[str]) -> NumberedNames | None:
 
 
 def sequences(names: Sequence[str]) -> dict[str, list[str]]:
-    """Names in groups that Blender can step through, by the text before the number: "shot" of "shot.0001" and
-    "shot.0002", "shot before 0" of "shot.-0001". A name that fits no group is a group of its own."""
+    """Names in groups that Blender can step through, by the text before the number: "shot" for "shot.0001", "shot
+    before 0" for "shot.-0001". A name that fits no group is a group of its own."""
     groups: dict[str, list[str]] = {}
     for name in names:
         parts, before = _LAST_NUMBER.fullmatch(name), _BEFORE_0.fullmatch(name)

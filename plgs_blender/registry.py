@@ -1,8 +1,7 @@
 """The tasks that this Blender follows, each an engine command in its own process, and the timer that polls them.
 
-A kind of task is a subclass of `Task` whose `done` takes the answer. Tasks live here, not in an operator or a file, so
-they survive undo and opening another .blend. The timer runs in Blender's main thread between redraws, so nothing here
-waits, and there are no threads.
+Tasks are kept here, not in an operator or a file, so they survive undo and opening another .blend. The timer runs in
+Blender's main thread between redraws, so nothing here waits, and there are no threads.
 """
 
 from __future__ import annotations
@@ -28,16 +27,16 @@ _PARTS_S = 0.05
 
 
 class Task:
-    """A followed task, and its outcome after its end. Subclasses handle its answer."""
+    """A followed task, and its outcome after its end. Each kind is a subclass, whose `done` takes the answer."""
 
     kind: ClassVar[str]
-    """The name of the kind. Only one task of a kind runs at a time, unless their `key` differs."""
+    """The name of the kind. One task of a kind runs at a time, unless their keys differ."""
     label = ""
     """The work in words, such as "Making masks"."""
     cancel_operator: ClassVar[str] = ""
     """The operator that cancels it, or empty."""
     counts_steps: ClassVar[bool] = True
-    """Whether its steps mean something to users; if not, they are shown in percent."""
+    """Whether its progress is shown in steps, not in percent."""
     lift_folder: Path | None = None
     """The lift folder that it works in, if any."""
     undo_step = ""
@@ -130,14 +129,11 @@ class Task:
 
     def done(self, scene: Any) -> Iterator[object] | None:
         """Take the answer into Blender, whose current scene is ``scene``. Called once, however the task ended. Slow
-        work comes in parts, spread over several polls, between which the user may change everything.
-
-        Raises PlgsError, OSError.
-        """
+        work yields between its parts, where the user may change everything. Raises PlgsError, OSError."""
         return None
 
     def watch(self, scenes: Sequence[Any], has_news: bool) -> bool:
-        """Called at every tick of the timer with all scenes of the file. Returns whether 3D views need redrawing."""
+        """Called at every tick with all scenes of the file. Returns whether 3D views need redrawing."""
         return False
 
     def cancel(self) -> None:
@@ -230,7 +226,7 @@ def forget(key: Hashable) -> None:
 
 
 def forget_all() -> None:
-    """Forget all tasks. Our own engines end, unless they were started to outlive Blender."""
+    """Forget all tasks. Their engines end, unless they should outlive Blender."""
     for key in list(_tasks):
         forget(key)
 
@@ -258,7 +254,7 @@ def tick() -> float | None:
     """Poll once. Returns the seconds until the next poll; None if nothing is left to follow."""
     try:
         _poll()
-    except Exception:  # a defect of ours: the tasks are followed all the same
+    except Exception:  # a bug of ours must not stop the timer
         traceback.print_exc()
     return TICK_S if is_any_left() else None
 
@@ -268,7 +264,7 @@ def _poll() -> None:
         with_news = poll_all(bpy.context.scene)
         for task in with_news:
             if task.is_taken and task.undo_step and task.has_finished:
-                if not bpy.app.background:  # so that undo removes what it put into the file, and nothing before it
+                if not bpy.app.background:  # undo then removes what the task added, and nothing before it
                     bpy.ops.ed.undo_push(message=task.undo_step)
         scenes = [*(window.scene for window in bpy.context.window_manager.windows), *bpy.data.scenes]
         watched = [*running(Task), *(task for task in with_news if task.is_taken)]
@@ -281,8 +277,7 @@ def _poll() -> None:
 
 
 def redraw_panels(*, views_too: bool = False) -> None:
-    """Redraw the sidebars of 3D views and the preferences; the views themselves, which take far longer, only on
-    request."""
+    """Redraw the sidebars of 3D views and the preferences; on request the views, which takes far longer."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "PREFERENCES":
@@ -305,12 +300,10 @@ def _in_window() -> Iterator[None]:
 
 
 def register() -> None:
-    """End our engines with Blender, which calls nothing else at exit."""
     atexit.register(forget_all)
 
 
 def unregister() -> None:
-    """Stop, and forget all tasks; their engines end, unless they were started to outlive Blender."""
     atexit.unregister(forget_all)
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)

@@ -28,9 +28,9 @@ from .engine_environment import studio
 from .errors import with_field_names
 
 _PRESETS = [
-    ("preview", "Preview", "Takes minutes: to see whether frames, poses and masks fit together"),
-    ("standard", "Standard", "The best result, in a few times as many minutes"),
-    ("paper", "Thorough", "Takes hours: the method and the number of steps of the paper"),
+    ("preview", "Preview", "Takes minutes; shows whether frames, poses and masks fit together"),
+    ("standard", "Standard", "The best result; takes a few times as long as Preview"),
+    ("paper", "Thorough", "Takes hours; the paper's method and number of steps"),
 ]
 UPS = [
     ("z", "Automatic", "The axis given by the capture's format, else the poses' z axis"),
@@ -43,21 +43,21 @@ _LAYERS = [
     ("position", "Position", "The surface's position in the world; more than doubles the disk space"),
 ]
 _BAKES = [
-    ("test", "Test Frames", "Bake the passes of the frames that are kept out of training, to check it"),
+    ("test", "Test Frames", "Bake the passes of the frames held out of training, to check it"),
     ("all", "All Frames", "Bake the passes of every frame"),
-    ("none", "None", "Bake no passes; they can be baked later"),
+    ("none", "None", "Bake no passes now; you can bake them later"),
 ]
 _DEVICES = [
     ("cpu", "CPU", "Train and render on the processor"),
     ("cuda", "CUDA", "Train and render on an NVIDIA GPU; the engine needs torch for CUDA, and gsplat"),
-    ("auto", "Automatic", "CUDA where the engine and the computer have all that it needs, else CPU"),
+    ("auto", "Automatic", "CUDA if the engine and the computer can use it, else CPU"),
 ]
 
 _FORMATS = {name for name, *_ in FORMAT_ITEMS}
 _MASK_FORMATS = {name for name, *_ in MASK_FORMAT_ITEMS}
 _PATHS = ("lift_folder", "scene_folder", "masks", "detections", "depth")
 _SKIP_SAVE = {"SKIP_SAVE"}
-"""Keeps an operator from remembering what a script once passed to it."""
+"""So that an operator does not remember what a script once passed to it."""
 
 Listener = Callable[["PLGS_PG_settings"], None]
 on_scene_chosen: list[Listener] = []
@@ -94,132 +94,85 @@ def _tell_of_lift(settings: SceneOptions, context: bpy.types.Context) -> None:
             listener(settings)
 
 
+# fmt: off
 class SceneOptions:
     """How a scene is read: properties of the settings and of operators."""
 
-    format: EnumProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Format", items=FORMAT_ITEMS, default=AUTOMATIC, update=_tell_of_scene,
-        description="The scene's layout, if it cannot be detected from its files",
-    )  # fmt: skip
-    masks: StringProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Masks", subtype="FILE_PATH", update=_tell_of_scene,
-        description="Panoptic masks that are not in the scene's folder",
-    )  # fmt: skip
-    mask_format: EnumProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Mask Format", items=MASK_FORMAT_ITEMS, default=AUTOMATIC, update=_tell_of_scene,
-        description="The masks' layout, if it cannot be detected from their files",
-    )  # fmt: skip
-    detections: StringProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Detections", subtype="FILE_PATH", update=_tell_of_scene,
-        description="Detections over the masks, which may overlap: a JSON of COCO's results or instances",
-    )  # fmt: skip
-    classes_table: StringProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Classes", update=_tell_of_scene,
+    format: EnumProperty(options=_SKIP_SAVE, name="Format", items=FORMAT_ITEMS, default=AUTOMATIC,
+        update=_tell_of_scene, description="The scene's layout, if it cannot be detected from its files")
+    masks: StringProperty(options=_SKIP_SAVE, name="Masks", subtype="FILE_PATH", update=_tell_of_scene,
+        description="Panoptic masks outside the scene's folder")
+    mask_format: EnumProperty(options=_SKIP_SAVE, name="Mask Format", items=MASK_FORMAT_ITEMS, default=AUTOMATIC,
+        update=_tell_of_scene, description="The masks' layout, if it cannot be detected from their files")
+    detections: StringProperty(options=_SKIP_SAVE, name="Detections", subtype="FILE_PATH", update=_tell_of_scene,
+        description="Detections to draw over the masks, which may overlap: a JSON of COCO results or instances")
+    classes_table: StringProperty(options=_SKIP_SAVE, name="Classes", update=_tell_of_scene,
         description="The masks' classes: a .toml file, or one of coco, ade20k, cityscapes, nyu40, nyu13, scannet, "
-        "scannet200, replica, reduced; empty: classes.toml beside them",
-    )  # fmt: skip
-    depth: StringProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Depth Maps", subtype="DIR_PATH", update=_tell_of_scene,
-        description="Folder of a network's depth maps, one per frame; they are fitted to the sparse points, if any",
-    )  # fmt: skip
-    up: EnumProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Up", items=UPS, default="z", update=_tell_of_scene,
-        description="The axis of the poses that points up",
-    )  # fmt: skip
+        "scannet200, replica, reduced; empty: classes.toml beside them")
+    depth: StringProperty(options=_SKIP_SAVE, name="Depth Maps", subtype="DIR_PATH", update=_tell_of_scene,
+        description="Folder of depth maps by a network, one per frame; they are fitted to the sparse points, if any")
+    up: EnumProperty(options=_SKIP_SAVE, name="Up", items=UPS, default="z", update=_tell_of_scene,
+        description="The axis of the poses that points up")
 
 
 class LiftOptions(SceneOptions):
-    """The options of a lift, as properties of the settings and of the operator that starts one.
+    """The options of a lift: properties of the settings and of the operator that starts one."""
 
-    Zero steps, width, height or frames means the preset's value.
-    """
-
-    scene_folder: StringProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Scene", subtype="DIR_PATH", update=_take_defaults,
-        description="A capture's folder or file: ScanNet, transforms.json, COLMAP, Polycam, .r3d, .sens and others",
-    )  # fmt: skip
-    preset: EnumProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Preset", items=_PRESETS, default="preview", description="How much work to spend"
-    )
-    steps: IntProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Steps", min=0, max=10_000_000, description="Training steps; 0 uses the preset's"
-    )
-    width: IntProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Width", min=0, max=LONGEST_SIDE, subtype="PIXEL",
-        description=f"Frames are scaled to fit this width, at least {SHORTEST_SIDE}; 0 uses the preset's",
-    )  # fmt: skip
-    height: IntProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Height", min=0, max=LONGEST_SIDE, subtype="PIXEL",
-        description=f"Frames are scaled to fit this height, at least {SHORTEST_SIDE}; 0 uses the preset's",
-    )  # fmt: skip
-    frames: IntProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Frames", min=-1, max=1_000_000,
-        description="Train on at most this many frames, the sharpest of each stretch; 0 uses the preset's, -1 all",
-    )  # fmt: skip
-    fit: BoolProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Fit Memory", description="Train on fewer frames if memory would run out otherwise"
-    )
-    seed: IntProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Seed", min=0, max=2**31 - 1, description="The same seed gives the same result"
-    )
-    bake: EnumProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Bake", items=_BAKES, default="test",
-        description="Which frames become compositor passes",
-    )  # fmt: skip
-    device: EnumProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Device", items=_DEVICES, default="cpu",
-        description="Where the lift trains and renders",
-    )  # fmt: skip
-    preset_options: StringProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Changed",
-        description="Any options of the preset, such as: weights.depth=0 objects=boxes; empty uses the preset's",
-    )  # fmt: skip
-    lift_folder: StringProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Lift Folder", subtype="DIR_PATH", update=_tell_of_lift,
-        description="Where the lift and its results go; empty: a new folder beside the scene's",
-    )  # fmt: skip
-    keep_names: BoolProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Keep Names", default=True,
-        description="Objects that the lift shown in this scene already found keep their names and ids",
-    )  # fmt: skip
-    anyway: BoolProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE, name="Lift Anyway", description="Lift even a scene whose numbers or masks are clearly wrong"
-    )
-    keep_running: BoolProperty(  # type: ignore[valid-type]
-        options=_SKIP_SAVE,
-        name="Outlive Blender",
-        description="Closing Blender does not stop the lift; the next Blender finds it again",
-    )
+    scene_folder: StringProperty(options=_SKIP_SAVE, name="Scene", subtype="DIR_PATH", update=_take_defaults,
+        description="A capture's folder or file: ScanNet, transforms.json, COLMAP, Polycam, .r3d, .sens and others")
+    preset: EnumProperty(options=_SKIP_SAVE, name="Preset", items=_PRESETS, default="preview",
+        description="How much work to spend")
+    steps: IntProperty(options=_SKIP_SAVE, name="Steps", min=0, max=10_000_000,
+        description="Training steps; 0 uses the preset's")
+    width: IntProperty(options=_SKIP_SAVE, name="Width", min=0, max=LONGEST_SIDE, subtype="PIXEL",
+        description=f"Frames are scaled to fit this width, at least {SHORTEST_SIDE}; 0 uses the preset's")
+    height: IntProperty(options=_SKIP_SAVE, name="Height", min=0, max=LONGEST_SIDE, subtype="PIXEL",
+        description=f"Frames are scaled to fit this height, at least {SHORTEST_SIDE}; 0 uses the preset's")
+    frames: IntProperty(options=_SKIP_SAVE, name="Frames", min=-1, max=1_000_000,
+        description="Train on at most this many frames, the sharpest of each stretch; 0 uses the preset's, -1 all")
+    fit: BoolProperty(options=_SKIP_SAVE, name="Fit Memory",
+        description="Train on fewer frames if memory would otherwise run out")
+    seed: IntProperty(options=_SKIP_SAVE, name="Seed", min=0, max=2**31 - 1,
+        description="The same seed gives the same result")
+    bake: EnumProperty(options=_SKIP_SAVE, name="Bake", items=_BAKES, default="test",
+        description="Which frames become compositor passes")
+    device: EnumProperty(options=_SKIP_SAVE, name="Device", items=_DEVICES, default="cpu",
+        description="Where the lift trains and renders")
+    preset_options: StringProperty(options=_SKIP_SAVE, name="Changed",
+        description="Changed options of the preset, such as: weights.depth=0 objects=boxes")
+    lift_folder: StringProperty(options=_SKIP_SAVE, name="Lift Folder", subtype="DIR_PATH", update=_tell_of_lift,
+        description="Where the lift and its results go; empty: a new folder beside the scene's")
+    keep_names: BoolProperty(options=_SKIP_SAVE, name="Keep Names", default=True,
+        description="Objects found by the lift shown in this scene keep their names and ids")
+    anyway: BoolProperty(options=_SKIP_SAVE, name="Lift Anyway",
+        description="Lift the scene even if its numbers or masks are clearly wrong")
+    keep_running: BoolProperty(options=_SKIP_SAVE, name="Outlive Blender",
+        description="The lift continues when Blender closes; the next Blender finds it again")
 
 
 class PLGS_PG_settings(LiftOptions, bpy.types.PropertyGroup):
     """`scene.plgs`: what the panel shows and the operators start from."""
 
-    live_preview: BoolProperty(  # type: ignore[valid-type]
-        name="Live Preview", default=True,
-        description="During a lift, show what the scene's active camera sees of the model, when looking through it. "
-        "Not for a camera that is orthographic or panoramic",
-    )  # fmt: skip
-    layers: EnumProperty(  # type: ignore[valid-type]
-        name="Layers", items=_LAYERS, options={"ENUM_FLAG"},
-        description="Layers that passes get in addition to colour, depth, class, instance, confidence and Cryptomatte",
-    )  # fmt: skip
-    shot: StringProperty(  # type: ignore[valid-type]
-        name="Shot", description="The name of the files of a camera's passes; empty: the .blend's and the camera's"
-    )
-    replace_shot: BoolProperty(  # type: ignore[valid-type]
-        name="Replace", description="Replace a shot of this name from another file or camera, or with a changed camera"
-    )
-    show_steps: BoolProperty(  # type: ignore[valid-type]
-        name="Scene and Lift", description="Show the steps that led to the result, or begin the next lift"
-    )
-    place_when_done: BoolProperty(  # type: ignore[valid-type]
-        name="Show When Done", default=True, description="Put the result into this scene as soon as it is finished"
-    )
+    live_preview: BoolProperty(name="Live Preview", default=True,
+        description="During a lift, show what the scene's active camera sees of the model in views through it. "
+        "Orthographic and panoramic cameras show nothing")
+    layers: EnumProperty(name="Layers", items=_LAYERS, options={"ENUM_FLAG"},
+        description="Layers besides colour, depth, class, instance, confidence and Cryptomatte")
+    shot: StringProperty(name="Shot",
+        description="Name of the files of a camera's passes; empty: the names of the .blend and the camera")
+    replace_shot: BoolProperty(name="Replace",
+        description="Replace a shot of this name that is of another file or camera, or whose camera has changed")
+    show_steps: BoolProperty(name="Scene and Lift",
+        description="Show the steps that led to the result, also to begin the next lift")
+    place_when_done: BoolProperty(name="Show When Done", default=True,
+        description="Put the result into this scene as soon as it is finished")
+
+
+# fmt: on
 
 
 def option_names(options: type) -> list[str]:
-    """The names of such a class's properties, including those of its base classes."""
+    """The names of a class's properties, including those of its base classes."""
     return [name for each in reversed(options.__mro__) for name in each.__dict__.get("__annotations__", ())]
 
 
@@ -252,8 +205,7 @@ def request_of(settings: PLGS_PG_settings) -> LiftRequest:
 
 
 def asked_of_preset(settings: PLGS_PG_settings) -> tuple[Any, dict[str, Any]]:
-    """The preset's name and its changed options. A field wins over the same option in the text. Raises PlgsError for an
-    unknown name or a bad value."""
+    """The preset's name and its changed options; fields win over the text. Raises PlgsError for bad ones."""
     changed = parsed_options(settings.preset_options.split())
     if settings.steps:
         changed["steps"] = settings.steps

@@ -1,6 +1,6 @@
-"""A user camera over a frame range, as the engine or a farm bakes it: each frame is a separate camera.
+"""Bakes a user's camera over a frame range, by the engine or a farm: each frame is a separate camera.
 
-The lift's world is Blender's: a camera sees the lifted scene from its position among the lift's objects.
+The lift's world is Blender's, so a camera sees the lifted scene from its position among the lift's objects.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ from .passes import NOTES, VERSION, shot_name
 DIGITS = 4
 """Minimum digits of the frame number in a file name."""
 _CLAIM_S = 10.0
-"""Seconds that a bake waits while another one records whose shot it is."""
+"""Seconds to wait while another bake claims a shot."""
 _MOST_LATER = 100
 """Versions of a shot to try until one is free or shows the same."""
 _LISTED = 8
-"""At most this many cameras are named in an error, as a lift has one per frame."""
+"""Maximum number of cameras named in an error."""
 
 
 @dataclass(frozen=True)
 class Shot:
-    """``camera`` from frame ``first`` to ``last``, every ``step``-th, or ``only`` these frames. Its files are named
+    """``camera`` at every ``step``-th frame from ``first`` to ``last``, or ``only`` at these. Its files are named
     ``given``, else after the .blend and the camera."""
 
     camera: bpy.types.Object
@@ -63,7 +63,7 @@ class Shot:
         return self.named(0)
 
     def named(self, later: int) -> str:
-        """The shot's name; if it has a version, ``later`` versions after that of the .blend."""
+        """The shot's name; its version, if any, is that of the .blend plus ``later``."""
         return shot_name(self.camera, self.given, later)
 
     @property
@@ -72,7 +72,7 @@ class Shot:
 
     @property
     def not_baked(self) -> list[str]:
-        """What Blender would render but a bake leaves out, as warnings before it."""
+        """Warnings about what Blender would render but a bake leaves out."""
         scenes = self.camera.users_scene
         found = ["depth of field"] if self.camera.type == "CAMERA" and self.camera.data.dof.use_dof else []
         found += ["motion blur"] if any(scene.render.use_motion_blur for scene in scenes) else []
@@ -91,8 +91,12 @@ def shot_of(
     given: str = "",
     only: Sequence[int] = (),
 ) -> Shot:
+<<<<<<< HEAD
     """The named camera, or the scene's active one, over the given range, else the scene's, or ``only`` these frames.
     ``given`` names it, else the studio's default. Raises PlgsError."""
+=======
+    """The named camera, or the scene's active one, over the given range, else the scene's. Raises PlgsError."""
+>>>>>>> dc2ef296 (Shorten passes, shots and settings, and their texts)
     ob = scene.objects.get(camera) if camera else scene.camera
     if ob is None or (camera and ob.type != "CAMERA"):
         what = f"has no camera named {camera!r}" if camera else "has no active camera"
@@ -105,9 +109,9 @@ def shot_of(
         given or studio().names or "",
         tuple(only),
     )
-    fix = "Set the range in the Output properties: it must end no earlier than it starts."
     if not shot.frames:
         what = f"cannot be baked: {shot.first} to {shot.last} is not a range of frames"
+        fix = "Set the range in the Output properties: it must not end before it starts."
         raise PlgsError("bad-shot-range", what, scene.name, fix)
     return shot
 
@@ -127,8 +131,8 @@ def _cameras_to_choose(scene: bpy.types.Scene, wanted: str) -> str:
 def write_shot(
     lift: Path, scene: bpy.types.Scene, shot: Shot, *, replace: bool = False, output: Path | None = None
 ) -> Path:
-    """Write the shot's cameras for the engine into the lift's folder, or into the folder ``output`` of its passes, and
-    return the file. Raises PlgsError, OSError."""
+    """Write the shot's cameras into the lift's folder, or the folder ``output`` of its passes, and return the file.
+    Raises PlgsError, OSError."""
     reader = ShotReader(scene, shot)
     reader.read_for(math.inf)
     return reader.write(lift, replace=replace, output=output)
@@ -136,8 +140,8 @@ def write_shot(
 
 @dataclass(frozen=True)
 class ShotSource:
-    """The origin of a lift's shot: its ``camera`` in ``blend``, and the fingerprint of the camera for the name of each
-    of its ``frames``. An unsaved file is identified by its Blender."""
+    """The origin of a lift's shot: its ``camera`` in ``blend`` (unsaved: its Blender's temporary folder), and the
+    fingerprints of the camera by names of ``frames``."""
 
     blend: str
     camera: str
@@ -150,15 +154,13 @@ class ShotSource:
 
 
 def _claim(folder: Path, name: str, source: ShotSource, *, replace: bool) -> None:
-    """Record in a folder which shot has this ``name`` and what its camera shows. Raises PlgsError if the name is
-    another shot's, or its camera has changed, and replacing is not allowed: a bake would overwrite it."""
+    """Record in a folder which shot has this ``name`` and what its camera shows. Raises PlgsError if a bake would
+    overwrite another shot, or one with another camera, unless ``replace``."""
     path = folder / f"{name}.shot.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     with FileLock(path.with_suffix(".lock"), _CLAIM_S):  # others may begin to bake the same shot
-        beside = folder.parent / path.name  # where earlier versions noted shots of a folder of passes
-        noted = beside if folder.name == NOTES and not path.exists() else path
-        if noted.exists():
-            other = read_record(ShotSource, noted, "Delete it, if no other file bakes a shot of this name.")
+        if path.exists():
+            other = read_record(ShotSource, path, "Delete it, if no other file bakes a shot of this name.")
             if not replace:
                 _refuse_other(folder, name, other, source)
             source = dataclasses.replace(source, frames=other.frames | source.frames)
@@ -175,13 +177,13 @@ def _refuse_other(folder: Path, name: str, other: ShotSource, source: ShotSource
     changed = [frame for frame, seen in source.frames.items() if other.frames.get(frame, seen) != seen]
     if changed:
         what = f"has the shot {name!r} with another camera or size: {len(changed)} frames differ, such as {changed[0]}"
-        fix = "Give it the name of the next version (with {version} that happens by itself), or ask to replace it."
+        fix = "Give it the name of the next version, as {version} in its name does, or ask to replace it."
         raise PlgsError("shot-changed", what, folder, fix, option="--shot")
 
 
 def write_view(lift: Path, scene: bpy.types.Scene) -> Path:
-    """Write the current view of the scene's active camera, keyed or not, into the lift's folder, and return the file.
-    Raises PlgsError, OSError."""
+    """Write the current view of the scene's active camera into the lift's folder, and return the file. Raises
+    PlgsError, OSError."""
     now = scene.frame_current
     ob = shot_of(scene, first=now, last=now, step=1).camera
     bpy.context.view_layer.update()  # a script may just have moved it
@@ -196,12 +198,11 @@ def numbered_name(name: str, frame: int, digits: int = DIGITS) -> str:
 
 
 class ShotReader:
-    """Reads a shot's animated camera at each frame, at the scene's resolution: its lens, shift, sensor and clip, and
-    the scene's size, percentage and pixel aspect.
+    """Reads a shot's animated camera at each frame, as the scene renders it.
 
-    It reads a few frames at a time: Blender evaluates the scene at each frame, and a long range would freeze its
-    window. Between two calls the scene is at its original frame. The scene and the camera are looked up again by name,
-    because an undo in between replaces them.
+    It reads a few frames at a time, because Blender evaluates the scene at each frame, and a long range would freeze
+    the window. Between two calls, the scene is at its original frame. Undo replaces the scene and the camera, so they
+    are looked up by name.
     """
 
     def __init__(self, scene: bpy.types.Scene, shot: Shot) -> None:
@@ -225,11 +226,11 @@ class ShotReader:
 
     @property
     def cameras(self) -> list[BakeCamera]:
-        """The cameras read. A camera that stands still over the scene's whole range becomes one camera, named after the
-        range's first frame, so that all parts of a shot name it alike."""
+        """The cameras read. If the camera is still over the scene's whole range, it is one camera, named after the
+        range's first frame, so that it has the same name in all parts of a shot."""
         still = [replace(self._read[0], frame=self._first)]
         read = still if self._stands_still else self._read
-        return [replace(camera, name=self._name(camera.frame or 0)) for camera in read]
+        return [replace(camera, name=numbered_name(self._shot, camera.frame or 0, self._digits)) for camera in read]
 
     def read_for(self, seconds: float) -> bool:
         """Continue reading for about ``seconds``, at least one frame. Returns whether all frames are read. Raises
@@ -240,7 +241,7 @@ class ShotReader:
         if ob is None:
             raise PlgsError("camera-gone", "is gone", f"{self._scene}: {self._camera}", "Bake it again.")
         with _frame_kept(scene):
-            if not self._read and not _may_move(scene, ob):  # a range of a million frames need not be looked at
+            if not self._read and not _may_move(scene, ob):  # no need to evaluate each frame
                 self._read, self._stands_still = [_camera_at(scene, ob, self._first, "")], True
                 return True
             for frame in self._frames[len(self._read) :]:
@@ -249,22 +250,16 @@ class ShotReader:
                     break
             is_done = len(self._read) == len(self._frames)
             if is_done and self._stands_still is None:
-                self._stands_still = self._stands_still_in(scene, ob)
+                seen = {camera.fingerprint for camera in self._read}
+                others = (frame for frame in range(self._first, self._last + 1) if frame not in self._frames)
+                same = (_camera_at(scene, ob, frame, "").fingerprint in seen for frame in others)
+                self._stands_still = len(seen) == 1 and all(same)
         return is_done
-
-    def _name(self, frame: int) -> str:
-        return numbered_name(self._shot, frame, self._digits)
-
-    def _stands_still_in(self, scene: bpy.types.Scene, ob: bpy.types.Object) -> bool:
-        """Look at frames outside those that were read, until one shows something else."""
-        seen = {camera.fingerprint for camera in self._read}
-        others = (frame for frame in range(self._first, self._last + 1) if frame not in self._frames)
-        return len(seen) == 1 and all(_camera_at(scene, ob, frame, "").fingerprint in seen for frame in others)
 
     def write(self, lift: Path, *, replace: bool = False, output: Path | None = None) -> Path:
         """Same as `write_shot`, once all frames are read."""
         source = self._source
-        if Path(source.blend).parent == lift:  # so that the lift's own file stays its own where the folder is moved
+        if Path(source.blend).parent == lift:  # relative, as the folder may be moved
             source = ShotSource(Path(source.blend).name, source.camera)
         folder = lift / "bake" if output is None else output / NOTES
         for name in self._names:
@@ -284,8 +279,7 @@ class ShotReader:
 
 
 def _may_move(scene: bpy.types.Scene, ob: bpy.types.Object) -> bool:
-    """Whether anything could change a camera's view from frame to frame: animation, drivers, constraints, physics, or a
-    script."""
+    """Whether animation, drivers, constraints, physics or a script could change a camera's view over time."""
     ours, handlers = __package__.rpartition(".")[0], bpy.app.handlers
     scripts = [*handlers.frame_change_pre, *handlers.frame_change_post, *handlers.depsgraph_update_post]
     if any(not script.__module__.startswith(ours) for script in scripts):
@@ -296,7 +290,7 @@ def _may_move(scene: bpy.types.Scene, ob: bpy.types.Object) -> bool:
         if ob.constraints or ob.modifiers or ob.rigid_body is not None or ob.parent_type != "OBJECT":
             return True
         ob = ob.parent
-        if ob is not None and ob.type != "EMPTY":  # a curve may lead it, an armature may bend
+        if ob is not None and ob.type != "EMPTY":  # such as a curve or an armature
             return True
     return any(each.animation_data is not None for each in owners)
 
@@ -337,16 +331,16 @@ def _camera_now(scene: bpy.types.Scene, ob: bpy.types.Object, frame: int, name: 
         fix = f"Set its resolution to at most {LARGEST_SIDE} pixels per side."
         raise PlgsError("other-resolution", f"renders {camera.width}x{camera.height} pixels", scene.name, fix)
     near, far, fps = float(ob.data.clip_start), float(ob.data.clip_end), scene.render.fps / scene.render.fps_base
-    return BakeCamera(name, _pinhole(camera), near, far, frame, fps, display)
+    pose, lens = (tuple(tuple(map(float, row)) for row in matrix) for matrix in (camera.camera_to_world, camera.K))
+    pinhole = PreviewCamera(pose, lens, camera.width, camera.height)
+    return BakeCamera(name, pinhole, near, far, frame, fps, display)
 
 
 def _rendered_part(camera: Camera, scene: bpy.types.Scene) -> tuple[Camera, tuple[int, int, int, int] | None]:
     """The camera of the baked picture: the render region if Blender crops to it, else the whole picture with EEVEE's
-    overscan on all sides; and the window of the picture within it. Raises PlgsError.
-
-    A region that is not cropped would be a data window within the picture. Blender's compositor misplaces those
-    (centred in 4.5, upside down in 5.2), so the whole picture is baked then.
-    """
+    overscan on all sides; and the picture's window within that. Raises PlgsError."""
+    # A region that is not cropped would be a data window, which Blender's compositor misplaces (centred in 4.5, upside
+    # down in 5.2), so the whole picture is baked then.
     render, (width, height) = scene.render, camera.size
     part, display = (0, 0, width, height), None
     if render.use_border and render.use_crop_to_border:
@@ -365,13 +359,8 @@ def _rendered_part(camera: Camera, scene: bpy.types.Scene) -> tuple[Camera, tupl
 
 
 def _pixels(share: float, size: int) -> int:
-    """The pixels of a render border, as Blender counts them: in single precision, truncated."""
+    """The pixels of a render border, counted as Blender does: in single precision, truncated."""
     return int(np.float32(share) * np.float32(size))
-
-
-def _pinhole(camera: Camera) -> PreviewCamera:
-    pose = tuple(tuple(map(float, row)) for row in camera.camera_to_world)
-    return PreviewCamera(pose, tuple(tuple(map(float, row)) for row in camera.K), camera.width, camera.height)
 
 
 def bake_shot_in_terminal(
@@ -387,10 +376,9 @@ def bake_shot_in_terminal(
     replace: bool = False,
     output: Path | None = None,
 ) -> ExitCode:
-    """Bake what a camera of ``blend`` sees of a finished lift over ``frames`` (none: the file's range), with these of
-    FURTHER_LAYERS, progress on stderr and events on the descriptor ``echo``. The .blend is only read. ``name`` is the
-    shot's; with ``replace`` it may be that of another file's shot. The passes go into the lift's result, or into the
-    folder ``output``.
+    """Bake what a camera of ``blend`` sees of a finished lift over ``frames`` (none: the file's range), with these
+    FURTHER_LAYERS, into the lift's result or the folder ``output``. Progress goes to stderr and events to the
+    descriptor ``echo``. ``name`` is the shot's; with ``replace``, it may be that of another file's.
 
     Raises PlgsError, and Interrupted after Ctrl-C, once the engine has ended.
     """
@@ -406,7 +394,7 @@ def bake_shot_in_terminal(
             follow(follower, interrupts, LiveLine(sys.stderr), echo)
             is_busy = follower.error is not None and follower.error.code is ErrorCode.BUSY
             if not is_busy or follower.files != lift.task_files or interrupts.pending is not None:
-                break  # else another bake took the lift's own place first: bake beside it
+                break  # else another bake has the lift's own task files: bake with others
     if follower.error is not None:
         print(f"error: {follower.error}", file=sys.stderr)
     elif follower.state is TaskState.CANCELLED:
@@ -423,8 +411,8 @@ _PLATFORMS = {"win32": "windows", "darwin": "darwin"}
 
 
 def write_farm_job(scene: bpy.types.Scene, lift: LiftFolder, shot: Shot) -> Path:
-    """Write the farm job that bakes a shot of the scene into a finished lift's folder, and return the file. The farm
-    reads the camera from this .blend, as last saved. Raises OSError, and PlgsError if it was never saved."""
+    """Write the farm job that bakes a shot into a finished lift's folder, and return the file. The farm reads the
+    camera from this .blend, as last saved. Raises OSError, and PlgsError if it was never saved."""
     blend = bpy.data.filepath
     if not blend:
         fix = "Save it where the farm can read it, then try again."

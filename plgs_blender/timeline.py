@@ -1,8 +1,7 @@
 """The lift's markers on the timeline: each is bound to one of our cameras, so scrubbing walks through the frames.
 
-At every frame change, Blender activates the camera of the bound marker. Our markers must not take over from a user
-camera: they are on the timeline only while one of their own cameras is active, and otherwise wait as a property of
-these cameras.
+At every frame change, Blender activates the bound marker's camera. So that a user's camera stays active, our markers
+are on the timeline only while one of our cameras is active, and otherwise wait as a property of these cameras.
 """
 
 from __future__ import annotations
@@ -32,11 +31,9 @@ def mark_timeline(
     overview: bpy.types.Object | None,
     cameras: Sequence[bpy.types.Object],
 ) -> list[int]:
-    """Bind a marker to each frame's camera, at the number in the frame's name, and a last one to the overview, if any,
-    replacing earlier ones of this lift. Returns the timeline frames of the lift's frames.
-
-    If the scene already has a user camera, ours come after the end of the scene's own range.
-    """
+    """Bind a marker to each frame's camera, at the number in the frame's name, and a last one to the overview, if any.
+    They replace this lift's earlier ones, and come after the scene's range if it has a user's camera. Returns the
+    timeline frames of the lift's frames."""
     markers, ours = scene.timeline_markers, _originals(scene, root[LIFT])
     for marker in [m for m in markers if m.camera in ours]:
         markers.remove(marker)
@@ -44,7 +41,12 @@ def mark_timeline(
         theirs = scene.camera is not None and key_of(scene.camera, root[LIFT]) is None
         is_theirs = theirs or any(marker.camera is not None for marker in markers)
         root[_FIRST_FRAME] = scene.frame_end + 1 if is_theirs else 0
-    numbers = _numbers([text_of(camera, "frame") for camera in cameras])
+    # The last numbers in the frames' names, if these rise and fit the timeline; else 0, 1, 2 and so on.
+    names = [text_of(camera, "frame") for camera in cameras]
+    numbers = [int(found[0]) for name in names if (found := _LAST_NUMBER.search(name)) is not None]
+    rises = len(numbers) == len(names) and all(one < other for one, other in pairwise(numbers))
+    if not rises or max(numbers, default=0) >= _LARGEST:
+        numbers = [*range(len(names))]
     first: int = root[_FIRST_FRAME]
     places = [first + number - numbers[0] for number in numbers] if first else numbers
     for place, camera in zip(places, cameras, strict=True):
@@ -54,14 +56,6 @@ def mark_timeline(
     root[_ASIDE] = True
     follow_camera(scene)
     return places
-
-
-def _numbers(names: Sequence[str]) -> list[int]:
-    """The last number in each name, if these rise and fit the timeline; else 0, 1, 2 and so on."""
-    found = [_LAST_NUMBER.search(name) for name in names]
-    numbers = [int(each[0]) for each in found if each is not None]
-    rises = len(numbers) == len(names) and all(one < other for one, other in pairwise(numbers))
-    return numbers if rises and max(numbers, default=0) < _LARGEST else [*range(len(names))]
 
 
 def places_of(root: bpy.types.Collection, scene: bpy.types.Scene) -> dict[bpy.types.Object, int]:
@@ -74,14 +68,13 @@ def places_of(root: bpy.types.Collection, scene: bpy.types.Scene) -> dict[bpy.ty
 
 
 def follow_camera(scene: bpy.types.Scene) -> None:
-    """Put our markers on the timeline if the scene's camera is one of ours, else remove them. Blender calls this after
-    each change; it is safe at any time."""
+    """Put our markers on the timeline if the scene's camera is one of ours, else remove them. Safe at any time."""
     camera, roots = scene.camera, {root[LIFT]: root for root in lifts_in(scene) if root.library is None}
     if not roots or scene.library is not None:
         return
     seen = [marker for marker in scene.timeline_markers if marker.camera is not None]
     bound = [marker for marker in seen if any(key_of(marker.camera, lift) is not None for lift in roots)]
-    if bound:  # a copy of our camera is the user's, with its marker
+    if bound:  # a user's copy of our camera is not ours, nor is its marker
         ours = set().union(*(_originals(scene, lift) for lift in roots))
         bound = [marker for marker in bound if marker.camera in ours]
     is_ours = any(marker.camera == camera for marker in bound) or any(_waits(scene, lift) for lift in roots)
@@ -97,7 +90,7 @@ def follow_camera(scene: bpy.types.Scene) -> None:
 
 
 def _waits(scene: bpy.types.Scene, lift: str) -> bool:
-    """Whether the marker of the scene's camera waits and is this lift's. A copy of our camera is the user's."""
+    """Whether the marker of the scene's camera waits and is this lift's."""
     camera = scene.camera
     is_like_ours = camera is not None and _PLACE in camera and key_of(camera, lift) is not None
     return is_like_ours and camera in _waiting(scene, lift)
@@ -109,7 +102,7 @@ def _waiting(scene: bpy.types.Scene, lift: str) -> list[bpy.types.Object]:
 
 
 def is_of_lift(camera: bpy.types.Object, scene: bpy.types.Scene) -> bool:
-    """Whether a lift or an import of the scene placed a camera. A copy of one is the user's."""
+    """Whether a lift or an import of the scene placed a camera; a user's copy of one is not ours."""
     return any(camera in _originals(scene, root[LIFT]) for root in lifts_in(scene))
 
 

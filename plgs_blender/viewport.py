@@ -1,5 +1,5 @@
-"""What editors show: the first look of a file that we create, 3D views that show a lift, a picture in an image editor,
-and changes to an untouched startup file by an import or a result.
+"""What editors show: a file that we create, 3D views of a lift, a picture, and an untouched startup file after an
+import.
 
 The user's own files keep their look, range, size, camera and objects.
 """
@@ -31,16 +31,17 @@ _LEFT_TO_VIEW = 0.6
 _FILLED = 0.92
 """Fraction of a view's free part that the room fills."""
 _SAME = 1e-3
-"""Radians, and fractions of its distance, by which an unmoved view may differ from where it was put."""
+"""Radians, and fractions of its distance, by which a view may differ that the user has not moved."""
 
 
 def start_file() -> bpy.types.Scene:
-    """Start an empty file in metres. A lift is unlit, so Cycles needs few rays."""
+    """Start an empty file in metres."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene = bpy.context.scene
     scene.unit_settings.system, scene.unit_settings.length_unit = "METRIC", "METERS"
     show_stored_colours(scene)
     scene.render.engine = "CYCLES"
+    # A lift is unlit, so Cycles needs few rays.
     scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.max_bounces = 16, False, 0
     scene.render.resolution_x, scene.render.resolution_y = OVERVIEW_SIZE
     composite_without_gpu(scene)
@@ -67,14 +68,14 @@ def set_ground(world: bpy.types.World) -> None:
 
 def show_object_colours(shading: Any) -> None:
     """Make Solid shading show clouds in their class's colour and boxes in their instance's."""
-    # Flat: on a million little balls, light and shadow are nothing but noise.
+    # On a million little balls, light and shadow would be noise.
     shading.light, shading.color_type, shading.show_backface_culling = "FLAT", "OBJECT", False
     shading.show_cavity = shading.show_shadows = shading.show_object_outline = False
 
 
 def show_lift_colours(view: bpy.types.SpaceView3D) -> None:
-    """Show a lift's colours in a 3D view's Solid shading, on request: the attribute Col of splats and meshes, with open
-    backs; points in class colours, the only ones they have there; and boxes in coloured lines."""
+    """Show a lift's colours in a 3D view's Solid shading: splats and meshes with the attribute Col and open backs,
+    points in class colours, the only ones they have there, and boxes in coloured lines."""
     view.shading.type = "SOLID"
     show_object_colours(view.shading)
     view.shading.color_type, view.shading.show_backface_culling = "VERTEX", True
@@ -82,17 +83,16 @@ def show_lift_colours(view: bpy.types.SpaceView3D) -> None:
 
 
 def draws_in_software() -> bool:
-    """Whether the CPU draws for lack of a graphics card: Material Preview then takes a minute to start."""
+    """Whether there is no graphics card, so the CPU draws. Material Preview then takes a minute to start."""
     try:
         return str(gpu.platform.device_type_get()) == "SOFTWARE"
-    except SystemError:  # a Blender without a window has none
+    except SystemError:  # Blender has no window
         return False
 
 
 def show_materials(view: bpy.types.SpaceView3D, *, always: bool = False) -> None:
-    """Make a 3D view show materials and boxes in coloured lines, if it looks as Blender starts it, or ``always``: our
-    unlit materials have the photos' colours, and other objects look as usual. Without a graphics card, Solid shading
-    shows the colours. Views that the user has set up, even once, keep their look."""
+    """Make a 3D view show our unlit materials, which have the photos' colours, and boxes in coloured lines; without a
+    graphics card, in Solid shading. Unless ``always``, views that the user has set up keep their look."""
     shading = view.shading
     is_as_started = shading.type == "SOLID" and shading.color_type == "MATERIAL" and shading.light == "STUDIO"
     if always or (is_as_started and shading.wireframe_color_type == "THEME"):
@@ -111,8 +111,8 @@ def show_materials_in(scene: bpy.types.Scene) -> None:
 
 
 def show_room(areas: Iterable[bpy.types.Area], rotation: Quaternion, corners: NDArray[np.float64]) -> None:
-    """Point these 3D views at the room with these corners [N, 3], in metres, with a camera's rotation, within the part
-    that the sidebar leaves free. Views through a camera are left alone."""
+    """Point these 3D views at the room with these corners [N, 3], in metres, with this rotation. Views through a camera
+    stay as they are."""
     for area in areas:
         space = area.spaces.active
         show_materials(space)
@@ -121,15 +121,15 @@ def show_room(areas: Iterable[bpy.types.Area], rotation: Quaternion, corners: ND
 
 
 def areas_that_show(scene: bpy.types.Scene, rotation: Quaternion, corners: NDArray[np.float64]) -> list[bpy.types.Area]:
-    """The 3D views that still stand where `show_room` puts them with this rotation and these corners [N, 3]."""
-    return [area for area in areas_of(scene) if _stands(area.spaces.active.region_3d, *_place(area, rotation, corners))]
-
-
-def _stands(view: bpy.types.RegionView3D, rotation: Quaternion, location: Vector, distance: float) -> bool:
-    turned = view.view_rotation.rotation_difference(rotation).angle % (2.0 * math.pi)
-    is_turned = min(turned, 2.0 * math.pi - turned) > _SAME
-    is_away = max((view.view_location - location).length, abs(view.view_distance - distance)) > _SAME * distance
-    return view.view_perspective == "PERSP" and not (is_turned or is_away)
+    """The 3D views that are still where `show_room` puts them with this rotation and these corners [N, 3]."""
+    found = []
+    for area in areas_of(scene):
+        view, (_, location, distance) = area.spaces.active.region_3d, _pose(area, rotation, corners)
+        turned = view.view_rotation.rotation_difference(rotation).angle % (2.0 * math.pi)
+        moved = max((view.view_location - location).length, abs(view.view_distance - distance)) / distance
+        if view.view_perspective == "PERSP" and max(min(turned, 2.0 * math.pi - turned), moved) <= _SAME:
+            found.append(area)
+    return found
 
 
 def areas_of(scene: bpy.types.Scene) -> list[bpy.types.Area]:
@@ -139,8 +139,8 @@ def areas_of(scene: bpy.types.Scene) -> list[bpy.types.Area]:
 
 
 def own_view(scene: bpy.types.Scene) -> tuple[bpy.types.Area, Camera] | None:
-    """The first 3D view of the windows with this scene, and what it sees at its size. None if one of them looks through
-    a camera, or if it has no perspective."""
+    """The first 3D view of the windows with this scene, and what it sees; None if one of them looks through a camera,
+    or the view has no perspective."""
     areas = [area for area in areas_of(scene) if _free_of_sidebar(area)[0].width > 1]
     if not areas or any(area.spaces.active.region_3d.view_perspective == "CAMERA" for area in areas):
         return None
@@ -155,8 +155,8 @@ def own_view(scene: bpy.types.Scene) -> tuple[bpy.types.Area, Camera] | None:
 
 
 def show_gizmos(scene: bpy.types.Scene, shown: bool) -> bool:
-    """Show or hide the arrows and rings that move the active object in the 3D views of the windows with this scene.
-    Returns whether any view changed."""
+    """Show or hide the gizmos that move the active object, in the 3D views of the windows with this scene. Returns
+    whether any view changed."""
     spaces = [area.spaces.active for area in areas_of(scene)]
     changed = [space for space in spaces if space.show_gizmo_object_translate != shown]
     for space in changed:
@@ -168,12 +168,10 @@ def frame_room(area: bpy.types.Area, rotation: Quaternion, corners: NDArray[np.f
     """Fit all corners [N, 3] into the part of a 3D view that the sidebar leaves free, with this rotation."""
     view = area.spaces.active.region_3d
     view.view_perspective = "PERSP"
-    view.view_rotation, view.view_location, view.view_distance = _place(area, rotation, corners)
+    view.view_rotation, view.view_location, view.view_distance = _pose(area, rotation, corners)
 
 
-def _place(
-    area: bpy.types.Area, rotation: Quaternion, corners: NDArray[np.float64]
-) -> tuple[Quaternion, Vector, float]:
+def _pose(area: bpy.types.Area, rotation: Quaternion, corners: NDArray[np.float64]) -> tuple[Quaternion, Vector, float]:
     """Rotation, location and distance of a 3D view that fits all corners into the part that the sidebar leaves free."""
     space = area.spaces.active
     window, covered = _free_of_sidebar(area)
@@ -200,8 +198,8 @@ def _free_of_sidebar(area: bpy.types.Area) -> tuple[bpy.types.Region, float]:
 
 
 def look_through(space: bpy.types.SpaceView3D, scene: bpy.types.Scene) -> None:
-    """Make a 3D view look through its camera. If the camera's frame is as Blender puts it, half as wide as the view and
-    partly behind the sidebar, it is enlarged to the part that the side bars leave free."""
+    """Make a 3D view look through its camera. Unless the user has moved the camera's frame, it fills the part of the
+    view that the side bars leave free; Blender's own is half as wide, and partly behind the sidebar."""
     view = space.region_3d
     view.view_perspective = "CAMERA"
     area = next((each for each in all_views() if each.spaces.active == space), None)
@@ -215,7 +213,7 @@ def look_through(space: bpy.types.SpaceView3D, scene: bpy.types.Scene) -> None:
     room = _FILLED * np.array([window.width * (1.0 - covered - left), window.height])
     longest = max(window.width, window.height, 1)
     share = float((room / (sides / sides.max())).min()) / longest
-    # Blender's own scales: its frame is (sqrt(2) + zoom / 50)^2 / 4 of the longest side, and moves by so many of these.
+    # Blender's frame takes (sqrt(2) + zoom / 50)^2 / 4 of the longest side; the offset counts in such frames.
     view.view_camera_zoom = max(-30.0, 50.0 * (2.0 * math.sqrt(share) - math.sqrt(2.0)))
     view.view_camera_offset = ((covered - left) * window.width / longest / (4.0 * max(share, 1e-3)), 0.0)
 
@@ -234,8 +232,8 @@ def view_of(context: bpy.types.Context) -> tuple[bpy.types.SpaceView3D | None, f
 
 
 def load_finding(picture: Path) -> bpy.types.Image:
-    """Load a finding's picture, replacing an earlier one of that name. It is packed, because the next diagnosis deletes
-    its file. Raises OSError if the file is gone."""
+    """Load a finding's picture in place of an earlier one, packed, because the next diagnosis deletes its file. Raises
+    OSError if the file is gone."""
     if not picture.is_file():
         raise OSError(f"the picture is gone, diagnose again: {picture}")
     image = bpy.data.images.load(str(picture), check_existing=False)
@@ -250,8 +248,8 @@ def load_finding(picture: Path) -> bpy.types.Image:
 
 
 def show_beside(image: bpy.types.Image, context: bpy.types.Context) -> bool:
-    """Show an image in the largest image editor, else in one that is split off the largest 3D view. Returns whether
-    there is either."""
+    """Show an image in the largest image editor, else in one split off the largest 3D view, and return whether there is
+    either."""
     areas = [(window, area) for window in context.window_manager.windows for area in window.screen.areas]
     editors = _largest_first(areas, "IMAGE_EDITOR")
     if not editors and (views := _largest_first(areas, "VIEW_3D")):
@@ -278,21 +276,25 @@ def _largest_first(
     return sorted(found, key=lambda each: -each[1].width * each[1].height)
 
 
-_PLACES = {"MESH": (0.0, 0.0, 0.0), "CAMERA": (7.35889, -6.92579, 4.95831), "LIGHT": (4.07625, 1.00545, 5.90386)}
+_STARTUP_LOCATIONS = {
+    "MESH": (0.0, 0.0, 0.0),
+    "CAMERA": (7.35889, -6.92579, 4.95831),
+    "LIGHT": (4.07625, 1.00545, 5.90386),
+}
 """Positions of the cube, camera and light in Blender's startup file, in metres."""
 _RANGE, _SIZE, _ASPECT = (1, 250), (1920, 1080, 100), (1.0, 1.0)
 
 
 @contextmanager
 def taking_over(scene: bpy.types.Scene) -> Iterator[bool]:
-    """Wraps the placement of a capture or lift; yields whether the scene is an untouched startup scene. If so, the
-    scene then takes the capture's range, size, pixel aspect, camera and colours, and its own objects are hidden. A
-    range that matched our frames before follows them. If placing fails, everything is restored."""
+    """Wraps the placement of a capture or lift; yields whether the scene is an untouched startup scene. That then takes
+    the capture's range, size, pixel aspect, camera and colours, and its own objects are hidden. A range that was that
+    of our frames stays so. If placing fails, everything is restored."""
     is_untouched = _is_untouched(scene)
     follows = is_untouched or _range(scene) == _span(scene)
     camera = scene.camera
     if is_untouched:
-        scene.camera = None  # else our markers would lie behind its range, and leave it the camera
+        scene.camera = None  # else our markers would come after the scene's range, and its camera stay active
     try:
         yield is_untouched
     except BaseException:
@@ -304,13 +306,13 @@ def taking_over(scene: bpy.types.Scene) -> Iterator[bool]:
     if is_untouched:
         _hide_startup_objects(scene)
         _use_size(scene)
-        show_stored_colours(scene)  # those of the photos
+        show_stored_colours(scene)
     scene.frame_start, scene.frame_end = span
-    places = _places(scene)
-    overview = next((place for ob, place in places.items() if "frame" not in ob), span[0])
-    place = overview if is_untouched else places.get(camera, span[0])
-    if (scene.frame_current, scene.camera) != (place, camera):  # else Blender would evaluate all for nothing
-        scene.frame_set(place)
+    numbers = _frame_numbers(scene)
+    overview = next((number for ob, number in numbers.items() if "frame" not in ob), span[0])
+    number = overview if is_untouched else numbers.get(camera, span[0])
+    if (scene.frame_current, scene.camera) != (number, camera):  # else Blender would evaluate everything in vain
+        scene.frame_set(number)
 
 
 def _is_untouched(scene: bpy.types.Scene) -> bool:
@@ -324,10 +326,10 @@ def _is_untouched(scene: bpy.types.Scene) -> bool:
 
 
 def _is_startup_object(ob: bpy.types.Object) -> bool:
-    place = _PLACES.get(ob.type)
-    if place is None or ob.animation_data is not None or len(ob.modifiers) or len(ob.constraints):
+    location = _STARTUP_LOCATIONS.get(ob.type)
+    if location is None or ob.animation_data is not None or len(ob.modifiers) or len(ob.constraints):
         return False
-    is_there = (ob.location - Vector(place)).length < 1e-3 and ob.scale == Vector((1.0, 1.0, 1.0))
+    is_there = (ob.location - Vector(location)).length < 1e-3 and ob.scale == Vector((1.0, 1.0, 1.0))
     if not is_there or ob.type != "MESH":
         return is_there
     xyz = np.array([vertex.co for vertex in ob.data.vertices]).reshape(-1, 3)
@@ -344,13 +346,13 @@ def _hide_startup_objects(scene: bpy.types.Scene) -> None:
             if ob.name in layer.objects:
                 ob.hide_set(True, view_layer=layer)
                 if layer.objects.active == ob:
-                    layer.objects.active = None  # else all editors speak of a cube that nobody sees
+                    layer.objects.active = None  # else editors show the properties of a hidden cube
 
 
 def _use_size(scene: bpy.types.Scene) -> None:
     """Take the size and pixel aspect of the first frame."""
-    places = _places(scene)
-    frame = next((ob for ob in sorted(places, key=places.__getitem__) if "frame" in ob), None)
+    numbers = _frame_numbers(scene)
+    frame = next((ob for ob in sorted(numbers, key=numbers.__getitem__) if "frame" in ob), None)
     if frame is not None:
         render = scene.render
         render.resolution_x, render.resolution_y = frame["width"], frame["height"]
@@ -363,10 +365,10 @@ def _range(scene: bpy.types.Scene) -> tuple[int, int]:
 
 def _span(scene: bpy.types.Scene) -> tuple[int, int] | None:
     """The first and last timeline frame of our cameras, or None."""
-    places = _places(scene).values()
-    return (min(places), max(places)) if places else None
+    numbers = _frame_numbers(scene).values()
+    return (min(numbers), max(numbers)) if numbers else None
 
 
-def _places(scene: bpy.types.Scene) -> dict[bpy.types.Object, int]:
+def _frame_numbers(scene: bpy.types.Scene) -> dict[bpy.types.Object, int]:
     """The timeline frames of our cameras."""
-    return {ob: place for root in lifts_in(scene) for ob, place in places_of(root, scene).items()}
+    return {ob: number for root in lifts_in(scene) for ob, number in places_of(root, scene).items()}

@@ -31,25 +31,17 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
 
     bl_idname = EXTENSION
 
-    engine_python: StringProperty(  # type: ignore[valid-type]
-        name="Use This Python",
-        subtype="FILE_PATH",
-        update=_ask_again,
-        description="The Python that runs the engine. Empty: the one that 'Set Up Engine' made",
-    )
-    base_python: StringProperty(  # type: ignore[valid-type]
-        name="Base Python",
-        subtype="FILE_PATH",
-        description="The Python that the engine's environment is made from. Empty: Blender's own, else another one",
-    )
-    torch_build: EnumProperty(  # type: ignore[valid-type]
-        name="Torch", items=TORCH_BUILDS, default="cpu", description="The build of torch to download"
-    )
-    index_url: StringProperty(  # type: ignore[valid-type]
-        name="Package Index",
-        description="URL of the package index to download from. Empty: the one that uv or pip is configured for, "
-        "and PyTorch's public index for its CPU build",
-    )
+    # fmt: off
+    engine_python: StringProperty(name="Use This Python", subtype="FILE_PATH", update=_ask_again,
+        description="The Python that runs the engine. Empty: the one that 'Set Up Engine' made")
+    base_python: StringProperty(name="Base Python", subtype="FILE_PATH",
+        description="The Python that the engine's environment is made from. Empty: Blender's own, else another one")
+    torch_build: EnumProperty(name="Torch", items=TORCH_BUILDS, default="cpu",
+        description="The build of torch to download")
+    index_url: StringProperty(name="Package Index",
+        description="URL of the package index to download from. Empty: the one that uv or pip is configured for, and "
+        "PyTorch's public index for its CPU build")
+    # fmt: on
 
     defaults_file: StringProperty(  # type: ignore[valid-type]
         name="Studio Defaults",

@@ -102,7 +102,7 @@ def swatch_of(lists: Any, row: Any) -> Any:
 class PLGS_UL_instances(Searchable, bpy.types.UIList):
     """Instances: eye, colour, name, points, score, select."""
 
-    order: EnumProperty(name="Order", items=_SORTS)  # type: ignore[valid-type]
+    order: EnumProperty(name="Order", items=_SORTS)
 
     def draw_item(self, _context: Any, layout: Any, lists: Any, row: Any, _icon: int, _active: Any, _name: str) -> None:
         line = _swatch_name_numbers(layout, row, swatch_of(lists, row), can_be_renamed=True)
@@ -114,7 +114,7 @@ class PLGS_UL_instances(Searchable, bpy.types.UIList):
 class PLGS_UL_classes(Searchable, bpy.types.UIList):
     """Classes: eye, colour, name, points, score, select."""
 
-    order: EnumProperty(name="Order", items=_SORTS, default="COUNT")  # type: ignore[valid-type]
+    order: EnumProperty(name="Order", items=_SORTS, default="COUNT")
 
     def draw_item(
         self, _context: Any, layout: Any, _lists: Any, row: Any, _icon: int, _active: Any, _name: str

@@ -70,6 +70,7 @@ def _update_catcher(lists: bpy.types.PropertyGroup, context: bpy.types.Context) 
     looks.apply_catcher(lists.id_data, context.scene)
 
 
+# fmt: off
 class PLGS_PG_mask(bpy.types.PropertyGroup):
     """One mask that was matched to an instance. `rectangle` and `outline`: see `MatchedSegment`."""
 
@@ -93,24 +94,17 @@ class PLGS_PG_instance(bpy.types.PropertyGroup):
     instance_id: IntProperty(name="Id")
     class_id: IntProperty(name="Class id")
     class_name: StringProperty(name="Class")
-    colour: FloatVectorProperty(
-        name="Colour", subtype="COLOR_GAMMA", size=3, min=0.0, max=1.0, update=_update_colours,
-        description="Colour of its box, and of its points when it is selected",
-    )  # fmt: skip
+    colour: FloatVectorProperty(name="Colour", subtype="COLOR_GAMMA", size=3, min=0.0, max=1.0, update=_update_colours,
+        description="Colour of its box, and of its points when it is selected")
     points: IntProperty(name="Points", description="Semantic points that belong to it")
     views: IntProperty(name="Views", description="Frames with a mask of it")
     score: FloatProperty(name="Score", description="Mean score of its masks, 0 to 1")
-    visible: BoolProperty(
-        name="Visible",
-        default=True,
-        update=_applying(looks.apply_visibility),
-        description="Show its box, points and anchors",
-    )
+    visible: BoolProperty(name="Visible", default=True, update=_applying(looks.apply_visibility),
+        description="Show its box, points and anchors")
     masks: CollectionProperty(type=PLGS_PG_mask)
     mask_index: IntProperty(name="Mask", default=-1)
-    best_mask: IntProperty(
-        name="Best mask", default=-1, description="The mask that shows most of it; -1 if masks are not known"
-    )
+    best_mask: IntProperty(name="Best mask", default=-1,
+        description="The mask that shows most of it; -1 if masks are not known")
 
 
 class PLGS_PG_class(bpy.types.PropertyGroup):
@@ -118,19 +112,13 @@ class PLGS_PG_class(bpy.types.PropertyGroup):
 
     name: StringProperty(name="Name")
     class_id: IntProperty(name="Id")
-    colour: FloatVectorProperty(
-        name="Colour", subtype="COLOR_GAMMA", size=3, min=0.0, max=1.0, update=_update_colours,
-        description="Colour of its points, and of its boxes if they are coloured by class",
-    )  # fmt: skip
+    colour: FloatVectorProperty(name="Colour", subtype="COLOR_GAMMA", size=3, min=0.0, max=1.0, update=_update_colours,
+        description="Colour of its points, and of its boxes if they are coloured by class")
     points: IntProperty(name="Points")
     score: FloatProperty(name="Score", description="Mean confidence of its points, 0 to 1")
     is_thing: BoolProperty(name="Thing", description="Whether it has instances")
-    visible: BoolProperty(
-        name="Visible",
-        default=True,
-        update=_applying(looks.apply_visibility),
-        description="Show its points, anchors and boxes",
-    )
+    visible: BoolProperty(name="Visible", default=True, update=_applying(looks.apply_visibility),
+        description="Show its points, anchors and boxes")
 
 
 class PLGS_PG_unshown(bpy.types.PropertyGroup):
@@ -148,53 +136,41 @@ class PLGS_PG_lift(bpy.types.PropertyGroup):
     classes: CollectionProperty(type=PLGS_PG_class)
     class_index: IntProperty(name="Class", default=-1)
     not_shown: CollectionProperty(type=PLGS_PG_unshown)
-    instances_search: StringProperty(
-        name="Search", options={"TEXTEDIT_UPDATE"}, description="Show only instances whose names contain these words"
-    )
-    classes_search: StringProperty(
-        name="Search", options={"TEXTEDIT_UPDATE"}, description="Show only classes whose names contain these words"
-    )
-    isolated: IntProperty(
-        name="Shown alone", default=0, update=_applying(looks.apply_visibility),
-        description="Id of the only instance shown; 0: all are shown",
-    )  # fmt: skip
+    instances_search: StringProperty(name="Search", options={"TEXTEDIT_UPDATE"},
+        description="Show only instances whose names contain these words")
+    classes_search: StringProperty(name="Search", options={"TEXTEDIT_UPDATE"},
+        description="Show only classes whose names contain these words")
+    isolated: IntProperty(name="Shown alone", default=0, update=_applying(looks.apply_visibility),
+        description="Id of the only instance shown; 0: all are shown")
     look: EnumProperty(
-        name="Colours", update=_update_look, description="What the colours in the view mean",
+        name="Colours",
+        update=_update_look,
+        description="What the colours in the view mean",
         items=[
             (looks.PHOTO, "Photo", "The photos' colours; boxes have the colours of their instances"),
             (looks.BY_CLASS, "Classes", "The classes' colours, also for boxes"),
             (looks.INSTANCES, "Instances", "Each instance in its own colour, everything else grey"),
             (looks.UNCERTAINTY, "Uncertainty", "Bright where the class is uncertain"),
         ],
-    )  # fmt: skip
-    show_as: EnumProperty(
-        name="Show As", update=_applying(looks.apply_show_as), description="How the lift is shown",
-        items=WAYS_TO_SHOW,
-    )  # fmt: skip
-    lit: BoolProperty(
-        name="Lit", update=_applying(looks.apply_lit),
-        description="Light the surface with the scene's lights instead of those in the photos",
-    )  # fmt: skip
-    catch_shadows: BoolProperty(
-        name="Catch Shadows", update=_update_catcher,
-        description="Show only shadows and reflections of other objects on the surface, to render them over a photo "
-        "or a baked frame. EEVEE uses the light that is strongest now",
-    )  # fmt: skip
-    show_cameras: BoolProperty(
-        name="Cameras", update=_applying(looks.size_cameras),
-        description="Draw the frames' cameras and their path",
-    )  # fmt: skip
+    )
+    show_as: EnumProperty(name="Show As", update=_applying(looks.apply_show_as), description="How the lift is shown",
+        items=WAYS_TO_SHOW)
+    lit: BoolProperty(name="Lit", update=_applying(looks.apply_lit),
+        description="Light the surface with the scene's lights instead of those in the photos")
+    catch_shadows: BoolProperty(name="Catch Shadows", update=_update_catcher,
+        description="Show only shadows and reflections of other objects on the surface, to render them over a photo or "
+        "a baked frame. EEVEE uses the light that is strongest now")
+    show_cameras: BoolProperty(name="Cameras", update=_applying(looks.size_cameras),
+        description="Draw the frames' cameras and their path")
     show_labels: BoolProperty(name="Labels", default=True, description="Draw the instances' names over the view")
     show_legend: BoolProperty(name="Legend", description="Draw the classes and their colours over the view")
-    show_selected: BoolProperty(
-        name="Outline Selected", default=True, description="Outline the selected instance, unless it is isolated"
-    )
-    show_boxes: BoolProperty(
-        name="All Boxes", update=_applying(looks.apply_visibility),
-        description="Draw the boxes of all instances, not only of the selected ones",
-    )  # fmt: skip
+    show_selected: BoolProperty(name="Outline Selected", default=True,
+        description="Outline the selected instance, unless it is isolated")
+    show_boxes: BoolProperty(name="All Boxes", update=_applying(looks.apply_visibility),
+        description="Draw the boxes of all instances, not only of the selected ones")
 
 
+# fmt: on
 CLASSES = (PLGS_PG_mask, PLGS_PG_instance, PLGS_PG_class, PLGS_PG_unshown, PLGS_PG_lift)
 PROPERTIES = ((bpy.types.Collection, "plgs", PLGS_PG_lift),)
 

@@ -95,12 +95,10 @@ def _used(name: str, description: str, least: int = 0, **kinds: str) -> IntPrope
 class PLGS_PG_used_options(bpy.types.PropertyGroup):
     """`scene.plgs_used`: the actual values behind the zeros of `scene.plgs`."""
 
-    steps: _used("steps", "Training steps")  # type: ignore[valid-type]
-    width: _used("width", "Frames are scaled to fit this width", subtype="PIXEL")  # type: ignore[valid-type]
-    height: _used("height", "Frames are scaled to fit this height", subtype="PIXEL")  # type: ignore[valid-type]
-    frames: _used(  # type: ignore[valid-type]
-        "frames", "Train on at most this many frames, the sharpest of each stretch; -1: on all", least=-1
-    )
+    steps: _used("steps", "Training steps")
+    width: _used("width", "Frames are scaled to fit this width", subtype="PIXEL")
+    height: _used("height", "Frames are scaled to fit this height", subtype="PIXEL")
+    frames: _used("frames", "Train on at most this many frames, the sharpest of each stretch; -1: on all", least=-1)
 
 
 CLASSES = (PLGS_PG_used_options,)

@@ -32,12 +32,10 @@ class PLGS_PG_mask_class(bpy.types.PropertyGroup):
     """One class of the masks. `into` names the class that it counts as; empty means itself."""
 
     label: IntProperty(name="Number", description="Its number in the masks")
-    into: StringProperty(
-        name="Counts As", description="The class that it is merged into; void drops it; empty leaves it as it is"
-    )
-    is_thing: BoolProperty(
-        name="Thing", description="Countable objects, such as chairs; stuff, such as walls, has no instances"
-    )
+    into: StringProperty(name="Counts As",
+        description="The class that it is merged into; void drops it; empty leaves it as it is")  # fmt: skip
+    is_thing: BoolProperty(name="Thing",
+        description="Countable objects, such as chairs; stuff, such as walls, has no instances")  # fmt: skip
 
 
 class PLGS_PG_masks(bpy.types.PropertyGroup):
@@ -47,9 +45,8 @@ class PLGS_PG_masks(bpy.types.PropertyGroup):
     active: IntProperty()
     path: StringProperty()
     void: StringProperty()
-    model: StringProperty(
-        name="Model", description="A folder with a Mask2Former, or its name on the Hugging Face Hub; empty: the default"
-    )
+    model: StringProperty(name="Model",
+        description="A folder with a Mask2Former, or its name on the Hugging Face Hub; empty: the default")  # fmt: skip
 
 
 def fill_classes(masks: PLGS_PG_masks, listed: Mapping[str, Any]) -> None:

@@ -10,7 +10,7 @@ from plgs.engine.job import LiftFolder, write_manifest
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender import compat, compositing, lift_scene, passes
 from plgs.plgs_blender.materials import linear_rgba
-from plgs.plgs_blender.pass_nodes import CRYPTO_CLASSES, CRYPTO_INSTANCES, PASSES, node_of, output_of, panoptic_node
+from plgs.plgs_blender.pass_nodes import CRYPTO_CLASSES, CRYPTO_INSTANCES, PANOPTIC, PASSES, node_of, output_of
 from plgs.plgs_blender.passes import numbered, sequences
 from tiny_lift import CABINET_NAME, CHAIR_NAME, FRAMES, mend_manifest, write_passes, write_tiny_lift
 from tiny_scene import CHAIR_ID, TinyView, tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
@@ -196,7 +196,7 @@ def test_the_active_camera_decides_which_passes_are_opened(tmp_path: Path) -> No
     for name, expected in {"my dolly-2": dolly, "still": still, "new": frames}.items():
         mine.camera = cameras[name]
         assert passes.passes_scene_of(mine) == expected, name
-        assert compositing.panoptic_of(mine) == panoptic_node(compat.compositor_tree(expected))
+        assert compositing.panoptic_of(mine) == node_of(compat.compositor_tree(expected), PANOPTIC)
     mine.camera = cameras["my dolly-2"]
     assert passes.open_passes(mine) == dolly and dolly.frame_current == 2
     assert passes.passes_scene_of(dolly) == dolly
