@@ -19,8 +19,7 @@ def absolute(path: str) -> Path:
 
 
 def free_folder(beside: Path, ending: str) -> Path:
-    """A folder that does not exist yet: beside "room" with the ending "lift", "room_lift" or "room_lift_2" and so
-    on."""
+    """A folder that does not exist yet, such as "room_lift" or "room_lift_2" ``beside`` "room"."""
     number, folder = 1, beside.with_name(f"{beside.name}_{ending}")
     while folder.exists():
         number += 1
@@ -67,18 +66,6 @@ class ChosenScene(SceneSource):
             detections_path,
         )  # fmt: skip
 
-    def as_texts(self) -> dict[str, str]:
-        """The arguments of `of` besides the folder."""
-        return {
-            "masks": "" if self.masks is None else str(self.masks),
-            "up": self.up,
-            "format": self.scene_format or AUTOMATIC,
-            "depth": "" if self.depth is None else str(self.depth),
-            "mask_format": self.mask_format or AUTOMATIC,
-            "classes": self.classes or "",
-            "detections": "" if self.detections is None else str(self.detections),
-        }
-
     @property
     def is_plain(self) -> bool:
         """Whether it has plain folders, which Blender can read without an engine. Reads the disk."""
@@ -101,6 +88,16 @@ class ChosenScene(SceneSource):
         for option, value in (given | named).items():
             arguments += [] if value is None else [option, value]
         return arguments
+
+
+def as_texts(source: SceneSource) -> dict[str, str]:
+    """The arguments of `ChosenScene.of` besides the folder; unknown formats become AUTOMATIC."""
+    paths = {"masks": source.masks, "depth": source.depth, "detections": source.detections}
+    texts = {name: "" if path is None else str(path) for name, path in paths.items()}
+    formats = ("format", source.scene_format, FORMAT_ITEMS), ("mask_format", source.mask_format, MASK_FORMAT_ITEMS)
+    for name, choice, items in formats:
+        texts[name] = choice if choice in [item[0] for item in items] else AUTOMATIC
+    return texts | {"up": source.up, "classes": source.classes or ""}
 
 
 def needs_engine(chosen: ChosenScene) -> PlgsError:

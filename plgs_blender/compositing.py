@@ -142,7 +142,7 @@ def select_group(passes: bpy.types.Scene) -> None:
     """Select only the panoptic group's node, unless the user has removed it."""
     tree = compat.compositor_tree(passes)
     group = _group_node(tree)
-    if group is not None:
+    if tree is not None and group is not None:
         for node in tree.nodes:
             node.select = node == group
         tree.nodes.active = group

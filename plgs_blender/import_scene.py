@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from ..engine.known_scene import MadeFrames
 from ..engine.posed.frames import PosedScene
 from .cameras import object_matrix, overview_camera, picture_of, place_camera_path, place_frames, show_photo
-from .chosen_scene import ChosenScene
+from .chosen_scene import ChosenScene, as_texts
 from .frame_pictures import cloud_of, has_cameras_of, photos, read_cloud, scene_of
-from .inspecting.looks import places
-from .inspecting.selection import objects_by_key
+from .inspecting.selection import objects_by_key, values_of
 from .owned import FOLDER, LIFT, PLACE, OwnedDataBlocks, child_collection, overview_of, root_collection, scene_to_fill
 from .splat_objects import place_points
 from .timeline import mark_timeline
@@ -49,7 +48,7 @@ def place_scene(
         made = replace(made, cloud=None)  # it fits other poses
     scene = scene_to_fill(scene)
     root = root_collection(place.scene, None, scene)
-    root[PLACE] = place.as_texts()
+    root[PLACE] = as_texts(place)
     owned = OwnedDataBlocks(root[LIFT], scene)
     pictures = photos(made, opened.frames)
     cameras = place_frames(owned, child_collection(root, "Cameras"), opened.frames, pictures)
@@ -69,12 +68,11 @@ def look_at_imported(root: bpy.types.Collection, scene: bpy.types.Scene) -> None
 
 
 def _room(root: bpy.types.Collection, scene: bpy.types.Scene) -> tuple[Quaternion, NDArray[np.float64]]:
-    """The rotation of a camera that overlooks the frames and what they see, and that region's corners [8, 3] in
-    metres."""
+    """The rotation of a camera that overlooks what the frames see, and that region's corners [8, 3] in metres."""
     scene.view_layers[0].update()
     matrices = np.array([ob.matrix_world for ob in root.all_objects if "frame" in ob])
     eyes, ahead = matrices[:, :3, 3], -matrices[:, :3, 2]
-    clouds = [places(ob.data) for key, ob in objects_by_key(root).items() if key in (_CLOUD, _SPARSE)]
+    clouds = [values_of(ob.data, "position") for key, ob in objects_by_key(root).items() if key in (_CLOUD, _SPARSE)]
     points = [np.percentile(cloud, _INNER, axis=0) for cloud in clouds if len(cloud)] or [eyes + _AHEAD * ahead]
     xyz = np.concatenate([eyes, *points])
     corners = np.array(list(product(*np.stack([xyz.min(axis=0), xyz.max(axis=0)], axis=1))))

@@ -9,7 +9,6 @@ inputs of the group, so they can be linked and animated.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import bpy
@@ -24,22 +23,15 @@ LINE_PIXELS = 2
 _OUTLINE, _RECOLOUR = (1.0, 0.6, 0.05, 1.0), (0.05, 0.25, 0.9, 1.0)
 
 
-@dataclass(frozen=True)
-class Control:
-    """A factor of the group, 0 to 1, initially 0."""
-
-    name: str
-    description: str
-
-
-CONTROLS = (
-    Control("By class", "0: the instances' matte, 1: the classes' matte"),
-    Control("Overlay", "Opacity of the instances' or classes' colours over the picture"),
-    Control("Recolour", "How much the matte takes the hue of the colour below; it keeps its light and shade"),
-    Control("Outline", "Opacity of the line around the matte"),
-    Control("Isolate", "How much everything but the matte is cut out"),
-    Control("Hold out", "How much the matte itself is cut out"),
-)
+CONTROLS = {
+    "By class": "0: the instances' matte, 1: the classes' matte",
+    "Overlay": "Opacity of the instances' or classes' colours over the picture",
+    "Recolour": "How much the matte takes the hue of the colour below; it keeps its light and shade",
+    "Outline": "Opacity of the line around the matte",
+    "Isolate": "How much everything but the matte is cut out",
+    "Hold out": "How much the matte itself is cut out",
+}
+"""Factors of the group, 0 to 1, initially 0, with descriptions."""
 PICTURES = ("Image", "Instance colours", "Class colours")
 MATTES = ("Instance matte", "Class matte", "Instance")
 COLOURS = {"Outline colour": _OUTLINE, "Recolour to": _RECOLOUR}
@@ -47,7 +39,7 @@ COLOURS = {"Outline colour": _OUTLINE, "Recolour to": _RECOLOUR}
 
 def panoptic_group() -> bpy.types.NodeTree:
     """The file's group, made if missing. A group that is linked or lacks an input is left alone."""
-    wanted = {*PICTURES, *MATTES, *COLOURS, *(control.name for control in CONTROLS)}
+    wanted = {*PICTURES, *MATTES, *COLOURS, *CONTROLS}
     for group in bpy.data.node_groups:
         if group.get(KEY) == MARK and group.library is None:
             if wanted <= {item.name for item in group.interface.items_tree}:
@@ -70,10 +62,10 @@ def _declare(group: bpy.types.NodeTree) -> None:
     for name in MATTES:
         socket = face.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat")
         socket.hide_value = True
-    for control in CONTROLS:
-        socket = face.new_socket(control.name, in_out="INPUT", socket_type="NodeSocketFloat")
+    for name, description in CONTROLS.items():
+        socket = face.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat")
         socket.subtype, socket.min_value, socket.max_value = "FACTOR", 0.0, 1.0
-        socket.default_value, socket.description = 0.0, control.description
+        socket.default_value, socket.description = 0.0, description
     for name, colour in COLOURS.items():
         face.new_socket(name, in_out="INPUT", socket_type="NodeSocketColor").default_value = colour
 

@@ -48,8 +48,7 @@ _NEEDED |= {"CryptoInstance00.r", "CryptoClass00.r"}
 
 
 def check_layers(files: Iterable[Path]) -> None:
-    """Raises PlgsError if one of the passes' files is not an EXR or lacks a layer that the compositor reads: Blender
-    would only show nothing."""
+    """Raises PlgsError if one of the passes' files is not an EXR or lacks a layer that the compositor reads."""
     for path in files:
         try:
             missing = _NEEDED - {*read_exr_header(path).channels}
@@ -270,8 +269,7 @@ def is_shot(scene: bpy.types.Scene) -> bool:
 
 
 def passes_scene_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
-    """The scene itself if it holds passes, else the first passes scene of its lifts: the active camera's, else the
-    frames', else any."""
+    """The scene itself if it holds passes, else its first lift's: the active camera's, else the frames', else any."""
     if text_of(scene, LIFT) and (key_of(scene, scene[LIFT]) == PASSES or is_shot(scene)):
         return scene
     for root in lifts_in(scene):

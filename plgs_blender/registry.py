@@ -20,6 +20,7 @@ from ..engine.errors import PlgsError
 from ..engine.job.follower import TaskFollower
 from ..engine.job.process import engine_call
 from ..engine.job.task import TaskFiles, TaskProgress, TaskState
+from .chosen_scene import ChosenScene
 
 _POLL_S = 0.05
 _PARTS_S = 0.05
@@ -145,6 +146,18 @@ class Task:
         if self.is_running:
             self.follower.kill()
             self.follower.close()
+
+
+class SceneTask(Task):
+    """A task for a chosen scene."""
+
+    def __init__(self, chosen: ChosenScene, follower: TaskFollower) -> None:
+        super().__init__(follower)
+        self.chosen = chosen
+
+    def error_for(self, chosen: ChosenScene) -> PlgsError | None:
+        """Its error, if it concerns this scene."""
+        return self.error if chosen == self.chosen else None
 
 
 Kind = TypeVar("Kind", bound=Task)

@@ -14,16 +14,9 @@ from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from ..engine.errors import PlgsError
 from ..engine.job import LiftRequest
 from ..engine.job.request import chosen_options
-from ..engine.presets.options import (
-    checked_options,
-    option_value,
-    parsed_options,
-    preset_options,
-    shown_options,
-    shown_value,
-)
+from ..engine.presets import options as presets
 from ..engine.presets.preset import LONGEST_SIDE, PRESETS, SHORTEST_SIDE
-from .chosen_scene import AUTOMATIC, FORMAT_ITEMS, MASK_FORMAT_ITEMS, ChosenScene, absolute
+from .chosen_scene import AUTOMATIC, FORMAT_ITEMS, MASK_FORMAT_ITEMS, ChosenScene, absolute, as_texts
 from .engine_environment import studio
 from .errors import with_field_names
 
@@ -53,8 +46,6 @@ _DEVICES = [
     ("auto", "Automatic", "CUDA if the engine and the computer can use it, else CPU"),
 ]
 
-_FORMATS = {name for name, *_ in FORMAT_ITEMS}
-_MASK_FORMATS = {name for name, *_ in MASK_FORMAT_ITEMS}
 _PATHS = ("lift_folder", "scene_folder", "masks", "detections", "depth")
 _SKIP_SAVE = {"SKIP_SAVE"}
 """So that an operator does not remember what a script once passed to it."""
@@ -84,7 +75,7 @@ def _take_defaults(settings: SceneOptions, context: bpy.types.Context) -> None:
                 settings.device = defaults.device
             if defaults.preset and not settings.is_property_set("preset"):
                 settings.preset, options = chosen_options(defaults.preset, {})
-                settings.preset_options = " ".join(shown_options(options))
+                settings.preset_options = " ".join(presets.shown_options(options))
     _tell_of_scene(settings, context)
 
 
@@ -192,21 +183,13 @@ def chosen_lift(settings: PLGS_PG_settings) -> Path | None:
 def request_of(settings: PLGS_PG_settings) -> LiftRequest:
     """The lift request that the settings describe. Raises PlgsError if a value is out of range."""
     preset, options = asked_of_preset(settings)
-    return LiftRequest(
-        **vars(chosen_scene(settings)),
-        preset=preset,
-        options=options,
-        fit=settings.fit,
-        anyway=settings.anyway,
-        seed=settings.seed,
-        bake=settings.bake,
-        device=settings.device,
-    )
+    others = {name: getattr(settings, name) for name in ("fit", "anyway", "seed", "bake", "device")}
+    return LiftRequest(**vars(chosen_scene(settings)), preset=preset, options=options, **others)
 
 
 def asked_of_preset(settings: PLGS_PG_settings) -> tuple[Any, dict[str, Any]]:
     """The preset's name and its changed options; fields win over the text. Raises PlgsError for bad ones."""
-    changed = parsed_options(settings.preset_options.split())
+    changed = presets.parsed_options(settings.preset_options.split())
     if settings.steps:
         changed["steps"] = settings.steps
     if settings.width or settings.height:  # 0 is no limit
@@ -214,7 +197,7 @@ def asked_of_preset(settings: PLGS_PG_settings) -> tuple[Any, dict[str, Any]]:
     if settings.frames:  # -1: all
         changed["frames"] = max(settings.frames, 0)
     preset, options = chosen_options(settings.preset, changed)
-    return preset, checked_options(options)
+    return preset, presets.checked_options(options)
 
 
 def why_no_options(settings: PLGS_PG_settings) -> str | None:
@@ -229,27 +212,23 @@ def why_no_options(settings: PLGS_PG_settings) -> str | None:
 def shown_preset(settings: PLGS_PG_settings) -> list[tuple[str, str, bool]]:
     """Every option of the chosen preset: name, value, and whether the settings change it."""
     try:
-        changed = parsed_options(settings.preset_options.split())
+        changed = presets.parsed_options(settings.preset_options.split())
     except PlgsError:
         changed = {}
-    values = {name: option_value(PRESETS[settings.preset], name) for name in preset_options()}
-    return [(name, shown_value(changed.get(name, value)), name in changed) for name, value in values.items()]
+    values = {name: presets.option_value(PRESETS[settings.preset], name) for name in presets.preset_options()}
+    return [(name, presets.shown_value(changed.get(name, value)), name in changed) for name, value in values.items()]
 
 
 def adopt(settings: PLGS_PG_settings, request: LiftRequest, folder: Path) -> None:
     """Copy the options of the lift in `folder` to the settings."""
     options: dict[str, Any] = dict(request.options)
     steps, (width, height), frames = options.pop("steps", 0), options.pop("size", (0, 0)), options.pop("frames", None)
+    texts = as_texts(request)
     asked: dict[str, str | int] = {
         "lift_folder": str(folder),
         "scene_folder": str(request.scene),
-        "masks": "" if request.masks is None else str(request.masks),
-        "detections": "" if request.detections is None else str(request.detections),
-        "up": request.up,
-        "format": request.scene_format if request.scene_format in _FORMATS else AUTOMATIC,
-        "depth": "" if request.depth is None else str(request.depth),
-        "mask_format": request.mask_format if request.mask_format in _MASK_FORMATS else AUTOMATIC,
-        "classes_table": request.classes or "",
+        "classes_table": texts.pop("classes"),
+        **texts,
         "preset": request.preset,
         "steps": steps,
         "width": width,
@@ -260,7 +239,7 @@ def adopt(settings: PLGS_PG_settings, request: LiftRequest, folder: Path) -> Non
         "seed": min(request.seed, 2**31 - 1),
         "bake": request.bake,
         "device": request.device,
-        "preset_options": " ".join(shown_options(options)),
+        "preset_options": " ".join(presets.shown_options(options)),
     }
     for name, value in asked.items():
         now = getattr(settings, name)

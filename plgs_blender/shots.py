@@ -182,8 +182,7 @@ def _refuse_other(folder: Path, name: str, other: ShotSource, source: ShotSource
 
 
 def write_view(lift: Path, scene: bpy.types.Scene) -> Path:
-    """Write the current view of the scene's active camera into the lift's folder, and return the file. Raises
-    PlgsError, OSError."""
+    """Write the active camera's current view into the lift's folder, and return the file. Raises PlgsError, OSError."""
     now = scene.frame_current
     ob = shot_of(scene, first=now, last=now, step=1).camera
     bpy.context.view_layer.update()  # a script may just have moved it

@@ -67,7 +67,8 @@ def places_of(root: bpy.types.Collection, scene: bpy.types.Scene) -> dict[bpy.ty
     return {ob: ob[_PLACE] for ob in _waiting(scene, root[LIFT])} | ours
 
 
-def follow_camera(scene: bpy.types.Scene) -> None:
+@bpy.app.handlers.persistent
+def follow_camera(scene: bpy.types.Scene, *_arguments: object) -> None:
     """Put our markers on the timeline if the scene's camera is one of ours, else remove them. Safe at any time."""
     camera, roots = scene.camera, {root[LIFT]: root for root in lifts_in(scene) if root.library is None}
     if not roots or scene.library is not None:
@@ -77,7 +78,11 @@ def follow_camera(scene: bpy.types.Scene) -> None:
     if bound:  # a user's copy of our camera is not ours, nor is its marker
         ours = set().union(*(_originals(scene, lift) for lift in roots))
         bound = [marker for marker in bound if marker.camera in ours]
-    is_ours = any(marker.camera == camera for marker in bound) or any(_waits(scene, lift) for lift in roots)
+    likely = (
+        [] if camera is None or _PLACE not in camera else [lift for lift in roots if key_of(camera, lift) is not None]
+    )
+    waits = any(camera in _waiting(scene, lift) for lift in likely)
+    is_ours = waits or any(marker.camera == camera for marker in bound)
     if camera is None or is_ours:
         for root in roots.values():
             if root.get(_ASIDE):
@@ -87,13 +92,6 @@ def follow_camera(scene: bpy.types.Scene) -> None:
         roots[text_of(marker.camera, LIFT)][_ASIDE] = True
         marker.camera[_PLACE] = marker.frame
         scene.timeline_markers.remove(marker)
-
-
-def _waits(scene: bpy.types.Scene, lift: str) -> bool:
-    """Whether the marker of the scene's camera waits and is this lift's."""
-    camera = scene.camera
-    is_like_ours = camera is not None and _PLACE in camera and key_of(camera, lift) is not None
-    return is_like_ours and camera in _waiting(scene, lift)
 
 
 def _waiting(scene: bpy.types.Scene, lift: str) -> list[bpy.types.Object]:
@@ -120,10 +118,5 @@ def _bring_back(scene: bpy.types.Scene, root: bpy.types.Collection) -> None:
     scene.camera = active or scene.camera  # a new marker's camera may have become the scene's
 
 
-@bpy.app.handlers.persistent
-def _follow(scene: bpy.types.Scene, *_arguments: object) -> None:
-    follow_camera(scene)
-
-
 # A script may change the frame before Blender reports its change of the camera.
-HANDLERS = (("depsgraph_update_post", _follow), ("frame_change_pre", _follow))
+HANDLERS = (("depsgraph_update_post", follow_camera), ("frame_change_pre", follow_camera))

@@ -111,8 +111,7 @@ def show_materials_in(scene: bpy.types.Scene) -> None:
 
 
 def show_room(areas: Iterable[bpy.types.Area], rotation: Quaternion, corners: NDArray[np.float64]) -> None:
-    """Point these 3D views at the room with these corners [N, 3], in metres, with this rotation. Views through a camera
-    stay as they are."""
+    """Point these 3D views, except those through a camera, at a room with corners [N, 3] in metres."""
     for area in areas:
         space = area.spaces.active
         show_materials(space)
@@ -155,8 +154,7 @@ def own_view(scene: bpy.types.Scene) -> tuple[bpy.types.Area, Camera] | None:
 
 
 def show_gizmos(scene: bpy.types.Scene, shown: bool) -> bool:
-    """Show or hide the gizmos that move the active object, in the 3D views of the windows with this scene. Returns
-    whether any view changed."""
+    """Show or hide the gizmos that move the active object in the scene's 3D views. Returns whether any view changed."""
     spaces = [area.spaces.active for area in areas_of(scene)]
     changed = [space for space in spaces if space.show_gizmo_object_translate != shown]
     for space in changed:
@@ -248,8 +246,7 @@ def load_finding(picture: Path) -> bpy.types.Image:
 
 
 def show_beside(image: bpy.types.Image, context: bpy.types.Context) -> bool:
-    """Show an image in the largest image editor, else in one split off the largest 3D view, and return whether there is
-    either."""
+    """Show an image in the largest image editor, else in one split off the largest 3D view. Returns whether it did."""
     areas = [(window, area) for window in context.window_manager.windows for area in window.screen.areas]
     editors = _largest_first(areas, "IMAGE_EDITOR")
     if not editors and (views := _largest_first(areas, "VIEW_3D")):

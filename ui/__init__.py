@@ -1,7 +1,8 @@
-"""Panels, lists, preferences and view overlays. They only read state: no computing, and no disk access while
-drawing."""
+"""Panels, lists, preferences and view overlays. They only read state: no computing, and no disk access."""
 
 from __future__ import annotations
+
+from functools import partial
 
 from ..plgs_blender.lifecycle import register_modules, unregister_modules
 from . import (
@@ -29,11 +30,5 @@ _MODULES = (
 )
 
 
-def register() -> None:
-    """Called when the extension is enabled."""
-    register_modules(_MODULES)
-
-
-def unregister() -> None:
-    """Called when the extension is disabled."""
-    unregister_modules(_MODULES)
+register, unregister = partial(register_modules, _MODULES), partial(unregister_modules, _MODULES)
+"""Called when the extension is enabled, and disabled."""

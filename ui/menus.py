@@ -9,66 +9,49 @@ import bpy
 from ..plgs_blender.errors import one_line
 from ..plgs_blender.inspecting.selection import active_lift, chosen_row, instance_of
 
-Entries = tuple[tuple[str, dict[str, Any], str], ...]
-"""Operators, their properties and their labels; an empty label means the operator's own."""
+Entries = tuple[str | tuple[str, dict[str, Any], str], ...]
+"""Our operators, perhaps with properties and a label; an empty label means the operator's own."""
 
 _OBJECT: Entries = (
-    ("plgs.frame_instance", {}, ""),
-    ("plgs.isolate_instance", {}, ""),
-    ("plgs.toggle_instance_visibility", {}, ""),
-    ("plgs.go_to_best_view", {}, ""),
-    ("plgs.matte_instance", {}, "Use Object as Matte"),
-    ("plgs.rename_instance", {}, ""),
-    ("plgs.reclass_instances", {}, ""),
-    ("plgs.merge_instances", {}, ""),
-    ("plgs.split_instance", {"by": "PARTS"}, "Split into Connected Parts"),
-    ("plgs.split_by_views", {}, ""),
-    ("plgs.place_cut", {}, ""),
-    ("plgs.split_instance", {"by": "CUT"}, "Split by Cutting Plane"),
-    ("plgs.crop_instance", {}, ""),
-    ("plgs.assign_points", {"to": "INSTANCE"}, "Paint Points of the Object"),
-    ("plgs.accept_instances", {}, "Accept as Correct"),
-    ("plgs.make_objects", {}, ""),
-    ("plgs.make_objects", {"as_assets": True}, "Make Assets"),
-    ("plgs.key_visibility", {}, ""),
-    ("plgs.delete_instance", {"becomes": "AROUND"}, "Dissolve into Surroundings"),
-)
+    "frame_instance", "isolate_instance", "toggle_instance_visibility", "go_to_best_view",
+    ("matte_instance", {}, "Use Object as Matte"),
+    "rename_instance", "reclass_instances", "merge_instances",
+    ("split_instance", {"by": "PARTS"}, "Split into Connected Parts"),
+    "split_by_views", "place_cut",
+    ("split_instance", {"by": "CUT"}, "Split by Cutting Plane"),
+    "crop_instance",
+    ("assign_points", {"to": "INSTANCE"}, "Paint Points of the Object"),
+    ("accept_instances", {}, "Accept as Correct"),
+    "make_objects",
+    ("make_objects", {"as_assets": True}, "Make Assets"),
+    "key_visibility",
+    ("delete_instance", {"becomes": "AROUND"}, "Dissolve into Surroundings"),
+)  # fmt: skip
 _RESULT: Entries = (
-    ("plgs.show_all", {}, ""),
-    ("plgs.show_colours", {}, ""),
-    *(("plgs.show_as", {"kind": kind}, f"Show as {kind.capitalize()}") for kind in ("POINTS", "SPLATS", "SURFACE")),
-    ("plgs.propose_corrections", {}, ""),
-    ("plgs.go_to_proposal", {}, "Look at the Proposal"),
-    ("plgs.answer_proposal", {}, "Apply the Proposal"),
-    ("plgs.answer_proposal", {"keep": True}, "Keep the Object as It Is"),
-    ("plgs.next_uncertain_frame", {}, ""),
-    ("plgs.undo_correction", {}, ""),
+    "show_all", "show_colours",
+    *(("show_as", {"kind": kind}, f"Show as {kind.capitalize()}") for kind in ("POINTS", "SPLATS", "SURFACE")),
+    "propose_corrections",
+    ("go_to_proposal", {}, "Look at the Proposal"),
+    ("answer_proposal", {}, "Apply the Proposal"),
+    ("answer_proposal", {"keep": True}, "Keep the Object as It Is"),
+    "next_uncertain_frame", "undo_correction",
 )  # fmt: skip
 _WORK: Entries = (
-    ("plgs.import_scene", {}, ""),
-    *(("plgs.show_picture", {"what": what}, f"Show {what.capitalize()} of the Frame")
-       for what in ("PHOTO", "DEPTH", "MASKS")),
-    ("plgs.make_poses", {}, ""),
-    ("plgs.make_masks", {}, ""),
-    ("plgs.read_classes", {}, ""),
-    ("plgs.write_classes", {}, ""),
-    ("plgs.diagnose", {}, ""),
-    ("plgs.fix_scene", {}, "Fix Diagnosed Problems"),
-    ("plgs.lift_scene", {}, "Start the Lift"),
-    ("plgs.resume_lift", {}, "Resume the Lift"),
-    ("plgs.cancel_lift", {}, "Cancel the Lift"),
-    ("plgs.open_lift", {}, "Open Lift…"),
-    ("plgs.find_scene", {}, "Find the Lift's Scene…"),
-    ("plgs.place_lift", {}, ""),
-    *((("plgs.bake_passes", {"frames": frames}, f"Bake Passes: {text}")
-       for frames, text in (("all", "All Frames"), ("test", "Test Frames"), ("active", "Active Camera's Frame")))),
-    ("plgs.bake_camera", {}, ""),
-    ("plgs.bake_on_farm", {}, ""),
-    ("plgs.show_passes", {}, ""),
-    ("plgs.show_room", {}, ""),
-    ("plgs.make_meshes", {}, ""),
-    ("plgs.make_depth_cloud", {}, ""),
-    ("plgs.show_preferences", {}, "PLGS Preferences"),
+    "import_scene",
+    *(("show_picture", {"what": what}, f"Show {what.capitalize()} of the Frame")
+      for what in ("PHOTO", "DEPTH", "MASKS")),
+    "make_poses", "make_masks", "read_classes", "write_classes", "diagnose",
+    ("fix_scene", {}, "Fix Diagnosed Problems"),
+    ("lift_scene", {}, "Start the Lift"),
+    ("resume_lift", {}, "Resume the Lift"),
+    ("cancel_lift", {}, "Cancel the Lift"),
+    ("open_lift", {}, "Open Lift…"),
+    ("find_scene", {}, "Find the Lift's Scene…"),
+    "place_lift",
+    *(("bake_passes", {"frames": frames}, f"Bake Passes: {text}")
+      for frames, text in (("all", "All Frames"), ("test", "Test Frames"), ("active", "Active Camera's Frame"))),
+    "bake_camera", "bake_on_farm", "show_passes", "show_room", "make_meshes", "make_depth_cloud",
+    ("show_preferences", {}, "PLGS Preferences"),
 )  # fmt: skip
 
 
@@ -80,8 +63,9 @@ class OfEntries:
 
     def draw(self, context: bpy.types.Context) -> None:
         self.layout.operator_context = "INVOKE_DEFAULT"
-        for name, given, text in self.entries:
-            chosen = self.layout.operator(name, **({"text": text} if text else {}))
+        for entry in self.entries:
+            name, given, text = (entry, {}, "") if isinstance(entry, str) else entry
+            chosen = self.layout.operator(f"plgs.{name}", **({"text": text} if text else {}))
             for each, value in given.items():
                 setattr(chosen, each, value)
 

@@ -55,7 +55,7 @@ class PLGS_PT_panoptic(sidebar.Sidebar, bpy.types.Panel):
             )
             return
         layout.use_property_split, layout.use_property_decorate = True, False
-        for name in (*(control.name for control in CONTROLS), *COLOURS):
+        for name in (*CONTROLS, *COLOURS):
             layout.prop(node.inputs[name], "default_value", text=name)
 
 

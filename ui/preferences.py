@@ -12,13 +12,7 @@ from ..plgs_blender.engine_environment.tasks import SetUp
 from ..plgs_blender.running.adding import ADDED
 from .sidebar import draw_lacking, draw_log, draw_task, draw_text
 
-_ICONS = {
-    EngineState.UNKNOWN: "QUESTION",
-    EngineState.CHECKING: "SORTTIME",
-    EngineState.READY: "CHECKMARK",
-    EngineState.MISSING: "ERROR",
-    EngineState.FAILED: "CANCEL",
-}
+_ICONS = dict(zip(EngineState, ("QUESTION", "SORTTIME", "CHECKMARK", "ERROR", "CANCEL"), strict=True))
 
 
 def _ask_again(preferences: bpy.types.AddonPreferences, context: bpy.types.Context) -> None:
@@ -64,23 +58,19 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
                 draw_log(layout, (str(tasks.log_path()), *set_up.log_lines))
         for name in ADDED:
             draw_lacking(layout, context, name)
-        self._draw_choices(layout)
-
-    def _draw_choices(self, layout: bpy.types.UILayout) -> None:
         column = layout.column()
         column.use_property_split = True
         column.prop(self, "engine_python")
         column.prop(self, "defaults_file")
         header, body = layout.panel("plgs_engine_details", default_closed=True)
         header.label(text="Set-Up Options")
-        if body is None:
-            return
-        body.use_property_split = True
-        for name in ("base_python", "torch_build", "index_url"):
-            body.prop(self, name)
-        row = body.row()
-        row.operator("plgs.open_set_up_log", icon="TEXT")
-        row.operator("plgs.remove_engine", icon="TRASH")
+        if body is not None:
+            body.use_property_split = True
+            for name in ("base_python", "torch_build", "index_url"):
+                body.prop(self, name)
+            row = body.row()
+            row.operator("plgs.open_set_up_log", icon="TEXT")
+            row.operator("plgs.remove_engine", icon="TRASH")
 
 
 def _draw_status(layout: bpy.types.UILayout, context: bpy.types.Context, is_set_up_running: bool) -> None:

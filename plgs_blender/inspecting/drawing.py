@@ -200,6 +200,7 @@ def corners_of(box: bpy.types.Object) -> list[Vector]:
 
 
 def _text_width(text: str, size: float) -> float:
+    """The width of a text, whose size is set for drawing, too."""
     blf.size(0, size)
     return float(blf.dimensions(0, text)[0])
 
@@ -312,17 +313,12 @@ def draw_text_boxes(text_boxes: Sequence[TextBox]) -> None:
     gpu.state.blend_set("ALPHA")
     batch_for_shader(shader, "TRIS", {"pos": corners, "color": colours}).draw(shader)
     for text_box in text_boxes:
-        _write(text_box)
+        aside = (text_box.width - _text_width(text_box.text, text_box.size)) / 2.0
+        indent = aside if text_box.swatch is None else 1.15 * text_box.height
+        blf.color(0, *text_box.ink, 1.0)
+        blf.position(0, text_box.x + indent, text_box.y + (text_box.height - 0.72 * text_box.size) / 2.0, 0.0)
+        blf.draw(0, text_box.text)
     gpu.state.blend_set("NONE")
-
-
-def _write(text_box: TextBox) -> None:
-    blf.size(0, text_box.size)
-    blf.color(0, *text_box.ink, 1.0)
-    width = blf.dimensions(0, text_box.text)[0]
-    indent = (text_box.width - width) / 2.0 if text_box.swatch is None else 1.15 * text_box.height
-    blf.position(0, text_box.x + indent, text_box.y + (text_box.height - 0.72 * text_box.size) / 2.0, 0.0)
-    blf.draw(0, text_box.text)
 
 
 def _add_rectangle(

@@ -14,7 +14,7 @@ from mathutils import Vector
 from numpy.typing import NDArray
 
 from .drawing import Colour, Mark
-from .selection import clouds_of, ids_of
+from .selection import clouds_of, ids_of, values_of
 
 _LINE = 0.95
 """Opacity of the outline."""
@@ -64,11 +64,9 @@ def forget() -> None:
 def _points_of(cloud: bpy.types.Object, instance: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """World positions [n, 3] and radii [n] of an instance's points in a cloud."""
     mine = ids_of(cloud.data, "instance_id") == instance
-    xyz, radius = np.empty(3 * len(mine), np.float32), np.empty(len(mine), np.float32)
-    cloud.data.attributes["position"].data.foreach_get("vector", xyz)
-    cloud.data.attributes["radius"].data.foreach_get("value", radius)
     world = np.array(cloud.matrix_world, np.float32)
-    return xyz.reshape(-1, 3)[mine] @ world[:3, :3].T + world[:3, 3], radius[mine]
+    xyz = values_of(cloud.data, "position")[mine] @ world[:3, :3].T + world[:3, 3]
+    return xyz, values_of(cloud.data, "radius", "value", 1)[mine, 0]
 
 
 def mark_of(seen: Highlight, view: Any, size: tuple[int, int], colour: Colour, tint: float = 0.1) -> Mark | None:

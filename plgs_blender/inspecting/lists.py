@@ -203,7 +203,12 @@ def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult,
         ids, rows, counts = np.unique(points.class_id, return_inverse=True, return_counts=True)
         scores = np.bincount(rows, np.nan_to_num(points.confidence), len(ids)) / np.maximum(counts, 1)
         for class_id, count, score in zip(ids.tolist(), counts.tolist(), scores.tolist(), strict=True):
-            _fill_class(lists.classes.add(), class_id, count, score, result.classes)
+            known = result.classes[class_id] if class_id != VOID and class_id in result.classes else None
+            row = lists.classes.add()
+            row.class_id, row.points, row.score = class_id, count, score
+            row.name = known.name if known else "unknown"
+            row.is_thing = known is not None and known.is_thing
+            row.colour = [channel / 255.0 for channel in (known.colour if known else UNKNOWN)]
         looks.size_cameras(root)
         looks.apply_show_as(root)
         if lists.look != looks.PHOTO:
@@ -242,9 +247,14 @@ def fill_masks(root: bpy.types.Collection, instances: Iterable[Instance], classe
     """Fill in the masks of instances that were listed without them."""
     with registered():
         rows = {row.instance_id: row for row in root.plgs.instances if not len(row.masks)}
-        for instance in instances:
-            if instance.id in rows:
-                _fill_masks(rows[instance.id], instance, classes)
+        for instance in [each for each in instances if each.id in rows]:
+            rows[instance.id].best_mask = best_view(instance.segments)
+            for mask in instance.segments:
+                each = rows[instance.id].masks.add()
+                each.frame, each.segment, each.class_id = mask.frame, mask.segment_id, mask.class_id
+                each.class_name = classes[mask.class_id].name if mask.class_id in classes else "unknown"
+                each.score, each.pixels, each.share = mask.score, mask.pixels, mask.share
+                each.rectangle, each.outline, each.reason = mask.rectangle, mask.outline, _reason(mask)
 
 
 def fill_not_shown(root: bpy.types.Collection, result: LiftResult) -> None:
@@ -278,21 +288,3 @@ def _fill_instance(row: Any, instance: Instance) -> None:
     row.class_id, row.class_name = instance.class_id, instance.class_name
     row.colour = [channel / 255.0 for channel in instance.colour]
     row.points, row.views, row.score = instance.points, instance.views, instance.score
-
-
-def _fill_masks(row: Any, instance: Instance, classes: ClassTable) -> None:
-    row.best_mask = best_view(instance.segments)
-    for mask in instance.segments:
-        each = row.masks.add()
-        each.frame, each.segment, each.class_id = mask.frame, mask.segment_id, mask.class_id
-        each.class_name = classes[mask.class_id].name if mask.class_id in classes else "unknown"
-        each.score, each.pixels, each.share = mask.score, mask.pixels, mask.share
-        each.rectangle, each.outline, each.reason = mask.rectangle, mask.outline, _reason(mask)
-
-
-def _fill_class(row: Any, class_id: int, points: int, score: float, classes: ClassTable) -> None:
-    known = classes[class_id] if class_id != VOID and class_id in classes else None
-    row.class_id, row.points, row.score = class_id, points, score
-    row.name = known.name if known else "unknown"
-    row.is_thing = known is not None and known.is_thing
-    row.colour = [channel / 255.0 for channel in (known.colour if known else UNKNOWN)]

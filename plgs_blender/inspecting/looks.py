@@ -22,7 +22,7 @@ from ..cameras import PATH
 from ..materials import LIT, PICTURE, catcher_material, let_catch, linear_rgba, object_colour, value_node
 from ..owned import KEY, LIFT, OwnedDataBlocks, is_child, key_of, tag, text_of
 from ..splat_objects import dye
-from .selection import boxes_of, clouds_of, ids_of, objects_by_key, row_of, surfaces_of
+from .selection import boxes_of, clouds_of, ids_of, objects_by_key, row_of, surfaces_of, values_of
 
 PHOTO, BY_CLASS, INSTANCES, UNCERTAINTY = "PHOTO", "CLASSES", "INSTANCES", "UNCERTAINTY"
 """Values of a lift's `look`."""
@@ -103,19 +103,13 @@ def has(root: bpy.types.Collection, kind: str) -> bool:
 def _photo(data: Any) -> NDArray[np.float32]:
     """The photos' linear colours float32 [N, 4], saved apart from Col on the first call."""
     if KEPT in data.attributes:
-        return _read(data, KEPT)
-    colours = _read(data, COLOUR)
+        return values_of(data, KEPT, "color", 4)
+    colours = values_of(data, COLOUR, "color", 4)
     layer = data.attributes.new(KEPT, data.attributes[COLOUR].data_type, "POINT")
     if data.id_type == "MESH":  # a new colour attribute must not become the active one
         data.color_attributes.active_color = data.color_attributes[COLOUR]
     layer.data.foreach_set("color", colours.ravel())
     return colours
-
-
-def _read(data: Any, name: str) -> NDArray[np.float32]:
-    values = np.empty(4 * len(data.attributes[name].data), np.float32)
-    data.attributes[name].data.foreach_get("color", values)
-    return values.reshape(-1, 4)
 
 
 def _by_id(
@@ -134,7 +128,11 @@ class _Sureness:
 
     def __init__(self, coloured: list[bpy.types.Object]) -> None:
         clouds = [ob for ob in coloured if "confidence" in ob.data.attributes]
-        cells = _cells(np.concatenate([places(ob.data) for ob in clouds])) if clouds else np.zeros(0, np.int64)
+        cells = (
+            _cells(np.concatenate([values_of(ob.data, "position") for ob in clouds]))
+            if clouds
+            else np.zeros(0, np.int64)
+        )
         sure = np.concatenate([_confidence(ob.data) for ob in clouds]) if clouds else np.zeros(0, np.float32)
         self._cells, rows, count = np.unique(cells, return_inverse=True, return_counts=True)
         self._mean = np.bincount(rows.ravel(), sure, len(self._cells)) / np.maximum(count, 1)
@@ -144,7 +142,7 @@ class _Sureness:
         if "confidence" in ob.data.attributes:
             sure = _confidence(ob.data)
         else:
-            cells = _cells(places(ob.data))
+            cells = _cells(values_of(ob.data, "position"))
             at = np.minimum(np.searchsorted(self._cells, cells), max(len(self._cells) - 1, 0))
             known = self._cells[at] == cells if len(self._cells) else np.zeros(len(cells), bool)
             sure = np.where(known, self._mean[at] if len(self._mean) else 1.0, 1.0)
@@ -156,16 +154,7 @@ class _Sureness:
 
 def _confidence(data: Any) -> NDArray[np.float32]:
     """The confidence of a cloud's points, float32 [N], 0..1."""
-    values = np.empty(len(data.attributes["confidence"].data), np.float32)
-    data.attributes["confidence"].data.foreach_get("value", values)
-    return np.clip(np.nan_to_num(values), 0.0, 1.0)
-
-
-def places(data: Any) -> NDArray[np.float32]:
-    """The positions of a cloud's points or a mesh's vertices, float32 [N, 3] in metres."""
-    values = np.empty(3 * len(data.attributes["position"].data), np.float32)
-    data.attributes["position"].data.foreach_get("vector", values)
-    return values.reshape(-1, 3)
+    return np.clip(np.nan_to_num(values_of(data, "confidence", "value", 1)[:, 0]), 0.0, 1.0)
 
 
 def _cells(xyz: NDArray[np.float32]) -> NDArray[np.int64]:
@@ -230,7 +219,7 @@ def _is_crumb(ob: bpy.types.Object, box: bpy.types.Object) -> NDArray[np.bool_]:
     to_box = np.array(box.matrix_world.inverted() @ ob.matrix_world, np.float32)
     corners = np.array(box.bound_box, np.float32)
     margin = _CRUMBS * np.ptp(corners, axis=0)
-    local = places(ob.data) @ to_box[:3, :3].T + to_box[:3, 3]
+    local = values_of(ob.data, "position") @ to_box[:3, :3].T + to_box[:3, 3]
     return ((local < corners.min(axis=0) - margin) | (local > corners.max(axis=0) + margin)).any(axis=1)
 
 

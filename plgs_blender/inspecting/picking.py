@@ -22,17 +22,8 @@ hovered: list[tuple[int, int]] = []
 """The session uid of a lift's collection and its instance under the mouse; at most one."""
 
 
-@dataclass(frozen=True)
-class DrawnNames:
-    """The names of a lift in a 3D view when it was last drawn."""
-
-    region: ViewRegion
-    names: list[TextBox]
-
-
-_drawn: dict[tuple[int, int], DrawnNames] = {}
-"""Names by the pointer of the view's region and the session uid of the lift's collection. The mouse, which moves more
-often than views are drawn, looks names up here."""
+_drawn: dict[tuple[int, int], tuple[ViewRegion, list[TextBox]]] = {}
+"""The names last drawn in a view, by its region's pointer and the session uid of the lift's collection."""
 _MOST_KEPT = 16
 
 
@@ -68,14 +59,13 @@ def outline_of(context: bpy.types.Context, row: Any, region: ViewRegion) -> list
 
 
 def names_to_draw(context: bpy.types.Context, root: bpy.types.Collection, region: ViewRegion) -> list[TextBox]:
-    """The names at a lift's boxes in the view that is being drawn, stored for `shown_names`. None covers an outlined
-    mask."""
+    """The names at a lift's boxes in the view that is being drawn, stored for `shown_names`."""
     key = context.region.as_pointer(), root.session_uid
     _drawn.pop(key, None)
-    _drawn[key] = DrawnNames(region, _names(context, root, region) if root.plgs.show_labels else [])
+    _drawn[key] = region, _names(context, root, region) if root.plgs.show_labels else []
     while len(_drawn) > _MOST_KEPT:
         del _drawn[next(iter(_drawn))]
-    return _drawn[key].names
+    return _drawn[key][1]
 
 
 def shown_names(context: bpy.types.Context, root: bpy.types.Collection, region: ViewRegion) -> list[TextBox]:
@@ -83,10 +73,11 @@ def shown_names(context: bpy.types.Context, root: bpy.types.Collection, region: 
     if not context.space_data.overlay.show_overlays:
         return []
     drawn = _drawn.get((context.region.as_pointer(), root.session_uid))
-    return drawn.names if drawn is not None and drawn.region == region else names_to_draw(context, root, region)
+    return drawn[1] if drawn is not None and drawn[0] == region else names_to_draw(context, root, region)
 
 
 def _names(context: bpy.types.Context, root: bpy.types.Collection, region: ViewRegion) -> list[TextBox]:
+    """Names at the visible boxes; none covers an outlined mask."""
     boxes = _shown_boxes(context, root)
     row, free = outlined(context, root), list[Rectangle]()
     for polygon in outline_of(context, row, region) if row is not None else ():

@@ -19,7 +19,7 @@ from ..meshes import CORRECTIONS
 from ..splat_objects import EXTENT, axes_of
 from ..splat_objects import NAME as OPEN_ROOM
 from .looks import leaving_out
-from .selection import clouds_of, ids_of, surfaces_of
+from .selection import clouds_of, ids_of, surfaces_of, values_of
 
 NEAREST = 0.01
 """Near clipping distance of views of a lift, in metres."""
@@ -39,10 +39,10 @@ TRIANGLE, SQUARE, SPLAT, POINT = "TRIANGLE", "SQUARE", "SPLAT", "POINT"
 
 
 Rows = tuple[tuple[float, ...], ...]
-"""A hashable matrix."""
 
 
 def rows_of(matrix: Matrix) -> Rows:
+    """A matrix that can be hashed."""
     return tuple(map(tuple, matrix))
 
 
@@ -126,8 +126,7 @@ class Projected:
 
 
 def first_drawn(parts: Sequence[Projected], mouse: tuple[float, float]) -> tuple[int, int, int] | None:
-    """The index of the part that draws a pixel, with the instance and class there; if none does, those of the nearest
-    instance within MISS pixels; else None."""
+    """The index of the part that draws a pixel, or the nearest instance within MISS pixels, with instance and class."""
     for offsets in (_OFFSETS[:1], _OFFSETS[1:]) if parts else ():  # most often the mouse's own pixel is drawn
         found = [part.at(np.array(mouse, np.float32) + offsets) for part in parts]
         opacities, near = (np.concatenate([each[column] for each in found], axis=1) for column in (0, 1))
@@ -187,12 +186,12 @@ def _is_near(ob: bpy.types.Object, view: View, mouse: tuple[float, float]) -> bo
 def _projected(root: bpy.types.Collection, ob: bpy.types.Object, view: View) -> Projected:
     """A lift's object in a view, without its hidden parts."""
     data, world = ob.data, ob.matrix_world
-    xyz, opacity, form = _column(data, "position"), None, _form_of(ob)
+    xyz, opacity, form = values_of(data, "position"), None, _form_of(ob)
     ids = np.stack([ids_of(data, "instance_id"), ids_of(data, "class_id")], axis=1)
     shown = ~leaving_out(root.plgs)(*ids.T)
     if ob.type == "POINTCLOUD" and ob.modifiers.get(OPEN_ROOM) is not None:
         to_eye = np.array(world.inverted() @ Vector(view.eye), np.float32)
-        shown &= np.einsum("ij,ij->i", _column(data, "normal"), xyz - to_eye) <= 0.0
+        shown &= np.einsum("ij,ij->i", values_of(data, "normal"), xyz - to_eye) <= 0.0
     if form == TRIANGLE:
         corners = np.empty(len(data.loops), np.int32)
         data.attributes[".corner_vert"].data.foreach_get("value", corners)
@@ -201,19 +200,19 @@ def _projected(root: bpy.types.Collection, ob: bpy.types.Object, view: View) -> 
     else:
         xyz, ids = xyz[shown], ids[shown]
         if form == POINT:
-            radius = world.median_scale * _column(data, "radius", "value", 1)[shown]
+            radius = world.median_scale * values_of(data, "radius", "value", 1)[shown]
             reach = radius * view.lens[0][0] * view.width / 2.0
             vertices = _with_axes(view.projected(xyz, world), reach * (1.0, 0.0), reach * (0.0, 1.0))
             vertices[: len(xyz), 3:] += radius
         elif form == SQUARE:
-            ends = [xyz + _column(data, axis)[shown] for axis in ("right", "up")]
+            ends = [xyz + values_of(data, axis)[shown] for axis in ("right", "up")]
             vertices = view.projected(np.concatenate([xyz, *ends]), world)
-            opacity = _column(data, "opacity", "value", 1)[shown, 0] if view.is_fading else None
+            opacity = values_of(data, "opacity", "value", 1)[shown, 0] if view.is_fading else None
         else:
-            turns = _column(data, "rotation", "value", 4)[shown]
-            axes = _axes_of_splats(view, world, xyz, _column(data, "scale")[shown], turns)
+            turns = values_of(data, "rotation", "value", 4)[shown]
+            axes = _axes_of_splats(view, world, xyz, values_of(data, "scale")[shown], turns)
             vertices = _with_axes(view.projected(xyz, world), *axes)
-            opacity = _column(data, "radiance:base", "vector", 4)[shown, 3]
+            opacity = values_of(data, "radiance:base", "vector", 4)[shown, 3]
         corners = np.arange(3 * len(xyz), dtype=np.int32).reshape(3, -1).T
     begin, first, second = vertices[corners].transpose(1, 0, 2)
     first, second = first - begin, second - begin
@@ -258,9 +257,3 @@ def _axes_of_splats(
     a, b, c = (np.einsum("nk,nk->n", aside[:, :, i], aside[:, :, j]) for i, j in ((0, 0), (0, 1), (1, 1)))
     a = np.sqrt(np.maximum(a, 1e-6))  # Cholesky's factor
     return np.stack([a, b / a], axis=1), np.stack([0.0 * a, np.sqrt(np.maximum(c - (b / a) ** 2, 1e-6))], axis=1)
-
-
-def _column(data: Any, name: str, field: str = "vector", width: int = 3) -> NDArray[np.float32]:
-    values = np.empty(width * len(data.attributes[name].data), np.float32)
-    data.attributes[name].data.foreach_get(field, values)
-    return values.reshape(-1, width)

@@ -22,8 +22,7 @@ from ..owned import FOLDER, GAUSSIANS, KEY, LIFT, is_same_place, lifts_in, origi
 
 
 def find_lift(scene: bpy.types.Scene, lift: str = "", active: bpy.types.Object | None = None) -> bpy.types.Collection:
-    """The collection of the lift with this folder or collection name; if `lift` is empty, as `active_lift`. Raises
-    PlgsError if there is none."""
+    """The lift with this folder or collection name, else `active_lift`. Raises PlgsError if there is none."""
     roots = lifts_in(scene)
     if lift:
         named = [root for root in roots if lift == root.name or is_same_place(text_of(root, FOLDER), absolute(lift))]
@@ -107,6 +106,13 @@ def ids_of(cloud: Any, name: str) -> NDArray[np.int32]:
     if name in cloud.attributes:
         cloud.attributes[name].data.foreach_get("value", values)
     return values
+
+
+def values_of(data: Any, name: str, field: str = "vector", width: int = 3) -> NDArray[np.float32]:
+    """An attribute of a cloud's points or a mesh's vertices, float32 [N, width]."""
+    values = np.empty(width * len(data.attributes[name].data), np.float32)
+    data.attributes[name].data.foreach_get(field, values)
+    return values.reshape(-1, width)
 
 
 def row_of(root: bpy.types.Collection, instance: int) -> Any:
@@ -251,8 +257,7 @@ def _select(root: bpy.types.Collection, box: bpy.types.Object, layer: bpy.types.
 
 
 def _select_box(root: bpy.types.Collection, number: int, layer: bpy.types.ViewLayer) -> None:
-    """Select only an instance's box. If it cannot be selected, deselect the lift's objects, so that no command acts on
-    them."""
+    """Select only an instance's box. If it cannot be selected, no object of the lift stays selected."""
     box, selected = boxes_of(root).get(number), [ob for ob in layer.objects if ob is not None and ob.select_get()]
     if box is not None and _select(root, box, layer):
         deselect_all(layer, but=box)
@@ -276,15 +281,15 @@ _followed: list[Any] = []
 """The scene, active object and selection when the lists last followed."""
 
 
-def follow() -> None:
+@bpy.app.handlers.persistent
+def follow(*_arguments: object) -> None:
     """Update the lists of the windows' scenes to the selection there. Safe to call at any time."""
     for window in bpy.context.window_manager.windows:
         follow_selected(window.scene, window.view_layer)
 
 
 def follow_name() -> None:
-    """Rename the active box's instance if the user renamed the box, as in the outliner. Blender calls this. It ignores
-    a name that Blender only shortened or numbered."""
+    """Rename the active box's instance if the user, not only Blender, changed the box's name, as in the outliner."""
     context = bpy.context
     box = context.view_layer.objects.active if context.view_layer is not None else None
     if box is None or not is_box(box) or box.name == text_of(box, SHOWN):
@@ -298,11 +303,6 @@ def follow_name() -> None:
             for rename in renaming:
                 rename(root, instance_of(box), name)
             bpy.ops.ed.undo_push(message="Rename Object")
-
-
-@bpy.app.handlers.persistent
-def _after_undo(*_arguments: object) -> None:
-    follow()
 
 
 @bpy.app.handlers.persistent
@@ -328,8 +328,8 @@ def _subscribe(*_arguments: object) -> None:
 
 
 HANDLERS = (
-    ("undo_post", _after_undo),
-    ("redo_post", _after_undo),
+    ("undo_post", follow),
+    ("redo_post", follow),
     ("depsgraph_update_post", _after_update),
     ("load_post", _subscribe),
 )

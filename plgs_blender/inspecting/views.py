@@ -16,15 +16,14 @@ from ..boxes import INSTANCE
 from ..owned import overview_of
 from ..timeline import follow_camera, is_of_lift, places_of
 from ..viewport import VIEW_SENSOR, areas_of, look_through, show_room
-from .looks import places
-from .selection import box_of, objects_by_key, row_of
+from .selection import box_of, objects_by_key, row_of, values_of
 
 _ROOM_AROUND = 1.6
 """Radius of the sphere that fits in the view, in radii of the framed box."""
 
 
 def frame_instance(root: bpy.types.Collection, instance: int, view: bpy.types.SpaceView3D, aspect: float = 1.0) -> None:
-    """Move a 3D view, of width / height `aspect`, so that an instance's box (0: the list's active one) fills it. Raises
+    """Move a 3D view, of width / height `aspect`, so that an instance's box (0: the active one) fills it. Raises
     PlgsError if there is no such instance or box."""
     box = box_of(root, instance)
     corners = np.array([box.matrix_world @ Vector(corner) for corner in box.bound_box])
@@ -122,6 +121,6 @@ def look_at_room(root: bpy.types.Collection, overview: bpy.types.Object, areas: 
     """Point these 3D views at a lift's points, except outliers, rotated as its overview camera."""
     # Bounds come from the points themselves, because a hidden cloud has no bounding box.
     clouds = [ob for ob in root.all_objects if ob.type == "POINTCLOUD" and "class_id" in ob]
-    low, high = np.percentile(np.concatenate([places(ob.data) for ob in clouds]), (1.0, 99.0), axis=0)
+    low, high = np.percentile(np.concatenate([values_of(ob.data, "position") for ob in clouds]), (1.0, 99.0), axis=0)
     corners = np.array([*product(*np.stack([low, high], axis=1))])
     show_room(areas, overview.matrix_world.to_quaternion(), corners)

@@ -18,7 +18,7 @@ from ...engine.job.follower import TaskFollower
 from .. import registry
 from ..chosen_scene import AUTOMATIC, ChosenScene
 from ..engine_environment import usable_python
-from ..registry import Task, start_engine
+from ..registry import SceneTask, start_engine
 from ..settings import PLGS_PG_settings, chosen_scene
 from . import looking
 
@@ -59,14 +59,14 @@ class FrameSplit:
         return not {*names}.isdisjoint((*self.train, *self.test))
 
 
-class Diagnosis(Task):
+class Diagnosis(SceneTask):
     """Measures a scene for problems. ``mended`` is the folder that "Fix" writes; `is_mended` says whether it did."""
 
     kind, label, cancel_operator = "diagnosis", "Measuring", "plgs.cancel_diagnosis"
 
     def __init__(self, chosen: ChosenScene, mended: Path | None, folder: Path, follower: TaskFollower) -> None:
-        super().__init__(follower)
-        self.chosen, self.mended = chosen, mended
+        super().__init__(chosen, follower)
+        self.mended = mended
         self.findings: tuple[Finding, ...] = ()
         self.looked = self.frames = 0
         self.can_be_mended = False

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
 
 import bpy
 from bpy.props import IntProperty
@@ -32,8 +31,7 @@ def bake_estimate(frames: int, size: tuple[int, int], layers: Collection[str]) -
 
 
 def estimate_of(settings: PLGS_PG_settings) -> Prediction | None:
-    """Time and memory of the lift that the settings describe; None if the scene is unknown or the settings are wrong.
-    Never reads the disk."""
+    """Time and memory of the lift that the settings describe; None if unknown. Never reads the disk."""
     survey = survey_of_panel(settings)
     if survey is None or survey.error is not None or not survey.sizes or why_no_options(settings):
         return None
@@ -51,21 +49,11 @@ def estimate_of(settings: PLGS_PG_settings) -> Prediction | None:
 
 
 NAMES = ("steps", "width", "height", "frames")
-"""The settings whose 0 means the preset's value."""
+"""The settings whose 0 means the preset's value: training steps, frame size in pixels, and number of frames."""
 
 
-@dataclass(frozen=True)
-class UsedOptions:
-    """Training steps, frame size in pixels, and number of training frames (0: all)."""
-
-    steps: int
-    width: int
-    height: int
-    frames: int
-
-
-def used_options(settings: PLGS_PG_settings) -> UsedOptions:
-    """The values that the lift will use, as far as known. Never reads the disk."""
+def used_options(settings: PLGS_PG_settings) -> dict[str, int]:
+    """The values of NAMES that the lift will use, as far as known. Never reads the disk."""
     try:
         name, options = asked_of_preset(settings)
     except PlgsError:
@@ -73,17 +61,18 @@ def used_options(settings: PLGS_PG_settings) -> UsedOptions:
     preset = with_options(PRESETS[name], options)
     survey = survey_of_panel(settings)
     if survey is None or survey.error is not None or not survey.sizes:
-        return UsedOptions(preset.steps, *preset.size, preset.frames)
+        return dict(zip(NAMES, (preset.steps, *preset.size, preset.frames), strict=True))
     (size, _), *_ = survey.sizes
     views = preset.views_of(survey.train_frames)
-    return UsedOptions(preset.for_views(views).steps, *size_within(size, preset.size), views)
+    used = preset.for_views(views).steps, *size_within(size, preset.size), views
+    return dict(zip(NAMES, used, strict=True))
 
 
 def _used(name: str, description: str, least: int = 0, **kinds: str) -> IntProperty:
     """A property that shows the value that will be used; typing into it sets the setting of that name."""
 
     def read(shown: PLGS_PG_used_options) -> int:
-        return int(getattr(used_options(shown.id_data.plgs), name))
+        return used_options(shown.id_data.plgs)[name]
 
     def write(shown: PLGS_PG_used_options, value: int) -> None:
         setattr(shown.id_data.plgs, name, value)

@@ -107,8 +107,7 @@ def export(
 
 
 def make_meshes(lift: Path, scene: bpy.types.Scene, frames: str = "all", *, asked: bool = True) -> Export:
-    """Let an engine make the meshes of a lift that is placed in the scene, and place them. Raises PlgsError,
-    OSError."""
+    """Let an engine make the meshes of a lift that is in the scene, and add them. Raises PlgsError, OSError."""
     root_of_placed(lift, scene)  # raises an error now, not when the meshes are made
     python = engine_environment.usable_python()
     return export(lift, SURFACE, mesh_folder(lift), python, [frames], shown_in=scene.name, asked=asked)

@@ -18,6 +18,7 @@ from ..clouds import cloud_folder
 from ..engine_environment import why_no_engine
 from ..errors import with_field_names
 from ..inspecting.selection import objects_by_key
+from ..lift_scene import result_of
 from ..owned import FOLDER, Placed, is_same_place, lift_of_scene, lifts_in, root_of_placed, text_of
 from ..registry import Task, start_engine
 from ..settings import PLGS_PG_settings, adopt, chosen_lift, request_of, why_no_options
@@ -123,7 +124,7 @@ class SceneFinding(Task):
         lifts.attach(lift.path)
         adopt(scene.plgs, lift.request, lift.path)
         if any(is_same_place(text_of(root, FOLDER), lift.path) for root in lifts_in(scene)):
-            lifts.show_lift(scene, lift)
+            result_of(lifts.showing_lift(scene, lift))
 
 
 def find_scene(scene: bpy.types.Scene, place: Path, folder: str = "") -> SceneFinding:
@@ -200,7 +201,7 @@ def bake_shot(scene: bpy.types.Scene, shot: ShotReader, folder: str = "", *, rep
 
 
 def bake_on_farm(scene: bpy.types.Scene, folder: str = "") -> Path:
-    """Write a farm job that bakes the scene's active camera over its range, and return it. Raises PlgsError,
+    """Write a farm job that bakes the active camera over the scene's range, and return it. Raises PlgsError,
     OSError."""
     lift = lift_at(scene.plgs, folder)
     read_manifest(lift.result_path)

@@ -28,7 +28,7 @@ from .. import registry
 from ..cameras import camera_seen
 from ..chosen_scene import absolute
 from ..inspecting.views import look_at_placed
-from ..lift_scene import place_passes_anew, place_room, reading_lift, result_of
+from ..lift_scene import place_passes_anew, place_room, reading_lift
 from ..owned import Placed, is_placed, tag
 from ..registry import Task
 from ..settings import adopt, chosen_lift
@@ -326,19 +326,12 @@ def look_at(folder: Path) -> Lift | None:
         return None
 
 
-def show_lift(scene: Any, lift: LiftFolder) -> Any:
-    """Put a finished lift into the scene, copy its options to the panel, point the 3D views at it, and return its
-    collection. Raises PlgsError."""
-    placed = result_of(showing_lift(scene, lift))
-    found = placed.find() if placed is not None else None
-    return found[0] if found is not None else None
-
-
 def showing_lift(
     scene: Any, lift: LiftFolder, is_wanted: Callable[[Any], bool] = lambda scene: True
 ) -> Generator[None, None, Placed | None]:
-    """`show_lift` in parts, so that the window does not freeze. Returns where it is; None if the scene is gone when the
-    lift is read, or no longer wants it. Raises PlgsError."""
+    """Put a finished lift into the scene, copy its options to the panel and point the 3D views at it, in parts, so that
+    the window does not freeze. Returns where it is; None if the scene is gone when the lift is read, or no longer wants
+    it. Raises PlgsError."""
     name = scene.name
     read = yield from reading_lift(lift.path)
     scene = bpy.data.scenes.get(name)  # undo may have put another one in its place

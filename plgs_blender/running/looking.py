@@ -11,7 +11,6 @@ from ...engine.errors import PlgsError
 from ...engine.job.folder import refuse_foreign
 from ...engine.job.recent import remembered_lifts
 from ...engine.result_files import INSTANCES
-from .. import registry
 from .. import settings as panel
 from ..chosen_scene import ChosenScene, absolute
 from ..engine_environment import engine_python
@@ -31,12 +30,6 @@ def look_at_scene(chosen: ChosenScene) -> None:
     survey.look(chosen, None if bpy.app.background else engine_python())
 
 
-def look_at_lift(folder: Path) -> None:
-    """Follow the lift in this folder, if there is one: running or ended, of this Blender or another."""
-    if lifts.look_at(folder) is not None:
-        registry.go_on()
-
-
 def find_own_lifts() -> None:
     """Follow the lifts named by the open file's scenes that are in this user's list of lifts.
 
@@ -46,7 +39,7 @@ def find_own_lifts() -> None:
     own = {*map(Path, remembered_lifts())}
     for scene in bpy.data.scenes:
         if scene.plgs.lift_folder and absolute(scene.plgs.lift_folder) in own:
-            look_at_lift(absolute(scene.plgs.lift_folder))
+            lifts.look_at(absolute(scene.plgs.lift_folder))
 
 
 def begin_to_read_objects() -> None:
@@ -75,7 +68,7 @@ def _on_scene_chosen(settings: PLGS_PG_settings) -> None:
 def _on_lift_chosen(settings: PLGS_PG_settings) -> None:
     folder = chosen_lift(settings)
     if folder is not None:
-        look_at_lift(folder)
+        lifts.look_at(folder)
 
 
 def _at_start() -> None:

@@ -17,7 +17,7 @@ from ...engine.scene_source import NUMBERINGS, TABLES
 from .. import registry
 from ..chosen_scene import ChosenScene, absolute
 from ..engine_environment import usable_python
-from ..registry import Task, start_engine
+from ..registry import SceneTask, start_engine
 from ..settings import chosen_scene
 from . import looking
 
@@ -78,15 +78,15 @@ CLASSES = (PLGS_PG_mask_class, PLGS_PG_masks)
 PROPERTIES = ((bpy.types.Scene, "plgs_masks", PLGS_PG_masks),)
 
 
-class ClassListing(Task):
+class ClassListing(SceneTask):
     """Lists the classes in the rows of the scene named ``target``."""
 
     kind, label = "classes", "Reading the classes"
     undo_step = "PLGS Read Classes"
 
     def __init__(self, chosen: ChosenScene, target: str, follower: TaskFollower) -> None:
-        super().__init__(follower)
-        self.chosen, self._target = chosen, target
+        super().__init__(chosen, follower)
+        self._target = target
 
     def done(self, scene: Any) -> None:
         target = bpy.data.scenes.get(self._target)
@@ -99,15 +99,10 @@ class ClassListing(Task):
             raise PlgsError("bad-answer", what, self.chosen.scene, "Read the classes again.") from fault
 
 
-class ClassWriting(Task):
+class ClassWriting(SceneTask):
     """Writes classes.toml."""
 
-    kind, label = "write_classes", "Writing the classes"
-
-    def __init__(self, chosen: ChosenScene, follower: TaskFollower) -> None:
-        super().__init__(follower)
-        self.chosen = chosen
-        self.message = ""
+    kind, label, message = "write_classes", "Writing the classes", ""
 
     def done(self, scene: Any) -> None:
         if self.answer is not None:
@@ -135,12 +130,8 @@ def write_classes(scene: bpy.types.Scene) -> ClassWriting:
     return registry.begin(ClassWriting(chosen, follower))
 
 
-class Preparation(Task):
+class Preparation(SceneTask):
     """When it has finished, the panel reads the scene again, if that is still the chosen one."""
-
-    def __init__(self, chosen: ChosenScene, follower: TaskFollower) -> None:
-        super().__init__(follower)
-        self.chosen = chosen
 
     def done(self, scene: Any) -> None:
         settings = scene.plgs
@@ -150,10 +141,6 @@ class Preparation(Task):
 
     def take_scene(self, settings: Any) -> None:
         """Put the scene that it made, if any, into the settings."""
-
-    def error_for(self, chosen: ChosenScene) -> PlgsError | None:
-        """Its error, if it concerns this scene."""
-        return self.error if chosen == self.chosen else None
 
 
 class MaskMaking(Preparation):

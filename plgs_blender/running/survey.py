@@ -13,13 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from ...engine.errors import PlgsError
-from ...engine.job.follower import TaskFollower
 from ...engine.posed.frames import PosedScene, Size
 from .. import registry
 from ..chosen_scene import ChosenScene, needs_engine
 from ..engine_environment import engine_python
 from ..inspecting.drawing import Colour
-from ..registry import Task, start_engine
+from ..registry import SceneTask, start_engine
 from ..settings import PLGS_PG_settings, chosen_scene
 
 _GIVE = {"depth": "choose depth maps", "masks": "choose or make masks"}
@@ -60,14 +59,10 @@ class Survey:
         return self.train_frames + self.test_frames
 
 
-class SceneLook(Task):
+class SceneLook(SceneTask):
     """Reads a scene's pixels, with an engine."""
 
     kind, label = "survey", "Looking at the frames"
-
-    def __init__(self, chosen: ChosenScene, follower: TaskFollower) -> None:
-        super().__init__(follower)
-        self.chosen = chosen
 
     def done(self, scene: Any) -> None:
         global _latest
@@ -89,8 +84,7 @@ def survey_of_panel(settings: PLGS_PG_settings) -> Survey | None:
 
 
 def look(chosen: ChosenScene, python: Path | None) -> Survey:
-    """Let an engine read the scene if there is a ``python`` for one; else read plain folders now, 1 ms per frame. If
-    the scene is bad, the survey says why."""
+    """Let an engine read the scene if there is a ``python`` for one; else read plain folders now, 1 ms per frame."""
     global _latest
     registry.forget(SceneLook.kind)
     _latest = Survey(chosen)

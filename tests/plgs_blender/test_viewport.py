@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 import pytest
 from mathutils import Euler
-from plgs.plgs_blender import lift_scene, timeline
+from plgs.plgs_blender import lifecycle, lift_scene, timeline
 from plgs.plgs_blender.inspecting.views import look_from_frame
 from plgs.plgs_blender.viewport import frame_room
 
@@ -84,9 +84,9 @@ def test_any_ocio_configuration_makes_a_file(views: list[str] | None, chosen: st
 @pytest.fixture
 def following() -> Iterator[None]:
     """As while the extension is on."""
-    timeline.register()
+    lifecycle.register_modules([timeline])
     yield
-    timeline.unregister()
+    lifecycle.unregister_modules([timeline])
 
 
 @pytest.mark.parametrize(

@@ -57,14 +57,15 @@ def test_every_command_is_in_a_menu(plgs: ModuleType) -> None:
     plgs.register()
     try:
         registered = set(dir(bpy.ops.plgs))
-        entries = [entry for menu in CLASSES for entry in menu.entries]
+        listed = [entry for menu in CLASSES for entry in menu.entries]
+        entries = [(entry, {}, "") if isinstance(entry, str) else entry for entry in listed]
         for name, given, _ in entries:
-            properties = getattr(bpy.ops.plgs, name.removeprefix("plgs.")).get_rna_type().properties
+            properties = getattr(bpy.ops.plgs, name).get_rna_type().properties
             for each, value in given.items():
                 items = getattr(properties[each], "enum_items", None)
                 assert items is None or value in items, f"{name} {each} {value}"
     finally:
         plgs.unregister()
-    assert {name.removeprefix("plgs.") for name, *_ in entries} == registered - ELSEWHERE
+    assert {name for name, *_ in entries} == registered - ELSEWHERE
     texts = [text or name for name, _, text in entries]
     assert len(set(texts)) == len(texts), "two entries that read alike"
