@@ -91,12 +91,8 @@ def shot_of(
     given: str = "",
     only: Sequence[int] = (),
 ) -> Shot:
-<<<<<<< HEAD
-    """The named camera, or the scene's active one, over the given range, else the scene's, or ``only`` these frames.
-    ``given`` names it, else the studio's default. Raises PlgsError."""
-=======
-    """The named camera, or the scene's active one, over the given range, else the scene's. Raises PlgsError."""
->>>>>>> dc2ef296 (Shorten passes, shots and settings, and their texts)
+    """The named camera, or the active one, over the given range, else the scene's. ``given`` names its files, else
+    the studio's default does. Raises PlgsError."""
     ob = scene.objects.get(camera) if camera else scene.camera
     if ob is None or (camera and ob.type != "CAMERA"):
         what = f"has no camera named {camera!r}" if camera else "has no active camera"

@@ -35,13 +35,9 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
     index_url: StringProperty(name="Package Index",
         description="URL of the package index to download from. Empty: the one that uv or pip is configured for, and "
         "PyTorch's public index for its CPU build")
+    defaults_file: StringProperty(name="Studio Defaults", subtype="FILE_PATH",
+        description="TOML file with the studio's preset, masks, names, device and memory. PLGS_DEFAULTS comes first")
     # fmt: on
-
-    defaults_file: StringProperty(  # type: ignore[valid-type]
-        name="Studio Defaults",
-        subtype="FILE_PATH",
-        description="TOML file with the studio's preset, masks, names, device and memory. PLGS_DEFAULTS comes first",
-    )
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout

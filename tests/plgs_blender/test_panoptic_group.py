@@ -13,11 +13,7 @@ from plgs.plgs_blender import compat, compositing, lift_scene
 from plgs.plgs_blender.inspecting.lists import registered
 from plgs.plgs_blender.materials import linear_rgba
 from plgs.plgs_blender.owned import lifts_in
-<<<<<<< HEAD
-from plgs.plgs_blender.pass_nodes import LINE_PIXELS, NAME, panoptic_node
-=======
-from plgs.plgs_blender.pass_nodes import LINE_PIXELS, NAME, PANOPTIC, node_of, output_of
->>>>>>> dc2ef296 (Shorten passes, shots and settings, and their texts)
+from plgs.plgs_blender.pass_nodes import LINE_PIXELS, NAME, PANOPTIC, node_of
 from plgs.plgs_blender.passes import show_view
 from tiny_lift import FRAMES
 from tiny_scene import CABINET_ID, TinyView, tiny_intrinsics, tiny_pose, trace_view
@@ -54,21 +50,8 @@ def view(scene: bpy.types.Scene) -> TinyView:
 def shown(scene: bpy.types.Scene, output: str, folder: Path, **controls: float | tuple[float, ...]) -> np.ndarray:
     """What an output of the group gives, float32 [H, W, 4], with these of its inputs set."""
     for name, value in controls.items():
-<<<<<<< HEAD
-        panoptic_node(compat.compositor_tree(scene)).inputs[name.replace("_", " ")].default_value = value
+        node_of(compat.compositor_tree(scene), PANOPTIC).inputs[name.replace("_", " ")].default_value = value
     return rendered(scene, output, folder, "RGBA")
-=======
-        node_of(tree, PANOPTIC).inputs[name.replace("_", " ")].default_value = value
-    result = next(node for node in tree.nodes if node.bl_idname == compat.COMPOSITE_OUTPUT)
-    tree.links.new(output_of(tree, output), result.inputs[0])
-    settings = scene.render.image_settings
-    settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", "RGBA", "32"
-    scene.render.filepath = str(folder / "shown.exr")
-    with bpy.context.temp_override(scene=scene):
-        bpy.ops.render.render(write_still=True)
-    with OpenEXR.File(scene.render.filepath, separate_channels=True) as file:
-        return np.stack([file.channels()[c].pixels for c in "RGBA"], axis=-1)
->>>>>>> dc2ef296 (Shorten passes, shots and settings, and their texts)
 
 
 def picture(view: TinyView) -> np.ndarray:
