@@ -97,7 +97,7 @@ def drawn(*, opened: bool = True, width: int = 10_000, steps: bool = True) -> st
             if issubclass(panel, bpy.types.Panel) and getattr(panel, "poll", lambda _: True)(context):
                 panel.draw(SimpleNamespace(layout=Layout(seen, opened=opened)), context)
     chosen = SimpleNamespace(
-        layout=Layout(seen), engine_python="", base_python="", torch_build="cpu", index_url="",
+        layout=Layout(seen), engine_python="", base_python="", torch_build="cpu", index_url="", defaults_file="",
         _draw_choices=lambda layout: preferences.PLGS_AP_preferences._draw_choices(chosen, layout),
     )  # fmt: skip
     preferences.PLGS_AP_preferences.draw(chosen, context)
