@@ -98,7 +98,6 @@ def drawn(*, opened: bool = True, width: int = 10_000, steps: bool = True) -> st
                 panel.draw(SimpleNamespace(layout=Layout(seen, opened=opened)), context)
     chosen = SimpleNamespace(
         layout=Layout(seen), engine_python="", base_python="", torch_build="cpu", index_url="", defaults_file="",
-        _draw_choices=lambda layout: preferences.PLGS_AP_preferences._draw_choices(chosen, layout),
     )  # fmt: skip
     preferences.PLGS_AP_preferences.draw(chosen, context)
     return "\n".join(seen)
