@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from engine.instances.matching import class_by_views, limit_instances, match_views, pair_cost, update_instances
+from engine.instances.matching import class_by_views, match_views, pair_cost, update_instances
 from engine.instances.records import ObjectMask, OrientedBox, fit_box, intersection_volume
 from engine.instances.segments import SegmentOptions, local_instances
 from engine.presets.preset import Matching
@@ -113,16 +113,6 @@ def test_near_views_count_more_but_do_not_outvote() -> None:
     pieces = [seen("near", SOFA, 400, i) for i in range(4)]
     assert class_by_views([*pieces, *far]) == CHAIR
     assert class_by_views([seen("a", SOFA, 50), seen("b", CHAIR, 50)]) == CHAIR
-
-
-def test_beyond_the_cap_the_largest_stay_and_are_renumbered() -> None:
-    view = view_of("a", around(0), [LEFT])
-    one = match_views([view], THINGS, SEGMENTS, Matching())[0]
-    items = [replace(one, id=i, masks=(replace(one.masks[0], pixels=p),)) for i, p in ((2, 50), (5, 10), (7, 90))]
-    kept, of_point, dropped = limit_instances(items, np.array([0, 2, 5, 7], np.int32), 2)
-    assert [(item.id, item.pixels) for item in kept] == [(1, 50), (2, 90)]
-    assert of_point.tolist() == [0, 1, 0, 2] and dropped == 1
-    assert limit_instances([], np.zeros(3, np.int32), 2)[1].tolist() == [0, 0, 0]
 
 
 def box(centre: tuple[float, float, float], size: tuple[float, float, float], yaw: float) -> OrientedBox:

@@ -69,8 +69,3 @@ def test_more_frames_are_used_where_the_camera_moves_more(turns: bool) -> None:
 def test_a_jump_of_the_tracker_does_not_swallow_the_windows() -> None:
     frames = [frame(number, 0.1 * number + (1000.0 if number >= 50 else 0.0)) for number in range(100)]
     assert len(windows(frames, 20)) >= 18
-
-
-def test_frames_of_one_place_are_distinguished_by_time() -> None:
-    groups = windows([frame(number, 0.0) for number in range(12)], 4)
-    assert [group.tolist() for group in groups] == [[0, 1, 2], [3, 4, 5], [6, 7, 8], [9, 10, 11]]
