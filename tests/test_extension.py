@@ -82,12 +82,6 @@ def test_one_zip_serves_every_platform(root: Path, package: Path) -> None:
 
 def test_the_zip_installs_and_registers_and_goes(package: Path, tmp_path: Path) -> None:
     environment = os.environ | {"BLENDER_USER_RESOURCES": str(tmp_path / "resources")}
-    process = subprocess.run(
-        [sys.executable, "-c", INSIDE, str(package)],
-        cwd=tmp_path,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+    command = [sys.executable, "-c", INSIDE, str(package)]
+    process = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120)
     assert process.returncode == 0 and "all is well" in process.stdout, process.stdout + process.stderr

@@ -3,9 +3,9 @@
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import bpy
 import pytest
@@ -18,27 +18,19 @@ def draw_handlers(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     added: list[object] = []
     for name in ("SpaceView3D", "SpaceImageEditor", "SpaceNodeEditor", "SpaceProperties", "SpaceOutliner"):
         space = getattr(bpy.types, name)
-        monkeypatch.setattr(space, "draw_handler_add", noting(space.draw_handler_add, added.append))
-        monkeypatch.setattr(space, "draw_handler_remove", noting(space.draw_handler_remove, None, added.remove))
+        add, remove = space.draw_handler_add, space.draw_handler_remove
+
+        def noted_add(*arguments: Any, add: Any = add) -> object:
+            added.append(add(*arguments))
+            return added[-1]
+
+        def noted_remove(*arguments: Any, remove: Any = remove) -> None:
+            remove(*arguments)
+            added.remove(arguments[0])
+
+        monkeypatch.setattr(space, "draw_handler_add", noted_add)
+        monkeypatch.setattr(space, "draw_handler_remove", noted_remove)
     return added
-
-
-def noting(
-    call: Callable[..., object],
-    result: Callable[[object], None] | None,
-    handle: Callable[[object], None] | None = None,
-) -> Callable[..., object]:
-    """`call`, which also hands its result, or its first argument, on."""
-
-    def noted(*arguments: object) -> object:
-        answer = call(*arguments)
-        if result is not None:
-            result(answer)
-        if handle is not None:
-            handle(arguments[0])
-        return answer
-
-    return noted
 
 
 def test_switching_on_and_off_leaves_nothing_behind(plgs: ModuleType, draw_handlers: list[object]) -> None:

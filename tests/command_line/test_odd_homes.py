@@ -24,10 +24,7 @@ SHELLS = {
     "no streams": "exec <&- >&- 2>&-",
     "no room on standard error": "exec 2>/dev/full",
 }
-NAMES = {
-    "odd characters": "\u00e4\u90e8 '\" $x %20 #\t\n ".encode(),
-    "a long path": b"/".join([b"d" * 199] * 18),
-}
+NAMES = {"odd characters": "\u00e4\u90e8 '\" $x %20 #\t\n ".encode(), "a long path": b"/".join([b"d" * 199] * 18)}
 
 
 @pytest.fixture(scope="module")

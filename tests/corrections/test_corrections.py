@@ -142,8 +142,7 @@ def test_points_get_an_object_or_a_class(lift: Path) -> None:
 
 def test_split_by_plane_relabels_points_elsewhere(lift: Path) -> None:
     correct(
-        lift,
-        lambda state, free: m.split(state, DESK, m.sides_of(state.points_of(DESK), (2.6, 0, 0), (1, 0, 0)), free),
+        lift, lambda state, free: m.split(state, DESK, m.sides_of(state.points_of(DESK), (2.6, 0, 0), (1, 0, 0)), free)
     )
     result = read_corrected(lift)
     places = np.array([[2.1, 0.5, 0.9], [3.1, 0.5, 0.5], [0.0, 0.0, 0.0]])

@@ -56,11 +56,6 @@ def test_the_same_views_give_the_same_bytes() -> None:
     assert len(np.unique(one.xyz, axis=0)) == len(one.xyz)
 
 
-def test_a_surface_needs_two_views() -> None:
-    assert len(fuse([view_of_ball(0)]).triangles) == 0
-    assert len(fuse([]).triangles) == 0
-
-
 @pytest.mark.parametrize("reaches", [STRAIGHT, GRAZED])
 def test_views_without_depth_change_nothing(reaches: tuple[tuple[float, float], ...]) -> None:
     views = [view_of_ball(0)] * 2

@@ -17,8 +17,6 @@ from engine.export.mending import (
     without_flakes,
     without_fringe,
 )
-from engine.export.mesh import mended
-from engine.posed.ply import rows_by_label
 
 STEP = 0.02
 """Metres between the vertices of a sheet."""
@@ -152,11 +150,6 @@ def test_a_thin_object_stays_alone_or_beside_others_and_with_lone_labels_in_it()
         kept, labels = without_fringe(surface, label)
         of_thin = [area(each)[(each.xyz[each.triangles][..., 0] > 0.785).all(axis=1)].sum() for each in (surface, kept)]
         assert np.isclose(*of_thin) and (labels == 7).sum() == (label == 7).sum()
-
-
-def test_surface_without_remaining_pieces_is_empty() -> None:
-    surface, label = mended(sheet(3, 3), np.full(9, 5))  # a flake
-    assert not len(surface.triangles) and not len(label) and rows_by_label(surface.triangles, label) == {}
 
 
 def widest_gap(whole: Surface, cut: Surface) -> float:

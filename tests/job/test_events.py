@@ -214,8 +214,7 @@ def test_texts_that_are_not_utf8_are_escaped(tmp_path: Path) -> None:
 
 @posix
 @pytest.mark.parametrize(
-    ("said", "state"),
-    [("finished", TaskState.FINISHED), ("cancelled", TaskState.CANCELLED), (None, TaskState.FAILED)],
+    ("said", "state"), [("finished", TaskState.FINISHED), ("cancelled", TaskState.CANCELLED), (None, TaskState.FAILED)]
 )
 def test_bake_end_keeps_lift_state(folder: LiftFolder, start: Start, said: str | None, state: TaskState) -> None:
     follow(start("short"))

@@ -14,7 +14,7 @@ from engine.passes.baked_view import ShownInstances, bake_view
 from engine.passes.cryptomatte import CRYPTO_CLASS
 from engine.passes.layers import STEPS, align_mattes, decide, encoded, linear
 from engine.scene import Camera, Category, ClassTable
-from tests.passes.views import CHAIR, CLASSES, EDGE, LEFT, NOTHING, RIGHT, SOFA, WALL, made_rendering
+from tests.passes.views import CHAIR, CLASSES, LEFT, NOTHING, RIGHT, SOFA, WALL, made_rendering
 
 
 def test_decide_gives_classes_and_instances() -> None:
@@ -25,35 +25,12 @@ def test_decide_gives_classes_and_instances() -> None:
     assert layers.depth[0] == pytest.approx([2.5] * 7 + [0])
 
 
-def test_entropy_runs_from_sure_to_no_idea() -> None:
-    rendering = made_rendering()
-    rendering.class_coverage[0, 3] = 1 / 3
-    layers = decide(rendering, CLASSES)
-    assert layers.entropy[0, 0] == pytest.approx(0, abs=1e-6)
-    assert layers.entropy[0, 3] == pytest.approx(1, abs=1e-6)
-    assert 0 < layers.entropy[EDGE].min() < 1
-    assert not layers.entropy[NOTHING].any()
-
-
 @pytest.mark.parametrize("wanted", [("semantic",), ("combined", "depth"), ("depth", "confidence")])
 def test_layers_that_are_not_wanted_stay_empty(wanted: tuple[str, ...]) -> None:
     whole, part = decide(made_rendering(), CLASSES), decide(made_rendering(), CLASSES, wanted=wanted)
     for name in vars(whole):
         assert name not in wanted or (getattr(part, name) == getattr(whole, name)).all()
     assert not part.entropy.size and bool(part.combined.size) == ("combined" in wanted)
-
-
-def test_alpha_does_not_change_what_is_decided() -> None:
-    rendering = made_rendering()
-    thin = replace(
-        rendering,
-        alpha=rendering.alpha * 0.2,
-        class_coverage=rendering.class_coverage * 0.2,
-        instance_coverage=rendering.instance_coverage * 0.2,
-    )
-    full, faint = decide(rendering, CLASSES), decide(thin, CLASSES)
-    assert (full.semantic == faint.semantic).all()
-    assert faint.confidence == pytest.approx(full.confidence, abs=1e-5)
 
 
 def with_right_chair(instances: dict[int, float]) -> PanopticRendering:

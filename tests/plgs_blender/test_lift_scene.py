@@ -126,16 +126,6 @@ def test_another_lift_of_the_same_scene_replaces_it(lift: Path, tmp_path: Path) 
     assert len(bpy.data.scenes) == 1  # no passes, no scene for them
 
 
-def test_two_scenes_stand_side_by_side(lift: Path, tmp_path: Path) -> None:
-    lift_scene.place_lift(lift, bpy.context.scene)
-    second = write_tiny_lift(tmp_path / "lift", frames=4).path
-    lift_scene.place_lift(second, bpy.context.scene)
-    assert len(lift_scene.lifts_in(bpy.context.scene)) == 2
-    before = counts()
-    lift_scene.place_lift(lift, bpy.context.scene)
-    assert counts() == before
-
-
 def test_it_is_found_again_whatever_it_is_called(lift: Path) -> None:
     root = lift_scene.place_lift(lift, bpy.context.scene)
     before = counts()

@@ -164,12 +164,6 @@ def test_clip_and_the_requested_range(scene: bpy.types.Scene) -> None:
     ]  # fmt: skip
 
 
-def test_a_camera_that_stands_still_is_one_picture(scene: bpy.types.Scene) -> None:
-    scene.camera.animation_data_clear()
-    scene.camera.data.animation_data_clear()
-    assert [camera.name for camera in cameras_of(scene, shot_of(scene))] == ["dolly.0001"]
-
-
 def test_what_cannot_be_baked_is_refused_in_one_line(scene: bpy.types.Scene) -> None:
     def refused(line: str, **asked: int) -> None:
         with raises_key(line) as told:

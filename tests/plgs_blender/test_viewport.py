@@ -138,16 +138,3 @@ def test_a_camera_that_the_user_adds_later_stays_active(lift: Path) -> None:
     assert {marker.name: marker.frame for marker in scene.timeline_markers} == before
     scene.frame_set(1)
     assert scene.camera["frame"] == "0001"
-
-
-def test_the_users_marker_at_a_copy_of_our_camera_stays(lift: Path) -> None:
-    scene = bpy.context.scene
-    lift_scene.place_lift(lift, scene)
-    copy = bpy.data.objects["0001"].copy()
-    scene.collection.objects.link(copy)
-    cut = scene.timeline_markers.new("cut", frame=3)
-    cut.camera = scene.camera = copy
-    timeline.follow_camera(scene)
-    assert [(marker.name, marker.camera) for marker in scene.timeline_markers] == [("cut", copy)]
-    lift_scene.place_lift(lift, scene)
-    assert ("cut", copy) in [(marker.name, marker.camera) for marker in scene.timeline_markers]

@@ -60,10 +60,7 @@ def write_passes(path: Path, frame: Frame, size: tuple[int, int]) -> None:
     channels = {f"PLGS.Combined.{c}": colour[..., i] for i, c in enumerate("RGB")}
     channels |= {"PLGS.Combined.A": np.ones_like(view.depth), "PLGS.Depth.V": view.depth}
     channels |= {"PLGS.Semantic.V": view.semantic, "PLGS.Instance.V": view.instance}
-    channels |= {
-        "PLGS.Confidence.V": np.full(view.depth.shape, 0.9),
-        "PLGS.Entropy.V": np.full(view.depth.shape, 0.1),
-    }
+    channels |= {"PLGS.Confidence.V": np.full(view.depth.shape, 0.9), "PLGS.Entropy.V": np.full(view.depth.shape, 0.1)}
     position = frame.camera.resized(*size).unproject(view.depth)
     channels |= {f"PLGS.Position.{axis}": position[..., i] for i, axis in enumerate("XYZ")}
     channels |= {f"PLGS.Normal.{axis}": np.full(view.depth.shape, i == 2) for i, axis in enumerate("XYZ")}

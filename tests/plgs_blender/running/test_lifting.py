@@ -10,13 +10,7 @@ from plgs.engine.job import LiftFolder, LiftRequest
 from plgs.engine.known_scene import MadeFrames, StoredScene
 from plgs.plgs_blender.errors import field_of_option, with_field_names
 from plgs.plgs_blender.running import lifting
-from plgs.plgs_blender.settings import (
-    adopt,
-    chosen_scene,
-    request_of,
-    shown_preset,
-    why_no_options,
-)
+from plgs.plgs_blender.settings import adopt, chosen_scene, request_of, shown_preset, why_no_options
 
 from tests.raises_key import raises_key
 
