@@ -115,3 +115,13 @@ def plgs() -> ModuleType:
     if not HAS_BLENDER:
         pytest.skip("needs bpy")
     return sys.modules["plgs"]
+
+
+@pytest.fixture
+def extension(plgs: ModuleType) -> Iterator[None]:
+    """The extension, switched on in an empty file."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    plgs.register()
+    yield
+    plgs.unregister()
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)

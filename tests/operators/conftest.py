@@ -1,9 +1,7 @@
 """Operators are called as scripts call them: in Blender without a window, with the extension switched on."""
 
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
 import bpy
 import pytest
@@ -17,13 +15,8 @@ from tests.scene.formats.test_scannet import sens
 
 
 @pytest.fixture(autouse=True)
-def extension(plgs: ModuleType) -> Iterator[None]:
-    """On before each test and off afterwards, in an empty file."""
-    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    plgs.register()
-    yield
-    plgs.unregister()
-    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+def _switched_on(extension: None) -> None:
+    """In an empty file."""
 
 
 @pytest.fixture(scope="session")

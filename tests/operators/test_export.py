@@ -13,7 +13,6 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from plgs.engine.job import read_cameras
 from plgs.engine.job.follower import TaskFollower
 from plgs.engine.job.process import EngineProcess
 from plgs.engine.job.task import TaskFiles
@@ -119,28 +118,6 @@ def test_what_a_frame_sees_becomes_points(lift: Path, tmp_path: Path) -> None:
     assert (seen[:, 2] < 0).all() and 0.4 < across.max() <= 0.51  # before the camera, to the edges of its picture
     bpy.ops.plgs.place_lift(lift_folder=str(mine))
     assert cloud.name in scene.objects
-
-
-def test_what_any_camera_sees_is_requested(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    mine = Path(shutil.copytree(lift, tmp_path / "lift"))
-    asked = pretend(monkeypatch, "")
-    bpy.ops.plgs.place_lift(lift_folder=str(mine))
-    scene = bpy.context.scene
-    first = next(ob for ob in scene.objects if "frame" in ob and ob.type == "CAMERA")
-    ours = first.copy()  # with the properties of a frame's camera
-    ours.data, ours.name = first.data.copy(), "Ours"
-    scene.collection.objects.link(ours)
-    scene.camera, scene.frame_current = ours, 7
-    scene.render.resolution_x, scene.render.resolution_y = 160, 120
-    ours.data.lens_unit, ours.data.angle, ours.data.shift_x = "FOV", 0.5, 0.0
-    ours.location.z += 0.1  # not keyed, and nothing was updated since
-    assert bpy.ops.plgs.make_depth_cloud(lift_folder=str(mine)) == {"FINISHED"}
-    (arguments,) = asked
-    assert arguments[:3] == [str(mine), "--to", "clouds"] and arguments[-2] == "--cameras"
-    (camera,) = read_cameras(Path(arguments[-1]))
-    assert camera.name == "Ours.0007" and (camera.pinhole.width, camera.pinhole.height) == (160, 120)
-    assert [row[3] for row in camera.pinhole.camera_to_world[:3]] == pytest.approx([*ours.location], abs=1e-6)
-    assert camera.pinhole.K[0][0] == pytest.approx(80 / np.tan(0.25)) and scene.frame_current == 7
 
 
 def test_a_cancelled_export_is_not_an_error(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

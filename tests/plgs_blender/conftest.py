@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
 import bpy
 import pytest
@@ -16,14 +15,6 @@ def empty_file() -> Iterator[None]:
     yield
     registry.forget_all()
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-
-
-@pytest.fixture
-def extension(plgs: ModuleType, empty_file: None) -> Iterator[None]:
-    """Switched on."""
-    plgs.register()
-    yield
-    plgs.unregister()
 
 
 @pytest.fixture(scope="session")

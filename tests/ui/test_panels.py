@@ -133,23 +133,6 @@ def test_lacking_part_shows_its_button(tmp_path: Path, monkeypatch: pytest.Monke
     assert "plgs.cancel_adding" in shown and "plgs.add_to_engine" not in shown
 
 
-def test_an_engine_that_lacks_what_the_device_needs_is_asked_again(tmp_path: Path) -> None:
-    """gsplat is installed by hand, which nothing tells Blender."""
-    settings = bpy.context.scene.plgs
-    settings.scene_folder, settings.device = str(tmp_path), "cuda"
-    choices.choose(pretended_python(tmp_path / "python", lacks="cuda"))
-    try:
-        registry.wait_for(tasks.check(), bpy.context.scene)  # type: ignore[arg-type]
-        before = drawn()
-        pretended_python(tmp_path / "python")
-        assert bpy.ops.plgs.check_engine() == {"FINISHED"}
-    finally:
-        choices.choose(None)
-    reason = "Device CUDA: the engine lacks a-package"
-    assert reason in before and before.count("plgs.check_engine") == 2, "in the panel and in the preferences"
-    assert reason not in drawn() and drawn().count("plgs.check_engine") == 1
-
-
 def test_an_error_of_the_engine_that_lacks_a_part_shows_its_button(tmp_path: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(tmp_path)
     error = lacks_part("depth of Record3D needs the package pyliblzfse", "here", "record3d")

@@ -49,19 +49,6 @@ def test_points_are_painted(window: Window, mine: Path) -> None:
 
 
 @pytest.mark.slow
-def test_points_in_a_rectangle_become_a_new_object(window: Window, mine: Path) -> None:
-    window.run(f"choose({CHAIR})")
-    x, y = over(window, CABINET)
-    left, height = window.find_button("plgs.assign_points")
-    window.click(left + window.ask("sidebar().width // 3"), height)  # the menu beside it
-    window.settle()
-    window.key("Down", "Return")
-    window.drag((x - 30, y - 30), (x + 30, y + 30), "shift")
-    window.key("Return")
-    assert window.ask("ids()") == [CHAIR, CABINET, 3] and window.ask("points(3)") > 0 and kinds(mine) == ["assign"]
-
-
-@pytest.mark.slow
 def test_another_class_by_typing_its_name(window: Window, mine: Path) -> None:
     window.run(f"choose({CHAIR})")
     at, height = window.press("plgs.reclass_instances")
