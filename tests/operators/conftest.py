@@ -38,11 +38,11 @@ def mine(lift: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def root(mine: Path) -> bpy.types.Collection:
+def placed(mine: Path) -> bpy.types.Collection:
     """Its collection in the open scene."""
-    placed = place_lift(mine, bpy.context.scene)
+    collection = place_lift(mine, bpy.context.scene)
     bpy.context.view_layer.update()
-    return placed
+    return collection
 
 
 @pytest.fixture(scope="session")

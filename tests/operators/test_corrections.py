@@ -31,49 +31,49 @@ def again() -> bpy.types.Collection:
     return lifts_in(bpy.context.scene)[0]
 
 
-def names(root: bpy.types.Collection) -> dict[int, str]:
-    return {row.instance_id: row.name for row in root.plgs.instances}
+def names(placed: bpy.types.Collection) -> dict[int, str]:
+    return {row.instance_id: row.name for row in placed.plgs.instances}
 
 
-def points_of(root: bpy.types.Collection, instance: int) -> int:
-    clouds = [cloud for cloud in clouds_of(root) if "class_id" in cloud]
+def points_of(placed: bpy.types.Collection, instance: int) -> int:
+    clouds = [cloud for cloud in clouds_of(placed) if "class_id" in cloud]
     return sum(int((ids_of(cloud.data, "instance_id") == instance).sum()) for cloud in clouds)
 
 
-def test_a_new_name_shows_at_once_and_is_kept(root: bpy.types.Collection, mine: Path) -> None:
+def test_a_new_name_shows_at_once_and_is_kept(placed: bpy.types.Collection, mine: Path) -> None:
     assert bpy.ops.plgs.rename_instance(instance=CHAIR, name="Throne") == {"FINISHED"}
-    assert names(root)[CHAIR] == "Throne" and boxes_of(root)[CHAIR].name == "Throne"
+    assert names(placed)[CHAIR] == "Throne" and boxes_of(placed)[CHAIR].name == "Throne"
     lift_scene.place_lift(mine, bpy.context.scene)
-    assert names(root)[CHAIR] == "Throne" and boxes_of(root)[CHAIR].name == "Throne"
+    assert names(placed)[CHAIR] == "Throne" and boxes_of(placed)[CHAIR].name == "Throne"
 
 
-def test_a_class_moves_points_to_its_cloud(root: bpy.types.Collection, mine: Path) -> None:
-    count = points_of(root, CHAIR)
-    other = next(row.class_name for row in root.plgs.instances if row.instance_id == CABINET)
+def test_a_class_moves_points_to_its_cloud(placed: bpy.types.Collection, mine: Path) -> None:
+    count = points_of(placed, CHAIR)
+    other = next(row.class_name for row in placed.plgs.instances if row.instance_id == CABINET)
     bpy.ops.plgs.reclass_instances(instances=str(CHAIR), class_name=other)
-    row = next(row for row in root.plgs.instances if row.instance_id == CHAIR)
-    assert row.class_name == other and points_of(root, CHAIR) == count
-    (cloud,) = [one for one in clouds_of(root) if one.get("class") == other]
+    row = next(row for row in placed.plgs.instances if row.instance_id == CHAIR)
+    assert row.class_name == other and points_of(placed, CHAIR) == count
+    (cloud,) = [one for one in clouds_of(placed) if one.get("class") == other]
     assert int((ids_of(cloud.data, "instance_id") == CHAIR).sum()) == count
-    assert not [one for one in clouds_of(root) if one.get("class") == "chair"]
+    assert not [one for one in clouds_of(placed) if one.get("class") == "chair"]
 
 
-def test_selected_boxes_become_the_active_one(root: bpy.types.Collection) -> None:
-    total = points_of(root, CHAIR) + points_of(root, CABINET)
-    root.plgs.show_boxes = True
-    for box in boxes_of(root).values():
+def test_selected_boxes_become_the_active_one(placed: bpy.types.Collection) -> None:
+    total = points_of(placed, CHAIR) + points_of(placed, CABINET)
+    placed.plgs.show_boxes = True
+    for box in boxes_of(placed).values():
         box.select_set(True)
-    bpy.context.view_layer.objects.active = boxes_of(root)[CABINET]
+    bpy.context.view_layer.objects.active = boxes_of(placed)[CABINET]
     assert bpy.ops.plgs.merge_instances() == {"FINISHED"}
-    assert [*names(root)] == [CABINET] == [*boxes_of(root)] and points_of(root, CABINET) == total
+    assert [*names(placed)] == [CABINET] == [*boxes_of(placed)] and points_of(placed, CABINET) == total
 
 
-def test_deleted_and_undone_by_blenders_own_undo(root: bpy.types.Collection, mine: Path) -> None:
-    count = points_of(root, CHAIR)
+def test_deleted_and_undone_by_blenders_own_undo(placed: bpy.types.Collection, mine: Path) -> None:
+    count = points_of(placed, CHAIR)
     bpy.ops.ed.undo_push(message="placed")
     bpy.ops.plgs.delete_instance(instance=CHAIR, becomes="NO_OBJECT")
     bpy.ops.ed.undo_push(message="deleted")
-    assert CHAIR not in boxes_of(root) and points_of(root, CHAIR) == 0
+    assert CHAIR not in boxes_of(placed) and points_of(placed, CHAIR) == 0
     bpy.ops.ed.undo()
     assert boxes_of(again())[CHAIR].name == "chair 1" and points_of(again(), CHAIR) == count
     assert [edit.undone for edit in read_edits(mine)] == [True] and not read_corrected(mine).fingerprint
@@ -81,7 +81,7 @@ def test_deleted_and_undone_by_blenders_own_undo(root: bpy.types.Collection, min
     assert CHAIR not in boxes_of(again()) and [edit.undone for edit in read_edits(mine)] == [False]
 
 
-def test_what_others_made_is_not_undone_by_it(root: bpy.types.Collection, mine: Path) -> None:
+def test_what_others_made_is_not_undone_by_it(placed: bpy.types.Collection, mine: Path) -> None:
     bpy.ops.ed.undo_push(message="placed")
     bpy.ops.plgs.rename_instance(instance=CHAIR, name="Throne")
     bpy.ops.ed.undo_push(message="renamed")
@@ -92,7 +92,7 @@ def test_what_others_made_is_not_undone_by_it(root: bpy.types.Collection, mine: 
     assert [(edit.name, edit.undone) for edit in read_edits(mine)] == [("Throne", True), ("theirs", False)]
 
 
-def test_undo_after_the_file_was_saved_and_opened(root: bpy.types.Collection, tmp_path: Path) -> None:
+def test_undo_after_the_file_was_saved_and_opened(placed: bpy.types.Collection, tmp_path: Path) -> None:
     bpy.ops.plgs.rename_instance(instance=CHAIR, name="Throne")
     blend = tmp_path / "file.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(blend))
@@ -104,44 +104,44 @@ def test_undo_after_the_file_was_saved_and_opened(root: bpy.types.Collection, tm
         bpy.ops.plgs.undo_correction()
 
 
-def test_a_dragged_plane_splits(root: bpy.types.Collection) -> None:
+def test_a_dragged_plane_splits(placed: bpy.types.Collection) -> None:
     bpy.ops.plgs.place_cut(instance=CABINET)
-    count = points_of(root, CABINET)
+    count = points_of(placed, CABINET)
     bpy.ops.plgs.split_instance(instance=CABINET, by="CUT")
-    parts = [number for number in names(root) if number not in (CHAIR, CABINET)]
-    assert len(parts) == 1 and points_of(root, CABINET) + points_of(root, parts[0]) == count
-    assert 0.2 < points_of(root, parts[0]) / count < 0.8 and "Cut" not in bpy.data.objects
+    parts = [number for number in names(placed) if number not in (CHAIR, CABINET)]
+    assert len(parts) == 1 and points_of(placed, CABINET) + points_of(placed, parts[0]) == count
+    assert 0.2 < points_of(placed, parts[0]) / count < 0.8 and "Cut" not in bpy.data.objects
     with pytest.raises(RuntimeError, match=worded("no-plane")):
         bpy.ops.plgs.split_instance(instance=CABINET, by="CUT")
 
 
-def test_a_box_is_cropped_on_request_and_others_never_move(root: bpy.types.Collection, mine: Path) -> None:
-    box, other = boxes_of(root)[CHAIR], boxes_of(root)[CABINET]
+def test_a_box_is_cropped_on_request_and_others_never_move(placed: bpy.types.Collection, mine: Path) -> None:
+    box, other = boxes_of(placed)[CHAIR], boxes_of(placed)[CABINET]
     other.location.x += 0.7
     other.name = "my box"
     box.scale.z = 0.5
     bpy.context.view_layer.update()
     moved = other.matrix_world.copy()
-    count = points_of(root, CHAIR)
+    count = points_of(placed, CHAIR)
     assert bpy.ops.plgs.crop_instance(instance=CHAIR) == {"FINISHED"}
-    assert 0 < points_of(root, CHAIR) < count and boxes_of(root)[CHAIR].scale.z == pytest.approx(1.0)
+    assert 0 < points_of(placed, CHAIR) < count and boxes_of(placed)[CHAIR].scale.z == pytest.approx(1.0)
     lift_scene.place_lift(mine, bpy.context.scene)
     bpy.context.view_layer.update()
-    kept = boxes_of(root)[CABINET]
+    kept = boxes_of(placed)[CABINET]
     assert kept.name == "my box" and np.allclose(kept.matrix_world, moved)
 
 
-def test_points_in_a_region_become_a_new_object(root: bpy.types.Collection) -> None:
-    region = bpy.data.objects.new("region", boxes_of(root)[CHAIR].data)
-    region.matrix_world = boxes_of(root)[CHAIR].matrix_world
+def test_points_in_a_region_become_a_new_object(placed: bpy.types.Collection) -> None:
+    region = bpy.data.objects.new("region", boxes_of(placed)[CHAIR].data)
+    region.matrix_world = boxes_of(placed)[CHAIR].matrix_world
     bpy.context.collection.objects.link(region)
     bpy.context.view_layer.update()
     bpy.ops.plgs.assign_points(to="NEW", class_name="cabinet", region="region")
-    (new,) = [row for row in root.plgs.instances if row.instance_id not in (CHAIR, CABINET)]
-    assert new.class_name == "cabinet" and points_of(root, new.instance_id) > 0
+    (new,) = [row for row in placed.plgs.instances if row.instance_id not in (CHAIR, CABINET)]
+    assert new.class_name == "cabinet" and points_of(placed, new.instance_id) > 0
 
 
-def test_what_cannot_be_done_is_a_one_line_error(root: bpy.types.Collection, mine: Path) -> None:
+def test_what_cannot_be_done_is_a_one_line_error(placed: bpy.types.Collection, mine: Path) -> None:
     calls = [
         (lambda: bpy.ops.plgs.rename_instance(instance=77, name="x"), "no-object 77"),
         (lambda: bpy.ops.plgs.reclass_instances(instances="1", class_name="ghost"), "no-class ghost"),
@@ -180,7 +180,7 @@ def test_strokes_rectangles_and_erasing() -> None:
         one.choose(xyz[:2])
 
 
-def test_proposals_are_answered_one_by_one(root: bpy.types.Collection, mine: Path) -> None:
+def test_proposals_are_answered_one_by_one(placed: bpy.types.Collection, mine: Path) -> None:
     content = json.loads((mine / "result" / "instances.json").read_text())
     for segment in content["instances"][1]["segments"]:
         segment["class_id"] = content["instances"][0]["class_id"]
@@ -188,22 +188,22 @@ def test_proposals_are_answered_one_by_one(root: bpy.types.Collection, mine: Pat
     with pytest.raises(RuntimeError, match=worded("no-proposal")):
         bpy.ops.plgs.answer_proposal()
     assert bpy.ops.plgs.propose_corrections() == {"FINISHED"}
-    (one,), progress = corrections.kept_proposals(root)
+    (one,), progress = corrections.kept_proposals(placed)
     assert (one.instance, one.answer, progress) == (CABINET, "reclass", "0 of 2 looked at")
     assert bpy.ops.plgs.go_to_proposal() == {"FINISHED"}
-    assert bpy.context.view_layer.objects.active == boxes_of(root)[CABINET]
+    assert bpy.context.view_layer.objects.active == boxes_of(placed)[CABINET]
     bpy.ops.plgs.answer_proposal(instance=CABINET)
-    assert {row.class_name for row in root.plgs.instances} == {"chair"}
-    assert corrections.kept_proposals(root) == ([], "1 of 2 looked at")
+    assert {row.class_name for row in placed.plgs.instances} == {"chair"}
+    assert corrections.kept_proposals(placed) == ([], "1 of 2 looked at")
     bpy.ops.plgs.undo_correction()
     bpy.ops.plgs.answer_proposal(keep=True)
-    assert [row.class_name for row in root.plgs.instances] == ["chair", "cabinet"]
-    assert corrections.kept_proposals(root) == ([], "1 of 2 looked at")
+    assert [row.class_name for row in placed.plgs.instances] == ["chair", "cabinet"]
+    assert corrections.kept_proposals(placed) == ([], "1 of 2 looked at")
 
 
-def test_the_next_uncertain_frame(root: bpy.types.Collection, mine: Path) -> None:
+def test_the_next_uncertain_frame(placed: bpy.types.Collection, mine: Path) -> None:
     points = read_corrected(mine).points
-    frames = [ob for ob in root.all_objects if ob.type == "CAMERA" and "frame" in ob]
+    frames = [ob for ob in placed.all_objects if ob.type == "CAMERA" and "frame" in ob]
     chair = points.instance_id == CHAIR
     doubtful = replace(points, confidence=np.where(chair, 0.5, 1.0).astype(np.float32))
     write_arrays(mine / "result" / "semantic_points.npz", doubtful)
@@ -223,17 +223,17 @@ def test_the_next_uncertain_frame(root: bpy.types.Collection, mine: Path) -> Non
 def test_masks_split_a_merge(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path) -> None:
     monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)
     mine = Path(shutil.copytree(lift.parent, tmp_path / "both")) / lift.name
-    root = lift_scene.place_lift(mine, bpy.context.scene)
-    count = points_of(root, CHAIR)
+    placed = lift_scene.place_lift(mine, bpy.context.scene)
+    count = points_of(placed, CHAIR)
     bpy.ops.plgs.merge_instances(instances=f"{CABINET} {CHAIR}")
     bpy.ops.ed.undo_push(message="merged")
-    stopped = correction_tools.split_by_views(root, CABINET)
+    stopped = correction_tools.split_by_views(placed, CABINET)
     assert bpy.ops.plgs.cancel_split() == {"FINISHED"} and stopped.was_cancelled and stopped.error is None
     assert [edit.kind for edit in read_edits(mine)] == ["merge"] and not bpy.ops.plgs.cancel_split.poll()
     assert bpy.ops.plgs.split_by_views(instance=CABINET) == {"FINISHED"}
     bpy.ops.ed.undo_push(message="split")
-    (new,) = [row for row in root.plgs.instances if row.instance_id != CABINET]
-    assert new.class_name == "chair" and abs(points_of(root, new.instance_id) / count - 1) < 0.05
+    (new,) = [row for row in placed.plgs.instances if row.instance_id != CABINET]
+    assert new.class_name == "chair" and abs(points_of(placed, new.instance_id) / count - 1) < 0.05
     bpy.ops.ed.undo()
     assert [*boxes_of(again())] == [CABINET] and [edit.undone for edit in read_edits(mine)] == [False, True]
     bpy.ops.ed.redo()
@@ -244,7 +244,7 @@ def test_masks_split_a_merge(lift: Path, tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_a_split_that_was_written_before_its_engine_was_stopped_is_shown(mine: Path) -> None:
     """The engine may be killed between writing the edit and its answer."""
-    root = lift_scene.place_lift(mine, bpy.context.scene)
+    placed = lift_scene.place_lift(mine, bpy.context.scene)
     known = {edit.uid for edit in read_edits(mine)}
     follower: Any = SimpleNamespace(state=TaskState.CANCELLED, is_running=False, error=None, poll=bool, close=bool)
     follower.progress = TaskProgress()
@@ -255,9 +255,9 @@ def test_a_split_that_was_written_before_its_engine_was_stopped_is_shown(mine: P
     split = correction_tools.SplitByViews(mine, follower, known)
     split.poll(bpy.context.scene)
     assert split.has_finished and not split.was_cancelled and split.message == "1 new object" and split.undo_step
-    assert new_id(root) in boxes_of(root) and new_id(root) not in {CABINET, CHAIR}
+    assert new_id(placed) in boxes_of(placed) and new_id(placed) not in {CABINET, CHAIR}
 
 
-def new_id(root: bpy.types.Collection) -> int:
+def new_id(placed: bpy.types.Collection) -> int:
     """The object that an edit made."""
-    return max(row.instance_id for row in root.plgs.instances)
+    return max(row.instance_id for row in placed.plgs.instances)

@@ -34,50 +34,50 @@ def own(name: str) -> bpy.types.Object:
     return ob
 
 
-def test_all_that_is_selected_is_deleted_less_what_only_a_lift_has(root: bpy.types.Collection, mine: Path) -> None:
+def test_all_that_is_selected_is_deleted_less_what_only_a_lift_has(placed: bpy.types.Collection, mine: Path) -> None:
     own("chair 1 of mine")
-    choose(boxes_of(root)[CHAIR], *bpy.context.view_layer.objects)
-    cameras = sum(ob.type == "CAMERA" for ob in root.all_objects)
-    assert any(cloud.get("class") == "chair" for cloud in clouds_of(root)), "deleting the chair removes its cloud"
+    choose(boxes_of(placed)[CHAIR], *bpy.context.view_layer.objects)
+    cameras = sum(ob.type == "CAMERA" for ob in placed.all_objects)
+    assert any(cloud.get("class") == "chair" for cloud in clouds_of(placed)), "deleting the chair removes its cloud"
     assert bpy.ops.plgs.delete_selected(way="DISSOLVE") == {"FINISHED"}
-    assert not boxes_of(root) and "chair 1 of mine" not in bpy.data.objects
+    assert not boxes_of(placed) and "chair 1 of mine" not in bpy.data.objects
     assert [edit.kind for edit in read_edits(mine)] == ["delete", "delete"]
-    assert sum(ob.type == "CAMERA" for ob in root.all_objects) == cameras
-    assert not any(cloud.get("class") == "chair" for cloud in clouds_of(root)) and clouds_of(root)
+    assert sum(ob.type == "CAMERA" for ob in placed.all_objects) == cameras
+    assert not any(cloud.get("class") == "chair" for cloud in clouds_of(placed)) and clouds_of(placed)
 
 
-def test_x_hides_what_is_selected_and_all_can_be_shown_again(root: bpy.types.Collection, mine: Path) -> None:
-    cube, boxes = own("Cube"), boxes_of(root)
+def test_x_hides_what_is_selected_and_all_can_be_shown_again(placed: bpy.types.Collection, mine: Path) -> None:
+    cube, boxes = own("Cube"), boxes_of(placed)
     choose(boxes[CHAIR], boxes[CHAIR], cube)
     assert bpy.ops.plgs.delete_selected() == {"FINISHED"}
     assert cube.hide_get() and boxes[CHAIR].hide_get() and not read_edits(mine)
-    assert [row.visible for row in root.plgs.instances] == [False, True]
+    assert [row.visible for row in placed.plgs.instances] == [False, True]
     bpy.ops.plgs.show_all()
-    assert all(row.visible for row in root.plgs.instances)
+    assert all(row.visible for row in placed.plgs.instances)
 
 
 @pytest.mark.parametrize("shows_boxes", [True, False])
-def test_keys_are_blenders_without_selection(root: bpy.types.Collection, shows_boxes: bool) -> None:
-    root.plgs.show_boxes = shows_boxes
-    cube, box = own("Cube"), boxes_of(root)[CHAIR]
+def test_keys_are_blenders_without_selection(placed: bpy.types.Collection, shows_boxes: bool) -> None:
+    placed.plgs.show_boxes = shows_boxes
+    cube, box = own("Cube"), boxes_of(placed)[CHAIR]
     choose(box, cube)
     for key in (bpy.ops.plgs.delete_selected, bpy.ops.plgs.rename_selected):
         assert not key.poll()
     choose(box, box)
     assert bpy.ops.plgs.delete_selected.poll() and bpy.ops.plgs.rename_selected.poll()
     assert bpy.ops.plgs.delete_selected(way="DISSOLVE") == {"FINISHED"} and "Cube" in bpy.data.objects
-    assert [*boxes_of(root)] == [CABINET]
+    assert [*boxes_of(placed)] == [CABINET]
 
 
-def test_a_copy_of_a_box_is_blenders(root: bpy.types.Collection) -> None:
-    copy = boxes_of(root)[CHAIR].copy()
+def test_a_copy_of_a_box_is_blenders(placed: bpy.types.Collection) -> None:
+    copy = boxes_of(placed)[CHAIR].copy()
     bpy.context.scene.collection.objects.link(copy)
     choose(copy, copy)
     assert not bpy.ops.plgs.delete_selected.poll() and not bpy.ops.plgs.rename_selected.poll()
-    choose(boxes_of(root)[CABINET], copy, boxes_of(root)[CABINET])
+    choose(boxes_of(placed)[CABINET], copy, boxes_of(placed)[CABINET])
     name = copy.name
     assert bpy.ops.plgs.delete_selected(way="DISSOLVE") == {"FINISHED"}
-    assert [*boxes_of(root)] == [CHAIR] and name not in bpy.data.objects
+    assert [*boxes_of(placed)] == [CHAIR] and name not in bpy.data.objects
 
 
 @pytest.fixture
@@ -95,12 +95,12 @@ def cabinet_stays(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("chosen", [(CHAIR, CABINET), (CABINET,)])
 def test_undo_after_error_is_exact(
-    root: bpy.types.Collection, mine: Path, cabinet_stays: None, chosen: tuple[int, ...]
+    placed: bpy.types.Collection, mine: Path, cabinet_stays: None, chosen: tuple[int, ...]
 ) -> None:
     bpy.ops.ed.undo_push(message="placed")
-    name, own_name = root.name, own("Cube").name
+    name, own_name = placed.name, own("Cube").name
     bpy.ops.ed.undo_push(message="cube")
-    boxes = boxes_of(root)
+    boxes = boxes_of(placed)
     choose(boxes[chosen[0]], *(boxes[number] for number in chosen))
     with pytest.raises(RuntimeError, match="[Tt]he disk is full"):
         bpy.ops.plgs.delete_selected("EXEC_DEFAULT", True, way="DISSOLVE")  # with its undo step, as a key's

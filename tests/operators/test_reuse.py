@@ -24,16 +24,16 @@ def mine(mine: Path) -> Path:
     return mine
 
 
-def hidden(root: bpy.types.Collection, instance: int) -> bool:
+def hidden(placed: bpy.types.Collection, instance: int) -> bool:
     """Whether all points of an instance in the lift's own clouds are hidden."""
-    for cloud in clouds_of(root):
+    for cloud in clouds_of(placed):
         own = ids_of(cloud.data, "instance_id") == instance
         if "class_id" in cloud and own.any():
             return HIDDEN in cloud.data.attributes and bool(values_of(cloud.data, HIDDEN)[own].all())
     raise AssertionError("it has no points")
 
 
-def test_an_object_stands_on_its_foot_and_leaves_a_hole(root: bpy.types.Collection, mine: Path) -> None:
+def test_an_object_stands_on_its_foot_and_leaves_a_hole(placed: bpy.types.Collection, mine: Path) -> None:
     before = {ob.name for ob in bpy.data.objects}
     assert bpy.ops.plgs.make_objects(instances=str(CHAIR)) == {"FINISHED"}
     made = bpy.data.collections["chair 1"]
@@ -52,10 +52,10 @@ def test_an_object_stands_on_its_foot_and_leaves_a_hole(root: bpy.types.Collecti
     result = read_corrected(mine).points
     assert np.allclose(np.sort(xyz, axis=0), np.sort(result.xyz[result.instance_id == CHAIR], axis=0), atol=1e-4)
     assert {"Col", "confidence", "entropy", "normal", "radius"} <= {each.name for each in points.data.attributes}
-    assert hidden(root, CHAIR) and not hidden(root, CABINET)
+    assert hidden(placed, CHAIR) and not hidden(placed, CABINET)
 
 
-def test_an_object_keeps_its_picture_whatever_becomes_of_the_lift(root: bpy.types.Collection, mine: Path) -> None:
+def test_an_object_keeps_its_picture_whatever_becomes_of_the_lift(placed: bpy.types.Collection, mine: Path) -> None:
     write_surface(mesh_folder(mine) / "mesh.ply", 40)
     lift_scene.place_lift(mine, bpy.context.scene)
     assert bpy.ops.plgs.make_objects(instances=str(CHAIR)) == {"FINISHED"}
@@ -67,7 +67,7 @@ def test_an_object_keeps_its_picture_whatever_becomes_of_the_lift(root: bpy.type
     assert image.pixels[0] == pytest.approx(40 / 255, abs=0.02)
 
 
-def test_an_object_can_catch_shadows_alone(root: bpy.types.Collection) -> None:
+def test_an_object_can_catch_shadows_alone(placed: bpy.types.Collection) -> None:
     assert bpy.ops.plgs.make_objects(instances=str(CHAIR), catch_shadows=True) == {"FINISHED"}
     surface = bpy.data.objects["chair 1 surface"]
     assert surface.is_shadow_catcher and not surface.visible_shadow
@@ -76,21 +76,21 @@ def test_an_object_can_catch_shadows_alone(root: bpy.types.Collection) -> None:
     assert not bpy.data.objects["chair 1 surface"].is_shadow_catcher
 
 
-def test_moved_and_made_again_it_stays_where_it_was_moved(root: bpy.types.Collection, mine: Path) -> None:
+def test_moved_and_made_again_it_stays_where_it_was_moved(placed: bpy.types.Collection, mine: Path) -> None:
     bpy.ops.plgs.make_objects(instances="all")
     pivot = bpy.data.objects["chair 1 surface"]
     pivot.location.x += 2.0
     bpy.context.view_layer.update()
     where = pivot.matrix_world.copy()
     lift_scene.place_lift(mine, bpy.context.scene)
-    assert bpy.data.objects["chair 1 surface"].matrix_world == where and hidden(root, CHAIR)  # no lift touches it
+    assert bpy.data.objects["chair 1 surface"].matrix_world == where and hidden(placed, CHAIR)  # no lift touches it
     bpy.ops.plgs.make_objects(instances=str(CHAIR))
     bpy.context.view_layer.update()
     assert np.allclose(bpy.data.objects["chair 1 surface"].matrix_world, where)
     assert "chair 1.001" not in bpy.data.collections and len(bpy.data.collections["chair 1"].objects) == 2
 
 
-def test_assets_have_a_picture(root: bpy.types.Collection) -> None:
+def test_assets_have_a_picture(placed: bpy.types.Collection) -> None:
     bpy.ops.plgs.make_objects(instances=str(CHAIR), as_assets=True)
     made = bpy.data.collections["chair 1"]
     assert made.asset_data is not None and "chair" in {tag.name for tag in made.asset_data.tags}
@@ -98,9 +98,9 @@ def test_assets_have_a_picture(root: bpy.types.Collection) -> None:
     assert 0.1 < (pixels[..., 3] > 0).mean() < 0.95 and pixels[..., :3].max() > 0.1
 
 
-def test_visible_where_frames_show_it(root: bpy.types.Collection) -> None:
+def test_visible_where_frames_show_it(placed: bpy.types.Collection) -> None:
     scene = bpy.context.scene
-    (row,) = [row for row in root.plgs.instances if row.instance_id == CHAIR]
+    (row,) = [row for row in placed.plgs.instances if row.instance_id == CHAIR]
     shown = {mask.frame for mask in row.masks}
     markers = {marker.name: marker.frame for marker in scene.timeline_markers if marker.camera is not None}
     row.masks.remove(0)
@@ -108,7 +108,7 @@ def test_visible_where_frames_show_it(root: bpy.types.Collection) -> None:
     assert bpy.ops.plgs.key_visibility(instances=str(CHAIR)) == {"FINISHED"}
     for name, frame in markers.items():
         scene.frame_set(frame)
-        box, mesh = boxes_of(root)[CHAIR], next(ob for ob in root.all_objects if ob.name == "chair 1 mesh")
+        box, mesh = boxes_of(placed)[CHAIR], next(ob for ob in placed.all_objects if ob.name == "chair 1 mesh")
         assert box.hide_viewport == mesh.hide_viewport == mesh.hide_render == (name not in shown or name == lost)
         assert box.hide_render
     row.masks.clear()
