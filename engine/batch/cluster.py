@@ -266,12 +266,6 @@ def require_dask(name: str = "distributed") -> Any:
         raise lacks_part("batches need Dask, which this engine lacks", sys.executable, "farm") from error
 
 
-def is_here(address: str) -> bool:
-    """Whether an address can be reached only from this machine."""
-    host = address.rpartition("//")[2].rpartition(":")[0].strip("[]")
-    return host in ("localhost", "::1") or host.startswith("127.")
-
-
 @dataclass(frozen=True)
 class Tls:
     """What makes Dask's connections private: the certificate of the authority, ``ca``, that signed those of all
@@ -357,10 +351,12 @@ async def _serve(address: str, offered: dict[str, float], patience_s: float, scr
     """Serve a scheduler until it is gone; a new worker then waits for the scheduler to come back."""
     from distributed import Worker
 
+    host = address.rpartition("//")[2].rpartition(":")[0].strip("[]")
+    is_here = host in ("localhost", "::1") or host.startswith("127.")
     while True:
         worker = Worker(
             address, nthreads=1, resources=offered, memory_limit=0, local_directory=scratch,
-            death_timeout=patience_s, dashboard=False, host=LOOPBACK if is_here(address) else None,
+            death_timeout=patience_s, dashboard=False, host=LOOPBACK if is_here else None,
             security=security, name=f"plgs-{os.getpid()}-{os.urandom(3).hex()}",
         )  # fmt: skip
         try:

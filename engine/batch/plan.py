@@ -259,14 +259,10 @@ def markdown(rows: Sequence[Row]) -> str:
     lines.append(["**mean**", "", "-" if seconds is None else f"{seconds / 60:.1f}", *shown, ""])
     cells = [[markdown_cell(cell) for cell in line] for line in lines]
     body = ["| " + " | ".join(line) + " |" for line in cells]
-    return "\n".join([body[0], "|" + "---|" * len(lines[0]), *body[1:], *_codes(rows), ""])
-
-
-def _codes(rows: Sequence[Row]) -> list[str]:
-    """A line where different versions of the code lifted the scenes."""
     codes = Counter(row.code or "unknown" for row in rows if row.state == "done")
     counted = ", ".join(f"{code} ({count})" for code, count in codes.most_common())
-    return ["", f"Lifted by different versions of the code: {counted}."] if len(codes) > 1 else []
+    differ = ["", f"Lifted by different versions of the code: {counted}."] if len(codes) > 1 else []
+    return "\n".join([body[0], "|" + "---|" * len(lines[0]), *body[1:], *differ, ""])
 
 
 def _figure(row: Row, key: str) -> float | None:
@@ -279,11 +275,8 @@ def _means(rows: Sequence[Row]) -> list[float | None]:
     done = [row for row in rows if row.state == "done"]
     seconds: list[float | None] = [row.seconds for row in done]
     columns = [seconds, *([_figure(row, key) for row in done] for key in COLUMNS)]
-    return [_mean([value for value in column if value is not None]) for column in columns]
-
-
-def _mean(values: Sequence[float]) -> float | None:
-    return sum(values) / len(values) if values else None
+    known = [[value for value in column if value is not None] for column in columns]
+    return [sum(column) / len(column) if column else None for column in known]
 
 
 def _shown(key: str, value: float | None) -> str:

@@ -135,7 +135,9 @@ class _Batch:
             self._farm.tend()
             self._take_in()
             self._look_at_workers()
-            self._show()
+            left = [scene for name, scene in self._scenes.items() if name not in self._rows]
+            running = "; ".join(self._progress_texts.values())
+            self._report.show(len(self._scenes) - len(left), len(self._scenes), running)
             time.sleep(_POLL_S)
 
     def _stages(self, scene: _Scene) -> Iterator[list[Piece]]:
@@ -296,11 +298,6 @@ class _Batch:
             with suppress(PlgsError), _turn(self._plan):  # without its row, the next batch looks at the lift itself
                 remember(self._plan, scene.job, row)
         self._report.ended(row)
-
-    def _show(self) -> None:
-        left = [scene for name, scene in self._scenes.items() if name not in self._rows]
-        running = "; ".join(self._progress_texts.values())
-        self._report.show(len(self._scenes) - len(left), len(self._scenes), running)
 
     def _listen(self) -> None:
         def hear(event: tuple[float, Mapping[str, str]]) -> None:

@@ -20,7 +20,7 @@ from ..job.request import chosen_options, given_lift_options, source_of
 from ..job.task import TaskFiles
 from ..json_file import Json
 from ..presets.options import option_value, parsed_options, preset_options, preset_text, with_options
-from ..presets.preset import PRESETS, Preset
+from ..presets.preset import PRESETS
 from ..records import to_json
 
 
@@ -292,19 +292,16 @@ def presets(options: argparse.Namespace) -> ExitCode:
         values = {option: option_value(chosen, option) for option in preset_options()}
         print(json.dumps(values) + "\n" if options.json else preset_text(base, changed), end="")
     elif options.json:
-        print(json.dumps([_entry(option) for option in preset_options()], indent=1))
+        entries = []
+        for name, option in preset_options().items():
+            facts = {key: value for key, value in asdict(option).items() if value and value != math.inf}
+            values = {base: option_value(preset, name) for base, preset in PRESETS.items()}
+            entries.append({**facts, "values": values})
+        print(json.dumps(entries, indent=1))
     else:
-        print(*map(_line, PRESETS.values()), "", "'presets NAME' prints all options of one.", sep="\n")
+        for preset in PRESETS.values():
+            width, height = preset.size
+            text = f"{preset.steps} steps, pictures within {width}x{height}, anchors every {preset.voxel_size} m"
+            print(f"{preset.name:<9} {text}, objects by {preset.objects}, labels by {preset.labels}")
+        print("\n'presets NAME' prints all options of one.")
     return ExitCode.FINISHED
-
-
-def _entry(name: str) -> dict[str, object]:
-    facts = {key: value for key, value in asdict(preset_options()[name]).items() if value and value != math.inf}
-    return {**facts, "values": {base: option_value(preset, name) for base, preset in PRESETS.items()}}
-
-
-def _line(preset: Preset) -> str:
-    """A line such as "preview   500 steps, pictures within 200x200, objects by agreement, labels by votes"."""
-    width, height = preset.size
-    text = f"{preset.steps} steps, pictures within {width}x{height}, anchors every {preset.voxel_size} m"
-    return f"{preset.name:<9} {text}, objects by {preset.objects}, labels by {preset.labels}"

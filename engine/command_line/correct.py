@@ -127,15 +127,10 @@ def _described(edit: Edit, corrected: CorrectedResult) -> str:
 
 def _content(corrected: CorrectedResult) -> dict[str, object]:
     objects = [
-        {
-            "id": one.id,
-            "name": one.name,
-            "class": one.class_name,
-            "points": one.points,
-            "accepted": one.id in corrected.accepted,
-        }
+        {"id": one.id, "name": one.name, "class": one.class_name, "points": one.points,
+         "accepted": one.id in corrected.accepted}
         for one in corrected.instances
-    ]
+    ]  # fmt: skip
     edits = [
         {"uid": edit.uid, "time": edit.time, "kind": edit.kind, "objects": [mark.id for mark in edit.objects],
          "made": [one.id for one in edit.made], "undone": edit.undone,

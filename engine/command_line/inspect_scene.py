@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -14,8 +15,8 @@ from ..presets.preset import PRESETS
 from ..scene import Scene, SceneReport, Size, counted, open_asked, report_of, splits_path, survey_scene
 from ..scene_source import SceneSource
 
-_PARTS = {"train": False, "test": True}
-"""The lists of a splits.json, and whether their frames are held out."""
+_SAY_S = 1.0
+"""Seconds between two reports of progress."""
 
 
 def inspect_scene(
@@ -37,11 +38,14 @@ def inspect_scene(
         raise PlgsError("exists", "the folder for the mended scene already exists", fix, "Name a new one.")
     events.stage("inspect", 1, 2, "Looking at the scene")
     scene = opened = open_asked(asked)
-    report, refusal = None, None
+    report, refusal, said_at = None, None, time.monotonic()
 
     def looked(done: int, frames: int) -> None:
+        nonlocal said_at
         stop.check()
-        events.progress("inspect", done, frames)
+        if time.monotonic() > said_at + _SAY_S:
+            said_at = time.monotonic()
+            events.progress("inspect", done, frames)
 
     try:
         survey = survey_scene(scene, looked)
@@ -66,15 +70,13 @@ def inspect_scene(
     elif fix is not None and refusal is None:
         lines.append("mended    nothing: no finding can be mended with certainty, and no folder was written")
     answer: dict[str, object] = {} if report is None else {**asdict(report), "left_out": counted(report.left_out)}
-    events.answer({**answer, "diagnosis": found, "split": _split(opened)}, "\n".join(lines))
+    # A splits.json with all frames, and its path.
+    split: dict[str, object] = {"path": str(splits_path(opened.folder))}
+    for part, held_out in (("train", False), ("test", True)):
+        split[part] = [frame.name for frame in opened.frames if frame.held_out == held_out]
+    events.answer({**answer, "diagnosis": found, "split": split}, "\n".join(lines))
     if refusal is not None and (fix is None or harm is not None or not diagnosis.mending.is_needed):
         raise refusal
-
-
-def _split(scene: Scene) -> dict[str, object]:
-    """What a splits.json with all frames holds, and its ``path``."""
-    parts = {name: [one.name for one in scene.frames if one.held_out == held] for name, held in _PARTS.items()}
-    return {"path": str(splits_path(scene.folder)), **parts}
 
 
 def _explanation(scene: Scene, refusal: PlgsError) -> Diagnosis:

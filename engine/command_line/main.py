@@ -356,18 +356,15 @@ def _run(arguments: Sequence[str], parser: argparse.ArgumentParser) -> int:
     options.echo = stdout_for_events(vars(options).get("progress", "text"))
     try:
         refuse_small_memory()
-        code: int = _run_task(options) if vars(options).get("is_task") else options.run(options)
+        if not vars(options).get("is_task"):
+            return int(options.run(options))
+        files = None if options.events is None else TaskFiles.at(options.events)
+        command = Command(options.command, partial(options.run, options), when_stopped=options.when_stopped)
+        pipe = sys.stdin.fileno() if options.stay_with_parent else None
+        return run_task(command, files, as_json=options.json, parent_pipe=pipe, echo=options.echo)
     except PlgsError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
     except KeyboardInterrupt:  # in commands that leave nothing to continue
         print("Stopped.", file=sys.stderr)
         return ExitCode.INTERRUPTED
-    return code
-
-
-def _run_task(options: argparse.Namespace) -> int:
-    files = None if options.events is None else TaskFiles.at(options.events)
-    command = Command(options.command, partial(options.run, options), when_stopped=options.when_stopped)
-    pipe = sys.stdin.fileno() if options.stay_with_parent else None
-    return run_task(command, files, as_json=options.json, parent_pipe=pipe, echo=options.echo)

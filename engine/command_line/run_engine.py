@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Protocol
 
 from ..errors import ErrorCode, ExitCode, PlgsError
 from ..job import EventWriter, LiftFolder, LiftState, StopSignal, verify_lifted
@@ -19,21 +18,15 @@ from .runner import Command, Work, output_to, run_at, run_task
 log = logging.getLogger("plgs.engine")
 
 
-class LiftWork(Protocol):
-    """The work itself. It ends by writing the manifest, or by raising an error."""
-
-    def __call__(self, folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None: ...
-
-
 def run_engine(
     folder: LiftFolder,
     *,
     resume: bool = False,
     parent_pipe: int | None = None,
-    lift: LiftWork | None = None,
+    lift: Callable[..., None] | None = None,
     echo: int | None = None,
 ) -> ExitCode:
-    """Lift, and return how it ended. ``parent_pipe``: see Watchdog. ``lift`` is run instead of `run_lift`. ``echo``:
+    """Lift, and return how it ended. ``parent_pipe``: see Watchdog. ``lift`` is called instead of `run_lift`. ``echo``:
     see EventWriter.
 
     Raises PlgsError, before anything is changed, if another engine is at work, or if the folder was used and ``resume``

@@ -265,8 +265,9 @@ def output_to(log: Path) -> Iterator[TextIO]:
     sys.stdout.flush()
     sys.stderr.flush()
     out, err = os.dup(1), os.dup(2)
+    raw = io.BufferedWriter(_BestEffortFile(open_to_append(log), "ab"))
     with (
-        _open_log(log) as file,
+        io.TextIOWrapper(raw, encoding="utf-8", errors="replace", line_buffering=True) as file,
         os.fdopen(os.dup(2), "w", encoding="utf-8", errors="replace", buffering=1) as terminal,
     ):
         os.dup2(file.fileno(), 1)
@@ -288,11 +289,6 @@ class _BestEffortFile(io.FileIO):
             return super().write(data)
         except OSError:
             return memoryview(data).nbytes
-
-
-def _open_log(log: Path) -> TextIO:
-    raw = io.BufferedWriter(_BestEffortFile(open_to_append(log), "ab"))
-    return io.TextIOWrapper(raw, encoding="utf-8", errors="replace", line_buffering=True)
 
 
 @contextmanager

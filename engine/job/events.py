@@ -8,7 +8,9 @@ import platform
 import threading
 import time
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 from .. import __version__
@@ -194,7 +196,8 @@ class EventReader:
         self._path, self._offset, self._hurried = path, 0, hurried
         self.is_behind = False
         if hurried:
-            self._offset = max(0, _size(path) - MOST_CAUGHT_UP)  # an incomplete line there is not an event
+            with suppress(FileNotFoundError):  # an incomplete line there is not an event
+                self._offset = max(0, path.stat().st_size - MOST_CAUGHT_UP)
         if from_end and path.exists():
             start, tail = _tail(path, LONGEST_TAIL)
             whole = tail.rfind(b"\n") + 1
@@ -221,14 +224,9 @@ class EventReader:
         self.is_behind = whole > 0 and self._offset < size
         lines = content[:whole].splitlines()
         if self._hurried:
-            lines = _without_outdated(lines)
+            pairs = pairwise([*lines, b""])  # progress that the next line supersedes is left out
+            lines = [line for line, following in pairs if not (_PROGRESS in line and _PROGRESS in following)]
         return _parsed(lines)
-
-
-def _without_outdated(lines: list[bytes]) -> list[bytes]:
-    """The lines, without progress that the next line supersedes."""
-    is_progress = [_PROGRESS in line for line in lines] + [False]
-    return [line for index, line in enumerate(lines) if not (is_progress[index] and is_progress[index + 1])]
 
 
 def last_run(path: Path) -> list[Event]:
@@ -279,13 +277,6 @@ def last_events(path: Path) -> list[Event]:
 def _since_hello(events: list[Event]) -> list[Event]:
     hellos = [index for index, event in enumerate(events) if event.kind == "hello"]
     return events[hellos[-1] :] if hellos else events
-
-
-def _size(path: Path) -> int:
-    try:
-        return path.stat().st_size
-    except FileNotFoundError:
-        return 0
 
 
 def _tail(path: Path, size: int) -> tuple[int, bytes]:

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Protocol
 
 from ..errors import ErrorCode, ExitCode, PlgsError, is_silence
 from ..json_file import Json
@@ -14,7 +13,7 @@ from .events import Event, EventReader
 from .folder import LiftFolder, LiftState
 from .lock import is_locked
 from .process import EngineProcess, engine_call
-from .task import BAKE, LIFT, TaskFiles, TaskProgress, TaskState
+from .task import BAKE, LIFT, TaskFiles, TaskProgress, TaskState, last_lines
 
 PATIENCE_S = 5.0
 """Seconds for which a folder may be unreachable before its task counts as lost."""
@@ -23,17 +22,6 @@ CANCEL_WAIT_S = 0.65
 
 
 _CANCELLED = (ExitCode.CANCELLED, ExitCode.INTERRUPTED, ExitCode.TERMINATED)
-
-
-class Engine(Protocol):
-    """An engine that this process started, such as an `EngineProcess`."""
-
-    @property
-    def pid(self) -> int: ...
-    def exit_code(self) -> int | None: ...
-    def output_tail(self) -> str: ...
-    def kill(self) -> None: ...
-    def close(self) -> None: ...
 
 
 class TaskFollower:
@@ -47,7 +35,7 @@ class TaskFollower:
     def __init__(
         self,
         files: TaskFiles,
-        process: Engine | None = None,
+        process: EngineProcess | None = None,
         *,
         kind: str = LIFT,
         lift: LiftFolder | None = None,
@@ -94,11 +82,6 @@ class TaskFollower:
         command = [*command, *files.arguments, *(["--stay-with-parent"] if stays_with_parent else [])]
         process = EngineProcess(command, is_tied=stays_with_parent, variables=variables)
         return cls(files, process, kind=kind, lift=lift, reader=reader)
-
-    @classmethod
-    def attach(cls, files: TaskFiles, *, lift: LiftFolder | None = None) -> TaskFollower:
-        """Follow what another process started. What earlier runs wrote there is skipped."""
-        return cls(files, lift=lift)
 
     @property
     def is_running(self) -> bool:
@@ -203,7 +186,7 @@ class TaskFollower:
         if self.kill_at is None:
             self.kill_at = self._clock() + CANCEL_WAIT_S
 
-    def _kill_if_deaf(self, process: Engine) -> None:
+    def _kill_if_deaf(self, process: EngineProcess) -> None:
         """Kill an engine that does not stop: another process may have made the cancel file, and native code can block
         its watchdog."""
         is_asked = self.files.cancel.exists() or (self.lift is not None and self.lift.task_files.cancel.exists())
@@ -222,7 +205,11 @@ class TaskFollower:
             self._fail(self.error)
         elif code in (ExitCode.BAD_INPUT, ExitCode.INTERNAL_ERROR, ExitCode.BUSY):  # without an event: it never began
             self._fail(self._error_of_output(code))
-        elif self._has_finished(code):
+        elif (
+            self.lift.state_at_rest() is LiftState.FINISHED  # the result decides, whatever the events say
+            if self.lift is not None and self.kind == LIFT
+            else self._done == "finished" or code == ExitCode.FINISHED
+        ):
             self.state = TaskState.FINISHED
         elif self._done == "cancelled" or self.kill_at is not None or code in _CANCELLED:
             self.state = TaskState.CANCELLED
@@ -233,15 +220,10 @@ class TaskFollower:
         else:
             self._fail(self._error_of_output(code))
 
-    def _has_finished(self, code: int | None) -> bool:
-        if self.lift is not None and self.kind == LIFT:  # the result decides, whatever the events say
-            return self.lift.state_at_rest() is LiftState.FINISHED
-        return self._done == "finished" or code == ExitCode.FINISHED
-
     def _fail(self, error: PlgsError) -> None:
         self.state, self.error = TaskState.FAILED, error
         if error.exit_code is ExitCode.INTERNAL_ERROR:
-            self.log_lines = self.files.last_lines()
+            self.log_lines = last_lines(self.files.log)
 
     def _error_of_output(self, code: int | None) -> PlgsError:
         """The last message of an engine that ended without an event."""

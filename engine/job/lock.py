@@ -52,8 +52,9 @@ class FileLock:
         try:
             if not _try_lock(self._descriptor, self._path):
                 return False
-            if OPEN_FILES_KEEP_NAMES or _is_same(self._descriptor, self._path):
-                return True
+            with suppress(FileNotFoundError):
+                if OPEN_FILES_KEEP_NAMES or os.path.samestat(os.fstat(self._descriptor), os.stat(self._path)):
+                    return True
             os.close(self._descriptor)
         except BaseException:
             os.close(self._descriptor)
@@ -68,13 +69,6 @@ class FileLock:
 
     def __exit__(self, *_: object) -> None:
         os.close(self._descriptor)  # closing releases it, on every system
-
-
-def _is_same(descriptor: int, path: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(descriptor), os.stat(path))
-    except FileNotFoundError:
-        return False
 
 
 def is_locked(path: Path) -> bool:

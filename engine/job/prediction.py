@@ -106,7 +106,8 @@ def predict(
     rendered = {"test": test_frames, "all": frames, "none": test_frames}[bake]  # held-out frames are scored in any case
     written = 0 if bake == "none" else rendered
     steps = preset.for_views(views).steps
-    gaussians = _millions_of_gaussians(preset)
+    most = min(preset.most_anchors, MOST_ANCHORS_PER_POINT * preset.most_points)
+    gaussians = preset.gaussians_per_anchor * min(SURFACE / preset.voxel_size**2, most) / 1e6  # millions, as the sample
     step = step_seconds(trained_on, gaussians)
     rounds = max(0, min(round(1 / preset.schedule.self_training_every), steps) - 1)
     voting = views if preset.shows_votes else 0
@@ -165,12 +166,6 @@ def _peak_bytes(frame_size: tuple[int, int], preset: Preset, views: int, gaussia
     training = 880 + 500 * gaussians + (700 + 8 * labels) * trained_on + SEEN_SHARE * gaussians * 12 * labels
     baking = 700 + 400 * gaussians + (1000 + 4 * labels) * own
     return round(max(matching, training, baking) * MB)
-
-
-def _millions_of_gaussians(preset: Preset) -> float:
-    """The number of Gaussians in millions, estimated from the sample."""
-    most = min(preset.most_anchors, MOST_ANCHORS_PER_POINT * preset.most_points)
-    return preset.gaussians_per_anchor * min(SURFACE / preset.voxel_size**2, most) / 1e6
 
 
 def _megapixels_within(size: tuple[int, int], box: tuple[int, int]) -> float:

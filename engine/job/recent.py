@@ -6,9 +6,9 @@ It is in the user's cache folder. It is only a convenience: nothing else is lost
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from ..errors import PlgsError
 from ..json_file import read_object, take_list
@@ -91,13 +91,9 @@ def _entries(list_path: Path, is_to_be_replaced: bool = False) -> list[tuple[str
         if is_to_be_replaced and isinstance(error.__cause__, OSError) and list_path.exists():
             raise
         return []
-    return [found for entry in listed if (found := _entry(entry, list_path)) is not None]
-
-
-def _entry(entry: Any, list_path: Path) -> tuple[str, float] | None:
-    """The entry, or None if it is damaged, so that the other lifts keep their places in the list."""
-    try:
-        found = record_of(_Entry, entry if isinstance(entry, dict) else {}, list_path, _FIX, "lifts")
-    except PlgsError:
-        return None
-    return found.path, found.touched
+    entries = []
+    for each in listed:
+        with suppress(PlgsError):  # a damaged entry: the other lifts keep their places in the list
+            entry = record_of(_Entry, each if isinstance(each, dict) else {}, list_path, _FIX, "lifts")
+            entries.append((entry.path, entry.touched))
+    return entries

@@ -6,8 +6,9 @@ import argparse
 import difflib
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -114,7 +115,12 @@ class LiftRequest(SceneSource):
         options, fit = content.pop("options", {}), content.pop("fit", False)
         content["overrides"] = {**options, **({"fit": True} if fit else {})}
         if lift is not None:
-            content["relative"] = _relative(self, lift)
+            places = {name: path for name in _PLACES if (path := getattr(self, name)) is not None}
+            content["relative"] = {
+                name: Path(os.path.relpath(path, lift)).as_posix()
+                for name, path in places.items()
+                if path.drive == lift.drive
+            }
         return to_text({"format": 1, **content})
 
     @classmethod
@@ -135,7 +141,8 @@ class LiftRequest(SceneSource):
             if isinstance(given, str) and not Path(given).is_absolute():
                 raise PlgsError("relative", f"the path of '{name}' is not absolute", path, "Give the absolute path.")
             if isinstance(given, str) and name in relative:
-                content[name] = _current_path(given, relative[name], path)
+                moved = os.path.normpath(path.parent.absolute() / relative[name])
+                content[name] = moved if not os.path.exists(given) and os.path.exists(moved) else given
         try:
             return record_of(cls, content, path, _FIX)
         except PlgsError as error:
@@ -161,19 +168,6 @@ def refuse_unwritable_name(path: Path) -> None:
     except UnicodeEncodeError as error:
         what, fix = "has a name with broken characters (it is not UTF-8)", "Rename it, or the folder it is in."
         raise PlgsError("name-not-utf8", what, path, fix) from error
-
-
-def _relative(request: LiftRequest, lift: Path) -> dict[str, Json]:
-    """The paths of a request relative to the lift's folder, without those on another drive."""
-    paths = {name: getattr(request, name) for name in _PLACES}
-    inside = {name: path for name, path in paths.items() if path is not None and path.drive == lift.drive}
-    return {name: Path(os.path.relpath(path, lift)).as_posix() for name, path in inside.items()}
-
-
-def _current_path(path: str, relative: str, request: Path) -> str:
-    """Where a path of the request leads: the old path if it exists, or else the one relative to the lift."""
-    moved = os.path.normpath(request.parent.absolute() / relative)
-    return moved if not os.path.exists(path) and os.path.exists(moved) else path
 
 
 _NONE: Mapping[str, str] = {}
@@ -216,7 +210,7 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
     )  # fmt: skip
     add_options(parser, "names_from", "device", "anyway")
     for name, instead in GONE.items():
-        parser.add_argument(f"--{name}", type=_gone(instead), help=argparse.SUPPRESS)
+        parser.add_argument(f"--{name}", type=partial(_refuse_gone, instead), help=argparse.SUPPRESS)
     parser.add_argument(
         "--bake",
         choices=(*BAKES, *more_bakes),
@@ -225,13 +219,8 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
     )
 
 
-def _gone(instead: str) -> Callable[[str], None]:
-    """A type for argparse that refuses whatever is given."""
-
-    def refuse(_: str) -> None:
-        raise argparse.ArgumentTypeError(instead)
-
-    return refuse
+def _refuse_gone(instead: str, _: str) -> None:
+    raise argparse.ArgumentTypeError(instead)
 
 
 def add_amount_options(parser: argparse.ArgumentParser) -> None:

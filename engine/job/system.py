@@ -124,7 +124,9 @@ def main_memory(proc: Path = Path("/proc/meminfo"), cgroup: Path = CGROUP) -> Ma
         if sys.platform == "win32":
             return _share(_of_windows())
         if proc.exists():
-            return _share(_within(_of_linux(proc), cgroup))
+            lines = (line.split(":") for line in proc.read_text().splitlines() if ":" in line)
+            bytes_of = {name: 1024 * int(value.split()[0]) for name, value in lines}
+            return _share(_within(MainMemory(bytes_of["MemTotal"], bytes_of["MemAvailable"]), cgroup))
         total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
         return _share(MainMemory(total, total))
     except (OSError, ValueError, KeyError, IndexError, OverflowError):
@@ -134,13 +136,6 @@ def main_memory(proc: Path = Path("/proc/meminfo"), cgroup: Path = CGROUP) -> Ma
 def _share(memory: MainMemory) -> MainMemory:
     share = int(float(os.environ[SHARE]) * 1e9) if SHARE in os.environ else memory.total
     return MainMemory(min(memory.total, share), min(memory.free, share))
-
-
-def _of_linux(proc: Path) -> MainMemory:
-    """The memory on Linux. Raises OSError, ValueError, KeyError, IndexError."""
-    lines = (line.split(":") for line in proc.read_text().splitlines() if ":" in line)
-    bytes_of = {name: 1024 * int(value.split()[0]) for name, value in lines}
-    return MainMemory(bytes_of["MemTotal"], bytes_of["MemAvailable"])
 
 
 def _within(memory: MainMemory, cgroup: Path) -> MainMemory:

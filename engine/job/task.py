@@ -86,10 +86,6 @@ class TaskFiles:
         for path in (self.events, self.cancel, self.log):
             path.unlink(missing_ok=True)
 
-    def last_lines(self, count: int = LOG_LINES) -> tuple[str, ...]:
-        """The last ``count`` lines of the log that are not blank, cut at 500 characters; none without a log."""
-        return last_lines(self.log, count)
-
 
 @dataclass
 class TaskProgress:

@@ -298,7 +298,7 @@ def attach(folder: Path) -> Lift:
         return known
     lift = LiftFolder.open(folder)
     state = lift.state()
-    task = Lift(TaskFollower.attach(lift.task_files, lift=lift), state)
+    task = Lift(TaskFollower(lift.task_files, lift=lift), state)
     if state is not LiftState.RUNNING:  # nobody asked for its result yet
         task.is_taken = True
         if state is LiftState.NOT_STARTED:

@@ -39,7 +39,7 @@ def test_any_command_is_followed_to_its_answer(tmp_path: Path) -> None:
     assert inspected.state is TaskState.FINISHED and inspected.kind == "inspect" and inspected.error is None
     assert inspected.answer is not None and inspected.answer["test_frames"] == 1
     assert "diagnosis" in inspected.answer and inspected.progress.stage == "diagnose"
-    kinds = [event.kind for event in last_run(files.events)]
+    kinds = [event.kind for event in last_run(files.events) if event.kind != "progress"]  # at most one a second
     assert kinds == ["hello", "stage", "stage", "answer", "done"]
     frames = followed(files, "frames", room, "-o", tmp_path / "out", "--make", "depth")
     assert frames.state is TaskState.FINISHED and frames.answer is not None and frames.answer["frames"] == 9

@@ -49,7 +49,7 @@ def step_reached(follower: TaskFollower, step: int) -> Callable[[], bool]:
 
 def watch(folder: LiftFolder) -> TaskFollower:
     """Follow a lift that somebody else started."""
-    return TaskFollower.attach(folder.task_files, lift=folder)
+    return TaskFollower(folder.task_files, lift=folder)
 
 
 def start_fake(folder: LiftFolder, behaviour: str, *more: str, stays_with_parent: bool = True) -> TaskFollower:
