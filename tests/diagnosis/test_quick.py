@@ -10,7 +10,7 @@ import pytest
 
 import engine.diagnosis.run as diagnosis_run
 from engine.diagnosis import diagnose_quickly
-from engine.job import EventReader, EventWriter, LiftFolder, LiftRequest, StopSignal
+from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
 from engine.job.report import metrics_text
 from engine.lift import run
 from engine.presets.preset import PRESETS
@@ -19,6 +19,7 @@ from engine.train.progress import StageReporter
 from tests.diagnosis.matrix import FAULTS
 from tests.raises_key import raises_key
 from tests.tiny_scene import write_tiny_scene
+from tests.train.tiny_lift import warnings_in
 
 STOPPED = (
     "world-to-camera poses", "OpenGL axes", "poses in centimetres", "depth in centimetres", "poses of the next frame",
@@ -74,8 +75,7 @@ def test_a_lift_stops_unless_it_is_asked_for_anyway(good: Path, tmp_path: Path, 
     else:
         with raises_key("wrong-for-certain invert --anyway"):
             run.ask_what_is_wrong(folder, opened, (96, 72), events, stops=True)
-    told = [event.data["message"] for event in EventReader(folder.events_path).poll() if event.kind == "warning"]
-    assert any("inverted poses" in each and "invert them" in each for each in told)
+    assert any("inverted poses" in each and "invert them" in each for each in warnings_in(folder.events_path))
     events.close()
 
 

@@ -10,7 +10,7 @@ from shutil import disk_usage
 import pytest
 
 from engine.errors import ErrorCode
-from engine.job import Checkpoint, EventWriter, LiftRequest, StopSignal, last_run
+from engine.job import Checkpoint, EventWriter, LiftRequest, StopSignal
 from engine.job.prediction import predict
 from engine.job.system import MainMemory
 from engine.lift import frame_sets
@@ -20,6 +20,7 @@ from engine.scene import Scene, open_scene
 from engine.train.progress import StageProgress
 from tests.raises_key import raises_key
 from tests.tiny_scene import write_tiny_scene
+from tests.train.tiny_lift import warnings_in
 
 
 @pytest.fixture(scope="module")
@@ -41,16 +42,12 @@ def chosen(scene: Scene, events: EventWriter, folder: Path, state: dict[str, obj
     return sets_of_frames(scene, request, checkpoint, progress, events).chosen
 
 
-def warnings(folder: Path) -> list[str]:
-    return [str(event.data["message"]) for event in last_run(folder / "events.jsonl") if event.kind == "warning"]
-
-
 def test_checkpoint_determines_the_frames(scene: Scene, events: EventWriter, tmp_path: Path) -> None:
     names = [frame.name for frame in scene.train_frames[1:7:2]]
     begun = chosen(scene, events, tmp_path, {"step": 3, "frames": names}, frames=5)
     assert [frame.name for frame in begun.train_frames] == names
     assert begun.test_frames == scene.test_frames
-    assert f"3 of {len(scene.train_frames)} training frames are lifted" in warnings(tmp_path)[0]
+    assert f"3 of {len(scene.train_frames)} training frames are lifted" in warnings_in(tmp_path / "events.jsonl")[0]
 
 
 @pytest.mark.parametrize("state", [None, {"step": 3}], ids=["a new lift", "an earlier version's checkpoint"])
@@ -85,7 +82,7 @@ def test_a_smaller_machine_cannot_continue(
         chosen(scene, events, tmp_path, {"frames": names})
     monkeypatch.setattr(frame_sets, "main_memory", lambda: MainMemory(10**12, 10**7))
     chosen(scene, events, tmp_path, {"frames": names})
-    assert "only 0.0 GB is free" in warnings(tmp_path)[0]
+    assert "only 0.0 GB is free" in warnings_in(tmp_path / "events.jsonl")[0]
 
 
 MANY = 3000
@@ -111,13 +108,13 @@ def test_what_fits_is_lifted_as_requested(long_scene: Scene, events: EventWriter
     assert frames_that_fit(long_scene, PAPER, plenty, events) == 0
     assert frames_that_fit(long_scene, replace(PAPER, options={"frames": 70}), plenty, events) == 70
     assert frames_that_fit(long_scene, PAPER, None, events) == 0
-    assert not warnings(tmp_path)
+    assert not warnings_in(tmp_path / "events.jsonl")
 
 
 def test_memory_held_by_other_programs_is_reported(long_scene: Scene, events: EventWriter, tmp_path: Path) -> None:
     needed = peak(long_scene, 0)
     assert frames_that_fit(long_scene, PAPER, MainMemory(2 * needed, needed // 2), events) == 0
-    (told,) = warnings(tmp_path)
+    (told,) = warnings_in(tmp_path / "events.jsonl")
     assert f"{needed / 1e9:.1f} GB" in told
 
 
@@ -136,7 +133,7 @@ def test_with_consent_fewer_frames_are_used(long_scene: Scene, events: EventWrit
     there = peak(long_scene, 200)
     frames = frames_that_fit(long_scene, replace(PAPER, fit=True), MainMemory(there, there), events)
     assert 50 <= frames < MANY and peak(long_scene, frames) <= there
-    assert str(frames) in warnings(tmp_path)[0]
+    assert str(frames) in warnings_in(tmp_path / "events.jsonl")[0]
 
 
 def test_error_says_when_no_option_can_help(long_scene: Scene, events: EventWriter) -> None:
@@ -147,7 +144,7 @@ def test_error_says_when_no_option_can_help(long_scene: Scene, events: EventWrit
 def test_passes_that_exceed_the_disk_are_refused(events: EventWriter, tmp_path: Path) -> None:
     most = int(disk_usage(tmp_path).free / LEAST_PIXEL)
     check_disk(tmp_path / "later", [(most // 100, 1)], events)
-    assert not warnings(tmp_path)
+    assert not warnings_in(tmp_path / "events.jsonl")
     with raises_key("disk-full") as caught:
         check_disk(tmp_path, [(most, 1), (most, 1)], events)
     assert caught.value.code is ErrorCode.DISK_FULL
@@ -155,5 +152,5 @@ def test_passes_that_exceed_the_disk_are_refused(events: EventWriter, tmp_path: 
 
 def test_passes_that_may_fill_the_disk_give_a_warning(events: EventWriter, tmp_path: Path) -> None:
     check_disk(tmp_path, [(int(disk_usage(tmp_path).free / 8.0), 1)], events)
-    (told,) = warnings(tmp_path)
+    (told,) = warnings_in(tmp_path / "events.jsonl")
     assert "the passes need about" in told

@@ -15,8 +15,8 @@ import OpenEXR
 import pytest
 
 from engine.errors import Cancelled
-from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal, verify
-from engine.lift import frame_sets, run_lift, scene_files
+from engine.job import LiftFolder, LiftRequest, verify
+from engine.lift import frame_sets, scene_files
 from engine.lift import run as lift_run
 from engine.lift.run import STAGES
 from engine.lift.scene_files import read_model, shown_by_depth
@@ -28,7 +28,7 @@ from engine.scene.mask_formats import coco
 from engine.semantics.point_cloud import SemanticPointCloud
 from engine.train import progress
 from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
-from tests.train.tiny_lift import TINY, lift_into, presets_as
+from tests.train.tiny_lift import TINY, lift_into, presets_as, run
 
 FRAMES = 10
 HELD_OUT = ["0004"]
@@ -44,14 +44,6 @@ class Lifts:
 
     def lift(self, name: str, scene: Path | None = None, **request: object) -> LiftFolder:
         return lift_into(self.root / name, LiftRequest(scene=scene or self.scene, **request))  # type: ignore[arg-type]
-
-
-def run(folder: LiftFolder, *, resume: bool = False) -> None:
-    events = EventWriter(folder.events_path)
-    try:
-        run_lift(folder, events, StopSignal(folder.cancel_path), resume=resume)
-    finally:
-        events.close()
 
 
 @pytest.fixture(scope="module")

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from engine.errors import Cancelled
-from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal, last_run
+from engine.job import EventWriter, LiftFolder, LiftRequest, last_run
 from engine.job.cameras import PreviewCamera, write_preview_request
-from engine.lift import live_previews, run_lift
+from engine.lift import live_previews
 from engine.lift.live_previews import LivePreviews
 from engine.lift.scene_files import ShownInstances
 from engine.scene import Scene, open_scene
 from engine.train.trainer import Trainer
 from tests.lift.test_lift import files_of
 from tests.tiny_scene import write_tiny_scene
-from tests.train.tiny_lift import TINY, presets_as, trainer_of, views_of
+from tests.train.tiny_lift import TINY, presets_as, run, trainer_of, views_of
 
 FROM_ABOVE = PreviewCamera(
     ((1.0, 0.0, 0.0, 2.0), (0.0, -1.0, 0.0, 1.5), (0.0, 0.0, -1.0, 2.4), (0.0, 0.0, 0.0, 1.0)),
@@ -35,15 +35,6 @@ def scene_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield write_tiny_scene(tmp_path_factory.mktemp("live") / "scene", frames=6, noise=0.1)
 
 
-def lift(folder: LiftFolder, *, resume: bool = False) -> None:
-    events = EventWriter(folder.events_path)
-    events.hello(threads=1, resumed=resume)
-    try:
-        run_lift(folder, events, StopSignal(folder.cancel_path), resume=resume)
-    finally:
-        events.close()
-
-
 def told(folder: LiftFolder, kind: str) -> list[str]:
     events = last_run(folder.events_path)
     return [str(event.data.get("path", event.data.get("message"))) for event in events if event.kind == kind]
@@ -55,7 +46,7 @@ def test_the_model_is_the_same_whatever_is_watched(
     unwatched = LiftFolder.create(tmp_path / "unwatched", LiftRequest(scene=scene_folder))
     with monkeypatch.context() as unseen:
         unseen.setattr(LivePreviews, "__call__", lambda *_: None)
-        lift(unwatched)
+        run(unwatched)
     assert "result/previews/live.png" not in told(unwatched, "preview")
 
     monkeypatch.setattr(live_previews, "EVERY_S", -1.0)
@@ -78,12 +69,12 @@ def test_the_model_is_the_same_whatever_is_watched(
 
     monkeypatch.setattr(Trainer, "step", step_and_turn)
     with pytest.raises(Cancelled):
-        lift(watched)
+        run(watched)
     assert told(watched, "preview") == ["result/previews/live.png"] * 7
     cameras = [event.data.get("camera") for event in last_run(watched.events_path) if event.kind == "preview"]
     assert cameras == [None, None, FROM_ABOVE.fingerprint, None, None, FROM_ABOVE.fingerprint, None]
     assert len(told(watched, "warning")) == len(told(unwatched, "warning")) + 1  # of two broken ones the first
-    lift(watched, resume=True)
+    run(watched, resume=True)
     assert files_of(watched) == files_of(unwatched) and not watched.live_preview_path.exists()
     assert {(48, 64), (320, 480)} <= set(sizes)
 

@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 
 from engine.instances.records import SceneObject
-from engine.job import last_run
 from engine.lift import preparation
 from engine.lift.objects import labels_of
 from engine.lift.preparation import PreparedLift, label_channels
 from engine.model.structured import NO_OBJECT, SPARE
 from engine.scene import PanopticMask
 from tests.tiny_scene import CABINET, CABINET_ID, CHAIR, CHAIR_ID, WALL_ID
-from tests.train.tiny_lift import TINY, prepared_for, views_of
+from tests.train.tiny_lift import TINY, prepared_for, views_of, warnings_in
 
 BOXES = {CHAIR_ID: CHAIR, CABINET_ID: CABINET}
 
@@ -87,8 +86,8 @@ def test_the_smallest_instances_are_left_out_with_a_warning(tmp_path: Path) -> N
     one = prepared_for(views, classes, replace(TINY, most_instances=1), tmp_path)
     assert [instance.id for instance in one.instances] == [1]
     assert set(one.instance_of_point.tolist()) == {0, 1}
-    (told,) = [event.data["message"] for event in last_run(tmp_path / "events.jsonl") if event.kind == "warning"]
-    assert told == ("1 instance is left out, the smallest of 2: at most 1 are kept, --set most_instances=2 keeps all")
+    (told,) = warnings_in(tmp_path / "events.jsonl")
+    assert told == "1 instance is left out, the smallest of 2: at most 1 are kept, --set most_instances=2 keeps all"
     both = prepared_for(views, classes, replace(TINY, most_instances=2), tmp_path)
     assert len(both.instances) == 2
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from engine.errors import Cancelled, PlgsError
-from engine.job import Checkpoint, EventReader, EventWriter, LiftFolder, LiftRequest, StopSignal
+from engine.job import Checkpoint, EventWriter, LiftFolder, LiftRequest, StopSignal
 from engine.lift import run
 from engine.presets.preset import PRESETS
 from engine.scene import PanopticMask, Segment, load_view, open_scene
@@ -18,6 +18,7 @@ from engine.train.progress import Course, StageReporter
 from engine.train.trainer import StepReport
 from tests.raises_key import raises_key
 from tests.tiny_scene import write_tiny_scene
+from tests.train.tiny_lift import warnings_in
 
 
 class Trainer:
@@ -107,13 +108,11 @@ def test_what_is_too_fine_for_the_size_is_refused(depth: float, label: int, told
         run.refuse_empty([bad], scene)
 
 
-def test_names_are_not_kept_if_no_objects_are_searched_for(tmp_path: Path) -> None:
+def test_names_are_not_kept_if_no_objects_are_searched_for(stages: StageReporter, tmp_path: Path) -> None:
     request = LiftRequest(scene=tmp_path, names_from=tmp_path / "first", options={"objects": "none"})
     folder = LiftFolder.create(tmp_path / "lift", request)
-    events = EventWriter(folder.events_path)
     with raises_key("names-of-no-objects"):
-        run.run_lift(folder, events, StopSignal(folder.cancel_path), resume=False)
-    events.close()
+        run.run_lift(folder, stages.events, StopSignal(folder.cancel_path), resume=False)
 
 
 @pytest.mark.parametrize(
@@ -127,33 +126,31 @@ def test_votes_need_objects_by_agreement_of_one_class(
     folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path / "none"))
     with pytest.raises(PlgsError), stages.stage("check") as progress:
         run.checked_frames(folder, preset, None, progress, stages.events)
-    events = EventReader(tmp_path / "events.jsonl").poll()
-    told = [event.data["message"] for event in events if event.kind == "warning"]
-    assert told == ([] if shown else [run.NO_VOTES])
+    assert warnings_in(tmp_path / "events.jsonl") == ([] if shown else [run.NO_VOTES])
 
 
-def test_a_result_names_the_code_that_made_it(tmp_path: Path) -> None:
+def test_a_result_names_the_code_that_made_it(stages: StageReporter, tmp_path: Path) -> None:
     """Where other code began the lift, both, also after a second resumption; and the user is told."""
-    events = EventWriter(tmp_path / "events.jsonl")
     assert (
-        run.code_of("new", None, events) == run.code_of("new", Checkpoint(tmp_path, {"code": "new"}), events) == "new"
+        run.code_of("new", None, stages.events)
+        == run.code_of("new", Checkpoint(tmp_path, {"code": "new"}), stages.events)
+        == "new"
     )
-    assert not EventReader(tmp_path / "events.jsonl").poll()
-    assert run.code_of("new", Checkpoint(tmp_path, {"code": "old"}), events) == "old+new"
-    assert run.code_of("new", Checkpoint(tmp_path, {"code": "old+new"}), events) == "old+new"
-    assert run.code_of("new", Checkpoint(tmp_path, {}), events) == "unknown+new"
-    told = [str(event.data["message"]) for event in EventReader(tmp_path / "events.jsonl").poll()]
+    assert not warnings_in(tmp_path / "events.jsonl")
+    assert run.code_of("new", Checkpoint(tmp_path, {"code": "old"}), stages.events) == "old+new"
+    assert run.code_of("new", Checkpoint(tmp_path, {"code": "old+new"}), stages.events) == "old+new"
+    assert run.code_of("new", Checkpoint(tmp_path, {}), stages.events) == "unknown+new"
+    told = warnings_in(tmp_path / "events.jsonl")
     assert len(told) == 2 and "other code began this lift (old, this is new)" in told[0]
-    events.close()
 
 
 @pytest.mark.parametrize(("seconds", "said"), [(3599.0, None), (90000.0, "predicted to take 25.0 h in all here")])
-def test_a_long_lift_says_so_before_it_trains(seconds: float, said: str | None, tmp_path: Path) -> None:
-    events = EventWriter(tmp_path / "events.jsonl")
-    run.warn_if_long(Course({"train": seconds - 1, "bake": 1.0}), events)
-    told = [str(event.data["message"]) for event in EventReader(tmp_path / "events.jsonl").poll()]
+def test_a_long_lift_says_so_before_it_trains(
+    seconds: float, said: str | None, stages: StageReporter, tmp_path: Path
+) -> None:
+    run.warn_if_long(Course({"train": seconds - 1, "bake": 1.0}), stages.events)
+    told = warnings_in(tmp_path / "events.jsonl")
     assert [each for each in told if said and said in each] == told and bool(told) == bool(said)
-    events.close()
 
 
 PREDICTED = {"read": 10.0, "match": 20.0, "train": 60.0, "bake": 10.0}

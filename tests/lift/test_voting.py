@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from engine.errors import Cancelled, PlgsError
-from engine.job import EventWriter, StopSignal, last_run
+from engine.job import EventWriter, StopSignal
 from engine.lift.frame_sets import frames_to_vote
 from engine.lift.preparation import PreparedLift, prepare
 from engine.lift.run import STAGES
@@ -25,7 +25,7 @@ from engine.train import warm_start
 from engine.train.progress import StageReporter
 from engine.train.trainer import Trainer
 from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
-from tests.train.tiny_lift import TINY, prepared_for
+from tests.train.tiny_lift import TINY, prepared_for, warnings_in
 
 LARGE, SMALL = (128, 96), (64, 48)
 PRESET = replace(TINY, steps=30, vote_size=LARGE)
@@ -120,7 +120,7 @@ def voters(frames: Sequence[Frame], folder: Path) -> tuple[Sequence[View], list[
     events = EventWriter(folder / "events.jsonl")
     views = read_voters(frames, COARSE, lambda done: None, events, folder)
     events.close()
-    return views, [str(event.data["message"]) for event in last_run(folder / "events.jsonl") if event.kind == "warning"]
+    return views, warnings_in(folder / "events.jsonl")
 
 
 def prepared_with(scene: Scene, views: list[View], others: Sequence[View], folder: Path) -> PreparedLift:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
+from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal, last_run
 from engine.lift.preparation import PreparedLift, prepare
 from engine.lift.run import STAGES, Preparing, run_lift
 from engine.model.growing import GrowthRules
@@ -66,15 +66,26 @@ def presets_as(**presets: Preset) -> Iterator[None]:
         torch.set_deterministic_debug_mode("default")
 
 
+def run(folder: LiftFolder, *, resume: bool = False) -> None:
+    """Lift into the folder, or go on with it."""
+    events = EventWriter(folder.events_path)
+    events.hello(threads=1, resumed=resume)
+    try:
+        run_lift(folder, events, StopSignal(folder.cancel_path), resume=resume)
+    finally:
+        events.close()
+
+
 def lift_into(path: Path, request: LiftRequest) -> LiftFolder:
     """A new lift folder, lifted."""
     folder = LiftFolder.create(path, request)
-    events = EventWriter(folder.events_path)
-    try:
-        run_lift(folder, events, StopSignal(folder.cancel_path), resume=False)
-    finally:
-        events.close()
+    run(folder)
     return folder
+
+
+def warnings_in(events: Path) -> list[str]:
+    """What the last run warned of."""
+    return [str(event.data["message"]) for event in last_run(events) if event.kind == "warning"]
 
 
 def views_of(folder: Path, **options: object) -> tuple[list[View], ClassTable]:
