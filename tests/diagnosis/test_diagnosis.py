@@ -111,16 +111,6 @@ def test_another_axis_up_is_found_and_the_option_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_inverted_poses_are_found_with_another_axis_up(tmp_path: Path) -> None:
-    folder = write_tiny_scene(tmp_path / "scene", FRAMES, SIZE, up="y")
-    matrix.FAULTS["world-to-camera poses"].plant(folder)
-    diagnosis = diagnose(open_scene(folder, up="y"))
-    assert wrong_in(diagnosis) == ["inverted poses"]
-    write_mended(open_scene(folder, up="y"), diagnosis, tmp_path / "mended")
-    assert diagnose(open_scene(tmp_path / "mended")).findings == ()
-
-
-@pytest.mark.slow
 def test_two_defects_at_once_are_found(scene: Path, tmp_path: Path) -> None:
     matrix.FAULTS["world-to-camera poses"].plant(scene)
     matrix.FAULTS["depth in 5000 steps per metre"].plant(scene)

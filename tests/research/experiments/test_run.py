@@ -280,15 +280,6 @@ def test_a_foreign_folder_is_reported_before_any_lift(experiment: Experiment, be
     assert not (experiment.folder / "office-preview").exists()
 
 
-def test_a_finished_lift_with_other_settings_is_not_reused(experiment: Experiment, behave: Behave) -> None:
-    with_steps = replace(experiment, steps=7)
-    assert run(with_steps) is ExitCode.FINISHED
-    with raises_key("other-options steps"):
-        run(experiment)
-    with raises_key("other-options weights.depth"):
-        run(replace(with_steps, sets=("weights.depth=0",)))
-
-
 def test_earlier_finished_lifts_stay_in_the_report(
     experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]
 ) -> None:
