@@ -144,13 +144,10 @@ def find_python(uv: Path, environment: str) -> tuple[str, tuple[int, int]]:
         # pyenv shows only those that are enabled.
         for python in (name, *map(str, sorted(pyenv.glob(f"{name}.*/bin/python{name}")))):
             command = [str(uv), "python", "find", "--no-project", "--no-python-downloads", python]
-            if subprocess.run(command, capture_output=True, env=uv_variables(), check=False).returncode == 0:
+            variables = uv_program.variables(os.environ)
+            if subprocess.run(command, capture_output=True, env=variables, check=False).returncode == 0:
                 return python, version
     return ("3.11", (3, 11)) if environment == ".venv" else ("", (3, 13))
-
-
-def uv_variables() -> dict[str, str]:
-    return uv_program.variables(os.environ)
 
 
 def install_options(files: tuple[str, ...], version: tuple[int, int]) -> list[str]:
@@ -172,7 +169,7 @@ def make(folder: Path) -> None:
     if setting := uv_program.diverted(os.environ, ROOT / "requirements"):
         stop(f"{setting} keeps packages out of {folder.name}. Remove it from uv's settings, then run make again.")
     try:
-        uv = uv_program.fetch(ROOT / "build", uv_variables())
+        uv = uv_program.fetch(ROOT / "build", uv_program.variables(os.environ))
     except OSError as error:
         stop(f"{error}. Check the connection and the package index, then run make again.")
     request, version = find_python(uv, folder.name)
@@ -218,7 +215,7 @@ def run(command: list[str], failure: str, *, cwd: Path = ROOT / "requirements", 
         begin = log.tell()
         # The lock is passed on (close_fds=False). If this process is killed, it stays held until uv has ended too.
         code = subprocess.run(
-            command, cwd=cwd, env=uv_variables(), stdin=subprocess.DEVNULL,
+            command, cwd=cwd, env=uv_program.variables(os.environ), stdin=subprocess.DEVNULL,
             stdout=log, stderr=subprocess.STDOUT, close_fds=False, check=False,
         ).returncode  # fmt: skip
     if code == 0:

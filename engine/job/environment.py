@@ -78,14 +78,11 @@ def pinned_versions(root: Path) -> tuple[Version, ...]:
     return tuple(sorted((int(major), int(minor)) for major, _, minor in (name.partition(".") for name in names)))
 
 
-def constraints_path(root: Path, version: Version) -> Path:
-    """The file that pins the dependencies of the requirements. It may be missing."""
-    return root / "requirements" / f"constraints-{version[0]}.{version[1]}.txt"
-
-
-def hashes_path(root: Path, version: Version) -> Path:
-    """The file that lists the SHA-256 of all packages of the engine except torch. It may be missing."""
-    return root / "requirements" / f"hashes-{version[0]}.{version[1]}.txt"
+def requirement_file(root: Path, name: str, version: Version | None = None) -> Path:
+    """A file in requirements/, which may be missing: "constraints" of a version pins dependencies, "hashes" of one has
+    the SHA-256 of all packages but torch, and "hashes-NAME" of all that is added for NAME."""
+    ending = "" if version is None else f"-{version[0]}.{version[1]}"
+    return root / "requirements" / f"{name}{ending}.txt"
 
 
 def needed_packages(root: Path, version: Version, platform: str = sys.platform) -> dict[str, str | None]:
@@ -93,14 +90,14 @@ def needed_packages(root: Path, version: Version, platform: str = sys.platform) 
     needed: dict[str, str | None] = {}
     for name in _FILES:
         needed |= _pins(root / "requirements" / name, version, platform)
-    constraints = constraints_path(root, version)
+    constraints = requirement_file(root, "constraints", version)
     numpy = _pins(constraints, version, platform).get("numpy") if constraints.exists() else None
     return needed | {"numpy": numpy}
 
 
 def digest(root: Path, version: Version) -> str:
     """An identifier of an environment, which changes with the text of the requirements. Raises PlgsError."""
-    paths = [root / "requirements" / name for name in _FILES] + [constraints_path(root, version)]
+    paths = [root / "requirements" / name for name in _FILES] + [requirement_file(root, "constraints", version)]
     return hashlib.sha256("\n".join(_text(path) for path in paths).encode()).hexdigest()[:12]
 
 

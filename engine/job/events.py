@@ -88,12 +88,8 @@ class EventWriter:
 
     def hello(self, *, threads: int, resumed: bool, task: str = "lift") -> None:
         """A run of ``task`` ("lift", "bake", "inspect" …) begins. It may use this many compute threads."""
-        about = {
-            "engine_version": __version__,
-            "pid": os.getpid(),
-            "machine": platform.node(),
-            "python": platform.python_version(),
-        }
+        about = {"engine_version": __version__, "pid": os.getpid(), "machine": platform.node()}
+        about["python"] = platform.python_version()
         self._write("hello", task=task, **about, threads=threads, resumed=resumed)
 
     def stage(self, name: str, index: int, count: int, label: str) -> None:

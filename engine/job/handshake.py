@@ -131,16 +131,6 @@ ADDED = tuple(name for name, each in CAPABILITIES.items() if each.size)
 """The names of the abilities that can be added to an engine."""
 
 
-def requirements_path(root: Path, name: str) -> Path:
-    """The file that pins the packages of one of `ADDED`."""
-    return root / "requirements" / f"{name}.txt"
-
-
-def addition_hashes_path(root: Path, name: str) -> Path:
-    """The file with the SHA-256 of everything that is added for one of `ADDED`, for every system and Python."""
-    return root / "requirements" / f"hashes-{name}.txt"
-
-
 def refuse_unknown(name: str) -> None:
     """Raise PlgsError for a name that cannot be added."""
     if name not in ADDED:

@@ -31,16 +31,9 @@ _MISSING = "missing modules:"
 _ENGINE_MODULES = ("torch", "numpy")
 # Variables that a parent Python, such as Blender's, sets for itself and that would break a different Python.
 _FOREIGN = (
-    "PYTHONHOME",
-    "PYTHONPATH",
-    "PYTHONSTARTUP",
-    "PYTHONEXECUTABLE",
-    "PYTHONUSERBASE",
-    "__PYVENV_LAUNCHER__",
-    "LD_LIBRARY_PATH",
-    "LD_PRELOAD",
-    "DYLD_LIBRARY_PATH",
-)
+    "PYTHONHOME", "PYTHONPATH", "PYTHONSTARTUP", "PYTHONEXECUTABLE", "PYTHONUSERBASE", "__PYVENV_LAUNCHER__",
+    "LD_LIBRARY_PATH", "LD_PRELOAD", "DYLD_LIBRARY_PATH",
+)  # fmt: skip
 
 
 class Origin(StrEnum):

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import PlgsError
-from ..json_file import read_object, take_list
-from ..records import record_of, record_text, refuse_other_format
+from ..json_file import read_object, take_list, to_text
+from ..records import record_of, refuse_other_format
 from .atomic import write_atomically
 from .environment import notes_folder
 from .folder import LiftFolder, LiftState
@@ -37,11 +37,6 @@ class RecentLift:
 class _Entry:
     path: str
     touched: float = field(metadata={"least": 0, "most": _LATEST})
-
-
-@dataclass(frozen=True)
-class _List:
-    lifts: tuple[_Entry, ...]
 
 
 def recent_lifts(cache: Path | None = None, most: int = MOST) -> list[RecentLift]:
@@ -72,7 +67,8 @@ def remember_lift(path: Path, cache: Path | None = None) -> None:
         lift = str(path.absolute())
         others = [entry for entry in _entries(list_path, is_to_be_replaced=True) if entry[0] != lift]
         entries = [(lift, round(time.time(), 3)), *others][:MOST]
-        write_atomically(list_path, record_text(_List(tuple(_Entry(*each) for each in entries))))
+        listed = [{"path": path, "touched": touched} for path, touched in entries]
+        write_atomically(list_path, to_text({"format": 1, "lifts": listed}))
 
 
 def _list_path(cache: Path | None) -> Path:

@@ -59,7 +59,13 @@ def not_shown(metrics: Mapping[str, Json]) -> list[tuple[str, str]]:
     best."""
     judges = metrics.get("masks_as_judges")
     entries = _list(judges.get("not_shown")) if isinstance(judges, dict) else []
-    return [(_missed(entry), str(entry.get("frame"))) for entry in entries if isinstance(entry, dict)]
+    found = []
+    for one in (entry for entry in entries if isinstance(entry, dict)):
+        views = _number(one.get("views"), 1, 0)
+        what = f"{'' if one.get('whole_class') else 'one '}{one.get('name')}: {views} near views"
+        what += f", shown as {one['shown_as']}" if one.get("shown_as") else ""
+        found.append((printable(what), str(one.get("frame"))))
+    return found
 
 
 def doubt_of_frames(metrics: Mapping[str, Json]) -> dict[str, float]:
@@ -68,12 +74,6 @@ def doubt_of_frames(metrics: Mapping[str, Json]) -> dict[str, float]:
     entries = judges.get("doubt") if isinstance(judges, dict) else None
     known = entries.items() if isinstance(entries, dict) else ()
     return {name: float(value) for name, value in known if isinstance(value, int | float)}
-
-
-def _missed(one: Mapping[str, Json]) -> str:
-    what = f"{'' if one.get('whole_class') else 'one '}{one.get('name')}: {_number(one.get('views'), 1, 0)} near views"
-    what += f", shown as {one['shown_as']}" if one.get("shown_as") else ""
-    return printable(what)
 
 
 def _classes_text(tables: Iterable[Mapping[str, Json]]) -> Iterator[str]:

@@ -216,15 +216,10 @@ _ENDING_S = 2.0
 """Seconds that an engine whose parent was killed may need to end."""
 
 
-def show_error(error: PlgsError) -> None:
-    """Print an error on standard error."""
-    print(f"error: {error}", file=sys.stderr)
-
-
 def lift_in_terminal(
     options: argparse.Namespace,
     interrupts: Interrupts,
-    on_error: Callable[[PlgsError], object] = show_error,
+    on_error: Callable[[PlgsError], object] = lambda error: print(f"error: {error}", file=sys.stderr),
 ) -> tuple[LiftFolder, ExitCode]:
     """Lift as the options of `add_lift_options`, ``scene``, ``output`` and ``resume`` ask. Progress goes to stderr, and
     events to the descriptor ``echo`` if the options have one. ``on_error`` is called with why the engine failed.

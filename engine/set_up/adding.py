@@ -13,8 +13,8 @@ from pathlib import Path
 
 from ..errors import PlgsError
 from ..job import EventWriter, StopSignal, write_atomically
-from ..job.environment import environments_folder, python_in
-from ..job.handshake import CAPABILITIES, addition_hashes_path, refuse_unknown, requirements_path
+from ..job.environment import environments_folder, python_in, requirement_file
+from ..job.handshake import CAPABILITIES, refuse_unknown
 from ..job.lock import FileLock
 from ..job.process import ROOT, missing_modules
 from .programs import UvTask
@@ -87,10 +87,10 @@ class Addition(UvTask):
         packages = self._part / "packages"
         packages.mkdir(parents=True)
         self.log_path.write_bytes(b"")
-        pins = requirements_path(self._root, self.name)  # also for whatever compiles a package that has no wheel here
+        pins = requirement_file(self._root, self.name)  # also for whatever compiles a package that has no wheel here
         self._install(self.name, [
             self._get_uv(self._tools), "pip", "install", "--python", self._python, "--target", packages, "--no-deps",
-            "--require-hashes", "--requirement", addition_hashes_path(self._root, self.name),
+            "--require-hashes", "--requirement", requirement_file(self._root, f"hashes-{self.name}"),
             "--build-constraints", pins,
         ])  # fmt: skip
         shutil.rmtree(self._unpacks, ignore_errors=True)

@@ -20,16 +20,15 @@ from ..job.atomic import sha256
 from ..job.environment import (
     COMPLETE,
     Version,
-    constraints_path,
     environment_name,
     environments_folder,
-    hashes_path,
     is_complete,
     needed_packages,
     pinned_versions,
     python_in,
+    requirement_file,
 )
-from ..job.handshake import ADDED, EngineAnswer, addition_hashes_path
+from ..job.handshake import ADDED, EngineAnswer
 from ..job.lock import FileLock, is_locked
 from ..job.process import ROOT, engine_call
 from . import uv_program
@@ -199,12 +198,12 @@ class SetUp(UvTask):
         else:
             self._install("torch", [*install, *self._torch_options(version, "--torch-backend", "cpu")])
         self._tell(4)
-        self._install("packages", [*install, *_BY_HASH, hashes_path(self.root, version)])
+        self._install("packages", [*install, *_BY_HASH, requirement_file(self.root, "hashes", version)])
 
     def _torch_options(self, version: Version, *of_public_cpu_builds: str) -> list[str]:
         torch = f"torch=={needed_packages(self.root, version)['torch']}"
         if self.request.torch_build == "cuda":  # with what torch needs of CUDA
-            return ["--constraint", str(constraints_path(self.root, version)), torch]
+            return ["--constraint", str(requirement_file(self.root, "constraints", version)), torch]
         # Where the user has an index or a folder of his own, torch's CPU build has to be there.
         is_public = not self.request.index_url and "UV_FIND_LINKS" not in self._variables
         return ["--no-deps", *(of_public_cpu_builds if sys.platform == "linux" and is_public else ()), torch]
@@ -230,11 +229,11 @@ class SetUp(UvTask):
             wheel.replace(folder / wheel.name)
         part.rmdir()
         collect += [folder, *_BY_HASH]
-        packages = hashes_path(self.root, version)
+        packages = requirement_file(self.root, "hashes", version)
         self._install("packages", [*collect, packages, "--requirement", pip / "uv.txt"], for_pip=True)
         for name in ADDED:
             try:
-                self._install(name, [*collect, addition_hashes_path(self.root, name)], for_pip=True)
+                self._install(name, [*collect, requirement_file(self.root, f"hashes-{name}")], for_pip=True)
             except PlgsError as error:
                 self._events.warning(f"The folder will lack {name}: {error.what}")
         write_atomically(folder / self.request.torch_list(version), "".join(lines))

@@ -10,7 +10,6 @@ import pytest
 
 from engine.job.environment import (
     COMPLETE,
-    constraints_path,
     digest,
     environment_name,
     environments_folder,
@@ -20,6 +19,7 @@ from engine.job.environment import (
     needed_packages,
     pinned_versions,
     python_in,
+    requirement_file,
 )
 from engine.job.handshake import VERSION
 from engine.job.process import (
@@ -204,7 +204,7 @@ def test_a_different_text_means_a_different_environment(root: Path, tmp_path: Pa
     shutil.copytree(root / "requirements", tmp_path / "requirements")
     before = digest(tmp_path, (3, 11))
     assert before == digest(root, (3, 11)) != digest(root, (3, 13))
-    with constraints_path(tmp_path, (3, 11)).open("a") as file:
+    with requirement_file(tmp_path, "constraints", (3, 11)).open("a") as file:
         file.write("one-more==1.0\n")
     assert digest(tmp_path, (3, 11)) != before
 

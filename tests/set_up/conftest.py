@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from engine.job.environment import hashes_path, module_of, needed_packages
+from engine.job.environment import module_of, needed_packages, requirement_file
 from engine.set_up import SetUpRequest, uv_program
 from tests.set_up.package_index import PackageIndex
 from tests.set_up.running import RunningSetUp
@@ -56,7 +56,7 @@ def uv(root: Path) -> Path:
 def index(code: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[PackageIndex]:
     needed = needed_packages(code, sys.version_info[:2])
     index = PackageIndex({name: (pin or "1.0", module_of(name)) for name, pin in needed.items()})
-    hashes_path(code, sys.version_info[:2]).write_text(index.hashes(without="torch"))
+    requirement_file(code, "hashes", sys.version_info[:2]).write_text(index.hashes(without="torch"))
     for name in [name for name in os.environ if name.startswith(("PIP_", "UV_"))]:
         monkeypatch.delenv(name)
     monkeypatch.setenv("PIP_CONFIG_FILE", os.devnull)

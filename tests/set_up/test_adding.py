@@ -11,8 +11,8 @@ import pytest
 
 from engine.errors import Cancelled
 from engine.job import EventWriter, StopSignal
-from engine.job.environment import python_in
-from engine.job.handshake import ADDED, CAPABILITIES, EngineAnswer, addition_hashes_path, answer, requirements_path
+from engine.job.environment import python_in, requirement_file
+from engine.job.handshake import ADDED, CAPABILITIES, EngineAnswer, answer
 from engine.job.process import engine_call, missing_modules
 from engine.set_up import Addition
 from tests.raises_key import raises_key
@@ -27,9 +27,9 @@ NAME = "colmap"
 def part(code: Path, index: PackageIndex) -> Iterator[PackageIndex]:
     """An index that has a tiny package in the place of the real one."""
     tiny = PackageIndex(
-        {"pycolmap": (requirements_path(code, NAME).read_text().rpartition("==")[2].strip(), "pycolmap")}
+        {"pycolmap": (requirement_file(code, NAME).read_text().rpartition("==")[2].strip(), "pycolmap")}
     )
-    addition_hashes_path(code, NAME).write_text(tiny.hashes(without=""))
+    requirement_file(code, f"hashes-{NAME}").write_text(tiny.hashes(without=""))
     yield tiny
     tiny.close()
 
@@ -117,12 +117,12 @@ def test_a_python_of_the_system_is_left_alone(code: Path, tmp_path: Path, part: 
 
 @pytest.mark.parametrize("name", ADDED)
 def test_added_packages_are_pinned_by_hash_for_every_system(name: str, root: Path) -> None:
-    pins = [line.split("==")[0] for line in requirements_path(root, name).read_text().splitlines() if "==" in line]
+    pins = [line.split("==")[0] for line in requirement_file(root, name).read_text().splitlines() if "==" in line]
     assert set(CAPABILITIES[name].packages) <= set(pins)
-    entries = addition_hashes_path(root, name).read_text().split("\n")
+    entries = requirement_file(root, f"hashes-{name}").read_text().split("\n")
     pinned = [line.split(" ")[0] for line in entries if "==" in line]
     assert set(CAPABILITIES[name].packages) <= {each.split("==")[0] for each in pinned}
-    for line in requirements_path(root, name).read_text().splitlines():
+    for line in requirement_file(root, name).read_text().splitlines():
         assert "==" not in line or line in pinned or line.startswith("setuptools")
 
 

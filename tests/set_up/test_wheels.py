@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from engine.job.environment import Version, hashes_path, needed_packages, pinned_versions
-from engine.job.handshake import ADDED, addition_hashes_path
+from engine.job.environment import Version, needed_packages, pinned_versions, requirement_file
+from engine.job.handshake import ADDED
 
 SYSTEMS = {"win_amd64": "win32", "macosx_14_0_arm64": "darwin"}
 """The names of the systems in wheels, and what Python calls them. torch has no wheel for an older macOS."""
@@ -33,7 +33,7 @@ def pinned(path: Path, platform: str) -> list[str]:
 def test_windows_and_macos_have_every_wheel(root: Path, tmp_path: Path, system: str, version: Version) -> None:
     """pip chooses as it would there, from the package index; it downloads what describes the packages only."""
     assert version in pinned_versions(root)
-    files = [hashes_path(root, version), *(addition_hashes_path(root, name) for name in ADDED)]
+    files = [requirement_file(root, "hashes", version), *(requirement_file(root, f"hashes-{name}") for name in ADDED)]
     wanted = {pin for path in files for pin in pinned(path, SYSTEMS[system])}
     torch = f"torch=={needed_packages(root, version, SYSTEMS[system])['torch']}"
     report = tmp_path / "report.json"
