@@ -64,6 +64,9 @@ class Farm:
     def workers(self) -> dict[str, dict[str, Any]]:
         return self.there
 
+    def refuse_dead_jobs(self) -> None:
+        """All live."""
+
     def largest(self) -> float:
         return 0.0
 
