@@ -144,16 +144,11 @@ def label_findings(examined: Examined, assumed: Assumption, is_quick: bool = Fal
         return []
     if labels.share < _UNRELATED:
         return [_unrelated_masks(examined, labels)]
-    odd = odd_looks(labels)
+    # The looks whose masks agree with the others' hardly more than by chance, if most agree well.
+    kept = (labels.by_look - labels.chance) / max(labels.middle - labels.chance, 1e-6)
+    kept[~(labels.by_look < labels.middle - _LESS)] = 1.0
+    odd = np.flatnonzero(kept < _PROBABLY_FOREIGN).tolist() if (kept < _FOREIGN).any() else []
     return [_odd_masks(examined, labels, odd)] if odd else []
-
-
-def odd_looks(labels: LabelAgreement) -> list[int]:
-    """The looks whose masks agree with the others' hardly more than by chance, if most agree well."""
-    middle = labels.middle
-    kept = (labels.by_look - labels.chance) / max(middle - labels.chance, 1e-6)
-    kept[~(labels.by_look < middle - _LESS)] = 1.0
-    return np.flatnonzero(kept < _PROBABLY_FOREIGN).tolist() if (kept < _FOREIGN).any() else []
 
 
 def _masks_of_others(found: MaskLag) -> Finding:

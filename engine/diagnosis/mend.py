@@ -185,11 +185,16 @@ def harm_of(scene: Scene, diagnosis: Diagnosis, folder: Path) -> str | None:
     try:
         mended = open_scene(folder)
         examined = examine(mended)
-        kept, metres = _depth_left(scene, mended) if diagnosis.agreement is not None else (1.0, 1.0)
+        if diagnosis.agreement is None:
+            return None
+        before_of = {frame.name: frame for frame in scene.frames}
+        chosen = evenly_spread([frame for frame in mended.frames if frame.read_depth is not None], _LOOKED_AT)
+        had = sum(int((before_of[frame.name].depth(None) > 0.0).sum()) for frame in chosen)
+        values = [depth[depth > 0.0] for depth in (frame.depth(None) for frame in chosen)]
     except PlgsError as error:
         return f"it could not be read again ({error.what})"
-    if diagnosis.agreement is None:
-        return None
+    has = sum(len(each) for each in values)
+    kept, metres = has / max(had, 1), float(np.median(np.concatenate(values))) if has else 0.0
     if kept < _KEPT:
         return f"{1.0 - kept:.0%} of the depth would be lost"
     if not _NEAREST <= metres <= _FARTHEST:
@@ -202,14 +207,3 @@ def harm_of(scene: Scene, diagnosis: Diagnosis, folder: Path) -> str | None:
     if not is_good:
         return f"its views would agree on {after.share:.0%} of what two see, against {before.share:.0%} as it is"
     return None
-
-
-def _depth_left(scene: Scene, mended: Scene) -> tuple[float, float]:
-    """The fraction of the pixels with depth that still have it, and the median depth in metres."""
-    before = {frame.name: frame for frame in scene.frames}
-    with_depth = [frame for frame in mended.frames if frame.read_depth is not None]
-    chosen = evenly_spread(with_depth, _LOOKED_AT)
-    had = sum(int((before[frame.name].depth(None) > 0.0).sum()) for frame in chosen)
-    values = [depth[depth > 0.0] for depth in (frame.depth(None) for frame in chosen)]
-    has = sum(len(each) for each in values)
-    return has / max(had, 1), float(np.median(np.concatenate(values))) if has else 0.0

@@ -88,7 +88,9 @@ def pairs_of(count: int) -> NDArray[np.int64]:
 
 def load_looks(frames: Sequence[Frame], sample: Sample) -> list[Look]:
     """Load the depth of the sample's frames that have depth. Raises PlgsError for bad files."""
-    looks = []
+    import cv2
+
+    looks, kernel = [], np.ones((3, 3), np.uint8)
     for number in sample.numbers(len(frames)):
         frame = frames[number]
         if frame.read_depth is None:
@@ -98,8 +100,13 @@ def load_looks(frames: Sequence[Frame], sample: Sample) -> list[Look]:
         if step > 1:  # the middle pixel of each block, so that nothing moves by half a pixel
             rows, columns = (np.arange(length // step) * step + step // 2 for length in depth.shape)
             depth = np.ascontiguousarray(depth[rows[:, None], columns])
-        points = _smooth_points(depth, np.random.default_rng(number))
-        if len(points):
+        nearest, farthest = cv2.erode(depth, kernel), cv2.dilate(depth, kernel)
+        smooth = (nearest > 0.0) & (farthest < _SMOOTH_AROUND * nearest)
+        smooth[[0, -1]] = smooth[:, [0, -1]] = False
+        rows, columns = np.nonzero(smooth)
+        chosen = np.random.default_rng(number).permutation(len(rows))[:_POINTS]
+        if len(chosen):
+            points = np.stack([columns[chosen], rows[chosen]], axis=-1).astype(np.int32)
             looks.append(Look(number, frame, frame.camera.resized(*depth.shape[::-1]), depth, points))
     return looks
 
@@ -135,18 +142,6 @@ def _stride_for(width: int) -> int:
     """The odd step between pixels that reduces a picture to at most 640 across."""
     step = -(-width // _WIDEST)
     return step + 1 - step % 2
-
-
-def _smooth_points(depth: NDArray[np.float32], random: np.random.Generator) -> NDArray[np.int32]:
-    import cv2
-
-    kernel = np.ones((3, 3), np.uint8)
-    nearest, farthest = cv2.erode(depth, kernel), cv2.dilate(depth, kernel)
-    smooth = (nearest > 0.0) & (farthest < _SMOOTH_AROUND * nearest)
-    smooth[[0, -1]] = smooth[:, [0, -1]] = False
-    rows, columns = np.nonzero(smooth)
-    chosen = random.permutation(len(rows))[:_POINTS]
-    return np.stack([columns[chosen], rows[chosen]], axis=-1).astype(np.int32)
 
 
 Lens = Floats

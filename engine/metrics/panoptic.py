@@ -93,7 +93,13 @@ class PanopticEvaluation:
             raise ValueError(f"prediction and ground truth differ in size: {shapes}")
         predicted, true = self._segments(maps[0], maps[1]), self._segments(maps[2], maps[3])
         valid = (true >> 32) != VOID
-        shared = _shared_pixels(predicted[valid], true[valid])
+        p_values, p_index = np.unique(predicted[valid], return_inverse=True)
+        t_values, t_index = np.unique(true[valid], return_inverse=True)
+        pairs, pixels = np.unique(p_index * max(len(t_values), 1) + t_index, return_counts=True)
+        shared = {
+            (_unpack(int(p_values[k // len(t_values)])), _unpack(int(t_values[k % len(t_values)]))): int(n)
+            for k, n in zip(pairs.tolist(), pixels.tolist(), strict=True)
+        }
         self.pixels.update(shared)
         return shared
 
@@ -224,17 +230,6 @@ def _match(pixels: Counter[Pair], kept: set[int], *, excuse_void: bool) -> _Matc
             if one[0] in kept and (side, one) not in matched and on_void[one] <= 0.5 * area:
                 errors[one[0]] += 1
     return matches
-
-
-def _shared_pixels(predicted: NDArray[np.int64], true: NDArray[np.int64]) -> dict[Pair, int]:
-    """The number of pixels that each (predicted, true) pair of packed segments shares, in ascending order."""
-    p_values, p_index = np.unique(predicted, return_inverse=True)
-    t_values, t_index = np.unique(true, return_inverse=True)
-    pairs, pixels = np.unique(p_index * max(len(t_values), 1) + t_index, return_counts=True)
-    return {
-        (_unpack(int(p_values[k // len(t_values)])), _unpack(int(t_values[k % len(t_values)]))): int(n)
-        for k, n in zip(pairs.tolist(), pixels.tolist(), strict=True)
-    }
 
 
 def _unpack(packed: int) -> Segment:

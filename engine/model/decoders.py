@@ -39,13 +39,6 @@ class DecoderShape:
         return 4 if self.distance_input else 3
 
 
-def _mlp(inputs: int, outputs: int, generator: torch.Generator) -> nn.Sequential:
-    """One hidden layer with ReLU. Weights are drawn only from ``generator``, so that a seed means the same
-    everywhere."""
-    first, last = drawn_layer(inputs, HIDDEN, generator), drawn_layer(HIDDEN, outputs, generator)
-    return nn.Sequential(first, nn.ReLU(), last)
-
-
 def run_side_by_side(given: torch.Tensor, *networks: nn.Sequential) -> list[torch.Tensor]:
     """Each network's output [V, its outputs] for the same ``given`` [V, inputs]. One matrix product serves all first
     layers, which is faster than a narrow product for each."""
@@ -76,7 +69,11 @@ class Decoders(nn.Module):
         super().__init__()
         self.shape = shape
         generator = torch.Generator().manual_seed(seed)
-        mlps = [_mlp(*sides, generator) for sides in self.sides(shape).values()]
+        # Weights are drawn only from the generator, so that a seed means the same everywhere.
+        mlps = [
+            nn.Sequential(drawn_layer(inputs, HIDDEN, generator), nn.ReLU(), drawn_layer(HIDDEN, outputs, generator))
+            for inputs, outputs in self.sides(shape).values()
+        ]
         self.opacity, self.covariance, self.colour, self.semantic, self.instance = mlps
 
     @classmethod
