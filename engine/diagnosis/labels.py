@@ -143,7 +143,11 @@ def label_findings(examined: Examined, assumed: Assumption, is_quick: bool = Fal
     if labels is None or labels.counts.sum() < 10 * _FEWEST_POINTS:
         return []
     if labels.share < _UNRELATED:
-        return [_unrelated_masks(examined, labels)]
+        text = f"two views give the same class to only {labels.share:.0%} of the points that both see"
+        option = "check that each mask belongs to its frame, and that all use the same class table"
+        picture, stops = _masks_shown(examined, [0, 1]), labels.share < labels.chance + _ABOVE_CHANCE
+        figures = {"share": labels.share}
+        return [Finding("contradicting masks", "wrong", text, option, figures, picture=picture, stops=stops)]
     # The looks whose masks agree with the others' hardly more than by chance, if most agree well.
     kept = (labels.by_look - labels.chance) / max(labels.middle - labels.chance, 1e-6)
     kept[~(labels.by_look < labels.middle - _LESS)] = 1.0
@@ -162,18 +166,6 @@ def _masks_of_others(found: MaskLag) -> Finding:
         option="give the masks the names of the frames that they belong to",
         figures={"frames": float(found.lag), "share": found.before, "share_then": found.after},
         stops=True,
-    )
-
-
-def _unrelated_masks(examined: Examined, labels: LabelAgreement) -> Finding:
-    return Finding(
-        cause="contradicting masks",
-        severity="wrong",
-        text=f"two views give the same class to only {labels.share:.0%} of the points that both see",
-        option="check that each mask belongs to its frame, and that all use the same class table",
-        figures={"share": labels.share},
-        picture=_masks_shown(examined, [0, 1]),
-        stops=labels.share < labels.chance + _ABOVE_CHANCE,
     )
 
 

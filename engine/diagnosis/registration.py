@@ -64,8 +64,11 @@ def measure_registration(looks: list[Look], photos: dict[int, Photo]) -> Registr
         if all(np.linalg.norm(aim - other) > _APART for other in seen):
             chosen.append(look)
             seen.append(aim)
-    pairs = [(_depth_edges(look.depth), _contrast(photos[look.number].grey)) for look in chosen]
-    pairs = [(edges, picture) for edges, picture in pairs if len(edges) >= _LEAST_EDGES]
+    pairs = []
+    for look in chosen:
+        edges = _depth_edges(look.depth)
+        if len(edges) >= _LEAST_EDGES:
+            pairs.append((edges, _contrast(photos[look.number].grey)))
     if len(pairs) < _LEAST_LOOKS:
         return None
     coarse = max((_coarse(pairs, scale) for scale in _SCALES), key=lambda found: found[0])

@@ -77,7 +77,15 @@ def vote_panoptic_labels(
     def decided(maps: Iterable[NDArray[np.int16]]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         votes = _votes(watched(views, step), maps, point_of_pixel, points, len(labels), kind)
         shared = votes if neighbours is None else _Votes(*(own + neighbours @ own for own in votes))
-        return _decided(shared, labels, watched(chosen, step), near=options.near)
+        label, share = _winners(shared.asked, labels, watched(chosen, step))
+        if options.near:  # votes by density decide, where most of them come from segments that are seen as a whole
+            nearer, nearer_share = _winners(shared.near, labels, watched(chosen, step))
+            rows = np.flatnonzero((nearer != label) & (nearer >= 0))
+            if len(rows):
+                whole, all_ = (np.asarray(of[rows, nearer[rows]]).reshape(-1) for of in (shared.whole, shared.near))
+                rows = rows[whole > 0.5 * all_]
+                label[rows], share[rows] = nearer[rows], nearer_share[rows]
+        return label, share
 
     maps = OnDemand(len(views), lambda number: member_labels(views[number], labels, object_of_segment))
     label, confidence = decided(maps)
@@ -189,25 +197,10 @@ def is_whole(mask: PanopticMask) -> NDArray[np.bool_]:
     return ~np.isin(ids, np.unique(np.concatenate([ids[0], ids[-1], ids[:, 0], ids[:, -1]])))
 
 
-def _decided(
-    votes: _Votes, labels: PanopticLabels, slices: Sequence[slice], *, near: bool
-) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """The label of each point, int32 [N], and its class's share of the votes, float32 [N]. With ``near``, votes by
-    density may decide on another label, where most of its votes come from segments that are seen as a whole."""
-    label, share = _winners(votes.asked, labels, slices)
-    nearer, nearer_share = _winners(votes.near, labels, slices) if near else (label, share)
-    rows = np.flatnonzero((nearer != label) & (nearer >= 0))
-    if not len(rows):
-        return label, share
-    whole, all_ = (np.asarray(of[rows, nearer[rows]]).reshape(-1) for of in (votes.whole, votes.near))
-    rows = rows[whole > 0.5 * all_]
-    label[rows], share[rows] = nearer[rows], nearer_share[rows]
-    return label, share
-
-
 def _winners(
-    votes: Any, labels: PanopticLabels, slices: Sequence[slice]
+    votes: Any, labels: PanopticLabels, slices: Iterable[slice]
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """The label of each point, int32 [N], and its class's share of the votes, float32 [N]."""
     parts = [decide_labels(votes[some].toarray(), labels, LEAST_SHARE) for some in slices]
     return np.concatenate([label for label, _ in parts]), np.concatenate([share for _, share in parts])
 

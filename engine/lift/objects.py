@@ -122,16 +122,8 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     elif preset.segment_voting.neighbours:
         neighbours = neighbours_on_a_thing(cloud.xyz, cloud.spacing, training.seen)
     labels, members = labels_of(cloud, things), object_of_mask(things)
-    voted = vote_panoptic_labels(
-        everyone,
-        len(cloud),
-        labels,
-        members,
-        preset.segment_voting,
-        kinds.segments,
-        neighbours,
-        progress.part(0.4, 0.85),
-    )
+    rules_of_vote = preset.segment_voting, kinds.segments, neighbours, progress.part(0.4, 0.85)
+    voted = vote_panoptic_labels(everyone, len(cloud), labels, members, *rules_of_vote)
     cloud = replace(cloud, class_id=labels.classes(voted.label), confidence=voted.confidence)
     object_of_point = labels.objects(voted.label)
     rules, kinds_of = PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing)), [one.class_id for one in things]

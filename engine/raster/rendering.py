@@ -36,23 +36,19 @@ class Wanted(NamedTuple):
 class Rendering:
     """One view of a set of N Gaussians, over black. Float tensors have the dtype and the device of ``means``.
 
-    With the blending weights w_i = alpha_i * prod_{j<i} (1 - alpha_j) of a pixel's Gaussians, front to back:
+    With the blending weights w_i = alpha_i * prod_{j<i} (1 - alpha_j) of a pixel's Gaussians, front to back: ``image``
+    [H, W, 3] is sum_i w_i colour_i. ``labels`` [H, W, C] or None is sum_i w_i label_i, with detached weights: its
+    gradient reaches the label values and nothing else. ``alpha`` [H, W] is sum_i w_i, in [0, 1]. ``depth`` [H, W],
+    metres, is sum_i w_i z_i with the planar camera depth z_i of the centres. It is not normalised: divide by ``alpha``
+    for the expected depth. ``visible`` bool [N]: the Gaussian lies beyond the near plane and its footprint (every pixel
+    where its alpha can reach 1/255) overlaps the image. It may still be hidden behind others. ``means2d`` [N, 2],
+    pixels: the projected centres; rows of Gaussians that are not visible hold zeros. With ``want_means2d_grad`` it is a
+    leaf whose ``.grad`` [N, 2] holds dLoss/d(2D mean) after ``backward`` (zero where not visible).
 
-    ``image`` [H, W, 3]: sum_i w_i colour_i.
-    ``labels`` [H, W, C] or None: sum_i w_i label_i. The weights are detached here: the gradient of ``labels``
-    reaches the label values and nothing else.
-    ``alpha`` [H, W]: sum_i w_i, in [0, 1].
-    ``depth`` [H, W], metres: sum_i w_i z_i with the planar camera depth z_i of the centres. It is not
-    normalised: divide by ``alpha`` for the expected depth.
-    ``visible`` bool [N]: the Gaussian lies beyond the near plane and its footprint (every pixel where its
-    alpha can reach 1/255) overlaps the image. It may still be hidden behind others.
-    ``means2d`` [N, 2], pixels: the projected centres; rows of Gaussians that are not visible hold zeros. With
-    ``want_means2d_grad`` it is a leaf whose ``.grad`` [N, 2] holds dLoss/d(2D mean) after ``backward`` (zero
-    where not visible). ``top_indices`` int32 [H, W, top_k] and ``top_weights`` [H, W, top_k], or None: the
-    Gaussians with the largest weights of each pixel, largest first, -1 and 0 where there are fewer. Not
-    differentiable. ``surface`` [H, W], metres, or None: the mean depth of the contributors within NEAR_MEDIAN of the
-    median one, at which half of ``alpha`` is reached; 0 where nothing is drawn. Not differentiable.
-    """
+    Not differentiable: ``top_indices`` int32 [H, W, top_k] and ``top_weights`` [H, W, top_k], or None: the Gaussians
+    with the largest weights of each pixel, largest first, -1 and 0 where there are fewer. ``surface`` [H, W], metres,
+    or None: the mean depth of the contributors within NEAR_MEDIAN of the median one, at which half of ``alpha`` is
+    reached; 0 where nothing is drawn."""
 
     image: Tensor
     labels: Tensor | None

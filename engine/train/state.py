@@ -12,7 +12,6 @@ import torch
 from ..model.checking import Wanted, check_tensors
 from ..model.growing import GrowthStatistics
 from ..model.structured import StructuredScene, from_tensors, to_tensors
-from ..scene import Camera
 from .optimiser import Optimiser
 from .self_training import PseudoLabels
 from .trainer import Trainer
@@ -83,21 +82,17 @@ def _check(
         for number, packed in _under(prefix, tensors).items():
             if number not in {str(view) for view in range(len(trainer.views))}:
                 raise ValueError(f"its pseudo labels are of view {number}, which this lift does not have")
-            _check_packed(packed, trainer.views[int(number)].camera, len(channels))
-
-
-def _check_packed(packed: torch.Tensor, camera: Camera, channels: int) -> None:
-    """Raise ValueError unless these are compressed channel numbers for each of the camera's pixels."""
-    expected = 2 * camera.height * camera.width
-    try:
-        numbers = zlib.decompressobj().decompress(packed.numpy().tobytes(), expected + 1)
-    except zlib.error as error:
-        raise ValueError(f"its pseudo labels are damaged ({error})") from None
-    if packed.dtype != torch.uint8 or len(numbers) != expected:
-        raise ValueError("its pseudo labels have a different size")
-    labels = torch.frombuffer(bytearray(numbers), dtype=torch.int16)
-    if int(labels.min()) < -1 or int(labels.max()) >= channels:
-        raise ValueError("its pseudo labels are not channels of the model")
+            camera = trainer.views[int(number)].camera
+            expected = 2 * camera.height * camera.width
+            try:
+                numbers = zlib.decompressobj().decompress(packed.numpy().tobytes(), expected + 1)
+            except zlib.error as error:
+                raise ValueError(f"its pseudo labels are damaged ({error})") from None
+            if packed.dtype != torch.uint8 or len(numbers) != expected:
+                raise ValueError("its pseudo labels have a different size")
+            labels = torch.frombuffer(bytearray(numbers), dtype=torch.int16)
+            if int(labels.min()) < -1 or int(labels.max()) >= len(channels):
+                raise ValueError("its pseudo labels are not channels of the model")
 
 
 def _as_tensor(packed: bytes) -> torch.Tensor:
