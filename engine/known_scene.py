@@ -23,11 +23,9 @@ Row = tuple[float, float, float, float]
 @dataclass(frozen=True)
 class StoredFrame:
     """A posed frame. ``size`` is (width, height) in pixels, ``lens`` fx, fy, cx, cy in pixels with centres at +0.5.
-
     ``camera_to_world`` has OpenCV's axes and metres. ``colour`` and ``depth`` are paths, relative where they lie in the
     scene's folder. ``is_picture`` says that the file at ``colour`` shows the frame as it is, ``files`` is the digest of
-    both when a lift was last run, ``read`` that of how they are read, confidence included; "" is not compared.
-    """
+    both when a lift was last run, ``read`` that of how they are read, confidence included; "" is not compared."""
 
     name: str = field(metadata={"shown": True})
     held_out: bool

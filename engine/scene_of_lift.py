@@ -173,7 +173,6 @@ def masks_differ(before: str, scene: Scene, now: str = "") -> bool:
 
 def relink(folder: LiftFolder, scene: Path) -> LiftFolder:
     """Change the path of the scene in a lift's request to ``scene``, and the paths of masks and depth maps inside it.
-
     Raises PlgsError, with the request unchanged, if a program works on the lift, the new scene cannot be read, or it
     has other frames (names, sizes, lenses or poses)."""
     if folder.is_running:

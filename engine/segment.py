@@ -58,12 +58,10 @@ class MadeSegment:
 def merge_queries(
     class_logits: torch.Tensor, mask_probabilities: torch.Tensor, stuff: Set[int]
 ) -> tuple[NDArray[np.int32], list[MadeSegment]]:
-    """Segment ids, int32 [H, W] with 0 = none, and the segments.
-
-    ``class_logits`` is float [Q, C + 1], with no object as the last class, ``mask_probabilities`` float [Q, H, W]. A
-    pixel goes to the query with the greatest score times probability. ``stuff`` are labels with one segment per
-    picture; its score is the mean of its queries', weighted by pixels.
-    """
+    """Segment ids, int32 [H, W] with 0 = none, and the segments. ``class_logits`` is float [Q, C + 1], with no object
+    as the last class, ``mask_probabilities`` float [Q, H, W]. A pixel goes to the query with the greatest score times
+    probability. ``stuff`` are labels with one segment per picture; its score is the mean of its queries', weighted by
+    pixels."""
     ids = np.zeros(mask_probabilities.shape[1:], np.int32)
     scores, labels = class_logits.softmax(-1).max(-1)
     kept = (labels < class_logits.shape[-1] - 1) & (scores > LEAST_SCORE)
@@ -154,10 +152,8 @@ def _resized(masks: torch.Tensor, size: tuple[int, ...]) -> torch.Tensor:
 
 
 def load_model(name: str, *, download: bool) -> Mask2Former:
-    """Load the network in the folder ``name``, or the one of this name on the hub. Raises PlgsError.
-
-    It is fetched only with ``download``; otherwise it must be on this computer already.
-    """
+    """Load the network in the folder ``name``, or the one of this name on the hub. Raises PlgsError. It is fetched only
+    with ``download``; otherwise it must be on this computer already."""
     if not Path(name).is_dir() and (name.count("/") != 1 or name.startswith((".", "/", "~"))):
         fix = "Name a folder, or a model as OWNER/NAME or OWNER/NAME@REVISION."
         raise PlgsError("no-model", "there is no such folder or model", name, fix)

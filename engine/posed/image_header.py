@@ -79,8 +79,7 @@ def _read(path: Path) -> bytes:
 
 
 def check_image_bytes(data: bytes, path: Path) -> None:
-    """``check_image_file`` for bytes from the file ``path``. Raises PlgsError, also for kinds other than PNG and JPEG,
-    which no decoder may read, and for too many pixels."""
+    """``check_image_file`` for bytes from the file ``path``. No decoder may read other kinds than PNG and JPEG."""
     if data.startswith(_PNG_SIGNATURE):
         _png_header(data[:33], path)
         _check_png_chunks(data, path)

@@ -101,8 +101,7 @@ def require_most(names: Sequence[str], present: Collection[str], what: str, wher
 
 
 def of_most(names: Sequence[str], read: Callable[[str], Read]) -> dict[str, Read]:
-    """The result of ``read`` for each frame of ``names``, without those for which it raises PlgsError. If these are
-    more than half, or memory runs out, raises that error."""
+    """``read`` of each of ``names``, without those for which it raises PlgsError, unless more than half do."""
     found: dict[str, Read] = {}
     errors: list[PlgsError] = []
     for name in names:

@@ -44,27 +44,17 @@ def read_matrix(path: Path, shapes: tuple[tuple[int, int], ...]) -> NDArray[np.f
     return matrix
 
 
-def take_matrix(
-    entry: dict[str, Any], key: str, context: str, path: Path, shapes: tuple[tuple[int, int], ...]
+def take_array(
+    entry: dict[str, Any], key: str, context: str, path: Path, *shapes: tuple[int, ...]
 ) -> NDArray[np.float64]:
-    """``entry[key]`` of JSON, a list of rows, as a matrix of one of ``shapes``; it may hold inf. Raises PlgsError."""
-    return _as_numbers(entry, key, context, path, shapes, " or ".join(f"{rows}x{columns}" for rows, columns in shapes))
-
-
-def take_numbers(entry: dict[str, Any], key: str, context: str, path: Path, count: int) -> NDArray[np.float64]:
-    """``entry[key]`` of JSON, a list of ``count`` numbers, which may be inf. Raises PlgsError."""
-    return _as_numbers(entry, key, context, path, ((count,),), str(count))
-
-
-def _as_numbers(
-    entry: dict[str, Any], key: str, context: str, path: Path, shapes: tuple[tuple[int, ...], ...], wanted: str
-) -> NDArray[np.float64]:
+    """``entry[key]`` of JSON, a list of numbers or of rows, in one of ``shapes``; it may hold inf. Raises PlgsError."""
     value = take_list(entry, key, context, path)
     try:
         numbers = np.array(value, np.float64)
-    except (ValueError, TypeError, OverflowError) as error:
-        raise wrong_type(key, f"{wanted} numbers", value, context, path) from error
+    except (ValueError, TypeError, OverflowError):
+        numbers = np.empty(0)
     if numbers.shape not in shapes:
+        wanted = " or ".join("x".join(map(str, shape)) for shape in shapes)
         raise wrong_type(key, f"{wanted} numbers", value, context, path)
     return numbers
 

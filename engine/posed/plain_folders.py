@@ -151,8 +151,7 @@ def open_plain_folders(source: SceneSource) -> PosedScene:
 def complete_frames(
     frames: tuple[AnyFrame, ...], what: str, has: Callable[[AnyFrame], bool]
 ) -> tuple[tuple[AnyFrame, ...], tuple[str, ...]]:
-    """The frames that have ``what``, and warnings that name the others. Returns all frames if more than half, or all
-    training frames, lack it: a lift is then refused."""
+    """The frames that have ``what``, and warnings about the others; all if most, or all to train on, lack it."""
     kept = tuple(frame for frame in frames if has(frame))
     lacking = [frame.name for frame in frames if not has(frame)]
     if not kept or not lacking:

@@ -48,8 +48,7 @@ class DepthFacts:
 
 @dataclass(frozen=True)
 class MaskFacts:
-    """``segments`` counts the segments with pixels, ``unpainted`` lists those without. ``class_pixels`` holds (class
-    id, fraction of the mask's pixels), void (0) included."""
+    """``segments`` counts those with pixels, ``unpainted`` lists others. ``class_pixels``: (class id, fraction)."""
 
     size: Size
     segments: int
@@ -59,11 +58,9 @@ class MaskFacts:
 
 @dataclass(frozen=True)
 class FrameFacts:
-    """What was measured on one frame's pixels; None where it has no such pixels.
-
-    ``unknown_truth`` lists classes of the ground truth that the masks' table lacks. ``brightest`` is the largest value
-    of a 16-bit photo, None for other photos and for those not decoded.
-    """
+    """What was measured on one frame's pixels; None where it has no such pixels. ``unknown_truth`` lists classes of the
+    ground truth that the masks' table lacks. ``brightest`` is the largest value of a 16-bit photo, None for other
+    photos and for those not decoded."""
 
     name: str
     depth: DepthFacts | None
@@ -89,10 +86,8 @@ def survey_scene(scene: Scene, progress: Progress | None = None, keep_within: Si
     """Check every file of a scene and how the frames fit together, in about 20 ms for a 640x480 frame. Depth and masks
     may be missing. Depth, masks and ground truth of all frames are decoded; all colour files are checked for damage,
     and 16 of them are decoded. Frames whose files cannot be read, up to half, are named in the warnings. Raises
-    PlgsError for the first thing that cannot be lifted.
-
-    Masks are kept at the size that frames have within ``keep_within``, so a later read at this size decodes no file.
-    """
+    PlgsError for the first thing that cannot be lifted. Masks are kept at the size that frames have within
+    ``keep_within``, so a later read at this size decodes no file."""
     tick = progress or (lambda done, total: None)
     looks, scene, warnings = _readable(scene, tick, keep_within)
     facts = [fact for fact, *_ in looks]

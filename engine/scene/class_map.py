@@ -57,10 +57,14 @@ def _palette_indices() -> dict[str, int]:
     return {name: index for index, name in enumerate(names)}
 
 
+def plain_name(name: str) -> str:
+    """A name normalised for look-up."""
+    return " ".join(name.casefold().replace("-", " ").replace("_", " ").split())
+
+
 def _words(name: str) -> tuple[str, ...]:
-    """A name normalised for look-up, then each of its synonyms ("road, route")."""
-    plain = " ".join(name.casefold().replace("-", " ").replace("_", " ").split())
-    return plain, *(word.strip() for word in plain.split(","))
+    """The ``plain_name``, then each of its synonyms ("road, route")."""
+    return plain_name(name), *(word.strip() for word in plain_name(name).split(","))
 
 
 OBJECT = ClassLabel(0, "object", is_thing=True)
@@ -68,8 +72,7 @@ OBJECT = ClassLabel(0, "object", is_thing=True)
 
 @dataclass(frozen=True)
 class ClassMap:
-    """``class_of`` maps labels to class ids, 0 = void. ``merges``: several labels became one class. ``others`` is the
-    class id of all further labels; None makes these an error."""
+    """``class_of`` maps labels to class ids, 0 = void. ``others`` is the id of all other labels; None: an error."""
 
     classes: ClassTable
     class_of: Mapping[int, int]

@@ -281,13 +281,10 @@ class Thumbnail:
 @dataclass(frozen=True)
 class Overlap:
     """How well frames fit together: the cheapest test that poses, intrinsics and depth belong together (equation
-    "ProjectionEquation" of the paper, with a depth test).
-
-    ``lonely`` names frames that share less than 5 % of their pixels with every frame they were compared with;
-    ``overlaps`` says whether any two frames share more. ``in_view`` and ``agreement`` are medians over the pairs in
-    which at least a fifth of one frame's points projects into the other: the fraction that does, and the fraction of
-    those with the depth expected there.
-    """
+    "ProjectionEquation" of the paper, with a depth test). ``lonely`` names frames that share less than 5 % of their
+    pixels with every frame they were compared with; ``overlaps`` says whether any two frames share more. ``in_view``
+    and ``agreement`` are medians over the pairs in which at least a fifth of one frame's points projects into the
+    other: the fraction that does, and the fraction of those with the depth expected there."""
 
     lonely: tuple[str, ...]
     overlaps: bool

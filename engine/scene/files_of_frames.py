@@ -113,8 +113,7 @@ def whole_file(path: Path) -> Path:
 
 
 def digests_of_files(groups: Sequence[tuple[Path | None, ...]]) -> list[str]:
-    """The start of the SHA-256 of each group of files, where None stands for no file; empty if a file cannot be read or
-    is a folder. Each process reads a file once, unless it changes."""
+    """The start of the SHA-256 of each group of files (None: no file); empty if one is unreadable or a folder."""
     found = []
     for group in groups:
         try:

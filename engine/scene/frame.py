@@ -62,11 +62,9 @@ def left_out(lacks: str, names: Iterable[str]) -> tuple[LeftOut, ...]:
 @dataclass(frozen=True)
 class Segment:
     """One region of a panoptic mask: its value ``id`` in the pixels, its class, and the detector's score in [0, 1].
-
     ``is_group`` marks a region of a thing's class without an instance. It may show several objects, so it gives its
     pixels a class but founds no object. ``track`` is the object's id in all frames, None without a tracker. A detection
-    with several classes is a segment for each; ``share`` is the part of its vote that this class gets.
-    """
+    with several classes is a segment for each; ``share`` is the part of its vote that this class gets."""
 
     id: int
     class_id: int
@@ -141,13 +139,11 @@ class GroundTruth:
 @dataclass(frozen=True, eq=False)
 class Frame(PosedFrame):
     """A frame whose pixels are read on demand: each reader is called with a size (width, height), or None for its own.
-
     ``read_colour`` returns uint8 [H, W, 3] RGB, ``read_depth`` float32 [H, W] planar metres (0 = none), ``read_mask`` a
     PanopticMask, ``read_ground_truth`` a GroundTruth, ``read_detections`` the Evidence of segments that lie over the
     mask. The last four may be None. Readers raise PlgsError. ``confidence_path`` is the file that says which depth to
     trust. ``read_as`` describes the distortion and the unit and lens of depth, as text, if unusual. ``read_kept``
-    returns bool [H, W], the pixels that count; None if all do.
-    """
+    returns bool [H, W], the pixels that count; None if all do."""
 
     read_colour: Callable[[Size | None], NDArray[np.uint8]]
     read_depth: Callable[[Size | None], NDArray[np.float32]] | None

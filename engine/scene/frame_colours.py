@@ -42,7 +42,7 @@ def depth_colours(depth: NDArray[np.float32]) -> DepthColours:
     steps = np.linspace(0.0, 1.0, len(_GRADIENT))
     rgb[has] = np.stack([np.interp(share, steps, _GRADIENT[:, channel]) for channel in range(3)], axis=-1)
     if far - near < _MOST_LINES:
-        rgb[_borders(np.floor(depth).astype(np.int64)) & has] *= _LINE
+        rgb[borders(np.floor(depth).astype(np.int64)) & has] *= _LINE
     return DepthColours(np.rint(rgb).astype(np.uint8), near, far)
 
 
@@ -53,11 +53,11 @@ def mask_colours(mask: PanopticMask, classes: ClassTable) -> NDArray[np.uint8]:
         palette[category.id] = category.colour
     class_map = mask.class_map()
     rgb = palette[np.where(class_map < len(palette), class_map, VOID)]
-    rgb[_borders(mask.ids.astype(np.int64))] *= _BORDER
+    rgb[borders(mask.ids.astype(np.int64))] *= _BORDER
     return np.rint(rgb).astype(np.uint8)
 
 
-def _borders(values: NDArray[np.int64]) -> NDArray[np.bool_]:
+def borders(values: NDArray[np.integer]) -> NDArray[np.bool_]:
     """Pixels whose right or lower neighbour has a different value, bool [H, W]."""
     found = np.zeros(values.shape, np.bool_)
     found[:, :-1] |= values[:, 1:] != values[:, :-1]

@@ -21,6 +21,7 @@ from ..posed.layout import listed, same_shape, shown_size
 from .formats.lens import Distortion, undistorted
 from .frame import Inferred, Size
 from .frame_choice import evenly_spread
+from .frame_colours import borders
 from .mask_formats import MaskSource
 from .pixels import read_indices, resize_nearest
 from .values import inside
@@ -109,9 +110,7 @@ def on_edges(ids: Ids, ranks: NDArray[np.float32]) -> float:
     """The mean of ``edge_ranks`` [H, W] on the outlines of a mask's ids; 0.5 by chance, NaN with hardly any outline."""
     height, width = ranks.shape
     ids = resize_nearest(ids, (width, height))
-    outline = np.zeros(ids.shape, np.bool_)
-    outline[:, :-1] |= ids[:, 1:] != ids[:, :-1]
-    outline[:-1] |= ids[1:] != ids[:-1]
+    outline = borders(ids)
     outline[:2] = outline[-2:] = outline[:, :2] = outline[:, -2:] = False
     outline &= np.isfinite(ranks)
     return float(ranks[outline].mean()) if outline.sum() >= _LEAST_OUTLINE else float("nan")

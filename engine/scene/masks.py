@@ -143,8 +143,7 @@ class MaskSet:
 
 
 def find_masks(source: SceneSource, scene: Path, pictured: Mapping[str, Pictured]) -> MaskSet:
-    """The masks of the frames and the detections over them, as given by the ``source`` of the folder ``scene``; empty
-    if none are named and the folder has none. Raises PlgsError."""
+    """The masks of the frames and the detections over them; empty if there are none. Raises PlgsError."""
     place = mask_place(scene, None if source.masks is None else Path(source.masks))
     kept = [each.kept.path for each in pictured.values() if each.kept is not None]
     are_kept = source.masks is None and place is not None and any(path.is_relative_to(place) for path in kept)

@@ -85,16 +85,13 @@ class _Shown:
     shares: Mapping[int, float]
     upper: Mapping[int, float]
 
-    def share(self, reading: _Reading, names: set[str]) -> float:
+    def share(self, reading: _Reading, names: set[str], *, anywhere: bool = False) -> float:
         """The fraction of the pixels with a class of these ``names``, if at a height where that class is usually
         seen."""
         labels = (label for label in known_table(reading.table).labels if label.name in names)
         heights = ((label.id, *_HEIGHTS.get(label.name, (0.0, 1.0))) for label in labels if label.id in self.shares)
-        return sum(self.shares[number] for number, least, most in heights if least <= self.upper[number] <= most)
-
-    def share_anywhere(self, reading: _Reading, names: set[str]) -> float:
-        """The same at any height, as pictures may lie on their side, and a sky may fill them."""
-        return sum(self.shares.get(label.id, 0.0) for label in known_table(reading.table).labels if label.name in names)
+        seen = ((self.shares[n], anywhere or least <= self.upper[n] <= most) for n, least, most in heights)
+        return sum(share for share, is_usual in seen if is_usual)
 
 
 @dataclass(frozen=True)
@@ -231,7 +228,8 @@ def _told(readings: list[_Reading], choice: ClassChoice, shown: _Shown) -> tuple
     if len(fitting) == 1:
         numbers = sorted({number for each in readings for number in _unknown(each, shown, choice)})
         return fitting[0], f"this alone has the numbers {listed(numbers, 3)}", fitting
-    is_indoors = shown.share_anywhere(fitting[0], _SKIES) < _SKY
+    # At any height: pictures may lie on their side, and a sky may fill them.
+    is_indoors = shown.share(fitting[0], _SKIES, anywhere=True) < _SKY
     for best in fitting if is_indoors else fitting[:1]:
         others = [each for each in fitting if each is not best]
         if all(_is_likelier(best, other, shown) for other in others):

@@ -15,7 +15,7 @@ from ..json_file import read_json_object
 from ..posed.classes import VOID, ClassLabel
 from ..posed.layout import listed, same_shape, shown_size
 from .class_choice import find_class_choice
-from .class_map import ClassMap
+from .class_map import ClassMap, plain_name
 from .frame import Evidence, Segment, Size
 from .mask_formats.coco import images_of
 from .mask_formats.coco_results import DetectedSegment, read_table
@@ -40,8 +40,7 @@ class EvidenceReader:
     known: ClassMap
 
     def __call__(self, size: Size | None = None) -> Evidence:
-        """The evidence at ``size`` (width, height) or the frame's own. Detections of the same pixels share one vote by
-        their scores. Raises PlgsError for damaged run lengths."""
+        """The evidence at ``size`` or the frame's own. Detections of the same pixels share one vote by their scores."""
         width, height = size or self.own
         total: dict[bytes, float] = {}
         for one in self.found:
@@ -89,19 +88,15 @@ class Detections:
             raise PlgsError("unknown-classes", what, self.path, _FIX, option="--detections")
         if self.labels is None:
             return {number: number for number in used}, ()
-        number_of = {_word(label.name): label.id for label in reversed(labels)}
+        number_of = {plain_name(label.name): label.id for label in reversed(labels)}
         more: list[ClassLabel] = []
         free = max((label.id for label in labels), default=0) + 1
         for number in used:
-            word = _word(name_of[number].name)
+            word = plain_name(name_of[number].name)
             if word not in number_of:
                 number_of[word] = free + len(more)
                 more.append(replace(name_of[number], id=number_of[word], colour=None))
-        return {number: number_of[_word(name_of[number].name)] for number in used}, tuple(more)
-
-
-def _word(name: str) -> str:
-    return " ".join(name.casefold().replace("-", " ").replace("_", " ").split())
+        return {number: number_of[plain_name(name_of[number].name)] for number in used}, tuple(more)
 
 
 def open_detections(path: Path, masks: Path, sizes: Mapping[str, Size]) -> Detections:

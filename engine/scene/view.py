@@ -76,12 +76,10 @@ Rows = NDArray[np.int64]
 @dataclass(frozen=True, eq=False)
 class View:
     """Colour uint8 [H, W, 3], depth float32 [H, W] metres (0 = none) and mask of a frame at the size of ``camera``.
-
     ``border`` bool [H, W] marks the pixels of a black border, and those that do not count; None if there are none.
     ``mask_scale`` is how many pixels of the frame's own mask the side of a pixel spans. ``layers`` are the detections
     over the mask, in pictures in which none overlap (see ``Evidence``). ``frame`` is the frame's name, if the view is
-    one of its layers.
-    """
+    one of its layers."""
 
     name: str
     camera: Camera
@@ -245,28 +243,19 @@ class StoredViews(OnDemand[View]):
         self, views: Iterable[View], folder: Path | None = None, stored: Callable[[int], object] | None = None
     ) -> None:
         self._arrays = StoredArrays(folder)
-        self._about: list[tuple[str, Camera, float]] = []
-        self._numbers: list[tuple[list[int], int | None]] = []
-        self._segments: list[list[tuple[Segment, ...]]] = []
+        self._about: list[tuple[str, Camera, float, list[int], int | None, list[tuple[Segment, ...]]]] = []
         for view in views:
             masks = [view.mask, *view.layers]
             arrays: list[NDArray[Any]] = [view.colour, view.depth, *(mask.ids for mask in masks)]
             border = None if view.border is None else self._arrays.append(view.border)
-            self._numbers.append(([self._arrays.append(array) for array in arrays], border))
-            self._segments.append([mask.segments for mask in masks])
-            self._about.append((view.name, view.camera, view.mask_scale))
+            numbers, segments = [self._arrays.append(array) for array in arrays], [mask.segments for mask in masks]
+            self._about.append((view.name, view.camera, view.mask_scale, numbers, border, segments))
             if stored is not None:
                 stored(len(self._about))
         super().__init__(len(self._about), self._read)
 
-    @property
-    def cameras(self) -> list[Camera]:
-        return [camera for _, camera, _ in self._about]
-
     def _read(self, number: int) -> View:
-        (name, camera, scale), (arrays, border) = self._about[number], self._numbers[number]
-        colour, depth = (self._arrays[place] for place in arrays[:2])
+        name, camera, scale, (colour, depth, *ids), border, segments = self._about[number]
         edge = None if border is None else self._arrays[border]
-        segments = self._segments[number]
-        masks = OnDemand(len(segments), lambda place: PanopticMask(self._arrays[arrays[2 + place]], segments[place]))
-        return View(name, camera, colour, depth, masks[0], edge, scale, masks[1:])
+        masks = OnDemand(len(ids), lambda index: PanopticMask(self._arrays[ids[index]], segments[index]))
+        return View(name, camera, self._arrays[colour], self._arrays[depth], masks[0], edge, scale, masks[1:])

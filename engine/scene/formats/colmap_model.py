@@ -102,11 +102,7 @@ class _Bytes:
 
     def take(self, layout: str) -> tuple[float, ...]:
         """The next values; ``layout`` is a format of ``struct``."""
-        size = struct.calcsize(layout)
-        if self.position + size > len(self.data):
-            raise self._cut_off()
-        self.position += size
-        return struct.unpack_from(layout, self.data, self.position - size)
+        return struct.unpack_from(layout, self.data, self.skip(struct.calcsize(layout)))
 
     def count(self, things: str, least_bytes: int, most: int = _MOST_BYTES) -> int:
         """How many ``things`` follow, of at least ``least_bytes`` each; in memory they take no more."""
@@ -118,24 +114,18 @@ class _Bytes:
     def text(self) -> str:
         """Up to the next zero."""
         end = self.data.find(b"\0", self.position)
-        if end < 0:
-            raise self._cut_off()
-        start, self.position = self.position, end + 1
+        start = self.skip(end + 1 - self.position if end >= 0 else len(self.data) + 1)
         return self.data[start:end].decode("utf-8", "replace")
 
     def array(self, fields: np.dtype[np.void], count: int) -> NDArray[np.void]:
-        if count > (len(self.data) - self.position) // fields.itemsize:
-            raise self._cut_off()
-        self.position += count * fields.itemsize
-        return np.frombuffer(self.data, fields, count, self.position - count * fields.itemsize)
+        return np.frombuffer(self.data, fields, count, self.skip(count * fields.itemsize))
 
-    def skip(self, size: int) -> None:
+    def skip(self, size: int) -> int:
+        """Where the next ``size`` bytes begin."""
         if self.position + size > len(self.data):
-            raise self._cut_off()
+            raise PlgsError("cut-off", "the file is cut off", self.path, EXPORT_AGAIN)
         self.position += size
-
-    def _cut_off(self) -> PlgsError:
-        return PlgsError("cut-off", "the file is cut off", self.path, EXPORT_AGAIN)
+        return self.position - size
 
 
 def _binary_cameras(path: Path) -> dict[int, ColmapCamera]:

@@ -121,13 +121,6 @@ def read_hdf5(path: Path, dimensions: int) -> NDArray[Any]:
     return values
 
 
-def size_of_hdf5(path: Path) -> tuple[int, int]:
-    """(width, height) of the picture [H, W, 3] called "dataset"; it is not read. Raises PlgsError."""
-    with _dataset(path, 3) as dataset:
-        height, width, _ = dataset.shape
-        return int(width), int(height)
-
-
 @contextmanager
 def _dataset(path: Path, dimensions: int) -> Iterator[Any]:
     try:
@@ -197,7 +190,11 @@ def _pictures(images: Path, camera: str) -> Iterator[tuple[int, Path, Path]]:
 
 def _shot(name: str, colour: Path, depth: Path, pose: NDArray[np.float64], rays: NDArray[np.float64]) -> Shot:
     is_image = colour.suffix == ".jpg"
-    width, height = read_image_header(colour).size if is_image else size_of_hdf5(colour)
+    if is_image:
+        width, height = read_image_header(colour).size
+    else:
+        with _dataset(colour, 3) as dataset:
+            height, width, _ = dataset.shape
     projection = Projection(width, height, tuple(rays.ravel().tolist()))
     lens = projection.pinhole()
     if not (np.isfinite([lens.fx, lens.fy, lens.cx, lens.cy]).all() and lens.fx > 0.0 and lens.fy > 0.0):

@@ -65,11 +65,9 @@ def assumed(whose: str, lens: Camera, file: str) -> Inferred:
 
 @dataclass(frozen=True)
 class Distortion:
-    """How a lens distorts a pinhole's picture, in one formula for every tool's coefficients: ``bent``.
-
-    ``radial`` are the factors of r^2, r^4, ... in its numerator, ``below`` those in its denominator, ``tangential`` p1
-    and p2 in OpenCV's order, ``prism`` s1 s2 s3 s4. With ``is_fisheye``, all of them apply to angles from the axis.
-    """
+    """How a lens distorts a pinhole's picture, in one formula for every tool's coefficients: ``bent``. ``radial`` are
+    the factors of r^2, r^4, ... in its numerator, ``below`` those in its denominator, ``tangential`` p1 and p2 in
+    OpenCV's order, ``prism`` s1 s2 s3 s4. With ``is_fisheye``, all of them apply to angles from the axis."""
 
     radial: tuple[float, ...] = ()
     below: tuple[float, ...] = ()

@@ -27,7 +27,7 @@ from ...json_file import read_json_object, take_list, take_number, take_objects,
 from ...posed.frames import Camera
 from ...posed.image_header import read_image_header
 from ...posed.layout import check_count, file_inside, natural_order, read_file
-from ...posed.matrices import take_matrix
+from ...posed.matrices import take_array
 from ...posed.plain_folders import Split
 from ...posed.ply import ply_header
 from ...scene_source import UpAxis
@@ -138,7 +138,7 @@ def _frames(content: dict[str, Any], path: Path) -> tuple[list[dict[str, Any]], 
 def _shot(name: str, frame: Mapping[str, Any], path: Path) -> Shot | None:
     """One frame from its own entry, falling back to the file's for missing keys; None if its pose is not finite."""
     entry, context = dict(frame), f"frame {name}"
-    pose = finite_pose(take_matrix(entry, "transform_matrix", context, path, ((4, 4), (3, 4))), path)
+    pose = finite_pose(take_array(entry, "transform_matrix", context, path, (4, 4), (3, 4)), path)
     if pose is None:
         return None
     colour_path = _image_path(path, frame["file_path"])
@@ -159,15 +159,11 @@ def _image_path(path: Path, name: str) -> Path:
     try:
         image = file_inside(path.parent, name, path)
     except PlgsError:
-        beside = _beside(path, plain)
-        if beside is None:
+        if (beside := _beside(path, plain)) is None:
             raise
-        image = beside
-    found = [image.with_name(image.name + suffix) for suffix in ("", *_IMAGES)]
-    if not any(each.is_file() for each in found):
-        image = _beside(path, plain) or image
-        found = [image]
-    return next((each for each in found if each.is_file()), image)
+        return beside
+    found = (image.with_name(image.name + suffix) for suffix in ("", *_IMAGES))
+    return next((each for each in found if each.is_file()), None) or _beside(path, plain) or image
 
 
 def _beside(path: Path, name: str) -> Path | None:

@@ -30,7 +30,7 @@ from ...gates import open_plain
 from ...json_file import read_json_object, take_number
 from ...posed.image_header import read_image_header
 from ...posed.layout import files_by_stem, listed, natural_order, of_most, shown_files
-from ...posed.matrices import read_matrix, take_numbers
+from ...posed.matrices import read_matrix, take_array
 from ..depth import npy_depth, png_depth, trusted
 from ..files_of_frames import files_if_any
 from ..frame import Inferred
@@ -151,8 +151,8 @@ def _files(place: Path, suffix: str, kind: str) -> dict[str, Path]:
 
 def _shot_scanner_app(picture: Path, table: Path, depth: Path | None, level: Path | None) -> Shot | None:
     entry = read_json_object(table)
-    matrix = take_numbers(entry, _SCANNER_APP_POSE, "the frame", table, 16).reshape(4, 4)
-    K = take_numbers(entry, _SCANNER_APP_LENS, "the frame", table, 9).reshape(3, 3)
+    matrix = take_array(entry, _SCANNER_APP_POSE, "the frame", table, (16,)).reshape(4, 4)
+    K = take_array(entry, _SCANNER_APP_LENS, "the frame", table, (9,)).reshape(3, 3)
     if not np.array_equal(K[_FIXED], [0.0, 0.0, 0.0, 0.0, 1.0]):
         what = f"{_SCANNER_APP_LENS} are not fx 0 cx, 0 fy cy, 0 0 1"
         raise PlgsError("not-camera-matrix", what, table, _SCANNER_APP_FIX)
@@ -196,7 +196,7 @@ def _read_stray(place: Path) -> Capture:
         if name in depths:
             depth = npy_depth(depths[name]) if depths[name].suffix.lower() == ".npy" else png_depth(depths[name], lens)
             depth = trusted(depth, levels.get(name))
-        found.append((name, Shot(name, lens.at(pose), video.path, depth, video.reader(int(row["frame"])))))
+        found.append((name, Shot(name, lens.at(pose), video.path, depth, partial(video.frame, int(row["frame"])))))
     return Capture(found, "y", up_is_known=True)
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -100,19 +98,17 @@ class Video:
             raise PlgsError("no-frame", what, self.path, _VIDEO_FIX)
         return np.ascontiguousarray(pixels[..., ::-1])
 
-    def reader(self, number: int) -> Callable[[], NDArray[np.uint8]]:
-        """A function that reads the picture ``number``."""
-        return partial(self.frame, number)
+    def _numbers(self, *properties: int) -> list[int]:
+        """Numbers in its header. Raises PlgsError."""
+        with self._lock:
+            self._go_to(0)
+            return [int(self._capture.get(each)) for each in properties]
 
     def size(self) -> Size:
         """(width, height) of its pictures, from its header. Raises PlgsError."""
         import cv2
 
-        with self._lock:
-            self._go_to(0)
-            width, height = (
-                int(self._capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
-            )
+        width, height = self._numbers(cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
         if width < 1 or height < 1:
             raise PlgsError("video-size", "the video does not say how large its pictures are", self.path, _VIDEO_FIX)
         return width, height
@@ -121,9 +117,7 @@ class Video:
         """The number of pictures, from its header. Raises PlgsError if it cannot be opened or does not say."""
         import cv2
 
-        with self._lock:
-            self._go_to(0)
-            count = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        (count,) = self._numbers(cv2.CAP_PROP_FRAME_COUNT)
         if count <= 0:
             raise PlgsError("video-count", "the video does not say how many pictures it has", self.path, _VIDEO_FIX)
         return count

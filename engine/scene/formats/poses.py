@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,8 +56,7 @@ def nearest(times: Sequence[float], time: float, most: float) -> int | None:
     return min(near, key=lambda i: abs(times[i] - time), default=None)
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """A line's number and its words."""
 
     line: int

@@ -29,7 +29,7 @@ from ...json_file import parse_json_object, read_json_object, take_list, take_nu
 from ...posed.exr_header import read_exr_header
 from ...posed.frames import Camera
 from ...posed.layout import files_by_stem, read_file, shown_files
-from ...posed.matrices import take_matrix, take_numbers, upright_rotation
+from ...posed.matrices import take_array, upright_rotation
 from ..depth import DepthMap, drop_untrusted, fault_of, only_depth
 from ..frame import Size
 from ..pixels import decode_bytes
@@ -131,7 +131,7 @@ def _shots(archive: _Archive, path: Path) -> Iterator[tuple[str, Shot | None]]:
 def _cameras(metadata: dict[str, Any], numbers: list[int], path: Path) -> Iterator[tuple[int, Camera | None]]:
     """The camera of each picture, None where its pose is not finite."""
     count = len(take_list(metadata, "poses", "metadata", path))
-    poses = take_matrix(metadata, "poses", "metadata", path, ((count, 7),))
+    poses = take_array(metadata, "poses", "metadata", path, (count, 7))
     if not numbers or numbers[-1] >= count:
         raise PlgsError("unequal-counts", f"there are {count} poses and {len(numbers)} pictures", path, _FIX)
     for number in numbers:
@@ -181,9 +181,9 @@ def _lens(metadata: dict[str, Any], number: int, path: Path) -> Camera:
     each, whose = metadata.get("perFrameIntrinsicCoeffs"), f"frame {number}"
     if isinstance(each, list) and len(each) > number:
         own = each[number][:4] if isinstance(each[number], list) else each[number]
-        fx, fy, cx, cy = take_numbers({"coefficients": own}, "coefficients", whose, path, 4).tolist()
+        fx, fy, cx, cy = take_array({"coefficients": own}, "coefficients", whose, path, (4,)).tolist()
     else:
-        fx, _, _, _, fy, _, cx, cy, _ = take_numbers(metadata, "K", "metadata", path, 9).tolist()
+        fx, _, _, _, fy, _, cx, cy, _ = take_array(metadata, "K", "metadata", path, (9,)).tolist()
     return pinhole(width, height, fx, fy, cx, cy, path=path, fix=_FIX, whose=whose)
 
 

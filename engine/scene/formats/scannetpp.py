@@ -24,7 +24,7 @@ from ...gates import open_plain
 from ...json_file import read_json_object
 from ...posed.image_header import read_image_header
 from ...posed.layout import check_most, natural_order
-from ...posed.matrices import take_matrix
+from ...posed.matrices import take_array
 from ..depth import DepthMap, fault_of, only_depth, png_depth
 from ..files_of_frames import files_if_any
 from .capture import Capture, Found, SceneFormat, Shot
@@ -62,20 +62,20 @@ def _read(place: Path) -> Capture:
             continue  # only some were extracted
         pose, number, picture = None, int(match[1]), video.path if video else pictures[name]
         if "aligned_pose" in entry:
-            pose = finite_pose(take_matrix(entry, "aligned_pose", name, path, ((4, 4),)), path)
+            pose = finite_pose(take_array(entry, "aligned_pose", name, path, (4, 4)), path)
         fault = None if video or pose is None else fault_of(picture)
         if pose is None or fault is not None:
             found.append((name, fault))
             continue
         # The file does not say where pixels are counted from; corners are assumed.
-        K, sides = take_matrix(entry, "intrinsic", name, path, ((3, 3),)), size or read_image_header(picture).size
+        K, sides = take_array(entry, "intrinsic", name, path, (3, 3)), size or read_image_header(picture).size
         lens = pinhole(*sides, K[0, 0], K[1, 1], K[0, 2], K[1, 2], path=path, fix=_FIX, whose=name)
         depth = None
         if stream is not None:
             depth = DepthMap(stream.path, partial(stream.frame, number))
         elif name in depths:
             depth = png_depth(depths[name], lens)
-        found.append((name, Shot(name, lens.at(pose), picture, depth, video.reader(number) if video else None)))
+        found.append((name, Shot(name, lens.at(pose), picture, depth, partial(video.frame, number) if video else None)))
     return Capture(found, "z", up_is_known=True)
 
 

@@ -77,19 +77,15 @@ _Pose = tuple[float, NDArray[np.float64] | None, float | None]
 """When a picture was taken, in seconds; its pose, None if a number in it is not finite; and its number, if any."""
 
 
-def _read_calibration(path: Path) -> _Lens:
-    values = [float(each) for row in read_rows(path, _LENS_FIX) for each in numbers(row, path, _LENS_FIX)]
-    if len(values) - 4 not in OPENCV_COUNTS:
-        what = f"there are {len(values)} numbers, not fx fy cx cy and those of OpenCV's distortion"
-        raise PlgsError("intrinsics-incomplete", what, path, _LENS_FIX)
-    fx, fy, cx, cy, *bent = values
-    return _Lens(fx, fy, cx, cy, (*bent,), size=None)
-
-
 def _read(place: Path) -> Capture:
     calibration, pairs, inferred = place / _CALIBRATION, _pairs(place), tuple[Inferred, ...]()
     if calibration.is_file():
-        lens = _read_calibration(calibration)
+        rows = read_rows(calibration, _LENS_FIX)
+        values = [float(each) for row in rows for each in numbers(row, calibration, _LENS_FIX)]
+        if len(values) - 4 not in OPENCV_COUNTS:
+            what = f"there are {len(values)} numbers, not fx fy cx cy and those of OpenCV's distortion"
+            raise PlgsError("intrinsics-incomplete", what, calibration, _LENS_FIX)
+        lens = _Lens(*values[:4], (*values[4:],), size=None)
     else:
         whose = next((name for name in _LENSES if name in place.resolve().name.lower()), "a Kinect")
         lens = _LENSES.get(whose, _KINECT)

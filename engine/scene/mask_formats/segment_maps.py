@@ -42,12 +42,8 @@ def _read_mask(picture: Path, table: str, segments: Mapping[int, FoundSegment]) 
     """One frame; ``segments`` by their id in the picture. Raises PlgsError for an id that the JSON should have."""
     ids = read_label_map(picture)
     present = np.unique(ids)
-    void = {int(value) for value in present if value < 0}
-    if 0 not in segments:
-        void.add(0)
-    if picture.suffix.lower() == ".png":  # a PNG holds -1 as its largest value
-        void |= {255, 65535} - {*segments}
-    unknown = [int(value) for value in present if int(value) not in void and int(value) not in segments]
+    void = {0, *([255, 65535] if picture.suffix.lower() == ".png" else [])}  # a PNG holds -1 as its largest value
+    unknown = [value for value in present.tolist() if value >= 0 and value not in void and value not in segments]
     if unknown:
         fix = "Save picture and segments from the same call; with transformers, without label_ids_to_fuse."
         raise PlgsError("unlisted", f"segment ids {listed(unknown)} are missing from {table}", picture, fix)
@@ -118,13 +114,11 @@ def _detectron2_source(
 
 def _counts_stuff_apart(infos: Mapping[str, list[dict[str, Any]]], tables: Mapping[str, Path]) -> bool:
     """Whether one number is a thing's class in one segment and a stuff class in another."""
-    things: set[int] = set()
-    stuff: set[int] = set()
+    kinds = set()
     for name, found in infos.items():
-        for info in found:
-            kind = things if take_flag(info, "isthing", f"a segment of frame {name}", tables[name]) else stuff
-            kind.add(take_whole_number(info, "category_id", f"a segment of frame {name}", tables[name]))
-    return bool(things & stuff)
+        whose = f"a segment of frame {name}", tables[name]
+        kinds |= {(take_whole_number(one, "category_id", *whose), take_flag(one, "isthing", *whose)) for one in found}
+    return len({number for number, _ in kinds}) < len(kinds)
 
 
 def _files(place: Path, names: Sequence[str]) -> tuple[dict[str, Path], dict[str, Path]]:

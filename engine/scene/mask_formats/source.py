@@ -116,8 +116,7 @@ def segments_of_labels(labels: NDArray[np.integer]) -> FoundMask:
 
 
 def painted(masks: Sequence[NDArray[np.bool_]], segments: Sequence[FoundSegment], size: Size) -> FoundMask:
-    """Paints ``masks``, bool [H, W] each, one per segment, over each other: the highest score, then the smallest, on
-    top. Segments left without pixels are dropped."""
+    """Paints ``masks``, bool [H, W], one per segment, over each other: the highest score, then the smallest, on top."""
     ids = np.zeros(size[::-1], np.int32)
     areas = [int(mask.sum()) for mask in masks]
     for place in sorted(range(len(masks)), key=lambda place: (segments[place].score, -areas[place])):
