@@ -181,6 +181,12 @@ class Scale:
     spread: float
     points: int
 
+    def apply(self, model: Any) -> None:
+        """Bring a pycolmap Reconstruction into metres."""
+        import pycolmap
+
+        model.transform(pycolmap.Sim3d(self.metres, pycolmap.Rotation3d(), np.zeros((3, 1))))
+
 
 def metres_per_length(model: Any, depths: Mapping[str, Path]) -> Scale | None:
     """The median of measured depth over a point's depth in the reconstruction, over all photos' points; None if too few
@@ -321,8 +327,7 @@ def _map(folder: Path, photos: Path, film: str, asked: int, events: EventWriter,
         depths = _depths(folder)
         scale = metres_per_length(model, depths) if depths else None
         if scale is not None:
-            pycolmap = colmap(photos)
-            model.transform(pycolmap.Sim3d(scale.metres, pycolmap.Rotation3d(), np.zeros((3, 1))))
+            scale.apply(model)
         elif depths:
             events.warning("The depth beside the photos does not agree with the reconstruction, and is not used.")
         out = Path(workplace) / "sparse" / "0"

@@ -166,7 +166,7 @@ def test_classes_of_an_export_are_read(tmp_path: Path) -> None:
         strict(predictions, truth)
     one = {"id": 5, "name": "chair", "is_thing": True}
     (truth / "labels.json").write_text(json.dumps({"classes": [one, one]}))
-    with raises_key("class-id"):
+    with raises_key("class-twice"):
         strict(predictions, truth)
 
 

@@ -95,9 +95,12 @@ def read_categories(
     for position, entry in enumerate(take_objects(content, key, "the file", table)):
         context = f"category {position}"
         number, name = take_whole_number(entry, "id", context, table), take_text(entry, "name", context, table)
-        if number in found or not 0 <= number <= LARGEST_CLASS_ID:
-            what = f"the category id {number} occurs twice, or is out of range"
-            raise PlgsError("class-id", what, table, f"Use ids from 1 to {LARGEST_CLASS_ID}, each once.")
+        if not 0 <= number <= LARGEST_CLASS_ID:
+            what = f"the category id {number} is out of range"
+            raise PlgsError("class-id", what, table, f"Use ids from 1 to {LARGEST_CLASS_ID}.")
+        if number in found:
+            what = f"the category id {number} occurs twice"
+            raise PlgsError("class-twice", what, table, "Give each category its own id.")
         guessed = is_thing_by_name(name) is not False if may_lack and kind not in entry else None
         is_thing = take_flag(entry, kind, context, table) if guessed is None else guessed
         found[number] = ClassLabel(number, name, is_thing, _colour(entry, context, table))
