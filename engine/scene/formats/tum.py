@@ -85,7 +85,8 @@ def _read(place: Path) -> Capture:
         if len(values) - 4 not in OPENCV_COUNTS:
             what = f"there are {len(values)} numbers, not fx fy cx cy and those of OpenCV's distortion"
             raise PlgsError("intrinsics-incomplete", what, calibration, _LENS_FIX)
-        lens = _Lens(*values[:4], (*values[4:],), size=None)
+        fx, fy, cx, cy, *bent = values
+        lens = _Lens(fx, fy, cx, cy, (*bent,), size=None)
     else:
         whose = next((name for name in _LENSES if name in place.resolve().name.lower()), "a Kinect")
         lens = _LENSES.get(whose, _KINECT)
