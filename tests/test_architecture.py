@@ -320,7 +320,7 @@ def test_a_scene_needs_only_numpy_until_it_reads_pixels_or_a_special_format() ->
     assert wrong == []
 
 
-def test_what_only_one_system_has_is_behind_one_module() -> None:
+def test_system_calls_are_in_one_module() -> None:
     """The rights of folders are asked in a branch that Windows does not reach."""
     alone = {"fcntl", "msvcrt", "resource", "pwd", "grp", "termios"}
     calls = {"fork", "getpgid", "getuid", "killpg", "mkfifo", "sched_getaffinity", "setsid", "sysconf", "SIGKILL"}
@@ -369,7 +369,7 @@ def test_no_pickles() -> None:
         ("engine.command_line.main", {"torch", "cv2", "numba", "scipy", "open3d", "OpenEXR", "safetensors"}),
     ],
 )
-def test_it_imports_quickly(module: str, unwanted: set[str]) -> None:
+def test_module_imports_nothing_heavy(module: str, unwanted: set[str]) -> None:
     """What Blender and `--help` import must not pull in the heavy libraries."""
     code = f"import sys, {module}; print(' '.join(sorted({unwanted!r} & set(sys.modules))))"
     run = subprocess.run(

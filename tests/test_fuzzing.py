@@ -336,7 +336,7 @@ def look_at(tiny: Path, scene: Path, lens: tuple[float, ...] | None, holes: list
 
 @pytest.mark.hypothesis
 @pytest.mark.parametrize("count", [4, pytest.param(300, marks=pytest.mark.slow)])
-def test_whatever_cameras_and_depth_say_together(tiny: Path, tmp_path: Path, count: int) -> None:
+def test_odd_cameras_and_depth_are_diagnosed(tiny: Path, tmp_path: Path, count: int) -> None:
     @examples(count)
     @given(drawn=st.fixed_dictionaries(SCENES))
     def look(drawn: dict[str, Any]) -> None:

@@ -125,7 +125,7 @@ def test_passes_that_claim_more_than_memory_holds_are_refused_before_they_are_re
         read_exr(tmp_path / "a.exr")
 
 
-def test_what_ran_out_of_memory_is_not_lifted_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_error_advises_no_new_lift(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def no_memory(path: Path) -> object:
         raise MemoryError
 

@@ -291,7 +291,9 @@ def test_a_lift_of_which_no_surface_is_left_is_refused(
     assert "show no s" in error and "Export more frames" in error and "Traceback" not in error
 
 
-def test_what_is_invalid_is_refused(lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_output_and_frames_are_refused(
+    lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "file").touch()
     assert main(["export", str(lift.path), "--to", "boxes", "-o", str(tmp_path / "file")]) == 2
     assert main(["export", str(lift.path), "--to", "coco", "-o", str(tmp_path), "--frames", "9"]) == 2

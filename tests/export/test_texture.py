@@ -73,7 +73,7 @@ def test_triangles_show_the_pixels_of_photos_that_are_exposed_alike() -> None:
     assert (again.uv == texture.uv).all()
 
 
-def test_what_no_photo_shows_has_the_colours_of_its_vertices() -> None:
+def test_unseen_triangles_have_the_colours_of_vertices() -> None:
     surface, label = wall()
     texture = textured(surface, label, [view(1, 0.6)])  # which does not see the left
     xy, colours = drawn(surface, label, texture)

@@ -71,7 +71,7 @@ def test_a_far_floor_that_one_view_saw_is_whole() -> None:
     assert np.abs(surface.xyz[:, 2]).max() < 0.1 and (label > 0).all()
 
 
-def test_any_view_may_lack_objects_labels_or_depth() -> None:
+def test_views_may_lack_objects_labels_or_depth() -> None:
     views = of_a_pole(0.3)
     bare = [replace(view, label=np.full_like(view.label, FLOOR)) for view in views]
     void = [replace(view, label=np.zeros_like(view.label)) for view in views]

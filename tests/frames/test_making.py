@@ -122,7 +122,7 @@ def test_folders_of_others_and_strange_names_are_refused(archive: Path, tmp_path
 @pytest.mark.parametrize(
     ("kinds", "told"), [(["masks"], "nothing-to-write"), (["cloud", "depth", "masks"], "nothing-to-write")]
 )
-def test_what_the_scene_lacks_is_refused(kinds: list[str], told: str, tmp_path: Path) -> None:
+def test_missing_kinds_are_refused(kinds: list[str], told: str, tmp_path: Path) -> None:
     room = write_tiny_scene(tmp_path / "room", frames=2)
     scene = open_scene(room)
     bare = replace(scene, frames=tuple(replace(frame, read_mask=None, read_depth=None) for frame in scene.frames))

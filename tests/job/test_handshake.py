@@ -26,7 +26,7 @@ def test_the_engine_says_what_it_is(root: Path) -> None:
     assert bool(found.fix) is bool(found.missing)
 
 
-def test_what_is_missing_is_reported_with_the_command_that_fixes_it(root: Path) -> None:
+def test_missing_packages_are_reported_with_a_fix(root: Path) -> None:
     said = subprocess.run(NO_SITE, cwd=root, capture_output=True, text=True, timeout=120)
     assert said.returncode == 0
     facts = json.loads(said.stdout)

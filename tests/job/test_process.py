@@ -209,7 +209,7 @@ def test_a_different_text_means_a_different_environment(root: Path, tmp_path: Pa
     assert digest(tmp_path, (3, 11)) != before
 
 
-def test_what_cannot_be_read_is_reported(root: Path, tmp_path: Path) -> None:
+def test_unreadable_requirements_are_reported(root: Path, tmp_path: Path) -> None:
     with raises_key("unreadable torch.txt"):
         needed_packages(tmp_path, (3, 11))
     shutil.copytree(root / "requirements", tmp_path / "requirements")

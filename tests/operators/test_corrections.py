@@ -81,7 +81,7 @@ def test_deleted_and_undone_by_blenders_own_undo(placed: bpy.types.Collection, m
     assert CHAIR not in boxes_of(again()) and [edit.undone for edit in read_edits(mine)] == [False]
 
 
-def test_what_others_made_is_not_undone_by_it(placed: bpy.types.Collection, mine: Path) -> None:
+def test_undo_keeps_edits_of_others(placed: bpy.types.Collection, mine: Path) -> None:
     bpy.ops.ed.undo_push(message="placed")
     bpy.ops.plgs.rename_instance(instance=CHAIR, name="Throne")
     bpy.ops.ed.undo_push(message="renamed")

@@ -64,7 +64,7 @@ def test_the_engine_exports_every_format(lift: Path, tmp_path: Path) -> None:
 
 
 @needs_engine
-def test_what_goes_wrong_is_reported(lift: Path, tmp_path: Path) -> None:
+def test_failed_export_is_reported(lift: Path, tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match=worded("folder-needed")):
         bpy.ops.plgs.export_lift(form="coco", lift_folder=str(lift))
     (tmp_path / "file").touch()
@@ -99,7 +99,7 @@ def test_meshes_are_made_and_placed(lift: Path, tmp_path: Path, monkeypatch: pyt
 
 
 @needs_engine
-def test_what_a_frame_sees_becomes_points(lift: Path, tmp_path: Path) -> None:
+def test_depth_cloud_holds_what_a_frame_sees(lift: Path, tmp_path: Path) -> None:
     mine = Path(shutil.copytree(lift.parent, tmp_path / "both")) / lift.name
     bpy.ops.plgs.place_lift(lift_folder=str(mine))
     scene = bpy.context.scene

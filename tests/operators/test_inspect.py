@@ -75,7 +75,7 @@ def test_views_and_masks(root: bpy.types.Collection) -> None:
         bpy.ops.plgs.go_to_mask(instance=1, frame="nowhere")
 
 
-def test_what_the_lift_does_not_show_is_listed(lift: Path) -> None:
+def test_missing_objects_are_listed(lift: Path) -> None:
     """A class that near masks name and the passes lack: its row goes to the frame."""
     result = replace(read_result(lift), not_shown=(("sink: 4 near views", "0002"),))
     root = place_lift(lift, bpy.context.scene)

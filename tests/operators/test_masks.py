@@ -61,7 +61,7 @@ def test_a_file_that_the_blend_names_is_not_overwritten(folder: Path, tmp_path: 
     assert other.read_text() == "mine"
 
 
-def test_what_is_not_a_list_of_classes_is_not_replaced(folder: Path, tmp_path: Path) -> None:
+def test_link_is_not_replaced_by_class_list(folder: Path, tmp_path: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(folder)
     bpy.ops.plgs.read_classes()
     target = Path(bpy.context.scene.plgs_masks.path)

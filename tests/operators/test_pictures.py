@@ -104,7 +104,7 @@ def test_plain_folder_imports_without_engine(room: Path, own: Path, no_engine: N
         bpy.ops.plgs.import_scene(scene_folder=str(own / "scans" / "one.sens"))
 
 
-def test_what_an_engine_made_is_there_at_the_next_import(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_made_frames_are_reused_at_the_next_import(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     place = str(own / "scans" / "one.sens")
     bpy.ops.plgs.import_scene(scene_folder=place)
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
@@ -258,7 +258,7 @@ def test_a_picture_waits_until_nothing_moves(room: Path, monkeypatch: pytest.Mon
     assert frames()["0004"]["plgs_shown"] == "DEPTH" and not making.undo_step, "nobody pressed a button"
 
 
-def test_what_an_engine_cannot_make_is_reported(own: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_damaged_depth_is_reported(own: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """The last frame's depth is damaged: pictures come, the cloud does not."""
     place = own / "scans" / "one.sens"
     place.write_bytes(place.read_bytes()[:-1000] + bytes(1000))

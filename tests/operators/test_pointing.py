@@ -34,7 +34,7 @@ def own(name: str) -> bpy.types.Object:
     return ob
 
 
-def test_all_that_is_selected_is_deleted_less_what_only_a_lift_has(placed: bpy.types.Collection, mine: Path) -> None:
+def test_delete_keeps_cameras_of_the_lift(placed: bpy.types.Collection, mine: Path) -> None:
     own("chair 1 of mine")
     choose(boxes_of(placed)[CHAIR], *bpy.context.view_layer.objects)
     cameras = sum(ob.type == "CAMERA" for ob in placed.all_objects)

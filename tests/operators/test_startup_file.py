@@ -78,7 +78,7 @@ def test_undo_takes_it_back_as_one_step(room: Path) -> None:
         "scene.collection.objects.link(bpy.data.objects.new('mine', None))",
     ],
 )
-def test_what_the_user_has_touched_stays(room: Path, touch: str) -> None:
+def test_touched_startup_file_stays(room: Path, touch: str) -> None:
     scene = bpy.context.scene
     exec(touch, {"bpy": bpy, "scene": scene})
     before = (scene.frame_start, scene.frame_end, size_of(scene), scene.camera)

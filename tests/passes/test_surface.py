@@ -30,7 +30,7 @@ def test_surface_of_a_room_of_boxes_is_accurate(index: int) -> None:
     assert np.median(surface.normal[2][floor]) == pytest.approx(1.0, abs=1e-4)
 
 
-def test_there_is_no_surface_where_nothing_was_rendered() -> None:
+def test_empty_pixels_have_no_surface() -> None:
     depth = np.full((120, 160), 2.0, np.float32)
     depth[40:60, 50:90] = 0.0
     surface = surface_of(depth, camera(0))

@@ -224,7 +224,7 @@ def link_to_a_text(path: Path) -> None:
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no FIFOs")
 @pytest.mark.parametrize("make", [fifo, folder, noise, link_to_a_text])
-def test_what_is_no_blend_is_one_line(lift: Path, tmp_path: Path, make: Callable[[Path], None]) -> None:
+def test_other_file_than_a_blend_is_one_line(lift: Path, tmp_path: Path, make: Callable[[Path], None]) -> None:
     """Blender would wait for ever for whoever writes into the FIFO."""
     blend = tmp_path / "lift.blend"
     make(blend)
@@ -299,14 +299,14 @@ BAD = [
 
 
 @pytest.mark.parametrize("text", GOOD, ids=range(len(GOOD)))
-def test_it_is_the_same(tmp_path: Path, text: str) -> None:
+def test_parts_read_the_same_instances(tmp_path: Path, text: str) -> None:
     path = tmp_path / "instances.json"
     path.write_text(text, encoding="utf-8")
     assert result_of(reading_instances(path)) == read_instances(path)
 
 
 @pytest.mark.parametrize("text", BAD, ids=range(len(BAD)))
-def test_what_is_broken_is_one_line(tmp_path: Path, text: str) -> None:
+def test_broken_instances_are_one_line(tmp_path: Path, text: str) -> None:
     path = tmp_path / "instances.json"
     path.write_text(text, encoding="utf-8")
     for read in (read_instances, lambda path: result_of(reading_instances(path))):

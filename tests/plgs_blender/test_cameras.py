@@ -69,7 +69,7 @@ def test_a_point_falls_on_the_same_pixel(name: str) -> None:
 @pytest.mark.parametrize("fit", ["AUTO", "HORIZONTAL", "VERTICAL"])
 @pytest.mark.parametrize("size", [(640, 480), (480, 640)])
 @pytest.mark.parametrize("aspect", [(1.0, 1.0), (1.0, 2.5), (1.6, 1.0)])
-def test_what_any_of_the_users_cameras_sees(fit: str, size: tuple[int, int], aspect: tuple[float, float]) -> None:
+def test_users_camera_sees_the_same(fit: str, size: tuple[int, int], aspect: tuple[float, float]) -> None:
     scene = bpy.context.scene
     scene.camera = ob = bpy.data.objects.new("mine", bpy.data.cameras.new("mine"))
     scene.collection.objects.link(ob)
@@ -115,7 +115,7 @@ def curves(block: bpy.types.ID) -> dict[tuple[str, int], bpy.types.FCurve]:
     return {(curve.data_path, curve.array_index): curve for curve in action.fcurves}
 
 
-def test_it_is_where_the_frames_are(tmp_path: Path) -> None:
+def test_camera_path_meets_the_frames(tmp_path: Path) -> None:
     scene = bpy.context.scene
     root = place_scene(ChosenScene(write_tiny_scene(tmp_path / "room", frames=7)), scene)
     path = next(ob for ob in root.objects if ob.name == "Camera path")
@@ -128,7 +128,7 @@ def test_it_is_where_the_frames_are(tmp_path: Path) -> None:
             assert getattr(path.data, name) == pytest.approx(getattr(ob.data, name), abs=1e-6)
 
 
-def test_it_moves_straight_between_frames_and_its_lens_jumps(tmp_path: Path) -> None:
+def test_camera_path_moves_straight_and_its_lens_jumps(tmp_path: Path) -> None:
     root = place_scene(ChosenScene(write_tiny_scene(tmp_path / "room", frames=4)), bpy.context.scene)
     path = next(ob for ob in root.objects if ob.name == "Camera path")
     kinds = {key: {point.interpolation for point in curve.keyframe_points} for key, curve in curves(path).items()}
@@ -151,7 +151,7 @@ def test_placing_it_again_leaves_no_old_keys(tmp_path: Path) -> None:
     assert sorted(action.name for action in bpy.data.actions) == ["Camera path lens", "Camera path pose"]
 
 
-def test_it_never_turns_the_long_way_round() -> None:
+def test_camera_path_takes_the_shorter_turn() -> None:
     """The quaternions of two cameras that nearly agree may have opposite signs."""
     scene = bpy.context.scene
     owned = OwnedDataBlocks("a lift", scene)

@@ -126,7 +126,7 @@ def test_another_lift_of_the_same_scene_replaces_it(lift: Path, tmp_path: Path) 
     assert len(bpy.data.scenes) == 1  # no passes, no scene for them
 
 
-def test_it_is_found_again_whatever_it_is_called(lift: Path) -> None:
+def test_renamed_lift_is_found_again(lift: Path) -> None:
     root = lift_scene.place_lift(lift, bpy.context.scene)
     before = counts()
     root.name = "My room"
@@ -137,7 +137,7 @@ def test_it_is_found_again_whatever_it_is_called(lift: Path) -> None:
     assert "0000" in bpy.data.objects and "renamed" not in bpy.data.objects
 
 
-def test_what_is_the_users_stays(lift: Path) -> None:
+def test_users_objects_stay(lift: Path) -> None:
     scene = bpy.context.scene
     root = lift_scene.place_lift(lift, scene)
     mine = bpy.data.objects.new("mine", bpy.data.meshes.new("mine"))
@@ -205,7 +205,7 @@ def test_an_unfinished_lift_changes_nothing(lift: Path, tmp_path: Path) -> None:
     assert contents() == before and not (tmp_path / "x.blend").exists()
 
 
-def test_what_was_taken_out_of_the_scene_comes_back(lift: Path) -> None:
+def test_removed_objects_come_back(lift: Path) -> None:
     scene = bpy.context.scene
     root = lift_scene.place_lift(lift, scene)
     bpy.data.collections.remove(child(root, "Instances"))

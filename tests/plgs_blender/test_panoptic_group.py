@@ -122,7 +122,7 @@ def assert_mixed(seen: np.ndarray, before: np.ndarray, where: np.ndarray, srgb: 
     assert np.allclose(seen[where][:, :3], expected, atol=1e-5)
 
 
-def test_there_is_one_group_per_file_and_it_stays_as_the_user_set_it(lift: Path, root: bpy.types.Collection) -> None:
+def test_group_stays_as_the_user_set_it(lift: Path, root: bpy.types.Collection) -> None:
     _, tree = next(compositing.compositors_of(root))
     node_of(tree, PANOPTIC).inputs["Hold out"].default_value = 0.25
     lift_scene.place_lift(lift, bpy.context.scene)

@@ -204,7 +204,7 @@ def test_the_active_camera_decides_which_passes_are_opened(tmp_path: Path) -> No
     assert passes.passes_scene_of(mine) == frames
 
 
-def test_what_the_user_built_on_stays(lift: Path) -> None:
+def test_users_nodes_stay_linked(lift: Path) -> None:
     lift_scene.place_lift(lift, bpy.context.scene)
     tree = compat.compositor_tree(passes_scene())
     blur = tree.nodes.new("CompositorNodeBlur")

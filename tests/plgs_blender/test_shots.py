@@ -164,7 +164,7 @@ def test_clip_and_the_requested_range(scene: bpy.types.Scene) -> None:
     ]  # fmt: skip
 
 
-def test_what_cannot_be_baked_is_refused_in_one_line(scene: bpy.types.Scene) -> None:
+def test_unfit_camera_is_refused_in_one_line(scene: bpy.types.Scene) -> None:
     def refused(line: str, **asked: int) -> None:
         with raises_key(line) as told:
             cameras_of(scene, shot_of(scene, **asked))

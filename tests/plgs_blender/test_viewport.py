@@ -29,7 +29,7 @@ def area(width: int, height: int, bar: int) -> Any:
 
 @pytest.mark.parametrize("size", [(19.0, 11.0, 3.0), (4.0, 4.0, 40.0), (1.0, 30.0, 2.0)])
 @pytest.mark.parametrize(("width", "height", "bar"), [(1586, 928, 1), (1057, 840, 291), (500, 900, 200)])
-def test_all_corners_are_in_the_free_part(size: tuple[float, ...], width: int, height: int, bar: int) -> None:
+def test_framed_room_fits_the_free_part(size: tuple[float, ...], width: int, height: int, bar: int) -> None:
     corners = np.array(list(product(*((-2.0, side - 2.0) for side in size))))
     shown = area(width, height, bar)
     rotation = Euler((0.9, 0.0, 1.2)).to_quaternion()

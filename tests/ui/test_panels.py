@@ -210,7 +210,7 @@ def test_once_a_result_is_shown_the_steps_before_it_are_folded(tmp_path: Path) -
     assert folded.startswith("Turns a filmed room into objects")
 
 
-def test_what_is_of_other_classes_is_listed_last() -> None:
+def test_other_classes_are_listed_last() -> None:
     names = ("otherprop 1", "chair 10", "chair 2", "otherfurniture")
     rows = [SimpleNamespace(name=name, class_name=name, points=9 - at, score=0.5) for at, name in enumerate(names)]
     assert result_panel.places_of(rows, "NAME") == [3, 1, 0, 2]

@@ -30,7 +30,7 @@ from tests.ui.drawn_panels import Pretended, drawn, height_of, tasks_with
 pytestmark = pytest.mark.usefixtures("extension")
 
 
-def test_what_is_read_of_a_scene_moves_no_button_that_imports_it(tmp_path: Path) -> None:
+def test_survey_moves_no_import_button(tmp_path: Path) -> None:
     """It is read a moment after the folder was chosen, when the mouse may be on the button."""
 
     def above() -> str:
@@ -51,7 +51,7 @@ def rows_above(what: str) -> int:
     return above.count("\n")
 
 
-def test_what_is_read_of_a_scene_moves_nothing_below_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_survey_moves_nothing_below_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows that stand there from the start are filled; what varies in length is behind a row that tells of warnings."""
     bpy.context.scene.plgs.scene_folder = str(write_tiny_scene(tmp_path / "tiny"))
     chosen = chosen_scene(bpy.context.scene.plgs)
@@ -158,7 +158,7 @@ def test_the_surface_that_is_made_by_itself_moves_no_list(tmp_path: Path) -> Non
     assert "The disk is full. Make room." in shown.partition("plgs.show_all")[2].partition("Source Masks")[0]
 
 
-def test_what_edits_and_their_engines_bring_moves_no_button_that_edits(tmp_path: Path) -> None:
+def test_edits_move_no_button(tmp_path: Path) -> None:
     lift = tiny_lift.write_tiny_lift(tmp_path / "lift").path
     place_lift(lift, bpy.context.scene)
     (root,) = lifts_in(bpy.context.scene)
@@ -197,7 +197,7 @@ def test_export_has_its_bar(form: str, shown_in: str, button: str, bar: str, ask
     assert drawn().partition(last)[0] == idle.partition(last)[0] and "The export was cancelled" in drawn()
 
 
-def test_what_goes_to_a_frame_does_not_move_away(tmp_path: Path) -> None:
+def test_frame_buttons_do_not_move(tmp_path: Path) -> None:
     """The best view, a mask, a proposal: each makes a frame's camera the active one, which has pictures to choose."""
     scene = bpy.context.scene
     place_lift(tiny_lift.write_tiny_lift(tmp_path / "lift").path, scene)

@@ -86,7 +86,7 @@ def test_a_window_relies_on_what_is_known(python: Python, monkeypatch: pytest.Mo
     assert "lacks torch" in (engine_environment.why_no_engine() or "")
 
 
-def test_what_is_not_an_engine_is_recognised(python: Python, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_programs_are_recognised(python: Python, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     picture = tmp_path / "picture.png"
     picture.write_bytes(b"\x89PNG\r\n\x1a\n\0\0")
     executable_picture = tmp_path / "run.png"

@@ -141,7 +141,7 @@ def in_pixels() -> None:
 
 
 @pytest.mark.skipif(bool(os.environ.get("PLGS_NO_EGL")), reason="this machine has no EGL")
-def test_what_is_drawn_is_seen(root: bpy.types.Collection, seen: Seen) -> None:
+def test_overlay_is_drawn(root: bpy.types.Collection, seen: Seen) -> None:
     box, colour = boxes_of(root)[1], (0.9, 0.2, 0.1)
     points = highlight.highlight_of(root, 1, lambda cloud: True)
 

@@ -69,7 +69,7 @@ def test_several_are_selected_one_after_the_other(root: bpy.types.Collection) ->
     assert selection.selected_instances(root, layer) == [1]
 
 
-def test_what_is_hidden_or_gone_is_only_a_row(root: bpy.types.Collection) -> None:
+def test_hidden_object_is_only_a_row(root: bpy.types.Collection) -> None:
     boxes = boxes_of(root)
     pick(bpy.data.objects["Overview"])
     root.plgs.instances[0].visible = False
@@ -86,7 +86,7 @@ def test_what_is_hidden_or_gone_is_only_a_row(root: bpy.types.Collection) -> Non
         selection.select_instance(root, 7, bpy.context.view_layer)
 
 
-def test_it_is_found_whatever_it_is_called_and_after_undo(root: bpy.types.Collection) -> None:
+def test_renamed_box_is_found_after_undo(root: bpy.types.Collection) -> None:
     bpy.ops.ed.undo_push(message="placed")
     pick(boxes_of(root)[2])
     bpy.ops.ed.undo_push(message="picked")
@@ -124,7 +124,7 @@ def test_the_points_of_the_selected_instance_glow(root: bpy.types.Collection, li
     assert len(highlight.highlight_of(root, 99, lambda cloud: True).xyz) == 0
 
 
-def test_what_was_moved_to_another_collection_still_belongs(root: bpy.types.Collection) -> None:
+def test_moved_objects_still_belong(root: bpy.types.Collection) -> None:
     mine = bpy.data.collections.new("mine")
     bpy.context.scene.collection.children.link(mine)
     for ob in (boxes_of(root)[1], bpy.data.objects["0003"], bpy.data.objects["wall"]):

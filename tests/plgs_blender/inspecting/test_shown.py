@@ -25,7 +25,7 @@ from tiny_scene import CHAIR_ID
 from tests.raises_key import raises_key
 
 
-def test_they_say_the_same_as_the_result(root: bpy.types.Collection, lift: Path) -> None:
+def test_lists_match_the_result(root: bpy.types.Collection, lift: Path) -> None:
     told = json.loads((lift / "result" / "instances.json").read_text())["instances"]
     for row, entry in zip(root.plgs.instances, told, strict=True):
         assert (row.instance_id, row.name, row.class_id) == (entry["id"], entry["name"], entry["class_id"])
@@ -46,7 +46,7 @@ def test_they_say_the_same_as_the_result(root: bpy.types.Collection, lift: Path)
     assert root.plgs.instance_index == -1
 
 
-def test_they_stay_in_the_file_even_if_a_script_placed_it(lift: Path, tmp_path: Path, plgs: ModuleType) -> None:
+def test_lists_stay_in_a_saved_file(lift: Path, tmp_path: Path, plgs: ModuleType) -> None:
     assert not hasattr(bpy.types.Collection, "plgs")
     lift_scene.save_lift(lift, tmp_path / "lift.blend")
     assert not hasattr(bpy.types.Collection, "plgs"), "a script that places a lift switches nothing on"
@@ -169,7 +169,7 @@ def test_a_class_takes_its_instances_with_it(root: bpy.types.Collection) -> None
     assert seen(root) == before and all(row.visible for row in root.plgs.classes)
 
 
-def test_what_is_isolated_is_framed_without_crumbs(root: bpy.types.Collection) -> None:
+def test_isolated_object_is_framed_without_crumbs(root: bpy.types.Collection) -> None:
     view = next(s for screen in bpy.data.screens for a in screen.areas for s in a.spaces if s.type == "VIEW_3D")
     before = view.region_3d.view_location.copy(), view.region_3d.view_distance
     cloud = next(ob for ob in clouds_of(root) if ob.get("class_id") == CHAIR_ID)

@@ -77,7 +77,7 @@ def test_the_panel_chooses_the_device(tmp_path: Path) -> None:
     assert settings.device == "cuda"
 
 
-def test_all_options_of_the_preset() -> None:
+def test_preset_options_are_shown() -> None:
     settings = bpy.context.scene.plgs
     settings.preset_options = "weights.depth=0  objects=boxes"
     assert why_no_options(settings) is None
