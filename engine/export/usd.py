@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdSemantics, UsdShade, UsdVol, Vt
+from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdSemantics, UsdShade, UsdVol, Vt
 
 from ..job import write_atomically
+from ..passes.exr import number_in
 from ..passes.layers import linear
 from ..posed.classes import VOID
 from ..posed.names import unique_names
 from ..result_files import Instance
-from ..scene import Camera
+from ..scene import Camera, Frame
 from .mesh import MOST_INSTANCES, Part, parts_of
 from .source import FinishedLift
 from .splat_files import columns, opacities, unit_turns
@@ -28,8 +29,10 @@ _TO_USD = np.diag((1.0, -1.0, -1.0, 1.0))
 
 
 def export_usd(lift: FinishedLift, output: Path) -> None:
-    """lift.usdc, in metres, z up, with the pictures of its meshes in pictures/: a ParticleField3DGaussianSplat, a mesh
-    and a box (a guide) for each wanted instance, the first two for each wanted stuff class, and the frames' cameras.
+    """lift.usdc, in metres, z up, with the pictures of its meshes in pictures/. /Lift is an assembly. In Objects and
+    Stuff, each wanted instance and stuff class is a component, which is named after its lasting number and holds a
+    ParticleField3DGaussianSplat and a mesh, and for an instance a box (a guide). Cameras holds the frames' cameras, and
+    one that moves through them.
 
     SemanticsLabelsAPI names the "class" of each of them and, where there is one, the "instance". Raises as
     ``mesh.parts_of``.
@@ -38,36 +41,55 @@ def export_usd(lift: FinishedLift, output: Path) -> None:
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Lift").GetPrim())
-    for path, part in zip(_paths(stage, "Meshes", (part.name for part in parts)), parts, strict=True):
+    stage.SetDefaultPrim(_add_model(stage, "/Lift", Kind.Tokens.assembly))
+    for part in parts:
+        path = _add_component(stage, lift, part.class_id, part.instance_id, "mesh")
         if part.picture is not None:
             write_atomically(output / _picture(path), jpeg_bytes(part.picture))
-        name = lift.instances.names.get(part.instance_id, "")
-        _label(_add_mesh(stage, path, part), part.name, part.class_name, name)
-    _add_splats(stage, lift)
-    for path, one in zip(_paths(stage, "Boxes", (one.name for one in lift.listed)), lift.listed, strict=True):
-        _label(_add_box(stage, path, one), one.name, one.class_name, one.name)
-    paths = _paths(stage, "Cameras", (f"camera_{frame.name}" for frame in lift.frames))
-    for path, frame in zip(paths, lift.frames, strict=True):
-        _add_camera(stage, path, frame.name, frame.camera)
+        _label(_add_mesh(stage, path, part), lift, part.class_id, part.instance_id)
+    splats = lift.splats
+    label = splats["class_id"].astype(np.int64) * MOST_INSTANCES + splats["instance_id"]
+    for value in np.unique(label).tolist():
+        class_id, instance_id = divmod(value, MOST_INSTANCES)
+        path = _add_component(stage, lift, class_id, instance_id, "splats")
+        _label(_add_field(stage, path, splats[label == value]), lift, class_id, instance_id)
+    for one in lift.listed:
+        path = _add_component(stage, lift, one.class_id, one.id, "box")
+        _label(_add_box(stage, path, one), lift, one.class_id, one.id)
+    _add_cameras(stage, lift.frames)
     with TemporaryDirectory() as folder:
         stage.GetRootLayer().Export(f"{folder}/lift.usdc")
         write_atomically(output / "lift.usdc", Path(folder, "lift.usdc").read_bytes())
 
 
-def _label(prim: Usd.Prim, name: str, class_name: str, instance: str) -> None:
-    prim.SetDisplayName(name)
+def _add_model(stage: Usd.Stage, path: str, kind: str) -> Usd.Prim:
+    prim = UsdGeom.Xform.Define(stage, path).GetPrim()
+    Usd.ModelAPI(prim).SetKind(kind)
+    return prim
+
+
+def _add_component(stage: Usd.Stage, lift: FinishedLift, class_id: int, instance_id: int, what: str) -> str:
+    """Add an instance or class, if it is not there. Returns the path for its prim of this kind. Other programs show the
+    last name of a path alone, so it is unique, too."""
+    is_object = instance_id and class_id != VOID
+    group, name = ("Objects", f"object_{instance_id}") if is_object else ("Stuff", f"class_{class_id}")
+    path = f"/Lift/{group}/{name}"
+    if not stage.GetPrimAtPath(path):
+        _add_model(stage, f"/Lift/{group}", Kind.Tokens.group)
+        _label(_add_model(stage, path, Kind.Tokens.component), lift, class_id, instance_id)
+    own = f"{path}/{name}_{what}"
+    # If every pixel decides on its own, an instance may have several classes.
+    return own if not stage.GetPrimAtPath(own) else f"{own}_{class_id}_{instance_id}"
+
+
+def _label(prim: Usd.Prim, lift: FinishedLift, class_id: int, instance_id: int) -> None:
+    """Name an instance's or a class's prim and its labels."""
+    class_name = lift.classes[class_id].name if class_id in lift.classes else ""
+    instance = lift.instances.names.get(instance_id, "") if class_id != VOID else ""
+    prim.SetDisplayName(instance or class_name or "unlabelled")
     for taxonomy, label in (("class", class_name), ("instance", instance)):
         if label:
             UsdSemantics.LabelsAPI.Apply(prim, taxonomy).CreateLabelsAttr([label])
-
-
-def _paths(stage: Usd.Stage, scope: str, names: Iterable[str]) -> Iterable[str]:
-    """The paths of prims of these names."""
-    valid = {number: Tf.MakeValidIdentifier(name) for number, name in enumerate(names, start=1)}
-    if valid:
-        UsdGeom.Scope.Define(stage, f"/Lift/{scope}")
-    return [f"/Lift/{scope}/{name}" for name in unique_names(valid, "_").values()]
 
 
 def _add_mesh(stage: Usd.Stage, path: str, part: Part) -> Usd.Prim:
@@ -84,7 +106,8 @@ def _add_mesh(stage: Usd.Stage, path: str, part: Part) -> Usd.Prim:
     if part.uv is not None:
         st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "faceVarying")
         st.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(part.uv.reshape(-1, 2) * (1, -1) + (0, 1), np.float32)))
-        UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(_add_material(stage, path))
+    material = _add_material(stage, path, "" if part.uv is None else _picture(path))
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
     return mesh.GetPrim()
 
 
@@ -93,37 +116,31 @@ def _picture(path: str) -> str:
     return f"pictures/{path.rpartition('/')[2]}.jpg"
 
 
-def _add_material(stage: Usd.Stage, path: str) -> UsdShade.Material:
-    """A matt material with the picture of the mesh at this path."""
+def _add_material(stage: Usd.Stage, path: str, picture: str = "") -> UsdShade.Material:
+    """A matt material with a ``picture`` for the mesh at this path; without one, it shows the display colours."""
     material = UsdShade.Material.Define(stage, f"{path}/Material")
-    surface, picture, uv = (
-        UsdShade.Shader.Define(stage, f"{path}/Material/{name}") for name in ("Surface", "Picture", "Place")
-    )
-    for shader, kind in ((surface, "UsdPreviewSurface"), (picture, "UsdUVTexture"), (uv, "UsdPrimvarReader_float2")):
-        shader.CreateIdAttr(kind)
-    uv.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
-    picture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(f"./{_picture(path)}")
-    picture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
-    picture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(uv.ConnectableAPI(), "result")
+    surface = UsdShade.Shader.Define(stage, f"{path}/Material/Surface")
+    reader = UsdShade.Shader.Define(stage, f"{path}/Material/Reader")
+    surface.CreateIdAttr("UsdPreviewSurface")
+    reader.CreateIdAttr("UsdPrimvarReader_float2" if picture else "UsdPrimvarReader_float3")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st" if picture else "displayColor")
+    shown, output = reader, "result"
+    if picture:
+        shown, output = UsdShade.Shader.Define(stage, f"{path}/Material/Picture"), "rgb"
+        shown.CreateIdAttr("UsdUVTexture")
+        shown.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(f"./{picture}")
+        shown.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
+        for name in ("wrapS", "wrapT"):
+            shown.CreateInput(name, Sdf.ValueTypeNames.Token).Set("clamp")
+        reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+        shown.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+    shown.CreateOutput(output, Sdf.ValueTypeNames.Float3)
     colour = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
-    colour.ConnectToSource(picture.ConnectableAPI(), "rgb")
+    colour.ConnectToSource(shown.ConnectableAPI(), output)
     surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(1.0)
+    surface.CreateOutput("surface", Sdf.ValueTypeNames.Token)
     material.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
     return material
-
-
-def _add_splats(stage: Usd.Stage, lift: FinishedLift) -> None:
-    """A field for each instance and stuff class, and one for the unlabelled rest."""
-    splats = lift.splats
-    label = splats["class_id"].astype(np.int64) * MOST_INSTANCES + splats["instance_id"]
-    names_of = {}
-    for value in np.unique(label).tolist():
-        class_id, instance_id = divmod(value, MOST_INSTANCES)
-        class_name = lift.classes[class_id].name if class_id in lift.classes else ""
-        instance = lift.instances.names.get(instance_id, "") if class_id != VOID else ""
-        names_of[value] = (instance or class_name or "unlabelled", class_name, instance)
-    for path, value in zip(_paths(stage, "Splats", (name for name, *_ in names_of.values())), names_of, strict=True):
-        _label(_add_field(stage, path, splats[label == value]), *names_of[value])
 
 
 def _add_field(stage: Usd.Stage, path: str, splats: NDArray[np.void]) -> Usd.Prim:
@@ -150,21 +167,39 @@ def _add_box(stage: Usd.Stage, path: str, one: Instance) -> Usd.Prim:
     box.AddScaleOp().Set(Gf.Vec3f(*one.size))
     box.CreatePurposeAttr(UsdGeom.Tokens.guide)
     box.CreateDisplayColorAttr(_vectors([linear(np.array(one.colour) / 255)]))
+    UsdShade.MaterialBindingAPI.Apply(box.GetPrim()).Bind(_add_material(stage, path))
     return box.GetPrim()
 
 
-def _add_camera(stage: Usd.Stage, path: str, name: str, camera: Camera) -> None:
-    """A camera whose aperture is the whole picture; its offsets carry the principal point."""
-    shown = UsdGeom.Camera.Define(stage, path)
-    shown.GetPrim().SetDisplayName(name)
+def _add_cameras(stage: Usd.Stage, frames: Sequence[Frame]) -> None:
+    """A camera for each frame, and one that moves: at the time of a frame's number, or else of its place in the
+    capture, it is that frame's."""
+    numbers = [number_in(frame.name) for frame in frames]
+    is_numbered = None not in numbers and len({*numbers}) == len(numbers)
+    times = [float(number or 0) for number in numbers] if is_numbered else [*map(float, range(1, len(frames) + 1))]
+    if times:
+        stage.SetStartTimeCode(min(times))
+        stage.SetEndTimeCode(max(times))
+    UsdGeom.Scope.Define(stage, "/Lift/Cameras")
+    names = unique_names(dict(enumerate(Tf.MakeValidIdentifier(f"camera_{frame.name}") for frame in frames)), "_")
+    for number, (frame, time) in enumerate(zip(frames, times, strict=True)):
+        still = UsdGeom.Camera.Define(stage, f"/Lift/Cameras/{names[number]}")
+        still.GetPrim().SetDisplayName(frame.name)
+        _set_camera(still, frame.camera, Usd.TimeCode.Default())
+        _set_camera(UsdGeom.Camera.Define(stage, "/Lift/Cameras/moving"), frame.camera, Usd.TimeCode(time))
+
+
+def _set_camera(shown: UsdGeom.Camera, camera: Camera, time: Usd.TimeCode) -> None:
+    """Set what a camera shows at a time. Its aperture is the whole picture; its offsets carry the principal point."""
     # The apertures of Usd are in tenths of a unit, as the focal length is: only their ratios matter.
     shown.CreateFocalLengthAttr(FOCAL_LENGTH)
-    shown.CreateHorizontalApertureAttr(FOCAL_LENGTH * camera.width / camera.fx)
-    shown.CreateVerticalApertureAttr(FOCAL_LENGTH * camera.height / camera.fy)
-    shown.CreateHorizontalApertureOffsetAttr(FOCAL_LENGTH * (camera.width / 2 - camera.cx) / camera.fx)
-    shown.CreateVerticalApertureOffsetAttr(FOCAL_LENGTH * (camera.cy - camera.height / 2) / camera.fy)
+    shown.CreateHorizontalApertureAttr().Set(FOCAL_LENGTH * camera.width / camera.fx, time)
+    shown.CreateVerticalApertureAttr().Set(FOCAL_LENGTH * camera.height / camera.fy, time)
+    shown.CreateHorizontalApertureOffsetAttr().Set(FOCAL_LENGTH * (camera.width / 2 - camera.cx) / camera.fx, time)
+    shown.CreateVerticalApertureOffsetAttr().Set(FOCAL_LENGTH * (camera.cy - camera.height / 2) / camera.fy, time)
     shown.CreateClippingRangeAttr(Gf.Vec2f(0.01, 1000.0))
-    shown.AddTransformOp().Set(Gf.Matrix4d((camera.camera_to_world @ _TO_USD).T.tolist()))  # it has rows for columns
+    # It has rows for columns.
+    shown.MakeMatrixXform().Set(Gf.Matrix4d((camera.camera_to_world @ _TO_USD).T.tolist()), time)
 
 
 def _vectors(rows: Iterable[object] | NDArray[np.floating]) -> Vt.Vec3fArray:

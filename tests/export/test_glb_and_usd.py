@@ -53,7 +53,7 @@ def read_by_blender(*paths: Path) -> dict[str, Any]:
 def test_one_file_holds_all_meshes(lift: LiftFolder, tmp_path: Path) -> None:
     """glTF and OpenUSD, read back by Open3D, by OpenUSD and by Blender."""
     open3d, usd = pytest.importorskip("open3d"), pytest.importorskip("pxr.Usd")
-    from pxr import UsdGeom, UsdSemantics
+    from pxr import UsdGeom, UsdSemantics, UsdShade
 
     for form in ("mesh", "gltf", "usd"):
         run(lift, form, tmp_path / form)
@@ -63,29 +63,46 @@ def test_one_file_holds_all_meshes(lift: LiftFolder, tmp_path: Path) -> None:
     stage = usd.Stage.Open(str(tmp_path / "usd/lift.usdc"))
     assert (UsdGeom.GetStageUpAxis(stage), UsdGeom.GetStageMetersPerUnit(stage)) == ("Z", 1.0)
     lifted = FinishedLift(lift, ["all"])
-    class_of = {one.name: one.class_name for one in lifted.listed}
+    listed = sorted(lifted.listed, key=lambda one: one.id)
+    class_of = {one.name: one.class_name for one in listed}
+    assert complaints(stage) == []
     in_usd: dict[str, UsdGeom.Mesh] = {}
-    for prim in stage.GetPrimAtPath("/Lift/Meshes").GetChildren():
+    for prim in prims_of(stage, UsdGeom.Mesh):
         labels = {each: UsdSemantics.LabelsAPI(prim, each).GetLabelsAttr().Get() for each in ("class", "instance")}
         name = prim.GetDisplayName()
         assert list(labels["class"]) == [class_of.get(name, name)]
         assert labels["instance"] is None if name not in class_of else list(labels["instance"]) == [name]
         in_usd[name] = UsdGeom.Mesh(prim)
+        number = next((f"object_{one.id}" for one in lifted.listed if one.name == name), None)
+        component = prim.GetParent()
+        assert number in (None, component.GetName()) and component.GetDisplayName() == name
+        assert usd.ModelAPI(component).GetKind() == "component" and component.IsModel()
+        assert UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
     assert in_usd.keys() == alone.keys() and any(name in class_of for name in in_usd)
     for name, mesh in in_usd.items():
         upright = np.asarray(alone[name].vertices) @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
         points = np.array(mesh.GetPointsAttr().Get())  # Open3D changes their order
         assert are_same_places(points, upright)  # seams double vertices in glTF
-    boxes = [UsdGeom.Cube(prim) for prim in stage.GetPrimAtPath("/Lift/Boxes").GetChildren()]
-    assert [box.GetPrim().GetDisplayName() for box in boxes] == [one.name for one in lifted.listed]
-    for box, one in zip(boxes, lifted.listed, strict=True):
+    boxes = [UsdGeom.Cube(prim) for prim in prims_of(stage, UsdGeom.Cube)]
+    boxes.sort(key=lambda box: int(box.GetPrim().GetName().split("_")[1]))
+    assert [box.GetPrim().GetDisplayName() for box in boxes] == [one.name for one in listed]
+    for box, one in zip(boxes, listed, strict=True):
         corner = np.array(box.ComputeLocalToWorldTransform(usd.TimeCode.Default()).Transform((0.5, 0.5, 0.5)))
         turn = np.array([[np.cos(one.yaw), -np.sin(one.yaw), 0], [np.sin(one.yaw), np.cos(one.yaw), 0], [0, 0, 1]])
         np.testing.assert_allclose(corner, one.centre + turn @ np.array(one.size) / 2, atol=1e-4)
     if HAS_BLENDER:
-        check_in_blender(
-            lifted, {name: np.array(mesh.GetPointsAttr().Get()) for name, mesh in in_usd.items()}, tmp_path
-        )
+        check_in_blender(lifted, in_usd, tmp_path)
+
+
+def prims_of(stage: Any, kind: Any) -> list[Any]:
+    return [prim for prim in stage.Traverse() if prim.IsA(kind)]
+
+
+def complaints(stage: Any) -> list[str]:
+    """What usdchecker says of a stage: it runs all of OpenUSD's validators."""
+    validation = pytest.importorskip("pxr.UsdValidation")
+    validators = validation.ValidationRegistry().GetOrLoadAllValidators()
+    return [error.GetErrorAsString() for error in validation.ValidationContext(validators).Validate(stage)]
 
 
 def are_same_places(some: Any, others: Any) -> bool:
@@ -93,14 +110,13 @@ def are_same_places(some: Any, others: Any) -> bool:
     return all(cKDTree(a).query(b)[0].max() < 1e-4 for a, b in ((some, others), (others, some)))
 
 
-def check_in_blender(lifted: FinishedLift, meshes: Mapping[str, np.ndarray], folder: Path) -> None:
+def check_in_blender(lifted: FinishedLift, meshes: Mapping[str, Any], folder: Path) -> None:
     glb, usdc = folder / "gltf/lift.glb", folder / "usd/lift.usdc"
     found = read_by_blender(glb, usdc)
     for path in (glb, usdc):
-        shown = {name.replace(" ", "_"): told for name, told in found[str(path)].items() if told["type"] == "MESH"}
-        assert shown.keys() >= {name.replace(" ", "_") for name in meshes}
-        for name, points in meshes.items():
-            told = shown[name.replace(" ", "_")]
+        for name, mesh in meshes.items():
+            told = found[str(path)][name if path == glb else mesh.GetPrim().GetName()]
+            points = np.array(mesh.GetPointsAttr().Get())
             assert told["uv"] == 1 and len(told["pictures"]) == 1 and min(told["pictures"][0]) > 1
             assert are_same_places(told["vertices"], points)
     assert found[str(glb)]["floor"]["class"] == "floor"
@@ -123,7 +139,7 @@ def test_gaussians_and_cameras_in_usd(lift: LiftFolder, tmp_path: Path) -> None:
     lifted = FinishedLift(lift, ["all"])
     rows = lifted.splats
     seen = 0
-    for prim in stage.GetPrimAtPath("/Lift/Splats").GetChildren():
+    for prim in prims_of(stage, UsdVol.ParticleField3DGaussianSplat):
         field = UsdVol.ParticleField3DGaussianSplat(prim)
         assert field and field.GetRadianceSphericalHarmonicsDegreeAttr().Get() == 0
         assert usd.ColorSpaceAPI(prim).GetColorSpaceNameAttr().Get() == "srgb_rec709_display"
@@ -147,6 +163,11 @@ def test_gaussians_and_cameras_in_usd(lift: LiftFolder, tmp_path: Path) -> None:
         np.testing.assert_array_equal(colours[:, 1], mine["f_dc_1"])
     assert seen == len(rows) > 0
     camera = lifted.frames[0].camera
+    moving = UsdGeom.Camera.Get(stage, "/Lift/Cameras/moving")
+    for frame in lifted.frames:
+        still = UsdGeom.Camera.Get(stage, f"/Lift/Cameras/camera_{frame.name}")
+        assert moving.GetCamera(int(frame.name)) == still.GetCamera(usd.TimeCode.Default())
+    assert stage.GetEndTimeCode() == max(int(frame.name) for frame in lifted.frames)
     frustum = UsdGeom.Camera.Get(stage, f"/Lift/Cameras/camera_{lifted.frames[0].name}").GetCamera().frustum
     point = camera.camera_to_world @ np.array([0.3, -0.2, 2.0, 1.0])
     (pixel,), _ = camera.project(point[None, :3])
