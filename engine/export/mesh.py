@@ -73,41 +73,27 @@ GENERATOR = "PLGS for Blender"
 def glb_bytes(parts: Sequence[Part]) -> bytes:
     """A node and a mesh for each part, in glTF's axes (y up). A node's ``extras`` have its class and its ids. Parts
     without pictures have colours at their vertices, which glTF would multiply with a picture."""
-    views: list[dict[str, int]] = []
-    accessors: list[dict[str, Any]] = []
+    buffer = GlbBuffer()
     nodes: list[dict[str, Any]] = []
     meshes: list[dict[str, Any]] = []
     matt = {"metallicFactor": 0.0, "roughnessFactor": 1.0}
     materials: list[dict[str, Any]] = [{"pbrMetallicRoughness": matt, "doubleSided": True}]
     images: list[dict[str, Any]] = []
-    body = bytearray()
     for part in parts:
-        colours, values, form, number = "COLOR_0", linear(part.rgb / 255), "VEC3", 0
+        colours, values, number = "COLOR_0", linear(part.rgb / 255), 0
         if part.picture is not None:
             encoded = jpeg_bytes(part.picture)
-            (part, values), colours, form, number = part.with_seams(), "TEXCOORD_0", "VEC2", len(materials)
+            (part, values), colours, number = part.with_seams(), "TEXCOORD_0", len(materials)
             shown = matt | {"baseColorTexture": {"index": len(images)}}
             materials.append({"pbrMetallicRoughness": shown, "doubleSided": True})
-            images.append({"bufferView": len(views), "mimeType": "image/jpeg"})
-            views.append({"buffer": 0, "byteOffset": len(body), "byteLength": len(encoded)})
-            body += encoded + b"\0" * (-len(encoded) % 4)
-        xyz = upright(part.xyz)
-        arrays: list[tuple[NDArray[Any], int, str, int]] = [
-            (xyz, FLOAT, "VEC3", VERTICES),
-            (upright(part.normal), FLOAT, "VEC3", VERTICES),
-            (np.ascontiguousarray(values, "<f4"), FLOAT, form, VERTICES),
-            (np.ascontiguousarray(part.triangles.reshape(-1), "<u4"), _WHOLE, "SCALAR", _INDICES),
-        ]
-        first = len(accessors)
-        for values, kind, shape, target in arrays:
-            accessors.append({"bufferView": len(views), "componentType": kind, "count": len(values), "type": shape})
-            views.append({"buffer": 0, "byteOffset": len(body), "byteLength": values.nbytes, "target": target})
-            body += values.tobytes()
-        accessors[first] |= {"min": xyz.min(axis=0).tolist(), "max": xyz.max(axis=0).tolist()}  # required for positions
-        attributes = {"POSITION": first, "NORMAL": first + 1, colours: first + 2}
+            images.append({"bufferView": buffer.add(encoded + b"\0" * (-len(encoded) % 4)), "mimeType": "image/jpeg"})
+            buffer.views[-1]["byteLength"] = len(encoded)
+        arrays = {"POSITION": upright(part.xyz), "NORMAL": upright(part.normal), colours: values}
+        attributes = buffer.add_vertices(arrays)
+        indices = buffer.add_array(part.triangles.reshape(-1), _WHOLE, "<u4", _INDICES)
         labels = {"class": part.class_name, "class_id": part.class_id, "instance_id": part.instance_id}
         nodes.append({"name": part.name, "mesh": len(meshes), "extras": labels})
-        drawn = {"attributes": attributes, "indices": first + 3, "material": number}
+        drawn = {"attributes": attributes, "indices": indices, "material": number}
         meshes.append({"name": part.name, "primitives": [drawn]})
     content = {
         "asset": {"version": "2.0", "generator": GENERATOR},
@@ -116,20 +102,46 @@ def glb_bytes(parts: Sequence[Part]) -> bytes:
         "nodes": nodes,
         "meshes": meshes,
         "materials": materials,
-        "buffers": [{"byteLength": len(body)}],
-        "bufferViews": views,
-        "accessors": accessors,
     }
     if images:
         content |= {"images": images, "textures": [{"source": each} for each in range(len(images))]}
-    return glb_file(content, bytes(body))
+    return buffer.file(content)
 
 
-def glb_file(content: Mapping[str, Any], body: bytes) -> bytes:
-    """A GLB file of glTF's JSON and its one buffer."""
-    head = json.dumps(content, ensure_ascii=False).encode()
-    chunks = _chunk(_JSON, head, b" ") + _chunk(_BIN, body, b"\0")
-    return struct.pack("<4sII", _MAGIC, 2, 12 + len(chunks)) + chunks
+class GlbBuffer:
+    """The buffer of a GLB file, with its ``views`` and accessors."""
+
+    def __init__(self) -> None:
+        self.views, self._accessors, self._body = list[dict[str, int]](), list[dict[str, Any]](), bytearray()
+
+    def add(self, data: bytes) -> int:
+        """The index of the view of some bytes."""
+        self.views.append({"buffer": 0, "byteOffset": len(self._body), "byteLength": len(data)})
+        self._body += data
+        return len(self.views) - 1
+
+    def add_array(self, values: NDArray[Any], code: int, dtype: str, target: int) -> int:
+        """The index of the accessor of an array [N] or [N, K], with glTF's codes for its type and use."""
+        kind = "SCALAR" if values.ndim == 1 else f"VEC{values.shape[1]}"
+        view = self.add(np.ascontiguousarray(values, dtype).tobytes())
+        self.views[view]["target"] = target
+        self._accessors.append({"bufferView": view, "componentType": code, "count": len(values), "type": kind})
+        return len(self._accessors) - 1
+
+    def add_vertices(self, arrays: Mapping[str, NDArray[Any]]) -> dict[str, int]:
+        """The accessors of attributes float32 [N] or [N, K], of which POSITION needs its limits."""
+        found = {name: self.add_array(values, FLOAT, "<f4", VERTICES) for name, values in arrays.items()}
+        xyz = arrays["POSITION"]
+        limits = {"min": xyz.min(axis=0).tolist(), "max": xyz.max(axis=0).tolist()}
+        self._accessors[found["POSITION"]] |= limits
+        return found
+
+    def file(self, content: Mapping[str, Any]) -> bytes:
+        """A GLB file of glTF's JSON and this buffer."""
+        own = {"buffers": [{"byteLength": len(self._body)}], "bufferViews": self.views, "accessors": self._accessors}
+        head = json.dumps({**content, **own}, ensure_ascii=False).encode()
+        chunks = _chunk(_JSON, head, b" ") + _chunk(_BIN, bytes(self._body), b"\0")
+        return struct.pack("<4sII", _MAGIC, 2, 12 + len(chunks)) + chunks
 
 
 def upright(values: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -166,18 +178,13 @@ def export_mesh(lift: FinishedLift, output: Path) -> None:
     parts = {output / "meshes" / f"{part.name}.glb": part for part in _cut(lift, surface, label, texture)}
     for path, part in parts.items():
         write_atomically(path, glb_bytes([part]))
-    written = {_file_at(path) for path in parts}  # not by names: a disk may list them in other case or Unicode form
-    for path in [path for path in (output / "meshes").glob("*.glb") if _file_at(path) not in written]:
+    # Not by names: a disk may list them in other case or Unicode form.
+    others = [path for path in (output / "meshes").glob("*.glb") if not any(map(path.samefile, parts))]
+    for path in others:
         with open(path, "rb") as file:
             is_ours = GENERATOR.encode() in file.read(128)
         if is_ours:
             path.unlink()
-
-
-def _file_at(path: Path) -> tuple[int, int]:
-    """Which file of which disk a path leads to. Raises OSError."""
-    status = path.stat()
-    return status.st_dev, status.st_ino
 
 
 def write_surface(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..passes.layers import linear
 from ..passes.ply import SH_DEGREE_0
-from .mesh import FLOAT, GENERATOR, VERTICES, glb_file, upright
+from .mesh import GENERATOR, GlbBuffer, upright
 
 _SPZ_MAGIC, _SPZ_VERSION, _FRACTIONAL_BITS = 0x5053474E, 3, 12
 """Positions are 24-bit multiples of 1/4096 m: within 2048 m."""
@@ -90,17 +90,9 @@ def splats_glb(rows: NDArray[np.void]) -> bytes:
         "_CLASS_ID": rows["class_id"],
         "_INSTANCE_ID": rows["instance_id"],
     }
-    kinds, body = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}, bytearray()
-    accessors, views = list[dict[str, Any]](), list[dict[str, int]]()
-    for number, values in enumerate(arrays.values()):
-        stored = np.ascontiguousarray(values, "<f4")
-        kind = kinds[stored.size // len(stored)]
-        accessors.append({"bufferView": number, "componentType": FLOAT, "count": len(stored), "type": kind})
-        views.append({"buffer": 0, "byteOffset": len(body), "byteLength": stored.nbytes, "target": VERTICES})
-        body += stored.tobytes()
-    accessors[0] |= {"min": xyz.min(axis=0).tolist(), "max": xyz.max(axis=0).tolist()}  # required for positions
+    buffer = GlbBuffer()
     shown = {"kernel": "ellipse", "colorSpace": _COLOUR_SPACE}
-    points = {"attributes": dict(zip(arrays, range(len(arrays)), strict=True)), "mode": 0}
+    points = {"attributes": buffer.add_vertices(arrays), "mode": 0}
     content = {
         "asset": {"version": "2.0", "generator": GENERATOR},
         "extensionsUsed": [_EXTENSION],
@@ -108,8 +100,5 @@ def splats_glb(rows: NDArray[np.void]) -> bytes:
         "scenes": [{"nodes": [0]}],
         "nodes": [{"name": "splats", "mesh": 0}],
         "meshes": [{"name": "splats", "primitives": [points | {"extensions": {_EXTENSION: shown}}]}],
-        "buffers": [{"byteLength": len(body)}],
-        "bufferViews": views,
-        "accessors": accessors,
     }
-    return glb_file(content, bytes(body))
+    return buffer.file(content)
