@@ -40,7 +40,7 @@ BLEND_S = 600.0
 """Seconds that a command waits for its turn while others build the .blend of the same lift."""
 MOST_FRAMES = 1_000_000
 """The most frames of a shot."""
-_OF_A_CAMERA = ("blend", "camera", "shot", "replace", "camera_frames", "layers", "passes")
+_OF_A_CAMERA = ("blend", "camera", "shot", "replace", "camera_frames", "layers", "passes", "channels")
 """Options of --bake camera only."""
 READER_GONE = 141
 """The shell's exit status of a command whose reader has ended, such as ``head``."""
@@ -58,7 +58,7 @@ load_package()
 # ruff: noqa: E402 - what follows can be imported only now
 from plgs.engine.errors import ExitCode, PlgsError
 from plgs.engine.gates import open_plain, open_to_append
-from plgs.engine.job import FURTHER_LAYERS, LiftFolder, read_manifest
+from plgs.engine.job import CHANNELS, FURTHER_LAYERS, LiftFolder, read_manifest
 from plgs.engine.job.cameras import frame_numbers
 from plgs.engine.job.lock import FileLock
 from plgs.engine.job.process import clean_environment, engine_python, missing_modules
@@ -124,7 +124,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     shot.add_argument("--replace", action="store_true", help="replace a shot of this name from another file or camera")
     shot.add_argument(
         "--range", dest="camera_frames", type=frame_range, default=[], metavar="FRAMES",
-        help="such as 1-250, 1-250:2, 1001 or 1001,1003 (default: the file's range)",
+        help="such as 1-250, 1-250:2, 1-3:0.5, 1001 or 1001,1003 (default: the file's range)",
     )  # fmt: skip
     shot.add_argument(
         "--layers", nargs="+", choices=FURTHER_LAYERS, default=(), metavar="LAYER",
@@ -134,6 +134,9 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         "--passes", type=Path, metavar="FOLDER",
         help="write FOLDER/NAME.0001.exr, and leave the lift's result as it is (default: OUT/result/passes)",
     )  # fmt: skip
+    shot.add_argument(
+        "--channels", choices=CHANNELS, default="", help="whose names the channels in --passes have (default: blender)"
+    )
     shot.add_argument(
         "--scene", type=Path, metavar="SCENE", dest="relink",
         help="where the scene of the lift in OUT is now, if it was moved; the lift remembers it",
@@ -153,17 +156,21 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     elif options.scene is None:
         parser.error("SCENE is needed, unless --bake camera bakes from a finished lift")
     elif any(vars(options)[name] for name in _OF_A_CAMERA):
-        parser.error("--blend, --camera, --shot, --replace, --range, --layers and --passes belong to --bake camera")
+        belonging = "--blend, --camera, --shot, --replace, --range, --layers, --passes and --channels"
+        parser.error(f"{belonging} belong to --bake camera")
+    if options.channels == "nuke" and options.passes is None:
+        parser.error("--channels nuke needs --passes FOLDER: the lift's own passes are read by Blender")
     return options
 
 
-def frame_range(text: str) -> list[int]:
-    """The frames of "1-250", "1-250:2" or "1001,1003"; for argparse, so it raises ArgumentTypeError."""
+def frame_range(text: str) -> list[float]:
+    """The frames of "1-250", "1-3:0.5" or "1001,1003"; for argparse, so it raises ArgumentTypeError."""
     try:
         ranges = frame_numbers(text)
         if sum(map(len, ranges)) > MOST_FRAMES:
             raise ValueError(f"{text!r} has more than {MOST_FRAMES} frames")
-        return sorted({frame for each in ranges for frame in each})
+        thousandths = sorted({frame for each in ranges for frame in each})
+        return [frame / 1000 if frame % 1000 else frame // 1000 for frame in thousandths]
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from error
 
@@ -223,7 +230,7 @@ def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, inte
         build_blend(lift, blend)
     shot = options.camera, options.camera_frames, options.layers
     passes = None if options.passes is None else options.passes.absolute()
-    named = {"name": options.shot, "replace": options.replace, "output": passes}
+    named = {"name": options.shot, "replace": options.replace, "output": passes, "channels": options.channels}
     code = bake_shot_in_terminal(lift, options.blend or blend, *shot, interrupts, options.echo, **named)
     shows_them = code == ExitCode.FINISHED and options.blend is None and passes is None
     return build_blend(lift, blend) if shows_them else code

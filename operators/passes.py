@@ -91,7 +91,8 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
         self.lift_folder = str(lifting.lift_at(context.scene.plgs, self.lift_folder).path)
         names = ("frame_start", "frame_end", "frame_step")
         first, last, step = (getattr(self, name) if self.properties.is_property_set(name) else None for name in names)
-        shot = shot_of(context.scene, self.camera, first, last, step, self.shot)
+        motion = "vector" in context.scene.plgs.layers
+        shot = shot_of(context.scene, self.camera, first, last, step, self.shot, motion=motion)
         for what in shot.not_baked:
             self.report({"WARNING"}, what)
         return lifting.read_camera(context.scene, shot)

@@ -34,6 +34,7 @@ UPS = [
 _LAYERS = [
     ("normal", "Normal", "The surface's normal; takes a third more disk space"),
     ("position", "Position", "The surface's position in the world; more than doubles the disk space"),
+    ("vector", "Vector", "Pixels to the previous and the next frame, for Vector Blur; more than doubles the space"),
 ]
 _BAKES = [
     ("test", "Test Frames", "Bake the passes of the frames held out of training, to check it"),

@@ -48,15 +48,17 @@ _LISTED = 8
 
 @dataclass(frozen=True)
 class Shot:
-    """``camera`` at every ``step``-th frame from ``first`` to ``last``, or ``only`` at these. Its files are named
-    ``given``, else after the .blend and the camera."""
+    """``camera`` at every ``step``-th frame from ``first`` to ``last``, or ``only`` at these, which may lie between
+    whole ones. Its files are named ``given``, else after the .blend and the camera. ``motion``: whether the cameras one
+    frame before and after each are wanted, too."""
 
     camera: bpy.types.Object
     first: int
     last: int
     step: int = 1
     given: str = ""
-    only: tuple[int, ...] = ()
+    only: tuple[float, ...] = ()
+    motion: bool = False
 
     @property
     def name(self) -> str:
@@ -67,7 +69,7 @@ class Shot:
         return shot_name(self.camera, self.given, later)
 
     @property
-    def frames(self) -> Sequence[int]:
+    def frames(self) -> Sequence[float]:
         return self.only or range(self.first, self.last + 1, self.step)
 
     @property
@@ -89,7 +91,8 @@ def shot_of(
     last: int | None = None,
     step: int | None = None,
     given: str = "",
-    only: Sequence[int] = (),
+    only: Sequence[float] = (),
+    motion: bool = False,
 ) -> Shot:
     """The named camera, or the active one, over the given range, else the scene's. ``given`` names its files, else
     the studio's default does. Raises PlgsError."""
@@ -104,6 +107,7 @@ def shot_of(
         scene.frame_step if step is None else step,
         given or studio().names or "",
         tuple(only),
+        motion,
     )
     if not shot.frames:
         what = f"cannot be baked: {shot.first} to {shot.last} is not a range of frames"
@@ -187,9 +191,11 @@ def write_view(lift: Path, scene: bpy.types.Scene) -> Path:
     return lift / "bake" / f"{name}.json"
 
 
-def numbered_name(name: str, frame: int, digits: int = DIGITS) -> str:
-    """A frame's file name, as in Blender's own renders: "shot.0003" and "shot.-0003"."""
-    return f"{name}.{'-' * (frame < 0)}{abs(frame):0{digits}d}"
+def numbered_name(name: str, frame: float, digits: int = DIGITS) -> str:
+    """A frame's file name, as in Blender's own renders: "shot.0003" and "shot.-0003". Half a frame later it is
+    "shot.sub500.0003": programs count whole numbers only, so each part of a frame is a sequence of its own."""
+    whole, part = divmod(round(1000 * frame), 1000)
+    return f"{name}{f'.sub{part:03d}' if part else ''}.{'-' * (whole < 0)}{abs(whole):0{digits}d}"
 
 
 class ShotReader:
@@ -205,7 +211,9 @@ class ShotReader:
         self._read: list[BakeCamera] = []
         self._names = [shot.named(later) for later in range(_MOST_LATER if "{version" in shot.given else 1)]
         self._shot = self._names[0]
-        self._first, self._last = min(*shot.frames, scene.frame_start), max(*shot.frames, scene.frame_end)
+        self._first = math.floor(min(*shot.frames, scene.frame_start))
+        self._last = math.ceil(max(*shot.frames, scene.frame_end))
+        self._motion, self._beside = shot.motion, dict[float, BakeCamera]()
         self._digits = max(DIGITS, *(len(str(abs(frame))) for frame in (self._first, self._last)))
         self._source = ShotSource(bpy.data.filepath or bpy.app.tempdir, shot.camera.name)
         which = f"{shot.first}-{shot.last}x{shot.step}"
@@ -223,9 +231,14 @@ class ShotReader:
     def cameras(self) -> list[BakeCamera]:
         """The cameras read. If the camera is still over the scene's whole range, it is one camera, named after the
         range's first frame, so that it has the same name in all parts of a shot."""
-        still = [replace(self._read[0], frame=self._first)]
-        read = still if self._stands_still else self._read
-        return [replace(camera, name=numbered_name(self._shot, camera.frame or 0, self._digits)) for camera in read]
+        return [replace(each, name=numbered_name(self._shot, frame, self._digits)) for frame, each in self._shown]
+
+    @property
+    def _shown(self) -> list[tuple[float, BakeCamera]]:
+        """The frames to bake, each with its camera."""
+        if self._stands_still:
+            return [(self._first, replace(self._read[0], frame=self._first))]
+        return list(zip(self._frames, self._read, strict=False))
 
     def read_for(self, seconds: float) -> bool:
         """Continue reading for about ``seconds``, at least one frame. Returns whether all frames are read. Raises
@@ -240,7 +253,7 @@ class ShotReader:
                 self._read, self._stands_still = [_camera_at(scene, ob, self._first, "")], True
                 return True
             for frame in self._frames[len(self._read) :]:
-                self._read.append(_camera_at(scene, ob, frame, ""))
+                self._read.append(self._camera_with_motion(scene, ob, frame))
                 if time.monotonic() >= end:
                     break
             is_done = len(self._read) == len(self._frames)
@@ -251,6 +264,14 @@ class ShotReader:
                 self._stands_still = len(seen) == 1 and all(same)
         return is_done
 
+    def _camera_with_motion(self, scene: bpy.types.Scene, ob: bpy.types.Object, frame: float) -> BakeCamera:
+        if not self._motion:
+            return _camera_at(scene, ob, frame, "")
+        around = (frame - 1, frame, frame + 1)
+        self._beside = {each: self._beside.get(each) or _camera_at(scene, ob, each, "") for each in around}
+        previous, now, following = self._beside.values()
+        return replace(now, previous=previous.pinhole, next=following.pinhole)
+
     def write(self, lift: Path, *, replace: bool = False, output: Path | None = None) -> Path:
         """Same as `write_shot`, once all frames are read."""
         source = self._source
@@ -260,7 +281,7 @@ class ShotReader:
         for name in self._names:
             self._shot = name
             cameras = self.cameras
-            shown = {numbered_name("", camera.frame or 0, 1)[1:]: camera.fingerprint for camera in cameras}
+            shown = {numbered_name("", frame, 1)[1:]: camera.fingerprint for frame, camera in self._shown}
             try:
                 _claim(folder, name, dataclasses.replace(source, frames=shown), replace=replace)
             except PlgsError as error:
@@ -301,7 +322,7 @@ def _frame_kept(scene: bpy.types.Scene) -> Iterator[None]:
         scene.camera = camera
 
 
-def _check_pinhole(ob: bpy.types.Object, frame: int) -> None:
+def _check_pinhole(ob: bpy.types.Object, frame: float) -> None:
     """Raises PlgsError for a camera that no pinhole camera can reproduce."""
     at = f"{ob.name}, frame {frame}"
     if ob.type != "CAMERA":
@@ -314,12 +335,12 @@ def _check_pinhole(ob: bpy.types.Object, frame: int) -> None:
         raise PlgsError("mirrored", "shows the world mirrored", at, "Give it and its parents a positive scale.")
 
 
-def _camera_at(scene: bpy.types.Scene, ob: bpy.types.Object, frame: int, name: str) -> BakeCamera:
-    scene.frame_set(frame)
+def _camera_at(scene: bpy.types.Scene, ob: bpy.types.Object, frame: float, name: str) -> BakeCamera:
+    scene.frame_set(math.floor(frame), subframe=frame % 1)
     return _camera_now(scene, ob, frame, name)
 
 
-def _camera_now(scene: bpy.types.Scene, ob: bpy.types.Object, frame: int, name: str) -> BakeCamera:
+def _camera_now(scene: bpy.types.Scene, ob: bpy.types.Object, frame: float, name: str) -> BakeCamera:
     _check_pinhole(ob, frame)
     camera, display = _rendered_part(seen_by(ob, scene.render), scene)
     if max(camera.width, camera.height) > LARGEST_SIDE:
@@ -328,7 +349,7 @@ def _camera_now(scene: bpy.types.Scene, ob: bpy.types.Object, frame: int, name: 
     near, far, fps = float(ob.data.clip_start), float(ob.data.clip_end), scene.render.fps / scene.render.fps_base
     pose, lens = (tuple(tuple(map(float, row)) for row in matrix) for matrix in (camera.camera_to_world, camera.K))
     pinhole = PreviewCamera(pose, lens, camera.width, camera.height)
-    return BakeCamera(name, pinhole, near, far, frame, fps, display)
+    return BakeCamera(name, pinhole, near, far, math.floor(frame), fps, display)
 
 
 def _rendered_part(camera: Camera, scene: bpy.types.Scene) -> tuple[Camera, tuple[int, int, int, int] | None]:
@@ -362,7 +383,7 @@ def bake_shot_in_terminal(
     lift: LiftFolder,
     blend: Path,
     camera: str,
-    frames: Sequence[int],
+    frames: Sequence[float],
     layers: Sequence[str],
     interrupts: Interrupts,
     echo: int | None = None,
@@ -370,22 +391,24 @@ def bake_shot_in_terminal(
     name: str = "",
     replace: bool = False,
     output: Path | None = None,
+    channels: str = "",
 ) -> ExitCode:
     """Bake what a camera of ``blend`` sees of a finished lift over ``frames`` (none: the file's range), with these
-    FURTHER_LAYERS, into the lift's result or the folder ``output``. Progress goes to stderr and events to the
-    descriptor ``echo``. ``name`` is the shot's; with ``replace``, it may be that of another file's.
+    FURTHER_LAYERS, into the lift's result or the folder ``output``, with ``channels`` named for one of CHANNELS.
+    Progress goes to stderr and events to the descriptor ``echo``. ``name`` is the shot's; with ``replace``, it may be
+    that of another file's.
 
     Raises PlgsError, and Interrupted after Ctrl-C, once the engine has ended.
     """
     python = engine_python()
     scene = open_blend(blend.absolute(), lift.path, named_by="--blend")
-    shot = shot_of(scene, camera, given=name, only=frames)
+    shot = shot_of(scene, camera, given=name, only=frames, motion="vector" in layers)
     for what in shot.not_baked:
         print(f"warning: {what}", file=sys.stderr)
     cameras = write_shot(lift.path, scene, shot, replace=replace, output=output)
     with interrupts.deferred():
         while True:
-            follower = start_bake(lift, python, cameras=cameras, layers=layers, output=output)
+            follower = start_bake(lift, python, cameras=cameras, layers=layers, output=output, channels=channels)
             follow(follower, interrupts, LiveLine(sys.stderr), echo)
             is_busy = follower.error is not None and follower.error.code is ErrorCode.BUSY
             if not is_busy or follower.files != lift.task_files or interrupts.pending is not None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from .. import __version__
 from ..errors import PlgsError
 from ..gates import printable
-from ..job import FURTHER_LAYERS, EventWriter, ExitCode, StopSignal
+from ..job import CHANNELS, FURTHER_LAYERS, EventWriter, ExitCode, StopSignal
 from ..job.handshake import ADDED, CAPABILITIES
 from ..job.request import (
     add_lift_options,
@@ -109,6 +109,9 @@ def _add_bake(parser: argparse.ArgumentParser) -> None:
         "--layers", nargs="+", choices=FURTHER_LAYERS, default=(), metavar="LAYER",
         help=f"layers to write in addition to the standard ones: {', '.join(FURTHER_LAYERS)}",
     )  # fmt: skip
+    parser.add_argument(
+        "--channels", choices=CHANNELS, default="blender", help="whose names the channels have; nuke needs -o"
+    )
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FOLDER",
         help="write FOLDER/NAME.exr, and leave the lift's result unchanged (default: write into the result)",

@@ -138,7 +138,9 @@ class Replay:
         segments = tuple(segment for each in every for segment in each.segments)
         views = len(frames) or max(each.views for each in every)
         self.objects[kept] = replace(one, views=views, score=score, segments=segments)
-        self._do(Step({each.id: kept for each in others}))
+        step = Step({each.id: kept for each in others})
+        step.apply(self.xyz, self.label)
+        self.steps.append(step)
         self._fit([kept])
 
     def _move(self, edit: Edit, ids: Sequence[int]) -> str:
@@ -181,10 +183,6 @@ class Replay:
         colour, kind = distinct_colour(number), self.classes[class_id].name
         none = (0.0, 0.0, 0.0)
         return Instance(number, name, class_id, kind, colour, none, none, yaw, rotation, views, score, 0, segments)
-
-    def _do(self, step: Step) -> None:
-        step.apply(self.xyz, self.label)
-        self.steps.append(step)
 
     def _fit(self, ids: Iterable[int]) -> None:
         """Fit the boxes of objects to their points, and keep the axes of the boxes."""

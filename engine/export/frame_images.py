@@ -31,10 +31,7 @@ def export_coco(lift: FinishedLift, output: Path) -> None:
     """See ``write_coco``. Raises PlgsError for ids that do not fit, OSError."""
     shown = lift.views("semantic", "instance")
     views = ((frame.name, layers.semantic, layers.instance, frame.camera) for frame, layers in shown)
-    try:
-        write_coco(output, lift.classes, views, {each.id: each.name for each in lift.corrected.instances})
-    except ValueError as error:
-        raise PlgsError("coco-ids", str(error), output, "Export instances instead: they have 16 bits each.") from error
+    write_coco(output, lift.classes, views, {each.id: each.name for each in lift.corrected.instances})
 
 
 def write_coco(
@@ -49,14 +46,15 @@ def write_coco(
     ``views``: frame name, class ids and instance ids, int32 [H, W] each, and the camera. A segment's id is class * 4096
     + instance. So, unlike a detector's, it means the same object in every view. Beside what COCO asks for, a segment
     has the ``instance_id`` and the ``name`` of its instance (``names``) or class, and an image its ``K`` and its
-    ``camera_to_world`` (OpenCV's axes, metres). Raises ValueError for ids of 4096 or more, OSError.
+    ``camera_to_world`` (OpenCV's axes, metres). Raises PlgsError for ids of 4096 or more, OSError.
     """
     from pycocotools import mask as rle_tools  # late: no other export needs it
 
     images, annotations, instances = [], [], list[dict[str, object]]()
     for number, (name, semantic, instance, camera) in enumerate(views, start=1):
         if max(int(semantic.max(initial=0)), int(instance.max(initial=0))) >= MOST_COCO_IDS:
-            raise ValueError(f"{name}: class and instance ids must be below {MOST_COCO_IDS} for COCO panoptic")
+            what = f"{name}: class and instance ids must be below {MOST_COCO_IDS} for COCO panoptic"
+            raise PlgsError("coco-ids", what, folder, "Export instances instead: they have 16 bits each.")
         ids = np.where(semantic == VOID, 0, semantic * MOST_COCO_IDS + instance)
         colours = np.stack([ids & 255, ids >> 8 & 255, ids >> 16 & 255], axis=-1).astype(np.uint8)
         write_atomically(folder / "panoptic" / f"{name}.png", png_bytes(colours))

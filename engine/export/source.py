@@ -139,9 +139,13 @@ class FinishedLift:
             baked = baked_files(self.folder, names.get(frame.name, frame.name))[0]
             if baked in listed and is_corrected(baked, self.corrected.fingerprint):
                 verify_files(result, [listed[baked]])
-                yield frame, _read(baked)
+                try:
+                    layers = read_exr(baked)
+                except ValueError as error:
+                    raise damaged("frame-unreadable", "a baked frame cannot be read", baked) from error
             else:
-                yield frame, self._baker.layers(frame.camera, wanted=wanted)
+                layers = self._baker.layers(frame.camera, wanted=wanted)
+            yield frame, layers
             if self.progress is not None:
                 self.progress(number, len(self.frames))
 
@@ -162,11 +166,3 @@ def is_corrected(baked: Path, corrections: str) -> bool:
         return (read_note(baked, CORRECTIONS_NOTE) or "") == corrections
     except ValueError:
         return True
-
-
-def _read(baked: Path) -> PanopticLayers:
-    """Raises PlgsError for a file that is damaged, OSError."""
-    try:
-        return read_exr(baked)
-    except ValueError as error:
-        raise damaged("frame-unreadable", "a baked frame cannot be read", baked) from error

@@ -55,7 +55,11 @@ def export_surface(lift: FinishedLift, output: Path) -> None:
 def surface_to_view(views: list[SmallView]) -> tuple[Surface, Ints]:
     """The surface of the views, and the label of each vertex, int64 [V]: coarse except for objects."""
     room = _labelled(fuse(views, ROOM), views, WINDOW)
-    objects = _labelled(fuse([_of_objects(view) for view in views], OBJECTS), views, HAND)
+    rim, near = np.ones((_RIM, _RIM), np.uint8), []
+    for view in views:  # with only its objects' depth
+        shown = cv2.dilate((view.label % MOST_INSTANCES > 0).astype(np.uint8), rim) > 0
+        near.append(replace(view, depth=np.where(shown, view.depth, np.float32(0))))
+    objects = _labelled(fuse(near, OBJECTS), views, HAND)
     coarse, coarse_label = cut_by_label(*_around(*room, ~_is_double(room, objects)))
     fine, fine_label = cut_by_label(*objects)
     fine, used = fine.of(fine.triangles[fine_label[fine.triangles[:, 0]] % MOST_INSTANCES > 0])
@@ -80,12 +84,6 @@ def _labelled(surface: Surface, views: list[SmallView], largest: float) -> tuple
     surface, label = without_fringe(*close_holes(surface, label, largest))
     label = even_labels(surface.triangles, label)
     return surface, without_crumbs(surface, label, label % MOST_INSTANCES == 0)
-
-
-def _of_objects(view: SmallView) -> SmallView:
-    """The view with only its objects' depth."""
-    near = cv2.dilate((view.label % MOST_INSTANCES > 0).astype(np.uint8), np.ones((_RIM, _RIM), np.uint8))
-    return replace(view, depth=np.where(near > 0, view.depth, np.float32(0)))
 
 
 def _is_double(room: tuple[Surface, Ints], objects: tuple[Surface, Ints]) -> NDArray[np.bool_]:

@@ -20,5 +20,5 @@ from .manifest import (
     verify_lifted,
     write_manifest,
 )
-from .request import BAKES, FURTHER_LAYERS, LiftRequest
+from .request import BAKES, CHANNELS, FURTHER_LAYERS, LiftRequest
 from .task import StopSignal, Watchdog

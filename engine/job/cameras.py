@@ -4,11 +4,13 @@ Conventions are the engine's: OpenCV axes (x right, y down, z forward) in the li
 their centres at +0.5. Cameras to bake need not belong to a frame. Their file is a JSON list of
 
     {"name": NAME, "width": W, "height": H, "K": 3x3, "camera_to_world": 4x4, "clip": [NEAR, FAR],
-     "frame": NUMBER, "fps": RATE, "display": [LEFT, TOP, WIDTH, HEIGHT]}
+     "frame": NUMBER, "fps": RATE, "display": [LEFT, TOP, WIDTH, HEIGHT], "previous": CAMERA, "next": CAMERA}
 
-"fx", "fy", "cx", "cy" (pixels) may be given instead of "K". The last four may be left out. "clip" holds planar depths
+"fx", "fy", "cx", "cy" (pixels) may be given instead of "K". The last six may be left out. "clip" holds planar depths
 in metres: what is centred nearer or farther is not drawn. "name" is the name of the file that is written. "frame" and
 "fps" are for its header. "display" is the window of the picture, in its pixels, that viewers show (none: all of it).
+"previous" and "next" are the cameras of the frames beside it, for the layer Vector: "width", "height", "K" and
+"camera_to_world".
 
 preview.json in the lift folder names the camera from which a user wants to see the growing model. The user's program
 writes it by rename, at any time; the engine reads it before each live preview, and it never changes the result. It
@@ -74,7 +76,8 @@ PreviewRequest = str | PreviewCamera
 @dataclass(frozen=True)
 class BakeCamera:
     """A camera to bake from: ``name`` of the file, ``pinhole``, the planar depths in metres that are drawn, the number
-    of the ``frame`` and the rate, and the ``display`` window in the picture: left, top, width, height."""
+    of the ``frame`` and the rate, the ``display`` window in the picture (left, top, width, height), and the cameras of
+    the ``previous`` and the ``next`` frame."""
 
     name: str
     pinhole: PreviewCamera
@@ -83,6 +86,13 @@ class BakeCamera:
     frame: int | None = None
     fps: float | None = None
     display: tuple[int, int, int, int] | None = None
+    previous: PreviewCamera | None = None
+    next: PreviewCamera | None = None
+
+    @property
+    def motion(self) -> str:
+        """An identifier of the cameras before and after it, empty if they are not known."""
+        return " ".join(each.fingerprint for each in (self.previous, self.next) if each is not None)
 
     @property
     def fingerprint(self) -> str:
@@ -175,7 +185,8 @@ def _drawable(camera: PreviewCamera) -> PreviewCamera:
 
 def _entry(camera: BakeCamera) -> dict[str, object]:
     clip = None if math.isinf(camera.far) else [camera.near, camera.far]
-    further = {"clip": clip, "frame": camera.frame, "fps": camera.fps, "display": camera.display}
+    further: dict[str, object] = {"clip": clip, "frame": camera.frame, "fps": camera.fps, "display": camera.display}
+    further |= {"previous": camera.previous and to_json(camera.previous), "next": camera.next and to_json(camera.next)}
     given = {key: value for key, value in further.items() if value is not None}
     return {"name": camera.name, **to_json(camera.pinhole), **given}
 
@@ -197,6 +208,8 @@ class _Entry:
     frame: int | None = None
     fps: float | None = None
     display: tuple[int, int, int, int] | None = None
+    previous: PreviewCamera | None = None
+    next: PreviewCamera | None = None
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.name) <= LONGEST_NAME:
@@ -214,7 +227,8 @@ class _Entry:
         """The camera. Raises ValueError if it cannot be drawn."""
         pinhole = _drawable(PreviewCamera(self.camera_to_world, self._lens(), self.width, self.height))
         near, far = self.clip or (0.0, math.inf)
-        return BakeCamera(self.name, pinhole, near, far, self.frame, self.fps, self.display)
+        beside = (each and _drawable(each) for each in (self.previous, self.next))
+        return BakeCamera(self.name, pinhole, near, far, self.frame, self.fps, self.display, *beside)
 
     def _lens(self) -> Matrix:
         given = {"fx": self.fx, "fy": self.fy, "cx": self.cx, "cy": self.cy}
@@ -229,18 +243,19 @@ class _Entry:
         return (known["fx"], 0.0, known["cx"]), (0.0, known["fy"], known["cy"]), (0.0, 0.0, 1.0)
 
 
-_PART = re.compile(r"(-?\d{1,9})(?:-(-?\d{1,9})(?:[:x]([1-9]\d{0,8}))?)?")
+_PART = re.compile(r"(-?N)(?:-(-?N)(?:[:x](N))?)?".replace("N", r"\d{1,9}(?:\.\d{1,3})?"))
 
 
 def frame_numbers(text: str) -> tuple[range, ...]:
-    """The frames in order of the text. Raises ValueError, which says what is wrong."""
+    """The frames in order of the text, in thousandths of a frame. Raises ValueError, which says what is wrong."""
     found = []
     for part in text.split(","):
         match = _PART.fullmatch(part.strip())
-        if match is None:
-            raise ValueError(f"{text!r} is not a list of frames, such as 1-250, -5-20, 1-250:2 or 1001,1003")
-        first, last = int(match[1]), int(match[2] or match[1])
+        first, last, step = (round(1000 * float(each or 1)) for each in match.groups()) if match else (0, 0, 0)
+        if match is None or not step:
+            raise ValueError(f"{text!r} is not a list of frames, such as 1-250, -5-20, 1-250:2, 1-3:0.5 or 1001,1003")
+        last = last if match[2] else first
         if last < first:
             raise ValueError(f"{text!r} ends before it begins; a range looks like 1-250")
-        found.append(range(first, last + 1, int(match[3] or 1)))
+        found.append(range(first, last + 1, step))
     return tuple(found)

@@ -247,14 +247,16 @@ def start_bake(
     cameras: Path | None = None,
     layers: Sequence[str] = (),
     output: Path | None = None,
+    channels: str = "",
     stays_with_parent: bool = True,
 ) -> TaskFollower:
     """Start an engine that bakes more of a finished lift: frames ("test", "all", or names), or the ``cameras`` in a
-    file, with these of FURTHER_LAYERS. If another process is baking already, it bakes at the same time, with its own
-    events. Raises PlgsError, OSError.
+    file, with these of FURTHER_LAYERS, and with ``channels`` named for one of CHANNELS. If another process is baking
+    already, it bakes at the same time, with its own events. Raises PlgsError, OSError.
     """
     command: list[str | Path] = [*engine_call(python), "bake", lift.path]
-    for option, values in (("--cameras", [cameras]), ("-o", [output]), ("--frames", frames), ("--layers", layers)):
+    given = {"--cameras": [cameras], "-o": [output], "--frames": frames, "--layers": layers, "--channels": [channels]}
+    for option, values in given.items():
         command += [option, *(each for each in values if each)] if any(values) else []
     files = lift.task_files
     if lift.is_running:

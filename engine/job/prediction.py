@@ -42,7 +42,7 @@ REMEMBERED = 5
 MB = 1_000_000
 
 
-_MORE = {"normal": 0.34, "position": 1.15}
+_MORE = {"normal": 0.34, "position": 1.15, "vector": 1.5}
 """Bytes of each further layer relative to those of all usual layers together (docs/passes.md)."""
 
 

@@ -31,7 +31,9 @@ from ..scene_source import UP_OPTIONS, SceneSource, option
 PresetName = Literal["preview", "standard", "paper"]
 Bake = Literal["test", "all", "none"]
 Device = Literal["cpu", "cuda", "auto"]
-FURTHER_LAYERS = ("normal", "position")
+FURTHER_LAYERS = ("normal", "position", "vector")
+CHANNELS = ("blender", "nuke")
+"""Programs after whose fashion the channels of passes can be named."""
 """Layers of the passes that are written only if they are chosen. Both follow from the depth, and take as much space as
 the colour, or more."""
 BAKES: tuple[str, ...] = get_args(Bake)

@@ -7,9 +7,9 @@ The passes become part of the result, or go into a folder of their own, where no
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +27,7 @@ from ..job import (
     read_cameras,
     read_manifest,
 )
-from ..job.cameras import frame_numbers, refuse_equal_names
+from ..job.cameras import PreviewCamera, frame_numbers, refuse_equal_names
 from ..model.neural_gaussians import ClipRange
 from ..passes.baked_view import BakedView
 from ..passes.exr import ShownFrame, further_layers, number_in, read_note, write_exr
@@ -51,6 +51,10 @@ CAMERA_NOTE = "plgs/camera"
 """Attribute in the header of a view that does not belong to a frame: the fingerprint of its camera."""
 LIFT_NOTE = "plgs/lift"
 """Header attribute with the name of the lift's folder."""
+MOTION_NOTE = "plgs/motion"
+"""Header attribute of a view with the layer Vector: the fingerprint of the cameras before and after it."""
+CHANNELS_NOTE = "plgs/channels"
+"""Attribute in the header of a view whose channels are not named for Blender: for what."""
 MODEL_NOTE = "plgs/model"
 """Attribute in the header of a view in a folder of its own: the SHA-256 of the lift's model, and of its objects."""
 MOST_LOOKS, LOOK_WITHIN = 8, (96, 96)
@@ -60,16 +64,19 @@ resolve."""
 
 @dataclass(frozen=True)
 class BakeOptions:
-    """``layers`` are those wanted from FURTHER_LAYERS; ``output`` is the folder for the passes (None: the result)."""
+    """``layers`` are those wanted from FURTHER_LAYERS; ``output`` is the folder for the passes (None: the result);
+    ``channels`` is one of CHANNELS, "blender" for the result."""
 
     layers: tuple[str, ...] = ()
     output: Path | None = None
+    channels: str = "blender"
 
 
 @dataclass(frozen=True, eq=False)
 class WantedView:
     """A view to bake, and the ``name`` of its files. ``fingerprint`` is the camera's, empty for a frame; ``frame`` is
-    the frame's name in the capture. The header lists what is ``shown``."""
+    the frame's name in the capture. The header lists what is ``shown``. ``previous`` and ``following`` are the cameras
+    of the frames beside it, for the layer Vector, and ``motion`` is their fingerprint, empty for a frame."""
 
     name: str
     camera: Camera
@@ -77,6 +84,9 @@ class WantedView:
     fingerprint: str = ""
     shown: ShownFrame = ShownFrame()
     frame: str = ""
+    previous: Camera | None = None
+    following: Camera | None = None
+    motion: str = ""
 
 
 def bake_frames(
@@ -94,9 +104,15 @@ def bake_frames(
         lost = {*names_of_frames(folder)} - {frame.name for frame in scene.frames}
         if lost and {"all", "test"}.intersection(frames):
             events.warning(f"the scene no longer has frame {listed(sorted(lost))}, which is not baked")
-        names = names_of_files(folder)
-        chosen = frames_named(scene, frames)
-        return [WantedView(names.get(frame.name, frame.name), frame.camera, frame=frame.name) for frame in chosen]
+        names, cameras = names_of_files(folder), [None, *(frame.camera for frame in scene.frames), None]
+        beside = {frame.name: (cameras[k], cameras[k + 2]) for k, frame in enumerate(scene.frames)}
+        return [
+            WantedView(
+                names.get(frame.name, frame.name), frame.camera, frame=frame.name,
+                previous=beside[frame.name][0], following=beside[frame.name][1],
+            )
+            for frame in frames_named(scene, frames)
+        ]  # fmt: skip
 
     with BakeLocks(folder.path) as locks:
         _bake(folder, locks, views_in, events, stop, options)
@@ -121,11 +137,23 @@ def bake_cameras(
 
 def view_from(camera: BakeCamera) -> WantedView:
     """The view of a camera, as the engine renders it."""
-    pinhole = camera.pinhole
+    beside = (camera.previous, camera.next)
+    previous, following = (None if each is None else _camera_of(each) for each in beside)
+    return WantedView(
+        camera.name,
+        _camera_of(camera.pinhole),
+        ClipRange(camera.near, camera.far),
+        camera.fingerprint,
+        ShownFrame(camera.frame, camera.fps, camera.display),
+        previous=previous,
+        following=following,
+        motion=camera.motion,
+    )
+
+
+def _camera_of(pinhole: PreviewCamera) -> Camera:
     (fx, _, cx), (_, fy, cy), _ = pinhole.K
-    seen = Camera(pinhole.width, pinhole.height, fx, fy, cx, cy, np.array(pinhole.camera_to_world))
-    shown = ShownFrame(camera.frame, camera.fps, camera.display)
-    return WantedView(camera.name, seen, ClipRange(camera.near, camera.far), camera.fingerprint, shown)
+    return Camera(pinhole.width, pinhole.height, fx, fy, cx, cy, np.array(pinhole.camera_to_world))
 
 
 def _bake(
@@ -157,6 +185,7 @@ def _bake(
                             others.append(view)
                         elif not destination.has(view, notes):
                             rendered = baker.render(view.camera, view.clip)
+                            rendered = replace(rendered, previous=view.previous, following=view.following)
                             if view.fingerprint:
                                 found.append((view.name, unresolved(rendered.layers, view.camera, photos)))
                             destination.write(view, rendered, baker, events)
@@ -202,8 +231,9 @@ def frames_named(scene: Scene, names: Sequence[str]) -> list[Frame]:
         found: Sequence[Frame] = groups.get(name, ())
         if name not in groups:
             with suppress(ValueError):  # for a text that is no range
-                ranges = frame_numbers(name)
-                found = [frame for frame in scene.frames if any(number_in(frame.name) in each for each in ranges)]
+                ranges = frame_numbers(name)  # in thousandths
+                numbers = [(frame, number_in(frame.name)) for frame in scene.frames]
+                found = [frame for frame, n in numbers if n is not None and any(1000 * n in each for each in ranges)]
         if not found and name not in groups:
             fix = f"Give all, test, names of frames, such as {scene.frames[0].name}, or numbers: 10-200:2 or 7,9."
             raise PlgsError("no-frame", f"the scene has no frame {name}", scene.folder, fix)
@@ -211,8 +241,9 @@ def frames_named(scene: Scene, names: Sequence[str]) -> list[Frame]:
     return [frame for frame in scene.frames if frame.name in wanted]
 
 
-def _notes_of(view: WantedView) -> dict[str, str]:
-    return {CAMERA_NOTE: view.fingerprint} if view.fingerprint else {}
+def _notes_of(view: WantedView, layers: Collection[str]) -> dict[str, str]:
+    notes = {CAMERA_NOTE: view.fingerprint} if view.fingerprint else {}
+    return notes | {MOTION_NOTE: view.motion} if view.motion and "vector" in layers else notes
 
 
 class _OwnFolder:
@@ -221,10 +252,12 @@ class _OwnFolder:
     def __init__(self, folder: LiftFolder, options: BakeOptions) -> None:
         assert options.output is not None
         self._output, self._layers, self._lift = options.output, options.layers, folder.path.name
+        self._channels = options.channels
         if self._output.resolve().is_relative_to(folder.result_path.resolve()):
             raise PlgsError("inside", "is within the lift's result", self._output, "Name another folder.", option="-o")
         files = {str(file.path): file for file in read_manifest(folder.result_path).files}
-        self._model = {MODEL_NOTE: f"{files[MODEL].sha256} {files[INSTANCES].sha256}"}
+        named = {CHANNELS_NOTE: "" if options.channels == "blender" else options.channels}
+        self._model = {MODEL_NOTE: f"{files[MODEL].sha256} {files[INSTANCES].sha256}"} | named
 
     def claim_of(self, view: WantedView) -> str:
         """The name of the claim that keeps other processes from writing this view."""
@@ -236,13 +269,14 @@ class _OwnFolder:
     def has(self, view: WantedView, notes: Mapping[str, str]) -> bool:
         """Whether the folder has this view, from this camera and this model, with these notes."""
         path = self._path_of(view)
-        return path.exists() and is_whole(path, {**notes, **_notes_of(view), **self._model}, self._layers)
+        return path.exists() and is_whole(path, {**notes, **_notes_of(view, self._layers), **self._model}, self._layers)
 
     def write(self, view: WantedView, rendered: BakedView, baker: FrameBaker, events: EventWriter) -> None:
         """Write a view. Raises OSError."""
         self._output.mkdir(parents=True, exist_ok=True)
-        notes = {**_notes_of(view), **self._model, **baker.notes, LIFT_NOTE: self._lift}
-        write_exr(self._path_of(view), rendered, notes, self._layers, view.shown)
+        notes = {**_notes_of(view, self._layers), **self._model, **baker.notes, LIFT_NOTE: self._lift}
+        notes = {name: text for name, text in notes.items() if text}
+        write_exr(self._path_of(view), rendered, notes, self._layers, view.shown, self._channels)
 
     def keep(self) -> None:
         """Do nothing, as there is no manifest."""
@@ -261,15 +295,15 @@ class _Result:
 
     def has(self, view: WantedView, notes: Mapping[str, str]) -> bool:
         """Whether the result has this view, from this camera, with these notes. Raises PlgsError, OSError."""
-        files = baked_files(self._folder, view.name)
-        return self._listed().issuperset(files) and is_whole(files[0], {**notes, **_notes_of(view)}, self._layers)
+        files, wanted = baked_files(self._folder, view.name), {**notes, **_notes_of(view, self._layers)}
+        return self._listed().issuperset(files) and is_whole(files[0], wanted, self._layers)
 
     def write(self, view: WantedView, rendered: BakedView, baker: FrameBaker, events: EventWriter) -> None:
         """Write a view, replacing one from another camera. Raises OSError."""
         if old := self._listed().intersection(baked_files(self._folder, view.name)):
             with self._locks.manifest():  # the result is complete without the view that is baked again
                 drop_files(self._folder.result_path, sorted(old))
-        baker.write(self._folder, view.name, rendered, events, _notes_of(view), self._layers, view.shown)
+        baker.write(self._folder, view.name, rendered, events, _notes_of(view, self._layers), self._layers, view.shown)
         self._views.append(view)
         if self._locks.others_at_work() or time.monotonic() - self._kept_at > KEEP_EVERY_S:
             self.keep()  # before another process looks for views that are left to bake

@@ -117,6 +117,20 @@ def inverse_slopes(inverse: Array, row: int, column: int, step: int) -> tuple[fl
     return right / step, down / step, mean
 
 
+def moved(depth: NDArray[np.float32], camera: Camera, other: Camera) -> NDArray[np.float64]:
+    """How far each pixel's point of a still room, at ``depth`` [H, W] metres, moves from the picture of ``camera`` to
+    that of ``other``, float64 [2, H, W] pixels, x right, y up; 0 without depth, and behind ``other``."""
+    change = other.world_to_camera @ camera.camera_to_world
+    column, row = np.arange(camera.width) + 0.5, (np.arange(camera.height) + 0.5)[:, None]
+    x, y = (column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy
+    right, down, ahead = (depth * (turn[0] * x + (turn[1] * y + turn[2])) + turn[3] for turn in change[:3])
+    seen = (depth > 0) & (ahead > 0)
+    ahead = np.where(seen, ahead, 1.0)
+    to_right = other.fx * right / ahead + other.cx - column
+    to_top = row - other.fy * down / ahead - other.cy
+    return np.where(seen, np.stack([to_right, to_top]), 0.0)
+
+
 @dataclass(frozen=True, eq=False)
 class Matte:
     """A Cryptomatte layer and its ranks, float32 [2 RANKS, H, W]: alternately id and coverage."""
@@ -127,16 +141,30 @@ class Matte:
 
 @dataclass(frozen=True, eq=False)
 class BakedView:
-    """Everything that is written for a view, as ``camera`` sees it."""
+    """Everything that is written for a view, as ``camera`` sees it; the cameras of the previous and the next frame, if
+    they are known."""
 
     camera: Camera
     layers: PanopticLayers
     mattes: tuple[Matte, ...]
+    previous: Camera | None = None
+    following: Camera | None = None
 
     @property
     def surface(self) -> Surface:
         """The surface, computed on demand."""
         return surface_of(self.layers.depth, self.camera)
+
+    @property
+    def vectors(self) -> NDArray[np.float32]:
+        """Motion as in Blender's pass Vector, float32 [4, H, W]: from where a pixel is to where it was in the previous
+        frame, and from where it will be in the next frame to where it is, in pixels, x right, y up. 0 where nothing was
+        rendered, and where the other frame is not known or has the point behind it."""
+        was, will_be = (
+            np.zeros((2, *self.layers.depth.shape)) if other is None else moved(self.layers.depth, self.camera, other)
+            for other in (self.previous, self.following)
+        )
+        return np.concatenate([was, -will_be]).astype(np.float32)
 
 
 @dataclass(frozen=True)

@@ -118,9 +118,11 @@ def write_exr(
     notes: Mapping[str, str] | None = None,
     layers: Collection[str] = (),
     shown: ShownFrame = NOTHING_SHOWN,
+    named_for: str = "blender",
 ) -> None:
     """Write a baked view, completely or not at all. The same input gives the same bytes. ``notes``: further attributes
-    of the header; ``layers``: the wanted ones of FURTHER_LAYERS; ``shown``: the view's frame, for the header.
+    of the header; ``layers``: the wanted ones of FURTHER_LAYERS; ``shown``: the view's frame, for the header;
+    ``named_for``: one of CHANNELS.
 
     Raises ValueError for ids that a 32-bit float cannot hold, and OSError if the file cannot be written.
     """
@@ -128,6 +130,10 @@ def write_exr(
     if largest >= EXACT_IDS:
         raise ValueError(f"class and instance ids must be below {EXACT_IDS} to be exact in an EXR")
     channels = _pass_channels(view, layers)
+    if named_for == "nuke":
+        channels = {_in_nuke(name): plane for name, plane in channels.items() if "Combined" not in name}
+        for name in {"forward.u", "forward.v"} & {*channels}:
+            channels[name] = -channels[name]  # to the next frame, where Blender has from it
     header = frame_header(view.camera, shown, path.stem) | dict(notes or {})
     for matte in view.mattes:
         channels |= cryptomatte.channels(matte.layer.name, matte.ranks)
@@ -138,14 +144,17 @@ def write_exr(
 def read_exr(path: Path) -> PanopticLayers:
     """The PLGS layer of a baked view. Raises ValueError if the file is damaged or has no such layer, and OSError if it
     cannot be read."""
-    _refuse_vast(path)
-    found = _channels(path)
+    # Reading allocates all that the header claims.
+    memory, numbers = main_memory(), _header(path).numbers
+    if memory is not None and 4 * numbers > memory.free:
+        raise ValueError(f"{path} takes {4e-9 * numbers:.1f} GB, but {memory.free / 1e9:.1f} GB are free")
     names = [f"{LAYER}.Combined.{c}" for c in "RGBA"]
     names += [f"{LAYER}.{name}.V" for name in ("Depth", "Semantic", "Instance", "Confidence", "Entropy")]
-    missing = [name for name in names if name not in found]
-    if missing:
-        raise ValueError(f"{path} has no channel {missing[0]}: it is not a pass of a lift")
     try:
+        found = _channels(path)
+        missing = [name for name in names if name not in found]
+        if missing:
+            raise ValueError(f"{path} has no channel {missing[0]}: it is not a pass of a lift")
         return _layers(found, names)
     except MemoryError as error:
         raise ValueError(f"{path} cannot be read: no memory is left for it") from error
@@ -163,10 +172,21 @@ def _layers(found: Mapping[str, NDArray[Any]], names: Sequence[str]) -> Panoptic
     )
 
 
+_NUKE = {"depth.V": "depth.Z", "vector.X": "backward.u", "vector.Y": "backward.v"}
+_NUKE |= {"vector.Z": "forward.u", "vector.W": "forward.v"}
+
+
+def _in_nuke(name: str) -> str:
+    """The name of one of our channels in Nuke: its own for depth and motion, and lower case for the others."""
+    _, dot, ours = name.partition(f"{LAYER}.")
+    layer, _, axis = ours.partition(".")
+    return _NUKE.get(f"{layer.lower()}.{axis}", f"{layer.lower()}.{axis}") if dot else name
+
+
 def further_layers(path: Path) -> set[str]:
     """The FURTHER_LAYERS that a baked view has. Raises PlgsError if it is damaged."""
-    channels = read_exr_header(path).channels
-    return {layer for layer in FURTHER_LAYERS if f"{LAYER}.{layer.title()}.X" in channels}
+    channels, first = read_exr_header(path).channels, {each: f"{LAYER}.{each.title()}.X" for each in FURTHER_LAYERS}
+    return {layer for layer, name in first.items() if name in channels or _in_nuke(name) in channels}
 
 
 def read_note(path: Path, name: str) -> str | None:
@@ -186,24 +206,16 @@ def _header(path: Path) -> ExrHeader:
 
 
 def _channels(path: Path) -> dict[str, NDArray[Any]]:
-    """The channels of a file. Raises ValueError if it is damaged, or if no memory is left for it."""
+    """The channels of a file. Raises ValueError if it is damaged."""
     import OpenEXR
 
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             return {name: channel.pixels for name, channel in file.channels().items()}
-    except MemoryError as error:
-        raise ValueError(f"{path} cannot be read: no memory is left for it") from error
+    except MemoryError:
+        raise
     except Exception as error:  # the library raises errors of several kinds
         raise ValueError(f"{path} is damaged ({error})") from error
-
-
-def _refuse_vast(path: Path) -> None:
-    """Refuse a file whose header claims more than a picture has or than memory holds, as reading allocates all that the
-    header claims. Raises ValueError, OSError."""
-    memory, numbers = main_memory(), _header(path).numbers
-    if memory is not None and 4 * numbers > memory.free:
-        raise ValueError(f"{path} takes {4e-9 * numbers:.1f} GB, but {memory.free / 1e9:.1f} GB are free")
 
 
 def _pass_channels(view: BakedView, further: Collection[str]) -> dict[str, NDArray[np.floating]]:
@@ -211,11 +223,13 @@ def _pass_channels(view: BakedView, further: Collection[str]) -> dict[str, NDArr
     half = {f"Combined.{c}": layers.combined[..., k] for k, c in enumerate("RGBA")}
     half |= {"Confidence.V": layers.confidence, "Entropy.V": layers.entropy}
     exact = {"Depth.V": layers.depth, "Semantic.V": layers.semantic, "Instance.V": layers.instance}
-    surface = view.surface if further else None
+    surface = view.surface if {*further} & {"normal", "position"} else None
     if surface is not None and "normal" in further:
         half |= {f"Normal.{c}": surface.normal[k] for k, c in enumerate("XYZ")}
     if surface is not None and "position" in further:
         exact |= {f"Position.{c}": surface.position[k] for k, c in enumerate("XYZ")}
+    if "vector" in further:
+        exact |= {f"Vector.{c}": plane for c, plane in zip("XYZW", view.vectors, strict=True)}
     channels = {f"{LAYER}.{name}": np.ascontiguousarray(values, np.float16) for name, values in half.items()}
     channels |= {c: channels[f"{LAYER}.Combined.{c}"] for c in "RGBA"}
     return channels | {f"{LAYER}.{name}": np.ascontiguousarray(values, np.float32) for name, values in exact.items()}

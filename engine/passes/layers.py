@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -143,9 +143,7 @@ def best_slot(pixels: Any, columns: Any, pixel: int, winner: int) -> int:
 
 
 @parallel_kernel
-def align_pixels(
-    worker: int, workers: int, pixels: Any, columns: Any, decided: Any, best: Array, owned: Array
-) -> None:
+def align_pixels(worker: int, workers: int, pixels: Any, columns: Any, decided: Any, best: Array, owned: Array) -> None:
     """For every ``workers``-th chunk of pixels, make ``pixels.classes`` and ``pixels.slots`` agree with ``decided``.
     ``best`` int64 and ``owned`` float32 [workers, C] are scratch."""
     for start in range(worker * CHUNK, len(pixels.alpha), workers * CHUNK):
@@ -240,13 +238,12 @@ def decide(
     of that class's coverage. So pixels that no object owns show their own class and no instance.
     """
     columns, made = _columns(rendering, classes, instance_classes or {}), {}
-    names = [field.name for field in fields(PanopticLayers)]
-    needed = {*(wanted or names)}
+    needed = {*(wanted or Decided._fields)}
     if not needed.isdisjoint(FROM_LABELS):
         needed |= {"semantic", "instance"}
         if not len(columns.of_class):
             raise ValueError("the rendering has no classes")
-    for name in names:
+    for name in Decided._fields:
         shape = rendering.alpha.shape if name in needed else (0, 0)
         dtype = np.int32 if name in ("semantic", "instance") else np.float32
         made[name] = memory.empty((*shape, 4) if name == "combined" else shape, dtype)
@@ -274,14 +271,7 @@ def align_mattes(
 
 def _flat(layers: PanopticLayers) -> Decided:
     """The layers as views of the same memory, one row per pixel."""
-    return Decided(
-        combined=layers.combined.reshape(-1, 4),
-        depth=layers.depth.reshape(-1),
-        semantic=layers.semantic.reshape(-1),
-        instance=layers.instance.reshape(-1),
-        confidence=layers.confidence.reshape(-1),
-        entropy=layers.entropy.reshape(-1),
-    )
+    return Decided(layers.combined.reshape(-1, 4), *(getattr(layers, name).reshape(-1) for name in Decided._fields[1:]))
 
 
 def _pixels(rendering: PanopticRendering) -> Pixels:

@@ -154,7 +154,10 @@ def write_contact_sheet(
     maps = [each for row in rows for each in (row.mask_classes, row.layers.semantic)]
     seen = sorted({one for each in maps for one in np.unique(each).tolist() if one in classes})
     width = 2 * MARGIN + len(headings) * (TILE_WIDTH + GAP) - GAP
-    bands = [_headings(headings, width)]
+    band = _blank(MARGIN + HEADING, width)
+    for column, heading in enumerate(headings):
+        _write(band, heading, (MARGIN + column * (TILE_WIDTH + GAP) + 2, MARGIN + HEADING - 12), TEXT)
+    bands = [band]
     bands += [_band(row, name.name, headings, width) for row, name in zip(tiles, rows, strict=True)]
     bands.append(_legend(seen, classes, width))
     write_atomically(path, png_bytes(np.concatenate(bands)))
@@ -182,13 +185,6 @@ def _tiles(row: SheetRow, classes: ClassTable, colours: Mapping[int, Colour] | N
     }
 
 
-def _headings(headings: Sequence[str], width: int) -> Picture:
-    band = _blank(MARGIN + HEADING, width)
-    for column, heading in enumerate(headings):
-        _write(band, heading, (MARGIN + column * (TILE_WIDTH + GAP) + 2, MARGIN + HEADING - 12), TEXT)
-    return band
-
-
 def _band(tiles: Mapping[str, Picture], name: str, headings: Sequence[str], width: int) -> Picture:
     height = next(iter(tiles.values())).shape[0]
     band = _blank(height + GAP, width)
@@ -204,10 +200,13 @@ def _band(tiles: Mapping[str, Picture], name: str, headings: Sequence[str], widt
 
 def _legend(class_ids: Sequence[int], classes: ClassTable, width: int) -> Picture:
     """A swatch and a name for every class on the sheet. Names of things, which have instances, are brighter."""
+    import cv2
+
     entries: list[tuple[int, int, int]] = []
     left, line = MARGIN, 0
     for class_id in class_ids:
-        needed = 22 + _text_width(classes[class_id].name) + 22
+        (text, _), _ = cv2.getTextSize(classes[class_id].name, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)
+        needed = 22 + text + 22
         if left > MARGIN and left + needed > width - MARGIN:
             left, line = MARGIN, line + 1
         entries.append((class_id, left, line))
@@ -238,13 +237,6 @@ def _write(picture: Picture, text: str, at: tuple[int, int], colour: Colour, sca
     # OpenCV draws only ASCII.
     drawn = text.encode("ascii", "replace").decode()
     cv2.putText(picture, drawn, at, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, 1, cv2.LINE_AA)
-
-
-def _text_width(text: str) -> int:
-    import cv2
-
-    (width, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)
-    return int(width)
 
 
 def first_row(sheet: Path, caption: str) -> Picture:

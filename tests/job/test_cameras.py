@@ -121,13 +121,14 @@ def test_invalid_preview_request_is_refused(tmp_path: Path, change: dict[str, ob
         ("0003-0005", [3, 4, 5]),
         ("-3-1", [-3, -2, -1, 0, 1]),
         ("-3--1:2, -7", [-3, -1, -7]),
+        ("1001-1002:0.5, 7.25", [1001, 1001.5, 1002, 7.25]),
     ],
 )
-def test_frame_lists_and_ranges_are_parsed(text: str, frames: list[int]) -> None:
-    assert [frame for each in frame_numbers(text) for frame in each] == frames
+def test_frame_lists_and_ranges_are_parsed(text: str, frames: list[float]) -> None:
+    assert [frame / 1000 for each in frame_numbers(text) for frame in each] == frames
 
 
-@pytest.mark.parametrize("text", ["", "1-", "5-1", "1-5:0", "a", "1;2", "-3--5", "--3", "1,,2"])
+@pytest.mark.parametrize("text", ["", "1-", "5-1", "1-5:0", "1-5:0.0001", "a", "1;2", "-3--5", "--3", "1,,2"])
 def test_invalid_frame_list_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="such as|looks like"):
         frame_numbers(text)

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from engine.job import FURTHER_LAYERS
 from engine.job.prediction import MB, learn_slowness, machine_slowness, predict, predict_bake, step_seconds
 from engine.presets.preset import PRESETS
 
@@ -107,7 +106,7 @@ def test_frames_that_are_not_chosen_cost_at_most_a_look_and_a_vote() -> None:
 
 def test_the_cost_of_a_bake_grows_with_its_pixels() -> None:
     one, many = predict_bake(1, (1920, 1080)), predict_bake(2000, (1920, 1080), slowness=2.0)
-    more = predict_bake(1, (1920, 1080), layers=FURTHER_LAYERS)
+    more = predict_bake(1, (1920, 1080), layers=("normal", "position"))
     assert 2.3 < more.bytes / one.bytes < 2.7, "docs/passes.md: 52 and 21 MB"
     assert 15 * MB < one.bytes < 25 * MB and many.bytes == pytest.approx(2000 * one.bytes)
     assert 2.0 < one.seconds < 30.0 and many.seconds == pytest.approx(4000 * one.seconds)

@@ -39,6 +39,7 @@ from engine.lift.bake_more import frames_named
 from engine.lift.baking import FrameBaker, names_of_files
 from engine.passes.exr import further_layers, read_exr
 from engine.posed import Camera, ClassTable, PosedFrame, PosedScene
+from engine.posed.exr_header import read_exr_header
 from engine.presets.preset import PRESETS
 from engine.result_files import Instance
 from engine.scene_of_lift import scene_of_lift
@@ -197,6 +198,14 @@ def test_bake_into_its_own_folder_works(lift: LiftFolder, tmp_path: Path) -> Non
     assert read_exr(lift.passes_path / "0000.exr").depth.tobytes() == read_exr(output / "0000.exr").depth.tobytes()
     assert run_bake(lift, ["0000"], layers=["position"]) is ExitCode.FINISHED
     assert further_layers(lift.passes_path / "0000.exr") == {"position"}
+    assert run_bake(lift, ["0000"], layers=["vector"], output=output) is ExitCode.FINISHED
+    assert further_layers(output / "0000.exr") == {"vector"}
+    assert run_bake(lift, ["0000"], layers=["vector"], output=output, channels="nuke") is ExitCode.FINISHED
+    times = (output / "0000.exr").stat().st_mtime_ns
+    assert {"depth.Z", "forward.u", "R"} < {*read_exr_header(output / "0000.exr").channels}
+    assert run_bake(lift, ["0000"], layers=["vector"], output=output, channels="nuke") is ExitCode.FINISHED
+    assert (output / "0000.exr").stat().st_mtime_ns == times  # it has all that is wanted
+    assert main(["bake", str(lift.path), "--channels", "nuke"]) == 2
     verify(lift.result_path)
 
 

@@ -48,12 +48,39 @@ def test_exr_is_single_part_zip_with_float_ids(tmp_path: Path) -> None:
     assert {"PLGS.Combined.R", "PLGS.Combined.A", "PLGS.Depth.V", "PLGS.Semantic.V", "PLGS.Instance.V"} < names
     assert {"PLGS.Confidence.V", "PLGS.Entropy.V", "CryptoInstance00.r", "CryptoClass02.a"} < names
     assert {f"PLGS.{layer}.{axis}" for layer in ("Normal", "Position") for axis in "XYZ"} < names
-    assert len(names) == 4 + 9 + 6 + 12 + 12
+    assert {f"PLGS.Vector.{axis}" for axis in "XYZW"} < names
+    assert len(names) == 4 + 9 + 6 + 4 + 12 + 12
+
+
+def test_nuke_finds_its_own_names(tmp_path: Path) -> None:
+    view, folder = _baked(), tmp_path
+    view = replace(view, previous=view.camera, following=view.camera.resized(2 * view.camera.width, view.camera.height))
+    write_exr(folder / "ours.exr", view, layers=FURTHER_LAYERS)
+    write_exr(folder / "nuke.exr", view, layers=FURTHER_LAYERS, named_for="nuke")
+    ours, nuke = (channels_of(folder / name) for name in ("ours.exr", "nuke.exr"))
+    assert np.array_equal(nuke["depth.Z"], ours["PLGS.Depth.V"]) and np.array_equal(nuke["R"], ours["R"])
+    assert np.array_equal(nuke["normal.X"], ours["PLGS.Normal.X"])
+    assert np.array_equal(nuke["CryptoClass00.r"], ours["CryptoClass00.r"])
+    assert np.array_equal(nuke["backward.v"], ours["PLGS.Vector.Y"]) and nuke["forward.u"].max() > 1
+    assert np.array_equal(nuke["forward.u"], -ours["PLGS.Vector.Z"])
+    assert not any("PLGS" in name for name in nuke) and len(nuke) == len(ours) - 4
+    assert further_layers(folder / "nuke.exr") == {*FURTHER_LAYERS}
+
+
+def channels_of(path: Path) -> dict[str, np.ndarray]:
+    """By OpenImageIO if it is there, else by OpenEXR."""
+    try:
+        import OpenImageIO
+    except ImportError:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            return {name: channel.pixels for name, channel in file.channels().items()}
+    file = OpenImageIO.ImageInput.open(str(path))
+    return dict(zip(file.spec().channelnames, np.moveaxis(file.read_image("float"), -1, 0), strict=True))
 
 
 def test_further_layers_are_written_on_request(tmp_path: Path) -> None:
     path = tmp_path / "a.exr"
-    for chosen in ((), ("normal",), ("position",)):
+    for chosen in ((), ("normal",), ("position",), ("vector",)):
         write_exr(path, _baked(), layers=chosen)
         assert further_layers(path) == set(chosen)
     assert further_layers(write_layers(path)) == set(FURTHER_LAYERS)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from engine.passes.baked_view import surface_of
+from engine.passes.baked_view import moved, surface_of
 from engine.scene import Camera
 from tests.tiny_scene import tiny_intrinsics, tiny_pose, trace_view
 
@@ -43,3 +43,19 @@ def test_a_lone_pixel_faces_along_the_view() -> None:
     depth[10, 20] = 1.5
     normal = surface_of(depth, camera(0)).normal[:, 10, 20]
     np.testing.assert_allclose(normal, -camera(0).camera_to_world[:3, 2], atol=1e-6)
+
+
+def test_vectors_lead_to_where_the_points_are_in_the_other_picture() -> None:
+    seen, (fx, _, cx), (_, fy, cy) = camera(0), *tiny_intrinsics(SIZE)[:2]
+    depth = trace_view(tiny_pose(0, 6), tiny_intrinsics(SIZE), SIZE).depth.copy()
+    depth[:10] = 0.0
+    other = Camera(*SIZE, 1.2 * fx, 1.1 * fy, cx + 3, cy - 2, tiny_pose(1, 6))
+    pixel, _ = other.project(seen.unproject(depth))
+    right, up = moved(depth, seen, other)
+    row, column = np.indices(depth.shape) + 0.5
+    shown = depth > 0
+    assert not right[~shown].any() and not up[~shown].any() and np.abs(right).max() > 10
+    np.testing.assert_allclose((column + right)[shown], pixel[shown][:, 0], atol=1e-9)
+    np.testing.assert_allclose((row - up)[shown], pixel[shown][:, 1], atol=1e-9)
+    np.testing.assert_allclose(moved(depth, seen, seen), 0, atol=1e-10)
+    assert not moved(depth, seen, seen.at(seen.camera_to_world @ np.diag([-1.0, 1.0, -1.0, 1.0]))).any(), "behind it"

@@ -4,13 +4,17 @@ import math
 import shutil
 from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import OpenEXR
 import pytest
 from plgs.engine.job import BakeCamera, read_cameras
-from plgs.plgs_blender.shots import Shot, ShotReader, shot_of, write_shot
+from plgs.engine.lift.bake_more import view_from
+from plgs.engine.passes.baked_view import BakedView
+from plgs.plgs_blender.passes import sequences
+from plgs.plgs_blender.shots import Shot, ShotReader, numbered_name, shot_of, write_shot
 
 from tests.raises_key import raises_key
 
@@ -95,6 +99,31 @@ def test_render_and_camera_agree(scene: bpy.types.Scene, fit: str, aspect: tuple
     row, column = np.nonzero(hit)
     assert np.abs(pixel - np.stack([column + 0.5, row + 0.5], axis=-1)).max() < 0.05
     assert (depth > 0).all()
+
+
+def test_vectors_are_those_of_cycles(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    scene.camera.data.animation_data_clear()  # Cycles leaves out an animated shift
+    scene.view_layers[0].use_pass_vector = True
+    cameras = read_cameras(write_shot(tmp_path, scene, shot_of(scene, first=2, last=3, motion=True)))
+    view = view_from(cameras[1])
+    assert cameras[1].previous == cameras[0].pinhole and not cameras_of(scene, shot_of(scene))[0].motion
+    position = rendered_positions(scene, 3, tmp_path)
+    depth = np.nan_to_num(projected(cameras[1], position)[1]).astype(np.float32)
+    with OpenEXR.File(str(tmp_path / "hits.exr"), separate_channels=True) as file:
+        found = [(name[-8:], each.pixels) for part in file.parts for name, each in part.channels.items()]
+    theirs = np.stack([dict(found)[f"Vector.{axis}"] for axis in "XYZW"])
+    ours = BakedView(view.camera, SimpleNamespace(depth=depth), (), view.previous, view.following).vectors
+    assert (depth > 0).mean() > 0.05 and np.abs(theirs[:, depth > 0]).max() > 1
+    assert np.abs(ours - theirs)[:, depth > 0].max() < 0.05
+
+
+def test_frames_between_frames(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    cameras = cameras_of(scene, shot_of(scene, only=(2, 2.5, 3)))
+    assert [camera.name for camera in cameras] == ["dolly.0002", "dolly.sub500.0002", "dolly.0003"]
+    poses = [np.array(camera.pinhole.camera_to_world)[0, 3] for camera in cameras]
+    assert poses[0] < poses[1] < poses[2] and cameras[1].frame == 2
+    assert [*sequences([camera.name for camera in cameras])] == ["dolly", "dolly.sub500"]
+    assert numbered_name("dolly", -0.25) == "dolly.sub750.-0001"
 
 
 def test_the_render_region_if_it_is_cropped_to(scene: bpy.types.Scene, tmp_path: Path) -> None:
