@@ -18,18 +18,7 @@ from ..plgs_blender.inspecting.selection import chosen_row, find_lift, row_of
 from ..plgs_blender.owned import folder_of
 from ..plgs_blender.registry import Task
 from ..plgs_blender.viewport import view_of
-from .base import (
-    CANCELLED,
-    FINISHED,
-    PASSED_ON,
-    RUNNING,
-    StartsTask,
-    argument,
-    cancels,
-    panel_of,
-    reporting,
-    text_argument,
-)
+from . import base
 from .inspect import OnInstance, OnInstances, OnLift
 
 _UNDOABLE = {"REGISTER", "UNDO"}
@@ -48,7 +37,7 @@ def _class_choices(self: Any, context: bpy.types.Context, _text: str) -> list[st
 
 
 _class_argument = partial(
-    text_argument,
+    base.text_argument,
     "Class",
     "The class's name. Classes that the object's masks voted for come first",
     search=_class_choices,
@@ -73,9 +62,9 @@ class PLGS_OT_rename_instance(AsksForOne, OnInstance, bpy.types.Operator):
     bl_idname, bl_label, bl_options = "plgs.rename_instance", "Rename Object", _UNDOABLE
     asked = "name"
 
-    name: text_argument("Name", "The name, up to 60 characters")
+    name: base.text_argument("Name", "The name, up to 60 characters")
 
-    @reporting
+    @base.reporting
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         root = self.root(context)
         number = row_of(root, self.instance).instance_id
@@ -95,7 +84,7 @@ class PLGS_OT_reclass_instances(AsksForOne, OnInstances, bpy.types.Operator):
 
     class_name: _class_argument()
 
-    @reporting
+    @base.reporting
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         return set(context.window_manager.invoke_props_dialog(self))
 
@@ -142,9 +131,9 @@ class PLGS_OT_split_instance(OnInstance, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.split_instance", "Split", _UNDOABLE
 
-    by: argument(EnumProperty, "By", items=_SPLITS)
-    point: argument(FloatVectorProperty, "Point", "On the plane, metres", subtype="XYZ")
-    normal: argument(
+    by: base.argument(EnumProperty, "By", items=_SPLITS)
+    point: base.argument(FloatVectorProperty, "Point", "On the plane, metres", subtype="XYZ")
+    normal: base.argument(
         FloatVectorProperty, "Normal", "Towards the side that becomes a new object", subtype="XYZ", default=(1, 0, 0)
     )
 
@@ -163,7 +152,7 @@ class PLGS_OT_split_instance(OnInstance, bpy.types.Operator):
         return one_line(f"New: {', '.join(one.name for one in edit.made)}")
 
 
-class PLGS_OT_split_by_views(StartsTask, OnInstance, bpy.types.Operator):
+class PLGS_OT_split_by_views(base.StartsTask, OnInstance, bpy.types.Operator):
     """Split the object into the parts that the masks of at least two frames separate, each with the class of its
     masks"""
 
@@ -174,7 +163,7 @@ class PLGS_OT_split_by_views(StartsTask, OnInstance, bpy.types.Operator):
         if registry.running(SplitByViews):
             return "The engine is already reading the masks"
         # A script waits for the engine's answer; a button is grey until there is one.
-        return super().why_not(context) or (why_no_engine() if panel_of(context) is not None else None)
+        return super().why_not(context) or (why_no_engine() if base.panel_of(context) is not None else None)
 
     def begin(self, context: bpy.types.Context) -> Task:
         root = self.root(context)
@@ -230,11 +219,11 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
             ("CLASS", "Class", "A class, but no object"),
         ],
     )
-    instance: argument(IntProperty, "Instance", "Id; 0: the selected object", min=0)
+    instance: base.argument(IntProperty, "Instance", "Id; 0: the selected object", min=0)
     class_name: _class_argument()
-    region: text_argument("Region", "An object whose box contains the points; empty: paint them")
+    region: base.text_argument("Region", "An object whose box contains the points; empty: paint them")
 
-    @reporting
+    @base.reporting
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if self.region:
             return self.execute(context)
@@ -250,13 +239,13 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
         context.window.cursor_modal_set("PAINT_BRUSH")
         context.window_manager.modal_handler_add(self)
         self._say(context)
-        return RUNNING
+        return base.RUNNING
 
-    @reporting
+    @base.reporting
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if not correction_tools.now or context.area is None:  # another file was opened, or the view closed
             self.cancel(context)
-            return CANCELLED
+            return base.CANCELLED
         now = correction_tools.now[0]
         view = next(region for region in context.area.regions if region.type == "WINDOW")
         mouse = (float(event.mouse_x - view.x), float(event.mouse_y - view.y))
@@ -275,13 +264,13 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
         elif event.type in ("RET", "NUMPAD_ENTER") and event.value == "PRESS":
             self.cancel(context)
             self._assign(context, now.choose)
-            return FINISHED
+            return base.FINISHED
         elif event.type in ("ESC", "RIGHTMOUSE"):
             self.cancel(context)
-            return CANCELLED
+            return base.CANCELLED
         else:
-            return PASSED_ON  # meanwhile the user may turn the view and use the panel
-        return RUNNING
+            return base.PASSED_ON  # meanwhile the user may turn the view and use the panel
+        return base.RUNNING
 
     def cancel(self, context: bpy.types.Context) -> None:
         """Blender also calls this if it ends the painting itself."""
@@ -295,10 +284,10 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
         line = "Drag: paint points; Shift: rectangle; Ctrl: erase; Ctrl wheel: brush size; Enter: assign; Esc: cancel"
         context.area.header_text_set(line)
 
-    @reporting
+    @base.reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
         self._assign(context, corrections.in_region(self.region))
-        return FINISHED
+        return base.FINISHED
 
     def _assign(self, context: bpy.types.Context, choose: corrections.Choose) -> None:
         root = self.root(context)
@@ -329,7 +318,7 @@ class PLGS_OT_propose_corrections(OnLift, bpy.types.Operator):
 class OnProposal(OnLift):
     """An operator on an instance's proposal."""
 
-    instance: argument(IntProperty, "Instance", "Id of the instance; 0: the most doubtful one", min=0)
+    instance: base.argument(IntProperty, "Instance", "Id of the instance; 0: the most doubtful one", min=0)
 
 
 class PLGS_OT_go_to_proposal(OnProposal, bpy.types.Operator):
@@ -345,12 +334,12 @@ class PLGS_OT_go_to_proposal(OnProposal, bpy.types.Operator):
         return one_line(f"{one.name}: {one.reason}")
 
 
-class PLGS_OT_answer_proposal(StartsTask, OnProposal, bpy.types.Operator):
+class PLGS_OT_answer_proposal(base.StartsTask, OnProposal, bpy.types.Operator):
     """Apply the proposal, or keep the object as it is"""
 
     bl_idname, bl_label, bl_options = "plgs.answer_proposal", "Answer", _UNDOABLE
 
-    keep: argument(BoolProperty, "Keep", "The object is correct as it is")
+    keep: base.argument(BoolProperty, "Keep", "The object is correct as it is")
 
     def begin(self, context: bpy.types.Context) -> Task | None:
         root = self.root(context)
@@ -372,4 +361,4 @@ class PLGS_OT_next_uncertain_frame(OnLift, bpy.types.Operator):
         return f"Frame {one_line(frame)}, {visited} of {frames} visited"
 
 
-PLGS_OT_cancel_split = cancels(SplitByViews, "Stop reading the masks. An object that is not split yet stays whole")
+PLGS_OT_cancel_split = base.cancels(SplitByViews, "Stop reading the masks. An object that is not split yet stays whole")

@@ -12,18 +12,7 @@ from ..plgs_blender.chosen_scene import absolute
 from ..plgs_blender.engine_environment import choices, status, tasks, usable_python, why_no_engine
 from ..plgs_blender.registry import Task
 from ..plgs_blender.running import adding
-from .base import (
-    CANCELLED,
-    FINISHED,
-    AsksFirst,
-    Explained,
-    StartsTask,
-    argument,
-    cancels,
-    file_argument,
-    reporting,
-    text_argument,
-)
+from . import base
 
 _TORCH_BUILDS = [
     ("preferences", "As in the Preferences", "The build chosen in the add-on's preferences"),
@@ -32,19 +21,19 @@ _TORCH_BUILDS = [
 
 
 _index_argument = partial(
-    text_argument, "Package Index", "The package index to download from; empty: as in the preferences"
+    base.text_argument, "Package Index", "The package index to download from; empty: as in the preferences"
 )
 
 
-class AsksEngine(StartsTask):
+class AsksEngine(base.StartsTask):
     """An operator that ends with the engine's answer."""
 
     def report_outcome(self, context: bpy.types.Context, task: Task | None) -> set[str]:
         if task is not None and task.is_running:
-            return FINISHED
+            return base.FINISHED
         engine = status()
         self.report({"INFO" if engine.is_usable else "ERROR"}, f"{engine.message}. {engine.fix}".rstrip())
-        return FINISHED if engine.is_usable else CANCELLED
+        return base.FINISHED if engine.is_usable else base.CANCELLED
 
 
 class PLGS_OT_set_up_engine(AsksEngine, bpy.types.Operator):
@@ -52,8 +41,8 @@ class PLGS_OT_set_up_engine(AsksEngine, bpy.types.Operator):
 
     bl_idname, bl_label = "plgs.set_up_engine", "Set Up Engine"
 
-    base_python: file_argument("Base Python", "The Python to make the environment from; empty: as in the preferences")
-    torch_build: argument(EnumProperty, "Torch", items=_TORCH_BUILDS, default="preferences")
+    base_python: base.file_argument("Base Python", "The environment's Python; empty: as in the preferences")
+    torch_build: base.argument(EnumProperty, "Torch", items=_TORCH_BUILDS, default="preferences")
     index_url: _index_argument()
 
     @classmethod
@@ -69,7 +58,7 @@ class PLGS_OT_set_up_engine(AsksEngine, bpy.types.Operator):
 
     def report_outcome(self, context: bpy.types.Context, task: Task | None) -> set[str]:
         if task is None or task.is_running:
-            return FINISHED
+            return base.FINISHED
         if task.error is not None:
             raise task.error
         for check in registry.running(tasks.EngineCheck):
@@ -77,12 +66,12 @@ class PLGS_OT_set_up_engine(AsksEngine, bpy.types.Operator):
         return super().report_outcome(context, task)
 
 
-class PLGS_OT_add_to_engine(StartsTask, bpy.types.Operator):
+class PLGS_OT_add_to_engine(base.StartsTask, bpy.types.Operator):
     """Download optional packages and add them to the engine. Cancelling leaves the engine as it was"""
 
     bl_idname, bl_label = "plgs.add_to_engine", "Add to Engine"
 
-    capability: argument(EnumProperty, "Purpose", "What the packages are for", items=adding.ITEMS)
+    capability: base.argument(EnumProperty, "Purpose", "What the packages are for", items=adding.ITEMS)
     index_url: _index_argument()
 
     @classmethod
@@ -98,7 +87,7 @@ class PLGS_OT_use_this_python(AsksEngine, bpy.types.Operator):
 
     bl_idname, bl_label = "plgs.use_this_python", "Use This Python"
 
-    python: file_argument("Python", "The Python's executable; empty: Blender's own")
+    python: base.file_argument("Python", "The Python's executable; empty: Blender's own")
 
     def begin(self, context: bpy.types.Context) -> Task | None:
         choices.choose(absolute(self.python) if self.python else choices.own_python())
@@ -119,17 +108,17 @@ class PLGS_OT_open_set_up_log(bpy.types.Operator):
 
     bl_idname, bl_label = "plgs.open_set_up_log", "Open Log"
 
-    @reporting
+    @base.reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
         log = tasks.log_path()
         if not log.is_file():
             self.report({"ERROR"}, f"There is no log at {log}: the engine has not been set up here yet")
-            return CANCELLED
+            return base.CANCELLED
         self.report({"INFO"}, str(log))
-        return FINISHED if bpy.app.background else bpy.ops.wm.path_open(filepath=str(log))
+        return base.FINISHED if bpy.app.background else bpy.ops.wm.path_open(filepath=str(log))
 
 
-class PLGS_OT_remove_engine(AsksFirst, bpy.types.Operator):
+class PLGS_OT_remove_engine(base.AsksFirst, bpy.types.Operator):
     """Delete the environments that "Set Up Engine" made, and nothing else. A lift running in one would end"""
 
     bl_idname, bl_label = "plgs.remove_engine", "Remove Engine"
@@ -145,7 +134,7 @@ class PLGS_OT_remove_engine(AsksFirst, bpy.types.Operator):
         return tasks.remove()
 
 
-class PLGS_OT_show_preferences(Explained, bpy.types.Operator):
+class PLGS_OT_show_preferences(base.Acts, bpy.types.Operator):
     """Show the add-on's preferences, where the engine is set up"""
 
     bl_idname, bl_label = "plgs.show_preferences", "Preferences"
@@ -155,11 +144,9 @@ class PLGS_OT_show_preferences(Explained, bpy.types.Operator):
         missing = "PLGS is running without being installed as an extension, so it has no preferences"
         return missing if choices.preferences() is None else None
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        answer: set[str] = bpy.ops.preferences.addon_show(module=choices.EXTENSION)
-        return answer
+    def act(self, context: bpy.types.Context) -> None:
+        bpy.ops.preferences.addon_show(module=choices.EXTENSION)
 
 
-PLGS_OT_cancel_engine_set_up = cancels(tasks.SetUp, "Stop setting up the engine. The next set-up continues")
-PLGS_OT_cancel_adding = cancels(adding.Adding, "Stop adding packages; the engine stays as it was")
+PLGS_OT_cancel_engine_set_up = base.cancels(tasks.SetUp, "Stop setting up the engine. The next set-up continues")
+PLGS_OT_cancel_adding = base.cancels(adding.Adding, "Stop adding packages; the engine stays as it was")

@@ -17,53 +17,35 @@ from ..plgs_blender.owned import FOLDER
 from ..plgs_blender.registry import Task
 from ..plgs_blender.running import exports, lifting, lifts
 from ..plgs_blender.settings import LiftOptions, chosen_lift
-from .base import (
-    CANCELLED,
-    FINISHED,
-    PASSED_ON,
-    RUNNING,
-    Acts,
-    ChoosesFile,
-    OnLiftFolder,
-    StartsTask,
-    argument,
-    cancels,
-    copy_given,
-    file_argument,
-    folder_argument,
-    panel_of,
-    reporting,
-    start_timer,
-    text_argument,
-)
+from . import base
 
 _PART_S = 0.02
 """Seconds to pause between the parts of a lift that is being placed."""
 
 
-class PLGS_OT_lift_scene(LiftOptions, StartsTask, bpy.types.Operator):
+class PLGS_OT_lift_scene(LiftOptions, base.StartsTask, bpy.types.Operator):
     """Start a lift of the scene in the background. Options that you do not set are taken from the panel"""
 
     bl_idname, bl_label = "plgs.lift_scene", "Start"
     has_undo_step = True
 
-    names_from: folder_argument(
+    names_from: base.folder_argument(
         "Names From", "An earlier lift whose names are kept; empty: the one in this scene, if Keep Names is on"
     )
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        panel = panel_of(context)
+        panel = base.panel_of(context)
         return why_no_engine() if panel is None else lifting.why_no_lift(panel)
 
     def begin(self, context: bpy.types.Context) -> Task:
         settings = context.scene.plgs
-        copy_given(self, LiftOptions, settings)
+        base.copy_given(self, LiftOptions, settings)
         in_that_folder = self.properties.is_property_set("lift_folder")
         return lifting.start_lift(settings, in_that_folder=in_that_folder, names_from=self.names_from)
 
 
-class PLGS_OT_resume_lift(OnLiftFolder, StartsTask, bpy.types.Operator):
+class PLGS_OT_resume_lift(base.OnLiftFolder, base.StartsTask, bpy.types.Operator):
     """Continue a lift that was cancelled or interrupted"""
 
     bl_idname, bl_label = "plgs.resume_lift", "Resume"
@@ -73,12 +55,12 @@ class PLGS_OT_resume_lift(OnLiftFolder, StartsTask, bpy.types.Operator):
         return lifting.resume_lift(context.scene.plgs, self.lift_folder)
 
 
-class PLGS_OT_find_scene(OnLiftFolder, ChoosesFile, bpy.types.Operator):
+class PLGS_OT_find_scene(base.OnLiftFolder, base.ChoosesFile, bpy.types.Operator):
     """Choose where the scene of a lift was moved to. The frames there are compared with those of the lift"""
 
     bl_idname, bl_label, bl_options = "plgs.find_scene", "Find Scene", {"UNDO"}
 
-    filepath: file_argument("Scene", "The scene's folder, or its one file")
+    filepath: base.file_argument("Scene", "The scene's folder, or its one file")
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
@@ -88,7 +70,7 @@ class PLGS_OT_find_scene(OnLiftFolder, ChoosesFile, bpy.types.Operator):
         return lifting.find_scene(context.scene, absolute(self.filepath), self.lift_folder)
 
 
-class PLGS_OT_watch_lift(OnLiftFolder, StartsTask, bpy.types.Operator):
+class PLGS_OT_watch_lift(base.OnLiftFolder, base.StartsTask, bpy.types.Operator):
     """Follow a lift that another Blender or a command started, or look at one that has ended"""
 
     bl_idname, bl_label = "plgs.watch_lift", "Watch"
@@ -98,23 +80,23 @@ class PLGS_OT_watch_lift(OnLiftFolder, StartsTask, bpy.types.Operator):
         return lifting.join_lift(context.scene, self.lift_folder)
 
 
-class PLGS_OT_open_lift(ChoosesFile, bpy.types.Operator):
+class PLGS_OT_open_lift(base.ChoosesFile, bpy.types.Operator):
     """Choose a lift's folder. A finished lift is put into the scene, and a running one is followed"""
 
     bl_idname, bl_label = "plgs.open_lift", "Open Lift"
     has_undo_step = True
 
-    directory: folder_argument("Lift Folder", "The folder of a lift")
+    directory: base.folder_argument("Lift Folder", "The folder of a lift")
 
     def begin(self, context: bpy.types.Context) -> Task:
         return lifting.join_lift(context.scene, str(absolute(self.directory)))
 
-    @reporting
+    @base.reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
         return self.run(context, waits=bpy.app.background)
 
 
-class PLGS_OT_cancel_lift(OnLiftFolder, Acts, bpy.types.Operator):
+class PLGS_OT_cancel_lift(base.OnLiftFolder, base.Acts, bpy.types.Operator):
     """Stop the lift at its next step, within a second; it can be resumed"""
 
     bl_idname, bl_label = "plgs.cancel_lift", "Cancel"
@@ -140,7 +122,7 @@ class PLGS_OT_quit(bpy.types.Operator):
         return set(bpy.ops.wm.quit_blender("INVOKE_DEFAULT"))
 
 
-class PLGS_OT_refresh_lifts(Acts, bpy.types.Operator):
+class PLGS_OT_refresh_lifts(base.Acts, bpy.types.Operator):
     """Update the list of running and finished lifts, including those of other Blenders"""
 
     bl_idname, bl_label, bl_options = "plgs.refresh_lifts", "Look Again", {"INTERNAL"}
@@ -149,7 +131,7 @@ class PLGS_OT_refresh_lifts(Acts, bpy.types.Operator):
         lifts.refresh_recent()
 
 
-class PLGS_OT_place_lift(OnLiftFolder, bpy.types.Operator):
+class PLGS_OT_place_lift(base.OnLiftFolder, bpy.types.Operator):
     """Put a finished lift into the scene: cameras, points, anchors, boxes and passes"""
 
     bl_idname, bl_label, bl_options = "plgs.place_lift", "Show Result", {"UNDO"}
@@ -157,38 +139,38 @@ class PLGS_OT_place_lift(OnLiftFolder, bpy.types.Operator):
     _at_work = False
     """Whether a timer is placing a lift part by part: the parts of a second one would mix with it."""
 
-    @reporting
+    @base.reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
         self._placing = lifting.showing_lift(context.scene, self.lift_folder)
         while self.has_more():
             pass
-        return FINISHED
+        return base.FINISHED
 
-    @reporting
+    @base.reporting
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Place the first part at once and the rest on a timer, so that the window never freezes."""
         if bpy.app.background:
             return self.execute(context)
         if PLGS_OT_place_lift._at_work:
             self.report({"INFO"}, "A lift is being placed. Wait a moment")
-            return CANCELLED
+            return base.CANCELLED
         self._placing = lifting.showing_lift(context.scene, self.lift_folder)
         self.has_more()
-        self._timer = start_timer(self, context, _PART_S)
+        self._timer = base.start_timer(self, context, _PART_S)
         PLGS_OT_place_lift._at_work = True
-        return RUNNING
+        return base.RUNNING
 
-    @reporting
+    @base.reporting
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if event.type != "TIMER":
-            return PASSED_ON
+            return base.PASSED_ON
         goes_on = False
         try:
             goes_on = self.has_more()
         finally:
             if not goes_on:
                 self.cancel(context)
-        return PASSED_ON if goes_on else FINISHED
+        return base.PASSED_ON if goes_on else base.FINISHED
 
     def has_more(self) -> bool:
         """Place as many parts as fit in an unnoticeable pause. Returns whether more may be left."""
@@ -209,7 +191,7 @@ class PLGS_OT_place_lift(OnLiftFolder, bpy.types.Operator):
         context.window_manager.event_timer_remove(self._timer)
 
 
-class PLGS_OT_open_log(OnLiftFolder, Acts, bpy.types.Operator):
+class PLGS_OT_open_log(base.OnLiftFolder, base.Acts, bpy.types.Operator):
     """Open the engine's log in the system's text editor"""
 
     bl_idname, bl_label, bl_options = "plgs.open_log", "Open Log", {"INTERNAL"}
@@ -225,10 +207,10 @@ _FRAMES = [
 ]
 
 
-class Exports(OnLiftFolder, StartsTask):
+class Exports(base.OnLiftFolder, base.StartsTask):
     """An operator that exports a lift."""
 
-    frames: argument(EnumProperty, "Frames", "Which frames to export", items=_FRAMES, default="all")
+    frames: base.argument(EnumProperty, "Frames", "Which frames to export", items=_FRAMES, default="all")
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
@@ -242,13 +224,13 @@ class Exports(OnLiftFolder, StartsTask):
         return str(absolute(root.get(FOLDER, ""))) if root is not None and root.get(FOLDER) else ""
 
 
-class PLGS_OT_export_lift(Exports, ChoosesFile, bpy.types.Operator):
+class PLGS_OT_export_lift(Exports, base.ChoosesFile, bpy.types.Operator):
     """Write a finished lift to a folder, in a format that other programs read"""
 
     bl_idname, bl_label = "plgs.export_lift", "Export"
 
-    form: argument(EnumProperty, "Format", items=_FORMS, default="coco")
-    directory: folder_argument("Folder", "Where the files go")
+    form: base.argument(EnumProperty, "Format", items=_FORMS, default="coco")
+    directory: base.folder_argument("Folder", "Where the files go")
 
     def begin(self, context: bpy.types.Context) -> Task:
         lift = self.lift_of(context)
@@ -277,10 +259,10 @@ class PLGS_OT_make_depth_cloud(Exports, bpy.types.Operator):
 
     bl_idname, bl_label = "plgs.make_depth_cloud", "Depth Cloud"
 
-    frame: text_argument("Frame", "Empty: what the active camera sees")
+    frame: base.text_argument("Frame", "Empty: what the active camera sees")
 
     def begin(self, context: bpy.types.Context) -> Task:
         return lifting.make_depth_cloud(context.scene, self.frame, self.lift_of(context))
 
 
-PLGS_OT_cancel_export = cancels(exports.Export, "Stop the export; files that are already written stay")
+PLGS_OT_cancel_export = base.cancels(exports.Export, "Stop the export; files that are already written stay")

@@ -26,35 +26,23 @@ from ..plgs_blender.running.preparation import (
 )
 from ..plgs_blender.settings import chosen_scene
 from ..plgs_blender.viewport import load_finding, show_beside, view_of
-from .base import (
-    CANCELLED,
-    FINISHED,
-    Acts,
-    StartsTask,
-    argument,
-    cancels,
-    folder_argument,
-    panel_of,
-    reporting,
-    text_argument,
-    why_no_folder,
-)
+from . import base
 
 
-class PLGS_OT_make_masks(StartsTask, bpy.types.Operator):
+class PLGS_OT_make_masks(base.StartsTask, bpy.types.Operator):
     """Make a panoptic mask of every frame with a network, which is downloaded only if Blender may go online"""
 
     bl_idname, bl_label = "plgs.make_masks", "Make Masks"
 
-    model: text_argument("Model", "Folder or name of a Mask2Former; empty: the panel's")
+    model: base.text_argument("Model", "Folder or name of a Mask2Former; empty: the panel's")
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
         if registry.running(MaskMaking):
             return "The engine is already making masks"
-        if panel_of(context) is None:
+        if base.panel_of(context) is None:
             return None
-        return why_no_folder(context) or why_no_engine() or why_lacking("segment")
+        return base.why_no_folder(context) or why_no_engine() or why_lacking("segment")
 
     def begin(self, context: bpy.types.Context) -> Task:
         model = self.model or context.scene.plgs_masks.model
@@ -64,7 +52,7 @@ class PLGS_OT_make_masks(StartsTask, bpy.types.Operator):
         return make_masks(chosen_scene(context.scene.plgs), usable_python(), model, download=bpy.app.online_access)
 
 
-class PLGS_OT_make_poses(StartsTask, bpy.types.Operator):
+class PLGS_OT_make_poses(base.StartsTask, bpy.types.Operator):
     """Find the poses of the scene's photos, or of a video's sharpest frames, with COLMAP, and write them beside it"""
 
     bl_idname, bl_label = "plgs.make_poses", "Find Poses"
@@ -73,31 +61,31 @@ class PLGS_OT_make_poses(StartsTask, bpy.types.Operator):
     def why_not(cls, context: bpy.types.Context) -> str | None:
         if registry.running(PoseMaking):
             return "The engine is already finding poses"
-        return why_no_folder(context) or why_no_engine() or why_lacking("colmap")
+        return base.why_no_folder(context) or why_no_engine() or why_lacking("colmap")
 
     def begin(self, context: bpy.types.Context) -> Task:
         return make_poses(chosen_scene(context.scene.plgs), usable_python())
 
 
-class PLGS_OT_read_classes(StartsTask, bpy.types.Operator):
+class PLGS_OT_read_classes(base.StartsTask, bpy.types.Operator):
     """List the classes of the scene's masks, to name and merge them"""
 
     bl_idname, bl_label, bl_options = "plgs.read_classes", "Read Classes", {"UNDO"}
 
-    table: argument(
+    table: base.argument(
         EnumProperty, "Table", "A public table to start from, if the masks' files do not name their classes",
         items=TABLE_ITEMS, default=OWN_TABLE,
     )  # fmt: skip
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        return why_no_folder(context) or why_no_engine()
+        return base.why_no_folder(context) or why_no_engine()
 
     def begin(self, context: bpy.types.Context) -> Task:
         return read_classes(context.scene, self.table)
 
 
-class PLGS_OT_write_classes(StartsTask, bpy.types.Operator):
+class PLGS_OT_write_classes(base.StartsTask, bpy.types.Operator):
     """Write the list to classes.toml beside the masks, where every later lift reads it"""
 
     bl_idname, bl_label = "plgs.write_classes", "Write Classes"
@@ -114,15 +102,15 @@ class PLGS_OT_write_classes(StartsTask, bpy.types.Operator):
 _NOTHING = "Nothing was found that can safely be fixed"
 
 
-class Measures(StartsTask):
+class Measures(base.StartsTask):
     """An operator that measures the panel's scene."""
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
         if registry.running(Diagnosis):
-            return why_no_folder(context) or "A diagnosis is already running"
+            return base.why_no_folder(context) or "A diagnosis is already running"
         # A script waits for the engine's answer; a button is grey until there is one.
-        return why_no_folder(context) or (None if panel_of(context) is None else why_no_engine())
+        return base.why_no_folder(context) or (None if base.panel_of(context) is None else why_no_engine())
 
 
 class PLGS_OT_diagnose(Measures, bpy.types.Operator):
@@ -137,7 +125,7 @@ class PLGS_OT_diagnose(Measures, bpy.types.Operator):
         findings = task.findings if isinstance(task, Diagnosis) else ()
         for finding in findings:
             self.report({"WARNING" if finding.is_wrong else "INFO"}, f"{finding.cause}: {finding.text}")
-        return FINISHED if findings else super().report_outcome(context, task)
+        return base.FINISHED if findings else super().report_outcome(context, task)
 
 
 class PLGS_OT_fix_scene(Measures, bpy.types.Operator):
@@ -145,7 +133,7 @@ class PLGS_OT_fix_scene(Measures, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.fix_scene", "Fix", {"INTERNAL"}
 
-    folder: folder_argument(
+    folder: base.folder_argument(
         "Folder", "A folder for the fixed scene, which must not exist yet; empty: beside the scene's folder"
     )
 
@@ -164,18 +152,18 @@ class PLGS_OT_fix_scene(Measures, bpy.types.Operator):
         assert isinstance(task, Diagnosis)
         if task.is_running:
             self.report({"INFO"}, f"Writing the fixed copy to {task.mended}")
-            return FINISHED
+            return base.FINISHED
         if not task.is_mended:
             self.report({"ERROR"}, _NOTHING if task.error is None else with_field_names(task.error))
-            return CANCELLED
+            return base.CANCELLED
         self.report({"INFO"}, f"The scene is now the fixed copy: {task.mended}")
-        return FINISHED
+        return base.FINISHED
 
 
-class OnFinding(Acts):
+class OnFinding(base.Acts):
     """An operator on one finding about the panel's scene."""
 
-    number: argument(IntProperty, "Number", "Number of the finding, from 0", min=0)
+    number: base.argument(IntProperty, "Number", "Number of the finding, from 0", min=0)
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
@@ -195,16 +183,16 @@ class PLGS_OT_show_finding(OnFinding, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.show_finding", "Show Picture", {"INTERNAL", "UNDO"}
 
-    @reporting
+    @base.reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
         picture = self.finding(context)[1].picture
         if picture is None:
             self.report({"WARNING"}, "This finding has no picture")
-            return CANCELLED
+            return base.CANCELLED
         image = load_finding(picture)
         where = "is in the Image Editor" if show_beside(image, context) else "is loaded"
         self.report({"INFO"}, f"{image.name} {where}")
-        return FINISHED
+        return base.FINISHED
 
 
 class PLGS_OT_go_to_finding(OnFinding, bpy.types.Operator):
@@ -212,7 +200,7 @@ class PLGS_OT_go_to_finding(OnFinding, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.go_to_finding", "Go to Frame", {"INTERNAL", "UNDO"}
 
-    frame: text_argument("Frame")
+    frame: base.text_argument("Frame")
 
     def act(self, context: bpy.types.Context) -> None:
         folder = self.finding(context)[0].chosen.scene
@@ -229,16 +217,16 @@ class PLGS_OT_leave_out(OnFinding, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.leave_out", "Leave Out", {"INTERNAL"}
 
-    @reporting
+    @base.reporting
     def execute(self, context: bpy.types.Context) -> set[str]:
         known, finding = self.finding(context)
         if known.split is None or not known.split.has_any(finding.leave_out):
             self.report({"WARNING"}, "There is no frame to leave out")
-            return CANCELLED
+            return base.CANCELLED
         path, kept = leave_out(known, finding)
         earlier = "" if kept is None else f". The earlier file is now {kept.name}"
         self.report({"INFO"}, f"Left out {plural(len(finding.leave_out), 'frame')} in {path}{earlier}")
-        return FINISHED
+        return base.FINISHED
 
 
 def _known(context: bpy.types.Context) -> Diagnosis | None:
@@ -247,6 +235,6 @@ def _known(context: bpy.types.Context) -> Diagnosis | None:
     return diagnosis_of(chosen_scene(settings)) if settings.scene_folder else None
 
 
-PLGS_OT_cancel_poses = cancels(PoseMaking, "Stop finding poses; nothing is written")
-PLGS_OT_cancel_masks = cancels(MaskMaking, "Stop making masks; finished masks are kept, and the next run continues")
-PLGS_OT_cancel_diagnosis = cancels(Diagnosis, "Stop the diagnosis; your files do not change")
+PLGS_OT_cancel_poses = base.cancels(PoseMaking, "Stop finding poses; nothing is written")
+PLGS_OT_cancel_masks = base.cancels(MaskMaking, "Stop making masks. Finished ones are kept, and the next run continues")
+PLGS_OT_cancel_diagnosis = base.cancels(Diagnosis, "Stop the diagnosis; your files do not change")

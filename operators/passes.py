@@ -16,19 +16,7 @@ from ..plgs_blender.passes import open_passes, passes_scene_of
 from ..plgs_blender.registry import Task
 from ..plgs_blender.running import lifting
 from ..plgs_blender.shots import ShotReader, shot_of
-from .base import (
-    CANCELLED,
-    PASSED_ON,
-    RUNNING,
-    Acts,
-    OnLiftFolder,
-    StartsTask,
-    argument,
-    panel_of,
-    reporting,
-    start_timer,
-    text_argument,
-)
+from . import base
 from .inspect import OnClass, OnInstance
 
 _FRAMES = [
@@ -40,14 +28,14 @@ _READ_S, _READ_EVERY_S = 0.04, 0.06
 """Seconds for which a camera is read before Blender may redraw, and seconds between two such parts."""
 
 
-class BakesFinishedLift(OnLiftFolder, StartsTask):
+class BakesFinishedLift(base.OnLiftFolder, base.StartsTask):
     """An operator that needs an engine and a finished lift; it bakes the layers chosen in the panel."""
 
     has_undo_step = True
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        panel = panel_of(context)
+        panel = base.panel_of(context)
         return why_no_engine() or (None if panel is None else lifting.why_no_bake(panel))
 
 
@@ -56,7 +44,7 @@ class PLGS_OT_bake_passes(BakesFinishedLift, bpy.types.Operator):
 
     bl_idname, bl_label = "plgs.bake_passes", "Bake Passes"
 
-    frames: argument(EnumProperty, "Frames", "Which frames to bake", items=_FRAMES, default="all")
+    frames: base.argument(EnumProperty, "Frames", "Which frames to bake", items=_FRAMES, default="all")
 
     def begin(self, context: bpy.types.Context) -> Task:
         return lifting.bake_passes(context.scene, self.frames, self.lift_folder)
@@ -68,13 +56,13 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
 
     bl_idname, bl_label = "plgs.bake_camera", "Bake Active Camera, Frame Range"
 
-    camera: text_argument("Camera", "Empty: the scene's active one")
-    frame_start: argument(IntProperty, "Start", "First frame; not given: the scene's")
-    frame_end: argument(IntProperty, "End", "Last frame; not given: the scene's")
-    frame_step: argument(IntProperty, "Step", "Every n-th frame; not given: the scene's", min=1, default=1)
+    camera: base.text_argument("Camera", "Empty: the scene's active one")
+    frame_start: base.argument(IntProperty, "Start", "First frame; not given: the scene's")
+    frame_end: base.argument(IntProperty, "End", "Last frame; not given: the scene's")
+    frame_step: base.argument(IntProperty, "Step", "Every n-th frame; not given: the scene's", min=1, default=1)
 
-    shot: text_argument("Shot", "The name of its files; empty: the .blend's and the camera's")
-    replace: argument(
+    shot: base.text_argument("Shot", "The name of its files; empty: the .blend's and the camera's")
+    replace: base.argument(
         BoolProperty, "Replace", "Replace a shot of this name from another file or camera, or with a changed camera"
     )
 
@@ -97,22 +85,22 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
             self.report({"WARNING"}, what)
         return lifting.read_camera(context.scene, shot)
 
-    @reporting
+    @base.reporting
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self._shot = self._begin_reading(context)
         if self._shot.read_for(_READ_S):
             return self.run(context, waits=bpy.app.background)
-        self._timer = start_timer(self, context, _READ_EVERY_S)
-        return RUNNING
+        self._timer = base.start_timer(self, context, _READ_EVERY_S)
+        return base.RUNNING
 
-    @reporting
+    @base.reporting
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        answer = CANCELLED
+        answer = base.CANCELLED
         try:
             assert self._shot is not None
             answer = self._read_on(context, event, self._shot)
         finally:
-            if answer not in (RUNNING, PASSED_ON):
+            if answer not in (base.RUNNING, base.PASSED_ON):
                 self.cancel(context)
         return answer
 
@@ -120,14 +108,14 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
         """Read a part of the camera. After the last one, start baking."""
         if event.type == "ESC" and event.value == "PRESS":
             self.report({"INFO"}, "Reading the camera was cancelled; nothing was baked")
-            return CANCELLED
+            return base.CANCELLED
         if event.type != "TIMER":
-            return PASSED_ON
+            return base.PASSED_ON
         if shot.read_for(_READ_S):
             _show_progress(context, None)
             return self.run(context, waits=False)
         _show_progress(context, "Reading the camera: {} of {} frames. Esc stops".format(*shot.progress))
-        return RUNNING
+        return base.RUNNING
 
     def cancel(self, context: bpy.types.Context) -> None:
         """Clean up after another file was opened or the camera was read."""
@@ -137,7 +125,7 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
             self._timer = None
 
 
-class PLGS_OT_bake_on_farm(OnLiftFolder, Acts, bpy.types.Operator):
+class PLGS_OT_bake_on_farm(base.OnLiftFolder, base.Acts, bpy.types.Operator):
     """Write a Flamenco job that bakes the active camera over the frame range on a render farm. The farm must be able to
     read the lift and this file"""
 
@@ -145,7 +133,7 @@ class PLGS_OT_bake_on_farm(OnLiftFolder, Acts, bpy.types.Operator):
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        panel = panel_of(context)
+        panel = base.panel_of(context)
         return None if panel is None else lifting.why_no_bake(panel)
 
     def act(self, context: bpy.types.Context) -> str:
@@ -159,7 +147,7 @@ def _show_progress(context: bpy.types.Context, text: str | None) -> None:
         context.workspace.status_text_set(text)
 
 
-class PLGS_OT_show_passes(Acts, bpy.types.Operator):
+class PLGS_OT_show_passes(base.Acts, bpy.types.Operator):
     """Open the Compositing workspace with the passes of the active camera, if any, else those of the lift's frames"""
 
     bl_idname, bl_label, bl_options = "plgs.show_passes", "Open in Compositor", {"UNDO"}
@@ -175,7 +163,7 @@ class PLGS_OT_show_passes(Acts, bpy.types.Operator):
             show_compositor(context.window, target)
 
 
-class PLGS_OT_show_room(Acts, bpy.types.Operator):
+class PLGS_OT_show_room(base.Acts, bpy.types.Operator):
     """Show the lift's own scene again, in the workspace from which the compositor was opened"""
 
     bl_idname, bl_label, bl_options = "plgs.show_room", "Back to the Room", {"UNDO"}

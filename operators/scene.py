@@ -19,21 +19,7 @@ from ..plgs_blender.running.lifting import why_no_scene
 from ..plgs_blender.running.looking import look_at_scene
 from ..plgs_blender.settings import SceneOptions, chosen_scene
 from ..plgs_blender.viewport import look_through, show_materials_in
-from .base import (
-    CANCELLED,
-    FINISHED,
-    Acts,
-    ChoosesFile,
-    StartsTask,
-    argument,
-    cancels,
-    copy_given,
-    file_argument,
-    folder_argument,
-    panel_of,
-    reporting,
-    why_no_folder,
-)
+from . import base
 
 _PICTURES = [
     (PHOTO, "Photo", "What the frame's camera saw, half transparent"),
@@ -42,11 +28,11 @@ _PICTURES = [
 ]
 
 
-class ImportsScene(SceneOptions, StartsTask):
+class ImportsScene(SceneOptions, base.StartsTask):
     """An operator that imports the panel's scene, with an engine for what Blender cannot read. Options that are not
     given are taken from the panel."""
 
-    cloud: argument(BoolProperty, "Coloured Cloud", "Make a coloured cloud of the scene's depth", default=True)
+    cloud: base.argument(BoolProperty, "Coloured Cloud", "Make a coloured cloud of the scene's depth", default=True)
 
     def begin(self, context: bpy.types.Context) -> Task | None:
         return begin_import(context.scene, cloud=self.cloud)
@@ -59,12 +45,12 @@ class ImportsScene(SceneOptions, StartsTask):
             if error is not None:
                 raise error
             self.report({"INFO"}, "An engine is reading the scene: its cameras appear when it is done")
-            return FINISHED if is_making else CANCELLED
+            return base.FINISHED if is_making else base.CANCELLED
         cameras = plural(sum("frame" in ob for ob in root.all_objects), "camera")
         lacking = "" if is_making else what_is_missing(root) if error is None else with_field_names(error)
         show_materials_in(context.scene)
         self.report({"WARNING" if lacking else "INFO"}, f"{one_line(root.name)}: {cameras}. {lacking}".rstrip())
-        return FINISHED
+        return base.FINISHED
 
 
 def _forget_other_scene(settings: Any) -> None:
@@ -79,44 +65,44 @@ class PLGS_OT_import_scene(ImportsScene, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "plgs.import_scene", "Import Cameras and Images", {"UNDO"}
 
-    scene_folder: folder_argument("Scene", "The scene's folder or file; empty: the panel's")
+    scene_folder: base.folder_argument("Scene", "The scene's folder or file; empty: the panel's")
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        panel = panel_of(context)
+        panel = base.panel_of(context)
         return None if panel is None else why_no_scene(panel)
 
     def begin(self, context: bpy.types.Context) -> Task | None:
         settings = context.scene.plgs
-        copy_given(self, SceneOptions, settings)
+        base.copy_given(self, SceneOptions, settings)
         if self.scene_folder:
             settings.scene_folder = self.scene_folder
         return super().begin(context)
 
 
-class PLGS_OT_browse_scene(ImportsScene, ChoosesFile, bpy.types.Operator):
+class PLGS_OT_browse_scene(ImportsScene, base.ChoosesFile, bpy.types.Operator):
     """Import the cameras and images of posed frames: a folder, or a file such as transforms.json, .sens or .r3d"""
 
     bl_idname, bl_label, bl_options = "plgs.browse_scene", "PLGS Scene", {"UNDO", "PRESET"}
 
-    filepath: file_argument("File", "The scene's file, any file in its folder, or the folder itself")
+    filepath: base.file_argument("File", "The scene's file, any file in its folder, or the folder itself")
     filter_glob: StringProperty(default=";".join(f"*{each}" for each in FILE_SUFFIXES), options={"HIDDEN", "SKIP_SAVE"})
 
     def begin(self, context: bpy.types.Context) -> Task | None:
         settings = context.scene.plgs
         scene = scene_at(Path(absolute(self.filepath)))
         _forget_other_scene(settings)
-        copy_given(self, SceneOptions, settings)
+        base.copy_given(self, SceneOptions, settings)
         settings.scene_folder = str(scene)
         return super().begin(context)
 
 
-class PLGS_OT_show_picture(StartsTask, bpy.types.Operator):
+class PLGS_OT_show_picture(base.StartsTask, bpy.types.Operator):
     """Show the photo, depth or masks in front of the frames' cameras"""
 
     bl_idname, bl_label, bl_options = "plgs.show_picture", "Show Picture", {"UNDO"}
 
-    what: argument(EnumProperty, "What", "Which picture", items=_PICTURES, default=DEPTH)
+    what: base.argument(EnumProperty, "What", "Which picture", items=_PICTURES, default=DEPTH)
 
     @classmethod
     def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
@@ -128,7 +114,7 @@ class PLGS_OT_show_picture(StartsTask, bpy.types.Operator):
         # the mouse looked.
         return why_no_picture(context.scene)
 
-    @reporting
+    @base.reporting
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         view = context.space_data
         if isinstance(view, bpy.types.SpaceView3D) and not view.use_local_camera:
@@ -146,25 +132,25 @@ class PLGS_OT_show_picture(StartsTask, bpy.types.Operator):
         return super().report_outcome(context, task)
 
 
-class PLGS_OT_look_at_scene(Acts, bpy.types.Operator):
+class PLGS_OT_look_at_scene(base.Acts, bpy.types.Operator):
     """Read the scene's folder again"""
 
     bl_idname, bl_label, bl_options = "plgs.look_at_scene", "Look Again", {"INTERNAL"}
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        return why_no_folder(context)
+        return base.why_no_folder(context)
 
     def act(self, context: bpy.types.Context) -> None:
         look_at_scene(chosen_scene(context.scene.plgs))
 
 
-class PLGS_OT_open_dropped(Acts, bpy.types.Operator):
+class PLGS_OT_open_dropped(base.Acts, bpy.types.Operator):
     """Open the scene or the lift that a file belongs to"""
 
     bl_idname, bl_label, bl_options = "plgs.open_dropped", "Open in PLGS", {"UNDO"}
 
-    filepath: file_argument("File", "Any file in a scene's or a lift's folder, or the folder itself")
+    filepath: base.file_argument("File", "Any file in a scene's or a lift's folder, or the folder itself")
 
     def act(self, context: bpy.types.Context) -> str:
         lift, scene = lift_or_scene(Path(absolute(self.filepath)))
@@ -189,4 +175,4 @@ class PLGS_FH_scene(bpy.types.FileHandler):
         return context.area is not None and context.area.type == "VIEW_3D"
 
 
-PLGS_OT_cancel_frames = cancels(FrameMaking, "Stop making pictures and the cloud. Importing again continues")
+PLGS_OT_cancel_frames = base.cancels(FrameMaking, "Stop making pictures and the cloud. Importing again continues")

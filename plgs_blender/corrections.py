@@ -40,16 +40,8 @@ from ..engine.known_scene import known_scene
 from .boxes import INSTANCE, TOGETHER, name_box, place_boxes
 from .clouds import SurfaceGrid, place_anchors, place_semantic_points
 from .errors import EXPECTED, with_field_names
+from .inspecting import selection
 from .inspecting.lists import fill_lists, fill_masks
-from .inspecting.selection import (
-    box_of,
-    boxes_of,
-    objects_by_key,
-    renaming,
-    row_of,
-    select_instance,
-    selected_instances,
-)
 from .meshes import CORRECTIONS
 from .owned import FOLDER, LIFT, OwnedDataBlocks, child_collection, folder_of, lifts_in, text_of
 from .results import LiftResult, listed_in
@@ -150,7 +142,8 @@ def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> Non
     stays. Raises PlgsError."""
     scene, layer = bpy.context.scene, bpy.context.view_layer
     owned = OwnedDataBlocks(root[LIFT], scene)
-    cameras = [ob for key, ob in objects_by_key(root).items() if key.startswith("frame:") and ob.type == "CAMERA"]
+    own = selection.objects_by_key(root).items()
+    cameras = [ob for key, ob in own if key.startswith("frame:") and ob.type == "CAMERA"]
     grid = SurfaceGrid.of(result.points.xyz)
     centres = np.array([ob.matrix_world.translation[:] for ob in cameras] or [[0.0, 0.0, 0.0]])
     clouds = child_collection(root, "Semantic points")
@@ -164,7 +157,7 @@ def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> Non
     fill_lists(root, result, anew=False)
     fill_masks(root, result.instances, result.classes)
     if active in {row.instance_id for row in lists.instances}:
-        select_instance(root, active, layer)
+        selection.select_instance(root, active, layer)
     remember(root, result)
 
 
@@ -205,7 +198,7 @@ def chosen_instances(root: bpy.types.Collection, named: str, context: bpy.types.
         except ValueError as error:
             what = f"{named!r} does not name objects"
             raise PlgsError("not-objects", what, root.name, "Give their ids, such as 3 5.") from error
-    return selected_instances(root, context.view_layer) or [row_of(root, 0).instance_id]
+    return selection.selected_instances(root, context.view_layer) or [selection.row_of(root, 0).instance_id]
 
 
 def class_named(root: bpy.types.Collection, name: str) -> int:
@@ -230,7 +223,7 @@ def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
     OSError, as all edits here do."""
     made, result = _correct(root, lambda state, _: making.rename(state, instance, name))
     _mine.setdefault(str(folder_of(root)), set()).add(made.uid)
-    row, box = row_of(root, instance), boxes_of(root).get(instance)
+    row, box = selection.row_of(root, instance), selection.boxes_of(root).get(instance)
     row.known_name = row.name = made.name
     if box is not None:
         name_box(box, made.name)
@@ -245,7 +238,7 @@ def _rename_by_field(root: bpy.types.Collection, instance: int, name: str) -> No
         rename(root, instance, name)
     except EXPECTED as error:
         failed.append(with_field_names(error))
-        row, box = row_of(root, instance), boxes_of(root).get(instance)
+        row, box = selection.row_of(root, instance), selection.boxes_of(root).get(instance)
         row.name = row.known_name
         if box is not None:
             name_box(box, row.known_name)
@@ -309,7 +302,7 @@ def _split(
 
 def crop(root: bpy.types.Collection, instance: int) -> Edit:
     """Give an object the points of its class that are inside its box, as the user left the box."""
-    box = box_of(root, instance)
+    box = selection.box_of(root, instance)
     return edit(root, lambda state, _: making.crop(state, instance, inside_box(box, state.xyz)))
 
 
@@ -364,7 +357,7 @@ _after_undo = bpy.app.handlers.persistent(_follow_undo)
 
 
 def register() -> None:
-    renaming.append(_rename_by_field)
+    selection.renaming.append(_rename_by_field)
     for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
         handlers.append(_after_undo)
 
@@ -373,6 +366,6 @@ def unregister() -> None:
     for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
         if _after_undo in handlers:
             handlers.remove(_after_undo)
-    renaming.remove(_rename_by_field)
+    selection.renaming.remove(_rename_by_field)
     _mine.clear()
     failed.clear()
