@@ -41,8 +41,7 @@ def why_no_folder(context: bpy.types.Context) -> str | None:
 
 
 def reporting(method: Method) -> Method:
-    """Decorates an operator's `execute`, `invoke` or `modal`: an expected error becomes one line for the user and
-    "cancelled"."""
+    """Decorates `execute`, `invoke` or `modal`: an expected error becomes one line for the user, and "cancelled"."""
 
     def answer(operator: Any, *given: Any) -> set[str]:
         try:
@@ -110,8 +109,7 @@ class StartsTask(Explained):
         raise NotImplementedError
 
     def report_outcome(self, context: bpy.types.Context, task: Task | None) -> set[str]:
-        """Report the outcome, or that the task is still running, and return Blender's status. Raises PlgsError,
-        OSError."""
+        """Report the outcome, if there is one yet, and return Blender's status. Raises PlgsError, OSError."""
         if task is None or task.is_running:
             return FINISHED
         if task.error is not None:
@@ -168,8 +166,7 @@ class ChoosesFile(AsksFirst):
 
 
 class CancelsTask(Explained):
-    """An operator that cancels the running tasks of one kind. A script waits until they have ended, less than a
-    second."""
+    """An operator that cancels the running tasks of one kind. A script waits until they end, within a second."""
 
     cancelled_kind: type[Task]
 

@@ -48,8 +48,7 @@ _DEFAULT_ROOM = np.array([[-2.0, -2.0, 0.0], [2.0, 2.0, 2.5]])
 
 @dataclass(frozen=True)
 class Lens:
-    """Focal length in millimetres on a sensor of SENSOR_WIDTH, shifts in picture widths, and the scene's pixel
-    aspect."""
+    """Millimetres on a sensor of SENSOR_WIDTH, shifts in picture widths, and the scene's pixel aspect."""
 
     focal_length: float
     shift_x: float
@@ -160,8 +159,7 @@ def place_camera(
 
 
 def set_lens(data: bpy.types.Camera, camera: Camera) -> None:
-    """Give a Blender camera the engine camera's intrinsics. Picture size and pixel aspect belong to the scene, so they
-    are left to the user."""
+    """Give a Blender camera these intrinsics, except picture size and pixel aspect, which belong to the scene."""
     lens = lens_of(camera)
     data.type, data.lens_unit, data.sensor_fit = "PERSP", "MILLIMETERS", "HORIZONTAL"
     data.sensor_width = SENSOR_WIDTH
@@ -191,8 +189,7 @@ def place_frames(
 
 
 def camera_seen(scene: bpy.types.Scene) -> Camera | None:
-    """The view of the scene's active camera at the scene's resolution, whoever made the camera. None if there is no
-    active perspective camera, or if it mirrors the world."""
+    """The view of the scene's active camera; None if it is missing, not a perspective camera, or mirrored."""
     ob = scene.camera
     if ob is None or ob.type != "CAMERA" or ob.data.type != "PERSP" or ob.matrix_world.is_negative:
         return None

@@ -62,8 +62,7 @@ class SurfaceGrid:
         return self.side / _CELL
 
     def radii(self, smallest: float, largest: float) -> NDArray[np.float32]:
-        """Radii float32 [N], in the points' unit and within limits, at which points just touch: larger where points are
-        sparse."""
+        """Radii float32 [N], in the points' unit and within limits, at which points just touch."""
         # A surface crosses a cell with about a face's area. Cells that it only grazes have few points.
         local = np.minimum(self.side / np.sqrt(np.maximum(self.count, 1)), 2.0 * self.spacing)
         return np.clip(_TOUCHING * local, smallest, largest).astype(np.float32)[self.cell]
@@ -216,8 +215,7 @@ def cloud_folder(lift: Path) -> Path:
 
 
 def place_depth_clouds(owned: OwnedDataBlocks, root: bpy.types.Collection, lift: Path) -> int:
-    """Place the depth clouds made of the lift, one object per frame, and return the number of points. Raises PlgsError
-    for a damaged file."""
+    """Place the depth clouds made of the lift, and return the number of their points. Raises PlgsError."""
     count = 0
     for path in sorted(cloud_folder(lift).glob("*.npz")):
         points = read_arrays(path, SemanticPoints)

@@ -97,8 +97,7 @@ COMPOSITE_OUTPUT = "NodeGroupOutput" if _COMPOSITOR_IS_A_GROUP else "CompositorN
 
 
 def new_node(tree: bpy.types.NodeTree, *kinds: str) -> bpy.types.Node:
-    """A node of the first of these kinds (newest first) that this Blender knows. Raises RuntimeError if it knows
-    none."""
+    """A node of the first of these kinds, newest first, that this Blender knows. Raises RuntimeError for none."""
     # Before 4.5 a compositor refuses the new kinds, and writes a line to the terminal for each that is tried.
     for kind in kinds if bpy.app.version >= (4, 5) else kinds[::-1]:
         try:
@@ -209,8 +208,7 @@ def composite_without_gpu(scene: bpy.types.Scene) -> None:
 
 
 def to_overlay(srgb: NDArray[np.float32]) -> NDArray[np.float32]:
-    """sRGB pixels [H, W, 4] as a shader must write them over a 3D view, which converts them to sRGB itself before
-    5.0."""
+    """sRGB pixels [H, W, 4] as a shader must write them over a 3D view, which before 5.0 encodes them itself."""
     if bpy.app.version >= (5, 0, 0):
         return srgb
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)

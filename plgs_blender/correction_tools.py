@@ -34,8 +34,7 @@ _LARGER = 1.2
 
 
 def place_cut(root: bpy.types.Collection, instance: int) -> bpy.types.Object:
-    """Put an upright plane through the middle of an object's box, across its longest side, for the user to move. Raises
-    PlgsError."""
+    """Put an upright plane through the middle of an object's box, across its longest side. Raises PlgsError."""
     box = box_of(root, instance)
     owned = OwnedDataBlocks(root[LIFT], bpy.context.scene)
     mesh = owned.data(CUT, lambda: bpy.data.meshes.new("Cut"))

@@ -138,8 +138,7 @@ def undo_last(root: bpy.types.Collection) -> Edit:
 
 
 def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> None:
-    """Update the points, anchors, boxes and lists of a placed lift to its corrections; what the user moved or renamed
-    stays. Raises PlgsError."""
+    """Show a placed lift as corrected; what the user moved or renamed stays. Raises PlgsError."""
     scene, layer = bpy.context.scene, bpy.context.view_layer
     owned = OwnedDataBlocks(root[LIFT], scene)
     own = selection.objects_by_key(root).items()
@@ -162,8 +161,7 @@ def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> Non
 
 
 def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
-    """Apply the proposal for an object, or accept the object as it is. Raises OSError and PlgsError, also for
-    ``BY_VIEWS``, which needs an engine."""
+    """Apply an object's proposal, except BY_VIEWS, which needs an engine; or accept it. Raises OSError, PlgsError."""
     one = proposal_of(root, instance)
     if keep:
         return accept(root, [one.instance])
@@ -207,8 +205,7 @@ def class_named(root: bpy.types.Collection, name: str) -> int:
 
 
 def class_choices(root: bpy.types.Collection, instance: int) -> list[str]:
-    """All class names of the lift, first those that the object's masks voted for, the most frequent at the top. Raises
-    PlgsError."""
+    """All class names of the lift, first those that most of the object's masks voted for. Raises PlgsError."""
     votes: dict[str, float] = {}
     for row in root.plgs.instances:
         if row.instance_id == instance:
@@ -309,8 +306,7 @@ def crop(root: bpy.types.Collection, instance: int) -> Edit:
 def assign(
     root: bpy.types.Collection, choose: Choose, instance: int, class_name: str = "", *, is_new: bool = False
 ) -> Edit:
-    """Assign the points that ``choose`` selects to an object or, if ``instance`` is 0, to a class or a new object of
-    it."""
+    """Assign the points that ``choose`` selects to an object or, without one, to a class or a new object of it."""
     class_id = 0 if instance else class_named(root, class_name)
 
     def make(state: Replay, first_id: int) -> Edit:

@@ -52,8 +52,7 @@ def made_before(source: SceneSource) -> MadeFrames | None:
 
 
 def photos(made: MadeFrames | None, frames: Iterable[PosedFrame] = ()) -> dict[str, Path]:
-    """The pictures that were made, by frame name, except those that are gone or older than their frame's source in
-    ``frames``."""
+    """The pictures that were made, by frame name, without those older than their source in ``frames``."""
     known = {} if made is None else made.frames
     found = {name: each.colour for name, each in known.items() if each.colour is not None and each.colour.is_file()}
     sources = {frame.name: frame.colour_path for frame in frames}
@@ -61,8 +60,7 @@ def photos(made: MadeFrames | None, frames: Iterable[PosedFrame] = ()) -> dict[s
 
 
 def is_depth_current(made: MadeFrames, name: str) -> bool:
-    """Whether a frame's depth picture is newer than its source. Only an engine can check masks, as only it knows their
-    files."""
+    """Whether a frame's depth picture is newer than its source. (Only an engine knows the files of masks.)"""
     drawn = made.frames[name]
     stored = next((each for each in made.scene.frames if each.name == name), None)
     if stored is None or drawn.depth is None or drawn.depth_range is None:

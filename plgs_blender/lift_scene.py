@@ -237,10 +237,7 @@ def place_room(read: ReadLift, scene: bpy.types.Scene) -> PlacedRoom:
 
 
 def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:
-    """After more frames were baked, refill only the passes scenes of a lift that is placed in ``scene``.
-
-    Raises PlgsError if the lift cannot be read or is not in the scene.
-    """
+    """Refill the passes scenes of a placed lift, after more frames were baked. Raises PlgsError."""
     result, scene = result_of(_reading(lift)), scene_to_fill(scene)
     owned = OwnedDataBlocks(root_of_placed(result.folder, scene)[LIFT], scene)
     place_passes(owned, result)
@@ -270,8 +267,7 @@ def placing_meshes_anew(lift: Path, scene: bpy.types.Scene, *, asked: bool = Tru
 
 
 def _hide_surface_until_whole(placed: Placed) -> None:
-    """Hide the surface until all of it is placed, unless it is what is shown: it and the splats are never visible
-    together."""
+    """Hide the surface until all of it is placed, unless it is what is shown, instead of the splats."""
     if (found := placed.find()) is not None:
         child_collection(found[0], looks.SHOWN_IN[looks.SURFACE])
         with registered():
@@ -279,8 +275,7 @@ def _hide_surface_until_whole(placed: Placed) -> None:
 
 
 def place_depth_clouds_anew(lift: Path, scene: bpy.types.Scene) -> int:
-    """After a depth cloud was made, put it into the lift that is placed in `scene`, replacing an earlier one. Returns
-    the number of points. Raises PlgsError."""
+    """Put new depth clouds into a placed lift, and return the number of points. Raises PlgsError."""
     scene = scene_to_fill(scene)
     root = root_of_placed(lift, scene)
     owned = OwnedDataBlocks(root[LIFT], scene)
@@ -297,10 +292,7 @@ def _reading(lift: Path) -> Generator[None, None, LiftResult]:
 
 
 def save_lift(lift: Path, blend: Path) -> None:
-    """Put a finished lift into a .blend file, which is opened and saved again, or created.
-
-    Raises PlgsError for the lift, or if the file cannot be opened or written; the file is then unchanged.
-    """
+    """Put a finished lift into a .blend, a new or an old one. Raises PlgsError; the file is then unchanged."""
     blend = blend.absolute()
     read_result(lift)  # before another file is opened
     is_new = not blend.exists()
@@ -347,8 +339,7 @@ def _relative(path: str, base: Path) -> str:
 
 
 def open_blend(blend: Path, lift: Path, named_by: str = "--save") -> bpy.types.Scene:
-    """Open a file with its screens, and return the scene with the lift, else the active scene. PlgsError mentions
-    ``named_by``, the option that named the file."""
+    """Open a file with its screens. Returns the scene with the lift, else the active one. Raises PlgsError."""
     if not blend.is_file():  # Blender would wait for whoever writes into a FIFO
         raise PlgsError("not-a-file", "is not a file", blend, f"Name another with {named_by}.")
     try:

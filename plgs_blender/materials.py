@@ -54,8 +54,7 @@ def object_colour(srgb: Sequence[int]) -> tuple[float, float, float, float]:
 
 
 def point_material(owned: OwnedDataBlocks) -> bpy.types.Material:
-    """The points' material. It shows the attribute Col or, by CLASS_COLOURS, the object's colour. RELIEF shades it by
-    the attribute normal."""
+    """The points' material: Col or, by CLASS_COLOURS, the object's colour, shaded by the normal as RELIEF says."""
     material = owned.block("materials", "points", lambda: bpy.data.materials.new("PLGS points"))
     tree = use_nodes(material)
     if value_node(material, CLASS_COLOURS) is None:  # else the user may have set it, or built upon it
@@ -198,8 +197,7 @@ def _light_of(scene: bpy.types.Scene) -> tuple[Vector, float]:
 
 
 def splat_material(owned: OwnedDataBlocks) -> bpy.types.Material:
-    """The splats' material: unlit Col, fading from each square's middle by the attributes corner (in standard
-    deviations) and opacity."""
+    """The splats' material: unlit Col, fading from each square's middle by the attributes corner and opacity."""
     material = owned.block("materials", "splats", lambda: bpy.data.materials.new("PLGS splats"))
     tree = use_nodes(material)
     if not any(node.bl_idname == "ShaderNodeAttribute" for node in tree.nodes):
@@ -263,8 +261,7 @@ def _add_value(tree: bpy.types.NodeTree, column: int, row: int, label: str, valu
 def add_node(
     tree: bpy.types.NodeTree, kind: str, column: float, row: float, *inputs: Any, **settings: Any
 ) -> bpy.types.Node:
-    """A new node with these settings. Each of its inputs is linked to the socket or set to the value given for it; None
-    leaves it as it is."""
+    """A new node with these settings. Inputs are linked to sockets or set to values; None leaves one as it is."""
     node = tree.nodes.new(kind)
     node.location = (220 * column, row)
     for name, value in settings.items():  # first, because they decide which inputs there are

@@ -176,8 +176,7 @@ class OwnedDataBlocks:
                 bpy.data.batch_remove([block for block in own if block.users - block.use_fake_user == 0])
 
     def sweep_only(self, *prefixes: str) -> None:
-        """A `sweep` of only the objects whose key has one of these prefixes, and then of clouds and meshes without
-        users."""
+        """`sweep` only objects whose key has one of these prefixes, and clouds and meshes without users."""
         own = [ob for ob in self._own_objects() if ob[KEY].startswith(prefixes) and ob not in self._kept]
         theirs = {ob.data for ob in own if ob.data is not None and ob.data.users == 1}
         data = [each for each in (*bpy.data.pointclouds, *bpy.data.meshes) if key_of(each, self.lift) is not None]
@@ -261,10 +260,7 @@ class Placed:
 
 
 def root_collection(scene_folder: Path, lift_folder: Path | None, scene: bpy.types.Scene) -> bpy.types.Collection:
-    """The collection of this lift or of an earlier one of the same scene, or a new one.
-
-    Raises PlgsError, before anything changes, if Blender cannot store one of the folders.
-    """
+    """The collection of this lift or an earlier one of its scene, or a new one. Raises PlgsError for a bad path."""
     _check_name(scene_folder)
     if lift_folder is not None:
         _check_name(lift_folder)
@@ -286,8 +282,7 @@ def root_collection(scene_folder: Path, lift_folder: Path | None, scene: bpy.typ
 
 
 def scene_to_fill(scene: bpy.types.Scene) -> bpy.types.Scene:
-    """If `scene` holds a lift's passes, the scene with the lift, else `scene` itself. Raises PlgsError if the lift's
-    scene is gone."""
+    """The scene itself or, if it holds a lift's passes, the one with the lift. Raises PlgsError if that is gone."""
     if KEY not in scene:
         return scene
     for other in bpy.data.scenes:

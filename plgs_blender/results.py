@@ -49,8 +49,7 @@ _DECODER = json.JSONDecoder(parse_constant=_refuse)
 
 
 def reading_instances(path: Path) -> Generator[None, None, Listed]:
-    """What `read_instances` reads, object by object, so that no part takes long. Raises PlgsError, also as soon as
-    there are more than MOST_INSTANCES objects."""
+    """`read_instances`, object by object. Raises PlgsError, also for more than MOST_INSTANCES objects."""
     try:
         content: dict[str, Any] = {"instances": []}
         for key, value in _Reader(instances_text(path)).members():
@@ -90,8 +89,7 @@ def reading_listed(version: Version) -> Generator[None, None, Listed]:
 
 
 def listed_in(lift: Path) -> Listed:
-    """The contents of a lift's instances.json, cached because edits come in series and thousands of objects take half a
-    second. Raises PlgsError."""
+    """A lift's instances.json, cached: edits come in series, and many objects take half a second. Raises PlgsError."""
     version = begin_to_read(lift)
     read_on(math.inf)
     return _kept[version]
@@ -133,8 +131,7 @@ class _Reader:
         self._text, self._at = text, 0
 
     def members(self) -> Iterator[tuple[str, Any]]:
-        """The keys and values of an object; the elements of its list of instances come one by one, with the list's
-        key."""
+        """The keys and values of an object. The elements of its list of instances come one by one."""
         mark = self._mark("{") and ","
         while mark == ",":
             key = self._value()
@@ -222,8 +219,7 @@ class LiftResult:
 
 
 def read_result(folder: Path) -> LiftResult:
-    """Read the result of a finished lift and its frames' cameras. Raises PlgsError if the folder is not a lift, is not
-    finished, or was damaged."""
+    """Read a finished lift and its frames' cameras. Raises PlgsError if it is none, unfinished or damaged."""
     return result_of(reading_result(folder))
 
 
@@ -260,8 +256,7 @@ def reading_result(folder: Path) -> Generator[None, None, LiftResult]:
 
 
 def _verify(lift: LiftFolder, paths: Iterable[str], listed: Mapping[str, ListedFile]) -> None:
-    """Compare the files that Blender opens with the manifest's checksums, passes only up to _MOST_HASHED. Raises
-    PlgsError."""
+    """Compare what Blender opens with the manifest's checksums, passes up to _MOST_HASHED. Raises PlgsError."""
     files, size = [], 0
     for path in paths:
         if path not in listed:

@@ -178,8 +178,7 @@ def place_points(
     points: tuple[NDArray[np.float32], NDArray[np.uint8]],
     viewpoints: NDArray[np.float64],
 ) -> bpy.types.Object:
-    """Place points without classes, xyz [N, 3] metres and rgb [N, 3] sRGB, as squares that lie in their surfaces and
-    face the viewpoints [V, 3]."""
+    """Place points [N, 3] m with sRGB colours as squares in their surfaces, which face the viewpoints [V, 3]."""
     xyz, rgb = points
     grid = SurfaceGrid.of(xyz)
     normal = grid.normals(viewpoints)
@@ -222,8 +221,7 @@ def place_squares(
 
 
 def across(normal: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Two unit vectors float32 [N, 3] perpendicular to each unit normal [N, 3] and each other: first x second =
-    normal."""
+    """Two float32 [N, 3] that are perpendicular to the normals and each other; first x second = normal. All unit."""
     aside = np.where(np.abs(normal[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     right = np.cross(aside, normal)
     right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-12)
@@ -265,8 +263,7 @@ def _new_group() -> bpy.types.NodeTree:
 
 
 def _away_in_renders(add: Any, maths: Any, normal: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
-    """Whether, in a render, a front faces away from the camera: Cycles follows rays through only a few transparent
-    layers."""
+    """Whether, in a render, a front faces away from the camera: Cycles sees through few transparent layers."""
     camera = add("GeometryNodeInputActiveCamera", 0, 5).outputs[0]
     eye = add("GeometryNodeObjectInfo", 1, 5, camera, transform_space="RELATIVE").outputs["Location"]
     way = maths("SUBTRACT", 2, 5, add("GeometryNodeInputPosition", 0, 6).outputs[0], eye)

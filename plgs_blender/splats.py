@@ -69,10 +69,7 @@ def are_outdated(root: bpy.types.Collection) -> bool:
 
 
 def place_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
-    """Put a lift's Gaussians into its collection as splats, replacing earlier ones.
-
-    Raises PlgsError if the file is missing or holds no splats.
-    """
+    """Put a lift's Gaussians into its collection, replacing earlier ones. Raises PlgsError if it has none."""
     path = gaussians_of(root)
     if not path.is_file():
         raise PlgsError("file-missing", "is not there", path, "Lift the scene again, or open the lift where it is now.")
@@ -81,8 +78,7 @@ def place_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
 
 
 def placing_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene, rows: NDArray[np.void]) -> Iterator[None]:
-    """Put Gaussians from `read_gaussians` into a lift's collection in parts, so that the window does not freeze. Ends
-    early if the collection is removed between two parts."""
+    """Put Gaussians from `read_gaussians` into a lift's collection in parts, unless it is removed meanwhile."""
     placed = Placed(root[LIFT], scene.name)
     eyes = Eyes.of([ob for ob in root.all_objects if text_of(ob, KEY).startswith("frame:")])
     are_native = splat_objects.are_known()
@@ -147,8 +143,7 @@ def seen(rows: NDArray[np.void], faintest: float) -> NDArray[np.int64]:
 
 
 def splats_of(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Splats:
-    """Gaussians [M] for a Blender that draws them natively. Only those of no object have normals, so that walls and
-    ceilings are hidden if they face away."""
+    """Gaussians [M] as native splats. Only those of no object have normals, so walls facing away are hidden."""
     xyz, size, ids = _places(rows), _size(rows).T, _ids(rows)
     normal = _fronts(_axes(rows), size, surface.facing(xyz, eyes))
     normal[ids["instance_id"] > 0] = 0.0
