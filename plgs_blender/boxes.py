@@ -76,7 +76,13 @@ def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Insta
     ob.display_type, ob.hide_render = "WIRE", True
     ob.show_name = False  # the labels over the view are readable, Blender's names are not
     ob.show_in_front = True  # it stays visible and selectable through the points that fill it
-    _describe(ob, instance)
+    ob["class"], ob["class_id"], ob["instance_id"] = instance.class_name, instance.class_id, instance.id
+    ob["views"], ob["score"], ob["points"] = instance.views, instance.score, instance.points
+    ob["size"], ob["colour"] = list(instance.size), [channel / 255.0 for channel in instance.colour]
+    ob.id_properties_ui("score").update(min=0.0, max=1.0, description="Confidence of its masks, 0 to 1")
+    ob.id_properties_ui("views").update(min=0, description="Number of frames with a mask of it")
+    ob.id_properties_ui("size").update(subtype="XYZ", description="Metres along the box's own axes")
+    ob.id_properties_ui("colour").update(subtype="COLOR_GAMMA", min=0.0, max=1.0)
     return ob
 
 
@@ -111,13 +117,3 @@ def place_together(
     ob = owned.object(TOGETHER, "Other boxes", mesh, parent)
     ob.display_type, ob.hide_render, ob.hide_select = "WIRE", True, True
     return [ob]
-
-
-def _describe(ob: bpy.types.Object, instance: Instance) -> None:
-    ob["class"], ob["class_id"], ob["instance_id"] = instance.class_name, instance.class_id, instance.id
-    ob["views"], ob["score"], ob["points"] = instance.views, instance.score, instance.points
-    ob["size"], ob["colour"] = list(instance.size), [channel / 255.0 for channel in instance.colour]
-    ob.id_properties_ui("score").update(min=0.0, max=1.0, description="Confidence of its masks, 0 to 1")
-    ob.id_properties_ui("views").update(min=0, description="Number of frames with a mask of it")
-    ob.id_properties_ui("size").update(subtype="XYZ", description="Metres along the box's own axes")
-    ob.id_properties_ui("colour").update(subtype="COLOR_GAMMA", min=0.0, max=1.0)

@@ -211,7 +211,7 @@ def seen_by(ob: bpy.types.Object, render: bpy.types.RenderSettings) -> Camera:
 
 
 def place_camera_path(
-    owned: OwnedDataBlocks, parent: bpy.types.Collection, frames: Sequence[PosedFrame], places: Sequence[int]
+    owned: OwnedDataBlocks, parent: bpy.types.Collection, frames: Sequence[PosedFrame], times: Sequence[int]
 ) -> bpy.types.Object:
     """A camera with one key per frame, at these frames of the timeline: an animation that other programs can read.
 
@@ -220,15 +220,15 @@ def place_camera_path(
     """
     ob = place_camera(owned, parent, PATH, "Camera path", frames[0].camera)
     ob.rotation_mode, ob.scale = "QUATERNION", (1.0, 1.0, 1.0)
-    times = np.array(places, np.float64)
+    keys = np.array(times, np.float64)
     matrices = [Matrix(object_matrix(frame.camera).tolist()) for frame in frames]
     lenses = [lens_of(frame.camera) for frame in frames]
     moving, zooming = (_new_action(owned, part) for part in ("pose", "lens"))
-    add_keys(ob, moving, "location", times, np.array([matrix.translation for matrix in matrices]), "LINEAR")
+    add_keys(ob, moving, "location", keys, np.array([matrix.translation for matrix in matrices]), "LINEAR")
     turns = _continuous(np.array([matrix.to_quaternion() for matrix in matrices]))
-    add_keys(ob, moving, "rotation_quaternion", times, turns, "LINEAR")
+    add_keys(ob, moving, "rotation_quaternion", keys, turns, "LINEAR")
     for path, name in (("lens", "focal_length"), ("shift_x", "shift_x"), ("shift_y", "shift_y")):
-        add_keys(ob.data, zooming, path, times, np.array([getattr(lens, name) for lens in lenses]), "CONSTANT")
+        add_keys(ob.data, zooming, path, keys, np.array([getattr(lens, name) for lens in lenses]), "CONSTANT")
     return ob
 
 

@@ -67,13 +67,13 @@ class SurfaceGrid:
         local = np.minimum(self.side / np.sqrt(np.maximum(self.count, 1)), 2.0 * self.spacing)
         return np.clip(_TOUCHING * local, smallest, largest).astype(np.float32)[self.cell]
 
-    def beside(self, places: NDArray[np.floating]) -> NDArray[np.int64]:
+    def beside(self, positions: NDArray[np.floating]) -> NDArray[np.int64]:
         """The index of a point in the cell of each position [M, 3], int64 [M]; -1 for empty cells."""
         if self.side == 0.0:
-            return np.full(len(places), -1, np.int64)
+            return np.full(len(positions), -1, np.int64)
         low, high = self.xyz.min(axis=0), self.xyz.max(axis=0)
-        inside = ((places >= low) & (places <= high)).all(axis=1)
-        both = np.concatenate([self.xyz, np.where(inside[:, None], places, low)])
+        inside = ((positions >= low) & (positions <= high)).all(axis=1)
+        both = np.concatenate([self.xyz, np.where(inside[:, None], positions, low)])
         numbers = _cell_numbers(both, self.side)
         known, first = np.unique(numbers[: len(self.xyz)], return_index=True)
         at = np.minimum(np.searchsorted(known, numbers[len(self.xyz) :]), len(known) - 1)

@@ -69,8 +69,7 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     The collection is found by the folder of the lift or of its scene. If `scene` holds passes, the scene with their
     lift is filled. Raises PlgsError, before anything changes, if the lift is not finished or cannot be read.
     """
-    placed = place_room(result_of(reading_lift(lift)), scene)
-    result_of(placed.rest)
+    result_of(place_room(result_of(reading_lift(lift)), scene)[1])
     return root_of_placed(lift, scene_to_fill(scene))
 
 
@@ -85,14 +84,6 @@ class ReadLift:
     overview: Camera
     gaussians: NDArray[np.void] | None
     meshes: ReadMeshes
-
-
-@dataclass(frozen=True, eq=False)
-class PlacedRoom:
-    """Where a lift was placed, and the remaining parts, its lists first."""
-
-    at: Placed
-    rest: Generator[None, None, None]
 
 
 def reading_lift(lift: Path) -> Generator[None, None, ReadLift]:
@@ -202,8 +193,8 @@ def _placing_passes(read: ReadLift, root: bpy.types.Collection, scene: bpy.types
     yield
 
 
-def place_room(read: ReadLift, scene: bpy.types.Scene) -> PlacedRoom:
-    """Place cameras, points and the first boxes; the rest comes later."""
+def place_room(read: ReadLift, scene: bpy.types.Scene) -> tuple[Placed, Generator[None, None, None]]:
+    """Place cameras, points and the first boxes. Returns where, and the remaining parts, the lists first."""
     result, grid, normals = read.result, read.grid, read.normals
     scene = scene_to_fill(scene)
     root = root_collection(result.scene.folder, result.folder, scene)
@@ -233,7 +224,7 @@ def place_room(read: ReadLift, scene: bpy.types.Scene) -> PlacedRoom:
     owned.sweep()
     remember(root, result)  # at once: an undo before the next part would take its edits back
     placed = Placed(root[LIFT], scene.name)
-    return PlacedRoom(placed, _placing_rest(read, placed))
+    return placed, _placing_rest(read, placed)
 
 
 def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:

@@ -84,7 +84,7 @@ def key_visibility(root: bpy.types.Collection, numbers: Sequence[int], scene: bp
     """Key instances to be visible, in views and renders, only in the timeline's frames whose masks show them: their
     extracted objects, else their boxes, which are never rendered, and their meshes. Returns the number of keyed
     objects. Raises PlgsError if there are no frames."""
-    place_of = {text_of(ob, "frame") or ob.name: place for ob, place in places_of(root, scene).items()}
+    frame_of = {text_of(ob, "frame") or ob.name: frame for ob, frame in places_of(root, scene).items()}
     showing = {row.instance_id: {mask.frame for mask in row.masks} for row in root.plgs.instances}
     objects = {number: [box] for number, box in boxes_of(root).items()}
     for ob in surfaces_of(root):
@@ -92,11 +92,11 @@ def key_visibility(root: bpy.types.Collection, numbers: Sequence[int], scene: bp
     objects |= {number: [ob for ob in collection.objects if PLACED in ob] for number, collection in _made(root)}
     keyed = 0
     for number in numbers:
-        frames = sorted(place_of[name] for name in place_of if name in showing.get(number, ()))
+        frames = sorted(frame_of[name] for name in frame_of if name in showing.get(number, ()))
         if not frames:
             what = f"no frame shows instance {number}"
             raise PlgsError("never-seen", what, root.name, "Show the result, or choose another one.")
-        every = np.array(sorted(place_of.values()), float)
+        every = np.array(sorted(frame_of.values()), float)
         hidden = ~np.isin(every, frames)
         for ob in objects.get(number, ()):
             action = bpy.data.actions.new(f"{ob.name} visibility")
@@ -233,12 +233,12 @@ def picture_of_points(xyz: NDArray[np.floating], rgb: NDArray[np.floating]) -> N
     up = np.cross(to_eye, right)
     seen = (xyz - (xyz.min(axis=0) + xyz.max(axis=0)) / 2.0) @ np.stack([right, up, to_eye], axis=1)
     scale = (_PICTURE / 2.0 - _DOT - 1) / max(float(np.abs(seen[:, :2]).max()), 1e-6)
-    place = np.rint(seen[:, :2] * scale + _PICTURE / 2.0).astype(np.int64)
+    pixel = np.rint(seen[:, :2] * scale + _PICTURE / 2.0).astype(np.int64)
     order = np.argsort(seen[:, 2], kind="stable")  # the nearest is painted last
     picture = np.zeros((_PICTURE, _PICTURE, 4), np.float32)
     srgb = np.clip(rgb[order], 0.0, 1.0) ** (1.0 / 2.2)
     for dy in range(-_DOT, _DOT + 1):
         for dx in range(-_DOT, _DOT + 1):
-            column, row = (place[order] + (dx, dy)).clip(0, _PICTURE - 1).T
+            column, row = (pixel[order] + (dx, dy)).clip(0, _PICTURE - 1).T
             picture[row, column, :3], picture[row, column, 3] = srgb, 1.0
     return picture

@@ -41,10 +41,10 @@ MOST_SPLATS = 600_000
 
 @dataclass(frozen=True, eq=False)
 class Eyes:
-    """Positions of cameras [V]: ``places`` float64 [V, 3] metres; ``ahead`` [V, 3], their unit viewing directions;
+    """Positions of cameras [V]: ``positions`` float64 [V, 3] metres; ``ahead`` [V, 3], their unit viewing directions;
     ``reach`` [V], the cosine of the angle to the picture's nearer edge."""
 
-    places: NDArray[np.float64]
+    positions: NDArray[np.float64]
     ahead: NDArray[np.float64]
     reach: NDArray[np.float64]
 
@@ -120,13 +120,16 @@ class SeenSurface:
         xyz, normals = np.concatenate(columns, axis=1)
         return cls(SurfaceGrid.of(xyz), normals)
 
-    def facing(self, places: NDArray[np.float32], eyes: Eyes) -> NDArray[np.float32]:
+    def facing(self, positions: NDArray[np.float32], eyes: Eyes) -> NDArray[np.float32]:
         """Unit normals float32 [M, 3] at these positions [M, 3]: of a nearby point, else towards an eye."""
-        beside = self.grid.beside(places)
-        normal = np.zeros((len(places), 3), np.float32)
+        beside = self.grid.beside(positions)
+        normal = np.zeros((len(positions), 3), np.float32)
         normal[beside >= 0] = self.normals[beside[beside >= 0]]
         lost = ~normal.any(axis=1)
-        normal[lost] = towards_nearest(places[lost].astype(np.float64), eyes.places) if len(eyes.places) else (0, 0, 1)
+        nearest = (
+            towards_nearest(positions[lost].astype(np.float64), eyes.positions) if len(eyes.positions) else (0, 0, 1)
+        )
+        normal[lost] = nearest
         return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.float32(1e-12))
 
 
@@ -144,7 +147,7 @@ def seen(rows: NDArray[np.void], faintest: float) -> NDArray[np.int64]:
 
 def splats_of(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Splats:
     """Gaussians [M] as native splats. Only those of no object have normals, so walls facing away are hidden."""
-    xyz, size, ids = _places(rows), _size(rows).T, _ids(rows)
+    xyz, size, ids = _positions(rows), _size(rows).T, _ids(rows)
     normal = _fronts(_axes(rows), size, surface.facing(xyz, eyes))
     normal[ids["instance_id"] > 0] = 0.0
     turns = np.stack([rows[f"rot_{part}"] for part in range(4)], axis=1)
@@ -155,7 +158,7 @@ def splats_of(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Splat
 def squares(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Squares:
     """The squares of Gaussians [M], as large as EXTENT standard deviations: flat ones as they lie, others as shadows on
     the surface. Turned copies of those of objects that cameras see from behind follow."""
-    middle, size = _places(rows), np.minimum(_size(rows), _LARGEST).T
+    middle, size = _positions(rows), np.minimum(_size(rows), _LARGEST).T
     axes = _axes(rows)
     first, second = across(_fronts(axes, size, surface.facing(middle, eyes)))
     axes = axes * size[:, :, None]
@@ -186,16 +189,16 @@ def _fronts(axes: NDArray[np.float32], size: NDArray[np.float32], facing: NDArra
 def seen_from_behind(middle: NDArray[np.float32], normal: NDArray[np.float32], eyes: Eyes) -> NDArray[np.int64]:
     """Indices of the positions [M, 3] whose backs, opposite to the normals [M, 3], a camera sees."""
     normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.float32(1e-12))
-    behind, count = np.zeros(len(middle), np.bool_), len(eyes.places)
+    behind, count = np.zeros(len(middle), np.bool_), len(eyes.positions)
     for number in np.linspace(0, count - 1, min(count, _CAMERAS)).astype(np.int64):
-        way = middle - eyes.places[number].astype(np.float32)
+        way = middle - eyes.positions[number].astype(np.float32)
         far = np.sqrt(np.einsum("ij,ij->i", way, way))
         is_in_view = way @ eyes.ahead[number].astype(np.float32) > eyes.reach[number] * far
         behind |= is_in_view & (np.einsum("ij,ij->i", way, normal) > _EDGE_ON * far)
     return np.flatnonzero(behind)
 
 
-def _places(rows: NDArray[np.void]) -> NDArray[np.float32]:
+def _positions(rows: NDArray[np.void]) -> NDArray[np.float32]:
     return np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float32)
 
 

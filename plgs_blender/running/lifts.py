@@ -338,17 +338,17 @@ def showing_lift(
     if scene is None or not is_wanted(scene):
         return None
     with taking_over(scene):
-        placed = place_room(read, scene)
+        placed, rest = place_room(read, scene)
     adopt(scene.plgs, lift.request, lift.path)
     yield
-    next(placed.rest, None)
+    next(rest, None)
     yield
-    found = placed.at.find()
+    found = placed.find()
     if found is not None:
         look_at_placed(*found)
     yield
-    yield from placed.rest
-    return placed.at
+    yield from rest
+    return placed
 
 
 def _refuse_running(lift: LiftFolder) -> None:

@@ -28,25 +28,25 @@ pytestmark = pytest.mark.usefixtures("extension")
 
 def test_parts_and_the_whole_are_the_same(lift: Path) -> None:
     scene = bpy.context.scene
-    placed = lift_scene.place_room(lift_scene.result_of(lift_scene.reading_lift(lift)), scene)
+    placed, rest = lift_scene.place_room(lift_scene.result_of(lift_scene.reading_lift(lift)), scene)
     assert "Gaussians" not in bpy.data.objects
-    lift_scene.result_of(placed.rest)
+    lift_scene.result_of(rest)
     in_parts = sorted(ob.name for ob in bpy.data.objects)
-    assert lift_scene.place_lift(lift, scene)[LIFT] == placed.at.lift
+    assert lift_scene.place_lift(lift, scene)[LIFT] == placed.lift
     assert sorted(ob.name for ob in bpy.data.objects) == in_parts
 
 
 @pytest.mark.parametrize("parts", [1, 2, 3])
 def test_a_lift_that_is_removed_between_parts_stays_removed(lift: Path, parts: int) -> None:
     scene = bpy.context.scene
-    placed = lift_scene.place_room(lift_scene.result_of(lift_scene.reading_lift(lift)), scene)
+    placed, rest = lift_scene.place_room(lift_scene.result_of(lift_scene.reading_lift(lift)), scene)
     for _ in range(parts):
-        next(placed.rest)
-    root, _ = placed.at.find() or pytest.fail("it is there")
+        next(rest)
+    root, _ = placed.find() or pytest.fail("it is there")
     for collection in [*root.children_recursive, root]:
         bpy.data.collections.remove(collection)
-    lift_scene.result_of(placed.rest)
-    assert placed.at.find() is None
+    lift_scene.result_of(rest)
+    assert placed.find() is None
 
 
 def test_a_scene_that_no_longer_wants_it_gets_nothing(lift: Path) -> None:
@@ -224,12 +224,12 @@ def test_an_undo_between_two_parts_leaves_earlier_edits(lift: Path, tmp_path: Pa
 def test_edit_between_two_parts_stays(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lift_scene, "_AT_ONCE", 20)
     many = lift_of(lift, tmp_path / "many", 50)
-    placed = lift_scene.place_room(lift_scene.result_of(lift_scene.reading_lift(many)), bpy.context.scene)
-    next(placed.rest)  # its lists
-    root, _ = placed.at.find() or pytest.fail("it is there")
+    placed, rest = lift_scene.place_room(lift_scene.result_of(lift_scene.reading_lift(many)), bpy.context.scene)
+    next(rest)  # its lists
+    root, _ = placed.find() or pytest.fail("it is there")
     assert len(boxes_of(root)) == 20
     corrections.delete(root, 50, around=False)
-    lift_scene.result_of(placed.rest)
+    lift_scene.result_of(rest)
     assert sorted(boxes_of(root)) == [*range(1, 50)] and all(len(row.masks) == 5 for row in root.plgs.instances)
     assert {row.class_id for row in root.plgs.instances} == {CHAIR_ID}
 
