@@ -31,8 +31,8 @@ Figures = dict[str, float | str]
 
 
 class _CauseWords(NamedTuple):
-    """A cause's name, the caption of the corrected picture, the sentence, and how the user can fix the files. ``text``
-    and ``option`` are empty if they need numbers."""
+    """A cause's name, the caption of the corrected picture, what is wrong, and the mend; the last two may need
+    numbers."""
 
     name: str
     caption: str

@@ -132,8 +132,7 @@ def _measure_drift(distances: Floats, lags: Floats, looks: int) -> Drift | None:
 
 
 def _measure_gap(distances: Floats, numbers: NDArray[np.int64]) -> Gap | None:
-    """The frame at which two parts of the recording are farthest apart, by the pairs' distances and frames [P, 2]. None
-    with too few pairs."""
+    """The frame at which two parts of the recording are farthest apart, by the pairs' distances and frames [P, 2]."""
     known = np.isfinite(distances)
     first, last = numbers.min(1), numbers.max(1)
     found = []

@@ -169,8 +169,7 @@ def registration_findings(
 
 
 def _depth_shift(examined: Examined, found: Registration, calibration: Calibration) -> Shift | None:
-    """The shift that depth needs, if both its geometry and the pictures' edges say that it was moved: the edges fit
-    better near the position given by geometry than where they are."""
+    """The shift that depth needs, if its geometry and the pictures' edges both say that it was moved."""
     if abs(found.scale - 1.0) >= _SCALED or found.certainty < _CORROBORATED:
         return None
     shift = -np.array([calibration.of("x"), calibration.of("y")])

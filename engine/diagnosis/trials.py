@@ -109,15 +109,14 @@ def _linearised(
 
 
 def _solve(linear: _Linear, values: Floats, prior: Floats) -> tuple[Floats, Floats]:
-    """The step [p] of weighted least squares from ``values`` [p] with precisions ``prior`` [p], and its errors [p].
-    Errors within a frame are correlated, so they are summed by frame."""
+    """The step [p] of weighted least squares from ``values`` [p] with precisions ``prior`` [p], and its errors [p]."""
     noise = float(np.sqrt((linear.weights * linear.errors**2).sum() / linear.weights.sum()))
     precision = max(noise, _FINEST) ** -2
     weighted = precision * linear.slopes * linear.weights[:, None]
     inverse = np.linalg.inv(linear.slopes.T @ weighted + np.diag(prior))
     step = np.dot(inverse, np.dot(weighted.T, linear.errors) - prior * values)
     scores = weighted * (linear.errors - linear.slopes @ step)[:, None]
-    by_frame = np.zeros((int(linear.frames.max()) + 1, len(values)))
+    by_frame = np.zeros((int(linear.frames.max()) + 1, len(values)))  # errors within a frame are correlated
     np.add.at(by_frame, linear.frames[:, 0], scores)
     np.add.at(by_frame, linear.frames[:, 1], scores)
     return step, np.sqrt(np.diag(inverse @ (by_frame.T @ by_frame + np.diag(prior)) @ inverse))

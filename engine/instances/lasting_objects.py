@@ -93,8 +93,7 @@ def lasting_objects(overlap: ObjectOverlap) -> LastingObjects:
 def _distinct(
     ids: NDArray[np.integer], cell: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """The distinct ids; and for each pair of object and cell, in the order of the cells, the id's index and the
-    cell."""
+    """The distinct ids; and for each pair of object and cell, by cell, the id's index and the cell."""
     known, index = np.unique(ids.astype(np.int64), return_inverse=True)
     pairs, _ = distinct_rows(np.stack([cell, index.ravel()], axis=1))
     return known, pairs[:, 1], pairs[:, 0]

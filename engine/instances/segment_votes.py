@@ -182,8 +182,7 @@ def _votes(
 
 
 def _added(total: list[Any], parts: list[tuple[NDArray[np.int64], NDArray[np.float32]]]) -> list[Any]:
-    """The three matrices ``total`` of votes and those of ``parts``: point * labels + label, int64 [n], and the votes
-    float32 [3, n]."""
+    """Add ``parts``, (point * labels + label, int64 [n], and the votes float32 [3, n]), to the three matrices."""
     if not parts:
         return total
     cells = np.divmod(np.concatenate([pairs for pairs, _ in parts]), total[0].shape[1])

@@ -309,8 +309,7 @@ class _Result:
             self.keep()  # before another process looks for views that are left to bake
 
     def _listed(self) -> frozenset[Path]:
-        """The files in the manifest, which is read again only when it was replaced: with thousands of views, reading
-        it takes a large part of a second. Raises PlgsError, OSError."""
+        """The manifest's files. Reading thousands takes a large part of a second, so it is done only after a change."""
         result = self._folder.result_path
         if not self._folder.manifest_path.is_file():
             read_manifest(result)  # which says what is wrong

@@ -144,8 +144,8 @@ def _of_frame(number: int, frame: Frame, xyz: NDArray[np.floating]) -> list[_Seg
 
 
 def _voted(votes: NDArray[np.float32], xyz: NDArray[np.floating]) -> NDArray[np.int64]:
-    """The winner of ``votes`` [P, n] at each point, int64 [n]. Points without a vote, and those of parts smaller than
-    `LEAST_SHARE`, get the part of the nearest other point."""
+    """The winner of ``votes`` [P, n] at each point, int64 [n]; points without one, or of small parts, follow the
+    nearest."""
     part = votes.argmax(axis=0)
     known = votes.any(axis=0)
     large = np.bincount(part[known], minlength=len(votes)) >= LEAST_SHARE * len(xyz)

@@ -98,8 +98,7 @@ class _VotingFrame:
 
 
 class _VotingFrames:
-    """The frames that vote. Each is rendered once and read back from disk in later rounds, up to ``most_bytes`` of
-    them; the others are rendered again."""
+    """The frames that vote. Up to ``most_bytes`` of them are rendered once, and then read back from disk."""
 
     def __init__(
         self, scene: StructuredScene, frames: Sequence[Frame], preset: Preset, scratch: Path | None, most_bytes: int

@@ -90,8 +90,8 @@ def _free_block(size: int) -> _Block | None:
 
 
 def _new_block(size: int) -> _Block:
-    """Make a new block. Returns to the system the blocks that were unused for long, and the largest free block that is
-    too small: the new one replaces it."""
+    """Make a block, and return those to the system that were unused for long, or that it replaces as they are too
+    small."""
     smaller = (block for block in reversed(_blocks) if block.size < size <= MOST_SPARE * block.size)
     replaced = next(filter(_is_free, smaller), None)
     _blocks[:] = [

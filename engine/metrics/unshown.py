@@ -135,8 +135,7 @@ def _missed(found: list[_Candidate], answers: _Answers, shown: set[int], classes
 
 
 def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
-    """The resolved segments that the lift does not show in their own view (less than the share SHOWN), and the classes
-    that it shows on at least one of their segments."""
+    """The resolved segments that the lift does not show in their own view, and the classes that it shows on one."""
     view, shown = judged
     seen, xyz_of_pixels = view.depth > 0, view.camera.unproject(view.depth)
     candidates, kept = [], set()

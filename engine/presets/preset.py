@@ -27,8 +27,7 @@ def _ranged(default: Number, least: float = 0, most: float = math.inf) -> Number
 
 
 def _named(kind: str, default: Names, *known: str) -> Names:
-    """A field with the name of one of the ``known`` parts of a ``kind``, or with several such names. Scripts can add
-    parts (``parts``)."""
+    """A field with one or several of the ``known`` parts of a ``kind``. Scripts can add parts (``parts``)."""
     value: Names = field(default=default, metadata={"part": kind, "choices": known})
     return value
 

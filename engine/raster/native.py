@@ -210,6 +210,5 @@ class _Blend(torch.autograd.Function):
 
 @lru_cache(maxsize=2)
 def _zeros(shape: tuple[int, ...]) -> Array:
-    """Zeros that all passes of one size share and only read. (For arrays marked as read-only, Numba would compile the
-    kernels again.)"""
+    """Shared zeros, which are only read. (Marked as read-only, they would make Numba compile the kernels again.)"""
     return np.zeros(shape, np.float32)

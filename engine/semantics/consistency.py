@@ -107,8 +107,7 @@ def _compare(
 def _warp_and_compare(
     one: LabelledDepth, two: LabelledDepth, relative: Any, metres: Any, share: Any, agree: Any, seen: Any
 ) -> None:
-    """w(u): unproject by depth, move into the neighbour's camera, project, take the nearest pixel (its centre is
-    +0.5)."""
+    """w(u): unproject by depth, move into the neighbour's camera, project, take the nearest pixel."""
     fx, fy, cx, cy = one.intrinsics
     gx, gy, hx, hy = two.intrinsics
     depth, label = one.depth, one.label

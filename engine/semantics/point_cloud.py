@@ -136,8 +136,7 @@ def _labelled_points(view: View, stride: int, class_ids: NDArray[np.int64]) -> C
 
 
 class _Tally:
-    """The votes of the views on clusters at ``centres`` float64 [K, 3]: ``votes`` float32 [K, C] for the classes, and
-    their mean colour."""
+    """The votes of the views on clusters at ``centres`` [K, 3], float32 [K, C], and the clusters' mean colour."""
 
     def __init__(
         self, centres: NDArray[np.float64], spacing: float, class_ids: NDArray[np.int64], kind: EvidenceKind
