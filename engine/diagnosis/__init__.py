@@ -1,5 +1,4 @@
-"""Finds what is wrong with a scene: projects depth into other views and compares edges, normals, pictures and
-labels."""
+"""Finds what is wrong with a scene: projects depth into other views, compares edges, normals, pictures, labels."""
 
 from __future__ import annotations
 

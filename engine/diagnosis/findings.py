@@ -1,5 +1,4 @@
-"""The results of a diagnosis: findings with their pictures, and the corrections that the scene needs. findings.json on
-disk."""
+"""The results of a diagnosis: findings with pictures, the corrections that the scene needs, and findings.json."""
 
 from __future__ import annotations
 
@@ -143,8 +142,7 @@ class Finding:
 @dataclass(frozen=True, eq=False)
 class Mending:
     """Corrections that a scene needs. ``assumed`` says what its poses, depth and lenses mean. ``depth_shift`` moves
-    depth (x, y as fractions of the picture). ``turn`` float64 [3, 3] rotates the world. The frames in ``dropped`` are
-    left out."""
+    depth (x, y as fractions of the picture). ``turn`` float64 [3, 3] rotates the world. ``dropped`` frames go."""
 
     assumed: Assumption = Assumption()
     depth_shift: tuple[float, float] = (0.0, 0.0)
@@ -160,8 +158,7 @@ class Mending:
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
     """Findings, the worst first. ``looked`` of ``frames`` frames were examined. ``agreement`` is how well the views of
-    the unmodified scene agree, None without depth. ``untested`` lists the world axes along which drift could not be
-    tested."""
+    the unmodified scene agree, None without depth. ``untested``: world axes along which no drift could be measured."""
 
     findings: tuple[Finding, ...]
     mending: Mending

@@ -32,8 +32,7 @@ foreign ones agree, and no conclusion is possible."""
 
 class LabelAgreement(NamedTuple):
     """``counts`` float64 [C, C]: points of one class in one view and of another in the other view, without void.
-    ``by_look`` float64 [F]: share of a look's points that other views give the same class, nan where there are too
-    few."""
+    ``by_look`` float64 [F]: share of a look's points that other views give the same class, nan for too few."""
 
     counts: Floats
     by_look: Floats

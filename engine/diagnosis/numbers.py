@@ -31,8 +31,7 @@ Figures = dict[str, float | str]
 
 
 class _CauseWords(NamedTuple):
-    """A cause's name, the caption of the corrected picture, what is wrong, and the mend; the last two may need
-    numbers."""
+    """A cause's name, the caption of the corrected picture, what is wrong, and the mend, empty if they need numbers."""
 
     name: str
     caption: str

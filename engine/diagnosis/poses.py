@@ -189,8 +189,7 @@ def _misplaced_finding(examined: Examined, rows: list[int]) -> Finding:
 _FEWEST, _MOST = 12, 1500
 """Bounds of the number of frames whose order is measured. All pairwise distances are computed."""
 _REACH = 2.0
-"""Assumed distance in metres to what a camera looks at. Steps between frames are measured there, so that turns
-count."""
+"""Assumed metres to what a camera looks at. Steps between frames are measured there, so that turns count."""
 
 
 class FrameOrder(NamedTuple):

@@ -129,9 +129,9 @@ class Agreement:
 @dataclass(frozen=True)
 class JudgingRules:
     """A view judges a mask when it sees at least ``visible`` of the mask's points, at least ``min_points``, and most of
-    them are not void. A mask is inside another that holds at least ``contained`` of its points seen and labelled.
-    A mask is under-segmented (it covers several objects) when more than ``under_segmented`` of its judges do not show
-    it inside one mask. A stuff mask swallows a thing's mask when it has more than ``swallowing`` times the points that
+    them are not void. A mask is inside another that holds at least ``contained`` of its points seen and labelled. A
+    mask is under-segmented (it covers several objects) when more than ``under_segmented`` of its judges do not show it
+    inside one mask. A stuff mask swallows a thing's mask when it has more than ``swallowing`` times the points that
     both have."""
 
     visible: float = 0.2

@@ -58,8 +58,7 @@ CHANNELS_NOTE = "plgs/channels"
 MODEL_NOTE = "plgs/model"
 """Attribute in the header of a view in a folder of its own: the SHA-256 of the lift's model, and of its objects."""
 MOST_LOOKS, LOOK_WITHIN = 8, (96, 96)
-"""The number of views that are drawn before a bake, and their maximum size, to estimate what the capture does not
-resolve."""
+"""The number and size of views that are drawn before a bake, to estimate what the capture does not resolve."""
 
 
 @dataclass(frozen=True)
@@ -97,8 +96,7 @@ def bake_frames(
     options: BakeOptions = BakeOptions(),
 ) -> None:
     """Bake frames that are not baked yet: "test", "all", or names. The result is complete at every moment. Raises
-    PlgsError if the scene can no longer be read or lacks a frame, and Cancelled if stopped. Views that were baked
-    before that are kept."""
+    PlgsError if the scene can no longer be read or lacks a frame, and Cancelled if stopped. Baked views are kept."""
 
     def views_in(scene: Scene) -> list[WantedView]:
         lost = {*names_of_frames(folder)} - {frame.name for frame in scene.frames}

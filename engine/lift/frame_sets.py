@@ -175,8 +175,7 @@ def _too_much(needed: int, memory: MainMemory) -> str:
 
 
 def masks_a_frame(scene: Scene) -> float:
-    """The mean number of segments in those of LOOKED_AT frames whose mask can be read. Raises PlgsError where most of
-    them cannot."""
+    """The mean number of segments in LOOKED_AT frames' readable masks. Raises PlgsError if most cannot be read."""
     looked_at = {frame.name: frame for frame in evenly_spread(scene.train_frames, LOOKED_AT)}
     masks = of_most(list(looked_at), lambda name: looked_at[name].mask(size_within(looked_at[name].size, (64, 64))))
     return float(np.mean([len(mask.segments) for mask in masks.values()]))

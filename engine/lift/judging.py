@@ -84,8 +84,7 @@ def judge(
     scratch: Path | None = None,
 ) -> Judgement:
     """Evaluate the finished lift with the training ``views`` and those that were ``held_back``. ``draw`` returns what a
-    camera sees of it, with the classes' shares as its confidence. Raises PlgsError, OSError, and what ``progress``
-    raises."""
+    camera sees of it, with the classes' shares as its confidence. Raises PlgsError, OSError, Cancelled."""
     trained = evenly(views)
     every = chained(trained, held_back)
     samples: list[Samples] = []
@@ -171,8 +170,7 @@ def unresolved(layers: PanopticLayers, camera: Camera, photos: Sequence[Camera],
 
 
 def report_unresolved(found: Sequence[tuple[str, Unresolved]], events: EventWriter, *, before: bool) -> None:
-    """Report the shares of the named views: warn if much of a view is unresolved, and log the figures after the
-    bake."""
+    """Report the shares of the named views: warn if much of one is unresolved, and log the figures after a bake."""
     if not found:
         return
     mean = {name: float(np.mean([getattr(each, name) for _, each in found])) for name in ("coarse", "empty")}

@@ -43,8 +43,8 @@ _FIX = "Name another finished lift with --names-from, or none."
 @dataclass(frozen=True, eq=False)
 class EarlierLift:
     """``names`` and ``class_names`` by instance id; points ``xyz`` float32 [N, 3] in metres with ``instance_id`` int32
-    [N] (0 = none). ``largest_id`` and ``last_numbers`` (by class name) also include the lifts before it. ``edits``
-    are its corrections."""
+    [N] (0 = none). ``largest_id`` and ``last_numbers`` (by class name) also include the lifts before it. ``edits`` are
+    its corrections."""
 
     folder: Path
     names: Mapping[int, str]
@@ -162,8 +162,7 @@ def keep_names(
     earlier: EarlierLift, prepared: PreparedLift, seen: NDArray[np.bool_], lifted: StructuredScene, classes: ClassTable
 ) -> tuple[PreparedLift, LastingNames]:
     """The lift with lasting ids, also in ``lifted``, and the names of its objects. Only the points ``seen`` bool [N]
-    are compared, as the earlier lift has only those. Training knows ids only by their indices, so its result is
-    identical."""
+    are compared, as the earlier lift has only those. Training knows ids only by index, so it is the same."""
     points = prepared.instance_of_point
     lasting = lasting_names(earlier, prepared.instances, prepared.cloud.xyz[seen], points[seen], classes)
     id_of = lasting.id_of

@@ -28,8 +28,7 @@ log = logging.getLogger("plgs.lift")
 EVERY_S = 2.0
 """Minimum seconds between two previews."""
 LARGEST_SHARE = 0.05
-"""The largest share of the time for previews, which sets the pause after each. The first one is exempt, as it may
-compile code."""
+"""The largest share of the time for previews, which sets the pause after each. The first is exempt: it may compile."""
 LONGEST_S = 15.0
 """Maximum seconds from one preview to the next, whatever share of the time they take."""
 SIZE_WITHIN = (480, 480)
@@ -67,8 +66,7 @@ class LivePreviews:
         self._is_first = False
 
     def clear_away(self) -> None:
-        """Delete the picture, which does not belong to the result. Raises PermissionError if a program keeps it open
-        for more than 2 s."""
+        """Delete the picture, which does not belong to the result. Raises PermissionError if it stays open for 2 s."""
         for pause_s in (0.1, 0.4, 1.5):
             try:
                 return self.folder.live_preview_path.unlink(missing_ok=True)

@@ -201,8 +201,7 @@ def masks_of_pieces(
     masks: Sequence[ObjectMask], seeing: ViewsOnCloud, owner: NDArray[np.int32], count: int
 ) -> list[tuple[ObjectMask, ...]]:
     """The masks of each of ``count`` pieces, in the order of the views. A mask is evidence for the piece that owns most
-    of its points. Masks of views that only vote are not evidence. ``owner`` int32 [N]: the piece of each point, 0 =
-    none."""
+    of its points. Masks of views that only vote are not evidence. ``owner`` int32 [N]: each point's piece, 0 = none."""
     number_of = {view.name: number for number, view in enumerate(seeing.views)}
     members: list[list[ObjectMask]] = [[] for _ in range(count)]
     own = (mask for mask in masks if mask.frame in number_of)

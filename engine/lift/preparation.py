@@ -38,8 +38,7 @@ log = logging.getLogger("plgs.lift")
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PreparedLift(Matching):
     """What training starts from: a matching, which also goes into the result, with the scene that is trained and its
-    targets. ``class_of_instance`` maps an instance id to the one class that it is shown with, or is None if every
-    pixel decides on its own."""
+    targets. ``class_of_instance`` maps an instance id to the one class that it is shown with, None if pixels decide."""
 
     scene: StructuredScene
     targets: Sequence[ViewTargets]

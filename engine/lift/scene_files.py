@@ -139,8 +139,7 @@ def _with_numbers(names: Mapping[int, str], lifted: StructuredScene) -> dict[int
 
 
 def read_shown_instances(folder: LiftFolder, lifted: StructuredScene, corrected: CorrectedResult) -> ShownInstances:
-    """The instances of a finished lift, whose model is ``lifted``. Raises PlgsError if the manifest cannot be read, and
-    OSError."""
+    """The instances of a finished lift, whose model is ``lifted``. Raises PlgsError for a bad manifest, OSError."""
     settings = read_manifest(folder.result_path).settings
     if "one_class_an_object" not in settings:
         raise PlgsError("kind-missing", "does not say whether an object has one class", folder.manifest_path, LIFT_ANEW)

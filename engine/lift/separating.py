@@ -54,8 +54,7 @@ class _Segment:
 
 
 Progress = Callable[[int, int], object]
-"""Called before each frame is read, and after the last, with the number of frames read and their total. It may raise,
-to stop."""
+"""Called before each frame is read, and after the last, with the numbers of read and all frames. It may raise."""
 
 
 def split_by_views(
@@ -72,8 +71,7 @@ def parts_by_views(
     frames: Sequence[Frame], xyz: NDArray[np.floating], progress: Progress = lambda done, count: None
 ) -> PartsSeen:
     """The parts of an object with the points ``xyz`` [n, 3] that the masks of at least `LEAST_FRAMES` frames show as
-    different things. Points that no such frame sees go to the nearest part. Raises PlgsError if pixels cannot be
-    read."""
+    different things. Points that none sees go to the nearest part. Raises PlgsError for bad files."""
     segments = _segments(frames, xyz, progress)
     if not segments:
         return PartsSeen(np.zeros(len(xyz), np.int64), {}, 0)

@@ -90,8 +90,7 @@ def _free_block(size: int) -> _Block | None:
 
 
 def _new_block(size: int) -> _Block:
-    """Make a block, and return those to the system that were unused for long, or that it replaces as they are too
-    small."""
+    """Make a block, and return to the system those that were long unused, or that it replaces as too small."""
     smaller = (block for block in reversed(_blocks) if block.size < size <= MOST_SPARE * block.size)
     replaced = next(filter(_is_free, smaller), None)
     _blocks[:] = [

@@ -26,8 +26,7 @@ STEPS = 1024
 BINS = 20
 """Bins of the fit, each with about equally many points."""
 LEAST_VIEWS, LEAST_SAMPLES, MOST_SAMPLES = 2, 200, 60_000
-"""Views that must name a point before it is judged; points below which nothing is calibrated; points looked at, at
-most."""
+"""Views that must name a point before it is judged; fewest points for a calibration; most points looked at."""
 
 
 @dataclass(frozen=True)

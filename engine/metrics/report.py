@@ -1,5 +1,4 @@
-"""The figures of a lift, or of label folders made by any program: the scores of each method, in the form of
-metrics.json."""
+"""The figures of a lift, or of any program's label folders: each method's scores, in the form of metrics.json."""
 
 from __future__ import annotations
 

@@ -17,8 +17,7 @@ from ..scene import VOID, ClassTable, View, are_near, resolution_on, resolves
 LEAST_SEEN = 8
 """Least pixels of a segment at the size of the judged views. Smaller ones are edges."""
 LEAST_VIEWS_OF_OBJECT, LEAST_VIEWS_OF_CLASS = 3, 2
-"""Near views that must show an object whose class is shown elsewhere, and those that must show a class shown
-nowhere."""
+"""Near views that must show an object of a class shown elsewhere, and those for a class that is shown nowhere."""
 NAMES = 0.5
 """Share of a segment's points that a mask must give the class, so that it names the segment by it."""
 AGREED = 2 / 3

@@ -132,8 +132,7 @@ class Decoders(nn.Module):
         return torch.cat(parts, dim=1)
 
     def shape_outputs(self, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Outputs of the opacity [V, k], covariance [V, 7 k] and colour decoders [V, 3 k]. ``seen``: the output of
-        ``view_input``."""
+        """Outputs of the opacity [V, k], covariance [V, 7 k] and colour decoders [V, 3 k] for a ``view_input``."""
         opacity, covariance, colour = run_side_by_side(seen, self.opacity, self.covariance, self.colour)
         return opacity, covariance, colour
 

@@ -26,14 +26,12 @@ LEAST_SHARE = np.float32(LEAST_OF_CLASS)
 LABELS_HELD = 16
 """The most labels that a Gaussian holds votes for at once. It lies on one surface, so few labels get votes."""
 CHUNK = 16384
-"""Anchors whose labels are decoded at once, to bound the memory. There are fewer if there are more than
-USUAL_LABELS labels."""
+"""Anchors whose labels are decoded at once, to bound the memory; fewer for more than USUAL_LABELS labels."""
 USUAL_LABELS = 64
 CONTRIBUTORS = 4
 """The number of Gaussians that get a pixel's vote."""
 DEPTH_GAP_M, DEPTH_GAP_SHARE = 0.15, 0.05
-"""Metres and share of the depth. A pixel abstains if its rendered depth differs from the sensor's by more than
-both."""
+"""Metres and share of depth. A pixel abstains if its rendered depth differs from the sensor's by more than both."""
 PRIOR = 0.3
 """The votes of the label decoders on each Gaussian."""
 KEPT = 4

@@ -96,8 +96,8 @@ GRADIENT_WIDTH = 16
 WHITENING = math.sqrt(0.5 * math.log2(math.e))
 """s = WHITENING * L d."""
 REACH_OVER_LOG_OPACITY = np.float32(math.log2(255.0) + 1e-3)
-"""Added to ``LOG_OPACITY``: the |s|^2 beyond which alpha < 1/255, rounded up by far more than the rounding of s and
-far less than a pixel."""
+"""Added to ``LOG_OPACITY``: the |s|^2 beyond which alpha < 1/255, rounded up by far more than the rounding of s and far
+less than a pixel."""
 
 
 @device_function

@@ -24,8 +24,7 @@ class GaussianSet(NamedTuple):
 
 
 class Wanted(NamedTuple):
-    """What ``rasterize`` returns besides the layers: ``top_k`` contributors, the ``surface``, and a gradient of
-    ``means2d``."""
+    """What ``rasterize`` returns besides layers: ``top_k`` contributors, the ``surface``, a gradient of ``means2d``."""
 
     top_k: int
     surface: bool

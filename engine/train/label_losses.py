@@ -29,8 +29,7 @@ def label_losses(
     pixels with a target. The losses of a pixel's two instance targets (linear assignment and M_match) are added.
     ``coverage`` float32 [H, W, C + S] holds blended probabilities of ``classes`` C classes, then of S slots; ``alpha``
     [H, W] is only a divisor: no gradient reaches it, since only the reconstruction loss may reach opacity. Targets are
-    int16 [H, W]: the number of the class or slot, -1 where it is unknown. A loss without a target is 0. Differentiable
-    once."""
+    int16 [H, W]: the number of the class or slot, -1 where it is unknown. Without a target a loss is 0."""
     losses: tuple[torch.Tensor, torch.Tensor] = _LabelLosses.apply(coverage, alpha, classes, semantic, *instance)
     return losses
 

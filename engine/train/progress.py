@@ -20,8 +20,7 @@ _SURE = 0.2
 
 
 class Course:
-    """Estimates how long a run still takes. ``seconds``: the predicted time of each stage, in order, from now to the
-    end."""
+    """Estimates how long a run still takes. ``seconds``: the predicted time of each stage from now on, in order."""
 
     def __init__(self, seconds: Mapping[str, float]) -> None:
         self.began, self.seconds = time.monotonic(), dict(seconds)

@@ -21,8 +21,7 @@ from .targets import ViewTargets, columns_of, slots_of
 
 
 def pseudo_label_steps(every: float, steps: int) -> frozenset[int]:
-    """The numbers of the steps after which pseudo labels are made: at ``every``, 2 ``every``, ... of all ``steps``, but
-    not at the end."""
+    """The steps after which pseudo labels are made: at ``every``, 2 ``every``, ... of all ``steps``, not at the end."""
     points = (round(number * every * steps) for number in range(1, math.ceil(1 / every)))
     return frozenset(point for point in points if 0 < point < steps)
 

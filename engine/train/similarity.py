@@ -111,8 +111,7 @@ def _compare_strips(
 def _similarity(
     mean: Array, square: Array, product: Array, photo_mean: Array, photo_variance: Array, ssim: Array
 ) -> None:
-    """SSIM of blurred moments float32 [n], which its slopes by picture's mean, square and product with the photo
-    replace."""
+    """SSIM of blurred moments float32 [n]. Its slopes by mean, square and product with the photo replace these."""
     for i in range(len(ssim)):
         x, y = mean[i], photo_mean[i]
         luminance, structure = TWO * x * y + C1, TWO * (product[i] - x * y) + C2

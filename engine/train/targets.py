@@ -59,8 +59,7 @@ def columns_of(labels: NDArray[np.integer], ids: tuple[int, ...], dtype: DTypeLi
 
 
 def slots_of(instances: NDArray[np.integer], known: NDArray[np.bool_], channels: LabelChannels) -> torch.Tensor:
-    """Instance ids of any shape (0 = none) as slots, int16: "no object" for 0 where objects are ``known``,
-    otherwise -1."""
+    """Instance ids (0 = none) as slots, int16: "no object" for 0 where objects are ``known``, otherwise -1."""
     slots = columns_of(instances, tuple(max(slot, 0) for slot in channels.slot_ids), np.int16)
     return slots.masked_fill_(torch.from_numpy(known & (instances == 0)), channels.slot_ids.index(NO_OBJECT))
 

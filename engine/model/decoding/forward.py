@@ -35,8 +35,7 @@ ZERO = F(0.0)
 def decode_opacities(
     worker: int, workers: int, anchors: AnchorArrays, packed: Packed, opacities: Array, counts: Array, work: Work
 ) -> None:
-    """``opacities`` [V * k] in (-1, 1) of the visible anchors; ``counts`` int64 [batches]: how many of each batch are
-    above 0."""
+    """``opacities`` [V * k] in (-1, 1) of the visible anchors; ``counts`` int64 [batches]: those above 0."""
     mine, listed = work.floats[worker], work.numbers[worker]
     sizes, head = packed.sizes, head_of(packed.heads, OPACITY)
     k = sizes.k
@@ -73,8 +72,7 @@ def through_sigmoid(rows: int, head: Any, sizes: Any, mine: Array) -> None:
 def write_shapes(
     batch: Batch, head: Any, anchors: AnchorArrays, opacities: Array, sizes: Any, mine: Array, drawn: Drawn
 ) -> None:
-    """Write everything except colours and labels of the drawn Gaussians, from the covariance decoder and the
-    anchors."""
+    """Write what the covariance decoder and the anchors say of the drawn Gaussians: all but colours and labels."""
     k, scale = sizes.k, sizes.d_hidden_at  # room for a vector a row, of which six are the anchor's scales
     collect_scales(batch, anchors, mine, scale)
     for m in range(batch.gaussians):

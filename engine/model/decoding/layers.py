@@ -174,8 +174,7 @@ def run_head_backward(head: Any, rows: int, packed: Packed, mine: Array, gradien
 
 @device_function
 def collect_scales(batch: Batch, anchors: AnchorArrays, mine: Array, room: int) -> None:
-    """Copy the six scales of each drawing anchor into a vector of its own in a worker's scratch, starting at
-    ``room``."""
+    """Copy the six scales of each drawing anchor into a vector of its own in a worker's scratch, from ``room``."""
     for row in range(batch.drawing):
         six = lane_numbers() < broadcast(F(6.0))
         log_scale = masked_load(anchors.log_scale, 6 * anchors.visible[batch.listed[row]], six)

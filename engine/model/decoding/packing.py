@@ -167,8 +167,7 @@ class AnchorArrays(NamedTuple):
 
 
 class Packed(NamedTuple):
-    """``weights`` float32 as ``packed`` lays them out, ``heads`` int64 [5, 9] its ``Heads``, ``sizes`` its
-    ``Sizes``."""
+    """``weights`` float32 as ``packed`` lays them out, ``heads`` int64 [5, 9] its ``Heads``, and its ``Sizes``."""
 
     weights: Array
     heads: Array

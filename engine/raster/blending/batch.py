@@ -77,8 +77,7 @@ STRIP_FIELDS = 4 * BATCH + TILE
 
 @device_function
 def origin_of(records: Array, at: int, tile: Tile) -> Any:
-    """s at the centre of a tile's first pixel: in double, once per tile; everything after is within a few standard
-    deviations."""
+    """s at the centre of a tile's first pixel: in double, once per tile; all after is within a few deviations."""
     dx = (tile.left + 0.5 - np.float64(get(records, at + CENTRE_X))) - np.float64(get(records, at + CENTRE_X_LOW))
     dy = (tile.top + 0.5 - np.float64(get(records, at + CENTRE_Y))) - np.float64(get(records, at + CENTRE_Y_LOW))
     l11 = np.float64(get(records, at + L11)) + np.float64(get(records, at + L11_LOW))

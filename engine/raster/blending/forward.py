@@ -78,8 +78,7 @@ def strip_floats(channels: int) -> int:
 
 @device_function
 def start_strip(columns: int, rows: int, channels: int, scratch: Array) -> None:
-    """Begin a strip of ``columns`` and ``rows`` of the image: nothing is blended yet, and no light passes outside the
-    image."""
+    """Begin a strip of ``columns`` and ``rows`` of the image: nothing is blended, and no light passes outside."""
     left, right = interleave2(lane_numbers(), lane_numbers())
     row, _ = interleave2(broadcast(ZERO), broadcast(ONE))
     in_rows = row < broadcast(F(rows))
@@ -170,8 +169,7 @@ def load_labels(
 @device_function
 def add_listed_labels(patch: int, end: int, scratch: Array, members: Array, batches: int, padded: int) -> int:
     """The labels of a patch's pixels += the sum of weight times label over the patch's list. The list ends before
-    ``end``; ``members`` holds the offsets of its labels, in vectors from scratch[batches:]. Returns the end of the
-    emptied list."""
+    ``end``; ``members`` holds the offsets of its labels, in vectors from scratch[batches:]. Returns the new end."""
     listed = patch * LISTED
     out = Rows(scratch, STRIP_LABELS + patch * TILE * padded, padded)
     weights = Factors(scratch, WEIGHTS + listed * TILE, 1, TILE)
