@@ -89,14 +89,14 @@ class Farm:
             return self.options.gigabytes
         return max((worker["resources"].get(GIGABYTES, 0.0) for worker in self.workers().values()), default=0.0)
 
-
     def refuse_dead_jobs(self) -> None:
         """Raise PlgsError if Slurm refuses our jobs, or all of them have ended. dask-jobqueue would wait for ever."""
         if self.slurm is None:
             return
-        why = self.slurm.refusals[-1] if self.slurm.refusals else ""
-        jobs = [job.job_id for job in self.slurm.workers.values() if job.job_id]
-        if jobs and not why:
+        refusals, jobs = self.slurm.refusals, [job.job_id for job in self.slurm.workers.values() if job.job_id]
+        if not jobs and not refusals:  # they are being submitted
+            return
+        if jobs:
             try:
                 command = ["squeue", "--noheader", "--format=%i", "--jobs", ",".join(jobs)]
                 asked = subprocess.run(command, capture_output=True, text=True, timeout=CONNECT_S, check=False)
@@ -105,12 +105,11 @@ class Farm:
             # Slurm forgets a job some minutes after its end.
             if asked.stdout.strip() or (asked.returncode and "Invalid job id" not in asked.stderr):
                 return
-            logs = sorted(self.options.logs.glob("*.log"), key=os.path.getmtime) if self.options.logs else []
-            why = (last_lines(logs[-1], 1) or ("it wrote nothing",))[0] if logs else "it has no log"
-        if why:
-            fix = "Correct the options of --slurm or the machines, then start the batch again."
-            what = f"Slurm's jobs have ended without a worker ({why})"
-            raise PlgsError("slurm-jobs", what, self.options.logs or "sbatch", fix, option="--slurm")
+        logs = sorted(self.options.logs.glob("*.log"), key=os.path.getmtime) if self.options.logs else []
+        said = [line for log in logs[-1:] for line in last_lines(log, 1)]
+        what = f"no job of Slurm's runs a worker ({[*refusals, *said, 'they wrote nothing'][0]})"
+        fix = "Correct the options of --slurm or the machines, then start the batch again."
+        raise PlgsError("slurm-jobs", what, self.options.logs or "sbatch", fix, option="--slurm")
 
 
 @contextmanager

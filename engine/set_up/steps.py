@@ -91,7 +91,6 @@ class SetUp(UvTask):
         requirements/."""
         self.request, self.root = request, root
         self.folder = folder or environments_folder()
-        self._events, self._stop = events, stop
         super().__init__(
             "set-up", LABELS if request.download is None else DOWNLOAD_LABELS, _AGAIN, events, stop,
             log_path=self.folder / LOG, cwd=self.folder, unpacks=request.download or self.folder / DOWNLOADS,

@@ -30,6 +30,11 @@ setsid sh {folder}/job.sh > {folder}/job.log 2>&1 &
 echo $! >> {folder}/jobs
 echo Submitted batch job $!
 """
+SQUEUE = """#!/bin/sh
+for job in $(cat {folder}/jobs); do kill -0 $job 2>/dev/null && echo $job && exit; done
+echo slurm_load_jobs error: Invalid job id specified >&2
+exit 1
+"""
 SCANCEL = """#!/bin/sh
 kill "$@"
 """
@@ -84,7 +89,7 @@ def test_jobs_that_die_are_rows_of_the_table(refuses: bool, slurm: Path, monkeyp
     """sbatch refuses the job, or the job ends before its worker begins: the batch does not wait for ever."""
     monkeypatch.setattr(run_module, "_JOBS_S", 0.5)
     squeue = slurm / "bin" / "squeue"
-    squeue.write_text("#!/bin/sh\necho slurm_load_jobs error: Invalid job id specified >&2\nexit 1\n")
+    squeue.write_text(SQUEUE.format(folder=slurm))
     squeue.chmod(0o755)
     python = slurm / "python"
     python.write_text("#!/bin/sh\necho no such library >&2\nexit 1\n")
