@@ -9,7 +9,7 @@ from bpy.props import BoolProperty, EnumProperty, IntProperty
 
 from ..plgs_blender import compositing
 from ..plgs_blender.compositing import show_compositor, show_room
-from ..plgs_blender.engine_environment import why_no_engine
+from ..plgs_blender.engine_environment import usable_python, why_no_engine
 from ..plgs_blender.errors import PlgsError, one_line
 from ..plgs_blender.owned import KEY
 from ..plgs_blender.passes import open_passes, passes_scene_of
@@ -83,7 +83,8 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
         shot = shot_of(context.scene, self.camera, first, last, step, self.shot, motion=motion)
         for what in shot.not_baked:
             self.report({"WARNING"}, what)
-        return lifting.read_camera(context.scene, shot)
+        usable_python()  # raises an error now if there is no engine to bake it
+        return ShotReader(context.scene, shot)
 
     @base.reporting
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:

@@ -52,7 +52,6 @@ def panoptic_group() -> bpy.types.NodeTree:
 
 
 def _declare(group: bpy.types.NodeTree) -> None:
-    """Make the group's sockets in display order."""
     face = group.interface
     for name in ("Image", "Matte", "Outline"):
         kind = "NodeSocketColor" if name == "Image" else "NodeSocketFloat"
@@ -71,8 +70,6 @@ def _declare(group: bpy.types.NodeTree) -> None:
 
 
 class _Wiring:
-    """Builds the nodes inside the group."""
-
     def __init__(self, group: bpy.types.NodeTree) -> None:
         self._group, self._column = group, 0
         self._in = group.nodes.new("NodeGroupInput").outputs

@@ -242,7 +242,6 @@ def _fill_palette(
 
 
 def _mark_views(scene: bpy.types.Scene, names: Collection[str]) -> None:
-    """Give each view a frame and a marker."""
     scene.timeline_markers.clear()
     for frame, name in enumerate(names, start=1):
         scene.timeline_markers.new(name, frame=frame)

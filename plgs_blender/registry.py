@@ -149,8 +149,6 @@ class Task:
 
 
 class SceneTask(Task):
-    """A task for a chosen scene."""
-
     def __init__(self, chosen: ChosenScene, follower: TaskFollower) -> None:
         super().__init__(follower)
         self.chosen = chosen

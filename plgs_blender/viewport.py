@@ -288,7 +288,7 @@ def taking_over(scene: bpy.types.Scene) -> Iterator[bool]:
     the capture's range, size, pixel aspect, camera and colours, and its own objects are hidden. A range that was that
     of our frames stays so. If placing fails, everything is restored."""
     is_untouched = _is_untouched(scene)
-    follows = is_untouched or _range(scene) == _span(scene)
+    follows = is_untouched or (scene.frame_start, scene.frame_end) == _span(scene)
     camera = scene.camera
     if is_untouched:
         scene.camera = None  # else our markers would come after the scene's range, and its camera stay active
@@ -317,7 +317,8 @@ def _is_untouched(scene: bpy.types.Scene) -> bool:
     render = scene.render
     size = (render.resolution_x, render.resolution_y, render.resolution_percentage)
     aspect = (render.pixel_aspect_x, render.pixel_aspect_y)
-    has_defaults = (_range(scene), size, aspect) == (_RANGE, _SIZE, _ASPECT) and not scene.timeline_markers
+    span = (scene.frame_start, scene.frame_end)
+    has_defaults = (span, size, aspect) == (_RANGE, _SIZE, _ASPECT) and not scene.timeline_markers
     is_new = not bpy.data.filepath and KEY not in scene and has_defaults
     return is_new and all(LIFT in ob or _is_startup_object(ob) for ob in scene.objects)  # a live preview is ours
 
@@ -354,10 +355,6 @@ def _use_size(scene: bpy.types.Scene) -> None:
         render = scene.render
         render.resolution_x, render.resolution_y = frame["width"], frame["height"]
         render.pixel_aspect_x, render.pixel_aspect_y = pixel_aspect(frame["fx"], frame["fy"])
-
-
-def _range(scene: bpy.types.Scene) -> tuple[int, int]:
-    return scene.frame_start, scene.frame_end
 
 
 def _span(scene: bpy.types.Scene) -> tuple[int, int] | None:

@@ -35,9 +35,7 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
         row = layout.split(factor=0.45, align=True)
         row.operator("plgs.split_instance", text="Split Parts", icon="MOD_EXPLODE").by = "PARTS"
         split, cell = registry.latest(SplitByViews), row.row(align=True)
-        if split is not None and split.is_running:
-            draw_bar(cell, split, "Views")
-        else:
+        if not draw_bar(cell, split, "Views"):
             cell.operator("plgs.split_by_views", text="Split by Views", icon="CAMERA_STEREO")
         row = layout.row(align=True)
         row.operator("plgs.place_cut", text="Add Plane", icon="MESH_PLANE")
@@ -56,10 +54,8 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
             summary = f"{plural(shown, 'correction')}; bake again to update passes" if shown else "No corrections"
             draw_text(layout, context, summary)
             if has(root, SURFACE) and are_stale(root):
-                making, row = making_meshes(), layout.row(align=True)
-                if making is not None:
-                    draw_bar(row, making, "Surface")
-                else:
+                row = layout.row(align=True)
+                if not draw_bar(row, making_meshes(), "Surface"):
                     row.operator("plgs.make_meshes", text="Update Surface", icon="FILE_REFRESH")
         for line in corrections.failed:
             draw_text(layout, context, line, "ERROR")

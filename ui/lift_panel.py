@@ -142,7 +142,6 @@ def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, followed
 
 
 def _draw_recent(layout: bpy.types.UILayout) -> None:
-    """Draw a button for each recent lift, which shows it, or follows it while it runs."""
     for lift in lifts.recent():
         text = f"{one_line(lift.folder.path.name)}: {lift.state.value}"
         button = layout.operator("plgs.watch_lift", text=text, icon=_ICONS.get(lift.state, "FILE_FOLDER"))
@@ -171,7 +170,6 @@ def _draw_used(column: bpy.types.UILayout, context: bpy.types.Context, name: str
 
 
 def _draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw what the engine lacks, if anything, with buttons that open its settings and check it again."""
     reason = engine_environment.why_no_engine() or why_no_device(context.scene.plgs)
     if reason is None:
         return
@@ -194,7 +192,6 @@ def _draw_preview(row: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
 
 def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Lift) -> None:
-    """Draw how the panel's lift ended, and buttons for the next steps."""
     path, error = str(followed.folder.path), followed.error
     if error is None:
         split = layout.split(factor=_LABEL, align=True)

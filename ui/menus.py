@@ -103,14 +103,12 @@ def _in_object_menu(menu: bpy.types.Menu, _context: bpy.types.Context) -> None:
 
 
 def _at_object(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    """Draw the active object's menu before Blender's own entries."""
     if instance_of(context.active_object):
         _draw_named(menu, context)
         menu.layout.separator()
 
 
 def _at_row(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    """Draw the row's menu in the list of instances."""
     rows = getattr(context, "ui_list", None)
     if rows is not None and rows.bl_idname == "PLGS_UL_instances":
         menu.layout.separator()

@@ -60,7 +60,6 @@ class PLGS_PT_panoptic(sidebar.Sidebar, bpy.types.Panel):
 
 
 def _draw_cost(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
-    """Draw which camera would be baked, over which frames, at which size, and at most at what cost."""
     render, camera = scene.render, scene.camera
     width, height = (side * render.resolution_percentage // 100 for side in (render.resolution_x, render.resolution_y))
     frames = len(range(scene.frame_start, scene.frame_end + 1, scene.frame_step))
@@ -79,9 +78,7 @@ class PLGS_PT_export(sidebar.Step, bpy.types.Panel):
         running = export if export is not None and export.is_running else None
         scene = running.form if running is not None and running.is_for_scene else ""
         row = layout.row(align=True)
-        if running is not None and scene == SURFACE:
-            sidebar.draw_bar(row, running, "Meshes")
-        else:
+        if not sidebar.draw_bar(row, running if scene == SURFACE else None, "Meshes"):
             row.operator("plgs.make_meshes", icon="MESH_DATA")
         row = layout.row(align=True)
         row.operator("plgs.make_objects", icon="OUTLINER_COLLECTION")
@@ -89,9 +86,7 @@ class PLGS_PT_export(sidebar.Step, bpy.types.Panel):
         row = layout.split(factor=0.5, align=True)
         row.operator("plgs.key_visibility", icon="KEY_HLT")
         cell = row.row(align=True)
-        if running is not None and scene == "clouds":
-            sidebar.draw_bar(cell, running, "Cloud")
-        else:
+        if not sidebar.draw_bar(cell, running if scene == "clouds" else None, "Cloud"):
             cell.operator("plgs.make_depth_cloud", icon="OUTLINER_DATA_POINTCLOUD")
         _draw_forms(layout.column(align=True), None if scene else running)
         if running is not None:
@@ -113,9 +108,7 @@ def _draw_forms(layout: bpy.types.UILayout, running: Export | None = None) -> No
     layout.operator_context = "INVOKE_DEFAULT"
     for form, (label, _) in FORMS.items():
         cell = layout.row(align=True)
-        if running is not None and running.form == form:
-            sidebar.draw_bar(cell, running, label)
-        else:
+        if running is None or running.form != form or not sidebar.draw_bar(cell, running, label):
             cell.operator("plgs.export_lift", text=f"{label}…").form = form
 
 

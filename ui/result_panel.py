@@ -100,8 +100,6 @@ def swatch_of(lists: Any, row: Any) -> Any:
 
 
 class PLGS_UL_instances(Searchable, bpy.types.UIList):
-    """Instances: eye, colour, name, points, score, select."""
-
     order: EnumProperty(name="Order", items=_SORTS)
 
     def draw_item(self, _context: Any, layout: Any, lists: Any, row: Any, _icon: int, _active: Any, _name: str) -> None:
@@ -112,8 +110,6 @@ class PLGS_UL_instances(Searchable, bpy.types.UIList):
 
 
 class PLGS_UL_classes(Searchable, bpy.types.UIList):
-    """Classes: eye, colour, name, points, score, select."""
-
     order: EnumProperty(name="Order", items=_SORTS, default="COUNT")
 
     def draw_item(
@@ -209,7 +205,6 @@ class PLGS_PT_result(Step, bpy.types.Panel):
 
 
 def _draw_heads(layout: bpy.types.UILayout, left: str, right: str) -> None:
-    """Draw the column headings of the list below."""
     heads = layout.row().split(factor=0.5)
     heads.label(text=left)
     numbers = heads.row()
@@ -218,7 +213,6 @@ def _draw_heads(layout: bpy.types.UILayout, left: str, right: str) -> None:
 
 
 def _draw_look(column: bpy.types.UILayout, context: bpy.types.Context, root: bpy.types.Collection) -> None:
-    """Draw what the colours mean and how the lift is shown; what is missing has a button that makes it."""
     column.grid_flow(row_major=True, columns=2, even_columns=True, align=True).prop(root.plgs, "look", expand=True)
     row = column.split(factor=_SURFACE_FROM, align=True)
     others = row.row(align=True)
@@ -229,10 +223,9 @@ def _draw_look(column: bpy.types.UILayout, context: bpy.types.Context, root: bpy
 
 def _draw_surface(cell: bpy.types.UILayout, root: bpy.types.Collection) -> None:
     """Draw the surface's button or, in its place, the engine's progress, so that the list below does not move."""
-    making = making_meshes()
-    if making is not None:
-        draw_bar(cell, making, "Surface")
-    elif not has(root, SURFACE):
+    if draw_bar(cell, making_meshes(), "Surface"):
+        return
+    if not has(root, SURFACE):
         cell.operator("plgs.make_meshes", text="Surface")
     else:
         cell.operator("plgs.show_as", text="Surface", depress=root.plgs.show_as == SURFACE).kind = SURFACE

@@ -35,9 +35,7 @@ class PLGS_PT_scene(sidebar.StepBefore, bpy.types.Panel):
         row.operator("plgs.browse_scene", text="", icon="IMPORT")
         # Above the summary, which comes a moment later: nothing should move under the pointer.
         row, making = sidebar.from_panel(layout.row(align=True), context), registry.latest(FrameMaking)
-        if making is not None and _is_import(making, context):
-            sidebar.draw_bar(row, making, "Images")
-        else:
+        if making is None or not _is_import(making, context) or not sidebar.draw_bar(row, making, "Images"):
             row.operator("plgs.import_scene", icon="OUTLINER_OB_CAMERA")
         survey = survey_of_panel(settings)
         if not settings.scene_folder:
@@ -64,8 +62,6 @@ class PLGS_PT_scene_options(sidebar.Sidebar, bpy.types.Panel):
 
 
 class PLGS_UL_mask_classes(bpy.types.UIList):
-    """A class's name, the class that it counts as, and whether that is a thing."""
-
     def draw_item(
         self, context: bpy.types.Context, layout: bpy.types.UILayout, data: object, item: bpy.types.PropertyGroup,
         icon: int, active_data: object, active_property: str, index: int = 0, flag: int = 0,
@@ -147,7 +143,6 @@ class PLGS_PT_frames(sidebar.Step, bpy.types.Panel):
 
 
 def _draw_poses(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw the button that finds poses and what the engine lacks for it, or the progress."""
     making = registry.latest(PoseMaking)
     if making is not None and making.is_running:
         layout.alert = False
@@ -242,7 +237,6 @@ def _draw_findings(layout: bpy.types.UILayout, context: bpy.types.Context, known
 
 
 def _draw_links(layout: bpy.types.UILayout, frames: tuple[str, ...], number: int) -> None:
-    """Draw a button for each of a finding's first frames that goes to its camera."""
     grid = layout.grid_flow(row_major=True, columns=_LINKS_IN_A_ROW, even_columns=True, align=True)
     for frame in frames[:_MOST_LINKS]:
         button = grid.operator("plgs.go_to_finding", text=one_line(frame))

@@ -25,8 +25,6 @@ _MENDING_OPERATORS = {
 
 
 class Sidebar:
-    """Where our panels appear."""
-
     bl_space_type, bl_region_type, bl_category = "VIEW_3D", "UI", "PLGS"
 
 
@@ -110,11 +108,15 @@ def draw_cancel(layout: bpy.types.UILayout, task: Task) -> None:
         cancel.lift_folder = str(task.lift_folder)
 
 
-def draw_bar(cell: bpy.types.UILayout, task: Task, name: str) -> None:
-    """Draw a task's progress bar and a cross that cancels it, in place of the button that started it."""
+def draw_bar(cell: bpy.types.UILayout, task: Task | None, name: str) -> bool:
+    """While a task runs, draw its progress bar and a cross that cancels it, in place of the button that started it.
+    Returns whether it runs."""
+    if task is None or not task.is_running:
+        return False
     share, _ = how_far(task)
     cell.progress(factor=share, type="BAR", text=f"{name} {100 * share:.0f} %")
     cell.operator(task.cancel_operator, text="", icon="X")
+    return True
 
 
 def draw_news(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task) -> None:

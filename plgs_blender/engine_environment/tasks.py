@@ -121,7 +121,6 @@ def _of_answer(choice: ChosenPython, answer: Mapping[str, Any] | None) -> Engine
 
 
 def _failed(choice: ChosenPython, message: str, fix: str) -> EngineStatus:
-    """The status if no engine answers."""
     fix = fix if choice.origin is Origin.CHOSEN else f"{fix} {choice.fix}"
     return EngineStatus(EngineState.FAILED, _capital(message), fix, "", choice.python)
 
@@ -165,8 +164,6 @@ class SetUp(Task):
 
 
 class Removal(Task):
-    """Deletes the environments that set-ups made."""
-
     kind, label = "removal", "Removing the engine"
 
     def done(self, scene: Any) -> None:

@@ -103,7 +103,7 @@ def label_text_boxes(
         box, name = boxes.get(row.instance_id), one_line(row.name)
         if box is None:
             continue
-        corners = corners_of(box)
+        corners = [box.matrix_world @ Vector(corner) for corner in box.bound_box]
         middle = sum(corners, Vector()) / 8.0
         top = Vector((middle.x, middle.y, max(corner.z for corner in corners)))
         at, distance = region.pixel_of(top), (region.perspective @ Vector((*top, 1.0))).w
@@ -192,11 +192,6 @@ def legend_text_boxes(shown: Sequence[tuple[str, Colour | None]], region: ViewRe
 def is_rest(class_name: str) -> bool:
     """Whether a class is a data set's catch-all, such as otherfurniture."""
     return class_name.casefold().startswith("other")
-
-
-def corners_of(box: bpy.types.Object) -> list[Vector]:
-    """A box's eight corners, in world metres."""
-    return [box.matrix_world @ Vector(corner) for corner in box.bound_box]
 
 
 def _text_width(text: str, size: float) -> float:

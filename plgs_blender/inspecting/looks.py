@@ -307,7 +307,6 @@ def _show_object(ob: bpy.types.Object, shown: bool | None) -> None:
 
 
 def _hide_points(root: bpy.types.Collection, cloud: bpy.types.Object, hidden: NDArray[np.bool_]) -> None:
-    """Hide a cloud's points, `hidden` bool [N]."""
     attributes = cloud.data.attributes
     modifier, layer = cloud.modifiers.get(MODIFIER), attributes.get(HIDDEN)
     if not hidden.any():

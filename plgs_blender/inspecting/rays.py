@@ -112,7 +112,6 @@ class Projected:
             return np.where(w > NEAREST, self._opacities(along, aside, rows), 0.0), near, self.ids[rows]
 
     def _opacities(self, first: Any, second: Any, rows: NDArray[np.int64]) -> Any:
-        """Opacities at positions in an element's own axes."""
         if self.form == TRIANGLE:
             return np.float32((first >= 0.0) & (second >= 0.0) & (first + second <= 1.0))
         if self.form == POINT:

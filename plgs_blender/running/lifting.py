@@ -22,7 +22,7 @@ from ..lift_scene import result_of
 from ..owned import FOLDER, Placed, is_same_place, lift_of_scene, lifts_in, root_of_placed, text_of
 from ..registry import Task, start_engine
 from ..settings import PLGS_PG_settings, adopt, chosen_lift, request_of, why_no_options
-from ..shots import Shot, ShotReader, shot_of, write_farm_job, write_view
+from ..shots import ShotReader, shot_of, write_farm_job, write_view
 from . import exports, lifts
 from .adding import lacking
 from .lifts import Lift
@@ -183,12 +183,6 @@ def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Lift:
             raise PlgsError("other-camera", "the active camera does not belong to a frame of the lift", scene.name, fix)
     python = engine_environment.usable_python()
     return lifts.bake(lift, python, names, layers=sorted(scene.plgs.layers), keep_running=scene.plgs.keep_running)
-
-
-def read_camera(scene: bpy.types.Scene, shot: Shot) -> ShotReader:
-    """Start reading a shot's camera. Raises PlgsError if there is no engine to bake it."""
-    engine_environment.usable_python()
-    return ShotReader(scene, shot)
 
 
 def bake_shot(scene: bpy.types.Scene, shot: ShotReader, folder: str = "", *, replace: bool = False) -> Lift:

@@ -100,8 +100,6 @@ class ClassListing(SceneTask):
 
 
 class ClassWriting(SceneTask):
-    """Writes classes.toml."""
-
     kind, label, message = "write_classes", "Writing the classes", ""
 
     def done(self, scene: Any) -> None:
