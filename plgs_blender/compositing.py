@@ -61,8 +61,7 @@ _opened: dict[int, _Opened] = {}
 
 
 def show_room(window: bpy.types.Window) -> None:
-    """Return from a passes scene to the scene with its lift, in the workspace from which the compositor was opened.
-    Raises PlgsError if the lift's scene is gone."""
+    """Return from a passes scene to its lift's, in the workspace used before. Raises PlgsError if the scene is gone."""
     room = scene_to_fill(window.scene)
     opened = _opened.pop(window.as_pointer(), None)
     workspace = bpy.data.workspaces.get(opened.workspace) if opened is not None else None

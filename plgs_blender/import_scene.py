@@ -81,8 +81,7 @@ def _room(root: bpy.types.Collection, scene: bpy.types.Scene) -> tuple[Quaternio
 
 
 def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrames) -> None:
-    """Add what an engine made since the import: photos in front of the cameras, and the cloud. 3D views that the user
-    has not moved since then show all of it. Raises PlgsError."""
+    """Add the photos and the cloud that an engine made since the import. Unmoved views show all. Raises PlgsError."""
     owned = OwnedDataBlocks(root[LIFT], scene)
     cameras = {ob["frame"]: ob for key, ob in objects_by_key(root).items() if key.startswith("frame:")}
     for name, picture in photos(made).items():

@@ -82,8 +82,7 @@ def place_passes(owned: OwnedDataBlocks, result: LiftResult) -> bpy.types.Scene 
 
 
 def place_shots(owned: OwnedDataBlocks, result: LiftResult, shot_scene: bpy.types.Scene) -> list[bpy.types.Scene]:
-    """Make or refill a scene "PLGS <name> <camera>" for each baked user camera, with the frame rate and pixel aspect of
-    `shot_scene`, in which the camera moves."""
+    """Make or refill a scene "PLGS <name> <camera>" for each baked user camera, which moves in `shot_scene`."""
     groups = sequences(list(result.shots))
     for scene in list(bpy.data.scenes):
         key = key_of(scene, owned.lift) or ""

@@ -131,8 +131,7 @@ def _cameras_to_choose(scene: bpy.types.Scene, wanted: str) -> str:
 def write_shot(
     lift: Path, scene: bpy.types.Scene, shot: Shot, *, replace: bool = False, output: Path | None = None
 ) -> Path:
-    """Write the shot's cameras into the lift's folder, or the folder ``output`` of its passes, and return the file.
-    Raises PlgsError, OSError."""
+    """Write the shot's cameras into the lift's folder or ``output``, and return the file. Raises PlgsError, OSError."""
     reader = ShotReader(scene, shot)
     reader.read_for(math.inf)
     return reader.write(lift, replace=replace, output=output)
@@ -241,8 +240,7 @@ class ShotReader:
         return list(zip(self._frames, self._read, strict=False))
 
     def read_for(self, seconds: float) -> bool:
-        """Continue reading for about ``seconds``, at least one frame. Returns whether all frames are read. Raises
-        PlgsError for a camera that is not a pinhole camera, or is gone."""
+        """Continue reading for about ``seconds``, at least one frame. Returns whether it is done. Raises PlgsError."""
         end = time.monotonic() + seconds
         scene = bpy.data.scenes.get(self._scene)
         ob = None if scene is None else scene.objects.get(self._camera)

@@ -138,8 +138,7 @@ def areas_of(scene: bpy.types.Scene) -> list[bpy.types.Area]:
 
 
 def own_view(scene: bpy.types.Scene) -> tuple[bpy.types.Area, Camera] | None:
-    """The first 3D view of the windows with this scene, and what it sees; None if one of them looks through a camera,
-    or the view has no perspective."""
+    """The scene's first 3D view, if in perspective, and what it sees; None if one looks through a camera."""
     areas = [area for area in areas_of(scene) if _free_of_sidebar(area)[0].width > 1]
     if not areas or any(area.spaces.active.region_3d.view_perspective == "CAMERA" for area in areas):
         return None
@@ -230,12 +229,11 @@ def view_of(context: bpy.types.Context) -> tuple[bpy.types.SpaceView3D | None, f
 
 
 def load_finding(picture: Path) -> bpy.types.Image:
-    """Load a finding's picture in place of an earlier one, packed, because the next diagnosis deletes its file. Raises
-    OSError if the file is gone."""
+    """Load a finding's picture in place of an earlier one. Raises OSError if its file is gone."""
     if not picture.is_file():
         raise OSError(f"the picture is gone, diagnose again: {picture}")
     image = bpy.data.images.load(str(picture), check_existing=False)
-    image.pack()
+    image.pack()  # the next diagnosis deletes the file
     name = f"PLGS finding {picture.stem}"
     earlier = bpy.data.images.get(name)
     if earlier is not None:

@@ -23,8 +23,7 @@ def why_no_engine() -> str | None:
 
 
 def usable_python() -> Path:
-    """The Python to run the engine with. In a window, it is the last one that answered; else one is asked now, in
-    0.1 s. Raises PlgsError if none has what the engine needs."""
+    """The last Python that answered or, without a window, one asked now, in 0.1 s. Raises PlgsError if none will do."""
     known = status()
     if known.state is EngineState.READY and known.python is not None:
         return known.python

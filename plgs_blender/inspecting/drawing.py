@@ -45,8 +45,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class ViewRegion:
-    """A 3D view's region: its size and the width of toolbars at the `left` in pixels, the matrix from world to clip
-    space, and the interface's scale."""
+    """A 3D view's region: sizes in pixels, toolbars at the `left` too, and the matrix from world to clip space."""
 
     width: int
     height: int
@@ -256,8 +255,7 @@ def draw_mark(mark: Mark | None) -> None:
 def draw_picture(
     pixels: NDArray[np.float32], corners: Sequence[tuple[float, float] | None], blend: str = "NONE"
 ) -> None:
-    """A picture (float32 [H, W, 4], sRGB, lowest row first) over the upright rectangle with these corners in pixels;
-    nothing if one of them is behind the eye (None)."""
+    """A picture (float32 [H, W, 4], sRGB, lowest row first) over a rectangle in pixels, if no corner is None."""
     seen = [corner for corner in corners if corner is not None]
     if len(seen) != len(corners):
         return

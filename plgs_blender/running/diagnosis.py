@@ -116,8 +116,7 @@ def diagnosis_of(chosen: ChosenScene) -> Diagnosis | None:
 
 
 def diagnose(settings: PLGS_PG_settings, mended: Path | None = None) -> Diagnosis:
-    """Let an engine measure the panel's scene and, if ``mended`` is given, write it there with all safe fixes. Raises
-    PlgsError, OSError."""
+    """Let an engine measure the panel's scene, and write it fixed to ``mended``, if any. Raises PlgsError, OSError."""
     registry.refuse_second(Diagnosis)
     chosen, python = chosen_scene(settings), usable_python()
     folder = Path(tempfile.mkdtemp(prefix="plgs-findings-"))

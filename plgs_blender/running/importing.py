@@ -225,8 +225,7 @@ def wanted(scene: bpy.types.Scene) -> str:
 
 
 def catch_up() -> float | None:
-    """Show the picture that the camera should show. Returns the seconds to wait while an engine makes another picture,
-    an animation plays or a render runs."""
+    """Show the picture that the camera should show. Returns the seconds to wait while something else is going on."""
     scene, windows = bpy.context.scene, bpy.context.window_manager.windows
     kind = wanted(scene)
     if not kind:

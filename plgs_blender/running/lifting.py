@@ -172,8 +172,7 @@ def why_no_bake(settings: PLGS_PG_settings) -> str | None:
 
 
 def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Lift:
-    """Let an engine bake passes of a finished lift: of "all" frames, the held-out ones ("test"), or the "active"
-    camera's. Raises PlgsError, OSError."""
+    """Let an engine bake frames: "all", the held-out ones ("test"), or the "active" one. Raises PlgsError, OSError."""
     lift = lift_at(scene.plgs, folder)
     names = [frames]
     if frames == "active":
@@ -195,8 +194,7 @@ def bake_shot(scene: bpy.types.Scene, shot: ShotReader, folder: str = "", *, rep
 
 
 def bake_on_farm(scene: bpy.types.Scene, folder: str = "") -> Path:
-    """Write a farm job that bakes the active camera over the scene's range, and return it. Raises PlgsError,
-    OSError."""
+    """Write a farm job that bakes the active camera's range, and return the file. Raises PlgsError, OSError."""
     lift = lift_at(scene.plgs, folder)
     read_manifest(lift.result_path)
     return write_farm_job(scene, lift, shot_of(scene, given=scene.plgs.shot))

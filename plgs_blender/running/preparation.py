@@ -1,5 +1,4 @@
-"""Engine tasks that prepare a scene for its lift: making masks, finding poses, and listing and writing the masks'
-classes, which the panel edits in `scene.plgs_masks`."""
+"""Engine tasks before a lift: making masks, finding poses, and editing the masks' classes (`scene.plgs_masks`)."""
 
 from __future__ import annotations
 
