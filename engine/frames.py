@@ -95,7 +95,11 @@ def make_frames(
     of the scene is bad. Bad depth for the cloud is reported after the pictures are written.
     """
     made = made_of(folder, source)
-    chosen = _chosen(scene, names)
+    known = {frame.name for frame in scene.frames}
+    chosen = known if names is None else {*names}
+    if strange := sorted(chosen - known):
+        fix = "Give names as inspect and Blender's cameras show them."
+        raise PlgsError("not-a-frame", "this is not a frame of the scene", strange[0], fix)
     _refuse_nothing(scene, chosen, kinds)
     stored = stored_scene(scene, scene.frames)
     same = set() if made is None else {frame.name for frame in {*stored.frames} & {*made.scene.frames}}
@@ -127,15 +131,6 @@ def make_frames(
     if problem is not None:
         raise problem
     return result
-
-
-def _chosen(scene: Scene, names: Collection[str] | None) -> set[str]:
-    known = {frame.name for frame in scene.frames}
-    strange = sorted(set(names or ()) - known)
-    if strange:
-        fix = "Give names as inspect and Blender's cameras show them."
-        raise PlgsError("not-a-frame", "this is not a frame of the scene", strange[0], fix)
-    return known if names is None else set(names)
 
 
 def _refuse_nothing(scene: Scene, chosen: Collection[str], kinds: Collection[str]) -> None:

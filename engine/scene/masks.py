@@ -197,7 +197,11 @@ def open_masks(
         name: MaskReader(mask, known, source.void, fuses, table, others, placed.get(name))
         for name, mask in source.masks.items()
     }
-    warnings = [*source.warnings, *_named_otherwise(source.masks)]
+    warnings, paths = [*source.warnings], {name: mask.path for name, mask in source.masks.items()}
+    files = {name: f"{path.parent.name}/{path.name}" for name, path in paths.items()}
+    others_named = [f"{name} has {file}" for name, file in files.items() if name not in file]
+    if others_named and len({*paths.values()}) == len(paths):  # else one file serves several frames
+        warnings.append(f"masks have other names than their frames: {listed(others_named, 2)}")
     over = {}
     if detections is not None:
         warnings += detections.warnings
@@ -215,15 +219,6 @@ def open_masks(
             if name in readers
         }
     return MaskSet(known.classes, readers, tuple(warnings), (*inferred, *of_numbers), over)
-
-
-def _named_otherwise(masks: Mapping[str, StoredMask]) -> list[str]:
-    """A warning about masks whose files are not named like their frames; none if one file serves several frames."""
-    if len(masks) > len({mask.path for mask in masks.values()}):
-        return []
-    places = {name: f"{mask.path.parent.name}/{mask.path.name}" for name, mask in masks.items()}
-    others = [f"{name} has {place}" for name, place in places.items() if name not in place]
-    return [f"masks have other names than their frames: {listed(others, 2)}"] if others else []
 
 
 def open_mask_source(place: Path, names: Sequence[str], mask_format: str | None = None) -> MaskSource:

@@ -51,11 +51,10 @@ def _object_folders(place: Path) -> dict[int, Path]:
 
 
 def _has_palette(place: Path) -> bool:
-    first = next(iter(mask_files(place, ".png")), None)
-    if first is None:
-        return False
-    with open_plain(first) as file:
-        return file.read(26)[25:26] == b"\3"  # the colour type of the header
+    for first in mask_files(place, ".png")[:1]:
+        with open_plain(first) as file:
+            return file.read(26)[25:26] == b"\3"  # the colour type of the header
+    return False
 
 
 def _read(place: Path, names: Sequence[str]) -> MaskSource:
