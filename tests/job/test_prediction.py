@@ -28,12 +28,6 @@ def test_more_work_takes_longer_and_more_memory() -> None:
     assert predict(1, 0, (64, 48), replace(standard, steps=1)).seconds > 0
 
 
-def test_many_views_get_the_steps_that_they_need() -> None:
-    preset = replace(PRESETS["standard"], steps=1000, steps_a_view=10.0)
-    few, enough, many = (predict(views, 0, (320, 240), preset).stages["train"] for views in (50, 100, 300))
-    assert few == pytest.approx(enough) and many == pytest.approx(3 * enough)
-
-
 def test_the_speed_of_the_machine_is_learnt_from_its_lifts(tmp_path: Path) -> None:
     assert machine_slowness(tmp_path) == 1.0
     usual = step_seconds(0.0768, 0.6)

@@ -124,14 +124,6 @@ def told_of(film: Path, pictures: int | None) -> str:
     return told.read_text()
 
 
-def test_poses_of_fewer_pictures_than_are_asked_for_are_reported(mapped: None, tmp_path: Path) -> None:
-    film = tmp_path / "walk.mp4"
-    write_film(film, 0)
-    told_of(film, 3)
-    assert told_of(film, 3) == told_of(film, None) == ""
-    assert "the poses of 3 pictures that were found before are used" in told_of(film, 150)
-
-
 def test_a_film_does_not_take_the_poses_of_another_of_its_name(mapped: None, tmp_path: Path) -> None:
     """Nor of one whose name has another end, nor those that were found for photos in a folder of its name."""
     film = tmp_path / "walk.mp4"

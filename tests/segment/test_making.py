@@ -164,11 +164,6 @@ def test_empty_and_uncertain_queries_are_not_segments() -> None:
     assert not ids.any() and found == []
 
 
-def test_a_segment_keeps_its_score() -> None:
-    _, found = merge_queries(logits((0.2, 0.8, 1e-9)), strips(slice(0, 3)), STUFF)
-    assert found == [MadeSegment(1, 1, found[0].score)] and abs(found[0].score - 0.8) < 1e-6
-
-
 def test_weak_queries_are_kept_beside_the_masks() -> None:
     shares = logits((0.15, 0.05, 0.8), (0.05, 0.04, 0.91), (0.1, 0.85, 0.05))
     masks = strips(slice(0, 6), slice(0, 2), slice(4, 8))
