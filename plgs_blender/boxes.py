@@ -23,8 +23,7 @@ TOGETHER = "boxes"
 MOST_BOXES = 500
 """With 5 000 objects, Blender takes a second to add one, and ten to hide them all."""
 NAME, SHOWN, PLACED = "plgs_name", "plgs_shown_name", "plgs_placed"
-"""Properties of a box: its instance's name, the name that Blender gave it (maybe shortened or numbered), and the
-centre, size and rotation at which we placed it."""
+"""Properties of a box: its instance's name, what Blender made of it, and the centre, size and rotation we gave it."""
 
 
 def place_boxes(

@@ -225,7 +225,9 @@ def place_camera_path(
     lenses = [lens_of(frame.camera) for frame in frames]
     moving, zooming = (_new_action(owned, part) for part in ("pose", "lens"))
     add_keys(ob, moving, "location", keys, np.array([matrix.translation for matrix in matrices]), "LINEAR")
-    turns = _continuous(np.array([matrix.to_quaternion() for matrix in matrices]))
+    turns = np.array([matrix.to_quaternion() for matrix in matrices])
+    signs = np.where((turns[1:] * turns[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
+    turns *= np.concatenate([[1.0], np.cumprod(signs)])[:, None]  # none more than half a turn from the one before
     add_keys(ob, moving, "rotation_quaternion", keys, turns, "LINEAR")
     for path, name in (("lens", "focal_length"), ("shift_x", "shift_x"), ("shift_y", "shift_y")):
         add_keys(ob.data, zooming, path, keys, np.array([getattr(lens, name) for lens in lenses]), "CONSTANT")
@@ -238,12 +240,6 @@ def _new_action(owned: OwnedDataBlocks, part: str) -> bpy.types.Action:
     owned.drop("actions", key)
     action: bpy.types.Action = owned.block("actions", key, lambda: bpy.data.actions.new(f"Camera path {part}"))
     return action
-
-
-def _continuous(turns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The same rotations as quaternions [N, 4], none more than half a turn from the one before."""
-    signs = np.where((turns[1:] * turns[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
-    return turns * np.concatenate([[1.0], np.cumprod(signs)])[:, None]
 
 
 def picture_of(frame: PosedFrame, made: Mapping[str, Path] | None = None) -> Path | None:

@@ -181,7 +181,8 @@ def place_semantic_points(
     # Sorted once, each class is one run. Comparing every point with every class takes a second with a million.
     order, (ids, counts) = np.argsort(points.class_id, kind="stable"), np.unique(points.class_id, return_counts=True)
     groups = [*zip(ids.tolist(), np.split(order, np.cumsum(counts)), strict=False)]
-    looks = [_name_and_colour(class_id, classes) for class_id, _ in groups]
+    of = {one.id: (one.name, one.colour) for one in classes.categories if one.id != VOID}
+    looks = [of.get(class_id, ("unknown", UNKNOWN)) for class_id, _ in groups]
     clouds = new_point_clouds([name for name, _ in looks], [points.xyz[chosen] for _, chosen in groups])
     for (class_id, chosen), (name, srgb), cloud in zip(groups, looks, clouds, strict=True):
         attributes = _label_attributes(points, chosen) | {"normal": ("FLOAT_VECTOR", normals[chosen])}
@@ -254,9 +255,3 @@ def _place(
     set_attributes(cloud, {"radius": ("FLOAT", radius), **attributes})
     cloud.materials.append(point_material(owned))
     return owned.object(key, name, cloud, parent)
-
-
-def _name_and_colour(class_id: int, classes: ClassTable) -> tuple[str, tuple[int, int, int]]:
-    if class_id == VOID or class_id not in classes:
-        return "unknown", UNKNOWN
-    return classes[class_id].name, classes[class_id].colour

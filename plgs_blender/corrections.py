@@ -116,16 +116,18 @@ Choose = Callable[[NDArray[np.float32]], NDArray[np.bool_]]
 def edit(root: bpy.types.Collection, make: Make) -> Edit:
     """Make an edit of a placed lift, and show it. Raises PlgsError, OSError."""
     made, result = _correct(root, make)
-    show_edit(root, made.uid, result)
+    show_corrections(root, result)
     return made
 
 
 def _correct(root: bpy.types.Collection, make: Make) -> tuple[Edit, CorrectedResult]:
-    return correct(folder_of(root), make, listed_in(folder_of(root)))
+    made, result = correct(folder_of(root), make, listed_in(folder_of(root)))
+    _mine.setdefault(str(folder_of(root)), set()).add(made.uid)
+    return made, result
 
 
 def show_edit(root: bpy.types.Collection, uid: str, result: CorrectedResult) -> None:
-    """Show an edit made from this Blender, so that undo reverts it. Raises PlgsError."""
+    """Show an edit that an engine made for this Blender, so that undo reverts it. Raises PlgsError."""
     _mine.setdefault(str(folder_of(root)), set()).add(uid)
     show_corrections(root, result)
 
@@ -219,7 +221,6 @@ def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
     """Rename an object. Only its row and box change, as the call may come from their own name field. Raises PlgsError,
     OSError, as all edits here do."""
     made, result = _correct(root, lambda state, _: making.rename(state, instance, name))
-    _mine.setdefault(str(folder_of(root)), set()).add(made.uid)
     row, box = selection.row_of(root, instance), selection.boxes_of(root).get(instance)
     row.known_name = row.name = made.name
     if box is not None:
@@ -263,8 +264,7 @@ def delete_around(root: bpy.types.Collection, instances: Sequence[int]) -> None:
     result = None
     try:
         for instance in instances:
-            made, result = _correct(root, partial(lambda one, state, _: making.delete(state, one), instance))
-            _mine.setdefault(str(folder_of(root)), set()).add(made.uid)
+            _, result = _correct(root, partial(lambda one, state, _: making.delete(state, one), instance))
     finally:
         if result is not None:
             show_corrections(root, result)

@@ -33,8 +33,7 @@ SHADE, SHADE_CONTRAST = 0.74, 0.3
 """Lightness of a point: SHADE + SHADE_CONTRAST * (LIGHT · normal)."""
 
 DENSER = 4.0
-"""Factor on the visibility of a splat. Blender draws half-transparent splats stochastically with few samples; nearly
-opaque ones look smooth."""
+"""Factor on the opacity of a splat: Blender draws half-transparent splats from few random samples."""
 _BYTES = np.arange(256) / 255.0
 _LINEAR = np.where(_BYTES <= 0.04045, _BYTES / 12.92, ((_BYTES + 0.055) / 1.055) ** 2.4).astype(np.float32)
 

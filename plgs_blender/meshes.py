@@ -20,8 +20,7 @@ from .owned import LIFT, OwnedDataBlocks, Placed, child_collection, text_of
 from .results import LiftResult
 
 CORRECTIONS, _OF_MESHES = "plgs_corrections", "plgs_meshes_of"
-"""Properties of a lift's collection: the fingerprints of the corrections that the scene shows, and that the meshes
-show."""
+"""Properties of a lift's collection: the fingerprints of the corrections that the scene and the meshes show."""
 SURFACE = "surface"
 """The engine's export format for it."""
 _COMMENT = re.compile(rb"^comment corrections ([0-9a-f]+)$", re.MULTILINE)

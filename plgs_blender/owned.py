@@ -196,8 +196,7 @@ class OwnedDataBlocks:
 
 
 FOLDER, SCENE = "plgs_lift_folder", "plgs_scene_folder"
-"""Properties of a lift's collection: the folders of the lift and of its scene. The first is empty while the scene is
-only imported."""
+"""Properties of a lift's collection: the folders of the lift, empty before there is one, and of its scene."""
 
 PLACE = "plgs_place"
 """Property of an imported scene's collection: how the scene was read (masks, up, format, depth), as text."""

@@ -67,8 +67,7 @@ def reading_instances(path: Path) -> Generator[None, None, Listed]:
 
 
 Version = tuple[Path, tuple[int, int] | None]
-"""The path, time in nanoseconds and size in bytes of an instances.json; None for the latter two if there is no such
-file."""
+"""The path of an instances.json, and its time in nanoseconds and size in bytes; None without such a file."""
 _kept: dict[Version, Listed] = {}  # what was read last
 _begun: dict[Version, Generator[None, None, Listed]] = {}  # what is being read
 

@@ -126,7 +126,9 @@ def _top(root: bpy.types.Collection) -> bpy.types.Collection:
 
 
 def _fill(root: bpy.types.Collection, top: bpy.types.Collection, one: Instance) -> bpy.types.Collection:
-    placed, pose = foot_of(one), None
+    # The pivot is the centre of the box's lower face, with the box's axes.
+    middle = Matrix.LocRotScale(Vector(one.centre), Quaternion(one.rotation), None)
+    placed, pose = middle @ Matrix.Translation((0.0, 0.0, -one.size[2] / 2.0)), None
     collection = next((each for number, each in _made(root) if number == one.id and each.name in top.children), None)
     if collection is None:
         collection = bpy.data.collections.new(one.name)
@@ -150,12 +152,6 @@ def _fill(root: bpy.types.Collection, top: bpy.types.Collection, one: Instance) 
         else:
             ob.parent, ob.hide_viewport, ob.hide_render = main, True, True
     return collection
-
-
-def foot_of(one: Instance) -> Matrix:
-    """The pose of an instance's pivot: the centre of its box's lower face, with the box's axes."""
-    turned = Matrix.LocRotScale(Vector(one.centre), Quaternion(one.rotation), None)
-    return turned @ Matrix.Translation((0.0, 0.0, -one.size[2] / 2.0))
 
 
 def _points(root: bpy.types.Collection, one: Instance, inverse: Matrix) -> bpy.types.PointCloud | None:

@@ -169,7 +169,10 @@ def squares(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Squares
     cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
     long, short = (EXTENT * np.sqrt(np.maximum(each, 0.0))[:, None] for each in (mean + spread, mean - spread))
     right, up = (cos * first + sin * second) * long, (cos * second - sin * first) * short
-    made = Squares(middle, right, up, _srgb(rows), _opacity(rows), _ids(rows))
+    # The colour around each Gaussian, if the file has it, because squares are nearly opaque.
+    has_colours = {"red", "green", "blue"} <= {*(rows.dtype.names or ())}
+    rgb = np.stack([rows[name] for name in ("red", "green", "blue")], axis=1) if has_colours else _own_srgb(rows)
+    made = Squares(middle, right, up, rgb, _opacity(rows), _ids(rows))
     behind = seen_from_behind(middle, np.cross(right, up), eyes)
     behind = behind[rows["instance_id"][behind] > 0] if "instance_id" in (rows.dtype.names or ()) else behind[:0]
     back = Squares(middle[behind], right[behind], -up[behind], made.rgb[behind], made.opacity[behind],
@@ -213,13 +216,6 @@ def _size(rows: NDArray[np.void]) -> NDArray[np.float32]:
 
 def _axes(rows: NDArray[np.void]) -> NDArray[np.float32]:
     return axes_of(np.stack([rows[f"rot_{part}"] for part in range(4)], axis=1))
-
-
-def _srgb(rows: NDArray[np.void]) -> NDArray[np.uint8]:
-    """The colour around each Gaussian [M, 3] if the file has it, because squares are nearly opaque; else its own."""
-    if {"red", "green", "blue"} <= {*(rows.dtype.names or ())}:
-        return np.stack([rows[name] for name in ("red", "green", "blue")], axis=1)
-    return _own_srgb(rows)
 
 
 def _own_srgb(rows: NDArray[np.void]) -> NDArray[np.uint8]:
