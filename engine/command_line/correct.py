@@ -9,12 +9,15 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..gates import shortened
 from ..job import EventWriter, LiftFolder, StopSignal, read_manifest
 
 if TYPE_CHECKING:
     from ..corrections import CorrectedResult, Edit
     from ..corrections.replay import Replay
 
+_LONGEST = 60
+"""Characters of a name in a line."""
 AddTask = Callable[[argparse.ArgumentParser, Callable[[argparse.Namespace, EventWriter, StopSignal], object]], None]
 
 
@@ -118,7 +121,7 @@ def _edit(
 
 
 def _described(edit: Edit, corrected: CorrectedResult) -> str:
-    names = {one.id: one.name for one in (*corrected.made, *corrected.instances)}
+    names = {one.id: shortened(one.name, _LONGEST) for one in (*corrected.made, *corrected.instances)}
     objects = ", ".join(f"{mark.id} {names.get(mark.id, '')}".strip() for mark in edit.objects)
     made = "".join(f"; new: {one.id} {one.name}" for one in edit.made)
     to = edit.name or (corrected.classes[edit.class_id].name if edit.class_id in corrected.classes else "")
@@ -141,7 +144,8 @@ def _content(corrected: CorrectedResult) -> dict[str, object]:
 
 
 def _listing(corrected: CorrectedResult) -> str:
-    lines = [f"{one.id:5}  {one.name}  ({one.class_name}, {one.points} points)" for one in corrected.instances]
+    objects = [(one, shortened(one.name, _LONGEST), shortened(one.class_name, _LONGEST)) for one in corrected.instances]
+    lines = [f"{one.id:5}  {name}  ({class_name}, {one.points} points)" for one, name, class_name in objects]
     lines += ["", f"{len(corrected.edits)} edits"]
     for edit in corrected.edits:
         why = corrected.not_applied.get(edit.uid)
