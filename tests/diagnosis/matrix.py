@@ -3,8 +3,6 @@
 Each scene has the present layout. docs/captures.md sums the table up.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """Spoils a scene folder in the present layout, one defect at a time, as users' own conversions do."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Defects planted one by one are found and named, and mended where that is safe; a good scene has none."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

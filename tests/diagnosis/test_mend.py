@@ -1,7 +1,5 @@
 """What a mended scene's folder holds."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a lift asks of its scene before it begins: the cheap half of the diagnosis, and what it stops."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Masks of views joined into objects, by all views or by the keyframes of a long scan."""
 
-from __future__ import annotations
-
 import tracemalloc
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Objects of two lifts are one where their points overlap."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.instances.lasting_objects import LastingObjects, lasting_objects, object_overlap

@@ -1,7 +1,5 @@
 """Algorithm 1, and the boxes that it compares."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

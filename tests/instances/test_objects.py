@@ -1,7 +1,5 @@
 """Classes of objects, and objects cut into pieces and put together again by the views that see several of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Segments and points that vote on panoptic labels in turn, and the neighbours that points share votes with."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Segments as points in space, and the masks that matched segments give points."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Superpoints, and detections over masks: used only if views that are held back prefer them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

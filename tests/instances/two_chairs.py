@@ -1,7 +1,5 @@
 """A ray-traced floor and back wall with boxes for chairs, seen from where a test likes."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -1,7 +1,5 @@
 """A studio's defaults: read from its file, used where an option is not given, and refused if anything is wrong."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Baking more frames of a finished lift, also by several processes: the very bytes of a lift that bakes them."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

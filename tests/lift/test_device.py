@@ -1,7 +1,5 @@
 """``--device``: what is missing is told before any work; the lift's own calls run on the back end for CUDA."""
 
-from __future__ import annotations
-
 import gc
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Which frames a lift trains on: chosen once, then those that the checkpoint names."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

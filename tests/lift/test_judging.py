@@ -1,7 +1,5 @@
 """The masks as judges of a finished lift."""
 
-from __future__ import annotations
-
 import json
 import logging
 from contextlib import closing

@@ -1,7 +1,5 @@
 """A scene that is lifted again keeps the names and ids of its objects, in every file of the result."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Whole lifts of the tiny room: what they write, that they write it again, and what ground truth may touch."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections import Counter

@@ -1,7 +1,5 @@
 """Live previews: what they show, what they cost, and that they change nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

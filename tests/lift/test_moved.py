@@ -1,7 +1,5 @@
 """A lift that is moved, with its scene and without; a scene that is moved alone; masks that are edited afterwards."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable, Iterator

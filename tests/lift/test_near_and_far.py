@@ -5,8 +5,6 @@ the sink apart from the cabinet, and take the chair for a second cabinet. With o
 "views", the others "root") the lift shows no sink.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

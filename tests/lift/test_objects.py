@@ -1,7 +1,5 @@
 """Which pieces of the objects stay."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 

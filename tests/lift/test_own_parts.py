@@ -1,7 +1,5 @@
 """Matchers, losses and heads that a script adds."""
 
-from __future__ import annotations
-
 import csv
 import json
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The preset "paper" against plain computations that were written from the paper's text alone, section by section."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What training starts from: instances, cloud, anchors and targets of the tiny room."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal

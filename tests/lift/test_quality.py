@@ -1,7 +1,5 @@
 """A lift must be better than what it was given: the sample room as a hand-held camera would have taken it."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

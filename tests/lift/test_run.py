@@ -1,7 +1,5 @@
 """Which states of a trainer are stored, what a run reports, and the time that is left of it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Masks of a few frames say what an object falls into, whatever the others merge."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Lifts of scenes with as little, or as odd, as a scene may have."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """After training, the frames vote on the Gaussians' labels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Compiled kernels, whose index is a pickle, are kept only where nobody else can write."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Digests of the code, and the names of compiled kernels, change with all that goes into them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

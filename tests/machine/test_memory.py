@@ -1,7 +1,5 @@
 """Blocks of memory that are reused."""
 
-from __future__ import annotations
-
 import os
 import signal
 

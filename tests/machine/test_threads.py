@@ -1,7 +1,5 @@
 """Kernels with one thread per worker: all of them run, errors are raised, and nobody returns early."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """Sixteen float32 at a time, and distinct rows: they do what NumPy does."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numba

@@ -1,7 +1,5 @@
 """From shares to probabilities, by masks alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

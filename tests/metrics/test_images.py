@@ -1,7 +1,5 @@
 """PSNR, SSIM and errors of depth against values worked out another way."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,6 @@
 """mIoU and PQ against the published evaluator's values, by hand, and against torchmetrics, an independent program, on
 random labels without void: COCO excuses what lies on it, the mode ``strict`` deletes it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """The report over a scene in memory, and over label folders in the layouts of several programs."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the masks show and the lift does not: a sink in a countertop, drawn by near views alone."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """A scene of random anchors before a camera, untrained: what the tests of labels share."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

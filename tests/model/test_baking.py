@@ -1,7 +1,5 @@
 """What baked Gaussians and anchors are said to be: no ghosts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

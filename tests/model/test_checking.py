@@ -1,7 +1,5 @@
 """model.safetensors: read back as it was, or refused before a kernel, which has no bounds of its own, sees it."""
 
-from __future__ import annotations
-
 import copy
 import math
 import os

@@ -1,7 +1,5 @@
 """What an anchor starts with, how anchors grow and are pruned, and the Gaussians that are decoded of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

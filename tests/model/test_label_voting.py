@@ -1,7 +1,5 @@
 """Labels voted onto Gaussians, against the gradient of a float64 rendering: what each takes part in a pixel."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Views in bands of rows, clipped, and with smaller pixels than the training pictures have."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

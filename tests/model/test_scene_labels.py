@@ -1,7 +1,5 @@
 """Labels decoded once for all frames, and what becomes of voted labels that no mask named."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

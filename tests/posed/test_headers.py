@@ -1,7 +1,5 @@
 """Headers of OpenEXR files, PNGs and JPEGs, and files of splats."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from pathlib import Path

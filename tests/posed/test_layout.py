@@ -1,7 +1,5 @@
 """Files of a scene, what they may claim, and the split."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Cameras, and the matrices in files that they come from."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

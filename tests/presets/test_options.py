@@ -1,7 +1,5 @@
 """Options of a preset by name: what is read, what is refused, and with which advice."""
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Each number of the preset "paper" is that of the paper, and of the page that says where it is from."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

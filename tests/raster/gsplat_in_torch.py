@@ -1,7 +1,5 @@
 """``gsplat.rasterization`` on a CPU: a stand-in that needs no gsplat."""
 
-from __future__ import annotations
-
 import sys
 from types import ModuleType
 from typing import Any

@@ -1,7 +1,5 @@
 """A furnished room as Gaussians on its surfaces. The same count always gives the same numbers."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The back end gsplat against the float64 reference: with a stand-in, and on a GPU if there is one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from importlib import metadata
 

@@ -3,8 +3,6 @@
 Processor time is measured, so that the figures do not depend on the machine's load.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Each tile's list, by one worker or by several: the same Gaussians, front to back, each in a slot of its own."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

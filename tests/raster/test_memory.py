@@ -1,7 +1,5 @@
 """Memory is reused, never while somebody uses it, and stays within its bound."""
 
-from __future__ import annotations
-
 import sys
 import tracemalloc
 

@@ -1,8 +1,6 @@
 """The kernels on other processors: LLVM compiles them for ARM processors, Apple's included, without an error and into
 vector instructions; Numba's settings for lesser x86 processors are respected."""
 
-from __future__ import annotations
-
 import platform
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The back end numba against the float64 reference, and properties of any scene."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

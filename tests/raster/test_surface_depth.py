@@ -1,7 +1,5 @@
 """The depth of the surface: planes at an outline, by hand, and against the float64 reference."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``python -m research``: its output and exit codes, and its smaller programs."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal

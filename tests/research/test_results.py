@@ -1,7 +1,5 @@
 """Results of lifts: read from a finished one, written to results.json and read again, and results.csv."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The tiny lift by a baseline's options."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields

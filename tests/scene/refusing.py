@@ -1,7 +1,5 @@
 """A scene that cannot be lifted is refused with one line and a fix."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A small sample of each layout and each kind of masks, whose files may be spoilt for a while."""
 
-from __future__ import annotations
-
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

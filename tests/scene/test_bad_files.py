@@ -1,7 +1,5 @@
 """Files that are wrong in a known way: a line that says how, or a frame that is left out with its name."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Every bad input gets one clear line: what is wrong, which file, what to do."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

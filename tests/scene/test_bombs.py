@@ -1,7 +1,5 @@
 """Small files that claim to be vast: refused by a line, before memory or time is spent on them."""
 
-from __future__ import annotations
-
 import os
 import struct
 import zipfile

@@ -1,7 +1,5 @@
 """What is checked of a scene before a lift, and what a lift needs of it."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The classes that a user chooses, and their colours."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

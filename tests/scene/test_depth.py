@@ -1,7 +1,5 @@
 """Depth, measured and estimated, and holes of a sensor, which are filled where a plane surrounds them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

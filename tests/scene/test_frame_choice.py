@@ -1,7 +1,5 @@
 """Which frames of a long capture are lifted."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

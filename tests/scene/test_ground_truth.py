@@ -1,7 +1,5 @@
 """Ground truth, and which classes its numbers mean."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Masks that a program numbered, turned, bent or framed otherwise than their pictures."""
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Callable

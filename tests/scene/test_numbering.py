@@ -1,7 +1,5 @@
 """Numbers of one table that are counted in several ways: told by the masks, asked for by name, or assumed aloud."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Opening a scene, and which file belongs to which frame, whatever its program added to the name."""
 
-from __future__ import annotations
-
 import json
 import unicodedata
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Masks and ids whose values another program changed as it saved them again."""
 
-from __future__ import annotations
-
 import zlib
 from pathlib import Path
 

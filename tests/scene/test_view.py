@@ -1,7 +1,5 @@
 """Views: a frame's pixels at one size, its black borders, how much its word counts, sequences that hold nothing."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 from pathlib import Path

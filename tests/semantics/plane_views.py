@@ -1,7 +1,5 @@
 """Views of a wall at y = 3 m, looking along +y, by hand: what the tests of labels in space share."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.scene import Camera, PanopticMask, Segment, View

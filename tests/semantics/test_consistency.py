@@ -1,7 +1,5 @@
 """Pixels that neighbouring views agree with, and pseudo labels."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from engine.scene import PanopticMask, Segment

@@ -1,7 +1,5 @@
 """The semantic point cloud: its clusters, its labels, and its point nearest to a place or a pixel."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A step in torch, as on a device, against a step with the kernels. gsplat has a stand-in."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace

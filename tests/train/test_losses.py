@@ -1,7 +1,5 @@
 """The losses of picture, size, depth and labels, and their gradients, against plain formulas."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

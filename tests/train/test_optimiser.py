@@ -1,7 +1,5 @@
 """Adam that survives growing, pruning and being stored."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

@@ -1,7 +1,5 @@
 """What is particular to a photo: its exposure and its sharpness."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

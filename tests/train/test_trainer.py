@@ -1,7 +1,5 @@
 """The training loop: its warm start, what it learns and keeps apart, and that a restored one goes on bit for bit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

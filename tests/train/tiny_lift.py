@@ -1,7 +1,5 @@
 """A lift of the tiny room, small enough for a fast test and with every stage of the schedule in it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Plain 3D Gaussians: how they are drawn, grow and are stored."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

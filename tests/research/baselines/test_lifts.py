@@ -1,7 +1,5 @@
 """Baselines and ablations train: each by its options, on the tiny room."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Votes in voxels on a hand-made room: two boxes on a wall, seen straight on."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Rows and results that tests of the tables share."""
 
-from __future__ import annotations
-
 from research.experiments.rows import Cited, Row, Rows
 from research.results import Figures, Result, this_engine
 

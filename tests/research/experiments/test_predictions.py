@@ -1,7 +1,5 @@
 """Other people's predictions are rows beside ours, scored on the same held-out frames."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

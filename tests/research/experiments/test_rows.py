@@ -1,7 +1,5 @@
 """The rows as data, each of which can be run, and the scenes named on a command line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """A whole experiment: around a pretended engine and, slowly, around the real one."""
 
-from __future__ import annotations
-
 import csv
 import os
 import shutil

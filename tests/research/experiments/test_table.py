@@ -1,7 +1,5 @@
 """The page of an experiment: tables with the paper's figures, seeds and earlier results; the contact sheet."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

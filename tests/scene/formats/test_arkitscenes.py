@@ -1,7 +1,5 @@
 """ARKitScenes: a video's folder of the raw data, and one of 3dod."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """COLMAP's models, text and binary, written from its documentation."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Hypersim's folders, as its README describes them. HDF5 is written by h5py, where it is installed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

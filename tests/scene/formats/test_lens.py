@@ -1,7 +1,5 @@
 """A lens that no file says is a warning of the scene, whatever its layout; each tool's numbers mean its own formula."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """transforms.json as nerfstudio's documentation and instant-ngp's describe it."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What apps of phones with depth export: Polycam, 3D Scanner App, Stray Scanner."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Formats are told apart by the names of their files; what is not clear is refused with a line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Record3D's .r3d, as nerfstudio's and other readers of it describe it."""
 
-from __future__ import annotations
-
 import base64
 import json
 import struct

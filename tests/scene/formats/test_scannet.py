@@ -1,7 +1,5 @@
 """ScanNet's folders and its .sens."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """ScanNet++'s iPhone data, as its toolkit takes it apart."""
 
-from __future__ import annotations
-
 import json
 import struct
 import zlib

@@ -1,7 +1,5 @@
 """7-Scenes as its page describes it, and with files that say the lens; Replica's renderings as NICE-SLAM has them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

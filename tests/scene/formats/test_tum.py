@@ -1,7 +1,5 @@
 """TUM RGB-D's file formats as its documentation has them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

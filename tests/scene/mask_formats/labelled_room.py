@@ -3,8 +3,6 @@
 ``write_frames`` writes the tiny scene without masks; a sample then writes the truth in its format's layout by itself.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Detections in COCO's JSON: each kind of file by itself, and over masks, where they overlap."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A mask, a class and a score a detection: as instance networks give them, in an .npz or as pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Label images, Panoptic Lifting's among them."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any

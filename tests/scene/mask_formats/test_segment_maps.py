@@ -1,7 +1,5 @@
 """What transformers' post_process_panoptic_segmentation and detectron2's panoptic models give, saved by their users."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """SAM 2's and Grounded-SAM-2's files: the same number in all frames is the same object."""
 
-from __future__ import annotations
-
 import json
 import struct
 import zlib
