@@ -108,7 +108,11 @@ def _doubts(corrected: CorrectedResult, one: Instance) -> list[Proposal]:
     if len(xyz) < CRUMB:
         propose(0.7 * (1 - len(xyz) / CRUMB), f"it has only {plural(len(xyz), 'point')}", "delete")
     for other in corrected.instances:
-        if other.class_id == one.class_id and other.id < one.id and (gap := _gap(one, other)) < TOUCHING:
+        if other.class_id != one.class_id or other.id >= one.id:
+            continue
+        # Metres between the boxes along the axis on which they are farthest apart, as if they stood upright.
+        apart = np.abs(np.subtract(one.centre, other.centre)) - (np.array(one.size) + np.array(other.size)) / 2
+        if (gap := float(apart.max())) < TOUCHING:
             propose(0.5 * (1 - gap / TOUCHING), f"it touches {other.name}", "merge", other=other.id)
     return found
 
@@ -122,12 +126,6 @@ def _frames_apart(one: Instance) -> tuple[list[str], int]:
     second = {frame: sorted(each)[-2] for frame, each in sizes.items() if len(each) > 1}
     apart = [frame for frame, pixels in second.items() if pixels > 0 and pixels >= LARGE * max(sizes[frame])]
     return sorted(apart, key=lambda frame: (-second[frame], frame)), len(sizes)
-
-
-def _gap(one: Instance, other: Instance) -> float:
-    """Metres between two boxes along the axis on which they are farthest apart, as if they stood upright."""
-    apart = np.abs(np.subtract(one.centre, other.centre)) - (np.array(one.size) + np.array(other.size)) / 2
-    return float(apart.max())
 
 
 FITS = 0.5

@@ -189,8 +189,12 @@ class Replay:
         for number in ids:
             points, one = self.points_of(number), self.objects[number]
             if len(points):
-                centre, size = _fitted(points, one.rotation)
-                self.objects[number] = replace(one, centre=centre, size=size, points=len(points))
+                axes = _matrix(one.rotation)
+                low, high = np.percentile(points.astype(np.float64) @ axes, OUTER, axis=0)
+                x, y, z = (axes @ ((low + high) / 2)).tolist()
+                length, width, height = np.maximum(high - low, 0.01).tolist()
+                box = replace(one, centre=(x, y, z), size=(length, width, height))
+                self.objects[number] = replace(box, points=len(points))
             else:
                 self.objects[number] = replace(one, points=0)
 
@@ -230,17 +234,6 @@ def _overlap(one: ObjectMark, other: ObjectMark) -> float:
     low, high = (np.array([mark.low, mark.high]) + [[-PADDING], [PADDING]] for mark in (one, other))
     common = np.prod(np.maximum(np.minimum(low[1], high[1]) - np.maximum(low[0], high[0]), 0.0))
     return float(common / (np.prod(low[1] - low[0]) + np.prod(high[1] - high[0]) - common))
-
-
-def _fitted(
-    xyz: NDArray[np.float32], rotation: tuple[float, float, float, float]
-) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Centre and size in metres of the box with these axes (wxyz) around points [N, 3]."""
-    axes = _matrix(rotation)
-    low, high = np.percentile(xyz.astype(np.float64) @ axes, OUTER, axis=0)
-    x, y, z = (axes @ ((low + high) / 2)).tolist()
-    length, width, height = np.maximum(high - low, 0.01).tolist()
-    return (x, y, z), (length, width, height)
 
 
 def _matrix(rotation: tuple[float, float, float, float]) -> NDArray[np.float64]:

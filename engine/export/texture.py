@@ -167,22 +167,16 @@ def _chosen(triangles: Ints, quality: NDArray[np.float32]) -> Ints:
     return view
 
 
-def _adjacent(triangles: Ints) -> Ints:
-    """The pairs [E, 2] of triangles with a common edge."""
+def _charts(triangles: Ints, labels: Ints, view: Ints) -> tuple[Ints, Ints, Ints]:
+    """The chart of each triangle, -1 for none, from their labels and views, [T] each; the view and the label of each
+    chart, [C]."""
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     key = edges[:, 0] << 32 | edges[:, 1]
     order = np.argsort(key, kind="stable")
     same = np.flatnonzero(key[order][1:] == key[order][:-1])
-    return np.stack([order[same] // 3, order[same + 1] // 3], axis=1)
-
-
-def _charts(triangles: Ints, labels: Ints, view: Ints) -> tuple[Ints, Ints, Ints]:
-    """The chart of each triangle, -1 for none, from their labels and views, [T] each; the view and the label of each
-    chart, [C]."""
-    pairs = _adjacent(triangles)
-    first, second = pairs.T
+    first, second = order[same] // 3, order[same + 1] // 3  # triangles with a common edge
     joined = (labels[first] == labels[second]) & (view[first] == view[second])
-    number = pieces(pairs[joined], len(view))
+    number = pieces(np.stack([first, second], axis=1)[joined], len(view))
     shown = view >= 0
     _, where, of_triangle = np.unique(number[shown], return_index=True, return_inverse=True)
     whole = np.full(len(view), -1, np.int64)

@@ -135,18 +135,10 @@ def bake_cameras(
 
 def view_from(camera: BakeCamera) -> WantedView:
     """The view of a camera, as the engine renders it."""
-    beside = (camera.previous, camera.next)
-    previous, following = (None if each is None else _camera_of(each) for each in beside)
-    return WantedView(
-        camera.name,
-        _camera_of(camera.pinhole),
-        ClipRange(camera.near, camera.far),
-        camera.fingerprint,
-        ShownFrame(camera.frame, camera.fps, camera.display),
-        previous=previous,
-        following=following,
-        motion=camera.motion,
-    )
+    shown, clip = ShownFrame(camera.frame, camera.fps, camera.display), ClipRange(camera.near, camera.far)
+    previous, following = (None if each is None else _camera_of(each) for each in (camera.previous, camera.next))
+    seen = _camera_of(camera.pinhole)
+    return WantedView(camera.name, seen, clip, camera.fingerprint, shown, "", previous, following, camera.motion)
 
 
 def _camera_of(pinhole: PreviewCamera) -> Camera:
