@@ -188,6 +188,14 @@ def test_an_outline_parts_neighbours_where_most_views_draw_it_by_what_they_resol
     assert not crosses([seen_as(WITH_PICTURE, 1.0), seen_as(np.where(LEFT, 0, 1), 9.0)]), "void says nothing"
 
 
+def test_the_weights_of_a_points_neighbours_are_one_together() -> None:
+    weights = neighbours_on_a_thing(XYZ, SPACING, [seen_as(SURFACE, 1.0)])
+    np.testing.assert_allclose(np.asarray(weights.sum(1)).reshape(-1), 1.0, rtol=1e-6)
+    assert weights.diagonal().max() == 0.0 and (weights.getnnz(1) <= 6).all()
+    there = XYZ[weights.tocoo().row] - XYZ[weights.tocoo().col]
+    assert np.linalg.norm(there, axis=1).max() <= 2 * SPACING + 1e-6
+
+
 def test_points_that_no_view_shows_together_have_no_neighbours() -> None:
     half = seen_as(SURFACE, 1.0, np.flatnonzero(LEFT)), seen_as(SURFACE, 1.0, np.flatnonzero(~LEFT))
     assert not crosses([*half])

@@ -17,7 +17,7 @@ from engine.job import LiftFolder, LiftRequest, verify
 from engine.lift import frame_sets, scene_files
 from engine.lift import run as lift_run
 from engine.lift.run import STAGES
-from engine.lift.scene_files import read_model, shown_by_depth
+from engine.lift.scene_files import FILLED, is_near_measured, read_model, shown_by_depth
 from engine.model.baking import FLOATS
 from engine.posed.ply import read_gaussians
 from engine.result_files import Anchors, SemanticPoints, read_arrays
@@ -255,3 +255,13 @@ def test_places_in_holes_were_not_measured(tmp_path: Path) -> None:
     assert 0.4 < half.mean() < 0.6
     assert shown_by_depth(cloud_of(beyond, spacing=0.5), [first], lambda *_: None).all()  # means of so large cells
     assert not shown_by_depth(cloud, [], lambda *_: None).any()
+
+
+def test_planes_far_from_what_was_measured_are_not_shown() -> None:
+    """A row of points of which the first is measured; an object all of whose points lie far is kept."""
+    xyz = np.stack([np.arange(0, 1, 0.1) + 0.01, np.zeros(10), np.zeros(10)], axis=1)
+    owner = np.array([0, 0, 1, 1, 1, 1, 0, 0, 2, 2], np.int32)
+    seen = is_near_measured(cloud_of(xyz), owner, np.arange(10) == 0)
+    assert [*np.flatnonzero(seen)] == [0, 1, 2, 8, 9] and 0.2 < FILLED < 0.31
+    assert is_near_measured(cloud_of(xyz), owner, np.zeros(10, np.bool_)).sum() == 6  # the objects
+    assert is_near_measured(cloud_of(xyz, spacing=0.5), owner, np.arange(10) == 0).all()  # lie far apart

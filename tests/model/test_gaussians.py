@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from engine.model.anchors import Anchors, initial_anchors, seeded_features
+from engine.model.anchors import Anchors, initial_anchors, seeded_features, spacing
 from engine.model.decoders import Decoders, DecoderShape
 from engine.model.gaussians import decode_rows, visible_anchors
 from engine.model.growing import GrowthRules, GrowthStatistics, grow_and_prune
@@ -156,3 +156,8 @@ def test_occupied_cells_grow_nothing() -> None:
     statistics.gradient += 100 * 1e-2
     _, grown = round_of(anchors, statistics)
     assert len(grown) == 0
+
+
+def test_spacing_is_the_root_mean_square_of_three_neighbours() -> None:
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]], np.float32)
+    assert spacing(points)[0] == pytest.approx(np.sqrt((1 + 4 + 9) / 3))

@@ -201,3 +201,19 @@ def test_a_pixel_shows_the_labels_voted_for_its_gaussians(scene: StructuredScene
     panoptic = PanopticLabels(CLASS_IDS, (7, 5))
     expected, _ = decide_labels(totals.reshape(-1, LABELS), panoptic, LEAST_OF_CLASS)
     np.testing.assert_array_equal(pixel_labels(scene, voted, view).reshape(-1), expected)
+
+
+def test_only_the_likeliest_labels_are_kept(scene: StructuredScene, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+    for kept in (2, LABELS + 3):
+        monkeypatch.setattr(label_voting, "KEPT", kept)
+        votes = LabelVotes(scene, "pixels")
+        votes.add(contributors(scene, CAMERA, 8), made_up_labels(0), UNKNOWN_DEPTH)
+        found.append(votes.result())
+    few, all_of_them = found
+    assert few.label.shape == few.share.shape == (GAUSSIANS, 2) and all_of_them.label.shape == (GAUSSIANS, LABELS)
+    best = all_of_them.share[:, :2]
+    torch.testing.assert_close(few.share, best / best.sum(1, keepdim=True))
+    for each in (few, all_of_them):
+        assert (each.share[:, 0] >= each.share[:, 1]).all()
+        torch.testing.assert_close(each.share.sum(1), torch.ones(GAUSSIANS))

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from engine.posed.matrices import read_matrix, read_poses, up_axis_warning
-from engine.scene import Camera
+from engine.posed.matrices import TO_Z_UP, read_matrix, read_poses, turned, up_axis_warning
+from engine.scene import Camera, UpAxis
 from tests.raises_key import raises_key
 from tests.tiny_scene import tiny_pose
 
@@ -94,3 +94,12 @@ def test_cameras_that_look_straight_down_do_not_reveal_the_up_axis() -> None:
     turned = np.eye(4)
     turned[:2, :2] = -np.eye(2)
     assert up_axis_warning([down, turned @ down], "z") is None
+
+
+@pytest.mark.parametrize(("up", "axis"), [("z", [0, 0, 1]), ("y", [0, 1, 0]), ("-y", [0, -1, 0])])
+def test_the_named_axis_ends_up_on_z(up: UpAxis, axis: list[int]) -> None:
+    pose = np.eye(4)
+    pose[:3, 3] = axis
+    upright = turned(pose, TO_Z_UP[up])
+    np.testing.assert_allclose(upright[:3, 3], [0, 0, 1], atol=1e-15)
+    assert np.linalg.det(upright[:3, :3]) == pytest.approx(1.0)

@@ -1,6 +1,7 @@
 """Adam that survives growing, pruning and being stored."""
 
 import numpy as np
+import pytest
 import torch
 
 from engine.model.anchors import Anchors, initial_anchors
@@ -79,3 +80,8 @@ def test_rows_that_are_seen_take_adams_step_and_the_others_none() -> None:
         for moment in ("mean", "square"):
             key = f"anchors.{name}.{moment}"
             assert torch.equal(optimiser.tensors()[key][1:3], before[key][1:3])
+
+
+def test_rates_decay_log_linearly() -> None:
+    assert learning_rate((1e-2, 1e-4), 0.5) == pytest.approx(1e-3)
+    assert learning_rate((1e-2, 1e-4), 0.0) == pytest.approx(1e-2)
