@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.diagnosis import Diagnosis, diagnose, labels, poses, write_mended
+from engine.diagnosis import Diagnosis, diagnose, poses, write_mended
 from engine.scene import Inferred, open_scene
 from tests.diagnosis import matrix, spoiling
 from tests.tiny_scene import CATEGORIES, write_tiny_scene
@@ -204,19 +204,3 @@ def test_two_parts_that_do_not_fit_are_found() -> None:
     pairs = np.concatenate([numbers] * 4)
     gap = poses._measure_gap(np.where(np.concatenate([apart] * 4), 0.1, 0.002), pairs)
     assert gap is not None and (gap.number, gap.across, gap.within) == (23, 0.1, 0.002)
-
-
-@pytest.mark.parametrize(
-    ("counts", "by_look", "odd"),
-    [
-        pytest.param([[9000.0]], [1.0, 1.0, 1.0, np.nan], [], id="one class: all agree, and could not do else"),
-        pytest.param([[9500.0, 100], [100, 300]], [0.98, 0.97, 0.9, 0.99], [], id="one class has nearly all points"),
-        pytest.param([[900.0, 90], [90, 920]], [np.nan] * 4, [], id="too few points in each frame"),
-        pytest.param([[4000.0, 600], [600, 4000]], [0.95, 0.95, 0.5, 0.93], [2], id="a foreign mask"),
-    ],
-)
-def test_masks_contradict_where_they_could_have_agreed(
-    counts: list[list[float]], by_look: list[float], odd: list[int]
-) -> None:
-    measured = labels.LabelAgreement(np.array(counts), np.array(by_look))
-    assert labels.odd_looks(measured) == odd
