@@ -64,7 +64,7 @@ class ErrorCode(StrEnum):
 
 _USUAL = ErrorCode.BAD_INPUT
 MEMORY_IS_GONE = "no memory is left"
-"""Words in every reader's error that only more memory mends."""
+"""Words in each reader's error that only more memory would fix."""
 
 
 class PlgsError(Exception):

@@ -28,7 +28,7 @@ def open_plain(path: Path, *, follow_link: bool = True) -> BufferedReader:
 
 
 def read_plain(path: Path, most_bytes: int) -> bytes:
-    """The content of a plain file. Raises OSError, also for one that is larger than ``most_bytes``."""
+    """The content of a plain file. Raises OSError, including for one that is larger than ``most_bytes``."""
     try:
         with open_plain(path) as file:
             size = os.fstat(file.fileno()).st_size
@@ -117,7 +117,7 @@ def table_cell(value: object) -> object:
 
 
 def markdown_cell(text: object) -> str:
-    """``one_line`` for a Markdown table: it ends no column and begins no HTML tag."""
+    """``one_line`` for a Markdown table: it neither ends a column nor begins an HTML tag."""
     return one_line(text).replace("\\", "\\\\").replace("|", "\\|").replace("<", "&lt;")
 
 

@@ -160,7 +160,7 @@ def take_text(entry: dict[str, Any], key: str, context: str, path: Path) -> str:
 
 
 def take_flag(entry: dict[str, Any], key: str, context: str, path: Path) -> bool:
-    """``entry[key]`` as true or false, also written 1 or 0. Raises PlgsError."""
+    """``entry[key]`` as true or false, which may be written 1 or 0. Raises PlgsError."""
     value = _take(entry, key, context, path)
     if value not in (0, 1) or isinstance(value, float):
         raise wrong_type(key, "0 or 1", value, context, path)

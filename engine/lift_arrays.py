@@ -52,7 +52,7 @@ class LiftArrays:
 
 
 def read_lift(folder: str | Path) -> LiftArrays:
-    """The result of a finished lift, but for its pictures. Raises PlgsError if it is not finished or damaged."""
+    """The result of a finished lift, without its pictures. Raises PlgsError if it is not finished or damaged."""
     lift = LiftFolder.open(Path(folder))
     check_sizes(lift.result_path)
     corrected = read_corrected(lift.path)

@@ -104,7 +104,7 @@ def colmap(photos: Path) -> Any:
 
 def map_photos(photos: Path, names: Sequence[str], workplace: Path, events: EventWriter, stop: StopSignal) -> Any:
     """The largest reconstruction of photos from one camera (pycolmap's Reconstruction), or None. Only threading makes
-    the same photos give other poses. Raises PlgsError without pycolmap; Cancelled."""
+    the same photos give different poses. Raises PlgsError without pycolmap; Cancelled."""
     pycolmap = colmap(photos)
     pycolmap.logging.minloglevel = 2
     pycolmap.set_random_seed(0)

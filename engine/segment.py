@@ -217,7 +217,7 @@ def _checked_labels(folder: Path, name: str) -> tuple[ClassLabel, ...]:
     for path in folder.glob("*.safetensors"):
         digest = path.resolve().name  # the hub's cache links to files that are called by their SHA-256
         if path.is_symlink() and re.fullmatch("[0-9a-f]{64}", digest) and digest_of(path) != digest:
-            raise PlgsError("model-broken", "the model is not as it is on the hub", path.resolve(), "Delete this file.")
+            raise PlgsError("model-broken", "the model differs from the hub's", path.resolve(), "Delete this file.")
     return labels_of_config(config)
 
 

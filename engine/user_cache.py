@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 def user_cache_folder(environ: Mapping[str, str] = os.environ) -> Path:
-    """The folder; it may be missing, and where nobody knows a home it cannot be made."""
+    """The folder. It may be missing, and cannot be made if no home folder is known."""
     places = {"win32": ("LOCALAPPDATA", "AppData/Local"), "darwin": ("", "Library/Caches")}
     variable, below = places.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
     try:

@@ -53,7 +53,7 @@ def object_colour(srgb: Sequence[int]) -> tuple[float, float, float, float]:
 
 
 def point_material(owned: OwnedDataBlocks) -> bpy.types.Material:
-    """The points' material: Col or, by CLASS_COLOURS, the object's colour, shaded by the normal as RELIEF says."""
+    """The points' material: Col mixed with the object's colour by CLASS_COLOURS, and shaded by the normal by RELIEF."""
     material = owned.block("materials", "points", lambda: bpy.data.materials.new("PLGS points"))
     tree = use_nodes(material)
     if value_node(material, CLASS_COLOURS) is None:  # else the user may have set it, or built upon it

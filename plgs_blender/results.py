@@ -49,7 +49,7 @@ _DECODER = json.JSONDecoder(parse_constant=_refuse)
 
 
 def reading_instances(path: Path) -> Generator[None, None, Listed]:
-    """`read_instances`, object by object. Raises PlgsError, also for more than MOST_INSTANCES objects."""
+    """`read_instances`, object by object. Raises PlgsError, including for more than MOST_INSTANCES objects."""
     try:
         content: dict[str, Any] = {"instances": []}
         for key, value in _Reader(instances_text(path)).members():

@@ -361,7 +361,7 @@ def _rendered_part(camera: Camera, scene: bpy.types.Scene) -> tuple[Camera, tupl
         left, right = (_pixels(each, width) for each in (render.border_min_x, render.border_max_x))
         bottom, top = (height - _pixels(each, height) for each in (render.border_min_y, render.border_max_y))
         if left >= right or top >= bottom:
-            what = "has a render region without a pixel"
+            what = "has an empty render region"
             raise PlgsError("region-empty", what, scene.name, "Draw a larger one, or switch it off.")
         part = left, top, right, bottom
     elif scene.eevee.use_overscan:

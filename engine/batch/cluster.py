@@ -107,7 +107,7 @@ class Farm:
                 return
         logs = sorted(self.options.logs.glob("*.log"), key=os.path.getmtime) if self.options.logs else []
         said = [line for log in logs[-1:] for line in last_lines(log, 1)]
-        what = f"no job of Slurm's runs a worker ({[*refusals, *said, 'they wrote nothing'][0]})"
+        what = f"no Slurm job runs a worker ({[*refusals, *said, 'they wrote nothing'][0]})"
         fix = "Correct the options of --slurm or the machines, then start the batch again."
         raise PlgsError("slurm-jobs", what, self.options.logs or "sbatch", fix, option="--slurm")
 

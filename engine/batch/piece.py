@@ -220,8 +220,8 @@ class _Pulse:
             self.beat()
         elif time.monotonic() - self._last > STALL_S:
             minutes = STALL_S / 60
-            what = f"the engine did nothing for {minutes:.0f} minutes (it was stopped), so it was ended"
-            fix = "Start the batch again: it resumes there."
+            what = f"the engine was ended, as it had done nothing for {minutes:.0f} minutes (it was suspended)"
+            fix = "Start the batch again: it resumes where it stopped."
             raise PlgsError("engine-stalled", what, piece.lift, fix, code=ErrorCode.KILLED)
 
 

@@ -94,7 +94,7 @@ def state_of_files(request: LiftRequest, output: Path) -> str:
 
 
 def _files_in(top: Path, output: Path) -> Iterator[Path]:
-    """The file itself, or all files in a folder, also behind links, each folder once. Hidden files, lifts and
+    """The file itself, or all files in a folder, even behind links, each folder once. Hidden files, lifts and
     ``output`` are skipped."""
     seen = {os.path.realpath(output)} - {os.path.realpath(top)}
     if top.is_file():
@@ -123,7 +123,7 @@ def refuse_shared(option: str, path: Path | str | None, scenes: int) -> None:
 def names_of(scenes: Sequence[Path], given: Sequence[str] = ()) -> list[str]:
     """A name for each scene: the ``given`` one, or if that is empty, that of its folder, its file, or the link to it.
 
-    Raises PlgsError for a scene that is given twice, for two with the same name (also in different case, as some disks
+    Raises PlgsError for a scene that is given twice, for two with the same name (even in different case, as some disks
     ignore it), and for a name that no folder can have ("...zip").
     """
     names = [name or _name(scene) for name, scene in zip(given or [""] * len(scenes), scenes, strict=True)]

@@ -28,7 +28,7 @@ _POLL_S = 0.2
 _LOOK_S = 1.0
 """Seconds between two checks of the workers."""
 _JOBS_S = 10.0
-"""Seconds between two questions to Slurm whether jobs without a worker still wait or run."""
+"""Seconds between two queries to Slurm about whether jobs without a worker still wait or run."""
 _TABLE_S = 60.0
 """Seconds for which a batch waits while another writes the table."""
 _ENDING_S = 10.0

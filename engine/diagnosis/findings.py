@@ -121,7 +121,7 @@ class Finding:
     """One thing that is wrong with a scene. ``cause`` names it in a word or two. ``text`` says what is wrong, with
     numbers; ``figures`` has these for programs. ``option`` says how to fix it, and ``is_mended`` whether ``--fix``
     does. ``frames`` names the frames concerned, and is empty for all frames; those in ``leave_out`` are better left out
-    of a lift. ``picture`` uint8 [H, W, 3] RGB shows it. ``stops``: a lift of the scene would be in vain."""
+    of a lift. ``picture`` uint8 [H, W, 3] RGB shows it. ``stops``: a lift of the scene would be pointless."""
 
     cause: str
     severity: Severity

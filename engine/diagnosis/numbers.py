@@ -31,7 +31,7 @@ Figures = dict[str, float | str]
 
 
 class _CauseWords(NamedTuple):
-    """A cause's name, the caption of the corrected picture, what is wrong, and the mend, empty if they need numbers."""
+    """A cause's name, the caption of the corrected picture, what is wrong, and the fix; empty if they need numbers."""
 
     name: str
     caption: str

@@ -35,7 +35,7 @@ class UpAxis(NamedTuple):
 
 
 def measure_tilt(views: Views, assumed: Assumption) -> UpAxis | None:
-    """The up axis, if it clearly differs from z. None also if surfaces or cameras do not show it."""
+    """The up axis, if it clearly differs from z. Also None if surfaces or cameras do not show it."""
     held = -views.poses_of(assumed)[:, :3, 1].mean(0)
     if np.linalg.norm(held) < _CLEARLY_UP:
         return None

@@ -86,7 +86,7 @@ def without_fringe(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
 
 
 def _grown(marked: NDArray[np.bool_], triangles: Ints, rounds: int) -> NDArray[np.bool_]:
-    """The vertices [V] that are at most so many edges from those ``marked`` [V]."""
+    """The vertices [V] that are at most this many edges from those ``marked`` [V]."""
     marked = marked.copy()
     for _ in range(rounds):
         marked[triangles[marked[triangles].any(axis=1)]] = True

@@ -2,7 +2,7 @@
 
 Weak detections win back what a network's panoptic picture lost, but spoil masks that are good. So the views decide:
 each is held back in turn and compared with what the others say of its points. Averages over a view's pixels decide
-nothing, as walls and floors fill it, on which bad masks agree, too. So each class counts alike.
+nothing: walls and floors fill it, and even bad masks agree on these. So all classes count alike.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ PART = ".part-"
 
 
 def write_atomically(path: Path, content: bytes | str | Callable[[Path], object]) -> None:
-    """Write a file so that readers, also after a kill at any point, see the old content or the new, never a mixture.
+    """Write a file so that readers, even after a kill at any point, see the old content or the new, never a mixture.
 
     ``content`` is the bytes, a text (written as UTF-8), or a function that writes the file at the path it is
     given. That path is in the same folder and ends like ``path``, so libraries that choose a format by

@@ -158,7 +158,7 @@ class EventWriter:
             self._done = event == "done"
 
     def _append(self, line: bytes) -> None:
-        """Append a line. Raises OSError, for example on a full disk. The written part of the line is then removed, so
+        """Append a line. Raises OSError, for example on a full disk. What was written of the line is then removed, so
         that it does not spoil the next one.
         """
         start, written = os.fstat(self._descriptor).st_size, 0

@@ -369,5 +369,5 @@ def _refuse(path: Path, is_right: Callable[[int], bool]) -> None:
         raise PlgsError("not-examined", f"cannot be examined ({error.strerror})", path, fix) from error
     if not is_right(mode):
         kind = "a link" if S_ISLNK(mode) else "neither a file nor a folder"
-        what = f"is {kind}, which no lift or batch has here"
+        what = f"is {kind}, which no lift or batch puts here"
         raise PlgsError("foreign-file", what, path, "Do not trust it. Copy only files you recognise.")

@@ -33,7 +33,7 @@ Bake = Literal["test", "all", "none"]
 Device = Literal["cpu", "cuda", "auto"]
 FURTHER_LAYERS = ("normal", "position", "vector")
 CHANNELS = ("blender", "nuke")
-"""Programs after whose fashion the channels of passes can be named."""
+"""Programs whose naming of channels passes can follow."""
 """Layers of the passes that are written only if they are chosen. Both follow from the depth, and take as much space as
 the colour, or more."""
 BAKES: tuple[str, ...] = get_args(Bake)
@@ -136,7 +136,7 @@ class LiftRequest(SceneSource):
         if not isinstance(overrides, dict):
             raise PlgsError("bad-overrides", "'overrides' is not a JSON object", path, _FIX)
         if not isinstance(relative, dict) or not all(isinstance(value, str) for value in relative.values()):
-            raise PlgsError("bad-relative", "'relative' is not an object of texts", path, _FIX)
+            raise PlgsError("bad-relative", "'relative' is not a JSON object of strings", path, _FIX)
         content |= {"fit": overrides.pop("fit", False), "options": overrides}
         for name in _PLACES:
             given = content.get(name)

@@ -39,7 +39,7 @@ class Interrupted(BaseException):
 
 
 class Interrupts:
-    """Takes over SIGINT, SIGTERM and SIGHUP, also from Blender's own handlers; for ``with``, in the main thread.
+    """Takes over SIGINT, SIGTERM and SIGHUP, even from Blender's own handlers; for ``with``, in the main thread.
 
     They raise Interrupted at once or, inside `deferred`, only at its end, as code there must not be interrupted.
     A signal that was ignored before, as with nohup, stays ignored. During an import, native code may turn Interrupted

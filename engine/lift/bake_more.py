@@ -54,7 +54,7 @@ LIFT_NOTE = "plgs/lift"
 MOTION_NOTE = "plgs/motion"
 """Header attribute of a view with the layer Vector: the fingerprint of the cameras before and after it."""
 CHANNELS_NOTE = "plgs/channels"
-"""Attribute in the header of a view whose channels are not named for Blender: for what."""
+"""Attribute in the header of a view whose channels are not named for Blender: the program that they are named for."""
 MODEL_NOTE = "plgs/model"
 """Attribute in the header of a view in a folder of its own: the SHA-256 of the lift's model, and of its objects."""
 MOST_LOOKS, LOOK_WITHIN = 8, (96, 96)

@@ -93,7 +93,7 @@ def instances_by_boxes(given: ViewsToMatch, preset: Preset, progress: StageProgr
 
 
 def segment_options(preset: Preset) -> SegmentOptions:
-    """How the preset has segments become points before Algorithm 1."""
+    """How the preset turns segments into points before Algorithm 1."""
     shape = preset.segments
     return SegmentOptions(preset.voxel_size, erosion_share=shape.erosion, min_points=shape.least_points)
 

@@ -286,13 +286,13 @@ def take_up(trainer: Trainer, checkpoint: Checkpoint, events: EventWriter, *, ma
 
 
 def refuse_empty(views: Sequence[View], scene: Scene) -> None:
-    """Raise PlgsError if no depth, or no mask, is left at the size of training."""
+    """Raise PlgsError if no depth, or no mask, is left at the training size."""
     if not any((view.depth > 0).any() for view in views):
         fix = "Lift at a larger --size, or provide denser depth."
-        raise PlgsError("no-depth-left", "no depth is left at the size of training", scene.folder, fix, option="--size")
+        raise PlgsError("no-depth-left", "no depth is left at the training size", scene.folder, fix, option="--size")
     if not any((view.mask.class_map() != VOID).any() for view in views):
         fix = "Lift at a larger --size, or provide masks with larger segments."
-        what = "no mask is left at the size of training"
+        what = "no mask is left at the training size"
         raise PlgsError("no-masks-left", what, scene.folder, fix, option="--size")
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MOST_CELLS = 2**62
-"""Cells of the box around all rows, at most: each cell's number must fit an int64."""
+"""The most cells of the box around all rows: each cell's number must fit an int64."""
 
 
 def distinct_rows(rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

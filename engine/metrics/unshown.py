@@ -19,7 +19,7 @@ LEAST_SEEN = 8
 LEAST_VIEWS_OF_OBJECT, LEAST_VIEWS_OF_CLASS = 3, 2
 """Near views that must show an object of a class shown elsewhere, and those for a class that is shown nowhere."""
 NAMES = 0.5
-"""Share of a segment's points that a mask must give the class, so that it names the segment by it."""
+"""Share of a segment's points to which a mask must give the class for it to name the segment."""
 AGREED = 2 / 3
 """Share of the near views that must name the segment this way. Networks confuse some classes in half of their masks."""
 SHOWN = 0.1
@@ -27,7 +27,7 @@ SHOWN = 0.1
 POINTS = 64
 """Points that represent a segment."""
 MOST_CANDIDATES = 500
-"""Segments that are asked about, at most, the best resolved first."""
+"""The most segments that are asked about, the best resolved first."""
 BEHIND = 0.05
 """Share of the measured depth by which a hidden point lies behind it, and at least 5 cm."""
 MARGIN = 0.1
@@ -62,7 +62,7 @@ class Unshown:
 
 
 class _Candidate(NamedTuple):
-    """A resolved segment of which the lift shows too small a share as its class in the segment's own view. ``xyz``
+    """A resolved segment too little of which the lift shows as its class, seen from the segment's own frame. ``xyz``
     float64 [POINTS or fewer, 3]."""
 
     resolution: float

@@ -1,6 +1,6 @@
 """The final labels of Gaussians, once all votes are counted.
 
-Where masks have holes, the label decoders guess, possibly an object that stands elsewhere. So a Gaussian that (almost)
+Where masks have holes, the label decoders guess, and may name an object elsewhere. So a Gaussian that (almost)
 no mask named keeps an object only within REACH of the object's own points; otherwise, the object's share goes to its
 class alone.
 
@@ -25,7 +25,7 @@ from .structured import GaussianLabels, LabelChannels, StructuredScene
 REACH = 0.3
 """Metres from an object's points within which it may own Gaussians that no mask named."""
 LEAST_NAMED = 0.1
-"""Minimum share within masks, of what the views saw of a Gaussian, for it to count as named."""
+"""Minimum share of what the views saw of a Gaussian that lies within masks, for it to count as named."""
 SHARPNESS = 2.0
 """The power to which the shares of named Gaussians are raised."""
 

@@ -84,7 +84,7 @@ class ArrayHeader:
 
 
 def array_headers(path: Path) -> dict[str, ArrayHeader]:
-    """The arrays of an .npz by name; the one of an .npy is called "". Raises PlgsError, also for pickles."""
+    """The arrays of an .npz by name; the one of an .npy is called "". Raises PlgsError, including for pickles."""
     try:
         with reading(path), open_plain(path) as file:
             if path.suffix.lower() == ".npy":

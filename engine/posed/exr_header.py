@@ -43,7 +43,7 @@ class ExrHeader:
 
 
 def read_exr_header(path: Path) -> ExrHeader:
-    """The header of a file. Raises PlgsError, also for a multi-part file, and for a part of a picture."""
+    """The header of a file. Raises PlgsError, including for a multi-part file, and for a part of a picture."""
     start, attributes = _attributes_of(path)
     try:
         windows = [struct.unpack("<4i", attributes[name][1]) for name in (b"dataWindow", b"displayWindow")]
@@ -53,7 +53,7 @@ def read_exr_header(path: Path) -> ExrHeader:
     left, top, right, bottom = windows[0]
     width, height = right - left + 1, bottom - top + 1
     if windows[0] != windows[1] or min(width, height) < 1 or width * height > LARGEST_PIXELS:
-        raise PlgsError("bad-size", f"{width}x{height} is not the size of a picture", path, _FIX)
+        raise PlgsError("bad-size", f"{width}x{height} is not a valid picture size", path, _FIX)
     header = ExrHeader((width, height), channels, start, attributes)
     if header.numbers > _MOST_NUMBERS:
         raise PlgsError("channels", f"{len(channels)} channels are too many to read", path, _FIX)
@@ -61,7 +61,7 @@ def read_exr_header(path: Path) -> ExrHeader:
 
 
 def one_pixel_of(path: Path) -> bytes:
-    """A file with one black pixel and another one's channels and texts. Raises PlgsError, also for a tiled file."""
+    """A file with one black pixel and another one's channels and texts. Raises PlgsError, for a tiled file too."""
     header = read_exr_header(path)
     if int.from_bytes(header.start[4:], "little") & _TILED:
         raise PlgsError("exr-tiles", "the passes have tiles", path, _FIX)
@@ -82,7 +82,7 @@ def _attributes_of(path: Path) -> tuple[bytes, dict[bytes, tuple[bytes, bytes]]]
             if not start.startswith(_MAGIC) or len(start) < 8:
                 raise PlgsError("not-exr", "this is not an OpenEXR file", path, _FIX)
             if int.from_bytes(start[4:], "little") & (_DEEP | _PARTS):
-                raise PlgsError("deep-exr", "OpenEXR files that are deep or of several parts are not read", path, _FIX)
+                raise PlgsError("deep-exr", "deep and multi-part OpenEXR files are not read", path, _FIX)
             for most in _HEADER_SIZES:
                 file.seek(8)
                 data = file.read(min(most, size))

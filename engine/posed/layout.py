@@ -72,7 +72,7 @@ def files_by_stem(folder: Path, suffixes: Collection[str], fix: str) -> dict[str
             continue
         if path.is_symlink() and not path.exists():
             what = "the link is broken"
-            raise PlgsError("dead-link", what, path, "Give the file it should lead to, or remove the link.")
+            raise PlgsError("dead-link", what, path, "Restore the file that it should lead to, or remove the link.")
         if not path.is_file():
             continue
         stem = composed(path.stem)

@@ -10,7 +10,7 @@ _NOT_IN_MATTES = str.maketrans(dict.fromkeys(",\"'\\", " "))
 
 
 def unique_names(names: Mapping[int, str], mark: str = " #") -> dict[int, str]:
-    """The names made unique, also on a disk that ignores case, and as a matte's number, by ``mark`` and the key."""
+    """The names made unique, even on a disk that ignores case, and as a matte's number, by ``mark`` and the key."""
     seen = Counter(form for name in names.values() for form in _forms(name))
     unique = {key: name for key, name in names.items() if all(seen[form] == 1 for form in _forms(name))}
     taken = {form for name in unique.values() for form in _forms(name)}

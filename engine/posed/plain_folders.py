@@ -70,8 +70,8 @@ def read_split(path: Path, names: Sequence[str], dropped: Sequence[str]) -> Spli
             raise PlgsError("twice", f'"{key}" names frames twice ({listed(twice)})', path, "Name each frame once.")
     unknown = sorted((parts["train"] | parts["test"]) - {*names} - {*dropped})
     if unknown:
-        fix = "Delete these names or the file; a name is the colour image's without suffix."
-        raise PlgsError("no-frame", f"frames that do not exist are named ({listed(unknown)})", path, fix)
+        fix = "Delete these names or the file; a frame's name is its colour image's without the suffix."
+        raise PlgsError("no-frame", f"it names frames that do not exist ({listed(unknown)})", path, fix)
     both = sorted(parts["train"] & parts["test"])
     if both:
         what = f"frames are in train and in test ({listed(both)})"

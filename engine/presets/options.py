@@ -238,7 +238,7 @@ def shown_options(options: Mapping[str, Json]) -> list[str]:
 BASE = "preset"
 """Key of the preset that the file changes."""
 MOST_BYTES = 1 << 20
-"""Bytes of a preset file, at most; a whole preset has a few thousand."""
+"""The most bytes of a preset file; a whole preset has a few thousand."""
 _FIX = "'python -m engine presets preview' prints one that can be changed."
 
 

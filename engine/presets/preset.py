@@ -156,9 +156,9 @@ class Preset:
     teach_no_object: bool = True
     """Pixels without an object are taught to show none; the paper supervises the pixels of things alone."""
     most_points: int = _ranged(200_000, 1)
-    """Points of the semantic point cloud, at most."""
+    """The most points of the semantic point cloud."""
     most_pixels: int | None = _ranged(16_000_000, 1)
-    """Pixels of all views that become points, about: every s-th row and column; None: all of them."""
+    """About how many pixels of all views become points: every s-th row and column; None: all of them."""
     seeded_features: bool = True
     """Features start from the anchors' colours and labels, not from zero."""
     warm_start: bool = True

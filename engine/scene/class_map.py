@@ -169,7 +169,7 @@ def _only(names: Mapping[int, str], text: str, choice: ClassChoice) -> int | Non
         fix = "Write it as one of them does, or give them other names by their numbers as id."
         if names[found[0]] == text:
             what = f'several classes are called "{text}" ({listed(found)})'
-            fix = f'Join them: for one of them write into = "{text}" with its number as id. Or give it another name so.'
+            fix = f'Join them: for one of them write into = "{text}" with its number as id. Or give it another name.'
         raise PlgsError("class-twice", what, choice.path or FILE_NAME, fix)
     return found[0] if found else None
 
@@ -245,5 +245,5 @@ def _reduced(
             class_of[number] = class_id
     if unplaced:
         what = f"classes have no place among the paper's 21 ({listed(unplaced)})"
-        raise PlgsError("unplaced", what, choice.path or FILE_NAME, "Say which class each counts into, with into.")
+        raise PlgsError("unplaced", what, choice.path or FILE_NAME, "Use into to say which class each counts as.")
     return final, class_of

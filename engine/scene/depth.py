@@ -60,7 +60,7 @@ class DepthMap:
 
     @property
     def unusual(self) -> tuple[float, ...]:
-        """The unit, alignment and pose, where they are not millimetres and the colour camera's."""
+        """The unit, alignment and pose, unless they are millimetres and those of the colour camera."""
         is_usual = self.step in (None, MILLIMETRES) and self.alignment == Alignment()
         usual = () if is_usual else (float(self.step or 0.0), *map(float, astuple(self.alignment)))
         return (*usual, *self.beside)
@@ -222,7 +222,7 @@ def between_cameras(
     depth: NDArray[np.float64], colour: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], tuple[str, ...]]:
     """The transform from depth-camera points to colour-camera points, float64 [4, 4], from both extrinsics as ScanNet's
-    tools use them (``depthToColor`` of its calibration), and warnings if no sensor is built so."""
+    tools use them (``depthToColor`` of its calibration), and warnings if no sensor is built that way."""
     is_rigid = np.isfinite(depth).all() and np.abs(depth[:3, :3] @ depth[:3, :3].T - np.eye(3)).max() < 0.01
     if np.abs(colour - depth).max() < _ONE_PLACE:
         return np.eye(4), ()
@@ -232,7 +232,7 @@ def between_cameras(
 
 
 def seen_by_colour(depth: DepthMap, lens: Camera, colour: Camera, beside: NDArray[np.float64]) -> DepthMap | None:
-    """Depth measured by a camera with ``lens``, as the ``colour`` camera sees it; None if no sensor is built so.
+    """Depth measured by a camera with ``lens``, as the ``colour`` camera sees it; None if no sensor is built that way.
     ``beside`` maps points of the first camera to points of the second, see ``between_cameras``."""
     alignment = fitting_alignment(colour, lens)
     if alignment is None or np.abs(beside - np.eye(4)).max() < _ONE_PLACE:
@@ -242,8 +242,8 @@ def seen_by_colour(depth: DepthMap, lens: Camera, colour: Camera, beside: NDArra
 
 
 def fitting_alignment(colour: Camera, depth: Camera) -> Alignment | None:
-    """The alignment of a colour camera with a depth camera at the same centre; None if no sensor is built so. Both see
-    the ray (x, y, 1): u = f x + c in either, so depth's u is a linear function of colour's."""
+    """The alignment of a colour camera with a depth camera at the same centre; None if no sensor is built
+    that way. Both see the ray (x, y, 1): u = f x + c in either, so depth's u is a linear function of colour's."""
     x_scale = (depth.fx / depth.width) / (colour.fx / colour.width)
     y_scale = (depth.fy / depth.height) / (colour.fy / colour.height)
     x_shift = depth.cx / depth.width - x_scale * colour.cx / colour.width

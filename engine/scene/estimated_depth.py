@@ -44,7 +44,7 @@ _PAIRS = 256
 _MOST_POINTS = 2000
 _CLOSE = 0.01
 _FARTHEST = 3.0
-"""A multiple of the farthest point's depth. Depth beyond it is a guess and dropped."""
+"""A multiple of the farthest point's depth. Depth beyond it is a guess, and is dropped."""
 
 Values = NDArray[np.float64]
 
@@ -181,7 +181,7 @@ def with_estimated_depth(
         bits = read_image_header(path).bit_depth if path.suffix.lower() == ".png" else 16
         if bits < 16 and not has_points:
             what = "an 8-bit map holds no lengths, and there are no sparse points to fit it to"
-            fix = "Give .png of 16 bits in millimetres or .npy in metres, or points of COLMAP."
+            fix = "Give a 16-bit .png in millimetres, a .npy in metres, or COLMAP's points."
             raise PlgsError("depth-bits", what, path, fix)
     usual = {name: Placement(lens=pictured[name].lens) for name in names}
     seen = {frame.name: _seen_points(frame, points) for frame in frames} if points is not None and has_points else {}
@@ -223,8 +223,8 @@ def _as_metres(frames: Sequence[Frame], files: Mapping[str, Path], placements: M
         thumbnails.append(Thumbnail.of(frame.name, frame.camera, depth))
     share = measure_overlap(thumbnails, tolerance=0.0).agreement
     if share < _AGREEING:
-        what = f"depth maps hold values from 0 to 1, and frames disagree about these as metres ({share:.0%} agree)"
-        fix = "Save metres as 16-bit .png in millimetres; for others, give poses of COLMAP with its points."
+        what = f"depth maps hold values from 0 to 1, and as metres the frames contradict each other ({share:.0%} agree)"
+        fix = "Save depth as 16-bit .png in millimetres; for relative depth, give COLMAP's poses and points."
         raise PlgsError("depth-relative", what, next(iter(files.values())), fix)
     return Inferred("units", _AS_METRES, f"{share:.0%} of the points agree between frames then")
 

@@ -51,7 +51,7 @@ def mask_files(folder: Path, *suffixes: str) -> list[Path]:
 
 
 def is_camera(folder: Path) -> bool:
-    """Whether another folder beside the masks' has photos in a subfolder of the same name, as of a rig's camera."""
+    """Whether another folder beside the masks' has photos in a subfolder of the same name, as for a rig's camera."""
     beside = (path / folder.name for path in folder.parent.parent.iterdir() if path.name != folder.parent.name)
     firsts = (next(iter(sorted(shown_files(path))), None) for path in beside if path.is_dir())
     return any(first is not None and first.suffix.lower() in IMAGES and not shows_one_object(first) for first in firsts)

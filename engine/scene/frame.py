@@ -1,4 +1,4 @@
-"""A frame: one posed colour image with depth, a panoptic mask and, for evaluation only, ground truth; and scenes."""
+"""Frames (posed colour images with depth, panoptic masks and, for evaluation only, ground truth) and scenes."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ _SURE = 4.0
 """Standard errors of the mean difference by which one reading must fit better than another. On the sample, masks of the
 next frame differ by 15, masks distorted by 5 pixels by 8, and those distorted by 2 pixels not at all."""
 _LEAST_PICTURES = 6
-"""Pictures that must differ in how the readings fit: chance alone makes so few as 3 differ surely in 6 % of cases."""
+"""Pictures that must differ in how the readings fit: chance alone makes as few as 3 seem sure in 6 % of cases."""
 _NETWORK_STEP = 32
 """Networks take pictures whose sides are multiples of this."""
 _FIX = "Give masks of these pictures with --masks FOLDER: python -m engine segment SCENE makes them."

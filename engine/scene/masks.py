@@ -207,7 +207,7 @@ def open_masks(
         warnings += detections.warnings
         placed_apart = [name for name in detections.found if placed.get(name, Placement()) != Placement()]
         if placed_apart:
-            what = f"masks are turned, cut, straightened or ignored in part ({listed(placed_apart)}), detections not"
+            what = f"masks are turned, cut, straightened or partly ignored ({listed(placed_apart)}), but not detections"
             fix = "Give masks and detections of the stored pictures, or no detections."
             raise PlgsError("detections-placed", what, detections.path, fix, option="--detections")
         if more:

@@ -38,7 +38,7 @@ _USUAL = {
 _ALIKE = ("scannet", "nyu40", "nyu13")
 """Tables of the same scans, whose files are easily confused."""
 _ENOUGH, _TIMES, _SEEN = 0.05, 2.0, 0.01
-"""A numbering is recognised if this fraction of the pixels has usual classes in it, and so many times more than in any
+"""A numbering is recognised if this fraction of pixels has usual classes in it, and this many times more than in any
 other. The more usual classes with at least the third fraction, the better: walls alone are weaker evidence than walls
 and a floor."""
 _SKY = 0.01

@@ -253,7 +253,7 @@ def require_liftable(scene: Scene) -> None:
 
 
 def open_scene_to_lift(source: SceneSource) -> Scene:
-    """``open_asked`` for a lift. Raises PlgsError also if masks or depth are missing."""
+    """``open_asked`` for a lift. Raises PlgsError, including if masks or depth are missing."""
     scene = open_asked(source)
     require_liftable(scene)
     return scene

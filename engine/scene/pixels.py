@@ -199,7 +199,7 @@ def read_label_map(path: Path) -> NDArray[np.int64]:
 
 
 def whole_numbers(values: NDArray[np.generic], path: Path) -> NDArray[np.int64]:
-    """Ids as int64, also from floats that are whole numbers. Raises PlgsError."""
+    """Ids as int64, even from floats that are whole numbers. Raises PlgsError."""
     numbers = values.astype(np.int64) if values.dtype.kind in "biu" else None
     if values.dtype.kind == "f" and np.isfinite(values).all() and bool((values == np.floor(values)).all()):
         numbers = values.astype(np.int64)

@@ -146,7 +146,7 @@ def write_class_list(source: SceneSource, edited: Path) -> Path:
     if not all(row.name.isprintable() and row.name and row.into.isprintable() for row in listed.rows):
         raise PlgsError("class-unnamed", "a class has no name", "Classes", "Give each class a name of one line.")
     if listed.path.absolute() != path.absolute():
-        raise PlgsError("other-scene", "the list is of another scene", path, _AGAIN)
+        raise PlgsError("other-scene", "the list belongs to another scene", path, _AGAIN)
     rows = [replace(row, into=row.into or row.name) for row in listed.rows]
     choice, before = choice_of(rows, frozenset(listed.void)), find_class_choice(None, path.parent)
     colours = {each: row.colour for row in (before.rows if before else ()) for each in (row.id, row.name)}

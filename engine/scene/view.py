@@ -113,7 +113,7 @@ class View:
 
 
 def load_view(frame: Frame, size: Size | None = None) -> View:
-    """Read a frame at ``size`` (width, height), or at its own size. Raises PlgsError, also without depth or mask."""
+    """Read a frame at ``size`` (width, height), or at its own. Raises PlgsError, including without depth or mask."""
     width, height = size or frame.size
     colour = frame.read_colour(None)
     border = border_mask(colour)

@@ -60,7 +60,7 @@ class Addition(UvTask):
     def run(self) -> Path:
         """The folder with the packages. Raises PlgsError; Cancelled when it was asked to stop."""
         if not (self.environment / "pyvenv.cfg").is_file():  # other Pythons belong to the system or to Blender
-            fix = "Set up the engine, or let your own Python install the packages that requirements/ pins."
+            fix = "Set up the engine, or install the packages that requirements/ pins into your own Python."
             what = "packages can be added only to a virtual environment"
             raise PlgsError("not-environment", what, self.environment, fix)
         folder = self._part.with_suffix("")

@@ -44,7 +44,7 @@ LABELS = (
     "Asking the engine",
 )
 DOWNLOAD_LABELS = (LABELS[0], "Finding a Python", "Downloading wheels")
-_AGAIN = "set up the engine again: it continues there."
+_AGAIN = "set up the engine again: it continues where it stopped."
 _ANSWER_S = 10.0
 """Seconds within which a Python must answer. The first answer from a cold disk takes a few."""
 NEEDED_BYTES = {"cpu": 5e9, "cuda": 15e9}
@@ -181,7 +181,7 @@ class SetUp(UvTask):
         throw_away(environment, self.folder)
         output, code = self._run([uv, "venv", "--no-project", "--python", python, environment], self._variables)
         if code != 0:
-            what = f"{python} could not make an environment ({complaint(output)})"
+            what = f"{python} could not create an environment ({complaint(output)})"
             raise PlgsError("environment-failed", what, self.log_path, "Name another Python in the preferences.")
 
     def _install_packages(self, uv: Path, environment: Path, version: Version) -> None:

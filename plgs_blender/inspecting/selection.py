@@ -183,7 +183,7 @@ def select_instance(
 
 
 def select_nothing(root: bpy.types.Collection, class_id: int, layer: bpy.types.ViewLayer) -> None:
-    """Deselect all objects, also in the lift's list, and make a class the active row in the list of classes."""
+    """Deselect all objects, including in the lift's list, and make a class the active row in the list of classes."""
     deselect_all(layer)
     layer.objects.active, root.plgs.instance_index = None, -1
     hide_unselected(root, layer)

@@ -129,7 +129,7 @@ class SceneFinding(Task):
 
 def find_scene(scene: bpy.types.Scene, place: Path, folder: str = "") -> SceneFinding:
     """Let an engine record where the scene of the lift in `folder`, else of the settings' lift, is now. If the lift is
-    shown, its photos appear again. Raises PlgsError, also if it is another scene."""
+    shown, its photos appear again. Raises PlgsError, including if it is another scene."""
     registry.refuse_second(SceneFinding)
     lift = lift_at(scene.plgs, folder)
     follower = start_engine("find-scene", engine_environment.usable_python(), lift.path, place)
@@ -230,7 +230,7 @@ def showing_lift(scene: bpy.types.Scene, folder: str = "") -> Generator[None, No
         if not lift.is_running:
             raise
         what = "cannot be shown yet: it is still running"
-        raise PlgsError("still-running", what, lift.path, "Wait for its end.", code=ErrorCode.BUSY) from error
+        raise PlgsError("still-running", what, lift.path, "Wait until it ends.", code=ErrorCode.BUSY) from error
 
 
 def log_of(settings: PLGS_PG_settings, folder: str = "") -> Path:

@@ -68,7 +68,7 @@ def edited_classes(masks: PLGS_PG_masks) -> dict[str, Any]:
     try:
         void = [int(word) for word in masks.void.split()]
     except ValueError as error:
-        what = "the numbers of void cannot be read"
+        what = "the void numbers cannot be read"
         raise PlgsError("bad-void", what, masks.void, "Read the classes again.") from error
     return {"path": str(absolute(masks.path)), "rows": rows, "void": void}
 

@@ -135,7 +135,7 @@ def test_lacking_part_shows_its_button(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_an_error_of_the_engine_that_lacks_a_part_shows_its_button(tmp_path: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(tmp_path)
-    error = lacks_part("depth of Record3D needs the package pyliblzfse", "here", "record3d")
+    error = lacks_part("Record3D's depth needs the package pyliblzfse", "here", "record3d")
     task = tasks_with(Pretended(TaskState.FAILED, error), tmp_path)[0]
     task.is_taken = True
     registry.follow(task)

@@ -256,7 +256,7 @@ def gather(
     worker: int, workers: int, offsets: Array, isects: IsectGradients, channels: int,
     scene: tuple[Shapes, Array, Array], out: GaussianGradients, next_one: Array,
 ) -> None:  # fmt: skip
-    """Process one chunk after another until none is left: the gradients of all N Gaussians, with labels as [N * C].
+    """Gather the gradients of all N Gaussians, chunk after chunk until none is left. Labels are [N * C].
     ``offsets`` int64 [N + 1] is ``Intersections.gaussian_offsets``. ``scene``: the shapes, the records [N, RECORD] and
     the camera of the forward pass. ``next_one`` int64 [1] is the next chunk to take."""
     count, total = offsets.shape[0] - 1, np.empty(GRADIENT, np.float64)

@@ -70,7 +70,7 @@ def find_format(place: Path, name: str | None = None) -> SceneFormat:
 
 
 def _unknown(place: Path, known: Iterable[str]) -> PlgsError:
-    what, film, models = "no scene of a known format is here", is_film(place), finished_models(place)
+    what, film, models = "there is no scene of a known format here", is_film(place), finished_models(place)
     if models:
         app = "Scaniverse exports no such data. " if any("scaniverse" in name.lower() for name in models) else ""
         what = f"there are finished models only ({listed(models)}), without the scan's pictures, depth and poses"
@@ -78,12 +78,12 @@ def _unknown(place: Path, known: Iterable[str]) -> PlgsError:
     if place.suffix.lower() == ".zip" and place.is_file():
         return PlgsError("archive", "this is an archive", place, f"Unpack it ({_UNPACK}), and name the folder.")
     if place.is_dir() and (place / "rgb").is_dir() and any(shown_files(place, "*poses.txt")):
-        return PlgsError("rtabmap", "poses of RTAB-Map are here, but not as this layout has them", place, _RTABMAP)
+        return PlgsError("rtabmap", "these are RTAB-Map's poses, but not in a layout that PLGS reads", place, _RTABMAP)
     entries = sorted(shown_files(place)) if place.is_dir() else []
     folders = [each for each in entries if each.is_dir() and os.access(each, os.R_OK | os.X_OK)][:_LOOKED_INTO]
     if inner := [each for each in folders if any(known.recognises(each) for known in FORMATS)]:
         fix = f"Name one of them, such as {inner[0]}, or lift all: python -m engine batch {place}/* -o OUT."
-        what = f"no scene is in this folder, but in {listed([each.name for each in inner])}"
+        what = f"this folder itself is not a scene, but holds {listed([each.name for each in inner])}"
         return PlgsError("inner-scenes", what, place, fix)
     if film or (place.is_dir() and photos_in(place) is not None):
         fix = (

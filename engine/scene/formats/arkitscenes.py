@@ -70,7 +70,7 @@ def _by_time(files: Mapping[str, Path]) -> dict[float, Path]:
         try:
             found[float(stem.rpartition("_")[2])] = path
         except ValueError as error:
-            raise PlgsError("no-time-stamp", "the name does not end in seconds, as VIDEO_98.764", path, _FIX) from error
+            raise PlgsError("no-time-stamp", "the name must end in seconds, as in VIDEO_98.764", path, _FIX) from error
     return dict(sorted(found.items()))
 
 

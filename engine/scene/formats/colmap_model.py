@@ -35,7 +35,7 @@ _POINT_BYTES = 51
 """Minimum bytes per point in a binary file."""
 _MOST_POINT_BYTES = _MOST_TEXT = 1 << 29
 _POINTS_2D = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
-EXPORT_AGAIN = "Let COLMAP write the model again, such as with colmap model_converter."
+EXPORT_AGAIN = "Let COLMAP write the model again, for example with colmap model_converter."
 UNDISTORT = (
     "Run COLMAP's image_undistorter, and name the folder that it writes: colmap image_undistorter --image_path images "
     "--input_path sparse/0 --output_path dense."
@@ -200,7 +200,7 @@ def _text_cameras(path: Path) -> dict[int, ColmapCamera]:
 
 def _checked_camera(camera: ColmapCamera, number: int, path: Path) -> ColmapCamera:
     if not (0 < camera.width < 2**16 and 0 < camera.height < 2**16 and np.isfinite(camera.parameters).all()):
-        raise PlgsError("bad-camera", f"camera {number} has numbers that no camera has", path, EXPORT_AGAIN)
+        raise PlgsError("bad-camera", f"camera {number} has numbers that no camera can have", path, EXPORT_AGAIN)
     return camera
 
 

@@ -4,10 +4,10 @@
 ``camera_angle_x``, and the distortion ``k1 k2 k3 k4 p1 p2`` with ``camera_model``, for all frames or for each; pixel
 centres at +0.5. ``depth_file_path`` (nerfstudio) or ``depth_path`` (instant-ngp): planar depth as 16-bit PNG, in
 millimetres or steps of ``integer_depth_scale`` or ``depth_unit_scale_factor``, or as .npy in metres.
-``ply_file_path``: the points of the reconstruction. ``mask_path``: black are pixels that do not count. Frames with
+``ply_file_path``: the points of the reconstruction. ``mask_path``: pixels that do not count are black. Frames with
 ``is_bad`` are left out.
 
-``train_filenames`` and ``test_filenames`` (or ``val_filenames``) say the split, or ``test_frames`` holds the frames
+``train_filenames`` and ``test_filenames`` (or ``val_filenames``) give the split, or ``test_frames`` holds the frames
 that are held out, or ``transforms_test.json`` (or ``_val``) beside ``transforms_train.json`` (NeRF's synthetic scenes).
 """
 
@@ -218,7 +218,7 @@ def _distortion(entry: dict[str, Any], context: str, path: Path) -> Distortion:
     try:
         return of_nerfstudio(named, model, model == _FISHEYE or entry.get("is_fisheye") is True)
     except ValueError as error:
-        what = f"{context} has numbers of a lens that is not known ({error})"
+        what = f"{context} has numbers of an unknown lens ({error})"
         raise PlgsError("lens-numbers", what, path, "Undistort the pictures, and remove these numbers.") from error
 
 
@@ -234,7 +234,7 @@ def _depth(entry: dict[str, Any], lens: Camera, context: str, path: Path) -> Dep
     scale = next((key for key in ("integer_depth_scale", "depth_unit_scale_factor") if key in entry), None)
     unit = MILLIMETRES if scale is None else take_number(entry, scale, context, path)
     if not 0.0 < unit < 1.0:
-        fix = "Write one such as 0.001; or give 16-bit depth of another source with --depth MAPS."
+        fix = "Write one such as 0.001; or give 16-bit depth from another source with --depth MAPS."
         what = f'"{scale}" is not the length of a step in metres'
         raise PlgsError("bad-scale", what, path, fix, option="--depth")
     return png_depth(depth_path, lens, unit)
@@ -262,7 +262,7 @@ def read_ply_points(path: Path) -> SparsePoints:
     if first != "vertex":
         raise PlgsError("ply-vertices", "the PLY does not begin with vertices", path, _PLY_FIX)
     if "" in columns.values():
-        what = "the PLY's vertices have a property that is not understood, or twice"
+        what = "the PLY's vertices have a property that is not understood, or have one twice"
         raise PlgsError("ply-property", what, path, _PLY_FIX)
     if not {"x", "y", "z"} <= columns.keys():
         raise PlgsError("ply-positions", "the PLY's vertices have no x, y and z", path, _PLY_FIX)

@@ -219,7 +219,7 @@ def _unpacked(archive: _Archive, name: str, step: int, most: int) -> bytes:
     try:
         import liblzfse
     except ImportError as error:
-        raise lacks_part("depth of Record3D needs the package pyliblzfse", archive.path, "record3d") from error
+        raise lacks_part("Record3D's depth needs the package pyliblzfse", archive.path, "record3d") from error
     try:
         unpacked = unpack_lzfse(data, most * step, liblzfse.decompress)
     except (liblzfse.error, ValueError, MemoryError) as error:

@@ -62,7 +62,7 @@ def _numbered(folder: Path, suffixes: set[str], kind: str) -> dict[int, Path]:
     found = {int(number[1]): path for stem, path in files if (number := re.fullmatch(rf"{kind}_?(\d+)", stem))}
     if not found:
         what = f"no picture is named {kind} and a number"
-        raise PlgsError("unnumbered", what, folder, "Name them by their trajectory's lines.")
+        raise PlgsError("unnumbered", what, folder, "Name them by their lines in the trajectory.")
     return dict(sorted(found.items()))
 
 

@@ -1,7 +1,7 @@
 """``frame-000000.{color,depth,pose}``: 7-Scenes, BundleFusion, 12-Scenes and 3DMatch.
 
 Frames lie in the folder or in its folders ``seq-01``, ... or ``data``. Poses are camera-to-world, 4x4, OpenCV axes,
-metres. Depth is a 16-bit PNG in millimetres; 0 and 65535 are none. The world stands as the first camera did.
+metres. Depth is a 16-bit PNG in millimetres; 0 and 65535 mean none. The world's axes are the first camera's.
 
 The lens is there or in the folder above, with integer pixel centres:
 
@@ -10,7 +10,7 @@ The lens is there or in the folder above, with integer pixel centres:
 * ``info.txt`` (BundleFusion, 12-Scenes): ``m_calibrationColorIntrinsic`` and ``m_calibrationDepthIntrinsic``, 4x4, for
   pictures of the sizes that it says, and ``m_depthShift`` steps of depth per metre.
 * Without (7-Scenes): raw pictures of a Kinect. Poses and depth are the depth camera's, f 585; the colour camera, f
-  525, stands 2.5 cm beside it. Depth is read from ``frame-000000.depth.proj.png`` if that exists: there it is
+  525, is 2.5 cm beside it. Depth is read from ``frame-000000.depth.proj.png`` if that exists: there it is
   registered to colour already. Else it is registered with a Kinect's calibration (LIRIS), as ACE does.
 """
 
@@ -77,7 +77,7 @@ def _read(place: Path) -> Capture:
     beside, warnings = between_cameras(*extrinsics)
     if fitting_alignment(colour, depth) is None:
         fix = "Correct them; for depth that is registered to colour, write colour's lens and size for depth, too."
-        raise PlgsError("lenses-differ", "the lenses of colour and depth are not of one sensor", path, fix)
+        raise PlgsError("lenses-differ", "the lenses of colour and depth do not belong to one sensor", path, fix)
 
     def shot(name: str, base: Path, pose: NDArray[np.float64], picture: Path) -> Shot:
         lens = fitted(colour, picture, f"Correct {path.name}.")
@@ -94,7 +94,7 @@ def _info_numbers(info: dict[str, str], key: str, path: Path, count: int) -> NDA
     except ValueError:
         values = np.empty(0)
     if len(values) != count or not np.isfinite(values).all() or (count == 1 and not 0.0 < values[0] < 1e6):
-        wanted = "no number above 0" if count == 1 else f"not {count} numbers"
+        wanted = "not a number above 0" if count == 1 else f"not {count} numbers"
         raise PlgsError("info-value", f"{key} is {wanted if key in info else 'missing'}", path, _INFO_FIX)
     return values
 
@@ -132,7 +132,7 @@ def _depth_file(base: Path) -> Path:
     pgm = base.with_name(f"{base.name}.depth.pgm")
     if pgm.is_file():
         what = "depth is a .pgm"
-        raise PlgsError("depth-pgm", what, pgm, "Convert all of them, such as with mogrify -format png *.depth.pgm.")
+        raise PlgsError("depth-pgm", what, pgm, "Convert all of them, e.g. with mogrify -format png *.depth.pgm.")
     return base.with_name(f"{base.name}.depth.png")
 
 

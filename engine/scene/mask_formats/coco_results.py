@@ -101,8 +101,8 @@ class DetectionTable:
         if self.video_frames:
             step = 1 if self.video_frames == len(names) else _EVERY
             if step == _EVERY and not _EVERY * (self.video_frames - 1) < len(names) <= _EVERY * self.video_frames:
-                what = f"masklets of {self.video_frames} frames belong to other than these {len(names)} frames"
-                raise PlgsError("masklets-of-others", what, self.path, "Take all frames of the video, or each fourth.")
+                what = f"masklets of {self.video_frames} frames do not belong to these {len(names)} frames"
+                raise PlgsError("masklets-of-others", what, self.path, "Take all frames of the video, or every fourth.")
             return {image: names[int(image) * step] for image in images if int(image) * step < len(names)}
         known = {*names}
         numbers = {int(digits[-1]): name for name in names if (digits := re.findall(r"\d+", name))}
@@ -116,7 +116,7 @@ class DetectionTable:
         return found
 
     def is_by_number(self, names: Sequence[str]) -> bool:
-        """Whether some pictures are known by numbers alone, and some of these are no frames."""
+        """Whether some pictures are known by numbers alone, and some of these are not frames."""
         images = {image for image, _ in self.entries} - self.names.keys() - {*names}
         return bool(images) and not images <= self._frames_of(images, names, {}).keys()
 

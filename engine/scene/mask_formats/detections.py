@@ -30,7 +30,7 @@ _KEYS = {
     "scores": ("scores", "pred_scores", "score", "out_probs"),
     "tracks": ("object_ids", "out_obj_ids"),
 }
-_FIX = "Save masks [N, H, W], classes [N] and scores [N] with numpy.savez, one file a frame."
+_FIX = "Save masks [N, H, W], classes [N] and scores [N] with numpy.savez, one file per frame."
 _NAME_FIX = "Name it <k>_<class>_<score>.png, such as 3_chair_0.92.png."
 _MOST = 10_000
 
@@ -111,7 +111,7 @@ def _detections(path: Path) -> list[Detection]:
     if tracks is not None and not (
         tracks.shape == (count,) and tracks.dtype.kind in "iu" and ((tracks >= 0) & (tracks < LARGEST_CLASS_ID)).all()
     ):
-        raise PlgsError("unequal-counts", f"there are {count} masks, but not as many numbers of objects", path, _FIX)
+        raise PlgsError("unequal-counts", f"there are {count} masks, but not as many object numbers", path, _FIX)
     classes = tracks if tracks is not None and not _has(path, "classes") else read_array(path, _key(path, "classes"))
     scores = read_array(path, _key(path, "scores"))
     if classes.shape != (count,) or scores.shape != (count,) or classes.dtype.kind not in "iuU":

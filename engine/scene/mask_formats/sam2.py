@@ -1,5 +1,5 @@
 """SAM's masks. SAM 2 gives tracks through all frames, SAM 1's ``amg.py`` regions of one picture; neither has classes.
-Grounded-SAM-2's tracks have.
+Grounded-SAM-2's tracks do.
 
 * SAM 2: ``<frame>.png`` with a palette, index = object, 0 = none; or ``<object>/<frame>.png``, a mask of the object,
   whose number may be 0. The numbers are the same in all frames: ``classes.toml`` may give each one a class.

@@ -126,7 +126,7 @@ def painted(masks: Sequence[NDArray[np.bool_]], segments: Sequence[FoundSegment]
 
 
 def painted_files(paths: Sequence[Path], segments: Sequence[FoundSegment], size: Size, fix: str) -> FoundMask:
-    """``painted`` for PNGs of one object each. Raises PlgsError, also for one that is not of ``size``."""
+    """``painted`` for PNGs of one object each. Raises PlgsError, including for one not of ``size``."""
     masks = [inside(read_indices(path), path) for path in paths]
     for path, mask in zip(paths, masks, strict=True):
         if mask.shape != size[::-1]:
