@@ -23,9 +23,7 @@ BEHAVIOURS = {
     "frames are baked later with the same bytes": "lift/test_bake_more.py::test_later_bakes_write_the_same_bytes",
     "any camera is baked": "lift/test_bake_more.py::test_any_camera_can_be_baked",
     "several commands bake side by side": "lift/test_bake_more.py::test_two_commands_share_the_frames",
-    "corrections change passes, exports and scores": (
-        "lift/test_bake_more.py::test_a_corrected_lift_is_baked_exported_and_scored_as_corrected"
-    ),
+    "corrections change passes, exports and scores": ("lift/test_bake_more.py::test_corrections_reach_every_output"),
     "Blender reads ids and mattes of the passes": "passes/test_exr.py::test_blender_reads_ids_and_mattes",
     "each format of captures is recognised": (
         "scene/formats/test_recognising.py::test_each_format_has_its_own_name_and_says_what_it_looks_for"

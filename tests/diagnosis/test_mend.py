@@ -103,9 +103,7 @@ def test_the_command_reports_shows_and_fixes(tmp_path: Path, capsys: pytest.Capt
     assert not diagnose(open_scene(out)).mending.is_needed
 
 
-def test_a_scene_that_a_lift_refuses_is_explained_and_mended(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_refused_scene_is_explained_and_mended(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Poses so wrong that no two frames see the same surface."""
     folder = write_tiny_scene(tmp_path / "scene", 14, (96, 72))
     for path in (folder / "pose").iterdir():

@@ -198,9 +198,7 @@ def test_region_of_several_objects_founds_no_object() -> None:
         (1, 0, 3, False), (1, 0, 1, True), (0, 1, 3, False),
     ],
 )  # fmt: skip
-def test_an_object_needs_masks_in_enough_of_the_views_that_see_it(
-    showing: int, blinded: int, least: int, is_found: bool
-) -> None:
+def test_object_needs_masks_in_enough_views(showing: int, blinded: int, least: int, is_found: bool) -> None:
     views = [*(good(f"good {i}") for i in range(showing)), *(blind(f"blind {i}") for i in range(blinded))]
     objects = objects_in(views, replace(OPTIONS, min_masks=least))
     assert len(objects.objects) == (3 if is_found else 0) and bool(objects.object_of_point.any()) is is_found

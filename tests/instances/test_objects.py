@@ -159,9 +159,7 @@ def test_a_piece_in_between_joins_two_others() -> None:
     ],
     ids=["seen from both ends", "void does not judge", "told apart", "one view", "two classes", "do not touch"],
 )
-def test_only_a_majority_of_views_joins_two_objects(
-    x: float, classes: list[int], views: list[ViewPoints], is_one: bool
-) -> None:
+def test_only_a_majority_joins_two_objects(x: float, classes: list[int], views: list[ViewPoints], is_one: bool) -> None:
     expected = ([1, 1], [1]) if is_one else ([1, 2], [1, 2])
     assert regrouped(two_blocks(x), [1, 2], classes, views) == expected
 
@@ -187,9 +185,7 @@ def test_the_largest_piece_says_which_object_a_group_comes_from() -> None:
 
 
 @pytest.mark.parametrize(("share", "groups"), [(0.0, [0, 0, 1]), (0.6, [0, 0, 1]), (0.7, [0, 1, 2])])
-def test_instances_of_one_class_are_joined_by_the_share_of_the_views_that_judge_them(
-    share: float, groups: list[int]
-) -> None:
+def test_instances_of_one_class_are_joined_by_the_share_of_judging_views(share: float, groups: list[int]) -> None:
     owner, rows, ones = np.repeat([1, 2, 3], 6).astype(np.int32), np.arange(18, dtype=np.int32), np.ones(18, np.float32)
     whole, halves = np.full(18, 4, np.int32), np.repeat([4, 5, 6], 6).astype(np.int32)
     views = [ViewPoints(rows, segment, ones, ones) for segment in (whole, whole, halves)]

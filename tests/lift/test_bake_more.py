@@ -137,9 +137,7 @@ def test_only_a_finished_lift_can_be_baked(lift: LiftFolder) -> None:
 
 
 @pytest.mark.parametrize("failure", [Cancelled("asked to"), OSError(28, "No space left on device")])
-def test_the_result_is_complete_whenever_it_ends(
-    lift: LiftFolder, failure: Exception, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_result_is_always_complete(lift: LiftFolder, failure: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
     render, rendered = FrameBaker.render, []
 
     def render_three(self: FrameBaker, *arguments: Any) -> object:
@@ -220,9 +218,7 @@ def test_a_folder_of_its_own_shows_the_corrections(lift: LiftFolder, tmp_path: P
     assert (read_exr(output / "0004.exr").instance == shown).all()
 
 
-def test_a_camera_does_not_take_a_frames_place(
-    lift: LiftFolder, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_camera_takes_no_frames_place(lift: LiftFolder, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     cameras = write_cameras(tmp_path / "cameras.json", ["shot", "0000"])
     assert run_bake(lift, None, cameras=cameras) is ExitCode.BAD_INPUT
     assert "a frame of the scene is named '0000'" in capfd.readouterr().err
@@ -257,9 +253,7 @@ def test_a_bake_needs_the_manifests_kind_of_labels(lift: LiftFolder) -> None:
         bake(lift, "0002")
 
 
-def test_objects_without_names_have_the_same_numbers_later(
-    finished: dict[str, LiftFolder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_numbers_last_unnamed(finished: dict[str, LiftFolder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(PRESETS, "preview", TINY)
     options = {"objects": "none", "linear_assignment": True, "labels": "decoders", "one_class_an_object": False}
     request = LiftRequest(scene=finished["test"].request.scene, bake="test", options=options)
@@ -276,9 +270,7 @@ def matte_names_of(path: Path) -> list[str]:
     return sorted(json.loads(header[f"cryptomatte/{layers.pop()}/manifest"]))
 
 
-def test_a_corrected_lift_is_baked_exported_and_scored_as_corrected(
-    lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_corrections_reach_every_output(lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     passes, before = lift.passes_path / "0004.exr", read_exr(lift.passes_path / "0004.exr")
     bytes_before = passes.read_bytes()
     one = an_object_in(lift, "0004")
@@ -377,9 +369,7 @@ def shot(path: Path, name: str, count: int) -> tuple[Path, set[str]]:
     return write_cameras(path, names), set(names)
 
 
-def test_followed_bakes_do_not_disturb_each_other(
-    lift: LiftFolder, followers: list[TaskFollower], tmp_path: Path, quick_python: Path
-) -> None:
+def test_bakes_coexist(lift: LiftFolder, followers: list[TaskFollower], tmp_path: Path, quick_python: Path) -> None:
     """Two bake their views to the end, though a third is cancelled beside them."""
     names = {}
     for name, count in (("left", 40), ("right", 12), ("cancelled", 40)):

@@ -26,9 +26,7 @@ from tests.tiny_scene import write_tiny_scene
 from tests.train.tiny_lift import TINY, colour_error, lift_into, presets_as, trainer_of, views_of
 
 
-def test_without_a_cuda_device_a_lift_is_refused_before_any_work(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_no_cuda_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(torch.backends.cuda, "is_built", lambda: True)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     scene = write_tiny_scene(tmp_path / "scene", frames=4)
@@ -59,9 +57,7 @@ def test_without_gsplat_the_error_says_how_to_get_it(stages: StageReporter, monk
     usable_device("cpu", stages)
 
 
-def test_a_gsplat_that_cannot_draw_is_found_before_any_work(
-    stages: StageReporter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_broken_gsplat_is_found_first(stages: StageReporter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[str] = []
 
     def compile_and_fail(where: str) -> str:
@@ -76,9 +72,7 @@ def test_a_gsplat_that_cannot_draw_is_found_before_any_work(
     assert "compiles once" in told[0], "before that begins, as it takes minutes"
 
 
-def test_auto_takes_what_works_and_says_so(
-    stages: StageReporter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_auto_takes_what_works(stages: StageReporter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(device, "what_is_missing", lambda: None)
     monkeypatch.setattr(device, "what_fails", lambda where: None)
     assert usable_device("auto", stages) == usable_device("cuda", stages) == "cuda"

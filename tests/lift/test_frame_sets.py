@@ -49,17 +49,13 @@ def test_checkpoint_determines_the_frames(scene: Scene, events: EventWriter, tmp
 
 
 @pytest.mark.parametrize("state", [None, {"step": 3}], ids=["a new lift", "an earlier version's checkpoint"])
-def test_frames_are_chosen_if_the_checkpoint_names_none(
-    state: dict[str, object] | None, scene: Scene, events: EventWriter, tmp_path: Path
-) -> None:
+def test_frames_chosen_anew(state: dict[str, object] | None, scene: Scene, events: EventWriter, tmp_path: Path) -> None:
     assert len(chosen(scene, events, tmp_path, state, frames=5).train_frames) == 5
     assert chosen(scene, events, tmp_path, state, frames=0) is scene
 
 
 @pytest.mark.parametrize("frames", [[], "0001", [1], None])
-def test_a_checkpoint_without_names_is_refused(
-    frames: object, scene: Scene, events: EventWriter, tmp_path: Path
-) -> None:
+def test_checkpoint_without_names_is_refused(frames: object, scene: Scene, events: EventWriter, tmp_path: Path) -> None:
     with raises_key("checkpoint-frames"):
         chosen(scene, events, tmp_path, {"frames": frames})
 
@@ -71,9 +67,7 @@ def test_a_missing_frame_is_named(scene: Scene, events: EventWriter, tmp_path: P
             chosen(scene, events, tmp_path, {"frames": [scene.train_frames[0].name, name]})
 
 
-def test_a_smaller_machine_cannot_continue(
-    scene: Scene, events: EventWriter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_low_memory_refuses(scene: Scene, events: EventWriter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names = [frame.name for frame in scene.train_frames]
     monkeypatch.setattr(frame_sets, "main_memory", lambda: MainMemory(10**7, 10**7))
     with raises_key(f"too-much {len(names)}"):

@@ -192,9 +192,7 @@ def test_a_cancelled_lift_is_resumed(lifts: Lifts) -> None:
     assert files_of(folder) == files_of(lifts.done)
 
 
-def test_a_resumed_lift_trains_on_the_frames_that_it_was_begun_with(
-    lifts: Lifts, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_resumed_lift_trains_on_its_first_frames(lifts: Lifts, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where it was begun six frames fitted; where it is resumed all would."""
 
     def stop(*_: object) -> None:
@@ -210,9 +208,7 @@ def test_a_resumed_lift_trains_on_the_frames_that_it_was_begun_with(
     assert files_of(folder) == files_of(lifts.lift("six", options={"frames": 6})) != files_of(lifts.done)
 
 
-def test_frames_that_cannot_be_read_are_left_out_and_counted(
-    lifts: Lifts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_unreadable_frames_are_left_out(lifts: Lifts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = write_tiny_scene(tmp_path / "scene", frames=14, noise=0.1)
     for path in (scene / "color" / "0002.png", scene / "panoptic" / "0006.png", scene / "depth" / "0004.png"):
         data = bytearray(path.read_bytes())

@@ -38,9 +38,7 @@ def told(folder: LiftFolder, kind: str) -> list[str]:
     return [str(event.data.get("path", event.data.get("message"))) for event in events if event.kind == kind]
 
 
-def test_the_model_is_the_same_whatever_is_watched(
-    scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_watching_keeps_the_model(scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     unwatched = LiftFolder.create(tmp_path / "unwatched", LiftRequest(scene=scene_folder))
     with monkeypatch.context() as unseen:
         unseen.setattr(LivePreviews, "__call__", lambda *_: None)

@@ -137,9 +137,7 @@ def test_bake_of_all_reports_a_missing_frame(home: Path) -> None:
     assert any("no longer has frame 0001" in line for line in warnings_of(lift))
 
 
-def test_a_lift_does_not_go_on_without_a_frame_and_its_result_stays(
-    home: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_lift_refuses_to_lose_a_frame_and_keeps_its_result(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """As *Leave Out* may have it after a lift."""
     lift, scene = relink(LiftFolder.open(home / "lift"), home.parent / "found"), home.parent / "found"
     names = [path.stem for path in sorted((scene / "color").iterdir())]

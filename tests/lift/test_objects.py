@@ -40,9 +40,7 @@ def piece(source: int, count: int) -> SceneObject:
         pytest.param(8, 0, 4, [1, 2], [0, 1], id="without masks there is no object"),
     ],
 )
-def test_fragments_with_few_masks_are_removed(
-    views: int, of_first: int, of_second: int, origin: list[int], owners: list[int]
-) -> None:
+def test_few_masks_are_removed(views: int, of_first: int, of_second: int, origin: list[int], owners: list[int]) -> None:
     owner = np.array([1, 1, 2, 2], np.int32)
     pieces = [piece(origin[0], of_first), piece(origin[1], of_second)]
     found, kept = without_fragments(owner, pieces, views_of(4, views))
@@ -86,9 +84,7 @@ def test_matching_reports_progress_in_all_parts(tmp_path: Path, monkeypatch: pyt
 
 
 @pytest.mark.parametrize("begin", PARTS[:-1:3])
-def test_matching_is_stopped_in_each_of_its_parts(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begin: float
-) -> None:
+def test_matching_stops_in_each_of_its_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begin: float) -> None:
     """And leaves no file of its own."""
     monkeypatch.setattr(progress, "REPORT_EVERY_S", 0.0)
     (tmp_path / "scratch").mkdir()

@@ -116,9 +116,7 @@ def test_names_are_not_kept_if_no_objects_are_searched_for(stages: StageReporter
 @pytest.mark.parametrize(
     ("changed", "shown"), [({}, True), ({"objects": "boxes"}, False), ({"one_class_an_object": False}, False)]
 )
-def test_votes_need_objects_by_agreement_of_one_class(
-    changed: dict[str, object], shown: bool, stages: StageReporter, tmp_path: Path
-) -> None:
+def test_votes_need_agreement(changed: dict[str, object], shown: bool, stages: StageReporter, tmp_path: Path) -> None:
     preset = replace(PRESETS["preview"], **changed)  # type: ignore[arg-type]
     assert preset.shows_votes == shown
     folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path / "none"))
@@ -143,9 +141,7 @@ def test_a_result_names_the_code_that_made_it(stages: StageReporter, tmp_path: P
 
 
 @pytest.mark.parametrize(("seconds", "said"), [(3599.0, None), (90000.0, "predicted to take 25.0 h in all here")])
-def test_a_long_lift_says_so_before_it_trains(
-    seconds: float, said: str | None, stages: StageReporter, tmp_path: Path
-) -> None:
+def test_long_lift_is_announced(seconds: float, said: str | None, stages: StageReporter, tmp_path: Path) -> None:
     run.warn_if_long(Course({"train": seconds - 1, "bake": 1.0}), stages.events)
     told = warnings_in(tmp_path / "events.jsonl")
     assert [each for each in told if said and said in each] == told and bool(told) == bool(said)

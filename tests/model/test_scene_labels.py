@@ -27,9 +27,7 @@ def classes_of(slot_ids: tuple[int, ...]) -> tuple[int, ...]:
 
 @pytest.mark.parametrize("slot_ids", SLOTS)
 @pytest.mark.parametrize("one_class", [False, True])
-def test_a_view_is_the_same_with_and_without_labels(
-    slot_ids: tuple[int, ...], one_class: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_labels_change_no_picture(slot_ids: tuple[int, ...], one_class: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is drawn from labels of finished Gaussians differs a little where objects are of one class: a product of
     means is no mean of products."""
     monkeypatch.setattr(subject, "CHUNK", 33)

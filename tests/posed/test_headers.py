@@ -53,9 +53,7 @@ def test_a_header_that_makes_no_sense_is_refused(tmp_path: Path, change: Callabl
     [(".png", np.uint8, []), (".png", np.uint16, []), (".jpg", np.uint8, []),
      (".jpg", np.uint8, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])],
 )  # fmt: skip
-def test_header_gives_size_depth_and_channels(
-    tmp_path: Path, suffix: str, kind: type, settings: list[int], channels: int
-) -> None:
+def test_headers_give_size(tmp_path: Path, suffix: str, kind: type, settings: list[int], channels: int) -> None:
     path = tmp_path / f"image{suffix}"
     channels = min(channels, 3) if suffix == ".jpg" else channels
     cv2.imwrite(str(path), np.zeros((5, 70, channels), kind), settings)

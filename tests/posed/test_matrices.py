@@ -22,9 +22,7 @@ def camera(size: tuple[int, int], fx: float = 50.0, fy: float = 60.0, pose: np.n
 
 
 @given(sizes, lengths, lengths, st.floats(0.05, 60.0), st.integers(0, 5))
-def test_projecting_what_was_unprojected_gives_the_pixel_centres(
-    size: tuple[int, int], fx: float, fy: float, metres: float, index: int
-) -> None:
+def test_unprojection_is_reversed(size: tuple[int, int], fx: float, fy: float, metres: float, index: int) -> None:
     one = camera(size, fx, fy, tiny_pose(index, 6))
     pixels, depth = one.project(one.unproject(np.full(size[::-1], metres, np.float32)))
     x, y = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
@@ -33,9 +31,7 @@ def test_projecting_what_was_unprojected_gives_the_pixel_centres(
 
 
 @given(sizes, sizes, st.floats(0.1, 20.0))
-def test_a_resized_camera_sees_a_point_at_the_same_share_of_the_picture(
-    size: tuple[int, int], other: tuple[int, int], metres: float
-) -> None:
+def test_resized_camera_sees_the_same_share(size: tuple[int, int], other: tuple[int, int], metres: float) -> None:
     one = camera(size)
     point = one.centre + one.camera_to_world[:3, :3] @ np.array([0.1, -0.2, metres])
     pixels, depth = one.project(point)

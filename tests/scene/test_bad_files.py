@@ -181,9 +181,7 @@ LEFT_OUT: list[tuple[str, str, Any, str]] = [
 
 
 @pytest.mark.parametrize(("name", "file", "change", "told"), LEFT_OUT)
-def test_a_frame_that_lacks_something_is_left_out_by_its_name(
-    sample: Sample, name: str, file: str, change: Any, told: str
-) -> None:
+def test_incomplete_frame_is_left_out(sample: Sample, name: str, file: str, change: Any, told: str) -> None:
     whole = {frame.name: frame.camera for frame in opened(sample(name), name).frames}
     with changed(sample(name) / file, change):
         scene = opened(sample(name), name)
@@ -210,9 +208,7 @@ UNREADABLE: list[tuple[str, str, Any, str]] = [
 
 
 @pytest.mark.parametrize(("name", "file", "change", "told"), UNREADABLE)
-def test_a_frame_whose_pixels_cannot_be_read_is_left_out_with_the_reason(
-    sample: Sample, name: str, file: str, change: Any, told: str
-) -> None:
+def test_frame_of_broken_pixels_is_left_out(sample: Sample, name: str, file: str, change: Any, told: str) -> None:
     with changed(sample(name) / file, change):
         scene = opened(sample(name), name)
         survey = survey_scene(scene)

@@ -95,9 +95,7 @@ def test_truth_that_no_table_explains_is_reported(folder: Path) -> None:
         ("", "semantic_scannet", RAW, ""),
     ],
 )
-def test_numbering_of_a_named_table_is_recognised(
-    folder: Path, text: str, name: str, numbers: dict[int, int], told: str
-) -> None:
+def test_named_table_is_recognised(folder: Path, text: str, name: str, numbers: dict[int, int], told: str) -> None:
     before = renumber(folder, numbers, 255 if numbers is ADE else 0)
     if text:
         (folder / "gt" / "classes.toml").write_text(text)

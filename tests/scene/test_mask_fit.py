@@ -56,9 +56,7 @@ def thinned(scene: Path) -> Path:
         (thinned, lambda n: f"mask_{n + 1}"),
     ],
 )
-def test_renumbered_masks_are_recognised_by_the_pictures(
-    tmp_path: Path, change: Callable[[Path], Path], rename: Callable[[int], str]
-) -> None:
+def test_renumbered_masks_found(tmp_path: Path, change: Callable[[Path], Path], rename: Callable[[int], str]) -> None:
     usual = open_scene(write_tiny_scene(tmp_path / "usual", frames=14, size=SIZE, ground_truth=False))
     scene = write_tiny_scene(tmp_path / "other", frames=14, size=SIZE, ground_truth=False)
     opened = open_scene(change(renamed(scene, rename)))

@@ -103,9 +103,7 @@ def watched(trainer: Trainer) -> list[dict[str, torch.Tensor]]:
 
 
 @pytest.mark.parametrize("assigned", [False, True])
-def test_steps_and_growth_are_the_same_and_nothing_comes_back(
-    tiny: Input, tmp_path: Path, assigned: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_devices_train_the_same(tiny: Input, tmp_path: Path, assigned: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Before each step both have the same parameters: Adam divides a gradient by its size, so that those whose gradient
     is rounding alone would go either way. New anchors lie in a grid, many at one depth: in which order they are drawn
     is a matter of rounding, too, until they have moved."""

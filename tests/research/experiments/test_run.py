@@ -115,9 +115,7 @@ def test_finished_only_tables_lift_nothing(experiment: Experiment, behave: Behav
     assert sorted(path.parent.name for path in whole.folder.glob("*/request.json")) == ["office-preview"]
 
 
-def test_baselines_without_a_lift_are_measured_again_when_the_scene_or_the_engine_changes(
-    experiment: Experiment, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_baselines_are_measured_again_after_changes(experiment: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
     measured: list[Path] = []
     real = without_a_lift.add_voxel_vote
 
@@ -156,9 +154,7 @@ def test_scenes_are_read_as_the_options_say(experiment: Experiment, behave: Beha
         run(experiment)
 
 
-def test_row_uses_the_depth_another_row_renders(
-    experiment: Experiment, behave: Behave, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_row_uses_depth_of_another_row(experiment: Experiment, behave: Behave, monkeypatch: pytest.MonkeyPatch) -> None:
     exported: list[tuple[Path, str, list[str]]] = []
 
     def export(lift: LiftFolder, kind: str, output: Path, frames: list[str]) -> None:
@@ -177,9 +173,7 @@ def test_row_uses_the_depth_another_row_renders(
     assert request.depth == some.folder / "office-preview-no-sensor-maps"
 
 
-def test_a_failed_lift_is_resumed_without_a_wait(
-    experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_failed_lift_is_resumed(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
     behave("office-preview", "exits")
     assert run(experiment) is ExitCode.INTERNAL_ERROR
     office, kitchen = read_results(experiment.folder / "results.json")
@@ -210,9 +204,7 @@ def test_bad_input_is_reported_before_any_lift(experiment: Experiment, behave: B
     assert not experiment.folder.exists()
 
 
-def test_unreadable_scene_becomes_a_failed_row(
-    experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_unreadable_scene_is_a_row(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
     missing = SceneToLift("cellar", experiment.folder / "cellar")
     page = experiment.folder / "page.md"
     three = replace(experiment, scenes=(missing, *experiment.scenes), only=("ours", "input masks"), page=page)
@@ -278,9 +270,7 @@ def test_a_foreign_folder_is_reported_before_any_lift(experiment: Experiment, be
     assert not (experiment.folder / "office-preview").exists()
 
 
-def test_earlier_finished_lifts_stay_in_the_report(
-    experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_earlier_lifts_stay(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
     page = experiment.folder / "page.md"
     assert run(replace(experiment, only=("ours", "input masks"), page=page)) is ExitCode.FINISHED
     capsys.readouterr()

@@ -116,9 +116,7 @@ def test_without_the_package_the_line_says_what_to_install(tmp_path: Path, monke
         scene.frames[0].depth()
 
 
-def test_depth_that_unpacks_to_more_than_its_pixels_is_a_one_line_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_depth_that_unpacks_to_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Read from an archive of some bytes; the library would take four gigabytes."""
     asked: list[bytes] = []
     monkeypatch.setitem(sys.modules, "liblzfse", SimpleNamespace(decompress=asked.append, error=BrokenStream))

@@ -60,9 +60,7 @@ def test_pairs_of_images(tmp_path: Path, kinds: tuple[str, str], deep: type) -> 
         ("frame_{:04d}", ("{}_mask", "{}"), "{}_color"),
     ],
 )
-def test_masks_that_are_named_otherwise_are_those_of_the_frames_number(
-    tmp_path: Path, frame: str, kinds: tuple[str, str], other: str
-) -> None:
+def test_masks_are_paired_by_frame_number(tmp_path: Path, frame: str, kinds: tuple[str, str], other: str) -> None:
     truths = write_pairs(tmp_path, ("semantic_class", "semantic_instance"))
     for part in ("color", "depth", "pose"):
         for i, path in enumerate(sorted((tmp_path / part).iterdir())):
