@@ -119,7 +119,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         "--shot",
         default="",
         metavar="NAME",
-        help="its files' name, also with {shot}, {camera}, {version:03d} (default: the .blend's and the camera's)",
+        help="its files' name, perhaps with {shot}, {camera}, {version:03d} (default: the .blend's and the camera's)",
     )
     shot.add_argument("--replace", action="store_true", help="replace a shot of this name from another file or camera")
     shot.add_argument(
@@ -135,7 +135,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         help="write FOLDER/NAME.0001.exr, and leave the lift's result as it is (default: OUT/result/passes)",
     )  # fmt: skip
     shot.add_argument(
-        "--channels", choices=CHANNELS, default="", help="whose names the channels in --passes have (default: blender)"
+        "--channels", choices=CHANNELS, default="", help="the program whose channel names to use (default: blender)"
     )
     shot.add_argument(
         "--scene", type=Path, metavar="SCENE", dest="relink",

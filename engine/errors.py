@@ -70,8 +70,8 @@ MEMORY_IS_GONE = "no memory is left"
 class PlgsError(Exception):
     """Input, a lift folder or a computer that cannot be used: what is wrong, where, and what to do.
 
-    ``key`` names the kind of fault, such as "no-frame", and stays when its sentence is worded anew; a kind that occurs
-    in several places has one key.
+    ``key`` names the kind of fault, such as "no-frame", and stays the same when its sentence is reworded; a kind that
+    occurs in several places has one key.
     ``option`` is the command-line option that ``fix`` means, spelt as in ``fix``, such as "--masks"; several are
     separated by blanks, and an empty text means none. The panel shows its own fields' names instead. With LACKS_PART it
     is the name of the part. ``what`` may quote a library's long text: it is shortened to one line.

@@ -174,7 +174,7 @@ def _take(entry: dict[str, Any], key: str, context: str, path: Path) -> Any:
 
 
 def wrong_type(key: str, wanted: str, value: object, context: str, path: Path) -> PlgsError:
-    """The error for a value of another kind than wanted."""
+    """The error for a value of a kind other than wanted."""
     what = f'"{key}" of {context} must be {wanted}, not {shown_json(value)}'
     return PlgsError("wrong-type", what, path, "Correct the file.")
 

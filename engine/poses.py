@@ -369,7 +369,7 @@ def _photos_of(source: Path, events: EventWriter, stop: StopSignal, pictures: in
         return folder, folder / "images"
     photos = photos_in(source) if source.is_dir() else None
     if photos is None:
-        what = "there are no photos here, nor is this a film"
+        what = "this is neither a folder with photos nor a film"
         raise PlgsError("no-photos", what, source, "Name a folder of photos, or an .mp4.")
     for each in FORMATS:
         if each.recognises(source):

@@ -174,7 +174,7 @@ class _Reader:
         return float(given) if abs(given) < 1e300 else None
 
     def wrong(self, kind: Any, given: Any, key: str) -> PlgsError:
-        """The error for a value of another kind than ``kind``."""
+        """The error for a value of a kind other than ``kind``."""
         what = f"'{key}' must be {self._words(kind)}, not {shown_json(given)}"
         return PlgsError("wrong-type", what, self._path, self._fix)
 

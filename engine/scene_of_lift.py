@@ -192,7 +192,7 @@ def relink(folder: LiftFolder, scene: Path) -> LiftFolder:
 
 
 def refuse_others(known: Sequence[PosedFrame], scene: Scene) -> None:
-    """Raise PlgsError if a scene has other frames than the known ones."""
+    """Raise PlgsError if a scene's frames differ from the known ones."""
     there = {frame.name: frame for frame in scene.frames}
     for frame in known:
         if frame.name not in there:

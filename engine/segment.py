@@ -298,7 +298,7 @@ def begin_job(folder: Path, model: str, frames: Sequence[Frame]) -> Job:
     if made_by.is_file():
         content = read_object(made_by, fix)
         if content.get("model") != model or content.get("frames") != len(frames):
-            what = f"masks by {content.get('model')} of {content.get('frames')} frames are here"
+            what = f"there are already masks of {content.get('frames')} frames by {content.get('model')}"
             raise PlgsError("other-masks", what, folder, fix)
         if photos and content.get("photos", "") not in ("", photos):
             raise PlgsError("photos-changed", "the photos have changed since masks of them were made here", folder, fix)

@@ -106,7 +106,7 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
         return answer
 
     def _read_on(self, context: bpy.types.Context, event: bpy.types.Event, shot: ShotReader) -> set[str]:
-        """Read a part of the camera. After the last one, start baking."""
+        """Read a part of the camera's path. After the last part, start baking."""
         if event.type == "ESC" and event.value == "PRESS":
             self.report({"INFO"}, "Reading the camera was cancelled; nothing was baked")
             return base.CANCELLED

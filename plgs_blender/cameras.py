@@ -42,7 +42,7 @@ _STRAY, _BEYOND = 1.0, 0.06
 """Outliers: this percentage of the points at each end, if they lie farther out than this fraction of the others'
 extent. Sensor noise reaches metres out of a room."""
 _ENOUGH = 100_000
-"""The overview is fitted to at most this many points; of more, every n-th is used."""
+"""The overview is fitted to at most this many points: if there are more, to every n-th."""
 _DEFAULT_ROOM = np.array([[-2.0, -2.0, 0.0], [2.0, 2.0, 2.5]])
 
 

@@ -26,7 +26,7 @@ from .owned import OwnedDataBlocks, child_collection, tag
 _CELL = 4.0
 """Side of a cell, in point spacings. A cell then holds about sixteen points, enough to fit a plane."""
 _TOUCHING = 0.75
-"""Radius, in spacings, at which neighbours touch; more than a half, because points are not evenly spread."""
+"""Radius, in spacings, at which neighbours touch; more than half, because points are not evenly spread."""
 _AT_ONCE = 8192
 """Number of cells whose distances are measured at once, so that they fit into the processor's cache."""
 _THICKNESS = 0.3

@@ -54,7 +54,7 @@ from .timeline import mark_timeline, places_of
 from .viewport import all_views, show_materials_in, start_file
 
 _VIEWPOINTS = 200
-"""At most this many cameras decide which side of a surface was seen; of more, every n-th is used."""
+"""At most this many cameras decide which side of a surface was seen: if there are more, every n-th."""
 _AT_ONCE, _MASKS_AT_ONCE = 100, 2000
 """Boxes and masks placed without a pause: a tenth of a second for each."""
 _WAS_ASKED = "plgs_show_as_asked"

@@ -153,9 +153,9 @@ class PLGS_PG_settings(LiftOptions, bpy.types.PropertyGroup):
     shot: StringProperty(name="Shot",
         description="Name of the files of a camera's passes; empty: the names of the .blend and the camera")
     replace_shot: BoolProperty(name="Replace",
-        description="Replace a shot of this name that is of another file or camera, or whose camera has changed")
+        description="Replace a shot of this name that belongs to another file or camera, or whose camera has changed")
     show_steps: BoolProperty(name="Scene and Lift",
-        description="Show the steps that led to the result, also to begin the next lift")
+        description="Show the steps that led to the result, for example to begin the next lift")
     place_when_done: BoolProperty(name="Show When Done", default=True,
         description="Put the result into this scene as soon as it is finished")
 

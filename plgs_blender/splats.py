@@ -36,7 +36,7 @@ _LARGEST = 0.2
 _AT_ONCE = 50_000
 """Number of Gaussians whose squares are computed without a pause."""
 MOST_SPLATS = 600_000
-"""Maximum number of Gaussians shown; of more, those that cover most."""
+"""Maximum number of Gaussians shown: if there are more, those that cover most."""
 
 
 @dataclass(frozen=True, eq=False)

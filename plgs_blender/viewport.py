@@ -31,7 +31,7 @@ _LEFT_TO_VIEW = 0.6
 _FILLED = 0.92
 """Fraction of a view's free part that the room fills."""
 _SAME = 1e-3
-"""Radians, and fractions of its distance, by which a view may differ that the user has not moved."""
+"""Radians, and fractions of its distance, by which a view that the user has not moved may differ."""
 
 
 def start_file() -> bpy.types.Scene:
@@ -284,7 +284,7 @@ _RANGE, _SIZE, _ASPECT = (1, 250), (1920, 1080, 100), (1.0, 1.0)
 def taking_over(scene: bpy.types.Scene) -> Iterator[bool]:
     """Wraps the placement of a capture or lift; yields whether the scene is an untouched startup scene. That then takes
     the capture's range, size, pixel aspect, camera and colours, and its own objects are hidden. A range that was that
-    of our frames stays so. If placing fails, everything is restored."""
+    of our frames remains so. If placing fails, everything is restored."""
     is_untouched = _is_untouched(scene)
     follows = is_untouched or (scene.frame_start, scene.frame_end) == _span(scene)
     camera = scene.camera

@@ -240,7 +240,7 @@ def run_bench(options: argparse.Namespace) -> ExitCode:
 
 
 def _refuse_unwritable(file: Path) -> None:
-    """Before minutes of work: raise PlgsError if ``file`` could not be written."""
+    """Raise PlgsError, before minutes of work, if ``file`` could not be written."""
     if file.is_dir():
         raise PlgsError("folder-not-file", "the figures cannot be written to a folder", file, "Name a file in it.")
     if not file.parent.is_dir():

@@ -77,8 +77,8 @@ def true_labels(scene: Scene, xyz: NDArray[np.float32]) -> NDArray[np.int64]:
 
 
 def mistakes(folder: LiftFolder, corrected: CorrectedResult, truth: NDArray[np.int64]) -> list[Mistake]:
-    """What is wrong with objects, the most points first: a wrong class, two objects that are one, one that is two which
-    the views separate, and unassigned points of an object, which somebody would paint."""
+    """What is wrong with objects, the most points first: a wrong class, two objects that are one, one that is two and
+    that the views separate, and unassigned points of an object, which somebody would paint."""
     found, holders = [], dict[int, Instance]()
     things, points = corrected.classes.thing_ids, corrected.points
     for one in sorted(corrected.instances, key=lambda each: -each.points):

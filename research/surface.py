@@ -2,7 +2,7 @@
 the coloured cloud that Blender's import shows.
 
 Surface and cloud are made of training frames. Three sets of pixels are compared: all pixels that both show; those where
-the surface lies where the frame measured it, as textures can't mend a wrong shape; and of these the near ones.
+the surface lies where the frame measured it, as textures cannot mend a wrong shape; and of these the near ones.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Make masks as a network would: ``python sample/network_masks.py SCENE [--seed N] [--out FOLDER] [--name NAME]``.
 
 SCENE holds ``gt/semantic``, ``gt/instance``, ``gt/classes.json``, ``depth``, ``pose`` and ``intrinsic``. It writes
-``panoptic.json`` (COCO panoptic, own categories, a score for each segment) and ``panoptic/*.png`` (segment id = R + 256
+``panoptic.json`` (COCO panoptic, its own categories, a score per segment) and ``panoptic/*.png`` (segment id = R + 256
 G + 65536 B, 0 = void). All other programs use the ground truth only for evaluation. ``BeliefNoise`` and
 ``MaskNoise`` of mask_noise.py say what a network gets wrong, and how often.
 """

@@ -152,7 +152,7 @@ def find_python(uv: Path, environment: str) -> tuple[str, tuple[int, int]]:
 
 def install_options(files: tuple[str, ...], version: tuple[int, int]) -> list[str]:
     """Options of one `uv pip install` call. The index of CPU builds that the user named is for torch alone, which is
-    installed without what it needs: the next call adds that."""
+    installed without its dependencies: the next call adds those."""
     options = ["--constraint", constraints(version)]
     for name in files:
         options += ["--requirement", name]

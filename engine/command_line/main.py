@@ -110,7 +110,7 @@ def _add_bake(parser: argparse.ArgumentParser) -> None:
         help=f"layers to write in addition to the standard ones: {', '.join(FURTHER_LAYERS)}",
     )  # fmt: skip
     parser.add_argument(
-        "--channels", choices=CHANNELS, default="blender", help="whose names the channels have; nuke needs -o"
+        "--channels", choices=CHANNELS, default="blender", help="the program whose channel names to use; nuke needs -o"
     )
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FOLDER",

@@ -39,7 +39,7 @@ class Replay:
     steps: list[Step] = field(default_factory=list)
     not_applied: dict[str, str] = field(default_factory=dict)
     _recognised: set[ObjectMark] = field(default_factory=set)
-    """The marks that fit their objects as the points are labelled now: a mark costs a look at all points."""
+    """The marks that fit their objects as the points are labelled now: checking a mark takes a look at all points."""
 
     @classmethod
     def of(cls, classes: ClassTable, instances: Iterable[Instance], points: SemanticPoints) -> Replay:

@@ -118,7 +118,7 @@ def _cause_finding(examined: Examined, cause: FoundCause, before: Assumption) ->
         cause=words.name,
         severity="wrong",
         text=f"{text}: of the points projected into other views, {after['agreeing_after']:.0%} then lie on the depth "
-        f"there, against {after['agreeing_before']:.0%} as the scene is",
+        f"there, against {after['agreeing_before']:.0%} now",
         option=f"{option}; {FIX}" if is_sure else option,
         figures={**figures, **after},
         is_mended=is_sure,

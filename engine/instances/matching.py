@@ -97,7 +97,7 @@ def _targets(cost: NDArray[np.float64], options: Matching) -> list[int | None]:
 
 
 def merged(instances: Sequence[SceneObject], group: NDArray[np.int32], voxel_size: float) -> list[SceneObject]:
-    """The instances 1.. of each ``group`` int32 [n] as one, numbered anew from 1 in the order of their first."""
+    """The instances 1.. of each ``group`` int32 [n] as one, renumbered from 1 in the order of their first."""
     wholes: dict[int, SceneObject] = {}
     for one, number in zip(instances, group.tolist(), strict=True):
         whole = wholes.get(number, replace(one, id=len(wholes) + 1, masks=(), points=one.points[:0]))

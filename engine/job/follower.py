@@ -251,7 +251,7 @@ def start_bake(
     stays_with_parent: bool = True,
 ) -> TaskFollower:
     """Start an engine that bakes more of a finished lift: frames ("test", "all", or names), or the ``cameras`` in a
-    file, with these of FURTHER_LAYERS, and with ``channels`` named for one of CHANNELS. If another process is baking
+    file, with these FURTHER_LAYERS, and with ``channels`` named for one of CHANNELS. If another process is baking
     already, it bakes at the same time, with its own events. Raises PlgsError, OSError.
     """
     command: list[str | Path] = [*engine_call(python), "bake", lift.path]

@@ -74,7 +74,7 @@ class BakeCost(NamedTuple):
 
 
 def predict_bake(frames: int, size: tuple[int, int], slowness: float = 1.0, layers: Collection[str] = ()) -> BakeCost:
-    """The cost of baking these frames of ``size`` (width, height) pixels, with these of FURTHER_LAYERS."""
+    """The cost of baking these frames of ``size`` (width, height) pixels, with these FURTHER_LAYERS."""
     megapixels = size[0] * size[1] / 1e6
     pixel = PIXEL * (1.0 + sum(_MORE[layer] for layer in layers))
     seconds = slowness * frames * (_render_s(megapixels) + WRITE_S * megapixels)

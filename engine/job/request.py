@@ -38,7 +38,7 @@ CHANNELS = ("blender", "nuke")
 the colour, or more."""
 BAKES: tuple[str, ...] = get_args(Bake)
 DEVICES: tuple[str, ...] = get_args(Device)
-_NO_BLOCKS = "A long capture fits without blocks: lift anew without them, with fewer --frames if memory is short"
+_NO_BLOCKS = "A long capture fits without blocks: lift again without them, with fewer --frames if memory is short"
 GONE = {"blocks": _NO_BLOCKS, "block": _NO_BLOCKS}
 """Options of earlier versions that no longer exist, and what to do instead."""
 _PLACES = ("scene", "masks", "detections", "depth", "names_from")

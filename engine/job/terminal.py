@@ -281,7 +281,7 @@ def ask_engine(python: Path, interrupts: Interrupts, kind: str, *arguments: str 
 def _state_when_left_alone(lift: LiftFolder) -> LiftState:
     """The state of a lift that no engine works on. Raises PlgsError if one still does after two seconds.
 
-    This is done before an engine is started in vain: on Ctrl-C its cancel file would stop the other engine.
+    This is done before an engine is started for nothing: on Ctrl-C its cancel file would stop the other engine.
     """
     give_up = time.monotonic() + _ENDING_S
     while (state := lift.state()) is LiftState.RUNNING:

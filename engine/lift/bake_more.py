@@ -200,7 +200,7 @@ def look_ahead(baker: FrameBaker, wanted: Sequence[WantedView], photos: Sequence
 
 
 def is_whole(passes: Path, notes: Mapping[str, str], layers: tuple[str, ...]) -> bool:
-    """Whether a file of passes has these notes in its header (a missing note counts as empty), and at least these of
+    """Whether a file of passes has these notes in its header (a missing note counts as empty), and at least these
     FURTHER_LAYERS. False for a damaged file. Raises OSError."""
     try:
         same = all((read_note(passes, name) or "") == text for name, text in notes.items())

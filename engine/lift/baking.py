@@ -89,7 +89,7 @@ class FrameBaker:
         self, folder: LiftFolder, name: str, view: BakedView, events: EventWriter,
         notes: Mapping[str, str] | None = None, layers: Collection[str] = (), shown: ShownFrame = NOTHING_SHOWN,
     ) -> None:  # fmt: skip
-        """Write passes/<name>.exr, with ``notes`` and what is ``shown`` in its header and these of FURTHER_LAYERS,
+        """Write passes/<name>.exr, with ``notes`` and what is ``shown`` in its header and these FURTHER_LAYERS,
         write the three previews (`baked_files`), and report the files."""
         passes, _, semantic, _ = baked_files(folder, name)
         write_exr(passes, view, {**(notes or {}), **self.notes}, layers, shown)

@@ -14,7 +14,7 @@ from ..train.progress import StageReporter
 def usable_device(device: str, stages: StageReporter) -> str:
     """The device for a lift: "cuda" if it was requested, or if "auto" was and it works; otherwise "cpu". The stage
     "check" tries to draw before any work, and says what "auto" chose, and why. If gsplat compiles its code for that,
-    *Cancel* ends the process, and the next try begins anew. Raises PlgsError if a requested "cuda" does not work."""
+    *Cancel* ends the process, and the next try starts over. Raises PlgsError if a requested "cuda" does not work."""
     if device == "cpu":
         return device
     try:

@@ -46,7 +46,7 @@ MOST_NAMED = 5
 class Judgement:
     """The result of the evaluation. ``trained`` and ``held_back``: the mean IoU with the masks over the masks' own
     classes, for training views and for held-out views; None without such views. ``calibration``: how likely a class
-    with a share is right. ``doubt``: the mean probability of each evaluated frame's pixels to have a wrong class."""
+    with a share is right. ``doubt``: for each evaluated frame, the mean probability that a pixel's class is wrong."""
 
     trained: float | None
     held_back: float | None

@@ -264,7 +264,7 @@ def code_of(code: str, checkpoint: Checkpoint | None, events: EventWriter) -> st
     begun_by = "" if checkpoint is None else str(checkpoint.state.get(CODE, "unknown"))
     if not begun_by or code in begun_by.split("+"):
         return begun_by or code
-    events.warning(f"other code began this lift ({begun_by}, this is {code}): lift anew before you compare results")
+    events.warning(f"other code began this lift ({begun_by}, this is {code}): lift again before you compare results")
     return f"{begun_by}+{code}"
 
 

@@ -79,7 +79,7 @@ def _read(path: Path) -> bytes:
 
 
 def check_image_bytes(data: bytes, path: Path) -> None:
-    """``check_image_file`` for bytes from the file ``path``. No decoder may read other kinds than PNG and JPEG."""
+    """``check_image_file`` for bytes from the file ``path``. No decoder may read kinds other than PNG and JPEG."""
     if data.startswith(_PNG_SIGNATURE):
         _png_header(data[:33], path)
         _check_png_chunks(data, path)

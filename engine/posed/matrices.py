@@ -158,7 +158,7 @@ def turned(pose: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.f
 
 
 def up_axis_warning(poses: Sequence[NDArray[np.float64]], up: UpAxis) -> str | None:
-    """A warning if cameras, float64 [4, 4] camera-to-world each, are upright about another axis than z, by the mean of
+    """A warning if cameras, float64 [4, 4] camera-to-world each, are upright about an axis other than z, by the mean of
     their own up axes; None if all look steeply up or down, or lie on their side."""
     mean = -np.mean([pose[:3, 1] for pose in poses], axis=0)
     axis = int(np.abs(mean).argmax())

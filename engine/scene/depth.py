@@ -84,7 +84,7 @@ def png_depth(path: Path, lens: Camera, unit: float = MILLIMETRES) -> DepthMap:
     if header.bit_depth != 16:
         raise PlgsError("depth-bits", f"depth has {header.bit_depth} bits, not 16", path, _PNG_FIX)
     if not same_shape(header.size, lens.size):
-        what = f"depth of {shown_size(header.size)} does not fit the colour of {shown_size(lens.size)}"
+        what = f"depth of {shown_size(header.size)} does not fit the colour image of {shown_size(lens.size)}"
         raise PlgsError("depth-shape", what, path, "Bring depth to the colour images' aspect ratio.")
     return DepthMap(path, partial(_read_png, path, unit), step=unit)
 

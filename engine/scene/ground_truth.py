@@ -254,7 +254,7 @@ def open_ground_truth(
         for path in paths:
             own = check_label_header(path)
             if not same_shape(own, sizes[name]):
-                what = f"ground truth of {shown_size(own)} does not fit the colour of {shown_size(sizes[name])}"
+                what = f"ground truth of {shown_size(own)} does not fit the colour image of {shown_size(sizes[name])}"
                 raise PlgsError("truth-shape", what, path, _FIX)
     numbers = numbers_of_truth(folders[0], {name: semantic for name, (semantic, _) in pairs.items()}, masks)
     readers = {name: GroundTruthReader(*paths, numbers.class_of, numbers.names) for name, paths in pairs.items()}

@@ -112,7 +112,7 @@ def in_one_table(predictions: LabelFolder, truth: LabelFolder) -> tuple[ClassTab
         return ClassTable(tuple(merged[class_id] for class_id in sorted(merged))), predictions
     class_of = classes_by_name({each.id: each.name for each in own.categories}, true)
     if not class_of:
-        what = f"its classes have other names than those in {predictions.folder}"
+        what = f"its classes have different names from those in {predictions.folder}"
         raise PlgsError("other-classes", what, truth.folder, "Use one class table for both.")
     free = count(max(true.ids) + 1)
     others = tuple(replace(each, id=next(free)) for each in own.categories if each.id not in class_of)
@@ -128,7 +128,7 @@ def in_one_table(predictions: LabelFolder, truth: LabelFolder) -> tuple[ClassTab
 
 
 def _refuse_other_numbers(folder: LabelFolder, known: LabelFolder, classes: ClassTable) -> None:
-    """Raise PlgsError if the numbers of a folder without a table look like another table than ``classes``."""
+    """Raise PlgsError if the numbers of a folder without a table look like a table other than ``classes``."""
     joint = Counter[tuple[int, int]]()
     for name in evenly_spread([name for name in known.readers if name in folder.readers], LOOKED_AT):
         numbers = folder.readers[name]().semantic

@@ -260,7 +260,7 @@ def placements(
         width, height = source.masks[name].size if placement.box is None else placement.box[2:]
         size = (height, width) if placement.turns % 2 else (width, height)
         if not same_shape(size, pictured[name].size):
-            what = f"a mask of {shown_size(size)} does not fit the colour of {shown_size(pictured[name].size)}"
+            what = f"a mask of {shown_size(size)} does not fit the colour image of {shown_size(pictured[name].size)}"
             raise PlgsError("mask-shape", what, source.masks[name].path, _FIX, option="--masks")
     bent = {name: replace(one, lens=pictured[name].lens) for name, one in found.items() if pictured[name].lens}
     if bent and _fits(source, bent, found, pictured):

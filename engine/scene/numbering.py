@@ -3,7 +3,7 @@ Warns if the numbers look far more like those of another table than of the named
 
 ADE20K counts from 0 in networks and from 1 in its own files; COCO's 80 things are 0 to 79, or 1 to 90 with gaps;
 detectron2 may number COCO's stuff apart from its things. ScanNet's files have its raw ids, NYU40's or NYU13's numbers:
-masks that look like another of these than the named one are refused.
+masks that look like one of these other than the named one are refused.
 """
 
 from __future__ import annotations

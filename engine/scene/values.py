@@ -59,7 +59,7 @@ def checked_ids(ids: NDArray[Any], path: Path) -> NDArray[Any]:
     """``ids`` [H, W]. Raises PlgsError if a filter has mixed them."""
     if are_mixed(ids, every=4):
         fix = "Resize ids with nearest neighbour, and save them as PNG."
-        raise PlgsError("mixed-ids", "ids are mixed at edges, as by a resize with a filter or by JPEG", path, fix)
+        raise PlgsError("mixed-ids", "ids are mixed at edges, as after a resize with a filter, or in a JPEG", path, fix)
     return ids
 
 

@@ -33,7 +33,7 @@ def bytes_in(folder: Path) -> int:
 def throw_away(path: Path, folder: Path) -> None:
     """Move a file or folder aside in ``folder``, on the same disk, to be deleted by `empty_trash`. This is instant.
 
-    A missing file is ignored. Raises OSError, on Windows also while a program in it still runs.
+    A missing file is ignored. Raises OSError; on Windows, also while a program in it still runs.
     """
     if not path.exists() and not path.is_symlink():
         return

@@ -1,7 +1,7 @@
 """The steps of a set-up, from uv to an engine that answers.
 
 What uv has downloaded stays until the environment is complete. A set-up that was cancelled, killed or cut off makes the
-environment anew from it.
+environment again from it.
 """
 
 from __future__ import annotations

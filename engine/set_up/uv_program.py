@@ -71,7 +71,7 @@ _DIVERTING = ("target", "prefix", "python", "system", "require-hashes")
 def variables(environ: Mapping[str, str], index_url: str = "") -> dict[str, str]:
     """``environ`` for uv, with the user's pip settings where uv has none.
 
-    ``index_url`` replaces PyPI. It is no command-line argument, as its password would show in the list of processes.
+    ``index_url`` replaces PyPI. It is not a command-line argument, as its password would show in the list of processes.
     """
     kept = {name: value for name, value in environ.items() if not _LEFT_OUT.match(name)}
     for setting, name in _OF_PIP.items():

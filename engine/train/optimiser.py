@@ -124,7 +124,7 @@ class Optimiser:
 
     def step(self, progress: float, rows: torch.Tensor, move: Callable[..., None] = move_rows) -> None:
         """Do one Adam step with the current gradients, on the anchors in ``rows`` int64 [V]; ``progress`` is the share
-        of all steps done, ``move`` is ``move_rows`` or what stands for it on a device."""
+        of all steps done, ``move`` is ``move_rows`` or its counterpart on a device."""
         for name, each in self._named():
             if name not in self.moments and each.requires_grad:
                 self.moments[name] = no_moments(each)

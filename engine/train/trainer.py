@@ -49,7 +49,7 @@ def reconstruction_loss(
 ) -> torch.Tensor:
     """L_recon: L1 + lambda_ssim (1 - SSIM) + lambda_vol sum of prod(scales), of a picture float32 [H, W, 3] in [0, 1]
     and scales [N, 3] in metres. ``photo_weight`` (1 in the paper) is the weight of the first two terms. ``compare`` is
-    ``similarity.compare`` or what stands for it on a device."""
+    ``similarity.compare`` or its counterpart on a device."""
     volume = (scales[:, 0] * scales[:, 1] * scales[:, 2]).sum()
     picture = compare(image, photo, 1.0, -ssim_weight) + ssim_weight
     return photo_weight * picture + volume_weight * volume

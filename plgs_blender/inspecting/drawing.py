@@ -69,7 +69,7 @@ class ViewRegion:
 
 @dataclass(frozen=True)
 class TextBox:
-    """A rectangle with a text and perhaps a `swatch` of colour before it; `instance` is whose name it is, or 0. Lengths
+    """A rectangle with a text and perhaps a `swatch` of colour before it; `instance` is the one named, or 0. Lengths
     are in pixels, from the lower left corner; colours are sRGB 0..1."""
 
     x: float

@@ -77,7 +77,7 @@ class PLGS_PG_mask(bpy.types.PropertyGroup):
     frame: StringProperty(name="Frame")
     segment: IntProperty(name="Segment", description="Id of the segment in the frame's mask")
     class_id: IntProperty(name="Class id")
-    class_name: StringProperty(name="Class", description="The class that the mask says")
+    class_name: StringProperty(name="Class", description="The class that the mask gives")
     score: FloatProperty(name="Score", description="The mask's confidence, 0 to 1")
     pixels: IntProperty(name="Pixels", description="Pixels with depth, at the size of the lift")
     share: FloatProperty(name="Share", description="Fraction of the picture's pixels")

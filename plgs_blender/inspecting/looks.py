@@ -225,7 +225,7 @@ def _is_crumb(ob: bpy.types.Object, box: bpy.types.Object) -> NDArray[np.bool_]:
 
 @_OnceForMany
 def apply_colours(root: bpy.types.Collection) -> None:
-    """Give clouds the colours of their classes, and boxes those of their instances, or classes if the `look` is so."""
+    """Give clouds the colours of their classes, and boxes those of their instances, or classes if `look` says so."""
     lists = root.plgs
     of_class = {row.class_id: _box_colour(row.colour) for row in lists.classes}
     for cloud in clouds_of(root):

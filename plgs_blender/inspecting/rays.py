@@ -141,7 +141,7 @@ def first_drawn(parts: Sequence[Projected], mouse: tuple[float, float]) -> tuple
 
 
 _kept: dict[int, tuple[tuple[Any, ...], Projected]] = {}
-"""Projected objects by session uid, with the states of their lift, themselves and the view."""
+"""Projected objects by session uid, with the states of their lift, of themselves and of the view."""
 _MOST_KEPT = 64
 
 

@@ -1,4 +1,4 @@
-"""Exports of finished lifts, also as meshes and clouds in the scene."""
+"""Exports of finished lifts, including meshes and clouds in the scene."""
 
 from __future__ import annotations
 

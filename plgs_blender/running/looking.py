@@ -43,8 +43,8 @@ def find_own_lifts() -> None:
 
 
 def begin_to_read_objects() -> None:
-    """Start reading the objects of the lift that the open file shows, or an edit would wait for them for half a second.
-    Only if the lift is in this user's list, or the file is in its folder, and no link leads elsewhere."""
+    """Start reading the objects of the lift that the open file shows: an edit would otherwise wait for them.
+    It does so only if the lift is in this user's list, or the file is in its folder, and no link leads elsewhere."""
     known = {*map(Path, remembered_lifts()), absolute("//")}
     roots = (root for scene in (bpy.context.scene, *bpy.data.scenes) for root in lifts_in(scene))
     folder = next((folder_of(root) for root in roots if text_of(root, FOLDER)), None)

@@ -24,7 +24,7 @@ VOTING_WIDTH = 320
 """Pixels: largest width at which training views vote. A pixel is still far smaller than a voxel, and rooms take
 seconds."""
 MOST_VOTERS = 500
-"""Training views that vote, at most, evenly spread: every voxel has had its votes by then."""
+"""The most training views that vote, evenly spread: with these, every voxel has its votes."""
 
 _BITS, _HALF = 21, 1 << 20
 

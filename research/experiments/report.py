@@ -57,7 +57,7 @@ def _bring_up_to_date(page: Path, tables: Tables) -> None:
 
 
 def refuse_unwritable(page: Path) -> None:
-    """Before hours of work: raise PlgsError if the tables of ``page`` could not be updated at the end."""
+    """Raise PlgsError, before hours of work, if the tables of ``page`` could not be updated at the end."""
     text_of(page)
     folder = next(each for each in page.absolute().parents if each.exists())  # missing folders below it are made
     if not folder.is_dir() or not os.access(folder, os.W_OK):

@@ -86,7 +86,7 @@ def lifted(experiment: Experiment, task: Task, interrupts: Interrupts) -> Result
 
 
 def warn_of_other_code(task: Task, result: Result) -> None:
-    """Warn if a finished lift was made by other code than this."""
+    """Warn if a finished lift was made by code other than this."""
     if result.engine_version != this_engine():
         fix = f"To lift it again, delete {task.options.output}"
         print(f"{task.name}: lifted by {result.engine_version}, not by this {this_engine()}. {fix}", file=sys.stderr)
@@ -179,7 +179,7 @@ def results_without_a_lift(experiment: Experiment, errors: dict[str, PlgsError])
 
 
 def refuse_bad_input(experiment: Experiment, tasks: Sequence[Task]) -> dict[str, PlgsError]:
-    """Before hours of work: raise PlgsError for the first thing that is wrong for all tasks, and return the errors of
+    """Raise PlgsError, before hours of work, for the first thing that is wrong for all tasks, and return the errors of
     single scenes by task name."""
     errors: dict[str, PlgsError] = {}
     for option, path in (("--masks", experiment.masks), ("--depth", experiment.depth)):

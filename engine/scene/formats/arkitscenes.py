@@ -48,7 +48,7 @@ def _read(place: Path) -> Capture:
     folder = _folder(place)
     kind = next((kind for kind in _KINDS if folder is not None and any(shown_files(folder / kind, "*.png"))), None)
     if folder is None or kind is None:
-        what = f"{_TRAJECTORY} with pictures in {' or '.join(_KINDS)} is not here"
+        what = f"there is no {_TRAJECTORY} with pictures in {' or '.join(_KINDS)}"
         raise PlgsError("no-arkitscenes", what, place, _FIX)
     pictures = files_by_stem(folder / kind, {".png"}, _FIX)
     lenses = _by_time(files_by_stem(folder / f"{kind}_intrinsics", {".pincam"}, _FIX))

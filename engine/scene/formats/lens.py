@@ -51,7 +51,7 @@ def fitted(lens: Camera, picture: Path, fix: str) -> Camera:
     """``lens`` scaled to the size of an image file. Raises PlgsError if it is for pictures of another shape."""
     size = read_image_header(picture).size
     if not same_shape(size, lens.size):
-        what = f"the picture is {shown_size(size)}, but its camera {shown_size(lens.size)}"
+        what = f"the picture is {shown_size(size)}, but its camera is {shown_size(lens.size)}"
         raise PlgsError("other-size", what, picture, fix)
     return lens.resized(*size)
 

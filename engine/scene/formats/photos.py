@@ -138,7 +138,7 @@ class Video:
 
 
 def _refuse_other_files(path: Path) -> None:
-    """Raise PlgsError for other files than videos: the decoder would open the addresses that a playlist lists."""
+    """Raise PlgsError for files other than videos: the decoder would open the addresses that a playlist lists."""
     with reading(path, _VIDEO_FIX), open_plain(path) as file:
         start = file.read(12)
     is_avi = start[:4] == b"RIFF" and start[8:] == b"AVI "

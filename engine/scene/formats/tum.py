@@ -83,7 +83,7 @@ def _read(place: Path) -> Capture:
         rows = read_rows(calibration, _LENS_FIX)
         values = [float(each) for row in rows for each in numbers(row, calibration, _LENS_FIX)]
         if len(values) - 4 not in OPENCV_COUNTS:
-            what = f"there are {len(values)} numbers, not fx fy cx cy and those of OpenCV's distortion"
+            what = f"there are {len(values)} numbers, not fx fy cx cy and OpenCV's distortion coefficients"
             raise PlgsError("intrinsics-incomplete", what, calibration, _LENS_FIX)
         fx, fy, cx, cy, *bent = values
         lens = _Lens(fx, fy, cx, cy, (*bent,), size=None)
