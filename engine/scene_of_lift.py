@@ -98,7 +98,7 @@ def refuse_changed(folder: LiftFolder, scene: Scene) -> None:
     there = {frame.name: frame for frame in scene.frames}
     for frame in known.frames:
         if frame.name not in there:
-            fix = "Put back its files, or what splits.json says of it, or lift into another folder."
+            fix = "Restore its files or its entry in splits.json, or lift into another folder."
             raise PlgsError("frame-gone", f"the scene no longer has frame {frame.name}", scene.folder, fix)
         if frame.held_out != (is_held_out := there[frame.name].held_out):
             raise another(f"{frame.name} is {'' if is_held_out else 'not '}held out", scene)
@@ -130,7 +130,7 @@ def complete_known_scene(folder: LiftFolder, scene: Scene) -> None:
 def is_done(folder: LiftFolder, masks: str = "") -> bool:
     """Whether nothing is left to lift, for a caller who knows that no engine is running: the result is complete and
     unmodified, and the masks and classes are those that it was lifted from. ``masks`` is the `digest_of_masks` of the
-    scene, if the caller has just read them. Raises PlgsError, also for a scene that has changed otherwise."""
+    scene, if the caller has just read them. Raises PlgsError, also for a scene that has changed in other ways."""
     if folder.state_at_rest() is not LiftState.FINISHED or not folder.is_whole():
         return False
     known = read_known(folder)

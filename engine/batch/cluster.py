@@ -211,7 +211,7 @@ def slurm_cluster(farm_options: FarmOptions) -> Any:
     options: dict[str, Any] = {name: value for name, value in farm_options.slurm.items() if value}
     for name, value in options.items():
         if not value.isprintable() or " " in value:
-            fix = f"Give --{name} without blanks and line breaks."
+            fix = f"Give --{name} without blanks or line breaks."
             raise PlgsError("slurm-option", f"{value!r} cannot be used in a Slurm job", name, fix, option=f"--{name}")
     if farm_options.tls is not None:
         options |= {"security": farm_options.tls.security(in_a_shell=True), "protocol": "tls://"}

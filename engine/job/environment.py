@@ -80,7 +80,7 @@ def pinned_versions(root: Path) -> tuple[Version, ...]:
 
 def requirement_file(root: Path, name: str, version: Version | None = None) -> Path:
     """A file in requirements/, which may be missing: "constraints" of a version pins dependencies, "hashes" of one has
-    the SHA-256 of all packages but torch, and "hashes-NAME" of all that is added for NAME."""
+    the SHA-256 of all packages but torch, and "hashes-NAME" that of all packages added for NAME."""
     ending = "" if version is None else f"-{version[0]}.{version[1]}"
     return root / "requirements" / f"{name}{ending}.txt"
 

@@ -215,5 +215,5 @@ def check_camera(name: str, camera: Camera, path: Path) -> None:
 def check_size(what: str, size: Size, path: Path) -> None:
     """Raise PlgsError, which begins with ``what``, for a size that no camera makes."""
     if min(size) < _SMALLEST_SIDE or max(size) > _LONGEST_SHAPE * min(size):
-        fix = f"Use at least {_SMALLEST_SIDE} pixels a side, and no side over {_LONGEST_SHAPE} times the other."
+        fix = f"Use at least {_SMALLEST_SIDE} pixels per side, and no side more than {_LONGEST_SHAPE} times the other."
         raise PlgsError("impossible-size", f"{what} is {shown_size(size)}, which no camera produces", path, fix)

@@ -186,7 +186,7 @@ Progress = Callable[[int, int], object]
 
 
 def part_of(whole: Progress, begin: float, end: float) -> Progress:
-    """The progress of a part, from one fraction of the ``whole`` to another, which is called with whole percents."""
+    """The progress of a part, from one fraction of ``whole`` to another. It is called with whole percentages."""
     return lambda done, total: whole(round(100 * (begin + (end - begin) * done / max(total, 1))), 100)
 
 

@@ -42,8 +42,8 @@ class SceneToLift:
 
 
 def scenes_from(texts: Sequence[str], names: Sequence[str] | None = None) -> tuple[SceneToLift, ...]:
-    """The scenes of ``texts``, each ``SCENE`` or ``SCENE:up=AXIS``, called ``names`` or as their folders are. SCENE may
-    be a pattern of folders, such as ``scans/scene*``, which stands for all of them in the order of their names.
+    """The scenes of ``texts``, each ``SCENE`` or ``SCENE:up=AXIS``, called ``names``, or else like their
+    folders. SCENE may be a pattern such as ``scans/scene*``, which stands for all these folders, ordered by name.
 
     Raises PlgsError if an axis or a name is invalid, if two names are the same, or if there are more or fewer names
     than scenes.

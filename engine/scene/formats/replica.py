@@ -40,7 +40,7 @@ def _read(place: Path) -> Capture:
     is_assumed = lens is None
     matrices = list(matrix_rows(trajectory, _FIX))
     if colours and max(colours) >= len(matrices):
-        what = f"there are {len(matrices)} poses, but a picture {max(colours)}"
+        what = f"there are {len(matrices)} poses, but a picture number {max(colours)}"
         raise PlgsError("unequal-counts", what, trajectory, "Number pictures from 0, and give each a pose.")
     found: list[tuple[str, Found]] = []
     for number, path in colours.items():

@@ -73,7 +73,7 @@ def test_masks_are_paired_by_frame_number(tmp_path: Path, frame: str, kinds: tup
     scene = open_scene(tmp_path, classes="nyu40")
     check_on_room(scene, truths, NAMES, THINGS)
     wanted = f"{frame.format(0)} has semantic_class/{kinds[0].format(0)}.png"
-    assert any("other names than their frames" in warning and wanted in warning for warning in scene.warnings)
+    assert any("not named like their frames" in warning and wanted in warning for warning in scene.warnings)
 
 
 def test_things_without_an_instance_are_groups(tmp_path: Path) -> None:
