@@ -215,7 +215,7 @@ def _gone(scene: Path) -> Callable[[Any], NoReturn]:
     """A reader that raises, for pixels that are gone."""
 
     def read(size: Any = None) -> NoReturn:
-        what = "the scene is not there, and this needs its pictures"
+        what = "the scene, whose pictures this needs, is not there"
         raise PlgsError("scene-gone", what, scene, FIND_SCENE, option="--scene")
 
     return read

@@ -28,8 +28,8 @@ from .owned import KEY, LIFT, OwnedDataBlocks, folder_of, text_of, untag
 from .timeline import places_of
 
 OBJECTS, INSTANCE, PLACED = "plgs_objects_of", "plgs_instance", "plgs_placed"
-"""Properties: the lift, of the collection of all extracted objects; the instance, of each object's collection; and the
-pose at which it was placed, of each object."""
+"""Properties: of the collection of all extracted objects, their lift; of each object's collection, its instance; and of
+each object, the pose at which it was placed."""
 _COLUMNS = {"FLOAT": ("value", 1), "INT": ("value", 1), "FLOAT_VECTOR": ("vector", 3), "FLOAT_COLOR": ("color", 4)}
 _PICTURE = 128
 """Side of an asset's preview picture in pixels."""

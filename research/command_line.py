@@ -102,7 +102,7 @@ def _add_experiments(parser: argparse.ArgumentParser) -> None:
         help="panoptic masks outside SCENE, such as 'predictions/{scene}', in which {scene} is the scene's name",
     )  # fmt: skip
     parser.add_argument(
-        "--depth", type=Path, metavar="FOLDER", help="depth maps of a network, as for lift, such as 'depths/{scene}'"
+        "--depth", type=Path, metavar="FOLDER", help="depth maps by a network, as for lift, such as 'depths/{scene}'"
     )
     parser.add_argument(
         "--predictions", nargs="+", default=[], metavar="NAME=FOLDER",

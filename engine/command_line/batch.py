@@ -164,7 +164,7 @@ def _asked_scenes(options: argparse.Namespace) -> list[argparse.Namespace]:
 
 def _refuse_conflicts(options: argparse.Namespace) -> None:
     if options.slurm and options.scheduler:
-        raise PlgsError("scheduler-and-slurm", "cannot be used with --scheduler", "--slurm", "Give one of them.")
+        raise PlgsError("scheduler-and-slurm", "cannot be used with --scheduler", "--slurm", "Give only one of them.")
     if options.workers and options.scheduler:
         what = "a scheduler has its own workers"
         raise PlgsError("scheduler-workers", what, "--workers", "Leave out this option, or --scheduler.")

@@ -283,7 +283,7 @@ def _add_set_up(parser: argparse.ArgumentParser) -> None:
     _add_wheels(either)
     either.add_argument(
         "--download", type=Path, metavar="DIR",
-        help="only collect in DIR the wheels of this and of all that 'add' knows, for this system and Python",
+        help="only collect the wheels for this, and for all that 'add' can add, in DIR, for this system and Python",
     )  # fmt: skip
     either.add_argument("--remove", action="store_true", help="delete the environments in FOLDER instead")
     _make_task(parser, commands.set_up, "What was downloaded is kept: the same command continues.")

@@ -297,8 +297,8 @@ def picture_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
         Finding(
             cause=cause,
             severity="wrong",
-            text=f"{what}: where two views see the same surface, their greys correlate by {fit.before:.2f}, and then "
-            f"by {fit.after:.2f} ({fit.certainty:.0f} standard errors)",
+            text=f"{what}: where two views see the same surface, their greys correlate by {fit.before:.2f}, "
+            f"with this corrected by {fit.after:.2f} ({fit.certainty:.0f} standard errors)",
             option=option,
             figures={"correlation": fit.before, "correlation_then": fit.after, "certainty": fit.certainty},
             picture=side_by_side([(photo.name, photo.grey), ("its depth", depth)]),

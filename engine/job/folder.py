@@ -286,8 +286,8 @@ class LiftFolder:
 
 
 def refuse_used(path: Path) -> None:
-    """Raise PlgsError if ``path`` is taken, so that no lift folder can be made there, and OSError if that is
-    unknown."""
+    """Raise PlgsError if ``path`` is taken, so that no lift folder can be made there, and OSError if that
+    cannot be determined."""
     if not path.exists():
         return
     if not path.is_dir():

@@ -60,7 +60,7 @@ _SYNC = "import os; getattr(os, 'sync', lambda: None)()"
 
 @dataclass(frozen=True)
 class SetUpRequest:
-    """``base_python`` None takes this one, or another that the packages are pinned for. ``torch_build`` is "cpu" or
+    """``base_python`` None means this one, or another that the packages are pinned for. ``torch_build`` is "cpu" or
     "cuda". An empty ``index_url`` lets packages come from where uv or pip is configured to look; ``wheels`` is a folder
     that they come from instead, without a network. ``download`` is such a folder to make, instead of an environment.
     """

@@ -170,7 +170,7 @@ class Trainer:
         self.follow_anchors()
 
     def move_to(self, device: torch.device | str) -> None:
-        """Do the following steps on this device. A view's targets stay there once they were used."""
+        """Do the following steps on this device. A view's targets stay there once they have been used."""
         self.device = torch.device(device)
         self.arithmetic = KERNELS if self.device.type == "cpu" else IN_TORCH
         self._placed.clear()

@@ -110,7 +110,7 @@ def _find_images(place: Path, images: list[ColmapImage]) -> Path:
         if file_inside(place / name, first, place).is_file():
             return place / name
     what = "the pictures are missing"
-    raise PlgsError("no-pictures", what, place / "images" / first, "Copy the pictures that COLMAP had there.")
+    raise PlgsError("no-pictures", what, place / "images" / first, "Copy the pictures that COLMAP used to that folder.")
 
 
 def _shot(

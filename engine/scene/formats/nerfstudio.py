@@ -218,8 +218,8 @@ def _distortion(entry: dict[str, Any], context: str, path: Path) -> Distortion:
     try:
         return of_nerfstudio(named, model, model == _FISHEYE or entry.get("is_fisheye") is True)
     except ValueError as error:
-        what = f"{context} has numbers of an unknown lens ({error})"
-        raise PlgsError("lens-numbers", what, path, "Undistort the pictures, and remove these numbers.") from error
+        what = f"{context} has coefficients of an unknown lens ({error})"
+        raise PlgsError("lens-numbers", what, path, "Undistort the pictures, and remove these coefficients.") from error
 
 
 def _depth(entry: dict[str, Any], lens: Camera, context: str, path: Path) -> DepthMap | None:

@@ -45,7 +45,7 @@ _DEPTH_TO_COLOUR = np.array(
 """From points of a Kinect's depth camera to points of its colour camera, metres (LIRIS, INSA Lyon)."""
 _DEPTH_F, _COLOUR_F = 585.0, 525.0
 _OWN_LENS = "camera-intrinsics.txt"
-_INFO_FIX = "Copy the file that the recorder wrote again, or correct it."
+_INFO_FIX = "Copy the recorder's file again, or correct it."
 
 _Reader = Callable[[str, Path, NDArray[np.float64], Path], Shot]
 """Makes the shot of a name, the files that begin with a path, a pose, and a colour picture."""
