@@ -30,8 +30,8 @@ from .survey import survey_of_panel, why_not_liftable
 
 
 def followed_lift(settings: PLGS_PG_settings) -> Lift | None:
-    """The panel's lift, if it is followed."""
-    folder = chosen_lift(settings)
+    """The lift that is shown, if it is followed."""
+    folder = lifts.shown_lift(settings)
     return None if folder is None else lifts.lift_of(folder)
 
 
@@ -242,8 +242,8 @@ def log_of(settings: PLGS_PG_settings, folder: str = "") -> Path:
 
 
 def lift_at(settings: PLGS_PG_settings, folder: str = "") -> LiftFolder:
-    """The lift in `folder`, else the settings' lift. Raises PlgsError if there is none."""
-    path: Path | None = absolute(folder) if folder else chosen_lift(settings)
+    """The lift in `folder`, else the one that is shown. Raises PlgsError if there is none."""
+    path: Path | None = absolute(folder) if folder else lifts.shown_lift(settings)
     if path is None:
         raise PlgsError("no-lift", "no lift is chosen", "Lift Folder", "Start a lift, or choose the folder of one.")
     return LiftFolder.open(path)

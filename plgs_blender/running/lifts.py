@@ -27,11 +27,12 @@ from ...engine.posed import size_within
 from .. import registry
 from ..cameras import camera_seen
 from ..chosen_scene import absolute
+from ..inspecting.selection import active_lift
 from ..inspecting.views import look_at_placed
 from ..lift_scene import place_passes_anew, place_room, reading_lift
-from ..owned import Placed, is_placed, tag
+from ..owned import FOLDER, Placed, is_placed, tag, text_of
 from ..registry import Task
-from ..settings import adopt, chosen_lift
+from ..settings import PLGS_PG_settings, adopt, chosen_lift
 from ..viewport import own_view, taking_over
 from . import exports
 
@@ -307,6 +308,13 @@ def attach(folder: Path) -> Lift:
             while task.follower.poll() and task.is_running:
                 pass  # read up to its last event, so that it does not look as if it ran
     return _follow(task)
+
+
+def shown_lift(settings: PLGS_PG_settings) -> Path | None:
+    """The folder of the panel's lift, else of the lift that the settings' scene shows, else None."""
+    root = active_lift(settings.id_data, None)
+    placed = "" if root is None else text_of(root, FOLDER)
+    return chosen_lift(settings) or (absolute(placed) if placed else None)
 
 
 def look_at(folder: Path) -> Lift | None:

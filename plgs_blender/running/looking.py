@@ -31,15 +31,15 @@ def look_at_scene(chosen: ChosenScene) -> None:
 
 
 def find_own_lifts() -> None:
-    """Follow the lifts named by the open file's scenes that are in this user's list of lifts.
+    """Follow the lifts that the open file's scenes name or show, if this user's list has them, or they have the file.
 
     Somebody else's file may name any path, such as a FIFO or a disk that never answers. Other paths, and the scene's
     folder, are read only when the user asks.
     """
-    own = {*map(Path, remembered_lifts())}
+    own = {*map(Path, remembered_lifts()), absolute("//")}
     for scene in bpy.data.scenes:
-        if scene.plgs.lift_folder and absolute(scene.plgs.lift_folder) in own:
-            lifts.look_at(absolute(scene.plgs.lift_folder))
+        if (folder := lifts.shown_lift(scene.plgs)) in own:
+            lifts.look_at(folder)
 
 
 def begin_to_read_objects() -> None:

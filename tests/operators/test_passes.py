@@ -12,6 +12,7 @@ import pytest
 from plgs.engine.job import BakeCamera, LiftFolder, read_cameras
 from plgs.engine.job.follower import TaskFollower
 from plgs.plgs_blender import engine_environment, registry
+from plgs.plgs_blender.lift_scene import save_lift
 from plgs.plgs_blender.running import lifts
 
 from tests.raises_key import worded
@@ -94,6 +95,17 @@ def test_only_a_finished_lift_can_be_baked_from_the_panel(lift: Path) -> None:
         assert not bpy.ops.plgs.bake_passes.poll()
         settings.lift_folder = str(lift)
         assert bpy.ops.plgs.bake_passes.poll()
+
+
+def test_the_lift_of_an_opened_file_is_baked_without_choosing_it(mine: Path, baked: Asked) -> None:
+    save_lift(mine, mine / "lift.blend")
+    bpy.ops.wm.open_mainfile(filepath=str(mine / "lift.blend"))
+    settings = bpy.context.scene.plgs
+    assert not settings.lift_folder
+    with bpy.context.temp_override(plgs_panel=settings):
+        assert bpy.ops.plgs.bake_passes.poll()
+    assert bpy.ops.plgs.bake_passes(frames="all") == {"FINISHED"}
+    assert baked.frames == ["all"]
 
 
 def test_the_active_camera_is_baked_over_the_frame_range(mine: Path, baked: Asked) -> None:
