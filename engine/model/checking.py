@@ -109,7 +109,7 @@ def decoders_of(facts: Mapping[str, Any]) -> tuple[type[Decoders], DecoderShape]
     kind = DECODERS.get(facts.get("kind", Decoders.kind))
     known = {name: value for name, value in facts.items() if name != "kind"}
     if kind is None or set(known) != {each.name for each in fields(DecoderShape)}:
-        raise ValueError("the decoders' shape is unknown: they may belong to a baseline, which only research can read")
+        raise ValueError("the decoders' shape is unknown: only the script or the baseline that made them can read them")
     for each in fields(DecoderShape):
         value = known[each.name]
         if each.type == "bool" and type(value) is not bool:

@@ -13,6 +13,7 @@ import pytest
 from engine.corrections import correct, making, read_corrected, read_edits, undo
 from engine.instances.records import SceneObject
 from engine.job import EventWriter, LiftFolder, LiftRequest, read_manifest, write_manifest
+from engine.lift import run as lift_run
 from engine.lift import scene_files
 from engine.lift.lasting_names import EarlierLift, lasting_names, read_earlier, take_over_edits
 from engine.passes.exr import read_exr
@@ -68,7 +69,7 @@ def lifts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[LiftFolder
     finer = replace(TINY, steps=15, voxel_size=0.15, gaussians_per_anchor=4)
     with presets_as(preview=TINY, standard=finer), pytest.MonkeyPatch.context() as patched:
         patched.setattr(scene_files, "FILLED", 0.25)
-        patched.setattr(scene_files, "shown_by_depth", lambda cloud, *_: ~is_beside_cabinet(cloud.xyz))
+        patched.setattr(lift_run, "shown_by_depth", lambda cloud, *_: ~is_beside_cabinet(cloud.xyz))
         few = write_tiny_scene(root / "few", frames=FRAMES, noise=0.1)
         first = lift_into(root / "first", LiftRequest(scene=few))
         renumber(first)
