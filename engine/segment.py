@@ -294,7 +294,7 @@ def begin_job(folder: Path, model: str, frames: Sequence[Frame]) -> Job:
     made_by, of_files = folder / FOLDER / MADE_BY, digests_of_files([(frame.colour_path,) for frame in frames])
     named = [*zip((frame.name for frame in frames), of_files, strict=True)]
     photos = sha256(repr(named).encode()).hexdigest() if all(of_files) else ""  # not known
-    fix = "Name another folder with -o, or remove these."
+    fix = "Remove these, or write into another folder."
     if made_by.is_file():
         content = read_object(made_by, fix)
         if content.get("model") != model or content.get("frames") != len(frames):

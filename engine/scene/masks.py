@@ -155,9 +155,11 @@ def find_masks(source: SceneSource, scene: Path, pictured: Mapping[str, Pictured
 
 
 def mask_place(scene: Path, masks: Path | None) -> Path | None:
-    """Where a scene's masks are: the named path, else the scene's own folder or its subfolder ``masks``."""
+    """Where a scene's masks are: the named path, else the scene's own folder or its subfolder ``masks``. The table of
+    COCO panoptic stands for the folder of its PNGs, which mean nothing without it."""
     if masks is not None:
-        return masks
+        table = masks.with_name(f"{masks.name}.json")
+        return table if masks.name.startswith("panoptic") and masks.is_dir() and table.is_file() else masks
     if any(each.in_scene and each.recognises(scene) for each in MASK_FORMATS):
         return scene
     folder = scene / MASK_FOLDER

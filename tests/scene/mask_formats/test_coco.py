@@ -39,6 +39,12 @@ def test_masks_come_back_as_they_were_written(folder: Path) -> None:
             assert (mask.ids == segment["id"]).sum() == segment["area"]
 
 
+def test_the_folder_of_pngs_stands_for_the_table_beside_it(folder: Path) -> None:
+    named, found = open_scene(folder, masks=folder / "panoptic"), open_scene(folder)
+    assert named.classes == found.classes
+    np.testing.assert_array_equal(named.frames[0].mask((64, 48)).ids, found.frames[0].mask((64, 48)).ids)
+
+
 def test_ids_use_all_three_channels(folder: Path) -> None:
     red_green_blue = (7, 8, 9)
     pixels = np.zeros((24, 32, 3), np.uint8)
