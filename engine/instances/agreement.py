@@ -147,11 +147,11 @@ def view_points(view: View, point_of_pixel: NDArray[np.int32]) -> ViewPoints:
     seen = point_of_pixel >= 0
     row = point_of_pixel[seen].astype(np.int64)
     segment = view.mask.ids[seen].astype(np.int64)
-    weight = np.where(edge_distance(view.mask.ids)[seen] > 1.5, 1.0, 0.01)
-    pairs, inverse = np.unique((row << 32) | segment, return_inverse=True)
+    weight = np.where(edge_distance(view.mask.ids)[seen] > 1.5, 1.0, 0.01)  # it is 1 at an edge, and 2 beside it
+    pairs, inverse = np.unique((row << 32) | segment, return_inverse=True)  # two in one, as `unique` of rows is slow
     total = np.bincount(inverse.reshape(-1), weight, len(pairs))
     rows, segments = pairs >> 32, pairs & 0xFFFFFFFF
-    order = np.lexsort((segments, -np.round(total, 6), rows))
+    order = np.lexsort((segments, -np.round(total, 6), rows))  # sums that differ by rounding alone are a tie
     points, first = np.unique(rows[order], return_index=True)
     index = np.searchsorted(points, row)
     pixels = np.bincount(index, minlength=len(points))
@@ -183,7 +183,7 @@ def words_of_views(
     total = np.zeros((points, len(class_ids)))  # float64: where a view is taken out, nothing must be left of it
     for view, seen in zip(seeing.views, seeing.seen, strict=True):
         shown = shown_classes(view, seen)
-        column = np.minimum(np.searchsorted(class_ids, shown), len(class_ids) - 1)
+        column = np.minimum(np.searchsorted(class_ids, shown), len(class_ids) - 1)  # other classes are rejected below
         known = class_ids[column] == shown
         word = evidence(kind, seen.pixels[known], seen.resolution[known]).astype(np.float64) * seen.shares[known]
         said.append((seen.row[known].astype(np.int64), column[known], word))

@@ -165,7 +165,7 @@ def join(weight: NDArray[np.floating], step: Callable[[], object] = lambda: None
     while len(weight):
         step()
         i = int(best.argmax())
-        if best[i] <= 1e-9:
+        if best[i] <= 1e-9:  # less may be the rounding of sums
             break
         i, j = sorted((i, int(partner[i])))
         cluster[cluster == j] = i
@@ -178,7 +178,7 @@ def join(weight: NDArray[np.floating], step: Callable[[], object] = lambda: None
             partner[row] = weight[row].argmax()
             best[row] = weight[row, partner[row]]
         better = (joined > best) | ((joined == best) & (i < partner))
-        better[[i, j]] = False
+        better[[i, j]] = False  # i has just searched, and j is gone
         partner[better], best[better] = i, joined[better]
     return cluster
 
@@ -188,18 +188,18 @@ def linked_parts(
 ) -> NDArray[np.int32]:
     """The part that each of the masks ``rows`` is in, int32 [R]. No ``join_weight`` between two parts is positive."""
     inside = judgement.inside[rows]
-    judges = judgement.judges[np.ix_(rows, judgement.judges.any(0))]
+    judges = judgement.judges[np.ix_(rows, judgement.judges.any(0))]  # without views that judge nothing
     favour = (inside @ inside.T).tocoo()
     row, column = favour.row, favour.col
     judging = np.empty(len(row), np.float32)
     for start in range(0, len(row), PAIRS_AT_A_TIME):
         some = slice(start, start + PAIRS_AT_A_TIME)
         judging[some] = np.einsum("pv,pv->p", judges[row[some]], judges[column[some]])
-    most = options.tracker if has_tracks(space) else 0.0
+    most = options.tracker if has_tracks(space) else 0.0  # what the tracker may add to a pair
     linked = favour.data + most > options.agreement * judging
     track = tracks_of(space, rows)
     order = np.argsort(track, kind="stable")
-    chained = (track[order[1:]] == track[order[:-1]]) & (track[order[1:]] >= 0)
+    chained = (track[order[1:]] == track[order[:-1]]) & (track[order[1:]] >= 0)  # neighbours: enough to link a track
     one, other = order[:-1][chained], order[1:][chained]
     ends = np.concatenate([row[linked], one]), np.concatenate([column[linked], other])
     graph = coo_matrix((np.ones(len(ends[0]), bool), ends), favour.shape)

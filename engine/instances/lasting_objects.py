@@ -72,7 +72,7 @@ def object_overlap(
 def lasting_objects(overlap: ObjectOverlap) -> LastingObjects:
     """The assignment with the largest sum of IoU, without pairs below LEAST_IOU."""
     iou = overlap.iou
-    rows, columns = linear_sum_assignment(-np.where(iou >= LEAST_IOU, iou, 0.0))
+    rows, columns = linear_sum_assignment(-np.where(iou >= LEAST_IOU, iou, 0.0))  # weak ones must not displace others
     pairs = [(row, column) for row, column in zip(rows, columns, strict=True) if iou[row, column] >= LEAST_IOU]
     old_of = {int(overlap.new_ids[column]): int(overlap.old_ids[row]) for row, column in pairs}
     kept = set(old_of.values())

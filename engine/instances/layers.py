@@ -45,7 +45,7 @@ def class_agreement(seeing: ViewsOnCloud, points: int, class_ids: tuple[int, ...
     for row, column, word in said:
         others = total[row]
         others[np.arange(len(row)), column] -= word
-        is_asked = others.max(1, initial=0) > 1e-5
+        is_asked = others.max(1, initial=0) > 1e-5  # less is the rounding of the subtraction
         asked += np.bincount(column, word * is_asked, len(ids))
         agreed += np.bincount(column, word * (is_asked & (others.argmax(1) == column)), len(ids))
-    return float(np.mean(agreed[asked > 0] / asked[asked > 0])) if asked.any() else 1.0
+    return float(np.mean(agreed[asked > 0] / asked[asked > 0])) if asked.any() else 1.0  # nothing compared

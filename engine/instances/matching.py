@@ -40,7 +40,7 @@ def class_by_views(masks: Sequence[ObjectMask]) -> int:
     for mask in masks:
         kind = mask.segment.class_id
         votes[kind] = votes.get(kind, 0.0) + mask.pixels / math.sqrt(max(seen[mask.frame], 1))
-    return min(votes, key=lambda class_id: (-round(votes[class_id], 9), class_id))
+    return min(votes, key=lambda class_id: (-round(votes[class_id], 9), class_id))  # rounded: ties by float error count
 
 
 def match_views(
@@ -65,7 +65,7 @@ def update_instances(
     """I'_global after one view, whose masks are ``local``. ``known`` is left unchanged."""
     updated = list(known)
     cost = np.array([[pair_cost(item.box, g.box, options.cost) for g in known] for item in local])
-    for row, target in enumerate(_targets(cost.reshape(len(local), len(known)), options)):
+    for row, target in enumerate(_targets(cost.reshape(len(local), len(known)), options)):  # empty lists have no axis
         if target is None:
             updated.append(replace(local[row], id=len(updated) + 1))
         else:
@@ -86,7 +86,7 @@ def _targets(cost: NDArray[np.float64], options: Matching) -> list[int | None]:
     targets: list[int | None] = []
     for row in range(local):
         best = int(cost[row].argmin())
-        assigned = int(partner.get(row, best))
+        assigned = int(partner.get(row, best))  # where there are more local ones than known, some have no partner
         if cost[row, best] > options.tau_new:
             targets.append(None)
         elif options.rule == "literal" or cost[row, assigned] <= options.tau_new:

@@ -180,7 +180,7 @@ def regroup_pieces(
     order = np.argsort(origin, kind="stable")
     number_of_group = np.empty(count, np.int32)
     number_of_group[order] = np.arange(1, count + 1)
-    table = np.append(number_of_group[group], 0).astype(np.int32)
+    table = np.append(number_of_group[group], 0).astype(np.int32)  # the last entry is for piece -1, none
     return table[piece], [origin[each] for each in order]
 
 

@@ -92,7 +92,7 @@ class PanopticLabels:
 
     def classes(self, labels: NDArray[np.integer]) -> NDArray[np.int32]:
         """The class id of each label [...], int32, 0 for unknown."""
-        table = np.append(np.asarray(self.class_ids, np.int32)[self.class_column], 0).astype(np.int32)
+        table = np.append(np.asarray(self.class_ids, np.int32)[self.class_column], 0).astype(np.int32)  # last: for -1
         return table[labels]
 
     def objects(self, labels: NDArray[np.integer]) -> NDArray[np.int32]:

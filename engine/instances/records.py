@@ -74,14 +74,14 @@ def intersection_volume(first: OrientedBox, second: OrientedBox) -> float:
     """||inter(B1, B2)|| in cubic metres: the area of the clipped footprints times the overlap in z."""
     top = min(float(box.centre[2] + box.size[2] / 2) for box in (first, second))
     overlap = top - max(float(box.centre[2] - box.size[2] / 2) for box in (first, second))
-    reach = (math.hypot(*first.size[:2]) + math.hypot(*second.size[:2])) / 2
+    reach = (math.hypot(*first.size[:2]) + math.hypot(*second.size[:2])) / 2  # circles around both: most are far apart
     if overlap <= 0 or math.dist(first.centre[:2], second.centre[:2]) >= reach:
         return 0.0
     common = _clip(first.footprint.tolist(), second.footprint.tolist())
     if len(common) < 3:
         return 0.0
     x, y = np.array(common).T
-    return overlap * (abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2)
+    return overlap * (abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2)  # the shoelace formula
 
 
 def _clip(polygon: list[list[float]], window: list[list[float]]) -> list[list[float]]:

@@ -214,18 +214,18 @@ def neighbours_on_a_thing(xyz: NDArray[np.floating], spacing: float, seen: Itera
     """The weight of each point's neighbours, sparse float32 [N, N]. A row's sum is 1, or 0 for a point without any.
     ``xyz`` [N, 3] and ``spacing`` of the cloud in metres; ``seen``: what each view shows at the points."""
     points, count = np.asarray(xyz, np.float64), len(xyz)
-    reach = np.nextafter(REACH * spacing, np.inf)
+    reach = np.nextafter(REACH * spacing, np.inf)  # the tree's bound excludes the distance itself
     nearest = cKDTree(points).query(points, NEIGHBOURS + 1, distance_upper_bound=reach, workers=worker_count())[1]
     other = nearest[:, 1:]  # without the point itself; N stands for no neighbour
     both, same = np.zeros(other.shape, np.float32), np.zeros(other.shape, np.float32)
-    segment, resolution = np.zeros(count + 1, np.int32), np.zeros(count + 1, np.float32)
+    segment, resolution = np.zeros(count + 1, np.int32), np.zeros(count + 1, np.float32)  # the last: no neighbour
     for one in seen:
         segment[one.row], resolution[one.row] = one.segment, one.resolution
         there, here = segment[other[one.row]], one.segment[:, None]
         weight = np.minimum(resolution[other[one.row]], one.resolution[:, None]) * ((there > 0) & (here > 0))
         both[one.row] += weight
         same[one.row] += weight * (there == here)
-        segment[one.row] = 0
+        segment[one.row] = 0  # clean for the next view, which sees other points
     share = np.where(same > 0.5 * both, same / np.maximum(both, 1e-12), 0.0)
     weight = share / np.maximum(share.sum(1, keepdims=True), 1e-12)
     row, column = np.nonzero(share)

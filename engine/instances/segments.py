@@ -47,7 +47,7 @@ def mask_extents(mask: PanopticMask) -> dict[int, tuple[float, Rectangle]]:
     around it."""
     height, width = mask.ids.shape
     present, number, count = np.unique(mask.ids, return_inverse=True, return_counts=True)
-    rectangles = find_objects(number.reshape(mask.ids.shape) + 1)
+    rectangles = find_objects(number.reshape(mask.ids.shape) + 1)  # SciPy takes 0 as background
     return {
         int(segment): (
             float(pixels) / mask.ids.size,
@@ -71,7 +71,7 @@ def outline_of(mask: PanopticMask, segment: int, within: Rectangle = (0.0, 0.0, 
     for contour in (each for each, area in zip(contours, areas, strict=True) if area >= least):
         corners = cv2.approxPolyDP(contour, OUTLINE_ERROR * float(size.max()), True)[:, 0]
         if len(corners) >= 3:
-            polygons.append(" ".join(f"{x:.3f},{y:.3f}" for x, y in (corners + 0.5) / size))
+            polygons.append(" ".join(f"{x:.3f},{y:.3f}" for x, y in (corners + 0.5) / size))  # 0.5: pixel centres
     return ";".join(polygons)
 
 
@@ -117,7 +117,7 @@ def edge_distance(ids: NDArray[np.int32]) -> NDArray[np.float32]:
 def thin(points: NDArray[np.float64], voxel_size: float) -> NDArray[np.float64]:
     """The mean point of each occupied voxel, [n, 3] to [m, 3] in metres, in lexicographic order of the voxels."""
     cells = np.floor(points / voxel_size).astype(np.int64)
-    cells -= cells.min(0)
+    cells -= cells.min(0)  # from 0, so that three numbers fit into one below
     _, height, depth = cells.max(0) + 1
     _, voxel = np.unique((cells[:, 0] * height + cells[:, 1]) * depth + cells[:, 2], return_inverse=True)
     voxel = voxel.reshape(-1)

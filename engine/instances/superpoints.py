@@ -73,7 +73,7 @@ def superpoints(xyz: NDArray[np.floating], spacing: float, seeing: ViewsOnCloud)
     tree = cKDTree(xyz)
     near = xyz[tree.query(xyz, min(PATCH, len(xyz)), workers=worker_count())[1].reshape(len(xyz), -1)]
     offset = near - near.mean(1, keepdims=True)
-    normal = np.linalg.eigh(np.einsum("nki,nkj->nij", offset, offset))[1][:, :, 0]
+    normal = np.linalg.eigh(np.einsum("nki,nkj->nij", offset, offset))[1][:, :, 0]  # 0: the least spread
     towards = np.zeros_like(xyz)
     for view, seen in zip(seeing.views, seeing.seen, strict=True):
         towards[seen.row] += view.camera.centre - xyz[seen.row]
@@ -82,7 +82,7 @@ def superpoints(xyz: NDArray[np.floating], spacing: float, seeing: ViewsOnCloud)
     bend = 1 - (normal[one] * normal[two]).sum(1)
     is_convex = ((xyz[two] - xyz[one]) * normal[two]).sum(1) > 0
     bend[is_convex] **= 2  # things bulge, and meet others in concave edges
-    order = np.lexsort((two, one, bend))
+    order = np.lexsort((two, one, bend))  # ties by index, in whatever order the pairs come
     part = _pieces(one[order], two[order], bend[order], len(xyz), LOOSENESS, LEAST_POINTS)
     return np.unique(part, return_inverse=True)[1].astype(np.int64)
 
@@ -91,11 +91,11 @@ def superpoints(xyz: NDArray[np.floating], spacing: float, seeing: ViewsOnCloud)
 def _pieces(one: Any, two: Any, bend: Any, points: int, looseness: float, least: int) -> Any:
     """The root of each point's piece, int64 [points], for edges [E] in the order of their ``bend``."""
     parent, size, limit = np.arange(points), np.ones(points, np.int64), np.full(points, looseness)
-    for only_small in (False, True):
+    for only_small in (False, True):  # first by bend, then what is still too small
         for edge in range(len(one)):
             i, j = one[edge], two[edge]
             while parent[i] != i:
-                parent[i] = parent[parent[i]]
+                parent[i] = parent[parent[i]]  # halves the path for later searches
                 i = parent[i]
             while parent[j] != j:
                 parent[j] = parent[parent[j]]

@@ -74,14 +74,14 @@ def rasterize_gsplat(gaussians: GaussianSet, pinhole: Pinhole, wanted: Wanted) -
         return _nothing_drawn(gaussians, pinhole, wanted.means2d_grad)
     channels, alpha, about = _call(gaussians, pinhole)
     means2d = about["means2d"]
-    above = torch.tensor([0.0, pinhole.above]).to(gaussians.means, non_blocking=True)
+    above = torch.tensor([0.0, pinhole.above]).to(gaussians.means, non_blocking=True)  # without a wait for the device
     centres, radii = means2d.detach()[0] - above, about["radii"][0]
     down = centres[:, 1]
     visible = (radii > 0).all(-1) & (down + radii[:, 1] > 0) & (down - radii[:, 1] < pinhole.height)
     leaf = torch.where(visible[:, None], centres, 0.0)
     if wanted.means2d_grad:
         leaf.requires_grad_()
-        means2d.register_hook(lambda gradient: setattr(leaf, "grad", gradient[0].contiguous()))
+        means2d.register_hook(lambda gradient: setattr(leaf, "grad", gradient[0].contiguous()))  # not a leaf
     labels = None if gaussians.labels is None else _blended_labels(gaussians.labels, pinhole, about)
     return Rendering(channels[..., :3], labels, alpha[..., 0], channels[..., 3], visible, leaf)
 
@@ -107,7 +107,7 @@ def _contributions(pinhole: Pinhole, about: dict[str, Any]) -> tuple[Tensor, Ten
     width, height = pinhole.width, pinhole.whole_height or pinhole.height
     means2d, conics, opacities = about["means2d"], about["conics"], about["opacities"]
     lists = width, height, about["tile_size"], about["isect_offsets"], about["flatten_ids"]
-    clear = means2d.new_ones(1, height, width)
+    clear = means2d.new_ones(1, height, width)  # the transmittance in front of all
     gaussian, pixel, _ = rasterize_to_indices_in_range(0, 1 << 30, clear, means2d, conics, opacities, *lists)
     starts = torch.searchsorted(pixel, torch.arange(width * height, device=pixel.device))
     centre = torch.stack([pixel % width, pixel // width], dim=1) + 0.5
@@ -132,12 +132,12 @@ def _nothing_drawn(gaussians: GaussianSet, pinhole: Pinhole, want_means2d_grad: 
     height, width, labels = pinhole.height, pinhole.width, gaussians.labels
 
     def blank(depends_on: Iterable[Tensor], *shape: int) -> Tensor:
-        return torch.stack([each.sum() for each in depends_on]).sum().expand(shape).contiguous()
+        return torch.stack([each.sum() for each in depends_on]).sum().expand(shape).contiguous()  # 0, with a graph
 
     image, alpha, depth = (blank(gaussians[:5], height, width, *more) for more in ((3,), (), ()))
     leaf = gaussians.means.detach()[:, :2].clone()
     if want_means2d_grad:
-        leaf.requires_grad_().grad = torch.zeros_like(leaf)
+        leaf.requires_grad_().grad = torch.zeros_like(leaf)  # no backward pass reaches it
     drawn_labels = None if labels is None else blank([labels], height, width, labels.shape[1])
     return Rendering(image, drawn_labels, alpha, depth, gaussians.opacities.detach() > 0, leaf)
 
@@ -165,8 +165,8 @@ def _call(gaussians: GaussianSet, pinhole: Pinhole) -> tuple[Tensor, Tensor, dic
         height=pinhole.whole_height or pinhole.height,
         near_plane=pinhole.near,
         eps2d=BLUR,
-        packed=False,
-        render_mode="RGB+D",
+        packed=False,  # a row for every Gaussian, also for those that are not visible
+        render_mode="RGB+D",  # D is not divided by alpha, as `Rendering` wants it (ED would be)
         tile_size=_TILE,
     )
     rows = slice(pinhole.above, pinhole.above + pinhole.height)

@@ -145,14 +145,14 @@ def _pinhole(
     (fx, skew, cx), (_, fy, cy), _ = _rows(intrinsics, "K", (3, 3))
     if skew != 0.0:
         raise ValueError("K has skew; only fx, fy, cx, cy are supported")
-    if not near > 0.0:
+    if not near > 0.0:  # also NaN
         raise ValueError(f"near is {near}; it must be positive")
     x_axis, y_axis, z_axis, centre = zip(*pose[:3], strict=True)
     return Pinhole(
         rotation=(*x_axis, *y_axis, *z_axis),
         centre=centre,
         focal=(fx, fy),
-        principal=(cx, cy - first),
+        principal=(cx, cy - first),  # from the first row that is drawn
         width=int(width),
         height=int(end - first),
         near=float(near),

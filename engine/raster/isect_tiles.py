@@ -58,13 +58,13 @@ def isect_tiles(
     columns, rows = -(-width // TILE), -(-height // TILE)
     offsets, keys = memory.several((len(boxes) + 1, np.int64), (len(boxes), np.uint64))
     keys = keys[: list_visible(boxes, depths.view(np.uint32), keys, offsets)]
-    keys.sort()
+    keys.sort()  # the index in each key settles ties
     count = int(offsets[-1])
     workers = workers if count >= WORTH_SHARING else 1
     order, *listed = memory.several(
         (len(keys), np.int32), (columns * rows + 1, np.int64), (count, np.int32), (count, np.int32)
     )
-    np.copyto(order.view(np.uint32), keys, casting="unsafe")
+    np.copyto(order.view(np.uint32), keys, casting="unsafe")  # the low 32 bits, which are the index
     isects = Intersections(offsets, *listed)
     cursors = np.zeros((workers, columns * rows), np.int64)
     parallel_for(workers, count_tiles, order, boxes, columns, cursors)

@@ -188,7 +188,7 @@ class _Blend(torch.autograd.Function):
         ctx.save_for_backward(means, scales, quats)
         ctx.state = state
         ctx.size, ctx.labels_shape = (pinhole.height, pinhole.width), features.shape
-        ctx.set_materialize_grads(False)
+        ctx.set_materialize_grads(False)  # `backward` gets None, not zeros, for layers without a loss
         return *map(torch.from_numpy, layers), *more
 
     @staticmethod
@@ -204,7 +204,7 @@ class _Blend(torch.autograd.Function):
         is_compiled()
         if d_labels is None:
             gradients[LABELS] = np.zeros(ctx.labels_shape, np.float32)
-        wanted = zip(gradients, needed, strict=False)
+        wanted = zip(gradients, needed, strict=False)  # `needed` also covers the last three arguments
         return *(torch.from_numpy(gradient) if need else None for gradient, need in wanted), None, None, None
 
 

@@ -170,12 +170,12 @@ def project_gaussian(i: int, gaussians: Gaussians, camera: Array, size: Size, ou
     clear(i, out)
     opacity = np.float64(gaussians.opacities[i])
     x, y, z = camera_point(camera, *three_of(gaussians.means, i))
-    if not (z > camera[16] and opacity >= ALPHA_MIN):
+    if not (z > camera[16] and opacity >= ALPHA_MIN):  # not "<=": so NaN is not drawn
         return
     centre_x, centre_y, cov_xx, cov_xy, cov_yy = footprint_of(i, (x, y, z), gaussians, camera)
     reach = math.log(opacity / ALPHA_MIN)
-    extent_x, extent_y = math.sqrt(2.0 * reach * cov_xx), math.sqrt(2.0 * reach * cov_yy)
-    right, bottom = size.width - 1.0, size.height - 1.0
+    extent_x, extent_y = math.sqrt(2.0 * reach * cov_xx), math.sqrt(2.0 * reach * cov_yy)  # where alpha falls to 1/255
+    right, bottom = size.width - 1.0, size.height - 1.0  # below, 0.5 leads from a pixel's index to its centre
     low_x, high_x = max(np.ceil(centre_x - extent_x - 0.5), 0.0), min(np.floor(centre_x + extent_x - 0.5), right)
     low_y, high_y = max(np.ceil(centre_y - extent_y - 0.5), 0.0), min(np.floor(centre_y + extent_y - 0.5), bottom)
     determinant = cov_xx * cov_yy - cov_xy * cov_xy
@@ -190,7 +190,7 @@ def project_gaussian(i: int, gaussians: Gaussians, camera: Array, size: Size, ou
     root = math.sqrt(cov_yy / determinant)
     whitened = (WHITENING * root, -WHITENING * cov_xy / (determinant * root), WHITENING / math.sqrt(cov_yy))
     write_record(i, (centre_x, centre_y), whitened, gaussians, out.records)
-    out.records[i, LOG_OPACITY] = (reach + LOG_ALPHA_MIN) * LOG2_E
+    out.records[i, LOG_OPACITY] = (reach + LOG_ALPHA_MIN) * LOG2_E  # log2(opacity)
     out.records[i, DEPTH] = z
 
 
@@ -287,7 +287,7 @@ def project_backward(
     d_qx = 2.0 * (qy * (m1 + m3) + qz * (m2 + m6) - 2.0 * qx * (m4 + m8) + w * (m7 - m5))
     d_qy = 2.0 * (qx * (m1 + m3) + qz * (m5 + m7) - 2.0 * qy * (m0 + m8) + w * (m2 - m6))
     d_qz = 2.0 * (qx * (m2 + m6) + qy * (m5 + m7) - 2.0 * qz * (m0 + m4) + w * (m3 - m1))
-    along = d_w * w + d_qx * qx + d_qy * qy + d_qz * qz
+    along = d_w * w + d_qx * qx + d_qy * qy + d_qz * qz  # normalised, so no gradient along it
     out.quats[i, 0] = (d_w - along * w) * over_norm
     out.quats[i, 1] = (d_qx - along * qx) * over_norm
     out.quats[i, 2] = (d_qy - along * qy) * over_norm

@@ -83,7 +83,7 @@ def footprint_visible(
     centres: Tensor, covariances: Tensor, depths: Tensor, opacities: Tensor, pinhole: Pinhole
 ) -> Tensor:
     """bool [N]: beyond the near plane, and the box around {alpha >= 1/255} contains a pixel centre of the image."""
-    reach = 2.0 * torch.log(opacities.clamp(min=1e-30) / ALPHA_MIN)
+    reach = 2.0 * torch.log(opacities.clamp(min=1e-30) / ALPHA_MIN)  # no logarithm of 0
     extent = torch.sqrt(reach.clamp(min=0.0)[:, None] * torch.diagonal(covariances, dim1=-2, dim2=-1))
     size = torch.tensor([pinhole.width, pinhole.height], dtype=centres.dtype)
     first = torch.ceil(centres - extent - 0.5).clamp(min=0.0)

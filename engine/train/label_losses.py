@@ -43,14 +43,14 @@ class _LabelLosses(torch.autograd.Function):
     ) -> tuple[torch.Tensor, ...]:
         numbers = torch.stack([target.reshape(-1) for target in targets], 1).long()  # [P, 3]
         known, visible = numbers >= 0, alpha.detach().reshape(-1, 1) + TINY
-        numbers[:, 1:] += classes
+        numbers[:, 1:] += classes  # slots come after the classes; `known` says which of these are valid
         # channels of the targets; without a target, the first channel, with a probability of 1 and no slope
         ctx.channels, ctx.shape = numbers * known, coverage.shape
         probability = coverage.flatten(0, 1).gather(1, ctx.channels) / visible + TINY
         probability = probability.where(known, 1.0)
         ctx.slopes = known / (-probability * visible)
         has_target = torch.stack([known[:, 0], known[:, 1] | known[:, 2]], 1)
-        ctx.counts = has_target.sum(0).clamp_min(1)
+        ctx.counts = has_target.sum(0).clamp_min(1)  # no 0 / 0: without a target the cost is 0
         costs = -probability.log().double().sum(0)  # in double, so that its order does not matter
         return (torch.stack([costs[0], costs[1] + costs[2]]) / ctx.counts).float().unbind()
 
@@ -59,6 +59,7 @@ class _LabelLosses(torch.autograd.Function):
     def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         semantic, instance = (torch.stack(gradients) / ctx.counts).unbind()
         gradient = ctx.slopes.new_zeros(len(ctx.slopes), ctx.shape[-1])
+        # added up, as both slots of a pixel may be one channel
         gradient.scatter_add_(1, ctx.channels, ctx.slopes * torch.stack([semantic, instance, instance]))
         return gradient.view(ctx.shape), None, None, None, None, None
 
@@ -99,7 +100,7 @@ def assigned_slots(
     slots, segments = coverage.shape[-1] - first, len(things.pixels)
     row, slot_of_segment = torch.as_tensor(things.row).long(), np.full(segments + 1, NO_SLOT, np.int16)
     if slots and segments:
-        inside = functional.one_hot(row.reshape(-1) + 1, segments + 1)[:, 1:].float()
+        inside = functional.one_hot(row.reshape(-1) + 1, segments + 1)[:, 1:].float()  # without row -1
         shown = coverage.detach().flatten(0, 1)[:, first:] / (alpha.detach().reshape(-1, 1) + TINY)
         mean = np.array((inside.T @ shown).tolist()) / things.pixels[:, None]
         able = [slot for slot in range(slots) if slot != no_object]

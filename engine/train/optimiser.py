@@ -167,7 +167,7 @@ class Optimiser:
         """Restore the moments that ``tensors()`` returned after ``count`` steps."""
         self.count = count
         self.moments = {
-            name: (tensors[f"{name}.mean"].clone(), tensors[f"{name}.square"].clone())
+            name: (tensors[f"{name}.mean"].clone(), tensors[f"{name}.square"].clone())  # steps change them in place
             for name, _ in self._named()
-            if f"{name}.mean" in tensors
+            if f"{name}.mean" in tensors  # a finished lift's checkpoint has no moments
         }

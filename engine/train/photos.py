@@ -54,7 +54,7 @@ def _least_squares(seen: Any, by_point: NDArray[np.float64], by_photo: NDArray[n
     system = np.diag(np.asarray(seen.sum(1)).reshape(-1)) - (seen @ sparse.diags(1 / pixels) @ seen.T).toarray()
     # A photo that shares no point with another has no gain: the smallest solution leaves it at 0.
     gains = np.linalg.lstsq(system, by_photo - seen @ mean, rcond=1e-6)[0]
-    gains -= gains.mean(axis=0)
+    gains -= gains.mean(axis=0)  # pixels determine only the differences of gains
     return _Fit(gains, mean - (seen.T @ gains) / pixels[:, None])
 
 

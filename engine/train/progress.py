@@ -41,7 +41,7 @@ class Course:
         values, index = [*self.seconds.values()], [*self.seconds].index(stage)
         done = sum(values[:index]) + share * values[index]
         trusted = _TRUSTED * sum(values)
-        pace = (now - self.began + trusted) / (done + trusted)
+        pace = (now - self.began + trusted) / (done + trusted)  # 1 is as predicted
         own = pace * (1.0 - share) * values[index]
         if eta is not None:
             own += min(1.0, share / _SURE) * (eta - own)
@@ -63,7 +63,7 @@ class StageProgress:
         now = time.monotonic()
         if self.first is None:
             self.first, self.began = done, now
-        if now - self.reported < REPORT_EVERY_S and (done < total or done == self.last):
+        if now - self.reported < REPORT_EVERY_S and (done < total or done == self.last):  # the end always, once
             return
         self.reported, self.last = now, done
         counted = done - self.first  # None before there is a pace; then the mean pace of this run so far

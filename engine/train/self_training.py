@@ -45,6 +45,7 @@ class PseudoLabels:
     def teach(self, target: ViewTargets) -> ViewTargets:
         """The view's targets with these labels, int16 [H, W] each."""
         classes, slots = (
+            # frombuffer warns about bytes, which are read-only
             None if packed is None else torch.frombuffer(bytearray(zlib.decompress(packed)), dtype=torch.int16)
             for packed in (self.classes, self.slots)
         )
@@ -54,7 +55,7 @@ class PseudoLabels:
 
 
 def _packed(labels: torch.Tensor) -> bytes:
-    return zlib.compress(labels.to(torch.int16).contiguous().numpy().tobytes(), 1)
+    return zlib.compress(labels.to(torch.int16).contiguous().numpy().tobytes(), 1)  # level 1 packs regions well enough
 
 
 def rendered_labels(

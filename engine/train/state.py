@@ -62,7 +62,7 @@ def _check(
     """Raise ValueError unless everything except the model fits too."""
     if (scene.channels, scene.decoders.shape) != (trainer.scene.channels, trainer.scene.decoders.shape):
         raise OtherLabels("it belongs to a lift with other labels")
-    if type(facts["step"]) is not int or not 0 <= facts["step"] <= trainer.preset.steps:
+    if type(facts["step"]) is not int or not 0 <= facts["step"] <= trainer.preset.steps:  # isinstance would take True
         raise ValueError("its step number is not one of this lift's")
     if type(facts["optimiser_steps"]) is not int or facts["optimiser_steps"] < 0:
         raise ValueError("its optimiser's number of steps is not valid")
@@ -75,7 +75,7 @@ def _check(
         for name, parameter in parameters.items()
         for moment in ("mean", "square")
     }
-    check_tensors(moments, wanted if moments else {})
+    check_tensors(moments, wanted if moments else {})  # a finished lift's checkpoint has no moments
     empty = GrowthStatistics.empty(scene.anchors).tensors()
     check_tensors(growth, {name: Wanted(tuple(tensor.shape), least=0.0) for name, tensor in empty.items()})
     for prefix, channels in (("pseudo.", scene.channels.class_ids), ("pseudo_slot.", scene.channels.slot_ids)):
@@ -83,9 +83,9 @@ def _check(
             if number not in {str(view) for view in range(len(trainer.views))}:
                 raise ValueError(f"its pseudo labels are of view {number}, which this lift does not have")
             camera = trainer.views[int(number)].camera
-            expected = 2 * camera.height * camera.width
+            expected = 2 * camera.height * camera.width  # bytes of int16
             try:
-                numbers = zlib.decompressobj().decompress(packed.numpy().tobytes(), expected + 1)
+                numbers = zlib.decompressobj().decompress(packed.numpy().tobytes(), expected + 1)  # one more shows
             except zlib.error as error:
                 raise ValueError(f"its pseudo labels are damaged ({error})") from None
             if packed.dtype != torch.uint8 or len(numbers) != expected:

@@ -55,7 +55,7 @@ def columns_of(labels: NDArray[np.integer], ids: tuple[int, ...], dtype: DTypeLi
     for column, label in enumerate(ids):
         if label:
             table[label] = column
-    return torch.from_numpy(table[np.maximum(labels, 0)])
+    return torch.from_numpy(table[np.maximum(labels, 0)])  # entry 0 is -1, no channel
 
 
 def slots_of(instances: NDArray[np.integer], known: NDArray[np.bool_], channels: LabelChannels) -> torch.Tensor:

@@ -155,14 +155,14 @@ class Trainer:
         self.pseudo: list[PseudoLabels | None] = [None] * len(targets)
         self.step_number = 0
         self.clock = StepClock()
-        named = (name for name in preset.losses if name != "depth" or preset.weights.depth)
+        named = (name for name in preset.losses if name != "depth" or preset.weights.depth)  # weight 0 turns it off
         self.further = {name: LOSSES.chosen(name) for name in named}
         schedule = self.growth_schedule
         self.growth_steps = max(round(schedule.grow_every * preset.steps), schedule.at_least_steps)
         self.pseudo_label_steps = pseudo_label_steps(preset.schedule.self_training_every, preset.steps)
         # As in Scaffold-GS: 1.1 times the greatest distance of a camera from the mean camera centre, in metres.
         centres = np.array([view.camera.centre for view in views])
-        extent = 1.1 * max(float(np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()), 1e-2)
+        extent = 1.1 * max(float(np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()), 1e-2)  # never 0
         self.optimiser = Optimiser(scene.anchors, scene.decoders, self.rates, extent)
         self.statistics = GrowthStatistics.empty(scene.anchors)
         self.device, self.arithmetic = torch.device("cpu"), KERNELS
@@ -173,7 +173,7 @@ class Trainer:
         """Do the following steps on this device. A view's targets stay there once they have been used."""
         self.device = torch.device(device)
         self.arithmetic = KERNELS if self.device.type == "cpu" else IN_TORCH
-        self._placed.clear()
+        self._placed.clear()  # they are on the last device
         self._move_state(self.device)
 
     def _move_state(self, device: torch.device) -> None:
@@ -384,4 +384,4 @@ class Trainer:
             check()
             fresh.append(rendered_labels(view.mask, render_view(self.scene, view.camera, shown), channels, least))
         self.pseudo = fresh
-        self._placed.clear()
+        self._placed.clear()  # they have the old labels

@@ -50,7 +50,7 @@ def warm_start(
     centres = torch.from_numpy(viewpoints.astype(np.float32))
     k = anchors.gaussians_per_anchor
     with torch.no_grad():
-        decoders.opacity.get_parameter("2.bias").add_(OPACITY_BIAS)
+        decoders.opacity.get_parameter("2.bias").add_(OPACITY_BIAS)  # of the last linear layer
     parameters = [each for name, group in decoders.learnt() if name in FITTED for each in group]
     moments = [no_moments(each) for each in parameters]
     for step in watched(range(STEPS), progress):
@@ -61,7 +61,7 @@ def warm_start(
         shown = torch.sigmoid(decoders.colour(seen)).view(len(rows), k, 3)
         loss = (shown - target_colour[rows][:, None]).abs().mean()
         for logits, target in zip(decoders.label_logits(feature, seen), (classes[rows], slots[rows]), strict=True):
-            if bool((target >= 0).any()):
+            if bool((target >= 0).any()):  # cross_entropy without any target is NaN
                 flat = logits.reshape(len(rows) * k, -1)
                 loss = loss + functional.cross_entropy(flat, target.repeat_interleave(k), ignore_index=-1)
         loss.backward()

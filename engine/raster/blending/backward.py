@@ -96,7 +96,7 @@ def add_label_gradients(padded: int, scratch: Array, lists: PatchLists) -> None:
         count, listed = get(lists.counts, patch), patch * LISTED
         if count == 0:
             continue
-        for missing in range(count, count + 3):
+        for missing in range(count, count + 3):  # the product below takes members in fours
             put(lists.members, listed + missing, np.int32(PAD_INDEX))
             store(scratch, WEIGHTS + (listed + missing) * TILE, broadcast(ZERO))
         out = ListedRows(scratch, BATCH_LABELS, padded, lists.members, listed)
@@ -189,7 +189,7 @@ def load_tile(tile: Tile, size: Size, pixels: Blended, scratch: Array) -> Any:
         lower_final = select(lower, masked_load(pixels.final, below, lower), broadcast(ONE))
         store_strip(upper_final, lower_final, TRANSMITTANCE + at, scratch)
         upper_alpha, lower_alpha = masked_load(pixels.alpha, pixel, upper), masked_load(pixels.alpha, below, lower)
-        store_strip(broadcast(ZERO) - upper_alpha, broadcast(ZERO) - lower_alpha, BEHIND + at, scratch)
+        store_strip(broadcast(ZERO) - upper_alpha, broadcast(ZERO) - lower_alpha, BEHIND + at, scratch)  # -dL/dalpha
         upper_last = select(upper, masked_load(pixels.last, pixel, upper), broadcast(-ONE))
         lower_last = select(lower, masked_load(pixels.last, below, lower), broadcast(-ONE))
         store_strip(upper_last, lower_last, LAST + at, scratch)
@@ -302,7 +302,7 @@ def blend_gaussian_backward(
         state, row = patch * PATCH_STRIDE, patch & -2
         raw = load(scratch, RAW_ALPHAS + patch * TILE)
         alpha = minimum(raw, broadcast(ALPHA_CAP))
-        before = load(scratch, TRANSMITTANCE + state) * load(scratch, OVERS + patch * TILE)
+        before = load(scratch, TRANSMITTANCE + state) * load(scratch, OVERS + patch * TILE)  # T_i+1 / (1 - alpha_i)
         store(scratch, TRANSMITTANCE + state, before)
         weight = alpha * before
         image_red = load(scratch, D_PLANES + state)
@@ -313,7 +313,7 @@ def blend_gaussian_backward(
         behind = load(scratch, BEHIND + state)
         difference = value - behind
         store(scratch, BEHIND + state, fma(alpha, difference, behind))
-        g = select(raw <= broadcast(ALPHA_CAP), weight * difference, broadcast(ZERO))
+        g = select(raw <= broadcast(ALPHA_CAP), weight * difference, broadcast(ZERO))  # a capped alpha has no slope
         s1, s2 = whitened(patch, slope, scratch, own), load_pairs(scratch, own + S2 + row)
         g_s1 = g * s1
         g0 = g0 + g
@@ -352,7 +352,7 @@ def blend_backward(
         left, top, first = number % columns * TILE, number // columns * TILE, starts[number]
         tile = Tile(left, top, first, starts[number + 1] - first)
         far = load_tile(tile, size, pixels, scratch)
-        for k in range(first + far + 1, starts[number + 1]):
+        for k in range(first + far + 1, starts[number + 1]):  # nothing of these was blended
             out.tiles[isect_ids[k]] = -1
         if far < 0:
             continue
@@ -371,7 +371,7 @@ def blend_backward(
             for index in range(min(batch + BACKWARD_BATCH - 1, far), batch - 1, -1):
                 touching = patches & movemask(load(scratch, LAST_OF_PATCH) >= broadcast(F(index)))
                 at = int(get(flatten_ids, first + index)) * RECORD
-                following = int(get(flatten_ids, first + max(index - 1, 0))) * RECORD
+                following = int(get(flatten_ids, first + max(index - 1, 0))) * RECORD  # at the front itself, unused
                 prefetch(records, int(get(flatten_ids, first + max(index - AHEAD, 0))) * RECORD)
                 patches = whiten_tile(records, following, tile, scratch, WHITENED - own)
                 isect = int(get(isect_ids, first + index))
@@ -379,7 +379,7 @@ def blend_backward(
                 if touching != 0:
                     fill_alphas(get(records, at + L11), F(index), touching, scratch, own)
                     sums = blend_gaussian_backward(records, at, index - batch, touching, scratch, own, lists)
-                    store_nontemporal(out.values, isect * GRADIENT_WIDTH, sums)
+                    store_nontemporal(out.values, isect * GRADIENT_WIDTH, sums)  # only `gather` reads it
                 own = WHITENED - own
             if channels > 0:
                 add_label_gradients(padded, scratch, lists)

@@ -56,7 +56,7 @@ LEFT_END, MIDDLE, RIGHT_END = F(PATCH_WIDTH - 1), F(PATCH_WIDTH), F(TILE - 1)
 """The last column of the left patches, the first and the last of the right ones."""
 AHEAD = 8
 """A record is fetched this many Gaussians before it is needed, as records may be anywhere in memory."""
-NEVER = F(-1e30)
+NEVER = F(-1e30)  # log2 of an opacity that shows on no pixel
 
 # fields of a batch, as offsets in floats from its start; each has a slot for every member
 ORIGIN_S1, ORIGIN_S2 = 0, BATCH  # s at the centre of the tile's first pixel
@@ -124,7 +124,7 @@ def row_of(r: int, fields: Array, at: int) -> Any:
 @inlined
 def touched(first: Any, last: Any, square: Any, reach: Any) -> Any:
     """Whether a part of a row, from s1 = ``first`` to ``last`` with s2^2 = ``square``, has a pixel within reach."""
-    nearest = maximum(maximum(first, broadcast(ZERO) - last), broadcast(ZERO))
+    nearest = maximum(maximum(first, broadcast(ZERO) - last), broadcast(ZERO))  # least |s1|: s1 grows along a row
     return fma(nearest, nearest, square) <= reach
 
 
@@ -221,7 +221,7 @@ def gather_geometry(
         if not hit:
             clear(i, out)
             continue
-        out.opacities[i] = total[G] / np.float64(records[i, OPACITY])
+        out.opacities[i] = total[G] / np.float64(records[i, OPACITY])  # d(ln alpha) / d(opacity) is 1 / opacity
         out.colours[i, 0] = total[D_RED]
         out.colours[i, 1] = total[D_GREEN]
         out.colours[i, 2] = total[D_BLUE]

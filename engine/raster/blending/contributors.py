@@ -76,12 +76,12 @@ def blend_tile(tile: Tile, size: tuple[int, int], flatten_ids: Array, records: A
         inside = lane_numbers() < broadcast(F(size[0] - tile.left if r < rows else 0))
         store(floats, TRANSMITTANCE + r * TILE, select(inside, broadcast(ONE), broadcast(ZERO)))
     for k in range(tile.length):
-        if k % TILE == 0 and not any_alive(floats):
+        if k % TILE == 0 and not any_alive(floats):  # it looks at all rows, so not after each Gaussian
             break
         gaussian = get(flatten_ids, tile.first + k)
         patches = whiten_tile(records, int(gaussian) * RECORD, tile, floats, OWN)
         for r in range(rows):
-            if (patches >> (r & -2)) & 3 == 0:
+            if (patches >> (r & -2)) & 3 == 0:  # neither patch of the row's strip is touched
                 continue
             # an entry that no pixel shows is overwritten
             if blend_row(records, int(gaussian) * RECORD, r, floats, LISTED + count * TILE):
@@ -176,6 +176,6 @@ def find_surface(
         sum_near_median(count, records, floats, members)
         inside = lane_numbers() < broadcast(F(width - tile.left))
         for r in range(min(TILE, size[1] - tile.top)):
-            weight = maximum(load(floats, WEIGHT + r * TILE), broadcast(NEARLY_NOTHING))
+            weight = maximum(load(floats, WEIGHT + r * TILE), broadcast(NEARLY_NOTHING))  # never 0 / 0
             mean = load(floats, MEDIAN + r * TILE) + load(floats, OFFSET + r * TILE) / weight
             masked_store(depth, (tile.top + r) * width + tile.left, mean, inside)

@@ -249,9 +249,9 @@ def blend_member(
 @inlined
 def take_four(mask: int, missing: int) -> Any:
     """The indices of the four lowest set bits of a mask (``missing`` if it has fewer), and the mask without them."""
-    first = trailing_zeros(mask)
+    first = trailing_zeros(mask)  # callers have at least one bit
     mask &= mask - 1
-    second = min(trailing_zeros(mask), missing)
+    second = min(trailing_zeros(mask), missing)  # an empty mask has 64 zeros
     mask &= mask - 1
     third = min(trailing_zeros(mask), missing)
     mask &= mask - 1
@@ -350,13 +350,13 @@ def blend_forward(
             rows = min(PATCH_HEIGHT, height - top - r)
             pixel = (top + r) * width + left
             start_strip(pixels, rows, channels, scratch)
-            ends = (0, LISTED)
+            ends = (0, LISTED)  # each patch has a part of the lists to itself
             for start in range(0, tile.length, BATCH):
                 fields = batches + start // BATCH * batch_floats(channels)
                 own_labels = fields + BATCH_FIELDS
                 in_vectors = ((own_labels - batches) // TILE, padded // TILE)
                 count = min(BATCH, tile.length - start)
-                if start == loaded:
+                if start == loaded:  # by the first strip that gets this far, for all below it
                     load_batch(flatten_ids, records, tile, start, count, scratch, fields)
                     if channels > 0:
                         load_labels(tile.first + start, count, flatten_ids, labels, channels, scratch, own_labels)
