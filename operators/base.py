@@ -201,7 +201,7 @@ def start_timer(operator: Any, context: bpy.types.Context, seconds: float) -> bp
     """Call an operator's `modal` for each event, and at least this often."""
     manager = context.window_manager
     manager.modal_handler_add(operator)
-    return manager.event_timer_add(seconds, window=context.window or manager.windows[0])
+    return manager.event_timer_add(seconds, window=context.window or manager.windows[0])  # None in a timer
 
 
 class OnLiftFolder:

@@ -300,7 +300,7 @@ def _is_over(area: bpy.types.Area, event: bpy.types.Event) -> bool:
 
     def holds(region: bpy.types.Region) -> bool:
         inside = 0 <= event.mouse_x - region.x < region.width and 0 <= event.mouse_y - region.y < region.height
-        return inside and min(region.width, region.height) > 1
+        return inside and min(region.width, region.height) > 1  # a hidden region has one pixel
 
     return {region.type for region in area.regions if holds(region)} == {"WINDOW"}
 

@@ -112,7 +112,7 @@ class PLGS_OT_isolate_instance(OnInstance, bpy.types.Operator):
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        is_alone = any(root.plgs.isolated for root in lifts_in(context.scene))
+        is_alone = any(root.plgs.isolated for root in lifts_in(context.scene))  # the same button then shows all again
         return OnLift.why_not(context) if is_alone else super().why_not(context)
 
     def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:

@@ -122,7 +122,7 @@ def show_compositor(window: bpy.types.Window, passes: bpy.types.Scene) -> None:
     width, height = passes.render.resolution_x, passes.render.resolution_y
     for area in editors:
         space = area.spaces.active
-        space.pin, space.show_backdrop = False, True
+        space.pin, space.show_backdrop = False, True  # a pinned editor would stay at its old nodes
         space.backdrop_zoom = min(_LARGEST, _SHARE[0] * window.width / width, _SHARE[1] * window.height / height)
         space.backdrop_offset = (_ASIDE[0] * window.width, _ASIDE[1] * window.height)
     select_group(passes)

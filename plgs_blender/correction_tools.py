@@ -163,8 +163,8 @@ def visible(
     inside = (depth > 1e-6) & (pixel >= 0).all(axis=1) & (pixel < np.array(size)).all(axis=1)
     rows = np.flatnonzero(inside)
     cell = (pixel[rows] // _CELL).astype(np.int64) @ np.array([1, size[0] // _CELL + 1])
-    nearest = np.full(int(cell.max(initial=0)) + 1, np.inf)
-    np.minimum.at(nearest, cell, depth[rows])
+    nearest = np.full(int(cell.max(initial=0)) + 1, np.inf)  # no point may be in the view
+    np.minimum.at(nearest, cell, depth[rows])  # not an assignment, as many points share a cell
     rows = rows[depth[rows] <= nearest[cell] + _BEHIND]
     return rows, pixel[rows]
 
@@ -227,7 +227,7 @@ class SplitByViews(Task):
     def done(self, scene: Any) -> None:
         made = [edit for edit in read_edits(self._lift) if edit.uid not in self._known and edit.kind == "split"]
         self._edit = made[-1] if made else None
-        every = {root for each in bpy.data.scenes for root in lifts_in(each)}
+        every = {root for each in bpy.data.scenes for root in lifts_in(each)}  # a set, as scenes may share a collection
         shown = [root for root in every if is_same_place(text_of(root, FOLDER), self._lift)]
         if self._edit is None or not shown:
             return

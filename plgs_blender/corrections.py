@@ -146,7 +146,7 @@ def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> Non
     own = selection.objects_by_key(root).items()
     cameras = [ob for key, ob in own if key.startswith("frame:") and ob.type == "CAMERA"]
     grid = SurfaceGrid.of(result.points.xyz)
-    centres = np.array([ob.matrix_world.translation[:] for ob in cameras] or [[0.0, 0.0, 0.0]])
+    centres = np.array([ob.matrix_world.translation[:] for ob in cameras] or [[0.0, 0.0, 0.0]])  # users may delete them
     clouds = child_collection(root, "Semantic points")
     place_semantic_points(owned, clouds, result.points, grid, grid.normals(centres), result.classes)
     place_anchors(owned, child_collection(root, "Anchors", scene, hidden=True), result.anchors())
@@ -222,7 +222,7 @@ def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
     OSError, as all edits here do."""
     made, result = _correct(root, lambda state, _: making.rename(state, instance, name))
     row, box = selection.row_of(root, instance), selection.boxes_of(root).get(instance)
-    row.known_name = row.name = made.name
+    row.known_name = row.name = made.name  # in this order, or setting `name` would rename again
     if box is not None:
         name_box(box, made.name)
     remember(root, result)

@@ -69,9 +69,9 @@ def look_at_imported(root: bpy.types.Collection, scene: bpy.types.Scene) -> None
 
 def _room(root: bpy.types.Collection, scene: bpy.types.Scene) -> tuple[Quaternion, NDArray[np.float64]]:
     """The rotation of a camera that overlooks what the frames see, and that region's corners [8, 3] in metres."""
-    scene.view_layers[0].update()
+    scene.view_layers[0].update()  # new objects have no matrix_world before
     matrices = np.array([ob.matrix_world for ob in root.all_objects if "frame" in ob])
-    eyes, ahead = matrices[:, :3, 3], -matrices[:, :3, 2]
+    eyes, ahead = matrices[:, :3, 3], -matrices[:, :3, 2]  # a Blender camera looks along -z
     clouds = [values_of(ob.data, "position") for key, ob in objects_by_key(root).items() if key in (_CLOUD, _SPARSE)]
     points = [np.percentile(cloud, _INNER, axis=0) for cloud in clouds if len(cloud)] or [eyes + _AHEAD * ahead]
     xyz = np.concatenate([eyes, *points])

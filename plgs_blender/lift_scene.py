@@ -138,7 +138,7 @@ def _objects_in_turn(result: LiftResult) -> Iterator[Callable[[bpy.types.Collect
     if len(result.instances) > _AT_ONCE:
         yield lambda root, scene: looks.apply_visibility(root)
         yield lambda root, scene: looks.apply_colours(root)
-    masks = np.cumsum([1 + len(one.segments) for one in result.instances])
+    masks = np.cumsum([1 + len(one.segments) for one in result.instances])  # objects without masks take time, too
     for _, turn in groupby(enumerate(result.instances), key=lambda each: masks[each[0]] // _MASKS_AT_ONCE):
         own = [one for _, one in turn]
         yield partial(lambda own, root, scene: fill_masks(root, own, result.classes), own)
@@ -295,7 +295,7 @@ def save_lift(lift: Path, blend: Path) -> None:
     if is_new:
         # Only now do relative paths lead anywhere.
         relate_paths(root, blend.parent)
-        _save(blend, keep_backup=False)
+        _save(blend, keep_backup=False)  # the backup would be our own first save
 
 
 def _save(blend: Path, keep_backup: bool = True) -> None:
@@ -334,7 +334,7 @@ def open_blend(blend: Path, lift: Path, named_by: str = "--save") -> bpy.types.S
     if not blend.is_file():  # Blender would wait for whoever writes into a FIFO
         raise PlgsError("not-a-file", "is not a file", blend, f"Name another with {named_by}.")
     try:
-        bpy.ops.wm.open_mainfile(filepath=str(blend), load_ui=True, use_scripts=False)
+        bpy.ops.wm.open_mainfile(filepath=str(blend), load_ui=True, use_scripts=False)  # it may be somebody else's
     except RuntimeError as error:
         fix = f"Check that it is a Blender file of this version or an older one, or name another with {named_by}."
         raise PlgsError("unopenable", f"cannot be opened ({str(error).strip()})", blend, fix) from error

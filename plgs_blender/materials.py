@@ -98,7 +98,7 @@ def let_catch(ob: bpy.types.Object, catcher: bpy.types.Material | None) -> None:
     ob.visible_shadow = catcher is None
     for slot in ob.material_slots:
         slot.link = "OBJECT"
-        slot.material = catcher
+        slot.material = catcher  # only of the object: its mesh keeps its own
         slot.link = "OBJECT" if catcher is not None else "DATA"
 
 
@@ -171,7 +171,7 @@ def catcher_material(owned: OwnedDataBlocks, scene: bpy.types.Scene) -> bpy.type
     assert share is not None and facing is not None
     for socket, value in zip(facing.inputs, direction, strict=True):
         socket.default_value = value
-    share.inputs[1].default_value = -1.0 / brightness if brightness else 0.0
+    share.inputs[1].default_value = -1.0 / brightness if brightness else 0.0  # 1 - lit / brightness
     share.inputs[2].default_value = 1.0 if brightness else 0.0
     material.use_backface_culling = material.use_backface_culling_shadow = True
     material.surface_render_method = "BLENDED"
@@ -243,7 +243,7 @@ def _build_points(tree: bpy.types.NodeTree) -> None:
 def _mix(tree: bpy.types.NodeTree, column: int, row: int, blend: str, *colours: Any) -> Any:
     """Mix two colours by a factor, which comes first, and return the output socket."""
     node = add_node(tree, "ShaderNodeMix", column, row, *colours, data_type="RGBA", blend_type=blend)
-    return next(socket for socket in node.outputs if socket.enabled)
+    return next(socket for socket in node.outputs if socket.enabled)  # it has one for each type of data
 
 
 def _maths(tree: bpy.types.NodeTree, column: int, operation: str, *inputs: Any, use_clamp: bool = False) -> Any:

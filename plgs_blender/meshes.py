@@ -78,7 +78,7 @@ def placing_meshes(placed: Placed, result: LiftResult, read: ReadMeshes) -> Gene
         if surface.uv is not None and picture.is_file():
             image = owned.block("images", keys[-1], partial(bpy.data.images.load, str(picture)))
             image.filepath = str(picture)
-            image.reload()
+            image.reload()  # the file may be new under its old name
             mesh.materials.append(surface_material(owned, image=image, of=keys[-1]))
         else:
             mesh.materials.append(surface_material(owned))
@@ -109,7 +109,7 @@ def _fill(owned: OwnedDataBlocks, key: str, name: str, part: LabelledSurface) ->
     rgba[:, :3] = part.rgb
     mesh.color_attributes.new("Col", "BYTE_COLOR", "POINT")
     ids = {name: ("INT", getattr(part, name)) for name in ("class_id", "instance_id")}
-    set_attributes(mesh, {"Col": ("BYTE_COLOR", rgba / np.float32(255)), **ids})
+    set_attributes(mesh, {"Col": ("BYTE_COLOR", rgba / np.float32(255)), **ids})  # a plain 255 would give float64
     mesh.color_attributes.active_color = mesh.color_attributes["Col"]
     if part.uv is not None:
         mesh.uv_layers.new(name="UVMap").uv.foreach_set("vector", np.ascontiguousarray(part.uv).ravel())

@@ -58,7 +58,7 @@ def text_of(block: Any, name: str) -> str:
 def numbers_of(block: Any, name: str) -> list[float]:
     """A custom property's numbers; empty if it is missing or not a list of numbers."""
     value = block.get(name)
-    return [*value] if getattr(value, "typecode", "") == "d" else []
+    return [*value] if getattr(value, "typecode", "") == "d" else []  # Blender's arrays of doubles
 
 
 def originals(objects: Iterable[bpy.types.Object], lift: str) -> dict[str, bpy.types.Object]:

@@ -109,7 +109,7 @@ class _Wiring:
     def _math(self, operation: str, one: Any, other: Any) -> Any:
         node = self._place(compat.new_node(self._group, "ShaderNodeMath", "CompositorNodeMath"))
         node.operation = operation
-        for socket, value in zip(node.inputs, (one, other), strict=False):
+        for socket, value in zip(node.inputs, (one, other), strict=False):  # maths nodes have a third input
             if isinstance(value, float):
                 socket.default_value = value
             else:

@@ -40,7 +40,7 @@ VERSION = re.compile(r"(?:^|[._-])v(\d{1,6})(?=$|[._-])", re.IGNORECASE)
 _LAST_NUMBER = re.compile(r"(?s)(.*?)(\d+)(\D*)")
 _BEFORE_0 = re.compile(r"(?s)(.*)\.-\d+")
 """The name of a shot's frame before 0. Blender counts from 0, so these frames are a sequence of their own."""
-_LARGEST_NUMBER = 2**31 - 1
+_LARGEST_NUMBER = 2**31 - 1  # Blender counts frames in 32 bits
 _LONGEST_NAME = 80
 """Maximum length of a shot's name, to which each view adds a number."""
 _NEEDED = {*(f"PLGS.{layer}" for layer in ("Combined.R", "Depth.V", "Semantic.V", "Instance.V"))}
@@ -91,7 +91,7 @@ def place_shots(owned: OwnedDataBlocks, result: LiftResult, shot_scene: bpy.type
     scenes = []
     for camera, names in groups.items():
         is_before_0 = _BEFORE_0.fullmatch(names[0]) is not None
-        files = {name: result.shots[name] for name in sorted(names, reverse=is_before_0)}
+        files = {name: result.shots[name] for name in sorted(names, reverse=is_before_0)}  # -0002 before -0001
         sequence = numbered(list(files))
         numbers = (1,) if sequence is None else sequence.numbers
         count = _counting_through(files, sequence) if is_before_0 else partial(_count_on, min(numbers), max(numbers))
@@ -208,7 +208,7 @@ def _count_on(first: int, last: int, _scene: bpy.types.Scene, tree: bpy.types.No
 def _take_after(scene: bpy.types.Scene, shot: bpy.types.Scene, numbers: Sequence[int], size: tuple[int, int]) -> None:
     """Take the frame range and size of a shot's files, and the frame rate and pixel aspect of its scene."""
     scene.frame_start, scene.frame_end = min(numbers), max(numbers)
-    scene.frame_step = math.gcd(*(number - min(numbers) for number in numbers)) or 1
+    scene.frame_step = math.gcd(*(number - min(numbers) for number in numbers)) or 1  # 0 if there is only one
     scene.frame_set(min(numbers))
     render = scene.render
     if 0 not in size:
@@ -341,7 +341,7 @@ def numbered(names: Sequence[str]) -> NumberedNames | None:
     if not parts or any(part is None for part in parts):
         return None
     split = [part.groups() for part in parts if part is not None]
-    head, digits, tail = min(split, key=lambda each: len(each[1]))
+    head, digits, tail = min(split, key=lambda each: len(each[1]))  # the padded width
     numbers = tuple(int(number) for _, number, _ in split)
     counted = [f"{head}{number:0{len(digits)}d}{tail}" for number in numbers]
     if counted != [*names] or max(numbers) > _LARGEST_NUMBER:

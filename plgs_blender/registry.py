@@ -110,7 +110,7 @@ class Task:
         if self.progress.left_s != self._estimated_left:
             self._estimated_left, self._estimated_at = self.progress.left_s, time.monotonic()
         if not self.is_running and not self.is_taken:
-            self.is_taken = True
+            self.is_taken = True  # also after an error, but not if parts are left
             try:
                 if self._parts is None:
                     self.follower.close()

@@ -45,7 +45,7 @@ def _refuse(name: str) -> NoReturn:
     raise ValueError(f"{name} is not a number")
 
 
-_DECODER = json.JSONDecoder(parse_constant=_refuse)
+_DECODER = json.JSONDecoder(parse_constant=_refuse)  # NaN and Infinity, which JSON lacks
 
 
 def reading_instances(path: Path) -> Generator[None, None, Listed]:

@@ -232,7 +232,7 @@ def picture_of_points(xyz: NDArray[np.floating], rgb: NDArray[np.floating]) -> N
     pixel = np.rint(seen[:, :2] * scale + _PICTURE / 2.0).astype(np.int64)
     order = np.argsort(seen[:, 2], kind="stable")  # the nearest is painted last
     picture = np.zeros((_PICTURE, _PICTURE, 4), np.float32)
-    srgb = np.clip(rgb[order], 0.0, 1.0) ** (1.0 / 2.2)
+    srgb = np.clip(rgb[order], 0.0, 1.0) ** (1.0 / 2.2)  # near enough to sRGB for a preview
     for dy in range(-_DOT, _DOT + 1):
         for dx in range(-_DOT, _DOT + 1):
             column, row = (pixel[order] + (dx, dy)).clip(0, _PICTURE - 1).T

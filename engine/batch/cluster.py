@@ -74,13 +74,13 @@ class Farm:
         """Continue with one of our own workers fewer: the named one, if it is ours. False if only one is left."""
         if len(self.own) < 2:
             return False
-        number = next((k for k, worker in enumerate(self.own) if f"plgs-{worker.pid}-" in name), -1)
+        number = next((k for k, worker in enumerate(self.own) if f"plgs-{worker.pid}-" in name), -1)  # -1: any
         self.own.pop(number).close()
         return True
 
     def workers(self) -> dict[str, dict[str, Any]]:
         """The workers that run the same engine as this process, by address."""
-        known = self.client.scheduler_info(n_workers=-1)["workers"]
+        known = self.client.scheduler_info(n_workers=-1)["workers"]  # -1: all of them, as the default is the first few
         return {address: worker for address, worker in known.items() if engine_tag() in worker.get("resources", {})}
 
     def largest(self) -> float:
@@ -126,7 +126,7 @@ def opened(farm_options: FarmOptions) -> Iterator[Farm]:
             cluster.adapt(minimum=farm_options.workers, maximum=farm_options.workers)  # a job that ends is replaced
             address = cluster.scheduler_address
         else:
-            local = distributed.LocalCluster(
+            local = distributed.LocalCluster(  # only a scheduler: `_start_worker` starts the workers
                 n_workers=0, host=LOOPBACK, protocol="tcp://", dashboard_address=f"{LOOPBACK}:0", silence_logs=50
             )
             address = stack.enter_context(local).scheduler_address
@@ -135,7 +135,7 @@ def opened(farm_options: FarmOptions) -> Iterator[Farm]:
         if not farm_options.scheduler and farm_options.slurm is None:
             farm.own += [_start_worker(address, farm_options) for _ in range(farm_options.workers)]
         if farm_options.slurm is None:
-            wait_for_workers(farm, NO_WORKER_S if farm_options.scheduler else 6 * NO_WORKER_S)
+            wait_for_workers(farm, NO_WORKER_S if farm_options.scheduler else 6 * NO_WORKER_S)  # ours start now
         yield farm
 
 
@@ -219,7 +219,7 @@ def slurm_cluster(farm_options: FarmOptions) -> Any:
     if farm_options.logs is not None:
         farm_options.logs.mkdir(parents=True, exist_ok=True)
         logs = quote(str(farm_options.logs))
-        prologue.append(f"if [ -w {logs} ]; then exec >{logs}/${{SLURM_JOB_ID:-$$}}.log 2>&1; fi")
+        prologue.append(f"if [ -w {logs} ]; then exec >{logs}/${{SLURM_JOB_ID:-$$}}.log 2>&1; fi")  # a node may lack it
     refusals: list[str] = []
     of_slurm: Any = jobqueue.SLURMCluster.job_cls
 
@@ -228,13 +228,13 @@ def slurm_cluster(farm_options: FarmOptions) -> Any:
             try:
                 await super().start()
             except (OSError, RuntimeError, ValueError) as error:
-                refusals.append([line for line in str(error).splitlines() if line.strip()][-1])
+                refusals.append([line for line in str(error).splitlines() if line.strip()][-1])  # sbatch's own words
                 self.status = distributed.Status.running  # else Dask cannot close it
 
     try:
         cluster = jobqueue.SLURMCluster(
             job_cls=Job,
-            cores=1,
+            cores=1,  # one piece at a time; its engine uses all the threads
             job_cpu=farm_options.threads,
             processes=1,
             memory=f"{farm_options.gigabytes:g}GB",
@@ -242,7 +242,7 @@ def slurm_cluster(farm_options: FarmOptions) -> Any:
             nanny=False,
             worker_extra_args=["--resources", offered, "--no-dashboard"],
             job_script_prologue=prologue,
-            job_directives_skip=["--mem"] if not farm_options.gigabytes else [],
+            job_directives_skip=["--mem"] if not farm_options.gigabytes else [],  # else Slurm's default
             **options,
         )
     except (OSError, ValueError) as error:
@@ -285,7 +285,7 @@ class Tls:
         files = {f"tls_{role}_{part}": own for role in roles for part in ("cert", "key")}
         of_dask: Any = require_dask().Security
 
-        class Quoted(of_dask):
+        class Quoted(of_dask):  # dask-jobqueue writes the paths into a script as they are
             def get_tls_config_for_role(self, role: str) -> dict[str, Any]:
                 files = super().get_tls_config_for_role(role).items()
                 return {name: quote(value) if role == "worker" and value else value for name, value in files}
@@ -343,7 +343,7 @@ def run_worker(
 def _end_with_parent(pipe: int, scratch: str) -> None:
     await_end(pipe)
     shutil.rmtree(scratch, ignore_errors=True)
-    os._exit(ExitCode.CANCELLED)
+    os._exit(ExitCode.CANCELLED)  # sys.exit would end only this thread
 
 
 async def _serve(address: str, offered: dict[str, float], patience_s: float, scratch: str, security: Any) -> None:
@@ -353,13 +353,13 @@ async def _serve(address: str, offered: dict[str, float], patience_s: float, scr
     host = address.rpartition("//")[2].rpartition(":")[0].strip("[]")
     is_here = host in ("localhost", "::1") or host.startswith("127.")
     while True:
-        worker = Worker(
+        worker = Worker(  # one piece at a time; no memory limit, as Dask would not see the engine's memory
             address, nthreads=1, resources=offered, memory_limit=0, local_directory=scratch,
             death_timeout=patience_s, dashboard=False, host=LOOPBACK if is_here else None,
             security=security, name=f"plgs-{os.getpid()}-{os.urandom(3).hex()}",
         )  # fmt: skip
         try:
             await worker
-        except TimeoutError:
+        except TimeoutError:  # no scheduler for `patience_s`
             return
         await worker.finished()

@@ -112,7 +112,7 @@ def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "", gigabytes: 
     def outcome(ended: Ended, error: PlgsError | None = None, answer: Mapping[str, Json] | None = None) -> Outcome:
         reason, code = ("", 0) if error is None else (str(error), int(error.exit_code))
         code = ExitCode.CANCELLED if ended is Ended.CANCELLED else code
-        lacked = ended is Ended.KILLED and (kills is None or memory_kills() != kills)
+        lacked = ended is Ended.KILLED and (kills is None or memory_kills() != kills)  # None: it is not known
         return Outcome(piece, ended, time.monotonic() - began, reason, code, worker, answer or {}, lacked)
 
     try:
@@ -133,7 +133,7 @@ def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "", gigabytes: 
     if follower is not None and follower.error is not None:
         return outcome(_ENDS.get(follower.error.code, Ended.FAILED), follower.error)
     if follower is not None and follower.exit_code is not ExitCode.FINISHED:
-        if follower.kill_at is None and not (piece.lift / "cancel").exists():
+        if follower.kill_at is None and not (piece.lift / "cancel").exists():  # nobody asked it to stop
             what = "the engine was ended by a termination signal"
             fix = "Start the batch again."
             return outcome(Ended.KILLED, PlgsError("killed", what, piece.lift, fix, code=ErrorCode.KILLED))
@@ -212,10 +212,10 @@ class _Pulse:
         from psutil import Error
 
         try:
-            used = sum(self._process.cpu_times()[:2])
+            used = sum(self._process.cpu_times()[:2])  # user and system seconds
         except Error:  # it has ended
             return
-        if used - self._used > 0.01:
+        if used - self._used > 0.01:  # more than a tick, in which Linux counts them
             self._used = used
             self.beat()
         elif time.monotonic() - self._last > STALL_S:
@@ -263,7 +263,7 @@ def do_on_dask(piece: Piece) -> Outcome:
         worker.log_event(TOPIC, {"scene": piece.scene, "kind": str(piece.kind), "text": describe(progress)})
 
     offers = worker.state.total_resources
-    name = f"{os.uname().nodename if hasattr(os, 'uname') else ''} {worker.name}".strip()
+    name = f"{os.uname().nodename if hasattr(os, 'uname') else ''} {worker.name}".strip()  # Windows has no uname
     return do(piece, tell, int(offers.get(THREADS, 0)), name, offers.get(GIGABYTES, 0.0))
 
 

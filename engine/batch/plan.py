@@ -96,13 +96,13 @@ def state_of_files(request: LiftRequest, output: Path) -> str:
 def _files_in(top: Path, output: Path) -> Iterator[Path]:
     """The file itself, or all files in a folder, even behind links, each folder once. Hidden files, lifts and
     ``output`` are skipped."""
-    seen = {os.path.realpath(output)} - {os.path.realpath(top)}
+    seen = {os.path.realpath(output)} - {os.path.realpath(top)}  # a scene may itself be the output folder
     if top.is_file():
         yield top
     for folder, folders, names in os.walk(top, followlinks=True):
         there = os.path.realpath(folder)
         is_left_out = there in seen or ("request.json" in names and Path(folder) != top)
-        folders[:] = [] if is_left_out else sorted(name for name in folders if name[0] != ".")
+        folders[:] = [] if is_left_out else sorted(name for name in folders if name[0] != ".")  # in place, for os.walk
         shown = (name for name in sorted(names) if name[0] != "." and name.lower() not in _NOTES_OF_SYSTEMS)
         yield from () if is_left_out else (Path(folder, name) for name in shown)
         seen.add(there)
@@ -144,6 +144,7 @@ def names_of(scenes: Sequence[Path], given: Sequence[str] = ()) -> list[str]:
 def _name(scene: Path) -> str:
     if not os.path.isdir(scene):
         return scene.stem
+    # abspath keeps the name of a link, but takes the ".." in "link/.." for the folder that holds the link.
     return Path(os.path.realpath(scene) if ".." in scene.parts else os.path.abspath(scene)).name
 
 
@@ -238,7 +239,7 @@ def write_tables(folder: Path, rows: Sequence[Row]) -> str:
 
 def _csv(rows: Sequence[Row]) -> str:
     file = io.StringIO()
-    writer = csv.writer(file, lineterminator="\n")
+    writer = csv.writer(file, lineterminator="\n")  # the default is "\r\n"
     writer.writerow(["scene", "state", "seconds", *COLUMNS, "code", "reason"])
     for row in rows:
         figures = [_figure(row, key) for key in COLUMNS]

@@ -92,7 +92,7 @@ def run_batch(
     files = (plan.output / "table.md", plan.output / "table.csv")
     with _turn(plan):
         for job in plan.jobs:
-            if rows[job.name].state != Ended.DONE:
+            if rows[job.name].state != Ended.DONE:  # the others were recorded as they ended
                 remember(plan, job, rows[job.name])
         text = write_tables(plan.output, [*ordered, *rows_kept(plan)])
     print(text, *files, sep="\n", flush=True)
@@ -181,7 +181,7 @@ class _Batch:
             fix = "Fix this, then start the batch again."
             self._fail(scene, PlgsError("no-fit-worker", f"no worker can do it: {why}", "", fix))
             return
-        future = self._farm.client.submit(
+        future = self._farm.client.submit(  # with a new key, as Dask would answer a known one with its old result
             do_on_dask, piece, key=f"{piece.kind}-{piece.scene}-{uuid4().hex}", pure=False, resources=wanted,
             priority=_PRIORITY[piece.kind] * len(self._scenes) - scene.index, workers=fit,
         )  # fmt: skip
@@ -261,6 +261,7 @@ class _Batch:
         if outcome.ended is Ended.ELSEWHERE:
             self._report.say(f"{piece.scene}: not possible on {outcome.worker}: {outcome.reason}")
             workers = self._farm.workers()
+            # An outcome names its worker as machine and name.
             unfit = [each for each, worker in workers.items() if str(worker["name"]) == outcome.worker.split()[-1]]
             scene.unfit |= {each: f"{outcome.worker}: {outcome.reason}" for each in unfit}
             self._submit(piece)
@@ -323,7 +324,7 @@ class _Batch:
 
 
 def _row(scene: _Scene, state: str, reason: str, code: int) -> Row:
-    return Row(scene.job.name, state, scene.seconds, reason, code or ExitCode.INTERNAL_ERROR, {})
+    return Row(scene.job.name, state, scene.seconds, reason, code or ExitCode.INTERNAL_ERROR, {})  # never 0
 
 
 def lifted_metrics(metrics: Mapping[str, Json]) -> dict[str, Json]:

@@ -209,7 +209,7 @@ def _farm_options(options: argparse.Namespace, gigabytes: Sequence[float], logs:
     memory = main_memory()
     total, cpus = (memory.total / 1e9 if memory is not None else 4.0), usable_cpus()
     fits = math.floor(total / max(max(gigabytes), 1.0))
-    workers = options.workers or max(1, min(fits, cpus // 2, len(gigabytes)))
+    workers = options.workers or max(1, min(fits, cpus // 2, len(gigabytes)))  # at least two threads each
     is_here = slurm is None and not options.scheduler
     share = total / workers if is_here else max([*gigabytes, 4.0])
     threads = options.threads or (max(1, cpus // workers) if is_here else 4)
@@ -250,7 +250,7 @@ class _RowParser(argparse.ArgumentParser):
     """The options of a row, whose errors are a PlgsError."""
 
     def __init__(self, where: str) -> None:
-        super().__init__(add_help=False, allow_abbrev=False)
+        super().__init__(add_help=False, allow_abbrev=False)  # a column "help" must not print help and exit
         self._where = where
 
     def error(self, message: str) -> NoReturn:
@@ -268,7 +268,7 @@ def _arguments(name: str, value: Any, folder: Path, where: str) -> Iterator[str]
         return
     elif isinstance(value, str | int | float) and value is not False:
         is_path = name in _PATHS or str(value).endswith(".toml")
-        yield f"--{name}={folder / str(value) if is_path else value}"
+        yield f"--{name}={folder / str(value) if is_path else value}"  # "=", as a value may begin with a dash
     elif value is not False:
         raise PlgsError("row-value", f"{name} is {value!r}", where, _FIX)
 
@@ -276,11 +276,11 @@ def _arguments(name: str, value: Any, folder: Path, where: str) -> Iterator[str]
 def _rows(path: Path) -> list[Mapping[str, Any]]:
     """The scenes with the names of their options, without empty cells. Raises PlgsError."""
     try:
-        text = read_plain(path, _MOST_BYTES).decode("utf-8-sig")
+        text = read_plain(path, _MOST_BYTES).decode("utf-8-sig")  # Excel writes a byte order mark
         if path.suffix.lower() == ".toml":
             rows: Any = tomllib.loads(text).get("scene")
         else:
-            rows = [*csv.DictReader(io.StringIO(text), restkey="", strict=True)]
+            rows = [*csv.DictReader(io.StringIO(text), restkey="", strict=True)]  # cells beyond the header: option ""
         found: list[Mapping[str, Any]] = [
             {str(name).strip().replace("_", "-"): value for name, value in row.items() if value not in (None, "")}
             for row in rows

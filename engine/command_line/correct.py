@@ -64,7 +64,7 @@ def correct(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
     from ..corrections import correct, proposals_of, read_corrected, undo
 
     folder = LiftFolder.open(options.lift)
-    read_manifest(folder.result_path)
+    read_manifest(folder.result_path)  # refuses an unfinished lift
     if options.edit == "list":
         corrected = read_corrected(folder.path)
         events.answer(_content(corrected), _listing(corrected))

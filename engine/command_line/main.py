@@ -316,7 +316,7 @@ def _add_presets(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=commands.presets)
 
 
-READER_GONE = 141
+READER_GONE = 141  # 128 + SIGPIPE
 """The shell's exit status of a command whose reader has ended, such as ``head``."""
 
 
@@ -347,7 +347,7 @@ def _open_missing_streams() -> None:
     """Open closed standard streams on the null device. Otherwise the next opened files would get their numbers, and
     native code would print into them."""
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:  # the lowest number that is free
-        os.set_inheritable(number, True)
+        os.set_inheritable(number, True)  # as standard streams are, for the programs that it starts
     os.close(number)
     for name, mode, number in (("stdin", "r", 0), ("stdout", "w", 1), ("stderr", "w", 2)):
         if getattr(sys, name) is None:
@@ -356,7 +356,7 @@ def _open_missing_streams() -> None:
 
 def _run(arguments: Sequence[str], parser: argparse.ArgumentParser) -> int:
     options = parser.parse_args(readable(arguments))
-    options.echo = stdout_for_events(vars(options).get("progress", "text"))
+    options.echo = stdout_for_events(vars(options).get("progress", "text"))  # not every command has it
     try:
         refuse_small_memory()
         if not vars(options).get("is_task"):

@@ -57,7 +57,7 @@ def run_engine(
                 if studio.file is not None:
                     log.info("defaults of %s: %s", studio.file, studio)
                 if studio.memory is not None:
-                    os.environ.setdefault(SHARE, f"{studio.memory:g}")
+                    os.environ.setdefault(SHARE, f"{studio.memory:g}")  # what a batch gave this engine counts
                 if lift is not None:
                     return lift(folder, events, stop, resume=resume)
                 if state is LiftState.NOT_STARTED:  # refused at once, not only after torch was loaded
@@ -120,7 +120,7 @@ def run_bake(
         _refuse_unfinished(folder)
         return _bake_beside(folder, command, files, parent_pipe, echo)
     try:
-        lock = folder.lock().__enter__()
+        lock = folder.lock().__enter__()  # not `with`: an error of the work must not count as busy
     except PlgsError as error:
         if error.code is not ErrorCode.BUSY:
             raise
@@ -153,7 +153,7 @@ def _do_in(folder: LiftFolder, events: EventWriter, stop: StopSignal, work: Work
     try:
         work(events, stop)
         if folder.state_at_rest() is not LiftState.FINISHED:
-            raise RuntimeError("the lift ended without a manifest")
+            raise RuntimeError("the lift ended without a manifest")  # a bug, which `failure_of` reports as one
     finally:
         _remember(folder)
 

@@ -124,7 +124,7 @@ def _do(command: Command, events: EventWriter, stop: StopSignal, terminal: TextI
     except Cancelled as error:
         print(f"Stopped: {error}. {command.when_stopped}".strip(), file=terminal)
         return stop.exit_code
-    except BrokenPipeError:
+    except BrokenPipeError:  # `main` ends quietly, as no one reads the output
         raise
     except PlgsError as error:
         failure = error
@@ -217,7 +217,7 @@ class ShownEvents(EventWriter):
     def answer(self, answer: Mapping[str, object], text: str = "") -> None:
         self._line.end()
         sys.stdout.flush()
-        said = (
+        said = (  # a path that is not UTF-8 has lone surrogates, which cannot be encoded
             (printable(text) + "\n").encode(errors="backslashreplace")
             if text and not self._as_json
             else to_line(answer)
@@ -288,7 +288,7 @@ class _BestEffortFile(io.FileIO):
         try:
             return super().write(data)
         except OSError:
-            return memoryview(data).nbytes
+            return memoryview(data).nbytes  # as if it was written, or the buffer would try again and again
 
 
 @contextmanager
@@ -306,6 +306,6 @@ def _logging_to(file: TextIO) -> Iterator[None]:
         root.removeHandler(handler)
         root.setLevel(level)
         if were_faults_told:
-            faulthandler.enable(file=sys.__stderr__ or 2)
+            faulthandler.enable(file=sys.__stderr__ or 2)  # None if the process began without the stream
         else:
             faulthandler.disable()

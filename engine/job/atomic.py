@@ -43,19 +43,19 @@ def write_atomically(path: Path, content: bytes | str | Callable[[Path], object]
                 raise
             what = "another process took over"
             raise PlgsError("taken-over", what, path, "Try again in a moment.", code=ErrorCode.BUSY) from error
-    except BaseException as error:
+    except BaseException as error:  # also Ctrl-C: it must not leave a part behind
         part.unlink(missing_ok=True)
         if isinstance(error, OSError) and error.errno and error.filename is None:
             error.filename = str(path)
         raise
-    flush_to_disk(path.parent)
+    flush_to_disk(path.parent)  # else a power cut may lose the new name
 
 
 def flush_to_disk(path: Path) -> None:
     """Wait until a file's content (or a folder's list of names) would survive a power cut. Raises OSError."""
     if path.is_dir():
         return flush_folder(path)
-    descriptor = os.open(path, os.O_RDWR)
+    descriptor = os.open(path, os.O_RDWR)  # Windows flushes only files that are open for writing
     try:
         os.fsync(descriptor)
     finally:
@@ -64,7 +64,7 @@ def flush_to_disk(path: Path) -> None:
 
 def remove_parts(folder: Path) -> None:
     """Delete what killed writers left under ``folder``. Only the holder of the folder's lock may call this."""
-    for part in sorted(folder.rglob(PART + "*")):
+    for part in sorted(folder.rglob(PART + "*")):  # a list, as deleting changes what rglob walks
         if part.is_dir():
             shutil.rmtree(part)
         else:

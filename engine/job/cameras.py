@@ -184,7 +184,7 @@ def _drawable(camera: PreviewCamera) -> PreviewCamera:
 
 
 def _entry(camera: BakeCamera) -> dict[str, object]:
-    clip = None if math.isinf(camera.far) else [camera.near, camera.far]
+    clip = None if math.isinf(camera.far) else [camera.near, camera.far]  # JSON has no infinity
     further: dict[str, object] = {"clip": clip, "frame": camera.frame, "fps": camera.fps, "display": camera.display}
     further |= {"previous": camera.previous and to_json(camera.previous), "next": camera.next and to_json(camera.next)}
     given = {key: value for key, value in further.items() if value is not None}

@@ -61,7 +61,7 @@ class CheckpointStore:
         index = _Index(state, tuple(ListedFile.of(path, self._part) for path in files))
         (self._part / _INDEX).write_text(record_text(index), encoding="utf-8")
         flush_to_disk(self._part / _INDEX)
-        flush_to_disk(self._part)
+        flush_to_disk(self._part)  # all before the rename, which makes it count as complete
         self._part.rename(self._next)
         self._advance()
 
@@ -76,7 +76,7 @@ class CheckpointStore:
                 try:
                     return Checkpoint(folder, _verified_state(folder))
                 except PlgsError as error:
-                    damage = damage or error
+                    damage = damage or error  # that of the newest
         if damage is not None:
             raise damage
         return None
@@ -111,7 +111,7 @@ def _verified_state(folder: Path) -> Mapping[str, Json]:
         path = folder / listed.path
         try:
             is_whole = path.is_file() and listed == ListedFile.of(path, folder)
-        except ValueError:
+        except ValueError:  # a damaged index may name a file elsewhere
             is_whole = False
         except OSError as error:
             fix = "Check the disk, then resume again."

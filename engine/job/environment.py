@@ -51,7 +51,7 @@ def made_environment(root: Path, environ: Mapping[str, str] = os.environ) -> Pat
     folder = environments_folder(environ)
     if not folder.is_dir():
         return None
-    versions = sorted(pinned_versions(root), key=lambda version: version != sys.version_info[:2])
+    versions = sorted(pinned_versions(root), key=lambda version: version != sys.version_info[:2])  # False is first
     try:
         environments = [folder / environment_name(root, version) for version in versions]
     except PlgsError:  # a requirements file is missing, so nothing was made from it

@@ -169,7 +169,7 @@ class EventWriter:
             if written:
                 self._torn = True
                 os.ftruncate(self._descriptor, start)
-                self._torn = line.startswith(b"\n")
+                self._torn = line.startswith(b"\n")  # the line is gone: only an older torn end is left
             raise
         self._torn = False
 
@@ -197,7 +197,7 @@ class EventReader:
         if from_end and path.exists():
             start, tail = _tail(path, LONGEST_TAIL)
             whole = tail.rfind(b"\n") + 1
-            self._offset = start + (whole if whole or not start else len(tail))
+            self._offset = start + (whole if whole or not start else len(tail))  # a line longer than that is skipped
 
     def poll(self) -> list[Event]:
         """The events since the last call, without unknown kinds and lines that are not complete events."""
@@ -215,7 +215,7 @@ class EventReader:
                     content += file.read(most - MOST_BYTES)
         except FileNotFoundError:
             return []
-        whole = content.rfind(b"\n") + 1 or (len(content) if len(content) == most else 0)
+        whole = content.rfind(b"\n") + 1 or (len(content) if len(content) == most else 0)  # too long for an event
         self._offset += whole
         self.is_behind = whole > 0 and self._offset < size
         lines = content[:whole].splitlines()

@@ -165,7 +165,7 @@ class LiftFolder:
 
     def refuse_read_only(self) -> None:
         """Raise PlgsError, before any work starts, if nothing can be written here."""
-        if not os.access(self.path, os.W_OK | os.X_OK):
+        if not os.access(self.path, os.W_OK | os.X_OK):  # X_OK: to reach the files in a folder
             fix = "Copy the lift to a place that you can write to, and use the copy."
             raise PlgsError("read-only", "this lift is read-only", self.path, fix)
 
@@ -200,7 +200,7 @@ class LiftFolder:
         last = events[-1]
         if last.kind == "done" and last.data.get("state") == "cancelled":
             return LiftState.CANCELLED
-        return LiftState.INTERRUPTED
+        return LiftState.INTERRUPTED  # also after a "finished" whose result is gone
 
     def last_exit_code(self) -> int | None:
         """The exit code in the error event of the latest run; None without such an event."""
@@ -226,7 +226,7 @@ class LiftFolder:
         self.cancel_path.unlink(missing_ok=True)
         for path in changed_files(self.result_path):
             path.unlink()
-        self.manifest_path.unlink(missing_ok=True)
+        self.manifest_path.unlink(missing_ok=True)  # only now, as `changed_files` reads it
         remove_parts(self.path)
 
     def prepare_bake(self) -> None:
@@ -309,7 +309,7 @@ def _write_new(path: Path, text: str) -> None:
             file.write(text.encode())
         flush_to_disk(part)
         try:
-            os.link(part, path)
+            os.link(part, path)  # unlike a rename, it never replaces a file
         except FileExistsError:
             raise
         except OSError:  # a file system without links
@@ -340,7 +340,7 @@ def refuse_foreign_below(lift: Path, folders: Sequence[str] = FOLDERS) -> None:
     if folders is FOLDERS:
         refuse_foreign(lift)
     tops = [lift / name for name in folders]
-    tops += [path for path in _entries(lift) if path.name.startswith(PART)]
+    tops += [path for path in _entries(lift) if path.name.startswith(PART)]  # `remove_parts` deletes these
     while tops:
         path = tops.pop()
         _refuse(path, lambda mode: S_ISREG(mode) or S_ISDIR(mode))
@@ -361,7 +361,7 @@ def _entries(folder: Path) -> Iterator[Path]:
 
 def _refuse(path: Path, is_right: Callable[[int], bool]) -> None:
     try:
-        mode = os.lstat(path).st_mode
+        mode = os.lstat(path).st_mode  # of a link itself, not of its target
     except (FileNotFoundError, NotADirectoryError):
         return
     except OSError as error:

@@ -75,7 +75,7 @@ class TaskFollower:
 
         Raises PlgsError if it does not start, and OSError.
         """
-        reader = EventReader(files.events, from_end=True, hurried=True)
+        reader = EventReader(files.events, from_end=True, hurried=True)  # without earlier runs
         if not is_locked(files.events):
             # Before the engine starts: a cancel file that is made from now on is meant for it.
             files.cancel.unlink(missing_ok=True)
@@ -172,7 +172,7 @@ class TaskFollower:
         match event.kind:
             case "hello":
                 self.kind, self.progress = str(data.get("task", LIFT)), TaskProgress(began=event.time)
-                self.answer = self.error = self._done = None
+                self.answer = self.error = self._done = None  # a new run in the same file
             case "answer" if isinstance(data["answer"], dict):
                 self.answer = data["answer"]
             case "error":
@@ -214,7 +214,7 @@ class TaskFollower:
         elif self._done == "cancelled" or self.kill_at is not None or code in _CANCELLED:
             self.state = TaskState.CANCELLED
         elif code is not None and code < 0:
-            hint = " (often: out of memory)" if code == -9 else ""
+            hint = " (often: out of memory)" if code == -9 else ""  # SIGKILL, which Linux sends then
             what = f"the engine was ended by signal {-code}{hint}"
             self._fail(PlgsError("killed", what, self.files.events.parent, self._what_is_left(), code=ErrorCode.KILLED))
         else:

@@ -58,6 +58,7 @@ class EngineAnswer:
         return tuple(
             f"{name} {version} instead of {wanted}"
             for name, version in self.packages.items()
+            # torch's builds have names such as 2.6.0+cpu.
             if version is not None and (wanted := self.wanted.get(name)) and version.partition("+")[0] != wanted
         )
 

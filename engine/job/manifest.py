@@ -117,7 +117,7 @@ def verify_lifted(result: Path) -> Manifest:
     """The manifest, after `check_sizes` and a check of the SHA-256 of all files except passes and previews, of which
     there may be very many. Raises PlgsError."""
     manifest = check_sizes(result)
-    verify_files(result, (file for file in manifest.files if len(file.path.parts) == 1))
+    verify_files(result, (file for file in manifest.files if len(file.path.parts) == 1))  # others are in folders
     return manifest
 
 

@@ -38,7 +38,7 @@ WRITE_S = 2.0
 """Seconds to write the passes and previews of a megapixel."""
 PIXEL = 12.0
 """Bytes per pixel in a file of passes: up to 12 at 1920x1080, 14 at 320x240."""
-REMEMBERED = 5
+REMEMBERED = 5  # lifts, whose median counts
 MB = 1_000_000
 
 
@@ -122,7 +122,7 @@ def predict(
         "consistency": 3.0 + 2.8 * seen,
         "match": 1.5
         + 1.0 * seen
-        + 0.3 * judged**2
+        + 0.3 * judged**2  # each with each other one
         + 0.0005 * views * masks_a_frame
         + voters * (0.012 + 0.35 * trained_on),
         "prepare": 10.0 + 0.7 * seen,

@@ -221,7 +221,7 @@ def engine_call(python: Path, root: Path = ROOT, program: str = "engine") -> lis
 
     -I: neither the current folder, which may be someone else's scene, nor a variable adds modules to Python's own.
     """
-    return [python, "-I", "-u", root / program / "__main__.py"]
+    return [python, "-I", "-u", root / program / "__main__.py"]  # -u, as -I ignores PYTHONUNBUFFERED
 
 
 def engine_command(python: Path, lift: Path, *, resume: bool, program: str = "engine") -> list[str | Path]:

@@ -105,7 +105,7 @@ def _list(value: Json) -> list[Json]:
 
 def _number(value: Json, factor: float, digits: int) -> str:
     """The number as text; a dash if it is not a number, or is impossibly large, as JSON's integers may be."""
-    if not isinstance(value, int | float) or not abs(value) <= _LARGEST:
+    if not isinstance(value, int | float) or not abs(value) <= _LARGEST:  # "not <=" is true of NaN
         return "-"
     return f"{value * factor:.{digits}f}"
 

@@ -121,7 +121,7 @@ class LiftRequest(SceneSource):
             content["relative"] = {
                 name: Path(os.path.relpath(path, lift)).as_posix()
                 for name, path in places.items()
-                if path.drive == lift.drive
+                if path.drive == lift.drive  # on Windows no relative path leads to another drive
             }
         return to_text({"format": 1, **content})
 

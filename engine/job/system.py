@@ -36,12 +36,12 @@ def try_lock(descriptor: int, shared: bool = False) -> bool:
     try:
         if WINDOWS:
             msvcrt: Any = importlib.import_module("msvcrt")
-            os.lseek(descriptor, LOCKED_BYTE, os.SEEK_SET)
+            os.lseek(descriptor, LOCKED_BYTE, os.SEEK_SET)  # msvcrt locks from the current position on
             msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
         else:
             fcntl: Any = importlib.import_module("fcntl")
             fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-    except (BlockingIOError, PermissionError):
+    except (BlockingIOError, PermissionError):  # held by another: what flock and msvcrt raise
         return False
     return True
 
@@ -69,7 +69,7 @@ def kill_with_children(process: subprocess.Popen[bytes]) -> None:
     """End a process that was started with `start_options`, and everything that it started, at once. On Windows a child
     that outlived its parent is not found."""
     if not WINDOWS:
-        os.killpg(process.pid, signal.SIGKILL)
+        os.killpg(process.pid, signal.SIGKILL)  # as `start_new_session` made it the leader of its group
         return
     tree = ["taskkill", "/F", "/T", "/PID", str(process.pid)]
     try:
@@ -86,7 +86,7 @@ def refuse_small_memory() -> None:
         return
     resource: Any = importlib.import_module("resource")
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if 0 <= limit < LEAST_MEMORY:
+    if 0 <= limit < LEAST_MEMORY:  # -1: no limit
         what = f"the memory limit (ulimit -v) is {limit / 1e9:.1f} GB, too small for the engine"
         fix = f"Raise it to at least {LEAST_MEMORY / 1e9:.0f} GB."
         raise PlgsError("memory-limit", what, "", fix, code=ErrorCode.NO_MEMORY)
@@ -103,7 +103,7 @@ def peak_bytes() -> int | None:
         return None
     resource: Any = importlib.import_module("resource")
     most: int = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return most if sys.platform == "darwin" else 1024 * most
+    return most if sys.platform == "darwin" else 1024 * most  # macOS counts bytes, Linux KiB
 
 
 CGROUP = Path("/sys/fs/cgroup")

@@ -29,7 +29,7 @@ LOG_BYTES = 1 << 16
 _LONGEST_LINE = 500
 _MOST = 1 << 62
 """The largest count and number of seconds that is accepted."""
-_NO_LINK: int = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+_NO_LINK: int = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # O_NONBLOCK: a FIFO would wait
 
 
 class TaskState(StrEnum):
@@ -154,7 +154,7 @@ def last_lines(log: Path, count: int = LOG_LINES) -> tuple[str, ...]:
     except OSError:  # never begun, or deleted
         return ()
     lines = content.decode("utf-8", errors="replace").splitlines()
-    shown = [line.rstrip()[:_LONGEST_LINE] for line in lines[1 if start else 0 :] if line.strip()]
+    shown = [line.rstrip()[:_LONGEST_LINE] for line in lines[1 if start else 0 :] if line.strip()]  # the 1st may be cut
     return tuple(shown[-count:])
 
 
@@ -232,7 +232,7 @@ class Watchdog:
         *,
         parent_pipe: int | None = None,
         grace_s: float = GRACE_S,
-        end_process: Callable[[int], object] = os._exit,
+        end_process: Callable[[int], object] = os._exit,  # sys.exit would end only the watchdog's thread
     ) -> None:
         self._stop, self._events, self._parent_pipe = stop, events, parent_pipe
         self._grace_s, self._end_process = grace_s, end_process

@@ -30,7 +30,7 @@ _PLAIN_LINE_S = 5.0
 _SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
-class Interrupted(BaseException):
+class Interrupted(BaseException):  # so that no `except Exception` on the way catches it
     """A signal asked this process to end. The exit code is 128 + ``signum``, as in a shell (Ctrl-C: 130)."""
 
     def __init__(self, signum: int) -> None:
@@ -176,7 +176,7 @@ class LiveLine:
             self._shown, self._next = self._newest, time.monotonic() + _PLAIN_LINE_S
 
     def _overwrite(self, text: str) -> None:
-        text = text[: shutil.get_terminal_size().columns - 1]
+        text = text[: shutil.get_terminal_size().columns - 1]  # a full line would wrap, and "\r" not undo that
         self._write("\r" + text + " " * max(0, len(self._shown) - len(text)) + ("" if text else "\r"))
         self._shown = text
 
@@ -187,7 +187,7 @@ class LiveLine:
         except OSError:
             self.is_lost = True
             nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, self._stream.fileno())
+            os.dup2(nowhere, self._stream.fileno())  # Python flushes the stream again when it exits
             os.close(nowhere)
 
 

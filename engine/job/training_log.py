@@ -22,7 +22,7 @@ class TrainingLog:
         kept: list[str] = []
         if done:
             with suppress(FileNotFoundError):
-                kept = read_plain(path, MOST_BYTES).decode("utf-8", "replace").splitlines()[: done + 1]
+                kept = read_plain(path, MOST_BYTES).decode("utf-8", "replace").splitlines()[: done + 1]  # + header
         write_atomically(path, "".join(f"{line}\n" for line in kept))
         self._file = os.fdopen(open_to_append(path), "a", encoding="utf-8", newline="", buffering=1)
         self._is_empty = not kept
@@ -33,7 +33,7 @@ class TrainingLog:
         if self._is_empty:
             writer.writeheader()
             self._is_empty = False
-        writer.writerow({name: f"{value:.7g}" for name, value in numbers.items()})
+        writer.writerow({name: f"{value:.7g}" for name, value in numbers.items()})  # as precise as float32
 
     def close(self) -> None:
         self._file.close()

@@ -84,7 +84,7 @@ class Addition(UvTask):
     def _download(self) -> None:
         self._tell(1)
         shutil.rmtree(self._part, ignore_errors=True)
-        packages = self._part / "packages"
+        packages = self._part / "packages"  # not `_part` itself, which also holds uv's downloads
         packages.mkdir(parents=True)
         self.log_path.write_bytes(b"")
         pins = requirement_file(self._root, self.name)  # also for whatever compiles a package that has no wheel here

@@ -118,7 +118,7 @@ class UvTask:
                     code = process.exit_code()  # before its output is read, so that the last lines are in it
                     new = reader.read(_MOST_BYTES).decode(errors="replace")
                     output = (output + new)[-_MOST_BYTES:]
-                    *whole, line = (line + new).split("\n")
+                    *whole, line = (line + new).split("\n")  # the last one may be incomplete yet
                     for each in map(str.strip, whole):
                         if each.startswith(("Downloading ", "Downloaded ", "Building ", "Prepared ")):
                             self._tell(self._step, "Writing the packages" if each.startswith("Prepared ") else each)

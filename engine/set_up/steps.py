@@ -55,7 +55,7 @@ _INSTALLED, _COMPILED = 0.8, 0.98
 """Parts of the whole that are done when the packages are installed, and when the kernels are compiled."""
 _BY_HASH = ("--no-deps", "--require-hashes", "--requirement")
 _TORCH_FOR_CPU = "https://download.pytorch.org/whl/cpu"
-_SYNC = "import os; getattr(os, 'sync', lambda: None)()"
+_SYNC = "import os; getattr(os, 'sync', lambda: None)()"  # Windows has no os.sync
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ class SetUp(UvTask):
             if code == 0 and version is not None and (int(version[1]), int(version[2])) in versions:
                 return python, (int(version[1]), int(version[2]))
         if given is None:
-            return names[0], versions[0]
+            return names[0], versions[0]  # uv downloads it
         why = complaint(output) if version is None else f"it is Python {output.strip()}"
         fix = f"Name a Python {' or '.join(names)} in the preferences, or none: then PLGS finds or downloads one."
         what = f"{given} cannot make the engine's environment ({why})"
@@ -216,7 +216,7 @@ class SetUp(UvTask):
         command: list[str | Path] = [uv, "pip", "install", "--python", python, "--target", pip, *_BY_HASH]
         self._install("pip", [*command, self.root / "requirements/pip.txt"])
         name, digest = uv_program.pinned_wheel()
-        (pip / "uv.txt").write_text(f"uv=={uv_program.VERSION} --hash=sha256:{digest}\n")
+        (pip / "uv.txt").write_text(f"uv=={uv_program.VERSION} --hash=sha256:{digest}\n")  # for --require-hashes
         collect: list[str | Path] = [uv, "run", "--no-project", "--python", python, "--", "python", "-I", pip / "pip"]
         collect += ["download", "--only-binary", ":all:", "--dest"]
         options = self._torch_options(version, "--index-url", _TORCH_FOR_CPU)

@@ -146,7 +146,7 @@ def fetch(folder: Path, variables: Mapping[str, str]) -> Path:
     part = program.with_suffix(".part")
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         part.write_bytes(archive.read(f"uv-{VERSION}.data/scripts/{program.name}"))
-    part.chmod(0o755)
+    part.chmod(0o755)  # zipfile keeps no modes
     part.replace(program)
     return program
 
@@ -178,7 +178,7 @@ def _read(url: str, variables: Mapping[str, str]) -> bytes:
     OSError, ValueError, HTTPException."""
     trusted = ssl.create_default_context(cafile=variables.get("SSL_CERT_FILE"))
     parts, content = urlsplit(url), bytearray()
-    request = Request(parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl())
+    request = Request(parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl())  # urllib takes no logins
     if parts.username:
         login = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
         request.add_unredirected_header("Authorization", f"Basic {b64encode(login.encode()).decode()}")
@@ -202,8 +202,8 @@ def _setting_of_pip(name: str, environ: Mapping[str, str]) -> str:
         "/etc/xdg/pip/pip.conf",
         "/etc/pip.conf",
     ]
-    for path in files[:1] if environ.get("PIP_CONFIG_FILE") == os.devnull else files:
-        parser = configparser.RawConfigParser()
+    for path in files[:1] if environ.get("PIP_CONFIG_FILE") == os.devnull else files:  # pip: no file at all
+        parser = configparser.RawConfigParser()  # others would interpolate "%", which URLs may hold
         try:
             parser.read(str(path), encoding="utf-8")
         except (configparser.Error, UnicodeDecodeError):

@@ -70,7 +70,7 @@ def studio() -> StudioDefaults:
     """The studio's defaults, from the file that the variable names, else from the one in the preferences, which engines
     that start later read, too. Raises PlgsError."""
     global _file_of_preferences
-    if os.environ.get(VARIABLE, "") == _file_of_preferences:
+    if os.environ.get(VARIABLE, "") == _file_of_preferences:  # not set by the user, who comes first
         _file_of_preferences = os.environ[VARIABLE] = str(_path(_choices().defaults_file) or "")
     return studio_defaults()
 

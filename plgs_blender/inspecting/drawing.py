@@ -156,7 +156,7 @@ def place_labels(
         if any(left < end and start < right and low < top and base < high for start, base, end, top in taken):
             continue
         room -= width * height
-        if (room < 0.0 and placed) or len(placed) == _MOST_NAMES:
+        if (room < 0.0 and placed) or len(placed) == _MOST_NAMES:  # the first is shown however large it is
             break
         placed[index] = (left, low)
         margin = _APART * height
@@ -279,7 +279,7 @@ def forget_pictures() -> None:
 def _texture_of(pixels: NDArray[np.float32]) -> gpu.types.GPUTexture:
     """The picture's texture. Blender's own image textures have mipmaps, which make them ten times slower to create."""
     for picture, texture in _uploaded:
-        if picture is pixels:
+        if picture is pixels:  # not ==, which would compare all values at each redraw
             return texture
     height, width, _ = pixels.shape
     drawn = to_overlay(pixels)

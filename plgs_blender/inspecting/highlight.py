@@ -86,11 +86,11 @@ def mark_of(seen: Highlight, view: Any, size: tuple[int, int], colour: Colour, t
     low, extent = place.min(axis=0), np.ptp(place, axis=0) + 1.0
     cell = max(1.0, reach / _CELLS_A_POINT, float(np.sqrt(extent.prod() / _MOST_CELLS)))
     grown, line = int(np.ceil(reach / cell)) + _CLOSED, max(1, round(_WIDTH / cell))
-    margin = grown + line + 1
+    margin = grown + line + 1  # cells around the points, into which they grow
     column, row = ((place - low) / cell).astype(np.int64).T + margin
     inside = np.zeros((row.max() + margin + 1, column.max() + margin + 1), bool)
     inside[row, column] = True
-    inside = ~_grown(~_grown(inside, grown), _CLOSED)
+    inside = ~_grown(~_grown(inside, grown), _CLOSED)  # as large as the points are drawn, without the gaps
     pixels = np.empty((*inside.shape, 4), np.float32)
     pixels[..., :3] = colour
     pixels[..., 3] = np.where(inside, tint, np.where(_grown(inside, line), _LINE, 0.0))

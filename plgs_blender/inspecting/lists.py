@@ -221,7 +221,7 @@ def _fill_instances(rows: Any, instances: Sequence[Instance]) -> None:
     if before != sorted({*before}):  # a file that another program changed
         rows.clear()
         before.clear()
-    for index in [index for index, number in enumerate(before) if number not in wanted][::-1]:
+    for index in [index for index, number in enumerate(before) if number not in wanted][::-1]:  # from the end
         rows.remove(index)
     known = {
         row.instance_id: _facts(row, row.score, [(mask.frame, mask.segment) for mask in row.masks]) for row in rows

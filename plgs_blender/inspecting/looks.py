@@ -56,7 +56,7 @@ def apply_look(root: bpy.types.Collection) -> None:
             colours = _by_id(ids_of(ob.data, name), palette, photo)
         elif sure is not None:
             colours = sure.colours(ob)
-        values = np.ascontiguousarray(colours, np.float32).ravel()
+        values = np.ascontiguousarray(colours, np.float32).ravel()  # foreach_set copies such an array at once
         ob.data.attributes[COLOUR].data.foreach_set("color", values)
         dye(ob.data)
         kept = ob.data.attributes.get(KEPT)
@@ -77,7 +77,7 @@ def apply_catcher(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
     for key, ob in objects_by_key(root).items():
         if key.startswith("mesh:") and (catcher is not None or ob.is_shadow_catcher):
             let_catch(ob, catcher)
-    scene.render.film_transparent |= catcher is not None
+    scene.render.film_transparent |= catcher is not None  # never off again: the user may have set it
 
 
 def _set_in_materials(root: bpy.types.Collection, label: str, value: float) -> None:
@@ -159,7 +159,7 @@ def _confidence(data: Any) -> NDArray[np.float32]:
 
 def _cells(xyz: NDArray[np.float32]) -> NDArray[np.int64]:
     """The number of each position's cell, int64 [N]. Farther than 100 km from the origin, cells are shared."""
-    x, y, z = (np.floor(xyz / _CELL).astype(np.int64) + (1 << 20)).T
+    x, y, z = (np.floor(xyz / _CELL).astype(np.int64) + (1 << 20)).T  # 21 bits each, none negative
     return (x << 42) | (y << 21) | z
 
 
@@ -297,7 +297,7 @@ def instances_left_out(lists: bpy.types.PropertyGroup, instances: Collection[int
 def _show_object(ob: bpy.types.Object, shown: bool | None) -> None:
     """Show or hide an object in all scenes and, unless it is a box, in renders. None: show it where it is selected."""
     not_rendered = not shown or text_of(ob, KEY).startswith((INSTANCE, TOGETHER))
-    if ob.hide_render != not_rendered:
+    if ob.hide_render != not_rendered:  # setting an equal value makes Blender update the object, too
         ob.hide_render = not_rendered
     layers = [layer for scene in bpy.data.scenes for layer in scene.view_layers if layer.objects.get(ob.name) == ob]
     for layer in layers:

@@ -61,10 +61,10 @@ def outline_of(context: bpy.types.Context, row: Any, region: ViewRegion) -> list
 def names_to_draw(context: bpy.types.Context, root: bpy.types.Collection, region: ViewRegion) -> list[TextBox]:
     """The names at a lift's boxes in the view that is being drawn, stored for `shown_names`."""
     key = context.region.as_pointer(), root.session_uid
-    _drawn.pop(key, None)
+    _drawn.pop(key, None)  # so that it becomes the newest
     _drawn[key] = region, _names(context, root, region) if root.plgs.show_labels else []
     while len(_drawn) > _MOST_KEPT:
-        del _drawn[next(iter(_drawn))]
+        del _drawn[next(iter(_drawn))]  # the oldest, as dicts keep their order
     return _drawn[key][1]
 
 

@@ -134,7 +134,7 @@ def first_drawn(parts: Sequence[Projected], mouse: tuple[float, float]) -> tuple
         for pixel, opacity in enumerate(opacities):
             covering = np.flatnonzero(opacity > 0.0)
             covering = covering[np.argsort(-near[pixel, covering], kind="stable")]
-            at = int(np.searchsorted(1.0 - np.cumprod(1.0 - opacity[covering]), _DRAWN))
+            at = int(np.searchsorted(1.0 - np.cumprod(1.0 - opacity[covering]), _DRAWN))  # sorted, as it grows
             if at < len(covering) and (len(offsets) == 1 or ids[covering[at], 0] > 0):
                 return int(part_of[covering[at]]), *ids[covering[at]].tolist()
     return None
@@ -194,7 +194,7 @@ def _projected(root: bpy.types.Collection, ob: bpy.types.Object, view: View) -> 
     if form == TRIANGLE:
         corners = np.empty(len(data.loops), np.int32)
         data.attributes[".corner_vert"].data.foreach_get("value", corners)
-        corners = corners.reshape(-1, 3)[shown[corners[::3]]]
+        corners = corners.reshape(-1, 3)[shown[corners[::3]]]  # one corner tells, as all three have the same label
         vertices, ids = view.projected(xyz, world), ids[corners[:, 0]]
     else:
         xyz, ids = xyz[shown], ids[shown]

@@ -294,7 +294,7 @@ def follow_name() -> None:
     box = context.view_layer.objects.active if context.view_layer is not None else None
     if box is None or not is_box(box) or box.name == text_of(box, SHOWN):
         return
-    without_number = re.sub(r"\.\d{3,}$", "", box.name)
+    without_number = re.sub(r"\.\d{3,}$", "", box.name)  # Blender adds .001 to a name that is taken
     if without_number == text_of(box, NAME):
         return
     name = without_number if without_number in bpy.data.objects else box.name
@@ -312,7 +312,7 @@ def _after_update(scene: bpy.types.Scene, *_arguments: object) -> None:
     if layer is None or layer.id_data != scene or bpy.app.background:
         return
     now = [scene.session_uid, layer.objects.active, *layer.objects.selected]
-    now[1:] = [ob and ob.session_uid for ob in now[1:]]
+    now[1:] = [ob and ob.session_uid for ob in now[1:]]  # objects may be gone at the next update
     if now != _followed:
         _followed[:] = now
         if not bpy.app.timers.is_registered(follow):

@@ -36,7 +36,7 @@ def frame_instance(root: bpy.types.Collection, instance: int, view: bpy.types.Sp
     region.view_location = Vector(centre.tolist())
     # The longer side of the view has the lens's angle.
     half_angle = math.atan(VIEW_SENSOR / 2.0 / view.lens * min(aspect, 1.0 / aspect))
-    region.view_distance = _ROOM_AROUND * radius / math.sin(half_angle)
+    region.view_distance = _ROOM_AROUND * radius / math.sin(half_angle)  # not tan: the view's cone touches a sphere
 
 
 _before_alone: dict[int, tuple[Any, ...]] = {}
@@ -53,7 +53,7 @@ def show_alone(root: bpy.types.Collection, view: bpy.types.SpaceView3D, aspect: 
             )
         return
     now = region.view_perspective, region.view_rotation.copy(), region.view_location.copy(), region.view_distance
-    _before_alone.setdefault(key, now)
+    _before_alone.setdefault(key, now)  # not the view of an instance isolated before
     if f"{INSTANCE}{root.plgs.isolated}" in objects_by_key(root):
         frame_instance(root, root.plgs.isolated, view, aspect)
 
@@ -113,7 +113,7 @@ def look_at_placed(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
     """Point the 3D views that show the scene at its lift."""
     overview = overview_of(root)
     if overview is not None and len(root.plgs.classes):
-        scene.view_layers[0].update()
+        scene.view_layers[0].update()  # a new camera has no matrix_world before
         look_at_room(root, overview, areas_of(scene))
 
 
