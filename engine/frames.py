@@ -19,7 +19,7 @@ from .scene_source import SceneSource
 
 _CELLS_DEEP = 200.0
 """Cells per median depth of the first frame: a cell is about a centimetre in a room."""
-_SIDE = 2**20
+_SIDE = 2**20  # so that three coordinates of 21 bits fit into an int64
 """Cells in each direction along an axis."""
 
 
@@ -54,7 +54,7 @@ class CloudBuilder:
         self._merge(np.concatenate([self._cells, cells]), np.concatenate([self._sums, sums]))
         while len(self._cells) > self._cap:
             self._spacing *= 2.0
-            self._merge(self._cells // 2, self._sums)
+            self._merge(self._cells // 2, self._sums)  # rounds down, for negative cells as well
 
     def cloud(self) -> ColouredCloud:
         """The cloud of all frames so far."""
@@ -66,7 +66,7 @@ class CloudBuilder:
         x, y, z = (cells + _SIDE).T
         _, first, cell = np.unique((x * 2 * _SIDE + y) * 2 * _SIDE + z, return_index=True, return_inverse=True)
         self._cells = cells[first]
-        columns = [np.bincount(cell.ravel(), column, len(first)) for column in sums.T]
+        columns = [np.bincount(cell.ravel(), column, len(first)) for column in sums.T]  # faster than np.add.at
         self._sums = np.stack(columns, axis=1)
 
 
@@ -120,7 +120,7 @@ def make_frames(
             try:
                 add_to_cloud(builder, frame, in_cloud[frame.name])
             except PlgsError as error:
-                problem = error
+                problem = error  # pictures come first; it is raised below
         if progress is not None:
             progress(position + 1, len(todo))
     is_new = in_cloud and problem is None
@@ -173,7 +173,7 @@ def _make(scene: Scene, frame: Frame, folder: Path, kinds: Collection[str], made
 def cloud_strides(frames: Sequence[Frame]) -> dict[str, int]:
     """The frames that the cloud is made of, evenly spread, with the stride of their pixels."""
     deep = [frame for frame in frames if frame.read_depth is not None]
-    chosen = deep[:: -(-len(deep) // _CLOUD_FRAMES) or 1]
+    chosen = deep[:: -(-len(deep) // _CLOUD_FRAMES) or 1]  # a slice's step cannot be 0
     share = len(chosen) / _CLOUD_PIXELS
     return {frame.name: max(1, round((frame.size[0] * frame.size[1] * share) ** 0.5)) for frame in chosen}
 

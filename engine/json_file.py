@@ -24,11 +24,11 @@ Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
 
 def plain(value: object) -> Json:
     """The value in JSON's own types: paths become text, NaN and infinity null. Raises TypeError for other values."""
-    if value is None or isinstance(value, bool | str):
+    if value is None or isinstance(value, bool | str):  # before Integral, which bool is, too
         return value
     if isinstance(value, os.PathLike):
         return Path(value).as_posix()
-    if isinstance(value, Integral):
+    if isinstance(value, Integral):  # numpy's as well
         return int(value)
     if isinstance(value, Real):
         return float(value) if math.isfinite(value) else None
@@ -79,7 +79,7 @@ def parse_json_object(data: bytes, path: Path) -> dict[str, Any]:
 
 def _parsed(data: bytes, path: Path, fix: str) -> Any:
     try:
-        text = data.decode("utf-8-sig")
+        text = data.decode("utf-8-sig")  # Windows' editors may write a byte order mark
     except UnicodeDecodeError as error:
         raise PlgsError("not-json", "this is not a JSON text", path, fix) from error
     if not text.strip():
@@ -91,7 +91,7 @@ def _parsed(data: bytes, path: Path, fix: str) -> Any:
         raise PlgsError("json-broken", what, path, fix) from error
     except RecursionError as error:
         raise PlgsError("json-deep", "the JSON is nested too deeply", path, fix) from error
-    except (ValueError, MemoryError) as error:
+    except (ValueError, MemoryError) as error:  # such as a number of thousands of digits
         reason = str(error) or "no memory is left for it"
         raise PlgsError("json-unusable", f"the JSON cannot be used ({reason})", path, fix) from error
 
@@ -162,7 +162,7 @@ def take_text(entry: dict[str, Any], key: str, context: str, path: Path) -> str:
 def take_flag(entry: dict[str, Any], key: str, context: str, path: Path) -> bool:
     """``entry[key]`` as true or false, which may be written 1 or 0. Raises PlgsError."""
     value = _take(entry, key, context, path)
-    if value not in (0, 1) or isinstance(value, float):
+    if value not in (0, 1) or isinstance(value, float):  # True and 1.0 equal 1
         raise wrong_type(key, "0 or 1", value, context, path)
     return bool(value)
 

@@ -44,7 +44,7 @@ def write_pictures(film: Path, folder: Path, most: int, progress: Callable[[int,
     edges = np.linspace(0, count, min(most, count) + 1).astype(int)
     folder.mkdir(parents=True)
     for done, (first, after) in enumerate(zip(edges[:-1], edges[1:], strict=True), start=1):
-        numbers = np.unique(np.linspace(first, after - 1, CANDIDATES).round().astype(int))
+        numbers = np.unique(np.linspace(first, after - 1, CANDIDATES).round().astype(int))  # short parts repeat some
         whole = {int(number): video.frame(int(number)) for number in numbers}
         pictures = whole if encoded is None else {at: both[:, both.shape[1] // 2 :] for at, both in whole.items()}
         sharpest = max(pictures, key=lambda number: photo_detail(pictures[number]))
@@ -318,7 +318,7 @@ def _map(folder: Path, photos: Path, film: str, asked: int, events: EventWriter,
         what = "show depth or confidence by their names or as grey PNGs of 16 bits"
         events.warning(f"{len(others)} pictures are left out, as they {what}: {listed(others)}.")
     files = _digest_of(_photos(photos))
-    with tempfile.TemporaryDirectory(prefix=".poses-", dir=folder) as workplace:
+    with tempfile.TemporaryDirectory(prefix=".poses-", dir=folder) as workplace:  # on one disk, for the rename
         model = map_photos(photos, names, Path(workplace), events, stop)
         if model is None or model.num_reg_images() < max(LEAST, _LEAST_SHARE * len(names)):
             found = 0 if model is None else model.num_reg_images()

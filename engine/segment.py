@@ -99,14 +99,14 @@ class Detection:
         """Its class, score and run lengths as COCO has them, for a table whose class ids count from 1."""
         from pycocotools import mask as rle_tools
 
-        runs = rle_tools.encode(np.asfortranarray(self.pixels, np.uint8))
+        runs = rle_tools.encode(np.asfortranarray(self.pixels, np.uint8))  # pycocotools takes column-major arrays only
         counts = {"size": runs["size"], "counts": runs["counts"].decode("ascii")}
         return {"category_id": self.label + 1, "score": round(self.score, 4), "segmentation": counts}
 
 
 def detections_of(class_logits: torch.Tensor, mask_probabilities: torch.Tensor) -> list[Detection]:
     """The queries whose likeliest class has LEAST_DETECTION or more, with the arguments of ``merge_queries``."""
-    scores, labels = class_logits.softmax(-1)[:, :-1].max(-1)
+    scores, labels = class_logits.softmax(-1)[:, :-1].max(-1)  # the best class even if "no object" is likelier
     inside = (mask_probabilities >= INSIDE).numpy()
     return [
         Detection(label, score, pixels)

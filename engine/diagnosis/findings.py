@@ -199,7 +199,7 @@ def write_findings(diagnosis: Diagnosis, folder: Path) -> dict[str, Any]:
             entry = finding.as_json()
             if finding.picture is not None:
                 entry["picture"] = f"{number}-{finding.cause.replace(' ', '-')}.png"
-                write_atomically(folder / entry["picture"], png_bytes(finding.picture[..., ::-1]))
+                write_atomically(folder / entry["picture"], png_bytes(finding.picture[..., ::-1]))  # OpenCV has BGR
             entries.append(entry)
         written = {**diagnosis.as_json(), "findings": entries}
         write_atomically(folder / FINDINGS, json.dumps(written, indent=1))

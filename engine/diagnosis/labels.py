@@ -62,7 +62,7 @@ def measure_labels(examined: Examined, assumed: Assumption) -> LabelAgreement | 
     ids = tuple(sorted({*np.concatenate([np.unique(each) for each in maps]).tolist()} - {VOID}))
     if not ids:
         return None
-    row_of = np.zeros(max(ids) + 1, np.int64)
+    row_of = np.zeros(max(ids) + 1, np.int64)  # from class ids to rows of counts
     row_of[list(ids)] = np.arange(len(ids))
     comparison = views.compare(pairs, assumed)
     counts = np.zeros((len(ids), len(ids)))
@@ -73,7 +73,7 @@ def measure_labels(examined: Examined, assumed: Assumption) -> LabelAgreement | 
         theirs = values_at(maps[other], comparison.place[row][agrees])
         named = (ours != VOID) & (theirs != VOID)
         a, b = row_of[ours[named]], row_of[theirs[named]]
-        np.add.at(counts, (a, b), 1.0)
+        np.add.at(counts, (a, b), 1.0)  # += would count repeated pairs once
         np.add.at(counts, (b, a), 1.0)
         for look in (one, other):
             same[look] += float((a == b).sum())
@@ -120,7 +120,7 @@ def measure_mask_lag(examined: Examined, assumed: Assumption, certain: float = _
 
     as_they_are, best = shares(0), None
     for lag in _LAGS:
-        gains = shares(lag) - as_they_are
+        gains = shares(lag) - as_they_are  # nan where one of them is unknown
         known, by_look = np.isfinite(gains), examined.mean_by_look(gains)
         if known.sum() < _FEWEST_PAIRS or len(by_look) < _FEWEST_LOOKS:
             continue
@@ -149,8 +149,8 @@ def label_findings(examined: Examined, assumed: Assumption, is_quick: bool = Fal
         return [Finding("contradicting masks", "wrong", text, option, figures, picture=picture, stops=stops)]
     # The looks whose masks agree with the others' hardly more than by chance, if most agree well.
     kept = (labels.by_look - labels.chance) / max(labels.middle - labels.chance, 1e-6)
-    kept[~(labels.by_look < labels.middle - _LESS)] = 1.0
-    odd = np.flatnonzero(kept < _PROBABLY_FOREIGN).tolist() if (kept < _FOREIGN).any() else []
+    kept[~(labels.by_look < labels.middle - _LESS)] = 1.0  # so are nan: too few points say nothing
+    odd = np.flatnonzero(kept < _PROBABLY_FOREIGN).tolist() if (kept < _FOREIGN).any() else []  # only if one is certain
     return [_odd_masks(examined, labels, odd)] if odd else []
 
 

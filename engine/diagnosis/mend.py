@@ -38,7 +38,7 @@ def write_mended(scene: Scene, diagnosis: Diagnosis, out: Path) -> str | None:
     frames = [frame for frame in scene.frames if frame.name not in diagnosis.mending.dropped]
     if not any(not frame.held_out for frame in frames):
         raise PlgsError("no-training-frame", "no frame to train on would be left", scene.folder, "Give more frames.")
-    part = out.with_name(PART + out.name)
+    part = out.with_name(PART + out.name)  # beside it, as a rename to another disk fails
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         if part.exists():
@@ -56,7 +56,7 @@ def write_mended(scene: Scene, diagnosis: Diagnosis, out: Path) -> str | None:
         where = error.filename or out
         what = f"this cannot be written ({error.strerror})"
         raise PlgsError("unwritable", what, where, "Choose another folder.") from error
-    except BaseException:
+    except BaseException:  # Ctrl-C as well
         shutil.rmtree(part, ignore_errors=True)
         raise
 
@@ -85,7 +85,7 @@ def _write(scene: Scene, frames: list[Frame], diagnosis: Diagnosis, folder: Path
         np.savetxt(folder / "intrinsic" / f"{frame.name}.txt", matrix, "%.12g")
         if frame.read_depth is not None:
             millimetres = np.round(_mended_depth(frame, mending) / MILLIMETRES)
-            millimetres[millimetres > _DEEPEST] = 0
+            millimetres[millimetres > _DEEPEST] = 0  # none, rather than a wrong depth
             _write_image(folder / "depth" / f"{frame.name}.png", millimetres.astype(np.uint16))
         if frame.read_ground_truth is not None:
             truth = frame.read_ground_truth(None)
@@ -185,7 +185,7 @@ def harm_of(scene: Scene, diagnosis: Diagnosis, folder: Path) -> str | None:
     try:
         mended = open_scene(folder)
         examined = examine(mended)
-        if diagnosis.agreement is None:
+        if diagnosis.agreement is None:  # nothing to compare with: too little depth
             return None
         before_of = {frame.name: frame for frame in scene.frames}
         chosen = evenly_spread([frame for frame in mended.frames if frame.read_depth is not None], _LOOKED_AT)

@@ -127,7 +127,7 @@ def _measure_drift(distances: Floats, lags: Floats, looks: int) -> Drift | None:
     if beside.sum() < _LEAST_EACH or apart.sum() < _LEAST_EACH:
         return None
     correlation = float(np.corrcoef(rankdata(distance), rankdata(lag))[0, 1])
-    error = float(np.sqrt(max(1.0 - correlation**2, 1e-6) / max(looks - 2, 1)))
+    error = float(np.sqrt(max(1.0 - correlation**2, 1e-6) / max(looks - 2, 1)))  # pairs are not independent, looks are
     return Drift(float(np.median(distance[beside])), float(np.median(distance[apart])), correlation / error)
 
 
@@ -218,9 +218,9 @@ def measure_order(scene: Scene, assumed: Assumption) -> FrameOrder | None:
     turn = np.eye(3) if scene.turn is None else scene.turn
     poses = assumed_poses(np.stack([frame.camera.camera_to_world for frame in scene.frames]), turn, assumed)
     points = np.concatenate([poses[:, :3, 3] + _REACH * poses[:, :3, 2], poses[:, :3, 3]], axis=1)
-    squares = (points**2).sum(1)
+    squares = (points**2).sum(1)  # |a - b|^2 = |a|^2 + |b|^2 - 2 ab needs no array [N, N, 6]
     distances = np.sqrt(np.maximum(squares[:, None] + squares[None] - 2.0 * points @ points.T, 0.0) / 2.0)
-    np.fill_diagonal(distances, np.inf)
+    np.fill_diagonal(distances, np.inf)  # no frame is its own neighbour
     steps = distances[np.arange(count - 1), np.arange(1, count)]
     nearer = (distances[:-1] < steps[:, None]).sum(1)
     # The second walk begins at an end of the recording: the last frame of a walk from anywhere.

@@ -89,7 +89,7 @@ def _depth_edges(depth: NDArray[np.float32]) -> Floats:
         slant = np.minimum(np.abs(one - before), np.abs(after - other))
         jumps = known & (np.abs(other - one) - 3.0 * slant > _JUMP * np.minimum(one, other))
         along, across = np.nonzero(jumps)
-        places = [(along + 2.0) / len(values), (across + 0.5) / values.shape[1]]
+        places = [(along + 2.0) / len(values), (across + 0.5) / values.shape[1]]  # the side between one and other
         found.append(np.stack(places if axis == 1 else places[::-1], -1))
     return np.concatenate(found)
 
@@ -121,7 +121,7 @@ def _coarse(pairs: list[tuple[Floats, Floats]], scale: float) -> tuple[float, fl
         total += np.fft.irfft2(np.fft.rfft2(small) * np.conj(np.fft.rfft2(drawn)), (height, _WIDTH)) / len(edges)
     reach = int(_FARTHEST * _WIDTH)
     steps = np.arange(-reach, reach + 1)
-    window = total[np.ix_(steps, steps)]
+    window = total[np.ix_(steps, steps)]  # negative shifts are at the end of each axis
     row, column = np.unravel_index(int(window.argmax()), window.shape)
     return float(window[row, column]) / len(pairs), scale, (float(steps[column]) / _WIDTH, float(steps[row]) / height)
 
@@ -172,7 +172,7 @@ def _depth_shift(examined: Examined, found: Registration, calibration: Calibrati
     """The shift that depth needs, if its geometry and the pictures' edges both say that it was moved."""
     if abs(found.scale - 1.0) >= _SCALED or found.certainty < _CORROBORATED:
         return None
-    shift = -np.array([calibration.of("x"), calibration.of("y")])
+    shift = -np.array([calibration.of("x"), calibration.of("y")])  # moving depth is the opposite of moving the centre
     pixel = 1.0 / examined.views.size[0]
     if not any(calibration.is_sure_of(name, float(least)) for name, least in zip("xy", 0.75 * pixel, strict=True)):
         return None

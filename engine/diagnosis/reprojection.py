@@ -102,9 +102,9 @@ def load_looks(frames: Sequence[Frame], sample: Sample) -> list[Look]:
             depth = np.ascontiguousarray(depth[rows[:, None], columns])
         nearest, farthest = cv2.erode(depth, kernel), cv2.dilate(depth, kernel)
         smooth = (nearest > 0.0) & (farthest < _SMOOTH_AROUND * nearest)
-        smooth[[0, -1]] = smooth[:, [0, -1]] = False
+        smooth[[0, -1]] = smooth[:, [0, -1]] = False  # their neighbours outside are unknown
         rows, columns = np.nonzero(smooth)
-        chosen = np.random.default_rng(number).permutation(len(rows))[:_POINTS]
+        chosen = np.random.default_rng(number).permutation(len(rows))[:_POINTS]  # the same each time
         if len(chosen):
             points = np.stack([columns[chosen], rows[chosen]], axis=-1).astype(np.int32)
             looks.append(Look(number, frame, frame.camera.resized(*depth.shape[::-1]), depth, points))
@@ -230,17 +230,17 @@ class Views:
         one, other = pairs[:, 0], pairs[:, 1]
         world, known = self.world_points(assumed, lens, poses, points)
         rotation, centre = poses[other, :3, :3], poses[other, :3, 3]
-        local = np.matmul(world[one] - centre[:, None], rotation)
+        local = np.matmul(world[one] - centre[:, None], rotation)  # rows times R: from world to camera
         z = local[..., 2]
         front = z > 1e-6
-        safe = np.where(front, z, 1.0)
+        safe = np.where(front, z, 1.0)  # avoids a division by 0; what is behind is masked below
         place = local[..., :2] / safe[..., None] * lens[other, None, :2] + lens[other, None, 2:]
         seen = self.depth_at(other, place, front & known[one])
         seen = planar(seen, place, lens[other], assumed)
         with np.errstate(divide="ignore", invalid="ignore"):
             error = np.where(seen > 0.0, np.log(seen / safe), np.nan)
-        share = np.square(np.nan_to_num(error, nan=1.0) / _AGREES_WITHIN)
-        agrees = np.square(np.clip(1.0 - share, 0.0, 1.0))
+        share = np.square(np.nan_to_num(error, nan=1.0) / _AGREES_WITHIN)  # nan: nothing seen, so no agreement
+        agrees = np.square(np.clip(1.0 - share, 0.0, 1.0))  # Tukey's biweight: smooth for fits, 0 for outliers
         place = np.where(front[..., None], place, np.nan)
         return Comparison(error, agrees, known[one], place)
 
@@ -286,7 +286,7 @@ class Views:
         depth = planar(depth, places, np.broadcast_to(lens, (len(moves), 4)), assumed)
         rays = np.concatenate([(places - lens[2:]) / lens[:2], np.ones((*places.shape[:2], 1))], -1)
         at, right, left, down, up = rays * depth[..., None]
-        normal = np.cross(down - up, right - left)
+        normal = np.cross(down - up, right - left)  # towards the camera
         length = np.linalg.norm(normal, axis=1)
         sound = (depth > 0.0).all(0) & (length > 1e-12)
         normal = normal / np.where(sound, length, 1.0)[:, None]
@@ -301,7 +301,7 @@ def lens_under(lens: Lens, assumed: Assumption) -> Lens:
     meant[:, 0] *= assumed.aspect
     meant[:, 2:] += assumed.shift
     if assumed.mirrored:
-        meant[:, 0], meant[:, 2] = -meant[:, 0], 1.0 - meant[:, 2]
+        meant[:, 0], meant[:, 2] = -meant[:, 0], 1.0 - meant[:, 2]  # x becomes 1 - x
     return meant
 
 
@@ -309,7 +309,7 @@ def assumed_poses(poses: Floats, turn: Floats, assumed: Assumption) -> Floats:
     """Camera-to-world poses [F, 4, 4] under an assumption, without its lag. ``turn`` is that of ``Views``."""
     if not (assumed.inverted or assumed.opengl or assumed.length != 1.0):
         return poses
-    rotation, centre = turn.T @ poses[:, :3, :3], poses[:, :3, 3] @ turn
+    rotation, centre = turn.T @ poses[:, :3, :3], poses[:, :3, 3] @ turn  # as written, see Views
     if assumed.inverted:
         rotation = rotation.swapaxes(1, 2)
         centre = -np.einsum("fij,fj->fi", rotation, centre)
@@ -325,7 +325,7 @@ def planar(depth: Floats, place: Floats, lens: Lens, assumed: Assumption) -> Flo
     if assumed.ray:
         rays = (place - lens[:, None, 2:]) / lens[:, None, :2]
         length = np.sqrt((rays**2).sum(-1) + 1.0)
-        depth = depth * length ** (-assumed.ray)
+        depth = depth * length ** (-assumed.ray)  # a fit tries fractions, too
     return depth * assumed.unit
 
 

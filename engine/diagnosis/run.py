@@ -84,7 +84,7 @@ def _diagnosis(
     scene: Scene, findings: list[Finding], mending: Mending, looked: int, agreeing: Agreement | None
 ) -> Diagnosis:
     found = [*lens_findings(scene, findings), *findings]
-    worst_first = sorted(found, key=lambda finding: finding.severity != "wrong")
+    worst_first = sorted(found, key=lambda finding: finding.severity != "wrong")  # stable: otherwise as they were found
     return Diagnosis(tuple(worst_first), mending, len(scene.frames), looked, agreeing)
 
 

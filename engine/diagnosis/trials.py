@@ -114,12 +114,12 @@ def _solve(linear: _Linear, values: Floats, prior: Floats) -> tuple[Floats, Floa
     precision = max(noise, _FINEST) ** -2
     weighted = precision * linear.slopes * linear.weights[:, None]
     inverse = np.linalg.inv(linear.slopes.T @ weighted + np.diag(prior))
-    step = np.dot(inverse, np.dot(weighted.T, linear.errors) - prior * values)
+    step = np.dot(inverse, np.dot(weighted.T, linear.errors) - prior * values)  # the prior pulls them to 0
     scores = weighted * (linear.errors - linear.slopes @ step)[:, None]
     by_frame = np.zeros((int(linear.frames.max()) + 1, len(values)))  # errors within a frame are correlated
     np.add.at(by_frame, linear.frames[:, 0], scores)
     np.add.at(by_frame, linear.frames[:, 1], scores)
-    return step, np.sqrt(np.diag(inverse @ (by_frame.T @ by_frame + np.diag(prior)) @ inverse))
+    return step, np.sqrt(np.diag(inverse @ (by_frame.T @ by_frame + np.diag(prior)) @ inverse))  # sandwich estimate
 
 
 _UNITS = (1000.0, 100.0, 10.0, 6.5535, 5.0, 4.0, 2.54, 2.0, 1.6, 1.3107, 0.76295, 0.625, 0.5, 0.393701, 0.25, 0.2,

@@ -36,7 +36,7 @@ class UpAxis(NamedTuple):
 
 def measure_tilt(views: Views, assumed: Assumption) -> UpAxis | None:
     """The up axis, if it clearly differs from z. Also None if surfaces or cameras do not show it."""
-    held = -views.poses_of(assumed)[:, :3, 1].mean(0)
+    held = -views.poses_of(assumed)[:, :3, 1].mean(0)  # pictures' y is down, and most are taken upright
     if np.linalg.norm(held) < _CLEARLY_UP:
         return None
     by_look = world_normals(views, assumed)
@@ -47,14 +47,14 @@ def measure_tilt(views: Views, assumed: Assumption) -> UpAxis | None:
         near = np.abs(normals @ axis) > np.cos(np.radians(cone))
         if near.sum() < max(_LEAST_SHARE * len(normals), 3):
             return None
-        signed = normals[near] * np.sign(normals[near] @ axis)[:, None]
+        signed = normals[near] * np.sign(normals[near] @ axis)[:, None]  # ceilings count like floors
         axis = signed.mean(0) / np.linalg.norm(signed.mean(0))
     means = np.stack([signed[frames[near] == frame].mean(0) for frame in np.unique(frames[near])])
     scatter = np.linalg.norm(means - axis, axis=1)
     cosine = np.abs(normals @ axis)
     up = UpAxis(
         axis=axis,
-        tilt=float(np.degrees(np.arccos(np.clip(axis[2], -1.0, 1.0)))),
+        tilt=float(np.degrees(np.arccos(np.clip(axis[2], -1.0, 1.0)))),  # may exceed 1 by rounding
         level=float((cosine > np.cos(np.radians(_LEVEL))).mean()),
         walls=float((cosine < np.sin(np.radians(_LEVEL))).mean()),
         deviation=float(np.degrees(np.sqrt((scatter**2).mean() / len(means)))),

@@ -66,7 +66,7 @@ def read_npy(path: Path, fix: str, most_bytes: int = MOST_BYTES) -> NDArray[Any]
 def _array(file: IO[bytes]) -> NDArray[Any]:
     """The array in a .npy. Memory is only touched for numbers that exist. Raises many kinds of errors."""
     values: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
-    if not values.dtype.itemsize:
+    if not values.dtype.itemsize:  # V0 or U0: a header of few bytes could claim any number of rows
         raise ValueError("its numbers have no size")
     return values
 
@@ -113,11 +113,11 @@ def read_array(path: Path, name: str = "") -> NDArray[Any]:
 
 def _header(file: IO[bytes], path: Path) -> ArrayHeader:
     version = np.lib.format.read_magic(file)
-    shape, _, dtype = _HEADERS.get(version, np.lib.format.read_array_header_2_0)(file)
+    shape, _, dtype = _HEADERS.get(version, np.lib.format.read_array_header_2_0)(file)  # 3.0 is 2.0 in UTF-8
     if dtype.hasobject:
         fix = "Save numbers with numpy.save, and other data as JSON."
         raise PlgsError("pickled", "this is a pickled array, which could run code when it is read", path, fix)
-    if float(np.prod(shape, dtype=np.float64)) * dtype.itemsize > LARGEST_PICTURE:
+    if float(np.prod(shape, dtype=np.float64)) * dtype.itemsize > LARGEST_PICTURE:  # int64 could overflow
         sides = " x ".join(map(str, shape))
         what = f"an array of {sides} numbers is too large for a picture"
         raise PlgsError("array-too-large", what, path, "Save one frame per file.")

@@ -65,13 +65,13 @@ def one_pixel_of(path: Path) -> bytes:
     header = read_exr_header(path)
     if int.from_bytes(header.start[4:], "little") & _TILED:
         raise PlgsError("exr-tiles", "the passes have tiles", path, _FIX)
-    black = {b"dataWindow": bytes(16), b"displayWindow": bytes(16), b"compression": bytes(1)}
+    black = {b"dataWindow": bytes(16), b"displayWindow": bytes(16), b"compression": bytes(1)}  # one pixel, uncompressed
     content = header.start
     for name, (kind, value) in header.attributes.items():
         value = black.get(name, value)
         content += name + b"\0" + kind + b"\0" + struct.pack("<i", len(value)) + value
-    width = sum(header.channels.values())
-    return content + b"\0" + struct.pack("<Qii", len(content) + 9, 0, width) + bytes(width)
+    width = sum(header.channels.values())  # bytes of a pixel
+    return content + b"\0" + struct.pack("<Qii", len(content) + 9, 0, width) + bytes(width)  # the line's place, y, size
 
 
 def _attributes_of(path: Path) -> tuple[bytes, dict[bytes, tuple[bytes, bytes]]]:
@@ -86,7 +86,7 @@ def _attributes_of(path: Path) -> tuple[bytes, dict[bytes, tuple[bytes, bytes]]]
             for most in _HEADER_SIZES:
                 file.seek(8)
                 data = file.read(min(most, size))
-                with suppress(ValueError, IndexError, struct.error):
+                with suppress(ValueError, IndexError, struct.error):  # cut off: read more
                     return start, _attributes(data)
     except MemoryError as error:
         raise PlgsError("no-memory", "no memory is left for the OpenEXR file", path, "Close other programs.") from error
@@ -100,7 +100,7 @@ def _attributes(data: bytes) -> dict[bytes, tuple[bytes, bytes]]:
         name_end = data.index(b"\0", position)
         kind_end = data.index(b"\0", name_end + 1)
         (length,) = struct.unpack_from("<i", data, kind_end + 1)
-        start, end = kind_end + 5, kind_end + 5 + length
+        start, end = kind_end + 5, kind_end + 5 + length  # after a zero and the length
         if length < 0 or end >= len(data):
             raise ValueError("cut off")
         found[data[position:name_end]] = data[name_end + 1 : kind_end], data[start:end]
@@ -114,5 +114,5 @@ def _channels(data: bytes) -> dict[str, int]:
     while data[position] != 0:
         end = data.index(b"\0", position)
         found[data[position:end].decode("utf-8", "replace")] = 2 if data[end + 1] == _HALF else 4
-        position = end + 17
+        position = end + 17  # a zero, the type, four bytes of flags, two samplings
     return found

@@ -49,7 +49,7 @@ class ImageHeader:
 def read_image_header(path: Path) -> ImageHeader:
     """Read the header of a PNG or JPEG and check that the file has an end. Raises PlgsError."""
     with reading(path), open_plain(path) as file:
-        start = file.read(33)
+        start = file.read(33)  # a PNG's signature and its whole IHDR
         if start.startswith(_PNG_SIGNATURE):
             header, end = _png_header(start, path), _PNG_END
         elif start.startswith(_JPEG_START):
@@ -123,13 +123,13 @@ def _jpeg_header(file: BinaryIO, path: Path) -> ImageHeader:
     orientation = 1
     while True:
         marker = file.read(2)
-        while marker == b"\xff\xff":
+        while marker == b"\xff\xff":  # fill bytes may precede a marker
             marker = b"\xff" + file.read(1)
         length_bytes = file.read(2)
         if len(marker) < 2 or len(length_bytes) < 2 or marker[0] != 0xFF:
             raise _truncated(path)
         (length,) = struct.unpack(">H", length_bytes)
-        if 0xC0 <= marker[1] <= 0xCF and marker[1] not in (0xC4, 0xC8, 0xCC):
+        if 0xC0 <= marker[1] <= 0xCF and marker[1] not in (0xC4, 0xC8, 0xCC):  # DHT, JPG, DAC: no frame
             body = file.read(6)
             if len(body) < 6:
                 raise _truncated(path)
@@ -138,7 +138,7 @@ def _jpeg_header(file: BinaryIO, path: Path) -> ImageHeader:
                 raise PlgsError("jpeg-header", "the JPEG header makes no sense", path, "Write this file again.")
             _refuse_vast(width, height, path)
             return ImageHeader("jpeg", width, height, bit_depth, channels, orientation=orientation)
-        if marker[1] == 0xE1:
+        if marker[1] == 0xE1:  # APP1: Exif or XMP
             after = file.tell() + length - 2
             orientation = _orientation(file.read(min(length - 2, _EXIF_LOOKED_AT))) or orientation
             file.seek(after)
@@ -167,7 +167,7 @@ def _jpeg_is_whole(data: bytes) -> bool:
     while position + 4 <= len(data) and data[position] == 0xFF:
         if data[position + 1] == 0xFF:
             position += 1
-        elif data[position + 1] == 0xDA:
+        elif data[position + 1] == 0xDA:  # SOS: the picture, which has no segments to skip
             return data.find(_JPEG_END, position) >= 0
         else:
             position += 2 + int.from_bytes(data[position + 2 : position + 4], "big")
@@ -176,7 +176,7 @@ def _jpeg_is_whole(data: bytes) -> bool:
 
 def _check_png_chunks(data: bytes, path: Path) -> None:
     position = len(_PNG_SIGNATURE)
-    while position + 12 <= len(data):
+    while position + 12 <= len(data):  # length, kind and checksum of a chunk
         length = int.from_bytes(data[position : position + 4], "big")
         kind_and_body = data[position + 4 : position + 8 + length]
         checksum = data[position + 8 + length : position + 12 + length]

@@ -23,7 +23,7 @@ def read_file(path: Path, most_bytes: int, fix: str = "Check that it exists.") -
     """The content of a regular file of at most ``most_bytes``. Raises PlgsError, with ``fix`` as the advice."""
     with reading(path, fix):
         size = path.stat().st_size
-        if size <= most_bytes:
+        if size <= most_bytes:  # otherwise read_plain refuses it
             check_memory(size, path)
         return read_plain(path, most_bytes)
 
@@ -126,7 +126,7 @@ def file_inside(folder: Path, name: str, path: Path) -> Path:
     found = folder
     for part in parts.parts:
         here = found / part
-        if not part.isascii() and not here.exists() and found.is_dir():
+        if not part.isascii() and not here.exists() and found.is_dir():  # macOS may have written it in NFD
             here = next((each for each in found.iterdir() if composed(each.name) == composed(part)), here)
         found = here
     return found

@@ -52,7 +52,7 @@ def take_array(
     try:
         numbers = np.array(value, np.float64)
     except (ValueError, TypeError, OverflowError):
-        numbers = np.empty(0)
+        numbers = np.empty(0)  # has none of the shapes
     if numbers.shape not in shapes:
         wanted = " or ".join("x".join(map(str, shape)) for shape in shapes)
         raise wrong_type(key, f"{wanted} numbers", value, context, path)
@@ -92,7 +92,7 @@ def rigid(pose: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
     if far > _FARTHEST:
         what = f"the camera is {far:.4g} m from the origin, too far for exact positions"
         raise PlgsError("camera-far", what, path, "Write metres, and move the scene close to the origin.")
-    left, _, right = np.linalg.svd(rotation)
+    left, _, right = np.linalg.svd(rotation)  # left @ right is the nearest rotation
     return as_pose(left @ right, pose[:3, 3])
 
 

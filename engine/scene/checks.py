@@ -100,7 +100,7 @@ def survey_scene(scene: Scene, progress: Progress | None = None, keep_within: Si
         raise PlgsError("depth-not-millimetres", what, (scene.frames[0].depth_path or scene.folder).parent, fix)
     training = [fact.mask for fact, frame in zip(facts, scene.frames, strict=True) if not frame.held_out]
     classes_seen = {class_id for mask in training if mask is not None for class_id, _ in mask.class_pixels}
-    if classes_seen == {VOID}:
+    if classes_seen == {VOID}:  # without any masks the set is empty, which is allowed
         fix = "Give masks that have segments in the frames to train on."
         raise PlgsError("masks-empty", "the masks are empty", scene.folder, fix)
     overlap_warnings = _overlap_warnings(scene, thumbnails, tick) if depths else ()
@@ -119,10 +119,10 @@ def _readable(scene: Scene, tick: Progress, keep_within: Size | None) -> tuple[l
         unknown = truth.unknown() if isinstance(truth, GroundTruthReader) else frozenset[int | str]()
         try:
             looks[frame.name] = _look(frame, unknown, keep_within, decode=position in decoded)
-        except OtherClasses:
+        except OtherClasses:  # the table is wrong, not this frame's file
             raise
         except PlgsError as error:
-            if MEMORY_IS_GONE in error.what:
+            if MEMORY_IS_GONE in error.what:  # the file may be good: no reason to leave the frame out
                 raise
             errors[frame.name] = error
         tick(position + 1, total)
@@ -179,7 +179,7 @@ def _depth_facts(frame: Frame, depth: NDArray[np.float32]) -> DepthFacts:
 def _mask_facts(mask: PanopticMask) -> MaskFacts:
     ids, counts = distinct_ids(mask.ids)
     pixels = dict(zip(ids.tolist(), counts.tolist(), strict=True))
-    by_class = {0: pixels.get(0, 0)}
+    by_class = {0: pixels.get(0, 0)}  # 0: pixels without a segment
     for segment in mask.segments:
         if segment.id in pixels:
             by_class[segment.class_id] = by_class.get(segment.class_id, 0) + pixels[segment.id]
@@ -195,7 +195,7 @@ def _pixel_warnings(facts: Sequence[FrameFacts]) -> Iterable[str]:
     yield from _colour_warnings({fact.name: fact.brightest for fact in facts if fact.brightest is not None})
     yield from _depth_warnings({fact.name: fact.depth for fact in facts if fact.depth is not None})
     yield from _mask_warnings({fact.name: fact.mask for fact in facts if fact.mask is not None})
-    if unknown := sorted(frozenset().union(*(fact.unknown_truth for fact in facts)), key=str):
+    if unknown := sorted(frozenset().union(*(fact.unknown_truth for fact in facts)), key=str):  # names and numbers mix
         yield f"classes {listed(unknown)} of the ground truth are not in the masks' table and count as void"
 
 

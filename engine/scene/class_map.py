@@ -37,8 +37,8 @@ def coloured(labels: Iterable[ClassLabel]) -> ClassTable:
         else:
             chosen.setdefault(label.id, PALETTE[index])
     free = {*PALETTE}.difference(chosen.values())
-    for label in sorted(unknown, key=lambda label: _words(label.name)):
-        first = int.from_bytes(sha256(_words(label.name)[0].encode()).digest()[:4], "big") % _FAR
+    for label in sorted(unknown, key=lambda label: _words(label.name)):  # by name: ids do not decide who is first
+        first = int.from_bytes(sha256(_words(label.name)[0].encode()).digest()[:4], "big") % _FAR  # hash() is salted
         in_turn = (*PALETTE[first:_FAR], *PALETTE[:first], *PALETTE[_FAR:]) if free else ()
         colour = chosen.setdefault(label.id, next((each for each in in_turn if each in free), PALETTE[first]))
         free.discard(colour)
@@ -114,7 +114,7 @@ def class_map(
         class_of[number] = VOID
     others = None
     if objects:
-        others = max((each.id for each in final), default=0) + 1
+        others = max((each.id for each in final), default=0) + 1  # after all others, whose ids stay
         final = [*final, replace(OBJECT, id=others)]
     used = [number for number in class_of.values() if number != VOID]
     merges = len(set(used)) < len(used)
@@ -185,9 +185,9 @@ def _labels(
             if row.name is None:
                 what = f"the class {number} has no name"
                 raise PlgsError("class-unnamed", what, choice.path or FILE_NAME, "Add name and thing.")
-            found[number] = ClassLabel(number, row.name, row.thing is not False)
+            found[number] = ClassLabel(number, row.name, row.thing is not False)  # unless it says no
         else:
-            name = known.name if row.name is None or row.id is None else row.name
+            name = known.name if row.name is None or row.id is None else row.name  # else the name found it
             found[number] = replace(known, name=name, is_thing=known.is_thing if row.thing is None else row.thing)
     return found
 
@@ -202,7 +202,7 @@ def _targets(
         if row.into is None or found == [number] or (choice.to_reduced and number in found):
             continue  # it stays what it is
         if number in found and names[number] != row.into:
-            _only(names, row.into, choice)
+            _only(names, row.into, choice)  # only to raise if the name is ambiguous
         into[number] = row.into
     return into
 
@@ -211,11 +211,11 @@ def _merged(
     labels: Mapping[int, ClassLabel], into: Mapping[int, str], choice: ClassChoice
 ) -> tuple[list[ClassLabel], dict[int, int]]:
     """The remaining classes, in order of id, and the class id of each label. Raises PlgsError."""
-    shift = 1 if 0 in labels else 0
+    shift = 1 if 0 in labels else 0  # 0 is void here, so all move up by one
     class_of = {number: number + shift for number in labels if number not in into}
     final = {class_id: replace(labels[number], id=class_id) for number, class_id in class_of.items()}
     names = {class_id: label.name for class_id, label in final.items()}
-    for number, name in sorted(into.items()):
+    for number, name in sorted(into.items()):  # a new name gets the id of its first label
         if name.casefold() == "void":
             class_of[number] = VOID
             continue

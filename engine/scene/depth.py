@@ -120,7 +120,7 @@ def read_depth_array(path: Path) -> NDArray[Any]:
         values = read_array(path, "depth" if len(arrays) != 1 else arrays[0])
     else:
         values = read_npy(path, "Save one array with numpy.save.")
-    while values.ndim > 2 and 1 in (values.shape[0], values.shape[-1]):
+    while values.ndim > 2 and 1 in (values.shape[0], values.shape[-1]):  # [1, H, W] or [H, W, 1] of networks
         values = values[0] if values.shape[0] == 1 else values[..., 0]
     if values.ndim != 2 or values.dtype.kind not in "fiu" or not values.size:
         raise PlgsError("depth-array", "depth is not a picture of numbers", path, "Save an array [height, width].")
@@ -204,7 +204,7 @@ def open_depth(scene: Path, lenses: Mapping[str, Camera]) -> tuple[dict[str, Dep
     beside, warnings = between_cameras(*extrinsics)
     size = Counter(read_image_header(each).size for each in whole).most_common(1)[0][0]
     depth_lens = None if path is None else read_intrinsics(path, size)
-    own = {name for name in lenses if (scene / "intrinsic" / f"{name}.txt").is_file()}
+    own = {name for name in lenses if (scene / "intrinsic" / f"{name}.txt").is_file()}  # these lenses hold for depth
     found = {
         name: seen_by_colour(one, (None if name in own else depth_lens) or lenses[name], lenses[name], beside)
         for name, one in maps.items()
@@ -274,7 +274,7 @@ class Thumbnail:
     @classmethod
     def of(cls, name: str, camera: Camera, depth: NDArray[np.float32]) -> Thumbnail:
         """A frame's whole depth, made small."""
-        size = (_THUMBNAIL_WIDTH, max(1, round(_THUMBNAIL_WIDTH * camera.height / camera.width)))
+        size = (_THUMBNAIL_WIDTH, max(1, round(_THUMBNAIL_WIDTH * camera.height / camera.width)))  # not 0 for panoramas
         return cls(name, camera.resized(*size), resize_nearest(depth, size))
 
 

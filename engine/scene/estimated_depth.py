@@ -76,7 +76,7 @@ def fit_depth(values: Values, depths: Values) -> DepthFit | None:
     values, depths = values[good], depths[good]
     if len(values) < LEAST_POINTS:
         return None
-    step = -(-len(values) // _MOST_POINTS)
+    step = -(-len(values) // _MOST_POINTS)  # rounded up, so that no more are left
     values, depths = values[::step], depths[::step]
     fits = [fit for inverse in (False, True) if (fit := _fit_line(values, depths, inverse)) is not None]
     return min(fits, key=lambda fit: fit.error, default=None)
@@ -84,18 +84,18 @@ def fit_depth(values: Values, depths: Values) -> DepthFit | None:
 
 def _fit_line(values: Values, depths: Values, inverse: bool) -> DepthFit | None:
     target = 1.0 / depths if inverse else depths
-    one, other = np.random.default_rng(0).integers(0, len(values), (2, _PAIRS))
+    one, other = np.random.default_rng(0).integers(0, len(values), (2, _PAIRS))  # the same each time
     run = values[one] - values[other]
-    usable = np.abs(run) > 1e-9 * max(1.0, float(np.abs(values).max()))
+    usable = np.abs(run) > 1e-9 * max(1.0, float(np.abs(values).max()))  # two equal values give no slope
     scales = np.divide(target[one] - target[other], run, out=np.zeros(_PAIRS), where=usable)
-    scales = np.where(scales > 0.0, scales, np.nan)
+    scales = np.where(scales > 0.0, scales, np.nan)  # falling lines belong to the inverse, or to the depth
     shifts = target[one] - scales * values[one]
     errors = np.median(_relative_errors(values, depths, scales[:, None], shifts[:, None], inverse), axis=1)
     if not np.isfinite(errors).any():
         return None
     best = int(np.argmin(np.where(np.isfinite(errors), errors, np.inf)))
     scale, shift = float(scales[best]), float(shifts[best])
-    for _ in range(3):
+    for _ in range(3):  # each line has other points that agree
         scale, shift = _refined(values, depths, scale, shift, inverse)
     error = float(np.median(_relative_errors(values, depths, scale, shift, inverse)))
     if not scale > 0.0 or not np.isfinite(error):
@@ -115,10 +115,10 @@ def _refined(values: Values, depths: Values, scale: float, shift: float, inverse
     """Least squares of the relative errors over the points that agree with the line."""
     errors = _relative_errors(values, depths, scale, shift, inverse)
     near = errors <= max(_CLOSE, 3.0 * float(np.median(errors)))
-    weight = depths[near] if inverse else 1.0 / depths[near]
+    weight = depths[near] if inverse else 1.0 / depths[near]  # makes all targets 1, so that errors are relative
     rows = np.stack([values[near] * weight, weight], axis=-1)
     solution, _, rank, _ = np.linalg.lstsq(rows, np.ones(len(rows)), rcond=None)
-    return (float(solution[0]), float(solution[1])) if rank == 2 else (scale, shift)
+    return (float(solution[0]), float(solution[1])) if rank == 2 else (scale, shift)  # rank 1: equal values
 
 
 def fitted_map(
@@ -141,7 +141,7 @@ def _metric_map(path: Path, placement: Placement) -> NDArray[np.float32]:
 def _placed(path: Path, placement: Placement) -> NDArray[np.float32]:
     """The values of a map in the picture, float32 [H, W], NaN beyond the photo's edges. Raises PlgsError."""
     values = read_map(path).astype(np.float32)
-    shows = placement(np.ones(values.shape, np.int32))
+    shows = placement(np.ones(values.shape, np.int32))  # 0 may be a value of the map, so it cannot tell
     return np.where(shows > 0, placement(values), np.float32(np.nan))
 
 
@@ -176,7 +176,7 @@ def with_estimated_depth(
     except PlgsError as raised:
         if raised.key != "lacks-files" or not has_points:
             raise
-        files, error = {}, raised
+        files, error = {}, raised  # maps may be numbered otherwise, see _fitting
     for path in files.values():
         bits = read_image_header(path).bit_depth if path.suffix.lower() == ".png" else 16
         if bits < 16 and not has_points:
@@ -221,7 +221,7 @@ def _as_metres(frames: Sequence[Frame], files: Mapping[str, Path], placements: M
         if values.dtype.kind != "f" or depth.max() > 1.0 or depth.max() == depth.min():
             return Inferred("units", _AS_METRES, "there are no sparse points to fit depth to")
         thumbnails.append(Thumbnail.of(frame.name, frame.camera, depth))
-    share = measure_overlap(thumbnails, tolerance=0.0).agreement
+    share = measure_overlap(thumbnails, tolerance=0.0).agreement  # in so small a scene, 10 cm say nothing
     if share < _AGREEING:
         what = f"depth maps hold values from 0 to 1, and as metres the frames contradict each other ({share:.0%} agree)"
         fix = "Save depth as 16-bit .png in millimetres; for relative depth, give COLMAP's poses and points."

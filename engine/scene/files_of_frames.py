@@ -127,7 +127,7 @@ def digests_of_files(groups: Sequence[tuple[Path | None, ...]]) -> list[str]:
 
 
 @cache
-def _digest(path: Path, size: int, changed_ns: int) -> bytes:
+def _digest(path: Path, size: int, changed_ns: int) -> bytes:  # size and time: a changed file is read again
     with open(path, "rb") as file:
         return file_digest(file, "sha256").digest()
 
@@ -155,7 +155,7 @@ def _with_addition(names: Sequence[str], files: Mapping[str, Value]) -> dict[str
     for name in names[:: max(1, len(names) // _NAMES_TRIED)]:
         for stem in files:
             before, found, after = stem.partition(name)
-            if found and not before[-1:].isalnum() and not after[:1].isalnum():
+            if found and not before[-1:].isalnum() and not after[:1].isalnum():  # 1 in 1_pred, but not in 10
                 ways.add(("", before, after))
             elif name.endswith(stem) and not name.removesuffix(stem)[-1:].isalnum():
                 ways.add((name.removesuffix(stem), "", ""))

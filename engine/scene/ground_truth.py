@@ -99,7 +99,7 @@ def _compared(files: Mapping[str, Path], masks: MaskSet) -> Joint:
 
 def joined(numbers: NDArray[np.integer], classes: NDArray[np.integer]) -> Counter[tuple[int, int]]:
     """Counts the pixels of each pair from a ground truth [H, W] and classes [H, W], where neither may be void."""
-    pairs = numbers.astype(np.int64) << 32 | classes
+    pairs = numbers.astype(np.int64) << 32 | classes  # one number per pair: np.unique is slow on rows
     known = pairs[(classes != VOID) & ~np.isin(numbers, [*IGNORED])]
     values, counts = (found.tolist() for found in np.unique(known, return_counts=True))
     return Counter({(pair >> 32, pair & 0xFFFFFFFF): count for pair, count in zip(values, counts, strict=True)})
@@ -123,7 +123,7 @@ def numbers_by_agreement(
         return replace(usual, inferred=(_read_as("class ids of the masks", poor),) if own < _POOR * total else ())
     equals = [name for name, pixels in found.items() if pixels >= _EQUAL * best]
     meanings = {tuple(ways[name].class_of.get(n, VOID) for n in sorted(numbers)): name for name in equals[::-1]}
-    first, *others = [*meanings.values()][::-1]
+    first, *others = [*meanings.values()][::-1]  # of tables that mean the same here, the first
     shares = f"{best / total:.0%} of the pixels then agree with the masks, {own / total:.0%} as the masks' class ids"
     if own >= _REFUTED * best:
         doubt = _read_as(f"class ids of the masks, but look like {first}", f"{shares}; if they are, {_advice(first)}")
@@ -165,7 +165,7 @@ def in_classes(semantic: NDArray[np.integer], class_of: Mapping[int, int]) -> ND
     """Maps class ids [H, W] (>= 0) by ``class_of``; ids that it lacks become void."""
     known = np.zeros(int(semantic.max(initial=0)) + 1, np.int32)
     for number, class_id in class_of.items():
-        if number < len(known):
+        if number < len(known):  # the picture has no larger ids
             known[number] = class_id
     return known[semantic]
 

@@ -111,7 +111,7 @@ def on_edges(ids: Ids, ranks: NDArray[np.float32]) -> float:
     height, width = ranks.shape
     ids = resize_nearest(ids, (width, height))
     outline = borders(ids)
-    outline[:2] = outline[-2:] = outline[:, :2] = outline[:, -2:] = False
+    outline[:2] = outline[-2:] = outline[:, :2] = outline[:, -2:] = False  # sides of the picture
     outline &= np.isfinite(ranks)
     return float(ranks[outline].mean()) if outline.sum() >= _LEAST_OUTLINE else float("nan")
 
@@ -295,8 +295,8 @@ def _boxes(
         over = width - inner[0], height - inner[1]
         is_networks = width % _NETWORK_STEP == 0 and height % _NETWORK_STEP == 0
         if max(over) >= 2 and (is_networks or not same_shape(mask.size, size)):
-            ways[0][name] = (round(over[0] / 2 - 0.1), round(over[1] / 2 - 0.1), *inner)
-            ways[1][name] = (0, 0, *inner)
+            ways[0][name] = (round(over[0] / 2 - 0.1), round(over[1] / 2 - 0.1), *inner)  # Ultralytics' rounding
+            ways[1][name] = (0, 0, *inner)  # borders at the right and bottom only
     for way in ways:
         ids_of = {name: _ids(source, name) for name in evenly_spread([*way], _LOOKED_AT)}
         looked = [(way[name], ids) for name, ids in ids_of.items() if ids is not None and ids.any()]

@@ -65,10 +65,10 @@ class MaskReader:
         if self.fuses:
             segments, new_id = fused(segments)
         ids = found.ids if self.placement is None else self.placement(found.ids)
-        if any(new_id.get(one.id) != one.id for one in found.segments):
+        if any(new_id.get(one.id) != one.id for one in found.segments):  # also for void ones, which become 0
             number = np.zeros(int(ids.max(initial=0)) + 1, np.int32)
             for old, new in new_id.items():
-                if old < len(number):
+                if old < len(number):  # else no pixel has it
                     number[old] = new
             ids = number[ids]
         return PanopticMask(resize_nearest(ids, size) if size else ids, tuple(segments))
@@ -92,7 +92,7 @@ class MaskReader:
         if class_id is None or class_id == VOID:
             return None
         is_thing = self.known.classes[class_id].is_thing
-        is_group = is_thing and not one.has_instance
+        is_group = is_thing and not one.has_instance  # the whole area of a class, perhaps of several objects
         track = one.track if is_thing else None
         return Segment(one.id, class_id, is_thing and not is_group, one.score, is_group, track)
 

@@ -88,7 +88,7 @@ class Detections:
             raise PlgsError("unknown-classes", what, self.path, _FIX, option="--detections")
         if self.labels is None:
             return {number: number for number in used}, ()
-        number_of = {plain_name(label.name): label.id for label in reversed(labels)}
+        number_of = {plain_name(label.name): label.id for label in reversed(labels)}  # of equal names, the first
         more: list[ClassLabel] = []
         free = max((label.id for label in labels), default=0) + 1
         for number in used:

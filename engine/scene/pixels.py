@@ -102,7 +102,7 @@ def equal_channels(pixels: NDArray[Any]) -> NDArray[Any] | None:
     if pixels.ndim == 2:
         return pixels
     are_equal = bool((pixels[..., :3] == pixels[..., :1]).all())
-    return np.ascontiguousarray(pixels[..., 0]) if are_equal else None
+    return np.ascontiguousarray(pixels[..., 0]) if are_equal else None  # a view would keep all channels in memory
 
 
 def resize_colour(pixels: NDArray[np.uint8], size: Size) -> NDArray[np.uint8]:

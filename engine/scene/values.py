@@ -81,7 +81,7 @@ def by_colour(indices: NDArray[np.int32], path: Path, numbers: Mapping[bytes, in
     """The ``numbers`` for the colours of ``indices`` [H, W] in a PNG's own palette."""
     palette = palette_of(path)
     table = [numbers[palette[i : i + 3]] for i in range(0, len(palette), 3)]
-    return np.array(table + [0] * (256 - len(table)), np.int32)[indices]
+    return np.array(table + [0] * (256 - len(table)), np.int32)[indices]  # indices beyond the palette are void
 
 
 def palette_of(path: Path) -> bytes:

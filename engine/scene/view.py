@@ -39,7 +39,7 @@ def border_mask(colour: NDArray[np.uint8]) -> NDArray[np.bool_]:
     import cv2
 
     sides = (colour[0], colour[-1], colour[:, 0], colour[:, -1])
-    if all((side.max(axis=1) <= JPEG_BLACK).mean() < SHORTEST for side in sides):
+    if all((side.max(axis=1) <= JPEG_BLACK).mean() < SHORTEST for side in sides):  # most pictures end here
         return np.zeros(colour.shape[:2], np.bool_)
     brightest = colour.max(axis=2)
     dark = cv2.medianBlur(brightest, 3) <= JPEG_BLACK  # the median: single pixels that JPEG made brighter
@@ -48,14 +48,14 @@ def border_mask(colour: NDArray[np.uint8]) -> NDArray[np.bool_]:
         _add_upper(np.rot90(border, turns), np.rot90(dark, turns), np.rot90(brightest, turns))
     if border.any():
         kernel = np.ones((2 * SEAM + 1, 2 * SEAM + 1), np.uint8)
-        border = cv2.dilate(border.view(np.uint8), kernel).astype(np.bool_)
+        border = cv2.dilate(border.view(np.uint8), kernel).astype(np.bool_)  # OpenCV takes no bool
     return border
 
 
 def _add_upper(border: NDArray[np.bool_], dark: NDArray[np.bool_], brightest: NDArray[np.uint8]) -> None:
     """Mark the border along the upper side, all [H, W], in ``border``."""
     height, width = dark.shape
-    thickness = np.where(dark.all(axis=0), height, dark.argmin(axis=0))
+    thickness = np.where(dark.all(axis=0), height, dark.argmin(axis=0))  # argmin is 0 where all are dark
     is_thin = (thickness > 0) & (thickness <= THICKEST * height)
     is_torn = ~is_thin[1:] | ~is_thin[:-1] | (np.abs(np.diff(thickness)) > STEEPEST)
     for stretch in np.split(np.arange(width), np.flatnonzero(is_torn) + 1):
@@ -147,7 +147,7 @@ def read_ahead(frames: Sequence[Frame], read: Callable[[Frame], Read]) -> Iterat
             while waiting:
                 yield waiting.popleft().result()
         finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+            pool.shutdown(wait=True, cancel_futures=True)  # whoever iterates may stop early
 
 
 Item = TypeVar("Item", covariant=True)

@@ -104,10 +104,10 @@ def _pose_at(poses: Mapping[float, NDArray[np.float64]], seconds: float) -> NDAr
         one, other = times[after - 1], times[after]
         share = (seconds - one) / (other - one)
         between = (1 - share) * poses[one] + share * poses[other]
-        turn = cv2.Rodrigues(poses[one][:3, :3].T @ poses[other][:3, :3])[0]
+        turn = cv2.Rodrigues(poses[one][:3, :3].T @ poses[other][:3, :3])[0]  # axis times radians between both
         between[:3, :3] = poses[one][:3, :3] @ cv2.Rodrigues(share * turn)[0]
         return between
-    return _nearest(poses, seconds)
+    return _nearest(poses, seconds)  # before the first, after the last, or in a gap
 
 
 def _shot(picture: Path, lens: Path, depth: Path | None, level: Path | None, pose: NDArray[np.float64]) -> Shot:

@@ -99,8 +99,8 @@ class SceneFormat:
 def frame_names(paths: Sequence[str]) -> list[str]:
     """The stems of ``paths`` if these are all different, otherwise the whole paths with ``_`` between their parts.
     Other files are named after frames, so characters not allowed in file names become ``_`` too."""
-    pure = [PurePosixPath(path.replace("\\", "/")) for path in paths]
-    parts = [(each.with_suffix("") if each.name else each).parts for each in pure]
+    pure = [PurePosixPath(path.replace("\\", "/")) for path in paths]  # files written on Windows
+    parts = [(each.with_suffix("") if each.name else each).parts for each in pure]  # with_suffix needs a name
     named = [[part for part in each if part not in (".", "..", "/", "//")] for each in parts]  # perhaps nothing
     stems = [each[-1] if each else "" for each in named]
     if len(set(stems)) < len(stems):

@@ -34,7 +34,7 @@ _LINE_IN_MEMORY = 500
 _POINT_BYTES = 51
 """Minimum bytes per point in a binary file."""
 _MOST_POINT_BYTES = _MOST_TEXT = 1 << 29
-_POINTS_2D = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
+_POINTS_2D = np.dtype([("xy", "<f8", 2), ("point", "<i8")])  # point is -1 for features without one
 EXPORT_AGAIN = "Let COLMAP write the model again, for example with colmap model_converter."
 UNDISTORT = (
     "Run COLMAP's image_undistorter, and name the folder that it writes: colmap image_undistorter --image_path images "
@@ -114,7 +114,7 @@ class _Bytes:
     def text(self) -> str:
         """Up to the next zero."""
         end = self.data.find(b"\0", self.position)
-        start = self.skip(end + 1 - self.position if end >= 0 else len(self.data) + 1)
+        start = self.skip(end + 1 - self.position if end >= 0 else len(self.data) + 1)  # without a zero, skip raises
         return self.data[start:end].decode("utf-8", "replace")
 
     def array(self, fields: np.dtype[np.void], count: int) -> NDArray[np.void]:
@@ -130,7 +130,7 @@ class _Bytes:
 
 def _binary_cameras(path: Path) -> dict[int, ColmapCamera]:
     file, cameras = _Bytes(path), {}
-    for _ in range(file.count("cameras", 40)):
+    for _ in range(file.count("cameras", 40)):  # the four numbers below, and two parameters at least
         camera, model, width, height = (int(value) for value in file.take("<IiQQ"))
         if not 0 <= model < len(_MODELS):
             what = f"camera {camera} has the model number {model}, which is not known"
@@ -142,7 +142,7 @@ def _binary_cameras(path: Path) -> dict[int, ColmapCamera]:
 
 def _binary_images(path: Path) -> tuple[ColmapImage, ...]:
     file, images = _Bytes(path), []
-    for _ in range(file.count("images", 73)):
+    for _ in range(file.count("images", 73)):  # the numbers below, the zero after a name, and a count
         _, w, x, y, z, *translation, camera = file.take("<I7dI")
         name = file.text()
         points = file.array(_POINTS_2D, file.count("points of an image", _POINTS_2D.itemsize))["point"]
@@ -157,7 +157,7 @@ def _binary_points(path: Path) -> tuple[NDArray[np.int64], SparsePoints]:
     for row in range(count):
         ids[row], *xyz[row], red, green, blue, _, track = file.take("<q3d3BdQ")
         rgb[row] = red, green, blue
-        file.skip(8 * int(track))
+        file.skip(8 * int(track))  # pairs of an image and a feature, int32 each
     return ids, SparsePoints(xyz, rgb)
 
 
@@ -208,13 +208,13 @@ def _text_images(path: Path) -> tuple[ColmapImage, ...]:
     """Two lines per image; the second, its points in the picture, may be empty."""
     lines, images = _lines(path), []
     for number, line in lines:
-        words = line.split(maxsplit=9)
+        words = line.split(maxsplit=9)  # the last is the name, which may contain spaces
         if not words:
             continue
         try:
             w, x, y, z, *translation = (float(word) for word in words[1:8])
             camera, name = int(words[8]), words[9].strip()
-            points = np.array(next(lines, (0, ""))[1].split()[2::3], np.int64)
+            points = np.array(next(lines, (0, ""))[1].split()[2::3], np.int64)  # x y id, x y id, ...
         except (ValueError, IndexError, OverflowError) as error:
             raise _broken(path, number) from error
         images.append(ColmapImage(name, camera, (w, x, y, z), tuple(translation), points[points >= 0]))
@@ -224,13 +224,13 @@ def _text_images(path: Path) -> tuple[ColmapImage, ...]:
 def _text_points(path: Path) -> tuple[NDArray[np.int64], SparsePoints]:
     ids, xyz, rgb = [], [], []
     for number, line in _lines(path):
-        words = line.split(maxsplit=7)
+        words = line.split(maxsplit=7)  # error and track stay one word: lines are long
         if not words:
             continue
         try:
             x, y, z = (float(word) for word in words[1:4])
             red, green, blue = (float(int(word) & 255) for word in words[4:7])
-            ids.append(int(np.int64(int(words[0]))))
+            ids.append(int(np.int64(int(words[0]))))  # np.int64 raises OverflowError beyond 64 bits
         except (ValueError, OverflowError) as error:
             raise _broken(path, number) from error
         xyz.append((x, y, z))

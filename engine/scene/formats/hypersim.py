@@ -80,7 +80,7 @@ def _source_pixels(projection: Projection) -> tuple[NDArray[np.float32], NDArray
     source = np.stack([x, y, np.ones_like(x)], axis=-1) @ warp.T
     # Rays behind the tilted plane do not belong to its pixels.
     scale = np.where(source[..., 2] > 1e-9, source[..., 2], np.nan)
-    u, v = source[..., 0] / scale - 0.5, source[..., 1] / scale - 0.5
+    u, v = source[..., 0] / scale - 0.5, source[..., 1] / scale - 0.5  # in cv2 centres are integers
     return np.nan_to_num(u, nan=-1e6).astype(np.float32), np.nan_to_num(v, nan=-1e6).astype(np.float32)
 
 
@@ -108,8 +108,8 @@ def tone_mapped(path: Path) -> NDArray[np.uint8]:
     linear = np.nan_to_num(read_hdf5(path, 3).astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
     if linear.shape[2] != 3:
         raise PlgsError("not-colour", "the picture does not have three channels", path, "Download it again.")
-    bright = float(np.percentile(linear @ np.array([0.3, 0.59, 0.11], np.float32), _BRIGHT_SHARE))
-    scale = _BRIGHT ** (1.0 / _GAMMA) / bright if bright > 1e-4 else 0.0
+    bright = float(np.percentile(linear @ np.array([0.3, 0.59, 0.11], np.float32), _BRIGHT_SHARE))  # CCIR 601
+    scale = _BRIGHT ** (1.0 / _GAMMA) / bright if bright > 1e-4 else 0.0  # a black picture stays black
     mapped = np.clip(np.maximum(scale * linear, 0.0) ** _GAMMA, 0.0, 1.0)
     return np.round(mapped * 255.0).astype(np.uint8)
 

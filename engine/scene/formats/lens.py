@@ -88,7 +88,7 @@ class Distortion:
         shape: OpenCV's formula (calib3d, "Detailed Description"). Its fisheye model is the same, applied to coordinates
         whose length is the angle from the axis, and so is COLMAP's thin prism model (models.h)."""
         if self.is_fisheye:
-            radius = np.maximum(np.hypot(x, y), 1e-12)
+            radius = np.maximum(np.hypot(x, y), 1e-12)  # avoids 0 / 0 in the middle
             x, y = (each * np.arctan(radius) / radius for each in (x, y))
         square = x * x + y * y
         factor = _series(self.radial, square) / _series(self.below, square)
@@ -102,7 +102,7 @@ class Distortion:
 def _series(factors: tuple[float, ...], square: Values) -> Values:
     """1 + k1 r^2 + k2 r^4 + ... for r^2 = ``square``."""
     total = np.zeros_like(square)
-    for factor in reversed(factors):
+    for factor in reversed(factors):  # Horner's rule, from the highest power
         total = square * (factor + total)
     return 1.0 + total
 

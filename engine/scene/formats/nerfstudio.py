@@ -125,7 +125,7 @@ def _frames(content: dict[str, Any], path: Path) -> tuple[list[dict[str, Any]], 
     if "test_frames" in content:
         frames += [{**frame, _IS_HELD_OUT: True} for frame in take_objects(content, "test_frames", "the file", path)]
     for frame in frames:
-        take_text(frame, "file_path", "a frame", path)
+        take_text(frame, "file_path", "a frame", path)  # only to raise before they are sorted by it
     frames.sort(key=lambda frame: natural_order(frame["file_path"]))
     present = [frame for frame in frames if _image_path(path, frame["file_path"]).is_file()]
     absent = [frame["file_path"] for frame in frames if frame not in present]
@@ -149,7 +149,7 @@ def _shot(name: str, frame: Mapping[str, Any], path: Path) -> Shot | None:
     kept = None
     if entry.get("mask_path"):
         kept = file_inside(path.parent, take_text(entry, "mask_path", context, path), path)
-        label_header(kept)
+        label_header(kept)  # only to raise now rather than in the middle of a lift
     return Shot(name, camera, colour_path, depth, distortion=_distortion(entry, context, path), kept_pixels=kept)
 
 
@@ -181,7 +181,7 @@ def _lens(entry: dict[str, Any], size: Size, context: str, path: Path) -> Camera
         take_number(entry, key, context, path) if key in entry else float(side)
         for key, side in zip("wh", size, strict=True)
     )
-    if "fl_x" in entry or "camera_angle_x" not in entry:
+    if "fl_x" in entry or "camera_angle_x" not in entry:  # with neither, the error names fl_x
         fx = take_number(entry, "fl_x", context, path)
     else:
         fx = _focal_length(entry, "camera_angle_x", width, context, path)
@@ -190,7 +190,7 @@ def _lens(entry: dict[str, Any], size: Size, context: str, path: Path) -> Camera
     elif "camera_angle_y" in entry and "fl_x" not in entry:
         fy = _focal_length(entry, "camera_angle_y", height, context, path)
     else:
-        fy = fx
+        fy = fx  # square pixels
     cx = take_number(entry, "cx", context, path) if "cx" in entry else width / 2.0
     cy = take_number(entry, "cy", context, path) if "cy" in entry else height / 2.0
     return pinhole(width, height, fx, fy, cx, cy, path=path, fix="Correct w, h, fl_x, fl_y, cx and cy.", whose=context)

@@ -189,7 +189,7 @@ def _read_stray(place: Path) -> Capture:
         if not np.isfinite(values).all():
             found.append((name, None))
             continue
-        pose = quaternion_pose((qw, qx, qy, qz), (x, y, z), place / "odometry.csv")
+        pose = quaternion_pose((qw, qx, qy, qz), (x, y, z), place / "odometry.csv")  # the file has w last
         intrinsics = [row[key] for key in _STRAY_LENS] if "fx" in row else shared
         lens = pinhole(*size, *intrinsics, path=place / "camera_matrix.csv", fix=_STRAY_FIX, whose=f"frame {name}")
         depth = None
@@ -212,7 +212,7 @@ def _read_odometry(path: Path) -> list[dict[str, float]]:
             what = f"line {row.line} holds {len(row.words)} numbers, not {len(head.words)}"
             raise PlgsError("wrong-count", what, path, _STRAY_FIX)
         given = {name: word for name, word in zip(head.words, row.words, strict=True) if name in wanted}
-        if all(given[name] == "" for name in given.keys() & {*_STRAY_LENS}):
+        if all(given[name] == "" for name in given.keys() & {*_STRAY_LENS}):  # columns without values: the matrix holds
             given = {name: given[name] for name in _COLUMNS}
         values = dict(zip(given, numbers(Row(row.line, [*given.values()]), path, _STRAY_FIX).tolist(), strict=True))
         if not 0.0 <= values["frame"] < 1e9:

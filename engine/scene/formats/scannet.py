@@ -118,7 +118,7 @@ def _shots(file: BinaryIO, path: Path, header: _Header) -> Iterator[tuple[str, S
     for number in range(header.frames):
         name = str(number)
         matrix = np.array(_take(file, "<16f", path)).reshape(4, 4)
-        colour_size, depth_size = (int(size) for size in _take(file, "<QQQQ", path)[2:])
+        colour_size, depth_size = (int(size) for size in _take(file, "<QQQQ", path)[2:])  # after two time stamps
         start = file.tell()
         if colour_size + depth_size > end - start:
             raise PlgsError("cut-off", "the file is cut off", path, _FIX)
@@ -138,8 +138,8 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
     (length,) = _take(file, "<Q", path)
     if length > _LARGEST_NAME:
         raise PlgsError("not-sens", "this is not a .sens file", path, "Give ScanNet's own file.")
-    _take(file, f"<{int(length)}x", path)
-    matrices = np.array(_take(file, "<64f", path), np.float64).reshape(4, 4, 4)
+    _take(file, f"<{int(length)}x", path)  # the sensor's name
+    matrices = np.array(_take(file, "<64f", path), np.float64).reshape(4, 4, 4)  # colour's lens and pose, then depth's
     colour_compression, depth_compression = _take(file, "<ii", path)
     colour_width, colour_height, depth_width, depth_height = _take(file, "<IIII", path)
     shift, frames = _take(file, "<fQ", path)
@@ -184,7 +184,7 @@ def _read_depth(block: _Block, header: _Header) -> NDArray[np.float32]:
     data, wanted = block.read(), 2 * width * height
     if header.depth_compression == _ZLIB:
         try:
-            data = zlib.decompressobj().decompress(data, wanted)
+            data = zlib.decompressobj().decompress(data, wanted)  # zlib.decompress has no limit of size
         except zlib.error as error:
             raise PlgsError("depth-damaged", "depth cannot be decompressed", block.path, _FIX) from error
     if len(data) != wanted:

@@ -85,7 +85,7 @@ class _DepthStream:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._blocks = _find_blocks(path)
-        self._lock = Lock()
+        self._lock = Lock()  # threads that read frames share the stream's position
         self._file: BinaryIO | None = None
         self._unpacker: Any = None
         self._next = 0

@@ -118,7 +118,7 @@ def _pairs(place: Path) -> list[tuple[_Stamped, _Stamped | None]]:
         pairs = []
         for row in read_rows(lists[0], "Write two time stamps, each with a file name, on each line."):
             one, two = _stamped(row.words[:2], row.line, lists[0]), _stamped(row.words[2:], row.line, lists[0])
-            pairs.append((two, one) if one.path.parent.name == "depth" else (one, two))
+            pairs.append((two, one) if one.path.parent.name == "depth" else (one, two))  # some list depth first
         return sorted(pairs, key=lambda pair: pair[0].time)
     colours = _stamped_images(place, "rgb")
     depths = _stamped_images(place, "depth") if (place / "depth").is_dir() else []

@@ -27,7 +27,7 @@ from ..pixels import decode, distinct_ids
 from ..values import checked_ids
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask
 
-_LARGEST_SEGMENT_ID = 256**3 - 1
+_LARGEST_SEGMENT_ID = 256**3 - 1  # the ids are R + 256 G + 65536 B
 
 
 def _read_mask(png: Path, table: str, segments: tuple[FoundSegment, ...], crowd_ids: frozenset[int]) -> FoundMask:
@@ -36,7 +36,7 @@ def _read_mask(png: Path, table: str, segments: tuple[FoundSegment, ...], crowd_
     found, _ = distinct_ids(ids)
     unknown = sorted({*found.tolist()} - {0} - {segment.id for segment in segments} - crowd_ids)
     if unknown:
-        checked_ids(ids, png)
+        checked_ids(ids, png)  # if a filter has mixed the ids, this says so
         fix = "Add them to this frame's segments_info, or paint them 0 (id = R + 256 G + 65536 B)."
         raise PlgsError("unlisted", f"segment ids {listed(unknown)} of the PNG are missing from {table}", png, fix)
     if crowd_ids:
@@ -134,7 +134,7 @@ def images_of(content: dict[str, Any], table: Path) -> dict[str, str]:
     """The stem of each image's file, by the image's id as text. Raises PlgsError."""
     images: dict[str, str] = {}
     for position, image in enumerate(take_objects(content, "images", "the file", table) if "images" in content else ()):
-        named = next((key for key in ("file_name", "coco_url") if key in image), None)
+        named = next((key for key in ("file_name", "coco_url") if key in image), None)  # LVIS has only the latter
         if "id" in image and named is not None:
             images[str(image["id"])] = stem_of(take_text(image, named, f"image {position}", table))
     return images
@@ -178,7 +178,7 @@ def _segment(info: dict[str, Any], name: str, table: Path, known: frozenset[int]
     if not 1 <= segment_id <= _LARGEST_SEGMENT_ID:
         what = f"{context} has an id that a PNG cannot hold"
         raise PlgsError("segment-id", what, table, "Number segments from 1; 0 is void.")
-    key = "label_id" if "category_id" not in info and "label_id" in info else "category_id"
+    key = "label_id" if "category_id" not in info and "label_id" in info else "category_id"  # as in transformers
     category_id = take_whole_number(info, key, context, table)
     if category_id not in known:
         what = f"{context} has the category id {category_id}, which is not in the categories"

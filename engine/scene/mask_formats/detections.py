@@ -91,7 +91,7 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
 def _read_stack(path: Path, segments: Sequence[FoundSegment]) -> FoundMask:
     """The mask in an .npz, with ``segments`` in the order of its detections."""
     masks = read_array(path, _key(path, "masks"))
-    masks = masks.reshape(-1, *masks.shape[-2:])
+    masks = masks.reshape(-1, *masks.shape[-2:])  # [N, 1, H, W] of networks, or [H, W]
     return painted([inside(mask, path) for mask in masks], segments, (masks.shape[2], masks.shape[1]))
 
 
