@@ -108,7 +108,7 @@ def _doubts(corrected: CorrectedResult, one: Instance) -> list[Proposal]:
     if len(xyz) < CRUMB:
         propose(0.7 * (1 - len(xyz) / CRUMB), f"it has only {plural(len(xyz), 'point')}", "delete")
     for other in corrected.instances:
-        if other.class_id != one.class_id or other.id >= one.id:
+        if other.class_id != one.class_id or other.id >= one.id:  # a pair is asked about once
             continue
         # Metres between the boxes along the axis on which they are farthest apart, as if they stood upright.
         apart = np.abs(np.subtract(one.centre, other.centre)) - (np.array(one.size) + np.array(other.size)) / 2
@@ -155,7 +155,7 @@ def class_of_parts(lift: Path, state: Replay, number: int, part: NDArray[np.inte
         if max(fits) >= FITS:
             own = votes.setdefault(numbers[int(np.argmax(fits))], {})
             own[segment.class_id] = own.get(segment.class_id, 0.0) + segment.pixels
-    return {each: max(sorted(own), key=lambda kind: own[kind]) for each, own in votes.items()}
+    return {each: max(sorted(own), key=lambda kind: own[kind]) for each, own in votes.items()}  # ties: the lower id
 
 
 def _overlap(points: NDArray[np.float64], rectangle: tuple[float, float, float, float]) -> float:

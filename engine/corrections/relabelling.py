@@ -31,7 +31,7 @@ def nearest(
         else:
             far, index = cKDTree(points).query(queries)
             return np.asarray(index, np.int64), np.asarray(far, np.float64)
-    middle = points.mean(axis=0, dtype=np.float64)
+    middle = points.mean(axis=0, dtype=np.float64)  # near the origin, squared distances cancel less
     near = (points - middle).astype(np.float64)
     squared = (near * near).sum(axis=1)
     found, least = np.empty(len(queries), np.int64), np.empty(len(queries), np.float64)
@@ -42,7 +42,7 @@ def nearest(
         rows = distance.argmin(axis=1)
         found[start : start + step] = rows
         least[start : start + step] = distance[np.arange(len(some)), rows] + (some * some).sum(axis=1)
-    return found, np.sqrt(np.maximum(least, 0.0))
+    return found, np.sqrt(np.maximum(least, 0.0))  # rounding may leave a square below 0
 
 
 Labels = NDArray[np.int32]
@@ -63,7 +63,7 @@ class Step:
 
     def apply(self, xyz: NDArray[np.floating], label: Labels) -> None:
         """Change the ``label`` [N] of what stands at ``xyz`` [N, 3] in place."""
-        rows_of = {source: np.flatnonzero(label == source) for source in (*self.table, *self.points)}
+        rows_of = {source: np.flatnonzero(label == source) for source in (*self.table, *self.points)}  # before changes
         for source, target in self.table.items():
             label[rows_of[source]] = target
         for source, (points, after) in self.points.items():

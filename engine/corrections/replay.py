@@ -81,7 +81,7 @@ class Replay:
             return reasons[0]
         ids = [*dict.fromkeys(mark.id for mark in edit.objects if mark.id in self.objects)]
         if edit.kind in (*MOVES, "merge"):
-            self._recognised.clear()
+            self._recognised.clear()  # such an edit changes the labels of points
         if not ids and (edit.kind != "assign" or not edit.classes):
             return "it names no object"
         if edit.kind in MOVES and (reason := self._no_label(edit)):

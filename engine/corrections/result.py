@@ -164,6 +164,7 @@ def correct(lift: Path, make: Make, listed: Listed | None = None) -> tuple[Edit,
     with editing(lift) as edits:
         result = _Result.read(lift, listed)
         state = result.replay(edits)
+        # above those of undone edits, too, which can be redone
         free = max([*(one.id for one in result.made), *(edit.largest_id for edit in edits)], default=0) + 1
         edit = make(state, free)
         reason = state.apply(edit)

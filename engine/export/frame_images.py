@@ -56,7 +56,7 @@ def write_coco(
             what = f"{name}: class and instance ids must be below {MOST_COCO_IDS} for COCO panoptic"
             raise PlgsError("coco-ids", what, folder, "Export instances instead: they have 16 bits each.")
         ids = np.where(semantic == VOID, 0, semantic * MOST_COCO_IDS + instance)
-        colours = np.stack([ids & 255, ids >> 8 & 255, ids >> 16 & 255], axis=-1).astype(np.uint8)
+        colours = np.stack([ids & 255, ids >> 8 & 255, ids >> 16 & 255], axis=-1).astype(np.uint8)  # lowest byte: R
         write_atomically(folder / "panoptic" / f"{name}.png", png_bytes(colours))
         height, width = ids.shape
         images.append({

@@ -107,7 +107,7 @@ def fuse(views: Sequence[SmallView], grain: Grain = Grain()) -> Surface:
     import open3d.t.geometry as geometry
 
     names, kinds = ("tsdf", "weight", "color"), (open3d.core.float32,) * 3
-    grid = geometry.VoxelBlockGrid(names, kinds, ((1), (1), (3)), grain.voxel, 8, _BLOCKS)
+    grid = geometry.VoxelBlockGrid(names, kinds, ((1), (1), (3)), grain.voxel, 8, _BLOCKS)  # 8 along a block
     for view in views:
         large = view.large_depth(grain.times)
         colour = geometry.Image(view.rgb / np.float32(255))
@@ -118,7 +118,7 @@ def fuse(views: Sequence[SmallView], grain: Grain = Grain()) -> Surface:
             if not part[::_STRIDE, ::_STRIDE].any():
                 continue
             depth = geometry.Image(part)
-            blocks = grid.compute_unique_block_coordinates(depth, lens, pose, 1.0, grain.farthest, reach)
+            blocks = grid.compute_unique_block_coordinates(depth, lens, pose, 1.0, grain.farthest, reach)  # 1.0: metres
             grid.integrate(blocks, depth, colour, lens, small_lens, pose, 1.0, grain.farthest, reach)
     if not grid.hashmap().size():
         none = np.empty((0, 3), np.float32)

@@ -104,14 +104,14 @@ def _rings(surface: Surface, rim: Ints, largest: float) -> tuple[Ints, NDArray[n
     is_hole = extent.max(axis=1) <= largest
     comes, goes = np.bincount(rim[:, 1], minlength=count), np.bincount(rim[:, 0], minlength=count)
     is_hole[ring[(comes != goes)[rim[:, 0]] | (comes != goes)[rim[:, 1]]]] = False
-    is_hole[ring[(reach < 2 * extent[ring].max(axis=1, keepdims=True)).all(axis=1)]] = False
+    is_hole[ring[(reach < 2 * extent[ring].max(axis=1, keepdims=True)).all(axis=1)]] = False  # rims of scraps
     return ring, is_hole
 
 
 def open_edges(triangles: Ints) -> Ints:
     """The edges [E, 2] with a triangle on only one side, directed as in that triangle [T, 3]."""
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    there, back = edges @ np.array([KEYS, 1]), edges @ np.array([1, KEYS])
+    there, back = edges @ np.array([KEYS, 1]), edges @ np.array([1, KEYS])  # each as one number
     return edges[~np.isin(there, back)]
 
 
@@ -159,7 +159,7 @@ def most_frequent(group: Ints, label: Ints, groups: int) -> Ints:
     """The label that most members [N] of each group have, [groups]; 0 for a group without members."""
     known, index = np.unique(label, return_inverse=True)
     pairs, count = np.unique(group * max(len(known), 1) + index, return_counts=True)
-    pairs = pairs[np.argsort(count, kind="stable")]
+    pairs = pairs[np.argsort(count, kind="stable")]  # so that the most frequent is written last
     found = np.zeros(groups, np.int64)
     found[pairs // max(len(known), 1)] = known[pairs % max(len(known), 1)]
     return found
@@ -204,7 +204,7 @@ def cut_by_label(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
     """The surface cut where its labels [V] change, and the new labels. Each side has its own vertices along the cut, at
     the same positions, so that the corners of a triangle share one label. Rims are smooth."""
     corners, count = label[surface.triangles], len(label)
-    alike = (corners == np.roll(corners, -1, axis=1)).sum(axis=1)
+    alike = (corners == np.roll(corners, -1, axis=1)).sum(axis=1)  # 3: all alike, 1: two, 0: none
     two, three = surface.triangles[alike == 1], surface.triangles[alike == 0]
     a, b, c = label[two].T
     lone = np.where(b == c, 0, np.where(a == c, 1, 2))[:, None]  # the corner that has its label alone
@@ -260,7 +260,7 @@ def _shares(triangles: Ints, index: Ints, known: int) -> csr_matrix:
     count = len(index)
     edges = triangles[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2)
     beside = coo_matrix((np.ones(len(edges)), tuple(edges.T)), (count, count)).tocsr()
-    beside.data[:] = 1.0
+    beside.data[:] = 1.0  # the edge of two triangles was added twice
     around = diags(1.0 / np.maximum(np.asarray(beside.sum(axis=1)).ravel(), 1.0)) @ beside
     shares = csr_matrix((np.ones(count), (np.arange(count), index)), (count, known))
     for _ in range(_ROUNDS):

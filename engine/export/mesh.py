@@ -87,7 +87,7 @@ def glb_bytes(parts: Sequence[Part]) -> bytes:
             shown = matt | {"baseColorTexture": {"index": len(images)}}
             materials.append({"pbrMetallicRoughness": shown, "doubleSided": True})
             images.append({"bufferView": buffer.add(encoded + b"\0" * (-len(encoded) % 4)), "mimeType": "image/jpeg"})
-            buffer.views[-1]["byteLength"] = len(encoded)
+            buffer.views[-1]["byteLength"] = len(encoded)  # without the padding, by which glTF aligns what follows
         arrays = {"POSITION": upright(part.xyz), "NORMAL": upright(part.normal), colours: values}
         attributes = buffer.add_vertices(arrays)
         indices = buffer.add_array(part.triangles.reshape(-1), _WHOLE, "<u4", _INDICES)
@@ -141,7 +141,7 @@ class GlbBuffer:
         own = {"buffers": [{"byteLength": len(self._body)}], "bufferViews": self.views, "accessors": self._accessors}
         head = json.dumps({**content, **own}, ensure_ascii=False).encode()
         chunks = _chunk(_JSON, head, b" ") + _chunk(_BIN, bytes(self._body), b"\0")
-        return struct.pack("<4sII", _MAGIC, 2, 12 + len(chunks)) + chunks
+        return struct.pack("<4sII", _MAGIC, 2, 12 + len(chunks)) + chunks  # version 2, after a header of 12 bytes
 
 
 def upright(values: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -275,7 +275,7 @@ def sharpened(depth: NDArray[np.float32], measured: NDArray[np.float32]) -> NDAr
     """A rendered depth [H, W] in metres, replaced by the measured one where that lies among the rendered depths nearby:
     rendered depth is blurred at outlines, and measured depth may be wrong."""
     around = np.ones((_AROUND, _AROUND), np.uint8)
-    nearest = cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), around)
+    nearest = cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), around)  # 0 means none, not near
     off = np.maximum(_OFF, _OFF_SHARE * measured)
     is_known = (measured > 0) & (measured > nearest - off) & (measured < cv2.dilate(depth, around) + off)
     return np.where(is_known, measured, depth).astype(np.float32)

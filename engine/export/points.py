@@ -111,7 +111,7 @@ def _write_json(path: Path, content: object) -> None:
 def _write_pcd(path: Path, xyz: NDArray[np.float32], rgb: NDArray[np.uint8]) -> None:
     """Write points [N, 3] in metres with colours as the Point Cloud Library packs them. Raises OSError."""
     packed = np.zeros((len(rgb), 4), np.uint8)
-    packed[:, :3] = rgb[:, ::-1]
+    packed[:, :3] = rgb[:, ::-1]  # 0x00RRGGBB, with the lowest byte first
     rows = np.concatenate([xyz.astype("<f4"), packed.view("<f4")], axis=1)
     head = (
         "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\n"
@@ -169,7 +169,7 @@ def point_normals(xyz: NDArray[np.float32], centres: NDArray[np.float64]) -> NDA
     from scipy.spatial import KDTree
 
     cloud = PointCloud(Vector3dVector(xyz.astype(np.float64)))
-    cloud.estimate_normals(KDTreeSearchParamKNN(NEIGHBOURS), fast_normal_computation=False)
+    cloud.estimate_normals(KDTreeSearchParamKNN(NEIGHBOURS), fast_normal_computation=False)  # fast is less stable
     normals = np.asarray(cloud.normals).reshape(-1, 3)
     _, nearest = KDTree(centres).query(xyz)
     away = ((centres[nearest] - xyz) * normals).sum(axis=1) < 0

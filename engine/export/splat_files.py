@@ -52,11 +52,11 @@ def spz_bytes(rows: NDArray[np.void]) -> bytes:
         np.ascontiguousarray(whole).view(np.uint8).reshape(-1, 3, 4)[..., :3],
         _bytes(255 * opacities(rows)),
         _bytes(255 * (_SPZ_COLOUR * columns(rows, "f_dc_0 f_dc_1 f_dc_2") + 0.5)),
-        _bytes(16 * (columns(rows, "scale_0 scale_1 scale_2") + 10)),
+        _bytes(16 * (columns(rows, "scale_0 scale_1 scale_2") + 10)),  # SPZ's steps of a 16th, from e^-10 m on
         _smallest_three(_upright_turns(rows)),
     ]
     head = struct.pack("<IIIBBBB", _SPZ_MAGIC, _SPZ_VERSION, len(rows), 0, _FRACTIONAL_BITS, 0, 0)
-    return gzip.compress(head + b"".join(part.tobytes() for part in parts), mtime=0)
+    return gzip.compress(head + b"".join(part.tobytes() for part in parts), mtime=0)  # no time: repeatable bytes
 
 
 def _bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
@@ -66,6 +66,7 @@ def _bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
 def _smallest_three(turns: NDArray[np.float32]) -> NDArray[np.uint32]:
     """Quaternions [N, 4] in 32 bits: the index of the largest component in 2, the others as signs and magnitudes."""
     largest = np.abs(turns).argmax(axis=1)
+    # q and -q are one turn, so the largest can be positive, and need not be stored
     flipped = turns * np.where(np.take_along_axis(turns, largest[:, None], 1) < 0, -1, 1)
     packed = largest.astype(np.uint32)
     magnitude = np.rint(511 * np.abs(flipped) / _MOST_OF_THREE).clip(0, 511).astype(np.uint32)

@@ -129,7 +129,7 @@ def _qualities(
         worth *= np.where(near * _STEP < depth, _BESIDE_STEP, 1.0) * shown
         x, y = (pixel * np.divide(photo.shape[1::-1], camera.size)).astype(np.int64).T
         colour = photo[y, x]
-        worth *= np.where((colour > BRIGHT).any(axis=1), _OVEREXPOSED, 1.0) * colour.any(axis=1)
+        worth *= np.where((colour > BRIGHT).any(axis=1), _OVEREXPOSED, 1.0) * colour.any(axis=1)  # black is a border
         detail[number] = photo_detail(photo)
         own = surface.rgb[seen]
         usable = (worth > 0) & (np.minimum(colour, own) >= DARK).all(axis=1) & (colour <= BRIGHT).all(axis=1)
@@ -156,7 +156,7 @@ def _chosen(triangles: Ints, quality: NDArray[np.float32]) -> Ints:
     share = np.sqrt(quality / best)
     edges = triangles[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2)
     beside = coo_matrix((np.ones(len(edges), np.float32), tuple(edges.T)), (count, count)).tocsr()
-    beside.data[:] = 1.0
+    beside.data[:] = 1.0  # the edge of two triangles was added twice
     around = (diags(1.0 / np.maximum(np.asarray(beside.sum(axis=1)).ravel(), 1.0)) @ beside).astype(np.float32)
     for _ in range(_ROUNDS):
         share = 0.5 * (share + around @ share)
@@ -223,7 +223,7 @@ def _packed(crops: Sequence[NDArray[np.uint8]], cells: int) -> tuple[NDArray[np.
     """A picture with all crops, on shelves of descending height, and ``cells`` squares of _CELL pixels below; and the
     upper left corner of each, float64 [crops + cells, 2]."""
     area = sum(crop.shape[0] * crop.shape[1] for crop in crops) + cells * _CELL**2
-    width = max(*(crop.shape[1] for crop in crops), round(np.sqrt(1.1 * area)), _CELL, 0)
+    width = max(*(crop.shape[1] for crop in crops), round(np.sqrt(1.1 * area)), _CELL, 0)  # 1.1: shelves leave gaps
     corner, x, y, height = np.zeros((len(crops) + cells, 2)), 0, 0, 0
     for each in sorted(range(len(crops)), key=lambda each: (-crops[each].shape[0], each)):
         if x + crops[each].shape[1] > width:

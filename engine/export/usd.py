@@ -57,7 +57,7 @@ def export_usd(lift: FinishedLift, output: Path) -> None:
         path = _add_component(stage, lift, one.class_id, one.id, "box")
         _label(_add_box(stage, path, one), lift, one.class_id, one.id)
     _add_cameras(stage, lift.frames)
-    with TemporaryDirectory() as folder:
+    with TemporaryDirectory() as folder:  # OpenUSD exports its binary form only to a path
         stage.GetRootLayer().Export(f"{folder}/lift.usdc")
         write_atomically(output / "lift.usdc", Path(folder, "lift.usdc").read_bytes())
 
@@ -154,7 +154,7 @@ def _add_field(stage: Usd.Stage, path: str, splats: NDArray[np.void]) -> Usd.Pri
     field.CreateOpacitiesAttr(Vt.FloatArray.FromNumpy(opacities(splats)))
     field.CreateRadianceSphericalHarmonicsDegreeAttr(0)
     field.CreateRadianceSphericalHarmonicsCoefficientsAttr(_vectors(columns(splats, "f_dc_0 f_dc_1 f_dc_2")))
-    reach = 3 * scales.max(axis=1, keepdims=True)
+    reach = 3 * scales.max(axis=1, keepdims=True)  # beyond three deviations, little is seen
     field.CreateExtentAttr(_vectors([(xyz - reach).min(axis=0), (xyz + reach).max(axis=0)]))
     return field.GetPrim()
 

@@ -80,7 +80,7 @@ def _labelled(surface: Surface, views: list[SmallView], largest: float) -> tuple
     surface, label = without_flakes(surface, vertex_labels(surface.xyz, views, ROOM.times))
     if (label > 0).any() and (label == 0).any():
         far, at = cKDTree(surface.xyz[label > 0]).query(surface.xyz[label == 0], distance_upper_bound=_AROUND)
-        label[label == 0] = np.append(label[label > 0], 0)[at]
+        label[label == 0] = np.append(label[label > 0], 0)[at]  # 0 where none is near
     surface, label = without_fringe(*close_holes(surface, label, largest))
     label = even_labels(surface.triangles, label)
     return surface, without_crumbs(surface, label, label % MOST_INSTANCES == 0)

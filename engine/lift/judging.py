@@ -114,7 +114,7 @@ def judge(
 
 def evenly(views: Sequence[View]) -> Sequence[View]:
     """At most MOST_VIEWS of them."""
-    return views[:: -(-len(views) // MOST_VIEWS) or 1]
+    return views[:: -(-len(views) // MOST_VIEWS) or 1]  # without views the step would be 0
 
 
 def read_held_back(scene: Scene, size: Size, scratch: Path | None = None) -> StoredViews:
@@ -158,7 +158,7 @@ def unresolved(layers: PanopticLayers, camera: Camera, photos: Sequence[Camera],
     """How much of a ``camera``'s picture the ``photos`` do not resolve, ignoring occlusion. The real picture may be
     ``reduced`` times larger than that of the ``layers``."""
     step = -int(-((camera.width * camera.height / SAMPLES) ** 0.5) // 1)
-    first = (step - 1) // 2
+    first = (step - 1) // 2  # so that the margins are alike
     depth, alpha = (each[first::step, first::step] for each in (layers.depth, layers.combined[..., 3]))
     v, u = np.indices(depth.shape) * step + first + 0.5
     local = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(depth.shape)], axis=-1)

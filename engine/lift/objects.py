@@ -208,7 +208,7 @@ def masks_of_pieces(
     for mask in sorted(own, key=lambda each: number_of[each.frame]):
         seen = seeing.seen[number_of[mask.frame]]
         owned = np.bincount(owner[seen.row[seen.segment == mask.segment.id]], minlength=count + 1)
-        owned[0] = 0
+        owned[0] = 0  # no piece
         if owned.any():
             members[int(owned.argmax()) - 1].append(mask)
     return [tuple(each) for each in members]

@@ -166,7 +166,7 @@ def starting_anchors(
     positions = voxelise(cloud.xyz, preset.voxel_size)
     classes, owners = label_anchors(cloud, instance_of_point, positions, preset.voxel_size)
     nearest = cloud.index().nearest(positions.astype(np.float64), 2 * preset.voxel_size)
-    rgb = np.where(nearest[:, None] >= 0, cloud.rgb[nearest], 128).astype(np.uint8)
+    rgb = np.where(nearest[:, None] >= 0, cloud.rgb[nearest], 128).astype(np.uint8)  # grey if none is near
     return StartingAnchors(positions, classes, owners, rgb)
 
 

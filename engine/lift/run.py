@@ -132,7 +132,7 @@ def run_lift(
         frames, masks_changed, findings = checked_frames(folder, preset, checkpoint, progress, events)
         earlier = None if request.names_from is None else read_earlier(request.names_from)
     predicted = predicted_lift(frames.all, replace(preset, frames=len(frames.training)), USUAL_MASKS, request.bake)
-    left = {name: seconds for name, seconds in predicted.stages.items() if name not in ("start", "check")}
+    left = {name: seconds for name, seconds in predicted.stages.items() if name not in ("start", "check")}  # both over
     stages.course = Course({name: machine_slowness() * seconds for name, seconds in left.items()})
     warn_if_long(stages.course, events)
     check_disk(folder.path, (frame.size for frame in frames_to_bake(frames.all, request.bake)), events)
@@ -353,7 +353,7 @@ def remember_pace(paces: Sequence[float], trainer: Trainer) -> None:
 
 def save_checkpoint(trainer: Trainer, folder: LiftFolder, facts: Mapping[str, Json]) -> None:
     tensors, state = trainer_state(trainer)
-    contiguous = {name: tensor.cpu().contiguous() for name, tensor in tensors.items()}
+    contiguous = {name: tensor.cpu().contiguous() for name, tensor in tensors.items()}  # safetensors refuses strides
     folder.checkpoints.save({**state, **facts}, lambda path: save_file(contiguous, path / "trainer.safetensors"))
 
 

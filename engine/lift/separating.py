@@ -104,7 +104,7 @@ def _class_of(segments: Sequence[_Segment]) -> int:
     votes: dict[int, float] = {}
     for segment in segments:
         votes[segment.class_id] = votes.get(segment.class_id, 0.0) + float(segment.holds.sum())
-    return max(sorted(votes), key=lambda kind: votes[kind])
+    return max(sorted(votes), key=lambda kind: votes[kind])  # ties go to the lower id
 
 
 def _segments(frames: Sequence[Frame], xyz: NDArray[np.floating], progress: Progress) -> list[_Segment]:

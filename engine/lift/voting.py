@@ -159,6 +159,6 @@ def _read_voter(frame: Frame, trained_within: Size) -> View | PlgsError:
         raise
     except PlgsError as error:
         return error
-    colour = np.zeros((*depth.shape, 3), np.uint8)
+    colour = np.zeros((*depth.shape, 3), np.uint8)  # nothing looks at the photos of these
     camera, scale = frame.camera.resized(*size), frame.size[0] / size[0]
     return View(frame.name, camera, colour, depth, mask, mask_scale=scale, layers=layers)

@@ -81,7 +81,7 @@ def _lift_a_wall(wait_for_rasteriser: Callable[[], object]) -> None:
         )
         loss.backward()
         bake_view([_nothing_rendered(camera, prepared.scene.channels)], camera, classes, shown)
-        wait_for_rasteriser()
+        wait_for_rasteriser()  # the steps need it
         while not trainer.finished:
             trainer.step()
         bake_view(render_bands(trainer.scene, camera), camera, classes, shown)

@@ -67,7 +67,7 @@ def why_unsafe(folder: Path) -> str | None:
     differently, so nothing is checked there."""
     if sys.platform == "win32":
         return None
-    for each in (folder, *folder.parents, *folder.resolve().parents):
+    for each in (folder, *folder.parents, *folder.resolve().parents):  # of a link, and of what it points to
         found = os.lstat(each)
         is_own = found.st_uid in (0, os.getuid()) if each != folder else found.st_uid == os.getuid()
         if not is_own:
@@ -110,7 +110,7 @@ def machine_target() -> tuple[str, str, str]:
     return target
 
 
-_KERNEL: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+_KERNEL: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # divisions are unchecked
 _PART: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": False}
 
 

@@ -96,7 +96,7 @@ def _new_block(size: int) -> _Block:
     _blocks[:] = [
         each for each in _blocks if each is not replaced and (each.used > _calls - KEPT_CALLS or not _is_free(each))
     ]
-    step = max(LEAST_STEP, 1 << max(0, size.bit_length() - 4))
+    step = max(LEAST_STEP, 1 << max(0, size.bit_length() - 4))  # an eighth to a sixteenth of the size
     block = _Block(-(-size // step) * step)  # a little more than requested, as a scene grows slowly
     insort(_blocks, block, key=_size)
     return block

@@ -49,7 +49,7 @@ def fit_colours(
     mean_here, mean_there = here.mean(axis=0), there.mean(axis=0)
     variance = ((here - mean_here) ** 2).mean(axis=0)
     covariance = ((here - mean_here) * (there - mean_there)).mean(axis=0)
-    gain = np.divide(covariance, variance, out=np.zeros(3), where=variance > 0)
+    gain = np.divide(covariance, variance, out=np.zeros(3), where=variance > 0)  # a flat picture has none
     return np.clip((x - mean_here) * gain + mean_there, 0.0, 1.0)
 
 

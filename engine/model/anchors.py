@@ -63,11 +63,11 @@ class Anchors:
 
 def spacing(positions: NDArray[np.float32]) -> NDArray[np.float32]:
     """Root mean square distance in metres to the three nearest others, float32 [M]: Scaffold-GS's initial scale."""
-    neighbours = min(4, len(positions))
+    neighbours = min(4, len(positions))  # the first is the anchor itself
     if neighbours < 2:
         return np.full(len(positions), 0.05, np.float32)
     distance, _ = cKDTree(positions).query(positions, k=neighbours)
-    return np.sqrt(np.maximum((distance[:, 1:] ** 2).mean(axis=1), 1e-7)).astype(np.float32)
+    return np.sqrt(np.maximum((distance[:, 1:] ** 2).mean(axis=1), 1e-7)).astype(np.float32)  # 1e-7: as in Scaffold-GS
 
 
 def initial_anchors(

@@ -57,7 +57,7 @@ class BakedGaussians:
         for start in range(0, len(self.means), CHUNK):
             rows = slice(start, start + CHUNK)
             _, near = tree.query(self.means[rows], min(_NEIGHBOURS, len(self.means)), workers=-1)
-            near = near.reshape(-1, min(_NEIGHBOURS, len(self.means)))
+            near = near.reshape(-1, min(_NEIGHBOURS, len(self.means)))  # for one neighbour the tree returns no axis
             weights = self.opacities[near][..., None]
             blended[rows] = (weights * self.colours[near]).sum(axis=1) / weights.sum(axis=1)
         return blended

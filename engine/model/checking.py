@@ -85,7 +85,7 @@ def wanted_of_model(facts: Mapping[str, Any], anchors: int, labels: int | None) 
             raise ValueError("the voted labels do not fit")
         last = len(classes) + len(instances) - 1
         wanted["voted.label"] = Wanted((anchors * k, labels), torch.int16, 0, last)
-        wanted["voted.share"] = Wanted((anchors * k, labels), least=0.0, most=1.001)
+        wanted["voted.share"] = Wanted((anchors * k, labels), least=0.0, most=1.001)  # float32 sums are not exact
     return wanted
 
 

@@ -51,7 +51,7 @@ def run_side_by_side(given: torch.Tensor, *networks: nn.Sequential) -> list[torc
 def drawn_layer(inputs: int, outputs: int, generator: torch.Generator) -> nn.Linear:
     """A linear layer whose weights are drawn from ``generator``."""
     layer = nn.Linear(inputs, outputs)
-    bound = inputs**-0.5
+    bound = inputs**-0.5  # as nn.Linear draws its own
     with torch.no_grad():
         layer.weight.uniform_(-bound, bound, generator=generator)
         layer.bias.uniform_(-bound, bound, generator=generator)

@@ -131,10 +131,10 @@ def grow_and_prune(
         if not len(unique):
             continue
         feature = np.full((len(unique), features.shape[1]), -np.inf, np.float32)
-        np.maximum.at(feature, cell_of, features[which[free] // k])
+        np.maximum.at(feature, cell_of, features[which[free] // k])  # the largest of a cell, as in Scaffold-GS
         position = (cells[free][first] * size).astype(np.float32)
         if len(unique) > room:
-            chosen = np.sort(random.choice(len(unique), room, replace=False))
+            chosen = np.sort(random.choice(len(unique), room, replace=False))  # in the order of the cells
             position, feature = position[chosen], feature[chosen]
         room -= len(position)
         count = len(position)

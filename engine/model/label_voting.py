@@ -70,7 +70,7 @@ def contributors(scene: StructuredScene, camera: Camera, count: int = CONTRIBUTO
     drawn = decode(scene.anchors, scene.decoders, camera, known_labels=no_labels(scene.anchors))
     rendering = drawn.drawn_by(camera, top_k=count)
     assert rendering.top_indices is not None and rendering.top_weights is not None  # as requested
-    row = torch.cat([drawn.rows(scene.anchors.gaussians_per_anchor), torch.tensor([-1])])
+    row = torch.cat([drawn.rows(scene.anchors.gaussians_per_anchor), torch.tensor([-1])])  # the last is for -1, none
     alpha = rendering.alpha.numpy()
     depth = np.divide(rendering.depth.numpy(), alpha, out=np.zeros_like(alpha), where=alpha > 0.3)
     gaussian = row.to(torch.int32)[rendering.top_indices.long()]

@@ -45,7 +45,7 @@ def surface_of(depth: NDArray[np.float32], camera: Camera) -> Surface:
     step = max(1, round(REACH * camera.width / 2))
     surface = Surface(np.empty((3, *depth.shape), np.float32), np.empty((3, *depth.shape), np.float32))
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    pose = np.ascontiguousarray(camera.camera_to_world, np.float64)
+    pose = np.ascontiguousarray(camera.camera_to_world, np.float64)  # the layout that the kernel is compiled for
     parallel_for(worker_count(), fit_rows, inverse, step, lens, pose, surface.position, surface.normal)
     return surface
 
@@ -125,7 +125,7 @@ def moved(depth: NDArray[np.float32], camera: Camera, other: Camera) -> NDArray[
     x, y = (column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy
     right, down, ahead = (depth * (turn[0] * x + (turn[1] * y + turn[2])) + turn[3] for turn in change[:3])
     seen = (depth > 0) & (ahead > 0)
-    ahead = np.where(seen, ahead, 1.0)
+    ahead = np.where(seen, ahead, 1.0)  # never 0 / 0
     to_right = other.fx * right / ahead + other.cx - column
     to_top = row - other.fy * down / ahead - other.cy
     return np.where(seen, np.stack([to_right, to_top]), 0.0)

@@ -84,7 +84,7 @@ def rank_pixels(
             is_shown = alpha[pixel] >= FAINT
             scale, left = STEPS / max(total, ONE), STEPS
             for rank in range(RANKS):
-                steps = min(np.rint(own_shares[rank] * scale), left) if is_shown else ZERO
+                steps = min(np.rint(own_shares[rank] * scale), left) if is_shown else ZERO  # at most 1, though rounded
                 left -= steps
                 out[2 * rank, first + pixel] = own_ids[rank] if steps > ZERO else ZERO
                 out[2 * rank + 1, first + pixel] = steps / STEPS
@@ -171,7 +171,7 @@ def channels(layer: str, planes: NDArray[np.float32]) -> dict[str, NDArray[np.fl
 
 def header(layer: str, names: Sequence[str]) -> dict[str, str]:
     """The layer's metadata: how names become floats, and which names there are."""
-    prefix = f"cryptomatte/{murmur3(layer.encode()):08x}"[:19] + "/"
+    prefix = f"cryptomatte/{murmur3(layer.encode()):08x}"[:19] + "/"  # seven digits, as specified
     manifest = {name: f"{name_bits(name):08x}" for name in names}
     return {
         prefix + "name": layer,

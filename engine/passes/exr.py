@@ -80,7 +80,7 @@ def frame_header(camera: Camera, shown: ShownFrame, name: str) -> dict[str, Any]
     if number is not None and number >= 0 and 0 < rate <= _MOST_RATE:
         seconds, frame = divmod(number, rate)
         clock = seconds // 3600 % 24, seconds // 60 % 60, seconds % 60, frame
-        header["timeCode"] = OpenEXR.TimeCode(*clock, *(14 * (0,)))
+        header["timeCode"] = OpenEXR.TimeCode(*clock, *(14 * (0,)))  # no flags or user data
     return header
 
 
@@ -91,7 +91,7 @@ def number_in(name: str) -> int | None:
 
 
 def _box(left: int, top: int, width: int, height: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    return np.array([left, top], np.int32), np.array([left + width - 1, top + height - 1], np.int32)
+    return np.array([left, top], np.int32), np.array([left + width - 1, top + height - 1], np.int32)  # ends inclusive
 
 
 def _to_ndc(camera: Camera, left: int, top: int, width: int, height: int) -> NDArray[np.float64]:
@@ -212,7 +212,7 @@ def _channels(path: Path) -> dict[str, NDArray[Any]]:
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             return {name: channel.pixels for name, channel in file.channels().items()}
-    except MemoryError:
+    except MemoryError:  # says nothing about the file
         raise
     except Exception as error:  # the library raises errors of several kinds
         raise ValueError(f"{path} is damaged ({error})") from error

@@ -139,7 +139,7 @@ def best_slot(pixels: Any, columns: Any, pixel: int, winner: int) -> int:
         instances += weight
         if weight > most:
             best, most = slot, weight
-    return best if most > pixels.alpha[pixel] - instances else -1
+    return best if most > pixels.alpha[pixel] - instances else -1  # the rest of alpha is no object
 
 
 @parallel_kernel
@@ -195,7 +195,7 @@ def combine(pixels: Any, pixel: int, linear_light: Array, combined: Array) -> No
     steps = len(linear_light) - 1
     for channel in range(3):
         value = min(max(pixels.image[pixel, channel], ZERO), ONE) * np.float32(steps)
-        low = min(int(value), steps - 1)
+        low = min(int(value), steps - 1)  # 1 itself belongs to the last step
         part = value - np.float32(low)
         combined[pixel, channel] = linear_light[low] + part * (linear_light[low + 1] - linear_light[low])
     combined[pixel, 3] = min(max(pixels.alpha[pixel], ZERO), ONE)

@@ -67,10 +67,10 @@ def write_splats(path: Path, splats: BakedGaussians) -> None:
     """Write spherical harmonics of degree 0, opacity as logit, scale as logarithm; class and instance of every
     Gaussian, and its blended colour as red, green and blue. All are floats, as other readers refuse files with columns
     of other types. Raises OSError."""
-    opacity = np.clip(splats.opacities.astype(np.float64), 1e-6, 1 - 1e-6)
+    opacity = np.clip(splats.opacities.astype(np.float64), 1e-6, 1 - 1e-6)  # so that logits are finite
     floats = {
         **columns_of("x y z", splats.means),
-        **columns_of("nx ny nz", np.zeros_like(splats.means)),
+        **columns_of("nx ny nz", np.zeros_like(splats.means)),  # unused, but the format of the authors has them
         **columns_of("f_dc_0 f_dc_1 f_dc_2", (splats.colours - 0.5) / SH_DEGREE_0),
         "opacity": np.log(opacity / (1 - opacity)),
         **columns_of("scale_0 scale_1 scale_2", np.log(np.maximum(splats.scales, 1e-9))),

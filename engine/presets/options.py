@@ -193,8 +193,8 @@ def _number(option: PresetOption, value: Json) -> float | int | None:
     if isinstance(value, bool) or not isinstance(value, int | float) or not option.least <= value <= option.most:
         return None
     if option.kind == "float":
-        return float(value) if value <= sys.float_info.max else None
-    return int(value) if value == value // 1 else None
+        return float(value) if value <= sys.float_info.max else None  # a larger int would raise OverflowError
+    return int(value) if value == value // 1 else None  # 2.0 is whole, too
 
 
 def _from_text(option: PresetOption, text: str) -> Json:
@@ -208,7 +208,7 @@ def _from_text(option: PresetOption, text: str) -> Json:
     if option.kind == "bool":
         return _BOOLEANS.get(text.lower(), text)
     if option.kind == "ints":
-        return [_as_number(part) for part in text.strip("[]()").replace("x", ",").split(",")]
+        return [_as_number(part) for part in text.strip("[]()").replace("x", ",").split(",")]  # sizes may be 640x480
     return _as_number(text)
 
 
@@ -279,7 +279,7 @@ def preset_text(base: str, options: Mapping[str, Json]) -> str:
     preset, chosen = PRESETS[base], with_options(PRESETS[base], options)
     lines = [f'{BASE} = "{base}"']
     table = ""
-    for option in sorted(preset_options().values(), key=lambda one: "." in one.name):
+    for option in sorted(preset_options().values(), key=lambda one: "." in one.name):  # TOML wants tables last
         group, _, key = option.name.rpartition(".")
         if group != table:
             table = group

@@ -64,5 +64,5 @@ class Parts(dict[str, Part]):
 def _digest(part: Callable) -> str:
     try:
         return hashlib.sha256(Path(inspect.getsourcefile(part) or "").read_bytes()).hexdigest()[:8]
-    except (OSError, TypeError):
+    except (OSError, TypeError):  # typed into a console, or not written in Python
         return "unknown"

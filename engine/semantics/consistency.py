@@ -55,7 +55,7 @@ def consistency_masks(views: Sequence[View], options: ConsistencyOptions) -> Ite
         wanted = [index, *others]
         window = {i: window[i] if i in window else views[i].mask.class_map() for i in wanted}
         agree, seen = _compare(view, window[index], [(views[i], window[i]) for i in others], options)
-        kept = agree >= options.agreement * seen - 1e-9
+        kept = agree >= options.agreement * seen - 1e-9  # a product of floats may be a little too large
         # Without depth nothing was compared, and no pixel can be unprojected either.
         yield kept & (window[index] != VOID) & (view.depth > 0)
 
@@ -145,7 +145,7 @@ def regions(mask: PanopticMask) -> NDArray[np.int32]:
     for value in np.unique(classes[classes != VOID]):
         number, parts = cv2.connectedComponents((classes == value).astype(np.uint8), connectivity=4, ltype=cv2.CV_32S)
         np.copyto(result, parts + count, where=parts > 0)
-        count += number - 1
+        count += number - 1  # without OpenCV's background
     return result
 
 
@@ -161,6 +161,6 @@ def pseudo_labels(mask: PanopticMask, rendered_class: NDArray[np.int32], least_a
     area = votes.sum(1)
     votes[:, ids == VOID] = 0
     winner = np.where(votes.any(1), ids[votes.argmax(1)], VOID).astype(np.int32)
-    winner[0] = VOID
+    winner[0] = VOID  # region 0 is void
     small = (area < least_area)[region] & (region > 0)
     return np.where(small, rendered_class, winner[region]).astype(np.int32)

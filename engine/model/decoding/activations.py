@@ -64,7 +64,7 @@ def tanh(x: Any) -> Any:
     """Keeps the exact sign near zero, which decides whether a Gaussian is drawn."""
     squared = x * x
     series = x * fma(squared, fma(squared, broadcast(TANH_5), broadcast(TANH_3)), broadcast(ONE))
-    power = exponential(minimum(x + x, broadcast(F(40.0))))
+    power = exponential(minimum(x + x, broadcast(F(40.0))))  # tanh is 1 there, and inf / inf would be NaN
     quotient = (power - broadcast(ONE)) / (power + broadcast(ONE))
     return select(squared < broadcast(SMALL * SMALL), series, quotient)
 

@@ -132,7 +132,7 @@ def write_classes(
         wanted = wanted_class(batch.listed[row], visible, labelling)
         for g in range(k):
             at = sizes.out_at + row * head.padded + g * classes
-            logit = mine[at + max(wanted, 0)]
+            logit = mine[at + max(wanted, 0)]  # before a softmax in place replaces it
             drawn = m < batch.gaussians and batch.owners[2 * m] == row and batch.owners[2 * m + 1] == g
             if drawn:
                 top, total = softmax(mine, at, labels, (batch.first + m) * channels, classes)
