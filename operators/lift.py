@@ -119,7 +119,7 @@ class PLGS_OT_quit(bpy.types.Operator):
         return set(ask(self, event, title=self.bl_label, message=self.__doc__ or "", confirm_text="Quit"))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        return set(bpy.ops.wm.quit_blender("INVOKE_DEFAULT"))
+        return set(bpy.ops.wm.quit_blender("INVOKE_DEFAULT"))  # which asks about unsaved changes
 
 
 class PLGS_OT_refresh_lifts(base.Acts, bpy.types.Operator):

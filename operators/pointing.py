@@ -36,7 +36,7 @@ class PLGS_OT_pick(InView, bpy.types.Operator):
     @reporting
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         keys = context.window_manager.keyconfigs.active.preferences
-        if event.type != f"{getattr(keys, 'select_mouse', 'LEFT')}MOUSE":
+        if event.type != f"{getattr(keys, 'select_mouse', 'LEFT')}MOUSE":  # not every key map has this setting
             return PASSED_ON
         mouse, layer = _middle_of(event), context.view_layer
         picked = picking.what_is_under(context, mouse)
@@ -141,7 +141,7 @@ class PLGS_OT_delete_selected(OnSelected, bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         def ask(menu: bpy.types.Menu, _context: bpy.types.Context) -> None:
-            menu.layout.operator_context = "EXEC_DEFAULT"
+            menu.layout.operator_context = "EXEC_DEFAULT"  # else `invoke` would open the menu again
             menu.layout.operator_enum(self.bl_idname, "way")
 
         context.window_manager.popup_menu(ask, title=self.bl_label)

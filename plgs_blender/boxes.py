@@ -110,7 +110,7 @@ def place_together(
     set_faces(mesh, corners.reshape(-1, 3), faces.reshape(-1, 4))
     ids = np.repeat([(one.id, one.class_id) for one in instances], len(_CORNERS), axis=0)
     set_attributes(mesh, {"instance_id": ("INT", ids[:, 0]), "class_id": ("INT", ids[:, 1])})
-    mesh.update(calc_edges=True)
+    mesh.update(calc_edges=True)  # `set_faces` makes none
     mesh.materials.clear()
     mesh.materials.append(clear_material(owned))
     ob = owned.object(TOGETHER, "Other boxes", mesh, parent)

@@ -97,7 +97,7 @@ def overview_camera(xyz: NDArray[np.floating], normals: NDArray[np.floating]) ->
     xyz, normals = xyz[::step].astype(np.float64), normals[::step]
     axes = max(
         (_axes(2.0 * np.pi * step / _DIRECTIONS) for step in range(_DIRECTIONS)),
-        key=lambda candidate: int(np.count_nonzero(normals @ candidate[:, 2] < -0.2)),
+        key=lambda candidate: int(np.count_nonzero(normals @ candidate[:, 2] < -0.2)),  # not edge-on
     )
     facing = normals @ axes[:, 2] <= 0.0
     return _framed(axes, xyz[facing] if facing.any() else xyz)
@@ -164,7 +164,7 @@ def set_lens(data: bpy.types.Camera, camera: Camera) -> None:
     data.type, data.lens_unit, data.sensor_fit = "PERSP", "MILLIMETERS", "HORIZONTAL"
     data.sensor_width = SENSOR_WIDTH
     data.lens, data.shift_x, data.shift_y = lens.focal_length, lens.shift_x, lens.shift_y
-    data.clip_start, data.clip_end = 0.01, 1000.0
+    data.clip_start, data.clip_end = 0.01, 1000.0  # Blender's own 0.1 m would cut off what is near
 
 
 def place_frames(

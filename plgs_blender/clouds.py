@@ -73,7 +73,7 @@ class SurfaceGrid:
             return np.full(len(positions), -1, np.int64)
         low, high = self.xyz.min(axis=0), self.xyz.max(axis=0)
         inside = ((positions >= low) & (positions <= high)).all(axis=1)
-        both = np.concatenate([self.xyz, np.where(inside[:, None], positions, low)])
+        both = np.concatenate([self.xyz, np.where(inside[:, None], positions, low)])  # numbers depend on all
         numbers = _cell_numbers(both, self.side)
         known, first = np.unique(numbers[: len(self.xyz)], return_index=True)
         at = np.minimum(np.searchsorted(known, numbers[len(self.xyz) :]), len(known) - 1)
@@ -93,7 +93,7 @@ class SurfaceGrid:
         normal = axes[:, :, 0]
         towards = towards_nearest(mean, viewpoints)
         normal *= np.where(np.einsum("ij,ij->i", normal, towards) < 0.0, -1.0, 1.0)[:, None]
-        no_plane = (self.count < 4) | (lengths[:, 0] > _THICKNESS * lengths[:, 1])
+        no_plane = (self.count < 4) | (lengths[:, 0] > _THICKNESS * lengths[:, 1])  # three always lie in one
         distance = np.linalg.norm(towards, axis=1, keepdims=True)
         normal[no_plane] = (towards / np.maximum(distance, 1e-9))[no_plane]
         return normal.astype(np.float32)[self.cell]
@@ -180,7 +180,7 @@ def place_semantic_points(
     placed = []
     # Sorted once, each class is one run. Comparing every point with every class takes a second with a million.
     order, (ids, counts) = np.argsort(points.class_id, kind="stable"), np.unique(points.class_id, return_counts=True)
-    groups = [*zip(ids.tolist(), np.split(order, np.cumsum(counts)), strict=False)]
+    groups = [*zip(ids.tolist(), np.split(order, np.cumsum(counts)), strict=False)]  # split adds an empty part
     of = {one.id: (one.name, one.colour) for one in classes.categories if one.id != VOID}
     looks = [of.get(class_id, ("unknown", UNKNOWN)) for class_id, _ in groups]
     clouds = new_point_clouds([name for name, _ in looks], [points.xyz[chosen] for _, chosen in groups])

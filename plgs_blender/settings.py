@@ -237,7 +237,7 @@ def adopt(settings: PLGS_PG_settings, request: LiftRequest, folder: Path) -> Non
         "frames": 0 if frames is None else frames or -1,
         "fit": request.fit,
         "anyway": request.anyway,
-        "seed": min(request.seed, 2**31 - 1),
+        "seed": min(request.seed, 2**31 - 1),  # Blender's integers have 32 bits, with a sign
         "bake": request.bake,
         "device": request.device,
         "preset_options": " ".join(presets.shown_options(options)),

@@ -132,7 +132,7 @@ def dye(cloud: bpy.types.PointCloud) -> None:
     values, colours = np.empty((2, len(base.data), 4), np.float32)
     base.data.foreach_get("vector", values.ravel())
     cloud.attributes["Col"].data.foreach_get("color_srgb", colours.ravel())
-    values[:, :3] = (colours[:, :3] - 0.5) / HARMONIC
+    values[:, :3] = (colours[:, :3] - 0.5) / HARMONIC  # as spherical harmonics of degree 0
     base.data.foreach_set("vector", values.ravel())
     cloud.update_tag()
 
@@ -182,7 +182,7 @@ def place_points(
     xyz, rgb = points
     grid = SurfaceGrid.of(xyz)
     normal = grid.normals(viewpoints)
-    normal[~normal.any(axis=1)] = (0.0, 0.0, 1.0)
+    normal[~normal.any(axis=1)] = (0.0, 0.0, 1.0)  # an unknown one: any will do
     right, up = across(normal)
     half = grid.radii(_SMALLEST, _LARGEST)[:, None]
     squares = Squares(np.asarray(xyz, np.float32), right * half, up * half, rgb, np.ones(len(xyz), np.float32))
@@ -222,7 +222,7 @@ def place_squares(
 
 def across(normal: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Two float32 [N, 3] that are perpendicular to the normals and each other; first x second = normal. All unit."""
-    aside = np.where(np.abs(normal[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    aside = np.where(np.abs(normal[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])  # not parallel
     right = np.cross(aside, normal)
     right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-12)
     return right.astype(np.float32), np.cross(normal, right).astype(np.float32)

@@ -85,7 +85,7 @@ def placing_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene, rows: 
     clouds = [ob for ob in root.all_objects if text_of(ob, KEY).startswith("class:")]
     surface = SeenSurface.of(clouds, with_objects=not are_native)
     rows, make = rows[seen(rows, _FAINTEST_NATIVE if are_native else _FAINTEST)], splats_of if are_native else squares
-    parts = [make(rows[:0], surface, eyes)]
+    parts = [make(rows[:0], surface, eyes)]  # one even if there are no rows
     for start in range(0, len(rows), _AT_ONCE):
         yield
         parts.append(make(rows[start : start + _AT_ONCE], surface, eyes))
@@ -141,7 +141,7 @@ def seen(rows: NDArray[np.void], faintest: float) -> NDArray[np.int64]:
         # The product of all three but the smallest.
         longest = np.sort(size[:, chosen], axis=0)[1:]
         cover = opacity[chosen] * np.minimum(longest, _LARGEST).prod(axis=0)
-        chosen = np.sort(chosen[np.argpartition(-cover, MOST_SPLATS)[:MOST_SPLATS]])
+        chosen = np.sort(chosen[np.argpartition(-cover, MOST_SPLATS)[:MOST_SPLATS]])  # in the file's order
     return chosen
 
 

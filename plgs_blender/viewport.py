@@ -147,7 +147,7 @@ def own_view(scene: bpy.types.Scene) -> tuple[bpy.types.Area, Camera] | None:
     if view.view_perspective != "PERSP":
         return None
     eye = view.view_location + view.view_rotation @ Vector((0.0, 0.0, view.view_distance))
-    pose = np.array(Matrix.LocRotScale(eye, view.view_rotation, None)) @ np.diag((1.0, -1.0, -1.0, 1.0))
+    pose = np.array(Matrix.LocRotScale(eye, view.view_rotation, None)) @ np.diag((1.0, -1.0, -1.0, 1.0))  # OpenCV's
     middle = window.width / 2.0, window.height / 2.0
     return areas[0], Camera(window.width, window.height, focal, focal, *middle, pose)
 

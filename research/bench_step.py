@@ -177,7 +177,7 @@ def _frame_times(
     """Median milliseconds of drawing a panoptic frame, and of deciding it."""
     seconds = []
     labels = scene_labels(trainer.scene)
-    for view in [views[0], *islice(cycle(views), frames)]:
+    for view in [views[0], *islice(cycle(views), frames)]:  # the first picture only warms up
         began = time.perf_counter()
         rendering = render_view(trainer.scene, view.camera, labels)
         drawn = time.perf_counter()

@@ -259,4 +259,4 @@ def _seeds(text: str) -> list[int]:
     seeds = text.split(",")
     if not all(seed.isdecimal() for seed in seeds):
         raise argparse.ArgumentTypeError(f"{text!r} is not a list of whole numbers such as 0,1,2")
-    return list(dict.fromkeys(map(int, seeds)))
+    return list(dict.fromkeys(map(int, seeds)))  # each once, in the given order

@@ -234,7 +234,7 @@ def alone() -> Iterator[None]:
     """Hold this folder's set-up lock. Wait for another set-up that holds it."""
     (ROOT / "build").mkdir(exist_ok=True)
     with (ROOT / "build" / "set-up.lock").open("w") as lock:
-        os.set_inheritable(lock.fileno(), True)
+        os.set_inheritable(lock.fileno(), True)  # to uv, see `run`
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:

@@ -187,7 +187,7 @@ def _draw_preview(row: bpy.types.UILayout, context: bpy.types.Context) -> None:
     see = row.row(align=True)
     is_seen = view is not None and view.view_perspective == "CAMERA"
     see.enabled = bool(settings.live_preview) and camera_seen(context.scene) is not None and not is_seen
-    see.operator_context = "INVOKE_REGION_WIN"
+    see.operator_context = "INVOKE_REGION_WIN"  # the operator needs the view's region, not the sidebar
     see.operator("view3d.view_camera", text="", icon="VIEW_CAMERA")
 
 

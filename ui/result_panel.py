@@ -67,6 +67,7 @@ def short_count(number: int) -> str:
     """A count below ten million in at most four characters: 950, 9.5k, 27k, 1.2M."""
     for unit, letter in ((1_000_000, "M"), (1_000, "k")):
         if number >= unit:
+            # From 9.95 on, ".1f" would give a fifth character: 10.0k.
             return f"{number / unit:.1f}{letter}" if number < 9.95 * unit else f"{number / unit:.0f}{letter}"
     return str(number)
 
@@ -150,7 +151,7 @@ class PLGS_UL_masks(bpy.types.UIList):
     def filter_items(self, _context: bpy.types.Context, data: Any, name: str) -> tuple[list[int], list[int]]:
         rows = getattr(data, name)
         names = [f"{mask.frame} {mask.class_name}" for mask in rows]
-        return shown_rows(names, self.filter_name, self.bitflag_filter_item), []
+        return shown_rows(names, self.filter_name, self.bitflag_filter_item), []  # []: in their own order
 
 
 _SURFACE_FROM = 0.55

@@ -145,7 +145,7 @@ class PLGS_PT_frames(sidebar.Step, bpy.types.Panel):
 def _draw_poses(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     making = registry.latest(PoseMaking)
     if making is not None and making.is_running:
-        layout.alert = False
+        layout.alert = False  # in the error's red box
         sidebar.draw_task(layout, context, making)
         return
     if making is not None and making.error_for(chosen_scene(context.scene.plgs)) is not None:

@@ -186,7 +186,7 @@ def how_far(task: Task) -> tuple[float, str]:
     """A task's completed fraction, of the whole if the engine estimates it, else of the stage; and its text."""
     progress, took, left = task.progress, task.took_s, task.left_s
     if left is not None:
-        share = took / max(took + left, 1e-9)
+        share = took / max(took + left, 1e-9)  # both may be 0
         return share, f"{100 * share:.0f} %, {duration(left)} left" if left >= 1.0 else "Almost done"
     if not 0 < progress.step < progress.steps:  # before the first step, and after the last one of a stage
         return float(progress.step > 0), duration(took)

@@ -80,7 +80,7 @@ class Farm:
 
     def workers(self) -> dict[str, dict[str, Any]]:
         """The workers that run the same engine as this process, by address."""
-        known = self.client.scheduler_info(n_workers=-1)["workers"]  # -1: all of them, as the default is the first few
+        known = self.client.scheduler_info(n_workers=-1)["workers"]  # -1: all of them
         return {address: worker for address, worker in known.items() if engine_tag() in worker.get("resources", {})}
 
     def largest(self) -> float:

@@ -57,6 +57,7 @@ class ViewRegion:
     def of(cls, context: bpy.types.Context) -> ViewRegion:
         region, area = context.region, context.area
         tools = next((each for each in area.regions if each.type == "TOOLS"), None)
+        # With Region Overlap, the toolbar lies over the view.
         left = tools.width if tools is not None and 0 <= tools.x - region.x < tools.width else 0
         scale = context.preferences.system.ui_scale
         return cls(region.width, region.height, left, context.region_data.perspective_matrix.copy(), scale)

@@ -124,7 +124,7 @@ def diagnose(settings: PLGS_PG_settings, mended: Path | None = None) -> Diagnosi
     arguments += [] if mended is None else ["--fix", mended]
     try:
         follower = start_engine("inspect", python, *arguments)
-    except BaseException:
+    except BaseException:  # no task deletes the folder then
         shutil.rmtree(folder, ignore_errors=True)
         raise
     return registry.begin(Diagnosis(chosen, mended, folder, follower))

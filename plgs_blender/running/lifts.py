@@ -123,7 +123,7 @@ def _pixels_of(picture: Path) -> NDArray[np.float32] | None:
         image.pixels.foreach_get(pixels.ravel())
     finally:
         bpy.data.images.remove(image, do_unlink=False)
-    return pixels if pixels.size else None
+    return pixels if pixels.size else None  # Blender gives a broken file the size 0
 
 
 _SHOWN_RECENT = 8
@@ -349,7 +349,7 @@ def showing_lift(
         placed, rest = place_room(read, scene)
     adopt(scene.plgs, lift.request, lift.path)
     yield
-    next(rest, None)
+    next(rest, None)  # the lists, without which `look_at_placed` does nothing
     yield
     found = placed.find()
     if found is not None:

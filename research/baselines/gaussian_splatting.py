@@ -125,7 +125,7 @@ def plain_gaussians(
     ids of the cloud (0 unknown), are only for the cluster loss."""
     count = len(positions)
     feature = np.zeros((count, shape.features), np.float32)
-    feature[:, OPACITY] = _logit(0.1) / OPACITY_RATE
+    feature[:, OPACITY] = _logit(0.1) / OPACITY_RATE  # 3DGS begins with opacity 0.1
     feature[:, SCALE] = np.log(spacing(positions))[:, None] / SCALE_RATE
     feature[:, QUAT] = np.array([1.0, 0.0, 0.0, 0.0]) / QUAT_RATE
     feature[:, COLOUR] = (rgb.astype(np.float32) / 255.0 - 0.5) / HARMONIC / COLOUR_RATE
@@ -153,7 +153,7 @@ def clone_split_prune(
     A small Gaussian with a large gradient is cloned; a large one is replaced by two of 1/1.6 its size, drawn from it.
     """
     feature = anchors.feature.detach()
-    gradient = (statistics.gradient / statistics.drawn.clamp_min(1)).squeeze(1)
+    gradient = (statistics.gradient / statistics.drawn.clamp_min(1)).squeeze(1)  # some were never drawn
     scale = torch.exp(SCALE_RATE * feature[:, SCALE])
     faint = torch.sigmoid(OPACITY_RATE * feature[:, 0]) < rules.opacity
     moved = (gradient >= rules.gradient) & ~faint

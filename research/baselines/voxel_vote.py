@@ -26,7 +26,7 @@ seconds."""
 MOST_VOTERS = 500
 """The most training views that vote, evenly spread: with these, every voxel has its votes."""
 
-_BITS, _HALF = 21, 1 << 20
+_BITS, _HALF = 21, 1 << 20  # three indices in an int64, and what makes them positive
 
 
 class VoxelVote:
@@ -55,8 +55,8 @@ class VoxelVote:
             raise ValueError("no training view has a labelled pixel with depth")
         voxel, class_id, votes = np.concatenate(self._votes).T
         pairs, pair = np.unique(np.column_stack([voxel, class_id]), axis=0, return_inverse=True)
-        total = np.bincount(pair.reshape(-1), votes)
-        order = np.lexsort((pairs[:, 1], -total, pairs[:, 0]))
+        total = np.bincount(pair.reshape(-1), votes)  # NumPy 2.0 gives `pair` a second axis
+        order = np.lexsort((pairs[:, 1], -total, pairs[:, 0]))  # by the last key first
         voxels, first = np.unique(pairs[order, 0], return_index=True)
         winner = pairs[order[first], 1].astype(np.int32)
         return VoxelMap(voxels, winner, _objects(voxels, winner, self.classes.thing_ids))

@@ -83,7 +83,7 @@ def with_tables(page: str, tables: str) -> str:
     sections = {**_sections(old), **_sections(tables)}
     if means := sections.pop(MEANS, ""):
         sections[MEANS] = means  # the last section, after new scenes
-    return f"{before}{BEGIN}\n\n{chr(10).join(sections.values())}\n{END}{after}"
+    return f"{before}{BEGIN}\n\n{chr(10).join(sections.values())}\n{END}{after}"  # no backslash before Python 3.12
 
 
 def _sections(tables: str) -> dict[str, str]:

@@ -152,7 +152,7 @@ def make_depth_maps(lift: Path, maps: Path) -> None:
         from engine.export.run import export
 
         export(LiftFolder.open(lift), "depth", maps, ["all"])
-        (maps / "complete").touch()
+        (maps / "complete").touch()  # last, so that a stopped export is made again
 
 
 def results_without_a_lift(experiment: Experiment, errors: dict[str, PlgsError]) -> Iterator[Result]:
