@@ -82,7 +82,7 @@ def decoded_depth(shown: NDArray[np.uint8], low: float, high: float) -> NDArray[
     import cv2
 
     hue, saturation, value = np.moveaxis(cv2.cvtColor(np.ascontiguousarray(shown), cv2.COLOR_RGB2HSV_FULL), -1, 0)
-    depth = low + (high - low) * hue.astype(np.float32) / 256
+    depth = low + (high - low) * hue.astype(np.float32) / 256  # HSV_FULL has 256 steps of hue
     return np.where((saturation >= _COLOURED) & (value >= _BRIGHT) & (depth > 0), depth, np.float32(0))
 
 
@@ -106,7 +106,7 @@ def map_photos(photos: Path, names: Sequence[str], workplace: Path, events: Even
     """The largest reconstruction of photos from one camera (pycolmap's Reconstruction), or None. Only threading makes
     the same photos give different poses. Raises PlgsError without pycolmap; Cancelled."""
     pycolmap = colmap(photos)
-    pycolmap.logging.minloglevel = 2
+    pycolmap.logging.minloglevel = 2  # errors only
     pycolmap.set_random_seed(0)
     database, token = workplace / "photos.db", pycolmap.CancellationToken()
     lens = pycolmap.ImageReaderOptions()
@@ -154,7 +154,7 @@ def _followed(work: Callable[[], Any], token: Any, stop: StopSignal) -> Any:
             errors.append(error)
 
     thread = threading.Thread(target=run, daemon=True)
-    thread.start()
+    thread.start()  # COLMAP would block this thread, which has to see signals
     try:
         while thread.is_alive():
             stop.check()
@@ -211,7 +211,7 @@ def metres_per_length(model: Any, depths: Mapping[str, Path]) -> Scale | None:
         measured = depth[rows.clip(0, height - 1), columns.clip(0, width - 1)]
         good = (measured > 0.0) & (z > 0.0)
         ratios.append(measured[good] / z[good])
-    return _median(np.concatenate([np.empty(0), *ratios]))
+    return _median(np.concatenate([np.empty(0), *ratios]))  # concatenate needs an array
 
 
 def _median(ratios: NDArray[np.float64]) -> Scale | None:

@@ -206,7 +206,7 @@ def _digests_of(frames: Sequence[Frame]) -> list[tuple[str, str]]:
     files = digests_of_files([(frame.colour_path, frame.depth_path) for frame in frames])
     trusted = digests_of_files([(frame.confidence_path,) for frame in frames])
     return [
-        (found, trust and sha256(f"{trust} {frame.read_as}".encode()).hexdigest()[:16])
+        (found, trust and sha256(f"{trust} {frame.read_as}".encode()).hexdigest()[:16])  # "" stays: not known
         for frame, found, trust in zip(frames, files, trusted, strict=True)
     ]
 

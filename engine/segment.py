@@ -342,6 +342,6 @@ def make_masks(scene: Scene, job: Job, network: Segmenter, progress: Progress) -
     ]
     over = {"images": images, "annotations": annotations, "categories": categories}
     for file, table in ((DETECTIONS, over), (TABLE, {"annotations": masks, "categories": categories})):
-        write_atomically(job.folder / file, json.dumps(table, ensure_ascii=False) + "\n")
+        write_atomically(job.folder / file, json.dumps(table, ensure_ascii=False) + "\n")  # TABLE last: all is done
     for name in names:
-        (job.pictures / f"{name}.json").unlink()
+        (job.pictures / f"{name}.json").unlink()  # last, as a run that was killed before needs them

@@ -181,7 +181,7 @@ def upright_rotation(poses: Sequence[NDArray[np.float64]]) -> NDArray[np.float64
     mean_up = -np.mean([pose[:3, 1] for pose in poses], axis=0)
     _, strengths, axes = np.linalg.svd(rights, full_matrices=True)
     spread = strengths[1] / strengths[0] if len(strengths) > 1 else 0.0
-    up = axes[2] if spread > _SPREAD else mean_up
+    up = axes[2] if spread > _SPREAD else mean_up  # right axes are level: the normal of their plane
     length = float(np.linalg.norm(up))
     if length < 1e-9:
         return np.eye(3)

@@ -155,5 +155,5 @@ def ply_header(data: bytes, longest: int | None = None) -> PlyHeader:
             case ["element", name, count] if count.isdecimal():
                 elements[name] = int(count), (columns := {})
             case ["property", kind, *_, name]:
-                columns[name] = "" if name in columns else _KINDS.get(kind, "")
+                columns[name] = "" if name in columns else _KINDS.get(kind, "")  # empty: twice, or a list
     return PlyHeader(form, end, elements)

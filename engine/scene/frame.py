@@ -93,7 +93,7 @@ class PanopticMask:
     def _map(self, of_segment: Mapping[int, float], other: NDArray[Any]) -> NDArray[Any]:
         table = np.repeat(other, int(self.ids.max(initial=0)) + 1)
         for number, value in of_segment.items():
-            if number < len(table):
+            if number < len(table):  # else the segment has no pixel
                 table[number] = value
         return table[self.ids]
 

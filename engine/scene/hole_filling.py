@@ -46,7 +46,7 @@ def fill_holes(
         count, component, boxes, _ = cv2.connectedComponentsWithStats((hole & own).astype(np.uint8), connectivity=4)
         is_speck = (boxes[:, cv2.CC_STAT_AREA] <= rules.speck) & (count > rules.many)
         _fill_specks(filled, depth, is_speck[component] & hole & own, rules)
-        for number in np.flatnonzero(~is_speck[1:]) + 1:
+        for number in np.flatnonzero(~is_speck[1:]) + 1:  # label 0 is everything else
             left, top, width, height = boxes[number, :4]
             rows = slice(max(top - reach, 0), top + height + reach)
             columns = slice(max(left - reach, 0), left + width + reach)
@@ -65,7 +65,7 @@ def _fill_specks(
         return
     known = depth > 0
     count = cv2.blur(known.astype(np.float32), (5, 5), borderType=cv2.BORDER_CONSTANT)
-    mean = cv2.blur(depth, (5, 5), borderType=cv2.BORDER_CONSTANT) / np.maximum(count, 1e-6)
+    mean = cv2.blur(depth, (5, 5), borderType=cv2.BORDER_CONSTANT) / np.maximum(count, 1e-6)  # unknown is 0: not in it
     farthest = cv2.dilate(depth, np.ones((5, 5), np.uint8))
     nearest = cv2.erode(np.where(known, depth, np.float32(np.inf)), np.ones((5, 5), np.uint8))
     flat = (count > 0) & (farthest / (1.0 + 2.0 * rules.flatness) <= nearest)
@@ -86,12 +86,12 @@ def _fill_one(
     near = cv2.dilate(inside.astype(np.uint8), np.ones((size, size), np.uint8)).astype(bool) & (depth > 0)
     ring = near & own
     if ring.sum() < rules.least_ring:
-        ring = near
+        ring = near  # the segment is hardly more than its hole
     if ring.sum() < rules.least_ring:
         return
     y, x = np.nonzero(ring)
     measured = depth[ring].astype(np.float64)
-    plane = _plane(x, y, 1.0 / measured)
+    plane = _plane(x, y, 1.0 / measured)  # a plane is linear in 1 / depth
     fitted = plane[0] * x + plane[1] * y + plane[2]
     if np.median(np.abs(fitted * measured - 1.0)) > rules.flatness:
         return
@@ -110,5 +110,5 @@ def _plane(x: NDArray[np.intp], y: NDArray[np.intp], inverse: NDArray[np.float64
     for _ in range(4):
         solution = np.linalg.lstsq(system * weight[:, None], inverse * weight, rcond=None)[0]
         residual = np.abs(system @ solution - inverse)
-        weight = 1.0 / np.sqrt(1.0 + (residual / max(2.0 * float(np.median(residual)), 1e-6)) ** 2)
+        weight = 1.0 / np.sqrt(1.0 + (residual / max(2.0 * float(np.median(residual)), 1e-6)) ** 2)  # Cauchy's
     return solution

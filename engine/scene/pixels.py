@@ -121,7 +121,7 @@ def resize_nearest(pixels: NDArray[Any], size: Size) -> NDArray[Any]:
     height, width = pixels.shape
     if (width, height) == size:
         return pixels
-    rows = (2 * np.arange(size[1]) + 1) * height // (2 * size[1])
+    rows = (2 * np.arange(size[1]) + 1) * height // (2 * size[1])  # pixel centres, in exact whole numbers
     columns = (2 * np.arange(size[0]) + 1) * width // (2 * size[0])
     return pixels[rows[:, None], columns]
 
@@ -194,7 +194,7 @@ def read_label_map(path: Path) -> NDArray[np.int64]:
     if path.suffix.lower() == ".png":
         ids = read_indices(path).astype(np.int64)
         return ids if label_header(path).palette else checked_ids(ids, path)
-    label_map_size(path)
+    label_map_size(path)  # only to raise for other shapes
     return whole_numbers(read_array(path, _only_array(path)), path)
 
 
@@ -220,7 +220,7 @@ def read_indices(path: Path) -> NDArray[np.int32]:
     header = label_header(path)
     data = check_image_file(path)
     if header.palette:
-        data = _as_grey(data)
+        data = _as_grey(data)  # decoders replace indices by colours
     pixels = equal_channels(decode_bytes(data, path, as_colour=False))
     if pixels is None:
         what = "a label image must have one channel, not colours"

@@ -136,7 +136,7 @@ def _lens(colmap: ColmapModel, number: int) -> tuple[Camera, Distortion]:
     """A camera at the origin with the lens's focal lengths, and its distortion."""
     camera, folder = colmap.cameras[number], colmap.folder
     model, values = camera.model, camera.parameters
-    alone = 1 if model.startswith(("SIMPLE", "RADIAL")) else 2
+    alone = 1 if model.startswith(("SIMPLE", "RADIAL")) else 2  # one focal length, or fx and fy
     (*focal, cx, cy), rest = values[: alone + 2], values[alone + 2 :]
     distortion = of_colmap(model, rest)
     if distortion is None:
@@ -155,7 +155,7 @@ def _points(model: ColmapModel, names: list[str], images: list[ColmapImage]) -> 
     seen_by = {}
     for name, image in zip(names, images, strict=True):
         wanted = np.unique(image.points)
-        places = np.searchsorted(ids, wanted).clip(0, len(ids) - 1)
+        places = np.searchsorted(ids, wanted).clip(0, len(ids) - 1)  # an id may follow the last
         seen_by[name] = order[places[ids[places] == wanted]]
     return SparsePoints(model.points.xyz, model.points.rgb, seen_by)
 

@@ -40,7 +40,7 @@ def quaternion_pose(wxyz: Sequence[float], position: Sequence[float], path: Path
     square = w * w + x * x + y * y + z * z
     if not square > 1e-12 or not np.isfinite(square):
         raise PlgsError("zero-quaternion", "a quaternion is zero", path, "Write the rotation as a unit quaternion.")
-    s = 2.0 / square
+    s = 2.0 / square  # so that the quaternion may have any length
     rotation = [
         [1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
         [s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w)],

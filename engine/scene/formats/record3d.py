@@ -183,7 +183,7 @@ def _lens(metadata: dict[str, Any], number: int, path: Path) -> Camera:
         own = each[number][:4] if isinstance(each[number], list) else each[number]
         fx, fy, cx, cy = take_array({"coefficients": own}, "coefficients", whose, path, (4,)).tolist()
     else:
-        fx, _, _, _, fy, _, cx, cy, _ = take_array(metadata, "K", "metadata", path, (9,)).tolist()
+        fx, _, _, _, fy, _, cx, cy, _ = take_array(metadata, "K", "metadata", path, (9,)).tolist()  # by columns
     return pinhole(width, height, fx, fy, cx, cy, path=path, fix=_FIX, whose=whose)
 
 
@@ -195,7 +195,7 @@ def _read_depth(
     archive: _Archive, name: str, confidence: str | None, size: Size | None, camera: Camera
 ) -> NDArray[np.float32]:
     """Planar depth, float32 [H, W] metres, 0 = none; ``size`` is None if the metadata lacks it."""
-    width, height = size or max(_DEPTH_SIZES)
+    width, height = size or max(_DEPTH_SIZES)  # the largest bounds what is unpacked
     values = np.frombuffer(_unpacked(archive, name, 4, min(width * height, _MOST_DEPTHS)), "<f4")
     if size is None:  # that of a sensor, in the picture's orientation
         upright = camera.height > camera.width

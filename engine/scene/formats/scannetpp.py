@@ -109,7 +109,7 @@ class _DepthStream:
             if self._file is not None:
                 self._file.close()
             self._file = open_plain(self.path)
-            self._unpacker, self._next = zlib.decompressobj(-zlib.MAX_WBITS), 0
+            self._unpacker, self._next = zlib.decompressobj(-zlib.MAX_WBITS), 0  # negative: a raw stream
         while True:
             depth = self._unpack(4 * _PIXELS)
             self._next += 1
@@ -121,7 +121,7 @@ class _DepthStream:
         assert self._file is not None
         parts, left = [], size
         while left:
-            packed = self._unpacker.unconsumed_tail or self._file.read(_CHUNK)
+            packed = self._unpacker.unconsumed_tail or self._file.read(_CHUNK)  # for which the last call had no room
             part = self._unpacker.decompress(packed, left)
             if not part and not packed:
                 raise ValueError("the stream ends")
@@ -138,7 +138,7 @@ def _find_blocks(path: Path) -> list[tuple[int, int]] | None:
         while start < end:
             file.seek(start)
             length = int.from_bytes(file.read(4), "little")
-            if not 0 < length <= 8 * _PIXELS or start + 4 + length > end:
+            if not 0 < length <= 8 * _PIXELS or start + 4 + length > end:  # deflate never doubles floats
                 return None
             blocks.append((start + 4, length))
             check_most(len(blocks), "frames", path, _FIX, _MOST_FRAMES)
@@ -153,7 +153,7 @@ def _unpack_block(data: bytes) -> NDArray[np.float32]:
     try:
         steps = lz4.block.decompress(data, uncompressed_size=2 * _PIXELS)
     except lz4.block.LZ4BlockError:
-        steps = b""
+        steps = b""  # not LZ4, so deflated floats
     if len(steps) == 2 * _PIXELS:
         return np.frombuffer(steps, "<u2").reshape(_HEIGHT, _WIDTH) * np.float32(0.001)
     metres = zlib.decompressobj(-zlib.MAX_WBITS).decompress(data, 4 * _PIXELS)
