@@ -127,7 +127,7 @@ def _measure_drift(distances: Floats, lags: Floats, looks: int) -> Drift | None:
     if beside.sum() < _LEAST_EACH or apart.sum() < _LEAST_EACH:
         return None
     correlation = float(np.corrcoef(rankdata(distance), rankdata(lag))[0, 1])
-    error = float(np.sqrt(max(1.0 - correlation**2, 1e-6) / max(looks - 2, 1)))  # pairs are not independent, looks are
+    error = float(np.sqrt(max(1.0 - correlation**2, 1e-6) / max(looks - 2, 1)))  # pairs share looks, so these count
     return Drift(float(np.median(distance[beside])), float(np.median(distance[apart])), correlation / error)
 
 

@@ -65,7 +65,7 @@ def _fill_specks(
         return
     known = depth > 0
     count = cv2.blur(known.astype(np.float32), (5, 5), borderType=cv2.BORDER_CONSTANT)
-    mean = cv2.blur(depth, (5, 5), borderType=cv2.BORDER_CONSTANT) / np.maximum(count, 1e-6)  # unknown is 0: not in it
+    mean = cv2.blur(depth, (5, 5), borderType=cv2.BORDER_CONSTANT) / np.maximum(count, 1e-6)  # unknown: 0 in both
     farthest = cv2.dilate(depth, np.ones((5, 5), np.uint8))
     nearest = cv2.erode(np.where(known, depth, np.float32(np.inf)), np.ones((5, 5), np.uint8))
     flat = (count > 0) & (farthest / (1.0 + 2.0 * rules.flatness) <= nearest)
