@@ -117,8 +117,6 @@ def _surface_distances(views: Views, pairs: NDArray[np.int64], assumed: Assumpti
 
 def _measure_drift(distances: Floats, lags: Floats, looks: int) -> Drift | None:
     """How the distances of pairs grow with the frames between them, float64 [P] each. None with too few pairs."""
-    from scipy.stats import rankdata  # takes half a second
-
     good = np.isfinite(distances)
     distance, lag = distances[good], lags[good]
     if len(lag) < _LEAST_PAIRS or len(np.unique(lag)) < _LEAST_LAGS:
@@ -126,9 +124,15 @@ def _measure_drift(distances: Floats, lags: Floats, looks: int) -> Drift | None:
     beside, apart = lag <= _NEAR, lag >= lag.max() / 2.0
     if beside.sum() < _LEAST_EACH or apart.sum() < _LEAST_EACH:
         return None
-    correlation = float(np.corrcoef(rankdata(distance), rankdata(lag))[0, 1])
+    correlation = float(np.corrcoef(_ranks(distance), _ranks(lag))[0, 1])
     error = float(np.sqrt(max(1.0 - correlation**2, 1e-6) / max(looks - 2, 1)))  # pairs share looks, so these count
     return Drift(float(np.median(distance[beside])), float(np.median(distance[apart])), correlation / error)
+
+
+def _ranks(values: Floats) -> Floats:
+    """The rank of each value; equal values share their mean. scipy.stats has it, but takes half a second to load."""
+    _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return np.asarray((np.cumsum(counts) - (counts - 1) / 2.0)[inverse])
 
 
 def _measure_gap(distances: Floats, numbers: NDArray[np.int64]) -> Gap | None:
