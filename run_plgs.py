@@ -9,8 +9,8 @@ active camera; frames that are already baked are kept):
     python run_plgs.py -o OUT --bake camera [--blend FILE.blend] [--camera NAME] [--range FIRST-LAST] [--passes FOLDER]
 
 Exit codes: 0 finished, 1 internal error (see the log), 2 bad input, 3 cancelled, 75 another engine is running there
-(try again), 129 the terminal was closed, 130 Ctrl-C, 141 finished, but nobody read the output to its end. --resume
-continues what was cancelled or interrupted.
+(try again), 129 the terminal was closed, 130 Ctrl-C, 141 finished, but nobody read the output to its end, 143 SIGTERM.
+--resume continues what was cancelled or interrupted.
 """
 
 from __future__ import annotations
@@ -119,9 +119,13 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         "--shot",
         default="",
         metavar="NAME",
-        help="its files' name, perhaps with {shot}, {camera}, {version:03d} (default: the .blend's and the camera's)",
+        help="its files' name, perhaps with {shot}, {camera}, {version:03d}, and .{frame:04d} at its end (default: the "
+        ".blend's and the camera's)",
     )
-    shot.add_argument("--replace", action="store_true", help="replace a shot of this name from another file or camera")
+    shot.add_argument(
+        "--replace", action="store_true",
+        help="replace a shot of this name from another file or camera, and other programs' files in FOLDER",
+    )  # fmt: skip
     shot.add_argument(
         "--range", dest="camera_frames", type=frame_range, default=[], metavar="FRAMES",
         help="such as 1-250, 1-250:2, 1-3:0.5, 1001 or 1001,1003 (default: the file's range)",

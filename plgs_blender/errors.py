@@ -16,7 +16,8 @@ __all__ = [
 
 EXPECTED = (PlgsError, OSError)
 """Errors that an operator reports in one line. Any other is a bug of ours and shows its traceback."""
-_FIELD_OF_OPTION = {"classes": "classes_table", "set": "preset_options", "size": "width", "names-from": "keep_names"}
+_FIELD_OF_OPTION = {"classes": "classes_table", "set": "preset_options", "size": "width"}
+_FIELD_OF_OPTION |= {"names-from": "keep_names", "replace": "replace_shot"}
 """Fields whose names differ from the engine's option."""
 _OTHER_NAMES = {
     "size": "Width and Height",

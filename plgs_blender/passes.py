@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
-from ..engine.job.cameras import LARGEST_SIDE, safe_name
+from ..engine.job.cameras import LARGEST_SIDE, filled_name, safe_name
 from ..engine.job.manifest import MAKE_ANEW
 from ..engine.posed.exr_header import one_pixel_of, read_exr_header
 from ..engine.posed.names import matte_names
@@ -283,7 +283,7 @@ def passes_scene_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
 
 def shot_name(camera: bpy.types.Object, given: str = "", later: int = 0) -> str:
     """The name of a camera's views, without their numbers: ``given``, else the names of the .blend and the camera, cut
-    to fit a file name.
+    to fit a file name. Raises PlgsError for a given name that is too long.
 
     ``given`` may have fields of Python's format strings: {shot} (the .blend's name without its version), {camera},
     {version} (the .blend's, such as 12 of "_v012", else 1, plus ``later``), and at the end ".{frame:04d}", which all
@@ -291,22 +291,21 @@ def shot_name(camera: bpy.types.Object, given: str = "", later: int = 0) -> str:
     """
     if "{" in given or "}" in given:
         given = _filled(given, camera, later)
+    if len(given) > _LONGEST_NAME:
+        what = f"the shot's name has {len(given)} characters, over {_LONGEST_NAME}"
+        raise PlgsError("long-name", what, given, "Give it a shorter one with --shot.", option="--shot")
     words = [given] if given else [bpy.path.display_name_from_filepath(bpy.data.filepath), camera.name]
     most = _LONGEST_NAME // len(words)
     return safe_name("_".join(safe_name(word)[:most].rstrip(". ") for word in words if word))
-
-
-_FRAME = re.compile(r"[._]\{frame(:0?\d*d)?\}$")
 
 
 def _filled(template: str, camera: bpy.types.Object, later: int) -> str:
     blend = bpy.path.display_name_from_filepath(bpy.data.filepath)
     version = VERSION.search(blend)
     number = int(version[1]) if version else 1
-    fields = {"shot": VERSION.sub("", blend) or "untitled", "camera": camera.name, "version": number + later}
     try:
-        return _FRAME.sub("", template).format_map(fields)
-    except (KeyError, ValueError, IndexError, AttributeError, TypeError) as error:
+        return filled_name(template, VERSION.sub("", blend) or "untitled", camera.name, number + later)
+    except ValueError as error:
         fix = "Use {shot}, {camera}, {version:03d}, and {frame:04d} only at its end, after a dot."
         what = f"the shot's name cannot be filled in ({error})"
         raise PlgsError("bad-template", what, template, fix, option="--shot") from error

@@ -170,14 +170,15 @@ def _claim(folder: Path, name: str, source: ShotSource, *, replace: bool) -> Non
 
 def _refuse_other(folder: Path, name: str, other: ShotSource, source: ShotSource) -> None:
     if other.origin != source.origin:
-        what = f"has a shot {name!r} of another file already: camera {other.camera!r} in {other.blend}"
-        fix = "Give this shot another name, or ask to replace the other one."
-        raise PlgsError("shot-taken", what, folder, fix, option="--shot")
+        whose = "another camera of this file" if other.origin[0] == source.origin[0] else "another file"
+        what = f"has a shot {name!r} of {whose} already: camera {other.camera!r} in {other.blend}"
+        fix = "Give this one another name with --shot, or replace the other one with --replace."
+        raise PlgsError("shot-taken", what, folder, fix, option="--shot --replace")
     changed = [frame for frame, seen in source.frames.items() if other.frames.get(frame, seen) != seen]
     if changed:
         what = f"has the shot {name!r} with another camera or size: {len(changed)} frames differ, such as {changed[0]}"
-        fix = "Give it the name of the next version, as {version} in its name does, or ask to replace it."
-        raise PlgsError("shot-changed", what, folder, fix, option="--shot")
+        fix = "Name the next version with --shot, as {version} in its name does, or replace this one with --replace."
+        raise PlgsError("shot-changed", what, folder, fix, option="--shot --replace")
 
 
 def write_view(lift: Path, scene: bpy.types.Scene) -> Path:
@@ -394,19 +395,27 @@ def bake_shot_in_terminal(
     """Bake what a camera of ``blend`` sees of a finished lift over ``frames`` (none: the file's range), with these
     FURTHER_LAYERS, into the lift's result or the folder ``output``, with ``channels`` named for one of CHANNELS.
     Progress goes to stderr and events to the descriptor ``echo``. ``name`` is the shot's; with ``replace``, it may be
-    that of another file's.
+    that of another file's, and other programs' files in ``output`` are overwritten.
 
     Raises PlgsError, and Interrupted after Ctrl-C, once the engine has ended.
     """
     python = engine_python()
     scene = open_blend(blend.absolute(), lift.path, named_by="--blend")
     shot = shot_of(scene, camera, given=name, only=frames, motion="vector" in layers)
+    if shot.given and not name:
+        print(f"From {studio().file}: names {shot.given}", file=sys.stderr)
     for what in shot.not_baked:
         print(f"warning: {what}", file=sys.stderr)
-    cameras = write_shot(lift.path, scene, shot, replace=replace, output=output)
+    try:
+        cameras = write_shot(lift.path, scene, shot, replace=replace, output=output)
+    except OSError as error:
+        fix = "Name a folder that you can write to, on a disk with free space."
+        raise PlgsError("unwritable", f"cannot be written to ({error.strerror})", output or lift.path, fix) from error
     with interrupts.deferred():
         while True:
-            follower = start_bake(lift, python, cameras=cameras, layers=layers, output=output, channels=channels)
+            follower = start_bake(
+                lift, python, cameras=cameras, layers=layers, output=output, channels=channels, replace=replace
+            )
             follow(follower, interrupts, LiveLine(sys.stderr), echo)
             is_busy = follower.error is not None and follower.error.code is ErrorCode.BUSY
             if not is_busy or follower.files != lift.task_files or interrupts.pending is not None:

@@ -104,6 +104,23 @@ def test_passes_go_elsewhere(lift: LiftFolder, blend: Path, tmp_path: Path, caps
     assert "--scene belongs to --bake camera without SCENE" in capsys.readouterr().err
 
 
+def test_only_own_files_are_replaced(
+    lift: LiftFolder, blend: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "studio.toml").write_text('names = "{shot}_ff"')
+    monkeypatch.setenv("PLGS_DEFAULTS", str(tmp_path / "studio.toml"))
+    theirs = tmp_path / "shot_ff.0001.exr"
+    theirs.write_text("another program's")
+    command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "1"]
+    assert exit_code(run_plgs.main, *command, "--passes", tmp_path) == 2
+    first, *_, error = capsys.readouterr().err.splitlines()
+    assert first == f"From {tmp_path / 'studio.toml'}: names {{shot}}_ff"
+    assert error.startswith("error: ") and str(theirs) in error and "--replace" in error
+    assert theirs.read_text() == "another program's"
+    assert exit_code(run_plgs.main, *command, "--passes", tmp_path, "--replace") == 0
+    assert read_exr(theirs).depth.shape == (45, 80)
+
+
 def test_corrections_are_seen_and_the_lifts_own_file_stays(shot: Path, blend: Path, tmp_path: Path) -> None:
     lift = LiftFolder.open(shutil.copytree(shot, tmp_path / "lift"))
     own = Path(shutil.copy(blend, lift.path / "lift.blend"))
@@ -127,6 +144,8 @@ def test_bad_camera_refused(lift: LiftFolder, blend: Path, tmp_path: Path, capsy
         (["--blend", text], ("is not a Blender file", "notes.blend", "--blend")),
         (["--blend", tmp_path / "gone.blend"], ("is not there", "gone.blend", "--blend")),
         (["--steps", "5", "--seed", "2"], ("leave out --seed, --steps,", "SCENE")),
+        (["--blend", blend, "--range", "1", "--passes", text], ("cannot be written to", "notes.blend")),
+        (["--blend", blend, "--range", "1", "--passes", text / "sub"], ("cannot be written to", "notes.blend")),
         (["--range", "3-1"], ("'3-1'", "ends before it begins")),
         (["--range", "-3--5"], ("'-3--5'", "ends before it begins")),
         (["--range", "1;2"], ("'1;2'", "1001,1003")),

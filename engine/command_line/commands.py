@@ -79,7 +79,7 @@ def bake(options: argparse.Namespace) -> ExitCode:
     pipe = _parent_pipe(options, folder)
     return run_bake(
         folder, frames, cameras=options.cameras, layers=options.layers, output=options.output, parent_pipe=pipe,
-        channels=options.channels, files=files, echo=options.echo,
+        channels=options.channels, replace=options.replace, files=files, echo=options.echo,
     )  # fmt: skip
 
 

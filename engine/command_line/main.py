@@ -116,6 +116,7 @@ def _add_bake(parser: argparse.ArgumentParser) -> None:
         "-o", "--output", type=Path, metavar="FOLDER",
         help="write FOLDER/NAME.exr, and leave the lift's result unchanged (default: write into the result)",
     )  # fmt: skip
+    parser.add_argument("--replace", action="store_true", help="overwrite other programs' files in FOLDER, too")
     _add_relink(parser)
     _add_place_options(parser)
     parser.set_defaults(run=commands.bake)

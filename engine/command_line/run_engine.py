@@ -87,12 +87,13 @@ def run_bake(
     layers: Sequence[str] = (),
     output: Path | None = None,
     channels: str = "blender",
+    replace: bool = False,
     parent_pipe: int | None = None,
     files: TaskFiles | None = None,
     echo: int | None = None,
 ) -> ExitCode:
     """Bake more of a finished lift, frames ("test", "all", or their names) or the cameras in a file, and return how it
-    ended. ``layers``, ``output`` and ``channels`` are those of ``BakeOptions``.
+    ended. ``layers``, ``output``, ``channels`` and ``replace`` are those of ``BakeOptions``.
 
     Whatever happens, the lift stays finished and earlier passes are kept. If another process is baking already, this
     one bakes at the same time: with events in ``files`` or, if no program follows it (no ``parent_pipe``), in its own
@@ -102,7 +103,7 @@ def run_bake(
     def work(events: EventWriter, stop: StopSignal) -> None:
         from ..lift import BakeOptions, bake_cameras, bake_frames  # late: it loads torch
 
-        options = BakeOptions(tuple(layers), output, channels)
+        options = BakeOptions(tuple(layers), output, channels, replace)
         if cameras is not None:
             bake_cameras(folder, cameras, events, stop, options)
         if frames is not None:

@@ -6,6 +6,7 @@ import hashlib
 import os
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -44,8 +45,9 @@ def write_atomically(path: Path, content: bytes | str | Callable[[Path], object]
             what = "another process took over"
             raise PlgsError("taken-over", what, path, "Try again in a moment.", code=ErrorCode.BUSY) from error
     except BaseException as error:  # also Ctrl-C: it must not leave a part behind
-        part.unlink(missing_ok=True)
-        if isinstance(error, OSError) and error.errno and error.filename is None:
+        with suppress(OSError):  # as it fails on a disk that is read-only
+            part.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.errno and error.filename in (None, str(part), part):
             error.filename = str(path)
         raise
     flush_to_disk(path.parent)  # else a power cut may lose the new name

@@ -48,6 +48,7 @@ LONGEST_NAME = 100
 _FORBIDDEN = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 """Names that Windows forbids for files."""
+_FRAME = re.compile(r"[._]\{frame(:0?\d*d)?\}$")
 _SIDE = {"least": 1, "most": LARGEST_SIDE}
 _FIX = "Correct the file; `python -m engine bake --help` explains its content."
 _PREVIEW_FIX = "Choose another camera for the preview."
@@ -127,6 +128,14 @@ def safe_name(text: str) -> str:
     """A valid file name on every system, as similar to ``text`` as possible."""
     name = _FORBIDDEN.sub("_", text).strip(". ")[:LONGEST_NAME].rstrip(". ") or "camera"
     return f"_{name}" if _RESERVED.fullmatch(name) else name
+
+
+def filled_name(template: str, shot: str, camera: str, version: int) -> str:
+    """A shot's name, whose number of the frame is left out. Raises ValueError for a template with other fields."""
+    try:
+        return _FRAME.sub("", template).format_map({"shot": shot, "camera": camera, "version": version})
+    except (KeyError, IndexError, AttributeError, TypeError) as error:
+        raise ValueError(str(error)) from error
 
 
 def refuse_equal_names(names: Sequence[str], path: Path, taken: Sequence[str] = ()) -> None:

@@ -248,16 +248,19 @@ def start_bake(
     layers: Sequence[str] = (),
     output: Path | None = None,
     channels: str = "",
+    replace: bool = False,
     stays_with_parent: bool = True,
 ) -> TaskFollower:
     """Start an engine that bakes more of a finished lift: frames ("test", "all", or names), or the ``cameras`` in a
-    file, with these FURTHER_LAYERS, and with ``channels`` named for one of CHANNELS. If another process is baking
-    already, it bakes at the same time, with its own events. Raises PlgsError, OSError.
+    file, with these FURTHER_LAYERS, and with ``channels`` named for one of CHANNELS. With ``replace`` it overwrites
+    other programs' files in ``output``. If another process is baking already, it bakes at the same time, with its own
+    events. Raises PlgsError, OSError.
     """
     command: list[str | Path] = [*engine_call(python), "bake", lift.path]
     given = {"--cameras": [cameras], "-o": [output], "--frames": frames, "--layers": layers, "--channels": [channels]}
     for option, values in given.items():
         command += [option, *(each for each in values if each)] if any(values) else []
+    command += ["--replace"] if replace else []
     files = lift.task_files
     if lift.is_running:
         (lift.path / "bake").mkdir(exist_ok=True)

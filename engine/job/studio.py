@@ -12,6 +12,7 @@ from pathlib import Path
 from ..presets.options import read_toml
 from ..presets.preset import PRESETS
 from ..records import record_of
+from .cameras import filled_name
 from .request import Device
 
 VARIABLE = "PLGS_DEFAULTS"
@@ -32,6 +33,11 @@ class StudioDefaults:
     file: Path | None = field(default=None, metadata={"apart": True})
 
     def __post_init__(self) -> None:
+        if self.names is not None and {*"{}"} & {*self.names}:
+            try:
+                filled_name(self.names, "shot", "camera", 1)
+            except ValueError as error:
+                raise ValueError(f"'names' cannot be filled in ({error})") from error
         if self.preset is None or self.preset in PRESETS:
             return
         if not self.preset.endswith(".toml"):

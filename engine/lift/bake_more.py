@@ -30,7 +30,7 @@ from ..job import (
 from ..job.cameras import PreviewCamera, frame_numbers, refuse_equal_names
 from ..model.neural_gaussians import ClipRange
 from ..passes.baked_view import BakedView
-from ..passes.exr import ShownFrame, further_layers, number_in, read_note, write_exr
+from ..passes.exr import ShownFrame, further_layers, is_own, number_in, read_note, write_exr
 from ..posed.layout import listed
 from ..result_files import INSTANCES
 from ..scene import Camera, Frame, Scene, size_within
@@ -63,12 +63,14 @@ MOST_LOOKS, LOOK_WITHIN = 8, (96, 96)
 
 @dataclass(frozen=True)
 class BakeOptions:
-    """``layers`` are those wanted from FURTHER_LAYERS; ``output`` is the folder for the passes (None: the result);
-    ``channels`` is one of CHANNELS, "blender" for the result."""
+    """``layers`` are those wanted from FURTHER_LAYERS; ``output`` is the folder for the passes (None: the result),
+    where other programs' files are overwritten only with ``replace``; ``channels`` is one of CHANNELS, "blender" for
+    the result."""
 
     layers: tuple[str, ...] = ()
     output: Path | None = None
     channels: str = "blender"
+    replace: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,7 +244,7 @@ class _OwnFolder:
     def __init__(self, folder: LiftFolder, options: BakeOptions) -> None:
         assert options.output is not None
         self._output, self._layers, self._lift = options.output, options.layers, folder.path.name
-        self._channels = options.channels
+        self._channels, self._replace = options.channels, options.replace
         if self._output.resolve().is_relative_to(folder.result_path.resolve()):
             raise PlgsError("inside", "is within the lift's result", self._output, "Name another folder.", option="-o")
         files = {str(file.path): file for file in read_manifest(folder.result_path).files}
@@ -257,9 +259,17 @@ class _OwnFolder:
         return self._output / f"{view.name}.exr"
 
     def has(self, view: WantedView, notes: Mapping[str, str]) -> bool:
-        """Whether the folder has this view, from this camera and this model, with these notes."""
+        """Whether the folder has this view, from this camera and this model, with these notes. Raises PlgsError for
+        another program's file of its name, unless it may be replaced, and OSError."""
         path = self._path_of(view)
-        return path.exists() and is_whole(path, {**notes, **_notes_of(view, self._layers), **self._model}, self._layers)
+        if not path.exists():
+            return False
+        if is_whole(path, {**notes, **_notes_of(view, self._layers), **self._model}, self._layers):
+            return True
+        if not self._replace and not is_own(path):
+            fix = "Give another folder, or add --replace to overwrite it."
+            raise PlgsError("foreign-file", "was not written by PLGS", path, fix, option="--replace")
+        return False
 
     def write(self, view: WantedView, rendered: BakedView, baker: FrameBaker, events: EventWriter) -> None:
         """Write a view. Raises OSError."""

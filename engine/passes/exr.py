@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from .. import __version__
 from ..errors import PlgsError
-from ..gates import refuse_special
+from ..gates import create_plain, refuse_special
 from ..job import FURTHER_LAYERS, write_atomically
 from ..job.system import main_memory
 from ..machine.threads import worker_count
@@ -50,6 +50,8 @@ class ShownFrame:
 REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 """Red, green, blue and white of the colours, which are linear, in CIE x and y."""
 NOTHING_SHOWN = ShownFrame()
+_SOFTWARE = "PLGS "
+"""Start of the header's attribute of this name in each file that is written."""
 
 
 def frame_header(camera: Camera, shown: ShownFrame, name: str) -> dict[str, Any]:
@@ -69,7 +71,7 @@ def frame_header(camera: Camera, shown: ShownFrame, name: str) -> dict[str, Any]
         ),
         "chromaticities": REC_709,
         "colorInteropID": "lin_rec709_scene",
-        "software": f"PLGS {__version__}",
+        "software": _SOFTWARE + __version__,
         "worldToCamera": _in_rows(np.diag([1.0, -1.0, 1.0, 1.0]) @ camera.world_to_camera),
         "worldToNDC": _in_rows(_to_ndc(camera, left, top, width, height) @ camera.world_to_camera),
     }
@@ -196,6 +198,14 @@ def read_note(path: Path, name: str) -> str | None:
     return value.decode() if kind == b"string" else None
 
 
+def is_own(path: Path) -> bool:
+    """Whether a file's header says that PLGS wrote it. Raises OSError."""
+    try:
+        return (read_note(path, "software") or "").startswith(_SOFTWARE)
+    except ValueError:
+        return False
+
+
 def _header(path: Path) -> ExrHeader:
     """The header of a file. Raises ValueError if it is damaged, and OSError."""
     refuse_special(path)
@@ -239,6 +249,7 @@ def _write(path: Path, attributes: Mapping[str, Any], channels: dict[str, NDArra
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **attributes}
+    create_plain(path).close()  # what the system refuses is an OSError here, and a RuntimeError in the library
     OpenEXR.set_global_thread_count(worker_count())  # the library starts with none
     with OpenEXR.File(header, channels, worker_count()) as file:
         file.write(str(path))

@@ -1,5 +1,6 @@
 """EXR round trip, and what Blender's compositor makes of the file."""
 
+import sys
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -76,6 +77,13 @@ def channels_of(path: Path) -> dict[str, np.ndarray]:
             return {name: channel.pixels for name, channel in file.channels().items()}
     file = OpenImageIO.ImageInput.open(str(path))
     return dict(zip(file.spec().channelnames, np.moveaxis(file.read_image("float"), -1, 0), strict=True))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a folder where root, too, can write nothing")
+def test_what_the_system_refuses_names_the_file() -> None:
+    with pytest.raises(OSError) as refused:
+        write_exr(Path("/proc/0001.exr"), _baked())
+    assert refused.value.filename == "/proc/0001.exr"
 
 
 def test_further_layers_are_written_on_request(tmp_path: Path) -> None:

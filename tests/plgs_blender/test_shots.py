@@ -267,6 +267,14 @@ def test_shots_of_two_files_do_not_replace_each_other(scene: bpy.types.Scene, tm
             write_shot(lift, bpy.context.scene, shot_of(bpy.context.scene, given="pan"), output=output)
 
 
+def test_another_camera_of_the_same_file_is_said(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "day.blend"))
+    write_shot(tmp_path, scene, shot_of(scene, given="pan_v{version}"))
+    scene.camera.name = "wide"
+    with raises_key("shot-taken camera file dolly --replace"):
+        write_shot(tmp_path, scene, shot_of(scene, given="pan_v{version}"))
+
+
 @pytest.mark.parametrize("change", ["camera", "lens", "size"])
 def test_a_changed_camera_is_another_version_or_is_refused(change: str, scene: bpy.types.Scene, tmp_path: Path) -> None:
     lift = tmp_path / "lift"
@@ -297,6 +305,13 @@ def test_a_changed_camera_is_another_version_or_is_refused(change: str, scene: b
 def test_an_unknown_field_of_a_name_is_refused(template: str, scene: bpy.types.Scene) -> None:
     with raises_key("bad-template {version:03d}"):
         ShotReader(scene, shot_of(scene, given=template))
+
+
+def test_a_name_is_never_cut(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    longest = "n" * 75 + "_v{version:03d}"
+    assert Shot(scene.camera, 1, 1, given=longest).name == "n" * 75 + "_v001"
+    with raises_key("long-name --shot"):
+        ShotReader(scene, shot_of(scene, given="n" + longest))
 
 
 def test_a_lifts_own_file_keeps_its_shots_where_the_lift_is_moved(scene: bpy.types.Scene, tmp_path: Path) -> None:
