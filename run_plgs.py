@@ -228,7 +228,7 @@ def lift_to_blend(options: argparse.Namespace, interrupts: Interrupts) -> int:
 def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, interrupts: Interrupts) -> ExitCode:
     """Bake the camera that the options name; the lift's own .blend then shows the passes. Raises PlgsError."""
     lift.refuse_read_only()
-    from plgs.plgs_blender.shots import bake_shot_in_terminal
+    from plgs.plgs_blender.shot_bakes import bake_shot_in_terminal
 
     if options.blend is None and not blend.exists():
         build_blend(lift, blend)

@@ -88,7 +88,7 @@ def decoded_depth(shown: NDArray[np.uint8], low: float, high: float) -> NDArray[
 
 STAGE = "poses"
 _ALL_PAIRS = 200
-"""The most photos of which all pairs are compared. With more, each is compared with its neighbours in order."""
+"""Up to this many photos, all pairs are compared. Among more, each is compared with its neighbours in order."""
 _NEAR = 20
 _POLL_S = 0.1
 

@@ -1,4 +1,4 @@
-"""Bakes a user's camera over a frame range, by the engine or a farm: each frame is a separate camera.
+"""A user's camera over a frame range, as a bake needs it: each frame is a separate camera.
 
 The lift's world is Blender's, so a camera sees the lifted scene from its position among the lift's objects.
 """
@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import json
 import math
-import sys
 import time
 import zlib
 from collections.abc import Iterator, Sequence
@@ -21,19 +19,14 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..engine.errors import ErrorCode, PlgsError
-from ..engine.job import BakeCamera, ExitCode, LiftFolder, write_atomically
+from ..engine.errors import PlgsError
+from ..engine.job import BakeCamera, write_atomically
 from ..engine.job.cameras import LARGEST_SIDE, PreviewCamera, safe_name, write_cameras
-from ..engine.job.follower import start_bake
 from ..engine.job.lock import FileLock
-from ..engine.job.process import engine_python
-from ..engine.job.task import TaskState
-from ..engine.job.terminal import Interrupts, LiveLine, follow
 from ..engine.posed import Camera
 from ..engine.records import read_record, record_text
 from .cameras import seen_by
 from .engine_environment import studio
-from .lift_scene import open_blend
 from .passes import NOTES, VERSION, shot_name
 
 DIGITS = 4
@@ -376,95 +369,3 @@ def _rendered_part(camera: Camera, scene: bpy.types.Scene) -> tuple[Camera, tupl
 def _pixels(share: float, size: int) -> int:
     """The pixels of a render border, counted as Blender does: in single precision, truncated."""
     return int(np.float32(share) * np.float32(size))
-
-
-def bake_shot_in_terminal(
-    lift: LiftFolder,
-    blend: Path,
-    camera: str,
-    frames: Sequence[float],
-    layers: Sequence[str],
-    interrupts: Interrupts,
-    echo: int | None = None,
-    *,
-    name: str = "",
-    replace: bool = False,
-    output: Path | None = None,
-    channels: str = "",
-) -> ExitCode:
-    """Bake what a camera of ``blend`` sees of a finished lift over ``frames`` (none: the file's range), with these
-    FURTHER_LAYERS, into the lift's result or the folder ``output``, with ``channels`` named for one of CHANNELS.
-    Progress goes to stderr and events to the descriptor ``echo``. ``name`` is the shot's; with ``replace``, it may be
-    that of another file's, and other programs' files in ``output`` are overwritten.
-
-    Raises PlgsError, and Interrupted after Ctrl-C, once the engine has ended.
-    """
-    python = engine_python()
-    scene = open_blend(blend.absolute(), lift.path, named_by="--blend")
-    shot = shot_of(scene, camera, given=name, only=frames, motion="vector" in layers)
-    if shot.given and not name:
-        print(f"From {studio().file}: names {shot.given}", file=sys.stderr)
-    for what in shot.not_baked:
-        print(f"warning: {what}", file=sys.stderr)
-    try:
-        cameras = write_shot(lift.path, scene, shot, replace=replace, output=output)
-    except OSError as error:
-        fix = "Name a folder that you can write to, on a disk with free space."
-        raise PlgsError("unwritable", f"cannot be written to ({error.strerror})", output or lift.path, fix) from error
-    with interrupts.deferred():
-        while True:
-            follower = start_bake(
-                lift, python, cameras=cameras, layers=layers, output=output, channels=channels, replace=replace
-            )
-            follow(follower, interrupts, LiveLine(sys.stderr), echo)
-            is_busy = follower.error is not None and follower.error.code is ErrorCode.BUSY
-            if not is_busy or follower.files != lift.task_files or interrupts.pending is not None:
-                break  # else another bake has the lift's own task files: bake with others
-    if follower.error is not None:
-        print(f"error: {follower.error}", file=sys.stderr)
-    elif follower.state is TaskState.CANCELLED:
-        print(f"Cancelled. Give the same command again to continue: {lift.path}", file=sys.stderr)
-    else:
-        print(f"Baked: {output or lift.passes_path}", file=sys.stderr)
-    return follower.exit_code
-
-
-JOB = "farm.json"
-_CHUNK = 50
-"""Frames per farm task."""
-_PLATFORMS = {"win32": "windows", "darwin": "darwin"}
-
-
-def write_farm_job(scene: bpy.types.Scene, lift: LiftFolder, shot: Shot) -> Path:
-    """Write the farm job that bakes a shot into a finished lift's folder, and return the file. The farm reads the
-    camera from this .blend, as last saved. Raises OSError, and PlgsError if it was never saved."""
-    blend = bpy.data.filepath
-    if not blend:
-        fix = "Save it where the farm can read it, then try again."
-        raise PlgsError("unsaved", "the farm reads the camera from a file, and this one has no name", scene.name, fix)
-    frames = shot.frames
-    settings = {
-        "scene": str(lift.request.scene),
-        "output": str(lift.path),
-        "preset": lift.request.preset,
-        "lift_options": "",
-        "lifted": True,
-        "bake": "camera",
-        "blend": blend,
-        "camera": shot.camera.name,
-        "shot": shot.given,
-        "frames": f"{frames[0]}-{frames[-1]}" if shot.step == 1 else ",".join(map(str, frames)),
-        "chunk_size": _CHUNK,
-        "layers": " ".join(sorted(scene.plgs.layers)),
-    }
-    job = {
-        "name": f"{lift.path.name}: {shot.camera.name}",
-        "type": "plgs",
-        "priority": 50,
-        "submitter_platform": _PLATFORMS.get(sys.platform, "linux"),
-        "settings": settings,
-    }
-    path = lift.path / "bake" / JOB
-    path.parent.mkdir(exist_ok=True)
-    write_atomically(path, json.dumps(job, indent=2) + "\n")
-    return path

@@ -190,8 +190,8 @@ class Comparison(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """The surface that a look shows where points project to. ``distance`` float64 [N]: metres by which the points lie
-    above it along its ``normal`` float64 [N, 3], in the camera's axes. nan where there is none."""
+    """The surface that a look shows where points project to. ``normal`` float64 [N, 3] is in the camera's axes.
+    ``distance`` float64 [N] is the points' height above the surface in metres. Both are nan without a surface."""
 
     distance: Floats
     normal: Floats

@@ -129,7 +129,7 @@ class GlbBuffer:
         return len(self._accessors) - 1
 
     def add_vertices(self, arrays: Mapping[str, NDArray[Any]]) -> dict[str, int]:
-        """The accessors of attributes float32 [N] or [N, K], of which POSITION needs its limits."""
+        """Add attributes float32 [N] or [N, K]. Returns their accessors; glTF wants the limits of POSITION."""
         found = {name: self.add_array(values, FLOAT, "<f4", VERTICES) for name, values in arrays.items()}
         xyz = arrays["POSITION"]
         limits = {"min": xyz.min(axis=0).tolist(), "max": xyz.max(axis=0).tolist()}

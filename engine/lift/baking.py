@@ -216,7 +216,7 @@ CHUNK = 16384
 @torch.no_grad()
 def corrected_scene(scene: StructuredScene, corrected: CorrectedResult) -> StructuredScene:
     """The scene with the classes and objects of ``corrected``. Its Gaussians keep only their likeliest labels, as if
-    the views had voted, and each object has one class. A scene whose labels no edit changes is returned as it is."""
+    the views had voted, and each object has one class. If no edit changes labels, returns the same scene."""
     if not corrected.changes_labels:
         return scene
     channels = scene.channels

@@ -88,7 +88,7 @@ class LivePreviews:
     def _wanted_camera(self) -> Camera:
         path = self.folder.preview_request_path
         stamp: tuple[int, int, int] | None = None
-        with suppress(OSError):  # there is no file; otherwise these values change when it is replaced
+        with suppress(OSError):  # no file yet; a new file has another stamp
             found = path.stat()
             stamp = found.st_mtime_ns, found.st_size, found.st_ino
         if stamp != self._last_read:

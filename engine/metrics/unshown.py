@@ -62,8 +62,8 @@ class Unshown:
 
 
 class _Candidate(NamedTuple):
-    """A resolved segment too little of which the lift shows as its class, seen from the segment's own frame. ``xyz``
-    float64 [POINTS or fewer, 3]."""
+    """A resolved segment whose class the lift shows too rarely, seen from the segment's own frame. ``xyz`` is float64
+    [POINTS or fewer, 3]."""
 
     resolution: float
     class_id: int

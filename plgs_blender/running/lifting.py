@@ -22,7 +22,8 @@ from ..lift_scene import result_of
 from ..owned import FOLDER, Placed, is_same_place, lift_of_scene, lifts_in, root_of_placed, text_of
 from ..registry import Task, start_engine
 from ..settings import PLGS_PG_settings, adopt, chosen_lift, request_of, why_no_options
-from ..shots import ShotReader, shot_of, write_farm_job, write_view
+from ..shot_bakes import write_farm_job
+from ..shots import ShotReader, shot_of, write_view
 from . import exports, lifts
 from .adding import lacking
 from .lifts import Lift

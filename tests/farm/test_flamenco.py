@@ -107,14 +107,14 @@ def test_frames_that_are_not_consecutive_are_commands_of_one_task(root: Path) ->
 def test_an_existing_lift_keeps_its_options(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The job that the button writes, for a lift with changed options: its commands go on with that lift."""
     pytest.importorskip("bpy")
-    from plgs.plgs_blender.shots import write_farm_job
+    from plgs.plgs_blender.shot_bakes import write_farm_job
 
     write_tiny_scene(tmp_path / "room", frames=2)
     lift = LiftFolder.create(
         tmp_path / "lift", LiftRequest(scene=tmp_path / "room", preset="preview", options={"steps": 10})
     )
     saved = SimpleNamespace(data=SimpleNamespace(filepath=str(tmp_path / "shot.blend")))
-    monkeypatch.setattr("plgs.plgs_blender.shots.bpy", saved)
+    monkeypatch.setattr("plgs.plgs_blender.shot_bakes.bpy", saved)
     blender_scene = SimpleNamespace(name="Scene", plgs=SimpleNamespace(layers={"normal"}))
     shot = SimpleNamespace(frames=range(1, 4), step=1, given="", camera=SimpleNamespace(name="dolly"))
     job = json.loads(write_farm_job(blender_scene, lift, shot).read_text())
