@@ -32,6 +32,9 @@ from .json_file import read_object
 from .scene import ClassLabel, Frame, Scene, digests_of_files, labels_of_config, size_within
 from .scene.pixels import write_image
 
+PINNED = {"facebook/mask2former-swin-small-coco-panoptic": "823b60a9dddf1829580505654f6a00b306a65381"}
+"""The revision that is loaded of a model without an own @REVISION: a commit of its repository on the hub, whose hash
+covers the SHA-256 of the weights."""
 LEAST_SCORE = 0.5
 """Minimum score of a query to become a segment."""
 INSIDE = 0.5
@@ -175,7 +178,7 @@ def load_model(name: str, *, download: bool) -> Mask2Former:
             pin = Path(constants.HF_HUB_CACHE) / f"models--{model.replace('/', '--')}" / "plgs.json"
             pins: dict[str, Any] = read_object(pin, "Delete it.") if pin.is_file() else {}
             # What a name stands for may change on the hub: the revision that was downloaded first stays.
-            pinned = revision or next(iter(pins), None)
+            pinned = revision or PINNED.get(model) or next(iter(pins), None)
             wanted = {"revision": pinned, "allow_patterns": ["*.json", "*.safetensors"]}
             if download:
                 _ask_hub(HfApi(), model, pinned)

@@ -12,7 +12,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from engine.command_line.main import main
+from engine.command_line.main import SEGMENT_MODEL, main
 from engine.scene import open_scene
 from tests.commands import exit_code
 from tests.scene.refusing import check_scene
@@ -20,7 +20,7 @@ from tests.tiny_scene import write_tiny_scene
 
 pytest.importorskip("transformers", reason="needs transformers (requirements/segment.txt)")
 
-from engine.segment import load_model  # noqa: E402
+from engine.segment import PINNED, load_model  # noqa: E402
 from tests.raises_key import raises_key
 from tests.segment.tiny_mask2former import NAMES, save_tiny_mask2former  # noqa: E402
 
@@ -76,6 +76,19 @@ def test_a_silent_hub_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr("huggingface_hub.HfApi.model_info", model_info)
     with raises_key("hub-silent nobody/no-such-model"):
         load_model("nobody/no-such-model", download=True)
+
+
+def test_the_default_network_is_one_revision(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def model_info(_hub: object, name: str, *, revision: str | None, timeout: float) -> None:
+        asked.append((name, revision))
+        raise TimeoutError
+
+    monkeypatch.setattr("huggingface_hub.HfApi.model_info", model_info)
+    with raises_key("hub-silent"):
+        load_model(SEGMENT_MODEL, download=True)
+    assert asked == [(SEGMENT_MODEL, PINNED[SEGMENT_MODEL])]
 
 
 @pytest.mark.parametrize(("name", "told"), [("nowhere", "no-model"), ("tests", "no-model")])
