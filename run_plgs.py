@@ -119,8 +119,8 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         "--shot",
         default="",
         metavar="NAME",
-        help="its files' name, perhaps with {shot}, {camera}, {version:03d}, and .{frame:04d} at its end (default: the "
-        ".blend's and the camera's)",
+        help="its files' name, perhaps with {shot}, {camera}, {layer}, {version:03d}, and .{frame:04d} at its end "
+        "(default: the .blend's and the camera's)",
     )
     shot.add_argument(
         "--replace", action="store_true",

@@ -286,8 +286,8 @@ def shot_name(camera: bpy.types.Object, given: str = "", later: int = 0) -> str:
     to fit a file name. Raises PlgsError for a given name that is too long.
 
     ``given`` may have fields of Python's format strings: {shot} (the .blend's name without its version), {camera},
-    {version} (the .blend's, such as 12 of "_v012", else 1, plus ``later``), and at the end ".{frame:04d}", which all
-    names have. Raises PlgsError for other fields.
+    {layer} ("passes"), {version} (the .blend's, such as 12 of "_v012", else 1, plus ``later``), and at the end
+    ".{frame:04d}", which all names have. Raises PlgsError for other fields.
     """
     if "{" in given or "}" in given:
         given = _filled(given, camera, later)
@@ -306,7 +306,7 @@ def _filled(template: str, camera: bpy.types.Object, later: int) -> str:
     try:
         return filled_name(template, VERSION.sub("", blend) or "untitled", camera.name, number + later)
     except ValueError as error:
-        fix = "Use {shot}, {camera}, {version:03d}, and {frame:04d} only at its end, after a dot."
+        fix = "Use {shot}, {camera}, {layer}, {version:03d}, and {frame:04d} only at its end, after a dot."
         what = f"the shot's name cannot be filled in ({error})"
         raise PlgsError("bad-template", what, template, fix, option="--shot") from error
 

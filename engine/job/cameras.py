@@ -131,9 +131,11 @@ def safe_name(text: str) -> str:
 
 
 def filled_name(template: str, shot: str, camera: str, version: int) -> str:
-    """A shot's name, whose number of the frame is left out. Raises ValueError for a template with other fields."""
+    """A shot's name, whose number of the frame is left out; its layer is "passes", as one file holds all layers. Raises
+    ValueError for a template with other fields."""
+    fields = {"shot": shot, "camera": camera, "layer": "passes", "version": version}
     try:
-        return _FRAME.sub("", template).format_map({"shot": shot, "camera": camera, "version": version})
+        return _FRAME.sub("", template).format_map(fields)
     except (KeyError, IndexError, AttributeError, TypeError) as error:
         raise ValueError(str(error)) from error
 

@@ -9,9 +9,12 @@ to (1, 1) in its NDC is the display window, from the upper left corner to the lo
 
 from __future__ import annotations
 
+import mmap
 import re
+import struct
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +37,13 @@ _SQUARE = 0.01
 """Largest deviation of a pixel's aspect from 1 that is written as square: a calibration is no more exact."""
 _MOST_RATE = 60
 """Frames per second that a time code can count."""
+_LARGEST_RATE = 1_000_000
+"""Frames per second above which a rate is no camera's and is left out."""
+_LIKE_NTSC = 1e-3
+"""Largest deviation of a rate from a whole number / 1.001 that is rounding: 23.976 and 29.97 are written so."""
+_RATE = "framesPerSecond"
+_PLACE_OF_RATE = 10 * "."
+"""A text as long as a rate with its longer type name: see `_put_rate`."""
 
 
 @dataclass(frozen=True)
@@ -78,12 +88,23 @@ def frame_header(camera: Camera, shown: ShownFrame, name: str) -> dict[str, Any]
     number = number_in(name) if shown.number is None else shown.number
     if number is not None:
         header["imageCounter"] = number
-    rate = 0 if shown.fps is None else round(shown.fps)
-    if number is not None and number >= 0 and 0 < rate <= _MOST_RATE:
-        seconds, frame = divmod(number, rate)
+    rate = exact_rate(shown.fps or 0.0)
+    if rate is not None:
+        header[_RATE] = rate
+    if number is not None and number >= 0 and rate is not None and 0 < round(rate) <= _MOST_RATE:
+        seconds, frame = divmod(number, round(rate))
         clock = seconds // 3600 % 24, seconds // 60 % 60, seconds % 60, frame
         header["timeCode"] = OpenEXR.TimeCode(*clock, *(14 * (0,)))  # no flags or user data
     return header
+
+
+def exact_rate(fps: float) -> Fraction | None:
+    """The rate that is meant by rounded frames per second: 24000/1001 by 23.976. None if it is no camera's."""
+    if not 0.0 < fps <= _LARGEST_RATE:
+        return None
+    ntsc = Fraction(1000 * round(fps), 1001)
+    close = abs(fps - ntsc) < _LIKE_NTSC
+    return (ntsc if close else Fraction(fps).limit_denominator(1000)) or None
 
 
 def number_in(name: str) -> int | None:
@@ -249,7 +270,29 @@ def _write(path: Path, attributes: Mapping[str, Any], channels: dict[str, NDArra
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **attributes}
+    rate = header.get(_RATE)
+    if rate is not None:
+        header[_RATE] = _PLACE_OF_RATE
     create_plain(path).close()  # what the system refuses is an OSError here, and a RuntimeError in the library
     OpenEXR.set_global_thread_count(worker_count())  # the library starts with none
     with OpenEXR.File(header, channels, worker_count()) as file:
         file.write(str(path))
+    if rate is not None:
+        _put_rate(path, rate)
+
+
+def _put_rate(path: Path, rate: Fraction) -> None:
+    """Replace the text in the place of the rate by the rate.
+
+    The library reads attributes of type rational, but cannot write them. An attribute is stored as its name, its type,
+    the length of its value, and the value. "rational" is two bytes longer than "string", so a text of ten bytes takes
+    as much as a rate of eight, and nothing in the file moves. No text before it has zeros, so it is found at once.
+    """
+    name, text = _RATE.encode() + b"\0", _PLACE_OF_RATE.encode()
+    placed = name + b"string\0" + struct.pack("<i", len(text)) + text
+    exact = name + b"rational\0" + struct.pack("<iiI", 8, rate.numerator, rate.denominator)
+    with open(path, "r+b") as file:
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            start = content.find(placed)
+        file.seek(start)
+        file.write(exact)

@@ -44,7 +44,7 @@ def test_defaults_fill_in_what_is_not_given(
         ('device = "gpu"', "wrong-type"),
         ("memory = 0", "wrong-type"),
         ('preset = "fast"', "bad-record"),
-        ('names = "{shot}_{layer}"', "bad-record"),
+        ('names = "{shot}_{lens}"', "bad-record"),
         ("preset = ", "not-toml"),
         (None, "unreadable"),
     ],

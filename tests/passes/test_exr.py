@@ -1,7 +1,9 @@
 """EXR round trip, and what Blender's compositor makes of the file."""
 
+import math
 import sys
 from dataclasses import fields, replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +21,7 @@ OpenEXR = pytest.importorskip("OpenEXR")
 
 
 def write_layers(path: Path) -> Path:
-    write_exr(path, _baked(), layers=FURTHER_LAYERS)
+    write_exr(path, _baked(), layers=FURTHER_LAYERS, shown=ShownFrame(fps=24 / 1.001))
     return path
 
 
@@ -162,6 +164,25 @@ def test_header_describes_frame_and_camera(name: str, shown: ShownFrame, noted: 
         assert read_exr(path).depth.shape == (6, 8)
 
 
+@pytest.mark.parametrize(
+    ("fps", "expected"),
+    [
+        (24.0, (24, 1)), (23.976, (24000, 1001)), (24 / np.float32(1.001), (24000, 1001)), (29.97, (30000, 1001)),
+        (12.5, (25, 2)), (24 / np.float32(0.96), (25, 1)), (1e9, None), (1e-9, None), (-24.0, None), (math.nan, None),
+    ],
+)  # fmt: skip
+def test_a_rate_is_exact_and_changes_nothing_else(fps: float, expected: tuple[int, int] | None, tmp_path: Path) -> None:
+    rated, plain = tmp_path / "rated.exr", tmp_path / "plain.exr"
+    write_exr(rated, _baked(), shown=ShownFrame(fps=float(fps)))
+    write_exr(plain, _baked())
+    with OpenEXR.File(str(rated)) as file, OpenEXR.File(str(plain)) as other:
+        header, without = dict(file.header()), dict(other.header())
+    assert header.pop("framesPerSecond", None) == (None if expected is None else Fraction(*expected))
+    assert repr(header) == repr(without)
+    one, two = channels_of(rated), channels_of(plain)
+    assert one.keys() == two.keys() and all(np.array_equal(one[name], two[name]) for name in one)
+
+
 def test_openimageio_reads_the_same(tmp_path: Path) -> None:
     import OpenImageIO as oiio
 
@@ -176,6 +197,7 @@ def test_openimageio_reads_the_same(tmp_path: Path) -> None:
     assert spec.getattribute("Software") == f"PLGS {__version__}" and spec.getattribute("screenWindowWidth") > 0
     assert np.allclose(spec.getattribute("chromaticities"), (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329))
     assert spec.getattribute("colorInteropID") == "lin_rec709_scene"
+    assert spec.getattribute("framesPerSecond") == (24000, 1001) and header["framesPerSecond"] == Fraction(24000, 1001)
     assert spec.getattribute("PixelAspectRatio") == 1.0 and len(spec.getattribute("worldToCamera")) == 16
     for column, name in enumerate(spec.channelnames):
         assert np.array_equal(pixels[..., column], written[name]), name

@@ -280,7 +280,7 @@ def test_a_changed_camera_is_another_version_or_is_refused(change: str, scene: b
     lift = tmp_path / "lift"
     lift.mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "night_v003.blend"))
-    by_version, fixed = "{shot}_{camera}_v{version:03d}.{frame:04d}", "night"
+    by_version, fixed = "{shot}_{camera}_{layer}_v{version:03d}.{frame:04d}", "night"
     for given in (by_version, fixed):
         write_shot(lift, scene, shot_of(scene, last=3, given=given))
         write_shot(lift, scene, shot_of(scene, first=2, given=given))  # more of the same
@@ -294,14 +294,14 @@ def test_a_changed_camera_is_another_version_or_is_refused(change: str, scene: b
     with raises_key("shot-changed night"):
         write_shot(lift, scene, shot_of(scene, given=fixed))
     names = [write_shot(lift, scene, shot_of(scene, given=by_version)).name for _ in range(2)]
-    assert names == ["night_dolly_v004.1-4x1.json"] * 2  # the second one is the same again
+    assert names == ["night_dolly_passes_v004.1-4x1.json"] * 2  # the second one is the same again
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "night_v004.blend"))  # the same shot of a later file
     assert write_shot(lift, scene, shot_of(scene, given=by_version)).name == names[0]
     assert write_shot(lift, scene, shot_of(scene, given=fixed), replace=True).name == "night.1-4x1.json"
     write_shot(lift, scene, shot_of(scene, given=fixed))
 
 
-@pytest.mark.parametrize("template", ["{layer}", "{shot", "{shot.a}", "{version:q}", "{frame:04d}_{shot}", "{}", "}"])
+@pytest.mark.parametrize("template", ["{lens}", "{shot", "{shot.a}", "{version:q}", "{frame:04d}_{shot}", "{}", "}"])
 def test_an_unknown_field_of_a_name_is_refused(template: str, scene: bpy.types.Scene) -> None:
     with raises_key("bad-template {version:03d}"):
         ShotReader(scene, shot_of(scene, given=template))
