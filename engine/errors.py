@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,6 +17,10 @@ from .gates import shortened
 
 _LONGEST = 600
 """The largest number of characters in what is wrong."""
+_LACKS_SUBJECT = re.compile(
+    r"(already|applies|cannot|contains|does|finds|gives|has|holds|is|lists|names|needs|renders|shows|was) "
+)
+"""Beginnings of what is wrong whose subject is the thing named in ``where``."""
 _SILENT = (errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.EINTR, errno.ENOMEM)
 
 
@@ -84,8 +89,7 @@ class PlgsError(Exception):
         if MEMORY_IS_GONE in self.what:  # whatever it was read for: the file may be sound
             fix, option = "Close other programs, or use a computer with more memory.", ""
         self.key, self.where, self.fix, self.code, self.option = key, str(where), fix, code, option
-        subject = f"{self.what}: {where}" if self.where else self.what
-        super().__init__(one_line(f"{subject}. {fix}" if fix else subject))
+        super().__init__(one_line(f"{self.problem}. {fix}" if fix else self.problem))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """How pickle rebuilds it, for example in another process."""
@@ -94,6 +98,18 @@ class PlgsError(Exception):
     @property
     def exit_code(self) -> ExitCode:
         return self.code.exit_code
+
+    @property
+    def problem(self) -> str:
+        """What is wrong and where, as `problem_of` puts them together."""
+        return problem_of(self.what, self.where)
+
+
+def problem_of(what: str, where: str) -> str:
+    """One sentence with a subject: "room has no poses", or "no scheduler answers: HOST"."""
+    if _LACKS_SUBJECT.match(what):
+        return f"{where} {what}"
+    return f"{what}: {where}" if where else what
 
 
 def lacks_part(what: str, where: Path | str, name: str) -> PlgsError:
@@ -108,7 +124,7 @@ def reading(path: Path, fix: str = "Check that it exists.") -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        what = f"this cannot be read ({error.strerror})"
+        what = f"cannot be read ({error.strerror})"
         raise PlgsError("unreadable", what, error.filename or path, fix) from error
 
 

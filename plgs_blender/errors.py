@@ -7,7 +7,7 @@ from typing import Any
 
 import bpy
 
-from ..engine.errors import ErrorCode, PlgsError, one_line
+from ..engine.errors import ErrorCode, PlgsError, one_line, problem_of
 from ..engine.posed.layout import plural
 
 __all__ = [
@@ -28,25 +28,21 @@ _OTHER_NAMES = {
 }
 """Blender's names of options that match no field, or more than one."""
 _OPTION = re.compile(r"(?<![\w-])--([a-z-]+)(?: [A-Z]+\b| colmap\b)?")
-_LACKS_SUBJECT = re.compile(r"(already|is|was|has|cannot|does|needs|renders|shows|names|holds|finds) ")
-"""Beginnings of error texts whose subject is the thing named in `where`."""
 _PLAIN_WORD = re.compile(r"[a-z]+(?=[ ,:;.]?( |$))")
 
 
 def with_field_names(said: PlgsError | OSError | str) -> str:
-    """The engine's message in one printable line, with the panel's field names in place of command-line options. An
-    error becomes a sentence: "room has no poses", where a terminal says "has no poses: room".
+    """The engine's message in one printable line, with the panel's field names in place of command-line options.
 
     Paths stay as they are. An option's placeholder, such as OUT, is removed with it.
     """
     if not isinstance(said, PlgsError):
         return one_line(_OPTION.sub(_name_in_panel, str(said)))
     what, fix = (_OPTION.sub(_name_in_panel, text) for text in (said.what, said.fix))
-    if _LACKS_SUBJECT.match(what):
-        where = sentence(said.where) if said.where.startswith("the ") else said.where
-        problem = f"{where} {what}".lstrip()
-    else:
-        problem = f"{sentence(what)}: {said.where}" if said.where else sentence(what)
+    where = sentence(said.where) if said.where.startswith("the ") else said.where
+    problem = problem_of(what, where)
+    if not where or not problem.startswith(where):  # a name keeps its first letter
+        problem = sentence(problem)
     return one_line(f"{problem}. {fix}" if fix else problem)
 
 

@@ -2,6 +2,7 @@
 
 import ast
 import re
+import sys
 from collections.abc import Iterator, Sequence
 from functools import cache
 from itertools import groupby
@@ -28,7 +29,9 @@ class Error(NamedTuple):
     @property
     def text(self) -> str:
         """As a command says it."""
-        return self.what + (self.where and ": WHERE") + (self.fix and f". {self.fix}")
+        from engine.errors import problem_of  # below, as this file is also run by its path
+
+        return problem_of(self.what, self.where and "WHERE") + (self.fix and f". {self.fix}")
 
 
 class Maker(NamedTuple):
@@ -49,6 +52,10 @@ def test_keys_are_short_names_and_a_wording_has_one_key() -> None:
     keys: dict[tuple[str, str], str] = {}
     for one in all_errors():
         assert keys.setdefault((one.what, one.fix), one.key) == one.key or "{" in one.what, one
+
+
+def test_no_wording_lacks_a_subject() -> None:
+    assert [one for one in all_errors() if one.text.startswith(" ")] == []
 
 
 def golden() -> str:
@@ -148,4 +155,5 @@ def _name(call: ast.Call) -> str:
 
 
 if __name__ == "__main__":
+    sys.path.insert(0, str(ROOT))
     GOLDEN.write_text(golden(), encoding="utf-8")

@@ -150,8 +150,7 @@ class LiftRequest(SceneSource):
         except PlgsError as error:
             if error.where == str(path):
                 raise
-            what = f"{error.where}: {error.what}" if error.where else error.what
-            raise PlgsError(error.key, what, path, error.fix) from error
+            raise PlgsError(error.key, error.problem, path, error.fix) from error
 
     def differences(self, other: LiftRequest) -> list[str]:
         """The names of what differs, including the options of the preset. ``anyway`` and the engine's version do not

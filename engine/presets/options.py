@@ -262,7 +262,7 @@ def read_preset_file(path: Path) -> tuple[str, dict[str, Json]]:
     try:
         return base, dict(_options_in(content))
     except PlgsError as error:
-        raise PlgsError(error.key, f"{error.what} ({error.where})", path, error.fix) from error
+        raise PlgsError(error.key, error.problem, path, error.fix) from error
 
 
 def _options_in(content: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Json]]:

@@ -134,7 +134,7 @@ def _readable(scene: Scene, tick: Progress, keep_within: Size | None) -> tuple[l
         raise first
     kept = tuple(frame for *_, frame in looks.values())
     scene = replace(scene, frames=kept, left_out=(*scene.left_out, *gone))
-    return list(looks.values()), scene, (f"{gone[0]} (the first: {first.what}: {first.where})", *warnings)
+    return list(looks.values()), scene, (f"{gone[0]} (the first: {first.problem})", *warnings)
 
 
 def _look(frame: Frame, unknown_truth: frozenset[int | str], keep_within: Size | None, decode: bool) -> _Look:
