@@ -27,7 +27,8 @@ def worded(told: str) -> re.Pattern[str]:
     golden = Path(__file__).with_name("errors.golden.txt").read_text(encoding="utf-8")
     found = re.search(rf"^{key}\n((?:    .*\n)+)", golden, re.MULTILINE)
     assert found is not None, f"no error has the key {key}"
-    lines = [line.partition(": ")[2].partition(": WHERE")[0] for line in found[1].splitlines()]
+    told_by = [line.partition(": ")[2].removeprefix("WHERE ") for line in found[1].splitlines()]
+    lines = [re.split(r": WHERE|\. ", text)[0] for text in told_by]
     parts = [re.split(r"\{(?:[^{}]|\{[^{}]*\})*\}", text) for line in lines for text in line.split(" | ")]
     wordings = "|".join(".*".join(map(re.escape, each)) for each in parts if any(each))
     return re.compile(rf"(?is)\A{''.join(f'(?=.*{re.escape(name)})' for name in names)}.*(?:{wordings})")

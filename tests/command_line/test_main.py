@@ -70,7 +70,7 @@ def test_invalid_frame_number_is_refused(text: str, capsys: pytest.CaptureFixtur
     assert "argument --frames" in told and "number" in told
     assert code_of("lift", tmp_path, "-o", tmp_path / "out", "--frames", "9999999") == 2
     said = capsys.readouterr().err
-    assert said.startswith("error: is not a valid value: frames = 9999999") and said.count("\n") == 1
+    assert said.startswith("error: frames = 9999999 is not a valid value") and said.count("\n") == 1
 
 
 def test_a_preset_is_printed_as_a_file_that_is_read(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

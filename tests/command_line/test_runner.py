@@ -173,9 +173,9 @@ def test_successful_lift_is_recorded(tmp_path: Path, capfd: pytest.CaptureFixtur
         (
             PlgsError("made-up", "is 8-bit", "/a/depth.png", "Write 16 bits."),
             2,
-            "is 8-bit: /a/depth.png. Write 16 bits.",
+            "/a/depth.png is 8-bit. Write 16 bits.",
         ),
-        (PlgsError("made-up", "is damaged", "/a", "Delete it."), 2, "is damaged: /a. Delete it."),
+        (PlgsError("made-up", "is damaged", "/a", "Delete it."), 2, "/a is damaged. Delete it."),
         (MemoryError(), 1, "memory ran out"),
         (ValueError("first line\nsecond"), 1, "ValueError: first line)"),
         (ModuleNotFoundError("No module named 'torch'"), 1, "make set-up"),

@@ -130,7 +130,7 @@ def test_a_killed_engine_is_reported_and_can_be_resumed(folder: LiftFolder, star
 @pytest.mark.parametrize(
     ("behaviour", "code", "told", "logged"),
     [
-        ("bad input", ErrorCode.BAD_INPUT, "is too dark: {scene}. Switch the light on.", "python talks"),
+        ("bad input", ErrorCode.BAD_INPUT, "{scene} is too dark. Switch the light on.", "python talks"),
         ("broken", ErrorCode.INTERNAL, "ZeroDivisionError: no such luck", "Traceback"),
         ("memory", ErrorCode.INTERNAL, "memory ran out", "MemoryError"),
         ("memory of torch", ErrorCode.INTERNAL, "memory ran out", "DefaultCPUAllocator"),
