@@ -6,20 +6,17 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from hashlib import sha256
-from itertools import count
 from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
 
 from .errors import ErrorCode, PlgsError
-from .job import LiftFolder, LiftState, write_atomically
+from .job import LiftFolder, read_manifest, write_atomically
 from .known_scene import FIND_SCENE, KNOWN_SCENE, StoredScene, known_scene, read_known, stored_scene, write_known
 from .result_files import INSTANCES, read_instances
 from .scene import Camera, EvidenceReader, Frame, MaskReader, PosedFrame, Scene, digests_of_files, open_asked
 
-EARLIER = "earlier"
-"""The folder, within a lift's folder, for passes of earlier results."""
 _ALIKE = 1e-4
 """Tolerance in metres, pixels and entries of rotations when cameras of the same frame are compared."""
 _ANOTHER = "Restore it as it was, say where it is with Find Scene or --scene, or lift into another folder."
@@ -65,27 +62,21 @@ def names_of_frames(folder: LiftFolder) -> tuple[str, ...]:
 
 def remember_scene(folder: LiftFolder, scene: Scene, warn: Callable[[str], object] = lambda _: None) -> str:
     """Write the cameras and the files' digests of a lift's scene beside its request. Returns the digest of the masks.
-    Passes baked with other masks or classes are moved out of the result, with a warning. Raises PlgsError, OSError."""
-    masks, before = digest_of_masks(scene), read_known(folder)
-    if (before is not None and masks_differ(before.masks, scene, masks)) or have_classes_changed(folder, scene):
-        _move_baked(folder, warn)
+    Passes of other masks or classes leave an unfinished result, with a warning. Raises PlgsError, OSError."""
+    masks = digest_of_masks(scene)
+    are_others = masks_differ(masks_last_run(folder), scene, masks) or have_classes_changed(folder, scene)
+    if are_others and not folder.is_lifted_again and any(folder.passes_path.glob("*.exr")):
+        warn_of_earlier(folder.set_result_aside(), warn)
     known, files = stored_scene(scene, scene.frames, masks), _digests_of(scene.frames)
     frames = tuple(replace(one, files=found, read=how) for one, (found, how) in zip(known.frames, files, strict=True))
     write_known(folder, replace(known, frames=frames))
     return masks
 
 
-def _move_baked(folder: LiftFolder, warn: Callable[[str], object]) -> None:
-    """Move the passes of an earlier result into their own folder, as the next result has other objects."""
-    if not any(folder.passes_path.glob("*.exr")):
-        return
-    candidates = (folder.path / EARLIER / str(number) for number in count(1))
-    earlier = next(earlier for earlier in candidates if not earlier.exists())
-    earlier.mkdir(parents=True)
-    for path in (folder.previews_path, folder.passes_path):  # passes last: until then, a retry moves the rest
-        if path.exists():
-            path.rename(earlier / path.name)
-    warn(f"passes of the earlier result were moved to {earlier}: bake again those that the lift does not bake")
+def warn_of_earlier(earlier: Path | None, warn: Callable[[str], object]) -> None:
+    """Warn of an earlier result that was moved to the folder ``earlier``."""
+    if earlier is not None:
+        warn(f"the earlier result was moved to {earlier}: bake again the passes that the lift does not bake")
 
 
 def refuse_changed(folder: LiftFolder, scene: Scene) -> None:
@@ -131,14 +122,17 @@ def is_done(folder: LiftFolder, masks: str = "") -> bool:
     """Whether nothing is left to lift, for a caller who knows that no engine is running: the result is complete and
     unmodified, and the masks and classes are those that it was lifted from. ``masks`` is the `digest_of_masks` of the
     scene, if the caller has just read them. Raises PlgsError, also for a scene that has changed in other ways."""
-    if folder.state_at_rest() is not LiftState.FINISHED or not folder.is_whole():
+    if not folder.has_result() or not folder.is_whole():
         return False
-    known = read_known(folder)
-    if known is None or not known.masks or not os.path.exists(folder.request.scene):
+    lifted = read_manifest(folder.result_path).masks
+    if not lifted and folder.is_lifted_again:  # scene.json tells only what that is lifted from
+        return False
+    lifted = lifted or masks_last_run(folder)
+    if not lifted or not os.path.exists(folder.request.scene):
         return True  # not known, or gone
     scene = open_asked(folder.request)
     refuse_changed(folder, scene)
-    return not have_classes_changed(folder, scene) and not masks_differ(known.masks, scene, masks)
+    return not have_classes_changed(folder, scene) and not masks_differ(lifted, scene, masks)
 
 
 def have_classes_changed(folder: LiftFolder, scene: Scene) -> bool:

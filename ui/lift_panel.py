@@ -201,7 +201,7 @@ def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followe
     else:
         box = sidebar.draw_error(layout, context, error)
         row = box.row(align=True)
-    if followed.is_finished:
+    if followed.has_result:
         row.operator("plgs.place_lift", icon="IMPORT").lift_folder = path
     if followed.can_be_resumed:
         sidebar.from_panel(row, context).operator("plgs.lift_scene", text="Start Anew", icon="PLAY")

@@ -230,7 +230,7 @@ def _started(piece: Piece, variables: Mapping[str, str]) -> TaskFollower | None:
         from ..scene_of_lift import is_done  # late: it reads masks
 
         lift = _lift_folder(piece)
-        if not lift.is_running and is_done(lift):
+        if not lift.is_running and not lift.is_lifted_again and is_done(lift):
             return None
         # Also a new lift: before this engine begins, that of another batch may have begun it, or done it.
         command = engine_command(Path(sys.executable), lift.path, resume=True)

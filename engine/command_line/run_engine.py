@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ..errors import ErrorCode, ExitCode, PlgsError
 from ..job import EventWriter, LiftFolder, LiftState, StopSignal, verify_lifted
+from ..job.events import at_work
 from ..job.recent import remember_lift
 from ..job.studio import studio_defaults
 from ..job.system import SHARE
@@ -36,11 +37,13 @@ def run_engine(
     with folder.lock():
         if not (folder.path / "request.json").exists():
             raise PlgsError("lift-removed", "was removed in the meantime", folder.path, "Lift the scene again.")
+        folder.adopt_next_result()
         state = folder.state_at_rest()
         if resume:
             from ..scene_of_lift import is_done  # late: it needs numpy
 
             if is_done(folder):
+                folder.drop_next_result()  # its masks are the earlier ones again
                 print(f"This lift is finished already: {folder.result_path}")
                 return ExitCode.FINISHED
         elif state is not LiftState.NOT_STARTED:
@@ -118,6 +121,8 @@ def run_bake(
     )
     folder.refuse_foreign()
     if files is not None:
+        if folder.is_lifted_again and folder.is_running:
+            raise at_work(folder.events_path)
         _refuse_unfinished(folder)
         return _bake_beside(folder, command, files, parent_pipe, echo)
     try:
@@ -153,7 +158,7 @@ def _do_in(folder: LiftFolder, events: EventWriter, stop: StopSignal, work: Work
     _remember(folder)
     try:
         work(events, stop)
-        if folder.state_at_rest() is not LiftState.FINISHED:
+        if not folder.has_result():
             raise RuntimeError("the lift ended without a manifest")  # a bug, which `failure_of` reports as one
     finally:
         _remember(folder)

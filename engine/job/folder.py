@@ -10,12 +10,13 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from itertools import count
 from pathlib import Path
 from stat import S_ISDIR, S_ISLNK, S_ISREG
 
 from ..errors import ExitCode, PlgsError, is_silence
 from ..gates import create_plain
-from .atomic import PART, flush_to_disk, remove_parts, write_atomically
+from .atomic import PART, files_below, flush_to_disk, remove_parts, write_atomically
 from .checkpoint import CheckpointStore
 from .events import last_events
 from .lock import BakeLocks, FileLock, is_locked
@@ -35,12 +36,18 @@ class LiftState(Enum):
     FINISHED = "finished"
 
 
+NEXT = "result.next"
+"""Where a finished lift is lifted again. Its result stays complete until the new one is."""
+
+
 @dataclass(frozen=True)
 class LiftFolder:
-    """A folder with a readable request.json. Make one with `create` or `open`."""
+    """A folder with a readable request.json, whose result has the name ``result_name``. Make one with `create` or
+    `open`."""
 
     path: Path
     request: LiftRequest
+    result_name: str = "result"
 
     @classmethod
     def create(cls, path: Path, request: LiftRequest) -> LiftFolder:
@@ -122,7 +129,7 @@ class LiftFolder:
 
     @property
     def result_path(self) -> Path:
-        return self.path / "result"
+        return self.path / self.result_name
 
     @property
     def manifest_path(self) -> Path:
@@ -174,20 +181,22 @@ class LiftFolder:
         return LiftState.RUNNING if self.is_running else self.state_at_rest()
 
     def state_at_a_glance(self) -> LiftState:
-        """The state of the lift, for a list or a timer: a manifest counts as a result, and its files are not checked.
+        """The state of the lift, for a list or a timer: a manifest is a result, and its files are not checked.
 
         It takes a millisecond, however large the lift. Raises PlgsError if the file system does not support locks.
         """
         if self.is_running:
             return LiftState.RUNNING
-        return LiftState.FINISHED if self.manifest_path.is_file() else self._how_it_ended()
+        is_finished = self.manifest_path.is_file() and not self.is_lifted_again
+        return LiftState.FINISHED if is_finished else self._how_it_ended()
 
     def state_at_rest(self) -> LiftState:
         """The state of the lift, for a caller that knows that no other engine is at work.
 
-        A result without a complete manifest is not a result, whatever the events say.
+        A result without a complete manifest is not a result, whatever the events say. A lift that is lifted again, and
+        has only its earlier result, is not finished.
         """
-        return LiftState.FINISHED if self._has_result() else self._how_it_ended()
+        return LiftState.FINISHED if self.has_result() and not self.is_lifted_again else self._how_it_ended()
 
     def _how_it_ended(self) -> LiftState:
         """The state of a lift that is neither running nor finished."""
@@ -218,16 +227,65 @@ class LiftFolder:
         return True
 
     def prepare_run(self) -> None:
-        """Delete what must not outlive an earlier run: its cancel file, incomplete files, a broken manifest, and files
-        that differ from the manifest. Those of a lift are made again; passes that were baked later are not.
+        """Delete what must not outlive an earlier run: its cancel file, incomplete files, a new result that it began,
+        and of a damaged result the manifest and the files that differ from it. Those of a lift are made again; passes
+        that were baked later are not. A complete result stays until there is a new one (see `with_next_result`).
 
         Only the engine that holds the lock may call this. Raises OSError if a file cannot be read: the file stays.
         """
         self.cancel_path.unlink(missing_ok=True)
-        for path in changed_files(self.result_path):
+        self.drop_next_result()
+        changed = changed_files(self.result_path)
+        for path in changed:
             path.unlink()
-        self.manifest_path.unlink(missing_ok=True)  # only now, as `changed_files` reads it
+        if not changed and self.has_result():
+            (self.path / NEXT).mkdir()
+        else:
+            self.manifest_path.unlink(missing_ok=True)  # only now, as `changed_files` reads it
         remove_parts(self.path)
+
+    @property
+    def is_lifted_again(self) -> bool:
+        """Whether an engine began a new result of a lift that has one, and did not finish it."""
+        return (self.path / NEXT).is_dir()
+
+    def with_next_result(self) -> LiftFolder:
+        """This folder, for an engine that writes the result: as `prepare_run` left it, a new one or the only one."""
+        return replace(self, result_name=NEXT) if self.is_lifted_again else self
+
+    def drop_next_result(self) -> None:
+        """Delete an unfinished new result. Only the engine that holds the lock may call this."""
+        if self.is_lifted_again:
+            shutil.rmtree(self.path / NEXT)
+
+    def adopt_next_result(self) -> Path | None:
+        """Replace the result by a finished new one, also if a kill interrupted that. Returns where the earlier result
+        is now; None if it is gone, or there is no new one.
+
+        Only the engine that holds the lock may call this. Raises OSError.
+        """
+        new = self.with_next_result()
+        if new is self or not new.manifest_path.is_file():
+            return None
+        earlier = self.set_result_aside()
+        new.result_path.rename(self.result_path)
+        return earlier
+
+    def set_result_aside(self) -> Path | None:
+        """Move the result into `EARLIER`, as the next one has other objects, and return where it is now; or delete it
+        if it has neither passes nor files of others, and return None. Raises OSError."""
+        if not self.result_path.is_dir():
+            return None
+        listed = check_sizes(self.result_path).files if self.has_result() else ()
+        lifted = {self.manifest_path, *(self.result_path / each.path for each in listed if each.path.suffix != ".exr")}
+        if lifted.issuperset(files_below(self.result_path)):
+            shutil.rmtree(self.result_path)
+            return None
+        candidates = (self.path / EARLIER / str(number) for number in count(1))
+        earlier = next(earlier for earlier in candidates if not earlier.exists())
+        earlier.parent.mkdir(exist_ok=True)
+        self.result_path.rename(earlier)
+        return earlier
 
     def prepare_bake(self) -> None:
         """Delete an earlier run's cancel file and incomplete files; the result stays. Nothing is deleted while another
@@ -264,7 +322,7 @@ class LiftFolder:
             self.path.rmdir()
 
     def _discard(self) -> None:
-        if self.checkpoints.exists or self._has_result():
+        if self.checkpoints.exists or self.has_result():
             raise PlgsError("finished-work", "holds finished work", self.path, "Resume it, or delete it yourself.")
         (self.path / "request.json").unlink()  # first, as a folder without it is not a lift
         for name in DISCARDED:
@@ -274,7 +332,7 @@ class LiftFolder:
                 shutil.rmtree(folder)
         remove_parts(self.path)
 
-    def _has_result(self) -> bool:
+    def has_result(self) -> bool:
         """Whether there is a result. Raises PlgsError if the disk does not answer: a result may still be there."""
         try:
             check_sizes(self.result_path)
@@ -322,7 +380,9 @@ def _write_new(path: Path, text: str) -> None:
 
 DISCARDED = ("request.json", "scene.json", "preview.json", "training.csv", "cancel", "log.txt")
 FILES = (*DISCARDED, "corrections.json", "events.jsonl")
-FOLDERS = ("result", "bake", "checkpoint", "checkpoint.next", "checkpoint.old", "earlier", "exports")
+EARLIER = "earlier"
+"""The folder, within a lift's folder, for earlier results."""
+FOLDERS = ("result", NEXT, "bake", "checkpoint", "checkpoint.next", "checkpoint.old", EARLIER, "exports")
 
 
 def refuse_foreign(lift: Path, *more: str) -> None:

@@ -28,7 +28,7 @@ def damaged(key: str, what: str, path: Path) -> PlgsError:
 @dataclass(frozen=True)
 class Manifest:
     """What a finished lift made and how. ``timings``: seconds by stage. ``frames``: the original names of frames whose
-    files have other names, by file name."""
+    files have other names, by file name. ``masks``: the digest of the masks that were lifted; empty if unknown."""
 
     engine_version: str
     versions: _Facts
@@ -37,18 +37,21 @@ class Manifest:
     timings: _Facts
     files: tuple[ListedFile, ...]
     frames: Mapping[str, str] = field(default_factory=dict)
+    masks: str = ""
 
 
 def write_manifest(
-    result: Path, *, versions: _Facts, seed: int, settings: _Facts, timings: _Facts, frames: _Names | None = None
-) -> None:
+    result: Path, *, versions: _Facts, seed: int, settings: _Facts, timings: _Facts,
+    frames: _Names | None = None, masks: str = "",
+) -> None:  # fmt: skip
     """List every file of the result with its size and SHA-256. The lift is finished when this returns.
 
-    ``versions``: library name to version; ``settings``: the final values of the preset and the user's options.
+    ``versions``: library name to version; ``settings``: the final values of the preset and the user's options. The rest
+    is as in `Manifest`.
     """
     remove_parts(result)
     files = tuple(ListedFile.of(path, result) for path in files_below(result) if path != result / NAME)
-    _write(result, Manifest(__version__, versions, seed, settings, timings, files, frames or {}))
+    _write(result, Manifest(__version__, versions, seed, settings, timings, files, frames or {}, masks))
 
 
 def add_files(result: Path, paths: Sequence[Path], frames: _Names | None = None) -> None:

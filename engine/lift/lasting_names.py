@@ -195,12 +195,20 @@ def write_names(folder: LiftFolder, lasting: LastingNames, events: EventWriter) 
         events.warning("no object is where the earlier lift had one: was it lifted from the same scene?")
 
 
-def take_over_edits(folder: LiftFolder, earlier: EarlierLift, events: EventWriter) -> None:
+def take_over_edits(folder: LiftFolder, earlier: EarlierLift) -> None:
     """Add the earlier lift's corrections to this one's, whose objects now have the ids of the earlier ones. Those that
-    cannot be applied are kept and reported. Raises PlgsError if corrections cannot be read, and OSError."""
+    cannot be applied are kept. Raises PlgsError if corrections cannot be read, and OSError."""
+    if not earlier.edits:
+        return
     with editing(folder.path) as edits:
         known = {edit.uid for edit in edits}
         edits += [edit for edit in earlier.edits if not edit.undone and edit.uid not in known]
+
+
+def report_edits(folder: LiftFolder, earlier: EarlierLift, events: EventWriter) -> None:
+    """Warn of the earlier lift's corrections, applied or not, in a finished lift. Raises PlgsError."""
+    if not earlier.edits:
+        return
     corrected = read_corrected(folder.path)
     applied = sum(not edit.undone and edit.uid not in corrected.not_applied for edit in corrected.edits)
     some = plural(applied, "correction of the earlier lift applies", "corrections of the earlier lift apply")

@@ -46,7 +46,7 @@ from ..scene import (
     size_within,
     survey_scene,
 )
-from ..scene_of_lift import masks_differ, masks_last_run, refuse_changed, remember_scene
+from ..scene_of_lift import masks_differ, masks_last_run, refuse_changed, remember_scene, warn_of_earlier
 from ..train.progress import Course, StageProgress, StageReporter
 from ..train.state import OtherLabels, restore, trainer_state
 from ..train.trainer import LOSSES, Trainer
@@ -54,7 +54,14 @@ from .baking import FrameBaker, bake_and_evaluate, names_of_files
 from .device import be_repeatable, usable_device
 from .frame_sets import FRAMES, FrameSets, check_disk, frames_to_bake, predicted_lift, sets_of_frames
 from .judging import read_held_back
-from .lasting_names import keep_names, read_earlier, refuse_names_of_no_objects, take_over_edits, write_names
+from .lasting_names import (
+    keep_names,
+    read_earlier,
+    refuse_names_of_no_objects,
+    report_edits,
+    take_over_edits,
+    write_names,
+)
 from .live_previews import LivePreviews
 from .objects import MATCHERS
 from .preparation import PreparedLift, prepare
@@ -130,6 +137,7 @@ def run_lift(
     code = code_of(digest, checkpoint, events)
     with stages.stage("check") as progress:
         frames, masks_changed, findings = checked_frames(folder, preset, checkpoint, progress, events)
+        made = folder.with_next_result()
         earlier = None if request.names_from is None else read_earlier(request.names_from)
     predicted = predicted_lift(frames.all, replace(preset, frames=len(frames.training)), USUAL_MASKS, request.bake)
     left = {name: seconds for name, seconds in predicted.stages.items() if name not in ("start", "check")}  # both over
@@ -165,16 +173,19 @@ def run_lift(
         if earlier is not None:
             prepared, lasting = keep_names(earlier, prepared, seen, trainer.scene, classes)
             names = lasting.names
-            write_names(folder, lasting, events)
+            write_names(made, lasting, events)
         part, lifted = progress.part(SIFTED, 1.0), trainer.scene
-        write_scene_files(folder, frames.chosen, views, held_back, prepared, seen, lifted, events, names, part)
-        if earlier is not None and earlier.edits:
-            take_over_edits(folder, earlier, events)
+        write_scene_files(made, frames.chosen, views, held_back, prepared, seen, lifted, events, names, part)
     baker = FrameBaker(classes, trainer.scene.on(device), shown_instances(prepared, names))
     wanted = frames_to_bake(frames.all, request.bake)
-    bake_and_evaluate(folder, frames.chosen, baker, wanted, views, held_back, events, stages, findings)
+    bake_and_evaluate(made, frames.chosen, baker, wanted, views, held_back, events, stages, findings)
     previews.clear_away()
-    finish(folder, preset, stages, code, parts)
+    if earlier is not None:
+        take_over_edits(folder, earlier)  # not before: until now, they would apply to the earlier result
+    finish(made, preset, stages, code, parts)
+    warn_of_earlier(folder.adopt_next_result(), events.warning)
+    if earlier is not None:
+        report_edits(folder, earlier, events)
     remember_pace(paces, trainer)
 
 
@@ -196,6 +207,7 @@ def finish(folder: LiftFolder, preset: Preset, stages: StageReporter, code: str,
         settings=asdict(preset),
         timings=stages.timings,
         frames={file: name for name, file in names_of_files(folder).items() if name != file},
+        masks=masks_last_run(folder),
     )
 
 

@@ -165,7 +165,7 @@ def cancel_lift(settings: PLGS_PG_settings, folder: str = "") -> None:
 def why_no_bake(settings: PLGS_PG_settings) -> str | None:
     """Why the panel cannot bake passes now, or None. Never reads the disk."""
     followed = followed_lift(settings)
-    if followed is None or not (followed.is_finished or followed.is_running):
+    if followed is None or not (followed.has_result or followed.is_running):
         return "Passes are baked from a finished lift: lift the scene first, or choose a lift's folder"
     if followed.is_running:
         return "Passes are being baked: wait, or cancel it" if followed.is_baking else "The lift is still running"

@@ -131,7 +131,8 @@ _SHOWN_RECENT = 8
 
 
 class Lift(Task):
-    """A followed lift, or a later bake of its frames, started here or elsewhere. ``lift_state`` is as last read."""
+    """A followed lift, or a later bake of its frames, started here or elsewhere. ``lift_state`` and ``has_result`` are
+    as last read: a lift that was lifted again and stopped has its earlier result."""
 
     kind, cancel_operator = "lift", "plgs.cancel_lift"
 
@@ -142,6 +143,7 @@ class Lift(Task):
         self.lift_folder = follower.lift.path
         self.label = f"{'Baking' if self.is_baking else 'Lifting'} {follower.lift.path.name}"
         self.lift_state, self._is_new, self._was_watched = lift_state, is_new, lift_state is LiftState.RUNNING
+        self.has_result = self.folder.manifest_path.is_file()
         self._pictures_seen = 0
         self.scene_is_there = os.path.exists(follower.lift.request.scene)
 
@@ -180,9 +182,9 @@ class Lift(Task):
     def done(self, scene: Any) -> Iterator[object]:
         """Put baked passes where the lift is shown, and a finished result into the scene, if its panel wants it."""
         try:
-            self.lift_state = self.folder.state_at_a_glance()
+            self.lift_state, self.has_result = self.folder.state_at_a_glance(), self.folder.manifest_path.is_file()
         except (PlgsError, OSError):  # the folder was deleted, or its disk removed
-            self.lift_state = LiftState.INTERRUPTED
+            self.lift_state, self.has_result = LiftState.INTERRUPTED, False
         if self._is_new and self.error is not None and self.folder.came_to_nothing():
             self.folder.discard()  # so that the lift can be started again once the scene is fixed
         refresh_recent()

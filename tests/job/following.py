@@ -27,8 +27,10 @@ def tiny_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resu
     events.stage("train", 1, 1, "Training")
     stop.check()
     events.progress("train", 1, 1, loss=0.5, eta_s=0.0)
-    write_atomically(folder.result_path / "metrics.json", '{"format": 1, "test_frames": [], "tables": []}')
-    write_manifest(folder.result_path, versions={}, seed=folder.request.seed, settings={}, timings={"train": 0.0})
+    made = folder.with_next_result().result_path
+    write_atomically(made / "metrics.json", '{"format": 1, "test_frames": [], "tables": []}')
+    write_manifest(made, versions={}, seed=folder.request.seed, settings={}, timings={"train": 0.0})
+    folder.adopt_next_result()
 
 
 def follow(follower: TaskFollower, until: Callable[[], bool] = lambda: False) -> None:

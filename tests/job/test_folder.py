@@ -2,12 +2,23 @@
 
 import errno
 import os
+import shutil
 from pathlib import Path
 
 import pytest
 
 from engine.errors import PlgsError
-from engine.job import EventWriter, LiftFolder, LiftRequest, LiftState, StopSignal
+from engine.job import (
+    EventWriter,
+    LiftFolder,
+    LiftRequest,
+    LiftState,
+    StopSignal,
+    add_files,
+    read_manifest,
+    write_atomically,
+    write_manifest,
+)
 from tests.job.following import new_lift, tiny_lift
 from tests.raises_key import raises_key
 
@@ -91,12 +102,57 @@ def test_prepare_run_clears_leftovers_of_earlier_run(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     run_tiny(folder)
     folder.checkpoints.save({"step": 1}, lambda path: (path / "m").write_bytes(b""))
+    (folder.result_path / "damaged.npz").write_bytes(b"1")
+    add_files(folder.result_path, [folder.result_path / "damaged.npz"])
+    (folder.result_path / "damaged.npz").write_bytes(b"2")
     folder.task_files.ask_to_cancel()
     (folder.result_path / ".part-x.exr").write_bytes(b"")
     folder.prepare_run()
-    assert not folder.cancel_path.exists() and not folder.manifest_path.exists()
+    assert not folder.cancel_path.exists() and not folder.manifest_path.exists() and not folder.is_lifted_again
     assert folder.checkpoints.latest() is not None
     assert [path.name for path in folder.result_path.iterdir()] == ["metrics.json"]
+
+
+@pytest.mark.parametrize("kept", ["nothing else", "passes", "a file of others"])
+def test_result_stays_until_there_is_a_new_one(kept: str, tmp_path: Path) -> None:
+    """It can be baked and exported until then, and its passes and others' files are never deleted."""
+    folder = new_lift(tmp_path)
+    run_tiny(folder)
+    before, added = folder.manifest_path.read_bytes(), folder.passes_path / "0001.exr"
+    if kept != "nothing else":
+        added = added if kept == "passes" else folder.result_path / "grade.blend"
+        write_atomically(added, b"work")
+        if kept == "passes":
+            add_files(folder.result_path, [added])
+            before = folder.manifest_path.read_bytes()
+    folder.prepare_run()
+    made = folder.with_next_result()
+    (made.result_path / "half").write_bytes(b"1")
+    assert folder.adopt_next_result() is None and folder.manifest_path.read_bytes() == before and folder.is_whole()
+    assert folder.state() is folder.state_at_a_glance() is not LiftState.FINISHED
+    folder.prepare_run()
+    assert [*made.result_path.iterdir()] == []
+    (made.result_path / "metrics.json").write_text("{}")
+    write_manifest(made.result_path, versions={}, seed=1, settings={}, timings={})
+    earlier = folder.adopt_next_result()
+    assert folder.state() is folder.state_at_a_glance() is LiftState.FINISHED and not folder.is_lifted_again
+    assert read_manifest(folder.result_path).seed == 1 and not added.exists()
+    if kept == "nothing else":
+        assert earlier is None
+    else:
+        assert earlier is not None and (earlier / added.relative_to(folder.result_path)).read_bytes() == b"work"
+
+
+def test_a_kill_between_two_results_loses_none(tmp_path: Path) -> None:
+    folder = new_lift(tmp_path)
+    run_tiny(folder)
+    folder.prepare_run()
+    made = folder.with_next_result().result_path
+    (made / "metrics.json").write_text("{}")
+    write_manifest(made, versions={}, seed=1, settings={}, timings={})
+    shutil.rmtree(folder.result_path)
+    folder.adopt_next_result()
+    assert folder.state() is LiftState.FINISHED and read_manifest(folder.result_path).seed == 1
 
 
 def test_a_file_that_cannot_be_read_now_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,8 @@ from tests.raises_key import raises_key
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFOs here")
 NAMES = ["request.json", "events.jsonl", "cancel", "preview.json", "log.txt", "result", "bake", "checkpoint",
          "checkpoint.next", "checkpoint.old", ".part-checkpoint", "result/manifest.json", "result/metrics.json",
-         "result/.part-metrics.json", "bake/view-0.lock", "earlier", "earlier/1", "earlier/1/passes", "exports",
+         "result/.part-metrics.json", "result.next", "result.next/passes",
+         "bake/view-0.lock", "earlier", "earlier/1", "earlier/1/passes", "exports",
          "exports/boxes", "exports/boxes/boxes.csv"]  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from engine.instances.records import SceneObject
 from engine.job import EventWriter, LiftFolder, LiftRequest, read_manifest, write_manifest
 from engine.lift import run as lift_run
 from engine.lift import scene_files
-from engine.lift.lasting_names import EarlierLift, lasting_names, read_earlier, take_over_edits
+from engine.lift.lasting_names import EarlierLift, lasting_names, read_earlier, report_edits, take_over_edits
 from engine.passes.exr import read_exr
 from engine.result_files import SemanticPoints, read_arrays
 from engine.scene import Category, ClassTable, open_scene
@@ -197,7 +197,8 @@ def test_corrections_are_carried_over_and_lost_ones_are_reported(tmp_path: Path)
     assert earlier.largest_id == 4  # no object of the next lift gets the id of a part
     events = EventWriter(new.events_path)
     for _ in range(2):  # a lift that is resumed does it again
-        take_over_edits(new, earlier, events)
+        take_over_edits(new, earlier)
+    report_edits(new, earlier, events)
     events.close()
     assert [edit.kind for edit in read_edits(new.path)] == ["rename", "split", "delete"]
     assert {one.id: one.name for one in read_corrected(new.path).instances} == {1: "chair 1", 2: "desk", 4: "chair 2"}

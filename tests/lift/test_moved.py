@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from engine.command_line.main import main
+from engine.errors import Cancelled
 from engine.export.run import export
-from engine.job import ExitCode, LiftFolder, LiftRequest
+from engine.job import ExitCode, LiftFolder, LiftRequest, LiftState
 from engine.presets.preset import PRESETS
 from engine.result_files import read_instances
 from engine.scene_of_lift import relink, scene_of_lift
@@ -180,6 +181,29 @@ def test_new_result_excludes_views_of_earlier_masks(home: Path, monkeypatch: pyt
     assert (earlier / "0001.exr").read_bytes() == before and (earlier / "grade.blend").exists()
     assert main(["bake", str(lift.path), "--frames", "0001"]) == ExitCode.FINISHED
     assert view.read_bytes() != before
+
+
+def test_a_stopped_lift_of_other_masks_leaves_the_result(
+    home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(PRESETS, "preview", TINY)
+    lift, scene = relink(LiftFolder.open(home / "lift"), home.parent / "found"), home.parent / "found"
+    before, again = lift.manifest_path.read_bytes(), ["lift", str(lift.path), "--resume"]
+
+    def stopped(*_: object) -> None:
+        raise Cancelled
+
+    table = (scene / "panoptic.json").read_text()
+    reclass(scene, CHAIR_ID, CABINET_ID)
+    with monkeypatch.context() as patched:
+        patched.setattr("engine.lift.run.bake_and_evaluate", stopped)
+        assert main(again) == ExitCode.CANCELLED
+    assert lift.manifest_path.read_bytes() == before and lift.is_whole() and lift.state() is LiftState.CANCELLED
+    assert main(["bake", str(lift.path), "--frames", "0001"]) == ExitCode.FINISHED
+    assert lift.state() is not LiftState.FINISHED
+    (scene / "panoptic.json").write_text(table)
+    assert main(again) == ExitCode.FINISHED and "finished already" in capsys.readouterr().out
+    assert lift.state() is LiftState.FINISHED and (lift.passes_path / "0001.exr").exists()
 
 
 def test_next_result_has_renamed_classes(home: Path) -> None:

@@ -197,8 +197,12 @@ def test_a_lift_that_was_cancelled_is_resumed_first_and_a_running_one_ends_with_
     assert not bpy.ops.plgs.quit.poll()
     bpy.context.scene.plgs.keep_running = False
     follower.state, follower.is_running, followed.lift_state = TaskState.CANCELLED, False, LiftState.CANCELLED
+    followed.has_result = False
     shown = drawn()
     assert shown.index("plgs.resume_lift") < shown.index("plgs.lift_scene Start Anew") and not bpy.ops.plgs.quit.poll()
+    assert "plgs.place_lift" not in shown
+    followed.has_result = True  # an earlier one, as it is lifted again
+    assert "plgs.place_lift" in drawn()
 
 
 def test_once_a_result_is_shown_the_steps_before_it_are_folded(tmp_path: Path) -> None:
