@@ -63,7 +63,7 @@ from plgs.engine.job.cameras import frame_numbers
 from plgs.engine.job.lock import FileLock
 from plgs.engine.job.process import clean_environment, engine_python, missing_modules
 from plgs.engine.job.report import made_files, metrics_text, read_metrics
-from plgs.engine.job.request import add_lift_options, add_progress_option, given_lift_options, readable
+from plgs.engine.job.request import Parser, add_lift_options, add_progress_option, given_lift_options, readable
 from plgs.engine.job.terminal import Interrupted, Interrupts, ask_engine, lift_in_terminal, stdout_for_events
 
 
@@ -94,13 +94,6 @@ def main(arguments: Sequence[str]) -> int:
         again = "with --resume to continue" if options.scene is not None else "to continue"
         print(f"Stopped. Give the same command again {again}: {options.output}", file=sys.stderr)
         return interrupted.exit_code
-
-
-class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line, without the usage."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"error: {message}. --help lists all options.\n")
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:

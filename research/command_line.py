@@ -17,6 +17,7 @@ from engine.command_line.main import make_parser as parser_of_the_engine
 from engine.errors import PlgsError
 from engine.job import ExitCode, LiftFolder
 from engine.job.request import (
+    Parser,
     add_amount_options,
     add_options,
     add_set_option,
@@ -52,7 +53,7 @@ def _parser_of_the_engine() -> argparse.ArgumentParser:
 
 
 def make_parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m research",
         description="Baselines, experiments and benches. The engine's commands "
         f"{', '.join(OF_THE_ENGINE)} are here too, with the baselines' options.",

@@ -15,6 +15,7 @@ from ..gates import printable
 from ..job import CHANNELS, FURTHER_LAYERS, EventWriter, ExitCode, StopSignal
 from ..job.handshake import ADDED, CAPABILITIES
 from ..job.request import (
+    Parser,
     add_lift_options,
     add_options,
     add_progress_option,
@@ -42,7 +43,7 @@ EXPORTS = (
 
 
 def make_parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m engine", description="Panoptic lifting with structured 3D Gaussians, without Blender."
     )
     parser.add_argument("--version", action="version", version=__version__)

@@ -10,10 +10,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NoReturn, get_args
 
 from .. import __version__
-from ..errors import PlgsError
+from ..errors import PlgsError, one_line
 from ..json_file import Json, read_object, to_text
 from ..presets.options import (
     changed_options,
@@ -32,10 +32,10 @@ PresetName = Literal["preview", "standard", "paper"]
 Bake = Literal["test", "all", "none"]
 Device = Literal["cpu", "cuda", "auto"]
 FURTHER_LAYERS = ("normal", "position", "vector")
+"""Layers of the passes that are written only if they are chosen. All follow from the depth, and take as much space as
+the colour, or more."""
 CHANNELS = ("blender", "nuke")
 """Programs whose naming of channels passes can follow."""
-"""Layers of the passes that are written only if they are chosen. Both follow from the depth, and take as much space as
-the colour, or more."""
 BAKES: tuple[str, ...] = get_args(Bake)
 DEVICES: tuple[str, ...] = get_args(Device)
 _NO_BLOCKS = "A long capture fits without blocks: lift again without them, with fewer --frames if memory is short"
@@ -177,6 +177,13 @@ DEFAULTS = LiftRequest(scene=Path(Path(__file__).anchor))
 _OF_PRESET = ("steps", "size", "frames", "set")
 """The options that change those of the preset."""
 _FIELDS = {each.name: each.metadata["option"] for each in fields(LiftRequest) if "option" in each.metadata}
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line, without the usage. Its subparsers are of this class, too."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, one_line(f"error: {message.rstrip('.')}. '{self.prog} --help' lists all options.") + "\n")
 
 
 def add_options(parser: argparse.ArgumentParser, *names: str) -> None:

@@ -60,13 +60,14 @@ def test_a_reader_that_stops_early_is_not_an_error(root: Path, arguments: list[s
 def test_wrong_arguments_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     for arguments in ([], ["dance"], ["lift"], ["lift", tmp_path, "--size", "big"], ["inspect", tmp_path, "--up", "x"]):
         assert code_of(*arguments) == 2
-        assert "usage:" in capsys.readouterr().err
+        told = capsys.readouterr().err
+        assert told.startswith("error: ") and told.endswith("--help' lists all options.\n") and told.count("\n") == 1
 
 
 @pytest.mark.parametrize("text", ["-5", "0", "5-2", "1e3", "many", "9" * 5000])
 def test_invalid_frame_number_is_refused(text: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert code_of("lift", tmp_path, "-o", tmp_path / "out", "--frames", text) == 2
-    *_, told = capsys.readouterr().err.strip().splitlines()
+    told = capsys.readouterr().err
     assert "argument --frames" in told and "number" in told
     assert code_of("lift", tmp_path, "-o", tmp_path / "out", "--frames", "9999999") == 2
     said = capsys.readouterr().err
