@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 import tempfile
+import zlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -282,8 +283,9 @@ def passes_scene_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
 
 
 def shot_name(camera: bpy.types.Object, given: str = "", later: int = 0) -> str:
-    """The name of a camera's views, without their numbers: ``given``, else the names of the .blend and the camera, cut
-    to fit a file name. Raises PlgsError for a given name that is too long.
+    """The name of a camera's views, without their numbers: ``given``, else the names of the .blend and the camera. A
+    long one of these is cut, and ends in a number of the whole, so that other names stay other names. Raises PlgsError
+    for a given name that is too long.
 
     ``given`` may have fields of Python's format strings: {shot} (the .blend's name without its version), {camera},
     {layer} ("passes"), {version} (the .blend's, such as 12 of "_v012", else 1, plus ``later``), and at the end
@@ -296,7 +298,12 @@ def shot_name(camera: bpy.types.Object, given: str = "", later: int = 0) -> str:
         raise PlgsError("long-name", what, given, "Give it a shorter one with --shot.", option="--shot")
     words = [given] if given else [bpy.path.display_name_from_filepath(bpy.data.filepath), camera.name]
     most = _LONGEST_NAME // len(words)
-    return safe_name("_".join(safe_name(word)[:most].rstrip(". ") for word in words if word))
+    return safe_name("_".join(_short(word, most) for word in words if word))
+
+
+def _short(text: str, most: int) -> str:
+    name = safe_name(text)
+    return name if len(name) <= most else f"{name[: most - 9]}_{zlib.crc32(text.encode(errors='replace')):08x}"
 
 
 def _filled(template: str, camera: bpy.types.Object, later: int) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,7 +18,7 @@ from ..engine.job.task import TaskState
 from ..engine.job.terminal import Interrupts, LiveLine, follow
 from .engine_environment import studio
 from .lift_scene import open_blend
-from .shots import Shot, shot_of, write_shot
+from .shots import Shot, ShotReader, shot_of
 
 JOB = "farm.json"
 _CHUNK = 50
@@ -51,10 +52,12 @@ def bake_shot_in_terminal(
     shot = shot_of(scene, camera, given=name, only=frames, motion="vector" in layers)
     if shot.given and not name:
         print(f"From {studio().file}: names {shot.given}", file=sys.stderr)
-    for what in shot.not_baked:
+    for what in shot.warnings:
         print(f"warning: {what}", file=sys.stderr)
+    reader = ShotReader(scene, shot)
+    reader.read_for(math.inf)
     try:
-        cameras = write_shot(lift.path, scene, shot, replace=replace, output=output)
+        cameras = reader.write(lift.path, replace=replace, output=output)
     except OSError as error:
         fix = "Name a folder that you can write to, on a disk with free space."
         raise PlgsError("unwritable", f"cannot be written to ({error.strerror})", output or lift.path, fix) from error
@@ -67,6 +70,7 @@ def bake_shot_in_terminal(
             is_busy = follower.error is not None and follower.error.code is ErrorCode.BUSY
             if not is_busy or follower.files != lift.task_files or interrupts.pending is not None:
                 break  # else another bake has the lift's own task files: bake with others
+    reader.withdraw_unbaked(follower)
     if follower.error is not None:
         print(f"error: {follower.error}", file=sys.stderr)
     elif follower.state is TaskState.CANCELLED:

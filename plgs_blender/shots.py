@@ -11,7 +11,7 @@ import math
 import time
 import zlib
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,9 @@ import numpy as np
 from ..engine.errors import PlgsError
 from ..engine.job import BakeCamera, write_atomically
 from ..engine.job.cameras import LARGEST_SIDE, PreviewCamera, safe_name, write_cameras
+from ..engine.job.follower import TaskFollower
 from ..engine.job.lock import FileLock
+from ..engine.job.task import TaskState
 from ..engine.posed import Camera
 from ..engine.records import read_record, record_text
 from .cameras import seen_by
@@ -66,14 +68,17 @@ class Shot:
         return self.only or range(self.first, self.last + 1, self.step)
 
     @property
-    def not_baked(self) -> list[str]:
-        """Warnings about what Blender would render but a bake leaves out."""
+    def warnings(self) -> list[str]:
+        """What Blender would render but a bake leaves out, and that the shot is not named as its file and camera."""
         scenes = self.camera.users_scene
         found = ["depth of field"] if self.camera.type == "CAMERA" and self.camera.data.dof.use_dof else []
         found += ["motion blur"] if any(scene.render.use_motion_blur for scene in scenes) else []
         warnings = [f"{what} is not baked: {self.camera.name} is sharp in the passes" for what in found]
         if any(scene.render.use_border and not scene.render.use_crop_to_border for scene in scenes):
             warnings.append("the render region is not cropped to, so whole pictures are baked")
+        words = bpy.path.display_name_from_filepath(bpy.data.filepath), self.camera.name
+        if not self.given and any(word not in self.name for word in words):
+            warnings.append(f"the names of the .blend and the camera do not fit: the shot is named {self.name}")
         return warnings
 
 
@@ -121,15 +126,6 @@ def _cameras_to_choose(scene: bpy.types.Scene, wanted: str) -> str:
     return f"Choose one of its cameras: {names}{more}."
 
 
-def write_shot(
-    lift: Path, scene: bpy.types.Scene, shot: Shot, *, replace: bool = False, output: Path | None = None
-) -> Path:
-    """Write the shot's cameras into the lift's folder or ``output``, and return the file. Raises PlgsError, OSError."""
-    reader = ShotReader(scene, shot)
-    reader.read_for(math.inf)
-    return reader.write(lift, replace=replace, output=output)
-
-
 @dataclass(frozen=True)
 class ShotSource:
     """The origin of a lift's shot: its ``camera`` in ``blend`` (unsaved: its Blender's temporary folder), and the
@@ -145,20 +141,49 @@ class ShotSource:
         return VERSION.sub("", self.blend), self.camera
 
 
-def _claim(folder: Path, name: str, source: ShotSource, *, replace: bool) -> None:
+@dataclass(frozen=True)
+class _Claim:
+    """The record of a shot in a folder, and its text ``before`` (empty: there was none) and after a bake began.
+    ``made`` are the files and folders that are new."""
+
+    path: Path
+    before: str
+    text: str
+    made: Sequence[Path]
+
+    def withdraw(self) -> None:
+        """Leave all as it was, unless another bake has claimed more frames since then. Raises OSError, PlgsError."""
+        lock = self.path.with_suffix(".lock")
+        with FileLock(lock, _CLAIM_S):
+            if self.path.read_text(encoding="utf-8") != self.text:
+                return
+            if self.before:
+                write_atomically(self.path, self.before)
+            for path in self.made:
+                if path.is_file() and path != lock:
+                    path.unlink()
+        for path in self.made:
+            path.rmdir() if path.is_dir() else path.unlink(missing_ok=True)
+
+
+def _claim(folder: Path, name: str, source: ShotSource, cameras: Path, *, replace: bool) -> _Claim:
     """Record in a folder which shot has this ``name`` and what its camera shows. Raises PlgsError if a bake would
     overwrite another shot, or one with another camera, unless ``replace``."""
-    path = folder / f"{name}.shot.json"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with FileLock(path.with_suffix(".lock"), _CLAIM_S):  # others may begin to bake the same shot
+    path, before = folder / f"{name}.shot.json", ""
+    lock = path.with_suffix(".lock")
+    made = [each for each in (path, cameras, lock, folder, *folder.parents) if not each.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    with FileLock(lock, _CLAIM_S):  # others may begin to bake the same shot
         if path.exists():
             other = read_record(ShotSource, path, "Delete it, if no other file bakes a shot of this name.")
             if not replace:
                 _refuse_other(folder, name, other, source)
             source = dataclasses.replace(source, frames=other.frames | source.frames)
-            if other == source:
-                return
-        write_atomically(path, record_text(source))
+            before = path.read_text(encoding="utf-8")
+        text = record_text(source)
+        if text != before:
+            write_atomically(path, text)
+    return _Claim(path, before, text, made)
 
 
 def _refuse_other(folder: Path, name: str, other: ShotSource, source: ShotSource) -> None:
@@ -214,6 +239,7 @@ class ShotReader:
             which = f"{shot.only[0]}-{shot.only[-1]}.{zlib.crc32(repr(shot.only).encode()):08x}"
         self._which = which
         self._stands_still: bool | None = None
+        self._claim: _Claim | None = None
 
     @property
     def progress(self) -> tuple[int, int]:
@@ -265,7 +291,8 @@ class ShotReader:
         return replace(now, previous=previous.pinhole, next=following.pinhole)
 
     def write(self, lift: Path, *, replace: bool = False, output: Path | None = None) -> Path:
-        """Same as `write_shot`, once all frames are read."""
+        """Once all frames are read: write the shot's cameras into the lift's folder or ``output``, and return the file.
+        Raises PlgsError, OSError."""
         source = self._source
         if Path(source.blend).parent == lift:  # relative, as the folder may be moved
             source = ShotSource(Path(source.blend).name, source.camera)
@@ -274,16 +301,22 @@ class ShotReader:
             self._shot = name
             cameras = self.cameras
             shown = {numbered_name("", frame, 1)[1:]: camera.fingerprint for frame, camera in self._shown}
+            file = folder / f"{name}.{self._which}.json"
             try:
-                _claim(folder, name, dataclasses.replace(source, frames=shown), replace=replace)
+                self._claim = _claim(folder, name, dataclasses.replace(source, frames=shown), file, replace=replace)
             except PlgsError as error:
                 if error.key != "shot-changed" or name == self._names[-1]:
                     raise
                 continue
             break
-        file = folder / f"{name}.{self._which}.json"
         write_cameras(file, cameras)
         return file
+
+    def withdraw_unbaked(self, bake: TaskFollower) -> None:
+        """Undo `write` if the bake ended before its first view, as one does that the engine refuses."""
+        if self._claim is not None and bake.state is not TaskState.FINISHED and bake.progress.stage != "bake":
+            with suppress(OSError, PlgsError):  # then a name stays taken, which another bake will say
+                self._claim.withdraw()
 
 
 def _may_move(scene: bpy.types.Scene, ob: bpy.types.Object) -> bool:

@@ -116,7 +116,7 @@ def test_only_own_files_are_replaced(
     first, *_, error = capsys.readouterr().err.splitlines()
     assert first == f"From {tmp_path / 'studio.toml'}: names {{shot}}_ff"
     assert error.startswith("error: ") and str(theirs) in error and "--replace" in error
-    assert theirs.read_text() == "another program's"
+    assert theirs.read_text() == "another program's" and not (tmp_path / ".plgs").exists()
     assert exit_code(run_plgs.main, *command, "--passes", tmp_path, "--replace") == 0
     assert read_exr(theirs).depth.shape == (45, 80)
 

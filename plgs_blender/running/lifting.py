@@ -189,9 +189,12 @@ def bake_shot(scene: bpy.types.Scene, shot: ShotReader, folder: str = "", *, rep
     """Let an engine bake passes of a finished lift from a camera that was read. Views already baked from it are kept.
     Raises OSError, and PlgsError, also for the name of another file's shot, unless ``replace``."""
     lift = lift_at(scene.plgs, folder)
-    cameras, python = shot.write(lift.path, replace=replace), engine_environment.usable_python()
+    python = engine_environment.usable_python()
     layers, keep_running = sorted(scene.plgs.layers), scene.plgs.keep_running
-    return lifts.bake(lift, python, cameras=cameras, layers=layers, keep_running=keep_running)
+    cameras = shot.write(lift.path, replace=replace)
+    bake = lifts.bake(lift, python, cameras=cameras, layers=layers, keep_running=keep_running)
+    bake.shot = shot
+    return bake
 
 
 def bake_on_farm(scene: bpy.types.Scene, folder: str = "") -> Path:

@@ -33,6 +33,7 @@ from ..lift_scene import place_passes_anew, place_room, reading_lift
 from ..owned import FOLDER, Placed, is_placed, tag, text_of
 from ..registry import Task
 from ..settings import PLGS_PG_settings, adopt, chosen_lift
+from ..shots import ShotReader
 from ..viewport import own_view, taking_over
 from . import exports
 
@@ -132,9 +133,10 @@ _SHOWN_RECENT = 8
 
 class Lift(Task):
     """A followed lift, or a later bake of its frames, started here or elsewhere. ``lift_state`` and ``has_result`` are
-    as last read: a lift that was lifted again and stopped has its earlier result."""
+    as last read: a lift that was lifted again and stopped has its earlier result. ``shot`` is what it bakes."""
 
     kind, cancel_operator = "lift", "plgs.cancel_lift"
+    shot: ShotReader | None = None
 
     def __init__(self, follower: TaskFollower, lift_state: LiftState = LiftState.RUNNING, is_new: bool = False) -> None:
         super().__init__(follower)
@@ -187,6 +189,8 @@ class Lift(Task):
             self.lift_state, self.has_result = LiftState.INTERRUPTED, False
         if self._is_new and self.error is not None and self.folder.came_to_nothing():
             self.folder.discard()  # so that the lift can be started again once the scene is fixed
+        if self.shot is not None:
+            self.shot.withdraw_unbaked(self.follower)
         refresh_recent()
         if not self.has_finished:
             return

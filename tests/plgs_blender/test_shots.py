@@ -5,6 +5,7 @@ import shutil
 from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import bpy
 import numpy as np
@@ -12,7 +13,7 @@ import OpenEXR
 import pytest
 from plgs.engine.job import BakeCamera, read_cameras
 from plgs.plgs_blender.passes import sequences
-from plgs.plgs_blender.shots import Shot, ShotReader, numbered_name, shot_of, write_shot
+from plgs.plgs_blender.shots import Shot, ShotReader, numbered_name, shot_of
 
 from tests.raises_key import raises_key
 
@@ -44,6 +45,12 @@ def cameras_of(scene: bpy.types.Scene, shot: Shot) -> list[BakeCamera]:
     reader = ShotReader(scene, shot)
     assert reader.read_for(math.inf)
     return reader.cameras
+
+
+def write_shot(lift: Path, scene: bpy.types.Scene, shot: Shot, **given: Any) -> Path:
+    reader = ShotReader(scene, shot)
+    reader.read_for(math.inf)
+    return reader.write(lift, **given)
 
 
 def rendered_positions(scene: bpy.types.Scene, frame: int, folder: Path) -> np.ndarray:
@@ -141,7 +148,7 @@ def test_the_render_region_if_it_is_cropped_to(scene: bpy.types.Scene, tmp_path:
     assert np.abs(projected(camera, position[hit])[0] - np.stack([column + 0.5, row + 0.5], axis=-1)).max() < 0.05
     render.use_crop_to_border = False
     whole = cameras_of(scene, shot_of(scene))[2]
-    assert (whole.pinhole.width, whole.pinhole.height) == (96, 72) and "render region" in shot_of(scene).not_baked[0]
+    assert (whole.pinhole.width, whole.pinhole.height) == (96, 72) and "render region" in shot_of(scene).warnings[0]
 
 
 def test_overscan_is_around_the_display_window(scene: bpy.types.Scene) -> None:
@@ -267,6 +274,20 @@ def test_shots_of_two_files_do_not_replace_each_other(scene: bpy.types.Scene, tm
             write_shot(lift, bpy.context.scene, shot_of(bpy.context.scene, given="pan"), output=output)
 
 
+def test_a_refused_bake_leaves_nothing(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    def ended(stage: str, last: int) -> list[str]:
+        reader, progress = ShotReader(scene, shot_of(scene, last=last)), SimpleNamespace(stage=stage)
+        reader.read_for(math.inf)
+        reader.write(tmp_path, output=tmp_path / "new" / "passes")
+        reader.withdraw_unbaked(SimpleNamespace(progress=progress, state=None))
+        return sorted(path.name for path in tmp_path.rglob("*") if path.is_file())
+
+    assert ended("open", 3) == [] == [*tmp_path.iterdir()]
+    scene.camera.data.animation_data_clear()
+    begun = ["dolly.1-3x1.json", "dolly.shot.json", "dolly.shot.lock"]
+    assert ended("bake", 3) == ended("open", 3) == ended("open", 4) == begun
+
+
 def test_another_camera_of_the_same_file_is_said(scene: bpy.types.Scene, tmp_path: Path) -> None:
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "day.blend"))
     write_shot(tmp_path, scene, shot_of(scene, given="pan_v{version}"))
@@ -307,7 +328,18 @@ def test_an_unknown_field_of_a_name_is_refused(template: str, scene: bpy.types.S
         ShotReader(scene, shot_of(scene, given=template))
 
 
-def test_a_name_is_never_cut(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_long_names_are_cut_and_stay_different(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / f"{'night' * 12}.blend"))
+    names = set()
+    for camera in ("dolly", "d" * 50 + "1", "d" * 50 + "2"):
+        scene.camera.name = camera
+        shot = shot_of(scene)
+        names.add(write_shot(tmp_path, scene, shot).name)
+        assert len(shot.name) <= 81 and shot.name in shot.warnings[-1]
+    assert len(names) == 3
+
+
+def test_a_given_name_is_never_cut(scene: bpy.types.Scene, tmp_path: Path) -> None:
     longest = "n" * 75 + "_v{version:03d}"
     assert Shot(scene.camera, 1, 1, given=longest).name == "n" * 75 + "_v001"
     with raises_key("long-name --shot"):
