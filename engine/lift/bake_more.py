@@ -266,7 +266,7 @@ class _OwnFolder:
             return False
         if is_whole(path, {**notes, **_notes_of(view, self._layers), **self._model}, self._layers):
             return True
-        if not self._replace and not is_own(path):
+        if not self._replace and not (is_own(path) and read_note(path, MODEL_NOTE)):
             fix = "Give another folder, or add --replace to overwrite it."
             raise PlgsError("foreign-file", "was not written by PLGS", path, fix, option="--replace")
         return False

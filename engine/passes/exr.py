@@ -62,6 +62,10 @@ REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 NOTHING_SHOWN = ShownFrame()
 _SOFTWARE = "PLGS "
 """Start of the header's attribute of this name in each file that is written."""
+_OWN = {"type", "channels", "compression", "lineOrder", "dataWindow", "displayWindow", "pixelAspectRatio", "software"}
+_OWN |= {"screenWindowWidth", "screenWindowCenter", "chromaticities", "colorInteropID", "worldToCamera", "worldToNDC"}
+_OWN |= {"imageCounter", "timeCode", _RATE}
+"""The header's attributes, beside Cryptomatte's and our own notes."""
 
 
 def frame_header(camera: Camera, shown: ShownFrame, name: str) -> dict[str, Any]:
@@ -220,9 +224,12 @@ def read_note(path: Path, name: str) -> str | None:
 
 
 def is_own(path: Path) -> bool:
-    """Whether a file's header says that PLGS wrote it. Raises OSError."""
+    """Whether a file's header says that PLGS wrote it, and no other program afterwards: those that keep all attributes
+    add their own, such as capDate, or leave out the type. Raises OSError."""
     try:
-        return (read_note(path, "software") or "").startswith(_SOFTWARE)
+        names = {name.decode("utf-8", "replace") for name in _header(path).attributes}
+        others = {name for name in names - _OWN if not name.startswith(("plgs/", "cryptomatte/"))}
+        return not others and "type" in names and (read_note(path, "software") or "").startswith(_SOFTWARE)
     except ValueError:
         return False
 

@@ -28,8 +28,9 @@ _FIX = "Write this file again."
 
 @dataclass(frozen=True)
 class ExrHeader:
-    """``size`` is (width, height) of the picture; ``channels`` maps each channel to its bytes per number. ``start``
-    holds the file's first eight bytes, ``attributes`` the kind and the value of each as stored."""
+    """``size`` is (width, height) of what is stored: the picture, a part of it, or more than it. ``channels`` maps each
+    channel to its bytes per number. ``start`` holds the file's first eight bytes, ``attributes`` the kind and the value
+    of each as stored."""
 
     size: Size
     channels: Mapping[str, int]
@@ -41,18 +42,24 @@ class ExrHeader:
         """The number of values in all channels."""
         return self.size[0] * self.size[1] * len(self.channels)
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether exactly the picture is stored, without overscan."""
+        return self.attributes[b"dataWindow"] == self.attributes[b"displayWindow"]
+
 
 def read_exr_header(path: Path) -> ExrHeader:
-    """The header of a file. Raises PlgsError, including for a multi-part file, and for a part of a picture."""
+    """The header of a file. Raises PlgsError, including for a multi-part file."""
     start, attributes = _attributes_of(path)
     try:
-        windows = [struct.unpack("<4i", attributes[name][1]) for name in (b"dataWindow", b"displayWindow")]
+        (left, top, right, bottom), _ = (
+            struct.unpack("<4i", attributes[name][1]) for name in (b"dataWindow", b"displayWindow")
+        )
         channels = _channels(attributes[b"channels"][1])
     except (KeyError, ValueError, IndexError, struct.error) as error:
         raise PlgsError("exr-header", "the OpenEXR header is cut off or makes no sense", path, _FIX) from error
-    left, top, right, bottom = windows[0]
     width, height = right - left + 1, bottom - top + 1
-    if windows[0] != windows[1] or min(width, height) < 1 or width * height > LARGEST_PIXELS:
+    if min(width, height) < 1 or width * height > LARGEST_PIXELS:
         raise PlgsError("bad-size", f"{width}x{height} is not a valid picture size", path, _FIX)
     header = ExrHeader((width, height), channels, start, attributes)
     if header.numbers > _MOST_NUMBERS:

@@ -13,7 +13,7 @@ import pytest
 from engine import __version__
 from engine.job import FURTHER_LAYERS
 from engine.passes.baked_view import BakedView, ShownInstances, bake_view
-from engine.passes.exr import ShownFrame, further_layers, read_exr, write_exr
+from engine.passes.exr import ShownFrame, further_layers, is_own, read_exr, write_exr
 from engine.passes.layers import decide
 from tests.passes.views import CLASSES, EDGE, LEFT, NAMES, NOTHING, RIGHT, made_rendering
 
@@ -136,6 +136,7 @@ def test_header_describes_frame_and_camera(name: str, shown: ShownFrame, noted: 
     view, path = _baked(), tmp_path / f"{name}.exr"
     camera = replace(view.camera, fy=view.camera.fy * 1.5)
     write_exr(path, replace(view, camera=camera), shown=shown)
+    assert is_own(path) and further_layers(path) == set() and read_exr(path).depth.shape == camera.size[::-1]
     with OpenEXR.File(str(path)) as file:
         header = dict(file.header())
     code = header.pop("timeCode", None)
@@ -206,6 +207,7 @@ def test_openimageio_reads_the_same(tmp_path: Path) -> None:
     copy = oiio.ImageOutput.create(str(tmp_path / "b.exr"))  # as a tool that passes the file on
     assert copy.open(str(tmp_path / "b.exr"), spec) and copy.write_image(pixels)
     copy.close()
+    assert is_own(path) and not is_own(tmp_path / "b.exr")
     one, other = read_exr(path), read_exr(tmp_path / "b.exr")
     assert all((getattr(one, field.name) == getattr(other, field.name)).all() for field in fields(one))
 

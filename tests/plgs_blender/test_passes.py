@@ -135,11 +135,11 @@ def test_placing_reads_no_picture(lift: Path) -> None:
         assert image.filepath.endswith(f"{passes_scene().timeline_markers[0].name}.exr")
 
 
-def bake_shot(lift: LiftFolder, files: dict[str, int]) -> None:
+def bake_shot(lift: LiftFolder, files: dict[str, int], overscan: int = 0) -> None:
     """As if these views had been baked, each with what a frame of the scene shows."""
     frames = open_scene(lift.request.scene).frames
     for name, index in files.items():
-        write_passes(lift.passes_path / f"{name}.exr", frames[index], (64, 48))
+        write_passes(lift.passes_path / f"{name}.exr", frames[index], (64, 48), overscan)
     mend_manifest(lift.path)
 
 
@@ -167,6 +167,15 @@ def test_a_shot_has_a_scene_with_the_frames_of_its_own(tmp_path: Path) -> None:
     lift_scene.place_passes_anew(lift.path, mine)
     assert "PLGS tiny room still" not in bpy.data.scenes and "PLGS tiny room dolly" in bpy.data.scenes
     assert len([each for each in bpy.data.scenes if "passes" in each.name]) == 1
+
+
+def test_a_shot_with_overscan_is_placed(tmp_path: Path) -> None:
+    lift = write_tiny_lift(tmp_path / "lift")
+    bake_shot(lift, {"wide.0001": 3}, overscan=4)
+    lift_scene.place_lift(lift.path, bpy.context.scene)
+    scene = bpy.data.scenes["PLGS tiny room wide"]
+    assert (scene.render.resolution_x, scene.render.resolution_y) == (64, 48)
+    assert np.array_equal(rendered(scene, "Instance", tmp_path)[..., 0], truth("3").instance)
 
 
 def test_frames_before_0_have_a_scene_of_their_own(tmp_path: Path) -> None:

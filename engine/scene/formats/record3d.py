@@ -162,7 +162,8 @@ def _exr_shots(folder: Path) -> Iterator[tuple[str, Found]]:
 
 
 def _read_exr(path: Path) -> NDArray[np.float32]:
-    read_exr_header(path)  # the library takes memory for all that a header claims
+    if not read_exr_header(path).is_whole:  # read first: the library takes memory for all that a header claims
+        raise PlgsError("exr-part", "the OpenEXR file does not hold exactly its picture", path, _FIX)
     import OpenEXR
 
     try:

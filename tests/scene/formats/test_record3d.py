@@ -104,6 +104,11 @@ def test_pictures_and_exr_files(tmp_path: Path, place: str) -> None:
     scene = open_scene(tmp_path / place)
     assert scene.format == "record3d" and [frame.name for frame in scene.frames] == [str(i) for i in range(11)]
     check_on_room(scene, tolerance=0.002, colour_step=60)
+    window = np.zeros(2, np.int32), np.array([192, 256], np.int32)  # one pixel more each way
+    with OpenEXR.File(header | {"displayWindow": window}, {"R": np.ones((256, 192), np.float32)}) as file:
+        file.write(str(folder / "depth" / "0.exr"))
+    with raises_key("exr-part 0.exr"):
+        open_scene(tmp_path / place).frames[0].depth()
     (folder / "metadata.json").write_text("{}")
     refuses("lacks-field metadata", tmp_path / place)
 
