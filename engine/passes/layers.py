@@ -78,68 +78,72 @@ def decide_pixels(worker: int, workers: int, pixels: Any, columns: Any, linear_l
     count = len(pixels.alpha)
     has_labels, has_colour = len(decided.semantic) > 0, len(decided.combined) > 0
     for start in range(worker * CHUNK, count, workers * CHUNK):
-        for pixel in range(start, min(start + CHUNK, count)):
+        end = min(start + CHUNK, count)
+        for pixel in range(start, end):
             if len(decided.depth) > 0:
                 depth = pixels.depth[pixel] if pixels.alpha[pixel] >= FAINT else ZERO
                 decided.depth[pixel] = np.rint(STEPS_OF_DEPTH * depth) / STEPS_OF_DEPTH
-            if has_labels:
-                decide_labels(pixels, columns, pixel, decided)
             if has_colour:
                 combine(pixels, pixel, linear_light, decided.combined)
+        if has_labels:
+            decide_labels(pixels, columns, start, end, decided)
 
 
 @device_function
-def decide_labels(pixels: Any, columns: Any, pixel: int, decided: Any) -> None:
-    """Decide class and instance of a pixel and, if wanted, confidence and normalised entropy; all 0 if nothing was
-    rendered."""
+def decide_labels(pixels: Any, columns: Any, start: int, end: int, decided: Any) -> None:
+    """Decide class and instance of these pixels and, if wanted, confidence and normalised entropy; all 0 if nothing was
+    rendered. A call decides many pixels, as passing so many arrays takes as long as deciding one."""
     has_share, has_entropy = len(decided.confidence) > 0, len(decided.entropy) > 0
-    decided.semantic[pixel] = decided.instance[pixel] = 0
-    if has_share:
-        decided.confidence[pixel] = ZERO
-    if has_entropy:
-        decided.entropy[pixel] = ZERO
-    if pixels.alpha[pixel] < FAINT:
-        return
-    coverage, classes = pixels.classes[pixel], len(columns.of_class)
-    winner, most, total, weighted = 0, ZERO, ZERO, ZERO
-    for number in range(classes):
-        value = coverage[columns.of_class[number]]
-        total += value
-        if value > most:
-            winner, most = number, value
-        if has_entropy and value > LEAST_SHARE:
-            weighted += value * np.log(value)
-    total = max(total, LEAST_TOTAL)
-    decided.semantic[pixel] = columns.class_ids[winner]
-    if has_share:
-        decided.confidence[pixel] = np.rint(STEPS * most / total) / STEPS
-    if has_entropy:
-        # the sum of -p log p for p = value / total
-        entropy = (np.log(total) - weighted / total) / np.float32(np.log(max(classes, 2)))
-        decided.entropy[pixel] = np.rint(STEPS * max(entropy, ZERO)) / STEPS
-    if columns.is_thing[winner]:
-        slot = best_slot(pixels, columns, pixel, winner)
-        if slot >= 0:
-            decided.instance[pixel] = columns.slot_ids[slot]
+    classes = len(columns.of_class)
+    for pixel in range(start, end):
+        decided.semantic[pixel] = decided.instance[pixel] = 0
+        if has_share:
+            decided.confidence[pixel] = ZERO
+        if has_entropy:
+            decided.entropy[pixel] = ZERO
+        if pixels.alpha[pixel] < FAINT:
+            continue
+        coverage = pixels.classes[pixel]
+        winner, most, total, weighted = 0, ZERO, ZERO, ZERO
+        for number in range(classes):
+            value = coverage[columns.of_class[number]]
+            total += value
+            if value > most:
+                winner, most = number, value
+            if has_entropy and value > LEAST_SHARE:
+                weighted += value * np.log(value)
+        total = max(total, LEAST_TOTAL)
+        decided.semantic[pixel] = columns.class_ids[winner]
+        if has_share:
+            decided.confidence[pixel] = np.rint(STEPS * most / total) / STEPS
+        if has_entropy:
+            # the sum of -p log p for p = value / total
+            entropy = (np.log(total) - weighted / total) / np.float32(np.log(max(classes, 2)))
+            decided.entropy[pixel] = np.rint(STEPS * max(entropy, ZERO)) / STEPS
+        if columns.is_thing[winner]:
+            slot = best_slot(pixels.slots[pixel], pixels.alpha[pixel], most, columns, winner)
+            if slot >= 0:
+                decided.instance[pixel] = columns.slot_ids[slot]
 
 
 @device_function
-def best_slot(pixels: Any, columns: Any, pixel: int, winner: int) -> int:
+def best_slot(coverage: Array, alpha: Any, of_class: Any, columns: Any, winner: int) -> int:
     """The slot that a pixel of the class with index ``winner`` shows (the first if several tie), -1 for no object.
+    ``coverage`` is that of all slots, ``of_class`` that of the class.
 
     If objects have one class throughout, ``object_of_class`` decides. Otherwise it is the slot with the largest
     coverage, if that is more than the coverage of no object.
     """
-    coverage, best, most, instances = pixels.slots[pixel], -1, ZERO, ZERO
+    best, most, instances = -1, ZERO, ZERO
     if columns.one_class:
-        least = LEAST_SHARE_OF_CLASS * pixels.classes[pixel, columns.of_class[winner]]
+        least = LEAST_SHARE_OF_CLASS * of_class
         return object_of_class(coverage, columns.of_slot, columns.class_of_slot, winner, least)
     for slot in range(len(columns.of_slot)):
         weight = coverage[columns.of_slot[slot]]
         instances += weight
         if weight > most:
             best, most = slot, weight
-    return best if most > pixels.alpha[pixel] - instances else -1  # the rest of alpha is no object
+    return best if most > alpha - instances else -1  # the rest of alpha is no object
 
 
 @parallel_kernel
