@@ -8,6 +8,7 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,15 +49,13 @@ def write_coco(
     has the ``instance_id`` and the ``name`` of its instance (``names``) or class, and an image its ``K`` and its
     ``camera_to_world`` (OpenCV's axes, metres). Raises PlgsError for ids of 4096 or more, OSError.
     """
-    from pycocotools import mask as rle_tools  # late: no other export needs it
-
     images, annotations, instances = [], [], list[dict[str, object]]()
     for number, (name, semantic, instance, camera) in enumerate(views, start=1):
         if max(int(semantic.max(initial=0)), int(instance.max(initial=0))) >= MOST_COCO_IDS:
             what = f"{name}: class and instance ids must be below {MOST_COCO_IDS} for COCO panoptic"
             raise PlgsError("coco-ids", what, folder, "Export instances instead: they have 16 bits each.")
         ids = np.where(semantic == VOID, 0, semantic * MOST_COCO_IDS + instance)
-        colours = np.stack([ids & 255, ids >> 8 & 255, ids >> 16 & 255], axis=-1).astype(np.uint8)  # lowest byte: R
+        colours = ids.astype("<u4").view(np.uint8).reshape(*ids.shape, 4)[..., :3]  # lowest byte: R
         write_atomically(folder / "panoptic" / f"{name}.png", png_bytes(colours))
         height, width = ids.shape
         images.append({
@@ -64,11 +63,10 @@ def write_coco(
             "K": camera.resized(width, height).K.tolist(), "camera_to_world": camera.camera_to_world.tolist(),
         })  # fmt: skip
         segments = _segments(ids, classes, names)
-        annotations.append({"image_id": number, "file_name": f"{name}.png", "segments_info": segments})
-        by_columns = np.asfortranarray(ids)  # as run lengths are counted
-        for one in segments:
+        shown = [one for one, _ in segments]
+        annotations.append({"image_id": number, "file_name": f"{name}.png", "segments_info": shown})
+        for one, runs in segments:
             if one["instance_id"]:
-                runs = rle_tools.encode((by_columns == one["id"]).view(np.uint8))
                 packed = {"size": runs["size"], "counts": runs["counts"].decode()}
                 instances.append({**one, "id": len(instances) + 1, "image_id": number, "segmentation": packed})
     categories = [
@@ -79,21 +77,29 @@ def write_coco(
         write_atomically(folder / file, json.dumps(content, ensure_ascii=False) + "\n")
 
 
-def _segments(ids: NDArray[np.int32], classes: ClassTable, names: Mapping[int, str]) -> list[dict[str, object]]:
-    """The segments of one view in ascending order of id, with area and bounding box (x, y, width, height). Unowned
-    things are a crowd."""
-    segments: list[dict[str, object]] = []
-    for segment in np.unique(ids[ids > 0]).tolist():
-        shown = ids == segment
-        rows, columns = (np.flatnonzero(shown.any(axis=axis)).tolist() for axis in (1, 0))
-        box = [columns[0], rows[0], columns[-1] - columns[0] + 1, rows[-1] - rows[0] + 1]
+def _segments(
+    ids: NDArray[np.int32], classes: ClassTable, names: Mapping[int, str]
+) -> list[tuple[dict[str, object], dict[str, Any]]]:
+    """The segments of one view in ascending order of id, with area and bounding box (x, y, width, height), and their
+    run lengths. Unowned things are a crowd."""
+    from pycocotools import mask as rle_tools  # late: no other export needs it
+
+    segments = []
+    by_columns = ids.ravel(order="F")  # as run lengths are counted
+    begins = np.flatnonzero(np.diff(by_columns, prepend=-1))
+    shown, ends = by_columns[begins], np.append(begins[1:], ids.size)
+    for segment in np.unique(shown[shown > 0]).tolist():
+        edges = np.stack([begins[shown == segment], ends[shown == segment]], axis=1).ravel()
+        counts = np.diff(edges[edges < ids.size], prepend=0, append=ids.size)  # a last count is never 0
+        runs = rle_tools.frPyObjects({"size": ids.shape, "counts": counts.tolist()}, *ids.shape)
+        box = [int(each) for each in rle_tools.toBbox(runs)]
         category, instance = divmod(segment, MOST_COCO_IDS)
         crowd = int(category in classes.thing_ids and not instance)
         name = names.get(instance) or classes[category].name
-        segments.append({
-            "id": segment, "category_id": category, "area": int(np.count_nonzero(shown)), "bbox": box, "iscrowd": crowd,
+        segments.append(({
+            "id": segment, "category_id": category, "area": int(rle_tools.area(runs)), "bbox": box, "iscrowd": crowd,
             "instance_id": instance, "name": name,
-        })  # fmt: skip
+        }, runs))  # fmt: skip
     return segments
 
 
