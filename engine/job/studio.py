@@ -38,6 +38,8 @@ class StudioDefaults:
                 filled_name(self.names, "shot", "camera", 1)
             except ValueError as error:
                 raise ValueError(f"'names' cannot be filled in ({error})") from error
+        if self.masks is not None and {*"{}"} & {*self.masks.replace("{scene}", "")}:
+            raise ValueError(f"'masks' may have the field {{scene}} only, but is {self.masks!r}")
         if self.preset is None or self.preset in PRESETS:
             return
         if not self.preset.endswith(".toml"):

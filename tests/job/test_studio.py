@@ -45,6 +45,7 @@ def test_defaults_fill_in_what_is_not_given(
         ("memory = 0", "wrong-type"),
         ('preset = "fast"', "bad-record"),
         ('names = "{shot}_{lens}"', "bad-record"),
+        ('masks = "{scene}/{shot}"', "bad-record"),
         ("preset = ", "not-toml"),
         (None, "unreadable"),
     ],
