@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -66,7 +67,17 @@ def test_the_zip_holds_what_runs_and_what_the_engine_is_set_up_from(root: Path, 
     tops = {name.partition("/")[0] for name in names}
     files = {"blender_manifest.toml", "__init__.py", "run_plgs.py", "LICENSE", "README.md", "CHANGELOG.md"}
     files.add("SECURITY.md")
-    assert tops == files | {*parts, "farm", "requirements"}
+    assert tops == files | {*parts, "docs", "farm", "requirements"}
+
+
+def test_links_in_the_zip_lead_somewhere(package: Path) -> None:
+    with zipfile.ZipFile(package) as zipped:
+        names = set(zipped.namelist())
+        pages = {name: zipped.read(name).decode() for name in names if name.endswith(".md")}
+    for name, text in pages.items():
+        targets = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text)
+        lost = [each for each in targets if os.path.normpath(Path(name).parent / each) not in names]
+        assert lost == [], name
 
 
 def test_one_zip_serves_every_platform(root: Path, package: Path) -> None:
@@ -77,7 +88,7 @@ def test_one_zip_serves_every_platform(root: Path, package: Path) -> None:
     assert manifest["version"] == project["project"]["version"] == __version__
     assert manifest["id"] == "plgs" and manifest["blender_version_min"] == "4.2.0"
     assert not {"wheels", "platforms", "blender_version_max"} & set(manifest)
-    assert endings <= {".py", ".txt", ".toml", ".json", ".md", ".csv", ".js", ""}
+    assert endings <= {".py", ".txt", ".toml", ".json", ".md", ".csv", ".js", ".jpg", ".png", ""}
 
 
 def test_the_zip_installs_and_registers_and_goes(package: Path, tmp_path: Path) -> None:
