@@ -237,7 +237,7 @@ class Made:
     """``folder``: the scene. ``posed`` of ``photos`` pictures have a pose. ``scale`` is the metres per unit of the
     reconstruction, None without measured depth. ``files``, ``depth`` and ``film`` are digests of the photos, the depth
     and the film ("none" for photos), empty if unknown. ``asked`` is the number of pictures requested from a film, which
-    may have fewer; 0 for photos."""
+    may have fewer; 0 for photos. ``fps`` is the film's rate."""
 
     folder: Path = field(metadata={"apart": True})
     posed: int
@@ -248,6 +248,7 @@ class Made:
     depth: str = ""
     film: str = ""
     asked: int = 0
+    fps: float | None = None
 
     @classmethod
     def read(cls, folder: Path) -> Made | None:
@@ -275,8 +276,8 @@ def make_poses(source: Path, events: EventWriter, stop: StopSignal, pictures: in
     asked = (pictures or FILM_PICTURES) if is_film(source) else 0
     folder, photos = _photos_of(source, events, stop, asked)
     try:
-        film = digests_of_files([(source,)])[0] if is_film(source) else _NO_FILM
-        return _map(folder, photos, film, asked, events, stop)
+        film, fps = (digests_of_files([(source,)])[0], Video(source).fps()) if is_film(source) else (_NO_FILM, None)
+        return _map(folder, photos, film, asked, fps, events, stop)
     except BaseException:
         if is_film(source):  # its pictures, which this call wrote
             shutil.rmtree(folder, ignore_errors=True)
@@ -312,7 +313,9 @@ def _depths(folder: Path) -> Mapping[str, Path]:
     return files_if_any(folder / "depth", {".png", ".npy"}, "Remove the folder depth.")
 
 
-def _map(folder: Path, photos: Path, film: str, asked: int, events: EventWriter, stop: StopSignal) -> Made:
+def _map(
+    folder: Path, photos: Path, film: str, asked: int, fps: float | None, events: EventWriter, stop: StopSignal
+) -> Made:
     names, others = sorted_out(photos)
     if others:
         what = "show depth or confidence by their names or as grey PNGs of 16 bits"
@@ -335,7 +338,7 @@ def _map(folder: Path, photos: Path, film: str, asked: int, events: EventWriter,
         model.write(out)
         metres = None if scale is None else scale.metres
         counts = model.num_reg_images(), len(names), model.num_points3D()
-        made = Made(folder, *counts, metres, files, _digest_of([*depths.values()]), film, asked)
+        made = Made(folder, *counts, metres, files, _digest_of([*depths.values()]), film, asked, fps)
         (out / MADE_BY).write_bytes(to_line(to_json(made)))
         read_model(out)  # what a lift will read
         if (folder / "sparse").exists():

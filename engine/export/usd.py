@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdSemantics, UsdShade, UsdVol, Vt
 
 from ..job import write_atomically
-from ..passes.exr import number_in
+from ..passes.exr import exact_rate, number_in
 from ..passes.layers import linear
 from ..posed.classes import VOID
 from ..posed.names import unique_names
@@ -57,6 +57,10 @@ def export_usd(lift: FinishedLift, output: Path) -> None:
         path = _add_component(stage, lift, one.class_id, one.id, "box")
         _label(_add_box(stage, path, one), lift, one.class_id, one.id)
     _add_cameras(stage, lift.frames)
+    rate = exact_rate(lift.scene.fps or 0.0)
+    if rate is not None:
+        stage.SetTimeCodesPerSecond(float(rate))
+        stage.SetFramesPerSecond(float(rate))
     with TemporaryDirectory() as folder:  # OpenUSD exports its binary form only to a path
         stage.GetRootLayer().Export(f"{folder}/lift.usdc")
         write_atomically(output / "lift.usdc", Path(folder, "lift.usdc").read_bytes())

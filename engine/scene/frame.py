@@ -174,11 +174,12 @@ class Frame(PosedFrame):
 @dataclass(frozen=True, eq=False)
 class Scene(PosedScene):
     """Frames with their pixels, in recording order. ``warnings`` name what is ``left_out``, and the doubtful part of
-    what was ``inferred``."""
+    what was ``inferred``. ``fps`` is the rate by which the numbers in the names count, None if it is not known."""
 
     frames: tuple[Frame, ...]
     left_out: tuple[LeftOut, ...] = ()
     inferred: tuple[Inferred, ...] = ()
+    fps: float | None = None
 
     @property
     def assumed_lens(self) -> str:

@@ -123,6 +123,7 @@ def open_asked(source: SceneSource) -> Scene:
         format=reader.name,
         points=points,
         turn=None if np.array_equal(turn, np.eye(3)) else turn,
+        fps=capture.fps,
     )
 
 

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from engine.export.mesh import MOST_INSTANCES, label_names
 from engine.export.source import FinishedLift
 from engine.job import LiftFolder
 from engine.scene import Category, ClassTable
+from engine.scene_of_lift import scene_of_lift
 from tests.conftest import HAS_BLENDER
 from tests.export.conftest import run
 
@@ -130,12 +132,14 @@ def check_in_blender(lifted: FinishedLift, meshes: Mapping[str, Any], folder: Pa
         assert shift_y * camera.width == pytest.approx(camera.cy - camera.height / 2, abs=1e-2)
 
 
-def test_gaussians_and_cameras_in_usd(lift: LiftFolder, tmp_path: Path) -> None:
+def test_gaussians_and_cameras_in_usd(lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usd = pytest.importorskip("pxr.Usd")
     from pxr import Gf, UsdGeom, UsdSemantics, UsdVol
 
+    monkeypatch.setattr("engine.export.source.scene_of_lift", lambda of: replace(scene_of_lift(of), fps=23.976))
     run(lift, "usd", tmp_path)
     stage = usd.Stage.Open(str(tmp_path / "lift.usdc"))
+    assert stage.GetTimeCodesPerSecond() == stage.GetFramesPerSecond() == 24000 / 1001
     lifted = FinishedLift(lift, ["all"])
     rows = lifted.splats
     seen = 0

@@ -130,6 +130,8 @@ def test_a_film_does_not_take_the_poses_of_another_of_its_name(mapped: None, tmp
     write_film(film, 0)
     find_poses(film, tmp_path)
     find_poses(film, tmp_path)
+    found = Made.read(tmp_path / "walk")
+    assert found is not None and found.fps == 10
     assert "are used" not in (tmp_path / "events.jsonl").read_text()
     assert told_of(film, 300) == told_of(film, 150) == told_of(film, 4) == "", "the film has no more"
     assert "the poses of 4 pictures that were found before are used" in told_of(film, 3)

@@ -47,7 +47,8 @@ class Capture:
     """All pictures in recording order: ``found`` pairs each name with what was found. ``up`` is the axis of the
     format's world that points up, None if the format does not say; ``up_is_known``: it was measured, so sideways
     cameras cause no warning. ``split`` is set by readers whose format defines one. ``left_out`` lists frames besides
-    those of ``found``, ``inferred`` what no file says."""
+    those of ``found``, ``inferred`` what no file says. ``fps`` is the rate by which the numbers in names count, None if
+    no file says it."""
 
     found: Sequence[tuple[str, Found]]
     up: UpAxis | None
@@ -57,6 +58,7 @@ class Capture:
     up_is_known: bool = False
     left_out: tuple[LeftOut, ...] = ()
     inferred: tuple[Inferred, ...] = ()
+    fps: float | None = None
 
     @property
     def shots(self) -> list[Shot]:

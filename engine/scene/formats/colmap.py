@@ -62,9 +62,10 @@ def _read(place: Path) -> Capture:
     folder = _find_model(place)
     if folder is None:
         raise PlgsError("no-colmap-model", "the COLMAP model is missing", place, f"Give {_LOOKS_FOR}, or {LET_COLMAP}.")
-    depths, warnings, made_by = dict[str, Path](), list[str](), folder / MADE_BY
+    depths, warnings, path = dict[str, Path](), list[str](), folder / MADE_BY
+    made_by = read_object(path, "Make the poses again.") if path.is_file() else {}
     # Depth beside the photos is read if it gave the model its unit, metres.
-    if made_by.is_file() and read_object(made_by, "Make the poses again.").get("scale") is not None:
+    if made_by.get("scale") is not None:
         depths = files_if_any(place / "depth", {".png", ".npy"}, "Give one map per photo.")
     models = [each.name for each in sorted(shown_files(folder.parent, "[0-9]*")) if each != folder and has_model(each)]
     if folder.name == "0" and models:
@@ -100,7 +101,9 @@ def _read(place: Path) -> Capture:
     split = Split(*(tuple(name for name in posed if (name in held_out) is is_test) for is_test in (False, True)))
     own_split, scale = split if split.train and split.test else None, () if depths else (_SCALE,)
     points = _points(model, names, images)
-    return Capture(found, None, tuple(warnings), points, own_split, left_out=lost, inferred=scale)
+    fps = made_by.get("fps")  # of the film that the pictures are from
+    fps = fps if isinstance(fps, int | float) else None
+    return Capture(found, None, tuple(warnings), points, own_split, left_out=lost, inferred=scale, fps=fps)
 
 
 def _find_images(place: Path, images: list[ColmapImage]) -> Path:

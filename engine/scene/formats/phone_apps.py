@@ -197,7 +197,7 @@ def _read_stray(place: Path) -> Capture:
             depth = npy_depth(depths[name]) if depths[name].suffix.lower() == ".npy" else png_depth(depths[name], lens)
             depth = trusted(depth, levels.get(name))
         found.append((name, Shot(name, lens.at(pose), video.path, depth, partial(video.frame, int(row["frame"])))))
-    return Capture(found, "y", up_is_known=True)
+    return Capture(found, "y", up_is_known=True, fps=video.fps())
 
 
 def _read_odometry(path: Path) -> list[dict[str, float]]:

@@ -122,6 +122,15 @@ class Video:
             raise PlgsError("video-count", "the video does not say how many pictures it has", self.path, _VIDEO_FIX)
         return count
 
+    def fps(self) -> float | None:
+        """Pictures per second, from its header; None if it does not say. Raises PlgsError."""
+        import cv2
+
+        with self._lock:
+            self._go_to(0)
+            rate = float(self._capture.get(cv2.CAP_PROP_FPS))
+        return rate if 0.0 < rate < np.inf else None
+
     def _go_to(self, number: int) -> None:
         import cv2
 

@@ -103,15 +103,21 @@ def _read(place: Path) -> Capture:
     path, exported = _find(place), _exr_folder(place)
     if path is None and exported is None:
         raise PlgsError("not-one-file", "there is no .r3d file, or more than one", place, "Name the file.")
-    found = list(_exr_shots(exported) if path is None and exported else _shots(_Archive(path or place), path or place))
+    if path is None and exported:
+        metadata = read_json_object(exported / _EXPORTED)
+        found = list(_exr_shots(metadata, exported))
+    else:
+        archive = _Archive(path or place)
+        metadata = parse_json_object(archive.read("metadata"), archive.path)
+        found = list(_shots(metadata, archive, archive.path))
     poses = [shot.camera.camera_to_world for _, shot in found if isinstance(shot, Shot)]
     up = upright_rotation(poses)[2] if poses else np.zeros(3)
     # ARKit's y, unless the cameras disagree: some recordings start from their first pose.
-    return Capture(found, "y" if up[1] > _CLEARLY_Y else None)
+    fps = metadata.get("fps")
+    return Capture(found, "y" if up[1] > _CLEARLY_Y else None, fps=fps if isinstance(fps, int | float) else None)
 
 
-def _shots(archive: _Archive, path: Path) -> Iterator[tuple[str, Shot | None]]:
-    metadata = parse_json_object(archive.read("metadata"), path)
+def _shots(metadata: dict[str, Any], archive: _Archive, path: Path) -> Iterator[tuple[str, Found]]:
     names = {*archive.names()}
     numbers = sorted(int(match[1]) for name in names if (match := re.fullmatch(r"rgbd/(\d+)\.jpg", name)))
     has_size = all(isinstance(metadata.get(key), int) and 0 < metadata[key] < 2**14 for key in ("dw", "dh"))
@@ -150,11 +156,11 @@ def _exr_folder(place: Path) -> Path | None:
     return None
 
 
-def _exr_shots(folder: Path) -> Iterator[tuple[str, Found]]:
+def _exr_shots(metadata: dict[str, Any], folder: Path) -> Iterator[tuple[str, Found]]:
     path = folder / _EXPORTED
     found = files_by_stem(folder / "rgb", {".jpg", ".jpeg", ".png"}, _FIX)
     pictures = {int(stem): picture for stem, picture in found.items() if stem.isdecimal()}
-    for number, camera in _cameras(read_json_object(path), sorted(pictures), path):
+    for number, camera in _cameras(metadata, sorted(pictures), path):
         depth = folder / "depth" / f"{number}.exr"
         shown = DepthMap(depth, partial(_read_exr, depth)) if depth.is_file() else None
         fault, name = fault_of(pictures[number]), str(number)

@@ -76,7 +76,7 @@ def _read(place: Path) -> Capture:
         elif name in depths:
             depth = png_depth(depths[name], lens)
         found.append((name, Shot(name, lens.at(pose), picture, depth, partial(video.frame, number) if video else None)))
-    return Capture(found, "z", up_is_known=True)
+    return Capture(found, "z", up_is_known=True, fps=video.fps() if video else None)
 
 
 class _DepthStream:

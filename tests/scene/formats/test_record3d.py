@@ -74,7 +74,7 @@ def test_points_lie_on_the_room(tmp_path: Path) -> None:
     for place in (tmp_path / "room.r3d", tmp_path):
         scene = open_scene(place)
         assert scene.format == "record3d" and [frame.name for frame in scene.frames] == [str(i) for i in range(11)]
-        assert not any("turned" in warning for warning in scene.warnings)
+        assert not any("turned" in warning for warning in scene.warnings) and scene.fps == 60
         check_on_room(scene, tolerance=0.002, colour_step=60)
         assert not scene.frames[0].depth()[:3].any()
 
