@@ -8,9 +8,13 @@ handlers here update the file to match. They never touch the edits of other prog
 from __future__ import annotations
 
 import json
+import os
+import zlib
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -32,11 +36,14 @@ from ..engine.corrections import (
     set_undone,
     undo,
 )
+from ..engine.corrections.edits import CORRECTIONS as FILE
 from ..engine.corrections.replay import Replay
 from ..engine.errors import PlgsError
+from ..engine.gates import open_plain
 from ..engine.job import LiftFolder
 from ..engine.job.report import doubt_of_frames, read_metrics
 from ..engine.known_scene import known_scene
+from ..engine.result_files import INSTANCES
 from .boxes import INSTANCE, TOGETHER, name_box, place_boxes
 from .clouds import SurfaceGrid, place_anchors, place_semantic_points
 from .errors import EXPECTED, with_field_names
@@ -102,6 +109,13 @@ def next_uncertain(root: bpy.types.Collection) -> tuple[str, int, int]:
 
 EDITS = "plgs_edits"
 """Property of a lift's collection: the uids of the edits that the scene shows, as one text."""
+
+RESULT = "plgs_result"
+"""Property of a lift's collection: the size and a checksum of the list of objects that the scene shows."""
+outdated: set[str] = set()
+"""The folders, as their collections name them, of lifts that differ on disk from what the opened file shows."""
+_COMPARED = 1 << 18
+"""Bytes of a file that are looked at for that; more corrections than that are not compared."""
 
 _mine: dict[str, set[str]] = {}
 """By lift folder: the uids of the edits made by this Blender process."""
@@ -183,8 +197,26 @@ def remember(root: bpy.types.Collection, result: LiftResult | CorrectedResult) -
     """Store in the collection which edits the scene shows, and what is proposed now, if proposals were asked for."""
     root[EDITS] = " ".join(each.uid for each in result.edits if not each.undone)
     root[CORRECTIONS] = result.fingerprint
+    with suppress(OSError):
+        root[RESULT] = _mark(folder_of(root))
+    outdated.discard(text_of(root, FOLDER))
     if isinstance(result, CorrectedResult) and text_of(root, PROPOSALS):
         keep_proposals(root, result)
+
+
+def look_for_changes(root: bpy.types.Collection) -> None:
+    """Note in `outdated` whether a lift differs on disk from what the scene shows. Raises PlgsError, OSError."""
+    lift = folder_of(root)
+    is_same = text_of(root, RESULT) in ("", _mark(lift))  # empty: placed by an earlier version
+    if is_same and (not (lift / FILE).exists() or (lift / FILE).stat().st_size <= _COMPARED):
+        is_same = {*text_of(root, EDITS).split()} == {each.uid for each in read_edits(lift) if not each.undone}
+    if not is_same:
+        outdated.add(text_of(root, FOLDER))
+
+
+def _mark(lift: Path) -> str:
+    with open_plain(lift / "result" / INSTANCES) as file:
+        return f"{os.fstat(file.fileno()).st_size} {zlib.crc32(file.read(_COMPARED))}"
 
 
 def chosen_instances(root: bpy.types.Collection, named: str, context: bpy.types.Context) -> list[int]:
@@ -221,6 +253,8 @@ def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
     """Rename an object. Only its row and box change, as the call may come from their own name field. Raises PlgsError,
     OSError, as all edits here do."""
     made, result = _correct(root, lambda state, _: making.rename(state, instance, name))
+    if text_of(root, FOLDER) in outdated:  # then there is more to show
+        show_corrections(root, result)
     row, box = selection.row_of(root, instance), selection.boxes_of(root).get(instance)
     row.known_name = row.name = made.name  # in this order, or setting `name` would rename again
     if box is not None:
@@ -364,4 +398,5 @@ def unregister() -> None:
             handlers.remove(_after_undo)
     selection.renaming.remove(_rename_by_field)
     _mine.clear()
+    outdated.clear()
     failed.clear()

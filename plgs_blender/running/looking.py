@@ -11,6 +11,7 @@ from ...engine.errors import PlgsError
 from ...engine.job.folder import refuse_foreign
 from ...engine.job.recent import remembered_lifts
 from ...engine.result_files import INSTANCES
+from .. import corrections
 from .. import settings as panel
 from ..chosen_scene import ChosenScene, absolute
 from ..engine_environment import engine_python
@@ -43,15 +44,19 @@ def find_own_lifts() -> None:
 
 
 def begin_to_read_objects() -> None:
-    """Start reading the objects of the lift that the open file shows: an edit would otherwise wait for them.
-    It does so only if the lift is in this user's list, or the file is in its folder, and no link leads elsewhere."""
+    """Start reading the objects of the lift that the open file shows: an edit would otherwise wait for them. Note which
+    of its lifts have changed. Only lifts in this user's list are read, or one that the file is in, if no link leads
+    elsewhere."""
     known = {*map(Path, remembered_lifts()), absolute("//")}
-    roots = (root for scene in (bpy.context.scene, *bpy.data.scenes) for root in lifts_in(scene))
-    folder = next((folder_of(root) for root in roots if text_of(root, FOLDER)), None)
-    if folder in known:
-        with suppress(PlgsError, OSError):  # an edit reads it again and reports the error
-            refuse_foreign(folder, f"result/{INSTANCES}")  # not the passes: there may be thousands
-            begin_to_read(folder)
+    roots = [root for scene in (bpy.context.scene, *bpy.data.scenes) for root in lifts_in(scene)]
+    shown = {folder_of(root): root for root in reversed(roots) if text_of(root, FOLDER)}
+    corrections.outdated.clear()
+    for folder, root in shown.items():
+        if folder in known:
+            with suppress(PlgsError, OSError):  # an edit reads it again and reports the error
+                refuse_foreign(folder, f"result/{INSTANCES}")  # not the passes: there may be thousands
+                corrections.look_for_changes(root)
+                begin_to_read(folder)  # only the last, which the window shows
 
 
 def _read_objects() -> float | None:

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import bpy
 import pytest
+from plgs.engine.corrections import correct, making
 from plgs.engine.job.recent import remember_lift
 from plgs.engine.presets.preset import PRESETS
 from plgs.plgs_blender import corrections, lift_scene, results
@@ -14,6 +15,8 @@ from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.inspecting.selection import find_lift
 from plgs.plgs_blender.running import estimate, looking, survey
 from plgs.plgs_blender.settings import request_of
+
+from tests.ui.drawn_panels import drawn
 
 pytestmark = pytest.mark.usefixtures("extension")
 Read = list[Path]
@@ -60,6 +63,25 @@ def test_a_path_that_a_file_names_is_read_only_if_it_is_ones_own(lift: Path, tmp
     remember_lift(mine)
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "elsewhere.blend"))
     assert looking._read_objects() is not None and len(read) == 1
+
+
+@pytest.mark.parametrize("change", ["nothing", "corrections", "result"])
+def test_a_lift_that_changed_since_the_file_was_saved_is_said(change: str, lift: Path, tmp_path: Path) -> None:
+    mine = opened(lift, tmp_path / "mine", "lift.blend", [])
+    assert "Show It Anew" not in drawn()
+    if change == "corrections":  # as a command does
+        correct(mine, lambda state, _: making.rename(state, 1, "throne"))
+    elif change == "result":
+        listed = mine / "result" / "instances.json"
+        listed.write_text(listed.read_text().replace('"chair', '"stool'))
+    bpy.ops.wm.open_mainfile(filepath=str(mine / "lift.blend"))
+    assert ("Show It Anew" in drawn()) is ("on disk differs" in drawn()) is (change != "nothing")
+    names = {row.name for row in find_lift(bpy.context.scene).plgs.instances}
+    assert "throne" not in names, "unasked"
+    if change == "corrections":
+        corrections.rename(find_lift(bpy.context.scene), 2, "bench")
+        names = {row.name for row in find_lift(bpy.context.scene).plgs.instances}
+        assert {"throne", "bench"} <= names and "Show It Anew" not in drawn()
 
 
 def test_a_link_in_its_place_is_left_alone(lift: Path, tmp_path: Path, read: Read) -> None:
