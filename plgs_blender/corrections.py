@@ -8,7 +8,6 @@ handlers here update the file to match. They never touch the edits of other prog
 from __future__ import annotations
 
 import json
-import os
 import zlib
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -39,11 +38,9 @@ from ..engine.corrections import (
 from ..engine.corrections.edits import CORRECTIONS as FILE
 from ..engine.corrections.replay import Replay
 from ..engine.errors import PlgsError
-from ..engine.gates import open_plain
 from ..engine.job import LiftFolder
 from ..engine.job.report import doubt_of_frames, read_metrics
 from ..engine.known_scene import known_scene
-from ..engine.result_files import INSTANCES
 from .boxes import INSTANCE, TOGETHER, name_box, place_boxes
 from .clouds import SurfaceGrid, place_anchors, place_semantic_points
 from .errors import EXPECTED, with_field_names
@@ -51,7 +48,7 @@ from .inspecting import selection
 from .inspecting.lists import fill_lists, fill_masks
 from .meshes import CORRECTIONS
 from .owned import FOLDER, LIFT, OwnedDataBlocks, child_collection, folder_of, lifts_in, text_of
-from .results import LiftResult, listed_in
+from .results import LiftResult, listed_in, version_of
 
 PROPOSALS = "plgs_proposals"
 """Property of a lift's collection: the proposed corrections as JSON."""
@@ -215,8 +212,11 @@ def look_for_changes(root: bpy.types.Collection) -> None:
 
 
 def _mark(lift: Path) -> str:
-    with open_plain(lift / "result" / INSTANCES) as file:
-        return f"{os.fstat(file.fileno()).st_size} {zlib.crc32(file.read(_COMPARED))}"
+    path, at = version_of(lift)
+    if at is None:
+        return ""
+    with open(path, "rb") as file:
+        return f"{at[1]} {zlib.crc32(file.read(_COMPARED))}"
 
 
 def chosen_instances(root: bpy.types.Collection, named: str, context: bpy.types.Context) -> list[int]:
