@@ -17,8 +17,7 @@ from .known_scene import FIND_SCENE, KNOWN_SCENE, StoredScene, known_scene, read
 from .result_files import INSTANCES, read_instances
 from .scene import Camera, EvidenceReader, Frame, MaskReader, PosedFrame, Scene, digests_of_files, open_asked
 
-_ALIKE = 1e-4
-"""Tolerance in metres, pixels and entries of rotations when cameras of the same frame are compared."""
+_ALIKE = 1e-4  # tolerance in metres, pixels and entries of rotations when cameras of the same frame are compared
 _ANOTHER = "Restore it as it was, say where it is with Find Scene or --scene, or lift into another folder."
 
 

@@ -21,8 +21,7 @@ from .trials import Agreement
 Picture = NDArray[np.uint8]
 _WIDTH = 480
 _CAPTION = 22
-_WORST = 0.2
-"""Relative depth error drawn in the strongest red."""
+_WORST = 0.2  # relative depth error drawn in the strongest red
 
 
 def depth_errors(views: Views, one: int, other: int, assumed: Sequence[tuple[str, Assumption]]) -> Picture:

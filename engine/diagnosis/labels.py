@@ -17,8 +17,7 @@ from .findings import Finding, side_by_side
 from .reprojection import Assumption, Examined, Floats, values_at
 from .up import world_normals
 
-_SAME_SURFACE = 0.5
-"""Minimum depth agreement, 0..1, of two views of one surface: about 2.7 % of the depth."""
+_SAME_SURFACE = 0.5  # minimum depth agreement, 0..1, of two views of one surface: about 2.7 % of the depth
 _FEWEST_POINTS, _FEWEST_OF_PAIR = 100, 30
 _UNRELATED, _ABOVE_CHANCE = 0.5, 0.1
 """Masks contradict each other below the first fraction of points with the same class, as weak networks' masks do;
@@ -201,8 +200,7 @@ _KINDS = {"floor": ("floor", "flooring", "rug", "carpet"), "ceiling": ("ceiling"
 _FURTHER = {"other", "merged", "brick", "wood", "stone", "tile", "concrete", "panel", "marble", *_KINDS["floor"]}
 """Words that may follow the first. A wall-cabinet is not a wall."""
 _WHAT = {"floor": "is level, seen from above", "ceiling": "is level, seen from below", "wall": "is upright"}
-_WITHIN = 25.0
-"""Maximum deviation in degrees from level or upright, as clothes, shelves and noise cause."""
+_WITHIN = 25.0  # maximum deviation in degrees from level or upright, as clothes, shelves and noise cause
 _FEWEST_OF_KIND = 200
 _CONTRADICTED = 0.05
 """Below this fraction a table is certainly wrong: 1 % fit tables that are off by one, 20 % distant and noisy floors."""

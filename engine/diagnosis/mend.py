@@ -21,8 +21,7 @@ from .findings import Diagnosis, Mending, png_bytes
 from .reprojection import Assumption, assumed_poses, examine, lens_under, planar
 from .trials import agreement, is_far_better
 
-_DEEPEST = 65535
-"""Maximum depth in this layout, in millimetres."""
+_DEEPEST = 65535  # maximum depth in this layout, in millimetres
 
 
 def write_mended(scene: Scene, diagnosis: Diagnosis, out: Path) -> str | None:
@@ -170,12 +169,9 @@ def _write_image(path: Path, pixels: NDArray[np.integer[Any]]) -> None:
     path.write_bytes(png_bytes(pixels))
 
 
-_LOOKED_AT = 8
-"""Frames whose depth is compared pixel by pixel."""
-_KEPT = 0.9
-"""Minimum fraction of the depth that a fixed scene keeps."""
-_NEAREST, _FARTHEST = 0.1, 50.0
-"""Bounds of the median depth in metres."""
+_LOOKED_AT = 8  # frames whose depth is compared pixel by pixel
+_KEPT = 0.9  # minimum fraction of the depth that a fixed scene keeps
+_NEAREST, _FARTHEST = 0.1, 50.0  # bounds of the median depth in metres
 _NO_WORSE = 0.98
 
 

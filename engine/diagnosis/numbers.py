@@ -14,17 +14,12 @@ from .registration import Shift, measure_registration, registration_findings
 from .reprojection import Assumption, Examined
 from .trials import Agreement, Calibration, FoundCause, agreement, calibrate, find_causes, is_far_better, moved
 
-_OFF_UNIT, _OFF_FOCAL = 0.025, 0.03
-"""Logarithms. Sensors' own scales and calibrations differ by one or two per cent."""
-_OFF_RAY = 0.3
-"""The fraction of the ray's length contained in depth."""
+_OFF_UNIT, _OFF_FOCAL = 0.025, 0.03  # logarithms; sensors' own scales and calibrations differ by one or two per cent
+_OFF_RAY = 0.3  # the fraction of the ray's length contained in depth
 _OFF_PIXELS = 0.3
-_RUINED = 1.5
-"""Minimum factor by which views agree better without a cause that makes a lift pointless."""
-_ABOVE_NOISE = 2.0
-"""A shift of the principal point must move surfaces by at least this many median errors."""
-_HALF, _NEARLY = 0.5, 0.1
-"""Pixels: a half-pixel shift, and its tolerance."""
+_RUINED = 1.5  # minimum factor by which views agree better without a cause that makes a lift pointless
+_ABOVE_NOISE = 2.0  # a shift of the principal point must move surfaces by at least this many median errors
+_HALF, _NEARLY = 0.5, 0.1  # pixels: a half-pixel shift, and its tolerance
 _RAY = "the length of the ray ((u - cx) / fx, (v - cy) / fy, 1)"
 
 Figures = dict[str, float | str]

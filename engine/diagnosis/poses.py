@@ -14,27 +14,21 @@ from ..scene import Scene
 from .findings import Finding, side_by_side
 from .reprojection import Assumption, Examined, Floats, Views, assumed_poses, lens_under
 
-_WIDE = 0.15
-"""A fraction of the depth. A surface farther off is a different one."""
+_WIDE = 0.15  # a fraction of the depth; a surface farther off is a different one
 _LEAST_POINTS = 40
 _QUANTILE = 0.3
 """Quantile of a pair's distances. Some points of any two views lie on surfaces that only one of them sees."""
 _LEAST_PAIRS, _LEAST_LAGS, _LEAST_EACH = 30, 6, 8
-_LEAST_ACROSS = 20
-"""Minimum pairs of looks across a gap, and within each of the parts."""
-_NEAR = 3
-"""Frames between two looks that count as neighbours."""
+_LEAST_ACROSS = 20  # minimum pairs of looks across a gap, and within each of the parts
+_NEAR = 3  # frames between two looks that count as neighbours
 _HALF, _ENOUGH = 0.5, 0.2
 _DRIFTED = 0.02
 """Minimum drift in metres, or ..."""
 _DRIFTED_SHARE = 0.0075
 """... this fraction of the median depth if that is more. Sensors' own noise stays below."""
-_GROWN = 4.0
-"""Minimum ratio of the distances of distant frames to those of neighbours."""
-_CERTAIN = 5.0
-"""Standard errors."""
-_FACING = 0.85
-"""Minimum cosine between a world axis and the normal of a surface that faces it."""
+_GROWN = 4.0  # minimum ratio of the distances of distant frames to those of neighbours
+_CERTAIN = 5.0  # standard errors
+_FACING = 0.85  # minimum cosine between a world axis and the normal of a surface that faces it
 _AXIS_DRIFTED, _AXIS_GROWN, _AXIS_CERTAIN = 0.01, 8.0, 12.0
 """The same limits for the surfaces that face one axis. There are fewer of them, so the limits are stricter; the
 synthetic hand-held capture without faults reaches a factor of 9, but 8 standard errors."""
@@ -190,10 +184,8 @@ def _misplaced_finding(examined: Examined, rows: list[int]) -> Finding:
     )
 
 
-_FEWEST, _MOST = 12, 1500
-"""Bounds of the number of frames whose order is measured. All pairwise distances are computed."""
-_REACH = 2.0
-"""Assumed metres to what a camera looks at. Steps between frames are measured there, so that turns count."""
+_FEWEST, _MOST = 12, 1500  # bounds of the number of frames whose order is measured; all pairwise distances are computed
+_REACH = 2.0  # assumed metres to what a camera looks at; steps between frames are measured there, so that turns count
 
 
 class FrameOrder(NamedTuple):

@@ -14,26 +14,20 @@ from .findings import FIX, Finding, edges_on, side_by_side
 from .reprojection import Assumption, Examined, Floats, Look, Photo, values_at
 from .trials import Calibration
 
-_MOST = 32
-"""Maximum number of looks used."""
+_MOST = 32  # maximum number of looks used
 _WIDTH = 160
-_FARTHEST = 0.12
-"""Largest shift tried, as a fraction of the width."""
+_FARTHEST = 0.12  # largest shift tried, as a fraction of the width
 _SCALES = (1.0, 0.97, 1.03, 0.94, 1.06, 0.91, 1.1, 0.88, 1.14, 0.84, 1.19, 0.8, 1.25)
-_JUMP = 0.06
-"""Least relative step of depth between two pixels at an edge, beyond the step of a slanted surface."""
+_JUMP = 0.06  # least relative step of depth between two pixels at an edge, beyond the step of a slanted surface
 _LEAST_EDGES = 60
 _LEAST_LOOKS = 5
 _AHEAD, _APART = 2.0, 0.1
 """Metres. Looks show different places if the points 2 m ahead of their cameras are over 0.1 m apart."""
-_CERTAIN = 5.0
-"""Standard errors among the frames."""
-_CORROBORATED = 4.0
-"""Standard errors that suffice if depth's own geometry agrees."""
+_CERTAIN = 5.0  # standard errors among the frames
+_CORROBORATED = 4.0  # standard errors that suffice if depth's own geometry agrees
 _MOVED, _SCALED = 0.0075, 0.03
 """Shift as a fraction of the width, and scale. Sensors register colour and depth to a few pixels of 640."""
-_GAIN = 0.1
-"""Least gain of a fit, in standard deviations of the pictures' contrast."""
+_GAIN = 0.1  # least gain of a fit, in standard deviations of the pictures' contrast
 
 SHIFT = "colour-to-depth shift"
 """The name of the finding."""
@@ -209,12 +203,9 @@ def _registration_finding(examined: Examined, found: Registration, is_depth: boo
 
 _SAME_SURFACE = 0.5
 _FEWEST_POINTS, _FEWEST_PAIRS, _FEWEST_LOOKS = 30, 12, 6
-_LEAST_CONTRAST = 4.0
-"""Grey levels, as a deviation. A bare wall gives no information."""
-_BETTER = 0.1
-"""Least gain of the mean correlation under another assumption about the pictures."""
-_CERTAIN_GAIN = 5.0
-"""Least gain, in its standard errors among the looks."""
+_LEAST_CONTRAST = 4.0  # grey levels, as a deviation; a bare wall gives no information
+_BETTER = 0.1  # least gain of the mean correlation under another assumption about the pictures
+_CERTAIN_GAIN = 5.0  # least gain, in its standard errors among the looks
 
 
 class Taken(NamedTuple):

@@ -35,19 +35,13 @@ class Sample(NamedTuple):
 
 
 MANY, FEW = Sample(120, 24, (0, 1, 3, 7, 15)), Sample(36, 12, (0, 1, 2))
-_SPREAD = 24
-"""Looks that are compared with each other."""
-_NEXT = 3
-"""The number of following looks, in recording order, that each look is compared with."""
-_WIDEST = 640
-"""The width in pixels to which depth and pictures are reduced."""
+_SPREAD = 24  # looks that are compared with each other
+_NEXT = 3  # the number of following looks, in recording order, that each look is compared with
+_WIDEST = 640  # the width in pixels to which depth and pictures are reduced
 _PHOTO_WIDTH = _MASK_WIDTH = 320
-_POINTS = 400
-"""The number of points that each look compares with other views."""
-_SMOOTH_AROUND = 1.05
-"""Largest ratio of the depths around a point. Above it, the pixels lie on both sides of an edge."""
-_DARK, _BRIGHT = 8, 247
-"""Grey levels below and above which a pixel is clipped."""
+_POINTS = 400  # the number of points that each look compares with other views
+_SMOOTH_AROUND = 1.05  # largest ratio of the depths around a point; above it, the pixels lie on both sides of an edge
+_DARK, _BRIGHT = 8, 247  # grey levels below and above which a pixel is clipped
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,12 +141,9 @@ def _stride_for(width: int) -> int:
 Lens = Floats
 """fx, fy, cx, cy as fractions of the picture's width and height: float64 [..., 4]."""
 
-_AGREES_WITHIN = 0.05
-"""A fraction of the depth. A larger difference shows another surface, or an error."""
-_SMOOTH = 1.1
-"""Largest ratio of the depths between which depth is interpolated."""
-_NORMAL_GRAIN = 160
-"""A normal is measured over a 160th of the picture's width and height to each side."""
+_AGREES_WITHIN = 0.05  # a fraction of the depth; a larger difference shows another surface, or an error
+_SMOOTH = 1.1  # largest ratio of the depths between which depth is interpolated
+_NORMAL_GRAIN = 160  # a normal is measured over a 160th of the picture's width and height to each side
 _OPENGL = np.diag([1.0, -1.0, -1.0])
 
 

@@ -19,8 +19,7 @@ from .trials import Agreement, agreement, find_causes
 from .up import measure_tilt, tilt_finding
 
 _Z = np.array([0.0, 0.0, 1.0])
-_CLIPPED = 0.5
-"""A photo with a larger fraction of black and white pixels shows too little."""
+_CLIPPED = 0.5  # a photo with a larger fraction of black and white pixels shows too little
 
 
 def diagnose(scene: Scene) -> Diagnosis:

@@ -23,10 +23,8 @@ _PRIOR = np.array([0.3, 0.3, 0.3, 0.1, 0.1, 1.0])
 """The expected deviation of each. It decides where views say nothing: cameras at one height leave fy open."""
 _ROUNDS = 8
 _LEAST_TERMS = 200
-_FINEST = 2e-4
-"""Relative depth error caused by rounding to millimetres. Smaller ones cannot be measured."""
-_STEEPEST = 5.0
-"""Largest slope of a point on a surface. A larger one means that the point crossed an edge."""
+_FINEST = 2e-4  # relative depth error caused by rounding to millimetres; smaller ones cannot be measured
+_STEEPEST = 5.0  # largest slope of a point on a surface; a larger one means that the point crossed an edge
 
 
 class Calibration(NamedTuple):
@@ -125,18 +123,14 @@ def _solve(linear: _Linear, values: Floats, prior: Floats) -> tuple[Floats, Floa
 _UNITS = (1000.0, 100.0, 10.0, 6.5535, 5.0, 4.0, 2.54, 2.0, 1.6, 1.3107, 0.76295, 0.625, 0.5, 0.393701, 0.25, 0.2,
          1 / 6.5535, 0.1, 0.01, 0.001)  # fmt: skip
 """Factors of depth, for metres read as millimetres, 5000, 6553.5 or 4000 steps per metre read as 1000, and inches."""
-_AS_GOOD = 0.995
-"""A fitted value replaces a tried one where views agree at least this many times as well."""
+_AS_GOOD = 0.995  # a fitted value replaces a tried one where views agree at least this many times as well
 _SCALES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0, 4.0)
 _FOCALS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.12, 1.25, 1.45, 1.7, 2.0)
 _POINTS = 150
-_BETTER = 1.15
-"""Least factor by which views must agree better under another assumption."""
-_CERTAIN = 5.0
-"""Least mean gain of the frames, in its standard errors."""
+_BETTER = 1.15  # least factor by which views must agree better under another assumption
+_CERTAIN = 5.0  # least mean gain of the frames, in its standard errors
 _MOST_CAUSES = 4
-_POOR = 0.4
-"""A fraction of the points seen by two views. If fewer agree, two causes at once are tried."""
+_POOR = 0.4  # a fraction of the points seen by two views; if fewer agree, two causes at once are tried
 _POSE_CAUSES = ("inverted", "opengl", "inverted opengl")
 _LENS_CAUSES = ("lens size", "focal")
 _ASIDE = 0.1

@@ -18,8 +18,7 @@ _LEVEL = 5.0
 """Degrees. Normals this close to the axis belong to level surfaces, and this close to a right angle to walls."""
 _TILTED, _CERTAIN = 5.0, 5.0
 """Degrees and standard errors. Floors are level to within a degree, and so are scanners' worlds."""
-_NAMED_WITHIN = 8.0
-"""An axis of the poses within this many degrees is named."""
+_NAMED_WITHIN = 8.0  # an axis of the poses within this many degrees is named
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 

@@ -184,10 +184,8 @@ def _areas(xyz: NDArray[np.float32], triangles: Ints) -> NDArray[np.float64]:
     return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
 
 
-_ROUNDS = 4
-"""Rounds of smoothing of the labels before the line between two is drawn."""
-_MARGIN = 0.15
-"""Minimum share of an edge on each side of a cut: slivers would fold over when a rim is smoothed."""
+_ROUNDS = 4  # rounds of smoothing of the labels before the line between two is drawn
+_MARGIN = 0.15  # minimum share of an edge on each side of a cut: slivers would fold over when a rim is smoothed
 
 
 def even_labels(triangles: Ints, label: Ints) -> Ints:

@@ -16,8 +16,7 @@ from .mesh import GENERATOR, GlbBuffer, upright
 _SPZ_MAGIC, _SPZ_VERSION, _FRACTIONAL_BITS = 0x5053474E, 3, 12
 """Positions are 24-bit multiples of 1/4096 m: within 2048 m."""
 _SPZ_COLOUR = 0.15
-_MOST_OF_THREE = float(np.sqrt(0.5))
-"""The largest value of the three smaller components of a unit quaternion."""
+_MOST_OF_THREE = float(np.sqrt(0.5))  # the largest value of the three smaller components of a unit quaternion
 _EXTENSION = "KHR_gaussian_splatting"
 _COLOUR_SPACE = "srgb_rec709_display"
 

@@ -24,8 +24,7 @@ from .texture import jpeg_bytes
 
 FOCAL_LENGTH = 24.0
 """Millimetres, for every camera; the apertures give the angle of view."""
-_TO_USD = np.diag((1.0, -1.0, -1.0, 1.0))
-"""From OpenCV's camera axes to OpenUSD's (y up, looking along -z)."""
+_TO_USD = np.diag((1.0, -1.0, -1.0, 1.0))  # from OpenCV's camera axes to OpenUSD's (y up, looking along -z)
 
 
 def export_usd(lift: FinishedLift, output: Path) -> None:

@@ -33,12 +33,9 @@ WIDEST, MOST_VIEWS = 320, 60
 ROOM, OBJECTS = Grain(0.05, 15.0, 1, times=3, reaches=GRAZED), Grain(0.025, times=3)
 WINDOW = 0.5
 """The largest size in metres, along each axis, of a hole in the room that is closed."""
-_BESIDE = 0.075
-"""Metres from an object's own surface within which the room's surface drops that object's triangles."""
-_AROUND = 0.3
-"""Metres within which an unlabelled vertex takes a neighbour's label."""
-_RIM = 5
-"""Side in pixels of the square around each pixel of an object that belongs to its surface."""
+_BESIDE = 0.075  # metres from an object's own surface within which the room's surface drops that object's triangles
+_AROUND = 0.3  # metres within which an unlabelled vertex takes a neighbour's label
+_RIM = 5  # side in pixels of the square around each pixel of an object that belongs to its surface
 
 
 def export_surface(lift: FinishedLift, output: Path) -> None:

@@ -17,12 +17,9 @@ from .layout import LARGEST_PIXELS
 _MAGIC = b"\x76\x2f\x31\x01"
 _HEADER_SIZES = (2**18, 2**26)
 """Bytes of a header read at first, and at most. Cryptomatte's names of thousands of objects take megabytes."""
-_MOST_NUMBERS = 2**30
-"""Maximum number of values in all channels, as the library reads them all."""
-_TILED, _DEEP, _PARTS = 0x200, 0x800, 0x1000
-"""Flags of the version."""
-_HALF = 1
-"""The channel type of half floats."""
+_MOST_NUMBERS = 2**30  # maximum number of values in all channels, as the library reads them all
+_TILED, _DEEP, _PARTS = 0x200, 0x800, 0x1000  # flags of the version
+_HALF = 1  # the channel type of half floats
 _FIX = "Write this file again."
 
 

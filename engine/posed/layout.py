@@ -163,8 +163,7 @@ def shown_size(size: Size) -> str:
 _SHARE_OF_MEMORY = 0.5
 """The fraction of the free memory that one file may take: the rest of the scene needs some as well."""
 
-_SMALL = 1 << 25
-"""Bytes. Files smaller than this skip the free-memory check."""
+_SMALL = 1 << 25  # bytes; files smaller than this skip the free-memory check
 
 
 def check_count(count: int, things: str, path: Path, fix: str, *, most: int, room: int, made: int) -> None:
@@ -192,10 +191,8 @@ def check_memory(size: int, path: Path) -> None:
 
 LARGEST_PIXELS = 2**27
 _SMALLEST_SIDE = 4
-_LONGEST_SHAPE = 20
-"""Maximum ratio of a picture's sides."""
-_FOCAL_LENGTHS = (0.001, 1000.0)
-"""Relative to the picture's longer side: angles of view of 179.9 degrees and of 0.06."""
+_LONGEST_SHAPE = 20  # maximum ratio of a picture's sides
+_FOCAL_LENGTHS = (0.001, 1000.0)  # relative to the picture's longer side: angles of view of 179.9 degrees and of 0.06
 
 
 def check_camera(name: str, camera: Camera, path: Path) -> None:

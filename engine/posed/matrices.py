@@ -130,10 +130,8 @@ TO_Z_UP = {
 }
 """The rotation from a world with this axis up into one with z up."""
 _CLEARLY_UP = 0.6
-_NEARLY_UPRIGHT = 0.99
-"""Cosine of 8 degrees: if z is this close to the cameras' up, z was meant to be up."""
-_SPREAD = 0.3
-"""Second over first singular value of the cameras' right axes. Below it all cameras look the same way."""
+_NEARLY_UPRIGHT = 0.99  # cosine of 8 degrees: if z is this close to the cameras' up, z was meant to be up
+_SPREAD = 0.3  # second over first singular value of the cameras' right axes; below it all cameras look the same way
 
 
 def upright_turn(

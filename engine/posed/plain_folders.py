@@ -19,10 +19,8 @@ from .layout import check_camera, composed, files_by_stem, listed, of_most, plur
 from .matrices import read_intrinsics, read_poses, turned, upright_turn
 
 NOTHING_MEASURED = "no frame is held out: nothing is measured on unseen views"
-_EVERY, _FIRST = 8, 4
-"""Every 8th frame is held out, starting with the 5th."""
-_MOST = 40
-"""Maximum number of held-out frames. More improve no measurement, and each is rendered and scored."""
+_EVERY, _FIRST = 8, 4  # every 8th frame is held out, starting with the 5th
+_MOST = 40  # maximum number of held-out frames; more improve no measurement, and each is rendered and scored
 
 
 @dataclass(frozen=True)

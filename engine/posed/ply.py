@@ -25,8 +25,7 @@ _COLUMNS = {"x", "y", "z", "red", "green", "blue", "class_id", "instance_id"}
 _MOST_OF_SURFACE, _MOST_OF_SPLATS = 1 << 30, 4 << 30
 _LONGEST_HEADER = 8192
 _MESH_FIX, _SPLATS_FIX = "Delete it, then make the meshes again.", "Lift the scene again."
-_FARTHEST = 1e6
-"""Metres, as for points."""
+_FARTHEST = 1e6  # metres, as for points
 _WHOLE = {"class_id": "<i4", "instance_id": "<i4", "red": "u1", "green": "u1", "blue": "u1"}
 """Columns of splat files that hold whole numbers, whatever their declared type."""
 _NEEDED = {"x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1",

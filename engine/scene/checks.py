@@ -24,13 +24,10 @@ from .pixels import distinct_ids, largest_of_16_bits
 from .view import Progress
 
 _COLOURS_DECODED = 16
-_MEDIAN_STEP = 7
-"""Every seventh pixel is enough for the median depth."""
-_LOOKS_LIKE_METRES = 0.1
-"""Metres. A scene in millimetres has some depth above this."""
+_MEDIAN_STEP = 7  # every seventh pixel is enough for the median depth
+_LOOKS_LIKE_METRES = 0.1  # metres; a scene in millimetres has some depth above this
 _LOOKS_TOO_FAR = 15.0
-_BITS = (8, 10, 12, 14)
-"""Bit depths of sensors whose photos are stored unscaled in 16-bit PNGs."""
+_BITS = (8, 10, 12, 14)  # bit depths of sensors whose photos are stored unscaled in 16-bit PNGs
 _SPARSE_DEPTH = 0.05
 _DISAGREEING = 0.4
 _LONELY_SHARE = 0.2

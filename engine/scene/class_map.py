@@ -18,8 +18,7 @@ _FIRST, _OTHERS = ("reduced", "nyu40"), ("nyu13", "scannet200", "replica", "coco
 """Tables whose names take colours, most distinct first: the first in this order, the others' by how many share them."""
 _CALM = {"wall": 24, "floor": 21, "ceiling": 26}
 """Palette indices of greyish colours for the classes that fill most pictures, exchanged with the names there."""
-_FAR = 128
-"""The number of leading palette colours that differ by at least 9.5 (CIEDE2000). The rest differ by 5.5."""
+_FAR = 128  # the number of leading palette colours that differ by at least 9.5 (CIEDE2000); the rest differ by 5.5
 
 
 def coloured(labels: Iterable[ClassLabel]) -> ClassTable:

@@ -26,16 +26,12 @@ from .pixels import Alignment, decode_depth, read_indices, resize_aligned, resiz
 MILLIMETRES = 0.001
 _DEPTHS = (0.0005, 10_000.0)
 """Metres: half a step of a 16-bit image in millimetres, and the farthest that a camera may be from the origin."""
-_LARGEST = 65535
-"""The largest value in a PNG of 16 bits."""
+_LARGEST = 65535  # the largest value in a PNG of 16 bits
 _PNG_FIX = "Save millimetres as a 16-bit grey PNG."
-_ONE_PLACE = 1e-3
-"""Metres. Colour and depth share a pose if their transform differs from the identity by no more."""
-_FARTHEST_BESIDE = 0.5
-"""Maximum distance in metres between a sensor's two cameras."""
+_ONE_PLACE = 1e-3  # metres; colour and depth share a pose if their transform differs from the identity by no more
+_FARTHEST_BESIDE = 0.5  # maximum distance in metres between a sensor's two cameras
 _APART = "colour and depth stand apart, but not as a sensor's do, and their extrinsics are ignored: depth may not fit"
-_NEARLY_ALIGNED = 0.15
-"""Maximum difference between a sensor's colour and depth lenses, as a fraction of the picture."""
+_NEARLY_ALIGNED = 0.15  # maximum difference between a sensor's colour and depth lenses, as a fraction of the picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,8 +251,7 @@ def fitting_alignment(colour: Camera, depth: Camera) -> Alignment | None:
     return Alignment(x_scale, x_shift, y_scale, y_shift) if moves < _NEARLY_ALIGNED else None
 
 
-_TOLERANCE = 0.1
-"""Metres, or 5 % of the depth if that is more: thumbnails of slanted surfaces are coarse."""
+_TOLERANCE = 0.1  # metres, or 5 % of the depth if that is more: thumbnails of slanted surfaces are coarse
 _NEXT, _SPREAD = 3, 24
 _THUMBNAIL_WIDTH = 40
 _OVERLAPPING = 0.05

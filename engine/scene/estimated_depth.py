@@ -29,8 +29,7 @@ _TURNED = Inferred(
     "orientation", "depth maps of photos with an EXIF orientation are turned to the stored pictures",
     "they fit the points so",
 )  # fmt: skip
-_CLEARLY = 0.7
-"""An alternative reading of the maps is taken if its error is at most this fraction of the usual one's."""
+_CLEARLY = 0.7  # an alternative reading of the maps is taken if its error is at most this fraction of the usual one's
 _AGREEING = 0.35
 """Maps with values up to 1 are metres if this fraction of the points agrees between frames. Of two scenes shrunk to
 1 m, 0.57 and 0.92 agreed; as fractions of each frame's range, or in half or twice their unit, at most 0.21."""
@@ -43,8 +42,7 @@ _FIX = "Give one map per frame, with the frame's name: .npy, .npz, or .png of 8 
 _PAIRS = 256
 _MOST_POINTS = 2000
 _CLOSE = 0.01
-_FARTHEST = 3.0
-"""A multiple of the farthest point's depth. Depth beyond it is a guess, and is dropped."""
+_FARTHEST = 3.0  # a multiple of the farthest point's depth; depth beyond it is a guess, and is dropped
 
 Values = NDArray[np.float64]
 

@@ -16,10 +16,8 @@ _GRADIENT = np.array(
 """sRGB from near to far, each darker than the one before, so that depth stays readable in greyscale."""
 _LINE, _BORDER = 0.45, 0.4
 """Brightness of the lines at whole metres and of segment borders, relative to the pixel's own."""
-_MOST_LINES = 40
-"""Maximum number of lines in a picture; deeper scenes get none."""
-_NONE = (60, 60, 60)
-"""sRGB of pixels without depth or without a class."""
+_MOST_LINES = 40  # maximum number of lines in a picture; deeper scenes get none
+_NONE = (60, 60, 60)  # sRGB of pixels without depth or without a class
 
 
 class DepthColours(NamedTuple):

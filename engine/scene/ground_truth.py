@@ -26,12 +26,10 @@ from .masks import MaskSet
 from .numbering import Asking, numbered
 from .pixels import check_label_header, distinct_ids, read_indices, resize_nearest
 
-_ANYTHING = 21
-"""The last of the paper's classes: all other things."""
+_ANYTHING = 21  # the last of the paper's classes: all other things
 LOOKED_AT = 6
 """Frames in which ground truth is compared with the masks."""
-_FEWEST = 500
-"""Minimum number of pixels for a meaningful agreement."""
+_FEWEST = 500  # minimum number of pixels for a meaningful agreement
 _POOR, _AGREES = 0.1, 0.2
 """Fractions of agreeing pixels: below the first there is hardly any; a table is inferred from the second on."""
 _DOUBTED, _REFUTED, _EQUAL = 0.8, 0.6, 0.95

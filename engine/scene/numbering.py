@@ -23,8 +23,7 @@ from .frame import Inferred
 from .frame_choice import evenly_spread
 from .mask_formats import MaskSource
 
-_LOOKED_AT = 16
-"""Maximum number of frames whose masks are inspected."""
+_LOOKED_AT = 16  # maximum number of frames whose masks are inspected
 _ROOM = {"wall", "floor", "ceiling"}
 _USUAL = {
     **dict.fromkeys(("ade20k", "nyu40", "nyu13", "scannet", "scannet200", "replica", "reduced"), _ROOM),
@@ -35,14 +34,12 @@ _USUAL = {
     },
 }  # fmt: skip
 """Classes that frames with these tables nearly always show."""
-_ALIKE = ("scannet", "nyu40", "nyu13")
-"""Tables of the same scans, whose files are easily confused."""
+_ALIKE = ("scannet", "nyu40", "nyu13")  # tables of the same scans, whose files are easily confused
 _ENOUGH, _TIMES, _SEEN = 0.05, 2.0, 0.01
 """A numbering is recognised if this fraction of pixels has usual classes in it, and this many times more than in any
 other. The more usual classes with at least the third fraction, the better: walls alone are weaker evidence than walls
 and a floor."""
-_SKY = 0.01
-"""With more than this fraction of sky, a scene is not a room, so it may lack walls and floor."""
+_SKY = 0.01  # with more than this fraction of sky, a scene is not a room, so it may lack walls and floor
 _SKIES = {"sky", "sky-other-merged"}
 _HEIGHTS = {
     **dict.fromkeys(_SKIES, (2 / 3, 1.0)), **dict.fromkeys(("ceiling", "ceiling-merged"), (0.4, 1.0)),

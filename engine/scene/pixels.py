@@ -152,8 +152,7 @@ def distinct_ids(ids: NDArray[np.int32]) -> tuple[NDArray[np.intp], NDArray[np.i
 
 SUFFIXES = {".png", ".npy", ".npz"}
 _LARGEST_ID = 2**24
-_NEARLY = 12
-"""Steps of 8 bits by which JPEG alters black and white."""
+_NEARLY = 12  # steps of 8 bits by which JPEG alters black and white
 
 
 def label_map_size(path: Path) -> Size:

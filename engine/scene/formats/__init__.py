@@ -41,8 +41,7 @@ _RTABMAP = (
     "Export with rtabmap-export --images --poses_camera --poses_format 11, rename the poses to groundtruth.txt, and "
     "write fx fy cx cy of calib into calibration.txt."
 )
-_LOOKED_INTO = 100
-"""Maximum number of subfolders searched for scenes if a folder holds none itself."""
+_LOOKED_INTO = 100  # maximum number of subfolders searched for scenes if a folder holds none itself
 _UNPACK = "python -m zipfile -e FILE FOLDER"
 
 

@@ -32,10 +32,8 @@ from .poses import nearest, numbers, read_rows
 Value = TypeVar("Value")
 _FIX = "Download the video's wide or lowres_wide, its intrinsics, lowres_depth and lowres_wide.traj again."
 _KINDS, _TRAJECTORY = ("wide", "vga_wide", "lowres_wide"), "lowres_wide.traj"
-_SAME = 0.02
-"""Maximum difference in seconds between the files of one frame."""
-_GAP = 0.25
-"""Maximum seconds between two poses to interpolate between them."""
+_SAME = 0.02  # maximum difference in seconds between the files of one frame
+_GAP = 0.25  # maximum seconds between two poses to interpolate between them
 
 
 def _folder(place: Path) -> Path | None:

@@ -27,12 +27,9 @@ _SUFFIXES = ("bin", "txt")
 _MOST_BYTES = 1 << 31
 _MOST_POINTS = 4_000_000
 """Maximum number of points in a model, which take seven seconds. Models of rooms have several hundred thousand."""
-_MOST_LINES = 1_000_000
-"""Maximum number of lines in a text file, which take some seconds."""
-_LINE_IN_MEMORY = 500
-"""Bytes for a line of text and the numbers parsed from it."""
-_POINT_BYTES = 51
-"""Minimum bytes per point in a binary file."""
+_MOST_LINES = 1_000_000  # maximum number of lines in a text file, which take some seconds
+_LINE_IN_MEMORY = 500  # bytes for a line of text and the numbers parsed from it
+_POINT_BYTES = 51  # minimum bytes per point in a binary file
 _MOST_POINT_BYTES = _MOST_TEXT = 1 << 29
 _POINTS_2D = np.dtype([("xy", "<f8", 2), ("point", "<i8")])  # point is -1 for features without one
 EXPORT_AGAIN = "Let COLMAP write the model again, for example with colmap model_converter."

@@ -113,8 +113,7 @@ _SCANNER_APP_POSE, _SCANNER_APP_LENS = "cameraPoseARFrame", "intrinsics"
 _SCANNER_APP_FIX = "Share the scan from the app again, as All Data."
 _FIXED = np.array([[False, True, False], [True, False, False], [True, True, True]])
 """Elements of every camera's matrix that are 0 0 0 0 1."""
-_LOOKED_AT = 4
-"""Pictures whose JSON files are searched for a pose: other programs use the name frame_00000.json, too."""
+_LOOKED_AT = 4  # pictures whose JSON files are searched for a pose: other programs use the name frame_00000.json, too
 
 
 def _recognises_scanner_app(place: Path) -> bool:

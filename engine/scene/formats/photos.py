@@ -71,8 +71,7 @@ def finished_models(place: Path) -> list[str]:
     return models if photos is None or (textured and photos == place / ".") else []
 
 
-_BOXES = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide")
-"""An MP4 or MOV begins with one of these."""
+_BOXES = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide")  # an MP4 or MOV begins with one of these
 _MATROSKA = b"\x1a\x45\xdf\xa3"
 _VIDEO_FIX = "Copy or record it again, or extract its pictures with another tool."
 

@@ -39,20 +39,14 @@ from .poses import from_opengl, quaternion_pose
 
 _FIX = "Export it from Record3D again."
 _EXPORTED = "metadata.json"
-_LARGEST = 2**28
-"""Maximum size in bytes of one unpacked picture or depth map."""
+_LARGEST = 2**28  # maximum size in bytes of one unpacked picture or depth map
 _DEPTH_SIZES = ((192, 256), (256, 192), (480, 640), (640, 480))
 """(width, height) of LiDAR and TrueDepth, portrait and landscape, for metadata without a size."""
-_MOST_DEPTHS = 2**22
-"""Maximum number of values in a depth map."""
-_CLEARLY_Y = 0.9
-"""Cosine of 25 degrees."""
-_STORED, _SHORT, _USUAL, _END = b"bvx-", b"bvxn", b"bvx2", b"bvx$"
-"""Kinds of LZFSE's blocks."""
-_FULL_BLOCK = 10_000
-"""Minimum bytes of all blocks but the last: they are full with 10 000 matches or 40 000 literals."""
-_AT_ONCE = 8
-"""Blocks unpacked before their size is compared with the claims. No block can grow beyond 27 MB."""
+_MOST_DEPTHS = 2**22  # maximum number of values in a depth map
+_CLEARLY_Y = 0.9  # cosine of 25 degrees
+_STORED, _SHORT, _USUAL, _END = b"bvx-", b"bvxn", b"bvx2", b"bvx$"  # kinds of LZFSE's blocks
+_FULL_BLOCK = 10_000  # minimum bytes of all blocks but the last: they are full with 10 000 matches or 40 000 literals
+_AT_ONCE = 8  # blocks unpacked before their size is compared with the claims; no block can grow beyond 27 MB
 
 
 @dataclass(frozen=True)

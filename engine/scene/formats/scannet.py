@@ -63,8 +63,7 @@ FOLDERS = SceneFormat(NAME, recognises, _read_folders)
 
 
 _VERSION = 4
-_COLOURS = (1, 2)
-"""PNG and JPEG."""
+_COLOURS = (1, 2)  # PNG and JPEG
 _RAW, _ZLIB = 0, 1
 _FIX = "Copy or download this file again."
 _LARGEST_NAME = 10_000

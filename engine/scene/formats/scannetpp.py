@@ -37,8 +37,7 @@ _TABLE = "pose_intrinsic_imu.json"
 _WIDTH, _HEIGHT = 256, 192
 _PIXELS = _WIDTH * _HEIGHT
 _CHUNK = 1 << 16
-_MOST_FRAMES = 1 << 19
-"""Two hours at 60 frames a second."""
+_MOST_FRAMES = 1 << 19  # two hours at 60 frames a second
 
 
 def _read(place: Path) -> Capture:

@@ -33,8 +33,7 @@ from .lens import OPENCV_COUNTS, assumed, fitted, of_opencv, pinhole
 from .poses import nearest, numbers, quaternion_pose, read_rows
 
 _STEP = 1.0 / 5000.0
-_APART = 0.02
-"""Maximum difference in seconds between a picture, its depth and its pose."""
+_APART = 0.02  # maximum difference in seconds between a picture, its depth and its pose
 _POSE_FIX = "Write one pose on each line, t tx ty tz qx qy qz qw, with points in decimals."
 _LIST_FIX = "Write a time stamp and a file name on each line."
 _ICL_FIX = "Convert it to the folders color, depth, pose and intrinsic, as docs/captures.md describes them."

@@ -31,8 +31,7 @@ _SIZE_FIX = "Give the image its width and height under images, or write run leng
 _KINDS = "Give COCO results, COCO or LVIS instances, or masklets of SA-V."
 _RLE = re.compile(rb"(?:[P-o]{0,6}[0-O])+")
 """Compressed run lengths: six bits per character, the highest of which says that the number continues."""
-_EVERY = 4
-"""SA-V has masklets for every fourth frame of its videos."""
+_EVERY = 4  # SA-V has masklets for every fourth frame of its videos
 
 
 @dataclass(frozen=True)

@@ -28,12 +28,10 @@ from ..values import by_colour, numbers_of_colours
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask, named_labels, pile
 
 _FIX = "Name the folder that SAM 2 wrote for the video: one PNG per frame, or one folder per object."
-_LOOKED_AT = 8
-"""Maximum number of folders whose first picture is inspected."""
+_LOOKED_AT = 8  # maximum number of folders whose first picture is inspected
 _BY_COLOUR = "the masks have a palette each, so an object is known by its colour"
 _LIST_FIX = "Name the folder that SAM's amg.py wrote: one folder per picture, whole, with its metadata.csv."
-_NO_LABEL = -1
-"""In no table: a region's number does not give its class."""
+_NO_LABEL = -1  # in no table: a region's number does not give its class
 
 
 def _object_folders(place: Path) -> dict[int, Path]:
