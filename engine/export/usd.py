@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -175,11 +176,8 @@ def _add_box(stage: Usd.Stage, path: str, one: Instance) -> Usd.Prim:
 
 
 def _add_cameras(stage: Usd.Stage, frames: Sequence[Frame]) -> None:
-    """A camera for each frame, and one that moves: at the time of a frame's number, or else of its place in the
-    capture, it is that frame's."""
-    numbers = [number_in(frame.name) for frame in frames]
-    is_numbered = None not in numbers and len({*numbers}) == len(numbers)
-    times = [float(number or 0) for number in numbers] if is_numbered else [*map(float, range(1, len(frames) + 1))]
+    """A camera for each frame, and one that moves: at a frame's time it is that frame's."""
+    times = time_codes([frame.name for frame in frames])
     if times:
         stage.SetStartTimeCode(min(times))
         stage.SetEndTimeCode(max(times))
@@ -190,6 +188,13 @@ def _add_cameras(stage: Usd.Stage, frames: Sequence[Frame]) -> None:
         still.GetPrim().SetDisplayName(frame.name)
         _set_camera(still, frame.camera, Usd.TimeCode.Default())
         _set_camera(UsdGeom.Camera.Define(stage, "/Lift/Cameras/moving"), frame.camera, Usd.TimeCode(time))
+
+
+def time_codes(names: Sequence[str]) -> list[float]:
+    """The times of frames: the numbers in their names if these ascend, as fractions of seconds do not; else 1, 2, …"""
+    times = [float(number) for name in names if (number := number_in(name)) is not None]
+    ascend = len(times) == len(names) and all(one < following for one, following in pairwise(times))
+    return times if ascend else [*map(float, range(1, len(names) + 1))]
 
 
 def _set_camera(shown: UsdGeom.Camera, camera: Camera, time: Usd.TimeCode) -> None:

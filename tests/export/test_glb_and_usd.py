@@ -180,6 +180,14 @@ def test_gaussians_and_cameras_in_usd(lift: LiftFolder, tmp_path: Path, monkeypa
     assert ((x + 1) / 2 * camera.width, (1 - y) / 2 * camera.height) == pytest.approx(tuple(pixel), abs=1e-3)
 
 
+def test_fractions_of_seconds_are_no_frame_numbers() -> None:
+    pytest.importorskip("pxr")
+    from engine.export.usd import time_codes
+
+    assert time_codes(["frame-0010", "frame-0012"]) == [10.0, 12.0]
+    assert time_codes(["1305031102.95", "1305031103.05"]) == [1.0, 2.0]
+
+
 def test_usd_export_names_the_missing_package(
     lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
