@@ -5,16 +5,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.result_files import (
-    ANCHORS,
-    INSTANCES,
-    SEMANTIC_POINTS,
-    Anchors,
-    Instance,
-    SemanticPoints,
-    write_arrays,
-    write_instances,
-)
+from engine import result_files
 from engine.scene import Category, ClassTable
 
 FLOOR, CHAIR, TABLE, SOFA = 1, 2, 3, 4
@@ -49,17 +40,20 @@ def write_result(lift: Path, shift: float = 0.0, without: int = 0) -> Path:
     instance_id = np.concatenate([np.full(len(points), one, np.int32) for _, one, points in parts])
     count = len(xyz)
     rgb, full = np.full((count, 3), 128, np.uint8), np.ones(count, np.float32)
-    write_arrays(lift / "result" / SEMANTIC_POINTS, SemanticPoints(xyz, rgb, class_id, instance_id, full))
+    result_files.write_arrays(
+        lift / "result" / result_files.SEMANTIC_POINTS,
+        result_files.SemanticPoints(xyz, rgb, class_id, instance_id, full),
+    )
     few = slice(None, None, 3)
-    anchors = Anchors(xyz[few] + 0.01, class_id[few], instance_id[few], full[few], class_id[few], rgb[few])
-    write_arrays(lift / "result" / ANCHORS, anchors)
+    anchors = result_files.Anchors(xyz[few] + 0.01, class_id[few], instance_id[few], full[few], class_id[few], rgb[few])
+    result_files.write_arrays(lift / "result" / result_files.ANCHORS, anchors)
     names = {CHAIRS: "chair 1", DESK: "table 1", CRUMB: "table 2"}
     instances = [
-        Instance(
+        result_files.Instance(
             one, names[one], kind, CLASSES[kind].name, (10, 20, 30), tuple(points.mean(axis=0).tolist()),
             tuple(np.ptp(points, axis=0).tolist()), 0.0, (1.0, 0.0, 0.0, 0.0), 5, 0.9, len(points), (),
         )
         for kind, one, points in parts if one
     ]  # fmt: skip
-    write_instances(lift / "result" / INSTANCES, CLASSES, instances)
+    result_files.write_instances(lift / "result" / result_files.INSTANCES, CLASSES, instances)
     return lift

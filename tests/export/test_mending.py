@@ -6,17 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from engine.export import mending
 from engine.export.fusion import Ints, Surface
-from engine.export.mending import (
-    close_holes,
-    cut_by_label,
-    even_labels,
-    even_rim,
-    open_edges,
-    without_crumbs,
-    without_flakes,
-    without_fringe,
-)
 
 STEP = 0.02
 """Metres between the vertices of a sheet."""
@@ -58,9 +49,9 @@ def test_a_hole_as_large_as_a_hand_is_closed_facing_as_its_surroundings() -> Non
     whole = sheet(30, 30)
     torn = with_hole(whole, 0.2, 0.28)
     label = np.where(torn.xyz[:, 0] < 0.25, 7, 9)
-    closed, labels = close_holes(torn, label)
+    closed, labels = mending.close_holes(torn, label)
     assert len(closed.xyz) == len(whole.xyz) + 1
-    assert len(open_edges(closed.triangles)) == len(open_edges(whole.triangles))
+    assert len(mending.open_edges(closed.triangles)) == len(mending.open_edges(whole.triangles))
     assert (area(closed) > 0).all() and np.isclose(area(closed).sum(), area(whole).sum())
     np.testing.assert_allclose(closed.xyz[-1], [0.24, 0.24, 0], atol=1e-6)
     np.testing.assert_allclose(closed.normal[-1], [0, 0, 1], atol=1e-6)
@@ -70,7 +61,7 @@ def test_a_hole_as_large_as_a_hand_is_closed_facing_as_its_surroundings() -> Non
 def test_larger_holes_and_rims_stay_open() -> None:
     torn = joined(with_hole(sheet(30, 30), 0.2, 0.36), sheet(4, 4, x=1.0))  # a hole of 0.16 m, a scrap of 0.06 m
     label = np.zeros(len(torn.xyz), np.int64)
-    closed, labels = close_holes(torn, label)
+    closed, labels = mending.close_holes(torn, label)
     assert len(closed.triangles) == len(torn.triangles) and len(labels) == len(label)
 
 
@@ -82,7 +73,7 @@ def test_far_small_pieces_take_a_neighbours_label_or_none() -> None:
     patch = on_sheet & (surface.xyz[:, 0] > 1.0) & (surface.xyz[:, 0] < 1.07) & (surface.xyz[:, 1] < 0.07)
     label[patch] = 3
     label[~on_sheet] = np.where(surface.xyz[~on_sheet, 0] > 2, 3, 5)  # alone and far; alone and near its large piece
-    mended = without_crumbs(surface, label, np.zeros(len(label), np.bool_))
+    mended = mending.without_crumbs(surface, label, np.zeros(len(label), np.bool_))
     assert (mended[patch] == 5).all()
     assert (mended[surface.xyz[:, 0] > 2] == 0).all()
     others = ~patch & (surface.xyz[:, 0] < 2)
@@ -93,13 +84,13 @@ def test_a_large_piece_of_stuff_is_not_given_to_a_neighbour() -> None:
     surface = sheet(120, 20)
     x = surface.xyz[:, 0]
     label = np.where(x < 1.8, 3, np.where(x < 2.29, 5, 3))  # wall, a picture, and the wall behind it
-    np.testing.assert_array_equal(without_crumbs(surface, label, label == 3), label)
-    assert (without_crumbs(surface, label, label == 0)[x > 2.29] == 5).all()
+    np.testing.assert_array_equal(mending.without_crumbs(surface, label, label == 3), label)
+    assert (mending.without_crumbs(surface, label, label == 0)[x > 2.29] == 5).all()
 
 
 def test_flakes_that_float_are_left_out() -> None:
     surface = joined(sheet(20, 20), sheet(6, 6, x=2.0), sheet(12, 12, x=4.0))
-    kept, label = without_flakes(surface, np.repeat([1, 2, 3], [400, 36, 144]))
+    kept, label = mending.without_flakes(surface, np.repeat([1, 2, 3], [400, 36, 144]))
     assert np.bincount(label).tolist() == [0, 400, 0, 144]
     assert np.isclose(area(kept).sum(), (19 * STEP) ** 2 + (11 * STEP) ** 2)
 
@@ -109,9 +100,9 @@ def test_the_teeth_of_a_rim_are_evened_and_nothing_within_moves() -> None:
     row = np.arange(len(whole.xyz)) // 20
     teeth = (row[whole.triangles] >= 10).sum(axis=1) >= 2  # as labels cut a surface
     surface = Surface(whole.xyz, whole.rgb, whole.normal, whole.triangles[teeth])
-    edges = open_edges(surface.triangles)
+    edges = mending.open_edges(surface.triangles)
     sides = edges[(np.abs(whole.xyz[edges][..., 0] - 0.19) < 0.15).all(axis=1) & (row[edges] < 12).all(axis=1)]
-    even = even_rim(surface)
+    even = mending.even_rim(surface)
     before, after = (np.abs(np.diff(xyz[sides][..., 1], axis=1)).max() for xyz in (surface.xyz, even))
     assert before > 0.9 * STEP and after < 0.2 * before
     within = np.setdiff1d(np.arange(len(whole.xyz)), edges)
@@ -121,15 +112,15 @@ def test_the_teeth_of_a_rim_are_evened_and_nothing_within_moves() -> None:
 def test_near_scraps_of_an_object_are_removed_but_its_legs_stay() -> None:
     surface = joined(sheet(30, 30), sheet(4, 4, x=0.62), sheet(6, 6, x=0.72))  # 1.1 % and 3 % of the sheet
     label = np.full(len(surface.xyz), 3, np.int64)
-    mended = without_crumbs(surface, label, np.zeros(len(label), np.bool_))
+    mended = mending.without_crumbs(surface, label, np.zeros(len(label), np.bool_))
     np.testing.assert_array_equal(np.bincount(mended, minlength=4)[[0, 3]], [16, 936])
-    assert (without_crumbs(surface, label, np.ones(len(label), np.bool_)) == 3).all()
+    assert (mending.without_crumbs(surface, label, np.ones(len(label), np.bool_)) == 3).all()
 
 
 def test_tatters_between_open_edges_are_left_out_and_holes_grow_no_larger() -> None:
     whole = with_hole(sheet(40, 40), 0.3, 0.48)
     torn = with_tongue(whole)
-    kept, label = without_fringe(torn, np.full(len(torn.xyz), 3))
+    kept, label = mending.without_fringe(torn, np.full(len(torn.xyz), 3))
     assert kept.xyz[:, 0].max() < 0.79 + 2 * STEP and (label == 3).all() and len(label) == len(kept.xyz)
     of_sheet = kept.xyz[kept.triangles][..., 0].max(axis=1) < 0.785
     assert np.isclose(area(kept)[of_sheet].sum(), area(whole).sum(), rtol=0.01)
@@ -147,7 +138,7 @@ def test_a_thin_object_stays_alone_or_beside_others_and_with_lone_labels_in_it()
     for surface in (sheet(200, 3), joined(sheet(30, 30), sheet(20, 3, x=2.0)), with_tongue(sheet(40, 40))):
         label = np.where(surface.xyz[:, 0] > 0.785, 7, 5)
         label[np.abs(surface.xyz[:, 0] - surface.xyz[:, 0].max() + 0.1).argmin()] = 0
-        kept, labels = without_fringe(surface, label)
+        kept, labels = mending.without_fringe(surface, label)
         of_thin = [area(each)[(each.xyz[each.triangles][..., 0] > 0.785).all(axis=1)].sum() for each in (surface, kept)]
         assert np.isclose(*of_thin) and (labels == 7).sum() == (label == 7).sum()
 
@@ -160,7 +151,7 @@ def widest_gap(whole: Surface, cut: Surface) -> float:
 
 def sharp_turns(surface: Surface, triangles: Ints) -> int:
     """How many turns of more than 60 degrees the rim of these triangles [T, 3] makes."""
-    rim = open_edges(triangles)
+    rim = mending.open_edges(triangles)
     following = np.full(len(surface.xyz), -1)
     following[rim[:, 0]] = rim[:, 1]
     way = surface.xyz[rim[:, 1]] - surface.xyz[rim[:, 0]]
@@ -177,8 +168,8 @@ def jagged(surface: Surface, towards: tuple[float, float]) -> Ints:
 
 def test_parts_meet_without_teeth_gaps_or_overlap() -> None:
     whole = sheet(30, 30)
-    label = even_labels(whole.triangles, jagged(whole, (0.8, 0.6)))
-    cut, labels = cut_by_label(whole, label)
+    label = mending.even_labels(whole.triangles, jagged(whole, (0.8, 0.6)))
+    cut, labels = mending.cut_by_label(whole, label)
     corners = labels[cut.triangles]
     assert (corners == corners[:, :1]).all() and len(labels) == len(cut.xyz)
     assert (area(cut) > 0).all() and np.isclose(area(cut).sum(), area(whole).sum(), rtol=0.02)
@@ -193,7 +184,7 @@ def test_three_labels_meet_in_a_point() -> None:
     whole = sheet(21, 21)
     x, y = whole.xyz[:, 0] - 0.2, whole.xyz[:, 1] - 0.2
     label = np.where(y < 0, 1, np.where(x < 0, 2, 3))
-    cut, labels = cut_by_label(whole, label)
+    cut, labels = mending.cut_by_label(whole, label)
     corners = labels[cut.triangles]
     assert (corners == corners[:, :1]).all()
     assert np.isclose(area(cut).sum(), area(whole).sum(), rtol=0.02)
@@ -207,6 +198,6 @@ def test_normals_have_unit_length_and_colours_end_at_the_cut() -> None:
     label = np.where(whole.xyz[:, 0] > 0.2, 7, 3)  # on the two sides of a box's edge
     normal = np.where(label[:, None] == 7, np.float32([-1, 0, 0]), np.float32([0, 0, 1]))
     rgb = np.where(label[:, None] == 7, np.uint8([200, 0, 0]), np.uint8([0, 0, 200]))
-    cut, labels = cut_by_label(replace(whole, normal=normal, rgb=rgb), label)
+    cut, labels = mending.cut_by_label(replace(whole, normal=normal, rgb=rgb), label)
     np.testing.assert_allclose(np.linalg.norm(cut.normal, axis=1), 1.0, atol=1e-5)
     assert ((cut.rgb[:, 0] == 200) == (labels == 7)).all()

@@ -7,20 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from engine import gates
 from engine.errors import PlgsError
-from engine.gates import (
-    create_plain,
-    inner_path,
-    markdown_cell,
-    one_line,
-    open_plain,
-    open_to_append,
-    plot_label,
-    printable,
-    read_plain,
-    table_cell,
-    without_credentials,
-)
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFOs here")
 
@@ -43,7 +31,7 @@ def test_special_is_refused(make: Callable[[Path], object], tmp_path: Path, monk
     monkeypatch.chdir(tmp_path)  # a socket's path is short
     path = Path("special")
     make(path)
-    for open_it in (open_plain, lambda path: read_plain(path, 100), open_to_append):
+    for open_it in (gates.open_plain, lambda path: gates.read_plain(path, 100), gates.open_to_append):
         with pytest.raises(OSError):
             open_it(path)
 
@@ -52,14 +40,14 @@ def test_links_are_followed_only_where_they_may_be(tmp_path: Path) -> None:
     target, link = tmp_path / "target", tmp_path / "link"
     target.write_bytes(b"theirs")
     link.symlink_to(target)
-    assert read_plain(link, 100) == b"theirs"
-    for open_it in (lambda path: open_plain(path, follow_link=False), open_to_append):
+    assert gates.read_plain(link, 100) == b"theirs"
+    for open_it in (lambda path: gates.open_plain(path, follow_link=False), gates.open_to_append):
         with pytest.raises(OSError, match="it is a link"):
             open_it(link)
     os.link(target, tmp_path / "log.txt")
     with pytest.raises(OSError, match="second name"):
-        open_to_append(tmp_path / "log.txt")
-    with create_plain(link) as file:
+        gates.open_to_append(tmp_path / "log.txt")
+    with gates.create_plain(link) as file:
         file.write(b"ours")
     assert target.read_bytes() == b"theirs" and link.read_bytes() == b"ours" and not link.is_symlink()
 
@@ -67,13 +55,13 @@ def test_links_are_followed_only_where_they_may_be(tmp_path: Path) -> None:
 def test_size_limit_is_kept(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"12345")
-    assert read_plain(path, 5) == b"12345"
+    assert gates.read_plain(path, 5) == b"12345"
     with pytest.raises(OSError, match="larger than"):
-        read_plain(path, 4)
+        gates.read_plain(path, 4)
     with path.open("wb") as file:
         file.truncate(1 << 40)
     with pytest.raises(OSError, match="larger than"):
-        read_plain(path, 1 << 20)
+        gates.read_plain(path, 1 << 20)
 
 
 OUTSIDE = ["../a", "..\\a", "a\\..\\..\\b", "/a", "\\\\host\\share", "c:\\a", "c:a", "//h/s/a", "", "a\0"]
@@ -82,15 +70,15 @@ OUTSIDE = ["../a", "..\\a", "a\\..\\..\\b", "/a", "\\\\host\\share", "c:\\a", "c
 @pytest.mark.parametrize("text", OUTSIDE)
 def test_paths_that_leave_their_folder_are_refused(text: str) -> None:
     with pytest.raises(ValueError, match="leaves the folder"):
-        inner_path(text)
+        gates.inner_path(text)
 
 
 def test_inner_paths_are_accepted() -> None:
-    assert str(inner_path("passes/12:30 ü.exr")) == "passes/12:30 ü.exr"
+    assert str(gates.inner_path("passes/12:30 ü.exr")) == "passes/12:30 ü.exr"
 
 
 def test_passwords_stay_out_of_texts() -> None:
-    told = without_credentials("at https://me:secret@host/simple, http://host")
+    told = gates.without_credentials("at https://me:secret@host/simple, http://host")
     assert told == "at https://****@host/simple, http://host"
 
 
@@ -100,18 +88,21 @@ MARKS = [*range(0x00, 0x09), *range(0x0B, 0x20), 0x7F, *range(0x80, 0xA0), 0x200
 
 @pytest.mark.parametrize("code", MARKS, ids=hex)
 def test_terminal_control_characters_are_removed(code: int) -> None:
-    assert printable(f"a{chr(code)}b") == one_line(f"a{chr(code)}b") == "a?b"
+    assert gates.printable(f"a{chr(code)}b") == gates.one_line(f"a{chr(code)}b") == "a?b"
 
 
 @pytest.mark.parametrize(
     ("fit", "text", "fitted"),
     [
-        (one_line, "Stuhl, 椅子, כיסא, كرسي, 🪑", "Stuhl, 椅子, כיסא, كرسي, 🪑"),
-        *((fit, "a\u202eb\nc", "a?b c") for fit in (one_line, table_cell, markdown_cell, plot_label)),
-        *((table_cell, text, f"'{text}") for text in ("=1+1", "+1", "-1", "@SUM(A1)")),
-        (table_cell, "chair", "chair"),
-        (table_cell, -1.5, -1.5),
-        (markdown_cell, "a|b\\|<img src=x>", "a\\|b\\\\\\|&lt;img src=x>"),
+        (gates.one_line, "Stuhl, 椅子, כיסא, كرسي, 🪑", "Stuhl, 椅子, כיסא, كرسي, 🪑"),
+        *(
+            (fit, "a\u202eb\nc", "a?b c")
+            for fit in (gates.one_line, gates.table_cell, gates.markdown_cell, gates.plot_label)
+        ),
+        *((gates.table_cell, text, f"'{text}") for text in ("=1+1", "+1", "-1", "@SUM(A1)")),
+        (gates.table_cell, "chair", "chair"),
+        (gates.table_cell, -1.5, -1.5),
+        (gates.markdown_cell, "a|b\\|<img src=x>", "a\\|b\\\\\\|&lt;img src=x>"),
     ],
 )
 def test_texts_are_fit_for_where_they_stand(fit: Callable[[object], object], text: object, fitted: object) -> None:
@@ -121,7 +112,7 @@ def test_texts_are_fit_for_where_they_stand(fit: Callable[[object], object], tex
 def test_a_plot_label_is_not_a_formula(tmp_path: Path) -> None:
     pyplot = pytest.importorskip("matplotlib.pyplot", reason="matplotlib is not installed: requirements/test.txt")
     figure, axes = pyplot.subplots()
-    axes.set_title(plot_label(r"a $\nothing{$ b"))
+    axes.set_title(gates.plot_label(r"a $\nothing{$ b"))
     figure.savefig(tmp_path / "plot.svg")
     pyplot.close(figure)
 

@@ -10,28 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
+from engine.instances import consensus
 from engine.instances.agreement import Agreement, MasksInSpace, ViewsOnCloud, shown_classes, view_points
-from engine.instances.consensus import (
-    SIGHTINGS,
-    WORTH_IT,
-    ConsensusOptions,
-    FoundObjects,
-    agreements,
-    choose_keyframes,
-    find_objects,
-    join,
-    join_agreeing,
-    join_weight,
-    objects_of_masks,
-    with_masks_of,
-)
 from engine.instances.records import ObjectMask
 from engine.scene import Camera, PanopticMask, Segment, View
 from tests.instances.two_chairs import CHAIR, SOFA, WALL
 
 POINTS = 60
 LEFT, RIGHT, BACK, SPOT = slice(0, 10), slice(10, 20), slice(20, 60), slice(40, 50)
-OPTIONS = ConsensusOptions()
+OPTIONS = consensus.ConsensusOptions()
 
 
 def strip(name: str, ids: np.ndarray, classes: dict[int, int], groups: Sequence[int] = ()) -> View:
@@ -90,18 +77,18 @@ def blind(name: str) -> View:
     return strip(name, np.zeros(POINTS), {})
 
 
-def objects_in(views: Sequence[View], options: ConsensusOptions = OPTIONS) -> FoundObjects:
-    return find_objects(seeing(views), POINTS, options)
+def objects_in(views: Sequence[View], options: consensus.ConsensusOptions = OPTIONS) -> consensus.FoundObjects:
+    return consensus.find_objects(seeing(views), POINTS, options)
 
 
-def owners(objects: FoundObjects, *parts: slice) -> list[int]:
+def owners(objects: consensus.FoundObjects, *parts: slice) -> list[int]:
     """The one object that each part's points belong to."""
     found = [np.unique(objects.object_of_point[part]) for part in parts]
     assert [len(each) for each in found] == [1] * len(parts)
     return [int(each[0]) for each in found]
 
 
-def frames_of(objects: FoundObjects, number: int) -> set[str]:
+def frames_of(objects: consensus.FoundObjects, number: int) -> set[str]:
     return {mask.frame for mask in objects.objects[number - 1].masks}
 
 
@@ -150,8 +137,8 @@ def test_agreement_says_how_many_views_assign_a_mask_to_its_object() -> None:
     objects = objects_in(views)
     left = objects.objects[owners(objects, LEFT)[0] - 1].masks
     assert [(mask.frame, mask.agreement) for mask in left] == [(frame, 4 / 5) for frame in "acddef"]
-    assert agreements(np.array([[9.0, 4.0], [4.0, 9.0]]), np.array([[9.0, 5.0], [5.0, 9.0]])) == [0.8, 0.8]
-    assert agreements(np.ones((1, 1)), np.ones((1, 1))) == [None]
+    assert consensus.agreements(np.array([[9.0, 4.0], [4.0, 9.0]]), np.array([[9.0, 5.0], [5.0, 9.0]])) == [0.8, 0.8]
+    assert consensus.agreements(np.ones((1, 1)), np.ones((1, 1))) == [None]
 
 
 @pytest.mark.parametrize(("cutting", "found"), [("c", 1), ("cd", 0)])
@@ -164,7 +151,7 @@ def test_two_masks_are_an_object_only_if_other_views_agree(cutting: str, found: 
     rows = np.repeat(np.arange(POINTS, dtype=np.int32)[None], 3, 0)
     partial = rows.copy()
     partial[:, 47:56] = -1
-    objects = find_objects(ViewsOnCloud.of(views, [rows] * 2 + [partial] * len(cutting)), POINTS, OPTIONS)
+    objects = consensus.find_objects(ViewsOnCloud.of(views, [rows] * 2 + [partial] * len(cutting)), POINTS, OPTIONS)
     names = [[(mask.frame, mask.segment.id) for mask in one.masks] for one in objects.objects]
     assert names.count([("a", 5), ("b", 5)]) == found, "two of three views agree, but two of four do not"
 
@@ -235,7 +222,7 @@ def test_joining_matches_the_greedy_algorithm(seed: int, count: int) -> None:
         _, i, j = min(sums)
         groups[i] += groups.pop(j)
     expected = {tuple(sorted(group)) for group in groups}
-    cluster = join(weight)
+    cluster = consensus.join(weight)
     assert {tuple(np.flatnonzero(cluster == name)) for name in np.unique(cluster)} == expected
     assert all(cluster[name] == name for name in np.unique(cluster))
 
@@ -279,8 +266,8 @@ def test_linked_parts_are_joined_as_all_masks_at_once_would_be(seed: int, has_tr
     segments = [ObjectMask("view", Segment(1, CHAIR, True, track=track if track else None)) for track in tracks]
     space = MasksInSpace(segments, random.integers(0, views, masks), np.ones(masks, bool), None, None, None)
     rows = np.flatnonzero(random.random(masks) < 0.8)
-    at_once = join(join_weight(space, judgement, rows, OPTIONS))
-    assert join_agreeing(space, judgement, rows, OPTIONS).tolist() == at_once.tolist()
+    at_once = consensus.join(consensus.join_weight(space, judgement, rows, OPTIONS))
+    assert consensus.join_agreeing(space, judgement, rows, OPTIONS).tolist() == at_once.tolist()
     assert 1 < len(np.unique(at_once)) < len(rows)
 
 
@@ -311,7 +298,7 @@ def test_masks_of_more_views_join_the_object_that_holds_them() -> None:
     half[5:15], half[RIGHT.stop - 5 : RIGHT.stop], half[:2] = 3, 4, 5
     more = [good("e", left=SOFA), strip("f", half, {3: CHAIR, 4: CHAIR, 5: CHAIR, 7: WALL}), merged("g"), blind("h")]
     more.append(strip("i", more[0].mask.ids[0], {3: CHAIR, 4: CHAIR, 7: WALL}, groups=[4]))
-    joined = with_masks_of(objects, seeing(more), OPTIONS.rules)
+    joined = consensus.with_masks_of(objects, seeing(more), OPTIONS.rules)
     np.testing.assert_array_equal(joined.object_of_point, objects.object_of_point)
     left, right, back = (int(objects.object_of_point[part.start]) for part in (LEFT, RIGHT, BACK))
     assert len({left, right, back}) == 3 and 0 not in (left, right, back)
@@ -337,7 +324,7 @@ def test_many_objects_and_points_need_no_table_of_both() -> None:
     shown = np.repeat(np.arange(points, dtype=np.int32)[None], 3, 0)
     tracemalloc.start()
     try:
-        found = find_objects(ViewsOnCloud.of(views, [shown] * 3), points, OPTIONS)
+        found = consensus.find_objects(ViewsOnCloud.of(views, [shown] * 3), points, OPTIONS)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -388,21 +375,21 @@ def test_no_view_is_left_out_that_shows_much_that_others_do_not(seed: int, most_
     masks = [ObjectMask(str(view), Segment(1, WALL, False)) for view in range(views) for _ in range(2)]
     view_of_mask = np.repeat(np.arange(views), 2)
     space = MasksInSpace(masks, view_of_mask, np.zeros(50, bool), sight[view_of_mask], sight, word=sight)
-    chosen = choose_keyframes(space, most_masks)
+    chosen = consensus.choose_keyframes(space, most_masks)
     assert len(chosen) and (np.diff(chosen) > 0).all()
-    lacking = sightings(space, chosen) < np.minimum(sightings(space, np.arange(views)), SIGHTINGS)
+    lacking = sightings(space, chosen) < np.minimum(sightings(space, np.arange(views)), consensus.SIGHTINGS)
     for view in np.setdiff1d(np.arange(views), chosen):
-        assert not len(seen[view]) or lacking[seen[view]].mean() <= WORTH_IT
+        assert not len(seen[view]) or lacking[seen[view]].mean() <= consensus.WORTH_IT
 
 
 @pytest.mark.parametrize(("views", "sight"), [(2000, 18), (600, 120)])
 def test_an_object_in_few_or_many_views_is_found(views: int, sight: int) -> None:
     """Evenly chosen views of so few masks would see one of 18 twice at most; one of 120 has masks in few of them."""
     space = corridor(views, sight)
-    options = ConsensusOptions(most_masks=views // 4)
-    keyframes = choose_keyframes(space, options.most_masks)
+    options = consensus.ConsensusOptions(most_masks=views // 4)
+    keyframes = consensus.choose_keyframes(space, options.most_masks)
     assert len(keyframes) < 0.4 * views
-    objects = objects_of_masks(space.of_views(keyframes), options)
+    objects = consensus.objects_of_masks(space.of_views(keyframes), options)
     thing = np.repeat(np.arange(views + sight - 1), POINTS_A_COLUMN) // THING
     inner = sightings(space, np.arange(views)) == sight
     owner = objects.object_of_point[inner]

@@ -10,25 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from engine import job
 from engine.command_line.run_engine import run_engine
 from engine.errors import ErrorCode, PlgsError
-from engine.job import (
-    BakeLocks,
-    CheckpointStore,
-    EventReader,
-    EventWriter,
-    ExitCode,
-    LiftFolder,
-    LiftRequest,
-    LiftState,
-    StopSignal,
-    add_files,
-    drop_files,
-    read_manifest,
-    verify,
-    write_atomically,
-    write_manifest,
-)
 from engine.job.events import last_events
 from engine.job.recent import remember_lift, remembered_lifts
 from tests.faults import Faults, Recorder, after_power_cuts, every_fault
@@ -121,7 +105,7 @@ def test_events_survive_every_fault(rounds: Rounds, request: pytest.FixtureReque
 
     def tell(folder: Path) -> None:
         told.clear()
-        writer = EventWriter(folder / "events.jsonl")
+        writer = job.EventWriter(folder / "events.jsonl")
         for step in range(4):
             try:
                 writer.progress("train", step, 4)
@@ -131,11 +115,11 @@ def test_events_survive_every_fault(rounds: Rounds, request: pytest.FixtureReque
         writer.error(PlgsError("made-up", "broke", "here", "Mend it.", code=ErrorCode.INTERNAL))
 
     def earlier(folder: Path) -> None:
-        EventWriter(folder / "events.jsonl").hello(threads=1, resumed=False)
+        job.EventWriter(folder / "events.jsonl").hello(threads=1, resumed=False)
 
     for folder in rounds(earlier, tell):
-        EventWriter(folder / "events.jsonl").warning("goes on")
-        events = EventReader(folder / "events.jsonl").poll()
+        job.EventWriter(folder / "events.jsonl").warning("goes on")
+        events = job.EventReader(folder / "events.jsonl").poll()
         steps = [event.data["step"] for event in events if event.kind == "progress"]
         assert events[-1].kind == "warning"
         if loses_nothing:  # events are not synced, since there are many: a power cut may lose some
@@ -146,27 +130,27 @@ def test_events_survive_every_fault(rounds: Rounds, request: pytest.FixtureReque
 @pytest.mark.parametrize("content", ["new", lambda part: part.write_text("new")], ids=["text", "function"])
 def test_a_file_survives_every_fault(rounds: Rounds, content: str | Callable[[Path], object]) -> None:
     def replace(folder: Path) -> None:
-        write_atomically(folder / "file", content)
+        job.write_atomically(folder / "file", content)
 
     found = set()
     for folder in rounds(lambda folder: (folder / "file").write_text("old"), replace):
         found.add((folder / "file").read_text())
-        write_atomically(folder / "file", "newer")
+        job.write_atomically(folder / "file", "newer")
         assert (folder / "file").read_text() == "newer"
     assert found == {"old", "new"}
 
 
 def lay(result: Path, *names: str) -> None:
     for name in names:
-        write_atomically(result / name, f"content of {name}")
+        job.write_atomically(result / name, f"content of {name}")
 
 
 def finish(result: Path) -> None:
-    write_manifest(result, versions={}, seed=0, settings={}, timings={})
+    job.write_manifest(result, versions={}, seed=0, settings={}, timings={})
 
 
 def names_in(result: Path) -> set[str]:
-    return {str(file.path) for file in verify(result).files}
+    return {str(file.path) for file in job.verify(result).files}
 
 
 def test_first_manifest_survives_every_fault(rounds: Rounds) -> None:
@@ -184,8 +168,8 @@ def test_files_are_added_to_a_manifest(rounds: Rounds) -> None:
         lay(result, "c")
 
     def change(result: Path) -> None:
-        drop_files(result, [result / "b"])
-        add_files(result, [result / "c"])
+        job.drop_files(result, [result / "b"])
+        job.add_files(result, [result / "c"])
 
     for result in rounds(prepare, change):
         assert names_in(result) in ({"a", "b"}, {"a"}, {"a", "c"})
@@ -197,11 +181,11 @@ def save(folder: Path, step: int) -> None:
     def write(into: Path) -> None:
         (into / "model").write_bytes(bytes([step]) * 100)
 
-    CheckpointStore(folder).save({"step": step}, write)
+    job.CheckpointStore(folder).save({"step": step}, write)
 
 
 def saved(folder: Path) -> int:
-    checkpoint = CheckpointStore(folder).latest()
+    checkpoint = job.CheckpointStore(folder).latest()
     step = int(str(checkpoint.state["step"]))
     assert (checkpoint.path / "model").read_bytes() == bytes([step]) * 100
     return step
@@ -218,7 +202,7 @@ def test_a_checkpoint_survives_every_fault(rounds: Rounds) -> None:
 
 def test_first_checkpoint_survives_every_fault(rounds: Rounds) -> None:
     for folder in rounds(lambda folder: None, lambda folder: save(folder, 1)):
-        if CheckpointStore(folder).latest() is None:
+        if job.CheckpointStore(folder).latest() is None:
             save(folder, 1)
         assert saved(folder) == 1
 
@@ -246,14 +230,14 @@ def test_recent_lifts_survive_every_fault(rounds: Rounds) -> None:
 
 
 def test_new_folder_survives_every_fault(rounds: Rounds) -> None:
-    request = LiftRequest(scene=Path("/scene"))
+    request = job.LiftRequest(scene=Path("/scene"))
 
     def create(folder: Path) -> None:
-        LiftFolder.create(folder / "lift", request)
+        job.LiftFolder.create(folder / "lift", request)
 
     for folder in rounds(lambda folder: None, create):
         if (folder / "lift" / "request.json").exists():
-            assert LiftFolder.open(folder / "lift").request == request
+            assert job.LiftFolder.open(folder / "lift").request == request
         else:
             create(folder)
 
@@ -261,14 +245,14 @@ def test_new_folder_survives_every_fault(rounds: Rounds) -> None:
 def bake(folder: Path, views: tuple[str, ...]) -> None:
     """What baking does with a lift folder, without anything to render."""
     result = folder / "result"
-    with BakeLocks(folder) as locks:
+    with job.BakeLocks(folder) as locks:
         for view in views:
             with locks.claim(view) as is_ours:
-                listed = {str(file.path) for file in read_manifest(result).files}
+                listed = {str(file.path) for file in job.read_manifest(result).files}
                 if is_ours and view not in listed:
-                    write_atomically(result / view, f"content of {view}")
+                    job.write_atomically(result / view, f"content of {view}")
                     with locks.manifest():
-                        add_files(result, [result / view])
+                        job.add_files(result, [result / view])
 
 
 def test_bake_survives_every_fault(rounds: Rounds) -> None:
@@ -288,17 +272,17 @@ def test_run_survives_fault(rounds: Rounds, capfd: pytest.CaptureFixture[str], m
     monkeypatch.setenv("PLGS_CACHE_DIR", os.devnull + "/nowhere")
 
     def run(folder: Path) -> None:
-        code = run_engine(LiftFolder.open(folder / "lift"), resume=True, lift=tiny_lift)
+        code = run_engine(job.LiftFolder.open(folder / "lift"), resume=True, lift=tiny_lift)
         said = capfd.readouterr().err
-        assert code == ExitCode.FINISHED or (said.startswith("error: ") and said.count("\n") == 1), said
-        if code == ExitCode.FINISHED:
-            verify(folder / "lift" / "result")
+        assert code == job.ExitCode.FINISHED or (said.startswith("error: ") and said.count("\n") == 1), said
+        if code == job.ExitCode.FINISHED:
+            job.verify(folder / "lift" / "result")
 
     for folder in rounds(new_lift, run):
-        lift = LiftFolder.open(folder / "lift")
+        lift = job.LiftFolder.open(folder / "lift")
         assert not lift.is_running
-        assert run_engine(lift, resume=True, lift=tiny_lift) is ExitCode.FINISHED
-        verify(lift.result_path)
+        assert run_engine(lift, resume=True, lift=tiny_lift) is job.ExitCode.FINISHED
+        job.verify(lift.result_path)
         capfd.readouterr()
 
 
@@ -329,7 +313,7 @@ def fill(disk: Path) -> Path:
 def lift_until_full(disk: Path, at: int) -> object:
     """A lift of several checkpoints; at a step somebody else takes all room that is left."""
 
-    def lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
+    def lift(folder: job.LiftFolder, events: job.EventWriter, stop: job.StopSignal, *, resume: bool) -> None:
         events.stage("train", 1, 1, "Training")
         checkpoint = folder.checkpoints.latest()
         for step in range(1 + (int(str(checkpoint.state["step"])) if checkpoint else 0), STEPS + 1):
@@ -346,14 +330,14 @@ def lift_until_full(disk: Path, at: int) -> object:
 
 @pytest.mark.parametrize("at", [1, 2, 7, STEPS, STEPS + 1])
 def test_a_lift_continues_when_there_is_room_again(disk: Path, at: int, capfd: pytest.CaptureFixture[str]) -> None:
-    folder = LiftFolder.create(disk / "lift", LiftRequest(scene=disk))
+    folder = job.LiftFolder.create(disk / "lift", job.LiftRequest(scene=disk))
     code = run_engine(folder, lift=lift_until_full(disk, at))  # type: ignore[arg-type]
     said = capfd.readouterr().err
-    assert code == ExitCode.INTERNAL_ERROR and said.startswith("error: the disk is full") and said.count("\n") == 1
-    assert folder.state() in (LiftState.FAILED, LiftState.INTERRUPTED)
+    assert code == job.ExitCode.INTERNAL_ERROR and said.startswith("error: the disk is full") and said.count("\n") == 1
+    assert folder.state() in (job.LiftState.FAILED, job.LiftState.INTERRUPTED)
     assert all(event.kind in ("hello", "stage", "progress", "error") for event in last_events(folder.events_path))
     checkpoint = folder.checkpoints.latest()
     assert (0 if checkpoint is None else checkpoint.state["step"]) == min(at, STEPS + 1) - 1
     (disk / "filler").unlink()
-    assert run_engine(folder, resume=True, lift=lift_until_full(disk, 0)) is ExitCode.FINISHED  # type: ignore[arg-type]
-    assert folder.state() is LiftState.FINISHED and verify(folder.result_path)
+    assert run_engine(folder, resume=True, lift=lift_until_full(disk, 0)) is job.ExitCode.FINISHED  # type: ignore[arg-type]
+    assert folder.state() is job.LiftState.FINISHED and job.verify(folder.result_path)

@@ -7,34 +7,24 @@ from pathlib import Path
 
 import pytest
 
+from engine import job
 from engine.errors import PlgsError
-from engine.job import (
-    EventWriter,
-    LiftFolder,
-    LiftRequest,
-    LiftState,
-    StopSignal,
-    add_files,
-    read_manifest,
-    write_atomically,
-    write_manifest,
-)
 from tests.job.following import new_lift, tiny_lift
 from tests.raises_key import raises_key
 
 
-def run_tiny(folder: LiftFolder) -> None:
-    events = EventWriter(folder.events_path)
+def run_tiny(folder: job.LiftFolder) -> None:
+    events = job.EventWriter(folder.events_path)
     events.hello(threads=1, resumed=False)
-    tiny_lift(folder, events, StopSignal(folder.cancel_path), resume=False)
+    tiny_lift(folder, events, job.StopSignal(folder.cancel_path), resume=False)
     events.done("finished")
     events.close()
 
 
 def test_created_folder_is_opened(tmp_path: Path) -> None:
     folder = new_lift(tmp_path / "deep")
-    again = LiftFolder.open(folder.path)
-    assert again == folder and again.state() is LiftState.NOT_STARTED
+    again = job.LiftFolder.open(folder.path)
+    assert again == folder and again.state() is job.LiftState.NOT_STARTED
     assert [path.name for path in folder.path.iterdir()] == ["request.json"]
 
 
@@ -42,7 +32,7 @@ def test_used_folder_is_refused(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     before = (folder.path / "request.json").read_bytes()
     with raises_key("holds-lift --resume"):
-        LiftFolder.create(folder.path, LiftRequest(scene=tmp_path, seed=9))
+        job.LiftFolder.create(folder.path, job.LiftRequest(scene=tmp_path, seed=9))
     assert (folder.path / "request.json").read_bytes() == before
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "cat.jpg").write_bytes(b"cat")
@@ -65,37 +55,37 @@ def test_read_only_folder_is_reported(tmp_path: Path) -> None:
 def test_state_follows_events_and_result(tmp_path: Path) -> None:
     """A quick look finds the same, without reading the files."""
     folder = new_lift(tmp_path)
-    events = EventWriter(folder.events_path)
+    events = job.EventWriter(folder.events_path)
 
-    def state() -> LiftState:
+    def state() -> job.LiftState:
         assert folder.state_at_a_glance() is folder.state()
         return folder.state()
 
-    assert state() is LiftState.NOT_STARTED
+    assert state() is job.LiftState.NOT_STARTED
     events.hello(threads=1, resumed=False)
-    assert state() is LiftState.INTERRUPTED
+    assert state() is job.LiftState.INTERRUPTED
     events.error(PlgsError("made-up", "broke", "here", "Mend it."))
-    assert state() is LiftState.FAILED and folder.last_exit_code() == 2
+    assert state() is job.LiftState.FAILED and folder.last_exit_code() == 2
     events.done("cancelled")  # an engine that was asked to stop while it failed
-    assert state() is LiftState.FAILED
-    events = EventWriter(folder.events_path)
+    assert state() is job.LiftState.FAILED
+    events = job.EventWriter(folder.events_path)
     events.hello(threads=1, resumed=True)
-    assert state() is LiftState.INTERRUPTED and folder.last_exit_code() is None
+    assert state() is job.LiftState.INTERRUPTED and folder.last_exit_code() is None
     events.done("cancelled")
-    assert state() is LiftState.CANCELLED
+    assert state() is job.LiftState.CANCELLED
     with folder.lock():
-        assert state() is LiftState.RUNNING
+        assert state() is job.LiftState.RUNNING
     run_tiny(folder)
-    assert state() is LiftState.FINISHED
+    assert state() is job.LiftState.FINISHED
 
 
 def test_events_alone_never_make_it_finished(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     run_tiny(folder)
     (folder.result_path / "metrics.json").write_text("{")
-    assert folder.state() is LiftState.INTERRUPTED
+    assert folder.state() is job.LiftState.INTERRUPTED
     folder.manifest_path.unlink()
-    assert folder.state() is LiftState.INTERRUPTED
+    assert folder.state() is job.LiftState.INTERRUPTED
 
 
 def test_prepare_run_clears_leftovers_of_earlier_run(tmp_path: Path) -> None:
@@ -103,7 +93,7 @@ def test_prepare_run_clears_leftovers_of_earlier_run(tmp_path: Path) -> None:
     run_tiny(folder)
     folder.checkpoints.save({"step": 1}, lambda path: (path / "m").write_bytes(b""))
     (folder.result_path / "damaged.npz").write_bytes(b"1")
-    add_files(folder.result_path, [folder.result_path / "damaged.npz"])
+    job.add_files(folder.result_path, [folder.result_path / "damaged.npz"])
     (folder.result_path / "damaged.npz").write_bytes(b"2")
     folder.task_files.ask_to_cancel()
     (folder.result_path / ".part-x.exr").write_bytes(b"")
@@ -121,22 +111,22 @@ def test_result_stays_until_there_is_a_new_one(kept: str, tmp_path: Path) -> Non
     before, added = folder.manifest_path.read_bytes(), folder.passes_path / "0001.exr"
     if kept != "nothing else":
         added = added if kept == "passes" else folder.result_path / "grade.blend"
-        write_atomically(added, b"work")
+        job.write_atomically(added, b"work")
         if kept == "passes":
-            add_files(folder.result_path, [added])
+            job.add_files(folder.result_path, [added])
             before = folder.manifest_path.read_bytes()
     folder.prepare_run()
     made = folder.with_next_result()
     (made.result_path / "half").write_bytes(b"1")
     assert folder.adopt_next_result() is None and folder.manifest_path.read_bytes() == before and folder.is_whole()
-    assert folder.state() is folder.state_at_a_glance() is not LiftState.FINISHED
+    assert folder.state() is folder.state_at_a_glance() is not job.LiftState.FINISHED
     folder.prepare_run()
     assert [*made.result_path.iterdir()] == []
     (made.result_path / "metrics.json").write_text("{}")
-    write_manifest(made.result_path, versions={}, seed=1, settings={}, timings={})
+    job.write_manifest(made.result_path, versions={}, seed=1, settings={}, timings={})
     earlier = folder.adopt_next_result()
-    assert folder.state() is folder.state_at_a_glance() is LiftState.FINISHED and not folder.is_lifted_again
-    assert read_manifest(folder.result_path).seed == 1 and not added.exists()
+    assert folder.state() is folder.state_at_a_glance() is job.LiftState.FINISHED and not folder.is_lifted_again
+    assert job.read_manifest(folder.result_path).seed == 1 and not added.exists()
     if kept == "nothing else":
         assert earlier is None
     else:
@@ -149,10 +139,10 @@ def test_a_kill_between_two_results_loses_none(tmp_path: Path) -> None:
     folder.prepare_run()
     made = folder.with_next_result().result_path
     (made / "metrics.json").write_text("{}")
-    write_manifest(made, versions={}, seed=1, settings={}, timings={})
+    job.write_manifest(made, versions={}, seed=1, settings={}, timings={})
     shutil.rmtree(folder.result_path)
     folder.adopt_next_result()
-    assert folder.state() is LiftState.FINISHED and read_manifest(folder.result_path).seed == 1
+    assert folder.state() is job.LiftState.FINISHED and job.read_manifest(folder.result_path).seed == 1
 
 
 def test_a_file_that_cannot_be_read_now_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -190,12 +180,12 @@ def test_discard_refuses_started_lift(tmp_path: Path) -> None:
 
 
 def test_impossible_paths_are_refused(tmp_path: Path) -> None:
-    request = LiftRequest(scene=tmp_path)
+    request = job.LiftRequest(scene=tmp_path)
     for name in ("a" * 300, "a\0b"):
         with pytest.raises(PlgsError):
-            LiftFolder.open(tmp_path / name)
+            job.LiftFolder.open(tmp_path / name)
         with pytest.raises(PlgsError):
-            LiftFolder.create(tmp_path / name, request)
+            job.LiftFolder.create(tmp_path / name, request)
 
 
 def test_a_folder_in_place_of_the_events_is_reported(tmp_path: Path) -> None:

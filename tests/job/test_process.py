@@ -8,19 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from engine.job.environment import (
-    COMPLETE,
-    digest,
-    environment_name,
-    environments_folder,
-    is_complete,
-    made_environment,
-    module_of,
-    needed_packages,
-    pinned_versions,
-    python_in,
-    requirement_file,
-)
+from engine.job import environment
 from engine.job.handshake import VERSION
 from engine.job.process import (
     ChildProcess,
@@ -38,9 +26,9 @@ from tests.waiting import wait_until
 
 
 def add_environment(folder: Path) -> Path:
-    python_in(folder).parent.mkdir(parents=True)
-    python_in(folder).symlink_to(sys.executable)
-    return python_in(folder)
+    environment.python_in(folder).parent.mkdir(parents=True)
+    environment.python_in(folder).symlink_to(sys.executable)
+    return environment.python_in(folder)
 
 
 @pytest.fixture
@@ -66,10 +54,10 @@ def test_order_of_pythons(code: Path, environ: dict[str, str], tmp_path: Path, m
     found = [choose_python(code, environ)]
     beside = add_environment(code / ".venv")
     found.append(choose_python(code, environ))
-    folder = environments_folder(environ) / environment_name(code, (3, 13))
+    folder = environment.environments_folder(environ) / environment.environment_name(code, (3, 13))
     made = add_environment(folder)
     assert choose_python(code, environ).origin is Origin.BESIDE  # it is not complete
-    (folder / COMPLETE).touch()
+    (folder / environment.COMPLETE).touch()
     found.append(choose_python(code, environ))
     found.append(choose_python(code, environ, tmp_path / "mine"))
     found.append(choose_python(code, environ | {"PLGS_ENGINE_PYTHON": "/theirs"}, tmp_path / "mine"))
@@ -79,21 +67,21 @@ def test_order_of_pythons(code: Path, environ: dict[str, str], tmp_path: Path, m
 
 
 def test_an_environment_of_other_requirements_does_not_count(code: Path, root: Path, environ: dict[str, str]) -> None:
-    folder = environments_folder(environ) / "engine-3.11-000000000000"
+    folder = environment.environments_folder(environ) / "engine-3.11-000000000000"
     add_environment(folder)
-    (folder / COMPLETE).touch()
-    assert is_complete(folder) and made_environment(code, environ) is None
-    assert made_environment(code / "no code", environ) is None
+    (folder / environment.COMPLETE).touch()
+    assert environment.is_complete(folder) and environment.made_environment(code, environ) is None
+    assert environment.made_environment(code / "no code", environ) is None
 
 
 def test_an_environment_whose_python_is_gone_does_not_count(code: Path, environ: dict[str, str]) -> None:
-    folder = environments_folder(environ) / environment_name(code, (3, 11))
+    folder = environment.environments_folder(environ) / environment.environment_name(code, (3, 11))
     python = add_environment(folder)
-    (folder / COMPLETE).touch()
-    assert made_environment(code, environ) == folder
+    (folder / environment.COMPLETE).touch()
+    assert environment.made_environment(code, environ) == folder
     python.unlink()
     python.symlink_to("/uninstalled/python3.11")
-    assert made_environment(code, environ) is None
+    assert environment.made_environment(code, environ) is None
 
 
 def test_without_a_home_there_is_no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -183,39 +171,43 @@ def test_modules_in_current_folder_are_never_run(root: Path, tmp_path: Path, mon
 
 
 def test_everything_that_a_lift_imports_is_pinned(root: Path) -> None:
-    assert pinned_versions(root) == ((3, 11), (3, 13))
-    for version in pinned_versions(root):
-        needed = needed_packages(root, version)
+    assert environment.pinned_versions(root) == ((3, 11), (3, 13))
+    for version in environment.pinned_versions(root):
+        needed = environment.needed_packages(root, version)
         assert next(iter(needed)) == "torch" and all(needed.values())
-        assert {module_of(name) for name in needed} == {
+        assert {environment.module_of(name) for name in needed} == {
             "torch", "open3d", "cv2", "OpenEXR", "numba", "scipy", "safetensors", "lz4", "pycocotools", "numpy",
         }  # fmt: skip
-    assert needed_packages(root, (3, 11))["scipy"] != needed_packages(root, (3, 13))["scipy"]
-    assert needed_packages(root, (3, 12))["numpy"] is None
+    assert environment.needed_packages(root, (3, 11))["scipy"] != environment.needed_packages(root, (3, 13))["scipy"]
+    assert environment.needed_packages(root, (3, 12))["numpy"] is None
 
 
 @pytest.mark.parametrize("platform", ["linux", "win32", "darwin"])
 def test_every_system_needs_the_same_packages(root: Path, platform: str) -> None:
-    modules = {module_of(name): pin for name, pin in needed_packages(root, (3, 11), platform).items()}
-    assert modules == {module_of(name): pin for name, pin in needed_packages(root, (3, 11)).items()}
+    modules = {
+        environment.module_of(name): pin for name, pin in environment.needed_packages(root, (3, 11), platform).items()
+    }
+    assert modules == {
+        environment.module_of(name): pin for name, pin in environment.needed_packages(root, (3, 11)).items()
+    }
 
 
 def test_a_different_text_means_a_different_environment(root: Path, tmp_path: Path) -> None:
     shutil.copytree(root / "requirements", tmp_path / "requirements")
-    before = digest(tmp_path, (3, 11))
-    assert before == digest(root, (3, 11)) != digest(root, (3, 13))
-    with requirement_file(tmp_path, "constraints", (3, 11)).open("a") as file:
+    before = environment.digest(tmp_path, (3, 11))
+    assert before == environment.digest(root, (3, 11)) != environment.digest(root, (3, 13))
+    with environment.requirement_file(tmp_path, "constraints", (3, 11)).open("a") as file:
         file.write("one-more==1.0\n")
-    assert digest(tmp_path, (3, 11)) != before
+    assert environment.digest(tmp_path, (3, 11)) != before
 
 
 def test_unreadable_requirements_are_reported(root: Path, tmp_path: Path) -> None:
     with raises_key("unreadable torch.txt"):
-        needed_packages(tmp_path, (3, 11))
+        environment.needed_packages(tmp_path, (3, 11))
     shutil.copytree(root / "requirements", tmp_path / "requirements")
     (tmp_path / "requirements" / "torch.txt").write_text('torch==1.0; os_name == "nt"\n')
     with raises_key("odd-condition os_name"):
-        needed_packages(tmp_path, (3, 11))
+        environment.needed_packages(tmp_path, (3, 11))
 
 
 INFO = "MemTotal:       1000 kB\nMemFree:         100 kB\nMemAvailable:    600 kB\nHugePages_Total:   0\n"

@@ -12,17 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from engine.job import LiftRequest
-from tests.tiny_scene import (
-    CABINET,
-    CABINET_ID,
-    CATEGORIES,
-    CHAIR,
-    CHAIR_ID,
-    TinyView,
-    looking_at,
-    tiny_intrinsics,
-    write_tiny_scene,
-)
+from tests import tiny_scene
 from tests.train.tiny_lift import lift_into, short_warm_start
 
 SIZE = (160, 120)
@@ -36,21 +26,21 @@ SENSOR_NOISE = 0.015
 
 def poses() -> list[np.ndarray]:
     """Half a metre above the cabinet and the chair in turn, and two metres away under the ceiling."""
-    tops = [np.array([*box.mean(0)[:2], box[1, 2]]) for box in (CABINET, CHAIR)]
+    tops = [np.array([*box.mean(0)[:2], box[1, 2]]) for box in (tiny_scene.CABINET, tiny_scene.CHAIR)]
     angles = np.linspace(0, 5, NEAR)
     near = [(tops[i % 2], tops[i % 2] + [0.4 * np.cos(a), 0.4 * np.sin(a), 0.6]) for i, a in enumerate(angles)]
     far = [(tops[0], np.array([0.3 + 0.04 * i, 0.3 + 2.4 * (i % 6) / 5, 2.3])) for i in range(FAR)]
-    return [looking_at(target, eye) for target, eye in (*near, *far)]
+    return [tiny_scene.looking_at(target, eye) for target, eye in (*near, *far)]
 
 
-def with_sink(view: TinyView, pose: np.ndarray) -> TinyView:
+def with_sink(view: tiny_scene.TinyView, pose: np.ndarray) -> tiny_scene.TinyView:
     """The tiny room with a sink, object 3, in the cabinet's top."""
-    camera = tiny_intrinsics(SIZE)
+    camera = tiny_scene.tiny_intrinsics(SIZE)
     x, y = np.meshgrid(np.arange(SIZE[0]) + 0.5 - camera[0, 2], np.arange(SIZE[1]) + 0.5 - camera[1, 2])
     local = np.stack([x / camera[0, 0], y / camera[1, 1], np.ones_like(x)], -1) * view.depth[..., None]
     points = local @ pose[:3, :3].T + pose[:3, 3]
     inside = ((points[..., :2] > SINK[0]) & (points[..., :2] < SINK[1])).all(-1)
-    sink = (view.semantic == CABINET_ID) & (points[..., 2] > CABINET[1, 2] - 0.01) & inside
+    sink = (view.semantic == tiny_scene.CABINET_ID) & (points[..., 2] > tiny_scene.CABINET[1, 2] - 0.01) & inside
     return replace(
         view,
         colour=np.where(sink[..., None], np.uint8([235, 235, 240]), view.colour),
@@ -59,22 +49,24 @@ def with_sink(view: TinyView, pose: np.ndarray) -> TinyView:
     )
 
 
-def as_detected(view: TinyView, number: int) -> TinyView:
+def as_detected(view: tiny_scene.TinyView, number: int) -> tiny_scene.TinyView:
     """From far the sink is part of the cabinet, object 2, and the chair another cabinet."""
     if number < NEAR:
         return view
     return replace(
         view,
-        semantic=np.where(np.isin(view.semantic, [SINK_ID, CHAIR_ID]), CABINET_ID, view.semantic).astype(np.int32),
+        semantic=np.where(
+            np.isin(view.semantic, [SINK_ID, tiny_scene.CHAIR_ID]), tiny_scene.CABINET_ID, view.semantic
+        ).astype(np.int32),
         instance=np.where(view.semantic == SINK_ID, 2, view.instance).astype(np.int32),
     )
 
 
 def write_near_and_far(folder: Path) -> Path:
     names = [f"{number:04d}" for number in range(NEAR + FAR)]
-    return write_tiny_scene(
+    return tiny_scene.write_tiny_scene(
         folder, size=SIZE, poses=poses(), shown=with_sink, seen=as_detected, depth_noise=SENSOR_NOISE,
-        categories=[*CATEGORIES, {"id": SINK_ID, "name": "sink", "isthing": 1, "color": [90, 200, 210]}],
+        categories=[*tiny_scene.CATEGORIES, {"id": SINK_ID, "name": "sink", "isthing": 1, "color": [90, 200, 210]}],
         splits={"train": [name for name in names if name not in HELD_OUT], "test": sorted(HELD_OUT)},
     )  # fmt: skip
 

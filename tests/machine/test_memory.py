@@ -26,7 +26,6 @@ def test_released_block_is_reused() -> None:
     assert address in {memory.empty((7, 11), np.float64).ctypes.data for _ in range(2)}
 
 
-
 def test_larger_block_replaces_one_that_is_too_small() -> None:
     memory._blocks.clear()
     for size in range(10, 25):

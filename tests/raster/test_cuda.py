@@ -7,22 +7,12 @@ import pytest
 import torch
 
 from engine.raster import cuda, rasterize
+from tests.raster import scenes
 from tests.raster.gsplat_in_torch import use_a_stand_in
-from tests.raster.scenes import (
-    GROUPS,
-    LAYERS,
-    Scene,
-    assert_labels_affect_nothing_else,
-    hard_scenes,
-    missed_elements,
-    random_scene,
-    render,
-    steady_pixels,
-)
 
 SCENES = {
     name: scene
-    for name, scene in hard_scenes().items()
+    for name, scene in scenes.hard_scenes().items()
     if name in ("mixed", "many labels", "one pixel", "across the near plane", "partly saturated", "faint")
 }
 """Without those that need more than float32 in the projection."""
@@ -36,23 +26,23 @@ def stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
     use_a_stand_in(monkeypatch)
 
 
-def assert_as_the_reference(scene: Scene, device: str = "cpu") -> None:
+def assert_as_the_reference(scene: scenes.Scene, device: str = "cpu") -> None:
     """Float32 may get two thousandths of a group's gradients wrong. On a GPU gsplat computes with fast approximations:
     there no group may be wrong by more than a thousandth of its norm."""
-    steady = steady_pixels(scene)
+    steady = scenes.steady_pixels(scene)
     there = replace(scene, tensors=tuple(tensor.to(device) for tensor in scene.tensors))
-    ours, our_gradients = render(there, "gsplat", steady)
-    theirs, their_gradients = render(scene, "reference", steady)
+    ours, our_gradients = scenes.render(there, "gsplat", steady)
+    theirs, their_gradients = scenes.render(scene, "reference", steady)
     drawn = ours.visible.cpu() & theirs.visible
     assert not (theirs.visible & ~ours.visible.cpu()).any()  # gsplat's boxes are larger
     torch.testing.assert_close(ours.means2d.cpu()[drawn], theirs.means2d.float()[drawn], rtol=1e-5, atol=1e-3)
-    for layer in LAYERS:
+    for layer in scenes.LAYERS:
         got, expected = getattr(ours, layer).cpu()[steady], getattr(theirs, layer)[steady]
         torch.testing.assert_close(got, expected, rtol=0, atol=1e-4, msg=lambda text, layer=layer: f"{layer}: {text}")
-    for group in GROUPS:
+    for group in scenes.GROUPS:
         got, expected = our_gradients[group].cpu().double(), their_gradients[group].double()
         if device == "cpu":
-            assert missed_elements(got, expected) <= 2e-3 * got.numel(), group
+            assert scenes.missed_elements(got, expected) <= 2e-3 * got.numel(), group
         else:
             assert (got - expected).norm() <= 1e-3 * expected.norm(), group
 
@@ -73,7 +63,7 @@ def test_a_gpu_matches_the_reference(name: str) -> None:
 @needs_gpu
 def test_a_gpu_draws_one_gaussian_and_views_that_show_none() -> None:
     assert cuda.what_fails("cuda") is None
-    scene = random_scene(8, 20, 600, 24, 17)
+    scene = scenes.random_scene(8, 20, 600, 24, 17)
     behind = scene.changed(0, scene.tensors[0] - torch.from_numpy(scene.pose[:3, 2] * 50.0).float())
     nothing = replace(scene, tensors=tuple(tensor[:0] for tensor in scene.tensors))
     for each in (behind, nothing):
@@ -83,7 +73,7 @@ def test_a_gpu_draws_one_gaussian_and_views_that_show_none() -> None:
 def assert_rows_as_in_the_whole(device: str) -> None:
     """Many Gaussians lie beside a band by more than the margin in which a band of its own would clamp them. The first
     one is small and in row 37."""
-    scene = random_scene(5, 400, 40, 60, 64)
+    scene = scenes.random_scene(5, 400, 40, 60, 64)
     scene.tensors[0][0] = torch.from_numpy(scene.pose[:3, 3] + 2.0 * scene.pose[:3, 2])
     scene.tensors[1][0], scene.tensors[3][0] = 1e-3, 0.9
     tensors = [tensor.to(device) for tensor in scene.tensors]
@@ -91,7 +81,7 @@ def assert_rows_as_in_the_whole(device: str) -> None:
     whole = rasterize(*tensors, *where, backend="gsplat")
     for first, end in ((0, 16), (16, 40), (40, 64)):
         band = rasterize(*tensors, *where, rows=(first, end), backend="gsplat")
-        for layer in LAYERS:
+        for layer in scenes.LAYERS:
             torch.testing.assert_close(getattr(band, layer), getattr(whole, layer)[first:end], atol=1e-6, rtol=0)
         assert not (band.visible & ~whole.visible).any() and bool(band.visible[0]) == (first <= 37 < end)
         reference = rasterize(*scene.tensors, *where, rows=(first, end), backend="reference")
@@ -114,7 +104,7 @@ def test_no_gaussians_are_drawn_without_gsplat(monkeypatch: pytest.MonkeyPatch) 
     """gsplat divides by the number of Gaussians: 0 would end the process."""
     use_a_stand_in(monkeypatch)
     monkeypatch.setattr("gsplat.rasterization", None)
-    scene = random_scene(8, 20, 3, 24, 17)
+    scene = scenes.random_scene(8, 20, 3, 24, 17)
     assert_as_the_reference(replace(scene, tensors=tuple(tensor[:0] for tensor in scene.tensors)))
 
 
@@ -130,7 +120,7 @@ def test_gsplat_failure_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("stand_in")
 def test_gsplat_draws_without_labels_and_without_gradients() -> None:
-    scene = random_scene(7, 100, 4, 30, 20)
+    scene = scenes.random_scene(7, 100, 4, 30, 20)
     where = (scene.pose, scene.intrinsics, 30, 20)
     bare = rasterize(*scene.tensors[:5], None, *where, backend="gsplat")
     full = rasterize(*scene.tensors, *where, backend="gsplat")
@@ -156,11 +146,11 @@ def test_wrong_gsplat_is_refused(installed: str | None, said: str | None, monkey
 
 
 def test_tensors_on_the_cpu_are_refused() -> None:
-    scene = random_scene(10, 5, 2, 8, 8)
+    scene = scenes.random_scene(10, 5, 2, 8, 8)
     with pytest.raises(ValueError, match="on the device cuda, these are torch.float32 on cpu"):
         rasterize(*scene.tensors, scene.pose, scene.intrinsics, 8, 8, backend="gsplat")
 
 
 @pytest.mark.usefixtures("stand_in")
 def test_labels_affect_nothing_but_themselves() -> None:
-    assert_labels_affect_nothing_else("gsplat")
+    scenes.assert_labels_affect_nothing_else("gsplat")

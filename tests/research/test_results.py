@@ -8,33 +8,25 @@ import pytest
 
 from engine.job import Event
 from engine.metrics.report import INPUT_MASKS, LIFTED
-from research.results import (
-    Figures,
-    csv_text,
-    lifting_seconds,
-    read_results,
-    results_text,
-    run_figures,
-    scores_by_method,
-)
+from research import results
 from tests.raises_key import raises_key
 from tests.research.experiments.made_up import KITCHEN, OFFICE
 
 
 def test_results_round_trip(tmp_path: Path) -> None:
     file = tmp_path / "results.json"
-    file.write_text(results_text([*OFFICE, KITCHEN]))
-    assert read_results(file) == (*OFFICE, KITCHEN)
+    file.write_text(results.results_text([*OFFICE, KITCHEN]))
+    assert results.read_results(file) == (*OFFICE, KITCHEN)
 
 
 def test_other_programs_read_the_csv() -> None:
-    rows = list(csv.DictReader(csv_text(OFFICE).splitlines()))
+    rows = list(csv.DictReader(results.csv_text(OFFICE).splitlines()))
     assert [row["row"] for row in rows] == ["ours", "input masks", "theirs"]
     assert (rows[0]["miou"], rows[0]["steps"], rows[1]["psnr"]) == ("0.8", "500", "")
 
 
 def test_no_csv_cell_is_a_formula() -> None:
-    text = csv_text([replace(KITCHEN, scene='=HYPERLINK("x")')])
+    text = results.csv_text([replace(KITCHEN, scene='=HYPERLINK("x")')])
     assert next(csv.DictReader(text.splitlines()))["scene"] == '\'=HYPERLINK("x")'
 
 
@@ -47,7 +39,7 @@ def test_no_csv_cell_is_a_formula() -> None:
         ('{"format": 2, "tables": []}', "results-damaged"),
         ('{"format": 2, "results": [5]}', "results-damaged"),
         ('{"format": 2, "results": [{"scene": "a"}]}', "results-damaged"),
-        (results_text([]), "results-empty"),
+        (results.results_text([]), "results-empty"),
     ],
 )
 def test_another_file_is_refused(tmp_path: Path, content: str | None, key: str) -> None:
@@ -55,7 +47,7 @@ def test_another_file_is_refused(tmp_path: Path, content: str | None, key: str) 
     if content is not None:
         file.write_text(content)
     with raises_key(key):
-        read_results(file)
+        results.read_results(file)
 
 
 RENDERED = {"psnr": 20.0, "psnr_fitted": 22.0, "ssim": 0.5, "ssim_fitted": 0.6, "depth_error_m": 0.02}
@@ -63,7 +55,7 @@ RENDERED = {"psnr": 20.0, "psnr_fitted": 22.0, "ssim": 0.5, "ssim_fitted": 0.6, 
 
 def test_both_modes_make_one_row() -> None:
     followed = {"pq_frame": 0.25, "id_changes": 3}
-    rows = scores_by_method(
+    rows = results.scores_by_method(
         [
             {"name": INPUT_MASKS, "mode": "strict", "miou": 0.1, "miou_true": 0.15, "pq": 0.2, **followed},
             {"name": INPUT_MASKS, "mode": "pl_compat", "miou": 0.3, "miou_true": 0.35, "pq": 0.4, "psnr": None},
@@ -72,8 +64,8 @@ def test_both_modes_make_one_row() -> None:
         ]
     )
     assert rows == {
-        INPUT_MASKS: Figures(0.1, 0.15, 0.2, 0.3, 0.35, 0.4, 0.25, 3.0),
-        LIFTED: Figures(0.5, None, 0.6, 0.7, None, 0.8, None, None, 20.0, 22.0, 0.5, 0.02),
+        INPUT_MASKS: results.Figures(0.1, 0.15, 0.2, 0.3, 0.35, 0.4, 0.25, 3.0),
+        LIFTED: results.Figures(0.5, None, 0.6, 0.7, None, 0.8, None, None, 20.0, 22.0, 0.5, 0.02),
     }
 
 
@@ -95,12 +87,12 @@ def test_lifting_seconds_add_up_all_runs() -> None:
         (900.0, "hello", {"task": "bake"}),
         (950.0, "done", {"state": "finished"}),
     )
-    assert lifting_seconds(events) == 30.0 + 40.0
-    assert lifting_seconds([]) is None
+    assert results.lifting_seconds(events) == 30.0 + 40.0
+    assert results.lifting_seconds([]) is None
 
 
 def test_memory_and_frames_per_second() -> None:
     first, last = ({"name": "run", "values": values} for values in ({"peak_bytes": 3e9}, {"peak_bytes": 1e9, "fps": 2}))
     events = [Event(1, 0.0, "metric", first), Event(2, 1.0, "metric", {"name": "loss", "values": {}})]
-    assert run_figures([*events, Event(3, 2.0, "metric", last)]) == {"peak_bytes": 3e9, "fps": 2.0}
-    assert run_figures([]) == {"peak_bytes": None, "fps": None}
+    assert results.run_figures([*events, Event(3, 2.0, "metric", last)]) == {"peak_bytes": 3e9, "fps": 2.0}
+    assert results.run_figures([]) == {"peak_bytes": None, "fps": None}

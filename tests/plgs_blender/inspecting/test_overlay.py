@@ -9,19 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mathutils import Matrix, Vector
-from plgs.plgs_blender.inspecting import highlight
-from plgs.plgs_blender.inspecting.drawing import (
-    ViewRegion,
-    brightened,
-    draw_mark,
-    draw_outline,
-    draw_path,
-    draw_text_boxes,
-    label_text_boxes,
-    legend_text_boxes,
-    place_labels,
-    shown_classes,
-)
+from plgs.plgs_blender.inspecting import drawing, highlight
 from plgs.plgs_blender.inspecting.selection import boxes_of
 
 WIDTH, HEIGHT = 480, 300
@@ -35,7 +23,7 @@ WIDTH, HEIGHT = 480, 300
 def test_names_cover_no_others(labels: list[tuple[float, float, float]], corners: list[tuple[float, float]]) -> None:
     anchors, widths = [(x, y) for x, y, _ in labels], [width for _, _, width in labels]
     free = [(x, y, x + 80.0, y + 60.0) for x, y in corners]
-    placed = place_labels(anchors, widths, 18.0, (640.0, 480.0), free)
+    placed = drawing.place_labels(anchors, widths, 18.0, (640.0, 480.0), free)
     assert set(placed) <= {i for i, (x, y) in enumerate(anchors) if 0 <= x <= 640 and 0 <= y <= 480}
     rectangles = {i: (x, y, x + widths[i], y + 18.0) for i, (x, y) in placed.items()}
     for one, (left, low, right, high) in rectangles.items():
@@ -58,8 +46,8 @@ class Seen:
         self.window_matrix = camera.calc_matrix_camera(graph, x=WIDTH, y=HEIGHT)
 
     @property
-    def region(self) -> ViewRegion:
-        return ViewRegion(WIDTH, HEIGHT, 0, self.window_matrix @ self.view_matrix, 1.0)
+    def region(self) -> drawing.ViewRegion:
+        return drawing.ViewRegion(WIDTH, HEIGHT, 0, self.window_matrix @ self.view_matrix, 1.0)
 
 
 @pytest.fixture
@@ -68,7 +56,7 @@ def seen(root: bpy.types.Collection) -> Seen:
 
 
 def test_labels_stand_at_their_boxes(root: bpy.types.Collection, seen: Seen) -> None:
-    text_boxes = label_text_boxes(root.plgs.instances, boxes_of(root), 1, seen.region)
+    text_boxes = drawing.label_text_boxes(root.plgs.instances, boxes_of(root), 1, seen.region)
     assert {text_box.text for text_box in text_boxes} == {"chair 1", "cabinet 1"}
     for text_box in text_boxes:
         box = bpy.data.objects[text_box.text]
@@ -77,7 +65,7 @@ def test_labels_stand_at_their_boxes(root: bpy.types.Collection, seen: Seen) -> 
     chair, cabinet = sorted(text_boxes, key=lambda text_box: text_box.text, reverse=True)
     assert max(chair.ground) > max(cabinet.ground), "the selected one in its full colour"
     bpy.data.objects.remove(bpy.data.objects["chair 1"])
-    text_boxes = label_text_boxes(root.plgs.instances, boxes_of(root), 1, seen.region)
+    text_boxes = drawing.label_text_boxes(root.plgs.instances, boxes_of(root), 1, seen.region)
     assert [text_box.text for text_box in text_boxes] == ["cabinet 1"]
 
 
@@ -85,29 +73,31 @@ def test_selected_name_says_out_of_view_and_hovered_has_a_name(root: bpy.types.C
     boxes, region = boxes_of(root), seen.region
     at = region.pixel_of(bpy.data.objects["chair 1"].matrix_world.translation)
     free = [(at[0] - 80.0, 0.0, at[0] + 80.0, float(HEIGHT))]
-    assert "chair 1" not in {each.text for each in label_text_boxes(root.plgs.instances, boxes, 0, region, 0, free)}
-    one_only = ViewRegion(WIDTH, 24, 0, region.perspective, 1.0)
+    assert "chair 1" not in {
+        each.text for each in drawing.label_text_boxes(root.plgs.instances, boxes, 0, region, 0, free)
+    }
+    one_only = drawing.ViewRegion(WIDTH, 24, 0, region.perspective, 1.0)
     for number, name in ((1, "chair 1"), (2, "cabinet 1")):
-        first = label_text_boxes(root.plgs.instances, boxes, 0, one_only, number)[0]
+        first = drawing.label_text_boxes(root.plgs.instances, boxes, 0, one_only, number)[0]
         assert (first.text, first.instance) == (name, number)
     boxes[1].matrix_world = Matrix.Translation((0.0, 0.0, 500.0)) @ boxes[1].matrix_world
     bpy.context.view_layer.update()
-    texts = {each.text for each in label_text_boxes(root.plgs.instances, boxes, 1, region)}
+    texts = {each.text for each in drawing.label_text_boxes(root.plgs.instances, boxes, 1, region)}
     assert any(text.startswith("chair 1 is out of view") for text in texts)
-    assert not any("chair" in each.text for each in label_text_boxes(root.plgs.instances, boxes, 0, region))
+    assert not any("chair" in each.text for each in drawing.label_text_boxes(root.plgs.instances, boxes, 0, region))
 
 
 def test_the_legend_has_the_classes_that_are_shown(root: bpy.types.Collection, seen: Seen) -> None:
     rows = root.plgs.classes
-    text_boxes = legend_text_boxes(shown_classes(rows), seen.region)
+    text_boxes = drawing.legend_text_boxes(drawing.shown_classes(rows), seen.region)
     assert {text_box.text for text_box in text_boxes} == {row.name for row in rows}
     order = [text_box.text for text_box in sorted(text_boxes, key=lambda text_box: -text_box.y)]
     points = {row.name: row.points for row in rows}
     assert [points[name] for name in order] == sorted(points.values(), reverse=True)
     rows[0].visible = False
-    assert len(legend_text_boxes(shown_classes(rows), seen.region)) == len(rows) - 1
-    low = ViewRegion(WIDTH, 70, 0, Matrix.Identity(4), 1.0)
-    few = legend_text_boxes(shown_classes(rows), low)
+    assert len(drawing.legend_text_boxes(drawing.shown_classes(rows), seen.region)) == len(rows) - 1
+    low = drawing.ViewRegion(WIDTH, 70, 0, Matrix.Identity(4), 1.0)
+    few = drawing.legend_text_boxes(drawing.shown_classes(rows), low)
     assert len(few) == 2 and few[-1].text.startswith("and ")
 
 
@@ -147,10 +137,10 @@ def test_overlay_is_drawn(root: bpy.types.Collection, seen: Seen) -> None:
 
     def draw() -> None:
         in_pixels()
-        draw_mark(highlight.mark_of(points, seen, (WIDTH, HEIGHT), brightened(colour)))
-        draw_text_boxes(label_text_boxes(root.plgs.instances, boxes_of(root), 1, seen.region))
-        draw_text_boxes(legend_text_boxes(shown_classes(root.plgs.classes), seen.region))
-        draw_outline([(300, 20), (400, 20), (400, 90), (300, 90)], (0.2, 0.9, 0.3))
+        drawing.draw_mark(highlight.mark_of(points, seen, (WIDTH, HEIGHT), drawing.brightened(colour)))
+        drawing.draw_text_boxes(drawing.label_text_boxes(root.plgs.instances, boxes_of(root), 1, seen.region))
+        drawing.draw_text_boxes(drawing.legend_text_boxes(drawing.shown_classes(root.plgs.classes), seen.region))
+        drawing.draw_outline([(300, 20), (400, 20), (400, 90), (300, 90)], (0.2, 0.9, 0.3))
 
     drawn = picture(draw)[..., :3].astype(int)
     at = seen.region.pixel_of(box.matrix_world.translation)
@@ -170,7 +160,7 @@ def test_overlay_is_drawn(root: bpy.types.Collection, seen: Seen) -> None:
 def test_a_path_is_a_line_that_breaks_at_jumps(root: bpy.types.Collection) -> None:
     def draw() -> None:
         in_pixels()
-        draw_path([Vector((x, 50.0, 0.0)) for x in (20, 40, 60, 80, 300, 320)])
+        drawing.draw_path([Vector((x, 50.0, 0.0)) for x in (20, 40, 60, 80, 300, 320)])
 
     drawn = picture(draw)[HEIGHT - 52 : HEIGHT - 48].astype(int)
     amber = ((drawn[..., 0] > 200) & (drawn[..., 2] < 140)).any(axis=0)

@@ -9,34 +9,22 @@ import pytest
 
 from engine.scene import open_scene
 from tests.raises_key import raises_key
-from tests.scene.formats.room import (
-    Bend,
-    Lens,
-    View,
-    check_colours,
-    check_on_room,
-    elsewhere,
-    look,
-    look_bent,
-    quaternion,
-    views,
-    write_colour,
-)
+from tests.scene.formats import room
 from tests.scene.refusing import describe, refuses
 
-LENS = Lens().scaled(2)
+LENS = room.Lens().scaled(2)
 PINHOLE = ("PINHOLE", (LENS.fx, LENS.fy, LENS.cx, LENS.cy))
 
 
 def marks() -> np.ndarray:
     """World points that cameras see, float64 [6, 3]: one on each camera's axis, a metre away."""
-    return np.array([elsewhere(view).eye + elsewhere(view).forward for view in views()])
+    return np.array([room.elsewhere(view).eye + room.elsewhere(view).forward for view in room.views()])
 
 
-def world_to_camera(view: View) -> tuple[np.ndarray, np.ndarray]:
+def world_to_camera(view: room.View) -> tuple[np.ndarray, np.ndarray]:
     """COLMAP's q (w x y z) and t: a world point X lies at R(q) X + t, x right, y down, z forward."""
     rows = np.stack([view.right, -view.up, view.forward])
-    return quaternion(rows), -rows @ view.eye
+    return room.quaternion(rows), -rows @ view.eye
 
 
 def image_name(index: int) -> str:
@@ -47,15 +35,15 @@ def write_text(folder: Path, model: tuple[str, tuple[float, ...]] = PINHOLE) -> 
     """The pictures, and the model in sparse/0 as text; images in another order than their names."""
     sparse = folder / "sparse" / "0"
     sparse.mkdir(parents=True)
-    for i, view in enumerate(views()):
-        write_colour(folder / "images" / image_name(i), look(view, LENS).colour)
+    for i, view in enumerate(room.views()):
+        room.write_colour(folder / "images" / image_name(i), room.look(view, LENS).colour)
     name, parameters = model
     (sparse / "cameras.txt").write_text(
         f"# Camera list with one line of data per camera:\n3 {name} 128 96 {' '.join(map(repr, parameters))}\n"
     )
     lines = ["# Image list with two lines of data per image:"]
-    for i, view in reversed([*enumerate(views())]):
-        q, t = world_to_camera(elsewhere(view))
+    for i, view in reversed([*enumerate(room.views())]):
+        q, t = world_to_camera(room.elsewhere(view))
         lines.append(f"{i + 1} {' '.join(f'{v:.9f}' for v in (*q, *t))} 3 {image_name(i)}")
         lines.append(f"{LENS.cx} {LENS.cy} {100 + i} 5.0 6.0 -1" if i != 2 else "")
     (sparse / "images.txt").write_text("\n".join(lines) + "\n")
@@ -67,8 +55,8 @@ def write_text(folder: Path, model: tuple[str, tuple[float, ...]] = PINHOLE) -> 
 def write_depth(folder: Path) -> None:
     """As COLMAP's stereo does: width & height & channels & float32, x fastest."""
     (folder / "stereo" / "depth_maps").mkdir(parents=True, exist_ok=True)
-    for i, view in enumerate(views()):
-        depth = look(view, LENS).depth
+    for i, view in enumerate(room.views()):
+        depth = room.look(view, LENS).depth
         data = b"128&96&1&" + b"".join(struct.pack("<128f", *row) for row in depth)
         (folder / "stereo" / "depth_maps" / f"{image_name(i)}.geometric.bin").write_bytes(data)
 
@@ -77,7 +65,7 @@ def test_text_pictures_and_points(tmp_path: Path) -> None:
     scene = open_scene(write_text(tmp_path))
     assert scene.format == "colmap" and not scene.has_depth and describe(scene).sparse_points == 6
     assert [frame.name for frame in scene.frames] == [f"img_{i + 5}" for i in range(6)]
-    check_colours(scene)
+    room.check_colours(scene)
     assert scene.points is not None and scene.points.rgb[0].tolist() == [9, 8, 7]
     for i, frame in enumerate(scene.frames):
         seen = scene.points.seen_by[frame.name]
@@ -89,7 +77,7 @@ def test_text_pictures_and_points(tmp_path: Path) -> None:
 
 def test_dense_depth_lies_on_the_room(tmp_path: Path) -> None:
     write_depth(write_text(tmp_path))
-    check_on_room(open_scene(tmp_path))
+    room.check_on_room(open_scene(tmp_path))
 
 
 @pytest.mark.parametrize("place", ["dense/0", "dense"])
@@ -105,7 +93,7 @@ def test_depth_of_a_workspace_is_found(tmp_path: Path, place: str) -> None:
     scene = open_scene(tmp_path)
     assert any(f"depth is in {place}" in warning for warning in scene.warnings)
     assert scene.frames[0].camera.fy == LENS.fy and scene.frames[0].file_shows_colour
-    check_on_room(scene)
+    room.check_on_room(scene)
 
 
 def test_broken_dense_depth(tmp_path: Path) -> None:
@@ -128,7 +116,7 @@ def test_the_model_may_lie_elsewhere(tmp_path: Path, place: str) -> None:
     (tmp_path / place).mkdir(exist_ok=True)
     for file in (tmp_path / "sparse" / "0").iterdir():
         file.rename(tmp_path / place / file.name)
-    check_colours(open_scene(tmp_path))
+    room.check_colours(open_scene(tmp_path))
 
 
 def radial(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -150,11 +138,15 @@ def simple_fisheye(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray
         (("SIMPLE_RADIAL_FISHEYE", (LENS.fx, LENS.cx, LENS.cy, 0.04)), simple_fisheye),
     ],
 )
-def test_distorted_lenses_are_straightened(tmp_path: Path, model: tuple[str, tuple[float, ...]], bend: Bend) -> None:
+def test_distorted_lenses_are_straightened(
+    tmp_path: Path, model: tuple[str, tuple[float, ...]], bend: room.Bend
+) -> None:
     write_text(tmp_path, model)
-    for i, view in enumerate(views()):
-        write_colour(tmp_path / "images" / image_name(i), look_bent(view, replace(LENS, fy=LENS.fx), bend).colour)
-    check_colours(open_scene(tmp_path), share=0.93)  # edges between colours are blended
+    for i, view in enumerate(room.views()):
+        room.write_colour(
+            tmp_path / "images" / image_name(i), room.look_bent(view, replace(LENS, fy=LENS.fx), bend).colour
+        )
+    room.check_colours(open_scene(tmp_path), share=0.93)  # edges between colours are blended
 
 
 def binary(folder: Path) -> Path:
@@ -165,8 +157,8 @@ def binary(folder: Path) -> Path:
         file.unlink()
     (sparse / "cameras.bin").write_bytes(struct.pack("<QIiQQ4d", 1, 3, 1, 128, 96, *PINHOLE[1]))
     images = struct.pack("<Q", 6)
-    for i, view in enumerate(views()):
-        q, t = world_to_camera(elsewhere(view))
+    for i, view in enumerate(room.views()):
+        q, t = world_to_camera(room.elsewhere(view))
         images += struct.pack("<I7dI", i + 1, *q, *t, 3) + image_name(i).encode() + b"\0"
         images += struct.pack("<QddqddQ", 2, LENS.cx, LENS.cy, 100 + i, 5.0, 6.0, 2**64 - 1)
     (sparse / "images.bin").write_bytes(images)
@@ -179,7 +171,7 @@ def binary(folder: Path) -> Path:
 
 def test_binary_models_are_read(tmp_path: Path) -> None:
     scene = open_scene(binary(tmp_path))
-    check_colours(scene)
+    room.check_colours(scene)
     assert scene.points is not None
     for frame in scene.frames:
         pixel, depth = frame.camera.project(scene.points.xyz[scene.points.seen_by[frame.name]])

@@ -11,35 +11,25 @@ import pytest
 
 from engine.scene import open_scene
 from engine.scene.formats.lens import of_nerfstudio
-from tests.scene.formats.room import (
-    Lens,
-    check_colours,
-    check_on_room,
-    elsewhere,
-    in_steps,
-    look,
-    look_bent,
-    opengl_pose,
-    views,
-    write_colour,
-    write_grey,
-    write_pair,
-)
+from tests.scene.formats import room
 
-LENS = Lens()
+LENS = room.Lens()
 SHARED = {"w": 64, "h": 48, "fl_x": LENS.fx, "fl_y": LENS.fy, "cx": LENS.cx, "cy": LENS.cy, "camera_model": "OPENCV"}
 
 
 def write_scene(folder: Path, depth: bool = True, **shared: Any) -> Path:
     """Frames in the file are in another order than their names, as COLMAP leaves them."""
     frames = []
-    for i, view in enumerate(views()):
-        picture = look(view, LENS)
+    for i, view in enumerate(room.views()):
+        picture = room.look(view, LENS)
         name = f"frame_{i + 8}"
-        write_colour(folder / "images" / f"{name}.png", picture.colour)
-        frame: dict[str, Any] = {"file_path": f"./images/{name}.png", "transform_matrix": opengl_pose(view).tolist()}
+        room.write_colour(folder / "images" / f"{name}.png", picture.colour)
+        frame: dict[str, Any] = {
+            "file_path": f"./images/{name}.png",
+            "transform_matrix": room.opengl_pose(view).tolist(),
+        }
         if depth:
-            write_grey(folder / "depth" / f"{name}.png", in_steps(picture.depth, 1000))
+            room.write_grey(folder / "depth" / f"{name}.png", room.in_steps(picture.depth, 1000))
             frame["depth_file_path"] = f"depth/{name}.png"
         frames.insert(i // 2, frame)
     content = SHARED | shared | {"frames": frames}
@@ -51,7 +41,7 @@ def test_points_lie_on_the_room(tmp_path: Path) -> None:
     for place in (write_scene(tmp_path), tmp_path / "transforms.json"):
         scene = open_scene(place)
         assert scene.format == "nerfstudio" and scene.frames[2].name == "frame_10"
-        check_on_room(scene)
+        room.check_on_room(scene)
 
 
 def test_frames_whose_pictures_are_missing_are_left_out(tmp_path: Path) -> None:
@@ -66,18 +56,18 @@ def test_names_relative_to_another_folder_are_found_beside_it(tmp_path: Path) ->
     write_scene(tmp_path)
     path = tmp_path / "transforms.json"
     path.write_text(path.read_text().replace("./images/", "../../data/room/images/"))
-    check_on_room(open_scene(tmp_path))
+    room.check_on_room(open_scene(tmp_path))
 
 
 def test_splits_of_nerfs_synthetic_scenes(tmp_path: Path) -> None:
     """As Blender's script for them writes: an angle of view, no suffix, and equal names in each part."""
-    straight = Lens(64, 48, 50.0, 50.0, 32.0, 24.0)
-    for part, own in (("train", views()[:4]), ("test", views()[4:]), ("val", views()[:2])):
+    straight = room.Lens(64, 48, 50.0, 50.0, 32.0, 24.0)
+    for part, own in (("train", room.views()[:4]), ("test", room.views()[4:]), ("val", room.views()[:2])):
         frames = []
         for i, view in enumerate(own):
-            write_colour(tmp_path / part / f"r_{i}.png", look(view, straight).colour)
+            room.write_colour(tmp_path / part / f"r_{i}.png", room.look(view, straight).colour)
             frames.append(
-                {"file_path": f"./{part}/r_{i}", "rotation": 0.1, "transform_matrix": opengl_pose(view).tolist()}
+                {"file_path": f"./{part}/r_{i}", "rotation": 0.1, "transform_matrix": room.opengl_pose(view).tolist()}
             )
         content = {"camera_angle_x": 2 * math.atan(32 / 50), "frames": frames}
         (tmp_path / f"transforms_{part}.json").write_text(json.dumps(content))
@@ -86,7 +76,7 @@ def test_splits_of_nerfs_synthetic_scenes(tmp_path: Path) -> None:
     assert [frame.name for frame in scene.train_frames] == ["train_r_0", "train_r_1", "train_r_2", "train_r_3"]
     assert [frame.name for frame in scene.test_frames] == ["test_r_0", "test_r_1"]
     assert scene.frames[0].camera.fx == pytest.approx(50.0)
-    check_colours(scene)
+    room.check_colours(scene)
 
 
 def test_instant_ngps_own_keys(tmp_path: Path) -> None:
@@ -97,10 +87,10 @@ def test_instant_ngps_own_keys(tmp_path: Path) -> None:
     for frame in content["frames"]:
         frame["file_path"] = frame["file_path"].removesuffix(".png")
         frame["depth_path"] = frame.pop("depth_file_path")
-    for i, view in enumerate(views()):
-        write_grey(tmp_path / "depth" / f"frame_{i + 8}.png", in_steps(look(view, LENS).depth, 2000))
+    for i, view in enumerate(room.views()):
+        room.write_grey(tmp_path / "depth" / f"frame_{i + 8}.png", room.in_steps(room.look(view, LENS).depth, 2000))
     (tmp_path / "transforms.json").write_text(json.dumps(content))
-    check_on_room(open_scene(tmp_path))
+    room.check_on_room(open_scene(tmp_path))
 
 
 def test_intrinsics_of_larger_pictures_and_npy_depth(tmp_path: Path) -> None:
@@ -113,7 +103,7 @@ def test_intrinsics_of_larger_pictures_and_npy_depth(tmp_path: Path) -> None:
         )
         frame["depth_file_path"] = frame["depth_file_path"].replace(".png", ".npy")
     (tmp_path / "transforms.json").write_text(json.dumps(content))
-    check_on_room(open_scene(tmp_path))
+    room.check_on_room(open_scene(tmp_path))
 
 
 @pytest.mark.parametrize("model", ["OPENCV", "OPENCV_FISHEYE"])
@@ -124,14 +114,14 @@ def test_lens_distortion_is_removed(tmp_path: Path, model: str) -> None:
         bent = {"k1": 0.05, "k2": -0.02, "k3": 0.01, "k4": 0.0}
     lens, bend = LENS.scaled(4), of_nerfstudio(bent, model, model == "OPENCV_FISHEYE")
     write_scene(tmp_path, **bent, w=256, h=192, fl_x=lens.fx, fl_y=lens.fy, cx=lens.cx, cy=lens.cy, camera_model=model)
-    for i, view in enumerate(views()):
-        picture = look_bent(view, lens, bend.bent)
-        write_pair(tmp_path / "images" / f"frame_{i + 8}.png", tmp_path / "depth" / f"frame_{i + 8}.png", picture)
+    for i, view in enumerate(room.views()):
+        picture = room.look_bent(view, lens, bend.bent)
+        room.write_pair(tmp_path / "images" / f"frame_{i + 8}.png", tmp_path / "depth" / f"frame_{i + 8}.png", picture)
     scene = open_scene(tmp_path)
     assert any("undistorted" in warning for warning in scene.warnings)
     assert not scene.frames[0].file_shows_colour
     # Depth takes the nearest pixel, up to 0.7 pixels aside: 1 cm at a slant.
-    check_on_room(scene, tolerance=0.012, share=0.97)
+    room.check_on_room(scene, tolerance=0.012, share=0.97)
     assert scene.frames[0].depth((64, 48)).shape == (48, 64)
 
 
@@ -141,16 +131,16 @@ def test_points_and_cameras_stand_upright_together(tmp_path: Path) -> None:
     content = json.loads((tmp_path / "transforms.json").read_text())
     for frame in content["frames"]:
         index = int(frame["file_path"].split("_")[1].split(".")[0]) - 8
-        frame["transform_matrix"] = opengl_pose(elsewhere(views()[index])).tolist()
+        frame["transform_matrix"] = room.opengl_pose(room.elsewhere(room.views()[index])).tolist()
     (tmp_path / "transforms.json").write_text(json.dumps(content))
-    marks = [elsewhere(view).eye + elsewhere(view).forward for view in views()]
+    marks = [room.elsewhere(view).eye + room.elsewhere(view).forward for view in room.views()]
     header = "ply\nformat ascii 1.0\nelement vertex 6\nproperty float x\nproperty float y\nproperty float z\n"
     header += "property uint8 red\nproperty uint8 green\nproperty uint8 blue\nend_header\n"
     rows = "".join(f"{x:.6f} {y:.6f} {z:.6f} 10 20 30\n" for x, y, z in marks)
     (tmp_path / "sparse_pc.ply").write_text(header + rows)
     scene = open_scene(tmp_path)
     assert any("which way is up" in warning for warning in scene.warnings)
-    check_on_room(scene)
+    room.check_on_room(scene)
     assert scene.points is not None and scene.points.rgb[0].tolist() == [10, 20, 30]
     for frame, point in zip(scene.frames, scene.points.xyz, strict=True):
         np.testing.assert_allclose(point, frame.camera.centre + frame.camera.camera_to_world[:3, 2], atol=1e-5)

@@ -9,34 +9,22 @@ import numpy as np
 import pytest
 
 from engine.scene import open_scene
-from tests.scene.formats.room import (
-    Lens,
-    View,
-    check_on_room,
-    in_steps,
-    look,
-    opengl_pose,
-    quaternion,
-    views,
-    write_colour,
-    write_grey,
-    y_up,
-)
+from tests.scene.formats import room
 from tests.scene.refusing import refuses
 
-LENS, DEPTH = Lens().scaled(2), Lens()
+LENS, DEPTH = room.Lens().scaled(2), room.Lens()
 
 
-def depth_and_level(view: View, level: int) -> tuple[np.ndarray, np.ndarray]:
+def depth_and_level(view: room.View, level: int) -> tuple[np.ndarray, np.ndarray]:
     """Depth in millimetres and its confidence; of the upper rows neither is to be trusted."""
-    depth, levels = in_steps(look(view, DEPTH).depth, 1000), np.full((48, 64), level, np.uint8)
+    depth, levels = room.in_steps(room.look(view, DEPTH).depth, 1000), np.full((48, 64), level, np.uint8)
     depth[:5], levels[:5] = 4999, 0
     return depth, levels
 
 
-def camera_json(view: View, lens: Lens) -> str:
+def camera_json(view: room.View, lens: room.Lens) -> str:
     """ARKit's world, y up; the camera's x right, y up, z backward are the columns of t."""
-    seen = y_up(view)
+    seen = room.y_up(view)
     t = np.stack([seen.right, seen.up, -seen.forward, seen.eye], axis=1)
     entry = {f"t_{row}{column}": float(t[row, column]) for row in range(3) for column in range(4)}
     entry |= {"fx": lens.fx, "fy": lens.fy, "cx": lens.cx, "cy": lens.cy, "width": lens.width, "height": lens.height}
@@ -48,15 +36,15 @@ def write_polycam(folder: Path, corrected: bool = True) -> Path:
     keyframes = folder / "keyframes"
     for kind in ("cameras", "corrected_cameras"):
         (keyframes / kind).mkdir(parents=True)
-    for i, view in enumerate(views()):
+    for i, view in enumerate(room.views()):
         name = str(98765432100 + 7 * i)
-        moved = View(view.eye + 0.3, view.right, view.up, view.forward)
+        moved = room.View(view.eye + 0.3, view.right, view.up, view.forward)
         for prefix, seen in (("", moved if corrected else view), ("corrected_", view)):
-            write_colour(keyframes / f"{prefix}images" / f"{name}.png", look(seen, LENS).colour)
+            room.write_colour(keyframes / f"{prefix}images" / f"{name}.png", room.look(seen, LENS).colour)
             (keyframes / f"{prefix}cameras" / f"{name}.json").write_text(camera_json(seen, LENS))
         depth, level = depth_and_level(view, 127)
-        write_grey(keyframes / "depth" / f"{name}.png", depth)
-        write_grey(keyframes / "confidence" / f"{name}.png", level)
+        room.write_grey(keyframes / "depth" / f"{name}.png", depth)
+        room.write_grey(keyframes / "confidence" / f"{name}.png", level)
     if not corrected:
         for kind in ("corrected_cameras", "corrected_images"):
             shutil.rmtree(keyframes / kind)
@@ -68,7 +56,7 @@ def test_polycam_points_lie_on_the_room(tmp_path: Path, corrected: bool) -> None
     scene = open_scene(write_polycam(tmp_path, corrected))
     assert scene.format == "polycam" and scene.frames[0].name == "98765432100"
     assert any("not optimised" in warning for warning in scene.warnings) is not corrected
-    check_on_room(scene)
+    room.check_on_room(scene)
     assert not scene.frames[0].depth()[:5].any()
 
 
@@ -87,7 +75,7 @@ def test_a_size_that_cameras_do_not_say_is_inferred(tmp_path: Path, scale: int) 
     without_size(tmp_path, **numbers)
     without_size(tmp_path, "cameras", **numbers, width=128 * scale, height=96 * scale)
     scene = open_scene(tmp_path)
-    check_on_room(scene)
+    room.check_on_room(scene)
     assert any("the size of the pictures of 6 cameras" in warning for warning in scene.warnings)
 
 
@@ -105,26 +93,26 @@ def test_keyframes_that_were_not_optimised_are_counted(tmp_path: Path, kept: int
     assert [frame.name for frame in scene.frames] == names[: kept or 6]
     told = f"{6 - kept} of 6 keyframes are not in both corrected_cameras" if kept else "the poses were not optimised"
     assert any(warning.startswith(told) for warning in scene.warnings)
-    check_on_room(scene)
+    room.check_on_room(scene)
 
 
-def table(view: View) -> dict[str, object]:
+def table(view: room.View) -> dict[str, object]:
     """ARKit's world, y up; the matrices row by row."""
-    pose = opengl_pose(y_up(view))
+    pose = room.opengl_pose(room.y_up(view))
     intrinsics = [LENS.fx, 0, LENS.cx, 0, LENS.fy, LENS.cy, 0, 0, 1]
     return {"cameraPoseARFrame": pose.ravel().tolist(), "intrinsics": intrinsics, "motionQuality": 1}
 
 
 def write_scanner_app(folder: Path) -> Path:
     folder.mkdir(exist_ok=True)
-    for i, view in enumerate(views()):
+    for i, view in enumerate(room.views()):
         for number in (2 * i, 2 * i + 1):
             depth, level = depth_and_level(view, 2)
-            write_grey(folder / f"depth_{number:05d}.png", depth)
-            write_grey(folder / f"conf_{number:05d}.png", level)
+            room.write_grey(folder / f"depth_{number:05d}.png", depth)
+            room.write_grey(folder / f"conf_{number:05d}.png", level)
             (folder / f"frame_{number:05d}.json").write_text(json.dumps(table(view)))
-        write_colour(folder / f"frame_{2 * i:05d}.jpg", look(view, LENS).colour)
-    write_colour(folder / "thumb_00000.jpg", np.zeros((8, 8, 3), np.uint8))
+        room.write_colour(folder / f"frame_{2 * i:05d}.jpg", room.look(view, LENS).colour)
+    room.write_colour(folder / "thumb_00000.jpg", np.zeros((8, 8, 3), np.uint8))
     (folder / "info.json").write_text('{"title": "Scan"}')
     return folder
 
@@ -132,7 +120,7 @@ def write_scanner_app(folder: Path) -> Path:
 def test_scanner_app_points_lie_on_the_room(tmp_path: Path) -> None:
     scene = open_scene(write_scanner_app(tmp_path))
     assert scene.format == "scanner-app" and [frame.name for frame in scene.frames][1] == "frame_00002"
-    check_on_room(scene, colour_step=60)
+    room.check_on_room(scene, colour_step=60)
     assert not scene.frames[0].depth()[:5].any()
 
 
@@ -140,7 +128,7 @@ def test_a_scan_without_depth_and_a_picture_without_a_pose(tmp_path: Path) -> No
     for path in (*write_scanner_app(tmp_path).glob("*.png"), tmp_path / "frame_00004.json"):
         path.unlink()
     scene = open_scene(tmp_path)
-    assert len(scene.frames) == len(views()) - 1 and not scene.has_depth
+    assert len(scene.frames) == len(room.views()) - 1 and not scene.has_depth
     assert any("without a pose is left out: frame_00004" in warning for warning in scene.warnings)
 
 
@@ -148,13 +136,13 @@ def test_a_scan_without_depth_and_a_picture_without_a_pose(tmp_path: Path) -> No
     ("changed", "told"),
     [
         ({"intrinsics": [LENS.fx, 0, 0, 0, LENS.fy, 0, LENS.cx, LENS.cy, 1]}, "not-camera-matrix"),
-        ({"cameraPoseARFrame": np.ravel(opengl_pose(views()[0]), "F").tolist()}, "pose-last-row"),
+        ({"cameraPoseARFrame": np.ravel(room.opengl_pose(room.views()[0]), "F").tolist()}, "pose-last-row"),
         ({"cameraPoseARFrame": [0.0]}, "wrong-type cameraPoseARFrame 16"),
     ],
 )
 def test_matrices_not_stored_row_by_row_are_refused(tmp_path: Path, changed: dict[str, object], told: str) -> None:
     write_scanner_app(tmp_path)
-    (tmp_path / "frame_00002.json").write_text(json.dumps(table(views()[1]) | changed))
+    (tmp_path / "frame_00002.json").write_text(json.dumps(table(room.views()[1]) | changed))
     refuses(told, tmp_path)
 
 
@@ -164,12 +152,12 @@ def test_photos_with_notes_of_another_program_are_still_photos(tmp_path: Path) -
     refuses("no-poses", tmp_path)
 
 
-STRAY_LENS = Lens().scaled(4)
+STRAY_LENS = room.Lens().scaled(4)
 
 
-def held_upright(view: View) -> View:
+def held_upright(view: room.View) -> room.View:
     """A phone held upright: its pictures lie on their side."""
-    return View(view.eye, -view.up, view.right, view.forward)
+    return room.View(view.eye, -view.up, view.right, view.forward)
 
 
 def write_stray(folder: Path, older: bool = False, sideways: bool = False) -> Path:
@@ -179,9 +167,9 @@ def write_stray(folder: Path, older: bool = False, sideways: bool = False) -> Pa
         str(folder / "rgb.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 60, (STRAY_LENS.width, STRAY_LENS.height)
     )
     lines = "timestamp, frame, x, y, z, qx, qy, qz, qw\n1.5, 000000, nan, 0, 0, 0, 0, 0, 1\n"
-    for i, plain in enumerate([views()[0], views()[0], *views()]):
+    for i, plain in enumerate([room.views()[0], room.views()[0], *room.views()]):
         view = held_upright(plain) if sideways else plain
-        video.write(np.ascontiguousarray(look(view, STRAY_LENS).colour[..., ::-1]))
+        video.write(np.ascontiguousarray(room.look(view, STRAY_LENS).colour[..., ::-1]))
         if i == 1:
             continue
         depth, level = depth_and_level(view, 1)
@@ -189,11 +177,11 @@ def write_stray(folder: Path, older: bool = False, sideways: bool = False) -> Pa
             (folder / "depth").mkdir(exist_ok=True)
             np.save(folder / "depth" / f"{i:06d}.npy", depth)
         else:
-            write_grey(folder / "depth" / f"{i:06d}.png", depth)
-        write_grey(folder / "confidence" / f"{i:06d}.png", level)
+            room.write_grey(folder / "depth" / f"{i:06d}.png", depth)
+        room.write_grey(folder / "confidence" / f"{i:06d}.png", level)
         if i > 1:
-            seen = y_up(view)
-            w, x, y, z = quaternion(np.stack([seen.right, -seen.up, seen.forward], axis=1))
+            seen = room.y_up(view)
+            w, x, y, z = room.quaternion(np.stack([seen.right, -seen.up, seen.forward], axis=1))
             lines += f"{2 + i / 60:.4f}, {i:06d}, " + ", ".join(f"{v:.7f}" for v in (*seen.eye, x, y, z, w)) + "\n"
     video.release()
     (folder / "odometry.csv").write_text(lines)
@@ -207,7 +195,7 @@ def test_stray_points_lie_on_the_room(tmp_path: Path, older: bool) -> None:
     scene = open_scene(write_stray(tmp_path, older))
     assert scene.format == "stray" and [frame.name for frame in scene.frames] == [f"{i:06d}" for i in range(2, 8)]
     assert "1 frame without a pose is left out: 000000" in scene.warnings and scene.fps == 60
-    check_on_room(scene, colour_step=60)  # the video's compression
+    room.check_on_room(scene, colour_step=60)  # the video's compression
     assert not scene.frames[0].depth()[:5].any() and not scene.frames[0].file_shows_colour
 
 
@@ -216,7 +204,7 @@ def test_empty_columns_of_the_current_app_are_ignored(tmp_path: Path) -> None:
     path = tmp_path / "odometry.csv"
     head, *rows = path.read_text().splitlines()
     path.write_text("\n".join([f"{head}, horizontal_accuracy, heading", *(f"{row}, , " for row in rows)]) + "\n")
-    check_on_room(open_scene(tmp_path), colour_step=60)
+    room.check_on_room(open_scene(tmp_path), colour_step=60)
 
 
 def test_pictures_come_in_any_order(tmp_path: Path) -> None:
@@ -230,4 +218,4 @@ def test_pictures_come_in_any_order(tmp_path: Path) -> None:
 def test_a_phone_held_upright_still_has_y_up(tmp_path: Path) -> None:
     scene = open_scene(write_stray(tmp_path, sideways=True))
     assert not any("up" in warning for warning in scene.warnings)
-    check_on_room(scene, colour_step=60)
+    room.check_on_room(scene, colour_step=60)

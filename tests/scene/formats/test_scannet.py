@@ -9,17 +9,7 @@ import numpy as np
 import pytest
 
 from engine.scene import Scene, open_scene
-from tests.scene.formats.room import (
-    Lens,
-    View,
-    check_on_room,
-    in_steps,
-    look,
-    opencv_pose,
-    views,
-    write_grey,
-    write_pair,
-)
+from tests.scene.formats import room
 from tests.scene.refusing import refuses
 
 BESIDE = np.eye(4)
@@ -27,20 +17,22 @@ BESIDE[:3, 3] = 0.06, 0.01, -0.004
 """From points of a depth camera to points of the colour camera."""
 
 
-def moved(view: View) -> View:
+def moved(view: room.View) -> room.View:
     """The view of that depth camera."""
-    pose = opencv_pose(view) @ BESIDE
-    return View(pose[:3, 3], view.right, view.up, view.forward)
+    pose = room.opencv_pose(view) @ BESIDE
+    return room.View(pose[:3, 3], view.right, view.up, view.forward)
 
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Scene:
     """As ScanNet's SensReader exports, with Panoptic Lifting's names of frames; K has integer pixel centres."""
-    lens = Lens()
-    for i, view in enumerate(views()):
-        write_pair(tmp_path / "color" / f"0_{i:04d}.png", tmp_path / "depth" / f"0_{i:04d}.png", look(view, lens))
+    lens = room.Lens()
+    for i, view in enumerate(room.views()):
+        room.write_pair(
+            tmp_path / "color" / f"0_{i:04d}.png", tmp_path / "depth" / f"0_{i:04d}.png", room.look(view, lens)
+        )
         (tmp_path / "pose").mkdir(exist_ok=True)
-        np.savetxt(tmp_path / "pose" / f"0_{i:04d}.txt", opencv_pose(view), "%.6f")
+        np.savetxt(tmp_path / "pose" / f"0_{i:04d}.txt", room.opencv_pose(view), "%.6f")
     K = [[lens.fx, 0, lens.cx - 0.5, 0], [0, lens.fy, lens.cy - 0.5, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
     (tmp_path / "intrinsic").mkdir()
     np.savetxt(tmp_path / "intrinsic" / "intrinsic_color.txt", K, "%.6f")
@@ -49,28 +41,30 @@ def scene(tmp_path: Path) -> Scene:
 
 def test_folders_points_lie_on_the_room(scene: Scene) -> None:
     assert scene.format == "scannet" and scene.frames[0].name == "0_0000"
-    check_on_room(scene)
+    room.check_on_room(scene)
 
 
 def test_the_extrinsic_of_the_depth_camera_is_applied(scene: Scene) -> None:
-    for i, view in enumerate(views()):
-        write_grey(scene.folder / "depth" / f"0_{i:04d}.png", in_steps(look(moved(view), Lens()).depth, 1000))
+    for i, view in enumerate(room.views()):
+        room.write_grey(
+            scene.folder / "depth" / f"0_{i:04d}.png", room.in_steps(room.look(moved(view), room.Lens()).depth, 1000)
+        )
     path = scene.folder / "intrinsic" / "extrinsic_depth.txt"
-    off = np.concatenate([(frame.depth(None) - look(view, Lens()).depth).ravel() for frame, view in zip(
-        open_scene(scene.folder).frames, views(), strict=True)])  # fmt: skip
+    off = np.concatenate([(frame.depth(None) - room.look(view, room.Lens()).depth).ravel() for frame, view in zip(
+        open_scene(scene.folder).frames, room.views(), strict=True)])  # fmt: skip
     assert (np.abs(off) > 0.05).mean() > 0.1
     np.savetxt(path, BESIDE)
-    check_on_room(open_scene(scene.folder), tolerance=0.06, share=0.97)
+    room.check_on_room(open_scene(scene.folder), tolerance=0.06, share=0.97)
     for wrong in (BESIDE * 1000, np.zeros((4, 4))):
         np.savetxt(path, wrong)
         assert any("extrinsics are ignored" in warning for warning in open_scene(scene.folder).warnings)
 
 
-COLOUR = Lens(108, 80, 97.0, 97.5, 54.3, 40.2)
-DEPTH = Lens(64, 48, 58.0, 58.4, 32.4, 24.1)
+COLOUR = room.Lens(108, 80, 97.0, 97.5, 54.3, 40.2)
+DEPTH = room.Lens(64, 48, 58.0, 58.4, 32.4, 24.1)
 
 
-def four(lens: Lens) -> np.ndarray:
+def four(lens: room.Lens) -> np.ndarray:
     """The 4x4 of a lens with integer pixel centres."""
     K = np.eye(4, dtype=np.float32)
     K[0, 0], K[1, 1], K[0, 2], K[1, 2] = lens.fx, lens.fy, lens.cx - 0.5, lens.cy - 0.5
@@ -85,13 +79,13 @@ def sens(compressed: bool = True, lost: int | None = None, beside: np.ndarray | 
     data += struct.pack("<ii", 1, 1 if compressed else 0)
     data += struct.pack("<IIIIf", COLOUR.width, COLOUR.height, DEPTH.width, DEPTH.height, 1000.0)
     data += struct.pack("<Q", 6 + (lost is not None))
-    for i, view in enumerate(views()):
+    for i, view in enumerate(room.views()):
         if i == lost:
             data += struct.pack("<16f", *[-np.inf] * 16) + struct.pack("<QQQQ", 0, 0, 0, 0)
-        colour = cv2.imencode(".png", look(view, COLOUR).colour[..., ::-1])[1].tobytes()
-        depth = np.round(look(view if beside is None else moved(view), DEPTH).depth * 1000).astype("<u2").tobytes()
+        colour = cv2.imencode(".png", room.look(view, COLOUR).colour[..., ::-1])[1].tobytes()
+        depth = np.round(room.look(view if beside is None else moved(view), DEPTH).depth * 1000).astype("<u2").tobytes()
         depth = zlib.compress(depth) if compressed else depth
-        data += struct.pack("<16f", *opencv_pose(view).ravel())
+        data += struct.pack("<16f", *room.opencv_pose(view).ravel())
         data += struct.pack("<QQQQ", 33 * i, 33 * i, len(colour), len(depth)) + colour + depth
     return data + struct.pack("<Q", 0)
 
@@ -104,9 +98,9 @@ def test_sens_points_lie_on_the_room(tmp_path: Path, compressed: bool, place: st
     assert scene.format == "sens" and [frame.name for frame in scene.frames] == ["0", "1", "3", "4", "5", "6"]
     assert "1 frame without a pose is left out: 2" in scene.warnings
     # Depth is of another lens: its pixels lie up to 0.7 pixels aside of those that they are read for.
-    check_on_room(scene, tolerance=0.06, share=0.97)
+    room.check_on_room(scene, tolerance=0.06, share=0.97)
     depth = [frame.depth((COLOUR.width, COLOUR.height)) for frame in scene.frames]
-    truth = [look(view, COLOUR).depth for view in views()]
+    truth = [room.look(view, COLOUR).depth for view in room.views()]
     off = np.concatenate([(one - other)[one > 0] for one, other in zip(depth, truth, strict=True)])
     assert abs(np.median(off)) < 0.001 and np.median(np.abs(off)) < 0.008
 
@@ -115,7 +109,7 @@ def test_a_depth_camera_beside_the_colour_camera(tmp_path: Path) -> None:
     (tmp_path / "a.sens").write_bytes(sens(beside=BESIDE))
     scene = open_scene(tmp_path)
     assert scene.warnings == ()
-    check_on_room(scene, tolerance=0.06, share=0.97)
+    room.check_on_room(scene, tolerance=0.06, share=0.97)
 
 
 def test_folders_that_were_exported_come_first(tmp_path: Path) -> None:

@@ -7,26 +7,15 @@ import numpy as np
 import pytest
 
 from engine.scene import open_scene
-from tests.scene.formats.room import (
-    Lens,
-    View,
-    check_on_room,
-    in_steps,
-    look,
-    opencv_pose,
-    views,
-    write_colour,
-    write_grey,
-    write_pair,
-)
+from tests.scene.formats import room
 from tests.scene.refusing import refuses
 
 # The Kinect's two lenses for pictures of 160x120, a quarter of the size; the principal point is the integer pixel
 # (320, 240) of 640x480.
-DEPTH_LENS = Lens(160, 120, 585 / 4, 585 / 4, 320.5 / 4, 240.5 / 4)
-COLOUR_LENS = Lens(160, 120, 525 / 4, 525 / 4, 320.5 / 4, 240.5 / 4)
+DEPTH_LENS = room.Lens(160, 120, 585 / 4, 585 / 4, 320.5 / 4, 240.5 / 4)
+COLOUR_LENS = room.Lens(160, 120, 525 / 4, 525 / 4, 320.5 / 4, 240.5 / 4)
 # Lenses of a sensor whose pictures differ in size.
-COLOUR, DEPTH = Lens(108, 80, 97.0, 97.5, 54.3, 40.2), Lens(64, 48, 58.0, 58.4, 32.4, 24.1)
+COLOUR, DEPTH = room.Lens(108, 80, 97.0, 97.5, 54.3, 40.2), room.Lens(64, 48, 58.0, 58.4, 32.4, 24.1)
 # Where the colour camera stands as the depth camera sees it, written from the published rotation and translation.
 R = np.array(
     [
@@ -38,22 +27,22 @@ R = np.array(
 T = np.array([-2.5558943178152542e-02, 1.0109636268061706e-04, 2.0318321729487039e-03])
 
 
-def depth_view(colour: View) -> View:
+def depth_view(colour: room.View) -> room.View:
     """The depth camera beside a colour camera: a point x of its own lies at R x + T of the colour camera."""
     axes = np.stack([colour.right, -colour.up, colour.forward], axis=1)
     right, down, forward = (axes @ R).T
-    return View(colour.eye + axes @ T, right, -down, forward)
+    return room.View(colour.eye + axes @ T, right, -down, forward)
 
 
 def write_seven(folder: Path) -> Path:
-    for i, view in enumerate(views()):
+    for i, view in enumerate(room.views()):
         beside = depth_view(view)
         base = folder / "seq-01" / f"frame-{i:06d}"
-        depth = in_steps(look(beside, DEPTH_LENS).depth, 1000)
+        depth = room.in_steps(room.look(beside, DEPTH_LENS).depth, 1000)
         depth[:3] = 65535
-        write_colour(base.with_suffix(".color.png"), look(view, COLOUR_LENS).colour)
-        write_grey(base.with_suffix(".depth.png"), depth)
-        np.savetxt(base.with_suffix(".pose.txt"), opencv_pose(beside), "%.9e")
+        room.write_colour(base.with_suffix(".color.png"), room.look(view, COLOUR_LENS).colour)
+        room.write_grey(base.with_suffix(".depth.png"), depth)
+        np.savetxt(base.with_suffix(".pose.txt"), room.opencv_pose(beside), "%.9e")
     return folder
 
 
@@ -63,49 +52,49 @@ def test_raw_depth_is_registered_to_colour(tmp_path: Path, place: str) -> None:
     assert scene.format == "7scenes"
     assert scene.frames[0].name == ("frame-000000" if place else "seq-01_frame-000000")
     # Registered depth takes pixels of another grid: up to 0.7 pixels aside, 2 cm at a slant.
-    check_on_room(scene, tolerance=0.022, share=0.97)
+    room.check_on_room(scene, tolerance=0.022, share=0.97)
     depth = scene.frames[0].depth((320, 240))
     assert depth.shape == (240, 320) and depth.max() < 10.0
     # Half a pixel's slant; without registration the median is centimetres.
-    assert np.median(np.abs(scene.frames[0].depth() - look(views()[0], COLOUR_LENS).depth)) < 0.008
+    assert np.median(np.abs(scene.frames[0].depth() - room.look(room.views()[0], COLOUR_LENS).depth)) < 0.008
 
 
 def test_registered_depth_is_used_if_it_exists(tmp_path: Path) -> None:
     write_seven(tmp_path)
-    for i, view in enumerate(views()):
+    for i, view in enumerate(room.views()):
         base = tmp_path / "seq-01" / f"frame-{i:06d}"
-        write_grey(base.with_suffix(".depth.proj.png"), in_steps(look(view, COLOUR_LENS).depth, 1000))
-        np.savetxt(base.with_suffix(".pose.txt"), opencv_pose(view))
-    check_on_room(open_scene(tmp_path))
+        room.write_grey(base.with_suffix(".depth.proj.png"), room.in_steps(room.look(view, COLOUR_LENS).depth, 1000))
+        np.savetxt(base.with_suffix(".pose.txt"), room.opencv_pose(view))
+    room.check_on_room(open_scene(tmp_path))
 
 
 @pytest.mark.parametrize("where", ["camera-intrinsics.txt", "scans/camera-intrinsics.txt"])
 def test_camera_intrinsics_txt_says_the_lens(tmp_path: Path, where: str) -> None:
-    lens = Lens()
+    lens = room.Lens()
     folder = tmp_path / "scans"
-    for i, view in enumerate(views()):
-        picture = look(view, lens)
-        depth = in_steps(picture.depth, 1000)
+    for i, view in enumerate(room.views()):
+        picture = room.look(view, lens)
+        depth = room.in_steps(picture.depth, 1000)
         depth[:3] = 65535
         base = folder / f"frame-{i:06d}"
-        write_colour(base.with_suffix(".color.jpg"), picture.colour)
-        write_grey(base.with_suffix(".depth.png"), depth)
-        np.savetxt(base.with_suffix(".pose.txt"), opencv_pose(view))
+        room.write_colour(base.with_suffix(".color.jpg"), picture.colour)
+        room.write_grey(base.with_suffix(".depth.png"), depth)
+        np.savetxt(base.with_suffix(".pose.txt"), room.opencv_pose(view))
     np.savetxt(tmp_path / where, [[lens.fx, 0, lens.cx - 0.5], [0, lens.fy, lens.cy - 0.5], [0, 0, 1]])  # fmt: skip
     np.savetxt(folder / "frame-000006.pose.txt", np.full((4, 4), np.inf))
     scene = open_scene(folder)
     assert scene.format == "7scenes" and "1 frame without a pose is left out: frame-000006" in scene.warnings
-    check_on_room(scene, colour_step=60)
+    room.check_on_room(scene, colour_step=60)
     assert not scene.frames[0].depth()[:3].any()
 
 
 def write_info(folder: Path, place: str = "", name: str = "info.txt", steps: int = 1000, **changed: str) -> Path:
     """BundleFusion's frames and its file about the sensor, whose lines may be ``changed``."""
-    for i, view in enumerate(views()):
+    for i, view in enumerate(room.views()):
         base = folder / place / f"frame-{i:06d}"
-        write_colour(base.with_suffix(".color.jpg"), look(view, COLOUR).colour)
-        write_grey(base.with_suffix(".depth.png"), in_steps(look(view, DEPTH).depth, steps))
-        np.savetxt(base.with_suffix(".pose.txt"), opencv_pose(view))
+        room.write_colour(base.with_suffix(".color.jpg"), room.look(view, COLOUR).colour)
+        room.write_grey(base.with_suffix(".depth.png"), room.in_steps(room.look(view, DEPTH).depth, steps))
+        np.savetxt(base.with_suffix(".pose.txt"), room.opencv_pose(view))
     lines = {"m_versionNumber": "4", "m_sensorName": "StructureSensor (calibrated)", "m_depthShift": str(steps)}
     for kind, lens in (("Color", COLOUR), ("Depth", DEPTH)):
         lines |= {f"m_{kind.lower()}Width": str(2 * lens.width), f"m_{kind.lower()}Height": str(2 * lens.height)}
@@ -128,8 +117,8 @@ def test_info_txt_says_the_lenses(tmp_path: Path, place: str, opened: str, name:
     lens = scene.frames[0].camera
     assert scene.frames[0].name == "frame-000000" and scene.warnings == ()
     assert [lens.fx, lens.fy, lens.cx, lens.cy] == pytest.approx([COLOUR.fx, COLOUR.fy, COLOUR.cx, COLOUR.cy])
-    assert lens.camera_to_world == pytest.approx(opencv_pose(views()[0]))
-    check_on_room(scene, tolerance=0.06, share=0.97, colour_step=60)
+    assert lens.camera_to_world == pytest.approx(room.opencv_pose(room.views()[0]))
+    room.check_on_room(scene, tolerance=0.06, share=0.97, colour_step=60)
 
 
 @pytest.mark.parametrize(
@@ -164,7 +153,7 @@ def test_intrinsic3ds_two_lenses(tmp_path: Path) -> None:
         K = np.diag([lens.fx, lens.fy, 1.0, 1.0])
         K[:2, 2] = lens.cx - 0.5, lens.cy - 0.5
         np.savetxt(tmp_path / f"{name}Intrinsics.txt", K)
-    check_on_room(open_scene(tmp_path), tolerance=0.06, share=0.97, colour_step=60)
+    room.check_on_room(open_scene(tmp_path), tolerance=0.06, share=0.97, colour_step=60)
 
 
 def test_lost_frames_as_windows_wrote_them(tmp_path: Path) -> None:
@@ -183,27 +172,27 @@ def test_what_is_missing_is_named(tmp_path: Path) -> None:
 
 
 # 600 600 599.5 339.5 of 1200x680, integer centres, for a tenth of the size; and another lens that sees 90 degrees.
-NICE = Lens(120, 68, 60.0, 60.0, 60.0, 34.0)
-HALF = Lens(64, 48, 32.0, 32.0, 32.0, 24.0)
+NICE = room.Lens(120, 68, 60.0, 60.0, 60.0, 34.0)
+HALF = room.Lens(64, 48, 32.0, 32.0, 32.0, 24.0)
 
 
-def write_nice(folder: Path, lens: Lens = NICE, steps: float = 6553.5) -> Path:
-    for i, view in enumerate(views()):
+def write_nice(folder: Path, lens: room.Lens = NICE, steps: float = 6553.5) -> Path:
+    for i, view in enumerate(room.views()):
         results = folder / "results"
-        write_pair(results / f"frame{i:06d}.jpg", results / f"depth{i:06d}.png", look(view, lens), steps)
-    np.savetxt(folder / "traj.txt", [opencv_pose(view).ravel() for view in views()], "%.9e")
+        room.write_pair(results / f"frame{i:06d}.jpg", results / f"depth{i:06d}.png", room.look(view, lens), steps)
+    np.savetxt(folder / "traj.txt", [room.opencv_pose(view).ravel() for view in room.views()], "%.9e")
     return folder
 
 
 def test_nice_slams_layout_is_read(tmp_path: Path) -> None:
     scene = open_scene(write_nice(tmp_path))
     assert scene.format == "replica" and scene.frames[0].name == "frame000000"
-    check_on_room(scene, colour_step=60)
+    room.check_on_room(scene, colour_step=60)
 
 
 def test_nice_slams_camera_file(tmp_path: Path) -> None:
-    lens = Lens()
+    lens = room.Lens()
     write_nice(tmp_path / "office0", lens, steps=1000.0)
     camera = {"w": 64, "h": 48, "fx": lens.fx, "fy": lens.fy, "cx": lens.cx - 0.5, "cy": lens.cy - 0.5, "scale": 1000.0}
     (tmp_path / "cam_params.json").write_text(json.dumps({"camera": camera}))
-    check_on_room(open_scene(tmp_path / "office0"), colour_step=60)
+    room.check_on_room(open_scene(tmp_path / "office0"), colour_step=60)
