@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -126,11 +127,8 @@ def test_passes_that_claim_more_than_memory_holds_are_refused_before_they_are_re
 
 
 def test_memory_error_advises_no_new_lift(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def no_memory(path: Path) -> object:
-        raise MemoryError
-
     (tmp_path / "gaussians.ply").write_bytes(b"ply")
-    monkeypatch.setattr(gates, "open_plain", no_memory)
+    monkeypatch.setattr(gates, "open_plain", Mock(side_effect=MemoryError))
     with raises_key("unreadable memory") as raised:
         read_gaussians(tmp_path / "gaussians.ply")
     assert "again" not in str(raised.value)

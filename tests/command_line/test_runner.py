@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -128,11 +129,7 @@ def test_flush_failure_is_a_line_that_names_the_file(
     told: str,
 ) -> None:
     """The system's call knows no name, as it has a descriptor."""
-
-    def fail(descriptor: int) -> None:
-        raise OSError(number, os.strerror(number))
-
-    monkeypatch.setattr(os, "fsync", fail)
+    monkeypatch.setattr(os, "fsync", Mock(side_effect=OSError(number, os.strerror(number))))
     file = tmp_path / "file"
     assert run_in_terminal(Command("export", lambda events, stop: write_atomically(file, "text"))) is code
     said = capfd.readouterr().err
@@ -141,11 +138,7 @@ def test_flush_failure_is_a_line_that_names_the_file(
 
 def raising(error: BaseException) -> object:
     """A lift that fails like this."""
-
-    def lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
-        raise error
-
-    return lift
+    return Mock(side_effect=error)
 
 
 def test_successful_lift_is_recorded(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

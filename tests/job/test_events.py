@@ -6,6 +6,7 @@ import os
 import sys
 import threading
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -248,10 +249,7 @@ def test_lift_survives_a_disk_that_hangs_briefly(tmp_path: Path, monkeypatch: py
     writer = EventWriter(folder.events_path)
     writer.hello(threads=1, resumed=False)
     watcher = TaskFollower(folder.task_files, lift=folder, clock=lambda: now[0])
-
-    def no_answer(*_: object, **__: object) -> object:
-        raise OSError(number, os.strerror(number))
-
+    no_answer = Mock(side_effect=OSError(number, os.strerror(number)))
     with FileLock(folder.events_path):
         watcher.poll()
         writer.warning("goes on")

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -94,12 +95,9 @@ def test_cancel_ends_a_hanging_engine(folder: LiftFolder, start: Start, behaviou
 
 
 def test_cancel_needs_no_room_on_the_disk(folder: LiftFolder, start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
     follower = start("patient")
     follow(follower, step_reached(follower, 2))
-    monkeypatch.setattr(TaskFiles, "ask_to_cancel", full)
+    monkeypatch.setattr(TaskFiles, "ask_to_cancel", Mock(side_effect=OSError(28, "No space left on device")))
     follower.cancel()
     follow(follower)
     assert follower.state is TaskState.CANCELLED and not folder.cancel_path.exists()

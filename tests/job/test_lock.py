@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -78,11 +79,7 @@ def test_disk_without_locks_is_refused(tmp_path: Path, monkeypatch: pytest.Monke
     """Such as NFS 3 without lockd. Nothing is begun there."""
     lift = new_lift(tmp_path / "lift")
     lift.events_path.touch()
-
-    def fail(descriptor: int, shared: bool = False) -> bool:
-        raise OSError(number, os.strerror(number))
-
-    monkeypatch.setattr(lock, "try_lock", fail)
+    monkeypatch.setattr(lock, "try_lock", Mock(side_effect=OSError(number, os.strerror(number))))
     for use in (lambda: lift.lock().__enter__(), lift.state, BakeLocks(lift.path).__enter__):
         with raises_key("no-file-locks") as refused:
             use()

@@ -5,6 +5,7 @@ import os
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -34,11 +35,8 @@ def events(tmp_path: Path) -> Iterator[EventWriter]:
 
 
 def test_a_full_disk_does_not_keep_a_hanging_engine_alive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
     events = EventWriter(tmp_path / "events.jsonl")
-    monkeypatch.setattr(events, "done", full)
+    monkeypatch.setattr(events, "done", Mock(side_effect=OSError(28, "No space left on device")))
     ended, stop = Ended(), StopSignal(tmp_path / "cancel")
     with Watchdog(stop, events, end_process=ended, grace_s=0.1):
         stop.ask("enough")

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -194,14 +195,10 @@ def test_a_cancelled_lift_is_resumed(lifts: Lifts) -> None:
 
 def test_resumed_lift_trains_on_its_first_frames(lifts: Lifts, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where it was begun six frames fitted; where it is resumed all would."""
-
-    def stop(*_: object) -> None:
-        raise Cancelled("asked to")
-
     folder = LiftFolder.create(lifts.root / "small", LiftRequest(scene=lifts.scene, fit=True))
     with monkeypatch.context() as small:
         small.setattr(frame_sets, "frames_that_fit", lambda *_: 6)
-        small.setattr(lift_run, "vote_labels", stop)
+        small.setattr(lift_run, "vote_labels", Mock(side_effect=Cancelled("asked to")))
         with pytest.raises(Cancelled):
             run(folder)
     run(folder, resume=True)
@@ -214,13 +211,9 @@ def test_unreadable_frames_are_left_out(lifts: Lifts, tmp_path: Path, monkeypatc
         data = bytearray(path.read_bytes())
         data[len(data) // 2] ^= 255
         path.write_bytes(bytes(data))
-
-    def stop(*_: object) -> None:
-        raise Cancelled("asked to")
-
     folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene, bake="all"))
     with monkeypatch.context() as stopped:
-        stopped.setattr(lift_run, "vote_labels", stop)
+        stopped.setattr(lift_run, "vote_labels", Mock(side_effect=Cancelled("asked to")))
         with pytest.raises(Cancelled):
             run(folder)
     run(folder, resume=True)

@@ -4,6 +4,7 @@ import json
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -189,14 +190,10 @@ def test_a_stopped_lift_of_other_masks_leaves_the_result(
     monkeypatch.setitem(PRESETS, "preview", TINY)
     lift, scene = relink(LiftFolder.open(home / "lift"), home.parent / "found"), home.parent / "found"
     before, again = lift.manifest_path.read_bytes(), ["lift", str(lift.path), "--resume"]
-
-    def stopped(*_: object) -> None:
-        raise Cancelled
-
     table = (scene / "panoptic.json").read_text()
     reclass(scene, CHAIR_ID, CABINET_ID)
     with monkeypatch.context() as patched:
-        patched.setattr("engine.lift.run.bake_and_evaluate", stopped)
+        patched.setattr("engine.lift.run.bake_and_evaluate", Mock(side_effect=Cancelled))
         assert main(again) == ExitCode.CANCELLED
     assert lift.manifest_path.read_bytes() == before and lift.is_whole() and lift.state() is LiftState.CANCELLED
     assert main(["bake", str(lift.path), "--frames", "0001"]) == ExitCode.FINISHED

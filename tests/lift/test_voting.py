@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from engine.model.render import render_view
 from engine.model.structured import NO_OBJECT
 from engine.passes.layers import decide
 from engine.presets.preset import PRESETS, Preset
-from engine.scene import Frame, PanopticMask, Scene, Segment, Size, View, load_view, open_scene
+from engine.scene import Frame, Scene, Segment, View, load_view, open_scene
 from engine.train import warm_start
 from engine.train.progress import StageReporter
 from engine.train.trainer import Trainer
@@ -79,11 +80,8 @@ def test_voted_labels_are_closer_to_masks(lifted: tuple[Scene, PreparedLift], ma
 
 
 def test_a_vote_can_be_stopped(lifted: tuple[Scene, PreparedLift]) -> None:
-    def stop(done: int, of: int) -> None:
-        raise Cancelled("asked to")
-
     with pytest.raises(Cancelled):
-        voted(*lifted, PRESET, stop)
+        voted(*lifted, PRESET, Mock(side_effect=Cancelled("asked to")))
 
 
 def test_without_objects_there_are_classes(tmp_path: Path) -> None:
@@ -147,10 +145,9 @@ def test_all_frames_except_held_out_and_training_ones_vote(scene: Scene) -> None
 
 
 def test_extra_frames_are_small_and_contain_only_masks_and_depth(scene: Scene, tmp_path: Path) -> None:
-    def nobody(size: Size | None) -> np.ndarray:
-        raise AssertionError("no photo is read")
-
-    frames = [replace(frame, read_colour=nobody) for frame in scene.train_frames]
+    frames = [
+        replace(frame, read_colour=Mock(side_effect=AssertionError("no photo is read"))) for frame in scene.train_frames
+    ]
     views, told = voters(frames, tmp_path)
     assert not told and [view.name for view in views] == [frame.name for frame in frames]
     width, height = frames[0].size
@@ -161,11 +158,8 @@ def test_extra_frames_are_small_and_contain_only_masks_and_depth(scene: Scene, t
 
 
 def test_unreadable_frame_is_reported_and_does_not_vote(scene: Scene, tmp_path: Path) -> None:
-    def bad(size: Size | None) -> PanopticMask:
-        raise PlgsError(*BAD)
-
     frames = list(scene.train_frames)
-    frames[1] = replace(frames[1], read_mask=bad)
+    frames[1] = replace(frames[1], read_mask=Mock(side_effect=PlgsError(*BAD)))
     views, told = voters(frames, tmp_path)
     assert [view.name for view in views] == [frame.name for frame in frames if frame is not frames[1]]
     assert told == [f"1 of {len(frames)} frames that are not trained on do not vote: {PlgsError(*BAD)}"]
