@@ -70,12 +70,6 @@ class _Watched:
             return None
         return Path(path).relative_to(self.folder).parts
 
-    def _call(self, name: str, call: Call, *args: Any, **options: Any) -> Any:
-        raise NotImplementedError
-
-    def _opened(self, file: Any, mode: str) -> Any:
-        raise NotImplementedError
-
 
 class _Raw(io.FileIO):
     def write(self, data: Any) -> int:

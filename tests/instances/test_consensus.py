@@ -68,10 +68,6 @@ def invented(name: str) -> View:
     return strip(name, ids, {3: CHAIR, 4: CHAIR, 5: CHAIR, 7: WALL})
 
 
-def far_off(view: View, metres: float) -> View:
-    return replace(view, depth=np.full_like(view.depth, metres))
-
-
 def blind(name: str) -> View:
     """All void: it sees every point and says nothing."""
     return strip(name, np.zeros(POINTS), {})
@@ -282,7 +278,8 @@ def test_a_small_thing_that_only_near_views_resolve_is_not_part_of_a_large_one()
         return strip(name, ids, {3: CHAIR, 4: SOFA, 7: WALL} if sink else {3: CHAIR, 7: WALL})
 
     near = [countertop(f"near {number}", sink=True) for number in range(4)]
-    far = [far_off(countertop(f"far {number}", sink=False), 4.0) for number in range(12)]
+    far = [countertop(f"far {number}", sink=False) for number in range(12)]
+    far = [replace(view, depth=np.full_like(view.depth, 4.0)) for view in far]
     apart = objects_in([*near, *far], replace(OPTIONS, evidence="density"))
     large, small = owners(apart, slice(20, 45), slice(10, 20))
     assert large != small and owners(apart, slice(5, 10)) == [large]

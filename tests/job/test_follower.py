@@ -185,15 +185,10 @@ def start_parent(root: Path, folder: LiftFolder, behaviour: str) -> subprocess.P
     return subprocess.Popen([sys.executable, "-c", code, behaviour, folder.path], cwd=root)
 
 
-def reattached(folder: LiftFolder) -> TaskFollower:
-    """As a new Blender would, as soon as an engine is at work."""
-    wait_until(lambda: folder.is_running, folder.path)
-    return watch(folder)
-
-
 def test_engine_can_outlive_its_parent(folder: LiftFolder, root: Path) -> None:
     with start_parent(root, folder, "patient") as parent:
-        watcher = reattached(folder)
+        wait_until(lambda: folder.is_running, folder.path)
+        watcher = watch(folder)
         follow(watcher, step_reached(watcher, 5))
         parent.send_signal(signal.SIGKILL)
         parent.wait()
@@ -251,13 +246,10 @@ def test_a_kill_is_reported_to_later_followers(folder: LiftFolder, start: Start)
 
 
 def test_closed_follower_leaves_untied_engine_running(folder: LiftFolder) -> None:
-    def start_one(behaviour: str, *more: str) -> TaskFollower:
-        return start_fake(folder, behaviour, *more, stays_with_parent=False)
-
-    first = start_one("patient")
+    first = start_fake(folder, "patient", stays_with_parent=False)
     follow(first, step_reached(first, 3))
     first.close()
-    second = start_one("short", "--resume")
+    second = start_fake(folder, "short", "--resume", stays_with_parent=False)
     follow(second)
     assert worded("at-work").search(str(second.error))
     watcher = watch(folder)

@@ -381,36 +381,18 @@ def followers() -> Iterator[list[TaskFollower]]:
         follower.close()
 
 
-def ended(*followers: TaskFollower) -> None:
-    def have_ended() -> bool:
-        for follower in followers:
-            follower.poll()
-        return not any(follower.is_running for follower in followers)
-
-    wait_until(have_ended)
-
-
-def begun(follower: TaskFollower) -> None:
-    """Its engine holds the lift's lock, or has told of itself."""
-    wait_until(lambda: follower.poll() or not follower.is_running)
-    assert follower.is_running
-
-
-def shot(path: Path, name: str, count: int) -> tuple[Path, set[str]]:
-    names = [f"{name}.{number:04d}" for number in range(count)]
-    return write_cameras(path, names), set(names)
-
-
 def test_bakes_coexist(lift: LiftFolder, followers: list[TaskFollower], tmp_path: Path, quick_python: Path) -> None:
     """Two bake their views to the end, though a third is cancelled beside them."""
     names = {}
     for name, count in (("left", 40), ("right", 12), ("cancelled", 40)):
-        cameras, names[name] = shot(tmp_path / f"{name}.json", name, count)
-        followers.append(start_bake(lift, quick_python, cameras=cameras))
-        begun(followers[-1])
+        names[name] = {f"{name}.{number:04d}" for number in range(count)}
+        cameras = write_cameras(tmp_path / f"{name}.json", sorted(names[name]))
+        followers.append(follower := start_bake(lift, quick_python, cameras=cameras))
+        wait_until(lambda: follower.poll() or not follower.is_running)  # noqa: B023 - it holds the lock, or has told
+        assert follower.is_running
     left, right, cancelled = followers
     cancelled.cancel()
-    ended(*followers)
+    wait_until(lambda: not any([each.poll() or each.is_running for each in followers]))
     assert (left.error, right.error) == (None, None)
     assert [each.state for each in followers] == [TaskState.FINISHED, TaskState.FINISHED, TaskState.CANCELLED]
     for follower in followers:

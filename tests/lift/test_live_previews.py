@@ -13,7 +13,7 @@ from engine.job.cameras import PreviewCamera, write_preview_request
 from engine.lift import live_previews
 from engine.lift.live_previews import LivePreviews
 from engine.lift.scene_files import ShownInstances
-from engine.scene import Scene, open_scene
+from engine.scene import open_scene
 from engine.train.trainer import Trainer
 from tests.lift.test_lift import files_of
 from tests.tiny_scene import write_tiny_scene
@@ -78,7 +78,9 @@ def test_watching_keeps_the_model(scene_folder: Path, tmp_path: Path, monkeypatc
 def test_previews_begin_at_once_and_cost_a_twentieth_unless_they_would_stand_still(
     scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scene, trainer, _, folder = a_watched_model(scene_folder, tmp_path)
+    trainer = trainer_of(*views_of(tmp_path / "scene"), TINY, tmp_path)
+    scene = open_scene(scene_folder, None, "z")
+    folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene_folder))
     for cost, expected in ((0.02, 2.0), (0.5, 9.5), (3.0, 12.0)):
         now, drawn = [0.0], []
         previews = LivePreviews(folder, scene, ShownInstances({}, None), EventWriter(tmp_path / "e"), lambda: now[0])  # noqa: B023
@@ -95,12 +97,3 @@ def test_previews_begin_at_once_and_cost_a_twentieth_unless_they_would_stand_sti
         gaps = np.diff(drawn[1:]) - cost
         assert gaps.min() >= expected - 1e-9 and gaps.max() < expected + 0.2
         assert cost > 1 or cost * len(drawn[1:]) <= 0.05 * now[0] + cost
-
-
-def a_watched_model(scene_folder: Path, tmp_path: Path) -> tuple[Scene, Trainer, LivePreviews, LiftFolder]:
-    views, classes = views_of(tmp_path / "scene")
-    trainer = trainer_of(views, classes, TINY, tmp_path)
-    scene = open_scene(scene_folder, None, "z")
-    folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene_folder))
-    previews = LivePreviews(folder, scene, ShownInstances({}, None), EventWriter(folder.events_path))
-    return scene, trainer, previews, folder

@@ -17,17 +17,10 @@ CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0, np.eye(4))
 
 def some_anchors(positions: list[list[float]], features: int = 8, k: int = 4) -> Anchors:
     feature = np.random.default_rng(0).normal(size=(len(positions), features)).astype(np.float32)
+    of_level = np.ones(len(positions), int)
     return initial_anchors(
-        np.array(positions, np.float32),
-        np.ones(len(positions), int),
-        gaussians_per_anchor=k,
-        feature=feature,
-        voxel_size=0.05,
+        np.array(positions, np.float32), of_level, gaussians_per_anchor=k, feature=feature, voxel_size=0.05
     )
-
-
-def some_decoders(label_view_input: bool = False) -> Decoders:
-    return Decoders(DecoderShape(8, 4, 3, 5, distance_input=True, label_view_input=label_view_input), seed=1)
 
 
 def test_only_anchors_in_the_picture_are_decoded() -> None:
@@ -37,7 +30,8 @@ def test_only_anchors_in_the_picture_are_decoded() -> None:
 
 @pytest.mark.parametrize("label_view_input", [False, True])
 def test_labels_depend_on_the_view_only_when_asked(label_view_input: bool) -> None:
-    anchors, decoders = some_anchors([[0, 0, 2], [0.2, 0.1, 3]]), some_decoders(label_view_input)
+    anchors = some_anchors([[0, 0, 2], [0.2, 0.1, 3]])
+    decoders = Decoders(DecoderShape(8, 4, 3, 5, distance_input=True, label_view_input=label_view_input), seed=1)
     with torch.no_grad():
         decoders.opacity.get_parameter("2.bias").fill_(9.0)  # all Gaussians are drawn, whoever looks
     rows = torch.arange(2)

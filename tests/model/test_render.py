@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from engine.model.detail import finest_pixels
-from engine.model.neural_gaussians import ClipRange, PanopticRendering
+from engine.model.neural_gaussians import ClipRange
 from engine.model.render import render_bands, render_view, row_bands
 from engine.scene import Camera
 from tests.model.some_scene import CAMERA as SMALL
@@ -17,17 +17,14 @@ CAMERA = Camera(70, 90, 70.0, 75.0, 33.0, 47.0, np.eye(4))
 LAYERS = ("image", "alpha", "depth", "class_coverage", "instance_coverage")
 
 
-def stacked(bands: list[PanopticRendering], layer: str) -> np.ndarray:
-    return np.concatenate([getattr(band, layer) for band in bands])
-
-
 def test_bands_add_up_to_the_view() -> None:
     scene = some_scene((4, 9, 0, 0, 0))
     whole, bands = render_view(scene, CAMERA), list(render_bands(scene, CAMERA, most_bytes=1))
     assert [len(band.alpha) for band in bands] == [16, 16, 16, 16, 16, 10]
     assert whole.alpha.max() > 0.3
     for layer in LAYERS:
-        np.testing.assert_allclose(stacked(bands, layer), getattr(whole, layer), atol=2e-4, err_msg=layer)
+        stacked = np.concatenate([getattr(band, layer) for band in bands])
+        np.testing.assert_allclose(stacked, getattr(whole, layer), atol=2e-4, err_msg=layer)
     points = [band.camera.unproject(band.depth) for band in bands]
     np.testing.assert_allclose(np.concatenate(points), CAMERA.unproject(whole.depth), atol=1e-3)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import pytest
@@ -164,16 +164,11 @@ def test_known_labels_are_shown(decode: Decode) -> None:
     assert torch.equal(shown.colours, decode(case).colours)
 
 
-def silenced(case: Case) -> Case:
-    """No Gaussian has an opacity above 0."""
+def test_transparent_anchors_still_cluster(decode: Decode) -> None:
+    case = case_of(STANDARD, 70)
     with torch.no_grad():
         case.decoders.opacity.get_parameter("2.weight").zero_()
         case.decoders.opacity.get_parameter("2.bias").fill_(-1.0)
-    return case
-
-
-def test_transparent_anchors_still_cluster(decode: Decode) -> None:
-    case = silenced(case_of(STANDARD, 70))
     assert_matches(decode, case)
     gaussians = decode(case)
     assert len(gaussians.kept) == 0 and gaussians.cluster_loss > 0
@@ -231,20 +226,13 @@ def test_cluster_loss_counts_every_gaussian_of_labelled_anchors_only() -> None:
     torch.testing.assert_close(cluster_loss(logits, target), expected)
 
 
-@pytest.fixture
-def threads() -> Iterator[None]:
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
-
-
-def test_the_same_bits_with_any_number_of_threads(threads: None) -> None:
-    case = asking(case_of(STANDARD, 3000))
-    found = []
+def test_the_same_bits_with_any_number_of_threads() -> None:
+    case, found, threads = asking(case_of(STANDARD, 3000)), [], torch.get_num_threads()
     for count in (1, 2, 3, 1):
         torch.set_num_threads(count)
         gaussians = by_kernels(case)
         found.append([*(getattr(gaussians, name) for name in OUTPUTS), *gradients(case, gaussians).values()])
+    torch.set_num_threads(threads)
     for other in found[1:]:
         assert all(torch.equal(one, two) for one, two in zip(found[0], other, strict=True))
 

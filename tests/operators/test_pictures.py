@@ -25,13 +25,6 @@ from tests.scene.formats.room import distance_to_room
 
 
 @pytest.fixture
-def no_engine(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A Blender without an engine, and without the packages that only the engine's Python has."""
-    monkeypatch.setenv("PLGS_ENGINE_PYTHON", "/nowhere/python")
-    monkeypatch.setitem(sys.modules, "cv2", None)
-
-
-@pytest.fixture
 def own(captures: Path, tmp_path: Path) -> Iterator[Path]:
     """The captures, in a folder of this test's own."""
     yield Path(shutil.copytree(captures, tmp_path / "captures"))
@@ -92,7 +85,12 @@ def test_an_archive_comes_with_pictures_and_a_cloud(own: Path) -> None:
     assert {each.name for each in (own / "scans").iterdir()} == {"one.sens", "two.sens", "one_frames"}
 
 
-def test_plain_folder_imports_without_engine(room: Path, own: Path, no_engine: None, tmp_path: Path) -> None:
+def test_plain_folder_imports_without_engine(
+    room: Path, own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor has Blender the packages that only the engine's Python has."""
+    monkeypatch.setenv("PLGS_ENGINE_PYTHON", "/nowhere/python")
+    monkeypatch.setitem(sys.modules, "cv2", None)
     copy = shutil.copytree(room, tmp_path / "room")  # engines of other tests put clouds beside `room`
     assert bpy.ops.plgs.import_scene(scene_folder=str(copy)) == {"FINISHED"}
     assert len(frames()) == 8 and all(ob.data.background_images for ob in frames().values()) and not clouds()

@@ -80,23 +80,19 @@ def test_a_copy_of_a_box_is_blenders(placed: bpy.types.Collection) -> None:
     assert [*boxes_of(placed)] == [CHAIR] and name not in bpy.data.objects
 
 
-@pytest.fixture
-def cabinet_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("chosen", [(CHAIR, CABINET), (CABINET,)])
+def test_undo_after_error_is_exact(
+    placed: bpy.types.Collection, mine: Path, chosen: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The disk is full when the cabinet is deleted."""
+    delete = corrections.making.delete
 
     def one_only(state: object, number: int) -> object:
         if number == CABINET:
             raise PlgsError("made-up", "the disk is full", "corrections.json", "Make room.")
         return delete(state, number)
 
-    delete = corrections.making.delete
     monkeypatch.setattr(corrections.making, "delete", one_only)
-
-
-@pytest.mark.parametrize("chosen", [(CHAIR, CABINET), (CABINET,)])
-def test_undo_after_error_is_exact(
-    placed: bpy.types.Collection, mine: Path, cabinet_stays: None, chosen: tuple[int, ...]
-) -> None:
     bpy.ops.ed.undo_push(message="placed")
     name, own_name = placed.name, own("Cube").name
     bpy.ops.ed.undo_push(message="cube")

@@ -88,9 +88,5 @@ def use_a_stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
     gsplat.rasterize_to_indices_in_range = rasterize_to_indices_in_range  # type: ignore[attr-defined]
     monkeypatch.setattr(cuda, "alpha_cap", lambda: ALPHA_MAX)
     monkeypatch.setitem(sys.modules, "gsplat", gsplat)
-    draw_on_the_cpu(monkeypatch)
-
-
-def draw_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the back end gsplat take tensors that are on the CPU."""
+    # The back end takes tensors that are on the CPU.
     monkeypatch.setattr(interface, "_pick", lambda backend, means: backend)

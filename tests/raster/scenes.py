@@ -177,11 +177,8 @@ def missed_elements(got: Tensor, expected: Tensor) -> int:
 
 
 def threshold_pixels(raw: Tensor, margin: float = 1e-5) -> Tensor:
-    """bool [H * W]: float32 may decide otherwise here, as something is near a threshold.
-
-    That is within ``margin`` (relative) for an alpha, and a hundred times that for a transmittance: behind an
-    alpha near 0.99 its own error is so much larger.
-    """
+    """bool [H * W]: float32 may decide otherwise here, as something is near a threshold: within ``margin`` (relative)
+    for an alpha, a hundred times that for a transmittance, whose error is so much larger behind an alpha near 0.99."""
     alpha = raw.clamp(max=ALPHA_MAX)
     alpha = torch.where(alpha >= ALPHA_MIN, alpha, torch.zeros_like(alpha))
     after = torch.cumprod(1.0 - alpha, 0)

@@ -69,13 +69,9 @@ def test_both_modes_make_one_row() -> None:
     }
 
 
-def _events(*written: tuple[float, str, dict[str, str]]) -> list[Event]:
-    return [Event(seq, time, kind, dict(data)) for seq, (time, kind, data) in enumerate(written, start=1)]
-
-
 def test_lifting_seconds_add_up_all_runs() -> None:
     """One run was killed while it trained, the next one finished, a third baked more frames."""
-    events = _events(
+    written = (
         (100.0, "hello", {}),
         (101.0, "stage", {"name": "train"}),
         (130.0, "progress", {"stage": "train"}),
@@ -87,6 +83,7 @@ def test_lifting_seconds_add_up_all_runs() -> None:
         (900.0, "hello", {"task": "bake"}),
         (950.0, "done", {"state": "finished"}),
     )
+    events = [Event(seq, *each) for seq, each in enumerate(written, start=1)]
     assert results.lifting_seconds(events) == 30.0 + 40.0
     assert results.lifting_seconds([]) is None
 

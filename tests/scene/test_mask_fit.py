@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.scene import load_view, open_scene
+from engine.scene import Camera, load_view, open_scene
 from engine.scene.estimated_depth import with_estimated_depth
 from engine.scene.formats.lens import of_opencv, undistorted
 from engine.scene.frame import SparsePoints
@@ -116,7 +116,7 @@ def source(ids: list[np.ndarray]) -> MaskSource:
 def test_masks_of_photos_as_taken_are_straightened(as_taken: bool) -> None:
     taken = [look_bent(view, ROOM, BEND.bent).colour for view in views()]
     straight = [look(view, ROOM).colour for view in views()]
-    scene_lens = camera(ROOM)
+    scene_lens = Camera(ROOM.width, ROOM.height, ROOM.fx, ROOM.fy, ROOM.cx, ROOM.cy, np.eye(4))
     shown = {
         str(n): Pictured(
             lambda size, each=each: cv2.resize(undistorted(each, scene_lens, BEND, Path(), smooth=True), size),
@@ -130,12 +130,6 @@ def test_masks_of_photos_as_taken_are_straightened(as_taken: bool) -> None:
         if as_taken:
             ids = placement(as_ids(mask))
             assert (ids == as_ids(truth))[ids > 0].mean() > 0.97
-
-
-def camera(lens: Lens) -> object:
-    from engine.posed.frames import Camera
-
-    return Camera(lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy, np.eye(4))
 
 
 @pytest.mark.parametrize("height", [118, 104, 90])

@@ -16,14 +16,11 @@ from tests.semantics.plane_views import CHAIR, SOFA, WALL, square, wall_view
 PRODUCT = ConsistencyOptions(neighbours=1, agreement=1.0)
 
 
-def occluded_pair() -> list:
+def test_an_occluders_label_cannot_veto_the_wall_behind_it() -> None:
     """The wall alone, and the wall behind a chair that stands 1 m before the second camera."""
     chair = slice(10, 20)
-    return [wall_view("open", 0.0), wall_view("occluded", 0.6, square(1.0, 3.0, chair), square(CHAIR, WALL, chair))]
-
-
-def test_an_occluders_label_cannot_veto_the_wall_behind_it() -> None:
-    kept = next(consistency_masks(occluded_pair(), PRODUCT))
+    occluded = wall_view("occluded", 0.6, square(1.0, 3.0, chair), square(CHAIR, WALL, chair))
+    kept = next(consistency_masks([wall_view("open", 0.0), occluded], PRODUCT))
     assert kept.all()
 
 

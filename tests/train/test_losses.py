@@ -14,14 +14,7 @@ from engine.train.trainer import NEAR, NOISY, depth_loss, reconstruction_loss
 
 
 def assign_slots(probabilities: NDArray[np.floating], instance_ids: NDArray[np.integer]) -> NDArray[np.int32]:
-    """Target slot of each pixel, int32 [...], -1 where there is no supervision.
-
-    ``probabilities`` float [..., S] are the rendered slot probabilities, ``instance_ids`` int [...] the
-    input mask's instances (0 = none). Cost of (instance, slot) = -mean probability; solved by the Hungarian
-    algorithm. Instances beyond the number of slots get -1.
-    """
-    if probabilities.shape[:-1] != instance_ids.shape:
-        raise ValueError(f"probabilities {probabilities.shape} do not fit ids {instance_ids.shape}")
+    """The slot that the Hungarian algorithm gives each pixel's instance by mean probability; -1: none is left."""
     target = np.full(instance_ids.shape, -1, np.int32)
     inside = instance_ids != 0
     ids, row = np.unique(instance_ids[inside], return_inverse=True)
@@ -148,21 +141,6 @@ def test_pictures_may_have_any_memory_layout() -> None:
     assert torch.equal(compare(turned, moments, 1.0, -0.2), compare(image, PhotoMoments.of(photo), 1.0, -0.2))
 
 
-def test_the_number_of_threads_changes_no_bit() -> None:
-    image, photo = pictures(3 * STRIP_ROWS + 7, 50, 4)
-    moments, results, threads = PhotoMoments.of(photo), [], torch.get_num_threads()
-    try:
-        for count in (1, 2, 3):
-            torch.set_num_threads(count)
-            leaf = image.clone().requires_grad_()
-            value = compare(leaf, moments, 1.0, -0.2)
-            value.backward()
-            results.append((value.item(), leaf.grad.numpy().tobytes()))
-    finally:
-        torch.set_num_threads(threads)
-    assert results[0] == results[1] == results[2]
-
-
 Targets = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 
 
@@ -242,18 +220,20 @@ def test_nan_stays_nan() -> None:
     assert all(loss.isnan() for loss in label_losses(coverage, torch.ones(4, 4), 1, target, (target, target)))
 
 
-def test_the_number_of_threads_changes_no_bit_of_label_losses() -> None:
+def test_the_number_of_threads_changes_no_bit() -> None:
+    image, photo = pictures(3 * STRIP_ROWS + 7, 50, 4)
     coverage, alpha = picture(150, 170, 12)
     semantic, *instance = random_targets(150, 170, 5, 7)
-    results = []
-    threads = torch.get_num_threads()
+    moments, results, threads = PhotoMoments.of(photo), [], torch.get_num_threads()
     try:
         for count in (1, 2, 3):
             torch.set_num_threads(count)
-            leaf = coverage.clone().requires_grad_()
-            losses = label_losses(leaf, alpha, 5, semantic, tuple(instance))
-            (losses[0] + 0.3 * losses[1]).backward()
-            results.append((losses[0].item(), losses[1].item(), leaf.grad.numpy().tobytes()))
+            drawn, shares = (each.clone().requires_grad_() for each in (image, coverage))
+            losses = compare(drawn, moments, 1.0, -0.2), *label_losses(shares, alpha, 5, semantic, tuple(instance))
+            (losses[0] + losses[1] + 0.3 * losses[2]).backward()
+            results.append(
+                [*map(torch.Tensor.item, losses), *(each.grad.numpy().tobytes() for each in (drawn, shares))]
+            )
     finally:
         torch.set_num_threads(threads)
     assert results[0] == results[1] == results[2]

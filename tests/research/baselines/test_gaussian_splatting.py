@@ -44,19 +44,14 @@ def test_gaussians_start_with_the_clouds_colours_and_without_labels() -> None:
     assert drawn.cluster_loss.item() == pytest.approx(np.log(3))
 
 
-def statistics_of(scene: StructuredScene, moved: list[int]) -> GrowthStatistics:
-    statistics = GrowthStatistics.empty(scene.anchors)
-    statistics.drawn += 2
-    statistics.gradient[moved] = 2.0
-    return statistics
-
-
 def test_small_gaussians_are_cloned_large_split_and_faint_removed() -> None:
     scene = some_gaussians(5)
     scene.anchors.feature[:, SCALE] = np.log(0.01) / SCALE_RATE
     scene.anchors.feature[1, SCALE] = np.log(0.5) / SCALE_RATE
     scene.anchors.feature[[2, 3], 0] = -1.0
-    statistics = statistics_of(scene, [0, 1, 2])
+    statistics = GrowthStatistics.empty(scene.anchors)
+    statistics.drawn += 2
+    statistics.gradient[[0, 1, 2]] = 2.0
     random = np.random.default_rng(0)
     round_ = clone_split_prune(scene.anchors, statistics, RULES, extent=3.0, random=random, most=100)
     assert round_.keep.tolist() == [True, False, False, False, True]

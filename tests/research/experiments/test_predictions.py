@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from engine.job import ExitCode
-from engine.job.terminal import Interrupts
 from research.experiments.experiment import Experiment, SceneToLift
 from research.experiments.predictions import predictions_from, with_predictions
 from research.experiments.rows import Predicted
-from research.experiments.run import run_experiment
 from research.results import read_results
 from tests.raises_key import raises_key
 from tests.research.experiments.made_up import ROWS
+from tests.research.experiments.test_run import run
 from tests.tiny_scene import write_tiny_scene
 
 
@@ -34,11 +33,6 @@ def experiment_of(folder: Path, *predictions: str) -> Experiment:
     named = [predictions_from(each) for each in predictions]
     names = tuple(each.name for each in named)
     return Experiment(tuple(scenes), folder / "out", with_predictions(ROWS, named), only=(*names, "input masks"))
-
-
-def run(experiment: Experiment) -> ExitCode:
-    with Interrupts() as interrupts:
-        return run_experiment(experiment, interrupts)
 
 
 def test_predictions_are_rows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

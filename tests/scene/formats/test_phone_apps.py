@@ -155,20 +155,16 @@ def test_photos_with_notes_of_another_program_are_still_photos(tmp_path: Path) -
 STRAY_LENS = room.Lens().scaled(4)
 
 
-def held_upright(view: room.View) -> room.View:
-    """A phone held upright: its pictures lie on their side."""
-    return room.View(view.eye, -view.up, view.right, view.forward)
-
-
 def write_stray(folder: Path, older: bool = False, sideways: bool = False) -> Path:
-    """The odometry starts with a frame that tracking had lost, and skips a frame of the video."""
+    """The odometry starts with a frame that tracking had lost, and skips a frame of the video. The pictures of a phone
+    held upright lie ``sideways``."""
     folder.mkdir(exist_ok=True)
     video = cv2.VideoWriter(
         str(folder / "rgb.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 60, (STRAY_LENS.width, STRAY_LENS.height)
     )
     lines = "timestamp, frame, x, y, z, qx, qy, qz, qw\n1.5, 000000, nan, 0, 0, 0, 0, 0, 1\n"
     for i, plain in enumerate([room.views()[0], room.views()[0], *room.views()]):
-        view = held_upright(plain) if sideways else plain
+        view = room.View(plain.eye, -plain.up, plain.right, plain.forward) if sideways else plain
         video.write(np.ascontiguousarray(room.look(view, STRAY_LENS).colour[..., ::-1]))
         if i == 1:
             continue
