@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from ..job.atomic import PART, write_atomically
+from ..scene.pixels import image_bytes
 from .reprojection import Assumption, Floats, Look, Views
 from .trials import Agreement
 
@@ -76,16 +77,6 @@ def side_by_side(pictures: Sequence[tuple[str, NDArray[np.uint8]]]) -> Picture:
     panels = [_captioned(_fitted(picture), caption) for caption, picture in pictures]
     height = max(len(panel) for panel in panels)
     return np.concatenate([np.pad(p, ((0, height - len(p)), (0, 0), (0, 0))) for p in panels], axis=1)
-
-
-def png_bytes(pixels: NDArray[np.integer[Any]]) -> bytes:
-    """Pixels in OpenCV's order of channels as a PNG. Raises OSError."""
-    import cv2
-
-    written, encoded = cv2.imencode(".png", np.ascontiguousarray(pixels))
-    if not written:
-        raise OSError(0, "a picture cannot be encoded")
-    return encoded.tobytes()
 
 
 def _fitted(picture: NDArray[np.uint8]) -> Picture:
@@ -198,7 +189,7 @@ def write_findings(diagnosis: Diagnosis, folder: Path) -> dict[str, Any]:
             entry = finding.as_json()
             if finding.picture is not None:
                 entry["picture"] = f"{number}-{finding.cause.replace(' ', '-')}.png"
-                write_atomically(folder / entry["picture"], png_bytes(finding.picture[..., ::-1]))  # OpenCV has BGR
+                write_atomically(folder / entry["picture"], image_bytes(finding.picture))
             entries.append(entry)
         written = {**diagnosis.as_json(), "findings": entries}
         write_atomically(folder / FINDINGS, json.dumps(written, indent=1))

@@ -17,7 +17,8 @@ from ..errors import PlgsError
 from ..job.atomic import PART, write_atomically
 from ..scene import Camera, ClassTable, Frame, Scene, evenly_spread, open_scene
 from ..scene.depth import MILLIMETRES
-from .findings import Diagnosis, Mending, png_bytes
+from ..scene.pixels import image_bytes
+from .findings import Diagnosis, Mending
 from .reprojection import Assumption, assumed_poses, examine, lens_under, planar
 from .trials import agreement, is_far_better
 
@@ -76,7 +77,7 @@ def _write(scene: Scene, frames: list[Frame], diagnosis: Diagnosis, folder: Path
         if frame.file_shows_colour and source.suffix.lower() in (".jpg", ".jpeg", ".png"):
             _link_or_copy(source.resolve(), folder / "color" / f"{frame.name}{source.suffix.lower()}")
         else:
-            _write_image(folder / "color" / f"{frame.name}.png", frame.read_colour(None)[..., ::-1])
+            _write_image(folder / "color" / f"{frame.name}.png", frame.read_colour(None))
         np.savetxt(folder / "pose" / f"{frame.name}.txt", pose, "%.12g")
         matrix = np.eye(4)
         matrix[:3, :3] = camera.K
@@ -150,7 +151,7 @@ def _write_masks(frames: list[Frame], classes: ClassTable, folder: Path) -> None
     for frame in frames:
         mask = frame.mask(None)
         rgb = np.stack([mask.ids % 256, mask.ids // 256 % 256, mask.ids // 65536], -1).astype(np.uint8)
-        _write_image(folder / "panoptic" / f"{frame.name}.png", rgb[..., ::-1])
+        _write_image(folder / "panoptic" / f"{frame.name}.png", rgb)
         segments = [
             {"id": each.id, "category_id": each.class_id, "score": each.score, "iscrowd": int(each.is_group)}
             for each in mask.segments
@@ -166,7 +167,7 @@ def _write_masks(frames: list[Frame], classes: ClassTable, folder: Path) -> None
 
 def _write_image(path: Path, pixels: NDArray[np.integer[Any]]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(png_bytes(pixels))
+    path.write_bytes(image_bytes(pixels))
 
 
 _LOOKED_AT = 8  # frames whose depth is compared pixel by pixel

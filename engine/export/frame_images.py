@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from ..errors import PlgsError
 from ..job import write_atomically
 from ..passes.baked_view import ShownInstances
-from ..passes.previews import instance_picture, png_bytes, semantic_picture
+from ..passes.previews import instance_picture, semantic_picture
 from ..scene import VOID, Camera, ClassTable
+from ..scene.pixels import image_bytes
 from .source import FinishedLift
 
 MOST_COCO_IDS = 4096
@@ -42,13 +43,10 @@ def write_coco(
     names: Mapping[int, str],
 ) -> None:
     """Write ``panoptic.json`` and ``panoptic/<frame>.png`` into ``folder``, and ``instances.json``: the objects again,
-    as COCO's instance annotations with run lengths.
-
-    ``views``: frame name, class ids and instance ids, int32 [H, W] each, and the camera. A segment's id is class * 4096
-    + instance. So, unlike a detector's, it means the same object in every view. Beside what COCO asks for, a segment
-    has the ``instance_id`` and the ``name`` of its instance (``names``) or class, and an image its ``K`` and its
-    ``camera_to_world`` (OpenCV's axes, metres). Raises PlgsError for ids of 4096 or more, OSError.
-    """
+    as COCO's instance annotations with run lengths. ``views``: frame name, class ids and instance ids, int32 [H, W]
+    each, and camera. A segment's id is class * 4096 + instance, so it means the same object in every view. Beside what
+    COCO asks for, a segment has the ``instance_id`` and the ``name`` of its instance (``names``) or class, and an image
+    its ``K`` and ``camera_to_world`` (OpenCV's axes, metres). Raises PlgsError for ids from 4096 on, OSError."""
     images, annotations, instances = [], [], list[dict[str, object]]()
     for number, (name, semantic, instance, camera) in enumerate(views, start=1):
         if max(int(semantic.max(initial=0)), int(instance.max(initial=0))) >= MOST_COCO_IDS:
@@ -56,7 +54,7 @@ def write_coco(
             raise PlgsError("coco-ids", what, folder, "Export instances instead: they have 16 bits each.")
         ids = np.where(semantic == VOID, 0, semantic * MOST_COCO_IDS + instance)
         colours = ids.astype("<u4").view(np.uint8).reshape(*ids.shape, 4)[..., :3]  # lowest byte: R
-        write_atomically(folder / "panoptic" / f"{name}.png", png_bytes(colours))
+        write_atomically(folder / "panoptic" / f"{name}.png", image_bytes(colours))
         height, width = ids.shape
         images.append({
             "id": number, "file_name": f"{name}.png", "width": width, "height": height,
@@ -105,14 +103,13 @@ def _segments(
 
 def export_label_images(lift: FinishedLift, output: Path) -> None:
     """class/<frame>.png and instance/<frame>.png (16 bits, 0 = none), the same in colours in class_colour/ and
-    instance_colour/, and labels.json with the meaning of the ids. Raises PlgsError for ids that do not fit, OSError.
-    """
+    instance_colour/, and labels.json with their meaning. Raises PlgsError for ids that do not fit, OSError."""
     for frame, layers in lift.views("semantic", "instance"):
         pictures = {
             "class": id_bytes(layers.semantic, output),
             "instance": id_bytes(layers.instance, output),
-            "class_colour": png_bytes(semantic_picture(layers.semantic, lift.classes)),
-            "instance_colour": png_bytes(instance_picture(layers.instance, lift.instances.colours)),
+            "class_colour": image_bytes(semantic_picture(layers.semantic, lift.classes)),
+            "instance_colour": image_bytes(instance_picture(layers.instance, lift.instances.colours)),
         }
         for folder, content in pictures.items():
             write_atomically(output / folder / f"{frame.name}.png", content)
@@ -120,11 +117,8 @@ def export_label_images(lift: FinishedLift, output: Path) -> None:
 
 
 def export_scannet(lift: FinishedLift, output: Path) -> None:
-    """label-filt/<frame>.png and instance-filt/<frame>.png, 16 bits, 0 = none, as in ScanNet's own folders. The ids are
-    those of the lift's classes, which labels.tsv names. Raises as ``export_label_images``.
-
-    ScanNet's instance images count the objects of a scene from 1, stuff included; here stuff has no instances.
-    """
+    """label-filt/<frame>.png and instance-filt/<frame>.png, 16 bits, 0 = none, as in ScanNet's own folders, but stuff
+    has no instances. labels.tsv names the ids of the lift's classes. Raises as ``export_label_images``."""
     for frame, layers in lift.views("semantic", "instance"):
         write_atomically(output / "label-filt" / f"{frame.name}.png", id_bytes(layers.semantic, output))
         write_atomically(output / "instance-filt" / f"{frame.name}.png", id_bytes(layers.instance, output))
@@ -155,12 +149,7 @@ def labels_text(classes: ClassTable, instances: ShownInstances) -> str:
 
 def id_bytes(ids: NDArray[np.int32], output: Path) -> bytes:
     """Ids int32 [H, W] as a PNG of 16 bits. Raises PlgsError for ids of 65536 or more."""
-    import cv2
-
     if int(ids.max(initial=0)) >= MOST_IDS:
         fix = "Export COCO or points instead."
         raise PlgsError("id-too-large", f"the id {int(ids.max())} does not fit into 16 bits", output, fix)
-    done, data = cv2.imencode(".png", ids.astype(np.uint16))
-    if not done:
-        raise ValueError(f"cannot encode ids of shape {ids.shape} as PNG")
-    return data.tobytes()
+    return image_bytes(ids.astype(np.uint16))

@@ -80,8 +80,7 @@ class SmallView:
 
     @cached_property
     def _inverse(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        """The inverse depth [H, W] 1/m, 0 for none, and, uint8 [H, W], 1 where a pixel's whole neighbourhood is one
-        surface."""
+        """The inverse depth [H, W] 1/m, 0 for none; and uint8 [H, W], 1 where a pixel's neighbours are one surface."""
         inverse = np.divide(1.0, self.depth, out=np.zeros_like(self.depth), where=self.depth > 0)
         around = np.ones((3, 3), np.uint8)
         lowest, highest = cv2.erode(inverse, around), cv2.dilate(inverse, around)

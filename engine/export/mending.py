@@ -34,10 +34,7 @@ KEYS = 1 << 32
 
 def close_holes(surface: Surface, label: Ints, largest: float = HAND) -> tuple[Surface, Ints]:
     """The surface and its vertices' labels [V] with a fan around a new central vertex in each hole of at most the
-    ``largest`` size in metres.
-
-    A hole is a ring of open edges that the surface surrounds. The rim of a scrap is a ring, too, but stays open.
-    """
+    ``largest`` size in metres. A hole is a ring of open edges that the surface surrounds; rims of scraps stay open."""
     rim = open_edges(surface.triangles)
     if not len(rim):
         return surface, label
@@ -72,9 +69,9 @@ def without_flakes(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
 
 
 def without_fringe(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
-    """The surface and its vertices' labels [V] without strips narrower than twice FRINGE vertices between open
-    edges, which views leave where one surface hides another. Tubes, such as legs, have no open edges; THIN labels
-    keep theirs."""
+    """The surface and its vertices' labels [V] without strips narrower than twice FRINGE vertices between open edges,
+    which views leave where one surface hides another. Tubes, as legs are, have no open edges; THIN labels keep
+    theirs."""
     near = np.zeros(len(label), np.bool_)
     near[open_edges(surface.triangles)] = True
     within = _grown(~_grown(near, surface.triangles, FRINGE - 1), surface.triangles, FRINGE)
@@ -127,12 +124,9 @@ def even_rim(surface: Surface, rounds: int = 4) -> NDArray[np.float32]:
 
 
 def without_crumbs(surface: Surface, label: Ints, is_stuff: NDArray[np.bool_]) -> Ints:
-    """The labels [V] without crumbs: small pieces of a label's mesh far from its large ones, and scraps.
-
-    A crumb gets the label that most of its neighbours on the surface have, and 0 where it has none. Stuff, marked by
-    ``is_stuff`` [V], is naturally in pieces, such as the wall between two pictures: only its smallest pieces are
-    crumbs.
-    """
+    """The labels [V] without crumbs: small pieces of a label's mesh far from its large ones, and scraps. A crumb gets
+    the label that most of its neighbours on the surface have, and 0 without any. Stuff, marked by ``is_stuff`` [V], is
+    naturally in pieces, such as the wall between two pictures: only its smallest pieces are crumbs."""
     number, crumbs, stays = np.full(len(label), -1, np.int64), 0, np.zeros(len(label), np.bool_)
     for value, rows in rows_by_label(surface.triangles, label).items():
         if value == 0:
@@ -149,7 +143,7 @@ def without_crumbs(surface: Surface, label: Ints, is_stuff: NDArray[np.bool_]) -
         number[used[crumb]] = crumbs + piece[crumb]
         stays[used[own & ~crumb]] = True
         crumbs += len(area)
-    edges = surface.triangles[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2)
+    edges = both_ways(surface.triangles)
     beside = edges[(number[edges[:, 0]] >= 0) & stays[edges[:, 1]]]
     around = most_frequent(number[beside[:, 0]], label[beside[:, 1]], crumbs)
     return np.where(number >= 0, around[number] if crumbs else 0, label)
@@ -253,13 +247,23 @@ def _along(triangles: Ints, label: Ints, own: Ints, other: Ints) -> NDArray[np.f
     return np.clip(ours / (ours + theirs), _MARGIN, 1 - _MARGIN)
 
 
+def around_vertices(triangles: Ints, count: int) -> csr_matrix:
+    """What takes the mean of the neighbours' values for each vertex, [count, count]."""
+    edges = both_ways(triangles)
+    beside = coo_matrix((np.ones(len(edges)), tuple(edges.T)), (count, count)).tocsr()
+    beside.data[:] = 1.0  # the edge of two triangles was added twice
+    return diags(1.0 / np.maximum(np.asarray(beside.sum(axis=1)).ravel(), 1.0)) @ beside
+
+
+def both_ways(triangles: Ints) -> Ints:
+    """The edges [E, 2] of all triangles [T, 3], in both directions."""
+    return triangles[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2)
+
+
 def _shares(triangles: Ints, index: Ints, known: int) -> csr_matrix:
     """The share of each label around each vertex, [V, known], with sum 1."""
     count = len(index)
-    edges = triangles[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2)
-    beside = coo_matrix((np.ones(len(edges)), tuple(edges.T)), (count, count)).tocsr()
-    beside.data[:] = 1.0  # the edge of two triangles was added twice
-    around = diags(1.0 / np.maximum(np.asarray(beside.sum(axis=1)).ravel(), 1.0)) @ beside
+    around = around_vertices(triangles, count)
     shares = csr_matrix((np.ones(count), (np.arange(count), index)), (count, known))
     for _ in range(_ROUNDS):
         shares = 0.5 * (shares + around @ shares)

@@ -34,11 +34,9 @@ from .texture import Texture, jpeg_bytes, textured
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """The mesh of one instance, or of one stuff class (``instance_id`` 0), with a unique ``name``.
-
-    ``xyz`` float32 [V, 3] metres, z up; ``normal`` float32 [V, 3]; ``rgb`` uint8 [V, 3]; ``triangles`` int64 [T, 3].
-    ``uv`` float32 [T, 3, 2] are their corners' positions in a ``picture`` uint8 [H, W, 3], as in `Texture`.
-    """
+    """The mesh of one instance, or of one stuff class (``instance_id`` 0), with a unique ``name``. ``xyz`` float32 [V,
+    3] metres, z up; ``normal`` float32 [V, 3]; ``rgb`` uint8 [V, 3]; ``triangles`` int64 [T, 3]. ``uv`` float32 [T, 3,
+    2] are their corners' positions in a ``picture`` uint8 [H, W, 3], as in `Texture`."""
 
     name: str
     class_name: str
@@ -190,8 +188,8 @@ def export_mesh(lift: FinishedLift, output: Path) -> None:
 def write_surface(
     lift: FinishedLift, path: Path, surface: Surface, label: NDArray[np.int64], texture: Texture | None = None
 ) -> None:
-    """Write a labelled surface [V] as PLY, and the pictures of its texture beside it, as pictures/CLASS_INSTANCE.jpg by
-    their ids. Raises OSError."""
+    """Write a labelled surface [V] as PLY, and its texture's pictures as pictures/CLASS_INSTANCE.jpg, by their ids.
+    Raises OSError."""
     class_id, instance_id = np.divmod(label, MOST_INSTANCES)
     columns = {
         **columns_of("x y z", surface.xyz),

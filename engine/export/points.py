@@ -31,8 +31,7 @@ _AXES = {"centre": "xyz", "size": "xyz", "rotation": "wxyz"}
 
 
 def export_boxes(lift: FinishedLift, output: Path) -> None:
-    """boxes.json and boxes.csv (one column per number, such as size_x); labelcloud/ and cvat/. Raises PlgsError,
-    OSError."""
+    """boxes.json, boxes.csv (a column per number, such as size_x), labelcloud/, cvat/. Raises PlgsError, OSError."""
     boxes: list[dict[str, Any]] = [{field: getattr(one, field) for field in FIELDS} for one in lift.listed]
     content = {"up": "z", "unit": "m", "boxes": boxes}
     _write_json(output / "boxes.json", content)
@@ -68,8 +67,7 @@ def _for_labelcloud(boxes: Sequence[Instance]) -> dict[str, Any]:
 
 
 def _for_cvat(boxes: Sequence[Instance], classes: ClassTable) -> dict[str, Any]:
-    """The files of a Supervisely point cloud, which CVAT imports as cuboids, by their paths. The tag "instance" is the
-    object's name."""
+    """The files, by path, of a Supervisely point cloud, which CVAT imports as cuboids. Its "instance" is the name."""
     objects, figures, ids = [], [], {}
     for one in boxes:
         key = _key(one.id)
@@ -125,8 +123,7 @@ NEIGHBOURS = 30
 
 
 def export_points(lift: FinishedLift, output: Path) -> None:
-    """points.ply: the semantic points with colours, normals, class_id, instance_id and confidence. Raises PlgsError,
-    OSError."""
+    """points.ply: semantic points with colours, normals, ids and confidence. Raises PlgsError, OSError."""
     points = lift.corrected.points
     centres = np.array([frame.camera.centre for frame in lift.scene.frames])
     columns = {

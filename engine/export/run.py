@@ -32,14 +32,9 @@ def export(
 ) -> None:
     """Write ``frames`` ("test", "all", names) of a finished lift as ``kind`` (of KINDS) into the folder ``output``.
     With a file of ``cameras``, which only clouds support, write what these see instead. The formats BY_OBJECT can be
-    limited to ``objects`` with these names (instances or classes).
-
-    The folder must be new or empty, or hold this very export, complete or not, so that no other files are overwritten.
-    An output in the lift's own folder ``exports`` is replaced.
-
-    Raises PlgsError for a lift that is unfinished or damaged, for bad cameras, and for an output that holds other
-    files; OSError.
-    """
+    limited to ``objects`` with these names (instances or classes). The folder must be new or empty, or hold this very
+    export, complete or not, so that no other files are overwritten; one in the lift's own folder ``exports`` is
+    replaced. Raises PlgsError for a lift that is unfinished or damaged, bad cameras, and other files there; OSError."""
     if cameras is not None and kind != "clouds":
         what = f"{kind} can only show the scene's frames"
         raise PlgsError("export-cameras", what, cameras, "Give --frames, or export clouds.", option="--cameras")
@@ -62,8 +57,7 @@ def export(
 
 
 def make_room(folder: LiftFolder, output: Path, export: Mapping[str, object]) -> None:
-    """Create the folder, with the facts of ``export`` in its note. Raises PlgsError if it holds other files,
-    OSError."""
+    """Create the folder, with the facts of ``export`` in its note. Raises PlgsError for other files in it, OSError."""
     if output.exists() and not output.is_dir():
         raise PlgsError("file-not-folder", "the export needs a folder, but this is a file", output, "Name another one.")
     text, note = json.dumps(export, indent=1) + "\n", output / NOTE

@@ -49,8 +49,7 @@ class FinishedLift:
 
     @cached_property
     def has_photos(self) -> bool:
-        """Whether the scene is available. Without its photos, a surface shows the colours of the lift, and a warning
-        says so."""
+        """Whether the scene is available; without, a surface shows the lift's colours, and a warning says so."""
         found = os.path.exists(self.folder.request.scene)
         if not found and self.warn is not None:
             self.warn(f"The surface has no pictures: its scene is not at {self.folder.request.scene}.")

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix, diags
 
 from ..posed.ply import labels_of_triangles
 from ..scene import Frame, photo_detail, read_ahead
+from ..scene.pixels import image_bytes
 from ..scene.view import border_mask
 from .fusion import Ints, SmallView, Surface
-from .mending import pieces
+from .mending import around_vertices, pieces
 
 LARGEST = 8192
 """The square of this limits the pixels of all pictures together; photos are at most this wide."""
@@ -53,12 +53,9 @@ class Texture:
 
 
 def jpeg_bytes(picture: NDArray[np.uint8]) -> bytes:
-    """An RGB picture as JPEG without chroma subsampling. Raises ValueError if it cannot be encoded."""
+    """An RGB picture as JPEG without chroma subsampling. Raises PlgsError if it cannot be encoded."""
     ways = [cv2.IMWRITE_JPEG_QUALITY, 93, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
-    done, data = cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), ways)
-    if not done:
-        raise ValueError(f"cannot encode a picture of shape {picture.shape} as JPEG")
-    return data.tobytes()
+    return image_bytes(picture, ".jpg", ways=ways)
 
 
 def textured(surface: Surface, label: Ints, views: Sequence[SmallView]) -> Texture:
@@ -146,13 +143,9 @@ def _photo(frame: Frame) -> NDArray[np.uint8]:
 
 def _chosen(triangles: Ints, quality: NDArray[np.float32]) -> Ints:
     """The view of each triangle, -1 where none shows all its corners. [T]"""
-    count = len(quality)
     best = np.maximum(quality.max(axis=1, keepdims=True), np.float32(1e-9))
     share = np.sqrt(quality / best)
-    edges = triangles[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2)
-    beside = coo_matrix((np.ones(len(edges), np.float32), tuple(edges.T)), (count, count)).tocsr()
-    beside.data[:] = 1.0  # the edge of two triangles was added twice
-    around = (diags(1.0 / np.maximum(np.asarray(beside.sum(axis=1)).ravel(), 1.0)) @ beside).astype(np.float32)
+    around = around_vertices(triangles, len(quality)).astype(np.float32)
     for _ in range(_ROUNDS):
         share = 0.5 * (share + around @ share)
     view, score = np.full(len(triangles), -1, np.int64), np.zeros(len(triangles), np.float32)

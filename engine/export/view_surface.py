@@ -39,8 +39,8 @@ _RIM = 5  # side in pixels of the square around each pixel of an object that bel
 
 
 def export_surface(lift: FinishedLift, output: Path) -> None:
-    """mesh.ply for viewing, as `mesh.export_mesh` writes it, and its pictures. Raises PlgsError if no surface was
-    rendered, OSError."""
+    """mesh.ply for viewing, as `mesh.export_mesh` writes it, and its pictures. Raises PlgsError if none is shown,
+    OSError."""
     views = views_of(lift, WIDEST, MOST_VIEWS)
     surface, label = surface_to_view(views)
     refuse_none(lift, surface)
@@ -98,8 +98,7 @@ def _is_double(room: tuple[Surface, Ints], objects: tuple[Surface, Ints]) -> NDA
 
 
 def _around(surface: Surface, label: Ints, kept: NDArray[np.bool_]) -> tuple[Surface, Ints]:
-    """A surface and its labels, limited to triangles with a corner ``kept`` [V]. Their other corners get the label of a
-    kept one."""
+    """The triangles with a corner ``kept`` [V]. Their other corners get the label of a kept one."""
     is_kept = kept[surface.triangles]
     triangles, is_kept = (each[is_kept.any(axis=1)] for each in (surface.triangles, is_kept))
     first = np.take_along_axis(triangles, is_kept.argmax(axis=1)[:, None], axis=1)

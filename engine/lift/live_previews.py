@@ -20,8 +20,9 @@ from ..model.render import render_view
 from ..model.structured import StructuredScene
 from ..passes.baked_view import ShownInstances
 from ..passes.layers import decide
-from ..passes.previews import panoptic_picture, png_bytes
+from ..passes.previews import panoptic_picture
 from ..scene import Camera, Frame, Scene, size_within
+from ..scene.pixels import image_bytes
 
 log = logging.getLogger("plgs.lift")
 
@@ -79,7 +80,7 @@ class LivePreviews:
         layers = decide(rendering, self.scene.classes, self.instances.class_of)
         picture = panoptic_picture(layers, self.scene.classes, self.instances.colours)
         try:
-            write_atomically(self.folder.live_preview_path, png_bytes(picture))
+            write_atomically(self.folder.live_preview_path, image_bytes(picture))
         except PermissionError as error:  # on Windows, while a program reads the last one
             log.info("a live preview was skipped: %s", error)
         else:

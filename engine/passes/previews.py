@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..job import write_atomically
 from ..scene import ClassTable, distinct_colour
+from ..scene.pixels import image_bytes
 from .layers import PanopticLayers, encoded
 
 Picture = NDArray[np.uint8]
@@ -44,7 +45,7 @@ def write_previews(
     )
     paths = preview_paths(folder, frame)
     for path, picture in zip(paths, pictures, strict=True):
-        write_atomically(path, png_bytes(picture))
+        write_atomically(path, image_bytes(picture))
     return paths
 
 
@@ -109,16 +110,6 @@ def shaded(labels: Picture, photo: Picture) -> Picture:
     return np.rint(np.clip(lit, 0, 255)).astype(np.uint8)
 
 
-def png_bytes(picture: Picture) -> bytes:
-    """An RGB picture as PNG. Raises ValueError if it cannot be encoded."""
-    import cv2
-
-    done, data = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))
-    if not done:
-        raise ValueError(f"cannot encode a picture of shape {picture.shape} as PNG")
-    return data.tobytes()
-
-
 MOST_ROWS = 8
 TILE_WIDTH, GAP, MARGIN, HEADING, LEGEND_LINE = 320, 6, 24, 34, 26
 BACKGROUND, TEXT, FAINT = (24, 25, 28), (232, 232, 230), (150, 152, 156)
@@ -160,7 +151,7 @@ def write_contact_sheet(
     bands = [band]
     bands += [_band(row, name.name, headings, width) for row, name in zip(tiles, rows, strict=True)]
     bands.append(_legend(seen, classes, width))
-    write_atomically(path, png_bytes(np.concatenate(bands)))
+    write_atomically(path, image_bytes(np.concatenate(bands)))
 
 
 def chosen(count: int) -> list[int]:

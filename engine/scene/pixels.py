@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,6 @@ from ..posed.image_header import ImageHeader, check_image_bytes, check_image_fil
 from ..posed.layout import LARGEST_PIXELS
 from .frame import Size
 from .values import checked_ids, inside
-
-_JPEG_QUALITY = 95
 
 
 @dataclass(frozen=True)
@@ -59,13 +57,22 @@ def decode_bytes(data: bytes, path: Path, as_colour: bool) -> NDArray[Any]:
 
 def write_image(path: Path, rgb: NDArray[Any]) -> None:
     """Write uint8 [H, W, 3] as JPEG or PNG, by the suffix. Raises PlgsError when it cannot be encoded, OSError."""
+    write_atomically(path, image_bytes(rgb, path.suffix, str(path)))
+
+
+def image_bytes(
+    pixels: NDArray[Any], suffix: str = ".png", where: str = "a picture", ways: Sequence[int] = ()
+) -> bytes:
+    """RGB uint8 [H, W, 3], or ids [H, W] of 8 or 16 bits, as PNG, or JPEG of the quality 95; ``ways`` are OpenCV's
+    flags and their values. Raises PlgsError when they cannot be encoded."""
     import cv2
 
-    bgr = np.ascontiguousarray(rgb[..., ::-1])
-    good, data = cv2.imencode(path.suffix, bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    stored = np.ascontiguousarray(pixels[..., ::-1] if pixels.ndim == 3 else pixels)  # OpenCV has BGR
+    good, data = cv2.imencode(suffix, stored, ways)
     if not good:
-        raise PlgsError("unencodable", "the picture cannot be encoded", path, "Check the size of the scene's pictures.")
-    write_atomically(path, data.tobytes())
+        fix = "Check the size of the scene's pictures."
+        raise PlgsError("unencodable", "the picture cannot be encoded", where, fix)
+    return data.tobytes()
 
 
 def largest_of_16_bits(path: Path) -> int | None:

@@ -12,7 +12,8 @@ import numpy as np
 
 from engine.errors import PlgsError
 from engine.job import write_atomically
-from engine.passes.previews import first_row, png_bytes
+from engine.passes.previews import first_row
+from engine.scene.pixels import image_bytes
 
 from ..results import csv_text, results_text
 from .table import MEANS, ON_PAGE, Tables
@@ -99,4 +100,4 @@ def write_sheet(path: Path, lifts: Mapping[str, Path]) -> None:
     if strips:
         width = max(strip.shape[1] for strip in strips)
         wide = [np.pad(strip, ((0, 0), (0, width - strip.shape[1]), (0, 0))) for strip in strips]
-        write_atomically(path, png_bytes(np.concatenate(wide)))
+        write_atomically(path, image_bytes(np.concatenate(wide)))
