@@ -174,8 +174,7 @@ _MOST_SPREAD = 0.2
 
 @dataclass(frozen=True)
 class Scale:
-    """The ``metres`` per unit of the reconstruction, the median over ``points`` points; half of them agree within the
-    fraction ``spread``."""
+    """The ``metres`` per unit of the model: the median over ``points``; half of them agree within ``spread``."""
 
     metres: float
     spread: float

@@ -37,8 +37,7 @@ def scene_of_lift(folder: LiftFolder) -> Scene:
 
 
 def opened_scene(folder: LiftFolder) -> Scene:
-    """The scene that a lift was made from, as its files are now. Raises PlgsError also if frames of the same names
-    differ, or most frames are gone."""
+    """The scene of a lift as its files are now. Raises PlgsError also if frames differ or most are gone."""
     scene, known = open_asked(folder.request), read_known(folder)
     if known is not None:
         _refuse_another(known, scene)

@@ -114,9 +114,9 @@ class Finding:
     of a lift. ``picture`` uint8 [H, W, 3] RGB shows it. ``stops``: a lift of the scene would be pointless."""
 
     cause: str
-    severity: Severity
     text: str
     option: str
+    severity: Severity = "wrong"
     figures: Mapping[str, float | str] = field(default_factory=dict)
     is_mended: bool = False
     frames: tuple[str, ...] = ()
@@ -126,7 +126,8 @@ class Finding:
 
     def as_json(self) -> dict[str, Any]:
         """Everything but the picture and ``stops``."""
-        return {name: value for name, value in vars(self).items() if name not in ("picture", "stops")}
+        said = {"cause": self.cause, "severity": self.severity, **vars(self)}  # in the order of findings.json
+        return {name: value for name, value in said.items() if name not in ("picture", "stops")}
 
 
 @dataclass(frozen=True, eq=False)

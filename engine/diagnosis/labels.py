@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..posed.layout import listed, plural
 from ..scene import VOID
 from .findings import Finding, side_by_side
-from .reprojection import Assumption, Examined, Floats, values_at
+from .reprojection import Assumption, Examined, Floats, Gain, values_at
 from .up import world_normals
 
 _SAME_SURFACE = 0.5  # minimum depth agreement, 0..1, of two views of one surface: about 2.7 % of the depth
@@ -81,24 +81,14 @@ def measure_labels(examined: Examined, assumed: Assumption) -> LabelAgreement | 
 
 
 _LAGS = (-2, -1, 1, 2)
-_FEWEST_PAIRS, _FEWEST_LOOKS = 12, 6
 _LEAST_GAIN, _CERTAIN, _SUSPECT = 0.01, 5.0, 2.0
 """Minimum gain in points with the same class; then the same in standard errors among the looks, for a finding and for a
 closer look. Correct masks lose by 2.7 or more."""
 
 
-class MaskLag(NamedTuple):
-    """Masks agree better if each look uses the mask of the frame ``lag`` frames later: the fraction of points with the
-    same class ``before`` and ``after``, and the gain in standard errors."""
-
-    lag: int
-    before: float
-    after: float
-    certainty: float
-
-
-def measure_mask_lag(examined: Examined, assumed: Assumption, certain: float = _CERTAIN) -> MaskLag | None:
-    """Whether masks belong to other frames, beyond ``certain`` standard errors. Raises PlgsError."""
+def measure_mask_lag(examined: Examined, assumed: Assumption, certain: float = _CERTAIN) -> tuple[int, Gain] | None:
+    """How many frames later each look's mask belongs, and what that gains in points with the same class, beyond
+    ``certain`` standard errors. None if it is the look's own. Raises PlgsError."""
     views, maps = examined.views, examined.class_maps
     if maps is None:
         return None
@@ -117,18 +107,13 @@ def measure_mask_lag(examined: Examined, assumed: Assumption, certain: float = _
             found[row] = float((ours == theirs).mean())
         return found
 
-    as_they_are, best = shares(0), None
-    for lag in _LAGS:
-        gains = shares(lag) - as_they_are  # nan where one of them is unknown
-        known, by_look = np.isfinite(gains), examined.mean_by_look(gains)
-        if known.sum() < _FEWEST_PAIRS or len(by_look) < _FEWEST_LOOKS:
-            continue
-        certainty = float(by_look.mean()) / max(float(by_look.std(ddof=1)) / np.sqrt(len(by_look)), 1e-9)
-        found = MaskLag(lag, float(as_they_are[known].mean()), float((as_they_are + gains)[known].mean()), certainty)
-        is_clear = found.after - found.before > _LEAST_GAIN and certainty > certain
-        if is_clear and (best is None or found.after - found.before > best.after - best.before):
-            best = found
-    return best
+    as_they_are = shares(0)
+    tried = ((lag, examined.gained(as_they_are, shares(lag))) for lag in _LAGS)
+    more = [
+        (gain.after - gain.before, lag, gain) for lag, gain in tried if gain is not None and gain.certainty > certain
+    ]
+    best = max(more, key=lambda each: each[0], default=None)
+    return None if best is None or best[0] <= _LEAST_GAIN else best[1:]
 
 
 def label_findings(examined: Examined, assumed: Assumption, is_quick: bool = False) -> list[Finding]:
@@ -136,7 +121,7 @@ def label_findings(examined: Examined, assumed: Assumption, is_quick: bool = Fal
     closely afterwards. Raises PlgsError."""
     lag = measure_mask_lag(examined, assumed, _SUSPECT if is_quick else _CERTAIN)
     if lag is not None:
-        return [_masks_of_others(lag)]
+        return [_masks_of_others(*lag)]
     labels = measure_labels(examined, assumed)
     if labels is None or labels.counts.sum() < 10 * _FEWEST_POINTS:
         return []
@@ -145,7 +130,7 @@ def label_findings(examined: Examined, assumed: Assumption, is_quick: bool = Fal
         option = "check that each mask belongs to its frame, and that all use the same class table"
         picture, stops = _masks_shown(examined, [0, 1]), labels.share < labels.chance + _ABOVE_CHANCE
         figures = {"share": labels.share}
-        return [Finding("contradicting masks", "wrong", text, option, figures, picture=picture, stops=stops)]
+        return [Finding("contradicting masks", text, option, figures=figures, picture=picture, stops=stops)]
     # The looks whose masks agree with the others' hardly more than by chance, if most agree well.
     kept = (labels.by_look - labels.chance) / max(labels.middle - labels.chance, 1e-6)
     kept[~(labels.by_look < labels.middle - _LESS)] = 1.0  # so are nan: too few points say nothing
@@ -153,16 +138,15 @@ def label_findings(examined: Examined, assumed: Assumption, is_quick: bool = Fal
     return [_odd_masks(examined, labels, odd)] if odd else []
 
 
-def _masks_of_others(found: MaskLag) -> Finding:
-    way = "earlier" if found.lag > 0 else "later"
+def _masks_of_others(lag: int, found: Gain) -> Finding:
+    way = "earlier" if lag > 0 else "later"
     return Finding(
         cause="masks of other frames",
-        severity="wrong",
-        text=f"each mask belongs to the frame {plural(abs(found.lag), 'place')} {way}: of what two views see, "
+        text=f"each mask belongs to the frame {plural(abs(lag), 'place')} {way}: of what two views see, "
         f"{found.after:.1%} then has the same class in both, against {found.before:.1%} "
         f"({found.certainty:.0f} standard errors)",
         option="give the masks the names of the frames that they belong to",
-        figures={"frames": float(found.lag), "share": found.before, "share_then": found.after},
+        figures={"frames": float(lag), "share": found.before, "share_then": found.after},
         stops=True,
     )
 
@@ -172,7 +156,6 @@ def _odd_masks(examined: Examined, labels: LabelAgreement, rows: list[int]) -> F
     worst = float(min(labels.by_look[row] for row in rows))
     return Finding(
         cause="contradicting masks",
-        severity="wrong",
         text=f"the masks of {listed(names)} contradict those of the other views: {worst:.0%} of their points have the "
         f"same class there; the median of all frames is {labels.middle:.0%}",
         option="check that these masks belong to these frames, or leave the frames out with a splits.json",
@@ -274,7 +257,6 @@ def table_findings(examined: Examined, assumed: Assumption, up: Floats) -> list[
     return [
         Finding(
             cause="class table",
-            severity="wrong",
             text=f"the names of the classes do not fit the surfaces: {reasons}",
             option=_OPTION,
             figures={f"{kind}_share": each.share for kind, each in found.items()},

@@ -76,7 +76,7 @@ def lens_findings(scene: Scene, findings: list[Finding]) -> list[Finding]:
     is_wrong = any(finding.severity == "wrong" and finding.cause in NUMBER_CAUSES for finding in findings)
     text = f"{scene.assumed_lens}; {_OTHERS_FOLLOW}" if is_wrong else scene.assumed_lens
     option = "write the recorder's own lens there, then inspect again"
-    return [Finding("assumed lens", "wrong" if is_wrong else "note", text, option)]
+    return [Finding("assumed lens", text, option, "wrong" if is_wrong else "note")]
 
 
 def number_findings(examined: Examined, lens_is_doubtful: bool = False) -> tuple[list[Finding], Assumption, Shift]:
@@ -111,7 +111,6 @@ def _cause_finding(examined: Examined, cause: FoundCause, before: Assumption) ->
     assumptions = [("as it is", before), (f"with {words.caption}", cause.assumed)]
     return Finding(
         cause=words.name,
-        severity="wrong",
         text=f"{text}: of the points projected into other views, {after['agreeing_after']:.0%} then lie on the depth "
         f"there, against {after['agreeing_before']:.0%} now",
         option=f"{option}; {FIX}" if is_sure else option,
@@ -194,7 +193,6 @@ def _calibration_findings(
     findings = [
         Finding(
             cause=cause,
-            severity="wrong",
             text=f"{text}; the median error of depth falls from {before.error:.2%} to {after.error:.2%}",
             option=f"{option}; {FIX}",
             figures={**figures, **_agreement_figures(before, after)},

@@ -74,7 +74,7 @@ def pose_findings(examined: Examined, assumed: Assumption) -> tuple[list[Finding
         )
         option = "register the two parts to each other again, or lift only one of them with a splits.json"
         figures: dict[str, float | str] = {"across_m": gap.across, "within_m": gap.within, "frame": name}
-        found.append(Finding("parts apart", "wrong", text, option, figures, frames=(name,)))
+        found.append(Finding("parts apart", text, option, figures=figures, frames=(name,)))
     shifts = zip("xyz", along.T, strict=True)
     by_axis = {axis: _measure_drift(shift, lags, len(examined.looks)) for axis, shift in shifts}
     if drift is not None and not found:
@@ -145,7 +145,6 @@ def _measure_gap(distances: Floats, numbers: NDArray[np.int64]) -> Gap | None:
 def _drift_finding(drift: Drift, along: str = "") -> Finding:
     return Finding(
         cause="drift",
-        severity="wrong",
         text=f"poses drift{along}: surfaces that two frames see are {drift.near * 100:.1f} cm apart between neighbours "
         f"and {drift.far * 100:.1f} cm between frames far apart in time ({drift.certainty:.0f} standard errors)",
         option="register the frames again with loop closure, or lift parts of the recording with a splits.json",
@@ -174,7 +173,6 @@ def _misplaced_finding(examined: Examined, rows: list[int]) -> Finding:
     beside = (max(rows[0] - 1, 0), rows[0])
     return Finding(
         cause="frames out of place",
-        severity="wrong",
         text=f"{agrees} with no neighbour, although the neighbours agree with each other: {listed(names)}",
         option="leave them out; --fix OUT does",
         figures={"frames": float(len(rows))},
@@ -252,7 +250,6 @@ def order_findings(scene: Scene, order: FrameOrder | None) -> list[Finding]:
     return [
         Finding(
             cause="unsorted frames",
-            severity="wrong",
             text=f"frames are not in the order of the recording: what the cameras look at moves by {order.given:.2f} m "
             f"from one frame to the next, and by {order.shortest:.2f} m in the order {best}",
             option="name the files in the order of the recording",
@@ -279,7 +276,6 @@ def repeat_findings(scene: Scene) -> list[Finding]:
     return [
         Finding(
             cause="repeated frames",
-            severity="wrong",
             text=f"{count} the picture of another ({pairs})",
             option="leave them out; --fix OUT does",
             figures={"frames": float(len(repeated))},

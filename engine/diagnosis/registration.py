@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..posed.layout import plural
 from ..scene import evenly_spread
 from .findings import FIX, Finding, edges_on, side_by_side
-from .reprojection import Assumption, Examined, Floats, Look, Photo, values_at
+from .reprojection import Assumption, Examined, Floats, Gain, Look, Photo, values_at
 from .trials import Calibration
 
 _MOST = 32  # maximum number of looks used
@@ -192,7 +192,6 @@ def _registration_finding(examined: Examined, found: Registration, is_depth: boo
         option = "bring depth to the colour camera with the sensor's calibration, or use its registered images"
     return Finding(
         cause=SHIFT,
-        severity="wrong",
         text=f"{text} ({found.certainty:.0f} standard errors, {found.frames} frames)",
         option=option,
         figures={"x_px": x, "y_px": y, "scale": found.scale, "gain": found.gain, "certainty": found.certainty},
@@ -202,7 +201,7 @@ def _registration_finding(examined: Examined, found: Registration, is_depth: boo
 
 
 _SAME_SURFACE = 0.5
-_FEWEST_POINTS, _FEWEST_PAIRS, _FEWEST_LOOKS = 30, 12, 6
+_FEWEST_POINTS = 30
 _LEAST_CONTRAST = 4.0  # grey levels, as a deviation; a bare wall gives no information
 _BETTER = 0.1  # least gain of the mean correlation under another assumption about the pictures
 _CERTAIN_GAIN = 5.0  # least gain, in its standard errors among the looks
@@ -218,17 +217,9 @@ class Taken(NamedTuple):
 _OTHERS = (Taken(mirrored=True), *(Taken(lag) for lag in (-2, -1, 1, 2)))
 
 
-class PictureFit(NamedTuple):
-    """How well pictures agree on surfaces, as a mean correlation of greys: unmodified, and as ``taken``."""
-
-    taken: Taken
-    before: float
-    after: float
-    certainty: float
-
-
-def measure_pictures(examined: Examined, assumed: Assumption) -> PictureFit | None:
-    """The change that makes the pictures agree clearly better than unmodified ones. None if there is none."""
+def measure_pictures(examined: Examined, assumed: Assumption) -> tuple[Taken, Gain] | None:
+    """The change that makes the pictures agree clearly better than unmodified ones, and what it gains in the mean
+    correlation of greys on surfaces. None if there is none."""
     views, pairs = examined.views, examined.pairs
     comparison = views.compare(pairs, assumed)
     seen = [agrees > _SAME_SURFACE for agrees in comparison.agrees]
@@ -236,20 +227,10 @@ def measure_pictures(examined: Examined, assumed: Assumption) -> PictureFit | No
         (views.places[one][at], place[at]) for (one, _), at, place in zip(pairs, seen, comparison.place, strict=True)
     ]
     as_they_are = _correlations(examined, places, Taken())
-    best = None
-    for taken in _OTHERS:
-        gains = _correlations(examined, places, taken) - as_they_are
-        by_look = examined.mean_by_look(gains)
-        known = np.isfinite(gains)
-        if known.sum() < _FEWEST_PAIRS or len(by_look) < _FEWEST_LOOKS:
-            continue
-        gain, error = float(by_look.mean()), float(by_look.std(ddof=1)) / np.sqrt(len(by_look))
-        before = float(as_they_are[known].mean())
-        fit = PictureFit(taken, before, before + float(gains[known].mean()), gain / max(error, 1e-9))
-        is_clear = gain > _BETTER and fit.certainty > _CERTAIN_GAIN
-        if is_clear and (best is None or fit.after > best.after):
-            best = fit
-    return best
+    tried = ((taken, examined.gained(as_they_are, _correlations(examined, places, taken))) for taken in _OTHERS)
+    found = [(taken, gain) for taken, gain in tried if gain is not None]
+    clear = [each for each in found if each[1].mean > _BETTER and each[1].certainty > _CERTAIN_GAIN]
+    return max(clear, key=lambda each: each[1].after, default=None)
 
 
 def _correlations(examined: Examined, places: list[tuple[Floats, Floats]], taken: Taken) -> Floats:
@@ -261,9 +242,7 @@ def _correlations(examined: Examined, places: list[tuple[Floats, Floats]], taken
             continue
         if taken.mirrored:
             mine, theirs = (np.stack([1.0 - each[:, 0], each[:, 1]], axis=1) for each in (mine, theirs))
-        greys = [
-            values_at(photo.grey, at).astype(np.float64) for photo, at in ((first, mine), (second, theirs))
-        ]  # fmt: skip
+        greys = [values_at(photo.grey, at).astype(np.float64) for photo, at in ((first, mine), (second, theirs))]
         if min(grey.std() for grey in greys) > _LEAST_CONTRAST:
             found[row] = np.corrcoef(greys[0], greys[1])[0, 1]
     return found
@@ -271,10 +250,10 @@ def _correlations(examined: Examined, places: list[tuple[Floats, Floats]], taken
 
 def picture_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
     """Pictures that belong to other frames or are mirrored, though depth and poses are not."""
-    fit = measure_pictures(examined, assumed)
-    if fit is None:
+    found = measure_pictures(examined, assumed)
+    if found is None:
         return []
-    taken, row = fit.taken, len(examined.looks) // 2
+    (taken, fit), row = found, len(examined.looks) // 2
     if taken.mirrored:
         what = "left and right are swapped in the pictures, but not in depth and poses"
         cause, option = "mirrored colour", "mirror the colour images"
@@ -287,7 +266,6 @@ def picture_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
     return [
         Finding(
             cause=cause,
-            severity="wrong",
             text=f"{what}: where two views see the same surface, their greys correlate by {fit.before:.2f}, "
             f"with this corrected by {fit.after:.2f} ({fit.certainty:.0f} standard errors)",
             option=option,

@@ -6,13 +6,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..scene import Camera, Frame, Scene, Size, size_within
+from ..scene.depth import compared
 from ..scene.pixels import resize_nearest
 
 Floats = NDArray[np.float64]
@@ -35,8 +35,7 @@ class Sample(NamedTuple):
 
 
 MANY, FEW = Sample(120, 24, (0, 1, 3, 7, 15)), Sample(36, 12, (0, 1, 2))
-_SPREAD = 24  # looks that are compared with each other
-_NEXT = 3  # the number of following looks, in recording order, that each look is compared with
+_FEWEST_PAIRS, _FEWEST_LOOKS = 12, 6
 _WIDEST = 640  # the width in pixels to which depth and pictures are reduced
 _PHOTO_WIDTH = _MASK_WIDTH = 320
 _POINTS = 400  # the number of points that each look compares with other views
@@ -73,11 +72,8 @@ class Photo:
 
 def pairs_of(count: int) -> NDArray[np.int64]:
     """The pairs (from, to) to compare, int64 [P, 2]: each look with the next three, and 24 looks with each other."""
-    spread = np.unique(np.linspace(0, count - 1, min(count, _SPREAD)).round().astype(int)).tolist()
-    pairs = {(i, j) for i in range(count) for j in range(i + 1, min(i + 1 + _NEXT, count))}
-    pairs |= {*combinations(spread, 2)}
     # Directions alternate, so that both the points and the depth of each look are used.
-    return np.array([(i, j) if (i + j) % 2 else (j, i) for i, j in sorted(pairs)], np.int64).reshape(-1, 2)
+    return np.array([(i, j) if (i + j) % 2 else (j, i) for i, j in compared(count)], np.int64).reshape(-1, 2)
 
 
 def load_looks(frames: Sequence[Frame], sample: Sample) -> list[Look]:
@@ -320,6 +316,15 @@ def planar(depth: Floats, place: Floats, lens: Lens, assumed: Assumption) -> Flo
     return depth * assumed.unit
 
 
+class Gain(NamedTuple):
+    """The mean over the pairs ``before`` and ``after`` a change, and the looks' mean gain, and in standard errors."""
+
+    before: float
+    after: float
+    mean: float
+    certainty: float
+
+
 @dataclass(frozen=True, eq=False)
 class Examined:
     """The loaded part of a scene. ``looks`` are compared in ``pairs`` int64 [P, 2]; ``photos`` is by frame number.
@@ -342,8 +347,7 @@ class Examined:
 
     @cached_property
     def class_maps(self) -> list[NDArray[np.int32]] | None:
-        """The class ids of each look's mask, int32 [H, W], at most 320 wide. None if a look has no mask. Raises
-        PlgsError."""
+        """The class ids of each look's mask, int32 [H, W], <= 320 wide; None if a look has none. Raises PlgsError."""
         if any(look.frame.read_mask is None for look in self.looks):
             return None
         maps, within = [], self.masks_within
@@ -362,6 +366,15 @@ class Examined:
             np.add.at(total, self.pairs[known, column], values[known])
             np.add.at(count, self.pairs[known, column], 1.0)
         return total[count > 0] / count[count > 0]
+
+    def gained(self, before: Floats, after: Floats) -> Gain | None:
+        """What a change of the pairs' values [P] is worth. None with too few pairs or looks."""
+        gains = after - before  # nan where one of them is unknown
+        known, by_look = np.isfinite(gains), self.mean_by_look(gains)
+        if known.sum() < _FEWEST_PAIRS or len(by_look) < _FEWEST_LOOKS:
+            return None
+        mean, error = float(by_look.mean()), float(by_look.std(ddof=1)) / np.sqrt(len(by_look))
+        return Gain(float(before[known].mean()), float(after[known].mean()), mean, mean / max(error, 1e-9))
 
     def telling_pair(self, assumed: Assumption) -> tuple[int, int]:
         """Two looks for a picture. They show much of the same surface, from places as far apart as that allows."""

@@ -227,8 +227,7 @@ def _two_at_once(views: Views, pairs: NDArray[np.int64], before: Agreement) -> l
 
 
 def is_far_better(after: Agreement, before: Agreement) -> bool:
-    """Whether a scene may be fixed: half of what two views see agrees, and either 15 % more of it than before, or no
-    less with 30 % less error."""
+    """Whether a scene may be fixed: half of it agrees, and 15 % more than before, or no less with 30 % less error."""
     more = after.mean > _BETTER * before.mean
     finer = after.mean >= _AS_GOOD * before.mean and after.error < _ERROR_LEFT * before.error
     return after.share >= _LEAST_SHARE and (more or finer)
@@ -251,10 +250,8 @@ def _best(
         return None
     best = max(after.mean for after, _ in fitted)
 
-    def is_doubted(after: Agreement, trial: Trial) -> bool:  # a lens that explains the scene about as well as the best
-        return lens_first and trial.cause in _LENS_CAUSES and after.mean * _RIVAL > best
-
-    fitted.sort(key=lambda each: (not is_doubted(*each), -each[0].mean))
+    doubted = _LENS_CAUSES if lens_first else ()  # a lens comes first if it explains about as much as the best
+    fitted.sort(key=lambda each: (each[1].cause not in doubted or each[0].mean * _RIVAL <= best, -each[0].mean))
     after, trial = fitted[0]
     # Views must agree clearly better: by 15 %, and beyond chance.
     gains = after.by_frame - before.by_frame

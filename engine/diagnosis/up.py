@@ -87,7 +87,6 @@ def tilt_finding(examined: Examined, up: UpAxis, assumed: Assumption) -> Finding
     shown = np.where(known[:, None], normals, 0.5)
     return Finding(
         cause="up direction",
-        severity="wrong",
         text=f"up is {up.tilt:.0f} degrees from z: {up.level:.0%} of the surfaces are level about the axis "
         f"{up.axis[0]:.2f}, {up.axis[1]:.2f}, {up.axis[2]:.2f} and {up.walls:.0%} upright"
         + (f"; that is the poses' axis {name}" if is_named else ""),

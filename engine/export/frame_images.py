@@ -78,8 +78,7 @@ def write_coco(
 def _segments(
     ids: NDArray[np.int32], classes: ClassTable, names: Mapping[int, str]
 ) -> list[tuple[dict[str, object], dict[str, Any]]]:
-    """The segments of one view in ascending order of id, with area and bounding box (x, y, width, height), and their
-    run lengths. Unowned things are a crowd."""
+    """A view's segments in order of id, with area, box (x, y, width, height), run lengths. Unowned things: a crowd."""
     from pycocotools import mask as rle_tools  # late: no other export needs it
 
     segments = []

@@ -57,8 +57,7 @@ class Grain:
 
 @dataclass(frozen=True, eq=False)
 class SmallView:
-    """A view for fusion: ``depth`` float32 [H, W] m, ``rgb`` uint8 [H, W, 3], ``label`` int64 [H, W], and the ``frame``
-    with the same photo."""
+    """``depth`` float32 [H, W] m, ``rgb`` uint8 [H, W, 3], ``label`` int64 [H, W], and the ``frame`` of the photo."""
 
     camera: Camera
     depth: NDArray[np.float32]

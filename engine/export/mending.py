@@ -70,8 +70,7 @@ def without_flakes(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
 
 def without_fringe(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
     """The surface and its vertices' labels [V] without strips narrower than twice FRINGE vertices between open edges,
-    which views leave where one surface hides another. Tubes, as legs are, have no open edges; THIN labels keep
-    theirs."""
+    which views leave where one surface hides another. Tubes have no open edges, and THIN labels keep theirs."""
     near = np.zeros(len(label), np.bool_)
     near[open_edges(surface.triangles)] = True
     within = _grown(~_grown(near, surface.triangles, FRINGE - 1), surface.triangles, FRINGE)

@@ -188,8 +188,7 @@ def export_mesh(lift: FinishedLift, output: Path) -> None:
 def write_surface(
     lift: FinishedLift, path: Path, surface: Surface, label: NDArray[np.int64], texture: Texture | None = None
 ) -> None:
-    """Write a labelled surface [V] as PLY, and its texture's pictures as pictures/CLASS_INSTANCE.jpg, by their ids.
-    Raises OSError."""
+    """Write a labelled surface [V] as PLY, and its texture as pictures/CLASS_INSTANCE.jpg by ids. Raises OSError."""
     class_id, instance_id = np.divmod(label, MOST_INSTANCES)
     columns = {
         **columns_of("x y z", surface.xyz),

@@ -137,9 +137,9 @@ def export_points(lift: FinishedLift, output: Path) -> None:
 
 def export_splats(lift: FinishedLift, output: Path) -> None:
     """splats.ply: the wanted Gaussians as the authors of 3D Gaussian Splatting write them (colour as spherical
-    harmonics of degree 0, logit of opacity, logarithm of scale, rotation wxyz), and class_id and instance_id, all as
-    floats. splats.spz, in the same order without ids, and splats.glb: see `splat_files`. labels.json names the ids.
-    Raises PlgsError, OSError."""
+    harmonics of degree 0, logit of opacity, logarithm of scale, rotation wxyz), with their ids, all floats. splats.spz,
+    in the same order without ids, and splats.glb: see `splat_files`. labels.json names the ids. Raises PlgsError,
+    OSError."""
     rows = lift.splats
     write_ply_table(output / "splats.ply", {name: rows[name].astype(np.float32) for name in rows.dtype.names or ()})
     write_atomically(output / "splats.spz", spz_bytes(rows))

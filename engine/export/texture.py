@@ -156,8 +156,7 @@ def _chosen(triangles: Ints, quality: NDArray[np.float32]) -> Ints:
 
 
 def _charts(triangles: Ints, labels: Ints, view: Ints) -> tuple[Ints, Ints, Ints]:
-    """The chart of each triangle, -1 for none, from their labels and views, [T] each; the view and the label of each
-    chart, [C]."""
+    """The chart of each triangle, -1 for none, by labels and views, [T] each; the view and label of each, [C]."""
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     key = edges[:, 0] << 32 | edges[:, 1]
     order = np.argsort(key, kind="stable")

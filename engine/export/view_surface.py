@@ -39,8 +39,7 @@ _RIM = 5  # side in pixels of the square around each pixel of an object that bel
 
 
 def export_surface(lift: FinishedLift, output: Path) -> None:
-    """mesh.ply for viewing, as `mesh.export_mesh` writes it, and its pictures. Raises PlgsError if none is shown,
-    OSError."""
+    """mesh.ply for viewing, as `mesh.export_mesh` writes it, and its pictures. Raises PlgsError if empty, OSError."""
     views = views_of(lift, WIDEST, MOST_VIEWS)
     surface, label = surface_to_view(views)
     refuse_none(lift, surface)

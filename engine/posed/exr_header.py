@@ -25,9 +25,8 @@ _FIX = "Write this file again."
 
 @dataclass(frozen=True)
 class ExrHeader:
-    """``size`` is (width, height) of what is stored: the picture, a part of it, or more than it. ``channels`` maps each
-    channel to its bytes per number. ``start`` holds the file's first eight bytes, ``attributes`` the kind and the value
-    of each as stored."""
+    """``size`` is (width, height) of what is stored: the picture, a part of it, or more than it. ``channels``: bytes
+    per number of each. ``start`` has the first eight bytes, ``attributes`` the kind and value of each as stored."""
 
     size: Size
     channels: Mapping[str, int]

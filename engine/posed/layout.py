@@ -53,8 +53,7 @@ def is_note(path: Path) -> bool:
 
 
 def shown_files(folder: Path, pattern: str = "*") -> Iterator[Path]:
-    """The entries of ``folder`` that match, in no order, without files of the system (``is_note``). Raises OSError only
-    if everything is requested."""
+    """The entries of ``folder`` that match, unordered, without the system's (``is_note``). Only "*" raises OSError."""
     found = folder.iterdir() if pattern == "*" else folder.glob(pattern)
     return (path for path in found if not is_note(path))
 

@@ -138,8 +138,7 @@ def upright_turn(
     poses: Sequence[NDArray[np.float64]], asked: UpAxis, own: UpAxis | None, *, is_known: bool
 ) -> tuple[NDArray[np.float64], list[str]]:
     """The rotation, float64 [3, 3], from a capture's world into one with z up, and warnings. ``poses`` are its cameras,
-    float64 [4, 4] camera-to-world each. ``own`` is the axis that its format says points up, None if it does not say;
-    ``is_known``: that was measured."""
+    float64 [4, 4] camera-to-world. ``own`` is its format's up axis, None if unknown; ``is_known``: measured."""
     axis: UpAxis | None = "z" if asked == "+z" else own if asked == "z" else asked
     if axis is None:
         return upright_rotation(poses), []

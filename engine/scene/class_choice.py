@@ -76,8 +76,7 @@ class ClassChoice:
 
 
 def find_class_choice(named: str | None, beside: Path) -> ClassChoice | None:
-    """The choice in ``named`` (a table's name, or a file), else in ``classes.toml`` of the folder ``beside``, or None.
-    Raises PlgsError."""
+    """The choice ``named`` (a table, or a file), else in the folder ``beside`` as classes.toml. Raises PlgsError."""
     if named is None:
         path = beside / FILE_NAME
         return read_class_choice(path) if path.is_file() else None

@@ -22,9 +22,8 @@ _FAR = 128  # the number of leading palette colours that differ by at least 9.5 
 
 
 def coloured(labels: Iterable[ClassLabel]) -> ClassTable:
-    """The table of ``labels`` in ascending order of id. Labels keep a colour of their own; names of the public tables
-    have fixed palette indices. Other names get one by a hash, among the first `_FAR`, or the next free one. Raises
-    ValueError as `ClassTable` does."""
+    """The table of ``labels`` in ascending order of id. Labels keep a colour of their own; names of public tables have
+    fixed palette indices; others get one by a hash, among the first `_FAR`, or the next free one. Raises ValueError."""
     labels = sorted(labels, key=lambda label: label.id)
     indices = _palette_indices()
     chosen = {label.id: label.colour for label in labels if label.colour is not None}

@@ -287,18 +287,21 @@ class Overlap:
     agreement: float
 
 
+def compared(count: int) -> list[tuple[int, int]]:
+    """The pairs of frames to compare, of ``count``: each with the next three, and 24 spread ones with each other."""
+    spread = np.unique(np.linspace(0, count - 1, min(count, _SPREAD)).round().astype(int)).tolist()
+    pairs = {(i, j) for i in range(count) for j in range(i + 1, min(i + 1 + _NEXT, count))}
+    return sorted(pairs | {*combinations(spread, 2)})
+
+
 def measure_overlap(
     thumbnails: Sequence[Thumbnail], tick: Callable[[], object] | None = None, tolerance: float = _TOLERANCE
 ) -> Overlap:
     """Compare every frame with the next three, and 24 frames spread over the scene with each other. Depths agree within
     ``tolerance`` metres, or 5 %. ``tick`` is called after each pair."""
-    count = len(thumbnails)
-    spread = np.unique(np.linspace(0, count - 1, min(count, _SPREAD)).round().astype(int)).tolist()
-    pairs = {(i, j) for i in range(count) for j in range(i + 1, min(i + 1 + _NEXT, count))}
-    pairs |= {*combinations(spread, 2)}
-    best = np.zeros(count)
+    best = np.zeros(len(thumbnails))
     looks: list[tuple[float, float]] = []
-    for i, j in sorted(pairs):
+    for i, j in compared(len(thumbnails)):
         inside, agreeing = _share_seen(thumbnails[i], thumbnails[j], tolerance)
         best[i], best[j] = max(best[i], agreeing), max(best[j], agreeing)
         if inside >= _LOOKED_AT:

@@ -44,8 +44,7 @@ def evidence_of_resolution(kind: EvidenceKind, resolution: Amounts) -> Amounts:
 
 
 def evidence(kind: EvidenceKind, pixels: NDArray[np.floating], resolution: NDArray[np.floating]) -> NDArray[np.float64]:
-    """The weights of a view's votes on things that it shows with ``pixels`` [n] at a mean ``resolution`` [n] in pixels
-    per centimetre, float64 [n]."""
+    """Weights of a view's votes, float64 [n], on things of ``pixels`` [n] at a ``resolution`` [n] in pixels per cm."""
     of_pixels = np.power(np.asarray(pixels, np.float64), evidence_of_pixels(kind))
     return of_pixels * evidence_of_resolution(kind, np.asarray(resolution, np.float64))
 

@@ -30,8 +30,7 @@ LOOKED_AT_WITHIN = (480, 480)
 
 
 def choose_frames(scene: Scene, most: int, progress: Callable[[int, int], object] | None = None) -> Scene:
-    """The scene with at most ``most`` training frames; those held out stay. ``progress`` is called with the number of
-    windows done and the total."""
+    """The scene with at most ``most`` training frames; those held out stay. ``progress`` counts windows."""
     frames = scene.train_frames
     if len(frames) <= most:
         return scene

@@ -220,8 +220,7 @@ class GroundTruthReader:
         return GroundTruth(semantic, instance)
 
     def unknown(self) -> frozenset[int | str]:
-        """Classes in the file, except void, that the masks' table lacks: names, or ids without one. Raises PlgsError
-        for a bad file."""
+        """Classes in the file that the masks' table lacks, by name or id, except void. Raises PlgsError."""
         check_image_file(self.instance)
         found, _ = distinct_ids(read_indices(self.semantic))
         lacking = frozenset(found.tolist()) - frozenset(self.class_of) - (IGNORED if self.names else {VOID})

@@ -119,8 +119,7 @@ class KeptMask:
 
 
 def fused(segments: Sequence[Segment]) -> tuple[list[Segment], dict[int, int]]:
-    """Stuff and groups of one class as one segment each, with the id and score of the first; and the new id of each
-    segment."""
+    """Stuff and groups of a class as one segment, with the first's id and score; and each segment's new id."""
     first: dict[int, int] = {}
     new_id, kept = {}, []
     for one in segments:

@@ -83,8 +83,7 @@ class _Shown:
     upper: Mapping[int, float]
 
     def share(self, reading: _Reading, names: set[str], *, anywhere: bool = False) -> float:
-        """The fraction of the pixels with a class of these ``names``, if at a height where that class is usually
-        seen."""
+        """The fraction of pixels with a class of these ``names``, at a height where that class is usually seen."""
         labels = (label for label in known_table(reading.table).labels if label.name in names)
         heights = ((label.id, *_HEIGHTS.get(label.name, (0.0, 1.0))) for label in labels if label.id in self.shares)
         seen = ((self.shares[n], anywhere or least <= self.upper[n] <= most) for n, least, most in heights)

@@ -65,8 +65,7 @@ class EvidenceReader:
 
 @dataclass(frozen=True)
 class Detections:
-    """The detections of a scene's frames and the frames' ``sizes`` (width, height). ``labels`` are their classes, None
-    if the file does not name them."""
+    """Detections of a scene's frames, the frames' ``sizes`` (width, height), and the ``labels``, None if unnamed."""
 
     path: Path
     sizes: Mapping[str, Size]

@@ -76,10 +76,9 @@ Rows = NDArray[np.int64]
 @dataclass(frozen=True, eq=False)
 class View:
     """Colour uint8 [H, W, 3], depth float32 [H, W] metres (0 = none) and mask of a frame at the size of ``camera``.
-    ``border`` bool [H, W] marks the pixels of a black border, and those that do not count; None if there are none.
+    ``border`` bool [H, W] marks pixels of a black border and those that do not count; None if there are none.
     ``mask_scale`` is how many pixels of the frame's own mask the side of a pixel spans. ``layers`` are the detections
-    over the mask, in pictures in which none overlap (see ``Evidence``). ``frame`` is the frame's name, if the view is
-    one of its layers."""
+    over the mask, in pictures in which none overlap (see ``Evidence``). ``frame`` names the frame of a layer."""
 
     name: str
     camera: Camera

@@ -25,9 +25,9 @@ _NOT_IN_NAMES = re.compile(r'[\x00-\x1f<>:"|?*]')
 @dataclass(frozen=True, eq=False)
 class Shot:
     """One posed picture. The camera is in the format's own world; its pose uses OpenCV's axes and metres.
-    ``read_colour`` returns uint8 [H, W, 3] RGB at the camera's size; None if the image file at ``colour_path`` is the
-    picture. ``distortion`` of the colour and depth files is removed on reading. ``kept_pixels`` is a picture that is
-    black where pixels do not count."""
+    ``read_colour`` returns uint8 [H, W, 3] RGB at the camera's size; None if the image file at ``colour_path`` is it.
+    Reading removes the ``distortion`` of colour and depth. ``kept_pixels``: a picture that is black where pixels do not
+    count."""
 
     name: str
     camera: Camera
@@ -47,8 +47,7 @@ class Capture:
     """All pictures in recording order: ``found`` pairs each name with what was found. ``up`` is the axis of the
     format's world that points up, None if the format does not say; ``up_is_known``: it was measured, so sideways
     cameras cause no warning. ``split`` is set by readers whose format defines one. ``left_out`` lists frames besides
-    those of ``found``, ``inferred`` what no file says. ``fps`` is the rate by which the numbers in names count, None if
-    no file says it."""
+    those of ``found``, ``inferred`` what no file says. ``fps`` is the rate of the numbers in names, None if unknown."""
 
     found: Sequence[tuple[str, Found]]
     up: UpAxis | None

@@ -64,8 +64,7 @@ class Row(NamedTuple):
 
 
 def read_rows(path: Path, fix: str, separator: str | None = None, titles: bool = False) -> Iterator[Row]:
-    """The non-empty rows of a text file, with its columns' ``titles`` if requested. Raises PlgsError, with ``fix`` as
-    the advice."""
+    """The non-empty rows of a text file, with its columns' ``titles`` if requested. Raises PlgsError with ``fix``."""
     for number, line in enumerate(read_text(path, LARGEST_TABLE, fix).splitlines(), start=1):
         words = [word.strip() for word in line.partition("#")[0].split(separator)]
         # TUM's column titles are comments; some tools remove the #.
@@ -85,8 +84,7 @@ def numbers(row: Row, path: Path, fix: str, count: int | None = None) -> NDArray
 
 
 def matrix_rows(path: Path, fix: str) -> Iterator[NDArray[np.float64]]:
-    """Matrices, float64 [4, 4], from a file with 16 (or, without the last row, 12) numbers per line. Raises
-    PlgsError."""
+    """Matrices, float64 [4, 4], from 16 numbers per line, or 12 without the last row. Raises PlgsError."""
     for row in read_rows(path, fix):
         values = numbers(row, path, fix)
         if len(values) not in (12, 16):

@@ -238,8 +238,7 @@ class _Block(NamedTuple):
 
 
 def unpack_lzfse(data: bytes, most_bytes: int, decompress: Callable[[bytes], bytes]) -> bytes:
-    """The unpacked bytes of a stream. Raises ValueError if it is truncated or holds more than ``most_bytes``, and
-    whatever ``decompress`` raises."""
+    """A stream unpacked. Raises ValueError if it is cut off or over ``most_bytes``, and as ``decompress``."""
     blocks = _blocks(data, 4 + most_bytes // _FULL_BLOCK)
     if blocks and blocks[-1].unpacked > most_bytes:
         raise ValueError(f"it unpacks to more than {most_bytes} bytes")

@@ -37,8 +37,7 @@ _MOST = 10_000
 
 @dataclass(frozen=True)
 class Detection:
-    """The class of one detection as in the file, and its score. ``track`` is its object's number, if any; without
-    classes, it is also the ``word``."""
+    """The class of a detection as in the file, its score, and its object's number; without classes also ``word``."""
 
     word: str
     score: float
