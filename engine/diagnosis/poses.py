@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..posed.layout import listed
 from ..scene import Scene
 from .findings import Finding, side_by_side
-from .reprojection import Assumption, Examined, Floats, Views, assumed_poses, lens_under
+from .reprojection import Assumption, Examined, Floats, Pairs, Views, assumed_poses, lens_under
 
 _WIDE = 0.15  # a fraction of the depth; a surface farther off is a different one
 _LEAST_POINTS = 40
@@ -90,7 +90,7 @@ def pose_findings(examined: Examined, assumed: Assumption) -> tuple[list[Finding
     return found, tuple(axis for axis, each in by_axis.items() if each is None)
 
 
-def _surface_distances(views: Views, pairs: NDArray[np.int64], assumed: Assumption) -> tuple[Floats, Floats]:
+def _surface_distances(views: Views, pairs: Pairs, assumed: Assumption) -> tuple[Floats, Floats]:
     """Metres along the normal between the surfaces that both looks of a pair see, float64 [P], and between those that
     face each axis of the world, float64 [P, 3]. nan where they see too little in common."""
     lens, poses = lens_under(views.lens, assumed), views.poses_of(assumed)
@@ -152,7 +152,7 @@ def _drift_finding(drift: Drift, along: str = "") -> Finding:
     )
 
 
-def _misplaced_looks(views: Views, pairs: NDArray[np.int64], assumed: Assumption) -> list[int]:
+def _misplaced_looks(views: Views, pairs: Pairs, assumed: Assumption) -> list[int]:
     """Looks (rows) that agree with none of their neighbours, although these agree with each other."""
     comparison = views.compare(pairs, assumed)
     share = comparison.agrees.sum(1) / np.maximum(comparison.known.sum(1), 1)

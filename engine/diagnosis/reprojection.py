@@ -16,6 +16,8 @@ from ..scene.depth import compared
 from ..scene.pixels import resize_nearest
 
 Floats = NDArray[np.float64]
+Pairs = NDArray[np.int64]
+"""The rows of two looks each, [P, 2]."""
 
 
 class Sample(NamedTuple):
@@ -70,7 +72,7 @@ class Photo:
         return float(((self.grey < _DARK) | (self.grey > _BRIGHT)).mean())
 
 
-def pairs_of(count: int) -> NDArray[np.int64]:
+def pairs_of(count: int) -> Pairs:
     """The pairs (from, to) to compare, int64 [P, 2]: each look with the next three, and 24 looks with each other."""
     # Directions alternate, so that both the points and the depth of each look are used.
     return np.array([(i, j) if (i + j) % 2 else (j, i) for i, j in compared(count)], np.int64).reshape(-1, 2)
@@ -211,7 +213,7 @@ class Views:
         meant = np.clip(self.numbers + assumed.lag, 0, len(self.recorded) - 1)
         return assumed_poses(self.recorded[meant], self.turn, assumed)
 
-    def compare(self, pairs: NDArray[np.int64], assumed: Assumption, points: int | None = None) -> Comparison:
+    def compare(self, pairs: Pairs, assumed: Assumption, points: int | None = None) -> Comparison:
         """Project the first ``points`` points of each pair's first look into the second; pairs int64 [P, 2]."""
         lens, poses = lens_under(self.lens, assumed), self.poses_of(assumed)
         one, other = pairs[:, 0], pairs[:, 1]
@@ -333,7 +335,7 @@ class Examined:
     scene: Scene
     looks: list[Look]
     views: Views
-    pairs: NDArray[np.int64]
+    pairs: Pairs
     photos: dict[int, Photo]
     masks_within: Size | None = None
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .reprojection import Assumption, Floats, Views, lens_under
+from .reprojection import Assumption, Floats, Pairs, Views, lens_under
 
 _PARAMETERS = ("unit", "focal", "aspect", "x", "y", "ray")
 _STEPS = np.array([1e-3, 1e-3, 1e-3, 5e-4, 5e-4, 2e-3])
@@ -70,9 +70,8 @@ def moved(base: Assumption, values: Floats) -> Assumption:
 
 
 def calibrate(
-    views: Views, pairs: NDArray[np.int64], base: Assumption, free: tuple[str, ...] = _PARAMETERS,
-    points: int | None = None,
-) -> Calibration | None:  # fmt: skip
+    views: Views, pairs: Pairs, base: Assumption, free: tuple[str, ...] = _PARAMETERS, points: int | None = None
+) -> Calibration | None:
     """Fit the ``free`` parameters. None where too few points agree."""
     columns = [_PARAMETERS.index(name) for name in free]
     values, deviations = np.zeros(len(_PARAMETERS)), np.full(len(_PARAMETERS), np.inf)
@@ -88,9 +87,7 @@ def calibrate(
     return Calibration(values, deviations)
 
 
-def _linearised(
-    views: Views, pairs: NDArray[np.int64], at: Assumption, columns: list[int], points: int | None
-) -> _Linear | None:
+def _linearised(views: Views, pairs: Pairs, at: Assumption, columns: list[int], points: int | None) -> _Linear | None:
     centre = views.compare(pairs, at, points)
     found = []
     for column in columns:
@@ -177,7 +174,7 @@ class FoundCause(NamedTuple):
     rival: str | None = None
 
 
-def agreement(views: Views, pairs: NDArray[np.int64], assumed: Assumption) -> Agreement:
+def agreement(views: Views, pairs: Pairs, assumed: Assumption) -> Agreement:
     """How well the looks agree under an assumption."""
     comparison = views.compare(pairs, assumed, _POINTS)
     known = comparison.known.sum(1).astype(np.float64)
@@ -197,9 +194,7 @@ def agreement(views: Views, pairs: NDArray[np.int64], assumed: Assumption) -> Ag
     )
 
 
-def find_causes(
-    views: Views, pairs: NDArray[np.int64], lens_is_doubtful: bool = False
-) -> tuple[list[FoundCause], Assumption]:
+def find_causes(views: Views, pairs: Pairs, lens_is_doubtful: bool = False) -> tuple[list[FoundCause], Assumption]:
     """The causes that explain the numbers of a scene, one after the other, and the assumption with all of them. Of
     causes that explain it about as well, one of the lens comes first if ``lens_is_doubtful``."""
     assumed, found = Assumption(), list[FoundCause]()
@@ -216,7 +211,7 @@ def find_causes(
     return found, assumed
 
 
-def _two_at_once(views: Views, pairs: NDArray[np.int64], before: Agreement) -> list[FoundCause]:
+def _two_at_once(views: Views, pairs: Pairs, before: Agreement) -> list[FoundCause]:
     """Poses and another number may both be wrong. Then fixing either one alone improves nothing."""
     best: tuple[FoundCause, FoundCause] | None = None
     for pose in (trial for trial in _trials(views, Assumption()) if trial.cause in _POSE_CAUSES):
@@ -234,9 +229,8 @@ def is_far_better(after: Agreement, before: Agreement) -> bool:
 
 
 def _best(
-    views: Views, pairs: NDArray[np.int64], assumed: Assumption, before: Agreement, done: set[str],
-    lens_first: bool = False,
-) -> FoundCause | None:  # fmt: skip
+    views: Views, pairs: Pairs, assumed: Assumption, before: Agreement, done: set[str], lens_first: bool = False
+) -> FoundCause | None:
     tried = [
         (agreement(views, pairs, trial.assumed), trial) for trial in _trials(views, assumed) if trial.cause not in done
     ]
@@ -277,7 +271,7 @@ def _whose_lengths(views: Views, before: Assumption, found: FoundCause) -> Found
     return found._replace(cause="length", assumed=before._replace(length=before.length / factor))
 
 
-def _fitted(views: Views, pairs: NDArray[np.int64], after: Agreement, trial: Trial) -> tuple[Agreement, Trial]:
+def _fitted(views: Views, pairs: Pairs, after: Agreement, trial: Trial) -> tuple[Agreement, Trial]:
     """A trial with its free values fitted, unless that makes it worse."""
     calibration = calibrate(views, pairs, trial.assumed, trial.free, _POINTS) if trial.free else None
     if calibration is None:

@@ -79,9 +79,9 @@ def tilt_finding(examined: Examined, up: UpAxis, assumed: Assumption) -> Finding
     written = turn.T @ up.axis  # in the poses' own world, as --up takes it
     axis = max(_AXES, key=lambda name: abs(float(written @ _AXES[name])))
     cosine = float(written @ _AXES[axis])
-    name = axis if cosine > 0.0 else f"-{axis}"
+    way = axis if cosine > 0.0 else f"-{axis}"
     is_named = np.degrees(np.arccos(min(abs(cosine), 1.0))) < _NAMED_WITHIN
-    option = f"read it with --up {name}, or " if is_named and name in ("z", "y", "-y") else ""
+    option = f"read it with --up {way}, or " if is_named and way in ("z", "y", "-y") else ""
     best = max(range(len(examined.looks)), key=lambda row: len(examined.looks[row].points))
     normals, known = world_normals(examined.views, assumed)[best]
     shown = np.where(known[:, None], normals, 0.5)
@@ -89,15 +89,9 @@ def tilt_finding(examined: Examined, up: UpAxis, assumed: Assumption) -> Finding
         cause="up direction",
         text=f"up is {up.tilt:.0f} degrees from z: {up.level:.0%} of the surfaces are level about the axis "
         f"{up.axis[0]:.2f}, {up.axis[1]:.2f}, {up.axis[2]:.2f} and {up.walls:.0%} upright"
-        + (f"; that is the poses' axis {name}" if is_named else ""),
+        + (f"; that is the poses' axis {way}" if is_named else ""),
         option=f"{option}--fix OUT turns it upright",
-        figures={
-            "degrees": up.tilt,
-            "level": up.level,
-            "walls": up.walls,
-            "within_degrees": up.deviation,
-            "axis": name,
-        },
+        figures={"degrees": up.tilt, "level": up.level, "walls": up.walls, "within_degrees": up.deviation, "axis": way},
         is_mended=True,
         picture=level_surfaces(examined.looks[best], shown @ up.axis, "green: level, blue: upright"),
     )

@@ -21,6 +21,7 @@ from ..scene import VOID, Camera, ClassTable
 from ..scene.pixels import image_bytes
 from .source import FinishedLift
 
+Ids = NDArray[np.int32]
 MOST_COCO_IDS = 4096
 """Class and instance ids below this fit into one 24-bit colour."""
 MOST_IDS = 1 << 16
@@ -39,7 +40,7 @@ def export_coco(lift: FinishedLift, output: Path) -> None:
 def write_coco(
     folder: Path,
     classes: ClassTable,
-    views: Iterable[tuple[str, NDArray[np.int32], NDArray[np.int32], Camera]],
+    views: Iterable[tuple[str, Ids, Ids, Camera]],
     names: Mapping[int, str],
 ) -> None:
     """Write ``panoptic.json`` and ``panoptic/<frame>.png`` into ``folder``, and ``instances.json``: the objects again,
@@ -76,7 +77,7 @@ def write_coco(
 
 
 def _segments(
-    ids: NDArray[np.int32], classes: ClassTable, names: Mapping[int, str]
+    ids: Ids, classes: ClassTable, names: Mapping[int, str]
 ) -> list[tuple[dict[str, object], dict[str, Any]]]:
     """A view's segments in order of id, with area, box (x, y, width, height), run lengths. Unowned things: a crowd."""
     from pycocotools import mask as rle_tools  # late: no other export needs it
@@ -146,7 +147,7 @@ def labels_text(classes: ClassTable, instances: ShownInstances) -> str:
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 
-def id_bytes(ids: NDArray[np.int32], output: Path) -> bytes:
+def id_bytes(ids: Ids, output: Path) -> bytes:
     """Ids int32 [H, W] as a PNG of 16 bits. Raises PlgsError for ids of 65536 or more."""
     if int(ids.max(initial=0)) >= MOST_IDS:
         fix = "Export COCO or points instead."

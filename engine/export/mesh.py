@@ -27,7 +27,7 @@ from ..posed.names import matte_names
 from ..posed.ply import LEAST_TRIANGLES, rows_by_label
 from ..scene import ClassTable
 from .fusion import SmallView, Surface, fuse
-from .mending import close_holes, cut_by_label, even_labels, without_crumbs, without_flakes, without_fringe
+from .mending import HAND, close_holes, cut_by_label, even_labels, without_crumbs, without_flakes, without_fringe
 from .source import FinishedLift
 from .texture import Texture, jpeg_bytes, textured
 
@@ -237,7 +237,7 @@ def finished(lift: FinishedLift) -> tuple[Surface, NDArray[np.int64], Texture | 
     small = views_of(lift, WIDEST, MOST_VIEWS)
     surface = fuse(small)
     refuse_none(lift, surface)
-    surface, label = cut_by_label(*mended(surface, vertex_labels(surface.xyz, small)))
+    surface, label = cut_by_label(*mended(*without_flakes(surface, vertex_labels(surface.xyz, small))))
     refuse_none(lift, surface)
     return surface, label, textured(surface, label, small) if lift.has_photos else None
 
@@ -249,9 +249,9 @@ def refuse_none(lift: FinishedLift, surface: Surface) -> None:
         raise PlgsError("no-surface", "the rendered views show no surface", lift.folder.path, fix)
 
 
-def mended(surface: Surface, label: NDArray[np.int64]) -> tuple[Surface, NDArray[np.int64]]:
-    """The surface and its labels with small holes closed, without flakes, fringes and crumbs."""
-    surface, label = without_fringe(*close_holes(*without_flakes(surface, label)))
+def mended(surface: Surface, label: NDArray[np.int64], largest: float = HAND) -> tuple[Surface, NDArray[np.int64]]:
+    """The surface and its labels with holes up to the ``largest`` closed, without fringes and crumbs."""
+    surface, label = without_fringe(*close_holes(surface, label, largest))
     label = even_labels(surface.triangles, label)
     return surface, without_crumbs(surface, label, label % MOST_INSTANCES == 0)
 

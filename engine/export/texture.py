@@ -79,11 +79,8 @@ def textured(surface: Surface, label: Ints, views: Sequence[SmallView]) -> Textu
     for number, photo in enumerate(read_ahead(frames, _photo)):
         own = view[chart] == number
         table = np.rint(np.clip(np.arange(256)[:, None] / gains[number], 0, 255)).astype(np.uint8)
-        even = _evened(
-            np.stack([table[photo[..., each], each] for each in range(3)], axis=-1),
-            pixel[own],
-            surface.rgb[vertex[own]],
-        )
+        photo = np.stack([table[photo[..., each], each] for each in range(3)], axis=-1)
+        even = _evened(photo, pixel[own], surface.rgb[vertex[own]])
         for each in np.flatnonzero(view == number).tolist():
             left, top, right, bottom = boxes[each].tolist()
             crops[each] = cv2.resize(even[top:bottom, left:right], sizes[each].tolist(), interpolation=cv2.INTER_AREA)

@@ -14,17 +14,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from .fusion import GRAZED, Grain, Ints, SmallView, Surface, fuse
-from .mending import (
-    HAND,
-    close_holes,
-    cut_by_label,
-    even_labels,
-    open_edges,
-    without_crumbs,
-    without_flakes,
-    without_fringe,
-)
-from .mesh import MOST_INSTANCES, refuse_none, vertex_labels, views_of, write_surface
+from .mending import HAND, cut_by_label, open_edges, without_crumbs, without_flakes
+from .mesh import MOST_INSTANCES, mended, refuse_none, vertex_labels, views_of, write_surface
 from .source import FinishedLift
 from .texture import textured
 
@@ -77,9 +68,7 @@ def _labelled(surface: Surface, views: list[SmallView], largest: float) -> tuple
     if (label > 0).any() and (label == 0).any():
         far, at = cKDTree(surface.xyz[label > 0]).query(surface.xyz[label == 0], distance_upper_bound=_AROUND)
         label[label == 0] = np.append(label[label > 0], 0)[at]  # 0 where none is near
-    surface, label = without_fringe(*close_holes(surface, label, largest))
-    label = even_labels(surface.triangles, label)
-    return surface, without_crumbs(surface, label, label % MOST_INSTANCES == 0)
+    return mended(surface, label, largest)
 
 
 def _is_double(room: tuple[Surface, Ints], objects: tuple[Surface, Ints]) -> NDArray[np.bool_]:

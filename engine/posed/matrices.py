@@ -16,6 +16,7 @@ from ..scene_source import UpAxis
 from .frames import Camera, Size, as_pose
 from .layout import of_most, read_text
 
+Matrix = NDArray[np.float64]
 _MOST_BYTES = 1 << 20
 _RIGID_TOLERANCE = 2e-3
 _NO_SKEW = 1e-3
@@ -23,7 +24,7 @@ _FARTHEST = 10_000.0
 """Maximum distance from the origin in metres. Farther away, 32-bit floats no longer resolve millimetres."""
 
 
-def read_matrix(path: Path, shapes: tuple[tuple[int, int], ...]) -> NDArray[np.float64]:
+def read_matrix(path: Path, shapes: tuple[tuple[int, int], ...]) -> Matrix:
     """Read a matrix of one of ``shapes`` from text; it may hold inf, never NaN. Raises PlgsError."""
     wanted = " or ".join(f"{rows}x{columns}" for rows, columns in shapes)
     text = read_text(path, _MOST_BYTES, f"Write {wanted} numbers.").replace(",", " ")
@@ -44,9 +45,7 @@ def read_matrix(path: Path, shapes: tuple[tuple[int, int], ...]) -> NDArray[np.f
     return matrix
 
 
-def take_array(
-    entry: dict[str, Any], key: str, context: str, path: Path, *shapes: tuple[int, ...]
-) -> NDArray[np.float64]:
+def take_array(entry: dict[str, Any], key: str, context: str, path: Path, *shapes: tuple[int, ...]) -> Matrix:
     """``entry[key]`` of JSON, a list of numbers or of rows, in one of ``shapes``; it may hold inf. Raises PlgsError."""
     value = take_list(entry, key, context, path)
     try:
@@ -69,7 +68,7 @@ def read_poses(files: Mapping[str, Path]) -> dict[str, NDArray[np.float64] | Non
     return {name: rigid(found[name], path) if name in kept else None for name, path in files.items()}
 
 
-def rigid(pose: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
+def rigid(pose: Matrix, path: Path) -> Matrix:
     """A camera-to-world pose, float64 [4, 4], from the file ``path``. Raises PlgsError for a matrix that is not rigid.
     The rounding of text is corrected, so that the inverse is exact."""
     if not np.allclose(pose[3], [0.0, 0.0, 0.0, 1.0], atol=1e-4):
@@ -96,7 +95,7 @@ def rigid(pose: NDArray[np.float64], path: Path) -> NDArray[np.float64]:
     return as_pose(left @ right, pose[:3, 3])
 
 
-def _is_orthogonal(rotation: NDArray[np.float64]) -> bool:
+def _is_orthogonal(rotation: Matrix) -> bool:
     return bool(np.abs(rotation.T @ rotation - np.eye(3)).max() < _RIGID_TOLERANCE)
 
 
@@ -105,7 +104,7 @@ def read_intrinsics(path: Path, size: Size) -> Camera:
     return as_lens(read_matrix(path, ((3, 3), (4, 4), (3, 4))), size, path)
 
 
-def as_lens(matrix: NDArray[np.float64], size: Size, path: Path) -> Camera:
+def as_lens(matrix: Matrix, size: Size, path: Path) -> Camera:
     """A camera at the origin, centres at +0.5, from K (integer pixel centres) for a picture of this ``size``, out of
     ``path``. Raises PlgsError for numbers that no camera has."""
     if not np.isfinite(matrix).all():
@@ -135,8 +134,8 @@ _SPREAD = 0.3  # second over first singular value of the cameras' right axes; be
 
 
 def upright_turn(
-    poses: Sequence[NDArray[np.float64]], asked: UpAxis, own: UpAxis | None, *, is_known: bool
-) -> tuple[NDArray[np.float64], list[str]]:
+    poses: Sequence[Matrix], asked: UpAxis, own: UpAxis | None, *, is_known: bool
+) -> tuple[Matrix, list[str]]:
     """The rotation, float64 [3, 3], from a capture's world into one with z up, and warnings. ``poses`` are its cameras,
     float64 [4, 4] camera-to-world. ``own`` is its format's up axis, None if unknown; ``is_known``: measured."""
     axis: UpAxis | None = "z" if asked == "+z" else own if asked == "z" else asked
@@ -149,12 +148,12 @@ def upright_turn(
     return turn, [tilted] if tilted else []
 
 
-def turned(pose: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.float64]:
+def turned(pose: Matrix, turn: Matrix) -> Matrix:
     """A camera-to-world pose, float64 [4, 4], in a world rotated by ``turn``, float64 [3, 3]."""
     return as_pose(turn @ pose[:3, :3], turn @ pose[:3, 3])
 
 
-def up_axis_warning(poses: Sequence[NDArray[np.float64]], up: UpAxis) -> str | None:
+def up_axis_warning(poses: Sequence[Matrix], up: UpAxis) -> str | None:
     """A warning if cameras, float64 [4, 4] camera-to-world each, are upright about an axis other than z, by the mean of
     their own up axes; None if all look steeply up or down, or lie on their side."""
     mean = -np.mean([pose[:3, 1] for pose in poses], axis=0)
@@ -170,7 +169,7 @@ def up_axis_warning(poses: Sequence[NDArray[np.float64]], up: UpAxis) -> str | N
     return f"the cameras' up is the axis {name}, not {up}, so boxes would be tilted: {advice}"
 
 
-def upright_rotation(poses: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+def upright_rotation(poses: Sequence[Matrix]) -> Matrix:
     """The rotation, float64 [3, 3], into a world in which cameras, float64 [4, 4] camera-to-world each, stand upright;
     the identity if z is roughly up. The right axis of an upright camera is level, wherever it looks. If all cameras
     look the same way, that leaves their pitch open, and their mean up axis is used."""
@@ -188,7 +187,7 @@ def upright_rotation(poses: Sequence[NDArray[np.float64]]) -> NDArray[np.float64
     return shortest_rotation(up, np.array([0.0, 0.0, 1.0]))
 
 
-def shortest_rotation(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+def shortest_rotation(one: Matrix, other: Matrix) -> Matrix:
     """The rotation, float64 [3, 3], by the smallest angle from the unit vector ``one`` to ``other``."""
     cosine = float(one @ other)
     if cosine < -1.0 + 1e-12:

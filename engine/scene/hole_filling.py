@@ -12,6 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+Depths = NDArray[np.float32]
+Pixels = NDArray[np.bool_]
+
 
 @dataclass(frozen=True)
 class HoleFilling:
@@ -28,9 +31,7 @@ class HoleFilling:
     many: int = 100
 
 
-def fill_holes(
-    depth: NDArray[np.float32], segments: NDArray[np.int32], options: HoleFilling | None = None
-) -> NDArray[np.float32]:
+def fill_holes(depth: Depths, segments: NDArray[np.int32], options: HoleFilling | None = None) -> Depths:
     """Depth with planar holes filled, float32 [H, W] metres, 0 = unknown. ``segments`` int32 [H, W] are the mask's ids:
     a hole ends where its segment does. Measured depth never changes."""
     import cv2
@@ -55,9 +56,7 @@ def fill_holes(
     return filled
 
 
-def _fill_specks(
-    filled: NDArray[np.float32], depth: NDArray[np.float32], speck: NDArray[np.bool_], rules: HoleFilling
-) -> None:
+def _fill_specks(filled: Depths, depth: Depths, speck: Pixels, rules: HoleFilling) -> None:
     """Fill all small holes at once, in place, with the mean of the surrounding 5x5 pixels if these are flat."""
     import cv2
 
@@ -72,13 +71,7 @@ def _fill_specks(
     filled[speck & flat] = mean[speck & flat]
 
 
-def _fill_one(
-    filled: NDArray[np.float32],
-    depth: NDArray[np.float32],
-    inside: NDArray[np.bool_],
-    own: NDArray[np.bool_],
-    rules: HoleFilling,
-) -> None:
+def _fill_one(filled: Depths, depth: Depths, inside: Pixels, own: Pixels, rules: HoleFilling) -> None:
     """Fill one hole, ``inside`` bool [h, w], in place; the arrays are cut out around it."""
     import cv2
 

@@ -185,7 +185,7 @@ def _lens(metadata: dict[str, Any], number: int, path: Path) -> Camera:
         fx, fy, cx, cy = take_array({"coefficients": own}, "coefficients", whose, path, (4,)).tolist()
     else:
         fx, _, _, _, fy, _, cx, cy, _ = take_array(metadata, "K", "metadata", path, (9,)).tolist()  # by columns
-    return pinhole(width, height, fx, fy, cx, cy, path=path, fix=_FIX, whose=whose)
+    return pinhole(width, height, fx, fy, cx, cy, path=path, fix=_FIX, of=whose)
 
 
 def _read_colour(archive: _Archive, name: str) -> NDArray[np.uint8]:
