@@ -174,10 +174,9 @@ _MOST_SPREAD = 0.2
 
 @dataclass(frozen=True)
 class Scale:
-    """The ``metres`` per unit of the model: the median over ``points``; half of them agree within ``spread``."""
+    """The ``metres`` per unit of the reconstruction, the median over ``points`` points."""
 
     metres: float
-    spread: float
     points: int
 
     def apply(self, model: Any) -> None:
@@ -218,7 +217,7 @@ def _median(ratios: NDArray[np.float64]) -> Scale | None:
         return None
     metres = float(np.median(ratios))
     spread = float(np.median(np.abs(ratios / metres - 1.0)))
-    return Scale(metres, spread, len(ratios)) if spread <= _MOST_SPREAD else None
+    return Scale(metres, len(ratios)) if spread <= _MOST_SPREAD else None
 
 
 FILM_PICTURES = 150

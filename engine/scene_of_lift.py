@@ -15,7 +15,7 @@ from .errors import ErrorCode, PlgsError
 from .job import LiftFolder, read_manifest, write_atomically
 from .known_scene import FIND_SCENE, KNOWN_SCENE, StoredScene, known_scene, read_known, stored_scene, write_known
 from .result_files import INSTANCES, read_instances
-from .scene import Camera, EvidenceReader, Frame, MaskReader, PosedFrame, Scene, digests_of_files, open_asked
+from .scene import EvidenceReader, Frame, MaskReader, PosedFrame, Scene, digests_of_files, open_asked
 
 _ALIKE = 1e-4  # tolerance in metres, pixels and entries of rotations when cameras of the same frame are compared
 _ANOTHER = "Restore it as it was, say where it is with Find Scene or --scene, or lift into another folder."
@@ -116,10 +116,10 @@ def complete_known_scene(folder: LiftFolder, scene: Scene) -> None:
         write_known(folder, stored_scene(scene, scene.frames, "" if known is None else known.masks))
 
 
-def is_done(folder: LiftFolder, masks: str = "") -> bool:
+def is_done(folder: LiftFolder) -> bool:
     """Whether nothing is left to lift, for a caller who knows that no engine is running: the result is complete and
-    unmodified, and the masks and classes are those that it was lifted from. ``masks`` is the `digest_of_masks` of the
-    scene, if the caller has just read them. Raises PlgsError, also for a scene that has changed in other ways."""
+    unmodified, and the masks and classes are those that it was lifted from. Raises PlgsError, also for a scene that has
+    changed in other ways."""
     if not folder.has_result() or not folder.is_whole():
         return False
     lifted = read_manifest(folder.result_path).masks
@@ -130,7 +130,7 @@ def is_done(folder: LiftFolder, masks: str = "") -> bool:
         return True  # not known, or gone
     scene = open_asked(folder.request)
     refuse_changed(folder, scene)
-    return not have_classes_changed(folder, scene) and not masks_differ(lifted, scene, masks)
+    return not have_classes_changed(folder, scene) and not masks_differ(lifted, scene)
 
 
 def have_classes_changed(folder: LiftFolder, scene: Scene) -> bool:
@@ -189,7 +189,9 @@ def refuse_others(known: Sequence[PosedFrame], scene: Scene) -> None:
     for frame in known:
         if frame.name not in there:
             raise another(f"it has no frame {frame.name}", scene)
-        if not _is_same(frame.camera, there[frame.name].camera):
+        one, other = frame.camera, there[frame.name].camera
+        numbers = ((one.camera_to_world, other.camera_to_world), (one.K, other.K))
+        if one.size != other.size or not all(np.allclose(*each, rtol=0, atol=_ALIKE) for each in numbers):
             raise another(f"the camera of {frame.name} differs", scene)
 
 
@@ -211,8 +213,3 @@ def _gone(scene: Path) -> Callable[[Any], NoReturn]:
         raise PlgsError("scene-gone", what, scene, FIND_SCENE, option="--scene")
 
     return read
-
-
-def _is_same(one: Camera, other: Camera) -> bool:
-    same_pose = np.allclose(one.camera_to_world, other.camera_to_world, rtol=0, atol=_ALIKE)
-    return one.size == other.size and same_pose and np.allclose(one.K, other.K, rtol=0, atol=_ALIKE)

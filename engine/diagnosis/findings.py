@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -81,8 +82,6 @@ def side_by_side(pictures: Sequence[tuple[str, NDArray[np.uint8]]]) -> Picture:
 
 def _fitted(picture: NDArray[np.uint8]) -> Picture:
     """The picture 480 pixels wide."""
-    import cv2
-
     height, width = picture.shape[:2]
     size = (_WIDTH, max(1, round(height * _WIDTH / width)))
     shrinks = width > _WIDTH
@@ -90,8 +89,6 @@ def _fitted(picture: NDArray[np.uint8]) -> Picture:
 
 
 def _captioned(picture: NDArray[np.uint8], caption: str) -> Picture:
-    import cv2
-
     coloured = picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)
     bar = np.full((_CAPTION, coloured.shape[1], 3), 20, np.uint8)
     cv2.putText(bar, caption, (6, 15), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (235, 235, 235), 1, cv2.LINE_AA)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -90,8 +91,6 @@ def _depth_edges(depth: NDArray[np.float32]) -> Floats:
 
 def _contrast(grey: NDArray[np.uint8]) -> Floats:
     """Strength of a picture's edges, with mean 0 and deviation 1. Roots keep strong edges from outweighing the rest."""
-    import cv2
-
     smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 0.8)
     x = cv2.Sobel(smooth, cv2.CV_32F, 1, 0)
     y = cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
@@ -101,8 +100,6 @@ def _contrast(grey: NDArray[np.uint8]) -> Floats:
 
 def _coarse(pairs: list[tuple[Floats, Floats]], scale: float) -> tuple[float, float, Shift]:
     """The best fit over all shifts on a grid 160 wide, with the scale and the shift."""
-    import cv2
-
     height = max(8, round(_WIDTH * pairs[0][1].shape[0] / pairs[0][1].shape[1]))
     total = np.zeros((height, _WIDTH))
     for edges, picture in pairs:
@@ -133,8 +130,6 @@ def _refined(pairs: list[tuple[Floats, Floats]], scale: float, shift: Shift) -> 
 
 def _fits(pairs: list[tuple[Floats, Floats]], scale: float, shift: Shift) -> Floats:
     """The mean contrast under depth's edges for each picture; edges outside count as 0."""
-    import cv2
-
     values = []
     for edges, picture in pairs:
         height, width = picture.shape

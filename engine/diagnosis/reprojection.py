@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -80,8 +81,6 @@ def pairs_of(count: int) -> Pairs:
 
 def load_looks(frames: Sequence[Frame], sample: Sample) -> list[Look]:
     """Load the depth of the sample's frames that have depth. Raises PlgsError for bad files."""
-    import cv2
-
     looks, kernel = [], np.ones((3, 3), np.uint8)
     for number in sample.numbers(len(frames)):
         frame = frames[number]
@@ -105,8 +104,6 @@ def load_looks(frames: Sequence[Frame], sample: Sample) -> list[Look]:
 
 def load_photos(frames: Sequence[Frame], sample: Sample) -> dict[int, Photo]:
     """The pictures of the sample's frames, by the frames' numbers. Raises PlgsError."""
-    import cv2
-
     photos = {}
     for number in sample.numbers(len(frames)):
         grey = cv2.cvtColor(frames[number].read_colour(None), cv2.COLOR_RGB2GRAY)

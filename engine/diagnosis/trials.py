@@ -43,9 +43,9 @@ class Calibration(NamedTuple):
         """The standard error of one of the values."""
         return float(self.deviations[_PARAMETERS.index(name)])
 
-    def is_sure_of(self, name: str, least: float, sigmas: float = 5.0) -> bool:
-        """Whether a value differs from 0 by at least ``least`` and by at least ``sigmas`` standard errors."""
-        return abs(self.of(name)) >= max(least, sigmas * self.deviation(name))
+    def is_sure_of(self, name: str, least: float) -> bool:
+        """Whether a value differs from 0 by at least ``least`` and by at least 5 standard errors."""
+        return abs(self.of(name)) >= max(least, 5.0 * self.deviation(name))
 
 
 class _Linear(NamedTuple):

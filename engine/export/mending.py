@@ -111,12 +111,12 @@ def open_edges(triangles: Ints) -> Ints:
     return edges[~np.isin(there, back)]
 
 
-def even_rim(surface: Surface, rounds: int = 4) -> NDArray[np.float32]:
+def even_rim(surface: Surface) -> NDArray[np.float32]:
     """The positions [V, 3] of the vertices, with the rim smoothed along itself, so that it has no teeth."""
     xyz, rim = surface.xyz.copy(), open_edges(surface.triangles)
     rim = np.concatenate([rim, rim[:, ::-1]])
     count = np.bincount(rim[:, 0], minlength=len(xyz))
-    for _ in range(rounds):
+    for _ in range(_ROUNDS):
         sums = np.stack([np.bincount(rim[:, 0], axis, len(xyz)) for axis in xyz[rim[:, 1]].T], axis=-1)
         xyz[count > 0] = (xyz[count > 0] + sums[count > 0] / count[count > 0, None]) / 2
     return xyz
@@ -177,7 +177,7 @@ def _areas(xyz: NDArray[np.float32], triangles: Ints) -> NDArray[np.float64]:
     return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
 
 
-_ROUNDS = 4  # rounds of smoothing of the labels before the line between two is drawn
+_ROUNDS = 4  # rounds of smoothing: of rims, and of labels before the line between two is drawn
 _MARGIN = 0.15  # minimum share of an edge on each side of a cut: slivers would fold over when a rim is smoothed
 
 

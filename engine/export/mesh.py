@@ -93,17 +93,10 @@ def glb_bytes(parts: Sequence[Part]) -> bytes:
         nodes.append({"name": part.name, "mesh": len(meshes), "extras": labels})
         drawn = {"attributes": attributes, "indices": indices, "material": number}
         meshes.append({"name": part.name, "primitives": [drawn]})
-    content = {
-        "asset": {"version": "2.0", "generator": GENERATOR},
-        "scene": 0,
-        "scenes": [{"nodes": list(range(len(nodes)))}],
-        "nodes": nodes,
-        "meshes": meshes,
-        "materials": materials,
-    }
+    drawn_with: dict[str, Any] = {"materials": materials}
     if images:
-        content |= {"images": images, "textures": [{"source": each} for each in range(len(images))]}
-    return buffer.file(content)
+        drawn_with |= {"images": images, "textures": [{"source": each} for each in range(len(images))]}
+    return buffer.file(nodes, meshes, drawn_with)
 
 
 class GlbBuffer:
@@ -134,10 +127,12 @@ class GlbBuffer:
         self._accessors[found["POSITION"]] |= limits
         return found
 
-    def file(self, content: Mapping[str, Any]) -> bytes:
-        """A GLB file of glTF's JSON and this buffer."""
+    def file(self, nodes: Sequence[Any], meshes: Sequence[Any], more: Mapping[str, Any]) -> bytes:
+        """A GLB file of one scene with all these nodes, of ``more`` of glTF's JSON, and of this buffer."""
+        about = {"asset": {"version": "2.0", "generator": GENERATOR}, "scene": 0}  # the generator is searched for here
+        shown = {"scenes": [{"nodes": list(range(len(nodes)))}], "nodes": nodes, "meshes": meshes}
         own = {"buffers": [{"byteLength": len(self._body)}], "bufferViews": self.views, "accessors": self._accessors}
-        head = json.dumps({**content, **own}, ensure_ascii=False).encode()
+        head = json.dumps(about | shown | dict(more) | own, ensure_ascii=False).encode()
         chunks = _chunk(_JSON, head, b" ") + _chunk(_BIN, bytes(self._body), b"\0")
         return struct.pack("<4sII", _MAGIC, 2, 12 + len(chunks)) + chunks  # version 2, after a header of 12 bytes
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..passes.layers import linear
 from ..passes.ply import SH_DEGREE_0
-from .mesh import GENERATOR, GlbBuffer, upright
+from .mesh import GlbBuffer, upright
 
 _SPZ_MAGIC, _SPZ_VERSION, _FRACTIONAL_BITS = 0x5053474E, 3, 12
 """Positions are 24-bit multiples of 1/4096 m: within 2048 m."""
@@ -93,12 +93,5 @@ def splats_glb(rows: NDArray[np.void]) -> bytes:
     buffer = GlbBuffer()
     shown = {"kernel": "ellipse", "colorSpace": _COLOUR_SPACE}
     points = {"attributes": buffer.add_vertices(arrays), "mode": 0}
-    content = {
-        "asset": {"version": "2.0", "generator": GENERATOR},
-        "extensionsUsed": [_EXTENSION],
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"name": "splats", "mesh": 0}],
-        "meshes": [{"name": "splats", "primitives": [points | {"extensions": {_EXTENSION: shown}}]}],
-    }
-    return buffer.file(content)
+    mesh = {"name": "splats", "primitives": [points | {"extensions": {_EXTENSION: shown}}]}
+    return buffer.file([{"name": "splats", "mesh": 0}], [mesh], {"extensionsUsed": [_EXTENSION]})

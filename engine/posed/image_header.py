@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -174,16 +175,17 @@ def _jpeg_is_whole(data: bytes) -> bool:
 
 
 def _check_png_chunks(data: bytes, path: Path) -> None:
-    position = len(_PNG_SIGNATURE)
-    while position + 12 <= len(data):  # length, kind and checksum of a chunk
-        length = int.from_bytes(data[position : position + 4], "big")
-        kind_and_body = data[position + 4 : position + 8 + length]
-        checksum = data[position + 8 + length : position + 12 + length]
-        if len(checksum) < 4:
-            break
-        if zlib.crc32(kind_and_body) != int.from_bytes(checksum, "big"):
+    for chunk in png_chunks(data):
+        if zlib.crc32(chunk[4:-4]) != int.from_bytes(chunk[-4:], "big"):
             raise PlgsError("image-damaged", "the image is damaged (checksum)", path, "Copy or write this file again.")
-        if kind_and_body.startswith(b"IEND"):
+        if chunk[4:8] == b"IEND":
             return
-        position += 12 + length
     raise _truncated(path)
+
+
+def png_chunks(data: bytes) -> Iterator[bytes]:
+    """The whole chunks of a PNG: length, kind, body and checksum."""
+    start = len(_PNG_SIGNATURE)
+    while (end := start + 12 + int.from_bytes(data[start : start + 4], "big")) <= len(data):
+        yield data[start:end]
+        start = end

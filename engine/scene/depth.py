@@ -277,13 +277,12 @@ class Thumbnail:
 class Overlap:
     """How well frames fit together: the cheapest test that poses, intrinsics and depth belong together (equation
     "ProjectionEquation" of the paper, with a depth test). ``lonely`` names frames that share less than 5 % of their
-    pixels with every frame they were compared with; ``overlaps`` says whether any two frames share more. ``in_view``
-    and ``agreement`` are medians over the pairs in which at least a fifth of one frame's points projects into the
-    other: the fraction that does, and the fraction of those with the depth expected there."""
+    pixels with every frame they were compared with; ``overlaps`` says whether any two frames share more. ``agreement``
+    is the median fraction of points with the depth expected, over pairs in which at least a fifth of one frame's points
+    projects into the other."""
 
     lonely: tuple[str, ...]
     overlaps: bool
-    in_view: float
     agreement: float
 
 
@@ -300,20 +299,18 @@ def measure_overlap(
     """Compare every frame with the next three, and 24 frames spread over the scene with each other. Depths agree within
     ``tolerance`` metres, or 5 %. ``tick`` is called after each pair."""
     best = np.zeros(len(thumbnails))
-    looks: list[tuple[float, float]] = []
+    agreements = []
     for i, j in compared(len(thumbnails)):
         inside, agreeing = _share_seen(thumbnails[i], thumbnails[j], tolerance)
         best[i], best[j] = max(best[i], agreeing), max(best[j], agreeing)
         if inside >= _LOOKED_AT:
-            looks.append((inside, agreeing / inside))
+            agreements.append(agreeing / inside)
         if tick is not None:
             tick()
-    medians = np.median(np.array(looks), axis=0) if looks else np.zeros(2)
     return Overlap(
         lonely=tuple(thumbnail.name for thumbnail, share in zip(thumbnails, best, strict=True) if share < _OVERLAPPING),
         overlaps=bool(best.max(initial=0.0) >= _OVERLAPPING),
-        in_view=float(medians[0]),
-        agreement=float(medians[1]),
+        agreement=float(np.median(agreements)) if agreements else 0.0,
     )
 
 

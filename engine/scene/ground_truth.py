@@ -17,7 +17,7 @@ from ..posed.image_header import check_image_file
 from ..posed.layout import files_by_stem, listed, natural_order, same_shape, shown_files, shown_size
 from .class_choice import FILE_NAME, ClassChoice, find_class_choice
 from .class_map import class_map
-from .class_tables import NUMBERINGS, REDUCED, TABLES, known_table, numberings_of, reduced_by_name
+from .class_tables import ANYTHING, NUMBERINGS, REDUCED, TABLES, known_table, numberings_of, reduced_by_name
 from .frame import GroundTruth, Inferred, Size
 from .frame_choice import evenly_spread
 from .mask_formats.label_pairs import label_pairs
@@ -26,7 +26,6 @@ from .masks import MaskSet
 from .numbering import Asking, numbered
 from .pixels import check_label_header, distinct_ids, read_indices, resize_nearest
 
-_ANYTHING = 21  # the last of the paper's classes: all other things
 LOOKED_AT = 6
 """Frames in which ground truth is compared with the masks."""
 _FEWEST = 500  # minimum number of pixels for a meaningful agreement
@@ -183,7 +182,7 @@ def classes_by_name(names: Mapping[int, str], classes: ClassTable) -> dict[int, 
         words = [name, _plain(name), *map(_plain, name.split(","))]
         same = [by_name[word] for word in words if word in by_name]
         reduced = reduced_by_name(name, with_raw=True)
-        if not same and reduced is not None and reduced != VOID and (is_reduced or reduced != _ANYTHING):
+        if not same and reduced is not None and reduced != VOID and (is_reduced or reduced != ANYTHING):
             same = by_reduced.get(reduced, [])
             same = same if len(same) == 1 else []
         if same:

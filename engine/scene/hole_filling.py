@@ -7,8 +7,7 @@ ring is not planar stays a hole.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,50 +15,39 @@ Depths = NDArray[np.float32]
 Pixels = NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
-class HoleFilling:
-    """``ring`` is the width in pixels of the ring around a hole; at least ``least_ring`` of its pixels must have depth.
-    ``flatness`` is the largest allowed median residual of the plane relative to the depth. Filled depth is within
-    ``stretch`` times the ring's nearest and farthest. In a segment with more than ``many`` holes, as a noisy sensor
-    leaves, those of at most ``speck`` pixels take the mean of the pixels around them, if these are flat."""
-
-    ring: int = 6
-    least_ring: int = 12
-    flatness: float = 0.02
-    stretch: float = 2.5
-    speck: int = 9
-    many: int = 100
+RING, _LEAST_RING = 6, 12
+"""The width in pixels of the ring around a hole, and how many of its pixels must have depth."""
+_FLATNESS = 0.02  # the largest median residual of the plane relative to the depth
+STRETCH = 2.5
+"""Filled depth is within this many times the ring's nearest and farthest."""
+_SPECK, _MANY = 9, 100
+"""In a segment with more than this many holes, as a noisy sensor leaves, those of at most the first number of pixels
+take the mean of the pixels around them, if these are flat."""
 
 
-def fill_holes(depth: Depths, segments: NDArray[np.int32], options: HoleFilling | None = None) -> Depths:
+def fill_holes(depth: Depths, segments: NDArray[np.int32]) -> Depths:
     """Depth with planar holes filled, float32 [H, W] metres, 0 = unknown. ``segments`` int32 [H, W] are the mask's ids:
     a hole ends where its segment does. Measured depth never changes."""
-    import cv2
-
-    rules = options or HoleFilling()
     filled = depth.copy()
     hole = depth <= 0
     if not hole.any() or hole.all():
         return filled
-    reach = rules.ring
     for segment in np.unique(segments[hole]):
         own = segments == segment
         count, component, boxes, _ = cv2.connectedComponentsWithStats((hole & own).astype(np.uint8), connectivity=4)
-        is_speck = (boxes[:, cv2.CC_STAT_AREA] <= rules.speck) & (count > rules.many)
-        _fill_specks(filled, depth, is_speck[component] & hole & own, rules)
+        is_speck = (boxes[:, cv2.CC_STAT_AREA] <= _SPECK) & (count > _MANY)
+        _fill_specks(filled, depth, is_speck[component] & hole & own)
         for number in np.flatnonzero(~is_speck[1:]) + 1:  # label 0 is everything else
             left, top, width, height = boxes[number, :4]
-            rows = slice(max(top - reach, 0), top + height + reach)
-            columns = slice(max(left - reach, 0), left + width + reach)
+            rows = slice(max(top - RING, 0), top + height + RING)
+            columns = slice(max(left - RING, 0), left + width + RING)
             inside = component[rows, columns] == number
-            _fill_one(filled[rows, columns], depth[rows, columns], inside, own[rows, columns], rules)
+            _fill_one(filled[rows, columns], depth[rows, columns], inside, own[rows, columns])
     return filled
 
 
-def _fill_specks(filled: Depths, depth: Depths, speck: Pixels, rules: HoleFilling) -> None:
+def _fill_specks(filled: Depths, depth: Depths, speck: Pixels) -> None:
     """Fill all small holes at once, in place, with the mean of the surrounding 5x5 pixels if these are flat."""
-    import cv2
-
     if not speck.any():
         return
     known = depth > 0
@@ -67,30 +55,28 @@ def _fill_specks(filled: Depths, depth: Depths, speck: Pixels, rules: HoleFillin
     mean = cv2.blur(depth, (5, 5), borderType=cv2.BORDER_CONSTANT) / np.maximum(count, 1e-6)  # unknown: 0 in both
     farthest = cv2.dilate(depth, np.ones((5, 5), np.uint8))
     nearest = cv2.erode(np.where(known, depth, np.float32(np.inf)), np.ones((5, 5), np.uint8))
-    flat = (count > 0) & (farthest / (1.0 + 2.0 * rules.flatness) <= nearest)
+    flat = (count > 0) & (farthest / (1.0 + 2.0 * _FLATNESS) <= nearest)
     filled[speck & flat] = mean[speck & flat]
 
 
-def _fill_one(filled: Depths, depth: Depths, inside: Pixels, own: Pixels, rules: HoleFilling) -> None:
+def _fill_one(filled: Depths, depth: Depths, inside: Pixels, own: Pixels) -> None:
     """Fill one hole, ``inside`` bool [h, w], in place; the arrays are cut out around it."""
-    import cv2
-
-    size = 2 * rules.ring + 1
+    size = 2 * RING + 1
     near = cv2.dilate(inside.astype(np.uint8), np.ones((size, size), np.uint8)).astype(bool) & (depth > 0)
     ring = near & own
-    if ring.sum() < rules.least_ring:
+    if ring.sum() < _LEAST_RING:
         ring = near  # the segment is hardly more than its hole
-    if ring.sum() < rules.least_ring:
+    if ring.sum() < _LEAST_RING:
         return
     y, x = np.nonzero(ring)
     measured = depth[ring].astype(np.float64)
     plane = _plane(x, y, 1.0 / measured)  # a plane is linear in 1 / depth
     fitted = plane[0] * x + plane[1] * y + plane[2]
-    if np.median(np.abs(fitted * measured - 1.0)) > rules.flatness:
+    if np.median(np.abs(fitted * measured - 1.0)) > _FLATNESS:
         return
     y, x = np.nonzero(inside)
     inverse = plane[0] * x + plane[1] * y + plane[2]
-    lowest, highest = 1.0 / (measured.max() * rules.stretch), rules.stretch / measured.min()
+    lowest, highest = 1.0 / (measured.max() * STRETCH), STRETCH / measured.min()
     usable = (inverse > lowest) & (inverse < highest)
     filled[y[usable], x[usable]] = 1.0 / inverse[usable]
 

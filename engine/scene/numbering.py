@@ -193,8 +193,7 @@ def _disagreements(reading: _Reading, choice: ClassChoice, is_known: bool = Fals
             wrong.append(f"{number} is not in it")
         elif label is not None and label.is_thing != is_thing:
             wrong.append(f"{label.name} is {_KIND[label.is_thing]} there and {_KIND[is_thing]} in the files")
-    is_strict = base_of(reading.table) in _PANOPTIC
-    return wrong if is_strict or len(wrong) > len(kinds) / 2 else []
+    return wrong if base_of(reading.table) in _PANOPTIC or len(wrong) > len(kinds) / 2 else []
 
 
 def _other_tables(chosen: _Reading, choice: ClassChoice, shown: _Shown) -> list[str]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..errors import PlgsError
 from ..job.atomic import write_atomically
 from ..posed.array_file import array_headers, read_array
-from ..posed.image_header import ImageHeader, check_image_bytes, check_image_file, read_image_header
+from ..posed.image_header import ImageHeader, check_image_bytes, check_image_file, png_chunks, read_image_header
 from ..posed.layout import LARGEST_PIXELS
 from .frame import Size
 from .values import checked_ids, inside
@@ -257,14 +257,11 @@ def is_black_and_white(path: Path) -> bool:
 
 def _as_grey(data: bytes) -> bytes:
     """The same PNG without its palette, so that its indices are grey values."""
-    kept, position = [data[:8]], 8
-    while position + 12 <= len(data):
-        end = position + 12 + int.from_bytes(data[position : position + 4], "big")
-        kind, chunk = data[position + 4 : position + 8], data[position:end]
-        if kind == b"IHDR":
+    kept = [data[:8]]
+    for chunk in png_chunks(data):
+        if chunk[4:8] == b"IHDR":
             body = chunk[4:17] + b"\0" + chunk[18:21]  # colour type 3 becomes 0
             chunk = chunk[:4] + body + zlib.crc32(body).to_bytes(4, "big")
-        if kind in (b"IHDR", b"IDAT", b"IEND"):
+        if chunk[4:8] in (b"IHDR", b"IDAT", b"IEND"):
             kept.append(chunk)
-        position = end
     return b"".join(kept)

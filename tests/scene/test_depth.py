@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from engine.scene import open_scene, open_scene_to_lift
 from engine.scene.estimated_depth import fit_depth
-from engine.scene.hole_filling import HoleFilling, fill_holes
+from engine.scene.hole_filling import RING, STRETCH, fill_holes
 from engine.scene_source import SceneSource
 from tests.raises_key import raises_key
 from tests.scene.formats.room import Lens, elsewhere, in_steps, look, quaternion, views, write_colour
@@ -267,11 +267,10 @@ def test_a_plane_is_not_carried_far_beyond_what_was_measured() -> None:
     below = (np.arange(HEIGHT) + 0.5 - 20) / focal  # the horizon is at row 20
     true = np.where(below > 0, 1.5 / np.maximum(below, 1e-9), 0)[:, None] * np.ones((1, WIDTH))
     depth = measured(true, hole=(rows, slice(None)))
-    options = HoleFilling()
-    filled = fill_holes(depth, ONE_SEGMENT, options)
-    ring = depth[24 : 24 + options.ring]
+    filled = fill_holes(depth, ONE_SEGMENT)
+    ring = depth[24 : 24 + RING]
     assert filled[:20].max() == 0, "above the horizon there is no floor"
-    assert 0 < filled[rows].max() <= options.stretch * ring.max()
+    assert 0 < filled[rows].max() <= STRETCH * ring.max()
 
 
 @settings(max_examples=40, deadline=None)
@@ -289,7 +288,7 @@ def test_measured_pixels_never_change(seed: int, share: float) -> None:
     assert np.isfinite(filled).all() and (filled >= 0).all()
     known = before[before > 0]
     if len(known):
-        assert filled.max() <= HoleFilling().stretch * known.max() * 1.001
+        assert filled.max() <= STRETCH * known.max() * 1.001
 
 
 def test_thousands_of_specks_are_filled_at_once() -> None:

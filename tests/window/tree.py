@@ -70,4 +70,3 @@ class Tree:
         except subprocess.TimeoutExpired:
             self._keeper.kill()
             self._keeper.wait()
-

@@ -30,7 +30,8 @@ _NUMBERS: Mapping[str, Callable[[Mapping[str, str]], int]] = {
     "nyu40:0-39": lambda row: int(row["id"]) - 1,
 }
 """A row's number in each numbering other than ``id``."""
-_ANYTHING = 21  # the last of the paper's classes: all other things
+ANYTHING = 21
+"""The last of the paper's classes: all other things."""
 _VOID_NAMES = ("void", "unlabeled", "unlabelled")
 _VOID = {"cityscapes:0-33": frozenset({*range(7), 9, 10, 14, 15, 16, 18, 29, 30})}
 
@@ -95,7 +96,7 @@ def reduced_by_name(name: str, with_raw: bool = False) -> int | None:
         return found
     raw = known_table("scannet")
     numbers = (raw.reduced[label.id] for label in raw.labels if label.name == name.casefold())
-    return next((number for number in numbers if number != _ANYTHING), None)
+    return next((number for number in numbers if number != ANYTHING), None)
 
 
 @cache

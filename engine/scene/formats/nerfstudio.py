@@ -235,8 +235,7 @@ def _depth(entry: dict[str, Any], lens: Camera, context: str, path: Path) -> Dep
     unit = MILLIMETRES if scale is None else take_number(entry, scale, context, path)
     if not 0.0 < unit < 1.0:
         fix = "Write one such as 0.001; or give 16-bit depth from another source with --depth MAPS."
-        what = f'"{scale}" is not the length of a step in metres'
-        raise PlgsError("bad-scale", what, path, fix, option="--depth")
+        raise PlgsError("bad-scale", f'"{scale}" is not the length of a step in metres', path, fix, option="--depth")
     return png_depth(depth_path, lens, unit)
 
 

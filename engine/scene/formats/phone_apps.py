@@ -32,7 +32,7 @@ from ...posed.image_header import read_image_header
 from ...posed.layout import files_by_stem, listed, natural_order, of_most, shown_files
 from ...posed.matrices import read_matrix, take_array
 from ..depth import npy_depth, png_depth, trusted
-from ..files_of_frames import files_if_any
+from ..files_of_frames import IMAGES, files_if_any
 from ..frame import Inferred
 from .capture import Capture, Found, SceneFormat, Shot, with_picture
 from .lens import fitted, pinhole
@@ -42,8 +42,7 @@ from .poses import Row, finite_pose, from_opengl, numbers, quaternion_pose, read
 _POLYCAM_FIX = "Export the raw data from Polycam again."
 _POLYCAM_POSE = tuple(f"t_{row}{column}" for row in range(3) for column in range(4))
 _SIZE = ("width", "height")
-_POLYCAM_LENS = ("fx", "fy", "cx", "cy")
-_IMAGES = {".jpg", ".jpeg", ".png"}
+_LENS = ("fx", "fy", "cx", "cy")
 _NOT_OPTIMISED = "the poses were not optimised (no corrected_cameras): they are ARKit's own, and pictures are distorted"
 
 
@@ -52,7 +51,7 @@ def _read_polycam(place: Path) -> Capture:
     is_corrected = any(shown_files(folder, "corrected_cameras/*.json")) and (folder / "corrected_images").is_dir()
     prefix = "corrected_" if is_corrected else ""
     cameras = files_by_stem(folder / f"{prefix}cameras", {".json"}, _POLYCAM_FIX)
-    images = files_by_stem(folder / f"{prefix}images", _IMAGES, _POLYCAM_FIX)
+    images = files_by_stem(folder / f"{prefix}images", IMAGES, _POLYCAM_FIX)
     raw = {path.stem: path for path in shown_files(folder / "cameras", "*.json")} if is_corrected else cameras
     depths = files_if_any(folder / "depth", {".png"}, _POLYCAM_FIX)
     levels = files_if_any(folder / "confidence", {".png"}, _POLYCAM_FIX)
@@ -98,9 +97,7 @@ def _shot_polycam(
     values = [take_number(entry, key, "the camera", path) for key in _POLYCAM_POSE]
     pose = finite_pose(np.array(values).reshape(3, 4), path)
     assert pose is not None  # take_number takes finite numbers only
-    lens = pinhole(
-        *size, *(take_number(entry, key, "the camera", path) for key in _POLYCAM_LENS), path=path, fix=_POLYCAM_FIX
-    )
+    lens = pinhole(*size, *(take_number(entry, key, "the camera", path) for key in _LENS), path=path, fix=_POLYCAM_FIX)
     lens = fitted(lens, image, _POLYCAM_FIX)
     depth_map = None if depth is None else trusted(png_depth(depth, lens), level)
     return Shot(name, lens.at(from_opengl(pose)), image, depth_map)
@@ -168,7 +165,6 @@ SCANNER_APP = SceneFormat("scanner-app", _recognises_scanner_app, _read_scanner_
 
 
 _COLUMNS = ("frame", "x", "y", "z", "qx", "qy", "qz", "qw")
-_STRAY_LENS = ("fx", "fy", "cx", "cy")
 _STRAY_FIX = "Copy the scan from the device again."
 
 
@@ -189,7 +185,7 @@ def _read_stray(place: Path) -> Capture:
             found.append((name, None))
             continue
         pose = quaternion_pose((qw, qx, qy, qz), (x, y, z), place / "odometry.csv")  # the file has w last
-        intrinsics = [row[key] for key in _STRAY_LENS] if "fx" in row else shared
+        intrinsics = [row[key] for key in _LENS] if "fx" in row else shared
         lens = pinhole(*size, *intrinsics, path=place / "camera_matrix.csv", fix=_STRAY_FIX, of=f"frame {name}")
         depth = None
         if name in depths:
@@ -205,13 +201,13 @@ def _read_odometry(path: Path) -> list[dict[str, float]]:
     head = next(rows, None)
     if head is None or not {*_COLUMNS} <= {*head.words}:
         raise PlgsError("no-columns", f"the first line does not name {', '.join(_COLUMNS)}", path, _STRAY_FIX)
-    found, wanted = [], {*_COLUMNS, *(_STRAY_LENS if {*_STRAY_LENS} <= {*head.words} else ())}
+    found, wanted = [], {*_COLUMNS, *(_LENS if {*_LENS} <= {*head.words} else ())}
     for row in rows:
         if len(row.words) != len(head.words):
             what = f"line {row.line} holds {len(row.words)} numbers, not {len(head.words)}"
             raise PlgsError("wrong-count", what, path, _STRAY_FIX)
         given = {name: word for name, word in zip(head.words, row.words, strict=True) if name in wanted}
-        if all(given[name] == "" for name in given.keys() & {*_STRAY_LENS}):  # columns without values: the matrix holds
+        if all(given[name] == "" for name in given.keys() & {*_LENS}):  # columns without values: the matrix holds
             given = {name: given[name] for name in _COLUMNS}
         values = dict(zip(given, numbers(Row(row.line, [*given.values()]), path, _STRAY_FIX).tolist(), strict=True))
         if not 0.0 <= values["frame"] < 1e9:

@@ -282,8 +282,7 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
         if not detected and (by_number or len(sizes) > 1):
             continue  # it lacks a mask: the file counts otherwise, or nobody knows the mask's size
         if len(own) > 1:
-            what = f"detections of frame {name} are of pictures of several sizes"
-            raise PlgsError("other-size", what, place, _FIX)
+            raise PlgsError("other-size", f"detections of frame {name} are of pictures of several sizes", place, _FIX)
         if own:
             size = next(iter(own))
             masks[name] = StoredMask(place, size, partial(_painted, place, detected, size))
