@@ -7,7 +7,6 @@ ring is not planar stays a hole.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,6 +27,8 @@ take the mean of the pixels around them, if these are flat."""
 def fill_holes(depth: Depths, segments: NDArray[np.int32]) -> Depths:
     """Depth with planar holes filled, float32 [H, W] metres, 0 = unknown. ``segments`` int32 [H, W] are the mask's ids:
     a hole ends where its segment does. Measured depth never changes."""
+    import cv2
+
     filled = depth.copy()
     hole = depth <= 0
     if not hole.any() or hole.all():
@@ -48,6 +49,8 @@ def fill_holes(depth: Depths, segments: NDArray[np.int32]) -> Depths:
 
 def _fill_specks(filled: Depths, depth: Depths, speck: Pixels) -> None:
     """Fill all small holes at once, in place, with the mean of the surrounding 5x5 pixels if these are flat."""
+    import cv2
+
     if not speck.any():
         return
     known = depth > 0
@@ -61,6 +64,8 @@ def _fill_specks(filled: Depths, depth: Depths, speck: Pixels) -> None:
 
 def _fill_one(filled: Depths, depth: Depths, inside: Pixels, own: Pixels) -> None:
     """Fill one hole, ``inside`` bool [h, w], in place; the arrays are cut out around it."""
+    import cv2
+
     size = 2 * RING + 1
     near = cv2.dilate(inside.astype(np.uint8), np.ones((size, size), np.uint8)).astype(bool) & (depth > 0)
     ring = near & own
