@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .errors import PlgsError
 from .job import write_atomically
+from .job.progress import Progress, unwatched
 from .known_scene import MadeFrame, MadeFrames, is_newer, made_of, stored_scene
 from .scene import Camera, Frame, Scene
 from .scene.frame_colours import depth_colours, mask_colours
@@ -71,8 +72,6 @@ class CloudBuilder:
 
 
 KINDS = ("colour", "depth", "masks", "cloud")
-Progress = Callable[[int, int], object]
-"""Called after each frame with the number of frames done and their total. An error that it raises ends the work."""
 
 _CLOUD_FRAMES, _CLOUD_PIXELS = 300, 8_000_000
 """Approximate maximum numbers of frames, evenly spread, and of pixels for the cloud."""
@@ -84,7 +83,7 @@ def make_frames(
     folder: Path,
     kinds: Collection[str] = KINDS,
     names: Collection[str] | None = None,
-    progress: Progress | None = None,
+    progress: Progress = unwatched,
 ) -> MadeFrames:
     """Write ``kinds`` of files of the frames ``names`` (None: all) into ``folder``: frames.json first with all cameras,
     so that a reader need not wait for pictures, and last with the files. Pictures that an image file already shows
@@ -121,8 +120,7 @@ def make_frames(
                 add_to_cloud(builder, frame, in_cloud[frame.name])
             except PlgsError as error:
                 problem = error  # pictures come first; it is raised below
-        if progress is not None:
-            progress(position + 1, len(todo))
+        progress(position + 1, len(todo))
     is_new = in_cloud and problem is None
     found = builder.cloud()
     cloud = _write_points(folder / "cloud.npz", found.xyz, found.rgb) if is_new else made.cloud

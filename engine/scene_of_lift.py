@@ -13,9 +13,10 @@ import numpy as np
 
 from .errors import ErrorCode, PlgsError
 from .job import LiftFolder, read_manifest, write_atomically
+from .job.progress import Progress, part_of, unwatched
 from .known_scene import FIND_SCENE, KNOWN_SCENE, StoredScene, known_scene, read_known, stored_scene, write_known
 from .result_files import INSTANCES, read_instances
-from .scene import EvidenceReader, Frame, MaskReader, PosedFrame, Scene, digests_of_files, open_asked
+from .scene import EvidenceReader, Frame, MaskReader, PosedFrame, Scene, digests_of_files, open_asked, watched
 
 _ALIKE = 1e-4  # tolerance in metres, pixels and entries of rotations when cameras of the same frame are compared
 _ANOTHER = "Restore it as it was, say where it is with Find Scene or --scene, or lift into another folder."
@@ -58,14 +59,16 @@ def names_of_frames(folder: LiftFolder) -> tuple[str, ...]:
     return () if known is None else tuple(frame.name for frame in known.frames)
 
 
-def remember_scene(folder: LiftFolder, scene: Scene, warn: Callable[[str], object] = lambda _: None) -> str:
+def remember_scene(
+    folder: LiftFolder, scene: Scene, warn: Callable[[str], object] = lambda _: None, progress: Progress = unwatched
+) -> str:
     """Write the cameras and the files' digests of a lift's scene beside its request. Returns the digest of the masks.
     Passes of other masks or classes leave an unfinished result, with a warning. Raises PlgsError, OSError."""
-    masks = digest_of_masks(scene)
+    masks = digest_of_masks(scene, part_of(progress, 0.0, 0.5))
     are_others = masks_differ(masks_last_run(folder), scene, masks) or have_classes_changed(folder, scene)
     if are_others and not folder.is_lifted_again and any(folder.passes_path.glob("*.exr")):
         warn_of_earlier(folder.set_result_aside(), warn)
-    known, files = stored_scene(scene, scene.frames, masks), _digests_of(scene.frames)
+    known, files = stored_scene(scene, scene.frames, masks), _digests_of(scene.frames, part_of(progress, 0.5, 1.0))
     frames = tuple(replace(one, files=found, read=how) for one, (found, how) in zip(known.frames, files, strict=True))
     write_known(folder, replace(known, frames=frames))
     return masks
@@ -77,7 +80,7 @@ def warn_of_earlier(earlier: Path | None, warn: Callable[[str], object]) -> None
         warn(f"the earlier result was moved to {earlier}: bake again the passes that the lift does not bake")
 
 
-def refuse_changed(folder: LiftFolder, scene: Scene) -> None:
+def refuse_changed(folder: LiftFolder, scene: Scene, progress: Progress = unwatched) -> None:
     """Raise PlgsError if a lift cannot continue with a ``scene``: since the lift was last run, a frame's photo, depth
     or camera has changed, or the set of frames or of held-out ones. Masks may change."""
     known = read_known(folder)
@@ -91,14 +94,14 @@ def refuse_changed(folder: LiftFolder, scene: Scene) -> None:
             raise PlgsError("frame-gone", f"the scene no longer has frame {frame.name}", scene.folder, fix)
         if frame.held_out != (is_held_out := there[frame.name].held_out):
             raise another(f"{frame.name} is {'' if is_held_out else 'not '}held out", scene)
-    refuse_other_pictures(folder, scene)
+    refuse_other_pictures(folder, scene, progress)
 
 
-def refuse_other_pictures(folder: LiftFolder, scene: Scene) -> None:
+def refuse_other_pictures(folder: LiftFolder, scene: Scene, progress: Progress = unwatched) -> None:
     """Raise PlgsError if a frame's photo or depth has changed since the lift was last run, as far as it is known."""
     known = read_known(folder)
     known_as = {frame.name: (frame.files, frame.read) for frame in (known.frames if known else ())}
-    for frame, now in zip(scene.frames, _digests_of(scene.frames), strict=True):
+    for frame, now in zip(scene.frames, _digests_of(scene.frames, progress), strict=True):
         before = known_as.get(frame.name, ("", ""))
         if any(one and other not in ("", one) for one, other in zip(now, before, strict=True)):
             raise another(f"the photo or the depth of {frame.name} differs, or the way they are read", scene)
@@ -150,9 +153,10 @@ def masks_last_run(folder: LiftFolder) -> str:
     return "" if known is None else known.masks
 
 
-def digest_of_masks(scene: Scene) -> str:
+def digest_of_masks(scene: Scene, progress: Progress = unwatched) -> str:
     """The start of the SHA-256 of all mask files and of how they are read, without decoding masks."""
-    read = [(frame.name, reader) for frame in scene.frames for reader in (frame.read_mask, frame.read_detections)]
+    frames = watched(scene.frames, progress)
+    read = ((frame.name, reader) for frame in frames for reader in (frame.read_mask, frame.read_detections))
     digests = [(name, reader.digest()) for name, reader in read if isinstance(reader, MaskReader | EvidenceReader)]
     return sha256(repr(digests).encode()).hexdigest()[:16]
 
@@ -195,9 +199,9 @@ def refuse_others(known: Sequence[PosedFrame], scene: Scene) -> None:
             raise another(f"the camera of {frame.name} differs", scene)
 
 
-def _digests_of(frames: Sequence[Frame]) -> list[tuple[str, str]]:
+def _digests_of(frames: Sequence[Frame], progress: Progress = unwatched) -> list[tuple[str, str]]:
     """Each frame's digests: of photo and depth, and of confidence and how they are read; empty if unreadable."""
-    files = digests_of_files([(frame.colour_path, frame.depth_path) for frame in frames])
+    files = digests_of_files([(frame.colour_path, frame.depth_path) for frame in frames], progress)
     trusted = digests_of_files([(frame.confidence_path,) for frame in frames])
     return [
         (found, trust and sha256(f"{trust} {frame.read_as}".encode()).hexdigest()[:16])  # "" stays: not known

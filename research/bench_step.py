@@ -14,6 +14,7 @@ import torch
 from torch.autograd.graph import register_multi_grad_hook
 
 from engine.job import EventWriter, StopSignal
+from engine.job.progress import StageReporter
 from engine.job.system import peak_bytes
 from engine.lift.preparation import PreparedLift, prepare
 from engine.lift.run import STAGES
@@ -23,8 +24,7 @@ from engine.model.scene_labels import scene_labels
 from engine.passes.layers import decide
 from engine.presets.preset import PRESETS, Preset
 from engine.scene import ClassTable, View, load_view, open_scene, size_within
-from engine.train.progress import StageReporter, StepClock
-from engine.train.trainer import Trainer
+from engine.train.trainer import StepClock, Trainer
 
 SAMPLE = Path(__file__).resolve().parents[1] / "sample" / "room"
 SIZE = (640, 480)

@@ -20,6 +20,7 @@ from engine.instances.matching import match_views
 from engine.instances.records import object_of_mask
 from engine.instances.segments import instance_map
 from engine.job import EventWriter, LiftFolder, StopSignal
+from engine.job.progress import StageProgress
 from engine.lift.objects import MATCHERS, Matching, ViewsToMatch, segment_options
 from engine.lift.preparation import filled_views, projected_masks, semantic_cloud, used_classes
 from engine.metrics.panoptic import PanopticEvaluation
@@ -28,7 +29,6 @@ from engine.presets.preset import Preset
 from engine.scene import ClassTable, Frame, GroundTruth, PanopticMask, Segment, View, load_view, size_within
 from engine.scene import open_scene_to_lift as open_scene
 from engine.scene_source import SceneSource
-from engine.train.progress import StageProgress
 
 from .experiments.experiment import SceneToLift
 

@@ -42,7 +42,7 @@ ENGINE_MAY_IMPORT = {
         "instances": "presets scene machine",
         "metrics": "errors posed scene",
         "model": "gates presets job posed result_files scene machine raster instances",
-        "train": "presets job scene machine raster semantics instances model",
+        "train": "presets scene machine raster semantics instances model",
         "passes": "gates errors job posed scene machine instances model",
         "lift": (
             "errors json_file presets job posed result_files corrections scene scene_of_lift machine raster "

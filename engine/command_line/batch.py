@@ -179,9 +179,12 @@ def _refuse_conflicts(options: argparse.Namespace) -> None:
 def _job(own: argparse.Namespace, output: Path, name: str, bakes_all: bool) -> SceneJob:
     from ..batch import SceneJob
     from ..batch.plan import of_scene, state_of_files
+    from ..job import StopSignal
     from ..job.prediction import USUAL_MASKS
+    from ..job.progress import StageProgress
     from ..lift.frame_sets import predicted_lift
     from ..scene import open_scene_to_lift
+    from .runner import ShownEvents
 
     scene, lift = own.scene, output / name
     for option in (each.replace("-", "_") for each in _PATHS[1:]):
@@ -191,10 +194,15 @@ def _job(own: argparse.Namespace, output: Path, name: str, bakes_all: bool) -> S
         request = replace(request, bake="none")  # passes are baked in pieces after the lift
     if not scene.exists() and (own.scheduler or own.slurm):
         return SceneJob(name, lift, request)  # a worker may have the scene
+    shown = ShownEvents(sys.stderr, as_json=False)
+    shown.stage("open", 1, 1, f"Opening {name}")
     try:
-        opened, files = open_scene_to_lift(request), state_of_files(request, output)  # walked only if readable
+        opened = open_scene_to_lift(request, StageProgress("open", shown, StopSignal()))
+        files = state_of_files(request, output)  # walked only if readable
     except PlgsError as error:
         return SceneJob(name, lift, request, problem=str(error))
+    finally:
+        shown.close()
     peak = predicted_lift(opened, request.chosen_preset, USUAL_MASKS).peak_bytes
     return SceneJob(name, lift, request, round(peak / 1e9, 2), files=files)
 

@@ -8,8 +8,7 @@ import json
 import math
 import os
 import sys
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -103,9 +102,10 @@ def _parent_pipe(options: argparse.Namespace, folder: LiftFolder) -> int | None:
 def export(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
     folder = _opened(options.lift, options.relink)
     from ..export.run import export
+    from ..job.progress import StageProgress
 
     events.stage("export", 1, 1, "Exporting")
-    progress = _progress("export", events, stop)
+    progress = StageProgress("export", events, stop)
     chosen = (options.frames, progress, options.cameras, options.objects)
     export(folder, options.to, options.output, *chosen, events.warning)
     events.answer({"output": options.output}, f"Exported to {options.output}")
@@ -145,10 +145,11 @@ def _corrected_metrics(lift: LiftFolder, events: EventWriter, stop: StopSignal) 
         events.warning(line)
     if not corrected.fingerprint:
         return None
+    from ..job.progress import StageProgress
     from ..lift.baking import score_corrected
 
     events.stage("evaluate", 1, 1, "Evaluating the corrected lift")
-    return score_corrected(lift, corrected, _progress("evaluate", events, stop))
+    return score_corrected(lift, corrected, StageProgress("evaluate", events, stop))
 
 
 def inspect(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
@@ -177,12 +178,13 @@ def find_scene(options: argparse.Namespace, events: EventWriter, stop: StopSigna
 
 def frames(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
     from ..frames import make_frames
+    from ..job.progress import StageProgress
     from ..scene import open_asked
 
     source = source_of(options)
-    scene = open_asked(source)
     events.stage("frames", 1, 1, "Making frames")
-    progress, output = _progress("frames", events, stop), options.output.resolve()
+    progress, output = StageProgress("frames", events, stop), options.output.resolve()
+    scene = open_asked(source, progress)
     try:
         made = make_frames(scene, source.resolved, output, options.make, options.frames, progress)
     except OSError as error:
@@ -204,6 +206,7 @@ def poses(options: argparse.Namespace, events: EventWriter, stop: StopSignal) ->
 
 def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
     """Make the masks, or continue where it was stopped."""
+    from ..job.progress import StageProgress
     from ..scene import open_scene
     from ..segment import begin_job, load_model, make_masks
 
@@ -223,9 +226,14 @@ def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
         job.discard_if_empty()
         raise
     events.stage("segment", 2, 2, "Making masks")
-    progress = _progress("segment", events, stop)
+    progress = StageProgress("segment", events, stop)
+
+    def follow(done: int, frames: int, made: int) -> None:
+        if made:  # those of an earlier run would spoil the pace
+            progress(done, frames)
+
     try:
-        make_masks(scene, job, network, progress)
+        make_masks(scene, job, network, follow)
     except OSError as error:
         fix = "Make room there, then continue."
         what = f"masks cannot be written ({error.strerror})"
@@ -268,22 +276,6 @@ def warm_up(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
     from ..lift import warm_up
 
     warm_up()
-
-
-def _progress(stage: str, events: EventWriter, stop: StopSignal) -> Callable[..., None]:
-    """Called with the steps done, the number of steps and, if an earlier run did some, those of this run. It writes
-    progress with the time left, and raises Cancelled when the command should stop.
-    """
-    stop.check()
-    began = time.monotonic()
-
-    def progress(done: int, steps: int, made: int | None = None) -> None:
-        made = done if made is None else made
-        eta = None if made == 0 else (time.monotonic() - began) / made * (steps - done)
-        events.progress(stage, done, steps, eta_s=eta)
-        stop.check()
-
-    return progress
 
 
 def presets(options: argparse.Namespace) -> ExitCode:

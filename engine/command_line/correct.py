@@ -62,6 +62,7 @@ def add_correct(parser: argparse.ArgumentParser, make_task: AddTask) -> None:
 def correct(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
     """Make the edit and answer with it, or list the edits or proposals."""
     from ..corrections import correct, proposals_of, read_corrected, undo
+    from ..job.progress import StageProgress
 
     folder = LiftFolder.open(options.lift)
     read_manifest(folder.result_path)  # refuses an unfinished lift
@@ -76,14 +77,10 @@ def correct(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
         events.answer(answer, "\n".join([*lines, found.progress]))
         return
 
-    def progress(done: int, count: int) -> None:
-        stop.check()
-        events.progress("split", done, count)
-
     if options.edit == "undo":
         edit, corrected = undo(folder.path)
     else:
-        edit, corrected = correct(folder.path, partial(_edit, options, folder, progress))
+        edit, corrected = correct(folder.path, partial(_edit, options, folder, StageProgress("split", events, stop)))
     for line in corrected.warnings:
         events.warning(line)
     answer = {"uid": edit.uid, "kind": edit.kind, "undone": edit.undone, "made": [one.id for one in edit.made]}

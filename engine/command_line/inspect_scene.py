@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -11,12 +10,10 @@ from ..diagnosis import Diagnosis, diagnose, write_findings, write_mended
 from ..errors import PlgsError
 from ..job import EventWriter, StopSignal
 from ..job.prediction import USUAL_CLASSES, USUAL_MASKS, machine_slowness, predict
+from ..job.progress import StageProgress
 from ..presets.preset import PRESETS
 from ..scene import Scene, SceneReport, Size, counted, open_asked, report_of, splits_path, survey_scene
 from ..scene_source import SceneSource
-
-_SAY_S = 1.0
-"""Seconds between two reports of progress."""
 
 
 def inspect_scene(
@@ -37,24 +34,18 @@ def inspect_scene(
     if fix is not None and fix.exists():
         raise PlgsError("exists", "the folder for the mended scene already exists", fix, "Name a new one.")
     events.stage("inspect", 1, 2, "Looking at the scene")
-    scene = opened = open_asked(asked)
-    report, refusal, said_at = None, None, time.monotonic()
-
-    def looked(done: int, frames: int) -> None:
-        nonlocal said_at
-        stop.check()
-        if time.monotonic() > said_at + _SAY_S:
-            said_at = time.monotonic()
-            events.progress("inspect", done, frames)
-
+    progress = StageProgress("inspect", events, stop)
+    scene = opened = open_asked(asked, progress)
+    report, refusal = None, None
     try:
-        survey = survey_scene(scene, looked)
+        survey = survey_scene(scene, progress)
         report, scene = report_of(survey), survey.scene
     except PlgsError as error:
         refusal = error
     stop.check()
     events.stage("diagnose", 2, 2, "Measuring what is wrong")
-    diagnosis = diagnose(scene) if refusal is None else _explanation(scene, refusal)
+    progress = StageProgress("diagnose", events, stop)
+    diagnosis = diagnose(scene, progress) if refusal is None else _explanation(scene, refusal)
     stop.check()
     found = diagnosis.as_json() if findings is None else write_findings(diagnosis, findings)
     lines = [] if report is None else list(_lines(report))

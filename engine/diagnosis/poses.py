@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..job.progress import Progress, unwatched
 from ..posed.layout import listed
-from ..scene import Scene
+from ..scene import Scene, digests_of_files
 from .findings import Finding, side_by_side
 from .reprojection import Assumption, Examined, Floats, Pairs, Views, assumed_poses, lens_under
 
@@ -258,16 +258,16 @@ def order_findings(scene: Scene, order: FrameOrder | None) -> list[Finding]:
     ]
 
 
-def repeat_findings(scene: Scene) -> list[Finding]:
+def repeat_findings(scene: Scene, progress: Progress = unwatched) -> list[Finding]:
     """Frames that occur twice. Raises OSError."""
-    frames, first, repeated = scene.frames, dict[bytes, int](), list[tuple[int, int]]()
+    frames, first, repeated = scene.frames, dict[str, int](), list[tuple[int, int]]()
     sizes = [frame.colour_path.stat().st_size if frame.file_shows_colour else 0 for frame in frames]
     shared = {size for size, count in Counter(sizes).items() if count > 1 and size}
-    for number, frame in enumerate(frames):  # files of different sizes differ, so only the others are read
-        if sizes[number] in shared:
-            key = hashlib.blake2b(frame.colour_path.read_bytes(), digest_size=16).digest()
-            if first.setdefault(key, number) != number:
-                repeated.append((number, first[key]))
+    alike = [number for number, size in enumerate(sizes) if size in shared]  # files of different sizes differ
+    digests = digests_of_files([(frames[number].colour_path,) for number in alike], progress)
+    for number, key in zip(alike, digests, strict=True):
+        if key and first.setdefault(key, number) != number:
+            repeated.append((number, first[key]))
     if not repeated:
         return []
     shown = [frames[number] for number in repeated[0][::-1]]

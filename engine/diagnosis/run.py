@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..job.progress import Progress, unwatched
 from ..posed.layout import listed
 from ..posed.matrices import shortest_rotation
 from ..scene import Scene, Size
@@ -22,12 +23,12 @@ _Z = np.array([0.0, 0.0, 1.0])
 _CLIPPED = 0.5  # a photo with a larger fraction of black and white pixels shows too little
 
 
-def diagnose(scene: Scene) -> Diagnosis:
+def diagnose(scene: Scene, progress: Progress = unwatched) -> Diagnosis:
     """Measure what is wrong with a scene. At most 120 of its frames are examined. Raises PlgsError for bad files."""
     examined = examine(scene)
     if examined is None:
         photos, order = load_photos(scene.frames, MANY), measure_order(scene, Assumption())
-        findings = [*order_findings(scene, order), *repeat_findings(scene), *clipped_findings(photos)]
+        findings = [*order_findings(scene, order), *repeat_findings(scene, progress), *clipped_findings(photos)]
         return _diagnosis(scene, findings, Mending(dropped=_dropped(findings)), len(photos), None)
     as_it_is = agreement(examined.views, examined.pairs, Assumption())
     findings, assumed, shift = number_findings(examined, lens_is_doubtful=bool(scene.assumed_lens))
@@ -35,7 +36,7 @@ def diagnose(scene: Scene) -> Diagnosis:
     if tilt is not None:
         findings.append(tilt_finding(examined, tilt, assumed))
     order = measure_order(scene, assumed)
-    findings += [*order_findings(scene, order), *repeat_findings(scene)]
+    findings += [*order_findings(scene, order), *repeat_findings(scene, progress)]
     untested: tuple[str, ...] = ()
     if order is None or not order.is_shuffled:
         found, untested = pose_findings(examined, assumed)

@@ -10,10 +10,11 @@ from pathlib import Path
 
 from ..errors import PlgsError, lacks_part
 from ..job import LiftFolder, verify_lifted, write_atomically
+from ..job.progress import Progress, unwatched
 from .frame_images import export_coco, export_depth, export_label_images, export_scannet
 from .mesh import export_gltf, export_mesh
 from .points import export_boxes, export_clouds, export_points, export_splats
-from .source import FinishedLift, Progress
+from .source import FinishedLift
 from .view_surface import export_surface
 
 NOTE = "export.json"
@@ -25,7 +26,7 @@ def export(
     kind: str,
     output: Path,
     frames: Sequence[str],
-    progress: Progress | None = None,
+    progress: Progress = unwatched,
     cameras: Path | None = None,
     objects: Sequence[str] = (),
     warn: Callable[[str], object] | None = None,

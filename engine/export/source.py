@@ -15,6 +15,7 @@ from ..corrections import CorrectedResult, read_corrected
 from ..errors import PlgsError
 from ..job import LiftFolder, read_cameras, read_manifest, verify_files
 from ..job.manifest import damaged
+from ..job.progress import Progress, unwatched
 from ..lift.bake_more import WantedView, frames_named, view_from
 from ..lift.baking import CORRECTIONS_NOTE, FrameBaker, baked_files, names_of_files, read_baker
 from ..passes.baked_view import ShownInstances
@@ -26,9 +27,6 @@ from ..result_files import Instance
 from ..scene import Camera, ClassTable, Frame, Scene, evenly_spread
 from ..scene_of_lift import scene_of_lift
 
-Progress = Callable[[int, int], object]
-"""Called after each view with the number of views done and their total. An error that it raises ends the work."""
-
 
 @dataclass(frozen=True, eq=False)
 class FinishedLift:
@@ -36,7 +34,7 @@ class FinishedLift:
 
     folder: LiftFolder
     names: Sequence[str]
-    progress: Progress | None = None
+    progress: Progress = unwatched
     cameras: Path | None = None
     """A file of cameras to export instead of the frames."""
     objects: Sequence[str] = ()
@@ -125,8 +123,7 @@ class FinishedLift:
             yield from ((frame.name, frame.camera, layers) for frame, layers in self.views(*wanted))
         for number, view in enumerate(self.shots, start=1):
             yield view.name, view.camera, self._baker.layers(view.camera, view.clip, wanted)
-            if self.progress is not None:
-                self.progress(number, len(self.shots))
+            self.progress(number, len(self.shots))
 
     def views(self, *wanted: str) -> Iterator[tuple[Frame, PanopticLayers]]:
         """Every frame as the lift shows it, at the frame's own size, with at least the ``wanted`` layers (none: all).
@@ -145,8 +142,7 @@ class FinishedLift:
             else:
                 layers = self._baker.layers(frame.camera, wanted=wanted)
             yield frame, layers
-            if self.progress is not None:
-                self.progress(number, len(self.frames))
+            self.progress(number, len(self.frames))
 
     def small_views(self, width: int, most: int) -> Iterator[tuple[Frame, Camera, PanopticLayers]]:
         """At most ``most`` frames, evenly spread, as the lift shows them at no more than this width."""
@@ -155,8 +151,7 @@ class FinishedLift:
             shrunk = min(1.0, width / frame.camera.width)
             camera = frame.camera.resized(*(round(shrunk * side) for side in (frame.camera.width, frame.camera.height)))
             yield frame, camera, self._baker.decided(camera, wanted=("combined", "depth", "semantic", "instance"))
-            if self.progress is not None:
-                self.progress(number, len(chosen))
+            self.progress(number, len(chosen))
 
 
 def is_corrected(baked: Path, corrections: str) -> bool:

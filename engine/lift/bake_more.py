@@ -28,6 +28,7 @@ from ..job import (
     read_manifest,
 )
 from ..job.cameras import PreviewCamera, frame_numbers, refuse_equal_names
+from ..job.progress import StageReporter
 from ..model.neural_gaussians import ClipRange
 from ..passes.baked_view import BakedView
 from ..passes.exr import ShownFrame, further_layers, is_own, number_in, read_note, write_exr
@@ -35,7 +36,6 @@ from ..posed.layout import listed
 from ..result_files import INSTANCES
 from ..scene import Camera, Frame, Scene, size_within
 from ..scene_of_lift import complete_known_scene, names_of_frames, scene_of_lift
-from ..train.progress import StageReporter
 from .baking import CORRECTIONS_NOTE, FrameBaker, baked_files, names_of_files, read_baker
 from .device import be_repeatable
 from .frame_sets import check_disk

@@ -19,6 +19,7 @@ from ..corrections import CorrectedResult
 from ..diagnosis import Finding
 from ..errors import PlgsError
 from ..job import EventWriter, LiftFolder, write_atomically
+from ..job.progress import StageReporter
 from ..job.report import read_metrics
 from ..job.system import peak_bytes
 from ..metrics.calibration import UNCALIBRATED, Calibration
@@ -34,7 +35,6 @@ from ..passes.layers import FROM_LABELS, PanopticLayers, decide
 from ..passes.previews import SheetRow, chosen, colour_picture, preview_paths, write_contact_sheet, write_previews
 from ..scene import Camera, ClassTable, Frame, Scene, View, counted
 from ..scene_of_lift import another, have_classes_changed, names_of_frames, opened_scene, refuse_other_pictures
-from ..train.progress import StageReporter
 from .device import be_repeatable
 from .judging import judge
 from .scene_files import LIFT_ANEW, read_model, read_shown_instances

@@ -7,8 +7,8 @@ import sys
 import torch
 
 from ..errors import PlgsError
+from ..job.progress import StageReporter
 from ..raster.cuda import what_fails, what_is_missing
-from ..train.progress import StageReporter
 
 
 def usable_device(device: str, stages: StageReporter) -> str:

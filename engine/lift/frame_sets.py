@@ -13,12 +13,12 @@ import numpy as np
 from ..errors import ErrorCode, PlgsError
 from ..job import Checkpoint, EventWriter, LiftRequest
 from ..job.prediction import PIXEL, Prediction, predict
+from ..job.progress import StageProgress
 from ..job.system import MainMemory, main_memory
 from ..posed.layout import of_most
 from ..presets.options import with_options
 from ..presets.preset import PRESETS, Preset
 from ..scene import Frame, Scene, choose_frames, evenly_spread, size_within
-from ..train.progress import StageProgress
 
 FRAMES = "frames"
 """Key of a checkpoint's state: the names of the training frames. On another machine, other frames might fit."""

@@ -34,11 +34,11 @@ from ..instances.records import ObjectMask, SceneObject, object_of_mask
 from ..instances.segment_votes import neighbours_on_a_thing, view_labels, vote_panoptic_labels
 from ..instances.segments import SegmentOptions, vote_instances
 from ..instances.superpoints import RestOfSuperpoint, trusted_superpoints
+from ..job.progress import StageProgress
 from ..presets.parts import Parts
 from ..presets.preset import Preset, ViewEvidence
 from ..scene import VOID, ClassTable, OnDemand, Progress, View, stored, watched
 from ..semantics.point_cloud import SemanticPointCloud
-from ..train.progress import StageProgress
 
 CONSENSUS = ConsensusOptions()
 LARGEST_GAP = 0.15

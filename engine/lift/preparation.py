@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..instances.records import SceneObject
 from ..instances.segments import restrict_to_things
 from ..job import EventWriter
+from ..job.progress import StageProgress, StageReporter
 from ..model.anchors import initial_anchors, seeded_features
 from ..model.decoders import DECODERS, DecoderShape
 from ..model.structured import NO_OBJECT, SPARE, LabelChannels, StructuredScene
@@ -27,7 +28,6 @@ from ..semantics.clustering import ENLARGED
 from ..semantics.consistency import ConsistencyOptions, consistency_masks, views_are_sparse
 from ..semantics.point_cloud import CloudOptions, SemanticPointCloud, build_point_cloud, label_anchors, voxelise
 from ..train.photos import exposure_gains, sharpness_weights
-from ..train.progress import StageProgress, StageReporter
 from ..train.targets import ViewTargets, view_targets
 from ..train.warm_start import warm_start
 from .objects import MATCHERS, Matching, ViewsToMatch, labels_of, point_of_pixels

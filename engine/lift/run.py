@@ -24,6 +24,7 @@ from ..diagnosis import Finding, diagnose_quickly
 from ..errors import Cancelled, PlgsError
 from ..job import Checkpoint, EventWriter, LiftFolder, StopSignal, write_manifest
 from ..job.prediction import USUAL_MASKS, learn_slowness, machine_slowness
+from ..job.progress import Course, StageProgress, StageReporter
 from ..job.training_log import TrainingLog
 from ..json_file import Json
 from ..machine.code_digest import code_digest
@@ -47,7 +48,6 @@ from ..scene import (
     survey_scene,
 )
 from ..scene_of_lift import masks_differ, masks_last_run, refuse_changed, remember_scene, warn_of_earlier
-from ..train.progress import Course, StageProgress, StageReporter
 from ..train.state import OtherLabels, restore, trainer_state
 from ..train.trainer import LOSSES, Trainer
 from .baking import FrameBaker, bake_and_evaluate, names_of_files
@@ -219,9 +219,9 @@ def checked_frames(
     request = folder.request
     if preset.labels == "votes" and not preset.can_vote:
         events.warning(NO_VOTES)
-    scene, before = open_scene_to_lift(request), masks_last_run(folder)
+    scene, before = open_scene_to_lift(request, progress), masks_last_run(folder)
     if checkpoint is not None:
-        refuse_changed(folder, scene)
+        refuse_changed(folder, scene, progress)
         before = str(checkpoint.state.get(MASKS, before))  # scene.json may be of a run that was killed since
     frames = sets_of_frames(scene, request, checkpoint, progress, events)
     survey = survey_scene(frames.chosen, progress, preset.size)
@@ -230,7 +230,7 @@ def checked_frames(
     for each in frames.chosen.inferred:
         log.info("inferred: %s: %s", each.about, each)
     findings = ask_what_is_wrong(folder, survey.scene, preset.size, events, stops=checkpoint is None)
-    masks_changed = masks_differ(before, scene, remember_scene(folder, scene, events.warning))
+    masks_changed = masks_differ(before, scene, remember_scene(folder, scene, events.warning, progress))
     return frames.only(survey.scene), masks_changed, findings
 
 

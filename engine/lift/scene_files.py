@@ -16,6 +16,7 @@ from ..errors import PlgsError
 from ..instances.records import SceneObject
 from ..instances.segments import mask_extents, outline_of
 from ..job import EventWriter, LiftFolder, read_manifest, write_atomically
+from ..job.progress import part_of
 from ..metrics.calibration import Samples, calibrate
 from ..model.baking import bake
 from ..model.checking import read_tensors
@@ -34,7 +35,7 @@ from ..result_files import (
     write_instances,
 )
 from ..scene import ClassTable, Progress, Scene, View, distinct_colour, watched
-from ..scene.view import NEAR, part_of
+from ..scene.view import NEAR
 from ..semantics.point_cloud import SemanticPointCloud
 from .judging import evenly
 from .preparation import PreparedLift
@@ -62,7 +63,7 @@ def write_scene_files(
     points; ``seen`` bool [N] says which points are written. ``names`` are the instances'. Gaussians and anchors far
     from all points are written only to the model. Raises OSError if the disk is full, and what ``progress`` raises."""
     cloud, owner = prepared.cloud, prepared.instance_of_point
-    judged, listed, baked = (part_of(progress, part / 3, (part + 1) / 3) for part in range(3))
+    judged, listed, baked = (part_of(progress, part / 3, (part + 1) / 3, 100) for part in range(3))
     judging = watched(evenly(views), judged)
     likely = calibrate(Samples(cloud.xyz, cloud.class_id, cloud.confidence), judging, held_back)
     viewpoint = np.mean([frame.camera.centre for frame in scene.train_frames], axis=0)

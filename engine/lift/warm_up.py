@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from ..job import EventWriter, StopSignal
+from ..job.progress import StageReporter
 from ..model.gaussians import decode
 from ..model.label_voting import LabelVotes, contributors, pixel_labels
 from ..model.neural_gaussians import PanopticRendering
@@ -21,7 +22,6 @@ from ..passes.baked_view import ShownInstances, bake_view
 from ..presets.preset import PRESETS
 from ..raster import rasterize
 from ..scene import Camera, Category, ClassTable, PanopticMask, Segment, View
-from ..train.progress import StageReporter
 from ..train.trainer import GrowthSchedule, Trainer, reconstruction_loss
 from .preparation import prepare
 from .run import STAGES

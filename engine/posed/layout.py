@@ -11,6 +11,7 @@ from typing import TypeVar
 
 from ..errors import MEMORY_IS_GONE, PlgsError, reading
 from ..gates import read_plain
+from ..job.progress import Progress, unwatched
 from ..job.system import main_memory
 from .frames import Camera, Size
 
@@ -99,11 +100,12 @@ def require_most(names: Sequence[str], present: Collection[str], what: str, wher
     return there
 
 
-def of_most(names: Sequence[str], read: Callable[[str], Read]) -> dict[str, Read]:
+def of_most(names: Sequence[str], read: Callable[[str], Read], progress: Progress = unwatched) -> dict[str, Read]:
     """``read`` of each of ``names``, without those for which it raises PlgsError, unless more than half do."""
     found: dict[str, Read] = {}
     errors: list[PlgsError] = []
-    for name in names:
+    for number, name in enumerate(names):
+        progress(number, len(names))
         try:
             found[name] = read(name)
         except PlgsError as error:

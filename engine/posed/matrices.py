@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError
+from ..job.progress import Progress, part_of, unwatched
 from ..json_file import take_list, wrong_type
 from ..scene_source import UpAxis
 from .frames import Camera, Size, as_pose
@@ -58,14 +59,18 @@ def take_array(entry: dict[str, Any], key: str, context: str, path: Path, *shape
     return numbers
 
 
-def read_poses(files: Mapping[str, Path]) -> dict[str, NDArray[np.float64] | None]:
+def read_poses(files: Mapping[str, Path], progress: Progress = unwatched) -> dict[str, NDArray[np.float64] | None]:
     """The camera-to-world pose, float64 [4, 4], in each frame's file; None if it holds no matrix, or inf, which is how
     scanners mark lost tracking. Raises PlgsError as ``rigid`` does, and if most existing files hold none."""
     there = [name for name, path in files.items() if path.is_file()]
-    found = of_most(there, lambda name: read_matrix(files[name], ((4, 4),)))
+    found = of_most(there, lambda name: read_matrix(files[name], ((4, 4),)), part_of(progress, 0.0, 0.5))
     lost = {name for name, pose in found.items() if np.isinf(pose).any()}
-    kept = found.keys() - lost
-    return {name: rigid(found[name], path) if name in kept else None for name, path in files.items()}
+    kept, tick = found.keys() - lost, part_of(progress, 0.5, 1.0)
+    poses: dict[str, NDArray[np.float64] | None] = {}
+    for number, (name, path) in enumerate(files.items()):
+        tick(number, len(files))
+        poses[name] = rigid(found[name], path) if name in kept else None
+    return poses
 
 
 def rigid(pose: Matrix, path: Path) -> Matrix:

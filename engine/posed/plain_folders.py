@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from ..errors import PlgsError
+from ..job.progress import Progress, part_of, unwatched
 from ..json_file import read_json_object, take_list, wrong_type
 from ..scene_source import SceneSource
 from .classes import ClassTable
@@ -105,20 +106,23 @@ def recognises(place: Path) -> bool:
     return sum((place / name).is_dir() for name in ("color", "pose", "intrinsic")) >= 2
 
 
-def read_folders(folder: Path, lens_of: Callable[[Path], Camera] | None = None) -> PlainFolders:
+def read_folders(
+    folder: Path, lens_of: Callable[[Path], Camera] | None = None, progress: Progress = unwatched
+) -> PlainFolders:
     """Read poses, headers of pictures, and lenses unless ``lens_of`` supplies them. Raises PlgsError."""
     pictures = files_by_stem(folder / "color", {".jpg", ".jpeg", ".png"}, FOLDERS_FIX)
     pose_files = files_by_stem(folder / "pose", {".txt"}, FOLDERS_FIX)
     fix = "Add pose/<name>.txt, or remove their colour images."
     there = require_most(list(pictures), pose_files, "pose", folder / "pose", fix)
-    poses = read_poses({name: pose_files[name] for name in there})
+    of_poses, of_pictures = part_of(progress, 0.0, 0.7), part_of(progress, 0.7, 1.0)
+    poses = read_poses({name: pose_files[name] for name in there}, of_poses)
     lost = tuple(name for name in pictures if poses.get(name) is None)
     if len(lost) == len(pictures):
         raise PlgsError("lost-tracking", "every pose holds inf (lost tracking)", folder / "pose", FOLDERS_FIX)
-    split = find_split(folder, [name for name in pictures if name not in lost], lost)
+    split = find_split(folder, [name for name in pictures if poses.get(name) is not None], lost)
     chosen = {*split.train, *split.test}
     kept = {name: path for name, path in pictures.items() if name in chosen}
-    sizes = of_most(list(kept), lambda name: read_image_header(kept[name]).size)
+    sizes = of_most(list(kept), lambda name: read_image_header(kept[name]).size, of_pictures)
     lenses = {name: lens_of(kept[name]) for name in sizes} if lens_of else _read_lenses(folder / "intrinsic", sizes)
     cameras = {name: lenses[name].at(pose) for name, pose in poses.items() if pose is not None and name in lenses}
     return PlainFolders(tuple(pictures), cameras, kept, lost, split)

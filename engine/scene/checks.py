@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import MEMORY_IS_GONE, PlgsError
+from ..job.progress import unwatched
 from ..posed.classes import VOID
 from ..posed.frames import size_within
 from ..posed.image_header import check_image_file
@@ -79,14 +80,13 @@ class Survey:
     warnings: tuple[str, ...]
 
 
-def survey_scene(scene: Scene, progress: Progress | None = None, keep_within: Size | None = None) -> Survey:
+def survey_scene(scene: Scene, progress: Progress = unwatched, keep_within: Size | None = None) -> Survey:
     """Check every file of a scene and how the frames fit together, in about 20 ms for a 640x480 frame. Depth and masks
     may be missing. Depth, masks and ground truth of all frames are decoded; all colour files are checked for damage,
     and 16 of them are decoded. Frames whose files cannot be read, up to half, are named in the warnings. Raises
     PlgsError for the first thing that cannot be lifted. Masks are kept at the size that frames have within
     ``keep_within``, so a later read at this size decodes no file."""
-    tick = progress or (lambda done, total: None)
-    looks, scene, warnings = _readable(scene, tick, keep_within)
+    looks, scene, warnings = _readable(scene, progress, keep_within)
     facts = [fact for fact, *_ in looks]
     thumbnails = [thumbnail for _, thumbnail, _ in looks if thumbnail is not None]
     depths = [fact.depth for fact in facts if fact.depth is not None]
@@ -100,7 +100,7 @@ def survey_scene(scene: Scene, progress: Progress | None = None, keep_within: Si
     if classes_seen == {VOID}:  # without any masks the set is empty, which is allowed
         fix = "Give masks that have segments in the frames to train on."
         raise PlgsError("masks-empty", "the masks are empty", scene.folder, fix)
-    overlap_warnings = _overlap_warnings(scene, thumbnails, tick) if depths else ()
+    overlap_warnings = _overlap_warnings(scene, thumbnails, progress) if depths else ()
     return Survey(scene, tuple(facts), (*warnings, *_pixel_warnings(facts), *overlap_warnings))
 
 
@@ -231,7 +231,7 @@ def _overlap_warnings(scene: Scene, thumbnails: Sequence[Thumbnail], tick: Progr
     if len(thumbnails) < 2:
         yield "there is only one frame: nothing can be checked against another view"
         return
-    overlap = measure_overlap(thumbnails, lambda: tick(len(thumbnails), len(thumbnails)))
+    overlap = measure_overlap(thumbnails, tick)
     if not overlap.overlaps:
         where = scene.folder / "pose" if (scene.folder / "pose").is_dir() else scene.folder
         fix = f"Check that poses are {_POSE_RULES}, and that depth is in millimetres."

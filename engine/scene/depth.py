@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import MEMORY_IS_GONE, PlgsError
+from ..job.progress import Progress, unwatched
 from ..posed.array_file import array_headers, read_array, read_npy
 from ..posed.frames import Camera
 from ..posed.image_header import read_image_header
@@ -22,6 +23,7 @@ from ..posed.matrices import read_intrinsics, read_matrix
 from .files_of_frames import whole_file
 from .frame import Inferred, Size
 from .pixels import Alignment, decode_depth, read_indices, resize_aligned, resize_nearest
+from .view import watched
 
 MILLIMETRES = 0.001
 _DEPTHS = (0.0005, 10_000.0)
@@ -178,14 +180,16 @@ def registered(depth: NDArray[np.float32], camera: Camera, colour: Camera) -> ND
     return nearest.reshape(height, width)
 
 
-def open_depth(scene: Path, lenses: Mapping[str, Camera]) -> tuple[dict[str, DepthMap], tuple[Inferred, ...]]:
+def open_depth(
+    scene: Path, lenses: Mapping[str, Camera], progress: Progress
+) -> tuple[dict[str, DepthMap], tuple[Inferred, ...]]:
     """Depth maps of the frames in the folder ``depth``, and what was inferred about their lens; only headers are read.
     Raises PlgsError. ``lenses`` are the colour cameras by frame."""
     folder = scene / "depth"
     files = files_by_stem(folder, {".png"}, "Give 16-bit PNGs in millimetres, named like the colour images.")
     fix = "Add depth/<name>.png, or remove their colour images."
     there = require_most(list(lenses), files, "depth", folder, fix)
-    maps = {name: png_depth(files[name], lenses[name]) for name in there}
+    maps = {name: png_depth(files[name], lenses[name]) for name in watched(there, progress)}
     path, beside_path, of_colour = (
         next((each for each in (scene / "intrinsic" / f"{name}.txt", scene / f"{plural}.txt") if each.is_file()), None)
         for name, plural in (
@@ -294,19 +298,18 @@ def compared(count: int) -> list[tuple[int, int]]:
 
 
 def measure_overlap(
-    thumbnails: Sequence[Thumbnail], tick: Callable[[], object] | None = None, tolerance: float = _TOLERANCE
+    thumbnails: Sequence[Thumbnail], progress: Progress = unwatched, tolerance: float = _TOLERANCE
 ) -> Overlap:
     """Compare every frame with the next three, and 24 frames spread over the scene with each other. Depths agree within
-    ``tolerance`` metres, or 5 %. ``tick`` is called after each pair."""
+    ``tolerance`` metres, or 5 %. ``progress`` is called with (done, total) in frames."""
     best = np.zeros(len(thumbnails))
     agreements = []
     for i, j in compared(len(thumbnails)):
+        progress(i, len(thumbnails))
         inside, agreeing = _share_seen(thumbnails[i], thumbnails[j], tolerance)
         best[i], best[j] = max(best[i], agreeing), max(best[j], agreeing)
         if inside >= _LOOKED_AT:
             agreements.append(agreeing / inside)
-        if tick is not None:
-            tick()
     return Overlap(
         lonely=tuple(thumbnail.name for thumbnail, share in zip(thumbnails, best, strict=True) if share < _OVERLAPPING),
         overlaps=bool(best.max(initial=0.0) >= _OVERLAPPING),

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError
+from ..job.progress import Progress, unwatched
 from ..posed.image_header import read_image_header
 from .depth import DepthMap, Thumbnail, depth_check, in_metres, measure_overlap, read_depth_array
 from .files_of_frames import files_of_frames, mask_files
@@ -158,8 +159,9 @@ def read_map(path: Path) -> NDArray[Any]:
 
 
 def with_estimated_depth(
-    frames: Sequence[Frame], folder: Path, points: SparsePoints | None, pictured: Mapping[str, Pictured]
-) -> tuple[tuple[Frame, ...], tuple[LeftOut, ...], tuple[Inferred, ...]]:
+    frames: Sequence[Frame], folder: Path, points: SparsePoints | None, pictured: Mapping[str, Pictured],
+    progress: Progress = unwatched,
+) -> tuple[tuple[Frame, ...], tuple[LeftOut, ...], tuple[Inferred, ...]]:  # fmt: skip
     """The frames with depth from the maps in ``folder``, those left out because they see too few points, and what was
     inferred. ``pictured``: see ``mask_fit``. Maps are read on demand, a few of them right away to inspect them. Raises
     PlgsError if a map is missing, or no frame is left."""
@@ -167,7 +169,7 @@ def with_estimated_depth(
     # Networks write pictures to look at beside their arrays; a few arrays beside maps are something else.
     arrays = mask_files(folder, *_ARRAYS)
     kinds = _ARRAYS if arrays and (2 * len(arrays) >= len(names) or not mask_files(folder, ".png")) else {".png"}
-    find = partial(files_of_frames, folder, suffixes=kinds, what="depth map", fix=_FIX)
+    find = partial(files_of_frames, folder, suffixes=kinds, what="depth map", fix=_FIX, progress=progress)
     has_points, error = points is not None and len(points) > 0, None
     try:
         files: Mapping[str, Path] = find(names)

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from functools import cache
 from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import TypeVar
 
 from ..errors import PlgsError
+from ..job.progress import Progress, part_of, unwatched
 from ..posed.image_header import read_image_header
 from ..posed.layout import composed, files_by_stem, of_most, require_most, shown_files
 from .pixels import is_black_and_white, shows_one_object
@@ -46,20 +46,20 @@ def mask_files(folder: Path, *suffixes: str) -> list[Path]:
     folders = [] if found else [path for path in shown if path.is_dir()]
     if not any(is_camera(path) or not _is_of_one(path) for path in folders[:_FOLDERS_LOOKED_AT]):
         return found
-    inside = (sorted(shown_files(camera)) for camera in folders)
-    return found or [path for paths in inside for path in paths if path.suffix.lower() in suffixes and path.is_file()]
+    inside = (sorted(path for path in shown_files(camera) if path.suffix.lower() in suffixes) for camera in folders)
+    return found or [path for paths in inside for path in paths if path.is_file()]
 
 
 def is_camera(folder: Path) -> bool:
     """Whether another folder beside the masks' has photos in a subfolder of the same name, as for a rig's camera."""
     beside = (path / folder.name for path in folder.parent.parent.iterdir() if path.name != folder.parent.name)
-    firsts = (next(iter(sorted(shown_files(path))), None) for path in beside if path.is_dir())
+    firsts = (min(shown_files(path), default=None) for path in beside if path.is_dir())
     return any(first is not None and first.suffix.lower() in IMAGES and not shows_one_object(first) for first in firsts)
 
 
 def _is_of_one(folder: Path) -> bool:
     """Whether a folder holds the masks of a single object or of a single picture."""
-    first = next(iter(sorted(shown_files(folder, "*.[pP][nN][gG]"))), None)
+    first = min(shown_files(folder, "*.[pP][nN][gG]"), default=None)
     is_listed = (folder / AMG_LIST).exists() or (first is not None and DETECTION.fullmatch(first.stem))
     return bool(is_listed) or (first is not None and shows_one_object(first))
 
@@ -86,20 +86,20 @@ def _files(folder: Path, suffixes: Collection[str], fix: str) -> dict[str, Path]
 
 
 def files_of_frames(
-    folder: Path, names: Sequence[str], suffixes: Collection[str], what: str, fix: str
+    folder: Path, names: Sequence[str], suffixes: Collection[str], what: str, fix: str, progress: Progress
 ) -> dict[str, Path]:
     """The file in ``folder`` of each frame in ``names``, without frames whose file is missing, empty, or a truncated
     image. Raises as ``files_by_stem`` does and, if these are more than half, as ``require_most`` and ``of_most`` do."""
     files = of_same_name(names, _files(folder, suffixes, fix))
-    return of_most(require_most(names, files, what, folder, fix), lambda name: whole_file(files[name]))
+    return of_most(require_most(names, files, what, folder, fix), lambda name: whole_file(files[name]), progress)
 
 
 def files_of_both(
-    one: Path, other: Path, names: Sequence[str], suffixes: Collection[str], fix: str
+    one: Path, other: Path, names: Sequence[str], suffixes: Collection[str], fix: str, progress: Progress
 ) -> tuple[dict[str, Path], dict[str, Path]]:
     """The mask files of frames that have one in both folders, as found by ``files_of_frames``."""
-    first = files_of_frames(one, names, suffixes, "mask", fix)
-    second = files_of_frames(other, list(first), suffixes, "mask", fix)
+    first = files_of_frames(one, names, suffixes, "mask", fix, part_of(progress, 0.0, 0.5))
+    second = files_of_frames(other, list(first), suffixes, "mask", fix, part_of(progress, 0.5, 1.0))
     return {name: first[name] for name in second}, second
 
 
@@ -112,13 +112,13 @@ def whole_file(path: Path) -> Path:
     return path
 
 
-def digests_of_files(groups: Sequence[tuple[Path | None, ...]]) -> list[str]:
+def digests_of_files(groups: Sequence[tuple[Path | None, ...]], progress: Progress = unwatched) -> list[str]:
     """The start of the SHA-256 of each group of files (None: no file); empty if one is unreadable or a folder."""
     found = []
-    for group in groups:
+    for number, group in enumerate(groups):
+        progress(number, len(groups))
         try:
-            states = [(path, path.stat()) for path in group if path is not None]
-            read = [_digest(path, state.st_size, state.st_mtime_ns) for path, state in states]
+            read = [_digest(path) for path in group if path is not None]
         except OSError:
             found.append("")
             continue
@@ -126,10 +126,17 @@ def digests_of_files(groups: Sequence[tuple[Path | None, ...]]) -> list[str]:
     return found
 
 
-@cache
-def _digest(path: Path, size: int, changed_ns: int) -> bytes:  # size and time: a changed file is read again
-    with open(path, "rb") as file:
-        return file_digest(file, "sha256").digest()
+_digests: dict[tuple[object, ...], bytes] = {}
+
+
+def _digest(path: Path) -> bytes:
+    """The SHA-256 of a file. A changed one is read again, links to one file only once. Raises OSError."""
+    state = path.stat()
+    key = (state.st_dev, state.st_ino or path, state.st_size, state.st_mtime_ns)  # some shares number no files
+    if key not in _digests:
+        with open(path, "rb") as file:
+            _digests[key] = file_digest(file, "sha256").digest()
+    return _digests[key]
 
 
 def of_same_name(names: Sequence[str], files: Mapping[str, Value]) -> Mapping[str, Value]:

@@ -7,7 +7,7 @@ of the other frames still vote (``engine/lift/voting.py``).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TypeVar
 
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError
+from ..job.progress import Progress, unwatched
 from ..posed import size_within
 from .frame import Frame, Scene
 from .view import read_ahead
@@ -29,7 +30,7 @@ LOOKED_AT_WITHIN = (480, 480)
 """Maximum (width, height) in pixels at which sharpness is measured."""
 
 
-def choose_frames(scene: Scene, most: int, progress: Callable[[int, int], object] | None = None) -> Scene:
+def choose_frames(scene: Scene, most: int, progress: Progress = unwatched) -> Scene:
     """The scene with at most ``most`` training frames; those held out stay. ``progress`` counts windows."""
     frames = scene.train_frames
     if len(frames) <= most:
@@ -41,8 +42,7 @@ def choose_frames(scene: Scene, most: int, progress: Callable[[int, int], object
     for done, group in enumerate(groups, start=1):
         found = [next(details) for _ in group] if len(group) > 1 else [0.0]
         kept.add(group[int(np.argmax(found))].name)
-        if progress is not None:
-            progress(done, len(groups))
+        progress(done, len(groups))
     return replace(scene, frames=tuple(frame for frame in scene.frames if frame.held_out or frame.name in kept))
 
 

@@ -11,6 +11,7 @@ from zlib import compress, decompress
 import numpy as np
 
 from ..errors import ErrorCode, PlgsError, reading
+from ..job.progress import Progress, unwatched
 from ..posed.classes import VOID, ClassLabel, ClassTable
 from ..posed.layout import listed
 from ..scene_source import SceneSource
@@ -141,7 +142,7 @@ class MaskSet:
     over: Mapping[str, EvidenceReader] = field(default_factory=dict)
 
 
-def find_masks(source: SceneSource, scene: Path, pictured: Mapping[str, Pictured]) -> MaskSet:
+def find_masks(source: SceneSource, scene: Path, pictured: Mapping[str, Pictured], progress: Progress) -> MaskSet:
     """The masks of the frames and the detections over them; empty if there are none. Raises PlgsError."""
     place = mask_place(scene, None if source.masks is None else Path(source.masks))
     kept = [each.kept.path for each in pictured.values() if each.kept is not None]
@@ -150,7 +151,7 @@ def find_masks(source: SceneSource, scene: Path, pictured: Mapping[str, Pictured
         return MaskSet()
     sizes = {name: each.size for name, each in pictured.items()}
     detections = None if source.detections is None else open_detections(source.detections, place, sizes)
-    return open_masks(place, [*pictured], source.mask_format, source.classes, pictured, detections)
+    return open_masks(place, [*pictured], source.mask_format, source.classes, pictured, detections, progress)
 
 
 def mask_place(scene: Path, masks: Path | None) -> Path | None:
@@ -172,6 +173,7 @@ def open_masks(
     classes: str | None = None,
     pictured: Mapping[str, Pictured] | None = None,
     detections: Detections | None = None,
+    progress: Progress = unwatched,
 ) -> MaskSet:
     """Open the masks at ``place`` of the frames ``names``; headers and tables only. Raises PlgsError. ``mask_format``
     names their format; None recognises it. ``classes``: see ``find_class_choice``. With ``pictured``, some masks and
@@ -179,9 +181,9 @@ def open_masks(
     inferred: tuple[Inferred, ...] = ()
     placed: dict[str, Placement] = {}
     if pictured is None:
-        source = open_mask_source(place, names, mask_format)
+        source = open_mask_source(place, names, mask_format, progress)
     else:
-        source, of_names = paired(names, lambda asked: open_mask_source(place, asked, mask_format), pictured)
+        source, of_names = paired(names, lambda asked: open_mask_source(place, asked, mask_format, progress), pictured)
         placed, of_pictures = placements(source, pictured)
         inferred = (*of_names, *of_pictures)
     choice = find_class_choice(classes, place if place.is_dir() else place.parent)
@@ -222,8 +224,8 @@ def open_masks(
     return MaskSet(known.classes, readers, tuple(warnings), (*inferred, *of_numbers), over)
 
 
-def open_mask_source(place: Path, names: Sequence[str], mask_format: str | None = None) -> MaskSource:
+def open_mask_source(place: Path, names: Sequence[str], mask_format: str | None, progress: Progress) -> MaskSource:
     """The masks as stored, without the user's table. Raises PlgsError."""
     reader = find_mask_format(place, mask_format)
     with reading(place, "Check that it exists, and its permissions."):
-        return reader.read(place, names)
+        return reader.read(place, names, progress)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import PlgsError
 from ..job.atomic import write_atomically
+from ..job.progress import unwatched
 from ..json_file import read_object
 from ..posed.classes import VOID
 from ..records import record_of
@@ -123,7 +124,7 @@ def list_classes(source: SceneSource, table: str | None = None) -> ClassList:
     path = class_list_path(source.scene, source.masks)
     scene = open_asked(replace(source, up="z", classes=table))
     place, names = _place_of_masks(source.scene, source.masks), [frame.name for frame in scene.frames]
-    masks = open_mask_source(place, names, source.mask_format)
+    masks = open_mask_source(place, names, source.mask_format, unwatched)
     if table is not None and masks.tells_no_class:
         fix = f"Write {FILE_NAME} beside them: [[class]] with id, name and thing for each number."
         raise PlgsError("masks-classless", "the masks number objects and have no classes, so no table fits", place, fix)

@@ -16,6 +16,7 @@ from typing import Any, TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from ..job.progress import Progress as Progress
 from ..posed.frames import Camera
 from .frame import Frame, PanopticMask, Segment, Size
 from .pixels import resize_colour, resize_nearest
@@ -178,15 +179,6 @@ def chained(first: Sequence[Item], second: Sequence[Item]) -> OnDemand[Item]:
     """The items of ``first``, then those of ``second``, each fetched on demand."""
     start = len(first)
     return OnDemand(start + len(second), lambda index: first[index] if index < start else second[index - start])
-
-
-Progress = Callable[[int, int], object]
-"""Called with (done, total); may raise to stop."""
-
-
-def part_of(whole: Progress, begin: float, end: float) -> Progress:
-    """The progress of a part, from one fraction of ``whole`` to another. It is called with whole percentages."""
-    return lambda done, total: whole(round(100 * (begin + (end - begin) * done / max(total, 1))), 100)
 
 
 def watched(items: Sequence[Item], progress: Progress) -> OnDemand[Item]:

@@ -24,7 +24,6 @@ from ..scene import View
 from .arithmetic import IN_TORCH, KERNELS
 from .label_losses import TINY, assigned_slots, label_losses
 from .optimiser import RATES, Optimiser, Rates
-from .progress import StepClock
 from .self_training import PseudoLabels, pseudo_label_steps, rendered_labels
 from .similarity import PhotoMoments, compare, photo_values
 from .targets import ViewTargets, columns_of
@@ -35,6 +34,19 @@ NEAR = 0.5
 """Metres: errors at smaller depths count as much as at this depth."""
 NOISY = 4.0
 """Metres: at this depth a sensor's noise, which grows as depth squared, halves the weight of a pixel."""
+
+
+class StepClock:
+    """Called at the end of each part of a training step. This one does nothing; ``research/bench_step.py`` measures."""
+
+    def start(self) -> None:
+        """Called when a step begins."""
+
+    def lap(self, part: str) -> None:
+        """Called at the end of ``part``, which began at the last call."""
+
+    def lap_on_way_back(self, tensors: Sequence[torch.Tensor], part: str) -> None:
+        """Call ``lap`` when the backward pass first reaches one of ``tensors``."""
 
 
 def reconstruction_loss(

@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from engine.job import EventWriter, LiftFolder, StopSignal
+from engine.job.progress import StageReporter
 from engine.lift.preparation import PreparedLift, prepare, starting_anchors, starting_scene
 from engine.lift.run import run_lift
 from engine.model.growing import GrowthRound
@@ -23,7 +24,6 @@ from engine.raster import Rendering
 from engine.scene import ClassTable, OnDemand, View
 from engine.train.label_losses import TINY, ThingSegments, label_losses
 from engine.train.optimiser import RATES
-from engine.train.progress import StageReporter
 from engine.train.targets import ViewTargets, columns_of
 from engine.train.trainer import GrowthSchedule, Trainer
 

@@ -9,11 +9,11 @@ import pytest
 import engine.diagnosis.run as diagnosis_run
 from engine.diagnosis import diagnose_quickly
 from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
+from engine.job.progress import StageReporter
 from engine.job.report import metrics_text
 from engine.lift import run
 from engine.presets.preset import PRESETS
 from engine.scene import open_scene
-from engine.train.progress import StageReporter
 from tests.diagnosis.matrix import FAULTS
 from tests.raises_key import raises_key
 from tests.tiny_scene import write_tiny_scene

@@ -10,6 +10,7 @@ from numba.core.dispatcher import Dispatcher
 
 from engine.command_line.run_engine import run_engine
 from engine.job import EventWriter, ExitCode, LiftFolder, LiftRequest, StopSignal, last_run
+from engine.job.progress import StageReporter
 from engine.job.report import read_metrics
 from engine.lift import device, run, warm_up
 from engine.lift.device import usable_device
@@ -18,7 +19,6 @@ from engine.model.render import render_bands
 from engine.model.structured import StructuredScene
 from engine.passes.baked_view import ShownInstances, bake_view
 from engine.train.arithmetic import IN_TORCH, KERNELS
-from engine.train.progress import StageReporter
 from engine.train.trainer import Trainer
 from tests.raises_key import raises_key, worded
 from tests.raster.gsplat_in_torch import use_a_stand_in

@@ -10,12 +10,12 @@ import pytest
 from engine.errors import ErrorCode
 from engine.job import Checkpoint, EventWriter, LiftRequest, StopSignal
 from engine.job.prediction import predict
+from engine.job.progress import StageProgress
 from engine.job.system import MainMemory
 from engine.lift import frame_sets
 from engine.lift.frame_sets import LEAST_PIXEL, check_disk, frames_that_fit, masks_a_frame, sets_of_frames
 from engine.presets.preset import PRESETS
 from engine.scene import Scene, open_scene
-from engine.train.progress import StageProgress
 from tests.raises_key import raises_key
 from tests.tiny_scene import write_tiny_scene
 from tests.train.tiny_lift import warnings_in

@@ -14,7 +14,7 @@ import OpenEXR
 import pytest
 
 from engine.errors import Cancelled
-from engine.job import LiftFolder, LiftRequest, verify
+from engine.job import LiftFolder, LiftRequest, progress, verify
 from engine.lift import frame_sets, scene_files
 from engine.lift import run as lift_run
 from engine.lift.run import STAGES
@@ -25,7 +25,6 @@ from engine.result_files import Anchors, SemanticPoints, read_arrays
 from engine.scene import load_view, open_scene
 from engine.scene.mask_formats import coco
 from engine.semantics.point_cloud import SemanticPointCloud
-from engine.train import progress
 from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
 from tests.train.tiny_lift import TINY, lift_into, presets_as, run
 

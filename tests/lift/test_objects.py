@@ -9,13 +9,12 @@ import pytest
 from engine.errors import Cancelled
 from engine.instances.agreement import ViewPoints
 from engine.instances.records import ObjectMask, SceneObject
-from engine.job import EventWriter, StopSignal, last_run
+from engine.job import EventWriter, StopSignal, last_run, progress
+from engine.job.progress import StageReporter
 from engine.lift.objects import without_fragments
 from engine.lift.preparation import find
 from engine.lift.run import STAGES
 from engine.scene import Segment
-from engine.train import progress
-from engine.train.progress import StageReporter
 from tests.train.tiny_lift import TINY
 from tests.train.tiny_lift import views_of as views_of_a_room
 

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from engine.errors import Cancelled, PlgsError
-from engine.job import Checkpoint, EventWriter, LiftFolder, LiftRequest, StopSignal
+from engine.job import Checkpoint, EventReader, EventWriter, LiftFolder, LiftRequest, StopSignal
+from engine.job import progress as job_progress
+from engine.job.progress import Course, StageReporter
 from engine.lift import run
 from engine.presets.preset import PRESETS
 from engine.scene import PanopticMask, Segment, load_view, open_scene
-from engine.train.progress import Course, StageReporter
 from engine.train.trainer import StepReport
 from tests.raises_key import raises_key
 from tests.tiny_scene import write_tiny_scene
@@ -194,3 +195,17 @@ def test_a_resumed_lift_does_not_mistake_skipped_steps_for_a_fast_pace() -> None
     now = course.began + 30.0
     course.skip("train", 0.5)
     assert course.left("train", 0.5, None, now) == pytest.approx(40.0)
+
+
+def test_another_part_of_a_stage_has_its_own_pace(
+    stages: StageReporter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Opening a long scene says nothing about the few frames that are then checked."""
+    now = [0.0]
+    monkeypatch.setattr(job_progress, "time", type("Clock", (), {"monotonic": staticmethod(lambda: now[0])}))
+    with stages.stage("check") as progress:
+        for seconds, done, total in ((1.0, 0, 1000), (900.0, 900, 1000), (901.0, 1, 5), (902.0, 2, 5)):
+            now[0] = seconds
+            progress(done, total)
+    said = [event.data["eta_s"] for event in EventReader(tmp_path / "events.jsonl").poll() if event.kind == "progress"]
+    assert said == [None, 99.9, None, 3.0]

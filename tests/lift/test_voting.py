@@ -11,6 +11,7 @@ import pytest
 
 from engine.errors import Cancelled, PlgsError
 from engine.job import EventWriter, StopSignal
+from engine.job.progress import StageReporter
 from engine.lift.frame_sets import frames_to_vote
 from engine.lift.preparation import PreparedLift, prepare
 from engine.lift.run import STAGES
@@ -21,7 +22,6 @@ from engine.passes.layers import decide
 from engine.presets.preset import PRESETS, Preset
 from engine.scene import Frame, Scene, Segment, View, load_view, open_scene
 from engine.train import warm_start
-from engine.train.progress import StageReporter
 from engine.train.trainer import Trainer
 from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
 from tests.train.tiny_lift import TINY, prepared_for, warnings_in

@@ -4,12 +4,13 @@ from pathlib import Path
 from typing import Any
 
 from engine.errors import PlgsError
+from engine.job.progress import unwatched
 from engine.scene import Progress, Scene, SceneReport, open_scene, report_of, survey_scene
 from engine.scene.opening import require_liftable
 from tests.raises_key import raises_key
 
 
-def check_scene(scene: Scene, progress: Progress | None = None) -> tuple[str, ...]:
+def check_scene(scene: Scene, progress: Progress = unwatched) -> tuple[str, ...]:
     """The warnings of the survey of a scene that can be lifted."""
     require_liftable(scene)
     return survey_scene(scene, progress).warnings

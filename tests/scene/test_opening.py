@@ -9,12 +9,16 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.scene import load_view, open_scene
+from engine.errors import Cancelled
+from engine.job import EventWriter, StopSignal, progress
+from engine.job.events import EventReader
+from engine.scene import load_view, open_asked, open_scene
+from engine.scene_source import SceneSource
 from tests.scene.formats.room import write_grey
 from tests.scene.formats.test_nerfstudio import write_scene
 from tests.scene.mask_formats.labelled_room import Truth, check_on_room, write_masked_frames
 from tests.scene.refusing import check_scene
-from tests.scene.samples import WRITERS, opened
+from tests.scene.samples import OPTIONS, WRITERS, opened
 from tests.tiny_scene import tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
 
 
@@ -137,6 +141,31 @@ def test_files_left_by_macos_and_windows_are_ignored(name: str, tmp_path: Path) 
         (folder / ".DS_Store").write_bytes(b"\x00\x00\x00\x01Bud1")
         (folder / "Thumbs.db").write_bytes(b"\xd0\xcf\x11\xe0")
     assert report(tmp_path, name) == before
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_opening_says_how_far_it_is_and_stops_when_asked(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(progress, "REPORT_EVERY_S", 0.0)
+    WRITERS[name](tmp_path)
+    source = SceneSource(tmp_path / "ai_001_001" if name == "hypersim" else tmp_path, **OPTIONS.get(name, {}))
+    events, stop = EventWriter(tmp_path / "events.jsonl"), StopSignal()
+    frames = len(open_asked(source, progress.StageProgress("check", events, stop)).frames)
+    said = [(event.data["step"], event.data["steps"]) for event in EventReader(tmp_path / "events.jsonl").poll()]
+    assert len(said) >= frames and all(steps >= frames for _, steps in said if name != "hypersim")  # a camera at a time
+    shares = [step / steps for step, steps in said]
+    assert shares == sorted(shares) or name == "hypersim"
+    told: list[int] = []
+
+    def asks(done: int, total: int) -> None:
+        told.append(done)
+        stop.ask("enough")
+        stop.check()
+
+    with pytest.raises(Cancelled):
+        open_asked(source, asks)
+    assert told == [0]
 
 
 def write_labels(folder: Path, rename: Callable[[str], str]) -> list[Truth]:

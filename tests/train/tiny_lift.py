@@ -9,13 +9,13 @@ import numpy as np
 import torch
 
 from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal, last_run
+from engine.job.progress import StageReporter
 from engine.lift.preparation import PreparedLift, prepare
 from engine.lift.run import STAGES, Preparing, run_lift
 from engine.model.growing import GrowthRules
 from engine.presets.preset import PRESETS, Growth, Preset, Schedule
 from engine.scene import ClassTable, View, load_view, open_scene
 from engine.train import warm_start
-from engine.train.progress import StageReporter
 from engine.train.trainer import GrowthSchedule, Trainer
 from tests.tiny_scene import write_tiny_scene
 

@@ -25,7 +25,7 @@ from ...posed.frames import as_pose, inverse
 from ...posed.layout import files_by_stem, shown_files
 from ..depth import png_depth, trusted
 from ..files_of_frames import files_if_any
-from .capture import Capture, Found, SceneFormat, Shot, with_picture
+from .capture import Capture, Found, Progress, SceneFormat, Shot, watched, with_picture
 from .lens import fitted, pinhole
 from .poses import nearest, numbers, read_rows
 
@@ -42,7 +42,7 @@ def _folder(place: Path) -> Path | None:
     return next((each for each in (place, *inside) if (each / _TRAJECTORY).is_file()), None)
 
 
-def _read(place: Path) -> Capture:
+def _read(place: Path, progress: Progress) -> Capture:
     folder = _folder(place)
     kind = next((kind for kind in _KINDS if folder is not None and any(shown_files(folder / kind, "*.png"))), None)
     if folder is None or kind is None:
@@ -53,7 +53,7 @@ def _read(place: Path) -> Capture:
     depths, levels = (_by_time(files_if_any(folder / name, {".png"}, _FIX)) for name in ("lowres_depth", "confidence"))
     poses = _read_trajectory(folder / _TRAJECTORY)
     found: list[tuple[str, Found]] = []
-    for seconds, picture in sorted(_by_time(pictures).items()):
+    for seconds, picture in watched(sorted(_by_time(pictures).items()), progress):
         pose, lens = _pose_at(poses, seconds), _nearest(lenses, seconds)
         depth, level = _nearest(depths, seconds), _nearest(levels, seconds)
         make = None if pose is None or lens is None else partial(_shot, picture, lens, depth, level, pose)

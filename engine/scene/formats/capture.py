@@ -17,6 +17,8 @@ from ...posed.plain_folders import Split
 from ...scene_source import UpAxis
 from ..depth import DepthMap, fault_of
 from ..frame import Inferred, LeftOut, SparsePoints
+from ..view import Progress as Progress
+from ..view import watched as watched
 from .lens import STRAIGHT, Distortion
 
 _NOT_IN_NAMES = re.compile(r'[\x00-\x1f<>:"|?*]')
@@ -94,7 +96,7 @@ class SceneFormat:
 
     name: str
     recognises: Callable[[Path], bool]
-    read: Callable[[Path], Capture]
+    read: Callable[[Path, Progress], Capture]
 
 
 def frame_names(paths: Sequence[str]) -> list[str]:

@@ -23,7 +23,7 @@ from ...posed.plain_folders import Split
 from ..depth import DepthMap, fault_of, npy_depth, only_depth, png_depth
 from ..files_of_frames import files_if_any
 from ..frame import Inferred, SparsePoints, left_out
-from .capture import Capture, SceneFormat, Shot, frame_names, with_picture
+from .capture import Capture, Progress, SceneFormat, Shot, frame_names, watched, with_picture
 from .colmap_model import EXPORT_AGAIN, MADE_BY, UNDISTORT, ColmapImage, ColmapModel, has_model, read_model
 from .lens import Distortion, fitted, of_colmap, pinhole
 from .photos import LET_COLMAP
@@ -57,7 +57,7 @@ def _has_depth(place: Path) -> bool:
     return any((place / _DEPTH_MAPS).rglob("*.bin"))
 
 
-def _read(place: Path) -> Capture:
+def _read(place: Path, progress: Progress) -> Capture:
     folder = _find_model(place)
     if folder is None:
         raise PlgsError("no-colmap-model", "the COLMAP model is missing", place, f"Give {_LOOKS_FOR}, or {LET_COLMAP}.")
@@ -85,7 +85,7 @@ def _read(place: Path) -> Capture:
     paths = [file_inside(root, image.name, folder) for image in images]
     found = [
         (name, with_picture(path, partial(_shot, name, image, path, model, place, depths)))
-        for name, image, path in zip(names, images, paths, strict=True)
+        for name, image, path in watched([*zip(names, images, paths, strict=True)], progress)
     ]
     folders, kinds = {path.parent for path in paths}, {path.suffix.lower() for path in paths}
     beside = {path for each in folders if each.is_dir() for path in shown_files(each) if path.is_file()}

@@ -30,7 +30,7 @@ from ...posed.layout import shown_files
 from ..depth import DepthMap
 from ..frame import Inferred, left_out
 from ..pixels import decode
-from .capture import Capture, SceneFormat, Shot, with_picture
+from .capture import Capture, Progress, SceneFormat, Shot, watched, with_picture
 from .poses import finite_pose, from_opengl
 
 _TO_OPENCV = np.diag([1.0, -1.0, -1.0])
@@ -152,7 +152,7 @@ _GUESSED = Inferred(
 )
 
 
-def _read(place: Path) -> Capture:
+def _read(place: Path, progress: Progress) -> Capture:
     metres = _metres_a_unit(place / "_detail" / "metadata_scene.csv")
     rays, inferred = _read_rays(place)
     found, blind = [], list[str]()
@@ -165,7 +165,7 @@ def _read(place: Path) -> Capture:
         previews = shown_files(place / "images" / f"scene_{camera.name}_final_preview", "frame.*.tonemap.jpg")
         shown = {int(digits) for path in previews if (digits := path.name.split(".")[1]).isdecimal()}
         blind += [f"{camera.name}_{number:04d}" for number in sorted(shown - {number for number, *_ in pictures})]
-        for number, colour, depth in pictures:
+        for number, colour, depth in watched(pictures, progress):
             if number >= len(positions):
                 raise PlgsError("no-pose", f"frame {number} has no pose", camera, _FIX)
             matrix = np.column_stack([turns[number], positions[number] * metres]).astype(np.float64)

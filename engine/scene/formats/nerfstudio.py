@@ -34,7 +34,7 @@ from ...scene_source import UpAxis
 from ..depth import MILLIMETRES, DepthMap, npy_depth, png_depth
 from ..frame import Inferred, Size, SparsePoints, left_out
 from ..pixels import label_header
-from .capture import Capture, SceneFormat, Shot, frame_names, with_picture
+from .capture import Capture, Progress, SceneFormat, Shot, frame_names, watched, with_picture
 from .lens import LENS_NUMBER, Distortion, fitted, of_nerfstudio, pinhole
 from .poses import finite_pose, from_opengl
 
@@ -58,18 +58,18 @@ def _files(place: Path) -> list[Path]:
     return [place / _TRAIN, *held_out] if is_split else [place / _FILE]
 
 
-def _read(place: Path) -> Capture:
+def _read(place: Path, progress: Progress) -> Capture:
     paths = _files(place) or [place]
     contents = [read_json_object(path) for path in paths]
     parts = [_frames(content, path) for content, path in zip(contents, paths, strict=True)]
     names = frame_names([frame["file_path"] for frames, _ in parts for frame in frames])
     of_parts = np.split(np.array(names, object), np.cumsum([len(frames) for frames, _ in parts])[:-1])
     entries = dict(zip(names, (frame for frames, _ in parts for frame in frames), strict=True))
-    bad = [name for name, frame in entries.items() if frame.get("is_bad") is True]
+    bad = {name: frame for name, frame in entries.items() if frame.get("is_bad") is True}
     found = [
         (name, with_picture(_image_path(path, frame["file_path"]), partial(_shot, name, {**content, **frame}, path)))
         for own, (frames, _), content, path in zip(of_parts, parts, contents, paths, strict=True)
-        for name, frame in zip(own, frames, strict=True)
+        for name, frame in watched([*zip(own, frames, strict=True)], progress)
         if name not in bad
     ]
     missing = [name for _, absent in parts for name in absent]
@@ -84,7 +84,7 @@ def _read(place: Path) -> Capture:
     kept = [tuple(name for name in own if name in posed) for own in of_parts]
     own = {name: frame for name, frame in entries.items() if name in posed}
     split = Split(*kept) if len(kept) == 2 else _own_split(contents[0], own, paths[0])
-    unused = [] if split is None else [name for name in posed if name not in (*split.train, *split.test)]
+    unused = posed.difference(split.train, split.test) if split is not None else set[str]()
     return Capture(
         found, up, (), points, split,
         left_out=(
@@ -107,7 +107,7 @@ def _own_split(content: dict[str, Any], frames: Mapping[str, Mapping[str, Any]],
     held_out = listed.get("test_filenames") or listed.get("val_filenames") or marked
     if not held_out and "train_filenames" in listed:
         held_out = frames.keys() - listed["train_filenames"]
-    train = [name for name in listed.get("train_filenames", frames) if name not in held_out]
+    train = {name for name in listed.get("train_filenames", frames) if name not in held_out}
     if not held_out:
         return None
     if not train:

@@ -27,6 +27,7 @@ import numpy as np
 
 from ...errors import PlgsError
 from ...gates import open_plain
+from ...job.progress import part_of
 from ...json_file import read_json_object, take_number
 from ...posed.image_header import read_image_header
 from ...posed.layout import files_by_stem, listed, natural_order, of_most, shown_files
@@ -34,7 +35,7 @@ from ...posed.matrices import read_matrix, take_array
 from ..depth import npy_depth, png_depth, trusted
 from ..files_of_frames import IMAGES, files_if_any
 from ..frame import Inferred
-from .capture import Capture, Found, SceneFormat, Shot, with_picture
+from .capture import Capture, Found, Progress, SceneFormat, Shot, watched, with_picture
 from .lens import fitted, pinhole
 from .photos import Video
 from .poses import Row, finite_pose, from_opengl, numbers, quaternion_pose, read_rows
@@ -46,7 +47,7 @@ _LENS = ("fx", "fy", "cx", "cy")
 _NOT_OPTIMISED = "the poses were not optimised (no corrected_cameras): they are ARKit's own, and pictures are distorted"
 
 
-def _read_polycam(place: Path) -> Capture:
+def _read_polycam(place: Path, progress: Progress) -> Capture:
     folder = place / "keyframes"
     is_corrected = any(shown_files(folder, "corrected_cameras/*.json")) and (folder / "corrected_images").is_dir()
     prefix = "corrected_" if is_corrected else ""
@@ -55,11 +56,12 @@ def _read_polycam(place: Path) -> Capture:
     raw = {path.stem: path for path in shown_files(folder / "cameras", "*.json")} if is_corrected else cameras
     depths = files_if_any(folder / "depth", {".png"}, _POLYCAM_FIX)
     levels = files_if_any(folder / "confidence", {".png"}, _POLYCAM_FIX)
-    entries = of_most([name for name in cameras if name in images], lambda name: read_json_object(cameras[name]))
+    with_both, half = [name for name in cameras if name in images], part_of(progress, 0.0, 0.5)
+    entries = of_most(with_both, lambda name: read_json_object(cameras[name]), half)
     if not entries:
         raise PlgsError("no-camera", "no image has a camera", folder, _POLYCAM_FIX)
     found: dict[str, Found] = dict.fromkeys(sorted({*raw, *cameras, *images}, key=natural_order))
-    for name, entry in entries.items():
+    for name, entry in watched([*entries.items()], part_of(progress, 0.5, 1.0)):
         size = _size(entry, images[name], cameras[name], raw.get(name))
         files = (images[name], cameras[name], depths.get(name), levels.get(name))
         found[name] = with_picture(images[name], partial(_shot_polycam, name, entry, size, *files))
@@ -122,12 +124,12 @@ def _recognises_scanner_app(place: Path) -> bool:
     return False
 
 
-def _read_scanner_app(place: Path) -> Capture:
+def _read_scanner_app(place: Path, progress: Progress) -> Capture:
     pictures = _files(place, ".jpg", "frame_")
     tables = _files(place, ".json", "frame_")
     depths, levels = _files(place, ".png", "depth_"), _files(place, ".png", "conf_")
     found: list[tuple[str, Found]] = []
-    for number, picture in pictures.items():
+    for number, picture in watched([*pictures.items()], progress):
         table, depth, level = (files.get(number) for files in (tables, depths, levels))
         make = None if table is None else partial(_shot_scanner_app, picture, table, depth, level)
         found.append((picture.stem, with_picture(picture, make)))
@@ -168,7 +170,7 @@ _COLUMNS = ("frame", "x", "y", "z", "qx", "qy", "qz", "qw")
 _STRAY_FIX = "Copy the scan from the device again."
 
 
-def _read_stray(place: Path) -> Capture:
+def _read_stray(place: Path, progress: Progress) -> Capture:
     found = list[tuple[str, Shot | None]]()
     video = Video(place / "rgb.mp4")
     if not video.path.is_file():
@@ -178,7 +180,7 @@ def _read_stray(place: Path) -> Capture:
     shared = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]
     depths = files_if_any(place / "depth", {".png", ".npy"}, _STRAY_FIX)
     levels = files_if_any(place / "confidence", {".png"}, _STRAY_FIX)
-    for row in _read_odometry(place / "odometry.csv"):
+    for row in watched(_read_odometry(place / "odometry.csv"), progress):
         name = f"{int(row['frame']):06d}"
         x, y, z, qx, qy, qz, qw = values = [row[key] for key in _COLUMNS[1:]]
         if not np.isfinite(values).all():

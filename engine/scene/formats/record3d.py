@@ -33,7 +33,7 @@ from ...posed.matrices import take_array, upright_rotation
 from ..depth import DepthMap, drop_untrusted, fault_of, only_depth
 from ..frame import Size
 from ..pixels import decode_bytes
-from .capture import Capture, Found, SceneFormat, Shot, only_file
+from .capture import Capture, Found, Progress, SceneFormat, Shot, only_file, watched
 from .lens import pinhole
 from .poses import from_opengl, quaternion_pose
 
@@ -93,17 +93,17 @@ def _find(place: Path) -> Path | None:
     return place if is_unpacked else only_file(place, ".r3d")
 
 
-def _read(place: Path) -> Capture:
+def _read(place: Path, progress: Progress) -> Capture:
     path, exported = _find(place), _exr_folder(place)
     if path is None and exported is None:
         raise PlgsError("not-one-file", "there is no .r3d file, or more than one", place, "Name the file.")
     if path is None and exported:
         metadata = read_json_object(exported / _EXPORTED)
-        found = list(_exr_shots(metadata, exported))
+        found = list(_exr_shots(metadata, exported, progress))
     else:
         archive = _Archive(path or place)
         metadata = parse_json_object(archive.read("metadata"), archive.path)
-        found = list(_shots(metadata, archive, archive.path))
+        found = list(_shots(metadata, archive, archive.path, progress))
     poses = [shot.camera.camera_to_world for _, shot in found if isinstance(shot, Shot)]
     up = upright_rotation(poses)[2] if poses else np.zeros(3)
     # ARKit's y, unless the cameras disagree: some recordings start from their first pose.
@@ -111,12 +111,12 @@ def _read(place: Path) -> Capture:
     return Capture(found, "y" if up[1] > _CLEARLY_Y else None, fps=fps if isinstance(fps, int | float) else None)
 
 
-def _shots(metadata: dict[str, Any], archive: _Archive, path: Path) -> Iterator[tuple[str, Found]]:
+def _shots(metadata: dict[str, Any], archive: _Archive, path: Path, progress: Progress) -> Iterator[tuple[str, Found]]:
     names = {*archive.names()}
     numbers = sorted(int(match[1]) for name in names if (match := re.fullmatch(r"rgbd/(\d+)\.jpg", name)))
     has_size = all(isinstance(metadata.get(key), int) and 0 < metadata[key] < 2**14 for key in ("dw", "dh"))
     size = (int(metadata["dw"]), int(metadata["dh"])) if has_size else None
-    for number, camera in _cameras(metadata, numbers, path):
+    for number, camera in _cameras(metadata, numbers, path, progress):
         if camera is None:
             yield str(number), None
             continue
@@ -128,13 +128,15 @@ def _shots(metadata: dict[str, Any], archive: _Archive, path: Path) -> Iterator[
         yield str(number), Shot(str(number), camera, archive.file(f"rgbd/{number}.jpg"), shown, picture)
 
 
-def _cameras(metadata: dict[str, Any], numbers: list[int], path: Path) -> Iterator[tuple[int, Camera | None]]:
+def _cameras(
+    metadata: dict[str, Any], numbers: list[int], path: Path, progress: Progress
+) -> Iterator[tuple[int, Camera | None]]:
     """The camera of each picture, None where its pose is not finite."""
     count = len(take_list(metadata, "poses", "metadata", path))
     poses = take_array(metadata, "poses", "metadata", path, (count, 7))
     if not numbers or numbers[-1] >= count:
         raise PlgsError("unequal-counts", f"there are {count} poses and {len(numbers)} pictures", path, _FIX)
-    for number in numbers:
+    for number in watched(numbers, progress):
         if not np.isfinite(poses[number]).all():
             yield number, None
             continue
@@ -150,11 +152,11 @@ def _exr_folder(place: Path) -> Path | None:
     return None
 
 
-def _exr_shots(metadata: dict[str, Any], folder: Path) -> Iterator[tuple[str, Found]]:
+def _exr_shots(metadata: dict[str, Any], folder: Path, progress: Progress) -> Iterator[tuple[str, Found]]:
     path = folder / _EXPORTED
     found = files_by_stem(folder / "rgb", {".jpg", ".jpeg", ".png"}, _FIX)
     pictures = {int(stem): picture for stem, picture in found.items() if stem.isdecimal()}
-    for number, camera in _cameras(metadata, sorted(pictures), path):
+    for number, camera in _cameras(metadata, sorted(pictures), path, progress):
         depth = folder / "depth" / f"{number}.exr"
         shown = DepthMap(depth, partial(_read_exr, depth)) if depth.is_file() else None
         fault, name = fault_of(pictures[number]), str(number)

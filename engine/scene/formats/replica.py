@@ -21,7 +21,7 @@ from ...posed.image_header import read_image_header
 from ...posed.layout import files_by_stem, shown_files
 from ..depth import fault_of, png_depth
 from ..frame import Inferred
-from .capture import Capture, Found, SceneFormat, Shot, with_picture
+from .capture import Capture, Found, Progress, SceneFormat, Shot, watched, with_picture
 from .lens import assumed, fitted, pinhole
 from .poses import finite_pose, matrix_rows
 
@@ -32,7 +32,7 @@ _LENS_FIX = "Write w, h, fx, fy, cx, cy and scale of the pictures into cam_param
 _PARAMETERS = ("w", "h", "fx", "fy", "cx", "cy", "scale")
 
 
-def _read(place: Path) -> Capture:
+def _read(place: Path, progress: Progress) -> Capture:
     results, trajectory = place / "results", place / "traj.txt"
     colours = _numbered(results, _IMAGES, "frame")
     depths = _numbered(results, {".png"}, "depth") if any(shown_files(results, "depth*.png")) else {}
@@ -43,7 +43,7 @@ def _read(place: Path) -> Capture:
         what = f"there are {len(matrices)} poses, but a picture number {max(colours)}"
         raise PlgsError("unequal-counts", what, trajectory, "Number pictures from 0, and give each a pose.")
     found: list[tuple[str, Found]] = []
-    for number, path in colours.items():
+    for number, path in watched([*colours.items()], progress):
         pose = finite_pose(matrices[number], trajectory)
         if lens is None and fault_of(path) is None:
             width, height = read_image_header(path).size

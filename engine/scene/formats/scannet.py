@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError, reading
 from ...gates import open_plain
+from ...job.progress import part_of
 from ...posed.frames import Camera
 from ...posed.image_header import read_image_header
 from ...posed.layout import shown_files
@@ -42,20 +43,21 @@ from ...posed.matrices import read_intrinsics
 from ...posed.plain_folders import NAME, read_folders, recognises
 from ..depth import DepthMap, between_cameras, fault_of, fitting_alignment, open_depth, seen_by_colour
 from ..pixels import decode_bytes
-from .capture import Capture, SceneFormat, Shot, only_file
+from .capture import Capture, Progress, SceneFormat, Shot, only_file, watched
 from .lens import pinhole
 from .poses import finite_pose
 
 
-def _read_folders(folder: Path) -> Capture:
+def _read_folders(folder: Path, progress: Progress) -> Capture:
     has_own, beside = any(shown_files(folder / "intrinsic", "*.txt")), folder / "intrinsics_color.txt"
     lens_of = lambda picture: read_intrinsics(beside, read_image_header(picture).size)  # noqa: E731
-    found = read_folders(folder, None if has_own or not beside.is_file() else lens_of)
-    depths, inferred = open_depth(folder, found.cameras) if (folder / "depth").is_dir() else ({}, ())
+    own, rest = part_of(progress, 0.0, 0.7), part_of(progress, 0.7, 1.0)
+    found = read_folders(folder, None if has_own or not beside.is_file() else lens_of, own)
+    depths, inferred = open_depth(folder, found.cameras, rest) if (folder / "depth").is_dir() else ({}, ())
     shots = {name: Shot(name, camera, found.pictures[name], depths.get(name)) for name, camera in found.cameras.items()}
     faults = {name: fault_of(path) for name, path in found.pictures.items() if name not in shots}
-    found_as = ((name, shots.get(name) or faults.get(name)) for name in found.names)
-    kept = [(name, shot) for name, shot in found_as if shot is not None or name in found.lost]
+    found_as, lost = ((name, shots.get(name) or faults.get(name)) for name in found.names), {*found.lost}
+    kept = [(name, shot) for name, shot in found_as if shot is not None or name in lost]
     return Capture(kept, "z", split=found.split, inferred=inferred)
 
 
@@ -100,21 +102,21 @@ class _Block:
         return data
 
 
-def _read_sens(place: Path) -> Capture:
+def _read_sens(place: Path, progress: Progress) -> Capture:
     path = only_file(place, ".sens")
     if path is None:
         raise PlgsError("not-one-file", "there is no .sens file, or more than one", place, "Name the file.")
     with open_plain(path) as file:
         header = _read_header(file, path)
         fits = fitting_alignment(header.colour, header.depth) is not None
-        found = list(_shots(file, path, header))
+        found = list(_shots(file, path, header, progress))
     ignored = "the depth camera's intrinsics do not fit the colour camera's and are ignored"
     return Capture(found, "z", header.warnings if fits else (*header.warnings, ignored))
 
 
-def _shots(file: BinaryIO, path: Path, header: _Header) -> Iterator[tuple[str, Shot | None]]:
+def _shots(file: BinaryIO, path: Path, header: _Header, progress: Progress) -> Iterator[tuple[str, Shot | None]]:
     end = path.stat().st_size
-    for number in range(header.frames):
+    for number in watched(range(header.frames), progress):
         name = str(number)
         matrix = np.array(_take(file, "<16f", path)).reshape(4, 4)
         colour_size, depth_size = (int(size) for size in _take(file, "<QQQQ", path)[2:])  # after two time stamps

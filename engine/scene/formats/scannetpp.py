@@ -27,7 +27,7 @@ from ...posed.layout import check_most, natural_order
 from ...posed.matrices import take_array
 from ..depth import DepthMap, fault_of, only_depth, png_depth
 from ..files_of_frames import files_if_any
-from .capture import Capture, Found, SceneFormat, Shot
+from .capture import Capture, Found, Progress, SceneFormat, Shot, watched
 from .lens import pinhole
 from .photos import Video
 from .poses import finite_pose
@@ -40,7 +40,7 @@ _CHUNK = 1 << 16
 _MOST_FRAMES = 1 << 19  # two hours at 60 frames a second
 
 
-def _read(place: Path) -> Capture:
+def _read(place: Path, progress: Progress) -> Capture:
     folder = place if (place / _TABLE).is_file() else place / "iphone"
     found, path = list[tuple[str, Found]](), folder / _TABLE
     table = read_json_object(path)
@@ -52,7 +52,7 @@ def _read(place: Path) -> Capture:
     size = video.size() if video else None
     depths = files_if_any(folder / "depth", {".png"}, _FIX)
     stream = _DepthStream(folder / "depth.bin") if not depths and (folder / "depth.bin").is_file() else None
-    for name in sorted(table, key=natural_order):
+    for name in watched(sorted(table, key=natural_order), progress):
         match = re.fullmatch(r"frame_(\d+)", name)
         entry = table[name]
         if match is None or not isinstance(entry, dict):

@@ -24,13 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
+from ...job.progress import part_of
 from ...posed.frames import Camera, inverse
 from ...posed.image_header import read_image_header
 from ...posed.layout import natural_order, read_text, shown_files
 from ...posed.matrices import as_lens, read_intrinsics, read_poses
 from ..depth import between_cameras, fitting_alignment, png_depth, registered, seen_by_colour
 from ..frame import Inferred
-from .capture import Capture, Found, SceneFormat, Shot, with_picture
+from .capture import Capture, Found, Progress, SceneFormat, Shot, watched, with_picture
 from .lens import assumed, fitted
 
 _MOST_INFO = 1 << 16
@@ -60,14 +61,15 @@ def _folders(place: Path) -> list[Path]:
     return [place, *sorted(path for path in (*shown_files(place, "seq-*"), place / "data") if path.is_dir())]
 
 
-def _read(place: Path) -> Capture:
+def _read(place: Path, progress: Progress) -> Capture:
     own = _find(place, _OWN_LENS, "colorIntrinsics.txt")
     if own is not None:
-        return _capture(place, partial(_own_lens_shot, own, _find(place, "depthIntrinsics.txt") or own))
+        return _capture(place, progress, partial(_own_lens_shot, own, _find(place, "depthIntrinsics.txt") or own))
     path = _find(place, "info.txt", "_info.txt")  # ScanNet's own reader writes the second
     # Unrelated texts may have the same name.
     if path is None or b"m_calibration" not in path.open("rb").read(_MOST_INFO):
-        return _capture(place, _kinects_shot, inferred=(assumed("a Kinect's", _kinect(_COLOUR_F), _OWN_LENS),))
+        inferred = (assumed("a Kinect's", _kinect(_COLOUR_F), _OWN_LENS),)
+        return _capture(place, progress, _kinects_shot, inferred=inferred)
     parts = (line.partition("=") for line in read_text(path, _MOST_INFO, _INFO_FIX).splitlines())
     info = {key.strip(): value.strip() for key, _, value in parts}
     colour, depth = _info_lens(info, "Color", path), _info_lens(info, "Depth", path)
@@ -84,7 +86,7 @@ def _read(place: Path) -> Capture:
         measured = png_depth(_depth_file(base), lens, unit)
         return Shot(name, lens.at(pose), picture, seen_by_colour(measured, depth, lens, beside))
 
-    return _capture(place, shot, warnings)
+    return _capture(place, progress, shot, warnings)
 
 
 def _info_numbers(info: dict[str, str], key: str, path: Path, count: int) -> NDArray[np.float64]:
@@ -107,7 +109,7 @@ def _info_lens(info: dict[str, str], kind: str, path: Path) -> Camera:
 
 
 def _capture(
-    place: Path, shot: _Reader, warnings: tuple[str, ...] = (), inferred: tuple[Inferred, ...] = ()
+    place: Path, progress: Progress, shot: _Reader, warnings: tuple[str, ...] = (), inferred: tuple[Inferred, ...] = ()
 ) -> Capture:
     """All frames; those whose pose is missing or not finite have no shot."""
     kinds = ("frame-*.pose.txt", "frame-*.color.*")
@@ -118,8 +120,9 @@ def _capture(
         for base in sorted(bases, key=lambda base: natural_order(base.relative_to(place).as_posix()))
     }
     found: list[tuple[str, Found]] = []
-    poses = read_poses({name: base.with_name(f"{base.name}.pose.txt") for name, base in named.items()})
-    for name, base in named.items():
+    pose_files = {name: base.with_name(f"{base.name}.pose.txt") for name, base in named.items()}
+    poses = read_poses(pose_files, part_of(progress, 0.0, 0.5))
+    for name, base in watched([*named.items()], part_of(progress, 0.5, 1.0)):
         colours = [base.with_name(f"{base.name}.color.{suffix}") for suffix in ("png", "jpg", "jpeg")]
         colour, pose = next((path for path in colours if path.is_file()), colours[0]), poses[name]
         make = None if pose is None else partial(shot, name, base, pose, colour)

@@ -28,7 +28,7 @@ from ...posed.layout import file_inside, files_by_stem
 from ...scene_source import UpAxis
 from ..depth import png_depth
 from ..frame import Inferred, Size, left_out
-from .capture import Capture, Found, SceneFormat, Shot, frame_names, with_picture
+from .capture import Capture, Found, Progress, SceneFormat, Shot, frame_names, watched, with_picture
 from .lens import OPENCV_COUNTS, assumed, fitted, of_opencv, pinhole
 from .poses import nearest, numbers, quaternion_pose, read_rows
 
@@ -76,7 +76,7 @@ _Pose = tuple[float, NDArray[np.float64] | None, float | None]
 """When a picture was taken, in seconds; its pose, None if a number in it is not finite; and its number, if any."""
 
 
-def _read(place: Path) -> Capture:
+def _read(place: Path, progress: Progress) -> Capture:
     calibration, pairs, inferred = place / _CALIBRATION, _pairs(place), tuple[Inferred, ...]()
     if calibration.is_file():
         rows = read_rows(calibration, _LENS_FIX)
@@ -96,15 +96,15 @@ def _read(place: Path) -> Capture:
     times = [time for time, _, _ in poses]
     names = frame_names([colour.path.relative_to(place).as_posix() for colour, _ in pairs])
     found: list[tuple[str, Found]] = []
-    for name, (colour, depth) in zip(names, pairs, strict=True):
+    for name, (colour, depth) in watched([*zip(names, pairs, strict=True)], progress):
         index = nearest(times, colour.time, _APART)
         pose = None if index is None else poses[index][1]
         beside = None if depth is None else depth.path
         make = None if pose is None else partial(_shot, name, colour.path, beside, lens, pose)
         found.append((name, with_picture(colour.path, make)))
-    blind = [name for name, shot in found if isinstance(shot, Shot) and shot.depth is None]
+    blind = {name: shot for name, shot in found if isinstance(shot, Shot) and shot.depth is None}
     if len(blind) == sum(isinstance(shot, Shot) for _, shot in found):
-        blind = []  # a sequence without depth
+        blind = {}  # a sequence without depth
     found = [(name, shot) for name, shot in found if name not in blind]
     without = left_out(f"depth within {_APART} s", blind)
     return Capture(found, lens.up, left_out=without, inferred=inferred)

@@ -43,8 +43,8 @@ def find_mask_format(place: Path, name: str | None = None) -> MaskFormat:
     if not place.exists():
         raise PlgsError("no-masks", "there are no masks", place, "Name a folder of masks.")
     with reading(place, "Check its permissions."):
-        seen = [each for each in MASK_FORMATS if each.recognises(place)]
-    found = [each for each in seen if each.own_names][:1] or seen
+        found = [each for each in MASK_FORMATS if each.own_names and each.recognises(place)][:1]
+        found = found or [each for each in MASK_FORMATS if not each.own_names and each.recognises(place)]
     if len(found) > 1:
         names = " and ".join(each.name for each in found)
         fix = f"Say which one it is, such as --mask-format {found[0].name}."

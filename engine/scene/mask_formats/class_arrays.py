@@ -21,6 +21,7 @@ from ...posed.array_file import array_headers, read_array
 from ..files_of_frames import files_of_frames, mask_files
 from ..frame import Size
 from ..pixels import whole_numbers
+from ..view import Progress
 from .source import IGNORED, FoundMask, MaskFormat, MaskSource, StoredMask, segments_of_labels, segments_of_pairs
 
 _CLASSES = ("semantic", "semantics", "labels", "label_map", "classes", "probabilities", "probability", "probs", "arr_0")
@@ -70,9 +71,9 @@ def _name_of(path: Path) -> str | None:
     return next((name for name in ("", *_CLASSES) if name in headers), None)
 
 
-def _read(place: Path, names: Sequence[str]) -> MaskSource:
+def _read(place: Path, names: Sequence[str], progress: Progress) -> MaskSource:
     masks = {}
-    for name, path in files_of_frames(place, names, {".npy", ".npz"}, "mask", _FIX).items():
+    for name, path in files_of_frames(place, names, {".npy", ".npz"}, "mask", _FIX, progress).items():
         key = _name_of(path)
         if key is None:
             raise PlgsError("no-class-array", "there is no array of classes", path, f"Name it {_CLASSES[0]}. {_FIX}")

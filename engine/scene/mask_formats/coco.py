@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
+from ...job.progress import part_of
 from ...json_file import read_json_object, take_flag, take_list, take_objects, take_text, take_whole_number, wrong_type
 from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
 from ...posed.image_header import read_image_header
@@ -25,6 +26,7 @@ from ..class_tables import is_thing_by_name
 from ..files_of_frames import of_same_name, whole_file
 from ..pixels import decode, distinct_ids
 from ..values import checked_ids
+from ..view import Progress, watched
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask
 
 _LARGEST_SEGMENT_ID = 256**3 - 1  # the ids are R + 256 G + 65536 B
@@ -61,7 +63,7 @@ def _table_of(place: Path) -> Path:
     return place if place.suffix.lower() == ".json" else place / "panoptic.json"
 
 
-def _read(place: Path, names: Sequence[str]) -> MaskSource:
+def _read(place: Path, names: Sequence[str], progress: Progress) -> MaskSource:
     """Open the JSON at ``place``, or panoptic.json in it. Its folder of PNGs has the JSON's stem."""
     table = _table_of(place)
     content = read_json_object(table)
@@ -76,10 +78,10 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
     fix = "Add an annotation whose file name has the colour image's stem."
     there = require_most(names, entries, "mask", table, fix)
     inside = {name: file_inside(folder, entries[name]["file_name"], table) for name in there}
-    pictures = of_most(there, lambda name: whole_file(inside[name]))
+    pictures = of_most(there, lambda name: whole_file(inside[name]), part_of(progress, 0.0, 0.3))
     known = frozenset(label.id for label in labels)
     masks, crowded = {}, []
-    for name, png in pictures.items():
+    for name, png in watched([*pictures.items()], part_of(progress, 0.3, 1.0)):
         masks[name], has_crowds = _open_frame(entries[name], name, png, table, known)
         crowded += [name] * has_crowds
     warnings = (f"crowd segments (iscrowd) count as void: {listed(crowded)}",) if crowded else ()

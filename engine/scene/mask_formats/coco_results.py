@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
+from ...job.progress import Progress
 from ...json_file import LARGEST_TABLE, read_json, shown_json, take_list, take_objects, take_whole_number, wrong_type
 from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
 from ...posed.layout import LARGEST_PIXELS, listed, shown_files, shown_size
@@ -269,7 +270,7 @@ def is_detections(place: Path) -> bool:
     return b'"segments_info"' not in data and (b'"segmentation"' in data or b'"masklet"' in data)
 
 
-def _read(place: Path, names: Sequence[str]) -> MaskSource:
+def _read(place: Path, names: Sequence[str], progress: Progress) -> MaskSource:
     table = read_table(place)
     found, warnings = table.of_frames(dict.fromkeys(names), {})
     classless = all(one.label is None for each in found.values() for one in each)

@@ -22,6 +22,7 @@ from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
 from ...posed.layout import listed, natural_order, require_most, shown_files
 from ..files_of_frames import DETECTION, files_of_frames, mask_files
 from ..values import inside
+from ..view import Progress, watched
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask, named_labels, painted, pile
 
 _KEYS = {
@@ -62,9 +63,9 @@ def _natural(path: Path) -> tuple[object, ...]:
     return natural_order(path.name)
 
 
-def _read(place: Path, names: Sequence[str]) -> MaskSource:
+def _read(place: Path, names: Sequence[str], progress: Progress) -> MaskSource:
     if mask_files(place, ".npz"):
-        files = files_of_frames(place, names, {".npz"}, "detections", _FIX)
+        files = files_of_frames(place, names, {".npz"}, "detections", _FIX, progress)
         found = {name: _detections(path) for name, path in files.items()}
         label_of, labels = _labels(found.values())
         masks = {}
@@ -83,7 +84,8 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
     require_most(names, paths, "detections", place, _NAME_FIX)
     found = {name: [_from_name(path) for path in each] for name, each in paths.items()}
     label_of, labels = _labels(found.values())
-    masks = {name: pile(paths[name], _segments(found[name], label_of), _NAME_FIX) for name in paths}
+    each = watched([*paths], progress)
+    masks = {name: pile(paths[name], _segments(found[name], label_of), _NAME_FIX) for name in each}
     return MaskSource(masks, labels, void=frozenset())
 
 

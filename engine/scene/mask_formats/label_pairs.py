@@ -15,11 +15,13 @@ from functools import partial
 from pathlib import Path
 
 from ...errors import PlgsError
+from ...job.progress import part_of, unwatched
 from ...posed.layout import shown_size
 from ..class_tables import REDUCED, known_table
 from ..files_of_frames import files_of_both, files_of_frames, mask_files
 from ..pixels import SUFFIXES, check_label_header, label_map_size, read_label_map
 from ..values import numbers_of_colours
+from ..view import Progress, watched
 from .source import IGNORED, FoundMask, MaskFormat, MaskSource, StoredMask, segments_of_labels, segments_of_pairs
 
 PAIRS = (
@@ -41,19 +43,21 @@ def _pair_in(place: Path) -> tuple[Path, Path] | None:
     return next((pair for pair in pairs if pair[0].is_dir() and pair[1].is_dir()), None)
 
 
-def _read_pairs(place: Path, names: Sequence[str]) -> MaskSource:
+def _read_pairs(place: Path, names: Sequence[str], progress: Progress) -> MaskSource:
     pair = _pair_in(place)
     if pair is None:
         what = "there are no paired folders of classes and instances"
         raise PlgsError("no-label-pair", what, place, f"Looked for {_LOOKS_FOR}.")
-    classes, instances = files_of_both(*pair, names, SUFFIXES, _FIX)
-    return MaskSource(label_pairs(classes, instances), void=IGNORED)
+    classes, instances = files_of_both(*pair, names, SUFFIXES, _FIX, part_of(progress, 0.0, 0.5))
+    return MaskSource(label_pairs(classes, instances, part_of(progress, 0.5, 1.0)), void=IGNORED)
 
 
-def label_pairs(classes: Mapping[str, Path], instances: Mapping[str, Path]) -> dict[str, StoredMask]:
+def label_pairs(
+    classes: Mapping[str, Path], instances: Mapping[str, Path], progress: Progress = unwatched
+) -> dict[str, StoredMask]:
     """Masks from each frame's images of ``classes`` and, if there are any, ``instances``. Raises PlgsError."""
     masks = {}
-    for name, path in classes.items():
+    for name, path in watched([*classes.items()], progress):
         size, instance = label_map_size(path), instances.get(name)
         if instance is not None and label_map_size(instance) != size:
             what = f"the instance image is not {shown_size(size)} like the classes"
@@ -78,8 +82,8 @@ PAIRS_FORMAT = MaskFormat("pairs", lambda place: _pair_in(place) is not None, _r
 PALETTE = MaskFormat(
     "palette",
     lambda place: not mask_files(place, ".json") and bool(mask_files(place, ".png")),
-    lambda place, names: MaskSource(
-        label_pairs(files_of_frames(place, names, {".png"}, "mask", _FIX), {}), void=IGNORED
+    lambda place, names, progress: MaskSource(
+        label_pairs(files_of_frames(place, names, {".png"}, "mask", _FIX, progress), {}), void=IGNORED
     ),
 )
 
@@ -95,19 +99,21 @@ def _semantics_of(place: Path) -> Path | None:
     return next((each for each in (place / "m2f_semantics", place / "m2f_notta_semantics") if each.is_dir()), None)
 
 
-def _read_lifting(place: Path, names: Sequence[str]) -> MaskSource:
+def _read_lifting(place: Path, names: Sequence[str], progress: Progress) -> MaskSource:
     """Open ``<prefix>_semantics`` and the ``<prefix>_instance`` beside it."""
     semantics = _semantics_of(place)
     if semantics is None:
         raise PlgsError("no-masks", "there are no masks", place, _LIFTING_FIX)
     instances = semantics.with_name(semantics.name.removesuffix("_semantics") + "_instance")
     fix = "Add PNGs named like the colour images."
-    semantic_files, instance_files = files_of_both(semantics, instances, names, {".png"}, fix)
-    for path in (*semantic_files.values(), *instance_files.values()):
-        check_label_header(path)
+    of_files, of_headers = part_of(progress, 0.0, 0.3), part_of(progress, 0.3, 0.6)
+    semantic_files, instance_files = files_of_both(semantics, instances, names, {".png"}, fix, of_files)
+    for name in watched([*semantic_files], of_headers):
+        check_label_header(semantic_files[name])
+        check_label_header(instance_files[name])
     has_both = semantics != place and semantics.name == "m2f_semantics" and (place / "m2f_notta_semantics").is_dir()
     return MaskSource(
-        label_pairs(semantic_files, instance_files),
+        label_pairs(semantic_files, instance_files, part_of(progress, 0.6, 1.0)),
         labels=known_table(REDUCED).labels,
         warnings=(_BOTH,) if has_both else (),
         table="Panoptic Lifting's reduced table (0 to 21)",

@@ -25,6 +25,7 @@ from ..files_of_frames import AMG_LIST, DETECTION, files_of_frames, is_camera, m
 from ..formats.poses import read_rows
 from ..pixels import label_header, label_map_size, read_indices, read_label_map, shows_one_object
 from ..values import by_colour, numbers_of_colours
+from ..view import Progress, watched
 from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask, named_labels, pile
 
 _FIX = "Name the folder that SAM 2 wrote for the video: one PNG per frame, or one folder per object."
@@ -38,12 +39,13 @@ def _object_folders(place: Path) -> dict[int, Path]:
     """The folders by object number, if each holds one object's PNGs, not a picture's or a camera's."""
     if not place.is_dir():
         return {}
-    pictures = {path: sorted(shown_files(path, "*.png")) for path in sorted(shown_files(place)) if path.is_dir()}
-    seen = {path: found for path, found in pictures.items() if found and not (path / AMG_LIST).exists()}
+    folders = (path for path in sorted(shown_files(place)) if path.is_dir())
+    firsts = {path: min(shown_files(path, "*.png"), default=None) for path in folders}
+    seen = {path: first for path, first in firsts.items() if first is not None and not (path / AMG_LIST).exists()}
     are_numbers = all(path.name.isdecimal() for path in seen)
-    of_one = [shows_one_object(found[0]) for found in [*seen.values()][:_LOOKED_AT]]
+    of_one = [shows_one_object(first) for first in [*seen.values()][:_LOOKED_AT]]
     are_objects = any(of_one) if are_numbers else all(of_one)
-    if not are_objects or any(is_camera(path) or DETECTION.fullmatch(found[0].stem) for path, found in seen.items()):
+    if not are_objects or any(is_camera(path) or DETECTION.fullmatch(first.stem) for path, first in seen.items()):
         return {}
     return {int(path.name) if are_numbers else n: path for n, path in enumerate(seen, start=1)}
 
@@ -55,10 +57,10 @@ def _has_palette(place: Path) -> bool:
     return False
 
 
-def _read(place: Path, names: Sequence[str]) -> MaskSource:
+def _read(place: Path, names: Sequence[str], progress: Progress) -> MaskSource:
     folders = _object_folders(place)
     if not folders:
-        files = files_of_frames(place, names, {".png"}, "mask", _FIX)
+        files = files_of_frames(place, names, {".png"}, "mask", _FIX, progress)
         sizes = {name: label_header(path).size for name, path in files.items()}
         numbers = numbers_of_colours([*files.values()])
         masks = {name: StoredMask(path, sizes[name], partial(_read_map, path, numbers)) for name, path in files.items()}
@@ -68,7 +70,7 @@ def _read(place: Path, names: Sequence[str]) -> MaskSource:
     found = {number: files_by_stem(folder, {".png"}, _FIX) for number, folder in folders.items()}
     of_frame = {name: {number: files[name] for number, files in found.items() if name in files} for name in names}
     there = require_most(names, [name for name in names if of_frame[name]], "mask", place, _FIX)
-    whole = of_most(there, lambda name: [whole_file(path) for path in of_frame[name].values()])
+    whole = of_most(there, lambda name: [whole_file(path) for path in of_frame[name].values()], progress)
     masks = {name: pile([*of_frame[name].values()], [segments[n] for n in of_frame[name]], _FIX) for name in whole}
     return MaskSource(masks, tells_no_class=True, void=frozenset())
 
@@ -85,9 +87,9 @@ def _picture_folders(place: Path) -> list[Path]:
     return [path.parent for path in lists if any(shown_files(path.parent, "*.png"))]
 
 
-def _read_pictures(place: Path, names: Sequence[str]) -> MaskSource:
+def _read_pictures(place: Path, names: Sequence[str], progress: Progress) -> MaskSource:
     require_all(names, [path.name for path in _picture_folders(place)], f"PNGs with {AMG_LIST}", place, _LIST_FIX)
-    return MaskSource({name: _regions(place / name) for name in names}, tells_no_class=True)
+    return MaskSource({name: _regions(place / name) for name in watched(names, progress)}, tells_no_class=True)
 
 
 def _regions(folder: Path) -> StoredMask:
@@ -124,12 +126,12 @@ def _read_mask(array: Path, table: str, segments: Mapping[int, FoundSegment]) ->
     return FoundMask(ids.astype(np.int32), tuple(segments[value] for value in present))
 
 
-def _read_grounded(place: Path, names: Sequence[str]) -> MaskSource:
+def _read_grounded(place: Path, names: Sequence[str], progress: Progress) -> MaskSource:
     arrays = _by_frame(place / "mask_data", ".npy")
     tables = _by_frame(place / "json_data", ".json")
     there = require_most(names, arrays, "mask", place / "mask_data", _GROUNDED_FIX)
     there = require_most(there, tables, "JSON of objects", place / "json_data", _GROUNDED_FIX)
-    whole = of_most(there, lambda name: (whole_file(arrays[name]), whole_file(tables[name])))
+    whole = of_most(there, lambda name: (whole_file(arrays[name]), whole_file(tables[name])), progress)
     objects = {name: _objects_of(tables[name]) for name in whole}
     label_of, labels = named_labels({word for found in objects.values() for word in found.values()})
     masks = {}

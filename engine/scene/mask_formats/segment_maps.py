@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import PlgsError
+from ...job.progress import Progress, part_of
 from ...json_file import LARGEST_TABLE, parse_json_object, read_json_object, take_flag, take_objects, take_whole_number
 from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
 from ...posed.layout import listed, read_file
@@ -72,8 +73,8 @@ def _segments_info(path: Path) -> list[dict[str, Any]]:
     return take_objects(parse_json_object(data, path), "segments_info", "the file", path)
 
 
-def _read_transformers(place: Path, names: Sequence[str]) -> MaskSource:
-    pictures, tables = _files(place, names)
+def _read_transformers(place: Path, names: Sequence[str], progress: Progress) -> MaskSource:
+    pictures, tables = _files(place, names, progress)
     segments: dict[str, dict[int, FoundSegment]] = {name: {} for name in tables}
     fused = set()
     for name, table in tables.items():
@@ -85,8 +86,8 @@ def _read_transformers(place: Path, names: Sequence[str]) -> MaskSource:
     return MaskSource(_masks(pictures, tables, segments), labels, stuff_in_pieces=True, void=frozenset())
 
 
-def _read_detectron2(place: Path, names: Sequence[str]) -> MaskSource:
-    pictures, tables = _files(place, names)
+def _read_detectron2(place: Path, names: Sequence[str], progress: Progress) -> MaskSource:
+    pictures, tables = _files(place, names, progress)
     infos = {name: _segments_info(table) for name, table in tables.items()}
     apart = _detectron2_source(pictures, tables, infos, is_apart=True)
     if _counts_stuff_apart(infos, tables):
@@ -121,9 +122,10 @@ def _counts_stuff_apart(infos: Mapping[str, list[dict[str, Any]]], tables: Mappi
     return len({number for number, _ in kinds}) < len(kinds)
 
 
-def _files(place: Path, names: Sequence[str]) -> tuple[dict[str, Path], dict[str, Path]]:
-    pictures = files_of_frames(place, names, SUFFIXES, "mask", _FIX)
-    tables = files_of_frames(place, list(pictures), {".json"}, "JSON of segments", _FIX)
+def _files(place: Path, names: Sequence[str], progress: Progress) -> tuple[dict[str, Path], dict[str, Path]]:
+    first, second = part_of(progress, 0.0, 0.5), part_of(progress, 0.5, 1.0)
+    pictures = files_of_frames(place, names, SUFFIXES, "mask", _FIX, first)
+    tables = files_of_frames(place, list(pictures), {".json"}, "JSON of segments", _FIX, second)
     return {name: pictures[name] for name in tables}, tables
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
+from ...job.progress import Progress
 from ...posed.classes import ClassLabel
 from ...posed.layout import shown, shown_size
 from ..class_tables import is_thing_by_name
@@ -91,7 +92,7 @@ class MaskFormat:
 
     name: str
     recognises: Callable[[Path], bool]
-    read: Callable[[Path, Sequence[str]], MaskSource]
+    read: Callable[[Path, Sequence[str], Progress], MaskSource]
     in_scene: bool = False
     own_names: bool = False
 

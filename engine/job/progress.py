@@ -1,22 +1,33 @@
-"""Stages and progress of a lift as events, with an estimate of the time left; and the parts of a training step."""
+"""Progress, and a lift's stages as events, with an estimate of the time left."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
-import torch
+from .events import EventWriter
+from .task import StopSignal
 
-from ..job import EventWriter, StopSignal
-from ..scene.view import Progress, part_of
-
+Progress = Callable[[int, int], object]
+"""Called with (done, total); may raise to stop."""
 REPORT_EVERY_S = 0.2
 """Progress events are written no more often than this."""
 _TRUSTED = 0.1
 """Share of the whole run after which the predicted pace counts as much as the measured one."""
 _SURE = 0.2
 """Share of a stage after which its own pace alone predicts how long it still takes."""
+
+
+def unwatched(done: int, total: int) -> None:
+    """The progress of work that no one follows."""
+
+
+def part_of(whole: Progress, begin: float, end: float, steps: int = 0) -> Progress:
+    """The progress of a part, from one fraction of ``whole`` to another. ``whole`` is called with ``steps`` as the
+    total; 0 means the part's own."""
+    size = end - begin
+    return lambda done, total: whole(round((steps or total) * (begin + size * done / (total or 1))), steps or total)
 
 
 class Course:
@@ -49,8 +60,8 @@ class Course:
 
 
 class StageProgress:
-    """Called with (done, total, loss) inside a stage; raises Cancelled when the lift should stop. ``course`` knows how
-    long the later stages take."""
+    """Called with (done, total, loss) inside a stage; raises Cancelled when the lift should stop. If less is done than
+    before, another part of the stage began, with a pace of its own. ``course`` knows how long the later stages take."""
 
     def __init__(self, name: str, events: EventWriter, stop: StopSignal, course: Course | None = None) -> None:
         self.name, self.events, self.stop, self.course = name, events, stop, course
@@ -61,7 +72,7 @@ class StageProgress:
     def __call__(self, done: int, total: int, loss: float | None = None) -> None:
         self.stop.check()
         now = time.monotonic()
-        if self.first is None:
+        if self.first is None or done < (self.last or 0):
             self.first, self.began = done, now
         if now - self.reported < REPORT_EVERY_S and (done < total or done == self.last):  # the end always, once
             return
@@ -72,8 +83,9 @@ class StageProgress:
         self.events.progress(self.name, done, total, loss=loss, eta_s=eta, left_s=whole)
 
     def part(self, begin: float, end: float) -> Progress:
-        """A progress callback (done, total) for the part of the stage between the shares ``begin`` and ``end``."""
-        return part_of(self, begin, end)
+        """A progress callback (done, total) for the part of the stage between the shares ``begin`` and ``end``, which
+        reports whole percentages."""
+        return part_of(self, begin, end, 100)
 
 
 class StageReporter:
@@ -93,16 +105,3 @@ class StageReporter:
         began = time.monotonic()
         yield StageProgress(name, self.events, self.stop, self.course)
         self.timings[name] = round(time.monotonic() - began, 3)
-
-
-class StepClock:
-    """Called at the end of each part of a training step. This one does nothing; ``research/bench_step.py`` measures."""
-
-    def start(self) -> None:
-        """Called when a step begins."""
-
-    def lap(self, part: str) -> None:
-        """Called at the end of ``part``, which began at the last call."""
-
-    def lap_on_way_back(self, tensors: Sequence[torch.Tensor], part: str) -> None:
-        """Call ``lap`` when the backward pass first reaches one of ``tensors``."""
