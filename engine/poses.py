@@ -87,8 +87,7 @@ def decoded_depth(shown: NDArray[np.uint8], low: float, high: float) -> NDArray[
 
 
 STAGE = "poses"
-_ALL_PAIRS = 200
-"""Up to this many photos, all pairs are compared. Among more, each is compared with its neighbours in order."""
+_ALL_PAIRS = 200  # up to this many photos, all pairs are compared; of more, each with its neighbours in order
 _NEAR = 20
 _POLL_S = 0.1
 
@@ -220,8 +219,7 @@ def _median(ratios: NDArray[np.float64]) -> Scale | None:
     return Scale(metres, len(ratios)) if spread <= _MOST_SPREAD else None
 
 
-FILM_PICTURES = 150
-"""The largest number of pictures that are taken from a film."""
+FILM_PICTURES = 150  # the largest number of pictures that are taken from a film
 _LEAST_SHARE = 0.5
 _NO_FILM = "none"
 _WITHOUT_DEPTH = (

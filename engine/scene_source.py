@@ -10,8 +10,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 UpAxis = Literal["z", "y", "-y", "+z"]
 UPS: tuple[str, ...] = get_args(UpAxis)
-UP_OPTIONS: dict[str, UpAxis] = {"auto": "z", "z": "+z", "y": "y", "-y": "-y"}
-"""The values of --up, and their meanings."""
+UP_OPTIONS: dict[str, UpAxis] = {"auto": "z", "z": "+z", "y": "y", "-y": "-y"}  # the values of --up, and their meanings
 
 
 def option(help: str, metavar: str, type: Any = str, **more: Any) -> dict[str, Any]:

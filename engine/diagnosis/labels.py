@@ -185,10 +185,8 @@ _FURTHER = {"other", "merged", "brick", "wood", "stone", "tile", "concrete", "pa
 _WHAT = {"floor": "is level, seen from above", "ceiling": "is level, seen from below", "wall": "is upright"}
 _WITHIN = 25.0  # maximum deviation in degrees from level or upright, as clothes, shelves and noise cause
 _FEWEST_OF_KIND = 200
-_CONTRADICTED = 0.05
-"""Below this fraction a table is certainly wrong: 1 % fit tables that are off by one, 20 % distant and noisy floors."""
-_SUITS, _DIFFERS = 0.5, 0.25
-"""Fractions of a kind's points that fit its name: the minimum in a right table, and the maximum in a wrong one."""
+_CONTRADICTED = 0.05  # below this a table is wrong: 1 % fit tables off by one, 20 % distant and noisy floors
+_SUITS, _DIFFERS = 0.5, 0.25  # fractions of a kind's points that fit its name: minimum if right, maximum if wrong
 _LARGE, _FEW, _LOOKS = 0.05, 0.2, 0.75
 """Fractions of all points: the minimum of large stuff, and the maximum of walls and ceilings in a room that nearly
 lacks them; and the minimum fraction of a class's points that look like a kind, for the class to count as it."""
@@ -210,8 +208,7 @@ class Suiting(NamedTuple):
     share: float
 
 
-Counts = defaultdict[int, Counter[str]]
-"""Per class, its number of points ("all"), and how many look like each kind."""
+Counts = defaultdict[int, Counter[str]]  # per class, its number of points ("all"), and how many look like each kind
 
 
 def measure_table(examined: Examined, assumed: Assumption, up: Floats) -> Counts:

@@ -64,8 +64,7 @@ _WORDS = {
 NUMBER_CAUSES = frozenset({*(words.name for words in _WORDS.values()), "principal point"})
 """The names of findings on poses, depth and intrinsics."""
 _OTHERS_FOLLOW = "what else is wrong with the numbers may follow from it"
-_ONLY_TOLD = ("lag", "mirrored")
-"""Causes that users fix in their own files, as only they can see which of the files are wrong."""
+_ONLY_TOLD = ("lag", "mirrored")  # causes that users fix in their own files: only they can see which files are wrong
 
 
 def lens_findings(scene: Scene, findings: list[Finding]) -> list[Finding]:

@@ -16,8 +16,7 @@ from .reprojection import Assumption, Examined, Floats, Pairs, Views, assumed_po
 
 _WIDE = 0.15  # a fraction of the depth; a surface farther off is a different one
 _LEAST_POINTS = 40
-_QUANTILE = 0.3
-"""Quantile of a pair's distances. Some points of any two views lie on surfaces that only one of them sees."""
+_QUANTILE = 0.3  # of a pair's distances: some points of any two views lie on surfaces that only one of them sees
 _LEAST_PAIRS, _LEAST_LAGS, _LEAST_EACH = 30, 6, 8
 _LEAST_ACROSS = 20  # minimum pairs of looks across a gap, and within each of the parts
 _NEAR = 3  # frames between two looks that count as neighbours

@@ -22,19 +22,15 @@ _SCALES = (1.0, 0.97, 1.03, 0.94, 1.06, 0.91, 1.1, 0.88, 1.14, 0.84, 1.19, 0.8, 
 _JUMP = 0.06  # least relative step of depth between two pixels at an edge, beyond the step of a slanted surface
 _LEAST_EDGES = 60
 _LEAST_LOOKS = 5
-_AHEAD, _APART = 2.0, 0.1
-"""Metres. Looks show different places if the points 2 m ahead of their cameras are over 0.1 m apart."""
+_AHEAD, _APART = 2.0, 0.1  # metres; looks show different places if points 2 m ahead of their cameras are this far apart
 _CERTAIN = 5.0  # standard errors among the frames
 _CORROBORATED = 4.0  # standard errors that suffice if depth's own geometry agrees
-_MOVED, _SCALED = 0.0075, 0.03
-"""Shift as a fraction of the width, and scale. Sensors register colour and depth to a few pixels of 640."""
+_MOVED, _SCALED = 0.0075, 0.03  # fraction of the width, and scale; sensors' colour and depth fit to a few pixels of 640
 _GAIN = 0.1  # least gain of a fit, in standard deviations of the pictures' contrast
 
-SHIFT = "colour-to-depth shift"
-"""The name of the finding."""
+SHIFT = "colour-to-depth shift"  # the name of the finding
 
-Shift = tuple[float, float]
-"""x, y as fractions of the picture."""
+Shift = tuple[float, float]  # x, y as fractions of the picture
 
 
 class Registration(NamedTuple):

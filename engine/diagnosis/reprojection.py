@@ -17,8 +17,7 @@ from ..scene.depth import compared
 from ..scene.pixels import resize_nearest
 
 Floats = NDArray[np.float64]
-Pairs = NDArray[np.int64]
-"""The rows of two looks each, [P, 2]."""
+Pairs = NDArray[np.int64]  # the rows of two looks each, [P, 2]
 
 
 class Sample(NamedTuple):
@@ -133,8 +132,7 @@ def _stride_for(width: int) -> int:
     return step + 1 - step % 2
 
 
-Lens = Floats
-"""fx, fy, cx, cy as fractions of the picture's width and height: float64 [..., 4]."""
+Lens = Floats  # fx, fy, cx, cy as fractions of the picture's width and height: float64 [..., 4]
 
 _AGREES_WITHIN = 0.05  # a fraction of the depth; a larger difference shows another surface, or an error
 _SMOOTH = 1.1  # largest ratio of the depths between which depth is interpolated

@@ -130,11 +130,9 @@ _MOST_CAUSES = 4
 _POOR = 0.4  # a fraction of the points seen by two views; if fewer agree, two causes at once are tried
 _POSE_CAUSES = ("inverted", "opengl", "inverted opengl")
 _LENS_CAUSES = ("lens size", "focal")
-_ASIDE = 0.1
-"""A fraction of the picture. A principal point farther from the middle may belong to pictures of another size."""
+_ASIDE = 0.1  # of the picture; a principal point farther from the middle may belong to pictures of another size
 _KINDS_COMPARED = 4
-_RIVAL = 1.05
-"""Least factor by which views must agree better under one cause than under the next, for a scene to be mended by it."""
+_RIVAL = 1.05  # least factor by which a cause must explain more than the next, for a scene to be mended by it
 _ERROR_LEFT = 0.7
 _LEAST_SHARE, _LEAST_OF_ALL = 0.5, 0.15
 """Minimum fractions of points that agree under a cause: of those that both views see, and of all."""

@@ -22,12 +22,9 @@ from ..scene.pixels import image_bytes
 from .source import FinishedLift
 
 Ids = NDArray[np.int32]
-MOST_COCO_IDS = 4096
-"""Class and instance ids below this fit into one 24-bit colour."""
-MOST_IDS = 1 << 16
-"""Ids below this fit into 16 bits."""
-LEAST_COVERAGE = 0.5
-"""Alpha below which a pixel gets no depth."""
+MOST_COCO_IDS = 4096  # class and instance ids below this fit into one 24-bit colour
+MOST_IDS = 1 << 16  # ids below this fit into 16 bits
+LEAST_COVERAGE = 0.5  # alpha below which a pixel gets no depth
 
 
 def export_coco(lift: FinishedLift, output: Path) -> None:

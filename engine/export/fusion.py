@@ -13,16 +13,14 @@ from numpy.typing import NDArray
 
 from ..scene import Camera, Frame
 
-VOXEL = 0.02
-"""Side of a voxel in metres."""
+VOXEL = 0.02  # side of a voxel in metres
 _STEP = 1.1  # the ratio of neighbouring depths above which two pixels belong to different surfaces
 STRAIGHT = ((0.0, 4.0),)
 GRAZED = (*STRAIGHT, (2.0, 8.0), (4.0, 12.0))
 """Slopes of a surface, and the number of voxels before and behind it, along the view's axis, that a view changes from
 that slope on. A view that grazes a floor must reach farther; otherwise the floor has holes. The cost is that round
 objects get thicker."""
-_STRIDE = 4
-"""Open3D looks at every fourth row and column for the voxels that a view changes, and refuses views without any."""
+_STRIDE = 4  # Open3D looks for voxels at every fourth row and column, and refuses views that show none there
 _BLOCKS = 20_000  # the blocks of voxels for which memory is reserved at first; Open3D takes more when it needs them
 
 Ints = NDArray[np.int64]

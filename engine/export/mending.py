@@ -17,18 +17,12 @@ from .fusion import Ints, Surface
 
 HAND = 0.1
 """The largest size in metres, along each axis, of a hole that is closed. Its square is the largest crumb of stuff."""
-FLAKE = 0.03
-"""Area in square metres below which an isolated piece of the whole surface is dropped."""
-CRUMB = 0.1
-"""Share of the largest piece's area below which a piece of a mesh is small."""
-SCRAP = 0.02
-"""Share of the largest piece's area below which a piece of an object's mesh is always a crumb."""
-FAR = 0.2
-"""Metres from the large pieces beyond which a small one is a crumb."""
-FRINGE = 2
-"""Half the width in vertices of a fringe."""
-THIN = 0.5
-"""Share of a label's vertices outside fringes below which the label itself is thin, and keeps its fringes."""
+FLAKE = 0.03  # area in square metres below which an isolated piece of the whole surface is dropped
+CRUMB = 0.1  # share of the largest piece's area below which a piece of a mesh is small
+SCRAP = 0.02  # share of the largest piece's area below which a piece of an object's mesh is always a crumb
+FAR = 0.2  # metres from the large pieces beyond which a small one is a crumb
+FRINGE = 2  # half the width in vertices of a fringe
+THIN = 0.5  # share of a label's vertices outside fringes below which the label itself is thin, and keeps its fringes
 KEYS = 1 << 32
 
 

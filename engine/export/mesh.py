@@ -59,13 +59,11 @@ class Part:
         return part, rows[:, 1:].astype(np.float32)
 
 
-FLOAT, _WHOLE, VERTICES, _INDICES = 5126, 5125, 34962, 34963
-"""glTF's codes for float32, uint32, and kinds of buffers."""
+FLOAT, _WHOLE, VERTICES, _INDICES = 5126, 5125, 34962, 34963  # glTF's codes for float32, uint32, and kinds of buffers
 _MAGIC, _JSON, _BIN = b"glTF", b"JSON", b"BIN\0"
 
 
-GENERATOR = "PLGS for Blender"
-"""The generator named in the first 128 bytes of each file."""
+GENERATOR = "PLGS for Blender"  # the generator named in the first 128 bytes of each file
 
 
 def glb_bytes(parts: Sequence[Part]) -> bytes:
@@ -147,19 +145,14 @@ def _chunk(kind: bytes, content: bytes, padding: bytes) -> bytes:
     return struct.pack("<I4s", len(content), kind) + content
 
 
-LEAST_ALPHA = 0.7
-"""Alpha below which a pixel's depth is not a surface."""
-WIDEST, MOST_VIEWS = 480, 80
-"""Maximum width in pixels, and number, of the views that are fused."""
+LEAST_ALPHA = 0.7  # alpha below which a pixel's depth is not a surface
+WIDEST, MOST_VIEWS = 480, 80  # maximum width in pixels, and number, of the views that are fused
 _AROUND, _OFF, _OFF_SHARE = 7, 0.1, 0.04
 """The side in pixels of the square around a pixel whose depths are compared with the measured one, and by how many
 metres, or what share, the latter may lie outside their range."""
-SEEN_WITHIN = 0.05
-"""A view votes on a vertex if its depth there differs by at most this many metres."""
-LONGEST, MOST_BYTES = 60, 180
-"""Maximum characters and bytes of a name in a file name."""
-MOST_INSTANCES = 1 << 16
-"""Factor of the class in a label, which is class * this + instance."""
+SEEN_WITHIN = 0.05  # a view votes on a vertex if its depth there differs by at most this many metres
+LONGEST, MOST_BYTES = 60, 180  # maximum characters and bytes of a name in a file name
+MOST_INSTANCES = 1 << 16  # factor of the class in a label, which is class * this + instance
 
 
 def export_mesh(lift: FinishedLift, output: Path) -> None:

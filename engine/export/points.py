@@ -118,8 +118,7 @@ def _write_pcd(path: Path, xyz: NDArray[np.float32], rgb: NDArray[np.uint8]) -> 
     write_atomically(path, head.encode() + rows.tobytes())
 
 
-NEIGHBOURS = 30
-"""The number of nearest points that a normal is fitted to."""
+NEIGHBOURS = 30  # the number of nearest points that a normal is fitted to
 
 
 def export_points(lift: FinishedLift, output: Path) -> None:

@@ -17,8 +17,7 @@ from .points import export_boxes, export_clouds, export_points, export_splats
 from .source import FinishedLift
 from .view_surface import export_surface
 
-NOTE = "export.json"
-"""The file in an export's folder that names its format, its lift and its frames."""
+NOTE = "export.json"  # the file in an export's folder that names its format, its lift and its frames
 
 
 def export(
@@ -76,8 +75,7 @@ def _export_usd(lift: FinishedLift, output: Path) -> None:
     export_usd(lift, output)
 
 
-BY_OBJECT = ("splats", "boxes", "gltf", "usd")
-"""Formats that accept --objects."""
+BY_OBJECT = ("splats", "boxes", "gltf", "usd")  # formats that accept --objects
 KINDS: Mapping[str, Callable[[FinishedLift, Path], None]] = {
     "coco": export_coco,
     "instances": export_label_images,

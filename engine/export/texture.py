@@ -21,8 +21,7 @@ from ..scene.view import border_mask
 from .fusion import Ints, SmallView, Surface
 from .mending import around_vertices, pieces
 
-LARGEST = 8192
-"""The square of this limits the pixels of all pictures together; photos are at most this wide."""
+LARGEST = 8192  # the square of this limits the pixels of all pictures together; photos are at most this wide
 _FILLED = 0.6  # approximate share of a picture that its charts fill
 _NEAR, _NEAR_SHARE = 0.05, 0.02
 """A view sees a vertex if its depth there differs by at most this many metres, or this share."""
@@ -30,8 +29,7 @@ _STEP, _BESIDE_STEP = 1.1, 0.02
 """The ratio of depths above which one surface hides another; the weight of a view beside such an edge, where its photo
 may show the other surface."""
 _ROUNDS = 12  # rounds of smoothing of the views' qualities, so that neighbours choose the same view
-DARK, BRIGHT, LARGEST_GAIN = 12, 243, 4.0
-"""As `engine/train/photos.py` compares photos."""
+DARK, BRIGHT, LARGEST_GAIN = 12, 243, 4.0  # as `engine/train/photos.py` compares photos
 _OVEREXPOSED, _ENOUGH = 0.3, 100
 """The weight of an overexposed pixel, and the minimum number of pixels to compare a photo's exposure with the
 room's."""

@@ -23,8 +23,7 @@ from .source import FinishedLift
 from .splat_files import columns, opacities, unit_turns
 from .texture import jpeg_bytes
 
-FOCAL_LENGTH = 24.0
-"""Millimetres, for every camera; the apertures give the angle of view."""
+FOCAL_LENGTH = 24.0  # millimetres, for every camera; the apertures give the angle of view
 _TO_USD = np.diag((1.0, -1.0, -1.0, 1.0))  # from OpenCV's camera axes to OpenUSD's (y up, looking along -z)
 
 

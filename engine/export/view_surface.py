@@ -19,11 +19,9 @@ from .mesh import MOST_INSTANCES, mended, refuse_none, vertex_labels, views_of, 
 from .source import FinishedLift
 from .texture import textured
 
-WIDEST, MOST_VIEWS = 320, 60
-"""Maximum width in pixels, and number, of the views that are fused."""
+WIDEST, MOST_VIEWS = 320, 60  # maximum width in pixels, and number, of the views that are fused
 ROOM, OBJECTS = Grain(0.05, 15.0, 1, times=3, reaches=GRAZED), Grain(0.025, times=3)
-WINDOW = 0.5
-"""The largest size in metres, along each axis, of a hole in the room that is closed."""
+WINDOW = 0.5  # the largest size in metres, along each axis, of a hole in the room that is closed
 _BESIDE = 0.075  # metres from an object's own surface within which the room's surface drops that object's triangles
 _AROUND = 0.3  # metres within which an unlabelled vertex takes a neighbour's label
 _RIM = 5  # side in pixels of the square around each pixel of an object that belongs to its surface

@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 from ..errors import PlgsError, reading
 from ..gates import open_plain, read_plain
 
-MOST_BYTES = 1 << 28
-"""Maximum bytes of all unpacked arrays of a file: some five million labelled points."""
-LARGEST_PICTURE = 1 << 30
-"""Maximum bytes of an array with one frame's masks."""
+MOST_BYTES = 1 << 28  # maximum bytes of all unpacked arrays of a file: some five million labelled points
+LARGEST_PICTURE = 1 << 30  # maximum bytes of an array with one frame's masks
 _NO_ARRAYS = "this is not a NumPy file of numbers, or it is cut off"
 _SAVE_FIX = "Write it again with numpy.save."
 _DAMAGED = (

@@ -9,12 +9,9 @@ from pathlib import Path
 
 from ..gates import one_line
 
-LARGEST_ID = 65535
-"""Maximum id of a class or of a result's instance, so that tables by id (palettes, 16-bit label images) stay small."""
-VOID = 0
-"""Class id of pixels without a label. It is never predicted."""
-LARGEST_CLASS_ID = LARGEST_ID - 1
-"""Maximum class id in mask files: a table that uses 0 is shifted by one."""
+LARGEST_ID = 65535  # maximum id of a class or instance, so that tables by id (palettes, 16-bit images) stay small
+VOID = 0  # class id of pixels without a label; it is never predicted
+LARGEST_CLASS_ID = LARGEST_ID - 1  # maximum class id in mask files: a table that uses 0 is shifted by one
 _WORDS = Path(__file__).with_name("palette.txt").read_text("ascii").split()
 PALETTE = tuple((red, green, blue) for red, green, blue in map(bytes.fromhex, _WORDS))
 """Colours, sRGB bytes: each as distant as possible from all before it (CIEDE2000)."""

@@ -15,8 +15,7 @@ from .frames import Size
 from .layout import LARGEST_PIXELS
 
 _MAGIC = b"\x76\x2f\x31\x01"
-_HEADER_SIZES = (2**18, 2**26)
-"""Bytes of a header read at first, and at most. Cryptomatte's names of thousands of objects take megabytes."""
+_HEADER_SIZES = (2**18, 2**26)  # bytes read at first, and at most: Cryptomatte's thousands of names take megabytes
 _MOST_NUMBERS = 2**30  # maximum number of values in all channels, as the library reads them all
 _TILED, _DEEP, _PARTS = 0x200, 0x800, 0x1000  # flags of the version
 _HALF = 1  # the channel type of half floats

@@ -100,8 +100,7 @@ class Camera:
         return rows, pixel[rows], depth[rows]
 
 
-Size = tuple[int, int]
-"""(width, height) in pixels."""
+Size = tuple[int, int]  # (width, height) in pixels
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,8 +23,7 @@ _JPEG_END = b"\xff\xd9"
 _TAIL = 4096
 _ORIENTATION = 0x112
 _EXIF_LOOKED_AT = 4096  # bytes of a segment searched for the orientation, which is in its first directory
-MOST_PIXELS = 160_000_000
-"""Maximum number of pixels of an image. No camera has more; decoded, they take half a gigabyte."""
+MOST_PIXELS = 160_000_000  # of an image; no camera has more, and decoded, they take half a gigabyte
 _MOST_BYTES = 1 << 29
 
 

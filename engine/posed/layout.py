@@ -16,8 +16,7 @@ from ..job.system import main_memory
 from .frames import Camera, Size
 
 Read = TypeVar("Read")
-_SAME_SHAPE = 0.02
-"""Relative difference of two aspect ratios that still counts as one: ScanNet has 1296x968 beside 640x480 (0.4 %)."""
+_SAME_SHAPE = 0.02  # relative difference of two aspect ratios that count as one: ScanNet's differ by 0.4 %
 
 
 def read_file(path: Path, most_bytes: int, fix: str = "Check that it exists.") -> bytes:
@@ -161,9 +160,7 @@ def shown_size(size: Size) -> str:
     return f"{size[0]}x{size[1]}"
 
 
-_SHARE_OF_MEMORY = 0.5
-"""The fraction of the free memory that one file may take: the rest of the scene needs some as well."""
-
+_SHARE_OF_MEMORY = 0.5  # the fraction of the free memory that one file may take: the rest of the scene needs some, too
 _SMALL = 1 << 25  # bytes; files smaller than this skip the free-memory check
 
 

@@ -21,8 +21,7 @@ Matrix = NDArray[np.float64]
 _MOST_BYTES = 1 << 20
 _RIGID_TOLERANCE = 2e-3
 _NO_SKEW = 1e-3
-_FARTHEST = 10_000.0
-"""Maximum distance from the origin in metres. Farther away, 32-bit floats no longer resolve millimetres."""
+_FARTHEST = 10_000.0  # metres from the origin; farther away, 32-bit floats no longer resolve millimetres
 
 
 def read_matrix(path: Path, shapes: tuple[tuple[int, int], ...]) -> Matrix:

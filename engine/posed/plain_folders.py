@@ -84,8 +84,7 @@ def read_split(path: Path, names: Sequence[str], dropped: Sequence[str]) -> Spli
 
 
 AnyFrame = TypeVar("AnyFrame", bound=PosedFrame)
-NAME = "scannet"
-"""The name of this format."""
+NAME = "scannet"  # the name of this format
 FOLDERS_FIX = "Give the folders color, depth, pose and intrinsic, or let COLMAP find the poses with --poses colmap."
 
 

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from ..errors import PlgsError, reading
 from ..gates import read_plain
 
-LEAST_TRIANGLES = 20
-"""Meshes with fewer triangles are fragments, and are left out."""
+LEAST_TRIANGLES = 20  # meshes with fewer triangles are fragments, and are left out
 _KINDS = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
     "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",

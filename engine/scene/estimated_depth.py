@@ -37,8 +37,7 @@ _AGREEING = 0.35
 _COMPARED = 24
 _ARRAYS = {".npy", ".npz"}
 _LOOKED_AT = 8
-LEAST_POINTS = 12
-"""A frame needs at least this many visible points to get depth."""
+LEAST_POINTS = 12  # a frame needs at least this many visible points to get depth
 _FIX = "Give one map per frame, with the frame's name: .npy, .npz, or .png of 8 or 16 bits."
 _PAIRS = 256
 _MOST_POINTS = 2000

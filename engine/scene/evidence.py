@@ -25,10 +25,8 @@ _POWERS: dict[EvidenceKind, tuple[float, float]] = {
 }
 """Exponents of the pixel count and of the resolution."""
 
-LEAST_PIXELS = 100
-"""A view resolves a segment with at least this many pixels."""
-NEAR = 0.5
-"""A view is near if its resolution is at least this fraction of the best view's."""
+LEAST_PIXELS = 100  # a view resolves a segment with at least this many pixels
+NEAR = 0.5  # a view is near if its resolution is at least this fraction of the best view's
 
 Amounts = TypeVar("Amounts", float, NDArray[np.floating])
 

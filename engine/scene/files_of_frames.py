@@ -15,12 +15,9 @@ from ..posed.image_header import read_image_header
 from ..posed.layout import composed, files_by_stem, of_most, require_most, shown_files
 from .pixels import is_black_and_white, shows_one_object
 
-IMAGES = frozenset({".png", ".jpg", ".jpeg"})
-"""Suffixes of image files, in lower case."""
-AMG_LIST = "metadata.csv"
-"""A file that SAM's amg.py writes into the folder of each picture."""
-DETECTION = re.compile(r"(\d+)_(.+)_(\d*\.?\d+)", re.ASCII)
-"""The stem of a detection's mask: number, class, score."""
+IMAGES = frozenset({".png", ".jpg", ".jpeg"})  # suffixes of image files, in lower case
+AMG_LIST = "metadata.csv"  # a file that SAM's amg.py writes into the folder of each picture
+DETECTION = re.compile(r"(\d+)_(.+)_(\d*\.?\d+)", re.ASCII)  # the stem of a detection's mask: number, class, score
 _FOLDERS_LOOKED_AT, _FILES_LOOKED_AT = 2, 8
 _NAMES_TRIED = 5
 Value = TypeVar("Value")

@@ -22,12 +22,9 @@ from .view import read_ahead
 
 Listed = TypeVar("Listed")
 
-STEP_METRES, STEP_DEGREES = 0.8, 15.0
-"""Moving by this length changes a view as much as turning by this angle."""
-CANDIDATES = 3
-"""Maximum frames per window whose sharpness is measured, so that reading does not grow with the recording."""
-LOOKED_AT_WITHIN = (480, 480)
-"""Maximum (width, height) in pixels at which sharpness is measured."""
+STEP_METRES, STEP_DEGREES = 0.8, 15.0  # moving by this length changes a view as much as turning by this angle
+CANDIDATES = 3  # frames per window whose sharpness is measured, so that reading does not grow with the recording
+LOOKED_AT_WITHIN = (480, 480)  # maximum (width, height) in pixels at which sharpness is measured
 
 
 def choose_frames(scene: Scene, most: int, progress: Progress = unwatched) -> Scene:

@@ -14,8 +14,7 @@ _GRADIENT = np.array(
     [[255, 240, 190], [250, 170, 70], [220, 80, 90], [130, 40, 140], [45, 25, 110], [12, 10, 40]], np.float64
 )
 """sRGB from near to far, each darker than the one before, so that depth stays readable in greyscale."""
-_LINE, _BORDER = 0.45, 0.4
-"""Brightness of the lines at whole metres and of segment borders, relative to the pixel's own."""
+_LINE, _BORDER = 0.45, 0.4  # brightness of lines at whole metres and of segment borders, relative to the pixel
 _MOST_LINES = 40  # maximum number of lines in a picture; deeper scenes get none
 _NONE = (60, 60, 60)  # sRGB of pixels without depth or without a class
 

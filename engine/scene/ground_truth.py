@@ -26,11 +26,9 @@ from .masks import MaskSet
 from .numbering import Asking, numbered
 from .pixels import check_label_header, distinct_ids, read_indices, resize_nearest
 
-LOOKED_AT = 6
-"""Frames in which ground truth is compared with the masks."""
+LOOKED_AT = 6  # frames in which ground truth is compared with the masks
 _FEWEST = 500  # minimum number of pixels for a meaningful agreement
-_POOR, _AGREES = 0.1, 0.2
-"""Fractions of agreeing pixels: below the first there is hardly any; a table is inferred from the second on."""
+_POOR, _AGREES = 0.1, 0.2  # fractions of agreeing pixels: hardly any, and enough to infer a table
 _DOUBTED, _REFUTED, _EQUAL = 0.8, 0.6, 0.95
 """Agreement relative to the best table's. Below the first, reading the numbers as the masks' class ids is doubted;
 below the second, it is rejected. Other tables above the third count as equally good."""

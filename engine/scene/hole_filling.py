@@ -14,11 +14,9 @@ Depths = NDArray[np.float32]
 Pixels = NDArray[np.bool_]
 
 
-RING, _LEAST_RING = 6, 12
-"""The width in pixels of the ring around a hole, and how many of its pixels must have depth."""
+RING, _LEAST_RING = 6, 12  # the width in pixels of the ring around a hole, and how many of its pixels must have depth
 _FLATNESS = 0.02  # the largest median residual of the plane relative to the depth
-STRETCH = 2.5
-"""Filled depth is within this many times the ring's nearest and farthest."""
+STRETCH = 2.5  # filled depth is within this many times the ring's nearest and farthest
 _SPECK, _MANY = 9, 100
 """In a segment with more than this many holes, as a noisy sensor leaves, those of at most the first number of pixels
 take the mean of the pixels around them, if these are flat."""

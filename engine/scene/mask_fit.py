@@ -27,8 +27,7 @@ from .pixels import read_indices, resize_nearest
 from .values import inside
 
 Ids = NDArray[np.int32]
-Read = Callable[[Size], NDArray[np.uint8]]
-"""Reads a picture at a size."""
+Read = Callable[[Size], NDArray[np.uint8]]  # reads a picture at a size
 _LOOKED_AT = 16
 _LONGEST = 320  # pixels of the longer side at which pictures are compared
 _LEAST_OUTLINE = 30
@@ -36,12 +35,10 @@ _BLACK = 12
 _SURE = 4.0
 """Standard errors of the mean difference by which one reading must fit better than another. On the sample, masks of the
 next frame differ by 15, masks distorted by 5 pixels by 8, and those distorted by 2 pixels not at all."""
-_LEAST_PICTURES = 6
-"""Pictures that must differ in how the readings fit: chance alone makes as few as 3 seem sure in 6 % of cases."""
+_LEAST_PICTURES = 6  # pictures in which the readings must fit differently: 3 seem sure by chance in 6 % of cases
 _NETWORK_STEP = 32  # networks take pictures whose sides are multiples of this
 _FIX = "Give masks of these pictures with --masks FOLDER: python -m engine segment SCENE makes them."
-_TURNS = {3: 2, 6: 1, 8: 3}
-"""Counter-clockwise quarter turns from the upright picture to the stored one, by EXIF orientation."""
+_TURNS = {3: 2, 6: 1, 8: 3}  # counter-clockwise quarter turns from upright to stored pictures, by EXIF orientation
 _BY_NAMES = "rename the masks after their pictures if that is wrong"
 
 

@@ -25,8 +25,7 @@ from .numbering import numbered, other_numberings
 from .overlapping import Detections, EvidenceReader, open_detections
 from .pixels import resize_nearest
 
-MASK_FOLDER = "masks"
-"""The folder of a scene that may hold masks of any format."""
+MASK_FOLDER = "masks"  # the folder of a scene that may hold masks of any format
 
 
 def no_masks(scene: Path) -> PlgsError:

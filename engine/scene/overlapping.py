@@ -21,10 +21,8 @@ from .mask_formats.coco import images_of
 from .mask_formats.coco_results import DetectedSegment, read_table
 from .pixels import resize_nearest
 
-TABLE = "panoptic.json"
-"""The file name of the masks' table, which may name pictures by id."""
-LEAST_SCORE = 0.1
-"""Minimum score of a detection. Weak detections are evidence, too."""
+TABLE = "panoptic.json"  # the file name of the masks' table, which may name pictures by id
+LEAST_SCORE = 0.1  # minimum score of a detection; weak detections are evidence, too
 _FIX = "Name their classes under categories, or name the table of their numbers in a classes.toml beside them."
 
 

@@ -23,15 +23,12 @@ from .pixels import resize_colour, resize_nearest
 
 BLACK, JPEG_BLACK = 2, 12
 """Maximum brightness of a border: of its median, and of each pixel, as JPEG brightens those near the picture."""
-THICKEST = 0.1
-"""Maximum border width, as a fraction of the image. Wider dark areas are things in the picture."""
-SHORTEST = 0.125
-"""Minimum border length, as a fraction of the side."""
+THICKEST = 0.1  # maximum border width, as a fraction of the image; wider dark areas are things in the picture
+SHORTEST = 0.125  # minimum border length, as a fraction of the side
 STEEPEST = 2
 """Maximum change of a border's width, in pixels, from one pixel along the side to the next: undistortion is smooth, the
 outlines of furniture are not."""
-SEAM = 2
-"""Pixels beside a border that resampling and JPEG have blended with it."""
+SEAM = 2  # pixels beside a border that resampling and JPEG have blended with it
 
 
 def border_mask(colour: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -66,8 +63,7 @@ def _add_upper(border: NDArray[np.bool_], dark: NDArray[np.bool_], brightest: ND
 
 
 Read = TypeVar("Read")
-READERS = 2
-"""Threads that read ahead. More would fill the memory with waiting pictures."""
+READERS = 2  # threads that read ahead; more would fill the memory with waiting pictures
 NEAR, NEAR_SHARE = 0.05, 0.02
 """A view sees a point if its depth there differs by at most this many metres, or by this fraction of it."""
 

@@ -30,8 +30,7 @@ _NUMBERS: Mapping[str, Callable[[Mapping[str, str]], int]] = {
     "nyu40:0-39": lambda row: int(row["id"]) - 1,
 }
 """A row's number in each numbering other than ``id``."""
-ANYTHING = 21
-"""The last of the paper's classes: all other things."""
+ANYTHING = 21  # the last of the paper's classes: all other things
 _VOID_NAMES = ("void", "unlabeled", "unlabelled")
 _VOID = {"cityscapes:0-33": frozenset({*range(7), 9, 10, 14, 15, 16, 18, 29, 30})}
 

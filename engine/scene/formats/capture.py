@@ -40,8 +40,7 @@ class Shot:
     kept_pixels: Path | None = None
 
 
-Found = Shot | PlgsError | None
-"""A picture as a reader found it: None without a pose, an error if it cannot be read."""
+Found = Shot | PlgsError | None  # a picture as a reader found it: None without a pose, an error if it cannot be read
 
 
 @dataclass(frozen=True, eq=False)

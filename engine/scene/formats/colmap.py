@@ -44,8 +44,7 @@ _PANORAMAS = (
 _STEREO = "Let COLMAP write it again, or delete it: the frame then has no depth."
 _MOST_DEPTH = 1 << 30
 _FARTHEST = 1e6  # in the reconstruction's unit; an interrupted stereo run leaves larger numbers in its file
-_MOST_BROKEN = 0.5
-"""Maximum fraction of such numbers in a depth map. COLMAP itself writes 0, or less, where it finds no depth."""
+_MOST_BROKEN = 0.5  # maximum fraction of such numbers in a depth map; COLMAP itself writes 0, or less, for no depth
 
 
 def _find_model(place: Path) -> Path | None:

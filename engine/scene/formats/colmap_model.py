@@ -21,12 +21,10 @@ _MODELS = (
     ("EUCM", 6), ("EQUIRECTANGULAR", 2),
 )  # fmt: skip
 """Each model's name and number of parameters. Its index is its number in binary files."""
-MADE_BY = "made_by.json"
-"""A file in models by `python -m engine poses`: whether depth beside the photos gave the model its metric scale."""
+MADE_BY = "made_by.json"  # says in a model of `python -m engine poses` whether measured depth gave its scale
 _SUFFIXES = ("bin", "txt")
 _MOST_BYTES = 1 << 31
-_MOST_POINTS = 4_000_000
-"""Maximum number of points in a model, which take seven seconds. Models of rooms have several hundred thousand."""
+_MOST_POINTS = 4_000_000  # in a model, which take seven seconds; models of rooms have several hundred thousand
 _MOST_LINES = 1_000_000  # maximum number of lines in a text file, which take some seconds
 _LINE_IN_MEMORY = 500  # bytes for a line of text and the numbers parsed from it
 _POINT_BYTES = 51  # minimum bytes per point in a binary file

@@ -21,8 +21,7 @@ from ..frame import Inferred
 
 Values = NDArray[np.float64]
 
-_LEAST_SEEN = 0.1
-"""Minimum fraction of an undistorted picture that the distorted one covers. Wide fisheyes cover all of it."""
+_LEAST_SEEN = 0.1  # minimum fraction of an undistorted picture that the distorted one covers; wide fisheyes cover all
 UNDISTORTED = "the lens distorts: pictures are undistorted on reading, and masks where they fit the photos as taken"
 
 
@@ -99,8 +98,7 @@ def _series(factors: tuple[float, ...], square: Values) -> Values:
 
 
 STRAIGHT = Distortion()
-OPENCV_COUNTS = (0, 4, 5, 8, 12)
-"""Numbers of distortion coefficients that OpenCV accepts, without the tilt of its last two."""
+OPENCV_COUNTS = (0, 4, 5, 8, 12)  # numbers of coefficients that OpenCV accepts, without its last two, of the tilt
 _OPENCV_NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 LENS_NUMBER = re.compile(r"[kpsb]\d|tau_?[xy]|ftheta_p\d|latlong|equirectangular")
 """Lens keys in transforms.json, from nerfstudio, instant-ngp and programs that extend them."""

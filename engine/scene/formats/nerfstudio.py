@@ -244,8 +244,7 @@ FORMAT = SceneFormat("nerfstudio", lambda place: any(path.is_file() for path in 
 
 _MOST_BYTES = 1 << 30
 _MOST_IN_TEXT = 1_000_000  # maximum number of vertices as text, which take some seconds
-_VERTEX_IN_MEMORY, _VALUE_IN_MEMORY = 48, 200
-"""Bytes for a vertex with its colour, and for a number in a line of text with its text."""
+_VERTEX_IN_MEMORY, _VALUE_IN_MEMORY = 48, 200  # bytes for a coloured vertex, and for a number as text
 _SHORT = "Write this file again."
 _PLY_FIX = "Write a PLY whose first element is vertex, with x, y, z."
 

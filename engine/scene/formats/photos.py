@@ -19,13 +19,10 @@ from ..frame import Size
 SUFFIXES = {".jpg", ".jpeg", ".png"}
 _MODELS = {".ply", ".spz", ".splat", ".obj", ".glb", ".gltf", ".usdz", ".fbx", ".stl", ".las", ".laz"}
 FILMS = {".mp4", ".mov", ".m4v", ".avi", ".mkv"}
-LET_COLMAP = "let COLMAP find the poses with --poses colmap"
-"""The fix for missing poses, for the end of a sentence."""
-LEAST = 3
-"""The fewest photos whose poses can be found."""
+LET_COLMAP = "let COLMAP find the poses with --poses colmap"  # the fix for missing poses, for the end of a sentence
+LEAST = 3  # the fewest photos whose poses can be found
 _NO_PHOTO = re.compile(r"(?<![a-z])(depths?|depth_?maps?|conf|confidence)(?![a-z])", re.IGNORECASE)
-_FOLDERS = ("images", "image", "rgb", "color", "input", ".")
-"""Folders searched for photos, in the same order as the reader of COLMAP's models uses."""
+_FOLDERS = ("images", "image", "rgb", "color", "input", ".")  # searched in the order of COLMAP's reader
 
 
 def photos_in(place: Path) -> Path | None:

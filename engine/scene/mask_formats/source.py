@@ -19,8 +19,7 @@ from ..frame import Size
 from ..pixels import label_header, read_indices
 from ..values import inside
 
-IGNORED = frozenset({0, 255, 65535})
-"""Labels that mean nothing in most label images, unless their table has them."""
+IGNORED = frozenset({0, 255, 65535})  # labels that mean nothing in most label images, unless their table has them
 
 
 @dataclass(frozen=True)
