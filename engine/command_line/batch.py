@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from ..errors import ExitCode, PlgsError
+from ..errors import ExitCode, PlgsError, reading
 from ..gates import read_plain
 from ..job.request import add_lift_options, add_progress_option, readable, request_from
 from ..job.studio import filled_in
@@ -284,7 +284,8 @@ def _arguments(name: str, value: Any, folder: Path, where: str) -> Iterator[str]
 def _rows(path: Path) -> list[Mapping[str, Any]]:
     """The scenes with the names of their options, without empty cells. Raises PlgsError."""
     try:
-        text = read_plain(path, _MOST_BYTES).decode("utf-8-sig")  # Excel writes a byte order mark
+        with reading(path, "Name a CSV or TOML file of scenes."):
+            text = read_plain(path, _MOST_BYTES).decode("utf-8-sig")  # Excel writes a byte order mark
         if path.suffix.lower() == ".toml":
             rows: Any = tomllib.loads(text).get("scene")
         else:
@@ -293,9 +294,6 @@ def _rows(path: Path) -> list[Mapping[str, Any]]:
             {str(name).strip().replace("_", "-"): value for name, value in row.items() if value not in (None, "")}
             for row in rows
         ]
-    except OSError as error:
-        what = f"cannot be read ({error.strerror})"
-        raise PlgsError("unreadable", what, path, "Name a CSV or TOML file of scenes.") from error
     except (ValueError, TypeError, AttributeError, csv.Error) as error:
         raise PlgsError("not-scene-table", f"is not a table of scenes ({error})", path, _FIX) from error
     if not found:

@@ -364,9 +364,9 @@ def _run(arguments: Sequence[str], parser: argparse.ArgumentParser) -> int:
         if not vars(options).get("is_task"):
             return int(options.run(options))
         files = None if options.events is None else TaskFiles.at(options.events)
-        command = Command(options.command, partial(options.run, options), when_stopped=options.when_stopped)
         pipe = sys.stdin.fileno() if options.stay_with_parent else None
-        return run_task(command, files, as_json=options.json, parent_pipe=pipe, echo=options.echo)
+        how = {"when_stopped": options.when_stopped, "parent_pipe": pipe, "echo": options.echo}
+        return run_task(Command(options.command, partial(options.run, options), **how), files, as_json=options.json)
     except PlgsError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code

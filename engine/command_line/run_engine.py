@@ -78,8 +78,10 @@ def run_engine(
                 when_stopped=f"Give the same command with --resume to continue: {folder.path}",
                 again="resume",
                 with_less_memory="Resume after closing other programs, or lift again with a smaller --size.",
+                parent_pipe=parent_pipe,
+                echo=echo,
             )
-            return run_at(command, folder.task_files, terminal, parent_pipe=parent_pipe, echo=echo)
+            return run_at(command, folder.task_files, terminal)
 
 
 def run_bake(
@@ -118,13 +120,16 @@ def run_bake(
         when_stopped=f"The result is complete, with what was baked so far: {folder.path}",
         again="bake again",
         with_less_memory="Bake again after closing other programs.",
+        parent_pipe=parent_pipe,
+        echo=echo,
+        also_stops=(folder.task_files.cancel,),
     )
     folder.refuse_foreign()
     if files is not None:
         if folder.is_lifted_again and folder.is_running:
             raise at_work(folder.events_path)
         _refuse_unfinished(folder)
-        return _bake_beside(folder, command, files, parent_pipe, echo)
+        return run_task(command, files)
     try:
         lock = folder.lock().__enter__()  # not `with`: an error of the work must not count as busy
     except PlgsError as error:
@@ -134,7 +139,7 @@ def run_bake(
             raise
         (folder.path / "bake").mkdir(exist_ok=True)
         beside = TaskFiles.temporary(folder.path / "bake")
-        code = _bake_beside(folder, command, beside, None, echo)
+        code = run_task(command, beside)
         if code is ExitCode.FINISHED:
             beside.discard()
         return code
@@ -142,15 +147,9 @@ def run_bake(
         _refuse_unfinished(folder)
         with output_to(folder.log_path) as terminal:
             folder.prepare_bake()
-            return run_at(command, folder.task_files, terminal, parent_pipe=parent_pipe, echo=echo)
+            return run_at(command, folder.task_files, terminal)
     finally:
         lock.__exit__(None, None, None)
-
-
-def _bake_beside(
-    folder: LiftFolder, command: Command, files: TaskFiles, parent_pipe: int | None, echo: int | None
-) -> ExitCode:
-    return run_task(command, files, parent_pipe=parent_pipe, also_stops=(folder.task_files.cancel,), echo=echo)
 
 
 def _do_in(folder: LiftFolder, events: EventWriter, stop: StopSignal, work: Work) -> None:

@@ -36,7 +36,11 @@ _NO_MEMORY = ("DefaultCPUAllocator: can't allocate memory", "DefaultCPUAllocator
 
 @dataclass(frozen=True)
 class Command:
-    """What a command does: its ``kind``, its ``work``, and the messages for when it does not complete."""
+    """What a command does: its ``kind``, its ``work``, and the messages for when it does not complete.
+
+    ``parent_pipe``: see Watchdog. ``echo``: a descriptor to which its events are also written. The files ``also_stops``
+    stop it as its own cancel file does.
+    """
 
     kind: str
     work: Work
@@ -44,13 +48,16 @@ class Command:
     when_stopped: str = ""
     again: str = "try again"
     with_less_memory: str = "Try again after closing other programs."
+    parent_pipe: int | None = None
+    echo: int | None = None
+    also_stops: tuple[Path, ...] = ()
 
 
-def run_in_terminal(command: Command, *, as_json: bool = False, parent_pipe: int | None = None) -> ExitCode:
+def run_in_terminal(command: Command, *, as_json: bool = False) -> ExitCode:
     """Run it with progress on standard error and the answer on standard output, and return how it ended."""
     events, stop = ShownEvents(sys.stderr, as_json=as_json), StopSignal()
     try:
-        with Interrupts() as interrupts, Watchdog(stop, events, parent_pipe=parent_pipe):
+        with Interrupts() as interrupts, Watchdog(stop, events, parent_pipe=command.parent_pipe):
             code = _do(command, events, stop, sys.stderr, None)
             if interrupts.pending is not None:  # native code may have turned it into another error
                 raise Interrupted(interrupts.pending)
@@ -63,25 +70,17 @@ def run_in_terminal(command: Command, *, as_json: bool = False, parent_pipe: int
         events.close()
 
 
-def run_at(
-    command: Command,
-    files: TaskFiles,
-    terminal: TextIO,
-    *,
-    parent_pipe: int | None = None,
-    also_stops: tuple[Path, ...] = (),
-    echo: int | None = None,
-) -> ExitCode:
+def run_at(command: Command, files: TaskFiles, terminal: TextIO) -> ExitCode:
     """Run it with events in ``files``, whose lock this process holds; all output goes to their log. ``terminal`` is for
-    the few lines for the user. The files ``also_stops`` stop it as its own cancel file does. Events also go to the
-    descriptor ``echo``."""
-    events = EventWriter(files.events, echo) if parent_pipe is not None else ShownWarnings(files.events, echo, terminal)
+    the few lines for the user."""
+    at = files.events, command.echo
+    events = EventWriter(*at) if command.parent_pipe is not None else ShownWarnings(*at, terminal)
     try:
         given = os.environ.get("OMP_NUM_THREADS", "")
         threads = int(given) if given.isdecimal() and int(given) > 0 else usable_cpus()
         events.hello(task=command.kind, threads=threads, resumed=command.resumed)
-        stop = StopSignal(files.cancel, *also_stops)
-        with _signals_ask(stop), Watchdog(stop, events, parent_pipe=parent_pipe):
+        stop = StopSignal(files.cancel, *command.also_stops)
+        with _signals_ask(stop), Watchdog(stop, events, parent_pipe=command.parent_pipe):
             code = _do(command, events, stop, terminal, files)
         with suppress(OSError):  # the disk may be full; the result and the exit code tell it too
             if code is ExitCode.FINISHED:
@@ -93,24 +92,16 @@ def run_at(
         events.close()
 
 
-def run_task(
-    command: Command,
-    files: TaskFiles | None,
-    *,
-    as_json: bool = False,
-    parent_pipe: int | None = None,
-    also_stops: tuple[Path, ...] = (),
-    echo: int | None = None,
-) -> ExitCode:
+def run_task(command: Command, files: TaskFiles | None, *, as_json: bool = False) -> ExitCode:
     """Run it in the terminal or, given ``files``, with its events there. Raises PlgsError if they are in use."""
     if files is not None:
         with FileLock(files.events), output_to(files.log) as terminal:
-            return run_at(command, files, terminal, parent_pipe=parent_pipe, also_stops=also_stops, echo=echo)
-    if echo is None:
-        return run_in_terminal(command, as_json=as_json, parent_pipe=parent_pipe)
+            return run_at(command, files, terminal)
+    if command.echo is None:
+        return run_in_terminal(command, as_json=as_json)
     own = TaskFiles.temporary()
     try:
-        return run_at(command, own, sys.stderr, parent_pipe=parent_pipe, echo=echo)
+        return run_at(command, own, sys.stderr)
     finally:
         own.discard()
 

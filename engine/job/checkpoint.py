@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..errors import PlgsError
+from ..errors import PlgsError, reading
 from ..json_file import Json
 from ..records import read_record, record_text
 from .atomic import PART, ListedFile, files_below, flush_to_disk
@@ -109,13 +110,10 @@ def _verified_state(folder: Path) -> Mapping[str, Json]:
     index = read_record(_Index, folder / _INDEX, _FIX)
     for listed in index.files:
         path = folder / listed.path
-        try:
+        is_whole = False
+        # ValueError: a damaged index may name a file elsewhere.
+        with suppress(ValueError), reading(path, "Check the disk, then resume again."):
             is_whole = path.is_file() and listed == ListedFile.of(path, folder)
-        except ValueError:  # a damaged index may name a file elsewhere
-            is_whole = False
-        except OSError as error:
-            fix = "Check the disk, then resume again."
-            raise PlgsError("unreadable", f"cannot be read ({error.strerror})", path, fix) from error
         if not is_whole:
             raise PlgsError("checkpoint-damaged", "is damaged", folder, _FIX)
     return index.state

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from ..errors import PlgsError
+from ..errors import PlgsError, reading
 from ..user_cache import user_cache_folder
 
 COMPLETE = "complete"
@@ -126,8 +126,5 @@ def _holds(marker: str, version: Version, platform: str, path: Path) -> bool:
 
 
 def _text(path: Path) -> str:
-    try:
+    with reading(path, "Reinstall PLGS."):
         return path.read_text(encoding="utf-8")
-    except OSError as error:
-        what = f"cannot be read ({error.strerror})"
-        raise PlgsError("unreadable", what, path, "Reinstall PLGS.") from error

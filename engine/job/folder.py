@@ -7,14 +7,15 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import count
 from pathlib import Path
 from stat import S_ISDIR, S_ISLNK, S_ISREG
 
-from ..errors import ExitCode, PlgsError, is_silence
+from ..errors import ExitCode, PlgsError, is_silence, reading
 from ..gates import create_plain
 from .atomic import PART, files_below, flush_to_disk, remove_parts, write_atomically
 from .checkpoint import CheckpointStore
@@ -407,16 +408,11 @@ def refuse_foreign_below(lift: Path, folders: Sequence[str] = FOLDERS) -> None:
         tops += _entries(path)
 
 
-def _entries(folder: Path) -> Iterator[Path]:
+def _entries(folder: Path) -> list[Path]:
     """The entries of a folder; none if it is not a folder, or no longer exists."""
-    try:
-        with os.scandir(folder) as entries:
-            yield from [Path(entry.path) for entry in entries]
-    except (FileNotFoundError, NotADirectoryError):
-        return
-    except OSError as error:
-        what = f"cannot be read ({error.strerror})"
-        raise PlgsError("unreadable", what, folder, "Check its permissions and its disk.") from error
+    with reading(folder, "Check its permissions and its disk."), suppress(FileNotFoundError, NotADirectoryError):
+        return [*folder.iterdir()]
+    return []
 
 
 def _refuse(path: Path, is_right: Callable[[int], bool]) -> None:

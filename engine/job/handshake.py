@@ -14,7 +14,6 @@ from typing import Any
 
 from .. import __version__
 from ..errors import PlgsError
-from ..json_file import to_line
 from ..records import record_of, refuse_other_format, to_json
 from .environment import module_of, needed_packages
 from .process import ROOT
@@ -73,9 +72,6 @@ class EngineAnswer:
         derived = {"missing": list(self.missing), "others": list(self.others), "fix": self.fix}
         return {"format": FORMAT, **to_json(self), **derived}
 
-    def to_line(self) -> bytes:
-        return to_line(self.to_json())
-
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> EngineAnswer | None:
         """The answer that `to_json` gave; None if it is something else, or an answer in another format."""
@@ -130,13 +126,6 @@ CAPABILITIES: dict[str, Capability] = {
 
 ADDED = tuple(name for name, each in CAPABILITIES.items() if each.size)
 """The names of the abilities that can be added to an engine."""
-
-
-def refuse_unknown(name: str) -> None:
-    """Raise PlgsError for a name that cannot be added."""
-    if name not in ADDED:
-        what = f'nothing called "{name}" can be added to an engine'
-        raise PlgsError("not-addable", what, "add", f"Choose {', '.join(ADDED)}.")
 
 
 _CUDA = re.compile(r"^cuda\b[^=]*= *['\"]([^'\"]+)['\"]", re.MULTILINE)

@@ -8,7 +8,7 @@ import shutil
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
@@ -246,10 +246,17 @@ def lift_in_terminal(
     try:
         program = getattr(options, "program", "engine")
         command = engine_command(python, lift.path, resume=True, program=program)
-        code = _run(lift, interrupts, command, getattr(options, "echo", None), on_error)
+        with interrupts.deferred():
+            follower = TaskFollower.start(command, lift.task_files, kind=LIFT, lift=lift)
+            follow(follower, interrupts, LiveLine(sys.stderr), getattr(options, "echo", None))
+        if follower.error is not None:
+            on_error(follower.error)
+        elif follower.state is TaskState.CANCELLED:
+            print(f"Cancelled. Give the same command with --resume to continue: {lift.path}", file=sys.stderr)
     finally:
         if is_new and lift.came_to_nothing():
             lift.discard()
+    code = follower.exit_code
     if code is ExitCode.FINISHED and finished_at == lift.manifest_path.stat().st_mtime_ns:
         print(f"This lift is finished already: {lift.path}", file=sys.stderr)
     return lift, code
@@ -289,20 +296,3 @@ def _state_when_left_alone(lift: LiftFolder) -> LiftState:
             raise at_work(lift.events_path)
         time.sleep(0.05)
     return state
-
-
-def _run(
-    lift: LiftFolder,
-    interrupts: Interrupts,
-    command: Sequence[str | Path],
-    echo: int | None,
-    on_error: Callable[[PlgsError], object],
-) -> ExitCode:
-    with interrupts.deferred():
-        follower = TaskFollower.start(command, lift.task_files, kind=LIFT, lift=lift)
-        follow(follower, interrupts, LiveLine(sys.stderr), echo)
-    if follower.error is not None:
-        on_error(follower.error)
-    elif follower.state is TaskState.CANCELLED:
-        print(f"Cancelled. Give the same command with --resume to continue: {lift.path}", file=sys.stderr)
-    return follower.exit_code

@@ -14,7 +14,7 @@ from pathlib import Path
 from ..errors import PlgsError
 from ..job import EventWriter, StopSignal, write_atomically
 from ..job.environment import environments_folder, python_in, requirement_file
-from ..job.handshake import CAPABILITIES, refuse_unknown
+from ..job.handshake import ADDED, CAPABILITIES
 from ..job.lock import FileLock
 from ..job.process import ROOT, missing_modules
 from .programs import UvTask
@@ -44,7 +44,9 @@ class Addition(UvTask):
         ``tools`` is the folder for uv; None: the user's cache. ``wheels``: as in `SetUpRequest`. Raises PlgsError for
         an unknown name.
         """
-        refuse_unknown(name)
+        if name not in ADDED:
+            what = f'nothing called "{name}" can be added to an engine'
+            raise PlgsError("not-addable", what, "add", f"Choose {', '.join(ADDED)}.")
         self.name, self.size = name, CAPABILITIES[name].size
         self.environment, self._python = environment, python_in(environment)
         self._root, self._tools = root, tools or environments_folder()
