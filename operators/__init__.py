@@ -5,19 +5,12 @@ From a script they take the same arguments as from their buttons.
 
 from __future__ import annotations
 
-from ..plgs_blender.lifecycle import register_modules, unregister_modules
+from functools import partial
+
+from ..plgs_blender.lifecycle import list_classes, register_modules, unregister_modules
 from . import corrections, engine, inspect, lift, masks, passes, pointing, scene
 
 _MODULES = (engine, lift, passes, scene, masks, inspect, corrections, pointing)
-for _module in _MODULES:
-    vars(_module)["CLASSES"] = [each for name, each in vars(_module).items() if name.startswith("PLGS_")]
-
-
-def register() -> None:
-    """Called when the extension is enabled."""
-    register_modules(_MODULES)
-
-
-def unregister() -> None:
-    """Called when the extension is disabled."""
-    unregister_modules(_MODULES)
+list_classes(_MODULES)
+register, unregister = partial(register_modules, _MODULES), partial(unregister_modules, _MODULES)
+"""Called when the extension is enabled, and disabled."""

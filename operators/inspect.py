@@ -13,10 +13,10 @@ from ..plgs_blender.inspecting.selection import chosen_row, class_row_of, find_l
 from ..plgs_blender.lift_scene import show_lift_as
 from ..plgs_blender.owned import lifts_in
 from ..plgs_blender.viewport import show_lift_colours, view_of
-from .base import CANCELLED, FINISHED, Acts, Explained, argument, panel_of, reporting, text_argument
+from .base import CANCELLED, FINISHED, Acts, argument, panel_of, reporting, text_argument
 
 
-class OnLift(Explained):
+class OnLift(Acts):
     """An operator on a lift of the scene. `lift` names it by its folder or its collection's name."""
 
     lift: text_argument("Lift", "Folder or collection of the lift; empty: the active object's, else the scene's first")
@@ -30,12 +30,8 @@ class OnLift(Explained):
         """The lift's collection. Raises PlgsError."""
         return find_lift(context.scene, self.lift, context.active_object)
 
-    @reporting
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        line = self.act_on(context, self.root(context))
-        if line:
-            self.report({"INFO"}, line)
-        return FINISHED
+    def act(self, context: bpy.types.Context) -> str | None:
+        return self.act_on(context, self.root(context))
 
     def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str | None:
         """Do it. Returns a line to report, if any. Raises PlgsError, OSError."""

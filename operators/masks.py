@@ -12,18 +12,10 @@ from ..plgs_blender.errors import PlgsError, plural, with_field_names
 from ..plgs_blender.inspecting.views import look_from_frame
 from ..plgs_blender.owned import SCENE, is_same_place, lifts_in, text_of
 from ..plgs_blender.registry import Task
+from ..plgs_blender.running import preparation
 from ..plgs_blender.running.adding import why_lacking
 from ..plgs_blender.running.diagnosis import Diagnosis, Finding, diagnose, diagnosis_of, leave_out
-from ..plgs_blender.running.preparation import (
-    OWN_TABLE,
-    TABLE_ITEMS,
-    MaskMaking,
-    PoseMaking,
-    make_masks,
-    make_poses,
-    read_classes,
-    write_classes,
-)
+from ..plgs_blender.running.preparation import MaskMaking, PoseMaking
 from ..plgs_blender.settings import chosen_scene
 from ..plgs_blender.viewport import load_finding, show_beside, view_of
 from . import base
@@ -49,7 +41,8 @@ class PLGS_OT_make_masks(base.StartsTask, bpy.types.Operator):
         if context.scene.plgs.masks:
             self.report({"WARNING"}, "The panel names other masks. Clear Masks to use the new ones")
         # Blender's own setting is the user's consent to downloads.
-        return make_masks(chosen_scene(context.scene.plgs), usable_python(), model, download=bpy.app.online_access)
+        scene = chosen_scene(context.scene.plgs)
+        return preparation.make_masks(scene, usable_python(), model, download=bpy.app.online_access)
 
 
 class PLGS_OT_make_poses(base.StartsTask, bpy.types.Operator):
@@ -64,7 +57,7 @@ class PLGS_OT_make_poses(base.StartsTask, bpy.types.Operator):
         return base.why_no_folder(context) or why_no_engine() or why_lacking("colmap")
 
     def begin(self, context: bpy.types.Context) -> Task:
-        return make_poses(chosen_scene(context.scene.plgs), usable_python())
+        return preparation.make_poses(chosen_scene(context.scene.plgs), usable_python())
 
 
 class PLGS_OT_read_classes(base.StartsTask, bpy.types.Operator):
@@ -74,7 +67,7 @@ class PLGS_OT_read_classes(base.StartsTask, bpy.types.Operator):
 
     table: base.argument(
         EnumProperty, "Table", "A public table to start from, if the masks' files do not name their classes",
-        items=TABLE_ITEMS, default=OWN_TABLE,
+        items=preparation.TABLE_ITEMS, default=preparation.OWN_TABLE,
     )  # fmt: skip
 
     @classmethod
@@ -82,7 +75,7 @@ class PLGS_OT_read_classes(base.StartsTask, bpy.types.Operator):
         return base.why_no_folder(context) or why_no_engine()
 
     def begin(self, context: bpy.types.Context) -> Task:
-        return read_classes(context.scene, self.table)
+        return preparation.read_classes(context.scene, self.table)
 
 
 class PLGS_OT_write_classes(base.StartsTask, bpy.types.Operator):
@@ -96,7 +89,7 @@ class PLGS_OT_write_classes(base.StartsTask, bpy.types.Operator):
         return why_no_engine() if has_classes else "Read the classes first"
 
     def begin(self, context: bpy.types.Context) -> Task:
-        return write_classes(context.scene)
+        return preparation.write_classes(context.scene)
 
 
 _NOTHING = "Nothing was found that can safely be fixed"

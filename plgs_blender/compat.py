@@ -59,8 +59,9 @@ def _clouds_by_nodes(counts: Sequence[int]) -> list[bpy.types.PointCloud]:
 
 
 def new_geometry_group(name: str) -> bpy.types.NodeTree:
-    """An empty geometry node group with one geometry input and one output."""
+    """An empty geometry node group for a modifier, with one geometry input and one output."""
     group = bpy.data.node_groups.new(name, "GeometryNodeTree")
+    group.is_modifier = True
     for direction in ("INPUT", "OUTPUT"):
         group.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
     return group

@@ -19,24 +19,12 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..engine.corrections import (
-    BY_VIEWS,
-    CorrectedResult,
-    Edit,
-    Proposal,
-    Proposals,
-    class_of_parts,
-    correct,
-    entropy_of_views,
-    making,
-    proposals_of,
-    read_corrected,
-    read_edits,
-    set_undone,
-    undo,
-)
+from ..engine.corrections import making
 from ..engine.corrections.edits import CORRECTIONS as FILE
+from ..engine.corrections.edits import Edit, read_edits
+from ..engine.corrections.proposals import BY_VIEWS, Proposal, Proposals, class_of_parts, entropy_of_views, proposals_of
 from ..engine.corrections.replay import Replay
+from ..engine.corrections.result import CorrectedResult, correct, read_corrected, set_undone, undo
 from ..engine.errors import PlgsError
 from ..engine.job import LiftFolder
 from ..engine.job.report import doubt_of_frames, read_metrics
@@ -365,6 +353,7 @@ def inside_box(box: bpy.types.Object, xyz: NDArray[np.float32]) -> NDArray[np.bo
     return ((local[:, :3] >= corners.min(axis=0)) & (local[:, :3] <= corners.max(axis=0))).all(axis=1)
 
 
+@bpy.app.handlers.persistent
 def _follow_undo(*_arguments: object) -> None:
     """Repeat Blender's undo or redo in the file."""
     failed.clear()
@@ -383,19 +372,14 @@ def _follow_undo(*_arguments: object) -> None:
                 failed.append(f"The corrections could not follow: {error}")
 
 
-_after_undo = bpy.app.handlers.persistent(_follow_undo)
+HANDLERS = (("undo_post", _follow_undo), ("redo_post", _follow_undo))
 
 
 def register() -> None:
     selection.renaming.append(_rename_by_field)
-    for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
-        handlers.append(_after_undo)
 
 
 def unregister() -> None:
-    for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
-        if _after_undo in handlers:
-            handlers.remove(_after_undo)
     selection.renaming.remove(_rename_by_field)
     _mine.clear()
     outdated.clear()

@@ -19,7 +19,7 @@ from .inspecting.selection import objects_by_key, values_of
 from .owned import FOLDER, LIFT, PLACE, OwnedDataBlocks, child_collection, overview_of, root_collection, scene_to_fill
 from .splat_objects import place_points
 from .timeline import mark_timeline
-from .viewport import areas_of, areas_that_show, frame_room, show_room
+from .viewport import areas_that_show, frame_room
 
 MISSING = "plgs_missing"
 """Property of an imported scene's collection: the kinds ("colour", "cloud") that an engine still has to make."""
@@ -62,12 +62,7 @@ def place_scene(
     return root
 
 
-def look_at_imported(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
-    """Point the 3D views that show the scene at the frames' cameras and the points in front of them, from above."""
-    show_room(areas_of(scene), *_room(root, scene))
-
-
-def _room(root: bpy.types.Collection, scene: bpy.types.Scene) -> tuple[Quaternion, NDArray[np.float64]]:
+def room_of(root: bpy.types.Collection, scene: bpy.types.Scene) -> tuple[Quaternion, NDArray[np.float64]]:
     """The rotation of a camera that overlooks what the frames see, and that region's corners [8, 3] in metres."""
     scene.view_layers[0].update()  # new objects have no matrix_world before
     matrices = np.array([ob.matrix_world for ob in root.all_objects if "frame" in ob])
@@ -92,11 +87,11 @@ def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrame
     root[MISSING] = " ".join(kind for kind in root.get(MISSING, "").split() if kind not in there)
     if made.cloud is not None and not root[FOLDER]:
         points = read_cloud(made.cloud)
-        unmoved = areas_that_show(scene, *_room(root, scene))
+        unmoved = areas_that_show(scene, *room_of(root, scene))
         eyes = np.array([camera.matrix_world.translation for camera in cameras.values()])
         place_points(owned, child_collection(root, _CLOUDS), _CLOUD, "Coloured cloud", points, eyes)
         for area in unmoved:
-            frame_room(area, *_room(root, scene))
+            frame_room(area, *room_of(root, scene))
 
 
 def _place_clouds(

@@ -21,6 +21,12 @@ from typing import NoReturn
 import bpy
 
 
+def list_classes(modules: Sequence[ModuleType]) -> None:
+    """Give each module the `CLASSES` in it, in order: those whose names begin with PLGS_."""
+    for module in modules:
+        vars(module)["CLASSES"] = [each for name, each in vars(module).items() if name.startswith("PLGS_")]
+
+
 def register_modules(modules: Sequence[ModuleType]) -> None:
     """Register what each module lists, then call its `register`, if any."""
     for module in modules:

@@ -37,12 +37,11 @@ def open_room(owned: OwnedDataBlocks, clouds: Iterable[bpy.types.Object]) -> Non
 def _group(material: bpy.types.Material | None) -> bpy.types.NodeTree:
     """Delete a point if normal · (position - camera) > 0. Points with a zero normal stay."""
     tree = new_geometry_group("PLGS open room")
-    tree.is_modifier = True
     add = partial(add_node, tree)
     start, position = add("NodeGroupInput", 0, 0).outputs[0], add("GeometryNodeInputPosition", 1, -480).outputs[0]
     camera = add("GeometryNodeInputActiveCamera", 0, -160).outputs[0]
     eye = add("GeometryNodeObjectInfo", 1, -320, camera, transform_space="RELATIVE").outputs["Location"]
-    normal = _read_vector(tree, "normal", 2, -640)
+    normal = read_attribute(tree, "normal", 2, -640)
     away = add("ShaderNodeVectorMath", 3, 0, position, eye, operation="SUBTRACT").outputs["Vector"]
     facing = add("ShaderNodeVectorMath", 4, 0, away, normal, operation="DOT_PRODUCT").outputs["Value"]
     behind = add("ShaderNodeMath", 5, 0, facing, 0.0, operation="GREATER_THAN").outputs[0]
@@ -53,8 +52,11 @@ def _group(material: bpy.types.Material | None) -> bpy.types.NodeTree:
     return tree
 
 
-def _read_vector(tree: bpy.types.NodeTree, attribute: str, column: int, row: int) -> bpy.types.NodeSocket:
-    node = add_node(tree, "GeometryNodeInputNamedAttribute", column, row, attribute, data_type="FLOAT_VECTOR")
+def read_attribute(
+    tree: bpy.types.NodeTree, name: str, column: int, row: int, kind: str = "FLOAT_VECTOR"
+) -> bpy.types.NodeSocket:
+    """The output of a new node that reads an attribute."""
+    node = add_node(tree, "GeometryNodeInputNamedAttribute", column, row, name, data_type=kind)
     return next(socket for socket in node.outputs if socket.enabled and socket.name == "Attribute")
 
 
@@ -231,7 +233,6 @@ def across(normal: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np
 def _new_group() -> bpy.types.NodeTree:
     """Extrude each vertex to its square, up before right, so that it shows its front. `corner` is in deviations."""
     tree = new_geometry_group("PLGS squares")
-    tree.is_modifier = True
 
     def add(kind: str, column: int, row: int = 0, *inputs: object, **settings: object) -> bpy.types.Node:
         return add_node(tree, kind, column, -180 * row, *inputs, **settings)
@@ -241,7 +242,7 @@ def _new_group() -> bpy.types.NodeTree:
         return next(each for each in node.outputs if each.enabled)
 
     right, up, corner = (
-        _read_vector(tree, name, 0, -180 * row) for row, name in enumerate(("right", "up", "corner"), 1)
+        read_attribute(tree, name, 0, -180 * row) for row, name in enumerate(("right", "up", "corner"), 1)
     )
     first = maths("SCALE", 2, 1, maths("ADD", 1, 1, right, up), -1.0)
     sides = [maths("ADD", 1, 2 + row, each, each) for row, each in enumerate((up, right))]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from ..plgs_blender.lifecycle import register_modules, unregister_modules
+from ..plgs_blender.lifecycle import list_classes, register_modules, unregister_modules
 from . import (
     corrections_panel,
     lift_panel,
@@ -28,7 +28,6 @@ _MODULES = (
     menus,
     overlay,
 )
-
-
+list_classes(_MODULES)
 register, unregister = partial(register_modules, _MODULES), partial(unregister_modules, _MODULES)
 """Called when the extension is enabled, and disabled."""

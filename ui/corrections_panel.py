@@ -112,6 +112,3 @@ class PLGS_MT_paint_class(OfClasses, bpy.types.Menu):
     """Paint points of a class that belong to no object"""
 
     bl_idname, bl_label, to = "PLGS_MT_paint_class", "Class", "CLASS"
-
-
-CLASSES = (PLGS_MT_paint_new, PLGS_MT_paint_class, PLGS_PT_corrections)

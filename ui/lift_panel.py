@@ -131,9 +131,9 @@ def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, followed
         row.operator("plgs.lift_scene", icon="PLAY")
     if followed is not None:
         _draw_ending(layout, context, followed)
-    elif folder is not None and (refusal := lifts.refusal_of(folder)) is not None:
+    elif folder is not None and (refusal := lifts.refusals.get(folder)) is not None:
         sidebar.draw_text(layout, context, refusal if isinstance(refusal, PlgsError) else str(refusal), "ERROR")
-    elif folder is not None and not lifts.is_nothing_there(folder):
+    elif folder is not None and folder not in lifts.nothing_there:
         # The opened file names this folder. It may be somebody else's, so it is read only if the user asks.
         sidebar.from_panel(layout.row(), context).operator("plgs.watch_lift", text="Look at the Lift", icon="VIEWZOOM")
     else:
@@ -142,11 +142,11 @@ def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, followed
 
 
 def _draw_recent(layout: bpy.types.UILayout) -> None:
-    for lift in lifts.recent():
+    for lift in lifts.recent:
         text = f"{one_line(lift.folder.path.name)}: {lift.state.value}"
         button = layout.operator("plgs.watch_lift", text=text, icon=_ICONS.get(lift.state, "FILE_FOLDER"))
         button.lift_folder = str(lift.folder.path)
-    if not lifts.recent():
+    if not lifts.recent:
         layout.label(text="None yet", icon="INFO")
 
 
@@ -212,5 +212,4 @@ def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followe
         sidebar.draw_log(box, followed.follower.log_lines[-_LOG_LINES:])
 
 
-CLASSES = (PLGS_PT_lift, PLGS_PT_lift_options, PLGS_PT_all_options, PLGS_PT_recent_lifts, PLGS_MT_recent_lifts)
 MENUS = (("TOPBAR_MT_file_import", "append", _in_import_menu), ("TOPBAR_MT_file", "append", _beside_quit))

@@ -98,7 +98,7 @@ class PLGS_MT_work(OfEntries, bpy.types.Menu):
 
 def _in_object_menu(menu: bpy.types.Menu, _context: bpy.types.Context) -> None:
     menu.layout.separator()
-    for each in CLASSES:
+    for each in (PLGS_MT_object, PLGS_MT_result, PLGS_MT_work):
         menu.layout.menu(each.bl_idname)
 
 
@@ -121,7 +121,6 @@ def _draw_named(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
         menu.layout.menu(PLGS_MT_object.bl_idname, text=one_line(row.name))
 
 
-CLASSES = (PLGS_MT_object, PLGS_MT_result, PLGS_MT_work)
 MENUS = (
     ("VIEW3D_MT_object", "append", _in_object_menu),
     ("VIEW3D_MT_object_context_menu", "prepend", _at_object),

@@ -134,9 +134,6 @@ def _size(context: bpy.types.Context) -> tuple[int, int]:
     return context.region.width, context.region.height
 
 
-CLASSES = ()
-
-
 def register() -> None:
     add = bpy.types.SpaceView3D.draw_handler_add
     _handles.append(add(_draw_in_space, (), "WINDOW", "POST_VIEW"))

@@ -50,9 +50,8 @@ class PLGS_PT_panoptic(sidebar.Sidebar, bpy.types.Panel):
         layout = self.layout
         node = panoptic_of(context.scene)
         if node is None:
-            sidebar.draw_text(
-                layout, context, "Bake passes first, then choose a matte with a button Matte of the result", "INFO"
-            )
+            what_to_do = "Bake passes first, then choose a matte with a button Matte of the result"
+            sidebar.draw_text(layout, context, what_to_do, "INFO")
             return
         layout.use_property_split, layout.use_property_decorate = True, False
         for name in (*CONTROLS, *COLOURS):
@@ -116,5 +115,4 @@ def _in_file_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     menu.layout.menu(PLGS_MT_export.bl_idname)
 
 
-CLASSES = (PLGS_PT_passes, PLGS_PT_panoptic, PLGS_PT_export, PLGS_MT_export)
 MENUS = (("TOPBAR_MT_file_export", "append", _in_file_menu),)

@@ -82,6 +82,3 @@ def _draw_status(layout: bpy.types.UILayout, context: bpy.types.Context, is_set_
         layout.prop(context.preferences.system, "use_online_access")
     if engine.python is not None:
         draw_text(layout, context, str(engine.python), "BLANK1")
-
-
-CLASSES = (PLGS_AP_preferences,)

@@ -332,16 +332,3 @@ class PLGS_PT_result_display(OfResult, bpy.types.Panel):
         column = layout.column(heading="Draw")
         for name in ("show_labels", "show_legend", "show_boxes", "show_cameras", "show_selected"):
             column.prop(lists, name)
-
-
-CLASSES = (
-    PLGS_UL_instances,
-    PLGS_UL_classes,
-    PLGS_UL_masks,
-    PLGS_PT_result,
-    PLGS_PT_name,
-    PLGS_PT_masks,
-    PLGS_PT_classes,
-    PLGS_PT_not_shown,
-    PLGS_PT_result_display,
-)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 
 from ..plgs_blender import registry
@@ -39,9 +41,8 @@ class PLGS_PT_scene(sidebar.StepBefore, bpy.types.Panel):
             row.operator("plgs.import_scene", icon="OUTLINER_OB_CAMERA")
         survey = survey_of_panel(settings)
         if not settings.scene_folder:
-            sidebar.draw_text(
-                layout, context, "Choose a capture's folder or file, or drop one of its files here", "INFO"
-            )
+            what_to_do = "Choose a capture's folder or file, or drop one of its files here"
+            sidebar.draw_text(layout, context, what_to_do, "INFO")
         elif survey is not None and survey.error is not None:
             box = sidebar.draw_error(layout, context, survey.error)
             if survey.error.code is ErrorCode.NO_POSES:
@@ -63,13 +64,12 @@ class PLGS_PT_scene_options(sidebar.Sidebar, bpy.types.Panel):
 
 class PLGS_UL_mask_classes(bpy.types.UIList):
     def draw_item(
-        self, context: bpy.types.Context, layout: bpy.types.UILayout, data: object, item: bpy.types.PropertyGroup,
-        icon: int, active_data: object, active_property: str, index: int = 0, flag: int = 0,
-    ) -> None:  # fmt: skip
-        row = layout.row(align=True)
-        row.prop(item, "name", text="", emboss=False)
-        row.prop(item, "into", text="", icon="FORWARD")
-        row.prop(item, "is_thing", text="")
+        self, _context: Any, layout: Any, _masks: Any, row: Any, _icon: int, _active: Any, _name: str
+    ) -> None:
+        line = layout.row(align=True)
+        line.prop(row, "name", text="", emboss=False)
+        line.prop(row, "into", text="", icon="FORWARD")
+        line.prop(row, "is_thing", text="")
 
 
 class PLGS_PT_scene_masks(sidebar.Sidebar, bpy.types.Panel):
@@ -197,9 +197,8 @@ def _facts(survey: Survey) -> tuple[str, ...]:
 def _draw_details(
     layout: bpy.types.UILayout, context: bpy.types.Context, survey: Survey, warnings: tuple[str, ...]
 ) -> None:
-    sidebar.draw_text(
-        layout, context, f"{plural(survey.test_frames, 'frame')} held out of training, to score the lift", "INFO"
-    )
+    held_out = plural(survey.test_frames, "frame")
+    sidebar.draw_text(layout, context, f"{held_out} held out of training, to score the lift", "INFO")
     obstacles = obstacles_to(survey, status().is_usable)
     possible = ", ".join(what for what, why_not in obstacles.items() if why_not is None)
     sidebar.draw_text(layout, context, f"Possible: {possible.lower()}", "CHECKMARK")
@@ -215,9 +214,8 @@ def _draw_details(
 
 def _draw_findings(layout: bpy.types.UILayout, context: bpy.types.Context, known: Diagnosis) -> None:
     if not known.findings and known.error is None:
-        sidebar.draw_text(
-            layout, context, f"No problem found; checked {known.looked} of {known.frames} frames", "CHECKMARK"
-        )
+        checked = f"{known.looked} of {known.frames} frames"
+        sidebar.draw_text(layout, context, f"No problem found; checked {checked}", "CHECKMARK")
     for number, finding in enumerate(known.findings):
         box = layout.box()
         row = box.row()
@@ -256,12 +254,4 @@ def _draw_import_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     menu.layout.operator("plgs.browse_scene", text="PLGS Scene (ScanNet, COLMAP, transforms.json, .sens, .r3d ...)")
 
 
-CLASSES = (
-    PLGS_PT_scene,
-    PLGS_PT_frames,
-    PLGS_PT_scene_options,
-    PLGS_UL_mask_classes,
-    PLGS_PT_scene_masks,
-    PLGS_PT_diagnosis,
-)
 MENUS = (("TOPBAR_MT_file_import", "append", _draw_import_menu),)

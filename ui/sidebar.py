@@ -225,5 +225,4 @@ def amount(size: float) -> str:
     return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.0f} MB"
 
 
-CLASSES = (PLGS_PT_lift_panoptic_masks,)
 MENUS = (("NODE_HT_header", "append", draw_way_back),)

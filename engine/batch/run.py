@@ -55,14 +55,6 @@ class _Scene:
     frames: Sequence[str] = ()
 
 
-@dataclass
-class _Pin:
-    """The addresses of the only ``workers`` that can do a piece, and when one of them was last ``seen``."""
-
-    workers: Sequence[str]
-    seen: float
-
-
 def run_batch(
     plan: BatchPlan, farm_options: FarmOptions, interrupts: Interrupts, events: EventWriter | None = None
 ) -> ExitCode:
@@ -113,7 +105,8 @@ class _Batch:
         self._plan, self._farm, self._report, self._rows = plan, farm, report, rows
         self._scenes: dict[str, _Scene] = {}
         self._out: dict[Any, Piece] = {}
-        self._pins: dict[Any, _Pin] = {}
+        self._pins: dict[Any, tuple[Sequence[str], float]] = {}
+        """The addresses of the only workers that can do a piece, and when one of them was last there."""
         self._progress_texts: dict[str, str] = {}
         self._looked = self._staffed = self._asked = time.monotonic()
         self._is_missed = False
@@ -187,7 +180,7 @@ class _Batch:
         )  # fmt: skip
         self._out[future] = piece
         if fit is not None:
-            self._pins[future] = _Pin(fit, time.monotonic())
+            self._pins[future] = fit, time.monotonic()
 
     def _look_at_workers(self) -> None:
         """Report if there has been no worker for long. A piece whose workers have all left goes to newer ones, also to
@@ -213,13 +206,13 @@ class _Batch:
         if not there and not self._is_missed and now > self._staffed + RETURN_S:
             self._is_missed = True
             self._report.say(f"Waiting for a worker. Start one: python -m engine worker {self._farm.address}")
-        for future, pin in [*self._pins.items()]:
+        for future, (workers, seen) in [*self._pins.items()]:
             if future not in self._out:
                 continue  # another piece of the scene could not be placed
             piece = self._out[future]
-            if not there or there.keys() & set(pin.workers):
-                pin.seen = now
-            elif there.keys() - self._scenes[piece.scene].unfit or now > pin.seen + RETURN_S:
+            if not there or there.keys() & set(workers):
+                self._pins[future] = workers, now
+            elif there.keys() - self._scenes[piece.scene].unfit or now > seen + RETURN_S:
                 self._withdraw(future)
                 self._submit(piece)
 

@@ -12,19 +12,8 @@ from pathlib import Path
 from .. import __version__
 from ..errors import PlgsError
 from ..gates import printable
-from ..job import CHANNELS, FURTHER_LAYERS, EventWriter, ExitCode, StopSignal
+from ..job import CHANNELS, FURTHER_LAYERS, EventWriter, ExitCode, StopSignal, request
 from ..job.handshake import ADDED, CAPABILITIES
-from ..job.request import (
-    Parser,
-    add_lift_options,
-    add_options,
-    add_progress_option,
-    add_scene_options,
-    add_set_option,
-    number_of_frames,
-    preset_or_file,
-    readable,
-)
 from ..job.system import refuse_small_memory
 from ..job.task import TaskFiles
 from ..job.terminal import stdout_for_events
@@ -43,7 +32,7 @@ EXPORTS = (
 
 
 def make_parser() -> argparse.ArgumentParser:
-    parser = Parser(
+    parser = request.Parser(
         prog="python -m engine", description="Panoptic lifting with structured 3D Gaussians, without Blender."
     )
     parser.add_argument("--version", action="version", version=__version__)
@@ -77,9 +66,9 @@ def _add_lift(parser: argparse.ArgumentParser) -> None:
     parser.description = "With -o: lift a scene into a new folder. Without -o: run the lift that a folder asks for."
     parser.add_argument("scene", type=Path, metavar="SCENE|LIFT", help="the scene (with -o), or a lift folder")
     parser.add_argument("-o", "--output", type=Path, metavar="OUT", help="the lift folder to make")
-    add_lift_options(parser)
+    request.add_lift_options(parser)
     parser.add_argument("--resume", action="store_true", help="continue a lift that was stopped")
-    add_progress_option(parser)
+    request.add_progress_option(parser)
     _add_relink(parser)
     _add_stay_with_parent(parser)
     parser.set_defaults(run=commands.lift)
@@ -167,7 +156,7 @@ def _add_place_options(parser: argparse.ArgumentParser) -> None:
         "--events", type=Path, metavar="FILE.jsonl",
         help="write progress and the answer there as events, and all output to FILE.log; FILE.cancel stops it",
     )  # fmt: skip
-    add_progress_option(parser)
+    request.add_progress_option(parser)
     _add_stay_with_parent(parser)
 
 
@@ -199,7 +188,7 @@ def _add_inspect(parser: argparse.ArgumentParser) -> None:
         "order, drift, up, pictures, labels. Bad input gives one line and exit code 2."
     )
     parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder")
-    add_scene_options(parser)
+    request.add_scene_options(parser)
     parser.add_argument("--preset", choices=PRESETS, help="also predict what a lift with this preset would take")
     parser.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="write findings and their pictures there")
     parser.add_argument("--fix", type=Path, metavar="OUT", help="write the scene to a new folder, fixed where safe")
@@ -216,7 +205,7 @@ def _add_frames(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="where to write")
     parser.add_argument("--make", nargs="+", choices=FRAME_FILES, default=list(FRAME_FILES), help="what (default: all)")
     parser.add_argument("--frames", nargs="+", metavar="FRAME", help="only these frames; the cloud is made of all")
-    add_scene_options(parser)
+    request.add_scene_options(parser)
     _make_task(parser, commands.frames, "What was made is kept: the same command continues.")
 
 
@@ -228,7 +217,7 @@ def _add_classes(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder or file")
     parser.add_argument("--table", metavar="NAME", help="start over with the classes of a public table")
     parser.add_argument("--write", type=Path, metavar="FILE.json", help="write the list in this file")
-    add_scene_options(parser)
+    request.add_scene_options(parser)
     _make_task(parser, commands.classes)
 
 
@@ -246,9 +235,8 @@ def _add_poses(parser: argparse.ArgumentParser) -> None:
         "name. Depth maps of the photos in SCENE/depth (PNG in millimetres, or NPY in metres) give the unit of length."
     )
     parser.add_argument("scene", type=Path, metavar="SCENE", help="a folder with photos, or a film")
-    parser.add_argument(
-        "--pictures", type=number_of_frames, metavar="N", help="the most pictures to take from a film (default: 150)"
-    )
+    most = "the most pictures to take from a film (default: 150)"
+    parser.add_argument("--pictures", type=request.number_of_frames, metavar="N", help=most)
     _make_task(parser, commands.poses, "Nothing was written.")
 
 
@@ -269,7 +257,7 @@ def _add_segment(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FOLDER", help="where to write the masks (default: the scene's folder)"
     )
-    add_options(parser, "up", "scene_format")
+    request.add_options(parser, "up", "scene_format")
     _make_task(parser, commands.segment, "The same command continues.")
 
 
@@ -312,8 +300,8 @@ def _add_presets(parser: argparse.ArgumentParser) -> None:
         "Without NAME: list the presets. With NAME: print all options of one as TOML. Saved with changes, this makes a "
         "file for lift --preset FILE.toml."
     )
-    parser.add_argument("name", nargs="?", type=preset_or_file, metavar="NAME|FILE.toml", help="a preset")
-    add_set_option(parser)
+    parser.add_argument("name", nargs="?", type=request.preset_or_file, metavar="NAME|FILE.toml", help="a preset")
+    request.add_set_option(parser)
     parser.add_argument("--json", action="store_true", help="for programs: the table of all options, or NAME's values")
     parser.set_defaults(run=commands.presets)
 
@@ -357,7 +345,7 @@ def _open_missing_streams() -> None:
 
 
 def _run(arguments: Sequence[str], parser: argparse.ArgumentParser) -> int:
-    options = parser.parse_args(readable(arguments))
+    options = parser.parse_args(request.readable(arguments))
     options.echo = stdout_for_events(vars(options).get("progress", "text"))  # not every command has it
     try:
         refuse_small_memory()

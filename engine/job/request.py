@@ -15,15 +15,7 @@ from typing import Any, Literal, NoReturn, get_args
 from .. import __version__
 from ..errors import PlgsError, one_line
 from ..json_file import Json, read_object, to_text
-from ..presets.options import (
-    changed_options,
-    checked_options,
-    option_value,
-    parsed_options,
-    preset_options,
-    read_preset_file,
-    with_options,
-)
+from ..presets import options as presets
 from ..presets.preset import PRESETS, Preset
 from ..records import check_record, record_of, refuse_other_format, to_json
 from ..scene_source import UP_OPTIONS, SceneSource, option
@@ -102,13 +94,13 @@ class LiftRequest(SceneSource):
             if path is not None:
                 refuse_unwritable_name(path)
                 object.__setattr__(self, name, path.absolute())
-        changed = changed_options(PRESETS[self.preset], checked_options(self.options))
+        changed = presets.changed_options(PRESETS[self.preset], presets.checked_options(self.options))
         object.__setattr__(self, "options", changed)
 
     @property
     def chosen_preset(self) -> Preset:
         """The preset with the options of the request."""
-        return with_options(PRESETS[self.preset], self.options)
+        return presets.with_options(PRESETS[self.preset], self.options)
 
     def to_json(self, lift: Path | None = None) -> str:
         """The text of request.json. With the folder of the ``lift`` it also has paths relative to that, so that a lift
@@ -156,7 +148,8 @@ class LiftRequest(SceneSource):
         """The names of what differs, including the options of the preset. ``anyway`` and the engine's version do not
         count."""
         mine, theirs = self.chosen_preset, other.chosen_preset
-        options = [name for name in preset_options() if option_value(mine, name) != option_value(theirs, name)]
+        value = presets.option_value
+        options = [name for name in presets.preset_options() if value(mine, name) != value(theirs, name)]
         names = [each.name for each in fields(self) if each.name not in ("options", "anyway", "engine_version")]
         differing = [name for name in names if getattr(self, name) != getattr(other, name)]
         return [*differing, *([] if "preset" in differing else options)]
@@ -201,12 +194,10 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
     ``more_bakes``: other values of --bake, and their meanings; the caller must remove them from the options.
     """
     parser.add_argument(
-        "--preset",
-        type=preset_or_file,
-        metavar="NAME|FILE.toml",
+        "--preset", type=preset_or_file, metavar="NAME|FILE.toml",
         help=f"how much work to spend: preview takes minutes, standard tens of minutes, paper follows the paper's "
         f"own settings; or your own file, like those that 'presets NAME' prints (default: {DEFAULTS.preset})",
-    )
+    )  # fmt: skip
     add_set_option(parser)
     add_amount_options(parser)
     parser.add_argument("--size", type=picture_size, metavar="WxH", help="train at this picture size, such as 320x240")
@@ -318,13 +309,10 @@ def request_from(options: argparse.Namespace, base: LiftRequest | None = None) -
 
     Raises PlgsError if a value is out of range.
     """
-    asked: dict[str, Any] = {name: getattr(options, name) for name in (*_FIELDS, "bake")}
-    given: dict[str, Any] = {
-        name: value.resolve() if isinstance(value, Path) else value for name, value in asked.items()
-    }
-    given = {name: value for name, value in given.items() if value is not None}
-    own = {name: getattr(options, name) for name in ("steps", "size", "frames")}
-    changed = parsed_options(options.set or ()) | {name: value for name, value in own.items() if value is not None}
+    asked = {name: value for name in (*_FIELDS, "bake") if (value := getattr(options, name)) is not None}
+    given: dict[str, Any] = {name: each.resolve() if isinstance(each, Path) else each for name, each in asked.items()}
+    own = {name: value for name in ("steps", "size", "frames") if (value := getattr(options, name)) is not None}
+    changed = presets.parsed_options(options.set or ()) | own
     preset, chosen = chosen_options(options.preset, changed, base or DEFAULTS)
     return replace(base or DEFAULTS, scene=options.scene.resolve(), preset=preset, options=chosen, **given)
 
@@ -336,7 +324,7 @@ def chosen_options(
     is None; then the options ``changed``. Raises PlgsError."""
     name, options = (base.preset, dict(base.options)) if preset is None else (preset, {})
     if name.endswith(".toml"):
-        name, options = read_preset_file(Path(name))
+        name, options = presets.read_preset_file(Path(name))
     if "steps" in changed:  # exactly that many, whatever a file says about many views
         options.pop("steps_a_view", None)
     return name, {**options, **changed}

@@ -34,14 +34,8 @@ _WHEELS = {
         "manylinux_2_28_aarch64.whl",
         "ecb6028d79dc96fbeafffe5c8af62a7099487ebc05a701e76714eebcffd06375",
     ),
-    ("darwin", "arm64"): (
-        "macosx_11_0_arm64.whl",
-        "66c512266d633bef48384a1f53003f41f2a8e7b36fe6e7fbfd3e0fd52d96fa63",
-    ),
-    ("win32", "amd64"): (
-        "win_amd64.whl",
-        "6a44b2ed8111d2f60d2b92627c5dccda3f7ed7570b18ce115e569cd68c28246b",
-    ),
+    ("darwin", "arm64"): ("macosx_11_0_arm64.whl", "66c512266d633bef48384a1f53003f41f2a8e7b36fe6e7fbfd3e0fd52d96fa63"),
+    ("win32", "amd64"): ("win_amd64.whl", "6a44b2ed8111d2f60d2b92627c5dccda3f7ed7570b18ce115e569cd68c28246b"),
 }
 _PUBLIC = "https://pypi.org/simple"
 _MOST_BYTES, _AT_ONCE, _PATIENCE_S = 60_000_000, 1 << 16, 15.0

@@ -19,9 +19,9 @@ from ...engine.posed import VOID
 from .. import compat
 from ..boxes import INSTANCE, TOGETHER
 from ..cameras import PATH
-from ..materials import LIT, PICTURE, catcher_material, let_catch, linear_rgba, object_colour, value_node
+from ..materials import LIT, PICTURE, add_node, catcher_material, let_catch, linear_rgba, object_colour, value_node
 from ..owned import KEY, LIFT, OwnedDataBlocks, is_child, key_of, tag, text_of
-from ..splat_objects import dye
+from ..splat_objects import dye, read_attribute
 from .selection import boxes_of, clouds_of, ids_of, objects_by_key, row_of, surfaces_of, values_of
 
 PHOTO, BY_CLASS, INSTANCES, UNCERTAINTY = "PHOTO", "CLASSES", "INSTANCES", "UNCERTAINTY"
@@ -333,21 +333,9 @@ def _hide_points(root: bpy.types.Collection, cloud: bpy.types.Object, hidden: ND
 def _new_group(material: bpy.types.Material | None) -> bpy.types.NodeTree:
     """A node group that deletes points whose attribute `plgs_hidden` is true and sets a material, if any."""
     tree = compat.new_geometry_group("PLGS hidden instances")
-    tree.is_modifier = True
-    kinds = (
-        "NodeGroupInput", "GeometryNodeInputNamedAttribute", "GeometryNodeDeleteGeometry",
-        "GeometryNodeSetMaterial", "NodeGroupOutput",
-    )  # fmt: skip
-    start, hidden, remove, dye, end = (tree.nodes.new(kind) for kind in kinds)
-    for column, node in enumerate((start, hidden, remove, dye, end)):
-        node.location = (220 * column, 0)
-    hidden.data_type, remove.domain = "BOOLEAN", "POINT"
-    hidden.inputs["Name"].default_value = HIDDEN
-    found = next(socket for socket in hidden.outputs if socket.enabled and socket.name == "Attribute")
-    tree.links.new(found, remove.inputs["Selection"])
-    tree.links.new(start.outputs[0], remove.inputs["Geometry"])
-    dye.inputs["Material"].default_value = material
-    dye.inputs["Selection"].default_value = material is not None
-    tree.links.new(remove.outputs[0], dye.inputs["Geometry"])
-    tree.links.new(dye.outputs[0], end.inputs[0])
+    start = add_node(tree, "NodeGroupInput", 0, 0).outputs[0]
+    hidden = read_attribute(tree, HIDDEN, 1, 0, "BOOLEAN")
+    kept = add_node(tree, "GeometryNodeDeleteGeometry", 2, 0, start, hidden, domain="POINT").outputs[0]
+    dyed = add_node(tree, "GeometryNodeSetMaterial", 3, 0, kept, material is not None, material).outputs[0]
+    add_node(tree, "NodeGroupOutput", 4, 0, dyed)
     return tree

@@ -22,12 +22,12 @@ from .. import engine_environment, frame_pictures, registry
 from ..cameras import PHOTO, SHOWN, picture_of, show_photo
 from ..chosen_scene import ChosenScene, absolute, needs_engine
 from ..engine_environment import why_no_engine
-from ..import_scene import MISSING, add_made, look_at_imported, place_scene
+from ..import_scene import MISSING, add_made, place_scene, room_of
 from ..inspecting.selection import objects_by_key
 from ..owned import FOLDER, LIFT, SCENE, OwnedDataBlocks, is_same_place, lifts_in, text_of
 from ..registry import Task, start_engine
 from ..settings import chosen_scene
-from ..viewport import taking_over
+from ..viewport import areas_of, show_room, taking_over
 
 _NAMES = {"colour": "pictures", "cloud": "a coloured cloud"}
 
@@ -112,7 +112,7 @@ def _place(chosen: ChosenScene, scene: bpy.types.Scene, made: MadeFrames | None,
     with taking_over(scene) as is_untouched:
         root = place_scene(chosen, scene, made, cloud=cloud)
     if is_untouched:
-        look_at_imported(root, scene)
+        show_room(areas_of(scene), *room_of(root, scene))
     return root
 
 

@@ -219,30 +219,18 @@ class Lift(Task):
         self.follower.close()
 
 
-_refusals: dict[Path, PlgsError | OSError | ValueError] = {}
-_nothing_there: set[Path] = set()
-_recent: tuple[RecentLift, ...] = ()
+refusals: dict[Path, PlgsError | OSError | ValueError] = {}
+"""Why the lift in a folder could not be read."""
+nothing_there: set[Path] = set()
+"""The chosen folders that did not exist when they were chosen."""
+recent: list[RecentLift] = []
+"""The recent lifts as of the last `refresh_recent`, newest first."""
 
 
 def lift_of(folder: Path) -> Lift | None:
     """The lift in this folder (absolute); None if it is not followed."""
     task = registry.task_of((Lift.kind, folder))
     return task if isinstance(task, Lift) else None
-
-
-def refusal_of(folder: Path) -> PlgsError | OSError | ValueError | None:
-    """Why the lift in this folder could not be read, or None."""
-    return _refusals.get(folder)
-
-
-def is_nothing_there(folder: Path) -> bool:
-    """Whether the chosen folder did not exist when it was chosen. Never reads the disk."""
-    return folder in _nothing_there
-
-
-def forget_refusals() -> None:
-    _refusals.clear()
-    _nothing_there.clear()
 
 
 def running() -> list[Lift]:
@@ -257,13 +245,7 @@ def stops_with_blender(scene: Any) -> bool:
 
 def refresh_recent() -> None:
     """Read the user's list of lifts, which takes some milliseconds."""
-    global _recent
-    _recent = tuple(recent_lifts(most=_SHOWN_RECENT))
-
-
-def recent() -> tuple[RecentLift, ...]:
-    """The recent lifts as of the last `refresh_recent`, newest first. Never reads the disk."""
-    return _recent
+    recent[:] = recent_lifts(most=_SHOWN_RECENT)
 
 
 def start(lift: LiftFolder, python: Path, *, resume: bool = False, keep_running: bool = False) -> Lift:
@@ -324,19 +306,19 @@ def shown_lift(settings: PLGS_PG_settings) -> Path | None:
 
 
 def look_at(folder: Path) -> Lift | None:
-    """Follow the lift in a folder, if there is one; `refusal_of` then says what is wrong with it. Never raises."""
+    """Follow the lift in a folder, if there is one; `refusals` then says what is wrong with it. Never raises."""
     known = lift_of(folder)
     if known is not None:
         return known
-    _refusals.pop(folder, None)
-    _nothing_there.discard(folder)
+    refusals.pop(folder, None)
+    nothing_there.discard(folder)
     try:
         if folder.exists():
             return attach(folder)
-        _nothing_there.add(folder)
+        nothing_there.add(folder)
         return None
     except (PlgsError, OSError, ValueError) as error:  # ValueError: this system has no such path
-        _refusals[folder] = error
+        refusals[folder] = error
         return None
 
 
@@ -371,5 +353,5 @@ def _refuse_running(lift: LiftFolder) -> None:
 
 
 def _follow(task: Lift) -> Lift:
-    _refusals.pop(task.folder.path, None)
+    refusals.pop(task.folder.path, None)
     return registry.begin(task)

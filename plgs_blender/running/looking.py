@@ -106,5 +106,6 @@ def unregister() -> None:
     for each in (_at_start, _read_objects):
         if bpy.app.timers.is_registered(each):
             bpy.app.timers.unregister(each)
-    lifts.forget_refusals()
+    lifts.refusals.clear()
+    lifts.nothing_there.clear()
     lifts.forget()

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -88,11 +89,15 @@ def look(chosen: ChosenScene, python: Path | None) -> Survey:
     global _latest
     registry.forget(SceneLook.kind)
     _latest = Survey(chosen)
-    if python is None or not _begin_look(chosen, python):
-        try:
-            _latest = _look_alone(chosen)
-        except PlgsError as error:
-            _latest = Survey(chosen, error=error)
+    if python is not None:
+        with suppress(PlgsError, OSError):  # the engine's status says what is wrong with that Python
+            registry.begin(SceneLook(chosen, start_engine("inspect", python, *chosen.arguments())))
+            _latest = Survey(chosen, is_looking=True)
+            return _latest
+    try:
+        _latest = _look_alone(chosen)
+    except PlgsError as error:
+        _latest = Survey(chosen, error=error)
     return _latest or Survey(chosen)
 
 
@@ -106,17 +111,6 @@ def _look_alone(chosen: ChosenScene) -> Survey | None:
     if engine_python() is None:
         raise needs_engine(chosen)
     return None
-
-
-def _begin_look(chosen: ChosenScene, python: Path) -> bool:
-    """Start an engine. Returns whether it started; if not, the engine's status says what is wrong with that Python."""
-    global _latest
-    try:
-        registry.begin(SceneLook(chosen, start_engine("inspect", python, *chosen.arguments())))
-    except (PlgsError, OSError):
-        return False
-    _latest = Survey(chosen, is_looking=True)
-    return True
 
 
 def _of_plain(chosen: ChosenScene, scene: PosedScene) -> Survey:

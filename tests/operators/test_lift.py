@@ -138,7 +138,7 @@ def test_opened_file_reads_no_foreign_path(lift: Path, tmp_path: Path, monkeypat
     bpy.context.scene.plgs.scene_folder = str(theirs)
     looked.clear()
     reopen_with(theirs, tmp_path)
-    assert lifts.lift_of(theirs) is None and lifts.refusal_of(theirs) is None and looked == []
+    assert lifts.lift_of(theirs) is None and theirs not in lifts.refusals and looked == []
     with pytest.raises(RuntimeError, match=worded("foreign-file")):
         bpy.ops.plgs.watch_lift()
 
@@ -147,7 +147,8 @@ def reopen_with(folder: Path, tmp_path: Path) -> None:
     bpy.context.scene.plgs.lift_folder = str(folder)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "file.blend"))
     registry.forget_all()
-    lifts.forget_refusals()
+    lifts.refusals.clear()
+    lifts.nothing_there.clear()
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
 
 

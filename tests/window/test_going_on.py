@@ -158,7 +158,7 @@ def test_closing_blender_ends_the_lift_unless_it_is_to_outlive_it(window: Window
     window.new_file()
     window.open_sidebar()
     window.run(MODULES)
-    window.wait_for(f"any(str(each.folder.path) == {str(going_on.path)!r} for each in lifts.recent())")
+    window.wait_for(f"any(str(each.folder.path) == {str(going_on.path)!r} for each in lifts.recent)")
     window.run(f"bpy.ops.plgs.watch_lift('INVOKE_DEFAULT', lift_folder={str(going_on.path)!r})")
     window.wait_for("followed().is_running and followed().progress.step > 0")
     end(window)

@@ -57,10 +57,10 @@ def test_cancelled_and_resumed(lift: LiftFolder, monkeypatch: pytest.MonkeyPatch
 
 
 def test_looking_at_what_is_not_a_lift(tmp_path: Path) -> None:
-    assert lifts.look_at(tmp_path / "nothing") is None and lifts.refusal_of(tmp_path / "nothing") is None
+    assert lifts.look_at(tmp_path / "nothing") is None and tmp_path / "nothing" not in lifts.refusals
     (tmp_path / "folder").mkdir()
     assert lifts.look_at(tmp_path / "folder") is None
-    assert lifts.refusal_of(tmp_path / "folder").key == "not-lift-folder"
+    assert lifts.refusals[tmp_path / "folder"].key == "not-lift-folder"
 
 
 def test_a_folder_that_was_not_started_can_be_resumed(lift: LiftFolder) -> None:
