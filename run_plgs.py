@@ -109,12 +109,10 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     shot.add_argument("--blend", type=Path, metavar="FILE.blend", help="has the camera (default: the lift's own)")
     shot.add_argument("--camera", default="", metavar="NAME", help="the camera (default: the file's active one)")
     shot.add_argument(
-        "--shot",
-        default="",
-        metavar="NAME",
+        "--shot", default="", metavar="NAME",
         help="its files' name, perhaps with {shot}, {camera}, {layer}, {version:03d}, and .{frame:04d} at its end "
         "(default: the .blend's and the camera's)",
-    )
+    )  # fmt: skip
     shot.add_argument(
         "--replace", action="store_true",
         help="replace a shot of this name from another file or camera, and other programs' files in FOLDER",

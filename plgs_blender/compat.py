@@ -153,12 +153,6 @@ def new_palette_lookup(tree: bpy.types.NodeTree) -> bpy.types.Node:
     return node
 
 
-def constant_keys(tree: bpy.types.NodeTree, path: str, values: list[int]) -> None:
-    """Give a property of the tree one value per frame from frame 1, without interpolation, replacing earlier keys."""
-    action = tree.animation_data_create().action or bpy.data.actions.new(f"{tree.name} frames")
-    add_keys(tree, action, path, np.arange(1.0, len(values) + 1.0), np.array(values), "CONSTANT")
-
-
 def add_keys(
     block: bpy.types.ID,
     action: bpy.types.Action,

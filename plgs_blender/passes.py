@@ -193,7 +193,8 @@ def _count_through(views: int, offsets: list[int], scene: bpy.types.Scene, tree:
     for node in reading_nodes(tree):
         node.frame_start, node.frame_duration = 1, views
         path = f'nodes["{bpy.utils.escape_identifier(node.name)}"].frame_offset'
-        compat.constant_keys(tree, path, offsets)
+        action = tree.animation_data_create().action or bpy.data.actions.new(f"{tree.name} frames")
+        compat.add_keys(tree, action, path, np.arange(1.0, len(offsets) + 1.0), np.array(offsets), "CONSTANT")
         if offsets:  # keys are evaluated only when the frame changes
             node.frame_offset = offsets[min(max(scene.frame_current, 1), views) - 1]
     node_of(tree, PASSES).use_auto_refresh = True

@@ -47,7 +47,8 @@ def start_file() -> bpy.types.Scene:
     composite_without_gpu(scene)
     show_object_colours(scene.display.shading)
     scene.world = bpy.data.worlds.new("World")
-    set_ground(scene.world)
+    background = next(node for node in use_nodes(scene.world).nodes if node.bl_idname == "ShaderNodeBackground")
+    background.inputs["Color"].default_value = (0.016, 0.018, 0.022, 1.0)  # dark and neutral: all colours stand out
     for area in all_views():
         for space in area.spaces:
             if space.type == "VIEW_3D":
@@ -58,12 +59,6 @@ def start_file() -> bpy.types.Scene:
 def all_views() -> list[bpy.types.Area]:
     """The 3D views of the file, in all its workspaces."""
     return [area for screen in bpy.data.screens for area in screen.areas if area.type == "VIEW_3D"]
-
-
-def set_ground(world: bpy.types.World) -> None:
-    """Give the world a dark, neutral background on which all colours stand out."""
-    background = next(node for node in use_nodes(world).nodes if node.bl_idname == "ShaderNodeBackground")
-    background.inputs["Color"].default_value = (0.016, 0.018, 0.022, 1.0)
 
 
 def show_object_colours(shading: Any) -> None:

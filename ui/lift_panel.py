@@ -38,8 +38,7 @@ class PLGS_PT_lift(sidebar.StepBefore, bpy.types.Panel):
 
 
 class PLGS_PT_lift_options(sidebar.Sidebar, bpy.types.Panel):
-    bl_idname, bl_label = "PLGS_PT_lift_options", "Options"
-    bl_parent_id, bl_options = "PLGS_PT_lift", {"DEFAULT_CLOSED"}
+    bl_label, bl_parent_id, bl_options = "Options", "PLGS_PT_lift", {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.plgs
@@ -64,8 +63,7 @@ class PLGS_PT_lift_options(sidebar.Sidebar, bpy.types.Panel):
 
 
 class PLGS_PT_all_options(sidebar.Sidebar, bpy.types.Panel):
-    bl_idname, bl_label = "PLGS_PT_all_options", "All Options"
-    bl_parent_id, bl_options = "PLGS_PT_lift_options", {"DEFAULT_CLOSED"}
+    bl_label, bl_parent_id, bl_options = "All Options", "PLGS_PT_lift_options", {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.plgs
@@ -83,8 +81,7 @@ class PLGS_PT_all_options(sidebar.Sidebar, bpy.types.Panel):
 
 
 class PLGS_PT_recent_lifts(sidebar.Sidebar, bpy.types.Panel):
-    bl_idname, bl_label = "PLGS_PT_recent_lifts", "Recent Lifts"
-    bl_parent_id, bl_options = "PLGS_PT_lift", {"DEFAULT_CLOSED"}
+    bl_label, bl_parent_id, bl_options = "Recent Lifts", "PLGS_PT_lift", {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         _draw_recent(self.layout)

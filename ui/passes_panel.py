@@ -43,8 +43,7 @@ class PLGS_PT_passes(sidebar.Step, bpy.types.Panel):
 
 
 class PLGS_PT_panoptic(sidebar.Sidebar, bpy.types.Panel):
-    bl_idname, bl_label = "PLGS_PT_panoptic", "Matte in the Compositor"
-    bl_parent_id, bl_options = "PLGS_PT_passes", {"DEFAULT_CLOSED"}
+    bl_label, bl_parent_id, bl_options = "Matte in the Compositor", "PLGS_PT_passes", {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout

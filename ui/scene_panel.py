@@ -52,8 +52,7 @@ class PLGS_PT_scene(sidebar.StepBefore, bpy.types.Panel):
 
 
 class PLGS_PT_scene_options(sidebar.Sidebar, bpy.types.Panel):
-    bl_idname, bl_label = "PLGS_PT_scene_options", "Format, Masks and Axes"
-    bl_parent_id, bl_options = "PLGS_PT_scene", {"DEFAULT_CLOSED"}
+    bl_label, bl_parent_id, bl_options = "Format, Masks and Axes", "PLGS_PT_scene", {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.plgs
@@ -73,8 +72,7 @@ class PLGS_UL_mask_classes(bpy.types.UIList):
 
 
 class PLGS_PT_scene_masks(sidebar.Sidebar, bpy.types.Panel):
-    bl_idname, bl_label = "PLGS_PT_scene_masks", "Masks and Classes"
-    bl_parent_id, bl_options = "PLGS_PT_scene", {"DEFAULT_CLOSED"}
+    bl_label, bl_parent_id, bl_options = "Masks and Classes", "PLGS_PT_scene", {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings, masks = self.layout, context.scene.plgs, context.scene.plgs_masks
@@ -96,8 +94,7 @@ class PLGS_PT_scene_masks(sidebar.Sidebar, bpy.types.Panel):
 
 
 class PLGS_PT_diagnosis(sidebar.Sidebar, bpy.types.Panel):
-    bl_idname, bl_label = "PLGS_PT_diagnosis", "Diagnosis"
-    bl_parent_id, bl_options = "PLGS_PT_scene", {"DEFAULT_CLOSED"}
+    bl_label, bl_parent_id, bl_options = "Diagnosis", "PLGS_PT_scene", {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.plgs

@@ -41,6 +41,17 @@ NEXT = "result.next"
 """Where a finished lift is lifted again. Its result stays complete until the new one is."""
 
 
+class _Inside:
+    """A path of a lift folder: that with this name in its ``path`` or its ``result_path``."""
+
+    def __init__(self, where: str, name: str) -> None:
+        self._where, self._name = where, name
+
+    def __get__(self, folder: LiftFolder, kind: type) -> Path:
+        inside: Path = getattr(folder, self._where) / self._name
+        return inside
+
+
 @dataclass(frozen=True)
 class LiftFolder:
     """A folder with a readable request.json, whose result has the name ``result_name``. Make one with `create` or
@@ -112,46 +123,18 @@ class LiftFolder:
         return TaskFiles.of_lift(self.path)
 
     @property
-    def events_path(self) -> Path:
-        return self.path / "events.jsonl"
-
-    @property
-    def cancel_path(self) -> Path:
-        return self.path / "cancel"
-
-    @property
-    def log_path(self) -> Path:
-        return self.path / "log.txt"
-
-    @property
-    def training_path(self) -> Path:
-        """training.csv: the losses of every step."""
-        return self.path / "training.csv"
-
-    @property
     def result_path(self) -> Path:
         return self.path / self.result_name
 
-    @property
-    def manifest_path(self) -> Path:
-        return self.result_path / "manifest.json"
-
-    @property
-    def passes_path(self) -> Path:
-        return self.result_path / "passes"
-
-    @property
-    def previews_path(self) -> Path:
-        return self.result_path / "previews"
-
-    @property
-    def preview_request_path(self) -> Path:
-        """preview.json: the camera that the user wants to see (see `cameras`)."""
-        return self.path / "preview.json"
-
-    @property
-    def live_preview_path(self) -> Path:
-        return self.path / LIVE_PREVIEW
+    events_path = _Inside("path", "events.jsonl")
+    cancel_path = _Inside("path", "cancel")
+    log_path = _Inside("path", "log.txt")
+    training_path = _Inside("path", "training.csv")  # the losses of every step
+    preview_request_path = _Inside("path", "preview.json")  # the camera that the user wants to see (see `cameras`)
+    live_preview_path = _Inside("path", LIVE_PREVIEW)
+    manifest_path = _Inside("result_path", "manifest.json")
+    passes_path = _Inside("result_path", "passes")
+    previews_path = _Inside("result_path", "previews")
 
     @property
     def checkpoints(self) -> CheckpointStore:
@@ -219,13 +202,7 @@ class LiftFolder:
 
     def is_whole(self) -> bool:
         """Whether the result of a finished lift is exactly as it was written. This reads every byte of it."""
-        try:
-            verify(self.result_path)
-        except PlgsError as error:
-            if is_silence(error):
-                raise
-            return False
-        return True
+        return self._passes(verify)
 
     def prepare_run(self) -> None:
         """Delete what must not outlive an earlier run: its cancel file, incomplete files, a new result that it began,
@@ -335,8 +312,11 @@ class LiftFolder:
 
     def has_result(self) -> bool:
         """Whether there is a result. Raises PlgsError if the disk does not answer: a result may still be there."""
+        return self._passes(check_sizes)
+
+    def _passes(self, check: Callable[[Path], object]) -> bool:
         try:
-            check_sizes(self.result_path)
+            check(self.result_path)
         except PlgsError as error:
             if is_silence(error):
                 raise

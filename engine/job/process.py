@@ -184,12 +184,7 @@ class EngineProcess(ChildProcess):
     """
 
     def __init__(
-        self,
-        command: Sequence[str | Path],
-        root: Path = ROOT,
-        *,
-        is_tied: bool = True,
-        variables: Mapping[str, str] | None = None,
+        self, command: Sequence[str | Path], *, is_tied: bool = True, variables: Mapping[str, str] | None = None
     ) -> None:
         """Start ``command``; ``variables`` are added to its environment. Raises PlgsError if it cannot be started."""
         # Until the engine has opened its log, it writes to a file without a name. Unlike a pipe, this needs no thread
@@ -197,8 +192,8 @@ class EngineProcess(ChildProcess):
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 - closed in `close`
         stdin = subprocess.PIPE if is_tied else subprocess.DEVNULL
         try:
-            environment = clean_environment(root) | dict(variables or {})
-            super().__init__(command, cwd=root, environment=environment, output=self._output, stdin=stdin)
+            environment = clean_environment(ROOT) | dict(variables or {})
+            super().__init__(command, cwd=ROOT, environment=environment, output=self._output, stdin=stdin)
         except PlgsError:
             self._output.close()
             raise

@@ -33,8 +33,17 @@ DEVICES: tuple[str, ...] = get_args(Device)
 _NO_BLOCKS = "A long capture fits without blocks: lift again without them, with fewer --frames if memory is short"
 GONE = {"blocks": _NO_BLOCKS, "block": _NO_BLOCKS}
 """Options of earlier versions that no longer exist, and what to do instead."""
+_ABOUT_DEVICES = (
+    "where to train and draw (default: cpu); cuda needs gsplat, nvcc, ninja and a C++ compiler; auto takes cuda where "
+    "it works"
+)
+_ABOUT_SEEDS = "seed of all random numbers: same seed, same result (default: 0)"
 _PLACES = ("scene", "masks", "detections", "depth", "names_from")
 _FIX = "Fix it, or delete the folder and lift again."
+
+
+def _switch(about: str) -> dict[str, Any]:
+    return {"option": {"action": "store_true", "default": None, "help": about}}
 
 
 @dataclass(frozen=True)
@@ -50,41 +59,17 @@ class LiftRequest(SceneSource):
 
     preset: PresetName = "preview"
     options: Mapping[str, Json] = field(default_factory=dict)
-    fit: bool = field(
-        default=False,
-        metadata={"option": {"action": "store_true", "default": None, "help": "use fewer frames if memory is short"}},
-    )
-    seed: int = field(
-        default=0,
-        metadata={
-            **option("seed of all random numbers: same seed, same result (default: 0)", "N", int),
-            "least": 0,
-            "most": 2**32 - 1,
-        },
-    )
+    fit: bool = field(default=False, metadata=_switch("use fewer frames if memory is short"))
+    seed: int = field(default=0, metadata=option(_ABOUT_SEEDS, "N", int) | {"least": 0, "most": 2**32 - 1})
     bake: Bake = "test"
-    device: Device = field(
-        default="cpu",
-        metadata={
-            "option": {
-                "choices": DEVICES,
-                "help": "where to train and draw (default: cpu); cuda needs gsplat, nvcc, ninja and a C++ compiler; "
-                "auto takes cuda where it works",
-            }
-        },
-    )
+    device: Device = field(default="cpu", metadata={"option": {"choices": DEVICES, "help": _ABOUT_DEVICES}})
     names_from: Path | None = field(
         default=None,
         metadata=option(
             "an earlier lift of the same scene: objects that are still there keep their names and ids", "LIFT", Path
         ),
     )
-    anyway: bool = field(
-        default=False,
-        metadata={
-            "option": {"action": "store_true", "default": None, "help": "lift even a scene that is clearly wrong"}
-        },
-    )
+    anyway: bool = field(default=False, metadata=_switch("lift even a scene that is clearly wrong"))
     engine_version: str = __version__
 
     def __post_init__(self) -> None:
@@ -211,11 +196,10 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
     for name, instead in GONE.items():
         parser.add_argument(f"--{name}", type=partial(_refuse_gone, instead), help=argparse.SUPPRESS)
     parser.add_argument(
-        "--bake",
-        choices=(*BAKES, *more_bakes),
+        "--bake", choices=(*BAKES, *more_bakes),
         help=f"which frames to render as passes: the held-out ones, all, or none (default: {DEFAULTS.bake})"
         + "".join(f"; {name}: {meaning}" for name, meaning in more_bakes.items()),
-    )
+    )  # fmt: skip
 
 
 def _refuse_gone(instead: str, _: str) -> None:

@@ -53,7 +53,7 @@ def test_texts_of_a_strangers_file_are_printable_lines(tmp_path: Path, monkeypat
     follower.log_lines = (odd,)
     follower.progress.label = odd
     followed.follower = follower
-    monkeypatch.setattr(lifts, "recent", lambda: (SimpleNamespace(folder=followed.folder, state=LiftState.FINISHED),))
+    monkeypatch.setattr(lifts, "recent", [SimpleNamespace(folder=followed.folder, state=LiftState.FINISHED)])
     seen = drawn().split("\n")
     follower.state, follower.is_running = TaskState.RUNNING, True
     seen += drawn().split("\n")
