@@ -88,9 +88,7 @@ def camera_from(lens: Lens, matrix: NDArray[np.float64], width: int, height: int
 
 def overview_camera(xyz: NDArray[np.floating], normals: NDArray[np.floating]) -> Camera:
     """A camera outside and above points [N, 3] in metres, whose picture of OVERVIEW_SIZE shows all points that face it.
-
-    It stands on the side that most points face. `normals` [N, 3] are zero where unknown.
-    """
+    It stands on the side that most points face. `normals` [N, 3] are zero where unknown."""
     if not len(xyz):
         xyz, normals = _DEFAULT_ROOM, np.zeros_like(_DEFAULT_ROOM)
     step = 1 + len(xyz) // _ENOUGH
@@ -213,11 +211,9 @@ def seen_by(ob: bpy.types.Object, render: bpy.types.RenderSettings) -> Camera:
 def place_camera_path(
     owned: OwnedDataBlocks, parent: bpy.types.Collection, frames: Sequence[PosedFrame], times: Sequence[int]
 ) -> bpy.types.Object:
-    """A camera with one key per frame, at these frames of the timeline: an animation that other programs can read.
-
-    The pose moves linearly between frames, for motion blur. The lens jumps, because each picture has its own. Keys that
-    the user set on the camera are removed.
-    """
+    """A camera with one key per frame, at these frames of the timeline: an animation that other programs can read. The
+    pose moves linearly between frames, for motion blur. The lens jumps, because each picture has its own. Keys that the
+    user set on the camera are removed."""
     ob = place_camera(owned, parent, PATH, "Camera path", frames[0].camera)
     ob.rotation_mode, ob.scale = "QUATERNION", (1.0, 1.0, 1.0)
     keys = np.array(times, np.float64)

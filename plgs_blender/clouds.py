@@ -36,11 +36,8 @@ _THICKNESS = 0.3
 @dataclass(frozen=True, eq=False)
 class SurfaceGrid:
     """Points `xyz` float [N, 3] sorted into cells: `cell` int [N] is each point's cell, `count` int [C] the points per
-    cell.
-
-    `side` is the length of a cell in the points' unit; 0 if there are too few points to have a spacing, which then
-    share one cell.
-    """
+    cell. `side` is the length of a cell in the points' unit; 0 if there are too few points to have a spacing, which
+    then share one cell."""
 
     xyz: NDArray[np.floating]
     cell: NDArray[np.int64]
@@ -80,12 +77,10 @@ class SurfaceGrid:
         return np.where(inside & (known[at] == numbers[len(self.xyz) :]), first[at], -1)
 
     def normals(self, viewpoints: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Unit normals float32 [N, 3] of points that were seen from viewpoints [V, 3]; zeros without viewpoints.
-
-        A plane is fitted to each cell's points and turned towards the nearest viewpoint, because scanned surfaces face
+        """Unit normals float32 [N, 3] of points that were seen from viewpoints [V, 3]; zeros without viewpoints. A
+        plane is fitted to each cell's points and turned towards the nearest viewpoint, because scanned surfaces face
         their cameras. If no plane fits, the normal is the direction to that viewpoint. This is coarse, but it tells the
-        two sides of a wall apart.
-        """
+        two sides of a wall apart."""
         if self.side == 0.0 or not len(viewpoints):
             return np.zeros((len(self.xyz), 3), np.float32)
         mean, spread = self._moments()

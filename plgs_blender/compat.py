@@ -162,9 +162,7 @@ def add_keys(
     interpolation: str,
 ) -> None:
     """Key a property of ``block`` with values [N] or [N, K] at frames [N], replacing the action's earlier keys of it.
-
-    The action is assigned to the block. Actions have no slots before 4.4; from 5.0 on their curves belong to one.
-    """
+    The action is assigned to the block. Actions have no slots before 4.4; from 5.0 on their curves belong to one."""
     animation = block.animation_data_create()
     if animation.action != action:
         animation.action = action

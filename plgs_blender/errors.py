@@ -32,10 +32,8 @@ _PLAIN_WORD = re.compile(r"[a-z]+(?=[ ,:;.]?( |$))")
 
 
 def with_field_names(said: PlgsError | OSError | str) -> str:
-    """The engine's message in one printable line, with the panel's field names in place of command-line options.
-
-    Paths stay as they are. An option's placeholder, such as OUT, is removed with it.
-    """
+    """The engine's message in one printable line, with the panel's field names in place of command-line options. Paths
+    stay as they are. An option's placeholder, such as OUT, is removed with it."""
     if not isinstance(said, PlgsError):
         return one_line(_OPTION.sub(_name_in_panel, str(said)))
     what, fix = (_OPTION.sub(_name_in_panel, text) for text in (said.what, said.fix))

@@ -38,10 +38,8 @@ def place_scene(
     """Put the frames of a scene into Blender's scene: one camera per frame, with its picture and timeline marker, a
     camera that moves along them, the points of the reconstruction, and what an engine ``made`` before, which lists the
     cameras unless the folders are plain. With ``cloud``, the coloured cloud of the depth, if any, is wanted too.
-
     Returns the collection, which a lift of the same frames fills, too. Its property MISSING lists what an engine must
-    still make. An existing lift keeps everything else. Raises PlgsError before anything changes.
-    """
+    still make. An existing lift keeps everything else. Raises PlgsError before anything changes."""
     is_plain = made is None or place.is_plain
     opened = place.open_plain() if made is None or is_plain else scene_of(made)
     if made is not None and is_plain and not has_cameras_of(made, opened.frames):

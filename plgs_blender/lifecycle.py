@@ -59,11 +59,9 @@ def unregister_modules(modules: Sequence[ModuleType]) -> None:
 
 
 def end_process(code: int) -> NoReturn:
-    """End with this exit code, as `sys.exit` does within Blender's own program.
-
-    As a Python module, Blender closes with the last reference to bpy. A leftover reference, such as a traceback's,
-    keeps it open until C++'s destructors run, and that of Blender's sound never returns, so we skip them.
-    """
+    """End with this exit code, as `sys.exit` does within Blender's own program. As a Python module, Blender closes with
+    the last reference to bpy. A leftover reference, such as a traceback's, keeps it open until C++'s destructors run,
+    and that of Blender's sound never returns, so we skip them."""
     if bpy.app.binary_path:
         sys.exit(code)
     drop_session_folder(Path(bpy.app.tempdir))

@@ -64,11 +64,9 @@ _OVERVIEW_SIZE = 0.4
 
 
 def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
-    """Put a finished lift into a scene, or update it there, and return its collection.
-
-    The collection is found by the folder of the lift or of its scene. If `scene` holds passes, the scene with their
-    lift is filled. Raises PlgsError, before anything changes, if the lift is not finished or cannot be read.
-    """
+    """Put a finished lift into a scene, or update it there, and return its collection. The collection is found by the
+    folder of the lift or of its scene. If `scene` holds passes, the scene with their lift is filled. Raises PlgsError,
+    before anything changes, if the lift is not finished or cannot be read."""
     result_of(place_room(result_of(reading_lift(lift)), scene)[1])
     return root_of_placed(lift, scene_to_fill(scene))
 

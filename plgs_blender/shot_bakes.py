@@ -43,10 +43,8 @@ def bake_shot_in_terminal(
     """Bake what a camera of ``blend`` sees of a finished lift over ``frames`` (none: the file's range), with these
     FURTHER_LAYERS, into the lift's result or the folder ``output``, with ``channels`` named for one of CHANNELS.
     Progress goes to stderr and events to the descriptor ``echo``. ``name`` is the shot's; with ``replace``, it may be
-    that of another file's, and other programs' files in ``output`` are overwritten.
-
-    Raises PlgsError, and Interrupted after Ctrl-C, once the engine has ended.
-    """
+    that of another file's, and other programs' files in ``output`` are overwritten. Raises PlgsError, and Interrupted
+    after Ctrl-C, once the engine has ended."""
     python = engine_python()
     scene = open_blend(blend.absolute(), lift.path, named_by="--blend")
     shot = shot_of(scene, camera, given=name, only=frames, motion="vector" in layers)

@@ -217,12 +217,9 @@ def numbered_name(name: str, frame: float, digits: int = DIGITS) -> str:
 
 
 class ShotReader:
-    """Reads a shot's animated camera at each frame, as the scene renders it.
-
-    It reads a few frames at a time, because Blender evaluates the scene at each frame, and a long range would freeze
-    the window. Between two calls, the scene is at its original frame. Undo replaces the scene and the camera, so they
-    are looked up by name.
-    """
+    """Reads a shot's animated camera at each frame, as the scene renders it. It reads a few frames at a time, because
+    Blender evaluates the scene at each frame, and a long range would freeze the window. Between two calls, the scene is
+    at its original frame. Undo replaces the scene and the camera, so they are looked up by name."""
 
     def __init__(self, scene: bpy.types.Scene, shot: Shot) -> None:
         self._scene, self._camera, self._frames = scene.name, shot.camera.name, shot.frames

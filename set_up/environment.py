@@ -132,9 +132,7 @@ def install_packages(packages: list[str]) -> None:
 
 def find_python(uv: Path, environment: str) -> tuple[str, tuple[int, int]]:
     """The Python for an environment, as `uv venv` takes it, and its version; ("", ...) where `.venv-next` gets none.
-
-    `.venv` has the first of BLENDER's versions that is on this computer. Else uv downloads it.
-    """
+    `.venv` has the first of BLENDER's versions that is on this computer. Else uv downloads it."""
     versions = list(BLENDER)
     if environment == ".venv-next":
         versions = [(3, 13)] if (ROOT / ".venv/bin/python3.11").exists() else []

@@ -31,9 +31,7 @@ def tool() -> list[str]:
 
 def build(folder: Path) -> Path:
     """Build the zip into `folder`, validate it, and return its path; beside it the index that *Get Extensions* reads.
-
-    SystemExit if the tool refuses it.
-    """
+    SystemExit if the tool refuses it."""
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.glob("plgs-*.zip"):
         old.unlink()

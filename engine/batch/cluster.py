@@ -38,10 +38,8 @@ END_S = 5.0
 @dataclass(frozen=True)
 class FarmOptions:
     """``workers`` on this machine, unless the address of a ``scheduler``, or ``slurm`` with its options, is given.
-
     ``gigabytes`` and ``threads`` are those of one worker. Without scheduler or Slurm nothing listens on the network;
-    with one of them ``tls`` keeps others out. Slurm's jobs write to files in the folder ``logs``.
-    """
+    with one of them ``tls`` keeps others out. Slurm's jobs write to files in the folder ``logs``."""
 
     workers: int = 1
     scheduler: str = ""
@@ -319,10 +317,8 @@ def run_worker(
     tls: Tls | None = None,
 ) -> ExitCode:
     """Work for the scheduler at ``address`` until it has been gone for ``patience_s``. 0 means all memory and threads.
-    A worker of a scheduler on this machine listens on this machine only.
-
-    The engines that the worker started end with it, at their last checkpoint. Raises PlgsError.
-    """
+    A worker of a scheduler on this machine listens on this machine only. The engines that the worker started end with
+    it, at their last checkpoint. Raises PlgsError."""
     require_dask()
     fix = "Give the address that the scheduler prints, such as tcp://machine:8786."
     security = security_for(address, tls, fix)

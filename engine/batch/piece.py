@@ -40,11 +40,9 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class Piece:
-    """Work on the lift of one scene. ``engine`` is the `engine_tag` that a worker must have.
-
-    ``names`` are the frames of a BAKE, or the form of an EXPORT; a LIFT ``tells_frames`` for the bakes that follow it.
-    ``is_resumed``: a signal ended its first engine.
-    """
+    """Work on the lift of one scene. ``engine`` is the `engine_tag` that a worker must have. ``names`` are the frames
+    of a BAKE, or the form of an EXPORT; a LIFT ``tells_frames`` for the bakes that follow it. ``is_resumed``: a signal
+    ended its first engine."""
 
     kind: Kind
     scene: str
@@ -168,8 +166,7 @@ def _refuse_unfit_worker(piece: Piece) -> None:
 
 def _followed(piece: Piece, tell: Tell, variables: Mapping[str, str]) -> TaskFollower | None:
     """The piece's engine after it has ended; None if there was nothing to do. If another engine is at work there, wait
-    for it first.
-    """
+    for it first."""
     reported = 0.0
     while True:
         follower = _started(piece, variables)

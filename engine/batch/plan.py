@@ -122,10 +122,8 @@ def refuse_shared(option: str, path: Path | str | None, scenes: int) -> None:
 
 def names_of(scenes: Sequence[Path], given: Sequence[str] = ()) -> list[str]:
     """A name for each scene: the ``given`` one, or if that is empty, that of its folder, its file, or the link to it.
-
     Raises PlgsError for a scene that is given twice, for two with the same name (even in different case, as some disks
-    ignore it), and for a name that no folder can have ("...zip").
-    """
+    ignore it), and for a name that no folder can have ("...zip")."""
     names = [name or _name(scene) for name, scene in zip(given or [""] * len(scenes), scenes, strict=True)]
     folded = [name.casefold() for name in names]
     real = [os.path.realpath(scene) for scene in scenes]

@@ -60,10 +60,7 @@ def run_batch(
 ) -> ExitCode:
     """Do what is missing, show it on standard error and in ``events``, write the table and print it, with the rows of
     earlier batches in the same folder. Failed scenes are rows with their reason; the exit code is that of the first of
-    them. Call it inside `interrupts.deferred()`.
-
-    Raises PlgsError if nothing can begin, and OSError.
-    """
+    them. Call it inside `interrupts.deferred()`. Raises PlgsError if nothing can begin, and OSError."""
     refuse_foreign_below(plan.output, (RECORDS,))
     (plan.output / RECORDS).mkdir(parents=True, exist_ok=True)
     report = BatchReport(events, farm_options.threads)

@@ -26,11 +26,9 @@ def inspect_scene(
     fix: Path | None = None,
 ) -> None:
     """Decode every frame, and answer with what is there and what is wrong with it. The text also predicts what a lift
-    with ``preset`` would take.
-
-    ``findings`` is a folder for the findings and their pictures, ``fix`` a new one for the mended scene. Raises
-    PlgsError for the first thing that a lift would refuse, after an answer with the findings that may explain it.
-    """
+    with ``preset`` would take. ``findings`` is a folder for the findings and their pictures, ``fix`` a new one for the
+    mended scene. Raises PlgsError for the first thing that a lift would refuse, after an answer with the findings that
+    may explain it."""
     if fix is not None and fix.exists():
         raise PlgsError("exists", "the folder for the mended scene already exists", fix, "Name a new one.")
     events.stage("inspect", 1, 2, "Looking at the scene")

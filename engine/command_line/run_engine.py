@@ -28,11 +28,8 @@ def run_engine(
     echo: int | None = None,
 ) -> ExitCode:
     """Lift, and return how it ended. ``parent_pipe``: see Watchdog. ``lift`` is called instead of `run_lift`. ``echo``:
-    see EventWriter.
-
-    Raises PlgsError, before anything is changed, if another engine is at work, or if the folder was used and ``resume``
-    is not given. After that, every error is an event, a line on standard error and an exit code.
-    """
+    see EventWriter. Raises PlgsError, before anything is changed, if another engine is at work, or if the folder was
+    used and ``resume`` is not given. After that, every error is an event, a line on standard error and an exit code."""
     folder.refuse_foreign()
     with folder.lock():
         if not (folder.path / "request.json").exists():
@@ -98,12 +95,10 @@ def run_bake(
     echo: int | None = None,
 ) -> ExitCode:
     """Bake more of a finished lift, frames ("test", "all", or their names) or the cameras in a file, and return how it
-    ended. ``layers``, ``output``, ``channels`` and ``replace`` are those of ``BakeOptions``.
-
-    Whatever happens, the lift stays finished and earlier passes are kept. If another process is baking already, this
-    one bakes at the same time: with events in ``files`` or, if no program follows it (no ``parent_pipe``), in its own
-    folder below bake/. The lift's file 'cancel' stops all of them. The rest is as in `run_engine`.
-    """
+    ended. ``layers``, ``output``, ``channels`` and ``replace`` are those of ``BakeOptions``. Whatever happens, the lift
+    stays finished and earlier passes are kept. If another process is baking already, this one bakes at the same time:
+    with events in ``files`` or, if no program follows it (no ``parent_pipe``), in its own folder below bake/. The
+    lift's file 'cancel' stops all of them. The rest is as in `run_engine`."""
 
     def work(events: EventWriter, stop: StopSignal) -> None:
         from ..lift import BakeOptions, bake_cameras, bake_frames  # late: it loads torch

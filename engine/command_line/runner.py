@@ -36,11 +36,9 @@ _NO_MEMORY = ("DefaultCPUAllocator: can't allocate memory", "DefaultCPUAllocator
 
 @dataclass(frozen=True)
 class Command:
-    """What a command does: its ``kind``, its ``work``, and the messages for when it does not complete.
-
-    ``parent_pipe``: see Watchdog. ``echo``: a descriptor to which its events are also written. The files ``also_stops``
-    stop it as its own cancel file does.
-    """
+    """What a command does: its ``kind``, its ``work``, and the messages for when it does not complete. ``parent_pipe``:
+    see Watchdog. ``echo``: a descriptor to which its events are also written. The files ``also_stops`` stop it as its
+    own cancel file does."""
 
     kind: str
     work: Work
@@ -198,8 +196,7 @@ def _signals_ask(stop: StopSignal) -> Iterator[None]:
 
 class ShownEvents(EventWriter):
     """Events of a command that no other process follows: progress is shown on ``stream``, and the answer is printed on
-    standard output, as one line of JSON or as text.
-    """
+    standard output, as one line of JSON or as text."""
 
     def __init__(self, stream: TextIO, *, as_json: bool) -> None:
         self._folder, self._as_json = Path(), as_json
@@ -249,10 +246,8 @@ class ShownWarnings(EventWriter):
 @contextmanager
 def output_to(log: Path) -> Iterator[TextIO]:
     """Append all output to ``log`` in this context. Yields the real standard error, for the few lines for the user.
-
     Python's streams and logging go there, and the file descriptors below them, so that the output of C++ and the Python
-    traceback of a crash in it get there too.
-    """
+    traceback of a crash in it get there too."""
     sys.stdout.flush()
     sys.stderr.flush()
     out, err = os.dup(1), os.dup(2)

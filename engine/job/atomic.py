@@ -20,13 +20,10 @@ PART = ".part-"
 
 def write_atomically(path: Path, content: bytes | str | Callable[[Path], object]) -> None:
     """Write a file so that readers, even after a kill at any point, see the old content or the new, never a mixture.
-
-    ``content`` is the bytes, a text (written as UTF-8), or a function that writes the file at the path it is
-    given. That path is in the same folder and ends like ``path``, so libraries that choose a format by
-    suffix choose the right one. One process at a time may write a given path. Raises what the function or the file
-    system raises, and PlgsError if another process removed the part; ``path`` is then as it was. An OSError names the
-    file.
-    """
+    ``content`` is the bytes, a text (written as UTF-8), or a function that writes the file at the path it is given.
+    That path is in the same folder and ends like ``path``, so libraries that choose a format by suffix choose the right
+    one. One process at a time may write a given path. Raises what the function or the file system raises, and PlgsError
+    if another process removed the part; ``path`` is then as it was. An OSError names the file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(PART + path.name)
     try:

@@ -35,24 +35,18 @@ class _Index:
 
 
 class CheckpointStore:
-    """Saves and finds checkpoints in a lift folder. Only the holder of the folder's lock may save.
-
-    A folder cannot replace another in one step on every system, so `save` takes three names:
-    ``.part-checkpoint`` (being written) -> ``checkpoint.next`` (complete), then ``checkpoint`` ->
-    ``checkpoint.old``, ``checkpoint.next`` -> ``checkpoint``. Whatever a kill leaves, the newest of next,
-    checkpoint and old is complete.
-    """
+    """Saves and finds checkpoints in a lift folder. Only the holder of the folder's lock may save. A folder cannot
+    replace another in one step on every system, so `save` takes three names: ``.part-checkpoint`` (being written) ->
+    ``checkpoint.next`` (complete), then ``checkpoint`` -> ``checkpoint.old``, ``checkpoint.next`` -> ``checkpoint``.
+    Whatever a kill leaves, the newest of next, checkpoint and old is complete."""
 
     def __init__(self, folder: Path, name: str = "checkpoint") -> None:
         self._part, self._next = folder / (PART + name), folder / f"{name}.next"
         self._current, self._old = folder / name, folder / f"{name}.old"
 
     def save(self, state: Mapping[str, object], write: Callable[[Path], object]) -> None:
-        """Make a checkpoint: ``write`` puts its files into the folder it is given; ``state`` must fit in
-        JSON.
-
-        Raises what ``write`` raises, and OSError; the previous checkpoint is then still there.
-        """
+        """Make a checkpoint: ``write`` puts its files into the folder it is given; ``state`` must fit in JSON. Raises
+        what ``write`` raises, and OSError; the previous checkpoint is then still there."""
         self._settle()
         self._part.mkdir()
         write(self._part)
@@ -67,10 +61,8 @@ class CheckpointStore:
         self._advance()
 
     def latest(self) -> Checkpoint | None:
-        """The newest complete checkpoint, checked against its checksums; None if none was saved.
-
-        Raises PlgsError if there are checkpoints, but no complete one (a failing disk).
-        """
+        """The newest complete checkpoint, checked against its checksums; None if none was saved. Raises PlgsError if
+        there are checkpoints, but no complete one (a failing disk)."""
         damage: PlgsError | None = None
         for folder in (self._next, self._current, self._old):
             if folder.is_dir():

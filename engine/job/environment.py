@@ -18,10 +18,8 @@ COMPLETE = "complete"
 
 
 def notes_folder(environ: Mapping[str, str] = os.environ) -> Path:
-    """The folder for notes that may be lost: recent lifts, and how fast this computer is. It may be missing.
-
-    It is PLGS_CACHE_DIR, or else ``plgs`` in the user's cache.
-    """
+    """The folder for notes that may be lost: recent lifts, and how fast this computer is. It may be missing. It is
+    PLGS_CACHE_DIR, or else ``plgs`` in the user's cache."""
     chosen = environ.get("PLGS_CACHE_DIR")
     return Path(chosen).absolute() if chosen else user_cache_folder(environ) / "plgs"
 

@@ -62,11 +62,9 @@ class Event:
 
 
 class EventWriter:
-    """Appends events. Only the process that holds the lock on the file may do so. It is thread-safe.
-
-    ``seq`` continues where an earlier run ended; a line that a kill left incomplete is removed first. Raises OSError
-    if the disk is full. ``echo`` is a descriptor to which each line is also written, as long as someone reads it.
-    """
+    """Appends events. Only the process that holds the lock on the file may do so. It is thread-safe. ``seq`` continues
+    where an earlier run ended; a line that a kill left incomplete is removed first. Raises OSError if the disk is full.
+    ``echo`` is a descriptor to which each line is also written, as long as someone reads it."""
 
     def __init__(self, path: Path, echo: int | None = None) -> None:
         self._folder, self._echo = path.parent, echo
@@ -159,8 +157,7 @@ class EventWriter:
 
     def _append(self, line: bytes) -> None:
         """Append a line. Raises OSError, for example on a full disk. What was written of the line is then removed, so
-        that it does not spoil the next one.
-        """
+        that it does not spoil the next one."""
         start, written = os.fstat(self._descriptor).st_size, 0
         try:
             while written < len(line):
@@ -180,13 +177,10 @@ class EventWriter:
 
 
 class EventReader:
-    """Follows an events file that another process appends to.
-
-    Its position is always the end of a complete line: a line that is still being written is read again later, and one
-    that a later run removes was never read. ``from_end`` skips what is there already. ``hurried`` is for a window's
-    loop: a call reads at most MOST_BYTES (``is_behind`` says whether there is more) and keeps only the last of
-    consecutive progress events. Raises OSError.
-    """
+    """Follows an events file that another process appends to. Its position is always the end of a complete line: a line
+    that is still being written is read again later, and one that a later run removes was never read. ``from_end`` skips
+    what is there already. ``hurried`` is for a window's loop: a call reads at most MOST_BYTES (``is_behind`` says
+    whether there is more) and keeps only the last of consecutive progress events. Raises OSError."""
 
     def __init__(self, path: Path, *, from_end: bool = False, hurried: bool = False) -> None:
         self._path, self._offset, self._hurried = path, 0, hurried
@@ -256,10 +250,8 @@ def at_work(path: Path) -> PlgsError:
 
 
 def last_events(path: Path) -> list[Event]:
-    """The last events of the latest run, enough to see how it ended. Only the end of the file is read.
-
-    An error is a run's last event, or its second to last if the engine was cancelled in the meantime.
-    """
+    """The last events of the latest run, enough to see how it ended. Only the end of the file is read. An error is a
+    run's last event, or its second to last if the engine was cancelled in the meantime."""
     try:
         start, tail = _tail(path, TAIL_BYTES)
     except FileNotFoundError:

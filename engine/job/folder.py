@@ -63,10 +63,8 @@ class LiftFolder:
 
     @classmethod
     def create(cls, path: Path, request: LiftRequest) -> LiftFolder:
-        """Make the folder and write its request. An empty folder is accepted, anything else is refused.
-
-        Raises PlgsError if the folder is not empty or cannot be written.
-        """
+        """Make the folder and write its request. An empty folder is accepted, anything else is refused. Raises
+        PlgsError if the folder is not empty or cannot be written."""
         path = path.absolute()
         refuse_unwritable_name(path)
         try:
@@ -87,8 +85,7 @@ class LiftFolder:
     @classmethod
     def open(cls, path: Path) -> LiftFolder:
         """Open an existing lift folder. Raises PlgsError if it is not a lift folder, if links replace its files, or if
-        its request cannot be read.
-        """
+        its request cannot be read."""
         path = path.absolute()
         refuse_unwritable_name(path)
         try:
@@ -165,21 +162,17 @@ class LiftFolder:
         return LiftState.RUNNING if self.is_running else self.state_at_rest()
 
     def state_at_a_glance(self) -> LiftState:
-        """The state of the lift, for a list or a timer: a manifest is a result, and its files are not checked.
-
-        It takes a millisecond, however large the lift. Raises PlgsError if the file system does not support locks.
-        """
+        """The state of the lift, for a list or a timer: a manifest is a result, and its files are not checked. It takes
+        a millisecond, however large the lift. Raises PlgsError if the file system does not support locks."""
         if self.is_running:
             return LiftState.RUNNING
         is_finished = self.manifest_path.is_file() and not self.is_lifted_again
         return LiftState.FINISHED if is_finished else self._how_it_ended()
 
     def state_at_rest(self) -> LiftState:
-        """The state of the lift, for a caller that knows that no other engine is at work.
-
-        A result without a complete manifest is not a result, whatever the events say. A lift that is lifted again, and
-        has only its earlier result, is not finished.
-        """
+        """The state of the lift, for a caller that knows that no other engine is at work. A result without a complete
+        manifest is not a result, whatever the events say. A lift that is lifted again, and has only its earlier result,
+        is not finished."""
         return LiftState.FINISHED if self.has_result() and not self.is_lifted_again else self._how_it_ended()
 
     def _how_it_ended(self) -> LiftState:
@@ -207,10 +200,8 @@ class LiftFolder:
     def prepare_run(self) -> None:
         """Delete what must not outlive an earlier run: its cancel file, incomplete files, a new result that it began,
         and of a damaged result the manifest and the files that differ from it. Those of a lift are made again; passes
-        that were baked later are not. A complete result stays until there is a new one (see `with_next_result`).
-
-        Only the engine that holds the lock may call this. Raises OSError if a file cannot be read: the file stays.
-        """
+        that were baked later are not. A complete result stays until there is a new one (see `with_next_result`). Only
+        the engine that holds the lock may call this. Raises OSError if a file cannot be read: the file stays."""
         self.cancel_path.unlink(missing_ok=True)
         self.drop_next_result()
         changed = changed_files(self.result_path)
@@ -238,10 +229,8 @@ class LiftFolder:
 
     def adopt_next_result(self) -> Path | None:
         """Replace the result by a finished new one, also if a kill interrupted that. Returns where the earlier result
-        is now; None if it is gone, or there is no new one.
-
-        Only the engine that holds the lock may call this. Raises OSError.
-        """
+        is now; None if it is gone, or there is no new one. Only the engine that holds the lock may call this. Raises
+        OSError."""
         new = self.with_next_result()
         if new is self or not new.manifest_path.is_file():
             return None
@@ -267,10 +256,7 @@ class LiftFolder:
 
     def prepare_bake(self) -> None:
         """Delete an earlier run's cancel file and incomplete files; the result stays. Nothing is deleted while another
-        process is baking, as that may own them.
-
-        Only the engine that holds the lock may call this.
-        """
+        process is baking, as that may own them. Only the engine that holds the lock may call this."""
         if BakeLocks(self.path).others_at_work():
             return
         self.cancel_path.unlink(missing_ok=True)
@@ -288,10 +274,8 @@ class LiftFolder:
         )
 
     def discard(self) -> None:
-        """Delete a lift that never started, so that the same command can be given again.
-
-        Only for the caller that has just created it. Raises PlgsError if it holds something that took time to make.
-        """
+        """Delete a lift that never started, so that the same command can be given again. Only for the caller that has
+        just created it. Raises PlgsError if it holds something that took time to make."""
         self.refuse_foreign()
         with FileLock(self.events_path, wait_s=0.0):  # no engine begins in the meantime
             self._discard()

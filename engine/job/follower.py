@@ -25,12 +25,10 @@ _CANCELLED = (ExitCode.CANCELLED, ExitCode.INTERRUPTED, ExitCode.TERMINATED)
 
 
 class TaskFollower:
-    """Follows one task: `poll` it often, then read its attributes. It starts no threads.
-
-    ``kind`` names the task, ``progress`` tells how far it is. When ``state`` is no longer RUNNING, ``answer`` is the
-    command's answer (None if it gave none), ``error`` is why it failed, and ``log_lines`` the end of its log if the
-    cause is not the user's input. ``on_event`` is called with each event. ``kill_at`` is None until asked to stop.
-    """
+    """Follows one task: `poll` it often, then read its attributes. It starts no threads. ``kind`` names the task,
+    ``progress`` tells how far it is. When ``state`` is no longer RUNNING, ``answer`` is the command's answer (None if
+    it gave none), ``error`` is why it failed, and ``log_lines`` the end of its log if the cause is not the user's
+    input. ``on_event`` is called with each event. ``kill_at`` is None until asked to stop."""
 
     def __init__(
         self,
@@ -43,8 +41,7 @@ class TaskFollower:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """With ``process`` the follower owns the engine; without one it watches an engine that another process started,
-        on this computer or another. ``lift`` is the lift folder that the task works in.
-        """
+        on this computer or another. ``lift`` is the lift folder that the task works in."""
         self.files, self.lift, self.kind = files, lift, kind
         self.state = TaskState.RUNNING
         self.progress = TaskProgress()
@@ -71,10 +68,8 @@ class TaskFollower:
     ) -> TaskFollower:
         """Start an engine and follow it. ``command`` is one from `engine_call`, to which the arguments for ``files``
         and its parent are added. Without ``stays_with_parent`` it continues when this process ends. ``variables`` are
-        added to its environment, for values that must not appear in the list of processes.
-
-        Raises PlgsError if it does not start, and OSError.
-        """
+        added to its environment, for values that must not appear in the list of processes. Raises PlgsError if it does
+        not start, and OSError."""
         reader = EventReader(files.events, from_end=True, hurried=True)  # without earlier runs
         if not is_locked(files.events):
             # Before the engine starts: a cancel file that is made from now on is meant for it.
@@ -105,10 +100,8 @@ class TaskFollower:
         return ExitCode.FINISHED if self.error is None else self.error.exit_code
 
     def poll(self) -> bool:
-        """Take in what happened, and return whether anything changed.
-
-        Older events are read in parts, without outdated progress, so that a poll takes at most a few milliseconds.
-        """
+        """Take in what happened, and return whether anything changed. Older events are read in parts, without outdated
+        progress, so that a poll takes at most a few milliseconds."""
         if not self.is_running:
             return False
         try:
@@ -126,10 +119,8 @@ class TaskFollower:
         return has_news
 
     def cancel(self) -> None:
-        """Ask the engine to stop. Keep polling until it has: it is killed if it takes too long.
-
-        Raises OSError if the cancel file cannot be made and another process started the engine.
-        """
+        """Ask the engine to stop. Keep polling until it has: it is killed if it takes too long. Raises OSError if the
+        cancel file cannot be made and another process started the engine."""
         try:
             self.files.ask_to_cancel()
         except OSError:
@@ -254,8 +245,7 @@ def start_bake(
     """Start an engine that bakes more of a finished lift: frames ("test", "all", or names), or the ``cameras`` in a
     file, with these FURTHER_LAYERS, and with ``channels`` named for one of CHANNELS. With ``replace`` it overwrites
     other programs' files in ``output``. If another process is baking already, it bakes at the same time, with its own
-    events. Raises PlgsError, OSError.
-    """
+    events. Raises PlgsError, OSError."""
     command: list[str | Path] = [*engine_call(python), "bake", lift.path]
     given = {"--cameras": [cameras], "-o": [output], "--frames": frames, "--layers": layers, "--channels": [channels]}
     for option, values in given.items():

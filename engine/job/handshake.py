@@ -29,13 +29,10 @@ TOO_OLD = "the engine needs Python 3.11 or newer"
 
 @dataclass(frozen=True)
 class EngineAnswer:
-    """An engine that answered. It works when nothing is missing.
-
-    ``engine`` is its version. ``packages``: the names and versions of what it needs, with None if missing, and
-    "unknown" if the version is not known. ``wanted``: the pinned versions, None if nothing is pinned for this Python.
-    ``cuda``: the CUDA version that torch was built for, None for a CPU build or without torch. ``capabilities``: what
-    each of `CAPABILITIES` lacks.
-    """
+    """An engine that answered. It works when nothing is missing. ``engine`` is its version. ``packages``: the names and
+    versions of what it needs, with None if missing, and "unknown" if the version is not known. ``wanted``: the pinned
+    versions, None if nothing is pinned for this Python. ``cuda``: the CUDA version that torch was built for, None for a
+    CPU build or without torch. ``capabilities``: what each of `CAPABILITIES` lacks."""
 
     engine: str
     python: str
@@ -95,11 +92,9 @@ class EngineAnswer:
 
 @dataclass(frozen=True)
 class Capability:
-    """One ability of the engine.
-
-    It needs its ``packages`` besides what every engine has, each given with the module that is imported. With a
-    ``size``, in bytes on the disk, `python -m engine add` can add them by ``requirements/hashes-NAME.txt``.
-    """
+    """One ability of the engine. It needs its ``packages`` besides what every engine has, each given with the module
+    that is imported. With a ``size``, in bytes on the disk, `python -m engine add` can add them by
+    ``requirements/hashes-NAME.txt``."""
 
     label: str
     packages: Mapping[str, str]

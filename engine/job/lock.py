@@ -25,11 +25,9 @@ MANIFEST_S = 60.0
 
 
 class FileLock:
-    """Exclusive lock on a file, held within a ``with`` block. A missing file is created; content is untouched.
-
-    Children that are started with ``subprocess`` do not inherit it. Raises PlgsError if another process holds it, or
-    if the file system does not support locks; OSError if it cannot be opened, or is not a plain file.
-    """
+    """Exclusive lock on a file, held within a ``with`` block. A missing file is created; content is untouched. Children
+    that are started with ``subprocess`` do not inherit it. Raises PlgsError if another process holds it, or if the file
+    system does not support locks; OSError if it cannot be opened, or is not a plain file."""
 
     def __init__(self, path: Path, wait_s: float = 1.0) -> None:
         self._path, self._wait_s, self._descriptor = path, wait_s, -1
@@ -47,8 +45,7 @@ class FileLock:
 
     def _try(self) -> bool:
         """Try to lock the file that has this name now, as another process may have deleted the opened one. Returns
-        whether it is locked; if not, the file is closed.
-        """
+        whether it is locked; if not, the file is closed."""
         try:
             if not _try_lock(self._descriptor, self._path):
                 return False
@@ -73,8 +70,7 @@ class FileLock:
 
 def is_locked(path: Path) -> bool:
     """Whether a process holds a FileLock on the file. Raises PlgsError if that cannot be determined: the file system
-    does not support locks, or a folder has the file's name.
-    """
+    does not support locks, or a folder has the file's name."""
     try:
         # Reading is enough for a shared lock, and the lift may belong to somebody else.
         file = open_plain(path, follow_link=False)

@@ -44,22 +44,18 @@ def write_manifest(
     result: Path, *, versions: _Facts, seed: int, settings: _Facts, timings: _Facts,
     frames: _Names | None = None, masks: str = "",
 ) -> None:  # fmt: skip
-    """List every file of the result with its size and SHA-256. The lift is finished when this returns.
-
-    ``versions``: library name to version; ``settings``: the final values of the preset and the user's options. The rest
-    is as in `Manifest`.
-    """
+    """List every file of the result with its size and SHA-256. The lift is finished when this returns. ``versions``:
+    library name to version; ``settings``: the final values of the preset and the user's options. The rest is as in
+    `Manifest`."""
     remove_parts(result)
     files = tuple(ListedFile.of(path, result) for path in files_below(result) if path != result / NAME)
     _write(result, Manifest(__version__, versions, seed, settings, timings, files, frames or {}, masks))
 
 
 def add_files(result: Path, paths: Sequence[Path], frames: _Names | None = None) -> None:
-    """List more files, or changed ones, in the manifest of a finished lift; the rest of it stays as it is.
-
-    The result is complete before and after, even if the process is killed in between. ``frames`` is as in `Manifest`.
-    Raises PlgsError if there is no manifest, and OSError.
-    """
+    """List more files, or changed ones, in the manifest of a finished lift; the rest of it stays as it is. The result
+    is complete before and after, even if the process is killed in between. ``frames`` is as in `Manifest`. Raises
+    PlgsError if there is no manifest, and OSError."""
     manifest = read_manifest(result)
     files = {file.path: file for file in (*manifest.files, *(ListedFile.of(path, result) for path in paths))}
     names = {**manifest.frames, **(frames or {})}

@@ -59,10 +59,8 @@ def choose_python(
     root: Path = ROOT, environ: Mapping[str, str] = os.environ, chosen: Path | None = None
 ) -> ChosenPython:
     """The first that exists of: PLGS_ENGINE_PYTHON, the ``chosen`` one from the preferences, the environment that "Set
-    up engine" made, ``.venv`` beside the code, and this Python if it has torch.
-
-    Its packages are not checked. Raises PlgsError if there is none. Takes milliseconds.
-    """
+    up engine" made, ``.venv`` beside the code, and this Python if it has torch. Its packages are not checked. Raises
+    PlgsError if there is none. Takes milliseconds."""
     variable = environ.get("PLGS_ENGINE_PYTHON")
     if variable:  # not resolved, as a venv's Python finds its venv by the link
         fix = "Correct the variable PLGS_ENGINE_PYTHON, or unset it."
@@ -85,8 +83,7 @@ def choose_python(
 
 def engine_python(root: Path = ROOT, environ: Mapping[str, str] = os.environ, chosen: Path | None = None) -> Path:
     """The Python from `choose_python`, checked. Raises PlgsError if it lacks what the engine needs, or if there is
-    none. Takes about 0.1 s.
-    """
+    none. Takes about 0.1 s."""
     choice = choose_python(root, environ, chosen)
     what = "the engine's Python does not exist"
     if choice.python.exists():
@@ -99,8 +96,7 @@ def engine_python(root: Path = ROOT, environ: Mapping[str, str] = os.environ, ch
 
 def missing_modules(python: Path, names: Sequence[str]) -> list[str]:
     """The modules that another Python cannot find. Nothing is imported. Raises PlgsError if it does not run, does not
-    answer, or is not a Python.
-    """
+    answer, or is not a Python."""
     find = "(n for n in sys.argv[1:] if not importlib.util.find_spec(n))"
     code = f"import importlib.util, sys; print({_MISSING!r}, *{find})"
     try:
@@ -141,8 +137,7 @@ class ChildProcess:
         keep_open: Sequence[int] = (),
     ) -> None:
         """Start ``command``. On POSIX, descriptors in ``keep_open`` stay open in it. Raises PlgsError if it cannot be
-        started.
-        """
+        started."""
         try:
             self._process = subprocess.Popen(
                 [str(part) for part in command],
@@ -170,8 +165,7 @@ class ChildProcess:
 
     def kill(self) -> None:
         """End it and its children at once, if it still runs. Returns when it has ended, or after a few seconds if it
-        waits for a disk that does not answer; it then ends when the disk answers.
-        """
+        waits for a disk that does not answer; it then ends when the disk answers."""
         if self._process.poll() is None:
             kill_with_children(self._process)
             with suppress(subprocess.TimeoutExpired):
@@ -180,8 +174,7 @@ class ChildProcess:
 
 class EngineProcess(ChildProcess):
     """A started engine. If it ``is_tied``, it ends when this process does, as it watches the pipe `Popen.stdin`.
-    Otherwise it continues when this process ends.
-    """
+    Otherwise it continues when this process ends."""
 
     def __init__(
         self, command: Sequence[str | Path], *, is_tied: bool = True, variables: Mapping[str, str] | None = None

@@ -40,10 +40,8 @@ class _Entry:
 
 
 def recent_lifts(cache: Path | None = None, most: int = MOST) -> list[RecentLift]:
-    """The lifts in the list that still exist, the newest first, with their `state_at_a_glance`.
-
-    It takes a few milliseconds and never raises: what cannot be read is left out.
-    """
+    """The lifts in the list that still exist, the newest first, with their `state_at_a_glance`. It takes a few
+    milliseconds and never raises: what cannot be read is left out."""
     lifts = []
     for path, touched in _entries(_list_path(cache))[:most]:
         try:
@@ -77,8 +75,7 @@ def _list_path(cache: Path | None) -> Path:
 
 def _entries(list_path: Path, is_to_be_replaced: bool = False) -> list[tuple[str, float]]:
     """The path and time of each entry; none if the list is missing, broken or from another version. Raises PlgsError if
-    the disk cannot read a list that ``is_to_be_replaced``, as this would lose it.
-    """
+    the disk cannot read a list that ``is_to_be_replaced``, as this would lose it."""
     try:
         content = read_object(list_path, _FIX)
         refuse_other_format(content, list_path)

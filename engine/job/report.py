@@ -30,11 +30,9 @@ _SHOWN = ("semantic_points.npz", "instances.json", "gaussians.ply", "metrics.jso
 
 def metrics_text(metrics: Mapping[str, Json], *, per_class: bool = False) -> str:
     """The tables of a metrics.json, with a line for each method and mode, and with ``per_class`` also for each class.
-
     Shares are in per cent, "true %" is mIoU over the classes that the ground truth has, "id changes" is how often an
     object changes its id, PSNR is in dB, and the median depth error in cm; "fitted" figures are those after a fit of
-    the colours.
-    """
+    the colours."""
     tables = [table for table in _list(metrics.get("tables")) if isinstance(table, dict)]
     rows = [["", "mode", *(heading for _, heading in _SHARES), *(heading for _, heading, _, _ in _OTHERS)]]
     for table in tables:

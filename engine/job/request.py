@@ -48,14 +48,11 @@ def _switch(about: str) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class LiftRequest(SceneSource):
-    """One lift of a scene. Relative paths are taken from the working directory, and become absolute.
-
-    ``options`` are the changed options of the preset, by name (see ``engine/presets``). ``fit`` uses fewer frames if
-    memory is limited. ``device`` trains and draws the Gaussians. ``names_from`` is the folder of an earlier lift whose
-    objects keep their names and ids. ``anyway`` lifts a scene whose numbers or masks are wrong for certain.
-
-    Raises PlgsError if a value is out of range. Files are not checked, as this is the scene's task.
-    """
+    """One lift of a scene. Relative paths are taken from the working directory, and become absolute. ``options`` are
+    the changed options of the preset, by name (see ``engine/presets``). ``fit`` uses fewer frames if memory is limited.
+    ``device`` trains and draws the Gaussians. ``names_from`` is the folder of an earlier lift whose objects keep their
+    names and ids. ``anyway`` lifts a scene whose numbers or masks are wrong for certain. Raises PlgsError if a value is
+    out of range. Files are not checked, as this is the scene's task."""
 
     preset: PresetName = "preview"
     options: Mapping[str, Json] = field(default_factory=dict)
@@ -176,8 +173,7 @@ def _flag(name: str) -> str:
 
 def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, str] = _NONE) -> None:
     """Add all options that end up in the request, and --poses. Those not given are None, so that --resume can tell.
-    ``more_bakes``: other values of --bake, and their meanings; the caller must remove them from the options.
-    """
+    ``more_bakes``: other values of --bake, and their meanings; the caller must remove them from the options."""
     parser.add_argument(
         "--preset", type=preset_or_file, metavar="NAME|FILE.toml",
         help=f"how much work to spend: preview takes minutes, standard tens of minutes, paper follows the paper's "
@@ -289,10 +285,8 @@ def number_of_frames(text: str) -> int:
 
 
 def request_from(options: argparse.Namespace, base: LiftRequest | None = None) -> LiftRequest:
-    """The request that the options of `add_lift_options` and ``scene`` ask for; the rest is as in ``base``.
-
-    Raises PlgsError if a value is out of range.
-    """
+    """The request that the options of `add_lift_options` and ``scene`` ask for; the rest is as in ``base``. Raises
+    PlgsError if a value is out of range."""
     asked = {name: value for name in (*_FIELDS, "bake") if (value := getattr(options, name)) is not None}
     given: dict[str, Any] = {name: each.resolve() if isinstance(each, Path) else each for name, each in asked.items()}
     own = {name: value for name in ("steps", "size", "frames") if (value := getattr(options, name)) is not None}

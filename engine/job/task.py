@@ -69,8 +69,7 @@ class TaskFiles:
     @classmethod
     def temporary(cls, parent: Path | None = None) -> TaskFiles:
         """Files in a new folder that only this user may read, in the system's temporary folder unless ``parent`` is
-        given. `discard` removes it. Raises OSError.
-        """
+        given. `discard` removes it. Raises OSError."""
         files = cls.at(Path(tempfile.mkdtemp(prefix="plgs-task-", dir=parent)) / "events.jsonl")
         return replace(files, folder=files.events.parent)
 
@@ -91,10 +90,8 @@ class TaskFiles:
 class TaskProgress:
     """How far a run is. ``stage_index`` counts from 1; ``step`` of ``steps`` of this stage are done, ``eta_s`` seconds
     of it remain, and ``left_s`` of the whole run, if known. ``began`` is when the run began, in Unix seconds.
-
     ``live_preview`` is a picture of the growing model. Its content was replaced ``live_previews`` times, the last time
-    as seen by the camera with the fingerprint ``live_preview_camera``. ``previews`` are the pictures that stay.
-    """
+    as seen by the camera with the fingerprint ``live_preview_camera``. ``previews`` are the pictures that stay."""
 
     stage: str = ""
     label: str = "Starting"
@@ -143,9 +140,7 @@ class TaskProgress:
 
 def last_lines(log: Path, count: int = LOG_LINES) -> tuple[str, ...]:
     """The last ``count`` lines of a log's last 64 KB that are not blank, cut at 500 characters; none without a log.
-
-    Each version of a line that was overwritten repeatedly, such as a progress bar, counts.
-    """
+    Each version of a line that was overwritten repeatedly, such as a progress bar, counts."""
     try:
         with open_plain(log, follow_link=False) as file:
             start = max(0, os.fstat(file.fileno()).st_size - LOG_BYTES)
@@ -216,14 +211,12 @@ class StopSignal:
 
 
 class Watchdog:
-    """Ends the engine if its main thread does not stop in time; for ``with``, around the whole work.
-
-    Threads are allowed here: this is the engine's own process, not Blender's Python, and the two threads never touch
-    the task's data. One polls the cancel file. The other waits for the end of the pipe ``parent_pipe``, a descriptor
-    whose write end only the parent holds: on every system the pipe ends when the parent does. The forced end is safe
-    because all files are put in place by rename. It is impossible while the main thread is inside native code that
-    holds Python's lock; then the parent kills the process (`follower`).
-    """
+    """Ends the engine if its main thread does not stop in time; for ``with``, around the whole work. Threads are
+    allowed here: this is the engine's own process, not Blender's Python, and the two threads never touch the task's
+    data. One polls the cancel file. The other waits for the end of the pipe ``parent_pipe``, a descriptor whose write
+    end only the parent holds: on every system the pipe ends when the parent does. The forced end is safe because all
+    files are put in place by rename. It is impossible while the main thread is inside native code that holds Python's
+    lock; then the parent kills the process (`follower`)."""
 
     def __init__(
         self,

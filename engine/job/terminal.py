@@ -39,12 +39,10 @@ class Interrupted(BaseException):  # so that no `except Exception` on the way ca
 
 
 class Interrupts:
-    """Takes over SIGINT, SIGTERM and SIGHUP, even from Blender's own handlers; for ``with``, in the main thread.
-
-    They raise Interrupted at once or, inside `deferred`, only at its end, as code there must not be interrupted.
-    A signal that was ignored before, as with nohup, stays ignored. During an import, native code may turn Interrupted
-    into another error; if the block ends with one, Interrupted is raised again.
-    """
+    """Takes over SIGINT, SIGTERM and SIGHUP, even from Blender's own handlers; for ``with``, in the main thread. They
+    raise Interrupted at once or, inside `deferred`, only at its end, as code there must not be interrupted. A signal
+    that was ignored before, as with nohup, stays ignored. During an import, native code may turn Interrupted into
+    another error; if the block ends with one, Interrupted is raised again."""
 
     def __init__(self) -> None:
         self.pending: int | None = None
@@ -83,10 +81,8 @@ class Interrupts:
 
 def follow(follower: TaskFollower, interrupts: Interrupts, line: LiveLine, echo: int | None = None) -> None:
     """Show the task until it ends. Call it, and start the engine, inside `interrupts.deferred()`. The task's events go
-    to the descriptor ``echo``, if there is one.
-
-    A signal cancels the task; an engine that does not stop is killed. A lift can then be resumed.
-    """
+    to the descriptor ``echo``, if there is one. A signal cancels the task; an engine that does not stop is killed. A
+    lift can then be resumed."""
     is_asked, is_told, warned = False, False, 0
     if echo is not None:
         follower.on_event = lambda event: echoed(event.line, echo)
@@ -116,8 +112,7 @@ def follow(follower: TaskFollower, interrupts: Interrupts, line: LiveLine, echo:
 
 def stdout_for_events(progress: str) -> int | None:
     """With --progress json: a descriptor of standard output, which from now on is only for events. What is printed goes
-    to standard error instead. Without it: None.
-    """
+    to standard error instead. Without it: None."""
     if progress != "json":
         return None
     sys.stdout.flush()
@@ -128,10 +123,8 @@ def stdout_for_events(progress: str) -> int | None:
 
 class LiveLine:
     """Progress on one line that is overwritten repeatedly or, if that is impossible, on a new line every few seconds.
-
     ``is_lost`` says that no one reads the stream any more: a closed terminal, or ``| head``. All output there is then
-    discarded, so that it does not end hours of work.
-    """
+    discarded, so that it does not end hours of work."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -222,12 +215,10 @@ def lift_in_terminal(
     on_error: Callable[[PlgsError], object] = lambda error: print(f"error: {error}", file=sys.stderr),
 ) -> tuple[LiftFolder, ExitCode]:
     """Lift as the options of `add_lift_options`, ``scene``, ``output`` and ``resume`` ask. Progress goes to stderr, and
-    events to the descriptor ``echo`` if the options have one. ``on_error`` is called with why the engine failed.
-
-    The engine checks the scene, and tells whether anything is left to do in a finished lift. A folder that was made
-    here for nothing is removed, so that the corrected command works. If the options have a ``program``, that program
-    does the lift (see `engine_call`). Raises PlgsError, and Interrupted on Ctrl-C after the engine has ended.
-    """
+    events to the descriptor ``echo`` if the options have one. ``on_error`` is called with why the engine failed. The
+    engine checks the scene, and tells whether anything is left to do in a finished lift. A folder that was made here
+    for nothing is removed, so that the corrected command works. If the options have a ``program``, that program does
+    the lift (see `engine_call`). Raises PlgsError, and Interrupted on Ctrl-C after the engine has ended."""
     python = engine_python()
     if options.poses is not None:  # an engine finds them, unless an earlier one has
         options.scene = Path(str(ask_engine(python, interrupts, "poses", options.scene)["folder"]))
@@ -263,10 +254,8 @@ def lift_in_terminal(
 
 
 def resumable(options: argparse.Namespace) -> LiftFolder | None:
-    """The lift in ``options.output`` that --resume continues; None if there is nothing to continue.
-
-    Raises PlgsError if the options ask for a lift that differs from the one there.
-    """
+    """The lift in ``options.output`` that --resume continues; None if there is nothing to continue. Raises PlgsError if
+    the options ask for a lift that differs from the one there."""
     folder: Path = options.output
     if not options.resume or not (folder / "request.json").exists():
         return None
@@ -286,10 +275,8 @@ def ask_engine(python: Path, interrupts: Interrupts, kind: str, *arguments: str 
 
 
 def _state_when_left_alone(lift: LiftFolder) -> LiftState:
-    """The state of a lift that no engine works on. Raises PlgsError if one still does after two seconds.
-
-    This is done before an engine is started for nothing: on Ctrl-C its cancel file would stop the other engine.
-    """
+    """The state of a lift that no engine works on. Raises PlgsError if one still does after two seconds. This is done
+    before an engine is started for nothing: on Ctrl-C its cancel file would stop the other engine."""
     give_up = time.monotonic() + _ENDING_S
     while (state := lift.state()) is LiftState.RUNNING:
         if time.monotonic() > give_up:

@@ -31,10 +31,8 @@ def bytes_in(folder: Path) -> int:
 
 
 def throw_away(path: Path, folder: Path) -> None:
-    """Move a file or folder aside in ``folder``, on the same disk, to be deleted by `empty_trash`. This is instant.
-
-    A missing file is ignored. Raises OSError; on Windows, also while a program in it still runs.
-    """
+    """Move a file or folder aside in ``folder``, on the same disk, to be deleted by `empty_trash`. This is instant. A
+    missing file is ignored. Raises OSError; on Windows, also while a program in it still runs."""
     if not path.exists() and not path.is_symlink():
         return
     number = 0
@@ -50,10 +48,8 @@ def empty_trash(folder: Path) -> None:
 
 
 def remove_environments(folder: Path) -> None:
-    """Delete all environments that a set-up made in ``folder``, with its downloads, and nothing else.
-
-    Raises PlgsError while a set-up is running there, OSError.
-    """
+    """Delete all environments that a set-up made in ``folder``, with its downloads, and nothing else. Raises PlgsError
+    while a set-up is running there, OSError."""
     if is_locked(folder / LOCK):
         raise PlgsError("being-set-up", "the engine is being set up", folder, "Wait until it is done, or cancel it.")
     for environment in sorted(folder.glob("engine-*")):

@@ -98,10 +98,8 @@ class UvTask:
         limit_s: float | None = None,
     ) -> tuple[str, int]:
         """Run a program and return its output and its exit code. When this stops, the program ends with its children.
-
         The program holds the lock too. If this process is killed, no other set-up begins before the program has ended.
-        Raises PlgsError when it cannot be started or does not end within ``limit_s`` seconds; Cancelled.
-        """
+        Raises PlgsError when it cannot be started or does not end within ``limit_s`` seconds; Cancelled."""
         assert self._lock is not None
         began = time.monotonic()
         with self.log_path.open("ab") as log, self.log_path.open("rb") as reader:

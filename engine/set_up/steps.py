@@ -62,8 +62,7 @@ _SYNC = "import os; getattr(os, 'sync', lambda: None)()"  # Windows has no os.sy
 class SetUpRequest:
     """``base_python`` None means this one, or another that the packages are pinned for. ``torch_build`` is "cpu" or
     "cuda". An empty ``index_url`` lets packages come from where uv or pip is configured to look; ``wheels`` is a folder
-    that they come from instead, without a network. ``download`` is such a folder to make, instead of an environment.
-    """
+    that they come from instead, without a network. ``download`` is such a folder to make, instead of an environment."""
 
     base_python: Path | None = None
     torch_build: str = "cpu"
@@ -164,8 +163,7 @@ class SetUp(UvTask):
 
     def _is_ready(self, environment: Path) -> bool:
         """Whether nothing is left to do. A complete environment that does not answer, or was made with another torch,
-        is thrown away.
-        """
+        is thrown away."""
         if not is_complete(environment):
             return False
         if (environment / COMPLETE).read_text(encoding="utf-8").endswith(f" {self.request.torch_build}\n"):

@@ -63,10 +63,8 @@ _DIVERTING = ("target", "prefix", "python", "system", "require-hashes")
 
 
 def variables(environ: Mapping[str, str], index_url: str = "") -> dict[str, str]:
-    """``environ`` for uv, with the user's pip settings where uv has none.
-
-    ``index_url`` replaces PyPI. It is not a command-line argument, as its password would show in the list of processes.
-    """
+    """``environ`` for uv, with the user's pip settings where uv has none. ``index_url`` replaces PyPI. It is not a
+    command-line argument, as its password would show in the list of processes."""
     kept = {name: value for name, value in environ.items() if not _LEFT_OUT.match(name)}
     for setting, name in _OF_PIP.items():
         if value := _setting_of_pip(setting, environ):
@@ -80,10 +78,8 @@ def variables(environ: Mapping[str, str], index_url: str = "") -> dict[str, str]
 
 def diverted(environ: Mapping[str, str], folder: Path) -> str:
     """The first setting of uv, in words, that would install somewhere else or that the set-up cannot meet (torch comes
-    without hashes); empty if there are none. ``folder`` is where uv runs: it also reads the files above it.
-
-    uv has no option that overrides these alone. A Python before 3.11 cannot read uv's files and finds none.
-    """
+    without hashes); empty if there are none. ``folder`` is where uv runs: it also reads the files above it. uv has no
+    option that overrides these alone. A Python before 3.11 cannot read uv's files and finds none."""
     if environ.get("UV_REQUIRE_HASHES", "0").lower() not in ("", "0", "false"):
         return "UV_REQUIRE_HASHES"
     if find_spec("tomllib") is None:

@@ -25,11 +25,9 @@ from . import looking
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding: its ``cause`` in a word or two, a description with figures, its fix, and its picture.
-
-    It is a problem (``is_wrong``), which "Fix" can solve (``is_mended``), or a note. It concerns these ``frames``, or
-    all if there are none; a lift is better without those in ``leave_out``.
-    """
+    """One finding: its ``cause`` in a word or two, a description with figures, its fix, and its picture. It is a
+    problem (``is_wrong``), which "Fix" can solve (``is_mended``), or a note. It concerns these ``frames``, or all if
+    there are none; a lift is better without those in ``leave_out``."""
 
     cause: str
     text: str

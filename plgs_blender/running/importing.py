@@ -34,12 +34,10 @@ _NAMES = {"colour": "pictures", "cloud": "a coloured cloud"}
 
 @dataclass(frozen=True)
 class FrameOrder:
-    """The files of a scene that an engine should make, and where to show them.
-
-    ``kinds`` are as in the engine's command. ``lift`` is the key of an import or lift; without one, the engine first
-    lists the cameras, which go into the Blender scene named ``scene``. With ``frame``, only that frame is made, and its
-    picture ``shown_kind`` is shown. There is an undo step only if a user ``asked`` for it.
-    """
+    """The files of a scene that an engine should make, and where to show them. ``kinds`` are as in the engine's
+    command. ``lift`` is the key of an import or lift; without one, the engine first lists the cameras, which go into
+    the Blender scene named ``scene``. With ``frame``, only that frame is made, and its picture ``shown_kind`` is shown.
+    There is an undo step only if a user ``asked`` for it."""
 
     chosen: ChosenScene
     lift: str
@@ -118,10 +116,8 @@ def _place(chosen: ChosenScene, scene: bpy.types.Scene, made: MadeFrames | None,
 
 def begin_import(scene: bpy.types.Scene, *, cloud: bool = True) -> FrameMaking | None:
     """Import the panel's scene. Plain folders are placed at once, and an engine, if available, makes what is missing.
-    Cameras of other layouts appear when an engine has read them.
-
-    Returns the engine's task, or None. Raises PlgsError, OSError.
-    """
+    Cameras of other layouts appear when an engine has read them. Returns the engine's task, or None. Raises PlgsError,
+    OSError."""
     if not scene.plgs.scene_folder:
         raise PlgsError("no-scene", "no scene is chosen", "Scene", "Choose a capture's folder or file.")
     chosen = chosen_scene(scene.plgs)

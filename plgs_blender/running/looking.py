@@ -33,10 +33,8 @@ def look_at_scene(chosen: ChosenScene) -> None:
 
 def find_own_lifts() -> None:
     """Follow the lifts that the open file's scenes name or show, if this user's list has them, or they have the file.
-
     Somebody else's file may name any path, such as a FIFO or a disk that never answers. Other paths, and the scene's
-    folder, are read only when the user asks.
-    """
+    folder, are read only when the user asks."""
     own = {*map(Path, remembered_lifts()), absolute("//")}
     for scene in bpy.data.scenes:
         if (folder := lifts.shown_lift(scene.plgs)) in own:

@@ -28,14 +28,11 @@ _GIVE = {"depth": "choose depth maps", "masks": "choose or make masks"}
 @dataclass(frozen=True)
 class Survey:
     """What is known about a scene; nothing while an engine looks (``is_looking``). ``error`` says why it cannot be
-    lifted.
-
-    ``classes`` are names with sRGB colours, 0..1, and ``things`` the names of those with instances. ``sizes`` are the
-    sizes of images with their counts. In both, the commonest come first. ``depth_range`` is the nearest, median and
-    farthest depth in metres, None if no engine has read the pixels; ``has_masks`` is None then, too. ``picture_files``
-    counts the frames whose picture is a file that Blender can show, ``left_out`` those that a lift would not use.
-    ``inferred`` is what no file states, each with whether it is doubtful.
-    """
+    lifted. ``classes`` are names with sRGB colours, 0..1, and ``things`` the names of those with instances. ``sizes``
+    are the sizes of images with their counts. In both, the commonest come first. ``depth_range`` is the nearest, median
+    and farthest depth in metres, None if no engine has read the pixels; ``has_masks`` is None then, too.
+    ``picture_files`` counts the frames whose picture is a file that Blender can show, ``left_out`` those that a lift
+    would not use. ``inferred`` is what no file states, each with whether it is doubtful."""
 
     chosen: ChosenScene
     train_frames: int = 0
