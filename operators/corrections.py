@@ -22,8 +22,7 @@ from . import base
 from .inspect import OnInstance, OnInstances, OnLift
 
 _UNDOABLE = {"REGISTER", "UNDO"}
-_STEP = 1.2
-"""Factor by which one step of the mouse wheel scales the brush."""
+_STEP = 1.2  # factor by which one step of the mouse wheel scales the brush
 
 
 def _class_choices(self: Any, context: bpy.types.Context, _text: str) -> list[str]:

@@ -19,8 +19,7 @@ from ..plgs_blender.running import exports, lifting, lifts
 from ..plgs_blender.settings import LiftOptions, chosen_lift
 from . import base
 
-_PART_S = 0.02
-"""Seconds to pause between the parts of a lift that is being placed."""
+_PART_S = 0.02  # seconds to pause between the parts of a lift that is being placed
 
 
 class PLGS_OT_lift_scene(LiftOptions, base.StartsTask, bpy.types.Operator):

@@ -30,14 +30,11 @@ _TURN = np.diag([1.0, -1.0, -1.0, 1.0])
 
 OVERVIEW_SIZE = 1280, 800
 """Width and height of the overview's picture in pixels."""
-_ELEVATION = np.radians(42.0)
-"""Angle by which the overview looks down."""
+_ELEVATION = np.radians(42.0)  # angle by which the overview looks down
 _FOCAL_WIDTHS = 1.45
 """Focal length in picture widths: a 52 mm lens, which keeps the walls nearly upright."""
-_MARGIN = 0.88
-"""Fraction of the picture that the points fill."""
-_DIRECTIONS = 16
-"""Directions around the room that are tried."""
+_MARGIN = 0.88  # fraction of the picture that the points fill
+_DIRECTIONS = 16  # directions around the room that are tried
 _STRAY, _BEYOND = 1.0, 0.06
 """Outliers: this percentage of the points at each end, if they lie farther out than this fraction of the others'
 extent. Sensor noise reaches metres out of a room."""
@@ -134,8 +131,7 @@ SHOWN, PHOTO = "plgs_shown", "PHOTO"
 PATH = "camera_path"
 """Key of the moving camera in its lift."""
 
-_DISPLAY_SIZE = 0.15
-"""Metres: small enough to tell cameras apart between furniture."""
+_DISPLAY_SIZE = 0.15  # metres: small enough to tell cameras apart between furniture
 _PHOTO_ALPHA = 0.5
 
 

@@ -106,16 +106,14 @@ def needs_engine(chosen: ChosenScene) -> PlgsError:
     return PlgsError("needs-engine", what, chosen.scene, "Set up the engine, which can read it.")
 
 
-_SCENE_FILES = (".sens", ".r3d")
-"""Suffixes of files that are whole scenes."""
+_SCENE_FILES = (".sens", ".r3d")  # suffixes of files that are whole scenes
 _PARTS = {
     "color", "depth", "pose", "intrinsic", "rgb", "image", "images", "input", "results", "panoptic", "semantic",
     "instance", "masks", "keyframes", "cameras", "corrected_cameras", "corrected_images", "corrected_depth",
     "confidence", "iphone", "rgbd", "sparse", "0", "model", "colmap", "_detail", "m2f_semantics", "m2f_instance",
 }  # fmt: skip
 """Names of folders inside a scene, which help to find the scene's folder."""
-_HIGHEST = 3
-"""Search at most this many folders up, as from result/passes/0001.exr to its lift."""
+_HIGHEST = 3  # search at most this many folders up, as from result/passes/0001.exr to its lift
 
 
 def lift_or_scene(path: Path) -> tuple[Path | None, Path | None]:

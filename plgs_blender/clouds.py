@@ -143,8 +143,7 @@ def towards_nearest(points: NDArray[np.float64], viewpoints: NDArray[np.floating
     return viewpoints[nearest] - points
 
 
-_SMALLEST, _LARGEST = 0.002, 0.03
-"""Limits of a point's radius in metres."""
+_SMALLEST, _LARGEST = 0.002, 0.03  # limits of a point's radius in metres
 Attributes = dict[str, tuple[str, NDArray[Any]]]
 """The type and the values [N, ...] of each attribute of N points, by name."""
 _FIELDS = {

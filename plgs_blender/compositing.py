@@ -19,8 +19,7 @@ _TREE = "CompositorNodeTree"
 _SHARE, _ASIDE = (0.45, 0.42), (-0.05, 0.09)
 """Fractions of the window's width and height: the largest backdrop behind the nodes, and its offset to the left of and
 above the middle, where neither nodes nor the sidebar cover it."""
-_LARGEST = 3.0
-"""Largest magnification of the backdrop."""
+_LARGEST = 3.0  # largest magnification of the backdrop
 _MSGBUS_OWNER = object()
 
 
@@ -56,8 +55,7 @@ def _eyes(window: bpy.types.Window) -> dict[tuple[str, int], str]:
     return found
 
 
-_opened: dict[int, _Opened] = {}
-"""Opened windows by their address."""
+_opened: dict[int, _Opened] = {}  # opened windows by their address
 
 
 def show_room(window: bpy.types.Window) -> None:
@@ -170,8 +168,7 @@ def unregister() -> None:
     _opened.clear()
 
 
-_SHOWING = ("Recolour", "Outline", "Isolate", "Hold out")
-"""Controls of the group that make a matte visible."""
+_SHOWING = ("Recolour", "Outline", "Isolate", "Hold out")  # controls of the group that make a matte visible
 
 
 def compositors_of(root: bpy.types.Collection) -> Iterator[tuple[bpy.types.Scene, bpy.types.NodeTree]]:

@@ -29,8 +29,7 @@ CUT = "cut"
 """Key of the plane that splits an object."""
 _GIZMOS = "plgs_gizmos"
 """Property of the plane: whether its move arrows were switched on in the views only for it."""
-_LARGER = 1.2
-"""Size of the plane relative to the object."""
+_LARGER = 1.2  # size of the plane relative to the object
 
 
 def place_cut(root: bpy.types.Collection, instance: int) -> bpy.types.Object:
@@ -73,13 +72,10 @@ def split_by_cut(root: bpy.types.Collection, instance: int) -> Edit:
 
 _CELL = 8
 """Pixels: in each square of this side, the nearest point hides those behind it."""
-_BEHIND = 0.15
-"""Metres that a point may lie behind the nearest one and still be painted."""
-_RADIUS = 24.0
-"""The brush's initial radius in pixels."""
+_BEHIND = 0.15  # metres that a point may lie behind the nearest one and still be painted
+_RADIUS = 24.0  # the brush's initial radius in pixels
 _COLOUR = (1.0, 0.55, 0.1)
-_POINT, _TINT = 0.01, 0.4
-"""Drawing radius of a painted point in metres, and the opacity of its colour."""
+_POINT, _TINT = 0.01, 0.4  # drawing radius of a painted point in metres, and the opacity of its colour
 
 Position = tuple[float, float]
 """Of the mouse, in pixels of the view, y up."""

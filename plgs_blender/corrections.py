@@ -102,8 +102,7 @@ outdated: set[str] = set()
 _COMPARED = 1 << 18
 """Bytes of a file that are looked at for that; more corrections than that are not compared."""
 
-_mine: dict[str, set[str]] = {}
-"""By lift folder: the uids of the edits made by this Blender process."""
+_mine: dict[str, set[str]] = {}  # by lift folder: the uids of the edits made by this Blender process
 failed: list[str] = []
 """Why the file could not follow the last undo, for the panel; empty if it could."""
 

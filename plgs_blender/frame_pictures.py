@@ -28,8 +28,7 @@ from .cameras import PHOTO, SHOWN, put_before, show_photo
 from .chosen_scene import ChosenScene, absolute
 from .owned import FOLDER, LIFT, PLACE, SCENE, OwnedDataBlocks, lifts_in
 
-_MOST_BESIDE = 9
-"""Maximum number of frame folders beside a scene."""
+_MOST_BESIDE = 9  # maximum number of frame folders beside a scene
 
 
 def frames_folder(source: SceneSource) -> Path:
@@ -124,8 +123,7 @@ KIND_OF = {DEPTH: "depth", MASKS: "masks", PHOTO: "colour"}
 
 _NEAR, _FAR = "near_metres", "far_metres"
 """Properties of a depth picture: the depths in metres of its lightest and darkest colour."""
-_COLOURS = "colours"
-"""Property of a mask picture: its colours as numbers."""
+_COLOURS = "colours"  # property of a mask picture: its colours as numbers
 
 
 def why_no_picture(scene: bpy.types.Scene) -> str | None:

@@ -26,10 +26,8 @@ MISSING = "plgs_missing"
 
 _CLOUDS, _CLOUD, _SPARSE = "Coloured points", "cloud", "sparse_points"
 """The collection of the clouds, and their keys."""
-_AHEAD = 2.0
-"""Assumed extent of a room in front of its cameras, in metres, if there are no points."""
-_INNER = (0.2, 99.8)
-"""Percentiles of a cloud's coordinates that bound the room."""
+_AHEAD = 2.0  # assumed extent of a room in front of its cameras, in metres, if there are no points
+_INNER = (0.2, 99.8)  # percentiles of a cloud's coordinates that bound the room
 
 
 def place_scene(

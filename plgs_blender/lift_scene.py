@@ -55,12 +55,10 @@ from .viewport import all_views, show_materials_in, start_file
 
 _VIEWPOINTS = 200
 """At most this many cameras decide which side of a surface was seen: if there are more, every n-th."""
-_AT_ONCE, _MASKS_AT_ONCE = 100, 2000
-"""Boxes and masks placed without a pause: a tenth of a second for each."""
+_AT_ONCE, _MASKS_AT_ONCE = 100, 2000  # boxes and masks placed without a pause: a tenth of a second for each
 _WAS_ASKED = "plgs_show_as_asked"
 """Property of a lift's collection: whether the user chose what it is shown as."""
-_OVERVIEW_SIZE = 0.4
-"""Display size of the overview camera in metres."""
+_OVERVIEW_SIZE = 0.4  # display size of the overview camera in metres
 
 
 def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:

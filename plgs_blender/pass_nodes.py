@@ -132,10 +132,8 @@ class _Wiring:
 
 LAYER = "PLGS"
 PASSES, CRYPTO_INSTANCES, CRYPTO_CLASSES, PANOPTIC = "passes", "CryptoInstance", "CryptoClass", "panoptic"
-_STRENGTH = 0.55
-"""Opacity of the instances' colours over the picture."""
-_LOWER = 240.0
-"""Units by which the nodes are lowered, so that the backdrop stays visible."""
+_STRENGTH = 0.55  # opacity of the instances' colours over the picture
+_LOWER = 240.0  # units by which the nodes are lowered, so that the backdrop stays visible
 
 
 _OUTPUTS = {

@@ -42,8 +42,7 @@ _LAST_NUMBER = re.compile(r"(?s)(.*?)(\d+)(\D*)")
 _BEFORE_0 = re.compile(r"(?s)(.*)\.-\d+")
 """The name of a shot's frame before 0. Blender counts from 0, so these frames are a sequence of their own."""
 _LARGEST_NUMBER = 2**31 - 1  # Blender counts frames in 32 bits
-_LONGEST_NAME = 80
-"""Maximum length of a shot's name, to which each view adds a number."""
+_LONGEST_NAME = 80  # maximum length of a shot's name, to which each view adds a number
 _NEEDED = {*(f"PLGS.{layer}" for layer in ("Combined.R", "Depth.V", "Semantic.V", "Instance.V"))}
 _NEEDED |= {"CryptoInstance00.r", "CryptoClass00.r"}
 

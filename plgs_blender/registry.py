@@ -23,8 +23,7 @@ from ..engine.job.task import TaskFiles, TaskProgress, TaskState
 from .chosen_scene import ChosenScene
 
 _POLL_S = 0.05
-_PARTS_S = 0.05
-"""Seconds per poll after which no further part of an answer is taken."""
+_PARTS_S = 0.05  # seconds per poll after which no further part of an answer is taken
 
 
 class Task:
@@ -243,8 +242,7 @@ def forget_all() -> None:
 
 
 TICK_S = 0.1
-_CLOCK_S = 1.0
-"""Seconds after which panels are redrawn even without news, because they show elapsed time."""
+_CLOCK_S = 1.0  # seconds after which panels are redrawn even without news, because they show elapsed time
 _drawn_at = 0.0
 
 

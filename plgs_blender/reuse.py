@@ -31,10 +31,8 @@ OBJECTS, INSTANCE, PLACED = "plgs_objects_of", "plgs_instance", "plgs_placed"
 """Properties: of the collection of all extracted objects, their lift; of each object's collection, its instance; and of
 each object, the pose at which it was placed."""
 _COLUMNS = {"FLOAT": ("value", 1), "INT": ("value", 1), "FLOAT_VECTOR": ("vector", 3), "FLOAT_COLOR": ("color", 4)}
-_PICTURE = 128
-"""Side of an asset's preview picture in pixels."""
-_DOT = 2
-"""Pixels around a point that its colour fills in the preview."""
+_PICTURE = 128  # side of an asset's preview picture in pixels
+_DOT = 2  # pixels around a point that its colour fills in the preview
 
 
 def make_objects(

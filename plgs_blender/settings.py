@@ -48,8 +48,7 @@ _DEVICES = [
 ]
 
 _PATHS = ("lift_folder", "scene_folder", "masks", "detections", "depth")
-_SKIP_SAVE = {"SKIP_SAVE"}
-"""So that an operator does not remember what a script once passed to it."""
+_SKIP_SAVE = {"SKIP_SAVE"}  # so that an operator does not remember what a script once passed to it
 
 Listener = Callable[["PLGS_PG_settings"], None]
 on_scene_chosen: list[Listener] = []

@@ -21,8 +21,7 @@ from .lift_scene import open_blend
 from .shots import Shot, ShotReader, shot_of
 
 JOB = "farm.json"
-_CHUNK = 50
-"""Frames per farm task."""
+_CHUNK = 50  # frames per farm task
 _PLATFORMS = {"win32": "windows", "darwin": "darwin"}
 
 

@@ -33,12 +33,9 @@ from .passes import NOTES, VERSION, shot_name
 
 DIGITS = 4
 """Minimum digits of the frame number in a file name."""
-_CLAIM_S = 10.0
-"""Seconds to wait while another bake claims a shot."""
-_MOST_LATER = 100
-"""Versions of a shot to try until one is free or shows the same."""
-_LISTED = 8
-"""Maximum number of cameras named in an error."""
+_CLAIM_S = 10.0  # seconds to wait while another bake claims a shot
+_MOST_LATER = 100  # versions of a shot to try until one is free or shows the same
+_LISTED = 8  # maximum number of cameras named in an error
 
 
 @dataclass(frozen=True)

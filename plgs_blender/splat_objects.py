@@ -141,8 +141,7 @@ def dye(cloud: bpy.types.PointCloud) -> None:
 
 EXTENT = 2.0
 """Half the side of a square, in standard deviations of its fading colour."""
-_SMALLEST, _LARGEST = 0.002, 0.03
-"""Limits of half the side of a point's square, in metres."""
+_SMALLEST, _LARGEST = 0.002, 0.03  # limits of half the side of a point's square, in metres
 Part = TypeVar("Part")
 _MODIFIER = "Squares"
 

@@ -25,16 +25,12 @@ from .splat_objects import EXTENT, HARMONIC, Splats, Squares, across, axes_of, j
 
 _FAINTEST, _FAINTEST_NATIVE = 0.1, 0.01
 """Opacity below which a Gaussian gets no square, or no native splat; many faint native splats add up."""
-_EDGE_ON = 0.2
-"""Cosine to a square's normal below which a camera counts as seeing neither side."""
-_CAMERAS = 60
-"""Number of cameras, evenly chosen, that are checked for what they see from behind."""
-_FLAT = 0.5
-"""A Gaussian is flat if its smallest standard deviation is below this fraction of the next one."""
+_EDGE_ON = 0.2  # cosine to a square's normal below which a camera counts as seeing neither side
+_CAMERAS = 60  # number of cameras, evenly chosen, that are checked for what they see from behind
+_FLAT = 0.5  # A Gaussian is flat if its smallest standard deviation is below this fraction of the next one
 _LARGEST = 0.2
 """Largest standard deviation of a square in metres: stray Gaussians would hide the room."""
-_AT_ONCE = 50_000
-"""Number of Gaussians whose squares are computed without a pause."""
+_AT_ONCE = 50_000  # number of Gaussians whose squares are computed without a pause
 MOST_SPLATS = 600_000
 """Maximum number of Gaussians shown: if there are more, those that cover most."""
 

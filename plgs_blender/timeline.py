@@ -17,12 +17,9 @@ from .owned import LIFT, key_of, lifts_in, originals, text_of
 _FIRST_FRAME = "plgs_first_frame"
 """Property of a lift's collection: the timeline frame of its first marker; 0 if frames keep their numbers."""
 _LAST_NUMBER = re.compile(r"\d+(?=\D*$)")
-_LARGEST = 1_000_000
-"""The timeline ends shortly after this frame."""
-_ASIDE = "plgs_markers_aside"
-"""Property of a lift's collection, present while its markers wait."""
-_PLACE = "plgs_place"
-"""Property of a camera whose marker waits: its timeline frame."""
+_LARGEST = 1_000_000  # the timeline ends shortly after this frame
+_ASIDE = "plgs_markers_aside"  # property of a lift's collection, present while its markers wait
+_PLACE = "plgs_place"  # property of a camera whose marker waits: its timeline frame
 
 
 def mark_timeline(

@@ -26,12 +26,9 @@ from .timeline import places_of
 
 VIEW_SENSOR = 72.0
 """Sensor width of a 3D view in millimetres: twice that of a camera."""
-_LEFT_TO_VIEW = 0.6
-"""Fraction of a 3D view's width that is left when a picture opens beside it."""
-_FILLED = 0.92
-"""Fraction of a view's free part that the room fills."""
-_SAME = 1e-3
-"""Radians, and fractions of its distance, by which a view that the user has not moved may differ."""
+_LEFT_TO_VIEW = 0.6  # fraction of a 3D view's width that is left when a picture opens beside it
+_FILLED = 0.92  # fraction of a view's free part that the room fills
+_SAME = 1e-3  # radians, and fractions of its distance, by which a view that the user has not moved may differ
 
 
 def start_file() -> bpy.types.Scene:

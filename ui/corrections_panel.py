@@ -14,8 +14,7 @@ from ..plgs_blender.running.exports import making_meshes
 from .result_panel import OfResult
 from .sidebar import draw_bar, draw_task, draw_text, from_panel
 
-_SHOWN = 4
-"""Number of proposals shown at a time."""
+_SHOWN = 4  # number of proposals shown at a time
 
 
 class PLGS_PT_corrections(OfResult, bpy.types.Panel):

@@ -15,8 +15,7 @@ from ..plgs_blender.settings import chosen_lift, shown_preset, why_no_options
 from . import sidebar
 
 _LOG_LINES = 8
-_LABEL = 0.58
-"""Fraction of the row below *Start* for how the last lift ended; while one runs, for *Cancel*."""
+_LABEL = 0.58  # fraction of the row below *Start* for how the last lift ended; while one runs, for *Cancel*
 _ICONS = {LiftState.RUNNING: "RENDER_ANIMATION", LiftState.FINISHED: "CHECKMARK", LiftState.FAILED: "ERROR"}
 
 

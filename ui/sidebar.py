@@ -13,8 +13,7 @@ from ..plgs_blender.registry import Task
 from ..plgs_blender.running import lifts
 from ..plgs_blender.running.adding import ADDED, Adding, size_of, why_lacking, why_not_added
 
-_PIXELS_A_LETTER = 7.0
-"""Mean width of a letter in the interface font at scale 1, in pixels."""
+_PIXELS_A_LETTER = 7.0  # mean width of a letter in the interface font at scale 1, in pixels
 _MENDING_OPERATORS = {
     ErrorCode.NO_ENGINE: "plgs.show_preferences",
     ErrorCode.NO_MASKS: "plgs.make_masks",

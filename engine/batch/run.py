@@ -25,14 +25,10 @@ from .piece import GIGABYTES, TOPIC, Ended, Kind, Outcome, Piece, do_on_dask, en
 from .plan import RECORDS, BatchPlan, Row, SceneJob, done_before, lifting_code, remember, rows_kept, write_tables
 
 _POLL_S = 0.2
-_LOOK_S = 1.0
-"""Seconds between two checks of the workers."""
-_JOBS_S = 10.0
-"""Seconds between two queries to Slurm about whether jobs without a worker still wait or run."""
-_TABLE_S = 60.0
-"""Seconds for which a batch waits while another writes the table."""
-_ENDING_S = 10.0
-"""Seconds that engines may take to stop on Ctrl-C."""
+_LOOK_S = 1.0  # seconds between two checks of the workers
+_JOBS_S = 10.0  # seconds between two queries to Slurm about whether jobs without a worker still wait or run
+_TABLE_S = 60.0  # seconds for which a batch waits while another writes the table
+_ENDING_S = 10.0  # seconds that engines may take to stop on Ctrl-C
 _PRIORITY = {Kind.LIFT: 0, Kind.BAKE: 1, Kind.EXPORT: 2, Kind.SCORE: 3}
 """Scenes that were begun are finished first, and earlier scenes before later ones."""
 LIFTED, STRICT = "lifted", "strict"

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from ..corrections import CorrectedResult, Edit
     from ..corrections.replay import Replay
 
-_LONGEST = 60
-"""Characters of a name in a line."""
+_LONGEST = 60  # characters of a name in a line
 AddTask = Callable[[argparse.ArgumentParser, Callable[[argparse.Namespace, EventWriter, StopSignal], object]], None]
 
 

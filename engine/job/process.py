@@ -23,10 +23,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 _OUTPUT_TAIL = 64_000
 """The most bytes of a program's output that are read. A message is shorter."""
-_ANSWER_S = 60.0
-"""Seconds within which a Python must answer, even on a slow disk."""
-_KILLED_S = 5.0
-"""Seconds that a killed process may take to end."""
+_ANSWER_S = 60.0  # seconds within which a Python must answer, even on a slow disk
+_KILLED_S = 5.0  # seconds that a killed process may take to end
 _MISSING = "missing modules:"
 _ENGINE_MODULES = ("torch", "numpy")
 # Variables that a parent Python, such as Blender's, sets for itself and that would break a different Python.

@@ -149,8 +149,7 @@ def refuse_unwritable_name(path: Path) -> None:
 _NONE: Mapping[str, str] = {}
 DEFAULTS = LiftRequest(scene=Path(Path(__file__).anchor))
 """The request with all options at their defaults; its scene is a placeholder."""
-_OF_PRESET = ("steps", "size", "frames", "set")
-"""The options that change those of the preset."""
+_OF_PRESET = ("steps", "size", "frames", "set")  # the options that change those of the preset
 _FIELDS = {each.name: each.metadata["option"] for each in fields(LiftRequest) if "option" in each.metadata}
 
 

@@ -205,8 +205,7 @@ def _clock(seconds: float) -> str:
     return (f"{hours}:{minutes:02d}" if hours else f"{minutes}") + f":{rest:02d}"
 
 
-_ENDING_S = 2.0
-"""Seconds that an engine whose parent was killed may need to end."""
+_ENDING_S = 2.0  # seconds that an engine whose parent was killed may need to end
 
 
 def lift_in_terminal(

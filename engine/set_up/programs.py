@@ -20,8 +20,7 @@ from .environments import bytes_in
 PARTS = 1000
 """The progress of the whole task is counted in this many parts."""
 _POLL_S, _MEASURE_S = 0.05, 1.0
-_MOST_BYTES = 200_000
-"""Bytes of a program's output that are kept, counted from its end."""
+_MOST_BYTES = 200_000  # bytes of a program's output that are kept, counted from its end
 
 
 def complaint(output: str) -> str:

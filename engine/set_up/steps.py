@@ -49,8 +49,7 @@ _ANSWER_S = 10.0
 """Seconds within which a Python must answer. The first answer from a cold disk takes a few."""
 NEEDED_BYTES = {"cpu": 5e9, "cuda": 15e9}
 """Free bytes on the disk for the environment and for what is unpacked meanwhile, rounded up."""
-_INSTALLED_BYTES = {"cpu": 1.8e9, "cuda": 7e9}
-"""Bytes that the installed packages take on the disk."""
+_INSTALLED_BYTES = {"cpu": 1.8e9, "cuda": 7e9}  # bytes that the installed packages take on the disk
 _INSTALLED, _COMPILED = 0.8, 0.98
 """Parts of the whole that are done when the packages are installed, and when the kernels are compiled."""
 _BY_HASH = ("--no-deps", "--require-hashes", "--requirement")

@@ -23,14 +23,10 @@ Rectangle = tuple[float, float, float, float]
 """Left, bottom, right and top, in pixels."""
 
 _TEXT = 11.0
-_PADDING = 5.0
-"""Pixels at interface scale 1."""
-_MOST_COVERED = 0.03
-"""Maximum fraction of the view that names may cover."""
-_MOST_NAMES = 8
-"""Maximum number of names; more would not be readable."""
-_APART = 0.5
-"""Minimum gap between two labels, in label heights."""
+_PADDING = 5.0  # pixels at interface scale 1
+_MOST_COVERED = 0.03  # maximum fraction of the view that names may cover
+_MOST_NAMES = 8  # maximum number of names; more would not be readable
+_APART = 0.5  # minimum gap between two labels, in label heights
 _DARK = (0.09, 0.095, 0.105)
 
 
@@ -201,8 +197,7 @@ def _text_width(text: str, size: float) -> float:
 
 
 _PATH_COLOUR = (1.0, 0.78, 0.3, 0.9)
-_JUMP = 6.0
-"""A path breaks between frames that are this many times the usual distance apart."""
+_JUMP = 6.0  # A path breaks between frames that are this many times the usual distance apart
 
 _uploaded: list[tuple[NDArray[np.float32], gpu.types.GPUTexture]] = []
 """The last drawn pictures and their textures."""

@@ -16,18 +16,12 @@ from numpy.typing import NDArray
 from .drawing import Colour, Mark
 from .selection import clouds_of, ids_of, values_of
 
-_LINE = 0.95
-"""Opacity of the outline."""
-_KEPT = 2
-"""Number of outlines drawn at once: the selection and the painted points."""
-_WIDTH = 2.0
-"""Width of the outline in pixels."""
-_MOST_CELLS = 400 * 400
-"""An outline that covers more pixels is computed on a coarser grid."""
-_CELLS_A_POINT = 3.0
-"""Maximum radius of a point, in cells."""
-_CLOSED = 2
-"""Cells by which gaps between points are closed."""
+_LINE = 0.95  # opacity of the outline
+_KEPT = 2  # number of outlines drawn at once: the selection and the painted points
+_WIDTH = 2.0  # width of the outline in pixels
+_MOST_CELLS = 400 * 400  # an outline that covers more pixels is computed on a coarser grid
+_CELLS_A_POINT = 3.0  # maximum radius of a point, in cells
+_CLOSED = 2  # cells by which gaps between points are closed
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,8 +38,7 @@ _RAMP = np.array([[0.02, 0.03, 0.09], [0.45, 0.05, 0.25], [1.0, 0.75, 0.15]], np
 """Linear colours at confidence 1, 0.5 and 0."""
 SURENESS = (("sure", (0.15, 0.19, 0.33)), ("in doubt", (0.7, 0.25, 0.54)), ("unknown", (1.0, 0.88, 0.42)))
 """The legend of these colours, in sRGB."""
-_CELL = 0.1
-"""Side in metres of the cells in which surfaces and splats take the confidence of points."""
+_CELL = 0.1  # side in metres of the cells in which surfaces and splats take the confidence of points
 
 
 def apply_look(root: bpy.types.Collection) -> None:
@@ -163,8 +162,7 @@ def _cells(xyz: NDArray[np.float32]) -> NDArray[np.int64]:
     return (x << 42) | (y << 21) | z
 
 
-_CRUMBS = 0.1
-"""Fraction of a box's sides by which an isolated instance may extend beyond it."""
+_CRUMBS = 0.1  # fraction of a box's sides by which an isolated instance may extend beyond it
 HIDDEN = "plgs_hidden"
 MODIFIER = "Hidden instances"
 _GROUP = "hidden instances"

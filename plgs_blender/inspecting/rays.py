@@ -29,12 +29,10 @@ _OFFSETS = np.stack(np.meshgrid(*[np.arange(-MISS, MISS + 1)] * 2), axis=-1).res
 _OFFSETS = _OFFSETS[np.hypot(*_OFFSETS.T) <= MISS]
 _OFFSETS = _OFFSETS[np.argsort(np.hypot(*_OFFSETS.T), kind="stable")]
 """Offsets of the pixels within MISS, nearest first."""
-_DRAWN = 0.5
-"""Opacity, accumulated from the front, at which something counts as drawn."""
+_DRAWN = 0.5  # opacity, accumulated from the front, at which something counts as drawn
 _COVER = 1.5
 """Radii that a point covers: surface points leave gaps otherwise, through which clicks would fall."""
-_NATIVE_EXTENT = 3.0
-"""Extent of Blender's own splats, in standard deviations."""
+_NATIVE_EXTENT = 3.0  # extent of Blender's own splats, in standard deviations
 TRIANGLE, SQUARE, SPLAT, POINT = "TRIANGLE", "SQUARE", "SPLAT", "POINT"
 
 

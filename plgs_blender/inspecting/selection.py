@@ -277,8 +277,7 @@ def deselect_all(layer: bpy.types.ViewLayer, *, but: bpy.types.Object | None = N
             ob.select_set(False, view_layer=layer)
 
 
-_followed: list[Any] = []
-"""The scene, active object and selection when the lists last followed."""
+_followed: list[Any] = []  # the scene, active object and selection when the lists last followed
 
 
 @bpy.app.handlers.persistent

@@ -18,8 +18,7 @@ from ..timeline import follow_camera, is_of_lift, places_of
 from ..viewport import VIEW_SENSOR, areas_of, look_through, show_room
 from .selection import box_of, objects_by_key, row_of, values_of
 
-_ROOM_AROUND = 1.6
-"""Radius of the sphere that fits in the view, in radii of the framed box."""
+_ROOM_AROUND = 1.6  # radius of the sphere that fits in the view, in radii of the framed box
 
 
 def frame_instance(root: bpy.types.Collection, instance: int, view: bpy.types.SpaceView3D, aspect: float = 1.0) -> None:

@@ -128,8 +128,7 @@ def diagnose(settings: PLGS_PG_settings, mended: Path | None = None) -> Diagnosi
     return registry.begin(Diagnosis(chosen, mended, folder, follower))
 
 
-_written: dict[Path, bytes] = {}
-"""What `leave_out` wrote into each splits.json."""
+_written: dict[Path, bytes] = {}  # what `leave_out` wrote into each splits.json
 
 
 def leave_out(known: Diagnosis, finding: Finding) -> tuple[Path, Path | None]:

@@ -194,8 +194,7 @@ def _picture_file(root: bpy.types.Collection, name: str, chosen: ChosenScene, ma
 
 _CHOSEN = "plgs_picture"
 """Property of an import's or lift's collection: the picture chosen for its cameras' views."""
-_REST_S = 0.4
-"""Seconds for which a camera must stay the scene's before its picture is made."""
+_REST_S = 0.4  # seconds for which a camera must stay the scene's before its picture is made
 _tried: list[tuple[str, str]] = []
 """The last requested camera and picture, which is not requested again if an engine could not make it."""
 

@@ -37,8 +37,7 @@ from ..shots import ShotReader
 from ..viewport import own_view, taking_over
 from . import exports
 
-_LARGEST = (1024, 1024)
-"""Largest width and height of a live preview in pixels."""
+_LARGEST = (1024, 1024)  # largest width and height of a live preview in pixels
 
 
 _asked: dict[Path, PreviewCamera] = {}
@@ -127,8 +126,7 @@ def _pixels_of(picture: Path) -> NDArray[np.float32] | None:
     return pixels if pixels.size else None  # Blender gives a broken file the size 0
 
 
-_SHOWN_RECENT = 8
-"""Maximum number of recent lifts listed in the panel."""
+_SHOWN_RECENT = 8  # maximum number of recent lifts listed in the panel
 
 
 class Lift(Task):

@@ -20,8 +20,7 @@ from ..results import begin_to_read, read_on
 from ..settings import PLGS_PG_settings, chosen_lift, chosen_scene
 from . import estimate, lifts, survey
 
-_PARTS_S = 0.02
-"""Seconds of reading a list without a pause, and of the pause."""
+_PARTS_S = 0.02  # seconds of reading a list without a pause, and of the pause
 
 
 def look_at_scene(chosen: ChosenScene) -> None:
