@@ -29,8 +29,7 @@ _PICTURES = [
 
 
 class ImportsScene(SceneOptions, base.StartsTask):
-    """An operator that imports the panel's scene, with an engine for what Blender cannot read. Options that are not
-    given are taken from the panel."""
+    """An operator that imports the panel's scene, perhaps with an engine. Options not given are the panel's."""
 
     cloud: base.argument(BoolProperty, "Coloured Cloud", "Make a coloured cloud of the scene's depth", default=True)
 

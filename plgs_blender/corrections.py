@@ -75,8 +75,7 @@ def proposal_of(root: bpy.types.Collection, instance: int) -> Proposal:
 
 
 def next_uncertain(root: bpy.types.Collection) -> tuple[str, int, int]:
-    """The most uncertain unvisited frame, the number of frames then visited, and their total. After the last frame it
-    starts again. Raises PlgsError."""
+    """The most uncertain frame not visited, the number of visited ones, and of all; then anew. Raises PlgsError."""
     folder = LiftFolder.open(folder_of(root))
     frames = known_scene(folder).frames
     drawn = doubt_of_frames(read_metrics(folder)) if (folder.result_path / "metrics.json").is_file() else {}
@@ -237,8 +236,7 @@ def class_choices(root: bpy.types.Collection, instance: int) -> list[str]:
 
 
 def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
-    """Rename an object. Only its row and box change, as the call may come from their own name field. Raises PlgsError,
-    OSError, as all edits here do."""
+    """Rename an object. Only its row and box change, as their fields may ask for it. Raises PlgsError, OSError."""
     made, result = _correct(root, lambda state, _: making.rename(state, instance, name))
     if text_of(root, FOLDER) in outdated:  # then there is more to show
         show_corrections(root, result)

@@ -196,8 +196,7 @@ def _close(farm: Farm) -> None:
 
 
 def slurm_cluster(farm_options: FarmOptions) -> Any:
-    """dask-jobqueue's cluster, whose jobs run one worker each; its ``refusals`` are what sbatch said. Raises
-    PlgsError."""
+    """dask-jobqueue's cluster, whose jobs run one worker each. ``refusals`` are sbatch's words. Raises PlgsError."""
     jobqueue, distributed = require_dask("dask_jobqueue"), require_dask()
     assert farm_options.slurm is not None
     if shutil.which("sbatch") is None:

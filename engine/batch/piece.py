@@ -40,9 +40,8 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class Piece:
-    """Work on the lift of one scene. ``engine`` is the `engine_tag` that a worker must have. ``names`` are the frames
-    of a BAKE, or the form of an EXPORT; a LIFT ``tells_frames`` for the bakes that follow it. ``is_resumed``: a signal
-    ended its first engine."""
+    """Work on one scene's lift, for workers with the `engine_tag` ``engine``. ``names`` are the frames of a BAKE, or
+    the form of an EXPORT; a LIFT ``tells_frames`` for later bakes. ``is_resumed``: a signal ended its first engine."""
 
     kind: Kind
     scene: str
@@ -165,8 +164,7 @@ def _refuse_unfit_worker(piece: Piece) -> None:
 
 
 def _followed(piece: Piece, tell: Tell, variables: Mapping[str, str]) -> TaskFollower | None:
-    """The piece's engine after it has ended; None if there was nothing to do. If another engine is at work there, wait
-    for it first."""
+    """The piece's engine after it has ended; None if there was nothing to do. Waits first for another engine there."""
     reported = 0.0
     while True:
         follower = _started(piece, variables)

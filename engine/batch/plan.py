@@ -155,8 +155,7 @@ def _is_folder_name(name: str) -> bool:
 
 
 def done_before(plan: BatchPlan, job: SceneJob) -> Row | None:
-    """The row of an earlier batch with the same request, if its result is still the one on disk, with all its files and
-    the exports."""
+    """The row of an earlier batch with the same request, if its result and exports are still those on disk."""
     found = _read(_record(plan.output, job.name))
     if found is None or found[1].state != "done":
         return None

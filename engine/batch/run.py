@@ -216,8 +216,7 @@ class _Batch:
         future.cancel()
 
     def _take_in(self) -> None:
-        """Handle the pieces that ended. If the scheduler was lost, submit the others again; they continue from
-        there."""
+        """Handle the pieces that ended. If the scheduler was lost, submit the others again: they continue."""
         if self._farm.client.status != "running" or any(future.cancelled() for future in self._out):
             self._report.say("The scheduler is gone. Waiting for it to return.")
             reconnected(self._farm)

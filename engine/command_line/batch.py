@@ -208,8 +208,7 @@ def _job(own: argparse.Namespace, output: Path, name: str, bakes_all: bool) -> S
 
 
 def _farm_options(options: argparse.Namespace, gigabytes: Sequence[float], logs: Path) -> FarmOptions:
-    """The farm that the options ask for; by default as many workers on this machine as its memory and processors
-    allow."""
+    """The farm that the options ask for; by default as many workers here as memory and processors allow."""
     from ..batch.cluster import FarmOptions
     from ..job.system import main_memory, usable_cpus
 
@@ -234,8 +233,7 @@ _FIX = "Write a column (CSV) or a key of a [[scene]] (TOML) 'scene', and others 
 
 def read_scene_table(path: Path, options: argparse.Namespace) -> list[argparse.Namespace]:
     """The ``options`` of a command line for each scene of the table, changed as it says, with ``scene`` and
-    ``scene_name`` (empty if it is not given). Paths in it are relative to its folder. Raises PlgsError, with the number
-    of the scene."""
+    ``scene_name`` (empty if not given). Its paths are relative to its folder. Raises PlgsError."""
     found = []
     for number, row in enumerate(_rows(path), start=1):
         where = f"{path}, scene {number}"

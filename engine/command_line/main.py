@@ -334,8 +334,7 @@ def main(arguments: Sequence[str], parser: Callable[[], argparse.ArgumentParser]
 
 
 def _open_missing_streams() -> None:
-    """Open closed standard streams on the null device. Otherwise the next opened files would get their numbers, and
-    native code would print into them."""
+    """Open closed standard streams on the null device. Else the next opened files would take their places."""
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:  # the lowest number that is free
         os.set_inheritable(number, True)  # as standard streams are, for the programs that it starts
     os.close(number)

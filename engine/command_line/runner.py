@@ -37,8 +37,7 @@ _NO_MEMORY = ("DefaultCPUAllocator: can't allocate memory", "DefaultCPUAllocator
 @dataclass(frozen=True)
 class Command:
     """What a command does: its ``kind``, its ``work``, and the messages for when it does not complete. ``parent_pipe``:
-    see Watchdog. ``echo``: a descriptor to which its events are also written. The files ``also_stops`` stop it as its
-    own cancel file does."""
+    see Watchdog. ``echo``: see EventWriter. The files ``also_stops`` stop it as its own cancel file does."""
 
     kind: str
     work: Work
@@ -69,8 +68,7 @@ def run_in_terminal(command: Command, *, as_json: bool = False) -> ExitCode:
 
 
 def run_at(command: Command, files: TaskFiles, terminal: TextIO) -> ExitCode:
-    """Run it with events in ``files``, whose lock this process holds; all output goes to their log. ``terminal`` is for
-    the few lines for the user."""
+    """Run it with events in ``files``, which are locked; all output goes to their log, a few lines to ``terminal``."""
     at = files.events, command.echo
     events = EventWriter(*at) if command.parent_pipe is not None else ShownWarnings(*at, terminal)
     try:
@@ -165,8 +163,7 @@ def failure_of(error: Exception, command: Command, files: TaskFiles | None = Non
 
 
 def _number_of(error: Exception) -> int | None:
-    """The system's error number. Errors of Rust libraries have it in their text, those of C++ libraries only its
-    message."""
+    """The system's error number. Rust's errors have it in their text, those of C++ libraries only its message."""
     if isinstance(error, OSError) and error.errno is not None:
         return error.errno
     found = re.search(r"\(os error (\d+)\)", str(error))
@@ -245,9 +242,8 @@ class ShownWarnings(EventWriter):
 
 @contextmanager
 def output_to(log: Path) -> Iterator[TextIO]:
-    """Append all output to ``log`` in this context. Yields the real standard error, for the few lines for the user.
-    Python's streams and logging go there, and the file descriptors below them, so that the output of C++ and the Python
-    traceback of a crash in it get there too."""
+    """Append all output to ``log`` in this context. Yields the real standard error, for the few lines for the user. The
+    file descriptors below Python's streams go there too, for the output of C++ and the traceback of a crash in it."""
     sys.stdout.flush()
     sys.stderr.flush()
     out, err = os.dup(1), os.dup(2)

@@ -110,8 +110,7 @@ def _pins(path: Path, version: Version, platform: str) -> dict[str, str]:
 
 
 def _holds(marker: str, version: Version, platform: str, path: Path) -> bool:
-    """Whether a marker in our requirement files applies. We evaluate only the kinds that we use: pip may not be
-    installed."""
+    """Whether a marker in our requirement files applies: only the kinds that we use, as pip may not be installed."""
     match = _MARKER.fullmatch(marker)
     if match is None:
         what = f"has an unknown condition ({marker})"

@@ -156,8 +156,7 @@ class EventWriter:
             self._done = event == "done"
 
     def _append(self, line: bytes) -> None:
-        """Append a line. Raises OSError, for example on a full disk. What was written of the line is then removed, so
-        that it does not spoil the next one."""
+        """Append a line. Raises OSError, for example on a full disk; what was written of the line is then removed."""
         start, written = os.fstat(self._descriptor).st_size, 0
         try:
             while written < len(line):
@@ -235,8 +234,7 @@ def echoed(line: bytes, descriptor: int) -> bool:
 
 
 def at_work(path: Path) -> PlgsError:
-    """The error for an events file that another process has locked: it names the process, its machine and its start, if
-    known."""
+    """The error for a locked events file. It names the process that holds it, its machine and its start, if known."""
     try:
         hello = next((event for event in last_run(path) if event.kind == "hello"), None)
     except (OSError, PlgsError):  # a lock is valid even if its events cannot be read

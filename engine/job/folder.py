@@ -54,8 +54,7 @@ class _Inside:
 
 @dataclass(frozen=True)
 class LiftFolder:
-    """A folder with a readable request.json, whose result has the name ``result_name``. Make one with `create` or
-    `open`."""
+    """A folder with a readable request.json and the result ``result_name``. Make one with `create` or `open`."""
 
     path: Path
     request: LiftRequest
@@ -84,8 +83,7 @@ class LiftFolder:
 
     @classmethod
     def open(cls, path: Path) -> LiftFolder:
-        """Open an existing lift folder. Raises PlgsError if it is not a lift folder, if links replace its files, or if
-        its request cannot be read."""
+        """Open a lift folder. Raises PlgsError if it is none, links replace its files, or its request is unreadable."""
         path = path.absolute()
         refuse_unwritable_name(path)
         try:
@@ -147,8 +145,7 @@ class LiftFolder:
         return FileLock(self.events_path)
 
     def refuse_foreign(self) -> None:
-        """Raise PlgsError, before anything is written or deleted, if one of the lift's files is a link or of another
-        kind that no lift has."""
+        """Raise PlgsError if one of the lift's files is a link or of a kind that no lift has: before all writing."""
         refuse_foreign_below(self.path)
 
     def refuse_read_only(self) -> None:
@@ -229,8 +226,7 @@ class LiftFolder:
 
     def adopt_next_result(self) -> Path | None:
         """Replace the result by a finished new one, also if a kill interrupted that. Returns where the earlier result
-        is now; None if it is gone, or there is no new one. Only the engine that holds the lock may call this. Raises
-        OSError."""
+        is now; None if it is gone, or nothing is new. Only the engine with the lock may call this. Raises OSError."""
         new = self.with_next_result()
         if new is self or not new.manifest_path.is_file():
             return None
@@ -309,8 +305,7 @@ class LiftFolder:
 
 
 def refuse_used(path: Path) -> None:
-    """Raise PlgsError if ``path`` is taken, so that no lift folder can be made there, and OSError if that
-    cannot be determined."""
+    """Raise PlgsError if a path is taken, so that no lift folder can be made there, or OSError if it is not known."""
     if not path.exists():
         return
     if not path.is_dir():
@@ -351,8 +346,7 @@ FOLDERS = ("result", NEXT, "bake", "checkpoint", "checkpoint.next", "checkpoint.
 
 
 def refuse_foreign(lift: Path, *more: str) -> None:
-    """Raise PlgsError if one of the lift's own files or folders, or of ``more`` files in them, is of another kind.
-    Other entries are not checked."""
+    """Raise PlgsError if one of the lift's own files or folders, or of ``more`` files in them, is of another kind."""
     for name in (*FILES, *more):
         _refuse(lift / name, S_ISREG)
     for name in FOLDERS:
@@ -360,8 +354,7 @@ def refuse_foreign(lift: Path, *more: str) -> None:
 
 
 def refuse_foreign_below(lift: Path, folders: Sequence[str] = FOLDERS) -> None:
-    """Like `refuse_foreign`, for everything in the lift's folders, or in other ``folders``. Call it before writing or
-    deleting there."""
+    """`refuse_foreign` for all that is in the lift's or other ``folders``; for before anything changes there."""
     if folders is FOLDERS:
         refuse_foreign(lift)
     tops = [lift / name for name in folders]

@@ -68,8 +68,7 @@ class TaskFollower:
     ) -> TaskFollower:
         """Start an engine and follow it. ``command`` is one from `engine_call`, to which the arguments for ``files``
         and its parent are added. Without ``stays_with_parent`` it continues when this process ends. ``variables`` are
-        added to its environment, for values that must not appear in the list of processes. Raises PlgsError if it does
-        not start, and OSError."""
+        for its environment: values that must not appear in the list of processes. Raises PlgsError, OSError."""
         reader = EventReader(files.events, from_end=True, hurried=True)  # without earlier runs
         if not is_locked(files.events):
             # Before the engine starts: a cancel file that is made from now on is meant for it.
@@ -178,8 +177,7 @@ class TaskFollower:
             self.kill_at = self._clock() + CANCEL_WAIT_S
 
     def _kill_if_deaf(self, process: EngineProcess) -> None:
-        """Kill an engine that does not stop: another process may have made the cancel file, and native code can block
-        its watchdog."""
+        """Kill an engine that does not stop: any process may ask it to, and native code can block its watchdog."""
         is_asked = self.files.cancel.exists() or (self.lift is not None and self.lift.task_files.cancel.exists())
         if is_asked:
             self._begin_waiting()

@@ -92,9 +92,8 @@ class EngineAnswer:
 
 @dataclass(frozen=True)
 class Capability:
-    """One ability of the engine. It needs its ``packages`` besides what every engine has, each given with the module
-    that is imported. With a ``size``, in bytes on the disk, `python -m engine add` can add them by
-    ``requirements/hashes-NAME.txt``."""
+    """One ability of the engine, which needs ``packages`` besides those of every engine, by the module to import. With
+    a ``size``, in bytes on the disk, `python -m engine add` can add them by ``requirements/hashes-NAME.txt``."""
 
     label: str
     packages: Mapping[str, str]

@@ -44,9 +44,8 @@ def write_manifest(
     result: Path, *, versions: _Facts, seed: int, settings: _Facts, timings: _Facts,
     frames: _Names | None = None, masks: str = "",
 ) -> None:  # fmt: skip
-    """List every file of the result with its size and SHA-256. The lift is finished when this returns. ``versions``:
-    library name to version; ``settings``: the final values of the preset and the user's options. The rest is as in
-    `Manifest`."""
+    """List every file of the result with its size and SHA-256. The lift is finished when this returns. ``versions`` are
+    those of libraries, ``settings`` the final values of all options. The rest is as in `Manifest`."""
     remove_parts(result)
     files = tuple(ListedFile.of(path, result) for path in files_below(result) if path != result / NAME)
     _write(result, Manifest(__version__, versions, seed, settings, timings, files, frames or {}, masks))
@@ -113,16 +112,14 @@ def verify(result: Path) -> Manifest:
 
 
 def verify_lifted(result: Path) -> Manifest:
-    """The manifest, after `check_sizes` and a check of the SHA-256 of all files except passes and previews, of which
-    there may be very many. Raises PlgsError."""
+    """The manifest, after `check_sizes` and a check of the SHA-256 of all but passes and previews. Raises PlgsError."""
     manifest = check_sizes(result)
     verify_files(result, (file for file in manifest.files if len(file.path.parts) == 1))  # others are in folders
     return manifest
 
 
 def changed_files(result: Path) -> list[Path]:
-    """The files that differ from the manifest; none without a complete manifest. Raises OSError if one cannot be read,
-    which tells nothing about its content."""
+    """The files that differ from the manifest; none without a complete one. Raises OSError if one cannot be read."""
     try:
         listed = read_manifest(result).files
     except PlgsError:

@@ -137,8 +137,7 @@ def predict(
 
 
 def step_seconds(megapixels: float, millions_of_gaussians: float) -> float:
-    """Seconds of a training step on the machine on which the constants were measured, for a picture of this size and a
-    model with this total number of Gaussians."""
+    """Seconds of a training step on the machine of the constants, for this size of picture and number of Gaussians."""
     return 0.03 + 0.55 * megapixels + 0.3625 * millions_of_gaussians
 
 

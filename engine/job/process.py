@@ -80,8 +80,7 @@ def choose_python(
 
 
 def engine_python(root: Path = ROOT, environ: Mapping[str, str] = os.environ, chosen: Path | None = None) -> Path:
-    """The Python from `choose_python`, checked. Raises PlgsError if it lacks what the engine needs, or if there is
-    none. Takes about 0.1 s."""
+    """The Python from `choose_python`. Raises PlgsError if there is none, or it lacks packages. Takes about 0.1 s."""
     choice = choose_python(root, environ, chosen)
     what = "the engine's Python does not exist"
     if choice.python.exists():
@@ -93,8 +92,7 @@ def engine_python(root: Path = ROOT, environ: Mapping[str, str] = os.environ, ch
 
 
 def missing_modules(python: Path, names: Sequence[str]) -> list[str]:
-    """The modules that another Python cannot find. Nothing is imported. Raises PlgsError if it does not run, does not
-    answer, or is not a Python."""
+    """The modules that another Python cannot find. Imports nothing. Raises PlgsError if it does not work."""
     find = "(n for n in sys.argv[1:] if not importlib.util.find_spec(n))"
     code = f"import importlib.util, sys; print({_MISSING!r}, *{find})"
     try:
@@ -134,8 +132,7 @@ class ChildProcess:
         stdin: int = subprocess.DEVNULL,
         keep_open: Sequence[int] = (),
     ) -> None:
-        """Start ``command``. On POSIX, descriptors in ``keep_open`` stay open in it. Raises PlgsError if it cannot be
-        started."""
+        """Start ``command``. On POSIX, descriptors in ``keep_open`` stay open in it. Raises PlgsError if that fails."""
         try:
             self._process = subprocess.Popen(
                 [str(part) for part in command],

@@ -30,9 +30,8 @@ _SHOWN = ("semantic_points.npz", "instances.json", "gaussians.ply", "metrics.jso
 
 def metrics_text(metrics: Mapping[str, Json], *, per_class: bool = False) -> str:
     """The tables of a metrics.json, with a line for each method and mode, and with ``per_class`` also for each class.
-    Shares are in per cent, "true %" is mIoU over the classes that the ground truth has, "id changes" is how often an
-    object changes its id, PSNR is in dB, and the median depth error in cm; "fitted" figures are those after a fit of
-    the colours."""
+    Shares are in per cent, "true %" is mIoU over the classes of the ground truth, "id changes" is how often an object
+    changes its id, PSNR is in dB, the median depth error in cm; "fitted" figures are after a fit of colours."""
     tables = [table for table in _list(metrics.get("tables")) if isinstance(table, dict)]
     rows = [["", "mode", *(heading for _, heading in _SHARES), *(heading for _, heading, _, _ in _OTHERS)]]
     for table in tables:
@@ -53,8 +52,7 @@ def wrong_with_scene(metrics: Mapping[str, Json]) -> list[str]:
 
 
 def not_shown(metrics: Mapping[str, Json]) -> list[tuple[str, str]]:
-    """Objects that the masks show clearly in close-ups and the lift lacks, as texts with the frames that show them
-    best."""
+    """Objects that the masks show clearly in close-ups and the lift lacks, as texts, with the frames that show them."""
     judges = metrics.get("masks_as_judges")
     entries = _list(judges.get("not_shown")) if isinstance(judges, dict) else []
     found = []

@@ -85,8 +85,7 @@ class LiftRequest(SceneSource):
         return presets.with_options(PRESETS[self.preset], self.options)
 
     def to_json(self, lift: Path | None = None) -> str:
-        """The text of request.json. With the folder of the ``lift`` it also has paths relative to that, so that a lift
-        and its scene can be moved together."""
+        """The text of request.json, with paths relative to a ``lift``, which can be moved together with its scene."""
         content = to_json(self)
         options, fit = content.pop("options", {}), content.pop("fit", False)
         content["overrides"] = {**options, **({"fit": True} if fit else {})}
@@ -127,8 +126,7 @@ class LiftRequest(SceneSource):
             raise PlgsError(error.key, error.problem, path, error.fix) from error
 
     def differences(self, other: LiftRequest) -> list[str]:
-        """The names of what differs, including the options of the preset. ``anyway`` and the engine's version do not
-        count."""
+        """The names of what differs, also of the preset's options, but not ``anyway`` and the engine's version."""
         mine, theirs = self.chosen_preset, other.chosen_preset
         value = presets.option_value
         options = [name for name in presets.preset_options() if value(mine, name) != value(theirs, name)]
@@ -254,8 +252,7 @@ def given_lift_options(options: argparse.Namespace) -> list[str]:
 
 
 def readable(arguments: Sequence[str]) -> list[str]:
-    """The arguments with "--up -y" as "--up=-y", and so for "--range -5-10": argparse reads a value that begins with a
-    dash as an option."""
+    """The arguments with "--up -y" as "--up=-y", and so for "--range -5-10": argparse takes a dash for an option."""
     joined: list[str] = []
     for argument in arguments:
         option = joined[-1] if joined else ""
@@ -284,8 +281,7 @@ def number_of_frames(text: str) -> int:
 
 
 def request_from(options: argparse.Namespace, base: LiftRequest | None = None) -> LiftRequest:
-    """The request that the options of `add_lift_options` and ``scene`` ask for; the rest is as in ``base``. Raises
-    PlgsError if a value is out of range."""
+    """The request that the options of `add_lift_options` and ``scene`` ask for, else ``base``. Raises PlgsError."""
     asked = {name: value for name in (*_FIELDS, "bake") if (value := getattr(options, name)) is not None}
     given: dict[str, Any] = {name: each.resolve() if isinstance(each, Path) else each for name, each in asked.items()}
     own = {name: value for name in ("steps", "size", "frames") if (value := getattr(options, name)) is not None}

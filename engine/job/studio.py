@@ -60,8 +60,7 @@ class StudioDefaults:
 
 
 def studio_defaults(environ: Mapping[str, str] = os.environ) -> StudioDefaults:
-    """The defaults in the file that the variable names; without one all are None. Raises PlgsError, also for a key that
-    is not known."""
+    """The defaults in the file that the variable names; without one all are None. Raises PlgsError."""
     if not (named := environ.get(VARIABLE)):
         return StudioDefaults()
     file = Path(named).absolute()
@@ -69,8 +68,7 @@ def studio_defaults(environ: Mapping[str, str] = os.environ) -> StudioDefaults:
 
 
 def filled_in(options: argparse.Namespace) -> argparse.Namespace:
-    """The options of a command, with defaults for those that were not given. A line on standard error says what was
-    taken from which file. Raises PlgsError."""
+    """The options of a command, with defaults for those not given, of which standard error tells. Raises PlgsError."""
     studio, given = studio_defaults(), vars(options)
     masks = studio.masks_of(given.get("scene"))
     defaults = {"preset": studio.preset, "masks": masks, "device": studio.device, "memory": studio.memory}

@@ -63,8 +63,7 @@ def start_options(keep_open: Sequence[int] = ()) -> dict[str, Any]:
 
 
 def kill_with_children(process: subprocess.Popen[bytes]) -> None:
-    """End a process that was started with `start_options`, and everything that it started, at once. On Windows a child
-    that outlived its parent is not found."""
+    """End a process that was started with `start_options`, and what it started, at once. On Windows not its orphans."""
     if not WINDOWS:
         os.killpg(process.pid, signal.SIGKILL)  # as `start_new_session` made it the leader of its group
         return
@@ -77,8 +76,7 @@ def kill_with_children(process: subprocess.Popen[bytes]) -> None:
 
 
 def refuse_small_memory() -> None:
-    """Raise PlgsError for a limit of the address space (ulimit -v) with which OpenBLAS and torch fail to start, or
-    start and never end."""
+    """Raise PlgsError for a limit of the address space (ulimit -v) with which OpenBLAS and torch fail, or never end."""
     if WINDOWS:
         return
     resource: Any = importlib.import_module("resource")

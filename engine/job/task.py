@@ -57,8 +57,7 @@ class TaskFiles:
 
     @classmethod
     def at(cls, events: Path) -> TaskFiles:
-        """The files beside ``events``, whose name ends in .jsonl. Raises PlgsError if events cannot be written
-        there."""
+        """The files beside ``events``, whose name ends in .jsonl. Raises PlgsError if they cannot be written."""
         events = events.absolute()
         if events.suffix != ".jsonl" or not events.parent.is_dir():
             fix = "Give --events a name that ends in .jsonl, in an existing folder."

@@ -81,8 +81,7 @@ class Interrupts:
 
 def follow(follower: TaskFollower, interrupts: Interrupts, line: LiveLine, echo: int | None = None) -> None:
     """Show the task until it ends. Call it, and start the engine, inside `interrupts.deferred()`. The task's events go
-    to the descriptor ``echo``, if there is one. A signal cancels the task; an engine that does not stop is killed. A
-    lift can then be resumed."""
+    to the descriptor ``echo``, if any. A signal cancels the task, and an engine that does not stop is killed."""
     is_asked, is_told, warned = False, False, 0
     if echo is not None:
         follower.on_event = lambda event: echoed(event.line, echo)
@@ -263,8 +262,7 @@ def resumable(options: argparse.Namespace) -> LiftFolder | None:
 
 
 def ask_engine(python: Path, interrupts: Interrupts, kind: str, *arguments: str | Path) -> Mapping[str, Json]:
-    """Run the engine's command ``kind`` to its end, with progress on stderr, and return its answer. Raises PlgsError,
-    Interrupted."""
+    """Run the engine's command ``kind``, with progress on stderr, for its answer. Raises PlgsError, Interrupted."""
     with interrupts.deferred():
         follower = TaskFollower.start([*engine_call(python), kind, *arguments], TaskFiles.temporary(), kind=kind)
         follow(follower, interrupts, LiveLine(sys.stderr))

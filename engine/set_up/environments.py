@@ -48,8 +48,7 @@ def empty_trash(folder: Path) -> None:
 
 
 def remove_environments(folder: Path) -> None:
-    """Delete all environments that a set-up made in ``folder``, with its downloads, and nothing else. Raises PlgsError
-    while a set-up is running there, OSError."""
+    """Delete a set-up's environments in ``folder``, and its downloads. Raises PlgsError while one runs, OSError."""
     if is_locked(folder / LOCK):
         raise PlgsError("being-set-up", "the engine is being set up", folder, "Wait until it is done, or cancel it.")
     for environment in sorted(folder.glob("engine-*")):

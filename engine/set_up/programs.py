@@ -61,8 +61,7 @@ class UvTask:
         self._variables = found
 
     def _get_uv(self, tools: Path) -> Path:
-        """uv in the folder ``tools``. Raises PlgsError, also if the user's settings of uv would send packages
-        elsewhere."""
+        """uv in the folder ``tools``. Raises PlgsError, also if the user's uv would send packages elsewhere."""
         if setting := uv_program.diverted(os.environ, self._cwd):
             fix = f"Remove it, or set UV_CONFIG_FILE to a file without it, then {self._again}"
             what = "a setting of uv keeps packages out of the engine's environment"

@@ -85,8 +85,7 @@ class SetUp(UvTask):
         root: Path = ROOT,
         folder: Path | None = None,
     ) -> None:
-        """``folder`` holds environments, log and lock; None: the user's cache. ``root`` holds engine/ and
-        requirements/."""
+        """``folder`` holds environments, log and lock (None: the user's cache), ``root`` engine/ and requirements/."""
         self.request, self.root = request, root
         self.folder = folder or environments_folder()
         super().__init__(
@@ -98,8 +97,7 @@ class SetUp(UvTask):
         self._variables["UV_PYTHON_INSTALL_DIR"] = str(self.folder / PYTHON)
 
     def run(self) -> Path:
-        """Do all steps and return the environment's Python, or the folder of wheels. Raises PlgsError; Cancelled when
-        it was asked to stop."""
+        """Do all steps and return the environment's Python, or the folder of wheels. Raises PlgsError, Cancelled."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             while is_locked(self.folder / LOCK):
@@ -161,8 +159,7 @@ class SetUp(UvTask):
         raise PlgsError("no-python", what, self.log_path, fix)
 
     def _is_ready(self, environment: Path) -> bool:
-        """Whether nothing is left to do. A complete environment that does not answer, or was made with another torch,
-        is thrown away."""
+        """Whether nothing is left to do. An environment that does not answer, or has another torch, is thrown away."""
         if not is_complete(environment):
             return False
         if (environment / COMPLETE).read_text(encoding="utf-8").endswith(f" {self.request.torch_build}\n"):

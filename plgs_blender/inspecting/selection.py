@@ -162,8 +162,7 @@ def select_instance(
     root: bpy.types.Collection, instance: int, layer: bpy.types.ViewLayer, *, extend: bool = False
 ) -> None:
     """Make an instance (0: the list's active one) the active row and its box the only selected object; with `extend`,
-    add its box to the selection, or remove it. A hidden box stays hidden. Raises PlgsError if there is no such
-    instance."""
+    add its box to the selection, or remove it. A hidden box stays hidden. Raises PlgsError for another id."""
     if extend and instance in selected_instances(root, layer):
         for ob in objects_by_key(root).values():
             if instance_of(ob) == instance:

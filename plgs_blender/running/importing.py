@@ -115,9 +115,8 @@ def _place(chosen: ChosenScene, scene: bpy.types.Scene, made: MadeFrames | None,
 
 
 def begin_import(scene: bpy.types.Scene, *, cloud: bool = True) -> FrameMaking | None:
-    """Import the panel's scene. Plain folders are placed at once, and an engine, if available, makes what is missing.
-    Cameras of other layouts appear when an engine has read them. Returns the engine's task, or None. Raises PlgsError,
-    OSError."""
+    """Import the panel's scene. Plain folders are placed at once, and an engine, if any, makes what is missing. Cameras
+    of other layouts appear when it has read them. Returns its task, or None. Raises PlgsError, OSError."""
     if not scene.plgs.scene_folder:
         raise PlgsError("no-scene", "no scene is chosen", "Scene", "Choose a capture's folder or file.")
     chosen = chosen_scene(scene.plgs)

@@ -42,8 +42,7 @@ def find_own_lifts() -> None:
 
 def begin_to_read_objects() -> None:
     """Start reading the objects of the lift that the open file shows: an edit would otherwise wait for them. Note which
-    of its lifts have changed. Only lifts in this user's list are read, or one that the file is in, if no link leads
-    elsewhere."""
+    of its lifts have changed. Only lifts in this user's list, or with the file in them, are read, without links."""
     known = {*map(Path, remembered_lifts()), absolute("//")}
     roots = [root for scene in (bpy.context.scene, *bpy.data.scenes) for root in lifts_in(scene)]
     shown = {folder_of(root): root for root in reversed(roots) if text_of(root, FOLDER)}
