@@ -55,7 +55,7 @@ def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Insta
     if before is not None and text_of(before, NAME) == instance.name and numbers_of(before, PLACED) == placed:
         facts = instance.class_id, instance.points, instance.views
         listed = tuple(before.get(key) for key in ("class_id", "points", "views"))
-        if not anew and facts == listed and owned.is_in_scene(before):
+        if not anew and facts == listed and before in owned.in_scene:
             owned.keep(before)
             return before
         name, where = before.name, before.matrix_world.copy()

@@ -92,7 +92,7 @@ class OwnedDataBlocks:
         self.lift = lift
         self._kept: set[Any] = set()
         self._blocks: dict[str, dict[str, Any]] = {}
-        self._in_scene = set(scene.objects)
+        self.in_scene = set(scene.objects)  # and what has just been put there
         own = self._own_objects()
         self._objects = originals(own, lift)
         for ob in own:
@@ -107,16 +107,12 @@ class OwnedDataBlocks:
             ob = bpy.data.objects.new(name, data)
             tag(ob, self.lift, key)
             self._objects[key] = ob
-        if ob not in self._in_scene:
+        if ob not in self.in_scene:
             parent.objects.link(ob)
-            self._in_scene.add(ob)
+            self.in_scene.add(ob)
         ob.name, ob.data = name, data
         self._kept.add(ob)
         return ob
-
-    def is_in_scene(self, ob: bpy.types.Object) -> bool:
-        """Whether our object is in a collection of the scene, or has just been put there."""
-        return ob in self._in_scene
 
     def known(self, key: str) -> bpy.types.Object | None:
         """Our object `key`, or None."""
@@ -135,7 +131,7 @@ class OwnedDataBlocks:
         """Remove our object `key`, if it exists, and its data, if nothing else uses it."""
         ob = self._objects.pop(key, None)
         if ob is not None:
-            self._in_scene.discard(ob)
+            self.in_scene.discard(ob)
             bpy.data.batch_remove([ob, *([ob.data] if ob.data is not None and ob.data.users == 1 else [])])
 
     def block(self, kind: str, key: str, create: Callable[[], Any]) -> Any:
@@ -192,7 +188,7 @@ class OwnedDataBlocks:
     def _own_objects(self) -> list[bpy.types.Object]:
         """Our objects in this scene or in none. A full copy of the scene keeps its copies of our objects."""
         ours = [ob for ob in bpy.data.objects if key_of(ob, self.lift) is not None]
-        return [ob for ob in ours if ob in self._in_scene or not ob.users_scene]
+        return [ob for ob in ours if ob in self.in_scene or not ob.users_scene]
 
 
 FOLDER, SCENE = "plgs_lift_folder", "plgs_scene_folder"

@@ -52,11 +52,7 @@ class Shot:
     only: tuple[float, ...] = ()
     motion: bool = False
 
-    @property
-    def name(self) -> str:
-        return self.named(0)
-
-    def named(self, later: int) -> str:
+    def named(self, later: int = 0) -> str:
         """The shot's name; its version, if any, is that of the .blend plus ``later``."""
         return shot_name(self.camera, self.given, later)
 
@@ -74,8 +70,8 @@ class Shot:
         if any(scene.render.use_border and not scene.render.use_crop_to_border for scene in scenes):
             warnings.append("the render region is not cropped to, so whole pictures are baked")
         words = bpy.path.display_name_from_filepath(bpy.data.filepath), self.camera.name
-        if not self.given and any(word not in self.name for word in words):
-            warnings.append(f"the names of the .blend and the camera do not fit: the shot is named {self.name}")
+        if not self.given and any(word not in self.named() for word in words):
+            warnings.append(f"the names of the .blend and the camera do not fit: the shot is named {self.named()}")
         return warnings
 
 

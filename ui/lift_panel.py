@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..plgs_blender import engine_environment
+from ..plgs_blender import engine_environment, registry
 from ..plgs_blender.cameras import camera_seen
 from ..plgs_blender.errors import PlgsError, one_line
 from ..plgs_blender.running import lifts
@@ -29,7 +29,7 @@ class PLGS_PT_lift(sidebar.StepBefore, bpy.types.Panel):
             _draw_running(layout, context, followed)
         else:
             _draw_start(layout, context, followed)
-        for other in lifts.running():
+        for other in registry.running(Lift):
             if other is not followed:  # the user chose another lift, or undid the choice of this one
                 text = f"{other.folder.path.name}: {other.progress.label}"
                 sidebar.draw_text(layout, context, text, "RENDER_ANIMATION")

@@ -144,6 +144,6 @@ def unregister() -> None:
     while _handles:
         bpy.types.SpaceView3D.draw_handler_remove(_handles.pop(), "WINDOW")
     highlight.forget()
-    drawing.forget_pictures()
+    drawing.uploaded.clear()
     correction_tools.now.clear()
     picking.forget()

@@ -166,11 +166,6 @@ def _lift(context: bpy.types.Context) -> Any:
     return root if root is not None and len(root.plgs.classes) else None
 
 
-def _chosen(context: bpy.types.Context) -> Any | None:
-    """The active row in the list of instances."""
-    return chosen_row(context.scene, context.active_object)
-
-
 class PLGS_PT_result(Step, bpy.types.Panel):
     bl_idname, bl_label, bl_order = "PLGS_PT_result", "3  Result", 30
 
@@ -180,7 +175,7 @@ class PLGS_PT_result(Step, bpy.types.Panel):
             draw_text(layout, context, "Nothing has been lifted yet. Start a lift, or open a finished one", "INFO")
             layout.operator("plgs.open_lift", text="Open Lift…", icon="FILE_FOLDER")
             return
-        lists, row = root.plgs, _chosen(context)
+        lists, row = root.plgs, chosen_row(context.scene, context.active_object)
         title = layout.row()
         title.label(text=one_line(root.name), icon="OUTLINER_COLLECTION")
         if context.space_data is not None:  # hides all that is drawn over the view; its key is Shift Alt Z
@@ -257,7 +252,7 @@ class PLGS_PT_name(bpy.types.Panel):
     bl_ui_units_x = 14
 
     def draw(self, context: bpy.types.Context) -> None:
-        row = _chosen(context)
+        row = chosen_row(context.scene, context.active_object)
         if row is not None:
             self.layout.label(text="Rename Object")
             field = self.layout.row()
@@ -269,7 +264,7 @@ class PLGS_PT_masks(OfResult, bpy.types.Panel):
     bl_idname, bl_label = "PLGS_PT_masks", "Source Masks"
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, row = self.layout, _chosen(context)
+        layout, row = self.layout, chosen_row(context.scene, context.active_object)
         if row is None:
             draw_text(layout, context, "Click an object in the view, or a row of the list", "INFO")
             return

@@ -60,7 +60,7 @@ class StepBefore(Step):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return context.scene.plgs.show_steps or bool(lifts.running()) or not has_result(context.scene)
+        return context.scene.plgs.show_steps or bool(registry.running(lifts.Lift)) or not has_result(context.scene)
 
 
 def draw_text(

@@ -19,6 +19,7 @@ from ...engine.job.handshake import TOO_OLD, VERSION, EngineAnswer
 from ...engine.job.process import ROOT, ChosenPython, Origin, choose_python
 from ...engine.job.task import last_lines
 from .. import registry
+from ..errors import sentence
 from ..registry import Task, start_engine
 from .choices import SetUpChoice, choose, chosen_python, own_python
 
@@ -122,11 +123,7 @@ def _of_answer(choice: ChosenPython, answer: Mapping[str, Any] | None) -> Engine
 
 def _failed(choice: ChosenPython, message: str, fix: str) -> EngineStatus:
     fix = fix if choice.origin is Origin.CHOSEN else f"{fix} {choice.fix}"
-    return EngineStatus(EngineState.FAILED, _capital(message), fix, "", choice.python)
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
+    return EngineStatus(EngineState.FAILED, sentence(message), fix, "", choice.python)
 
 
 class SetUp(Task):
@@ -177,7 +174,7 @@ def check() -> EngineCheck | None:
     try:
         choice = choose_python(ROOT, os.environ, chosen_python())
     except PlgsError as error:
-        _status = EngineStatus(EngineState.MISSING, _capital(error.what), _SET_UP)
+        _status = EngineStatus(EngineState.MISSING, sentence(error.what), _SET_UP)
         registry.redraw_panels()
         return None
     _status = EngineStatus(EngineState.CHECKING, "Asking the engine", python=choice.python)

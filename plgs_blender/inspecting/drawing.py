@@ -199,7 +199,7 @@ def _text_width(text: str, size: float) -> float:
 _PATH_COLOUR = (1.0, 0.78, 0.3, 0.9)
 _JUMP = 6.0  # A path breaks between frames that are this many times the usual distance apart
 
-_uploaded: list[tuple[NDArray[np.float32], gpu.types.GPUTexture]] = []
+uploaded: list[tuple[NDArray[np.float32], gpu.types.GPUTexture]] = []
 """The last drawn pictures and their textures."""
 _KEPT = 3
 """Number of pictures drawn at once: the live preview, the selection and the painted points."""
@@ -267,21 +267,16 @@ def draw_picture(
     gpu.state.blend_set("NONE")
 
 
-def forget_pictures() -> None:
-    """Free the textures of the last drawn pictures."""
-    _uploaded.clear()
-
-
 def _texture_of(pixels: NDArray[np.float32]) -> gpu.types.GPUTexture:
     """The picture's texture. Blender's own image textures have mipmaps, which make them ten times slower to create."""
-    for picture, texture in _uploaded:
+    for picture, texture in uploaded:
         if picture is pixels:  # not ==, which would compare all values at each redraw
             return texture
     height, width, _ = pixels.shape
     drawn = to_overlay(pixels)
     values = gpu.types.Buffer("FLOAT", drawn.size, drawn.ravel())
     made = gpu.types.GPUTexture((width, height), format="RGBA16F", data=values)
-    _uploaded[:] = [(pixels, made), *_uploaded[: _KEPT - 1]]
+    uploaded[:] = [(pixels, made), *uploaded[: _KEPT - 1]]
     return made
 
 

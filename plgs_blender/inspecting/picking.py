@@ -110,7 +110,7 @@ def forget() -> None:
     """Clear the cache."""
     hovered.clear()
     _drawn.clear()
-    rays.forget()
+    rays.cached.clear()
 
 
 def what_is_under(context: bpy.types.Context, mouse: tuple[float, float]) -> Picked | None:

@@ -138,14 +138,9 @@ def first_drawn(parts: Sequence[Projected], mouse: tuple[float, float]) -> tuple
     return None
 
 
-_kept: dict[int, tuple[tuple[Any, ...], Projected]] = {}
+cached: dict[int, tuple[tuple[Any, ...], Projected]] = {}
 """Projected objects by session uid, with the states of their lift, of themselves and of the view."""
 _MOST_KEPT = 64
-
-
-def forget() -> None:
-    """Clear the cache."""
-    _kept.clear()
 
 
 def parts_near(
@@ -160,11 +155,11 @@ def parts_near(
         if not ob.visible_get(viewport=space) or "class_id" not in ob.data.attributes or not _is_near(ob, view, mouse):
             continue
         key = *state, ob.data.session_uid, len(ob.data.attributes["position"].data), rows_of(ob.matrix_world)
-        known = _kept.get(ob.session_uid)
+        known = cached.get(ob.session_uid)
         if known is None or known[0] != key:
-            known = _kept[ob.session_uid] = key, _projected(root, ob, view)
-            while len(_kept) > _MOST_KEPT:
-                del _kept[next(iter(_kept))]
+            known = cached[ob.session_uid] = key, _projected(root, ob, view)
+            while len(cached) > _MOST_KEPT:
+                del cached[next(iter(cached))]
         found.append(known[1])
     return found
 

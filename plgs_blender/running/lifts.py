@@ -231,14 +231,9 @@ def lift_of(folder: Path) -> Lift | None:
     return task if isinstance(task, Lift) else None
 
 
-def running() -> list[Lift]:
-    """All followed lifts that are still running."""
-    return registry.running(Lift)
-
-
 def stops_with_blender(scene: Any) -> bool:
     """Whether a lift is running that stops when Blender quits."""
-    return not scene.plgs.keep_running and any(each.follower.is_own for each in running())
+    return not scene.plgs.keep_running and any(each.follower.is_own for each in registry.running(Lift))
 
 
 def refresh_recent() -> None:

@@ -335,7 +335,7 @@ def test_long_names_are_cut_and_stay_different(scene: bpy.types.Scene, tmp_path:
         scene.camera.name = camera
         shot = shot_of(scene)
         names.add(write_shot(tmp_path, scene, shot).name)
-        assert len(shot.name) <= 81 and shot.name in shot.warnings[-1]
+        assert len(shot.named()) <= 81 and shot.named() in shot.warnings[-1]
     assert len(names) == 3
 
 

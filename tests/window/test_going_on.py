@@ -17,6 +17,7 @@ import sys, pathlib
 import numpy as np
 lifts = sys.modules[EXTENSION + '.plgs_blender.running.lifts']
 settings = lambda: bpy.context.scene.plgs
+running = lambda: lifts.registry.running(lifts.Lift)
 followed = lambda: lifts.lift_of(pathlib.Path(settings().lift_folder))
 picture = lambda: sys.modules[EXTENSION + '.plgs_blender.running.lifts'].picture_for(bpy.context.scene)
 """
@@ -88,7 +89,7 @@ def block_means(picture: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def end(window: Window) -> None:
     window.run("bpy.ops.plgs.cancel_lift()")
-    window.wait_for("not lifts.running()")
+    window.wait_for("not running()")
 
 
 @pytest.mark.slow
@@ -102,7 +103,7 @@ def test_undo_and_another_file_leave_the_lift_in_the_panel(window: Window, scene
     saved = scene.parent / "with lift.blend"
     window.run(f"bpy.ops.wm.save_as_mainfile(filepath={str(saved)!r})")
     window.run("bpy.ops.wm.read_homefile(use_splash=False)")
-    assert lift.is_running and window.ask("len(lifts.running())") == 1
+    assert lift.is_running and window.ask("len(running())") == 1
     window.run(f"bpy.ops.wm.open_mainfile(filepath={str(saved)!r})")
     window.wait_for("followed().is_running")
     step = window.ask("followed().progress.step")

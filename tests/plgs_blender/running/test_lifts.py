@@ -45,11 +45,11 @@ def test_cancelled_and_resumed(lift: LiftFolder, monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(lifts, "engine_command", command)
     followed = lifts.start(lift, PYTHON)
-    assert lifts.running() == [followed] and lifts.lift_of(lift.path) is followed
+    assert registry.running(lifts.Lift) == [followed] and lifts.lift_of(lift.path) is followed
     wait_until(lambda: reaches(followed, 5), lift.path)
     followed.cancel()
     registry.wait_for(followed, SCENE)
-    assert followed.was_cancelled and followed.can_be_resumed and followed.error is None and lifts.running() == []
+    assert followed.was_cancelled and followed.can_be_resumed and not followed.error and not followed.is_running
     reached = followed.progress.step
     again = lifts.start(lift, PYTHON, resume=True)
     wait_until(lambda: reaches(again, 0), lift.path)
