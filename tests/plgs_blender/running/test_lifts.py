@@ -49,7 +49,8 @@ def test_cancelled_and_resumed(lift: LiftFolder, monkeypatch: pytest.MonkeyPatch
     wait_until(lambda: reaches(followed, 5), lift.path)
     followed.cancel()
     registry.wait_for(followed, SCENE)
-    assert followed.was_cancelled and followed.can_be_resumed and not followed.error and not followed.is_running
+    assert followed.was_cancelled and followed.can_be_resumed and followed.error is None
+    assert not registry.running(lifts.Lift)
     reached = followed.progress.step
     again = lifts.start(lift, PYTHON, resume=True)
     wait_until(lambda: reaches(again, 0), lift.path)
