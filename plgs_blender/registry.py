@@ -191,11 +191,6 @@ def running(kind: type[Kind]) -> list[Kind]:
     return [task for task in _tasks.values() if isinstance(task, kind) and task.is_running]
 
 
-def is_any_left() -> bool:
-    """Whether there is anything to poll."""
-    return any(task.is_running or not task.is_taken for task in _tasks.values())
-
-
 def refuse_second(kind: type[Task]) -> None:
     """Raises PlgsError if a task of this kind is running."""
     for task in running(kind):
@@ -265,7 +260,8 @@ def tick() -> float | None:
         _poll()
     except Exception:  # a bug of ours must not stop the timer
         traceback.print_exc()
-    return TICK_S if is_any_left() else None
+    is_any_left = any(task.is_running or not task.is_taken for task in _tasks.values())
+    return TICK_S if is_any_left else None
 
 
 def _poll() -> None:

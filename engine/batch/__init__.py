@@ -7,5 +7,3 @@ killed, hang, or come back: what it did is kept, and another worker continues.
 from .cluster import run_worker
 from .plan import BatchPlan, SceneJob
 from .run import run_batch
-
-__all__ = ["BatchPlan", "SceneJob", "run_batch", "run_worker"]

@@ -5,5 +5,3 @@ from __future__ import annotations
 from .adding import Addition
 from .environments import remove_environments
 from .steps import SetUp, SetUpRequest
-
-__all__ = ["Addition", "SetUp", "SetUpRequest", "remove_environments"]

@@ -13,8 +13,6 @@ from ...engine.job.process import engine_python as find_engine_python
 from .choices import chosen_python, studio
 from .tasks import EngineState, EngineStatus, status
 
-__all__ = ["EngineState", "EngineStatus", "engine_python", "status", "studio", "usable_python", "why_no_engine"]
-
 
 def why_no_engine() -> str | None:
     """Why no engine can be started now, or None if one can. Never reads the disk."""

@@ -16,8 +16,6 @@ from ..settings import chosen_scene
 from . import looking
 from .survey import survey_of
 
-__all__ = ["ADDED", "ITEMS", "Adding", "add", "lacking", "size_of", "why_lacking", "why_not_added"]
-
 ITEMS = [(name, CAPABILITIES[name].label, ", ".join(CAPABILITIES[name].packages)) for name in ADDED]
 
 
