@@ -341,7 +341,7 @@ def test_long_names_are_cut_and_stay_different(scene: bpy.types.Scene, tmp_path:
 
 def test_a_given_name_is_never_cut(scene: bpy.types.Scene, tmp_path: Path) -> None:
     longest = "n" * 75 + "_v{version:03d}"
-    assert Shot(scene.camera, 1, 1, given=longest).name == "n" * 75 + "_v001"
+    assert Shot(scene.camera, 1, 1, given=longest).named() == "n" * 75 + "_v001"
     with raises_key("long-name --shot"):
         ShotReader(scene, shot_of(scene, given="n" + longest))
 
