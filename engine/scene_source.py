@@ -106,26 +106,22 @@ SCENE_FORMAT_NAMES = (
     FormatName("arkitscenes", "ARKitScenes", "lowres_wide.traj with pictures in wide, vga_wide or lowres_wide"),
 )
 
-MASK_FORMAT_NAMES = (
-    FormatName(
-        "coco-detections",
-        "coco-detections",
-        "a JSON of COCO's results, of COCO's or LVIS's instances, or of SA-V's masklets, or one such file a frame",
-    ),
-    FormatName("coco", "coco", "panoptic.json and the PNGs in panoptic"),
-    FormatName("panoptic-lifting", "panoptic-lifting", "m2f_semantics and m2f_instance"),
-    FormatName("grounded-sam2", "grounded-sam2", "mask_data/mask_<frame>.npy and json_data/mask_<frame>.json"),
-    FormatName("sam", "sam", "<frame>/metadata.csv with <frame>/<k>.png, as SAM's amg.py writes them"),
-    FormatName("pairs", "pairs", "folders semantic and instance (or class, label-filt, semantic_class and theirs)"),
-    FormatName("transformers", "transformers", "<frame>.json with label_id and <frame>.npy or .png"),
-    FormatName("detectron2", "detectron2", "<frame>.json with category_id and <frame>.npy or .png"),
-    FormatName("sam2", "sam2", "<frame>.png with a palette, or <object number>/<frame>.png"),
-    FormatName("palette", "palette", "<frame>.png with a palette, or grey, whose values are classes"),
-    FormatName(
-        "detections", "detections", "<frame>.npz with masks, classes and scores, or <frame>/<k>_<class>_<score>.png"
-    ),  # fmt: skip
-    FormatName("arrays", "arrays", "<frame>.npy or .npz with classes [H, W], or with probabilities [C, H, W]"),
-)
+_LOOKS_FOR_MASKS = {
+    "coco-detections": "a JSON of COCO's results, of COCO's or LVIS's instances, or of SA-V's masklets, or one such "
+    "file a frame",
+    "coco": "panoptic.json and the PNGs in panoptic",
+    "panoptic-lifting": "m2f_semantics and m2f_instance",
+    "grounded-sam2": "mask_data/mask_<frame>.npy and json_data/mask_<frame>.json",
+    "sam": "<frame>/metadata.csv with <frame>/<k>.png, as SAM's amg.py writes them",
+    "pairs": "folders semantic and instance (or class, label-filt, semantic_class and theirs)",
+    "transformers": "<frame>.json with label_id and <frame>.npy or .png",
+    "detectron2": "<frame>.json with category_id and <frame>.npy or .png",
+    "sam2": "<frame>.png with a palette, or <object number>/<frame>.png",
+    "palette": "<frame>.png with a palette, or grey, whose values are classes",
+    "detections": "<frame>.npz with masks, classes and scores, or <frame>/<k>_<class>_<score>.png",
+    "arrays": "<frame>.npy or .npz with classes [H, W], or with probabilities [C, H, W]",
+}
+MASK_FORMAT_NAMES = tuple(FormatName(name, name, looks_for) for name, looks_for in _LOOKS_FOR_MASKS.items())
 
 TABLES = ("coco", "ade20k", "cityscapes", "nyu40", "nyu13", "scannet", "scannet200", "replica", "reduced")
 """The public tables of classes."""

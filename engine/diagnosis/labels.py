@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from ..posed.layout import listed, plural
 from ..scene import VOID
+from ..scene.pixels import values_at
 from .findings import Finding, side_by_side
-from .reprojection import Assumption, Examined, Floats, Gain, values_at
+from .reprojection import Assumption, Examined, Floats, Gain
 from .up import world_normals
 
 _SAME_SURFACE = 0.5  # minimum depth agreement, 0..1, of two views of one surface: about 2.7 % of the depth

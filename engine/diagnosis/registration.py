@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from ..posed.layout import plural
 from ..scene import evenly_spread
+from ..scene.pixels import values_at
 from .findings import FIX, Finding, edges_on, side_by_side
-from .reprojection import Assumption, Examined, Floats, Gain, Look, Photo, values_at
+from .reprojection import Assumption, Examined, Floats, Gain, Look, Photo
 from .trials import Calibration
 
 _MOST = 32  # maximum number of looks used

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -116,14 +116,6 @@ def load_photos(frames: Sequence[Frame], sample: Sample) -> dict[int, Photo]:
             grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
         photos[number] = Photo(number, frames[number].name, grey.astype(np.uint8))
     return photos
-
-
-def values_at(pixels: NDArray[Any], places: Floats) -> NDArray[Any]:
-    """The pixels of an array [H, W] at ``places``, float64 [N, 2], as fractions of its width and height."""
-    height, width = pixels.shape
-    columns = np.clip((places[:, 0] * width).astype(np.int64), 0, width - 1)
-    rows = np.clip((places[:, 1] * height).astype(np.int64), 0, height - 1)
-    return pixels[rows, columns]
 
 
 def _stride_for(width: int) -> int:

@@ -121,14 +121,8 @@ def fuse(views: Sequence[SmallView], grain: Grain = Grain()) -> Surface:
     # views leave steps: one round of smoothing brings the vertices nearer to the true surface.
     mesh = grid.extract_triangle_mesh(grain.least_views - 0.5).to_legacy().filter_smooth_simple(1).normalize_normals()
     xyz, normal, rgb = (np.asarray(each) for each in (mesh.vertices, mesh.vertex_normals, mesh.vertex_colors))
-    return _in_order(
-        Surface(
-            xyz.astype(np.float32),
-            np.rint(255 * rgb.clip(0, 1)).astype(np.uint8),
-            normal.astype(np.float32),
-            np.asarray(mesh.triangles).astype(np.int64),
-        )
-    )
+    colour, triangles = np.rint(255 * rgb.clip(0, 1)).astype(np.uint8), np.asarray(mesh.triangles).astype(np.int64)
+    return _in_order(Surface(xyz.astype(np.float32), colour, normal.astype(np.float32), triangles))
 
 
 def _by_slope(view: SmallView, large: NDArray[np.float32], grain: Grain) -> Iterator[tuple[NDArray[np.float32], float]]:

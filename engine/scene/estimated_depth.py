@@ -20,7 +20,7 @@ from .files_of_frames import files_of_frames, mask_files
 from .frame import Frame, Inferred, LeftOut, SparsePoints, left_out
 from .frame_choice import evenly_spread
 from .mask_fit import Pictured, Placement, other_numbers, turns_of
-from .pixels import decode_depth
+from .pixels import decode_depth, values_at
 
 _AS_METRES = "depth maps are read as metres (.png: millimetres)"
 _BENT = Inferred(
@@ -125,7 +125,7 @@ def fitted_map(
     """Depth, float32 [H, W] in the world's unit, 0 = none: a map fitted to points of known ``depths`` [N]. ``pixels``
     [N, 2] are the points' x and y as fractions of the picture. Raises PlgsError if nothing fits."""
     values = _placed(path, placement)
-    fit = fit_depth(_at(values, pixels), depths)
+    fit = fit_depth(values_at(values, pixels).astype(np.float64), depths)
     if fit is None:
         what = "the map does not rise or fall with the depth of the reconstruction's points"
         raise PlgsError("depth-unrelated", what, path, "Check that it belongs to this frame, or leave the frame out.")
@@ -141,13 +141,6 @@ def _placed(path: Path, placement: Placement) -> NDArray[np.float32]:
     values = read_map(path).astype(np.float32)
     shows = placement(np.ones(values.shape, np.int32))  # 0 may be a value of the map, so it cannot tell
     return np.where(shows > 0, placement(values), np.float32(np.nan))
-
-
-def _at(values: NDArray[Any], pixels: NDArray[np.float64]) -> Values:
-    """The values of a map [H, W] at ``pixels`` [N, 2], x and y as fractions of its size."""
-    size = np.array(values.shape[::-1])
-    columns, rows = (pixels * size).astype(np.int64).clip(0, size - 1).T
-    return values[rows, columns].astype(np.float64)
 
 
 def read_map(path: Path) -> NDArray[Any]:
@@ -269,7 +262,7 @@ def _error(
     errors = []
     for name in evenly_spread([name for name in files if len(seen[name][1]) >= LEAST_POINTS], _LOOKED_AT):
         pixels, depths = seen[name]
-        fit = fit_depth(_at(_placed(files[name], placements[name]), pixels), depths)
+        fit = fit_depth(values_at(_placed(files[name], placements[name]), pixels).astype(np.float64), depths)
         errors.append(1.0 if fit is None else fit.error)
     return float(np.median(errors)) if errors else 1.0
 

@@ -75,6 +75,15 @@ class Segment:
     share: float = 1.0
 
 
+def mapped(ids: NDArray[np.integer], values: Mapping[int, float], other: NDArray[Any]) -> NDArray[Any]:
+    """The ``values`` of ids [H, W] (>= 0), with the type of ``other`` [1], the value of ids that have none."""
+    table = np.repeat(other, int(ids.max(initial=0)) + 1)
+    for number, value in values.items():
+        if number < len(table):  # else no pixel has it
+            table[number] = value
+    return table[ids]
+
+
 @dataclass(frozen=True, eq=False)
 class PanopticMask:
     """Segment ids, int32 [H, W] with 0 = void, and what each id means. Ids differ between views; tracks do not."""
@@ -84,18 +93,11 @@ class PanopticMask:
 
     def class_map(self) -> NDArray[np.int32]:
         """Class id of every pixel, int32 [H, W], 0 = void."""
-        return self._map({segment.id: segment.class_id for segment in self.segments}, np.zeros(1, np.int32))
+        return mapped(self.ids, {segment.id: segment.class_id for segment in self.segments}, np.zeros(1, np.int32))
 
     def share_map(self) -> NDArray[np.float32]:
         """The ``share`` of every pixel's segment, float32 [H, W], 1 where there is none."""
-        return self._map({segment.id: segment.share for segment in self.segments}, np.ones(1, np.float32))
-
-    def _map(self, of_segment: Mapping[int, float], other: NDArray[Any]) -> NDArray[Any]:
-        table = np.repeat(other, int(self.ids.max(initial=0)) + 1)
-        for number, value in of_segment.items():
-            if number < len(table):  # else the segment has no pixel
-                table[number] = value
-        return table[self.ids]
+        return mapped(self.ids, {segment.id: segment.share for segment in self.segments}, np.ones(1, np.float32))
 
 
 @dataclass(frozen=True, eq=False)

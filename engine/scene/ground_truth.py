@@ -18,7 +18,7 @@ from ..posed.layout import files_by_stem, listed, natural_order, same_shape, sho
 from .class_choice import FILE_NAME, ClassChoice, find_class_choice
 from .class_map import class_map
 from .class_tables import ANYTHING, NUMBERINGS, REDUCED, TABLES, known_table, numberings_of, reduced_by_name
-from .frame import GroundTruth, Inferred, Size
+from .frame import GroundTruth, Inferred, Size, mapped
 from .frame_choice import evenly_spread
 from .mask_formats.label_pairs import label_pairs
 from .mask_formats.source import IGNORED, MaskSource
@@ -156,15 +156,6 @@ def _ways(
         yield _IN_FILES, Numbers(in_files)
 
 
-def in_classes(semantic: NDArray[np.integer], class_of: Mapping[int, int]) -> NDArray[np.int32]:
-    """Maps class ids [H, W] (>= 0) by ``class_of``; ids that it lacks become void."""
-    known = np.zeros(int(semantic.max(initial=0)) + 1, np.int32)
-    for number, class_id in class_of.items():
-        if number < len(known):  # the picture has no larger ids
-            known[number] = class_id
-    return known[semantic]
-
-
 def classes_by_name(names: Mapping[int, str], classes: ClassTable) -> dict[int, int]:
     """The class in ``classes`` for each number of another table with ``names``; numbers without a match are left out.
     Names match if they are equal, or else differ only in case and in endings such as COCO's "-merged". Otherwise a
@@ -211,7 +202,7 @@ class GroundTruthReader:
     def __call__(self, size: Size | None = None) -> GroundTruth:
         """Ground truth at ``size`` (width, height) or its own. Raises PlgsError when a file is bad."""
         stored = read_label_pair(self.semantic, self.instance)
-        semantic, instance = in_classes(stored.semantic, self.class_of), stored.instance
+        semantic, instance = mapped(stored.semantic, self.class_of, np.zeros(1, np.int32)), stored.instance
         if size is not None:
             semantic, instance = resize_nearest(semantic, size), resize_nearest(instance, size)
         return GroundTruth(semantic, instance)

@@ -17,9 +17,9 @@ from ..posed.classes import VOID, ClassTable
 from ..posed.layout import files_by_stem, require_all
 from .class_map import class_map, coloured
 from .class_tables import REDUCED, known_table
-from .frame import GroundTruth, PanopticMask
+from .frame import GroundTruth, PanopticMask, mapped
 from .frame_choice import evenly_spread
-from .ground_truth import LOOKED_AT, classes_by_name, in_classes, joined, numbers_by_agreement, read_label_pair
+from .ground_truth import LOOKED_AT, classes_by_name, joined, numbers_by_agreement, read_label_pair
 from .mask_formats import label_pairs
 from .mask_formats.coco import read_categories
 from .masks import open_masks
@@ -121,10 +121,10 @@ def in_one_table(predictions: LabelFolder, truth: LabelFolder) -> tuple[ClassTab
 
     def in_its_classes(read: Callable[[], GroundTruth]) -> GroundTruth:
         stored = read()
-        return GroundTruth(in_classes(stored.semantic, class_of), stored.instance)
+        return GroundTruth(mapped(stored.semantic, class_of, np.zeros(1, np.int32)), stored.instance)
 
-    mapped = {name: partial(in_its_classes, read) for name, read in predictions.readers.items()}
-    return ClassTable((*true.categories, *others)), replace(predictions, readers=mapped)
+    readers = {name: partial(in_its_classes, read) for name, read in predictions.readers.items()}
+    return ClassTable((*true.categories, *others)), replace(predictions, readers=readers)
 
 
 def _refuse_other_numbers(folder: LabelFolder, known: LabelFolder, classes: ClassTable) -> None:

@@ -18,7 +18,7 @@ from ..scene_source import SceneSource
 from .class_choice import FILE_NAME, find_class_choice
 from .class_map import ClassMap, class_map
 from .files_of_frames import digests_of_files, says_what_counts
-from .frame import Inferred, PanopticMask, Segment, Size
+from .frame import Inferred, PanopticMask, Segment, Size, mapped
 from .mask_fit import Pictured, Placement, paired, placements
 from .mask_formats import MASK_FORMATS, FoundSegment, MaskSource, StoredMask, find_mask_format
 from .numbering import numbered, other_numberings
@@ -66,11 +66,7 @@ class MaskReader:
             segments, new_id = fused(segments)
         ids = found.ids if self.placement is None else self.placement(found.ids)
         if any(new_id.get(one.id) != one.id for one in found.segments):  # also for void ones, which become 0
-            number = np.zeros(int(ids.max(initial=0)) + 1, np.int32)
-            for old, new in new_id.items():
-                if old < len(number):  # else no pixel has it
-                    number[old] = new
-            ids = number[ids]
+            ids = mapped(ids, new_id, np.zeros(1, np.int32))
         return PanopticMask(resize_nearest(ids, size) if size else ids, tuple(segments))
 
     def digest(self) -> str:

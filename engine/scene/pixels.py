@@ -146,6 +146,13 @@ def resize_aligned(pixels: NDArray[Any], size: Size, alignment: Alignment) -> ND
     return np.where(inside, taken, taken.dtype.type(0))
 
 
+def values_at(pixels: NDArray[Any], places: NDArray[np.float64]) -> NDArray[Any]:
+    """The pixels of an array [H, W] at ``places``, float64 [N, 2], x and y as fractions of its size."""
+    size = np.array(pixels.shape[::-1])
+    columns, rows = (places * size).astype(np.int64).clip(0, size - 1).T
+    return pixels[rows, columns]
+
+
 def distinct_ids(ids: NDArray[np.int32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """The distinct values in int32 [H, W] (>= 0), ascending, and each one's pixel count, void (0) included."""
     # Counting is faster than sorting, unless the table is much larger than the picture.

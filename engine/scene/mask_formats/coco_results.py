@@ -161,9 +161,8 @@ def compressed(given: Any, size: Size | None, context: str, path: Path) -> tuple
         if sum(whole) != width * height:
             what = f"the run lengths of {context} do not fill its picture of {shown_size((width, height))}"
             raise PlgsError("bad-rle", what, path, _FIX)
-        whole = _without_empty_runs(whole)
         packed = rle_tools.frPyObjects({"size": [height, width], "counts": whole}, height, width)
-        return (width, height), packed["counts"]
+        return (width, height), rle_tools.encode(rle_tools.decode(packed))["counts"]  # without empty runs
     if not isinstance(given, list):
         raise wrong_type("segmentation", "run lengths or polygons", given, context, path)
     if size is None:
@@ -173,18 +172,6 @@ def compressed(given: Any, size: Size | None, context: str, path: Path) -> tuple
     if not polygons:
         raise PlgsError("bad-polygon", f"{context} has no polygon", path, _FIX)
     return size, rle_tools.merge(rle_tools.frPyObjects(polygons, size[1], size[0]))["counts"]
-
-
-def _without_empty_runs(counts: list[int]) -> list[int]:
-    """Run lengths of the same pixels in which only the first may be 0, as pycocotools writes them."""
-    kept = counts[:1]
-    for count in counts[1:]:
-        if kept and len(kept) > 1 and kept[-1] == 0:
-            kept.pop()
-            kept[-1] += count
-        else:
-            kept.append(count)
-    return kept[:-1] if len(kept) > 1 and kept[-1] == 0 else kept
 
 
 def check_picture(size: Size, context: str, path: Path) -> None:

@@ -56,11 +56,7 @@ def _recognises(place: Path) -> bool:
 
 
 def _folders(place: Path) -> list[Path]:
-    return sorted((path for path in shown_files(place) if path.is_dir()), key=_natural)
-
-
-def _natural(path: Path) -> tuple[object, ...]:
-    return natural_order(path.name)
+    return sorted((path for path in shown_files(place) if path.is_dir()), key=lambda path: natural_order(path.name))
 
 
 def _read(place: Path, names: Sequence[str], progress: Progress) -> MaskSource:
@@ -79,7 +75,9 @@ def _read(place: Path, names: Sequence[str], progress: Progress) -> MaskSource:
         return MaskSource(masks, labels, void=frozenset(), tells_no_class=bool(no_class))
     folders = {path.name: path for path in _folders(place)}
     there = require_most(names, folders, "folder of detections", place, _NAME_FIX)
-    pictures = {name: sorted(shown_files(folders[name], "*.png"), key=_natural) for name in there}
+    pictures = {
+        name: sorted(shown_files(folders[name], "*.png"), key=lambda path: natural_order(path.name)) for name in there
+    }
     paths = {name: found for name, found in pictures.items() if found}
     require_most(names, paths, "detections", place, _NAME_FIX)
     found = {name: [_from_name(path) for path in each] for name, each in paths.items()}
