@@ -36,9 +36,8 @@ from .scene.pixels import decode, write_image
 
 
 def write_pictures(film: Path, folder: Path, most: int, progress: Callable[[int, int], object]) -> None:
-    """Write at most ``most`` pictures of a film as ``folder/NNNNNN.jpg``, named by their number in the film, and the
-    depth in a Record3D film as ``folder/depth/NNNNNN.npy``. ``progress`` is called with the number of pictures done and
-    their total. Raises PlgsError, OSError."""
+    """Write at most ``most`` pictures of a film as ``folder/NNNNNN.jpg``, by their number in it, and a Record3D film's
+    depth as ``folder/depth/NNNNNN.npy``. ``progress`` counts pictures. Raises PlgsError, OSError."""
     video, encoded = Video(film), encoded_depth(film)
     count = video.count()
     edges = np.linspace(0, count, min(most, count) + 1).astype(int)
@@ -58,8 +57,7 @@ def write_pictures(film: Path, folder: Path, most: int, progress: Callable[[int,
 
 _RECORD3D, _SEARCHED = b'{"intrinsic', 1 << 20
 """The beginning of the metadata in Record3D's films, and how many bytes at the end of a film are searched for it."""
-_COLOURED, _BRIGHT = 96, 96
-"""Minimum saturation and value, 0..255, of a pixel with depth: Record3D leaves others black, and codecs blur."""
+_COLOURED, _BRIGHT = 96, 96  # least saturation and value of a pixel with depth: others are black, and codecs blur
 
 
 def encoded_depth(film: Path) -> tuple[float, float] | None:

@@ -120,9 +120,8 @@ def complete_known_scene(folder: LiftFolder, scene: Scene) -> None:
 
 
 def is_done(folder: LiftFolder) -> bool:
-    """Whether nothing is left to lift, for a caller who knows that no engine is running: the result is complete and
-    unmodified, and the masks and classes are those that it was lifted from. Raises PlgsError, also for a scene that has
-    changed in other ways."""
+    """Whether nothing is left to lift, if no engine is running: the result is complete and unmodified, and of the masks
+    and classes of now. Raises PlgsError, also for a scene that has changed in other ways."""
     if not folder.has_result() or not folder.is_whole():
         return False
     lifted = read_manifest(folder.result_path).masks
@@ -162,8 +161,7 @@ def digest_of_masks(scene: Scene, progress: Progress = unwatched) -> str:
 
 
 def masks_differ(before: str, scene: Scene, now: str = "") -> bool:
-    """Whether the masks of a scene differ from those of the digest ``before`` ("": unknown). ``now`` is their
-    `digest_of_masks`, if the caller has it."""
+    """Whether a scene's masks, or the digest ``now``, differ from the digest ``before`` ("": unknown)."""
     return before != "" and before != (now or digest_of_masks(scene))
 
 

@@ -211,7 +211,7 @@ def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
     from ..segment import begin_job, load_model, make_masks
 
     source: Path = options.scene
-    scene = open_scene(source, None, options.up or "z", options.scene_format)
+    scene = open_scene(source, None, options.up or "z", scene_format=options.scene_format)
     folder: Path = options.output or (source if source.is_dir() else source.with_suffix(""))
     name = str(Path(options.model).resolve()) if Path(options.model).is_dir() else options.model
     job = begin_job(folder, name, scene.frames)

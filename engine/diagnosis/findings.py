@@ -96,11 +96,9 @@ def _captioned(picture: NDArray[np.uint8], caption: str) -> Picture:
 
 
 FINDINGS = "findings.json"
-FIX = "--fix OUT writes a scene in which it is mended"
-"""The end of ``Finding.option`` if a corrected scene needs no decision by the user."""
+FIX = "--fix OUT writes a scene in which it is mended"  # ends an ``option`` that needs no decision
 
-Severity = Literal["wrong", "note"]
-""""wrong": fix it before a lift. "note": it concerns pictures or labels, and a lift copes with it."""
+Severity = Literal["wrong", "note"]  # "wrong": fix it before a lift; "note": a lift copes with it
 
 
 @dataclass(frozen=True, eq=False)

@@ -118,8 +118,7 @@ def measure_mask_lag(examined: Examined, assumed: Assumption, certain: float = _
 
 
 def label_findings(examined: Examined, assumed: Assumption, is_quick: bool = False) -> list[Finding]:
-    """Masks that contradict each other where views see the same surface. With ``is_quick``, findings are examined more
-    closely afterwards. Raises PlgsError."""
+    """Masks that contradict each other; with ``is_quick``, they are looked at again afterwards. Raises PlgsError."""
     lag = measure_mask_lag(examined, assumed, _SUSPECT if is_quick else _CERTAIN)
     if lag is not None:
         return [_masks_of_others(*lag)]
@@ -252,15 +251,14 @@ def table_findings(examined: Examined, assumed: Assumption, up: Floats) -> list[
     if not is_enough or any(each.share >= _SUITS for each in found.values()):
         return _nameless(counts, found, {each.id: each.name for each in classes.categories if not each.is_thing})
     reasons = "; ".join(f"{each.share:.0%} of what is called {kind} {_WHAT[kind]}" for kind, each in wrong.items())
-    return [
-        Finding(
-            cause="class table",
-            text=f"the names of the classes do not fit the surfaces: {reasons}",
-            option=_OPTION,
-            figures={f"{kind}_share": each.share for kind, each in found.items()},
-            stops=all(each.share < _CONTRADICTED for each in wrong.values()),
-        )
-    ]
+    finding = Finding(
+        cause="class table",
+        text=f"the names of the classes do not fit the surfaces: {reasons}",
+        option=_OPTION,
+        figures={f"{kind}_share": each.share for kind, each in found.items()},
+        stops=all(each.share < _CONTRADICTED for each in wrong.values()),
+    )
+    return [finding]
 
 
 def _nameless(counts: Counts, found: Mapping[str, Suiting], stuff: Mapping[int, str]) -> list[Finding]:

@@ -21,10 +21,8 @@ _LEAST_PAIRS, _LEAST_LAGS, _LEAST_EACH = 30, 6, 8
 _LEAST_ACROSS = 20  # minimum pairs of looks across a gap, and within each of the parts
 _NEAR = 3  # frames between two looks that count as neighbours
 _HALF, _ENOUGH = 0.5, 0.2
-_DRIFTED = 0.02
-"""Minimum drift in metres, or ..."""
-_DRIFTED_SHARE = 0.0075
-"""... this fraction of the median depth if that is more. Sensors' own noise stays below."""
+_DRIFTED, _DRIFTED_SHARE = 0.02, 0.0075
+"""Minimum drift in metres, or this fraction of the median depth if that is more. Sensors' own noise stays below."""
 _GROWN = 4.0  # minimum ratio of the distances of distant frames to those of neighbours
 _CERTAIN = 5.0  # standard errors
 _FACING = 0.85  # minimum cosine between a world axis and the normal of a surface that faces it
@@ -246,15 +244,14 @@ def order_findings(scene: Scene, order: FrameOrder | None) -> list[Finding]:
     if order is None or not order.is_shuffled:
         return []
     best = listed([scene.frames[number].name for number in order.path], 6)
-    return [
-        Finding(
-            cause="unsorted frames",
-            text=f"frames are not in the order of the recording: what the cameras look at moves by {order.given:.2f} m "
-            f"from one frame to the next, and by {order.shortest:.2f} m in the order {best}",
-            option="name the files in the order of the recording",
-            figures={"step_m": order.given, "shortest_step_m": order.shortest, "nearer_share": order.rank},
-        )
-    ]
+    finding = Finding(
+        cause="unsorted frames",
+        text=f"frames are not in the order of the recording: what the cameras look at moves by {order.given:.2f} m "
+        f"from one frame to the next, and by {order.shortest:.2f} m in the order {best}",
+        option="name the files in the order of the recording",
+        figures={"step_m": order.given, "shortest_step_m": order.shortest, "nearer_share": order.rank},
+    )
+    return [finding]
 
 
 def repeat_findings(scene: Scene, progress: Progress = unwatched) -> list[Finding]:
@@ -272,14 +269,13 @@ def repeat_findings(scene: Scene, progress: Progress = unwatched) -> list[Findin
     shown = [frames[number] for number in repeated[0][::-1]]
     count = "1 frame repeats" if len(repeated) == 1 else f"{len(repeated)} frames repeat"
     pairs = ", ".join(f"{frames[a].name} is {frames[b].name}" for a, b in repeated[:3])
-    return [
-        Finding(
-            cause="repeated frames",
-            text=f"{count} the picture of another ({pairs})",
-            option="leave them out; --fix OUT does",
-            figures={"frames": float(len(repeated))},
-            is_mended=True,
-            frames=tuple(frames[number].name for number, _ in repeated),
-            picture=side_by_side([(frame.name, frame.read_colour(None)) for frame in shown]),
-        )
-    ]
+    finding = Finding(
+        cause="repeated frames",
+        text=f"{count} the picture of another ({pairs})",
+        option="leave them out; --fix OUT does",
+        figures={"frames": float(len(repeated))},
+        is_mended=True,
+        frames=tuple(frames[number].name for number, _ in repeated),
+        picture=side_by_side([(frame.name, frame.read_colour(None)) for frame in shown]),
+    )
+    return [finding]

@@ -255,14 +255,13 @@ def picture_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
         cause, option = "colour of other frames", "give the pictures the names of the frames that they belong to"
     photo, look = examined.photo(row), examined.looks[row]
     depth = np.clip(255.0 * look.depth / max(float(np.quantile(look.depth, 0.98)), 1e-6), 0, 255).astype(np.uint8)
-    return [
-        Finding(
-            cause=cause,
-            text=f"{what}: where two views see the same surface, their greys correlate by {fit.before:.2f}, "
-            f"with this corrected by {fit.after:.2f} ({fit.certainty:.0f} standard errors)",
-            option=option,
-            figures={"correlation": fit.before, "correlation_then": fit.after, "certainty": fit.certainty},
-            picture=side_by_side([(photo.name, photo.grey), ("its depth", depth)]),
-            stops=True,
-        )
-    ]
+    finding = Finding(
+        cause=cause,
+        text=f"{what}: where two views see the same surface, their greys correlate by {fit.before:.2f}, "
+        f"with this corrected by {fit.after:.2f} ({fit.certainty:.0f} standard errors)",
+        option=option,
+        figures={"correlation": fit.before, "correlation_then": fit.after, "certainty": fit.certainty},
+        picture=side_by_side([(photo.name, photo.grey), ("its depth", depth)]),
+        stops=True,
+    )
+    return [finding]

@@ -94,15 +94,14 @@ def clipped_findings(photos: dict[int, Photo]) -> list[Finding]:
     if not clipped:
         return []
     names = tuple(shot.name for shot in clipped)
-    return [
-        Finding(
-            cause="exposure",
-            severity="note",
-            text=f"in {len(clipped)} of {len(photos)} frames most pixels are black or white: {listed(names)}",
-            option="leave them out with a splits.json",
-            figures={"frames": float(len(clipped)), "clipped": max(shot.clipped for shot in clipped)},
-            frames=names,
-            leave_out=names,
-            picture=side_by_side([(shot.name, shot.grey) for shot in clipped[:2]]),
-        )
-    ]
+    finding = Finding(
+        cause="exposure",
+        severity="note",
+        text=f"in {len(clipped)} of {len(photos)} frames most pixels are black or white: {listed(names)}",
+        option="leave them out with a splits.json",
+        figures={"frames": float(len(clipped)), "clipped": max(shot.clipped for shot in clipped)},
+        frames=names,
+        leave_out=names,
+        picture=side_by_side([(shot.name, shot.grey) for shot in clipped[:2]]),
+    )
+    return [finding]

@@ -134,10 +134,8 @@ _ASIDE = 0.1  # of the picture; a principal point farther from the middle may be
 _KINDS_COMPARED = 4
 _RIVAL = 1.05  # least factor by which a cause must explain more than the next, for a scene to be mended by it
 _ERROR_LEFT = 0.7
-_LEAST_SHARE, _LEAST_OF_ALL = 0.5, 0.15
-"""Minimum fractions of points that agree under a cause: of those that both views see, and of all."""
-_NEAREST, _FARTHEST = 0.4, 8.0
-"""Metres: bounds of the median depth of a room recorded by people. A cause in lengths must lead there."""
+_LEAST_SHARE, _LEAST_OF_ALL = 0.5, 0.15  # least fractions that agree under a cause: of what both views see, and of all
+_NEAREST, _FARTHEST = 0.4, 8.0  # metres: bounds of a room's median depth, to which a cause in lengths must lead
 _LAGS = (-3, -2, -1, 1, 2, 3)
 
 

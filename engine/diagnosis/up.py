@@ -14,8 +14,7 @@ _CLEARLY_UP = 0.6
 _CONES = (40.0, 25.0, 15.0, 8.0, 5.0, 5.0, 5.0)  # degrees about the axis within which normals count, round by round
 _LEAST_SHARE = 0.08
 _LEVEL = 5.0  # degrees; normals this close to the axis are of level surfaces, and this close to a right angle of walls
-_TILTED, _CERTAIN = 5.0, 5.0
-"""Degrees and standard errors. Floors are level to within a degree, and so are scanners' worlds."""
+_TILTED, _CERTAIN = 5.0, 5.0  # degrees, standard errors; floors and scanners' worlds are level to within a degree
 _NAMED_WITHIN = 8.0  # an axis of the poses within this many degrees is named
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 

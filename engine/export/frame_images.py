@@ -124,8 +124,7 @@ def export_scannet(lift: FinishedLift, output: Path) -> None:
 
 
 def export_depth(lift: FinishedLift, output: Path) -> None:
-    """<frame>.npy: planar depth float32 [H, W] in metres, 0 = none. ``lift --depth`` reads such a folder for scenes
-    without a sensor. Raises OSError."""
+    """<frame>.npy: planar depth float32 [H, W] metres, 0 = none, as ``lift --depth`` reads it. Raises OSError."""
     for frame, layers in lift.views("combined", "depth"):
         depth = np.where(layers.combined[..., 3] >= LEAST_COVERAGE, layers.depth, np.float32(0))
         content = io.BytesIO()

@@ -220,8 +220,7 @@ def _cut(lift: FinishedLift, surface: Surface, label: NDArray[np.int64], texture
 
 
 def finished(lift: FinishedLift) -> tuple[Surface, NDArray[np.int64], Texture | None]:
-    """The surface of the lift's views, mended and cut, its labels, int64 [V], and its texture where there are photos.
-    Raises PlgsError if there are none, OSError."""
+    """The surface of the views, mended and cut, its labels, int64 [V], and its texture. Raises PlgsError, OSError."""
     small = views_of(lift, WIDEST, MOST_VIEWS)
     surface = fuse(small)
     refuse_none(lift, surface)
@@ -267,8 +266,7 @@ def sharpened(depth: NDArray[np.float32], measured: NDArray[np.float32]) -> NDAr
 
 
 def vertex_labels(xyz: NDArray[np.float32], views: list[SmallView], times: int = 1) -> NDArray[np.int64]:
-    """The label that most views show at each vertex, int64 [V]; 0 for none. A view counts if its depth, enlarged by
-    `Grain.times`, matches the vertex."""
+    """The label that most views show at each vertex, int64 [V]; 0 for none. Their depth, enlarged, must match."""
     known = np.unique(np.concatenate([np.unique(view.label) for view in views]))
     votes = np.zeros((len(xyz), len(known)), np.uint16)
     for view in views:

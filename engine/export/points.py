@@ -136,9 +136,8 @@ def export_points(lift: FinishedLift, output: Path) -> None:
 
 def export_splats(lift: FinishedLift, output: Path) -> None:
     """splats.ply: the wanted Gaussians as the authors of 3D Gaussian Splatting write them (colour as spherical
-    harmonics of degree 0, logit of opacity, logarithm of scale, rotation wxyz), with their ids, all floats. splats.spz,
-    in the same order without ids, and splats.glb: see `splat_files`. labels.json names the ids. Raises PlgsError,
-    OSError."""
+    harmonics of degree 0, logit of opacity, logarithm of scale, rotation wxyz), with ids, all floats. splats.spz, in
+    the same order without ids, and splats.glb: see `splat_files`. labels.json names ids. Raises PlgsError, OSError."""
     rows = lift.splats
     write_ply_table(output / "splats.ply", {name: rows[name].astype(np.float32) for name in rows.dtype.names or ()})
     write_atomically(output / "splats.spz", spz_bytes(rows))
@@ -148,8 +147,7 @@ def export_splats(lift: FinishedLift, output: Path) -> None:
 
 
 def export_clouds(lift: FinishedLift, output: Path) -> None:
-    """<name>.npz: the pixels that a frame's camera, or any other, sees of the lift, as semantic points in the world.
-    Raises PlgsError for bad cameras, OSError."""
+    """<name>.npz: what each camera sees of the lift, as semantic points in the world. Raises PlgsError, OSError."""
     for name, camera, layers in lift.shown("combined", "depth", "semantic", "instance", "confidence"):
         height, width = layers.depth.shape
         seen = (layers.combined[..., 3] >= LEAST_COVERAGE) & (layers.depth > 0)

@@ -117,8 +117,7 @@ class FinishedLift:
         return [] if self.cameras is None else [view_from(camera) for camera in read_cameras(self.cameras)]
 
     def shown(self, *wanted: str) -> Iterator[tuple[str, Camera, PanopticLayers]]:
-        """The named views of the cameras in the file; without a file, those of the frames. Each has at least the
-        ``wanted`` layers (none: all)."""
+        """The views of the cameras in the file, else of the frames, with the ``wanted`` layers (none: all)."""
         if self.cameras is None:
             yield from ((frame.name, frame.camera, layers) for frame, layers in self.views(*wanted))
         for number, view in enumerate(self.shots, start=1):
@@ -126,8 +125,7 @@ class FinishedLift:
             self.progress(number, len(self.shots))
 
     def views(self, *wanted: str) -> Iterator[tuple[Frame, PanopticLayers]]:
-        """Every frame as the lift shows it, at the frame's own size, with at least the ``wanted`` layers (none: all).
-        Progress is reported after each."""
+        """Every frame as the lift shows it, at its own size, with the ``wanted`` layers (none: all)."""
         result = self.folder.result_path
         listed = {result / file.path: file for file in read_manifest(result).files}
         names = names_of_files(self.folder)

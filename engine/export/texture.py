@@ -23,20 +23,13 @@ from .mending import around_vertices, pieces
 
 LARGEST = 8192  # the square of this limits the pixels of all pictures together; photos are at most this wide
 _FILLED = 0.6  # approximate share of a picture that its charts fill
-_NEAR, _NEAR_SHARE = 0.05, 0.02
-"""A view sees a vertex if its depth there differs by at most this many metres, or this share."""
-_STEP, _BESIDE_STEP = 1.1, 0.02
-"""The ratio of depths above which one surface hides another; the weight of a view beside such an edge, where its photo
-may show the other surface."""
+_NEAR, _NEAR_SHARE = 0.05, 0.02  # a view sees a vertex if its depth is within these metres, or this share
+_STEP, _BESIDE_STEP = 1.1, 0.02  # a ratio of depths at which one surface hides another; the weight of views there
 _ROUNDS = 12  # rounds of smoothing of the views' qualities, so that neighbours choose the same view
 DARK, BRIGHT, LARGEST_GAIN = 12, 243, 4.0  # as `engine/train/photos.py` compares photos
-_OVEREXPOSED, _ENOUGH = 0.3, 100
-"""The weight of an overexposed pixel, and the minimum number of pixels to compare a photo's exposure with the
-room's."""
+_OVEREXPOSED, _ENOUGH = 0.3, 100  # the weight of an overexposed pixel; least pixels to tell a photo's exposure
 _ODD = 30.0  # difference of values above which a photo shows something other than the vertex
-_COARSE, _SPREAD = 4, 0.025
-"""The side of a cell in pixels, and the radius, as a share of a photo's width, over which its colours are matched to
-the vertices'."""
+_COARSE, _SPREAD = 4, 0.025  # a cell's side in pixels; over what share of a photo's width colours are matched
 _MARGIN = 3  # pixels around a chart that are copied with it
 _CELL = 4  # the side in pixels of the square that a triangle without a view has in the picture
 

@@ -56,9 +56,8 @@ class MaskFacts:
 
 @dataclass(frozen=True)
 class FrameFacts:
-    """What was measured on one frame's pixels; None where it has no such pixels. ``unknown_truth`` lists classes of the
-    ground truth that the masks' table lacks. ``brightest`` is the largest value of a 16-bit photo, None for other
-    photos and for those not decoded."""
+    """What was measured on one frame's pixels; None where it has none. ``unknown_truth``: classes of the ground truth
+    that the masks lack. ``brightest``: the largest value of a 16-bit photo, None if it is none or not decoded."""
 
     name: str
     depth: DepthFacts | None
@@ -72,8 +71,7 @@ _Look = tuple[FrameFacts, Thumbnail | None, Frame]
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """The scene without unreadable frames, the facts of the others, and warnings besides those from opening the scene.
-    Frames keep their decoded masks on request."""
+    """The scene without unreadable frames, the facts of the others, and warnings besides those of its opening."""
 
     scene: Scene
     frames: tuple[FrameFacts, ...]

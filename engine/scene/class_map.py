@@ -16,8 +16,7 @@ from .class_tables import REDUCED, known_table, reduced_by_name
 
 _FIRST, _OTHERS = ("reduced", "nyu40"), ("nyu13", "scannet200", "replica", "coco", "ade20k", "cityscapes")
 """Tables whose names take colours, most distinct first: the first in this order, the others' by how many share them."""
-_CALM = {"wall": 24, "floor": 21, "ceiling": 26}
-"""Palette indices of greyish colours for the classes that fill most pictures, exchanged with the names there."""
+_CALM = {"wall": 24, "floor": 21, "ceiling": 26}  # palette indices of greys, for what fills most pictures
 _FAR = 128  # the number of leading palette colours that differ by at least 9.5 (CIEDE2000); the rest differ by 5.5
 
 

@@ -26,8 +26,7 @@ from .pixels import Alignment, decode_depth, read_indices, resize_aligned, resiz
 from .view import watched
 
 MILLIMETRES = 0.001
-_DEPTHS = (0.0005, 10_000.0)
-"""Metres: half a step of a 16-bit image in millimetres, and the farthest that a camera may be from the origin."""
+_DEPTHS = (0.0005, 10_000.0)  # metres: half a step of 16 bits, and how far a camera may be from the origin
 _LARGEST = 65535  # the largest value in a PNG of 16 bits
 _PNG_FIX = "Save millimetres as a 16-bit grey PNG."
 _ONE_PLACE = 1e-3  # metres; colour and depth share a pose if their transform differs from the identity by no more

@@ -49,8 +49,7 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DepthFit:
-    """Depth is ``scale`` * value + ``shift``, or 1 / that if ``is_inverse``, and at most ``farthest``. ``error`` is the
-    points' median error relative to their depth."""
+    """``scale`` * value + ``shift`` is depth, or its inverse, up to ``farthest``. ``error``: the relative median."""
 
     scale: float
     shift: float

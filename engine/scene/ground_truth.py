@@ -53,8 +53,7 @@ class Numbers:
 
 def numbers_of_truth(folder: Path, files: Mapping[str, Path], masks: MaskSet) -> Numbers:
     """What the numbers in a ``folder`` mean; its ``files`` are named like frames. Its table is that of ``classes.toml``
-    beside it or the one that its name ends with, such as ``semantic_nyu40``; in ``rs_semantics`` the paper's 21. Raises
-    PlgsError if two tables fit equally."""
+    beside it, or of its name (``semantic_nyu40``; ``rs_semantics``: the paper's 21). Raises PlgsError if two fit."""
     choice = _own_choice(folder)
     if choice is None:
         # Numbers in the masks' own files differ from class ids where they count from 0.

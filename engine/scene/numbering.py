@@ -111,8 +111,7 @@ def numbered(
     source: MaskSource, choice: ClassChoice | None, where: Path, asking: Asking | None = None
 ) -> tuple[MaskSource, ClassChoice | None, tuple[Inferred, ...]]:
     """The masks and the choice of classes with the numbering of the choice's table, and what was inferred. No table
-    applies to masks that number objects. Raises PlgsError if every numbering makes the files' things stuff, or if the
-    numbers are those of another table."""
+    applies to masks of objects. Raises PlgsError if all numberings make things stuff, or if another table's fits."""
     asking = asking or Asking()
     if choice is None:
         return source, None, () if source.kinds is None else (_UNNAMED,)

@@ -110,8 +110,7 @@ _AGAIN = "Read the classes again."
 
 @dataclass(frozen=True)
 class ClassList:
-    """``rows`` in order of the masks' numbers, and numbers that mean nothing (``void``). ``path`` is the classes.toml
-    beside the masks, which may not exist yet."""
+    """``rows`` by the masks' numbers, ``void`` numbers, and the ``path`` of classes.toml, which may not exist yet."""
 
     path: Path
     rows: tuple[NamedClass, ...]

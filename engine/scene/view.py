@@ -21,8 +21,7 @@ from ..posed.frames import Camera
 from .frame import Frame, PanopticMask, Segment, Size
 from .pixels import resize_colour, resize_nearest
 
-BLACK, JPEG_BLACK = 2, 12
-"""Maximum brightness of a border: of its median, and of each pixel, as JPEG brightens those near the picture."""
+BLACK, JPEG_BLACK = 2, 12  # most brightness of a border: its median, and each pixel, as JPEG brightens some
 THICKEST = 0.1  # maximum border width, as a fraction of the image; wider dark areas are things in the picture
 SHORTEST = 0.125  # minimum border length, as a fraction of the side
 STEEPEST = 2
@@ -64,8 +63,7 @@ def _add_upper(border: NDArray[np.bool_], dark: NDArray[np.bool_], brightest: ND
 
 Read = TypeVar("Read")
 READERS = 2  # threads that read ahead; more would fill the memory with waiting pictures
-NEAR, NEAR_SHARE = 0.05, 0.02
-"""A view sees a point if its depth there differs by at most this many metres, or by this fraction of it."""
+NEAR, NEAR_SHARE = 0.05, 0.02  # a view sees a point if its depth is within these metres, or this fraction
 
 Rows = NDArray[np.int64]
 

@@ -37,8 +37,7 @@ _TO_OPENCV = np.diag([1.0, -1.0, -1.0])
 _STRAIGHT = 1e-6
 _LARGEST = 2**27  # the largest number of values in one array: a picture of 8192x5461 in colour
 _PIXELS_FIX = "Download this file again."
-_BRIGHT, _BRIGHT_SHARE, _GAMMA = 0.8, 90.0, 1.0 / 2.2
-"""The project's tool maps the 90th percentile of brightness to 0.8, after a gamma of 1 / 2.2."""
+_BRIGHT, _BRIGHT_SHARE, _GAMMA = 0.8, 90.0, 1.0 / 2.2  # the 90th percentile becomes 0.8, after a gamma
 
 
 @dataclass(frozen=True)

@@ -40,8 +40,7 @@ from .poses import from_opengl, quaternion_pose
 _FIX = "Export it from Record3D again."
 _EXPORTED = "metadata.json"
 _LARGEST = 2**28  # maximum size in bytes of one unpacked picture or depth map
-_DEPTH_SIZES = ((192, 256), (256, 192), (480, 640), (640, 480))
-"""(width, height) of LiDAR and TrueDepth, portrait and landscape, for metadata without a size."""
+_DEPTH_SIZES = ((192, 256), (256, 192), (480, 640), (640, 480))  # (width, height), if unsaid
 _MOST_DEPTHS = 2**22  # maximum number of values in a depth map
 _CLEARLY_Y = 0.9  # cosine of 25 degrees
 _STORED, _SHORT, _USUAL, _END = b"bvx-", b"bvxn", b"bvx2", b"bvx$"  # kinds of LZFSE's blocks

@@ -30,8 +30,7 @@ from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask,
 _FIX = "Write run lengths with pycocotools' encode, as detectron2 and ultralytics do."
 _SIZE_FIX = "Give the image its width and height under images, or write run lengths."
 _KINDS = "Give COCO results, COCO or LVIS instances, or masklets of SA-V."
-_RLE = re.compile(rb"(?:[P-o]{0,6}[0-O])+")
-"""Compressed run lengths: six bits per character, the highest of which says that the number continues."""
+_RLE = re.compile(rb"(?:[P-o]{0,6}[0-O])+")  # six bits a character; the highest says that the number continues
 _EVERY = 4  # SA-V has masklets for every fourth frame of its videos
 
 
@@ -144,8 +143,7 @@ class DetectionTable:
 
 
 def compressed(given: Any, size: Size | None, context: str, path: Path) -> tuple[Size, bytes]:
-    """The size and compressed run lengths of a COCO segmentation: run lengths, compressed or not, or polygons in a
-    picture of this ``size``. Raises PlgsError."""
+    """The size and compressed run lengths of a COCO segmentation: run lengths, or polygons. Raises PlgsError."""
     from pycocotools import mask as rle_tools  # late, as above
 
     if isinstance(given, dict):
