@@ -14,20 +14,7 @@ from ..machine import memory
 from ..machine.compiled import Array
 from ..machine.log_compilation import log_compilation
 from ..machine.threads import parallel_for, worker_count
-from .arrays import (
-    Blended,
-    GaussianGradients,
-    Gaussians,
-    Intersections,
-    IsectGradients,
-    Projected,
-    Scratch,
-    Shapes,
-    Size,
-    Splats,
-    TileChannels,
-    flat,
-)
+from . import arrays
 from .blending.backward import backward_scratch_size, blend_backward
 from .blending.batch import PATCHES, gather, list_channels
 from .blending.contributors import find_surface, list_contributors, scratch_sizes
@@ -47,7 +34,7 @@ class ForwardState:
 
     camera: Array
     records: Array
-    isects: Intersections
+    isects: arrays.Intersections
     final: Array
     last: Array
 
@@ -72,33 +59,34 @@ def as_array(tensor: Tensor) -> Array:
 
 
 def rasterize_forward(
-    gaussians: Gaussians, labels: Array, pinhole: Pinhole, on_image: tuple[Array, Array]
+    gaussians: arrays.Gaussians, labels: Array, pinhole: Pinhole, on_image: tuple[Array, Array]
 ) -> tuple[Layers, ForwardState]:
     """Draw the Gaussians with ``labels`` float32 [N, C], and fill ``on_image``: where each is, float32 [N, 2], and
     whether it is visible, bool [N]."""
     count, channels = labels.shape
-    size, camera = Size(pinhole.width, pinhole.height, channels), camera_array(pinhole)
+    size, camera = arrays.Size(pinhole.width, pinhole.height, channels), camera_array(pinhole)
     layers = Layers.empty(size.height, size.width, channels)
     pixels = size.height * size.width
     final, last, records = memory.several((pixels, np.float32), (pixels, np.float32), ((count, RECORD), np.float32))
-    out = Blended(*map(flat, layers), final, last)
+    out = arrays.Blended(*map(arrays.flat, layers), final, last)
 
     boxes, depths = memory.several(((count, 4), np.int32), (count, np.float32))
-    projected = Projected(records, boxes, depths, *on_image)
+    projected = arrays.Projected(records, boxes, depths, *on_image)
     parallel_for(worker_count(), project, gaussians, camera, size, projected, np.zeros(1, np.int64))
     isects, longest = isect_tiles(worker_count(), boxes, depths, size.width, size.height)
     workers = blending_workers(worker_count(), isects, longest)
     scratch = new_scratch(workers, scratch_size(channels, longest))
-    parallel_for(workers, blend_forward, isects, Splats(flat(records), flat(labels)), out, size, scratch)
+    splats = arrays.Splats(arrays.flat(records), arrays.flat(labels))
+    parallel_for(workers, blend_forward, isects, splats, out, size, scratch)
     return layers, ForwardState(camera, records, isects, final, last)
 
 
-def new_scratch(workers: int, floats: int) -> Scratch:
+def new_scratch(workers: int, floats: int) -> arrays.Scratch:
     """Scratch for ``workers``, with ``floats`` for each. Each worker has whole cache lines, as workers that write to
     the same line would wait for each other."""
     floats = -(-floats // TILE) * TILE
     wanted = ((workers, floats), np.float32), ((workers, MEMBERS), np.int32), ((workers, PATCHES), np.int64)
-    return Scratch(np.zeros(1, np.int64), *memory.several(*wanted))
+    return arrays.Scratch(np.zeros(1, np.int64), *memory.several(*wanted))
 
 
 def _for_contributors(kernel: Any, state: ForwardState, *out: Any) -> None:
@@ -107,31 +95,31 @@ def _for_contributors(kernel: Any, state: ForwardState, *out: Any) -> None:
     workers = blending_workers(worker_count(), state.isects, longest)
     floats, integers = scratch_sizes(longest)
     scratches = memory.several(((workers, floats), np.float32), ((workers, integers), np.int32))
-    parallel_for(workers, kernel, state.isects, flat(state.records), scratches, *out)
+    parallel_for(workers, kernel, state.isects, arrays.flat(state.records), scratches, *out)
 
 
 # From the gradients of pictures to those of Gaussians: backward blending, sums over tiles, backward projection.
 
 
-def rasterize_backward(state: ForwardState, shapes: Shapes, d_layers: Layers) -> GaussianGradients:
+def rasterize_backward(state: ForwardState, shapes: arrays.Shapes, d_layers: Layers) -> arrays.GaussianGradients:
     """The gradients of everything that was blended. ``shapes`` are those of the forward pass; ``d_layers``: the layers'
     gradients, whose labels have no channels if none are wanted."""
     height, width, channels = d_layers.labels.shape
-    size, workers = Size(width, height, channels), worker_count()
+    size, workers = arrays.Size(width, height, channels), worker_count()
     tiles, count, n = len(state.isects.isect_offsets) - 1, len(state.isects.flatten_ids), len(state.records)
     counts, listed = np.zeros(tiles, np.int64), memory.empty(tiles * channels, np.int32)
     if channels:
-        parallel_for(workers, list_channels, flat(d_layers.labels).view(np.int32), size, counts, listed)
-    used = TileChannels(counts, listed, padded_channels(int(counts.max())))
+        parallel_for(workers, list_channels, arrays.flat(d_layers.labels).view(np.int32), size, counts, listed)
+    used = arrays.TileChannels(counts, listed, padded_channels(int(counts.max())))
     values, labels = (count * GRADIENT_WIDTH, np.float32), (count * used.padded, np.float32)
-    isects = IsectGradients(used, *memory.several((count, np.int32), values, labels))
+    isects = arrays.IsectGradients(used, *memory.several((count, np.int32), values, labels))
     sizes = ((n, 3), (n, 3), (n, 4), (n,), (n, 3), (n, channels), (n, 2))
-    out = GaussianGradients(*(memory.empty(each, np.float32) for each in sizes))
-    pixels = Blended(*map(flat, d_layers), state.final, state.last)
+    out = arrays.GaussianGradients(*(memory.empty(each, np.float32) for each in sizes))
+    pixels = arrays.Blended(*map(arrays.flat, d_layers), state.final, state.last)
     scratch = new_scratch(workers, backward_scratch_size(used.padded))
-    parallel_for(workers, blend_backward, state.isects, flat(state.records), pixels, size, isects, scratch)
+    parallel_for(workers, blend_backward, state.isects, arrays.flat(state.records), pixels, size, isects, scratch)
     scene = (shapes, state.records, state.camera)
-    flat_out = out._replace(labels=flat(out.labels))
+    flat_out = out._replace(labels=arrays.flat(out.labels))
     parallel_for(
         workers, gather, state.isects.gaussian_offsets, isects, channels, scene, flat_out, np.zeros(1, np.int64)
     )
@@ -172,7 +160,7 @@ class _Blend(torch.autograd.Function):
         ctx: Any, means: Tensor, scales: Tensor, quats: Tensor, opacities: Tensor, colours: Tensor,
         labels: Tensor | None, centres: Tensor, pinhole: Pinhole, on_image: tuple[Array, Array], wanted: Wanted,
     ) -> tuple[Tensor, ...]:  # fmt: skip
-        gaussians = Gaussians(*map(as_array, (means, scales, quats, opacities, colours)))
+        gaussians = arrays.Gaussians(*map(as_array, (means, scales, quats, opacities, colours)))
         features = as_array(labels) if labels is not None else np.empty((means.shape[0], 0), np.float32)
         is_compiled = log_compilation("the forward pass of the rasteriser", COMPILATION)
         layers, state = rasterize_forward(gaussians, features, pinhole, on_image)
@@ -183,7 +171,7 @@ class _Blend(torch.autograd.Function):
             _for_contributors(list_contributors, state, *(each.numpy() for each in more))
         if wanted.surface:
             more.append(torch.empty(shape, dtype=torch.float32))
-            _for_contributors(find_surface, state, flat(more[-1].numpy()), pinhole.width)
+            _for_contributors(find_surface, state, arrays.flat(more[-1].numpy()), pinhole.width)
         ctx.mark_non_differentiable(*more)
         ctx.save_for_backward(means, scales, quats)
         ctx.state = state
@@ -198,7 +186,7 @@ class _Blend(torch.autograd.Function):
         images = (d_image, (*size, 3)), (wanted_labels, (*size, 0)), (d_alpha, size), (d_depth, size)
         # torch gives None if no loss uses a layer: then zeros.
         d_layers = Layers(*(_zeros(shape) if each is None else as_array(each) for each, shape in images))
-        shapes = Shapes(*map(as_array, ctx.saved_tensors))
+        shapes = arrays.Shapes(*map(as_array, ctx.saved_tensors))
         is_compiled = log_compilation("the backward pass of the rasteriser", COMPILATION)
         gradients = list(rasterize_backward(ctx.state, shapes, d_layers))
         is_compiled()

@@ -13,33 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..machine.compiled import Array, device_function, parallel_kernel
+from . import conventions
 from .arrays import GaussianGradients, Gaussians, Projected, Shapes, Size
-from .conventions import (
-    ALPHA_MIN,
-    BLUR,
-    CENTRE_X,
-    CENTRE_X_LOW,
-    D_DEPTH,
-    DEPTH,
-    G_S1,
-    G_S1S1,
-    G_S1S2,
-    G_S2,
-    G_S2S2,
-    L11,
-    L11_LOW,
-    L12,
-    L12_LOW,
-    L22,
-    L22_LOW,
-    LOG_OPACITY,
-    OPACITY,
-    RED,
-    TILE,
-    TINY_NORM,
-    WHITENING,
-    Pinhole,
-)
+from .conventions import ALPHA_MIN, BLUR, TILE, WHITENING, Pinhole
 from .isect_tiles import chunk_count, next_chunk
 
 LOG2_E = math.log2(math.e)
@@ -135,7 +111,7 @@ def three_of(rows: Array, i: int) -> Any:
 def quaternion_of(quats: Array, i: int) -> Any:
     """Row i normalised, and one over its norm."""
     w, x, y, z = np.float64(quats[i, 0]), np.float64(quats[i, 1]), np.float64(quats[i, 2]), np.float64(quats[i, 3])
-    over = 1.0 / max(math.sqrt(w * w + x * x + y * y + z * z), TINY_NORM)
+    over = 1.0 / max(math.sqrt(w * w + x * x + y * y + z * z), conventions.TINY_NORM)
     return w * over, x * over, y * over, z * over, over
 
 
@@ -190,8 +166,8 @@ def project_gaussian(i: int, gaussians: Gaussians, camera: Array, size: Size, ou
     root = math.sqrt(cov_yy / determinant)
     whitened = (WHITENING * root, -WHITENING * cov_xy / (determinant * root), WHITENING / math.sqrt(cov_yy))
     write_record(i, (centre_x, centre_y), whitened, gaussians, out.records)
-    out.records[i, LOG_OPACITY] = (reach + LOG_ALPHA_MIN) * LOG2_E  # log2(opacity)
-    out.records[i, DEPTH] = z
+    out.records[i, conventions.LOG_OPACITY] = (reach + LOG_ALPHA_MIN) * LOG2_E  # log2(opacity)
+    out.records[i, conventions.DEPTH] = z
 
 
 @device_function
@@ -200,13 +176,13 @@ def write_record(
 ) -> None:
     """Write all of a record except ``LOG_OPACITY`` and ``DEPTH``."""
     for c in range(2):
-        records[i, CENTRE_X + 2 * c] = centre[c]
-        records[i, CENTRE_X_LOW + 2 * c] = centre[c] - np.float64(records[i, CENTRE_X + 2 * c])
+        records[i, conventions.CENTRE_X + 2 * c] = centre[c]
+        records[i, conventions.CENTRE_X_LOW + 2 * c] = centre[c] - np.float64(records[i, conventions.CENTRE_X + 2 * c])
     for c in range(3):
-        records[i, L11 + c] = whitened[c]
-        records[i, L11_LOW + c] = whitened[c] - np.float64(records[i, L11 + c])
-        records[i, RED + c] = gaussians.colours[i, c]
-    records[i, OPACITY] = gaussians.opacities[i]
+        records[i, conventions.L11 + c] = whitened[c]
+        records[i, conventions.L11_LOW + c] = whitened[c] - np.float64(records[i, conventions.L11 + c])
+        records[i, conventions.RED + c] = gaussians.colours[i, c]
+    records[i, conventions.OPACITY] = gaussians.opacities[i]
 
 
 @parallel_kernel
@@ -229,10 +205,11 @@ def gradient_on_image(record: Array, total: Array) -> Any:
     """dL/d(centre x, y) and dL/d(covariance xx, xy = yx, yy) from the moments of the whitened offsets. With A =
     WHITENING * L, s = A d and g = dL/d(ln alpha): ln alpha = -|s|^2 / log2(e), so dL/dcentre = 2 / log2(e) * A^T sum(g
     s) and dL/dcov = A^T sum(g s s^T) A / (log2(e) * WHITENING^2)."""
-    a = np.float64(record[L11]) + np.float64(record[L11_LOW])
-    b = np.float64(record[L12]) + np.float64(record[L12_LOW])
-    c = np.float64(record[L22]) + np.float64(record[L22_LOW])
-    s1, s2, s11, s12, s22 = total[G_S1], total[G_S2], total[G_S1S1], total[G_S1S2], total[G_S2S2]
+    a = np.float64(record[conventions.L11]) + np.float64(record[conventions.L11_LOW])
+    b = np.float64(record[conventions.L12]) + np.float64(record[conventions.L12_LOW])
+    c = np.float64(record[conventions.L22]) + np.float64(record[conventions.L22_LOW])
+    s1, s2 = total[conventions.G_S1], total[conventions.G_S2]
+    s11, s12, s22 = total[conventions.G_S1S1], total[conventions.G_S1S2], total[conventions.G_S2S2]
     first = 2.0 / LOG2_E
     d_x = first * (a * s1)
     d_y = first * (b * s1 + c * s2)
@@ -306,7 +283,7 @@ def project_backward(
     d_v = -jy * (t3 * camera[6] + t4 * camera[7] + t5 * camera[8])
     d_u = through_clamp(x * over_z, camera[17], camera[18], d_u)
     d_v = through_clamp(y * over_z, camera[19], camera[20], d_v)
-    d_z = total[D_DEPTH]
+    d_z = total[conventions.D_DEPTH]
     d_z -= over_z * (t0 * j0 + t1 * j1 + t2 * j2 + t3 * j3 + t4 * j4 + t5 * j5)
     # the centre's own slopes, unclamped
     d_u += camera[12] * d_x2

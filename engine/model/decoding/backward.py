@@ -11,33 +11,9 @@ import numpy as np
 
 from ...machine.compiled import Array, device_function, parallel_kernel
 from ...machine.vectors import WIDTH, fetch_add
+from . import layers, packing
 from .activations import softmax, softmax_backward
-from .layers import (
-    collect_inputs,
-    collect_scales,
-    fill,
-    head_of,
-    list_batch,
-    rounded_rows,
-    run_first_layer,
-    run_head,
-    run_head_backward,
-    wanted_class,
-)
-from .packing import (
-    COLOUR,
-    COVARIANCE,
-    INSTANCE,
-    OPACITY,
-    SEMANTIC,
-    AnchorArrays,
-    Batch,
-    Batches,
-    Gradients,
-    Labelling,
-    Packed,
-    Work,
-)
+from .packing import AnchorArrays, Batch, Batches, Gradients, Labelling, Packed, Work
 
 F = np.float32
 ZERO, ONE = F(0.0), F(1.0)
@@ -60,7 +36,7 @@ def shapes_backward(
     """Outputs of the covariance decoder, offsets and log scales."""
     by, d_log_scale = gradients.by, gradients.log_scale
     room = sizes.d_hidden_at  # for a vector a row, of which six are the anchor's scales
-    collect_scales(batch, anchors, mine, room)
+    layers.collect_scales(batch, anchors, mine, room)
     for m in range(batch.gaussians):
         row, g, n = batch.owners[2 * m], batch.owners[2 * m + 1], batch.first + m
         anchor, at = anchors.visible[batch.listed[row]], sizes.out_at + row * head.padded + 7 * g
@@ -107,7 +83,7 @@ def classes_backward(
     k, classes, channels = sizes.k, sizes.classes, sizes.classes + sizes.slots
     m = 0
     for row in range(batch.rows):
-        wanted = wanted_class(batch.listed[row], visible, labelling)
+        wanted = layers.wanted_class(batch.listed[row], visible, labelling)
         weight = F(gradients.by_loss) if wanted >= 0 else ZERO
         for g in range(k):
             at = sizes.out_at + row * head.padded + g * classes
@@ -120,7 +96,7 @@ def classes_backward(
                 for c in range(at, at + classes):
                     mine[c] *= weight
             else:
-                fill(mine, at, classes, ZERO)
+                layers.fill(mine, at, classes, ZERO)
             if wanted >= 0:
                 mine[at + wanted] -= weight
 
@@ -137,27 +113,28 @@ def batch_backward(
 ) -> None:
     """Process one batch of anchors; adds the gradient of the weights to ``d_weights``."""
     sizes = packed.sizes
-    collect_inputs(batch.listed, batch.rows, anchors, sizes, mine)
-    fill(mine, sizes.d_inputs_at, rounded_rows(batch.rows) * sizes.padded_features, ZERO)
-    last = INSTANCE if labelling.known.shape[0] == 0 else COLOUR  # labels decoded before have no gradient
-    for kind in range(OPACITY, last + 1):
-        head = head_of(packed.heads, kind)
-        rows = batch.rows if kind == SEMANTIC else batch.drawing
-        if kind == SEMANTIC:
-            run_head(head, rows, packed, mine)
+    layers.collect_inputs(batch.listed, batch.rows, anchors, sizes, mine)
+    layers.fill(mine, sizes.d_inputs_at, layers.rounded_rows(batch.rows) * sizes.padded_features, ZERO)
+    # labels decoded before have no gradient
+    last = packing.INSTANCE if labelling.known.shape[0] == 0 else packing.COLOUR
+    for kind in range(packing.OPACITY, last + 1):
+        head = layers.head_of(packed.heads, kind)
+        rows = batch.rows if kind == packing.SEMANTIC else batch.drawing
+        if kind == packing.SEMANTIC:
+            layers.run_head(head, rows, packed, mine)
             classes_backward(batch, head, anchors.visible, labelling, sizes, mine, gradients)
         else:
-            run_first_layer(head, rows, packed, mine)
-            fill(mine, sizes.out_at, rounded_rows(rows) * head.padded, ZERO)
-            if kind == OPACITY:
+            layers.run_first_layer(head, rows, packed, mine)
+            layers.fill(mine, sizes.out_at, layers.rounded_rows(rows) * head.padded, ZERO)
+            if kind == packing.OPACITY:
                 opacities_backward(batch, head, sizes, mine, gradients)
-            elif kind == COVARIANCE:
+            elif kind == packing.COVARIANCE:
                 shapes_backward(batch, head, anchors, sizes, mine, gradients)
-            elif kind == COLOUR:
+            elif kind == packing.COLOUR:
                 colours_backward(batch, head, sizes, mine, gradients)
             else:
                 instances_backward(batch, head, sizes, mine, gradients)
-        run_head_backward(head, rows, packed, mine, d_weights)
+        layers.run_head_backward(head, rows, packed, mine, d_weights)
     for i in range(batch.rows):
         to, source = anchors.visible[batch.listed[i]] * sizes.features, sizes.d_inputs_at + i * sizes.padded_features
         for c in range(sizes.features):
@@ -184,8 +161,8 @@ def decode_backward(
         if chunk >= chunks:
             break
         d_weights = gradients.weights[chunk]
-        fill(d_weights, 0, d_weights.shape[0], ZERO)
+        layers.fill(d_weights, 0, d_weights.shape[0], ZERO)
         for number in range(count * chunk // chunks, count * (chunk + 1) // chunks):
-            batch = list_batch(number, packed.sizes.k, anchors.visible, batches, labelling, numbers)
+            batch = layers.list_batch(number, packed.sizes.k, anchors.visible, batches, labelling, numbers)
             if batch.rows > 0:
                 batch_backward(batch, anchors, packed, labelling, mine, d_weights, gradients)

@@ -9,23 +9,10 @@ import numpy as np
 
 from ...machine.compiled import Array, device_function, parallel_kernel
 from ...machine.vectors import WIDTH, fetch_add, load, store
+from . import packing
 from .activations import copy, sigmoid, softmax, tanh
 from .layers import collect_inputs, collect_scales, head_of, list_batch, run_head, wanted_class
-from .packing import (
-    BATCH,
-    COLOUR,
-    COVARIANCE,
-    INSTANCE,
-    OPACITY,
-    SEMANTIC,
-    AnchorArrays,
-    Batch,
-    Batches,
-    Drawn,
-    Labelling,
-    Packed,
-    Work,
-)
+from .packing import BATCH, AnchorArrays, Batch, Batches, Drawn, Labelling, Packed, Work
 
 F = np.float32
 ZERO = F(0.0)
@@ -37,7 +24,7 @@ def decode_opacities(
 ) -> None:
     """``opacities`` [V * k] in (-1, 1) of the visible anchors; ``counts`` int64 [batches]: those above 0."""
     mine, listed = work.floats[worker], work.numbers[worker]
-    sizes, head = packed.sizes, head_of(packed.heads, OPACITY)
+    sizes, head = packed.sizes, head_of(packed.heads, packing.OPACITY)
     k = sizes.k
     while True:
         batch = fetch_add(work.next_one)
@@ -160,7 +147,7 @@ def decode_gaussians(
     """All of the Gaussians with opacity above 0, and ``batches.losses``."""
     mine, numbers = work.floats[worker], work.numbers[worker]
     sizes, heads, visible = packed.sizes, packed.heads, anchors.visible
-    decoded = INSTANCE if labelling.known.shape[0] == 0 else COLOUR
+    decoded = packing.INSTANCE if labelling.known.shape[0] == 0 else packing.COLOUR
     while True:
         number = fetch_add(work.next_one)
         if number >= batches.starts.shape[0]:
@@ -170,16 +157,16 @@ def decode_gaussians(
         if batch.rows == 0:
             continue
         collect_inputs(batch.listed, batch.rows, anchors, sizes, mine)
-        for kind in range(COVARIANCE, decoded + 1):
+        for kind in range(packing.COVARIANCE, decoded + 1):
             head = head_of(heads, kind)
-            run_head(head, batch.rows if kind == SEMANTIC else batch.drawing, packed, mine)
-            if kind == COVARIANCE:
+            run_head(head, batch.rows if kind == packing.SEMANTIC else batch.drawing, packed, mine)
+            if kind == packing.COVARIANCE:
                 write_shapes(batch, head, anchors, batches.opacities, sizes, mine, drawn)
-            elif kind == COLOUR:
+            elif kind == packing.COLOUR:
                 write_colours(batch, head, sizes, mine, drawn.colours)
-            elif kind == SEMANTIC:
+            elif kind == packing.SEMANTIC:
                 batches.losses[number] = write_classes(batch, head, visible, labelling, sizes, mine, drawn.labels)
             else:
                 write_instances(batch, head, sizes, mine, drawn.labels)
-        if decoded == COLOUR:
+        if decoded == packing.COLOUR:
             write_known_labels(batch, sizes.k, visible, labelling, drawn.labels)

@@ -14,23 +14,9 @@ from ...machine.threads import parallel_for, worker_count
 from ..anchors import Anchors
 from ..decoders import Decoders
 from ..neural_gaussians import NeuralGaussians
+from . import packing
 from .backward import decode_backward
 from .forward import decode_gaussians, decode_opacities
-from .packing import (
-    BATCH,
-    AnchorArrays,
-    Batches,
-    Drawn,
-    Gradients,
-    Labelling,
-    Layout,
-    Packed,
-    Work,
-    layout_of,
-    packed,
-    parameters_of,
-    unpacked,
-)
 
 CHUNKS = 32
 """Chunks of batches with separate sums of weight gradients; also the maximum number of useful workers."""
@@ -45,12 +31,12 @@ def decode_natively(
     known_labels: Tensor | None,
 ) -> NeuralGaussians:
     """``decode_rows`` for float32 tensors on the CPU, with ``torch.get_num_threads()`` threads."""
-    layout = layout_of(decoders.shape)
+    layout = packing.layout_of(decoders.shape)
     labels = torch.empty(0, 0) if known_labels is None else known_labels
     wanted = torch.empty(0, dtype=torch.int64) if channels is None else channels
-    labelling = Labelling(_flat(wanted), _flat(labels), labels.shape[1])
+    labelling = packing.Labelling(_flat(wanted), _flat(labels), labels.shape[1])
     fixed = _Fixed(_flat(visible), _flat(anchors.position), _flat(centre.float()), labelling, layout)
-    outputs = _Decode.apply(fixed, anchors.feature, anchors.offset, anchors.log_scale, *parameters_of(decoders))
+    outputs = _Decode.apply(fixed, anchors.feature, anchors.offset, anchors.log_scale, *packing.parameters_of(decoders))
     means, scales, quats, opacities, colours, labels, all_opacities, cluster = outputs
     return NeuralGaussians(
         means=means,
@@ -72,12 +58,12 @@ class _Fixed(NamedTuple):
     visible: NDArray[np.int64]
     position: NDArray[np.float32]
     centre: NDArray[np.float32]
-    labelling: Labelling
-    layout: Layout
+    labelling: packing.Labelling
+    layout: packing.Layout
 
-    def anchors(self, feature: Tensor, offset: Tensor, log_scale: Tensor) -> AnchorArrays:
+    def anchors(self, feature: Tensor, offset: Tensor, log_scale: Tensor) -> packing.AnchorArrays:
         learnt = _flat(feature), _flat(offset), _flat(log_scale)
-        return AnchorArrays(self.visible, learnt[0], self.position, self.centre, *learnt[1:])
+        return packing.AnchorArrays(self.visible, learnt[0], self.position, self.centre, *learnt[1:])
 
     def clustered(self) -> int:
         """The number of Gaussians in the mean of the cluster loss."""
@@ -90,10 +76,10 @@ def _flat(tensor: Tensor) -> NDArray[Any]:
     return tensor.detach().contiguous().reshape(-1).numpy()
 
 
-def _new_work(workers: int, layout: Layout) -> Work:
+def _new_work(workers: int, layout: packing.Layout) -> packing.Work:
     sizes = layout.sizes
-    floats = memory.empty((workers, sizes.scratch), np.float32)
-    return Work(np.zeros(1, np.int64), floats, memory.empty((workers, BATCH * (1 + 2 * sizes.k)), np.int64))
+    wanted = ((workers, sizes.scratch), np.float32), ((workers, packing.BATCH * (1 + 2 * sizes.k)), np.int64)
+    return packing.Work(np.zeros(1, np.int64), *memory.several(*wanted))
 
 
 def _empty(shape: tuple[int, ...]) -> Tensor:
@@ -108,17 +94,17 @@ class _Decode(torch.autograd.Function):
     ) -> tuple[Tensor, ...]:
         layout, workers, labelling = fixed.layout, worker_count(), fixed.labelling
         sizes, visible = layout.sizes, len(fixed.visible)
-        weights = Packed(packed(list(parameters), layout), np.array(layout.heads), layout.sizes)
+        weights = packing.Packed(packing.packed(list(parameters), layout), np.array(layout.heads), layout.sizes)
         anchors = fixed.anchors(feature, offset, log_scale)
-        all_opacities, counts = _empty((visible, sizes.k)), np.zeros(-(-visible // BATCH), np.int64)
+        all_opacities, counts = _empty((visible, sizes.k)), np.zeros(-(-visible // packing.BATCH), np.int64)
         opacities = _flat(all_opacities)
         parallel_for(workers, decode_opacities, anchors, weights, opacities, counts, _new_work(workers, layout))
-        batches = Batches(opacities, np.cumsum(counts) - counts, np.zeros(len(counts)))
+        batches = packing.Batches(opacities, np.cumsum(counts) - counts, np.zeros(len(counts)))
         channels = labelling.known_channels if len(labelling.known) else sizes.classes + sizes.slots
         count = int(counts.sum())
         shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, 3), (count, channels))
         outputs = [_empty(shape) for shape in shapes]
-        drawn = Drawn(*map(_flat, outputs))
+        drawn = packing.Drawn(*map(_flat, outputs))
         work = _new_work(workers, layout)
         parallel_for(workers, decode_gaussians, anchors, weights, labelling, batches, drawn, work)
         ctx.mark_non_differentiable(all_opacities)
@@ -134,11 +120,11 @@ class _Decode(torch.autograd.Function):
         layout, workers = fixed.layout, worker_count()
         d_anchors = [_empty(tuple(tensor.shape)).zero_() for tensor in learnt]
         d_weights = memory.empty((min(CHUNKS, len(batches.starts)), layout.parameters), np.float32)
-        drawn, by_drawn = Drawn(*map(_flat, outputs)), Drawn(*map(_flat, by[:6]))
+        drawn, by_drawn = packing.Drawn(*map(_flat, outputs)), packing.Drawn(*map(_flat, by[:6]))
         of_feature, of_offset, of_scale = map(_flat, d_anchors)
         by_loss = float(by[7]) / fixed.clustered()
-        gradients = Gradients(drawn, by_drawn, by_loss, of_feature, of_offset, of_scale, d_weights)
+        gradients = packing.Gradients(drawn, by_drawn, by_loss, of_feature, of_offset, of_scale, d_weights)
         work = _new_work(workers, layout)
         anchors = fixed.anchors(*learnt)
         parallel_for(workers, decode_backward, anchors, weights, fixed.labelling, batches, gradients, work)
-        return None, *d_anchors, *unpacked(d_weights.sum(axis=0), layout)
+        return None, *d_anchors, *packing.unpacked(d_weights.sum(axis=0), layout)

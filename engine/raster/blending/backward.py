@@ -16,49 +16,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...machine import vectors as v
 from ...machine.compiled import Array, device_function, inlined, parallel_kernel
 from ...machine.matrix_product import Factors, ListedRows, Rows, add_product
 from ...machine.vector_shuffles import deinterleave3, horizontal_max, horizontal_sums, interleave2
-from ...machine.vectors import (
-    broadcast,
-    broadcast_load,
-    exp2_x4,
-    fetch_add,
-    fma,
-    fnmadd,
-    get,
-    lane_numbers,
-    load,
-    load_pairs,
-    masked_load,
-    minimum,
-    movemask,
-    prefetch,
-    put,
-    select,
-    store,
-    store_nontemporal,
-    trailing_zeros,
-)
+from .. import conventions
 from ..arrays import Blended, Intersections, IsectGradients, Scratch, Size, Tile
-from ..conventions import (
-    BACKWARD_BATCH,
-    BLUE,
-    DEPTH,
-    GRADIENT_WIDTH,
-    GREEN,
-    L11,
-    L12,
-    L22,
-    LOG_OPACITY,
-    MEMBERS,
-    PATCH_WIDTH,
-    REACH_OVER_LOG_OPACITY,
-    RECORD,
-    RED,
-    TILE,
-    padded_channels,
-)
+from ..conventions import BACKWARD_BATCH, GRADIENT_WIDTH, PATCH_WIDTH, RECORD, TILE, padded_channels
 from .batch import AHEAD, PATCHES, halves_touched, origin_of
 from .forward import ALPHA_CAP, ALPHA_LEAST, ONE, ZERO, F, copy_labels, take_four
 
@@ -79,7 +43,7 @@ def copy_label_gradients(tile: Tile, size: Size, d_labels: Array, channels: Arra
             row, column = top + (pixel & 1), left + (pixel >> 1)
             at = BATCH_LABELS + (BACKWARD_BATCH + 1 + patch * TILE + pixel) * padded
             for c in range(0, padded, TILE):
-                store(scratch, at + c, broadcast(ZERO))
+                v.store(scratch, at + c, v.broadcast(ZERO))
             if row < size.height and column < size.width:
                 number = row * size.width + column
                 if count == size.channels:
@@ -93,17 +57,17 @@ def copy_label_gradients(tile: Tile, size: Size, d_labels: Array, channels: Arra
 def add_label_gradients(padded: int, scratch: Array, lists: PatchLists) -> None:
     """The batch's label gradients += the weights of each patch times the label gradients of its pixels."""
     for patch in range(PATCHES):
-        count, listed = get(lists.counts, patch), patch * LISTED
+        count, listed = v.get(lists.counts, patch), patch * LISTED
         if count == 0:
             continue
         for missing in range(count, count + 3):  # the product below takes members in fours
-            put(lists.members, listed + missing, np.int32(PAD_INDEX))
-            store(scratch, WEIGHTS + (listed + missing) * TILE, broadcast(ZERO))
+            v.put(lists.members, listed + missing, np.int32(PAD_INDEX))
+            v.store(scratch, WEIGHTS + (listed + missing) * TILE, v.broadcast(ZERO))
         out = ListedRows(scratch, BATCH_LABELS, padded, lists.members, listed)
         weights = Factors(scratch, WEIGHTS + listed * TILE, TILE, 1)
         source = Rows(scratch, BATCH_LABELS + (BACKWARD_BATCH + 1 + patch * TILE) * padded, padded)
         add_product(out, weights, source, (count + 3) & -4, padded, TILE)
-        put(lists.counts, patch, 0)
+        v.put(lists.counts, patch, 0)
 
 
 # A tile in the backward pass, as patches: where a worker keeps it, and how it is read from the image.
@@ -125,7 +89,7 @@ WEIGHTS = PATCH_STATE + (PATCHES + 1) * PATCH_STRIDE  # [patch, member, pixel]
 LISTED = BACKWARD_BATCH + 4  # of a patch: its members, and those that fill up the last four
 # [member or PAD_INDEX, padded], then the label gradients of the tile's pixels [patch, pixel, padded]
 BATCH_LABELS = WEIGHTS + PATCHES * LISTED * TILE
-assert PATCHES * LISTED <= MEMBERS
+assert PATCHES * LISTED <= conventions.MEMBERS
 NO_PATCH = PATCHES
 """A dummy patch that fills up a group of four. Nothing is ever blended on it."""
 EVEN = 0x5555
@@ -152,24 +116,24 @@ def backward_scratch_size(channels: int) -> int:
 def start_worker(scratch: Array, counts: Array) -> None:
     """Initialise NO_PATCH, and lists without members."""
     for at in range(PATCH_STATE):
-        put(scratch, at, ZERO)
-    left, right = interleave2(lane_numbers(), lane_numbers())
-    store(scratch, COLUMNS, left)
-    store(scratch, COLUMNS + TILE, right)
+        v.put(scratch, at, ZERO)
+    left, right = interleave2(v.lane_numbers(), v.lane_numbers())
+    v.store(scratch, COLUMNS, left)
+    v.store(scratch, COLUMNS + TILE, right)
     for at in range(PATCH_STATE + NO_PATCH * PATCH_STRIDE, PATCH_STATE + (NO_PATCH + 1) * PATCH_STRIDE):
-        put(scratch, at, ZERO)
-    store(scratch, LAST + NO_PATCH * PATCH_STRIDE, broadcast(-ONE))
-    store(scratch, TRANSMITTANCE + NO_PATCH * PATCH_STRIDE, broadcast(ONE))
+        v.put(scratch, at, ZERO)
+    v.store(scratch, LAST + NO_PATCH * PATCH_STRIDE, v.broadcast(-ONE))
+    v.store(scratch, TRANSMITTANCE + NO_PATCH * PATCH_STRIDE, v.broadcast(ONE))
     for patch in range(PATCHES):
-        put(counts, patch, 0)
+        v.put(counts, patch, 0)
 
 
 @inlined
 def store_strip(upper: Any, lower: Any, at: int, scratch: Array) -> None:
     """Store two rows of a tile as a field of their two patches."""
     left, right = interleave2(upper, lower)
-    store(scratch, at, left)
-    store(scratch, at + PATCH_STRIDE, right)
+    v.store(scratch, at, left)
+    v.store(scratch, at + PATCH_STRIDE, right)
 
 
 @device_function
@@ -184,25 +148,27 @@ def load_tile(tile: Tile, size: Size, pixels: Blended, scratch: Array) -> Any:
         pixel, below = row * width + left, (row + 1) * width + left
         # outside there are no columns
         upper_columns, lower_columns = columns if row < height else 0, columns if row + 1 < height else 0
-        upper, lower = lane_numbers() < broadcast(F(upper_columns)), lane_numbers() < broadcast(F(lower_columns))
-        upper_final = select(upper, masked_load(pixels.final, pixel, upper), broadcast(ONE))
-        lower_final = select(lower, masked_load(pixels.final, below, lower), broadcast(ONE))
+        upper = v.lane_numbers() < v.broadcast(F(upper_columns))
+        lower = v.lane_numbers() < v.broadcast(F(lower_columns))
+        upper_final = v.select(upper, v.masked_load(pixels.final, pixel, upper), v.broadcast(ONE))
+        lower_final = v.select(lower, v.masked_load(pixels.final, below, lower), v.broadcast(ONE))
         store_strip(upper_final, lower_final, TRANSMITTANCE + at, scratch)
-        upper_alpha, lower_alpha = masked_load(pixels.alpha, pixel, upper), masked_load(pixels.alpha, below, lower)
-        store_strip(broadcast(ZERO) - upper_alpha, broadcast(ZERO) - lower_alpha, BEHIND + at, scratch)  # -dL/dalpha
-        upper_last = select(upper, masked_load(pixels.last, pixel, upper), broadcast(-ONE))
-        lower_last = select(lower, masked_load(pixels.last, below, lower), broadcast(-ONE))
+        upper_alpha, lower_alpha = v.masked_load(pixels.alpha, pixel, upper), v.masked_load(pixels.alpha, below, lower)
+        nothing = v.broadcast(ZERO)
+        store_strip(nothing - upper_alpha, nothing - lower_alpha, BEHIND + at, scratch)  # -dL/dalpha
+        upper_last = v.select(upper, v.masked_load(pixels.last, pixel, upper), v.broadcast(-ONE))
+        lower_last = v.select(lower, v.masked_load(pixels.last, below, lower), v.broadcast(-ONE))
         store_strip(upper_last, lower_last, LAST + at, scratch)
         upper_red, upper_green, upper_blue = colours_of(3 * pixel, 3 * upper_columns, pixels.image)
         lower_red, lower_green, lower_blue = colours_of(3 * below, 3 * lower_columns, pixels.image)
         store_strip(upper_red, lower_red, D_PLANES + at, scratch)
         store_strip(upper_green, lower_green, D_PLANES + TILE + at, scratch)
         store_strip(upper_blue, lower_blue, D_PLANES + 2 * TILE + at, scratch)
-        upper_depth, lower_depth = masked_load(pixels.depth, pixel, upper), masked_load(pixels.depth, below, lower)
+        upper_depth, lower_depth = v.masked_load(pixels.depth, pixel, upper), v.masked_load(pixels.depth, below, lower)
         store_strip(upper_depth, lower_depth, D_PLANES + 3 * TILE + at, scratch)
         for each in (patch, patch + 1):
-            own = horizontal_max(load(scratch, LAST + each * PATCH_STRIDE))
-            put(scratch, LAST_OF_PATCH + each, own)
+            own = horizontal_max(v.load(scratch, LAST + each * PATCH_STRIDE))
+            v.put(scratch, LAST_OF_PATCH + each, own)
             far = max(far, int(own))
     return far
 
@@ -211,9 +177,9 @@ def load_tile(tile: Tile, size: Size, pixels: Blended, scratch: Array) -> Any:
 def colours_of(source: int, floats: int, d_image: Array) -> Any:
     """d_image[source : source + floats], which is stored pixel by pixel, as planes."""
     return deinterleave3(
-        masked_load(d_image, source, lane_numbers() < broadcast(F(floats))),
-        masked_load(d_image, source + TILE, lane_numbers() < broadcast(F(floats - TILE))),
-        masked_load(d_image, source + 2 * TILE, lane_numbers() < broadcast(F(floats - 2 * TILE))),
+        v.masked_load(d_image, source, v.lane_numbers() < v.broadcast(F(floats))),
+        v.masked_load(d_image, source + TILE, v.lane_numbers() < v.broadcast(F(floats - TILE))),
+        v.masked_load(d_image, source + 2 * TILE, v.lane_numbers() < v.broadcast(F(floats - 2 * TILE))),
     )
 
 
@@ -222,16 +188,16 @@ def whiten_tile(records: Array, at: int, tile: Tile, scratch: Array, own: int) -
     """Fill S1_LEFT, S2, S2_SQUARED and EXPONENTS of scratch[own:], with the same bits as each row in the forward pass.
     Returns the mask of the patches that are touched."""
     origin_s1, origin_s2 = origin_of(records, at, tile)
-    s1 = fma(broadcast_load(records, at + L12), lane_numbers(), broadcast(origin_s1))
-    s2 = fma(broadcast_load(records, at + L22), lane_numbers(), broadcast(origin_s2))
-    log_opacity = broadcast_load(records, at + LOG_OPACITY)
+    s1 = v.fma(v.broadcast_load(records, at + conventions.L12), v.lane_numbers(), v.broadcast(origin_s1))
+    s2 = v.fma(v.broadcast_load(records, at + conventions.L22), v.lane_numbers(), v.broadcast(origin_s2))
+    log_opacity = v.broadcast_load(records, at + conventions.LOG_OPACITY)
     square = s2 * s2
-    store(scratch, own + S1_LEFT, s1)
-    store(scratch, own + S2, s2)
-    store(scratch, own + S2_SQUARED, square)
-    store(scratch, own + EXPONENTS, log_opacity - square)
-    reach = log_opacity + broadcast(REACH_OVER_LOG_OPACITY)
-    on_left, on_right = halves_touched(s1, broadcast_load(records, at + L11), square, reach)
+    v.store(scratch, own + S1_LEFT, s1)
+    v.store(scratch, own + S2, s2)
+    v.store(scratch, own + S2_SQUARED, square)
+    v.store(scratch, own + EXPONENTS, log_opacity - square)
+    reach = log_opacity + v.broadcast(conventions.REACH_OVER_LOG_OPACITY)
+    on_left, on_right = halves_touched(s1, v.broadcast_load(records, at + conventions.L11), square, reach)
     return strips_of(on_left) | (strips_of(on_right) << 1)
 
 
@@ -245,39 +211,40 @@ def strips_of(mask: int) -> int:
 def whitened(patch: int, slope: Any, scratch: Array, own: int) -> Any:
     """s1 on a patch."""
     row, side = patch & -2, patch & 1
-    return fma(slope, load(scratch, COLUMNS + side * TILE), load_pairs(scratch, own + S1_LEFT + row))
+    return v.fma(slope, v.load(scratch, COLUMNS + side * TILE), v.load_pairs(scratch, own + S1_LEFT + row))
 
 
 @inlined
 def exponent_of(patch: int, slope: Any, scratch: Array, own: int) -> Any:
     """log2 of the Gaussian's alpha on a patch."""
     s1 = whitened(patch, slope, scratch, own)
-    return fnmadd(s1, s1, load_pairs(scratch, own + EXPONENTS + (patch & -2)))
+    return v.fnmadd(s1, s1, v.load_pairs(scratch, own + EXPONENTS + (patch & -2)))
 
 
 @inlined
 def blended_alpha(patch: int, raw: Any, here: Any, scratch: Array) -> Any:
     """The alpha before the cap if the forward pass blended it, otherwise 0."""
-    blended = (raw >= broadcast(ALPHA_LEAST)) & (load(scratch, LAST + patch * PATCH_STRIDE) >= here)
-    return select(blended, raw, broadcast(ZERO))
+    blended = (raw >= v.broadcast(ALPHA_LEAST)) & (v.load(scratch, LAST + patch * PATCH_STRIDE) >= here)
+    return v.select(blended, raw, v.broadcast(ZERO))
 
 
 @inlined
 def keep_alpha(patch: int, raw: Any, scratch: Array) -> None:
-    store(scratch, RAW_ALPHAS + patch * TILE, raw)
-    store(scratch, OVERS + patch * TILE, broadcast(ONE) / (broadcast(ONE) - minimum(raw, broadcast(ALPHA_CAP))))
+    one = v.broadcast(ONE)
+    v.store(scratch, RAW_ALPHAS + patch * TILE, raw)
+    v.store(scratch, OVERS + patch * TILE, one / (one - v.minimum(raw, v.broadcast(ALPHA_CAP))))
 
 
 @device_function
 def fill_alphas(slope: float, index: float, patches: int, scratch: Array, own: int) -> None:
     """Fill RAW_ALPHAS and OVERS on the patches of a mask, with the same bits as in the forward pass; four at a time, so
     that none waits for another."""
-    slopes, here = broadcast(slope), broadcast(index)
+    slopes, here = v.broadcast(slope), v.broadcast(index)
     while patches != 0:
         (p0, p1, p2, p3), patches = take_four(patches, NO_PATCH)
         e0, e1 = exponent_of(p0, slopes, scratch, own), exponent_of(p1, slopes, scratch, own)
         e2, e3 = exponent_of(p2, slopes, scratch, own), exponent_of(p3, slopes, scratch, own)
-        raw0, raw1, raw2, raw3 = exp2_x4(e0, e1, e2, e3)
+        raw0, raw1, raw2, raw3 = v.exp2_x4(e0, e1, e2, e3)
         raw0, raw1 = blended_alpha(p0, raw0, here, scratch), blended_alpha(p1, raw1, here, scratch)
         raw2, raw3 = blended_alpha(p2, raw2, here, scratch), blended_alpha(p3, raw3, here, scratch)
         keep_alpha(p0, raw0, scratch)
@@ -291,47 +258,48 @@ def blend_gaussian_backward(
     records: Array, at: int, member: int, patches: int, scratch: Array, own: int, lists: PatchLists
 ) -> Any:
     """Step back over one Gaussian on the patches of a mask. Returns its gradients, as columns of lanes."""
-    slope = broadcast_load(records, at + L11)
-    red, green = broadcast_load(records, at + RED), broadcast_load(records, at + GREEN)
-    blue, depth = broadcast_load(records, at + BLUE), broadcast_load(records, at + DEPTH)
-    g0 = g1 = g11 = g2 = g12 = g22 = broadcast(ZERO)
-    d_red = d_green = d_blue = d_depth = broadcast(ZERO)
+    slope = v.broadcast_load(records, at + conventions.L11)
+    red, green = v.broadcast_load(records, at + conventions.RED), v.broadcast_load(records, at + conventions.GREEN)
+    blue, depth = v.broadcast_load(records, at + conventions.BLUE), v.broadcast_load(records, at + conventions.DEPTH)
+    g0 = g1 = g11 = g2 = g12 = g22 = v.broadcast(ZERO)
+    d_red = d_green = d_blue = d_depth = v.broadcast(ZERO)
     while patches != 0:
-        patch = trailing_zeros(patches)
+        patch = v.trailing_zeros(patches)
         patches &= patches - 1
         state, row = patch * PATCH_STRIDE, patch & -2
-        raw = load(scratch, RAW_ALPHAS + patch * TILE)
-        alpha = minimum(raw, broadcast(ALPHA_CAP))
-        before = load(scratch, TRANSMITTANCE + state) * load(scratch, OVERS + patch * TILE)  # T_i+1 / (1 - alpha_i)
-        store(scratch, TRANSMITTANCE + state, before)
+        raw = v.load(scratch, RAW_ALPHAS + patch * TILE)
+        alpha = v.minimum(raw, v.broadcast(ALPHA_CAP))
+        before = v.load(scratch, TRANSMITTANCE + state) * v.load(scratch, OVERS + patch * TILE)  # T_i+1 / (1 - alpha_i)
+        v.store(scratch, TRANSMITTANCE + state, before)
         weight = alpha * before
-        image_red = load(scratch, D_PLANES + state)
-        image_green = load(scratch, D_PLANES + TILE + state)
-        image_blue = load(scratch, D_PLANES + 2 * TILE + state)
-        image_depth = load(scratch, D_PLANES + 3 * TILE + state)
-        value = fma(red, image_red, fma(green, image_green, fma(blue, image_blue, depth * image_depth)))
-        behind = load(scratch, BEHIND + state)
+        image_red = v.load(scratch, D_PLANES + state)
+        image_green = v.load(scratch, D_PLANES + TILE + state)
+        image_blue = v.load(scratch, D_PLANES + 2 * TILE + state)
+        image_depth = v.load(scratch, D_PLANES + 3 * TILE + state)
+        value = v.fma(red, image_red, v.fma(green, image_green, v.fma(blue, image_blue, depth * image_depth)))
+        behind = v.load(scratch, BEHIND + state)
         difference = value - behind
-        store(scratch, BEHIND + state, fma(alpha, difference, behind))
-        g = select(raw <= broadcast(ALPHA_CAP), weight * difference, broadcast(ZERO))  # a capped alpha has no slope
-        s1, s2 = whitened(patch, slope, scratch, own), load_pairs(scratch, own + S2 + row)
+        v.store(scratch, BEHIND + state, v.fma(alpha, difference, behind))
+        # a capped alpha has no slope
+        g = v.select(raw <= v.broadcast(ALPHA_CAP), weight * difference, v.broadcast(ZERO))
+        s1, s2 = whitened(patch, slope, scratch, own), v.load_pairs(scratch, own + S2 + row)
         g_s1 = g * s1
         g0 = g0 + g
         g1 = g1 + g_s1
-        g11 = fma(g_s1, s1, g11)
-        g2 = fma(g, s2, g2)
-        g12 = fma(g_s1, s2, g12)
-        g22 = fma(g, load_pairs(scratch, own + S2_SQUARED + row), g22)
-        d_red = fma(weight, image_red, d_red)
-        d_green = fma(weight, image_green, d_green)
-        d_blue = fma(weight, image_blue, d_blue)
-        d_depth = fma(weight, image_depth, d_depth)
+        g11 = v.fma(g_s1, s1, g11)
+        g2 = v.fma(g, s2, g2)
+        g12 = v.fma(g_s1, s2, g12)
+        g22 = v.fma(g, v.load_pairs(scratch, own + S2_SQUARED + row), g22)
+        d_red = v.fma(weight, image_red, d_red)
+        d_green = v.fma(weight, image_green, d_green)
+        d_blue = v.fma(weight, image_blue, d_blue)
+        d_depth = v.fma(weight, image_depth, d_depth)
         if lists.wanted:
             # If nothing was blended, the next one overwrites it: cheaper than a branch that cannot be predicted.
-            count = get(lists.counts, patch)
-            store(scratch, WEIGHTS + (patch * LISTED + count) * TILE, weight)
-            put(lists.members, patch * LISTED + count, np.int32(member))
-            put(lists.counts, patch, count + int(movemask(raw > broadcast(ZERO)) != 0))
+            count = v.get(lists.counts, patch)
+            v.store(scratch, WEIGHTS + (patch * LISTED + count) * TILE, weight)
+            v.put(lists.members, patch * LISTED + count, np.int32(member))
+            v.put(lists.counts, patch, count + int(v.movemask(raw > v.broadcast(ZERO)) != 0))
     return horizontal_sums((g0, g1, g11, g2, g12, g22, d_red, d_green, d_blue, d_depth))
 
 
@@ -346,7 +314,7 @@ def blend_backward(
     columns, tiles = (size.width + TILE - 1) // TILE, starts.shape[0] - 1
     start_worker(scratch, counts)
     while True:
-        number = fetch_add(scratches.next_one)
+        number = v.fetch_add(scratches.next_one)
         if number >= tiles:
             break
         left, top, first = number % columns * TILE, number // columns * TILE, starts[number]
@@ -364,28 +332,28 @@ def blend_backward(
             copy_label_gradients(tile, size, pixels.labels, own_channels, channels, scratch)
         # each Gaussian is whitened during the one before it, so that the patches it touches are known in time
         own = 0
-        patches = whiten_tile(records, int(get(flatten_ids, first + far)) * RECORD, tile, scratch, own)
+        patches = whiten_tile(records, int(v.get(flatten_ids, first + far)) * RECORD, tile, scratch, own)
         for batch in range(far // BACKWARD_BATCH * BACKWARD_BATCH, -1, -BACKWARD_BATCH):
             for at in range(BATCH_LABELS, BATCH_LABELS + BACKWARD_BATCH * padded, TILE):
-                store(scratch, at, broadcast(ZERO))
+                v.store(scratch, at, v.broadcast(ZERO))
             for index in range(min(batch + BACKWARD_BATCH - 1, far), batch - 1, -1):
-                touching = patches & movemask(load(scratch, LAST_OF_PATCH) >= broadcast(F(index)))
-                at = int(get(flatten_ids, first + index)) * RECORD
-                following = int(get(flatten_ids, first + max(index - 1, 0))) * RECORD  # at the front itself, unused
-                prefetch(records, int(get(flatten_ids, first + max(index - AHEAD, 0))) * RECORD)
+                touching = patches & v.movemask(v.load(scratch, LAST_OF_PATCH) >= v.broadcast(F(index)))
+                at = int(v.get(flatten_ids, first + index)) * RECORD
+                following = int(v.get(flatten_ids, first + max(index - 1, 0))) * RECORD  # at the front itself, unused
+                v.prefetch(records, int(v.get(flatten_ids, first + max(index - AHEAD, 0))) * RECORD)
                 patches = whiten_tile(records, following, tile, scratch, WHITENED - own)
-                isect = int(get(isect_ids, first + index))
+                isect = int(v.get(isect_ids, first + index))
                 out.tiles[isect] = number if touching != 0 else -1
                 if touching != 0:
-                    fill_alphas(get(records, at + L11), F(index), touching, scratch, own)
+                    fill_alphas(v.get(records, at + conventions.L11), F(index), touching, scratch, own)
                     sums = blend_gaussian_backward(records, at, index - batch, touching, scratch, own, lists)
-                    store_nontemporal(out.values, isect * GRADIENT_WIDTH, sums)  # only `gather` reads it
+                    v.store_nontemporal(out.values, isect * GRADIENT_WIDTH, sums)  # only `gather` reads it
                 own = WHITENED - own
             if channels > 0:
                 add_label_gradients(padded, scratch, lists)
                 for member in range(min(BACKWARD_BATCH, far + 1 - batch)):
-                    isect = int(get(isect_ids, first + batch + member))
-                    if get(out.tiles, isect) >= 0:
+                    isect = int(v.get(isect_ids, first + batch + member))
+                    if v.get(out.tiles, isect) >= 0:
                         source = BATCH_LABELS + member * padded
                         for c in range(0, padded, TILE):
-                            store_nontemporal(out.labels, isect * used.padded + c, load(scratch, source + c))
+                            v.store_nontemporal(out.labels, isect * used.padded + c, v.load(scratch, source + c))

@@ -14,37 +14,9 @@ import numpy as np
 from ...machine.compiled import Array, device_function, inlined, parallel_kernel
 from ...machine.vector_shuffles import interleave2
 from ...machine.vectors import broadcast, fma, get, load, maximum, movemask, prefetch, put, store
+from .. import conventions
 from ..arrays import GaussianGradients, IsectGradients, Shapes, Size, Tile
-from ..conventions import (
-    BATCH,
-    BLUE,
-    CENTRE_X,
-    CENTRE_X_LOW,
-    CENTRE_Y,
-    CENTRE_Y_LOW,
-    D_BLUE,
-    D_GREEN,
-    D_RED,
-    DEPTH,
-    GRADIENT,
-    GRADIENT_WIDTH,
-    GREEN,
-    L11,
-    L11_LOW,
-    L12,
-    L12_LOW,
-    L22,
-    L22_LOW,
-    LOG_OPACITY,
-    OPACITY,
-    PATCH_HEIGHT,
-    PATCH_WIDTH,
-    REACH_OVER_LOG_OPACITY,
-    RECORD,
-    RED,
-    TILE,
-    G,
-)
+from ..conventions import BATCH, GRADIENT, GRADIENT_WIDTH, PATCH_HEIGHT, PATCH_WIDTH, RECORD, TILE
 from ..isect_tiles import chunk_count, next_chunk
 from ..projection import project_backward
 
@@ -78,11 +50,13 @@ STRIP_FIELDS = 4 * BATCH + TILE
 @device_function
 def origin_of(records: Array, at: int, tile: Tile) -> Any:
     """s at the centre of a tile's first pixel: in double, once per tile; all after is within a few deviations."""
-    dx = (tile.left + 0.5 - np.float64(get(records, at + CENTRE_X))) - np.float64(get(records, at + CENTRE_X_LOW))
-    dy = (tile.top + 0.5 - np.float64(get(records, at + CENTRE_Y))) - np.float64(get(records, at + CENTRE_Y_LOW))
-    l11 = np.float64(get(records, at + L11)) + np.float64(get(records, at + L11_LOW))
-    l12 = np.float64(get(records, at + L12)) + np.float64(get(records, at + L12_LOW))
-    l22 = np.float64(get(records, at + L22)) + np.float64(get(records, at + L22_LOW))
+    dx = tile.left + 0.5 - np.float64(get(records, at + conventions.CENTRE_X))
+    dx -= np.float64(get(records, at + conventions.CENTRE_X_LOW))
+    dy = tile.top + 0.5 - np.float64(get(records, at + conventions.CENTRE_Y))
+    dy -= np.float64(get(records, at + conventions.CENTRE_Y_LOW))
+    l11 = np.float64(get(records, at + conventions.L11)) + np.float64(get(records, at + conventions.L11_LOW))
+    l12 = np.float64(get(records, at + conventions.L12)) + np.float64(get(records, at + conventions.L12_LOW))
+    l22 = np.float64(get(records, at + conventions.L22)) + np.float64(get(records, at + conventions.L22_LOW))
     return F(l11 * dx + l12 * dy), F(l22 * dy)
 
 
@@ -99,14 +73,11 @@ def load_batch(
         s1, s2 = origin_of(records, at, tile)
         put(fields, base + ORIGIN_S1 + m, s1)
         put(fields, base + ORIGIN_S2 + m, s2)
-        put(fields, base + SLOPE + m, get(records, at + L11))
-        put(fields, base + SHEAR + m, get(records, at + L12))
-        put(fields, base + DROP + m, get(records, at + L22))
-        put(fields, base + LOG_OPACITIES + m, get(records, at + LOG_OPACITY))
-        put(fields, base + REDS + m, get(records, at + RED))
-        put(fields, base + GREENS + m, get(records, at + GREEN))
-        put(fields, base + BLUES + m, get(records, at + BLUE))
-        put(fields, base + DEPTHS + m, get(records, at + DEPTH))
+        put(fields, base + LOG_OPACITIES + m, get(records, at + conventions.LOG_OPACITY))
+        for c in range(3):  # L11, L12, L22
+            put(fields, base + SLOPE + c * BATCH + m, get(records, at + conventions.L11 + c))
+        for c in range(4):  # the colour and the depth
+            put(fields, base + REDS + c * BATCH + m, get(records, at + conventions.RED + c))
         put(fields, base + INDICES + m, F(start + m))
     for m in range(count, (count + TILE - 1) // TILE * TILE):
         put(fields, base + LOG_OPACITIES + m, NEVER)
@@ -144,7 +115,7 @@ def whiten_strip(r: int, count: int, fields: Array, base: int, strip: int) -> An
     for m in range(0, count, TILE):
         at = base + m
         slope, log_opacity = load(fields, at + SLOPE), load(fields, at + LOG_OPACITIES)
-        reach = log_opacity + broadcast(REACH_OVER_LOG_OPACITY)
+        reach = log_opacity + broadcast(conventions.REACH_OVER_LOG_OPACITY)
         upper, upper_square = row_of(r, fields, at)
         lower, lower_square = row_of(r + 1, fields, at)
         upper_left, upper_right = halves_touched(upper, slope, upper_square, reach)
@@ -221,10 +192,10 @@ def gather_geometry(
         if not hit:
             clear(i, out)
             continue
-        out.opacities[i] = total[G] / np.float64(records[i, OPACITY])  # d(ln alpha) / d(opacity) is 1 / opacity
-        out.colours[i, 0] = total[D_RED]
-        out.colours[i, 1] = total[D_GREEN]
-        out.colours[i, 2] = total[D_BLUE]
+        # d(ln alpha) / d(opacity) is 1 / opacity
+        out.opacities[i] = total[conventions.G] / np.float64(records[i, conventions.OPACITY])
+        for c in range(3):
+            out.colours[i, c] = total[conventions.D_RED + c]
         project_backward(i, total, records[i], shapes, camera, out)
 
 

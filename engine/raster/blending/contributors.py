@@ -7,23 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from ...machine import vectors as v
 from ...machine.compiled import Array, device_function, parallel_kernel
-from ...machine.vectors import (
-    broadcast,
-    broadcast_load,
-    exp2,
-    fma,
-    fnmadd,
-    get,
-    lane_numbers,
-    load,
-    masked_store,
-    maximum,
-    movemask,
-    put,
-    select,
-    store,
-)
 from ..arrays import Intersections, Tile
 from ..conventions import DEPTH, L11, NEAR_MEDIAN, RECORD, TILE
 from .backward import EXPONENTS, S1_LEFT, WHITENED, whiten_tile
@@ -48,7 +33,7 @@ def scratch_sizes(longest: int) -> tuple[int, int]:
 def any_alive(floats: Array) -> bool:
     """Whether any pixel of the tile still lets light through."""
     for at in range(0, TILE * TILE, TILE):
-        if movemask(load(floats, TRANSMITTANCE + at) > broadcast(ENDED)) != 0:
+        if v.movemask(v.load(floats, TRANSMITTANCE + at) > v.broadcast(ENDED)) != 0:
             return True
     return False
 
@@ -56,14 +41,14 @@ def any_alive(floats: Array) -> bool:
 @device_function
 def blend_row(records: Array, at: int, r: int, floats: Array, to: int) -> bool:
     """Blend one Gaussian on one row of a tile, and put its weights at ``to``. Returns whether any pixel shows it."""
-    s1 = fma(broadcast_load(records, at + L11), lane_numbers(), broadcast_load(floats, OWN + S1_LEFT + r))
-    alpha = seen_alpha(exp2(fnmadd(s1, s1, broadcast_load(floats, OWN + EXPONENTS + r))))
-    before = load(floats, TRANSMITTANCE + r * TILE)
-    after = fnmadd(alpha, before, before)
-    blended = (alpha > broadcast(ZERO)) & (after > broadcast(ENDED))
-    store(floats, TRANSMITTANCE + r * TILE, maximum(after, broadcast(NEARLY_NOTHING)))
-    store(floats, to, select(blended, alpha * before, broadcast(ZERO)))
-    return movemask(blended) != 0
+    s1 = v.fma(v.broadcast_load(records, at + L11), v.lane_numbers(), v.broadcast_load(floats, OWN + S1_LEFT + r))
+    alpha = seen_alpha(v.exp2(v.fnmadd(s1, s1, v.broadcast_load(floats, OWN + EXPONENTS + r))))
+    before = v.load(floats, TRANSMITTANCE + r * TILE)
+    after = v.fnmadd(alpha, before, before)
+    blended = (alpha > v.broadcast(ZERO)) & (after > v.broadcast(ENDED))
+    v.store(floats, TRANSMITTANCE + r * TILE, v.maximum(after, v.broadcast(NEARLY_NOTHING)))
+    v.store(floats, to, v.select(blended, alpha * before, v.broadcast(ZERO)))
+    return v.movemask(blended) != 0
 
 
 @device_function
@@ -73,20 +58,20 @@ def blend_tile(tile: Tile, size: tuple[int, int], flatten_ids: Array, records: A
     floats, members = scratch
     rows, count = min(TILE, size[1] - tile.top), 0
     for r in range(TILE):
-        inside = lane_numbers() < broadcast(F(size[0] - tile.left if r < rows else 0))
-        store(floats, TRANSMITTANCE + r * TILE, select(inside, broadcast(ONE), broadcast(ZERO)))
+        inside = v.lane_numbers() < v.broadcast(F(size[0] - tile.left if r < rows else 0))
+        v.store(floats, TRANSMITTANCE + r * TILE, v.select(inside, v.broadcast(ONE), v.broadcast(ZERO)))
     for k in range(tile.length):
         if k % TILE == 0 and not any_alive(floats):  # it looks at all rows, so not after each Gaussian
             break
-        gaussian = get(flatten_ids, tile.first + k)
+        gaussian = v.get(flatten_ids, tile.first + k)
         patches = whiten_tile(records, int(gaussian) * RECORD, tile, floats, OWN)
         for r in range(rows):
             if (patches >> (r & -2)) & 3 == 0:  # neither patch of the row's strip is touched
                 continue
             # an entry that no pixel shows is overwritten
             if blend_row(records, int(gaussian) * RECORD, r, floats, LISTED + count * TILE):
-                put(members, 2 * count, gaussian)
-                put(members, 2 * count + 1, np.int32(r))
+                v.put(members, 2 * count, gaussian)
+                v.put(members, 2 * count + 1, np.int32(r))
                 count += 1
     return count
 
@@ -123,9 +108,9 @@ def list_contributors(
     for number in range(worker, isects.isect_offsets.shape[0] - 1, workers):
         tile = tile_of(number, size[0], isects.isect_offsets)
         for pair in range(blend_tile(tile, size, isects.flatten_ids, records, (floats, members))):
-            gaussian, y = get(members, 2 * pair), tile.top + get(members, 2 * pair + 1)
+            gaussian, y = v.get(members, 2 * pair), tile.top + v.get(members, 2 * pair + 1)
             for x in range(tile.left, min(tile.left + TILE, size[0])):
-                weight = get(floats, LISTED + pair * TILE + x - tile.left)
+                weight = v.get(floats, LISTED + pair * TILE + x - tile.left)
                 if weight > ZERO:
                     keep_largest(gaussian, weight, indices[y, x], weights[y, x])
 
@@ -141,25 +126,25 @@ def list_contributors(
 def sum_near_median(count: int, records: Array, floats: Array, members: Array) -> None:
     """Fill the sums of a tile from what ``blend_tile`` listed."""
     for at in range(TOTAL, LISTED, TILE):
-        store(floats, at, broadcast(ZERO))
+        v.store(floats, at, v.broadcast(ZERO))
     for pair in range(count):
-        at = TILE * get(members, 2 * pair + 1)
-        store(floats, TOTAL + at, load(floats, TOTAL + at) + load(floats, LISTED + pair * TILE))
+        at = TILE * v.get(members, 2 * pair + 1)
+        v.store(floats, TOTAL + at, v.load(floats, TOTAL + at) + v.load(floats, LISTED + pair * TILE))
     for pair in range(count):
-        at, weight = TILE * get(members, 2 * pair + 1), load(floats, LISTED + pair * TILE)
-        depth = broadcast_load(records, RECORD * int(get(members, 2 * pair)) + DEPTH)
-        reached = load(floats, REACHED + at)
-        is_median = (weight > broadcast(ZERO)) & (reached < load(floats, TOTAL + at) * broadcast(HALF))
-        store(floats, MEDIAN + at, select(is_median, depth, load(floats, MEDIAN + at)))
-        store(floats, REACHED + at, reached + weight)
+        at, weight = TILE * v.get(members, 2 * pair + 1), v.load(floats, LISTED + pair * TILE)
+        depth = v.broadcast_load(records, RECORD * int(v.get(members, 2 * pair)) + DEPTH)
+        reached = v.load(floats, REACHED + at)
+        is_median = (weight > v.broadcast(ZERO)) & (reached < v.load(floats, TOTAL + at) * v.broadcast(HALF))
+        v.store(floats, MEDIAN + at, v.select(is_median, depth, v.load(floats, MEDIAN + at)))
+        v.store(floats, REACHED + at, reached + weight)
     for pair in range(count):
-        at = TILE * get(members, 2 * pair + 1)
-        median = load(floats, MEDIAN + at)
-        gap = broadcast_load(records, RECORD * int(get(members, 2 * pair)) + DEPTH) - median
-        is_near = maximum(gap, broadcast(ZERO) - gap) <= median * broadcast(NEAR)
-        weight = select(is_near, load(floats, LISTED + pair * TILE), broadcast(ZERO))
-        store(floats, WEIGHT + at, load(floats, WEIGHT + at) + weight)
-        store(floats, OFFSET + at, fma(weight, gap, load(floats, OFFSET + at)))
+        at = TILE * v.get(members, 2 * pair + 1)
+        median = v.load(floats, MEDIAN + at)
+        gap = v.broadcast_load(records, RECORD * int(v.get(members, 2 * pair)) + DEPTH) - median
+        is_near = v.maximum(gap, v.broadcast(ZERO) - gap) <= median * v.broadcast(NEAR)
+        weight = v.select(is_near, v.load(floats, LISTED + pair * TILE), v.broadcast(ZERO))
+        v.store(floats, WEIGHT + at, v.load(floats, WEIGHT + at) + weight)
+        v.store(floats, OFFSET + at, v.fma(weight, gap, v.load(floats, OFFSET + at)))
 
 
 @parallel_kernel
@@ -174,8 +159,8 @@ def find_surface(
         tile = tile_of(number, width, isects.isect_offsets)
         count = blend_tile(tile, size, isects.flatten_ids, records, (floats, members))
         sum_near_median(count, records, floats, members)
-        inside = lane_numbers() < broadcast(F(width - tile.left))
+        inside = v.lane_numbers() < v.broadcast(F(width - tile.left))
         for r in range(min(TILE, size[1] - tile.top)):
-            weight = maximum(load(floats, WEIGHT + r * TILE), broadcast(NEARLY_NOTHING))  # never 0 / 0
-            mean = load(floats, MEDIAN + r * TILE) + load(floats, OFFSET + r * TILE) / weight
-            masked_store(depth, (tile.top + r) * width + tile.left, mean, inside)
+            weight = v.maximum(v.load(floats, WEIGHT + r * TILE), v.broadcast(NEARLY_NOTHING))  # never 0 / 0
+            mean = v.load(floats, MEDIAN + r * TILE) + v.load(floats, OFFSET + r * TILE) / weight
+            v.masked_store(depth, (tile.top + r) * width + tile.left, mean, inside)

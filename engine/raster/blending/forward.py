@@ -11,49 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from ...machine import vectors as v
 from ...machine.compiled import Array, device_function, inlined, parallel_kernel
 from ...machine.matrix_product import Factors, ListedRows, Rows, add_product
 from ...machine.vector_shuffles import deinterleave2, interleave2, interleave3
-from ...machine.vectors import (
-    broadcast,
-    broadcast_load,
-    exp2_x4,
-    fetch_add,
-    fma,
-    fnmadd,
-    get,
-    lane_numbers,
-    load,
-    load_pairs,
-    masked_load,
-    masked_store,
-    maximum,
-    minimum,
-    movemask,
-    prefetch,
-    put,
-    select,
-    store,
-    trailing_zeros,
-)
 from ..arrays import Blended, Intersections, Scratch, Size, Splats, Tile
 from ..conventions import ALPHA_MAX, ALPHA_MIN, BATCH, PATCH_HEIGHT, PENDING, TILE, TRANSMITTANCE_END, padded_channels
-from .batch import (
-    AHEAD,
-    BATCH_FIELDS,
-    BLUES,
-    DEPTHS,
-    GREENS,
-    INDICES,
-    PAD_INDEX,
-    REDS,
-    SLOPE,
-    STRIP_EXPONENTS,
-    STRIP_FIELDS,
-    STRIP_S1,
-    load_batch,
-    whiten_strip,
-)
+from . import batch
 
 # A strip of a tile, two rows as two patches side by side: where a worker keeps it, and how the image gets it.
 
@@ -62,7 +26,7 @@ ZERO, ONE = F(0.0), F(1.0)
 
 # a worker's scratch, in floats
 STRIP = 0  # the current strip's fields of its members
-WEIGHTS = STRIP + STRIP_FIELDS  # [patch, blended, pixel], with space for those that turn out not to be blended
+WEIGHTS = STRIP + batch.STRIP_FIELDS  # [patch, blended, pixel], with space for those that turn out not to be blended
 LISTED = PENDING + BATCH + 4
 STATE = WEIGHTS + 2 * LISTED * TILE  # [patch, field, pixel]
 COLUMNS, TRANSMITTANCE, FINAL, LAST = 0, TILE, 2 * TILE, 3 * TILE
@@ -79,25 +43,25 @@ def strip_floats(channels: int) -> int:
 @device_function
 def start_strip(columns: int, rows: int, channels: int, scratch: Array) -> None:
     """Begin a strip of ``columns`` and ``rows`` of the image: nothing is blended, and no light passes outside."""
-    left, right = interleave2(lane_numbers(), lane_numbers())
-    row, _ = interleave2(broadcast(ZERO), broadcast(ONE))
-    in_rows = row < broadcast(F(rows))
+    left, right = interleave2(v.lane_numbers(), v.lane_numbers())
+    row, _ = interleave2(v.broadcast(ZERO), v.broadcast(ONE))
+    in_rows = row < v.broadcast(F(rows))
     for state, column in ((STATE, left), (STATE + PATCH_STRIDE, right)):
-        inside = (column < broadcast(F(columns))) & in_rows
-        store(scratch, state + COLUMNS, column)
-        store(scratch, state + TRANSMITTANCE, select(inside, broadcast(ONE), broadcast(ZERO)))
-        store(scratch, state + FINAL, broadcast(ONE))
-        store(scratch, state + LAST, broadcast(-ONE))
+        inside = (column < v.broadcast(F(columns))) & in_rows
+        v.store(scratch, state + COLUMNS, column)
+        v.store(scratch, state + TRANSMITTANCE, v.select(inside, v.broadcast(ONE), v.broadcast(ZERO)))
+        v.store(scratch, state + FINAL, v.broadcast(ONE))
+        v.store(scratch, state + LAST, v.broadcast(-ONE))
         for plane in range(4):
-            store(scratch, state + PLANES + plane * TILE, broadcast(ZERO))
+            v.store(scratch, state + PLANES + plane * TILE, v.broadcast(ZERO))
     for at in range(STRIP_LABELS, STRIP_LABELS + strip_floats(channels), TILE):
-        store(scratch, at, broadcast(ZERO))
+        v.store(scratch, at, v.broadcast(ZERO))
 
 
 @inlined
 def rows_of(field: int, scratch: Array) -> Any:
     """A field of the strip's two patches, as its two rows."""
-    return deinterleave2(load(scratch, STATE + field), load(scratch, STATE + PATCH_STRIDE + field))
+    return deinterleave2(v.load(scratch, STATE + field), v.load(scratch, STATE + PATCH_STRIDE + field))
 
 
 @device_function
@@ -120,11 +84,11 @@ def write_strip(pixel: int, columns: int, rows: int, width: int, scratch: Array,
 def write_row(pixel: int, columns: int, state: Any, out: Blended) -> None:
     """Write one row of a strip."""
     final, last, red, green, blue, own_depth = state
-    inside = lane_numbers() < broadcast(F(columns))
-    masked_store(out.final, pixel, final, inside)
-    masked_store(out.alpha, pixel, broadcast(ONE) - final, inside)
-    masked_store(out.depth, pixel, own_depth, inside)
-    masked_store(out.last, pixel, last, inside)
+    inside = v.lane_numbers() < v.broadcast(F(columns))
+    v.masked_store(out.final, pixel, final, inside)
+    v.masked_store(out.alpha, pixel, v.broadcast(ONE) - final, inside)
+    v.masked_store(out.depth, pixel, own_depth, inside)
+    v.masked_store(out.last, pixel, last, inside)
     write_colours(3 * pixel, 3 * columns, interleave3(red, green, blue), out.image)
 
 
@@ -132,9 +96,9 @@ def write_row(pixel: int, columns: int, state: Any, out: Blended) -> None:
 def write_colours(target: int, floats: int, colours: Any, image: Array) -> None:
     """Write a row's colours, pixel by pixel, to image[target : target + floats]."""
     first, second, third = colours
-    masked_store(image, target, first, lane_numbers() < broadcast(F(floats)))
-    masked_store(image, target + TILE, second, lane_numbers() < broadcast(F(floats - TILE)))
-    masked_store(image, target + 2 * TILE, third, lane_numbers() < broadcast(F(floats - 2 * TILE)))
+    v.masked_store(image, target, first, v.lane_numbers() < v.broadcast(F(floats)))
+    v.masked_store(image, target + TILE, second, v.lane_numbers() < v.broadcast(F(floats - TILE)))
+    v.masked_store(image, target + 2 * TILE, third, v.lane_numbers() < v.broadcast(F(floats - 2 * TILE)))
 
 
 # The labels of a strip.
@@ -147,11 +111,11 @@ def copy_labels(gaussian: int, labels: Array, channels: int, scratch: Array, at:
     """Copy one Gaussian's labels, padded with zeros to whole vectors."""
     source = gaussian * channels
     for c in range(0, channels - TILE + 1, TILE):
-        store(scratch, at + c, load(labels, source + c))
+        v.store(scratch, at + c, v.load(labels, source + c))
     rest = channels % TILE
     if rest > 0:
         c = channels - rest
-        store(scratch, at + c, masked_load(labels, source + c, lane_numbers() < broadcast(F(rest))))
+        v.store(scratch, at + c, v.masked_load(labels, source + c, v.lane_numbers() < v.broadcast(F(rest))))
 
 
 @device_function
@@ -160,10 +124,10 @@ def load_labels(
 ) -> None:
     """Copy the labels of a batch's members side by side to scratch[at:]. The batch begins at flatten_ids[first:]."""
     for m in range(count):
-        ahead = int(get(flatten_ids, first + min(m + AHEAD, count - 1))) * channels
+        ahead = int(v.get(flatten_ids, first + min(m + batch.AHEAD, count - 1))) * channels
         for c in range(0, channels, TILE):
-            prefetch(labels, ahead + c)
-        copy_labels(int(get(flatten_ids, first + m)), labels, channels, scratch, at + m * padded_channels(channels))
+            v.prefetch(labels, ahead + c)
+        copy_labels(int(v.get(flatten_ids, first + m)), labels, channels, scratch, at + m * padded_channels(channels))
 
 
 @device_function
@@ -182,14 +146,14 @@ def write_labels(pixel: int, columns: int, rows: int, size: Size, scratch: Array
     """Write the labels of a strip of ``columns`` and ``rows`` without their padding. Its first pixel has the number
     ``pixel``."""
     channels, padded = size.channels, padded_channels(size.channels)
-    in_tail = lane_numbers() < broadcast(F(channels - padded + TILE))
+    in_tail = v.lane_numbers() < v.broadcast(F(channels - padded + TILE))
     for y in range(rows):
         for x in range(columns):
             source = STRIP_LABELS + (PATCH_HEIGHT * x + y) * padded
             target = (pixel + y * size.width + x) * channels
             for c in range(0, padded - TILE, TILE):
-                store(labels_out, target + c, load(scratch, source + c))
-            masked_store(labels_out, target + padded - TILE, load(scratch, source + padded - TILE), in_tail)
+                v.store(labels_out, target + c, v.load(scratch, source + c))
+            v.masked_store(labels_out, target + padded - TILE, v.load(scratch, source + padded - TILE), in_tail)
 
 
 ALPHA_CAP = F(ALPHA_MAX)
@@ -201,7 +165,7 @@ NEARLY_NOTHING = F(1e-20)
 
 @device_function
 def batch_floats(channels: int) -> int:
-    return BATCH_FIELDS + BATCH * padded_channels(channels)
+    return batch.BATCH_FIELDS + BATCH * padded_channels(channels)
 
 
 def scratch_size(channels: int, longest: int) -> int:
@@ -213,14 +177,15 @@ def scratch_size(channels: int, longest: int) -> int:
 @inlined
 def exponent_of(m: int, columns: Any, scratch: Array, fields: int) -> Any:
     """log2 of a member's alpha on the patch."""
-    s1 = fma(broadcast_load(scratch, fields + SLOPE + m), columns, load_pairs(scratch, STRIP + STRIP_S1 + 2 * m))
-    return fnmadd(s1, s1, load_pairs(scratch, STRIP + STRIP_EXPONENTS + 2 * m))
+    first = v.load_pairs(scratch, STRIP + batch.STRIP_S1 + 2 * m)
+    s1 = v.fma(v.broadcast_load(scratch, fields + batch.SLOPE + m), columns, first)
+    return v.fnmadd(s1, s1, v.load_pairs(scratch, STRIP + batch.STRIP_EXPONENTS + 2 * m))
 
 
 @inlined
 def seen_alpha(raw: Any) -> Any:
     """The effective alpha: at most 0.99, and 0 if it is too small."""
-    return select(raw >= broadcast(ALPHA_LEAST), minimum(raw, broadcast(ALPHA_CAP)), broadcast(ZERO))
+    return v.select(raw >= v.broadcast(ALPHA_LEAST), v.minimum(raw, v.broadcast(ALPHA_CAP)), v.broadcast(ZERO))
 
 
 @inlined
@@ -230,32 +195,32 @@ def blend_member(
     """Blend one member. Returns the patch's new state, and the new end of its list of blended members. A pixel ends
     once its transmittance is too small. The product continues, so it stays ended for all that follow."""
     transmittance, final, last, red, green, blue, depth = state
-    after = fnmadd(alpha, transmittance, transmittance)
-    blended = (alpha > broadcast(ZERO)) & (after > broadcast(ENDED))
-    weight = select(blended, alpha * transmittance, broadcast(ZERO))
-    final = select(blended, after, final)
-    last = select(blended, broadcast_load(scratch, fields + INDICES + m), last)
-    red = fma(weight, broadcast_load(scratch, fields + REDS + m), red)
-    green = fma(weight, broadcast_load(scratch, fields + GREENS + m), green)
-    blue = fma(weight, broadcast_load(scratch, fields + BLUES + m), blue)
-    depth = fma(weight, broadcast_load(scratch, fields + DEPTHS + m), depth)
+    after = v.fnmadd(alpha, transmittance, transmittance)
+    blended = (alpha > v.broadcast(ZERO)) & (after > v.broadcast(ENDED))
+    weight = v.select(blended, alpha * transmittance, v.broadcast(ZERO))
+    final = v.select(blended, after, final)
+    last = v.select(blended, v.broadcast_load(scratch, fields + batch.INDICES + m), last)
+    red = v.fma(weight, v.broadcast_load(scratch, fields + batch.REDS + m), red)
+    green = v.fma(weight, v.broadcast_load(scratch, fields + batch.GREENS + m), green)
+    blue = v.fma(weight, v.broadcast_load(scratch, fields + batch.BLUES + m), blue)
+    depth = v.fma(weight, v.broadcast_load(scratch, fields + batch.DEPTHS + m), depth)
     # If nothing was blended, the next member overwrites it. This is cheaper than a branch that cannot be predicted.
     first, vectors = labels
-    store(scratch, WEIGHTS + end * TILE, weight)
-    put(members, end, np.int32(first + m * vectors))
-    return (after, final, last, red, green, blue, depth), end + int(movemask(blended) != 0)
+    v.store(scratch, WEIGHTS + end * TILE, weight)
+    v.put(members, end, np.int32(first + m * vectors))
+    return (after, final, last, red, green, blue, depth), end + int(v.movemask(blended) != 0)
 
 
 @inlined
 def take_four(mask: int, missing: int) -> Any:
     """The indices of the four lowest set bits of a mask (``missing`` if it has fewer), and the mask without them."""
-    first = trailing_zeros(mask)  # callers have at least one bit
+    first = v.trailing_zeros(mask)  # callers have at least one bit
     mask &= mask - 1
-    second = min(trailing_zeros(mask), missing)  # an empty mask has 64 zeros
+    second = min(v.trailing_zeros(mask), missing)  # an empty mask has 64 zeros
     mask &= mask - 1
-    third = min(trailing_zeros(mask), missing)
+    third = min(v.trailing_zeros(mask), missing)
     mask &= mask - 1
-    fourth = min(trailing_zeros(mask), missing)
+    fourth = min(v.trailing_zeros(mask), missing)
     mask &= mask - 1
     return (first, second, third, fourth), mask
 
@@ -266,7 +231,7 @@ def alphas_of(four: Any, columns: Any, scratch: Array, fields: int) -> Any:
     m0, m1, m2, m3 = four
     e0, e1 = exponent_of(m0, columns, scratch, fields), exponent_of(m1, columns, scratch, fields)
     e2, e3 = exponent_of(m2, columns, scratch, fields), exponent_of(m3, columns, scratch, fields)
-    raw0, raw1, raw2, raw3 = exp2_x4(e0, e1, e2, e3)
+    raw0, raw1, raw2, raw3 = v.exp2_x4(e0, e1, e2, e3)
     return seen_alpha(raw0), seen_alpha(raw1), seen_alpha(raw2), seen_alpha(raw3)
 
 
@@ -282,8 +247,8 @@ def blend_four(
     state, end = blend_member(m2, alpha2, state, end, scratch, fields, members, labels)
     state, end = blend_member(m3, alpha3, state, end, scratch, fields, members, labels)
     transmittance, final, last, red, green, blue, depth = state
-    sees = movemask(transmittance > broadcast(ENDED)) != 0
-    return (maximum(transmittance, broadcast(NEARLY_NOTHING)), final, last, red, green, blue, depth), end, sees
+    sees = v.movemask(transmittance > v.broadcast(ENDED)) != 0
+    return (v.maximum(transmittance, v.broadcast(NEARLY_NOTHING)), final, last, red, green, blue, depth), end, sees
 
 
 @device_function
@@ -294,36 +259,36 @@ def blend_patch(
     another's alpha. Members blended on any pixel are appended, in order, to the list that ends before ``end``: their
     weights and, in ``members``, the offsets of their labels. ``labels``: the first member's offset, and the labels'
     length in vectors. Returns the list's new end, and whether the patch is still open."""
-    columns = load(scratch, at + COLUMNS)
+    columns = v.load(scratch, at + COLUMNS)
     state = (
-        load(scratch, at + TRANSMITTANCE),
-        load(scratch, at + FINAL),
-        load(scratch, at + LAST),
-        load(scratch, at + PLANES),
-        load(scratch, at + PLANES + TILE),
-        load(scratch, at + PLANES + 2 * TILE),
-        load(scratch, at + PLANES + 3 * TILE),
+        v.load(scratch, at + TRANSMITTANCE),
+        v.load(scratch, at + FINAL),
+        v.load(scratch, at + LAST),
+        v.load(scratch, at + PLANES),
+        v.load(scratch, at + PLANES + TILE),
+        v.load(scratch, at + PLANES + 2 * TILE),
+        v.load(scratch, at + PLANES + 3 * TILE),
     )
-    sees = movemask(state[0] > broadcast(ENDED)) != 0
+    sees = v.movemask(state[0] > v.broadcast(ENDED)) != 0
     if sees and touching != 0:
-        four, touching = take_four(touching, PAD_INDEX)
+        four, touching = take_four(touching, batch.PAD_INDEX)
         alphas = alphas_of(four, columns, scratch, fields)
         while sees and touching != 0:
             # the next four's alphas are computed during the blending of these: neither waits for the other
-            next_four, touching = take_four(touching, PAD_INDEX)
+            next_four, touching = take_four(touching, batch.PAD_INDEX)
             next_alphas = alphas_of(next_four, columns, scratch, fields)
             state, end, sees = blend_four(four, alphas, state, end, scratch, fields, members, labels)
             four, alphas = next_four, next_alphas
         if sees:
             state, end, sees = blend_four(four, alphas, state, end, scratch, fields, members, labels)
     transmittance, final, last, red, green, blue, depth = state
-    store(scratch, at + TRANSMITTANCE, transmittance)
-    store(scratch, at + FINAL, final)
-    store(scratch, at + LAST, last)
-    store(scratch, at + PLANES, red)
-    store(scratch, at + PLANES + TILE, green)
-    store(scratch, at + PLANES + 2 * TILE, blue)
-    store(scratch, at + PLANES + 3 * TILE, depth)
+    v.store(scratch, at + TRANSMITTANCE, transmittance)
+    v.store(scratch, at + FINAL, final)
+    v.store(scratch, at + LAST, last)
+    v.store(scratch, at + PLANES, red)
+    v.store(scratch, at + PLANES + TILE, green)
+    v.store(scratch, at + PLANES + 2 * TILE, blue)
+    v.store(scratch, at + PLANES + 3 * TILE, depth)
     return end, sees
 
 
@@ -339,7 +304,7 @@ def blend_forward(
     padded = padded_channels(channels)
     batches = STRIP_LABELS + strip_floats(channels)
     while True:
-        number = fetch_add(scratches.next_one)
+        number = v.fetch_add(scratches.next_one)
         if number >= tiles:
             break
         left, top = number % columns * TILE, number // columns * TILE
@@ -353,15 +318,15 @@ def blend_forward(
             ends = (0, LISTED)  # each patch has a part of the lists to itself
             for start in range(0, tile.length, BATCH):
                 fields = batches + start // BATCH * batch_floats(channels)
-                own_labels = fields + BATCH_FIELDS
+                own_labels = fields + batch.BATCH_FIELDS
                 in_vectors = ((own_labels - batches) // TILE, padded // TILE)
                 count = min(BATCH, tile.length - start)
                 if start == loaded:  # by the first strip that gets this far, for all below it
-                    load_batch(flatten_ids, records, tile, start, count, scratch, fields)
+                    batch.load_batch(flatten_ids, records, tile, start, count, scratch, fields)
                     if channels > 0:
                         load_labels(tile.first + start, count, flatten_ids, labels, channels, scratch, own_labels)
                     loaded += BATCH
-                touching = whiten_strip(r, count, scratch, fields, STRIP)
+                touching = batch.whiten_strip(r, count, scratch, fields, STRIP)
                 strip_sees = False
                 for patch in range(2):
                     before, state = ends[patch], STATE + patch * PATCH_STRIDE
