@@ -10,19 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import result_files
 from ..errors import PlgsError
 from ..posed import ClassTable
-from ..result_files import (
-    ANCHORS,
-    INSTANCES,
-    SEMANTIC_POINTS,
-    Anchors,
-    Instance,
-    Listed,
-    SemanticPoints,
-    read_arrays,
-    read_instances,
-)
+from ..result_files import Anchors, Instance, Listed, SemanticPoints
 from .edits import CORRECTIONS, Edit, editing, read_edits
 from .relabelling import Relabelling, labels_of
 from .replay import Replay
@@ -93,7 +84,7 @@ class CorrectedResult:
 
     def anchors(self) -> Anchors:
         """Raises PlgsError."""
-        anchors = read_arrays(self.folder / "result" / ANCHORS, Anchors)
+        anchors = result_files.read_arrays(self.folder / "result" / result_files.ANCHORS, Anchors)
         if not self.changes_labels:
             return anchors
         class_id, instance_id = self.ids(anchors.xyz, anchors.class_id, anchors.instance_id)
@@ -118,8 +109,9 @@ class _Result:
     @classmethod
     def read(cls, lift: Path, listed: Listed | None = None) -> _Result:
         """Raises PlgsError."""
-        classes, made = listed or read_instances(lift / "result" / INSTANCES)
-        return cls(lift, classes, made, read_arrays(lift / "result" / SEMANTIC_POINTS, SemanticPoints))
+        classes, made = listed or result_files.read_instances(lift / "result" / result_files.INSTANCES)
+        points = result_files.read_arrays(lift / "result" / result_files.SEMANTIC_POINTS, SemanticPoints)
+        return cls(lift, classes, made, points)
 
     def replay(self, edits: Sequence[Edit]) -> Replay:
         state = Replay.of(self.classes, self.made, self.points)

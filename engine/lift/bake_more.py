@@ -16,18 +16,9 @@ import numpy as np
 
 from ..corrections import read_corrected
 from ..errors import PlgsError
-from ..job import (
-    BakeCamera,
-    BakeLocks,
-    EventWriter,
-    LiftFolder,
-    StopSignal,
-    add_files,
-    drop_files,
-    read_cameras,
-    read_manifest,
-)
+from ..job import BakeCamera, BakeLocks, EventWriter, LiftFolder, StopSignal, read_cameras
 from ..job.cameras import PreviewCamera, frame_numbers, refuse_equal_names
+from ..job.manifest import add_files, drop_files, read_manifest
 from ..job.progress import StageReporter
 from ..model.neural_gaussians import ClipRange
 from ..passes.baked_view import BakedView

@@ -19,20 +19,8 @@ from ..metrics.panoptic import PanopticEvaluation
 from ..metrics.unshown import JudgedView, Unshown, find_unshown
 from ..model.detail import finest_pixels
 from ..passes.layers import PanopticLayers
-from ..scene import (
-    Camera,
-    ClassTable,
-    OnDemand,
-    Scene,
-    Size,
-    StoredViews,
-    View,
-    chained,
-    load_view,
-    read_ahead,
-    size_within,
-    stored,
-)
+from ..scene import Camera, ClassTable, Scene, Size, size_within
+from ..scene.view import OnDemand, StoredViews, View, chained, load_view, read_ahead, stored
 
 log = logging.getLogger("plgs.lift")
 

@@ -16,19 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..instances import objects as by_votes
 from ..instances.agreement import ViewPoints, ViewsOnCloud, shown_classes
 from ..instances.consensus import ConsensusOptions, FoundObjects, find_objects, with_masks_of
 from ..instances.layers import trusted_layers
 from ..instances.matching import limit_instances, match_views, merged
-from ..instances.objects import (
-    PieceRules,
-    held_back_agreement,
-    joined_by_views,
-    object_classes,
-    placed_objects,
-    regroup_pieces,
-    vote_classes,
-)
 from ..instances.panoptic_labels import PanopticLabels
 from ..instances.records import ObjectMask, SceneObject, object_of_mask
 from ..instances.segment_votes import neighbours_on_a_thing, view_labels, vote_panoptic_labels
@@ -85,7 +77,7 @@ def instances_by_boxes(given: ViewsToMatch, preset: Preset, progress: StageProgr
     )
     if preset.matching.merge is not None:
         seen = on_cloud(views, cloud, given.scratch, progress).looked_at(progress).seen
-        group = joined_by_views(owner, [one.class_id for one in found], seen, preset.matching.merge)
+        group = by_votes.joined_by_views(owner, [one.class_id for one in found], seen, preset.matching.merge)
         found, owner = merged(found, group, preset.voxel_size), np.append(0, group + 1).astype(np.int32)[owner]
     owner[~np.isin(cloud.class_id, sorted(classes.thing_ids))] = 0
     instances, instance_of_point, dropped = limit_instances(found, owner, preset.most_instances)
@@ -126,9 +118,9 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     voted = vote_panoptic_labels(everyone, len(cloud), labels, members, *rules_of_vote)
     cloud = replace(cloud, class_id=labels.classes(voted.label), confidence=voted.confidence)
     object_of_point = labels.objects(voted.label)
-    rules, kinds_of = PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing)), [one.class_id for one in things]
+    rules, kinds_of = by_votes.PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing)), [one.class_id for one in things]
     regrouping = progress.part(0.85, 0.92)
-    owner, origin = regroup_pieces(cloud.xyz, object_of_point, kinds_of, training.seen, rules, regrouping)
+    owner, origin = by_votes.regroup_pieces(cloud.xyz, object_of_point, kinds_of, training.seen, rules, regrouping)
     masks = masks_of_pieces([mask for one in things for mask in one.masks], training, owner, len(origin))
     pieces = [SceneObject(number, own, kinds_of[number - 1]) for number, own in zip(origin, masks, strict=True)]
     owner, things = without_fragments(owner, pieces, training.seen)
@@ -136,7 +128,7 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     is_fragment = (object_of_point > 0) & (owner == 0)
     cloud = replace(cloud, class_id=np.where(is_fragment, VOID, cloud.class_id).astype(np.int32))
     watching = watched(things, progress.part(0.92, 0.95))
-    placed = placed_objects(training.views, watching, cloud.xyz, owner, preset.voxel_size)
+    placed = by_votes.placed_objects(training.views, watching, cloud.xyz, owner, preset.voxel_size)
     instances, instance_of_point, dropped = limit_instances(placed, owner, preset.most_instances)
     labels = labels_of(cloud, instances)
     label = labels.of_points(cloud.class_id, instance_of_point)
@@ -190,9 +182,9 @@ def thing_objects(
     """The objects that the views vote to be things, renumbered from 1."""
     shown = [(seen, shown_classes(view, seen)) for view, seen in zip(seeing.views, seeing.seen, strict=True)]
     asked = found.object_of_point, len(found.objects), cloud.class_ids
-    votes = vote_classes(shown, *asked, kinds.objects)
-    is_one = held_back_agreement(shown, *asked, kinds, seeing.by_frame())
-    class_of_object = object_classes(votes, cloud.class_ids, is_one).tolist()
+    votes = by_votes.vote_classes(shown, *asked, kinds.objects)
+    is_one = by_votes.held_back_agreement(shown, *asked, kinds, seeing.by_frame())
+    class_of_object = by_votes.object_classes(votes, cloud.class_ids, is_one).tolist()
     things = (one for one in found.objects if class_of_object[one.id] in classes.thing_ids)
     return [replace(one, id=number, class_id=class_of_object[one.id]) for number, one in enumerate(things, start=1)]
 

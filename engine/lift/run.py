@@ -34,34 +34,16 @@ from ..model.decoders import DECODERS
 from ..model.detail import finest_pixels
 from ..model.structured import StructuredScene
 from ..presets.preset import Preset
-from ..scene import (
-    VOID,
-    Scene,
-    Size,
-    StoredViews,
-    View,
-    chained,
-    load_view,
-    open_scene_to_lift,
-    read_ahead,
-    size_within,
-    survey_scene,
-)
+from ..scene import VOID, Scene, Size, open_scene_to_lift, size_within, survey_scene
+from ..scene.view import StoredViews, View, chained, load_view, read_ahead
 from ..scene_of_lift import masks_differ, masks_last_run, refuse_changed, remember_scene, warn_of_earlier
 from ..train.state import OtherLabels, restore, trainer_state
 from ..train.trainer import LOSSES, Trainer
+from . import lasting_names
 from .baking import FrameBaker, bake_and_evaluate, names_of_files
 from .device import be_repeatable, usable_device
 from .frame_sets import FRAMES, FrameSets, check_disk, frames_to_bake, predicted_lift, sets_of_frames
 from .judging import read_held_back
-from .lasting_names import (
-    keep_names,
-    read_earlier,
-    refuse_names_of_no_objects,
-    report_edits,
-    take_over_edits,
-    write_names,
-)
 from .live_previews import LivePreviews
 from .objects import MATCHERS
 from .preparation import PreparedLift, prepare
@@ -126,7 +108,7 @@ def run_lift(
     for input that cannot be lifted, and Cancelled if stopped. The folder can then be resumed."""
     request, stages = folder.request, StageReporter(events, stop, STAGES)
     preset = request.chosen_preset
-    refuse_names_of_no_objects(request, preset)
+    lasting_names.refuse_names_of_no_objects(request, preset)
     device = usable_device(request.device, stages)
     be_repeatable(device)
     checkpoint = folder.checkpoints.latest() if resume else None
@@ -138,7 +120,7 @@ def run_lift(
     with stages.stage("check") as progress:
         frames, masks_changed, findings = checked_frames(folder, preset, checkpoint, progress, events)
         made = folder.with_next_result()
-        earlier = None if request.names_from is None else read_earlier(request.names_from)
+        earlier = None if request.names_from is None else lasting_names.read_earlier(request.names_from)
     predicted = predicted_lift(frames.all, replace(preset, frames=len(frames.training)), USUAL_MASKS, request.bake)
     left = {name: seconds for name, seconds in predicted.stages.items() if name not in ("start", "check")}  # both over
     stages.course = Course({name: machine_slowness() * seconds for name, seconds in left.items()})
@@ -171,9 +153,9 @@ def run_lift(
         measured = shown_by_depth(prepared.cloud, chained(views, held_back), progress.part(VOTED, SIFTED))
         seen = is_near_measured(prepared.cloud, prepared.instance_of_point, measured)
         if earlier is not None:
-            prepared, lasting = keep_names(earlier, prepared, seen, trainer.scene, classes)
+            prepared, lasting = lasting_names.keep_names(earlier, prepared, seen, trainer.scene, classes)
             names = lasting.names
-            write_names(made, lasting, events)
+            lasting_names.write_names(made, lasting, events)
         part, lifted = progress.part(SIFTED, 1.0), trainer.scene
         write_scene_files(made, frames.chosen, views, held_back, prepared, seen, lifted, events, names, part)
     baker = FrameBaker(classes, trainer.scene.on(device), shown_instances(prepared, names))
@@ -181,11 +163,11 @@ def run_lift(
     bake_and_evaluate(made, frames.chosen, baker, wanted, views, held_back, events, stages, findings)
     previews.clear_away()
     if earlier is not None:
-        take_over_edits(folder, earlier)  # not before: until now, they would apply to the earlier result
+        lasting_names.take_over_edits(folder, earlier)  # not before: until now, they would apply to the earlier result
     finish(made, preset, stages, code, parts)
     warn_of_earlier(folder.adopt_next_result(), events.warning)
     if earlier is not None:
-        report_edits(folder, earlier, events)
+        lasting_names.report_edits(folder, earlier, events)
     remember_pace(paces, trainer)
 
 

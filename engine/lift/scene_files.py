@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from safetensors.torch import save
 from scipy.spatial import cKDTree
 
+from .. import result_files
 from ..corrections import CorrectedResult
 from ..errors import PlgsError
 from ..instances.records import SceneObject
@@ -23,17 +24,7 @@ from ..model.checking import read_tensors
 from ..model.structured import StructuredScene, from_tensors, to_tensors
 from ..passes.baked_view import ShownInstances
 from ..passes.ply import write_splats
-from ..result_files import (
-    ANCHORS,
-    INSTANCES,
-    SEMANTIC_POINTS,
-    Anchors,
-    Instance,
-    MatchedSegment,
-    SemanticPoints,
-    write_arrays,
-    write_instances,
-)
+from ..result_files import ANCHORS, INSTANCES, SEMANTIC_POINTS
 from ..scene import ClassTable, Progress, Scene, View, distinct_colour, watched
 from ..scene.view import NEAR
 from ..semantics.point_cloud import SemanticPointCloud
@@ -67,17 +58,17 @@ def write_scene_files(
     judging = watched(evenly(views), judged)
     likely = calibrate(Samples(cloud.xyz, cloud.class_id, cloud.confidence), judging, held_back)
     viewpoint = np.mean([frame.camera.centre for frame in scene.train_frames], axis=0)
-    points = SemanticPoints(
+    points = result_files.SemanticPoints(
         cloud.xyz[seen], cloud.rgb[seen], cloud.class_id[seen], owner[seen], likely(cloud.confidence[seen])
     )
     instances = listed_instances(watched(views, listed), prepared, owner[seen], scene.classes, names)
     result = folder.result_path
     gaussians, anchors = bake(lifted, viewpoint, scene.classes.thing_ids, baked)
     near = is_within(max(FILLED, 2 * lifted.voxel_size), anchors.xyz, points.xyz)
-    anchors = Anchors(**{name: values[near] for name, values in vars(anchors).items()})
-    write_arrays(result / SEMANTIC_POINTS, points)
-    write_instances(result / INSTANCES, scene.classes, instances)
-    write_arrays(result / ANCHORS, anchors)
+    anchors = result_files.Anchors(**{name: values[near] for name, values in vars(anchors).items()})
+    result_files.write_arrays(result / SEMANTIC_POINTS, points)
+    result_files.write_instances(result / INSTANCES, scene.classes, instances)
+    result_files.write_arrays(result / ANCHORS, anchors)
     write_splats(result / "gaussians.ply", gaussians.without_floaters(points.xyz))
     write_model(folder, lifted)
     for name in (SEMANTIC_POINTS, INSTANCES, ANCHORS, "gaussians.ply", MODEL):
@@ -167,7 +158,7 @@ def listed_instances(
     instance_of_point: NDArray[np.int32],
     classes: ClassTable,
     names: Mapping[int, str],
-) -> list[Instance]:
+) -> list[result_files.Instance]:
     """The matched objects as instances.json lists them, with the masks that they were made from, and the number of
     points of each. Each view is read once."""
     used = {mask.key for instance in prepared.instances for mask in instance.masks}
@@ -183,14 +174,14 @@ def listed_instances(
         x, y, z = instance.box.centre.tolist()
         length, width, height = instance.box.size.tolist()
         segments = tuple(
-            MatchedSegment(
+            result_files.MatchedSegment(
                 mask.frame, mask.segment.id, mask.segment.class_id, mask.segment.score,
                 mask.cost, mask.agreement, mask.pixels, *extents[mask.key],
             )
             for mask in instance.masks
         )  # fmt: skip
         listed.append(
-            Instance(
+            result_files.Instance(
                 id=instance.id,
                 name=names[instance.id],
                 class_id=instance.class_id,

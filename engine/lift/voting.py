@@ -18,21 +18,10 @@ from ..model.label_voting import Contributors, LabelVotes, contributors, pixel_l
 from ..model.settling import NamedGaussians, OwnedPoints, settled
 from ..model.structured import GaussianLabels, StructuredScene
 from ..presets.preset import Preset
-from ..scene import (
-    Frame,
-    OtherClasses,
-    PanopticMask,
-    Progress,
-    Segment,
-    Size,
-    StoredArrays,
-    StoredViews,
-    View,
-    read_ahead,
-    size_within,
-)
+from ..scene import Frame, OtherClasses, PanopticMask, Segment, Size, size_within
 from ..scene.hole_filling import fill_holes
 from ..scene.pixels import resize_nearest
+from ..scene.view import Progress, StoredArrays, StoredViews, View, read_ahead
 from .objects import Matching, labels_of
 
 MOST_BYTES = 1 << 32
