@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import cycle, islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import torch
@@ -60,46 +61,7 @@ class MeasuringClock(StepClock):
         register_multi_grad_hook(tensors, lambda gradient: self.lap(part), mode="any")
 
 
-@dataclass(frozen=True)
-class StepProfile:
-    """Milliseconds of a training step by part, and the size of what was measured. ``visible`` anchors and ``gaussians``
-    are means over the steps; ``cores`` is a step's processor time, in milliseconds of all cores together; ``draw`` and
-    ``decide`` are the two parts of a panoptic frame."""
-
-    threads: int
-    anchors: int
-    visible: int
-    gaussians: int
-    parts: dict[str, float]
-    cores: float
-    draw: float
-    decide: float
-
-    @property
-    def frame(self) -> float:
-        return self.draw + self.decide
-
-    @property
-    def step(self) -> float:
-        return sum(self.parts.values())
-
-    def facts(self) -> dict[str, object]:
-        """For JSON."""
-        return {
-            "threads": self.threads,
-            "anchors": self.anchors,
-            "visible_anchors": self.visible,
-            "gaussians": self.gaussians,
-            "step_ms": self.step,
-            "core_ms": self.cores,
-            "peak_bytes": peak_bytes(),
-            "parts_ms": self.parts,
-            "draw_ms": self.draw,
-            "decide_ms": self.decide,
-        }
-
-
-def bench_step(preset: Preset | None = None) -> dict[str, object]:
+def bench_step(preset: Preset | None = None) -> dict[str, Any]:
     """Prepare a lift of the bundled sample, measure its steps and its pictures, print the times and return them. Raises
     PlgsError if the sample is missing.
 
@@ -113,15 +75,26 @@ def bench_step(preset: Preset | None = None) -> dict[str, object]:
         views = [load_view(frame, size_within(frame.size, preset.size)) for frame in scene.train_frames]
     print(f"{torch.get_num_threads()} threads")
     print(f"preparing a lift of {len(views)} views by the preset {preset.name} ...", flush=True)
-    profile = profile_lift(views, scene.classes, preset)
-    print_profile(profile)
-    print(f"peak memory, with the preparation: {(peak_bytes() or 0) / 1e9:.1f} GB")
-    return profile.facts()
+    facts = profile_lift(views, scene.classes, preset)
+    print("{anchors} anchors, {visible_anchors} visible in a view; {gaussians} Gaussians drawn".format(**facts))
+    for name, milliseconds in facts["parts_ms"].items():
+        print(f"{name:20s} {milliseconds:8.1f} ms")
+    print(f"{'whole step':20s} {facts['step_ms']:8.1f} ms, {facts['core_ms']:.1f} ms of processor time")
+    frame = facts["draw_ms"] + facts["decide_ms"]
+    print(
+        f"panoptic frame: drawn {facts['draw_ms']:.1f} ms, decided {facts['decide_ms']:.1f} ms: "
+        f"{1e3 / frame:.1f} a second (at least 10)"
+    )
+    print(f"peak memory, with the preparation: {(facts['peak_bytes'] or 0) / 1e9:.1f} GB")
+    return facts
 
 
-def profile_lift(views: Sequence[View], classes: ClassTable, preset: Preset, steps: int = STEPS) -> StepProfile:
+def profile_lift(views: Sequence[View], classes: ClassTable, preset: Preset, steps: int = STEPS) -> dict[str, Any]:
     """Prepare a lift, and measure ``steps`` steps with labels, as the others have fewer parts. The first step measured
-    is the one at which the statistics of growth begin, which are another part."""
+    is the one at which the statistics of growth begin, which are another part.
+
+    Returns facts for JSON: the numbers of visible anchors and of Gaussians are means over the steps; ``core_ms`` is a
+    step's processor time, of all cores together; ``draw_ms`` and ``decide_ms`` are the parts of a panoptic frame."""
     preset = replace(preset, label_every=1)
     prepared = _prepared(views, classes, preset)
     trainer = Trainer(prepared.scene, prepared.targets, list(views), preset, seed=0)
@@ -135,16 +108,19 @@ def profile_lift(views: Sequence[View], classes: ClassTable, preset: Preset, ste
     cores = 1e3 * (time.process_time() - began) / steps
     anchors = trainer.scene.anchors
     draw, decided = _frame_times(prepared, trainer, views, classes, steps)
-    return StepProfile(
-        threads=torch.get_num_threads(),
-        anchors=len(anchors),
-        visible=round(np.mean([len(visible_anchors(anchors, view.camera)) for view in views])),
-        gaussians=round(np.mean([report.gaussians for report in reports])),
-        parts=typical(clock.steps),
-        cores=cores,
-        draw=draw,
-        decide=decided,
-    )
+    parts = typical(clock.steps)
+    return {
+        "threads": torch.get_num_threads(),
+        "anchors": len(anchors),
+        "visible_anchors": round(np.mean([len(visible_anchors(anchors, view.camera)) for view in views])),
+        "gaussians": round(np.mean([report.gaussians for report in reports])),
+        "step_ms": sum(parts.values()),
+        "core_ms": cores,
+        "peak_bytes": peak_bytes(),
+        "parts_ms": parts,
+        "draw_ms": draw,
+        "decide_ms": decided,
+    }
 
 
 def _prepared(views: Sequence[View], classes: ClassTable, preset: Preset) -> PreparedLift:
@@ -185,14 +161,3 @@ def _frame_times(
         seconds.append((drawn - began, time.perf_counter() - drawn))
     draw, decided = np.median(seconds[1:], axis=0)
     return 1e3 * float(draw), 1e3 * float(decided)
-
-
-def print_profile(profile: StepProfile) -> None:
-    print(f"{profile.anchors} anchors, {profile.visible} visible in a view; {profile.gaussians} Gaussians drawn")
-    for name, milliseconds in profile.parts.items():
-        print(f"{name:20s} {milliseconds:8.1f} ms")
-    print(f"{'whole step':20s} {profile.step:8.1f} ms, {profile.cores:.1f} ms of processor time")
-    print(
-        f"panoptic frame: drawn {profile.draw:.1f} ms, decided {profile.decide:.1f} ms: "
-        f"{1e3 / profile.frame:.1f} a second (at least 10)"
-    )

@@ -9,20 +9,14 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from engine.command_line.main import main as run_command
 from engine.command_line.main import make_parser as parser_of_the_engine
 from engine.errors import PlgsError
 from engine.job import ExitCode, LiftFolder
-from engine.job.request import (
-    Parser,
-    add_amount_options,
-    add_options,
-    add_set_option,
-    preset_or_file,
-)
+from engine.job.request import Parser, add_amount_options, add_options, add_set_option, preset_or_file
 from engine.job.terminal import Interrupted, Interrupts
 from engine.presets.options import parsed_options, with_options
 from engine.presets.preset import PRESETS
@@ -66,18 +60,18 @@ def make_parser() -> argparse.ArgumentParser:
     stages.add_argument("--preset", choices=PRESETS, help="as for lift (default: that of --lift, or paper)")
     add_set_option(stages)
     stages.add_argument("--lift", type=Path, metavar="LIFT", help="a lift of the scene, with passes of all frames")
-    stages.set_defaults(run=run_stages)
+    stages.set_defaults(run=run_printing, lines=_stages)
     correcting = known.add_parser("correct", help="correct a lift by its scene's ground truth, and score it")
     correcting.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift, which is changed")
-    correcting.set_defaults(run=run_correct)
+    correcting.set_defaults(run=run_printing, lines=_corrections)
     sharpness = known.add_parser("surface", help="how sharp surfaces are, seen from held-out frames")
     sharpness.add_argument("lifts", nargs="+", type=Path, metavar="LIFT", help="finished lifts with their scenes")
     sharpness.add_argument("--pictures", type=Path, metavar="FOLDER", help="save each drawing there, beside its photo")
-    sharpness.set_defaults(run=run_surface)
+    sharpness.set_defaults(run=run_printing, lines=_sharpness)
     reliability = known.add_parser("reliability", help="how often pixels are right, by their confidence")
     reliability.add_argument("lifts", nargs="+", type=Path, metavar="LIFT", help="finished lifts with ground truth")
     reliability.add_argument("--picture", type=Path, metavar="FILE", help="save the diagram there (needs matplotlib)")
-    reliability.set_defaults(run=run_reliability)
+    reliability.set_defaults(run=run_printing, lines=_reliability)
     return parser
 
 
@@ -134,8 +128,14 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run_bench)
 
 
-def run_stages(options: argparse.Namespace) -> int:
-    """Print the table of stages. Raises PlgsError, OSError."""
+def run_printing(options: argparse.Namespace) -> int:
+    """Print the lines of a command that answers with a table. Raises PlgsError, OSError."""
+    for line in options.lines(options):
+        print(line, flush=True)
+    return ExitCode.FINISHED
+
+
+def _stages(options: argparse.Namespace) -> Iterator[str]:
     from .experiments.experiment import scenes_from
     from .stages import stages_table
 
@@ -144,38 +144,29 @@ def run_stages(options: argparse.Namespace) -> int:
     if options.lift is not None and options.preset is None:
         preset = LiftFolder.open(options.lift).request.chosen_preset
     preset = with_options(preset, parsed_options(options.set or ()))
-    for line in stages_table(scenes_from([options.scene])[0], preset, options.lift):
-        print(line, flush=True)
-    return ExitCode.FINISHED
+    yield from stages_table(scenes_from([options.scene])[0], preset, options.lift)
 
 
-def run_correct(options: argparse.Namespace) -> int:
-    """Make the edits, and print them with PQ before and after. Raises PlgsError, OSError."""
+def _corrections(options: argparse.Namespace) -> Iterator[str]:
+    """Makes the edits."""
     from .correcting import before_and_after, correct_by_truth
 
     for number, edit in enumerate(correct_by_truth(options.lift), start=1):
-        print(f"{number:3}  {edit}")
+        yield f"{number:3}  {edit}"
     before, after = before_and_after(options.lift)
-    print(f"PQ {100 * before:.1f} % -> {100 * after:.1f} %")
-    return ExitCode.FINISHED
+    yield f"PQ {100 * before:.1f} % -> {100 * after:.1f} %"
 
 
-def run_reliability(options: argparse.Namespace) -> int:
-    """Print how well the confidence is calibrated. Raises PlgsError, OSError."""
+def _reliability(options: argparse.Namespace) -> Iterator[str]:
     from .reliability import reliability_table
 
-    for line in reliability_table(options.lifts, options.picture):
-        print(line, flush=True)
-    return ExitCode.FINISHED
+    return reliability_table(options.lifts, options.picture)
 
 
-def run_surface(options: argparse.Namespace) -> int:
-    """Print how sharp surfaces are. Raises PlgsError, OSError."""
+def _sharpness(options: argparse.Namespace) -> Iterator[str]:
     from .surface import sharpness_table
 
-    for line in sharpness_table(options.lifts, options.pictures):
-        print(line, flush=True)
-    return ExitCode.FINISHED
+    return sharpness_table(options.lifts, options.pictures)
 
 
 def run_experiments(options: argparse.Namespace) -> int:

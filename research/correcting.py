@@ -7,7 +7,7 @@ one, split one by the views, return it to its stuff, or paint points. The truth 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from engine.corrections import CorrectedResult, Edit, correct, making, read_corrected
 from engine.corrections.replay import Replay
+from engine.corrections.result import Make
 from engine.errors import PlgsError
 from engine.job import LiftFolder
 from engine.job.report import read_metrics
@@ -39,8 +40,6 @@ WORTH_PAINTING = 100
 """Least number of an object's unassigned points that somebody would paint."""
 MANY = 1 << 16
 """A true label is class * MANY + instance."""
-
-Make = Callable[[Replay, int], Edit]
 
 
 @dataclass(frozen=True)
@@ -166,11 +165,9 @@ def before_and_after(lift: Path) -> tuple[float, float]:
     """Strict PQ of the lift as the engine made it, and as corrected, on the held-out frames."""
     folder = LiftFolder.open(lift)
     corrected = score_corrected(folder, read_corrected(lift), lambda _done, _steps: None)
-    tables: list[Mapping[str, Any]] = [read_metrics(folder), corrected]
-    before, after = (_strict_pq(metrics) for metrics in tables)
+    made: list[Mapping[str, Any]] = [read_metrics(folder), corrected]
+    before, after = (
+        next(float(each["pq"]) for each in metrics["tables"] if each["name"] == "lifted" and each["mode"] == "strict")
+        for metrics in made
+    )
     return before, after
-
-
-def _strict_pq(metrics: Mapping[str, Any]) -> float:
-    found = [each for each in metrics["tables"] if each["name"] == "lifted" and each["mode"] == "strict"]
-    return float(found[0]["pq"])

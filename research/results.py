@@ -7,7 +7,7 @@ import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from engine import __version__
 from engine.errors import PlgsError
@@ -125,12 +125,11 @@ def lifting_seconds(events: Sequence[Event]) -> float | None:
         if runs:
             runs[-1].append(event)
     lifts = [run for run in runs if run[0].data.get("task", "lift") == "lift"]  # the others baked more afterwards
-    return round(sum(_seconds_of_run(run) for run in lifts), 1) if lifts else None
-
-
-def _seconds_of_run(run: Sequence[Event]) -> float:
-    ends = (event for event in run if event.kind == "stage" and event.data["name"] == "bake")
-    return next(ends, run[-1]).time - run[0].time
+    seconds = 0.0
+    for run in lifts:
+        ends = (event for event in run if event.kind == "stage" and event.data["name"] == "bake")
+        seconds += next(ends, run[-1]).time - run[0].time
+    return round(seconds, 1) if lifts else None
 
 
 def number(value: Json) -> float | None:
@@ -162,7 +161,7 @@ def read_results(path: Path) -> tuple[Result, ...]:
         what = f"has format {content.get('format')!r}, but this version reads {FORMAT}"
         raise PlgsError("other-format", what, path, _FIX)
     try:
-        results = tuple(_from_json(entry) for entry in _objects(content["results"]))
+        results = tuple(_from_json(entry) for entry in cast(list[Json], content["results"]))
     except (KeyError, TypeError) as error:
         raise PlgsError("results-damaged", f"is damaged ({error!r})", path, _FIX) from error
     if not results:
@@ -170,20 +169,13 @@ def read_results(path: Path) -> tuple[Result, ...]:
     return results
 
 
-def _from_json(entry: Mapping[str, Json]) -> Result:
+def _from_json(entry: Json) -> Result:
     """Raises KeyError or TypeError when something is missing or of another type."""
+    if not isinstance(entry, dict):
+        raise TypeError("a list of objects is missing")
     steps, seed, figures = entry["steps"], entry["seed"], entry["figures"]
     if not isinstance(steps, int) or not isinstance(seed, int) or not isinstance(figures, dict):
         raise TypeError("steps, seed or figures have another type")
     read = Figures(**{key: number(figures.get(key)) for key in Figures._fields})
     texts = {key: str(entry[key]) for key in _TEXTS}
     return Result(**texts, steps=steps, seed=seed, figures=read, failed=str(entry.get("failed", "")))
-
-
-def _objects(value: Json) -> list[dict[str, Json]]:
-    """Raises TypeError when it is not a list of objects."""
-    entries = value if isinstance(value, list) else [value]
-    objects = [entry for entry in entries if isinstance(entry, dict)]
-    if not isinstance(value, list) or len(objects) != len(entries):
-        raise TypeError("a list of objects is missing")
-    return objects

@@ -59,7 +59,12 @@ def stages_table(asked: SceneToLift, preset: Preset, lift: Path | None) -> Itera
     if lift is not None:
         baked = [LiftFolder.open(lift).passes_path / f"{frame.name}.exr" for frame in frames]
         whole = [_truth(frame, frame.size) for frame in frames]
-        yield f"| trained | {_scored(lambda number: _baked(baked[number]), whole, scene.classes)} | |"
+
+        def layers(number: int) -> Labels:
+            shown = read_exr(baked[number])
+            return shown.semantic, shown.instance
+
+        yield f"| trained | {_scored(layers, whole, scene.classes)} | |"
 
 
 def stages(
@@ -102,11 +107,6 @@ def _with_true_mask(view: View, truth: GroundTruth, classes: ClassTable) -> View
     new[known[:, 0] == 0] = 0
     segments = (Segment(int(n), int(c), int(c) in classes.thing_ids) for n, (c, _) in zip(new, known, strict=True) if n)
     return replace(view, mask=PanopticMask(new[number.reshape(truth.semantic.shape)], tuple(segments)))
-
-
-def _baked(path: Path) -> Labels:
-    layers = read_exr(path)
-    return layers.semantic, layers.instance
 
 
 def _scored(stage: Stage, truth: Sequence[GroundTruth], classes: ClassTable) -> str:

@@ -28,13 +28,7 @@ from engine.train.targets import ViewTargets, columns_of
 from engine.train.trainer import GrowthSchedule, Trainer
 
 from ..results import SOURCES
-from .gaussian_splatting import (
-    PlainDecoders,
-    PlainRules,
-    clone_split_prune,
-    plain_gaussians,
-    reset_opacities,
-)
+from .gaussian_splatting import PlainDecoders, PlainRules, clone_split_prune, plain_gaussians, reset_opacities
 from .options import BaselinePreset
 
 # The training of baselines: where they differ from ``Trainer``, by the options of ``BaselinePreset``.
@@ -98,9 +92,7 @@ class SplattingTrainer(SegmentTrainer):
 def lift_baseline(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
     """`run_lift` by the baseline that the preset's options name; without any, PLGS itself. Raises what `run_lift`
     raises."""
-    run_lift(
-        folder, events, stop, resume=resume, preparing=prepare_baseline, training=new_trainer, sources=SOURCES
-    )
+    run_lift(folder, events, stop, resume=resume, preparing=prepare_baseline, training=new_trainer, sources=SOURCES)
 
 
 def prepare_baseline(
@@ -153,14 +145,10 @@ def with_semantic_targets(prepared: PreparedLift, views: Sequence[View], source:
 
     def target(number: int) -> ViewTargets:
         classes = views[number].mask.class_map()
-        projected = _columns(classes if source == "masks" else np.zeros_like(classes), class_ids)
+        projected = columns_of(classes if source == "masks" else np.zeros_like(classes), class_ids, np.int16)
         return replace(targets[number], projected=projected)
 
     return replace(prepared, targets=OnDemand(len(views), target))
-
-
-def _columns(classes: NDArray[np.int32], class_ids: tuple[int, ...]) -> torch.Tensor:
-    return columns_of(classes, class_ids).to(torch.int16)
 
 
 # Panoptic Lifting's segment consistency: all of a segment should have one class, whichever it is.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -23,26 +23,18 @@ _FIX = (
 )
 
 
-@dataclass(frozen=True)
-class NamedPredictions:
-    """The value of --predictions."""
-
-    name: str
-    predicted: Predicted
-
-
-def predictions_from(text: str) -> NamedPredictions:
-    """NAME=FOLDER, or NAME=FOLDER:ids=frame. Raises PlgsError."""
+def predictions_from(text: str) -> Row:
+    """The row for NAME=FOLDER, or NAME=FOLDER:ids=frame, in no table yet. Raises PlgsError."""
     name, equals, folder = text.partition("=")
     name, per_frame = name.strip(), folder.endswith(_PER_FRAME)
     folder = folder.removesuffix(_PER_FRAME)
     if not equals or not name or not folder or not name.isprintable():
         raise PlgsError("not-a-prediction", "is not of the form NAME=FOLDER", text, _FIX, option="--predictions")
-    return NamedPredictions(name, Predicted(Path(folder), per_frame))
+    return Row(name, "", predicted=Predicted(Path(folder), per_frame))
 
 
-def with_predictions(rows: Rows, given: list[NamedPredictions]) -> Rows:
-    """The rows, plus one in the first table for each of the predictions. Raises PlgsError for a name that a row already
+def with_predictions(rows: Rows, given: list[Row]) -> Rows:
+    """The rows, plus those of predictions in the first table. Raises PlgsError for a name that a row already
     has."""
     known = {row.name.casefold() for row in rows.rows}
     for each in given:
@@ -51,7 +43,7 @@ def with_predictions(rows: Rows, given: list[NamedPredictions]) -> Rows:
             raise PlgsError("row-twice", what, each.name, "Give another name.", option="--predictions")
         known.add(each.name.casefold())
     first = next(iter(rows.tables))
-    return replace(rows, rows=(*rows.rows, *(Row(each.name, first, predicted=each.predicted) for each in given)))
+    return replace(rows, rows=(*rows.rows, *(replace(each, table=first) for each in given)))
 
 
 def results_of_predictions(experiment: Experiment, errors: dict[str, PlgsError]) -> Iterator[Result]:

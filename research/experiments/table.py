@@ -101,10 +101,14 @@ class Tables:
             | {"state": self._failures(scene, row)}
             for row in rows
         }
-        others = {row.name: self._other_versions(scene, row) for row in rows}
-        yield from self._table(rows, [_name(row, others[row.name]) for row in rows], cells)
-        if marked := sorted(set().union(*others.values())):
-            yield f"\n{MARK} Lifted by the engine {', '.join(marked)}, not by this one, {self.version}."
+        names, marked = [], set[str]()
+        for row in rows:
+            others = {result.engine_version for result in self.measured(scene, row)} - {self.version}
+            names.append(f"{row.name}{' (cited)' if row.is_cited else ''}{f' {MARK}' if others else ''}")
+            marked |= others
+        yield from self._table(rows, names, cells)
+        if marked:
+            yield f"\n{MARK} Lifted by the engine {', '.join(sorted(marked))}, not by this one, {self.version}."
 
     def _means(self, scenes: Sequence[str]) -> Iterator[str]:
         yield f"{MEANS}\n"
@@ -157,28 +161,17 @@ class Tables:
         for result in self._tried(scene, row):
             if result.failed:
                 reasons.setdefault(result.failed, []).append(result.seed)
-        return "; ".join(f"failed{_seeds(seeds)}: {why}" for why, seeds in reasons.items())
-
-    def _other_versions(self, scene: str, row: Row) -> set[str]:
-        """The versions of other engines that measured a row."""
-        return {result.engine_version for result in self.measured(scene, row)} - {self.version}
+        # The default seed is not named.
+        named = {why: f" (seed {', '.join(map(str, s))})" if any(s) else "" for why, s in reasons.items()}
+        return "; ".join(f"failed{seeds}: {why}" for why, seeds in named.items())
 
     def measured_as(self, row: Row) -> str:
         """The name of a row's results."""
         return self.rows.lift_of(row).measured_as
 
 
-def _seeds(numbers: Sequence[int]) -> str:
-    """Nothing for the default seed."""
-    return f" (seed {', '.join(map(str, numbers))})" if any(numbers) else ""
-
-
 def _of_row(results: Sequence[Result], scene: str, name: str) -> list[Result]:
     return [result for result in results if (result.scene, result.row) == (scene, name)]
-
-
-def _name(row: Row, other_versions: set[str]) -> str:
-    return f"{row.name}{' (cited)' if row.is_cited else ''}{f' {MARK}' if other_versions else ''}"
 
 
 def _cells(now: Sequence[Result], before: Sequence[Result]) -> Iterator[tuple[str, str]]:
