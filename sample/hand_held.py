@@ -15,28 +15,10 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
+import capture_noise
 import cv2
 import numpy as np
-from capture_noise import (
-    CaptureNoise,
-    Floats,
-    Pixels,
-    blurred_frames,
-    border_mask,
-    chance_of_holes,
-    colour_gains,
-    flying_pixels,
-    half_size,
-    holes,
-    linear,
-    misplaced,
-    motion_blur,
-    noisy,
-    polish_waves,
-    pose_errors,
-    quantised,
-    srgb,
-)
+from capture_noise import CaptureNoise, Floats, Pixels
 from numpy.typing import NDArray
 from shared import stream, write_image
 
@@ -67,30 +49,27 @@ def write_hand_held(scene: Path, out: Path, seed: int, noise: CaptureNoise | Non
     noise = noise or CaptureNoise()
     frames = open_scene(scene).frames
     _copy(scene, out)
-    gains = colour_gains(len(frames), noise, stream(seed, "gains"))
-    blurred = blurred_frames(len(frames), noise, stream(seed, "blur"))
-    shifts, turns = pose_errors(len(frames), noise, stream(seed, "pose"))
-    waves = polish_waves(noise, stream(seed, "polish"))
+    gains = capture_noise.colour_gains(len(frames), noise, stream(seed, "gains"))
+    blurred = capture_noise.blurred_frames(len(frames), noise, stream(seed, "blur"))
+    shifts, turns = capture_noise.pose_errors(len(frames), noise, stream(seed, "pose"))
+    waves = capture_noise.polish_waves(noise, stream(seed, "polish"))
     for index, frame in enumerate(frames):
         colour = frame.read_colour(None)
-        depth = sensed_depth(frame, linear(colour), waves, noise, seed)
-        black = border_mask(frame.size, noise, stream(seed, "border"))
-        hand_held = exposed(linear(colour), gains[index], blurred.get(index), black)
-        pose = misplaced(frame.camera.camera_to_world, shifts[index], turns[index])
+        depth = sensed_depth(frame, capture_noise.linear(colour), waves, noise, seed)
+        black = capture_noise.border_mask(frame.size, noise, stream(seed, "border"))
+        hand_held = exposed(capture_noise.linear(colour), gains[index], blurred.get(index), black)
+        pose = capture_noise.misplaced(frame.camera.camera_to_world, shifts[index], turns[index])
         is_jpeg = frame.colour_path.suffix.lower() in (".jpg", ".jpeg")
         write_image(out / "color" / frame.colour_path.name, hand_held[..., ::-1], JPEG if is_jpeg else ())
         write_image(out / "depth" / frame.depth_path.name, np.round(depth * 1000.0).clip(0, 65535).astype(np.uint16))
         np.savetxt(out / f"pose/{frame.name}.txt", pose, "%.9f")
     still = np.zeros(2)
-    faults = [
-        {
-            "frame": frame.name,
-            "gains": gains[index].round(4).tolist(),
-            "blur": blurred.get(index, still).round(5).tolist(),
-        }
-        for index, frame in enumerate(frames)
-    ]
-    _write_faults(out / "hand_held.json", seed, noise, faults)
+    lines = []  # one for each frame
+    for index, frame in enumerate(frames):
+        fault = {"gains": gains[index].round(4).tolist(), "blur": blurred.get(index, still).round(5).tolist()}
+        lines.append(" " + json.dumps({"frame": frame.name, **fault}))
+    head, listed = f'"seed": {seed},\n"noise": {json.dumps(asdict(noise))}', ",\n".join(lines)
+    (out / "hand_held.json").write_text(f'{{{head},\n"frames": [\n{listed}\n]}}\n', encoding="utf-8")
     return f"{len(frames)} frames in {out}"
 
 
@@ -100,23 +79,24 @@ def exposed(light: Pixels, gains: Floats, motion: Floats | None, black: NDArray[
     ``gains`` float64 [3], ``motion`` float64 [2] in shares of the width or None, ``black`` bool [H, W] is the border.
     """
     if motion is not None:
-        light = motion_blur(light, motion * light.shape[1])
-    colour = srgb(light * gains.astype(np.float32))
+        light = capture_noise.motion_blur(light, motion * light.shape[1])
+    colour = capture_noise.srgb(light * gains.astype(np.float32))
     colour[black] = 0
     return colour
 
 
 def sensed_depth(frame: Frame, light: Pixels, waves: Floats, noise: CaptureNoise, seed: int) -> Floats:
     """Depth as the sensor measures it, float64 [H / 2, W / 2] metres, 0 = none."""
-    exact = half_size(frame.read_depth(None).astype(np.float64), noise)
+    exact = capture_noise.half_size(frame.read_depth(None).astype(np.float64), noise)
     height, width = exact.shape
     camera = frame.camera.resized(width, height)
     rays, points = lines_of_sight(camera), camera.unproject(exact)
     seen = cv2.resize(light, (width, height), interpolation=cv2.INTER_AREA)
-    chance = chance_of_holes(exact, seen, rays, points, noise, waves)
+    chance = capture_noise.chance_of_holes(exact, seen, rays, points, noise, waves)
     random = stream(seed, "depth", frame.name)
-    depth = quantised(noisy(flying_pixels(exact, noise, random), noise, random), noise)
-    depth[holes(chance, noise, random)] = 0.0
+    mixed = capture_noise.flying_pixels(exact, noise, random)
+    depth = capture_noise.quantised(capture_noise.noisy(mixed, noise, random), noise)
+    depth[capture_noise.holes(chance, noise, random)] = 0.0
     return depth
 
 
@@ -138,14 +118,6 @@ def _copy(scene: Path, out: Path) -> None:
         shutil.copytree(scene, out, copy_function=shutil.copyfile, ignore=shutil.ignore_patterns("intrinsic_depth.txt"))
     except OSError as error:
         raise PlgsError("not-copied", f"the scene cannot be copied ({error})", out, "Make it writable.") from error
-
-
-def _write_faults(path: Path, seed: int, noise: CaptureNoise, faults: list[dict[str, object]]) -> None:
-    """JSON with one frame per line."""
-    frames = ",\n".join(" " + json.dumps(fault) for fault in faults)
-    path.write_text(
-        f'{{"seed": {seed},\n"noise": {json.dumps(asdict(noise))},\n"frames": [\n{frames}\n]}}\n', encoding="utf-8"
-    )
 
 
 if __name__ == "__main__":
