@@ -64,7 +64,7 @@ class FrameBaker:
         """The model seen from a camera, at the camera's own size. No part of a frame's mask is used."""
         bands = render_bands(self.lifted, camera, self.labels, clip)
         view = bake_view(bands, camera, self.classes, self.instances)
-        return replace(view, layers=replace(view.layers, confidence=self.calibration(view.layers.confidence)))
+        return replace(view, layers=view.layers._replace(confidence=self.calibration(view.layers.confidence)))
 
     @property
     def notes(self) -> dict[str, str]:
@@ -74,7 +74,7 @@ class FrameBaker:
     def layers(self, camera: Camera, clip: ClipRange | None = None, wanted: Collection[str] = ()) -> PanopticLayers:
         """The ``wanted`` layers of ``render`` (see `decide`), without its mattes. Labels are drawn only if needed."""
         layers = self.decided(camera, clip, wanted)
-        return replace(layers, confidence=self.calibration(layers.confidence))
+        return layers._replace(confidence=self.calibration(layers.confidence))
 
     def decided(self, camera: Camera, clip: ClipRange | None = None, wanted: Collection[str] = ()) -> PanopticLayers:
         """``layers`` before the classes' shares are calibrated."""

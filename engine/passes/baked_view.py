@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -225,5 +225,4 @@ def joined(bands: list[PanopticLayers]) -> PanopticLayers:
     """All bands of rows joined into one, from the top."""
     if len(bands) == 1:
         return bands[0]
-    names = [field.name for field in fields(PanopticLayers)]
-    return PanopticLayers(**{name: np.concatenate([getattr(band, name) for band in bands]) for name in names})
+    return PanopticLayers(*map(np.concatenate, zip(*bands, strict=True)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -60,8 +59,14 @@ class Pixels(NamedTuple):
     slots: NDArray[np.float32]
 
 
-class Decided(NamedTuple):
-    """The fields of ``PanopticLayers``: ``combined`` [P, 4], the others [P]; none of P for those not wanted."""
+class PanopticLayers(NamedTuple):
+    """The layers of a baked view, all [H, W]; in kernels one row of pixels, none for a layer that is not wanted.
+
+    ``combined`` float32 [H, W, 4], linear RGB over black and alpha; ``depth`` float32 planar metres (0 = none);
+    ``semantic`` int32 class ids (0 only where nothing was rendered); ``instance`` int32, 0 where the class is stuff;
+    ``confidence`` float32, the probability of the shown class; ``entropy`` float32, the normalised entropy of the class
+    probabilities: 0 = certain, 1 = all classes equally likely.
+    """
 
     combined: NDArray[np.float32]
     depth: NDArray[np.float32]
@@ -209,24 +214,6 @@ LINEAR_STEPS = 4096
 """Steps of the encoded values in the table of linear light. Interpolation between them is exact to 1e-7."""
 
 
-@dataclass(frozen=True, eq=False)
-class PanopticLayers:
-    """The layers of a baked view, all [H, W].
-
-    ``combined`` float32 [H, W, 4], linear RGB over black and alpha; ``depth`` float32 planar metres (0 = none);
-    ``semantic`` int32 class ids (0 only where nothing was rendered); ``instance`` int32, 0 where the class is stuff;
-    ``confidence`` float32, the probability of the shown class; ``entropy`` float32, the normalised entropy of the class
-    probabilities: 0 = certain, 1 = all classes equally likely.
-    """
-
-    combined: NDArray[np.float32]
-    depth: NDArray[np.float32]
-    semantic: NDArray[np.int32]
-    instance: NDArray[np.int32]
-    confidence: NDArray[np.float32]
-    entropy: NDArray[np.float32]
-
-
 def decide(
     rendering: PanopticRendering,
     classes: ClassTable,
@@ -242,12 +229,12 @@ def decide(
     of that class's coverage. So pixels that no object owns show their own class and no instance.
     """
     columns, made = _columns(rendering, classes, instance_classes or {}), {}
-    needed = {*(wanted or Decided._fields)}
+    needed = {*(wanted or PanopticLayers._fields)}
     if not needed.isdisjoint(FROM_LABELS):
         needed |= {"semantic", "instance"}
         if not len(columns.of_class):
             raise ValueError("the rendering has no classes")
-    for name in Decided._fields:
+    for name in PanopticLayers._fields:
         shape = rendering.alpha.shape if name in needed else (0, 0)
         dtype = np.int32 if name in ("semantic", "instance") else np.float32
         made[name] = memory.empty((*shape, 4) if name == "combined" else shape, dtype)
@@ -273,9 +260,10 @@ def align_mattes(
     parallel_for(workers, align_pixels, _pixels(rendering), columns, _flat(decided), best, owned)
 
 
-def _flat(layers: PanopticLayers) -> Decided:
+def _flat(layers: PanopticLayers) -> PanopticLayers:
     """The layers as views of the same memory, one row per pixel."""
-    return Decided(layers.combined.reshape(-1, 4), *(getattr(layers, name).reshape(-1) for name in Decided._fields[1:]))
+    rows: list[Any] = [layer.reshape(-1) for layer in layers[1:]]
+    return PanopticLayers(layers.combined.reshape(-1, 4), *rows)
 
 
 def _pixels(rendering: PanopticRendering) -> Pixels:

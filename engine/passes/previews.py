@@ -127,10 +127,7 @@ class SheetRow:
 
 
 def write_contact_sheet(
-    path: Path,
-    rows: Sequence[SheetRow],
-    classes: ClassTable,
-    instance_colours: Mapping[int, Colour] | None = None,
+    path: Path, rows: Sequence[SheetRow], classes: ClassTable, instance_colours: Mapping[int, Colour] | None = None
 ) -> None:
     """Write a sheet with the columns photo, input mask, lifted classes, lifted instances.
 

@@ -110,7 +110,7 @@ def test_the_surface_is_in_the_world(tmp_path: Path) -> None:
 
 def test_invalid_exr_is_refused(tmp_path: Path) -> None:
     view = _baked()
-    layers = replace(view.layers, instance=np.full((6, 8), 1 << 24, np.int32))
+    layers = view.layers._replace(instance=np.full((6, 8), 1 << 24, np.int32))
     with pytest.raises(ValueError, match="exact"):
         write_exr(tmp_path / "a.exr", replace(view, layers=layers))
     with OpenEXR.File({}, {"Y": np.zeros((2, 2), np.float32)}) as file:
