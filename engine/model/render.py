@@ -9,7 +9,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..raster import rasterize
 from ..raster.conventions import BLUR, NEAR
 from ..scene import Camera
 from .detail import blurred_scales
@@ -115,22 +114,10 @@ def _draw_rows(
     rows: tuple[int, int],
     want_surface: bool,
 ) -> PanopticRendering:
-    drawn = seen.drawn
-    rendering = rasterize(
-        seen.of(drawn.means),
-        seen.of(drawn.scales),
-        seen.of(drawn.quats),
-        seen.of(drawn.opacities),
-        seen.of(drawn.colours),
-        seen.of(drawn.labels) if labels is None else labels.of(seen.of(seen.rows_of)),
-        camera.camera_to_world.astype(np.float32),
-        camera.K.astype(np.float32),
-        camera.width,
-        camera.height,
-        near=seen.near,
-        rows=rows,
-        want_surface=want_surface,
-    )
+    names = ("means", "scales", "quats", "opacities", "colours", "labels")
+    drawn = replace(seen.drawn, **{name: seen.of(getattr(seen.drawn, name)) for name in names})
+    own = drawn.labels if labels is None else labels.of(seen.of(seen.rows_of))
+    rendering = drawn.drawn_by(camera, own, near=seen.near, rows=rows, want_surface=want_surface)
     alpha = rendering.alpha.numpy(force=True)
     assert rendering.labels is not None  # as requested
     classes, shown = len(channels.class_ids), rendering.labels
