@@ -87,7 +87,9 @@ def merge_queries(
         label_of[number] = label
         found.setdefault(number, []).append((score, pixels))
         ids[region] = number
-    return ids, [MadeSegment(number, label_of[number], _mean(parts)) for number, parts in found.items()]
+    weighted = {n: sum(score * pixels for score, pixels in parts) for n, parts in found.items()}
+    means = {n: weighted[n] / sum(pixels for _, pixels in parts) for n, parts in found.items()}
+    return ids, [MadeSegment(number, label_of[number], score) for number, score in means.items()]
 
 
 @dataclass(frozen=True)
@@ -116,10 +118,6 @@ def detections_of(class_logits: torch.Tensor, mask_probabilities: torch.Tensor) 
         for label, score, pixels in zip(labels.tolist(), scores.tolist(), inside, strict=True)
         if score >= LEAST_DETECTION and pixels.any()
     ]
-
-
-def _mean(parts: list[tuple[float, int]]) -> float:
-    return sum(score * pixels for score, pixels in parts) / sum(pixels for _, pixels in parts)
 
 
 _LARGEST_SIDE = 1280

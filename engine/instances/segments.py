@@ -7,7 +7,7 @@ If a mask bleeds over by one pixel, background depth enters the box and spoils t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -161,11 +161,3 @@ def instance_map(view: View, instance_of_segment: Mapping[tuple[str, int], int])
     present, inverse = np.unique(view.mask.ids, return_inverse=True)
     ids = np.array([instance_of_segment.get((view.name, int(segment)), 0) for segment in present], np.int32)
     return ids[inverse.reshape(view.mask.ids.shape)]
-
-
-def restrict_to_things(
-    projected_instance: NDArray[np.int32], projected_class: NDArray[np.int32], thing_ids: Iterable[int]
-) -> NDArray[np.int32]:
-    """M_match: instances where the projected semantic mask shows a thing, int32 [H, W], 0 elsewhere."""
-    thing = np.isin(projected_class, sorted(thing_ids))
-    return np.where(thing, projected_instance, 0).astype(np.int32)

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..instances.records import SceneObject
-from ..instances.segments import restrict_to_things
 from ..job import EventWriter
 from ..job.progress import StageProgress, StageReporter
 from ..model.anchors import initial_anchors, seeded_features
@@ -275,6 +274,6 @@ def projected_masks(
     def project(view: View) -> NDArray[np.int32]:
         projected = classed.project(view.camera, view.depth, reach)
         instances = owned.project(view.camera, view.depth, reach)
-        return np.stack([projected, restrict_to_things(instances, projected, classes.thing_ids)])
+        return np.stack([projected, np.where(np.isin(projected, sorted(classes.thing_ids)), instances, 0)])
 
     return stored((project(view) for view in placed), scratch)

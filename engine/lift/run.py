@@ -84,28 +84,20 @@ LEAST_STEPS = 100
 """Minimum steps for which the pace is remembered. Fewer would measure the first compilation, not the computer."""
 
 
-Preparing = Callable[..., PreparedLift]
-"""A function that does everything before the first step, with the arguments of `prepare`."""
-
-
-def new_trainer(prepared: PreparedLift, views: Sequence[View], preset: Preset, seed: int) -> Trainer:
-    """The trainer that does the steps."""
-    return Trainer(prepared.scene, prepared.targets, views, preset, seed)
-
-
 def run_lift(
     folder: LiftFolder,
     events: EventWriter,
     stop: StopSignal,
     *,
     resume: bool,
-    preparing: Preparing = prepare,
-    training: Callable[[PreparedLift, Sequence[View], Preset, int], Trainer] = new_trainer,
+    preparing: Callable[..., PreparedLift] = prepare,
+    training: Callable[..., Trainer] = Trainer,
     sources: Sequence[str] = ("engine",),
 ) -> None:
-    """Do the lift that ``folder`` asks for, or what is left of it. Methods other than PLGS pass their own ``preparing``
-    and ``training``, and ``sources``, the folders of the repository whose digest the manifest holds. Raises PlgsError
-    for input that cannot be lifted, and Cancelled if stopped. The folder can then be resumed."""
+    """Do the lift that ``folder`` asks for, or what is left of it. Methods other than PLGS pass their own
+    ``preparing``, with the arguments of `prepare`, their own ``training``, with those of `Trainer`, and ``sources``,
+    the folders of the repository whose digest the manifest holds. Raises PlgsError for input that cannot be lifted, and
+    Cancelled if stopped. The folder can then be resumed."""
     request, stages = folder.request, StageReporter(events, stop, STAGES)
     preset = request.chosen_preset
     lasting_names.refuse_names_of_no_objects(request, preset)
@@ -132,7 +124,7 @@ def run_lift(
     preset = preset.for_views(len(views))
     classes = frames.all.classes
     prepared = preparing(views, classes, preset, request.seed, stages, folder.path, others)
-    trainer = training(prepared, views, preset, request.seed)
+    trainer = training(prepared.scene, prepared.targets, views, preset, request.seed)
     if checkpoint is not None:
         take_up(trainer, checkpoint, events, masks_changed=masks_changed)
     names: Mapping[int, str] = instance_names(prepared.instances, classes)

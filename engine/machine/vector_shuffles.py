@@ -38,10 +38,7 @@ def _fold(builder: ir.IRBuilder, a: ir.Value | None, b: ir.Value | None, width: 
     groups = range(0, 2 * WIDTH, width)
     low = [group + lane for group in groups for lane in range(half)]
     high = [group + half + lane for group in groups for lane in range(half)]
-    return builder.fadd(
-        builder.shuffle_vector(a, b, ir.Constant(INTS_IR, low)),
-        builder.shuffle_vector(a, b, ir.Constant(INTS_IR, high)),
-    )
+    return builder.fadd(_shuffled(builder, a, b, low), _shuffled(builder, a, b, high))
 
 
 def _shuffled(builder: ir.IRBuilder, a: ir.Value, b: ir.Value, indices: list[int]) -> ir.Value:

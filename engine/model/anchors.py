@@ -93,12 +93,7 @@ def initial_anchors(
 
 
 def seeded_features(
-    rgb: NDArray[np.uint8],
-    class_id: NDArray[np.integer],
-    instance_id: NDArray[np.integer],
-    *,
-    features: int,
-    seed: int,
+    rgb: NDArray[np.uint8], class_id: NDArray[np.integer], instance_id: NDArray[np.integer], *, features: int, seed: int
 ) -> NDArray[np.float32]:
     """Starting features that differ by colour and consistent label, float32 [M, ``features``]. Scaffold-GS and the
     paper start from zero. It then takes thousands of steps until equal anchors have drifted apart, but a lift on a CPU

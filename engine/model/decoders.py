@@ -131,11 +131,6 @@ class Decoders(nn.Module):
             parts.append(distance)
         return torch.cat(parts, dim=1)
 
-    def shape_outputs(self, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Outputs of the opacity [V, k], covariance [V, 7 k] and colour decoders [V, 3 k] for a ``view_input``."""
-        opacity, covariance, colour = run_side_by_side(seen, self.opacity, self.covariance, self.colour)
-        return opacity, covariance, colour
-
     def label_logits(self, feature: torch.Tensor, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Semantic [V, k, C] and instance [V, k, S] logits. ``seen``: the output of ``view_input``."""
         given = seen if self.shape.label_view_input else feature

@@ -9,7 +9,7 @@ import torch
 from torch.nn import functional
 
 from .anchors import Anchors
-from .decoders import Decoders
+from .decoders import Decoders, run_side_by_side
 from .neural_gaussians import NeuralGaussians
 
 # Selection of rows of a tensor without repetitions: the backward pass is then a plain copy.
@@ -51,7 +51,8 @@ def decode_in_torch(
     seen = decoders.view_input(feature, position, centre)
     k = anchors.gaussians_per_anchor
 
-    opacity, covariance, colour = decoders.shape_outputs(seen)
+    networks = (decoders.opacity, decoders.covariance, decoders.colour)
+    opacity, covariance, colour = run_side_by_side(seen, *networks)  # [V, k], [V, 7 k] and [V, 3 k]
     opacity = torch.tanh(opacity)
     kept = (opacity.detach().reshape(-1) > 0).nonzero().squeeze(1)
     owner = kept // k

@@ -7,23 +7,5 @@ describes the Gaussians. Back ends: ``numba`` (CPU, the default), ``gsplat`` (CU
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from .interface import rasterize
-    from .rendering import Rendering
-
-__all__ = ["Rendering", "rasterize"]
-
-
-def __getattr__(name: str) -> Any:
-    """Import torch only when it is needed."""
-    if name == "rasterize":
-        from .interface import rasterize
-
-        return rasterize
-    if name == "Rendering":
-        from .rendering import Rendering
-
-        return Rendering
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+from .interface import rasterize
+from .rendering import Rendering

@@ -56,11 +56,7 @@ def project(means: Tensor, scales: Tensor, quats: Tensor, pinhole: Pinhole) -> t
     v = torch.clamp(y / safe, y_low, y_high)
     zero = torch.zeros_like(z)
     jacobian = torch.stack(
-        [
-            torch.stack([fx / safe, zero, -fx * u / safe], -1),
-            torch.stack([zero, fy / safe, -fy * v / safe], -1),
-        ],
-        -2,
+        [torch.stack([fx / safe, zero, -fx * u / safe], -1), torch.stack([zero, fy / safe, -fy * v / safe], -1)], -2
     )
     spread = jacobian @ rotation @ (rotation_matrices(quats) * scales[:, None, :])
     covariances = spread @ spread.transpose(-1, -2) + BLUR * torch.eye(2, dtype=means.dtype)

@@ -180,10 +180,7 @@ def voxelise(points: NDArray[np.floating], voxel_size: float) -> NDArray[np.floa
 
 
 def label_anchors(
-    cloud: SemanticPointCloud,
-    instance_of_point: NDArray[np.int32],
-    anchor_xyz: NDArray[np.floating],
-    voxel_size: float,
+    cloud: SemanticPointCloud, instance_of_point: NDArray[np.int32], anchor_xyz: NDArray[np.floating], voxel_size: float
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """s_v: class and instance of each anchor, int32 [M] each, by the majority of the cloud's points in its voxel.
     Unknown points (0) do not vote. An anchor without votes gets 0, and ties go to the lower id. ``instance_of_point``

@@ -308,7 +308,8 @@ class Trainer:
         self.clock.lap("SSIM, L1, volume")
         semantic, instance = reconstruction.new_zeros(2)
         if columns is not None:
-            semantic, instance = self._label_losses(gaussians, rendering, target, columns)
+            by_class, instance = self._compare_labels(gaussians, rendering, target, columns)
+            semantic = by_class + weights.cluster * gaussians.cluster_loss
         total = reconstruction + weights.semantic * semantic + weights.instance * instance
         given = Step(gaussians, rendering, target, weights)
         further = {name: loss(given) for name, loss in self.further.items()}
@@ -329,20 +330,13 @@ class Trainer:
             image = torch.where(target.border[..., None], photo, image)
         return image
 
-    def _label_losses(
-        self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, columns: NDArray[np.int64]
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """L_sem (the view's target and L_cluster) and L_ins (linear assignment and M_match). Their gradients stop at
-        the blending weights, so they do not reach opacity, shape or colour decoders. They do reach the anchors'
-        features, which all decoders share: this is what makes labels follow what the picture shows. ``columns``: the
-        channels that were drawn."""
-        by_class, by_slot = self._compare_labels(gaussians, rendering, target, columns)
-        return by_class + self.preset.weights.cluster * gaussians.cluster_loss, by_slot
-
     def _compare_labels(
         self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, columns: NDArray[np.int64]
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """L_sem without L_cluster, and L_ins."""
+        """L_sem without L_cluster, and L_ins (linear assignment and M_match). Their gradients stop at the blending
+        weights, so they do not reach opacity, shape or colour decoders. They do reach the anchors' features, which all
+        decoders share: this is what makes labels follow what the picture shows. ``columns``: the channels that were
+        drawn."""
         of_classes, total = self._channel_counts()
         classes = int(np.searchsorted(columns, of_classes))
         drawn_column = torch.full((total + 1,), -1, dtype=torch.int16)  # the last means no target

@@ -117,11 +117,13 @@ def prepare_baseline(
     return prepared
 
 
-def new_trainer(prepared: PreparedLift, views: Sequence[View], preset: Preset, seed: int) -> Trainer:
+def new_trainer(
+    scene: StructuredScene, targets: Sequence[ViewTargets], views: Sequence[View], preset: Preset, seed: int
+) -> Trainer:
     """The trainer of the preset's baseline."""
     options = cast(BaselinePreset, preset)
     kind: type[Trainer] = SplattingTrainer if options.representation == "plain" else SegmentTrainer
-    return kind(prepared.scene, prepared.targets, views, preset, seed)
+    return kind(scene, targets, views, preset, seed)
 
 
 def baseline_scene(

@@ -32,4 +32,5 @@ prepared_for = partial(tiny_lift.prepared_for, preparing=prepare_baseline)
 
 
 def trainer_of(views: list[View], classes: ClassTable, preset: BaselinePreset, folder: Path) -> Trainer:
-    return new_trainer(prepared_for(views, classes, preset, folder), views, preset, 0)
+    prepared = prepared_for(views, classes, preset, folder)
+    return new_trainer(prepared.scene, prepared.targets, views, preset, 0)

@@ -78,9 +78,9 @@ def test_label_losses_never_reach_opacity_or_shape(tiny: Input, tmp_path: Path) 
     assert gaussians.cluster_loss > 0
     columns = trainer._columns_to_draw(target)
     rendering = gaussians.drawn_by(target.camera, gaussians.labels[:, columns], want_means2d_grad=True)
-    semantic, instance = trainer._label_losses(gaussians, rendering, target, columns)
+    semantic, instance = trainer._compare_labels(gaussians, rendering, target, columns)
     assert semantic > 0 and instance > 0
-    (semantic + instance).backward()
+    (semantic + gaussians.cluster_loss + instance).backward()
 
     decoders, anchors = trainer.scene.decoders, trainer.scene.anchors
     for untouched in (decoders.opacity, decoders.covariance, decoders.colour):

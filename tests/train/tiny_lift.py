@@ -1,6 +1,6 @@
 """A lift of the tiny room, small enough for a fast test and with every stage of the schedule in it."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +11,7 @@ import torch
 from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal, last_run
 from engine.job.progress import StageReporter
 from engine.lift.preparation import PreparedLift, prepare
-from engine.lift.run import STAGES, Preparing, run_lift
+from engine.lift.run import STAGES, run_lift
 from engine.model.growing import GrowthRules
 from engine.presets.preset import PRESETS, Growth, Preset, Schedule
 from engine.scene import ClassTable, View, load_view, open_scene
@@ -94,7 +94,7 @@ def views_of(folder: Path, **options: object) -> tuple[list[View], ClassTable]:
 
 def prepared_for(
     views: list[View], classes: ClassTable, preset: Preset, folder: Path, seed: int = 0, warm_steps: int = WARM_STEPS,
-    preparing: Preparing = prepare,
+    preparing: Callable[..., PreparedLift] = prepare,
 ) -> PreparedLift:  # fmt: skip
     events = EventWriter(folder / "events.jsonl")
     try:
