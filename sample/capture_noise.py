@@ -253,22 +253,17 @@ def chance_of_holes(
     z = 1, ``points`` the surface in the world, and ``waves`` those of ``polish_waves``.
     """
     causes = (
-        darkness(light, noise),
+        # A surface swallows light. The sensor's own lamp lights it, so exposure does not matter.
+        _ramp((light @ LUMINANCE).astype(np.float64), *reversed(noise.dark)),
         highlights(light, noise),
         polish(points, waves, noise),
         slant(depth, rays, noise),
-        distance(depth, noise),
+        _ramp(depth, *noise.reach),  # the pattern's light falls with the square of depth
     )
     returns = np.ones_like(depth)
     for cause in causes:
         returns *= 1.0 - noise.lost * cause
     return 1.0 - returns
-
-
-def darkness(light: Pixels, noise: CaptureNoise) -> Floats:
-    """0..1, 1 where a surface swallows light. The sensor's own lamp lights it, so exposure does not matter."""
-    nothing, everything = noise.dark
-    return _ramp((light @ LUMINANCE).astype(np.float64), everything, nothing)
 
 
 def highlights(light: Pixels, noise: CaptureNoise) -> Floats:
@@ -307,11 +302,6 @@ def slant(depth: Floats, rays: Floats, noise: CaptureNoise) -> Floats:
     cosine = inverse / np.maximum(np.sqrt(a**2 + b**2 + c**2) * np.linalg.norm(rays, axis=-1), 1e-9)
     nothing, everything = noise.grazing
     return np.where(depth > 0.0, _ramp(cosine, everything, nothing), 0.0)
-
-
-def distance(depth: Floats, noise: CaptureNoise) -> Floats:
-    """0..1, 1 beyond the sensor's reach. The pattern's light falls with the square of depth."""
-    return _ramp(depth, *noise.reach)
 
 
 def smooth_field(shape: tuple[int, ...], grain: float, random: np.random.Generator) -> Floats:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import find_objects
 
+from ..machine.distinct_rows import distinct_rows
 from ..scene import PanopticMask, View
 from .records import ObjectMask, SceneObject, fit_box
 
@@ -116,11 +117,7 @@ def edge_distance(ids: NDArray[np.int32]) -> NDArray[np.float32]:
 
 def thin(points: NDArray[np.float64], voxel_size: float) -> NDArray[np.float64]:
     """The mean point of each occupied voxel, [n, 3] to [m, 3] in metres, in lexicographic order of the voxels."""
-    cells = np.floor(points / voxel_size).astype(np.int64)
-    cells -= cells.min(0)  # from 0, so that three numbers fit into one below
-    _, height, depth = cells.max(0) + 1
-    _, voxel = np.unique((cells[:, 0] * height + cells[:, 1]) * depth + cells[:, 2], return_inverse=True)
-    voxel = voxel.reshape(-1)
+    _, voxel = distinct_rows(np.floor(points / voxel_size).astype(np.int64))
     count = np.bincount(voxel)
     return np.column_stack([np.bincount(voxel, points[:, axis]) / count for axis in range(3)])
 

@@ -14,6 +14,7 @@ from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import numpy as np
 import torch
@@ -351,13 +352,6 @@ def library_versions(code: str) -> dict[str, str]:
     import numba
     import scipy
 
-    return {
-        "plgs": __version__,
-        "code": code,
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "torch": torch.__version__,
-        "numba": numba.__version__,
-        "scipy": scipy.__version__,
-        "opencv": cv2.__version__,
-    }
+    libraries: dict[str, Any] = {"numpy": np, "torch": torch, "numba": numba, "scipy": scipy, "opencv": cv2}
+    versions = {name: library.__version__ for name, library in libraries.items()}
+    return {"plgs": __version__, "code": code, "python": platform.python_version(), **versions}

@@ -97,7 +97,7 @@ class Tables:
         if all(row.is_cited for row in rows):
             return
         cells = {
-            row.name: dict(_cells(self.measured(scene, row), _of_row(self.earlier, scene, self.measured_as(row))))
+            row.name: dict(_cells(self.measured(scene, row), self._of_row(self.earlier, scene, row)))
             | {"state": self._failures(scene, row)}
             for row in rows
         }
@@ -153,7 +153,7 @@ class Tables:
 
     def _tried(self, scene: str, row: Row) -> list[Result]:
         """The results of a row, and its failures."""
-        return _of_row(self.results, scene, self.measured_as(row))
+        return self._of_row(self.results, scene, row)
 
     def _failures(self, scene: str, row: Row) -> str:
         """Empty if all seeds were measured."""
@@ -165,13 +165,9 @@ class Tables:
         named = {why: f" (seed {', '.join(map(str, s))})" if any(s) else "" for why, s in reasons.items()}
         return "; ".join(f"failed{seeds}: {why}" for why, seeds in named.items())
 
-    def measured_as(self, row: Row) -> str:
-        """The name of a row's results."""
-        return self.rows.lift_of(row).measured_as
-
-
-def _of_row(results: Sequence[Result], scene: str, name: str) -> list[Result]:
-    return [result for result in results if (result.scene, result.row) == (scene, name)]
+    def _of_row(self, results: Sequence[Result], scene: str, row: Row) -> list[Result]:
+        name = self.rows.lift_of(row).measured_as
+        return [result for result in results if (result.scene, result.row) == (scene, name)]
 
 
 def _cells(now: Sequence[Result], before: Sequence[Result]) -> Iterator[tuple[str, str]]:

@@ -2,7 +2,7 @@
 
 import math
 import sys
-from dataclasses import fields, replace
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -32,11 +32,10 @@ def _baked() -> BakedView:
 
 def test_exr_round_trip_keeps_all_layers(tmp_path: Path) -> None:
     written, read = decide(made_rendering(), CLASSES), read_exr(write_layers(tmp_path / "a.exr"))
-    for field in fields(written):
-        expected = getattr(written, field.name)
-        if field.name == "combined":
+    for name, expected in written._asdict().items():
+        if name == "combined":
             expected = expected.astype(np.float16)
-        assert (expected == getattr(read, field.name)).all(), field.name
+        assert (expected == getattr(read, name)).all(), name
     assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]
 
 
@@ -209,7 +208,7 @@ def test_openimageio_reads_the_same(tmp_path: Path) -> None:
     copy.close()
     assert is_own(path) and not is_own(tmp_path / "b.exr")
     one, other = read_exr(path), read_exr(tmp_path / "b.exr")
-    assert all((getattr(one, field.name) == getattr(other, field.name)).all() for field in fields(one))
+    assert all((own == others).all() for own, others in zip(one, other, strict=True))
 
 
 def test_blender_reads_ids_and_mattes(tmp_path: Path) -> None:

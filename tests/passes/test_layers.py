@@ -28,7 +28,7 @@ def test_decide_gives_classes_and_instances() -> None:
 @pytest.mark.parametrize("wanted", [("semantic",), ("combined", "depth"), ("depth", "confidence")])
 def test_layers_that_are_not_wanted_stay_empty(wanted: tuple[str, ...]) -> None:
     whole, part = decide(made_rendering(), CLASSES), decide(made_rendering(), CLASSES, wanted=wanted)
-    for name in vars(whole):
+    for name in whole._fields:
         assert name not in wanted or (getattr(part, name) == getattr(whole, name)).all()
     assert not part.entropy.size and bool(part.combined.size) == ("combined" in wanted)
 

@@ -67,17 +67,12 @@ def rows_of(field: int, scratch: Array) -> Any:
 @device_function
 def write_strip(pixel: int, columns: int, rows: int, width: int, scratch: Array, out: Blended) -> None:
     """Write the ``columns`` and ``rows`` of a strip without labels. Its first pixel has the number ``pixel``."""
-    upper_final, lower_final = rows_of(FINAL, scratch)
-    upper_last, lower_last = rows_of(LAST, scratch)
-    upper_red, lower_red = rows_of(PLANES, scratch)
-    upper_green, lower_green = rows_of(PLANES + TILE, scratch)
-    upper_blue, lower_blue = rows_of(PLANES + 2 * TILE, scratch)
-    upper_depth, lower_depth = rows_of(PLANES + 3 * TILE, scratch)
-    upper = (upper_final, upper_last, upper_red, upper_green, upper_blue, upper_depth)
-    lower = (lower_final, lower_last, lower_red, lower_green, lower_blue, lower_depth)
-    write_row(pixel, columns, upper, out)
+    final, last, red = rows_of(FINAL, scratch), rows_of(LAST, scratch), rows_of(PLANES, scratch)
+    green, blue = rows_of(PLANES + TILE, scratch), rows_of(PLANES + 2 * TILE, scratch)
+    depth = rows_of(PLANES + 3 * TILE, scratch)
+    write_row(pixel, columns, (final[0], last[0], red[0], green[0], blue[0], depth[0]), out)
     if rows > 1:
-        write_row(pixel + width, columns, lower, out)
+        write_row(pixel + width, columns, (final[1], last[1], red[1], green[1], blue[1], depth[1]), out)
 
 
 @inlined
