@@ -18,9 +18,10 @@ import numpy as np
 from engine.diagnosis import Diagnosis, diagnose, write_mended
 from engine.errors import PlgsError
 from engine.scene import open_scene
-from tests.diagnosis import spoiling
+from tests.diagnosis.spoiling import depths, farther, intrinsics, poses, ray_lengths, rename, repeat
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+BACK = np.diag([-1.0, 1.0, -1.0, 1.0])
 Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """Turns z to y."""
 
@@ -35,11 +36,7 @@ class Fault:
 
 def _focal(times: float) -> Callable[[Path], None]:
     factors = np.array([[times, 1, 1, 1], [1, times, 1, 1], [1] * 4, [1] * 4])
-    return lambda folder: spoiling.intrinsics(folder, lambda matrix: matrix * factors)
-
-
-def ray_depth(folder: Path) -> None:
-    spoiling.depths(folder, lambda steps: steps * spoiling.ray_lengths(folder, steps.shape))
+    return lambda folder: intrinsics(folder, lambda matrix: matrix * factors)
 
 
 def _mirrored(folder: Path, *kinds: str) -> None:
@@ -60,23 +57,17 @@ def _next_class(folder: Path) -> None:
     table.write_text(json.dumps(content))
 
 
-def _half_drifted(folder: Path) -> None:
+def _drifted(folder: Path, direction: list[float], share: Callable[[int, int], float]) -> None:
+    """Move a pose by 30 cm times the ``share`` of its number and of how many there are."""
     count = len(list((folder / "pose").iterdir()))
     away = np.zeros((4, 4))
-    away[:3, 3] = 0.3 / np.sqrt(3.0)
-    spoiling.poses(folder, lambda n, pose: pose + away * (n >= count // 2))
-
-
-def _growing_drift(folder: Path) -> None:
-    count = len(list((folder / "pose").iterdir()))
-    away = np.zeros((4, 4))
-    away[0, 3] = 0.3
-    spoiling.poses(folder, lambda n, pose: pose + away * n / count)
+    away[:3, 3] = 0.3 * np.array(direction) / np.linalg.norm(direction)
+    poses(folder, lambda n, pose: pose + away * share(n, count))
 
 
 def _poses_of_the_next(folder: Path) -> None:
-    poses = [np.loadtxt(path) for path in sorted((folder / "pose").iterdir())]
-    spoiling.poses(folder, lambda n, pose: poses[min(n + 1, len(poses) - 1)])
+    original = [np.loadtxt(path) for path in sorted((folder / "pose").iterdir())]
+    poses(folder, lambda n, pose: original[min(n + 1, len(original) - 1)])
 
 
 def _of_the_next(kind: str) -> Callable[[Path], None]:
@@ -101,41 +92,29 @@ def _masks_of_others(folder: Path) -> None:
     (folder / "panoptic.json").write_text(json.dumps(table))
 
 
-def _out_of_place(folder: Path) -> None:
-    spoiling.poses(folder, lambda n, p: p @ np.diag([-1.0, 1.0, -1.0, 1.0]) if n == 9 else p)
-
-
 def _repeated(folder: Path) -> None:
     names = sorted(path.stem for path in (folder / "pose").iterdir())
-    spoiling.repeat(folder, names[10], instead_of=names[11])
+    repeat(folder, names[10], instead_of=names[11])
 
 
 def _shuffled(folder: Path) -> None:
     count = len(list((folder / "pose").iterdir()))
-    spoiling.rename(folder, np.random.default_rng(0).permutation(count).tolist())
+    rename(folder, np.random.default_rng(0).permutation(count).tolist())
 
 
 FAULTS: dict[str, Fault] = {
-    "world-to-camera poses": Fault(lambda f: spoiling.poses(f, lambda _, p: np.linalg.inv(p)), ("inverted poses",)),
-    "OpenGL axes": Fault(lambda f: spoiling.poses(f, lambda _, p: p @ FLIP), ("wrong axes",)),
-    "both": Fault(
-        lambda f: spoiling.poses(f, lambda _, p: np.linalg.inv(p @ FLIP)), ("inverted poses and wrong axes",)
-    ),
-    "poses in centimetres": Fault(lambda f: spoiling.poses(f, lambda _, p: spoiling.farther(p, 100.0)), ("pose unit",)),
-    "poses in millimetres": Fault(
-        lambda f: spoiling.poses(f, lambda _, p: spoiling.farther(p, 1000.0)), ("pose unit",)
-    ),
-    "poses a tenth too far": Fault(
-        lambda f: spoiling.poses(f, lambda _, p: spoiling.farther(p, 1.1)), ("pose unit", "depth unit")
-    ),
+    "world-to-camera poses": Fault(lambda f: poses(f, lambda _, p: np.linalg.inv(p)), ("inverted poses",)),
+    "OpenGL axes": Fault(lambda f: poses(f, lambda _, p: p @ FLIP), ("wrong axes",)),
+    "both": Fault(lambda f: poses(f, lambda _, p: np.linalg.inv(p @ FLIP)), ("inverted poses and wrong axes",)),
+    "poses in centimetres": Fault(lambda f: poses(f, lambda _, p: farther(p, 100.0)), ("pose unit",)),
+    "poses in millimetres": Fault(lambda f: poses(f, lambda _, p: farther(p, 1000.0)), ("pose unit",)),
+    "poses a tenth too far": Fault(lambda f: poses(f, lambda _, p: farther(p, 1.1)), ("pose unit", "depth unit")),
     "poses of the next frame": Fault(_poses_of_the_next, ("frames off",)),
-    "depth in 5000 steps per metre": Fault(lambda f: spoiling.depths(f, lambda d: d * 5.0), ("depth unit",)),
-    "depth in centimetres": Fault(lambda f: spoiling.depths(f, lambda d: d * 0.1), ("depth unit",)),
-    "depth along the ray": Fault(ray_depth, ("ray depth",)),
+    "depth in 5000 steps per metre": Fault(lambda f: depths(f, lambda d: d * 5.0), ("depth unit",)),
+    "depth in centimetres": Fault(lambda f: depths(f, lambda d: d * 0.1), ("depth unit",)),
+    "depth along the ray": Fault(lambda f: depths(f, lambda d: d * ray_lengths(f, d.shape)), ("ray depth",)),
     "depth of the next frame": Fault(_of_the_next("depth"), ("frames off",)),
-    "depth moved by 5 pixels": Fault(
-        lambda f: spoiling.depths(f, lambda d: np.roll(d, 5, 1)), ("colour-to-depth shift",)
-    ),
+    "depth moved by 5 pixels": Fault(lambda f: depths(f, lambda d: np.roll(d, 5, 1)), ("colour-to-depth shift",)),
     "depth mirrored": Fault(lambda f: _mirrored(f, "depth"), ("mirrored images",)),
     "colour mirrored": Fault(lambda f: _mirrored(f, "color"), ("mirrored colour",)),
     "colour, depth and masks mirrored": Fault(
@@ -143,18 +122,22 @@ FAULTS: dict[str, Fault] = {
     ),
     "colour of the next frame": Fault(_of_the_next("color"), ("colour of other frames",)),
     "intrinsics of half the size": Fault(
-        lambda f: spoiling.intrinsics(f, lambda k: k * np.array([[0.5] * 4, [0.5] * 4, [1] * 4, [1] * 4])),
+        lambda f: intrinsics(f, lambda k: k * np.array([[0.5] * 4, [0.5] * 4, [1] * 4, [1] * 4])),
         ("intrinsics of another size",),
     ),
     "focal length a fifth too long": Fault(_focal(1.2), ("focal length",)),
     "principal point 20 pixels off": Fault(
-        lambda f: spoiling.intrinsics(f, lambda k: k + np.array([[0, 0, 20, 0], [0] * 4, [0] * 4, [0] * 4])),
+        lambda f: intrinsics(f, lambda k: k + np.array([[0, 0, 20, 0], [0] * 4, [0] * 4, [0] * 4])),
         ("principal point",),
     ),
-    "y is up": Fault(lambda f: spoiling.poses(f, lambda _, p: Y_UP @ p), ("up direction",)),
-    "one pose out of place": Fault(_out_of_place, ("frames out of place",)),
-    "half the scan 30 cm off": Fault(_half_drifted, ("drift", "parts apart")),
-    "drift up to 30 cm": Fault(_growing_drift, ("drift",)),
+    "y is up": Fault(lambda f: poses(f, lambda _, p: Y_UP @ p), ("up direction",)),
+    "one pose out of place": Fault(
+        lambda f: poses(f, lambda n, p: p @ BACK if n == 9 else p), ("frames out of place",)
+    ),
+    "half the scan 30 cm off": Fault(
+        lambda f: _drifted(f, [1, 1, 1], lambda n, count: n >= count // 2), ("drift", "parts apart")
+    ),
+    "drift up to 30 cm": Fault(lambda f: _drifted(f, [1, 0, 0], lambda n, count: n / count), ("drift",)),
     "one frame repeated": Fault(_repeated, ("repeated frames",)),
     "frames shuffled": Fault(_shuffled, ("unsorted frames",)),
     "masks of other frames, three": Fault(_masks_of_others, ("contradicting masks",)),

@@ -67,19 +67,16 @@ def test_order_of_pythons(code: Path, environ: dict[str, str], tmp_path: Path, m
     assert pythons == [Path(sys.executable), beside, made, tmp_path / "mine", Path("/theirs").absolute()]
 
 
-def test_an_environment_of_other_requirements_does_not_count(code: Path, root: Path, environ: dict[str, str]) -> None:
-    folder = environment.environments_folder(environ) / "engine-3.11-000000000000"
-    add_environment(folder)
-    (folder / environment.COMPLETE).touch()
-    assert environment.is_complete(folder) and environment.made_environment(code, environ) is None
+def test_an_environment_of_other_requirements_or_without_a_python_does_not_count(
+    code: Path, environ: dict[str, str]
+) -> None:
+    for name, counts in (("engine-3.11-000000000000", False), (environment.environment_name(code, (3, 11)), True)):
+        folder = environment.environments_folder(environ) / name
+        python = add_environment(folder)
+        (folder / environment.COMPLETE).touch()
+        assert environment.is_complete(folder)
+        assert environment.made_environment(code, environ) == (folder if counts else None)
     assert environment.made_environment(code / "no code", environ) is None
-
-
-def test_an_environment_whose_python_is_gone_does_not_count(code: Path, environ: dict[str, str]) -> None:
-    folder = environment.environments_folder(environ) / environment.environment_name(code, (3, 11))
-    python = add_environment(folder)
-    (folder / environment.COMPLETE).touch()
-    assert environment.made_environment(code, environ) == folder
     python.unlink()
     python.symlink_to("/uninstalled/python3.11")
     assert environment.made_environment(code, environ) is None
@@ -181,14 +178,10 @@ def test_everything_that_a_lift_imports_is_pinned(root: Path) -> None:
     assert environment.needed_packages(root, (3, 12))["numpy"] is None
 
 
-@pytest.mark.parametrize("platform", ["linux", "win32", "darwin"])
-def test_every_system_needs_the_same_packages(root: Path, platform: str) -> None:
-    modules = {
-        environment.module_of(name): pin for name, pin in environment.needed_packages(root, (3, 11), platform).items()
-    }
-    assert modules == {
-        environment.module_of(name): pin for name, pin in environment.needed_packages(root, (3, 11)).items()
-    }
+def test_every_system_needs_the_same_packages(root: Path) -> None:
+    needs = [environment.needed_packages(root, (3, 11), platform) for platform in ("linux", "win32", "darwin")]
+    pins = [{environment.module_of(name): pin for name, pin in need.items()} for need in needs]
+    assert pins[0] == pins[1] == pins[2] and environment.needed_packages(root, (3, 11)) in needs
 
 
 def test_a_different_text_means_a_different_environment(root: Path, tmp_path: Path) -> None:

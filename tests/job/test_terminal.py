@@ -39,8 +39,7 @@ def test_describe_shows_progress(progress: TaskProgress, text: str) -> None:
 
 
 def test_a_terminal_gets_one_line_that_changes() -> None:
-    stream = Terminal()
-    line = LiveLine(stream)
+    line = LiveLine(stream := Terminal())
     line.show(TaskProgress("train", "Training with a long label", 1, 2))
     line.show(TRAINING)
     line.show(TRAINING)
@@ -48,29 +47,19 @@ def test_a_terminal_gets_one_line_that_changes() -> None:
     line.show(TRAINING)
     line.end()
     assert stream.getvalue().count("\n") == 2
-    assert [part.strip() for part in stream.getvalue().split("\r")[1:]] == [
-        "[1/2] Training with a long label",
-        describe(TRAINING),
-        "",
-        "warning: dark",
-        describe(TRAINING),
-    ]
+    said = [part.strip() for part in stream.getvalue().split("\r")[1:]]
+    assert said == ["[1/2] Training with a long label", describe(TRAINING), "", "warning: dark", describe(TRAINING)]
 
 
 def test_a_file_gets_few_and_whole_lines() -> None:
-    stream = io.StringIO()
-    line = LiveLine(stream)
+    line = LiveLine(stream := io.StringIO())
     line.show(TaskProgress())
     for step in range(1000):
         line.show(TaskProgress("train", "Training", 1, 2, step=step, steps=1000))
     line.show(TaskProgress("bake", "Baking", 2, 2))
     line.end()
-    assert stream.getvalue().splitlines() == [
-        "Starting",
-        "[1/2] Training  0/1000",
-        "[1/2] Training  999/1000",
-        "[2/2] Baking",
-    ]
+    said = stream.getvalue().splitlines()
+    assert said == ["Starting", "[1/2] Training  0/1000", "[1/2] Training  999/1000", "[2/2] Baking"]
 
 
 @contextmanager
@@ -80,14 +69,6 @@ def handled(number: signal.Signals, handler: Any) -> Iterator[None]:
         yield
     finally:
         signal.signal(number, before)
-
-
-def test_signals_interrupt_and_are_given_back() -> None:
-    with handled(signal.SIGINT, signal.default_int_handler):
-        with pytest.raises(Interrupted) as caught, Interrupts():
-            os.kill(os.getpid(), signal.SIGINT)
-        assert caught.value.exit_code == 130
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_deferred_code_is_not_interrupted() -> None:
@@ -107,6 +88,7 @@ def test_an_import_that_a_signal_cut_off_is_an_interruption() -> None:
             except Interrupted:
                 raise ImportError("numpy cannot be imported") from None
         assert caught.value.exit_code == 130
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
         with pytest.raises(ImportError), Interrupts():
             raise ImportError
 
