@@ -171,7 +171,7 @@ def _sharpness(options: argparse.Namespace) -> Iterator[str]:
 
 def run_experiments(options: argparse.Namespace) -> int:
     """Run the rows, one process each, and print the tables. Raises PlgsError."""
-    from .experiments.experiment import Experiment, scenes_from
+    from .experiments.experiment import SHARED, Experiment, scenes_from
     from .experiments.predictions import predictions_from, with_predictions
     from .experiments.rows import read_rows
     from .experiments.run import run_experiment
@@ -190,21 +190,14 @@ def run_experiments(options: argparse.Namespace) -> int:
         folder=options.output,
         rows=rows,
         only=(*options.only, *(each.name for each in predictions)) if options.only else (),
-        preset=options.preset,
-        steps=options.steps,
         sets=tuple(options.set or ()),
-        scene_format=options.scene_format,
-        mask_format=options.mask_format,
-        classes=options.classes,
         masks=options.masks,
         depth=options.depth,
-        frames=options.frames,
-        fit=options.fit,
-        device=options.device,
         seeds=tuple(options.seeds),
         earlier=read_results(options.against) if options.against else (),
         page=options.report,
         only_finished=options.finished,
+        **{name: getattr(options, name) for name in SHARED},
     )
     try:
         with Interrupts() as interrupts:

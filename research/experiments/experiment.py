@@ -21,6 +21,8 @@ from .table import Tables
 
 PROGRAM = "research"
 """The program that lifts, as it knows the options of the baselines."""
+SHARED = ("preset", "steps", "frames", "fit", "scene_format", "mask_format", "classes", "device")
+"""Options of the command ``lift`` that are the same for all lifts of an experiment."""
 FIRST = "ours"
 """The row whose lift is the preset itself: its folder's name contains no row."""
 
@@ -185,24 +187,17 @@ def lift_options(experiment: Experiment, scene: SceneToLift, row: Row, seed: int
     """The options of ``lift SCENE -o FOLDER/SCENE-PRESET-ROW --bake none --resume``."""
     output = lift_folder(experiment, scene, row, seed)
     return argparse.Namespace(
+        **{name: getattr(experiment, name) for name in SHARED},
         program=PROGRAM,
         scene=scene.folder,
         output=output,
-        preset=experiment.preset,
         set=[*experiment.sets, *shown_options(row.options)],  # the later one wins: a row is what its name says
-        steps=experiment.steps,
         size=None,
-        frames=experiment.frames,
-        fit=experiment.fit,
         seed=seed,
         masks=experiment.masks_of(scene, row.masks),
         detections=None,
         up=scene.up,
-        scene_format=experiment.scene_format,
-        mask_format=experiment.mask_format,
-        classes=experiment.classes,
         depth=output.with_name(f"{output.name}-maps") if row.depth_from else of_scene(experiment.depth, scene.name),
-        device=experiment.device,
         names_from=None,
         anyway=None,
         poses=None,

@@ -50,7 +50,9 @@ def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
             if task.name in errors:
                 raise errors[task.name]
             results.append(lifted(experiment, task, interrupts))
-            warn_of_other_code(task, results[-1])
+            if (code := results[-1].engine_version) != this_engine():
+                fix = f"To lift it again, delete {task.options.output}"
+                print(f"{task.name}: lifted by {code}, not by this {this_engine()}. {fix}", file=sys.stderr)
         except PlgsError as error:
             errors[task.name] = error
             print(f"{task.name}: failed: {error}", file=sys.stderr)
@@ -83,13 +85,6 @@ def lifted(experiment: Experiment, task: Task, interrupts: Interrupts) -> Result
     if errors:
         raise errors[0]
     return read_result(task.scene.name, task.row.name, experiment.preset_name, lift)
-
-
-def warn_of_other_code(task: Task, result: Result) -> None:
-    """Warn if a finished lift was made by code other than this."""
-    if result.engine_version != this_engine():
-        fix = f"To lift it again, delete {task.options.output}"
-        print(f"{task.name}: lifted by {result.engine_version}, not by this {this_engine()}. {fix}", file=sys.stderr)
 
 
 def result_of(experiment: Experiment, task: Task) -> Result:
