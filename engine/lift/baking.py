@@ -32,8 +32,8 @@ from ..model.structured import GaussianLabels, LabelChannels, StructuredScene
 from ..passes.baked_view import BakedView, ShownInstances, bake_view, joined
 from ..passes.exr import NOTHING_SHOWN, ShownFrame, write_exr
 from ..passes.layers import FROM_LABELS, PanopticLayers, decide
-from ..passes.previews import SheetRow, chosen, colour_picture, preview_paths, write_contact_sheet, write_previews
-from ..scene import Camera, ClassTable, Frame, Scene, View, counted
+from ..passes.previews import MOST_ROWS, SheetRow, colour_picture, preview_paths, write_contact_sheet, write_previews
+from ..scene import Camera, ClassTable, Frame, Scene, View, counted, evenly_spread
 from ..scene_of_lift import another, have_classes_changed, names_of_frames, opened_scene, refuse_other_pictures
 from .device import be_repeatable
 from .judging import judge
@@ -151,7 +151,7 @@ def bake_and_evaluate(
     ``findings``. Ground truth is used for metrics.json only. Raises Cancelled, PlgsError, OSError."""
     baked_names = {frame.name for frame in wanted}
     frames = wanted or scene.test_frames  # wanted frames include the held-out ones, or are empty
-    shown = {scene.test_frames[index].name for index in chosen(len(scene.test_frames))}
+    shown = {frame.name for frame in evenly_spread(scene.test_frames, MOST_ROWS)}
     report, rows, seconds, names = Report(scene.classes), [], [], names_of_files(folder)
     with stages.stage("evaluate") as progress:
         add_input_masks(report, scene)

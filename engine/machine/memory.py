@@ -12,6 +12,7 @@ import os
 import sys
 import threading
 from bisect import bisect_left, insort
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,7 @@ class _Block:
 _unshared = _Block(1)
 _REFERENCES = sys.getrefcount(_unshared.bytes)
 """The reference count of a block's bytes when nothing else holds them. It differs between versions of Python."""
+_size = attrgetter("size")
 _blocks: list[_Block] = []
 """All blocks, by size, the smallest first."""
 _calls = 0
@@ -100,7 +102,3 @@ def _new_block(size: int) -> _Block:
     block = _Block(-(-size // step) * step)  # a little more than requested, as a scene grows slowly
     insort(_blocks, block, key=_size)
     return block
-
-
-def _size(block: _Block) -> int:
-    return block.size

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..job import write_atomically
-from ..scene import ClassTable, distinct_colour
+from ..scene import ClassTable, distinct_colour, evenly_spread
 from ..scene.pixels import image_bytes
 from .layers import PanopticLayers, encoded
 
@@ -111,6 +111,7 @@ def shaded(labels: Picture, photo: Picture) -> Picture:
 
 
 MOST_ROWS = 8
+"""Of more frames than this, a sheet shows as many, spread evenly."""
 TILE_WIDTH, GAP, MARGIN, HEADING, LEGEND_LINE = 320, 6, 24, 34, 26
 BACKGROUND, TEXT, FAINT = (24, 25, 28), (232, 232, 230), (150, 152, 156)
 
@@ -131,12 +132,12 @@ def write_contact_sheet(
 ) -> None:
     """Write a sheet with the columns photo, input mask, lifted classes, lifted instances.
 
-    If there are more than eight rows, eight are shown, spread evenly; pass only ``chosen`` frames to save work. Raises
+    If there are more than eight rows, eight are shown, spread evenly; pass only such frames to save work. Raises
     ValueError without rows, and OSError if the file cannot be written.
     """
     if not rows:
         raise ValueError("a contact sheet needs at least one view")
-    rows = [rows[k] for k in chosen(len(rows))]
+    rows = evenly_spread(rows, MOST_ROWS)
     tiles = [_tiles(row, classes, instance_colours) for row in rows]
     headings = list(dict.fromkeys(heading for row in tiles for heading in row))
     maps = [each for row in rows for each in (row.mask_classes, row.layers.semantic)]
@@ -149,13 +150,6 @@ def write_contact_sheet(
     bands += [_band(row, name.name, headings, width) for row, name in zip(tiles, rows, strict=True)]
     bands.append(_legend(seen, classes, width))
     write_atomically(path, image_bytes(np.concatenate(bands)))
-
-
-def chosen(count: int) -> list[int]:
-    """The numbers of the frames, of ``count``, that a sheet shows: all up to eight, otherwise eight spread evenly."""
-    if count <= MOST_ROWS:
-        return list(range(count))
-    return [round(k * (count - 1) / (MOST_ROWS - 1)) for k in range(MOST_ROWS)]
 
 
 def _tiles(row: SheetRow, classes: ClassTable, colours: Mapping[int, Colour] | None) -> dict[str, Picture]:

@@ -110,11 +110,9 @@ class Optimiser:
     """Adam. State is kept by name, so that it can be stored, restored and cut."""
 
     def __init__(self, anchors: Anchors, decoders: Decoders, rates: Rates, extent: float) -> None:
-        self.anchors, self.decoders, self.rates, self.extent = anchors, decoders, rates, extent
+        self.decoders, self.rates, self.extent, self.count = decoders, rates, extent, 0
         self.moments: dict[str, Moments] = {}
-        self.count = 0
-        for name in Anchors.LEARNT:
-            getattr(anchors, name).requires_grad_()
+        self.move_to(anchors, anchors.position.device)
 
     def _named(self) -> Iterator[tuple[str, torch.Tensor]]:
         for name in Anchors.LEARNT:
