@@ -20,16 +20,8 @@ from scipy.sparse.csgraph import connected_components
 
 from ..presets.preset import EvidenceKind
 from ..scene import Progress, watched
-from .agreement import (
-    PAIRS_AT_A_TIME,
-    Agreement,
-    JudgingRules,
-    MasksInSpace,
-    ViewsOnCloud,
-    judge_masks,
-    masks_in_space,
-    masks_of_view,
-)
+from . import agreement
+from .agreement import Agreement, JudgingRules, MasksInSpace, ViewsOnCloud
 from .records import ObjectMask, SceneObject
 
 
@@ -68,7 +60,7 @@ def find_objects(
     seeing: ViewsOnCloud, points: int, options: ConsensusOptions, progress: Progress = lambda *_: None
 ) -> FoundObjects:
     """The objects that the views agree on, in a cloud of ``points`` points. Raises what ``progress`` raises."""
-    space = masks_in_space(seeing, points, options.rules.min_points, options.evidence)
+    space = agreement.masks_in_space(seeing, points, options.rules.min_points, options.evidence)
     keyframes = choose_keyframes(space, options.most_masks)
     found = objects_of_masks(space.of_views(keyframes), options, progress)
     return with_masks_of(found, seeing.only(np.setdiff1d(np.arange(len(seeing.views)), keyframes)), options.rules)
@@ -79,7 +71,7 @@ def with_masks_of(found: FoundObjects, others: ViewsOnCloud, rules: JudgingRules
     owns at least the share ``contained`` of its points."""
     masks = [list(one.masks) for one in found.objects]
     for view, seen in zip(others.views, others.seen, strict=True):
-        for segment, rows in masks_of_view(view, seen, rules.min_points):
+        for segment, rows in agreement.masks_of_view(view, seen, rules.min_points):
             owned = np.bincount(found.object_of_point[rows], minlength=1)
             owned[0] = 0  # no object
             number = int(owned.argmax())
@@ -97,7 +89,7 @@ def objects_of_masks(
     nothing = FoundObjects(np.zeros(points, np.int32), [])
     if not space.masks:
         return nothing
-    judgement, sound = judge_masks(space, options.rules)
+    judgement, sound = agreement.judge_masks(space, options.rules)
     rows = np.flatnonzero(sound)
     cluster = join_agreeing(space, judgement, rows, options, lambda done, all_: progress(done, 3 * all_))
     members = [rows[cluster == name] for name in np.unique(cluster)]
@@ -192,8 +184,8 @@ def linked_parts(
     favour = (inside @ inside.T).tocoo()
     row, column = favour.row, favour.col
     judging = np.empty(len(row), np.float32)
-    for start in range(0, len(row), PAIRS_AT_A_TIME):
-        some = slice(start, start + PAIRS_AT_A_TIME)
+    for start in range(0, len(row), agreement.PAIRS_AT_A_TIME):
+        some = slice(start, start + agreement.PAIRS_AT_A_TIME)
         judging[some] = np.einsum("pv,pv->p", judges[row[some]], judges[column[some]])
     most = options.tracker if has_tracks(space) else 0.0  # what the tracker may add to a pair
     linked = favour.data + most > options.agreement * judging
