@@ -3,9 +3,10 @@
     blender -b --python-exit-code 1 --python run_plgs.py -- SCENE -o OUT
     python run_plgs.py SCENE -o OUT          (a Python that has the bpy module, or with `make set-up` done)
 
-Bake passes of a finished lift from a camera of a .blend, frame by frame (by default the lift's own .blend and its
-active camera; frames that are already baked are kept):
+Bake passes of a finished lift from a camera of a .blend, frame by frame (by default the file that Blender has opened,
+else the lift's own, and its active camera; frames that are already baked are kept):
 
+    blender -b FILE.blend --python-exit-code 1 --python run_plgs.py -- -o OUT --bake camera ...
     python run_plgs.py -o OUT --bake camera [--blend FILE.blend] [--camera NAME] [--range FIRST-LAST] [--passes FOLDER]
 
 Exit codes: 0 finished, 1 internal error (see the log), 2 bad input, 3 cancelled, 75 another engine is running there
@@ -106,7 +107,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT", help="the lift's folder")
     add_lift_options(parser, {"camera": "bake what a camera of a .blend sees of the finished lift, frame by frame"})
     shot = parser.add_argument_group("with --bake camera", "Several processes may bake one lift, each its own frames.")
-    shot.add_argument("--blend", type=Path, metavar="FILE.blend", help="has the camera (default: the lift's own)")
+    shot.add_argument("--blend", type=Path, metavar="FILE.blend", help="has the camera (default: what Blender opened, else the lift's)")
     shot.add_argument("--camera", default="", metavar="NAME", help="the camera (default: the file's active one)")
     shot.add_argument(
         "--shot", default="", metavar="NAME",
@@ -192,7 +193,9 @@ def run_again(python: Path, arguments: Sequence[str]) -> int:
 def lift_to_blend(options: argparse.Namespace, interrupts: Interrupts) -> int:
     """Lift, then build the .blend, then print what was made. Raises PlgsError, Interrupted."""
     options.echo = stdout_for_events(options.progress)
-    blend = blend_path(options)
+    blend, opened = blend_path(options), opened_file()
+    if options.bakes_camera and options.blend is None and opened != blend:
+        options.blend = opened
     refuse_no_blend(options.blend)
     if options.scene is None:
         lift = LiftFolder.open(options.output)
@@ -214,6 +217,12 @@ def lift_to_blend(options: argparse.Namespace, interrupts: Interrupts) -> int:
     if code == ExitCode.FINISHED:
         print(metrics_text(read_metrics(lift)), "", blend, *made_files(lift), sep="\n", flush=True)
     return code
+
+
+def opened_file() -> Path | None:
+    """The .blend that Blender opened before this script; None without one, and in a Python that has bpy."""
+    bpy = sys.modules.get("bpy")
+    return None if bpy is None or bpy.app.module or not bpy.data.filepath else Path(bpy.data.filepath)
 
 
 def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, interrupts: Interrupts) -> ExitCode:

@@ -284,6 +284,9 @@ def save_lift(lift: Path, blend: Path) -> None:
     read_result(lift)  # before another file is opened
     is_new = not blend.exists()
     scene = start_file() if is_new else open_blend(blend, lift)
+    if not is_new and bpy.data.version[:2] > bpy.app.version[:2]:  # saved again, it would lose what is new in it
+        what = f"was saved by Blender {bpy.data.version[0]}.{bpy.data.version[1]}, which is newer"
+        raise PlgsError("newer-blend", what, blend, "Use that Blender, or give --save another file name.")
     root = place_lift(lift, scene)
     if is_new:
         _dress(scene, root)

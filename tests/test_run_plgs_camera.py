@@ -111,7 +111,8 @@ def test_only_own_files_are_replaced(
     monkeypatch.setenv("PLGS_DEFAULTS", str(tmp_path / "studio.toml"))
     theirs = tmp_path / "shot_ff.0001.exr"
     theirs.write_text("another program's")
-    command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "1"]
+    monkeypatch.setattr(run_plgs, "opened_file", lambda: blend)  # as Blender itself runs the script: no --blend
+    command = ["-o", lift.path, "--bake", "camera", "--camera", "dolly", "--range", "1"]
     assert exit_code(run_plgs.main, *command, "--passes", tmp_path) == 2
     first, *_, error = capsys.readouterr().err.splitlines()
     assert first == f"From {tmp_path / 'studio.toml'}: names {{shot}}_ff"

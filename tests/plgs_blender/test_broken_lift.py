@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -242,6 +243,17 @@ def test_a_link_is_replaced_and_what_it_leads_to_stays(lift: Path, tmp_path: Pat
     blend.symlink_to(theirs)
     lift_scene.save_lift(lift, blend)
     assert theirs.read_bytes() == before and not blend.is_symlink()
+
+
+def test_a_file_of_a_newer_blender_stays_as_it_is(lift: Path, tmp_path: Path) -> None:
+    blend = tmp_path / "lift.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend), copy=True, compress=False)
+    content = blend.read_bytes()
+    newer = re.sub(rb"(v\d+)\d\d", rb"\g<1>99", content[:20]) + content[20:]  # 4.99, or 5.99
+    blend.write_bytes(newer)
+    with raises_key("newer-blend"):
+        lift_scene.save_lift(lift, blend)
+    assert blend.read_bytes() == newer
 
 
 @pytest.mark.parametrize("every", [6, pytest.param(1, marks=pytest.mark.slow)], ids=["some", "all"])
