@@ -107,7 +107,10 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT", help="the lift's folder")
     add_lift_options(parser, {"camera": "bake what a camera of a .blend sees of the finished lift, frame by frame"})
     shot = parser.add_argument_group("with --bake camera", "Several processes may bake one lift, each its own frames.")
-    shot.add_argument("--blend", type=Path, metavar="FILE.blend", help="has the camera (default: what Blender opened, else the lift's)")
+    shot.add_argument(
+        "--blend", type=Path, metavar="FILE.blend",
+        help="has the camera (default: the file that Blender opened, else the lift's own)",
+    )  # fmt: skip
     shot.add_argument("--camera", default="", metavar="NAME", help="the camera (default: the file's active one)")
     shot.add_argument(
         "--shot", default="", metavar="NAME",
@@ -222,7 +225,8 @@ def lift_to_blend(options: argparse.Namespace, interrupts: Interrupts) -> int:
 def opened_file() -> Path | None:
     """The .blend that Blender opened before this script; None without one, and in a Python that has bpy."""
     bpy = sys.modules.get("bpy")
-    return None if bpy is None or bpy.app.module or not bpy.data.filepath else Path(bpy.data.filepath)
+    is_blender = bool(getattr(getattr(bpy, "app", None), "binary_path", ""))  # the module alone has none
+    return Path(bpy.data.filepath) if bpy is not None and is_blender and bpy.data.filepath else None
 
 
 def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, interrupts: Interrupts) -> ExitCode:
