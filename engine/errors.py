@@ -107,9 +107,9 @@ class PlgsError(Exception):
 
 def problem_of(what: str, where: str) -> str:
     """One sentence with a subject: "room has no poses", or "no scheduler answers: HOST"."""
-    if _LACKS_SUBJECT.match(what):
-        return f"{where} {what}"
-    return f"{what}: {where}" if where else what
+    if not where:
+        return what
+    return f"{where} {what}" if _LACKS_SUBJECT.match(what) else f"{what}: {where}"
 
 
 def lacks_part(what: str, where: Path | str, name: str) -> PlgsError:

@@ -63,7 +63,7 @@ def remember_scene(
     folder: LiftFolder, scene: Scene, warn: Callable[[str], object] = lambda _: None, progress: Progress = unwatched
 ) -> str:
     """Write the cameras and the files' digests of a lift's scene beside its request. Returns the digest of the masks.
-    Passes of other masks or classes leave an unfinished result, with a warning. Raises PlgsError, OSError."""
+    An unfinished result with passes of other masks or classes is moved, with a warning. Raises PlgsError, OSError."""
     masks = digest_of_masks(scene, part_of(progress, 0.0, 0.5))
     are_others = masks_differ(masks_last_run(folder), scene, masks) or have_classes_changed(folder, scene)
     if are_others and not folder.is_lifted_again and any(folder.passes_path.glob("*.exr")):

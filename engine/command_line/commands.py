@@ -225,10 +225,12 @@ def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
     except PlgsError:
         job.discard_if_empty()
         raise
+    stop.check()
     events.stage("segment", 2, 2, "Making masks")
     progress = StageProgress("segment", events, stop)
 
     def follow(done: int, frames: int, made: int) -> None:
+        stop.check()
         if made:  # those of an earlier run would spoil the pace
             progress(done, frames)
 

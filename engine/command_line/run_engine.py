@@ -9,7 +9,6 @@ from pathlib import Path
 
 from ..errors import ErrorCode, ExitCode, PlgsError
 from ..job import EventWriter, LiftFolder, LiftState, StopSignal, verify_lifted
-from ..job.events import at_work
 from ..job.recent import remember_lift
 from ..job.studio import studio_defaults
 from ..job.system import SHARE
@@ -121,8 +120,6 @@ def run_bake(
     )
     folder.refuse_foreign()
     if files is not None:
-        if folder.is_lifted_again and folder.is_running:
-            raise at_work(folder.events_path)
         _refuse_unfinished(folder)
         return run_task(command, files)
     try:

@@ -51,9 +51,9 @@ def export_usd(lift: FinishedLift, output: Path) -> None:
     for one in lift.listed:
         path = _add_component(stage, lift, one.class_id, one.id, "box")
         _label(_add_box(stage, path, one), lift, one.class_id, one.id)
-    _add_cameras(stage, lift.frames)
+    is_numbered = _add_cameras(stage, lift.frames)
     rate = exact_rate(lift.scene.fps or 0.0)
-    if rate is not None:
+    if rate is not None and is_numbered:
         stage.SetTimeCodesPerSecond(float(rate))
         stage.SetFramesPerSecond(float(rate))
     with TemporaryDirectory() as folder:  # OpenUSD exports its binary form only to a path
@@ -170,9 +170,11 @@ def _add_box(stage: Usd.Stage, path: str, one: Instance) -> Usd.Prim:
     return box.GetPrim()
 
 
-def _add_cameras(stage: Usd.Stage, frames: Sequence[Frame]) -> None:
-    """A camera for each frame, and one that moves: at a frame's time it is that frame's."""
-    times = time_codes([frame.name for frame in frames])
+def _add_cameras(stage: Usd.Stage, frames: Sequence[Frame]) -> bool:
+    """Add a camera for each frame, and one that moves: at a frame's time it is that frame's. Return whether these times
+    are `ascending_numbers`; otherwise they are 1, 2, …"""
+    numbers = ascending_numbers([frame.name for frame in frames])
+    times = numbers or [*map(float, range(1, len(frames) + 1))]
     if times:
         stage.SetStartTimeCode(min(times))
         stage.SetEndTimeCode(max(times))
@@ -183,13 +185,14 @@ def _add_cameras(stage: Usd.Stage, frames: Sequence[Frame]) -> None:
         still.GetPrim().SetDisplayName(frame.name)
         _set_camera(still, frame.camera, Usd.TimeCode.Default())
         _set_camera(UsdGeom.Camera.Define(stage, "/Lift/Cameras/moving"), frame.camera, Usd.TimeCode(time))
+    return bool(numbers)
 
 
-def time_codes(names: Sequence[str]) -> list[float]:
-    """The times of frames: the numbers in their names if these ascend, as fractions of seconds do not; else 1, 2, …"""
-    times = [float(number) for name in names if (number := number_in(name)) is not None]
-    ascend = len(times) == len(names) and all(one < following for one, following in pairwise(times))
-    return times if ascend else [*map(float, range(1, len(names) + 1))]
+def ascending_numbers(names: Sequence[str]) -> list[float]:
+    """The numbers in the names of frames; none if a name lacks one, or they do not ascend, as fractions of seconds."""
+    numbers = [float(number) for name in names if (number := number_in(name)) is not None]
+    ascend = len(numbers) == len(names) and all(one < following for one, following in pairwise(numbers))
+    return numbers if ascend else []
 
 
 def _set_camera(shown: UsdGeom.Camera, camera: Camera, time: Usd.TimeCode) -> None:

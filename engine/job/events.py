@@ -67,7 +67,7 @@ class EventWriter:
     ``echo`` is a descriptor to which each line is also written, as long as someone reads it."""
 
     def __init__(self, path: Path, echo: int | None = None) -> None:
-        self._folder, self._echo = path.parent, echo
+        self.path, self._echo = path, echo
         self._lock = threading.Lock()
         self._done = False
         self._began = time.monotonic()
@@ -171,8 +171,8 @@ class EventWriter:
 
     def _relative(self, path: Path) -> str:
         """A path inside the events' folder is written relative to it, so that the folder can be moved."""
-        inside = path.is_relative_to(self._folder)
-        return (path.relative_to(self._folder) if inside else path).as_posix()
+        inside = path.is_relative_to(self.path.parent)
+        return (path.relative_to(self.path.parent) if inside else path).as_posix()
 
 
 class EventReader:

@@ -15,7 +15,7 @@ from itertools import count
 from pathlib import Path
 from stat import S_ISDIR, S_ISLNK, S_ISREG
 
-from ..errors import ExitCode, PlgsError, is_silence, reading
+from ..errors import ErrorCode, ExitCode, PlgsError, is_silence, reading
 from ..gates import create_plain
 from .atomic import PART, files_below, flush_to_disk, remove_parts, write_atomically
 from .checkpoint import CheckpointStore
@@ -198,15 +198,21 @@ class LiftFolder:
         """Delete what must not outlive an earlier run: its cancel file, incomplete files, a new result that it began,
         and of a damaged result the manifest and the files that differ from it. Those of a lift are made again; passes
         that were baked later are not. A complete result stays until there is a new one (see `with_next_result`). Only
-        the engine that holds the lock may call this. Raises OSError if a file cannot be read: the file stays."""
-        self.cancel_path.unlink(missing_ok=True)
+        the engine that holds the lock may call this. Raises PlgsError, and deletes nothing, while passes are being
+        baked, and OSError if a file cannot be read: the file stays."""
         self.drop_next_result()
+        if self.has_result():
+            (self.path / NEXT).mkdir()  # before the check, so that a bake that begins now sees it
+        if BakeLocks(self.path).others_at_work():
+            self.drop_next_result()
+            fix = "Wait until the bake is done, or cancel it."
+            raise PlgsError("being-baked", "passes of this lift are being baked", self.path, fix, code=ErrorCode.BUSY)
+        self.cancel_path.unlink(missing_ok=True)
         changed = changed_files(self.result_path)
         for path in changed:
             path.unlink()
-        if not changed and self.has_result():
-            (self.path / NEXT).mkdir()
-        else:
+        if changed or not self.has_result():
+            self.drop_next_result()
             self.manifest_path.unlink(missing_ok=True)  # only now, as `changed_files` reads it
         remove_parts(self.path)
 

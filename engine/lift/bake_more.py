@@ -18,6 +18,7 @@ from ..corrections import read_corrected
 from ..errors import PlgsError
 from ..job import BakeCamera, BakeLocks, EventWriter, LiftFolder, StopSignal, read_cameras
 from ..job.cameras import PreviewCamera, frame_numbers, refuse_equal_names
+from ..job.events import at_work
 from ..job.manifest import add_files, drop_files, read_manifest
 from ..job.progress import StageReporter
 from ..model.neural_gaussians import ClipRange
@@ -143,6 +144,8 @@ def _bake(
     folder: LiftFolder, locks: BakeLocks, views_in: Callable[[Scene], list[WantedView]], events: EventWriter,
     stop: StopSignal, options: BakeOptions,
 ) -> None:  # fmt: skip
+    if folder.is_lifted_again and events.path != folder.events_path and folder.is_running:
+        raise at_work(folder.events_path)  # its new result will take the place of this one
     be_repeatable()
     stages = StageReporter(events, stop, STAGES)
     with stages.stage("open"):

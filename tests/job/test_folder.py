@@ -133,6 +133,14 @@ def test_result_stays_until_there_is_a_new_one(kept: str, tmp_path: Path) -> Non
         assert earlier is not None and (earlier / added.relative_to(folder.result_path)).read_bytes() == b"work"
 
 
+def test_lift_is_not_repeated_while_it_is_baked(tmp_path: Path) -> None:
+    folder = new_lift(tmp_path)
+    run_tiny(folder)
+    with job.BakeLocks(folder.path), raises_key("being-baked"):
+        folder.prepare_run()
+    assert folder.state() is job.LiftState.FINISHED and not folder.is_lifted_again
+
+
 def test_a_kill_between_two_results_loses_none(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     run_tiny(folder)

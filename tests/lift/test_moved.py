@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -13,7 +14,8 @@ import pytest
 from engine.command_line.main import main
 from engine.errors import Cancelled
 from engine.export.run import export
-from engine.job import ExitCode, LiftFolder, LiftRequest, LiftState
+from engine.job import EventWriter, ExitCode, LiftFolder, LiftRequest, LiftState, StopSignal
+from engine.lift import bake_frames
 from engine.presets.preset import PRESETS
 from engine.result_files import read_instances
 from engine.scene_of_lift import relink, scene_of_lift
@@ -201,6 +203,14 @@ def test_a_stopped_lift_of_other_masks_leaves_the_result(
     (scene / "panoptic.json").write_text(table)
     assert main(again) == ExitCode.FINISHED and "finished already" in capsys.readouterr().out
     assert lift.state() is LiftState.FINISHED and (lift.passes_path / "0001.exr").exists()
+
+
+def test_no_bake_begins_beside_a_new_lift(home: Path) -> None:
+    """It would put passes of the earlier model into the new result."""
+    lift = relink(LiftFolder.open(home / "lift"), home.parent / "found")
+    lift.prepare_run()
+    with lift.lock(), closing(EventWriter(home / "beside.jsonl")) as events, raises_key("at-work"):
+        bake_frames(lift, ["0001"], events, StopSignal(home / "cancel"))
 
 
 def test_next_result_has_renamed_classes(home: Path) -> None:
