@@ -10,7 +10,7 @@ from tiny_scene import write_tiny_scene
 
 STEPS = 200
 LIFTS = "__import__('sys').modules[EXTENSION + '.plgs_blender.running.lifts']"
-RUNNING = f"{LIFTS}.running()"
+RUNNING = f"{LIFTS}.registry.running({LIFTS}.Lift)"
 LIFT = "__import__('pathlib').Path(bpy.context.scene.plgs.lift_folder)"
 # A pixel of the screen where each object is seen, near its box's middle: points leave gaps.
 BOXES = f"""

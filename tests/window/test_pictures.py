@@ -74,7 +74,7 @@ for area in bpy.context.window_manager.windows[0].screen.areas:
 _IS_READ = "not __import__('sys').modules[EXTENSION + '.plgs_blender.running.survey']._latest.is_looking"
 _SHOWN = "max(root.plgs.instances, key=lambda each: (each.class_name == 'sofa', each.points))"
 _LIFTS = "__import__('sys').modules[EXTENSION + '.plgs_blender.running.lifts']"
-_RUNNING = f"{_LIFTS}.running()"
+_RUNNING = f"{_LIFTS}.registry.running({_LIFTS}.Lift)"
 
 
 @pytest.fixture(scope="module")
