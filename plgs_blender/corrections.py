@@ -75,7 +75,8 @@ def proposal_of(root: bpy.types.Collection, instance: int) -> Proposal:
 
 
 def next_uncertain(root: bpy.types.Collection) -> tuple[str, int, int]:
-    """The most uncertain frame not visited, the number of visited ones, and of all; then anew. Raises PlgsError."""
+    """The most uncertain unvisited frame, the number of frames then visited, and their total. After the last frame it
+    starts again. Raises PlgsError."""
     folder = LiftFolder.open(folder_of(root))
     frames = known_scene(folder).frames
     drawn = doubt_of_frames(read_metrics(folder)) if (folder.result_path / "metrics.json").is_file() else {}
@@ -236,7 +237,8 @@ def class_choices(root: bpy.types.Collection, instance: int) -> list[str]:
 
 
 def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
-    """Rename an object. Only its row and box change, as their fields may ask for it. Raises PlgsError, OSError."""
+    """Rename an object. If the scene shows what the lift's corrections were, all is shown anew; else only the object's
+    row and box change, as one of their fields may call this. Raises PlgsError, OSError."""
     made, result = _correct(root, lambda state, _: making.rename(state, instance, name))
     if text_of(root, FOLDER) in outdated:  # then there is more to show
         show_corrections(root, result)

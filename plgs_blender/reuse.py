@@ -221,7 +221,8 @@ def _mark_as_asset(collection: bpy.types.Collection, one: Instance) -> None:
 
 
 def picture_of_points(xyz: NDArray[np.floating], rgb: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Points [N, 3] with linear colours [N, 3], from above: a picture float32 [H, W, 4], sRGB, lowest row first."""
+    """Points [N, 3] with linear colours [N, 3], seen from above at the front right: a picture float32 [H, W, 4], sRGB,
+    lowest row first, transparent where empty."""
     right, to_eye = np.array([[0.8, 0.6, 0.0], [0.54, -0.72, 0.44]])
     up = np.cross(to_eye, right)
     seen = (xyz - (xyz.min(axis=0) + xyz.max(axis=0)) / 2.0) @ np.stack([right, up, to_eye], axis=1)

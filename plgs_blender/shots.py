@@ -156,7 +156,10 @@ class _Claim:
                 if path.is_file() and path != lock:
                     path.unlink()
         for path in self.made:
-            path.rmdir() if path.is_dir() else path.unlink(missing_ok=True)
+            if path.is_dir():
+                path.rmdir()
+            else:
+                path.unlink(missing_ok=True)
 
 
 def _claim(folder: Path, name: str, source: ShotSource, cameras: Path, *, replace: bool) -> _Claim:
@@ -229,7 +232,7 @@ class ShotReader:
             which = f"{shot.only[0]}-{shot.only[-1]}.{zlib.crc32(repr(shot.only).encode()):08x}"
         self._which = which
         self._stands_still: bool | None = None
-        self._claim: _Claim | None = None
+        self._claimed: _Claim | None = None
 
     @property
     def progress(self) -> tuple[int, int]:
@@ -293,7 +296,7 @@ class ShotReader:
             shown = {numbered_name("", frame, 1)[1:]: camera.fingerprint for frame, camera in self._shown}
             file = folder / f"{name}.{self._which}.json"
             try:
-                self._claim = _claim(folder, name, dataclasses.replace(source, frames=shown), file, replace=replace)
+                self._claimed = _claim(folder, name, dataclasses.replace(source, frames=shown), file, replace=replace)
             except PlgsError as error:
                 if error.key != "shot-changed" or name == self._names[-1]:
                     raise
@@ -304,9 +307,9 @@ class ShotReader:
 
     def withdraw_unbaked(self, bake: TaskFollower) -> None:
         """Undo `write` if the bake ended before its first view, as one does that the engine refuses."""
-        if self._claim is not None and bake.state is not TaskState.FINISHED and bake.progress.stage != "bake":
+        if self._claimed is not None and bake.state is not TaskState.FINISHED and bake.progress.stage != "bake":
             with suppress(OSError, PlgsError):  # then a name stays taken, which another bake will say
-                self._claim.withdraw()
+                self._claimed.withdraw()
 
 
 def _may_move(scene: bpy.types.Scene, ob: bpy.types.Object) -> bool:

@@ -218,7 +218,8 @@ def _two_at_once(views: Views, pairs: Pairs, before: Agreement) -> list[FoundCau
 
 
 def is_far_better(after: Agreement, before: Agreement) -> bool:
-    """Whether a scene may be fixed: half of it agrees, and 15 % more than before, or no less with 30 % less error."""
+    """Whether a scene may be fixed: half of what two views see agrees, and 15 % more of it than before, or no less with
+    30 % less error."""
     more = after.mean > _BETTER * before.mean
     finer = after.mean >= _AS_GOOD * before.mean and after.error < _ERROR_LEFT * before.error
     return after.share >= _LEAST_SHARE and (more or finer)

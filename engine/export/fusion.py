@@ -64,7 +64,8 @@ class SmallView:
     frame: Frame | None = None
 
     def large_depth(self, times: int) -> NDArray[np.float32]:
-        """The enlarged depth in metres. On one surface, inverse depth is interpolated, in which planes are flat."""
+        """The enlarged depth, float32 [H * times, W * times], in metres. On one surface, inverse depth is interpolated,
+        in which planes are flat."""
         if times == 1:
             return np.ascontiguousarray(self.depth)
         inverse, is_one = self._inverse

@@ -241,7 +241,7 @@ def _along(triangles: Ints, label: Ints, own: Ints, other: Ints) -> NDArray[np.f
 
 
 def around_vertices(triangles: Ints, count: int) -> csr_matrix:
-    """What takes the mean of the neighbours' values for each vertex, [count, count]."""
+    """The matrix that takes the mean of the neighbours' values for each vertex, [count, count]."""
     edges = both_ways(triangles)
     beside = coo_matrix((np.ones(len(edges)), tuple(edges.T)), (count, count)).tocsr()
     beside.data[:] = 1.0  # the edge of two triangles was added twice

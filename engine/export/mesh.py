@@ -266,7 +266,8 @@ def sharpened(depth: NDArray[np.float32], measured: NDArray[np.float32]) -> NDAr
 
 
 def vertex_labels(xyz: NDArray[np.float32], views: list[SmallView], times: int = 1) -> NDArray[np.int64]:
-    """The label that most views show at each vertex, int64 [V]; 0 for none. Their depth, enlarged, must match."""
+    """The label that most views show at each vertex, int64 [V]; 0 for none. A view counts if its depth,
+    enlarged by ``times``, matches the vertex."""
     known = np.unique(np.concatenate([np.unique(view.label) for view in views]))
     votes = np.zeros((len(xyz), len(known)), np.uint16)
     for view in views:

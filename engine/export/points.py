@@ -67,7 +67,7 @@ def _for_labelcloud(boxes: Sequence[Instance]) -> dict[str, Any]:
 
 
 def _for_cvat(boxes: Sequence[Instance], classes: ClassTable) -> dict[str, Any]:
-    """The files, by path, of a Supervisely point cloud, which CVAT imports as cuboids. Its "instance" is the name."""
+    """A Supervisely point cloud's files by path, which CVAT imports as cuboids. The tag "instance" is the name."""
     objects, figures, ids = [], [], {}
     for one in boxes:
         key = _key(one.id)
@@ -136,8 +136,9 @@ def export_points(lift: FinishedLift, output: Path) -> None:
 
 def export_splats(lift: FinishedLift, output: Path) -> None:
     """splats.ply: the wanted Gaussians as the authors of 3D Gaussian Splatting write them (colour as spherical
-    harmonics of degree 0, logit of opacity, logarithm of scale, rotation wxyz), with ids, all floats. splats.spz, in
-    the same order without ids, and splats.glb: see `splat_files`. labels.json names ids. Raises PlgsError, OSError."""
+    harmonics of degree 0, logit of opacity, logarithm of scale, rotation wxyz), with class_id and instance_id, all
+    floats. splats.spz, in the same order without ids, and splats.glb: see `splat_files`. labels.json names ids. Raises
+    PlgsError, OSError."""
     rows = lift.splats
     write_ply_table(output / "splats.ply", {name: rows[name].astype(np.float32) for name in rows.dtype.names or ()})
     write_atomically(output / "splats.spz", spz_bytes(rows))

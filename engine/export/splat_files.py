@@ -13,7 +13,7 @@ from ..passes.layers import linear
 from ..passes.ply import SH_DEGREE_0
 from .mesh import GlbBuffer, upright
 
-_SPZ_MAGIC, _SPZ_VERSION, _FRACTIONAL_BITS = 0x5053474E, 3, 12  # positions are 24-bit multiples of 1/4096 m
+_SPZ_MAGIC, _SPZ_VERSION, _FRACTIONAL_BITS = 0x5053474E, 3, 12  # positions: 24 bits, 1/4096 m, so within 2048 m
 _SPZ_COLOUR = 0.15
 _MOST_OF_THREE = float(np.sqrt(0.5))  # the largest value of the three smaller components of a unit quaternion
 _EXTENSION = "KHR_gaussian_splatting"

@@ -23,7 +23,8 @@ from .mending import around_vertices, pieces
 
 LARGEST = 8192  # the square of this limits the pixels of all pictures together; photos are at most this wide
 _FILLED = 0.6  # approximate share of a picture that its charts fill
-_NEAR, _NEAR_SHARE = 0.05, 0.02  # a view sees a vertex if its depth is within these metres, or this share
+# A view sees a vertex if its depth there differs by at most this many metres, or this fraction.
+_NEAR, _NEAR_SHARE = 0.05, 0.02
 _STEP, _BESIDE_STEP = 1.1, 0.02  # a ratio of depths at which one surface hides another; the weight of views there
 _ROUNDS = 12  # rounds of smoothing of the views' qualities, so that neighbours choose the same view
 DARK, BRIGHT, LARGEST_GAIN = 12, 243, 4.0  # as `engine/train/photos.py` compares photos

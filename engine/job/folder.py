@@ -42,7 +42,7 @@ NEXT = "result.next"
 
 
 class _Inside:
-    """A path of a lift folder: that with this name in its ``path`` or its ``result_path``."""
+    """A path of a lift folder: ``name`` below its attribute ``where``."""
 
     def __init__(self, where: str, name: str) -> None:
         self._where, self._name = where, name
@@ -145,7 +145,7 @@ class LiftFolder:
         return FileLock(self.events_path)
 
     def refuse_foreign(self) -> None:
-        """Raise PlgsError if one of the lift's files is a link or of a kind that no lift has: before all writing."""
+        """Raise PlgsError if one of the lift's files is a link or of a kind no lift has. Call it before writing."""
         refuse_foreign_below(self.path)
 
     def refuse_read_only(self) -> None:
@@ -352,7 +352,7 @@ FOLDERS = ("result", NEXT, "bake", "checkpoint", "checkpoint.next", "checkpoint.
 
 
 def refuse_foreign(lift: Path, *more: str) -> None:
-    """Raise PlgsError if one of the lift's own files or folders, or of ``more`` files in them, is of another kind."""
+    """Raise PlgsError if one of a lift's own files or folders, or of ``more`` files in it, is something else."""
     for name in (*FILES, *more):
         _refuse(lift / name, S_ISREG)
     for name in FOLDERS:

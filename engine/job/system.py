@@ -63,7 +63,8 @@ def start_options(keep_open: Sequence[int] = ()) -> dict[str, Any]:
 
 
 def kill_with_children(process: subprocess.Popen[bytes]) -> None:
-    """End a process that was started with `start_options`, and what it started, at once. On Windows not its orphans."""
+    """End a process that was started with `start_options`, and what it started, at once. On Windows, processes whose
+    parent has ended already are left."""
     if not WINDOWS:
         os.killpg(process.pid, signal.SIGKILL)  # as `start_new_session` made it the leader of its group
         return

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from ..raster import Rendering, rasterize
+from ..raster.conventions import NEAR
+from ..raster.rendering import Backend
 from ..scene import Camera
 
 
@@ -38,12 +40,19 @@ class NeuralGaussians:
         """Rows of these Gaussians among the scene's M * k, int64 [N]."""
         return self.visible.index_select(0, self.kept // k) * k + self.kept % k
 
-    def drawn_by(self, camera: Camera, labels: torch.Tensor | None = None, **wanted: Any) -> Rendering:
+    def drawn_by(
+        self, camera: Camera, labels: torch.Tensor | None = None, *, near: float = NEAR,
+        rows: tuple[int, int] | None = None, top_k: int = 0, want_surface: bool = False,
+        want_means2d_grad: bool = False, backend: Backend | None = None,
+    ) -> Rendering:  # fmt: skip
         """The camera's picture of these Gaussians, with ``labels`` float32 [N, L] of the caller's choice, or without
-        labels. ``wanted`` are the other arguments of ``rasterize``."""
+        labels. The other arguments are those of ``rasterize``."""
         drawn = (self.means, self.scales, self.quats, self.opacities, self.colours, labels)
         pose, lens = camera.camera_to_world.astype(np.float32), camera.K.astype(np.float32)
-        return rasterize(*drawn, pose, lens, camera.width, camera.height, **wanted)
+        return rasterize(
+            *drawn, pose, lens, camera.width, camera.height, near=near, rows=rows, top_k=top_k,
+            want_surface=want_surface, want_means2d_grad=want_means2d_grad, backend=backend,
+        )  # fmt: skip
 
 
 # What the lifted model shows from one camera.

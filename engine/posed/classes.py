@@ -33,7 +33,8 @@ class ClassLabel:
 
 @dataclass(frozen=True)
 class Category:
-    """One class: ``id`` >= 1 as in the masks' own table, an sRGB ``colour``, and a ``name`` as in ClassLabel."""
+    """One class: ``id`` >= 1 as in the masks' own table, an sRGB ``colour`` of three bytes, and a ``name`` as in
+    ClassLabel."""
 
     id: int
     name: str

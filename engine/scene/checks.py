@@ -57,7 +57,8 @@ class MaskFacts:
 @dataclass(frozen=True)
 class FrameFacts:
     """What was measured on one frame's pixels; None where it has none. ``unknown_truth``: classes of the ground truth
-    that the masks lack. ``brightest``: the largest value of a 16-bit photo, None if it is none or not decoded."""
+    that the masks' table lacks. ``brightest``: the largest value of a 16-bit photo; None for other photos and those not
+    decoded."""
 
     name: str
     depth: DepthFacts | None

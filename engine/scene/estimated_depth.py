@@ -49,7 +49,8 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DepthFit:
-    """``scale`` * value + ``shift`` is depth, or its inverse, up to ``farthest``. ``error``: the relative median."""
+    """Depth is ``scale`` * value + ``shift``, or 1 / that if ``is_inverse``, up to ``farthest``. ``error`` is the
+    points' median error relative to their depth."""
 
     scale: float
     shift: float

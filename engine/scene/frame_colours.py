@@ -20,7 +20,8 @@ _NONE = (60, 60, 60)  # sRGB of pixels without depth or without a class
 
 
 class DepthColours(NamedTuple):
-    """``rgb`` uint8 [H, W, 3] from light (``near``) to dark (``far``), metres, 0 without depth; lines are metres."""
+    """``rgb`` uint8 [H, W, 3] from light (``near``) to dark (``far``), in metres; both 0 without depth. A line marks
+    each whole metre."""
 
     rgb: NDArray[np.uint8]
     near: float

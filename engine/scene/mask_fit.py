@@ -225,7 +225,8 @@ def turns_of(orientation: int) -> int:
 def placements(
     source: MaskSource, pictured: Mapping[str, Pictured]
 ) -> tuple[dict[str, Placement], tuple[Inferred, ...]]:
-    """How to map each frame's mask into its picture, and what was inferred. Raises PlgsError for other shapes."""
+    """How to map each frame's mask into its picture, and what was inferred. Raises PlgsError if a mask has another
+    shape than its picture."""
     found = {name: Placement(kept=pictured[name].kept) for name in source.masks}
     inferred: list[Inferred] = []
     turned = {name for name in found if turns_of(pictured[name].orientation)}

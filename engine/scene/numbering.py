@@ -50,7 +50,7 @@ the ceiling. It rules out a floor that is read as sky, or a sofa as ceiling."""
 _OTHER_TABLE = 0.2
 """Masks look like another table if this fraction of the pixels has usual classes there, and more than a third of these
 classes occur, or more than two: two of wall, floor and ceiling."""
-_PANOPTIC = {"coco", "ade20k", "cityscapes"}  # their data sets define which classes are things: elsewhere, taste does
+_PANOPTIC = {"coco", "ade20k", "cityscapes"}  # they define which classes are things; in others, it is a matter of taste
 _KIND = {True: "a thing", False: "stuff"}
 _UNNAMED = Inferred(
     "numbering", "classes are named by their numbers",

@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,9 +41,13 @@ _ASIDE = "the principal point is far from the middle (are the intrinsics in pixe
 _KEPT = "some pixels do not count (mask_path, or black and white pictures in masks): they have no class and no depth"
 
 
-def open_scene(folder: Path, masks: Path | None = None, up: UpAxis = "z", **how: Any) -> Scene:
-    """``open_asked`` for the scene in a folder or file; ``how`` to read it are the other fields of a SceneSource."""
-    return open_asked(SceneSource(folder, masks, up, **how))
+def open_scene(
+    folder: Path, masks: Path | None = None, up: UpAxis = "z", scene_format: str | None = None,
+    depth: Path | None = None, mask_format: str | None = None, classes: str | None = None,
+    detections: Path | None = None,
+) -> Scene:  # fmt: skip
+    """``open_asked`` for the scene in a folder or file; the arguments are the fields of a SceneSource."""
+    return open_asked(SceneSource(folder, masks, up, scene_format, depth, mask_format, classes, detections))
 
 
 def open_asked(source: SceneSource, progress: Progress = unwatched) -> Scene:

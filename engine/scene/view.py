@@ -63,7 +63,8 @@ def _add_upper(border: NDArray[np.bool_], dark: NDArray[np.bool_], brightest: ND
 
 Read = TypeVar("Read")
 READERS = 2  # threads that read ahead; more would fill the memory with waiting pictures
-NEAR, NEAR_SHARE = 0.05, 0.02  # a view sees a point if its depth is within these metres, or this fraction
+NEAR, NEAR_SHARE = 0.05, 0.02
+"""A view sees a point if its depth there differs by at most this many metres, or this fraction."""
 
 Rows = NDArray[np.int64]
 

@@ -42,7 +42,8 @@ def find_own_lifts() -> None:
 
 def begin_to_read_objects() -> None:
     """Start reading the objects of the lift that the open file shows: an edit would otherwise wait for them. Note which
-    of its lifts have changed. Only lifts in this user's list, or with the file in them, are read, without links."""
+    of its lifts have changed. It reads a lift only if this user's list has it, or the file is in its folder, and if
+    no link leads elsewhere."""
     known = {*map(Path, remembered_lifts()), absolute("//")}
     roots = [root for scene in (bpy.context.scene, *bpy.data.scenes) for root in lifts_in(scene)]
     shown = {folder_of(root): root for root in reversed(roots) if text_of(root, FOLDER)}

@@ -228,11 +228,13 @@ def test_cluster_loss_counts_every_gaussian_of_labelled_anchors_only() -> None:
 
 def test_the_same_bits_with_any_number_of_threads() -> None:
     case, found, threads = asking(case_of(STANDARD, 3000)), [], torch.get_num_threads()
-    for count in (1, 2, 3, 1):
-        torch.set_num_threads(count)
-        gaussians = by_kernels(case)
-        found.append([*(getattr(gaussians, name) for name in OUTPUTS), *gradients(case, gaussians).values()])
-    torch.set_num_threads(threads)
+    try:
+        for count in (1, 2, 3, 1):
+            torch.set_num_threads(count)
+            gaussians = by_kernels(case)
+            found.append([*(getattr(gaussians, name) for name in OUTPUTS), *gradients(case, gaussians).values()])
+    finally:
+        torch.set_num_threads(threads)
     for other in found[1:]:
         assert all(torch.equal(one, two) for one, two in zip(found[0], other, strict=True))
 

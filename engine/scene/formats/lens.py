@@ -26,15 +26,16 @@ UNDISTORTED = "the lens distorts: pictures are undistorted on reading, and masks
 
 
 def pinhole(
-    wide: float, high: float, fx: float, fy: float, cx: float, cy: float, *, path: Path, fix: str, of: str = "a camera"
-) -> Camera:
-    """A camera at the origin, pixel centres at +0.5, for pictures of ``wide`` x ``high``. Raises PlgsError for
-    intrinsics that no camera has; ``path`` and ``of`` name their source."""
-    fits = 0.0 <= cx <= wide < 2**16 and 0.0 <= cy <= high < 2**16
-    if not (fits and 0.0 < fx < 1e6 and 0.0 < fy < 1e6 and wide >= 1.0 and high >= 1.0):
-        what = f"{of} has intrinsics that no camera has with pictures of {wide:.0f}x{high:.0f}"
+    width: float, height: float, fx: float, fy: float, cx: float, cy: float,
+    *, path: Path, fix: str, whose: str = "a camera",
+) -> Camera:  # fmt: skip
+    """A camera at the origin, pixel centres at +0.5, for pictures of ``width`` x ``height``. Raises PlgsError for
+    intrinsics that no camera has; ``path`` and ``whose`` name their source."""
+    fits = 0.0 <= cx <= width < 2**16 and 0.0 <= cy <= height < 2**16
+    if not (fits and 0.0 < fx < 1e6 and 0.0 < fy < 1e6 and width >= 1.0 and height >= 1.0):
+        what = f"{whose} has intrinsics that no camera has with pictures of {width:.0f}x{height:.0f}"
         raise PlgsError("bad-intrinsics", what, path, fix)
-    return Camera(round(wide), round(high), float(fx), float(fy), float(cx), float(cy), np.eye(4))
+    return Camera(round(width), round(height), float(fx), float(fy), float(cx), float(cy), np.eye(4))
 
 
 def fitted(lens: Camera, picture: Path, fix: str) -> Camera:

@@ -193,7 +193,7 @@ def _lens(entry: dict[str, Any], size: Size, context: str, path: Path) -> Camera
         fy = fx  # square pixels
     cx = take_number(entry, "cx", context, path) if "cx" in entry else width / 2.0
     cy = take_number(entry, "cy", context, path) if "cy" in entry else height / 2.0
-    return pinhole(width, height, fx, fy, cx, cy, path=path, fix="Correct w, h, fl_x, fl_y, cx and cy.", of=context)
+    return pinhole(width, height, fx, fy, cx, cy, path=path, fix="Correct w, h, fl_x, fl_y, cx and cy.", whose=context)
 
 
 def _focal_length(entry: dict[str, Any], key: str, side: float, context: str, path: Path) -> float:

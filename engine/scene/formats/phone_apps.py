@@ -188,7 +188,7 @@ def _read_stray(place: Path, progress: Progress) -> Capture:
             continue
         pose = quaternion_pose((qw, qx, qy, qz), (x, y, z), place / "odometry.csv")  # the file has w last
         intrinsics = [row[key] for key in _LENS] if "fx" in row else shared
-        lens = pinhole(*size, *intrinsics, path=place / "camera_matrix.csv", fix=_STRAY_FIX, of=f"frame {name}")
+        lens = pinhole(*size, *intrinsics, path=place / "camera_matrix.csv", fix=_STRAY_FIX, whose=f"frame {name}")
         depth = None
         if name in depths:
             depth = npy_depth(depths[name]) if depths[name].suffix.lower() == ".npy" else png_depth(depths[name], lens)

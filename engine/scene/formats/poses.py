@@ -20,7 +20,8 @@ _FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def finite_pose(matrix: NDArray[np.float64], path: Path) -> NDArray[np.float64] | None:
-    """A camera-to-world pose [4, 4] or [3, 4] made exactly rigid; None if not finite. Raises PlgsError if not rigid."""
+    """A camera-to-world pose, float64 [4, 4] or [3, 4], made exactly rigid; None if a number in it is not finite.
+    Raises PlgsError if it is not rigid."""
     if not np.isfinite(matrix).all():
         return None
     pose = np.eye(4)

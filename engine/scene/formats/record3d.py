@@ -40,7 +40,8 @@ from .poses import from_opengl, quaternion_pose
 _FIX = "Export it from Record3D again."
 _EXPORTED = "metadata.json"
 _LARGEST = 2**28  # maximum size in bytes of one unpacked picture or depth map
-_DEPTH_SIZES = ((192, 256), (256, 192), (480, 640), (640, 480))  # (width, height), if unsaid
+# (width, height) of LiDAR and TrueDepth, portrait and landscape, for metadata without a size.
+_DEPTH_SIZES = ((192, 256), (256, 192), (480, 640), (640, 480))
 _MOST_DEPTHS = 2**22  # maximum number of values in a depth map
 _CLEARLY_Y = 0.9  # cosine of 25 degrees
 _STORED, _SHORT, _USUAL, _END = b"bvx-", b"bvxn", b"bvx2", b"bvx$"  # kinds of LZFSE's blocks
@@ -186,7 +187,7 @@ def _lens(metadata: dict[str, Any], number: int, path: Path) -> Camera:
         fx, fy, cx, cy = take_array({"coefficients": own}, "coefficients", whose, path, (4,)).tolist()
     else:
         fx, _, _, _, fy, _, cx, cy, _ = take_array(metadata, "K", "metadata", path, (9,)).tolist()  # by columns
-    return pinhole(width, height, fx, fy, cx, cy, path=path, fix=_FIX, of=whose)
+    return pinhole(width, height, fx, fy, cx, cy, path=path, fix=_FIX, whose=whose)
 
 
 def _read_colour(archive: _Archive, name: str) -> NDArray[np.uint8]:

@@ -68,7 +68,7 @@ def _read(place: Path, progress: Progress) -> Capture:
             continue
         # The file does not say where pixels are counted from; corners are assumed.
         K, sides = take_array(entry, "intrinsic", name, path, (3, 3)), size or read_image_header(picture).size
-        lens = pinhole(*sides, K[0, 0], K[1, 1], K[0, 2], K[1, 2], path=path, fix=_FIX, of=name)
+        lens = pinhole(*sides, K[0, 0], K[1, 1], K[0, 2], K[1, 2], path=path, fix=_FIX, whose=name)
         depth = None
         if stream is not None:
             depth = DepthMap(stream.path, partial(stream.frame, number))

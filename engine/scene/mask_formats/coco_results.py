@@ -143,7 +143,8 @@ class DetectionTable:
 
 
 def compressed(given: Any, size: Size | None, context: str, path: Path) -> tuple[Size, bytes]:
-    """The size and compressed run lengths of a COCO segmentation: run lengths, or polygons. Raises PlgsError."""
+    """The size and compressed run lengths of a COCO segmentation: run lengths, compressed or not, or polygons in a
+    picture of this ``size``. Raises PlgsError."""
     from pycocotools import mask as rle_tools  # late, as above
 
     if isinstance(given, dict):

@@ -38,7 +38,8 @@ _MOST = 10_000
 
 @dataclass(frozen=True)
 class Detection:
-    """The class of a detection as in the file, its score, and its object's number; without classes also ``word``."""
+    """The class of a detection as in the file, and its score. ``track`` is its object's number, if any; without
+    classes, it is also the ``word``."""
 
     word: str
     score: float

@@ -158,7 +158,8 @@ def _add(found: dict[int, FoundSegment], one: FoundSegment, name: str, table: Pa
 
 
 def labels_of_config(config: Path, fused: Set[int] = frozenset()) -> tuple[ClassLabel, ...]:
-    """``id2label`` of a config.json. Public tables, or else fusing, say what is a thing. Raises PlgsError."""
+    """``id2label`` of a config.json. Whether a class is a thing follows from its name in public tables, else from
+    whether it was never fused. Raises PlgsError."""
     names = read_json_object(config).get("id2label")
     fix = "Copy the model's config.json there, or remove it and name a table with --classes."
     if not isinstance(names, dict) or not names:
