@@ -175,7 +175,8 @@ def test_a_shot_with_overscan_is_placed(tmp_path: Path) -> None:
     lift_scene.place_lift(lift.path, bpy.context.scene)
     scene = bpy.data.scenes["PLGS tiny room wide"]
     assert (scene.render.resolution_x, scene.render.resolution_y) == (64, 48)
-    assert np.array_equal(rendered(scene, "Instance", tmp_path)[..., 0], truth("3").instance)
+    shown = rendered(scene, "Instance", tmp_path)[..., 0]
+    np.testing.assert_allclose(shown, truth("3").instance, atol=1e-4)  # Blender 5.3 interpolates what has overscan
 
 
 def test_frames_before_0_have_a_scene_of_their_own(tmp_path: Path) -> None:
