@@ -200,11 +200,12 @@ class LiftFolder:
         that were baked later are not. A complete result stays until there is a new one (see `with_next_result`). Only
         the engine that holds the lock may call this. Raises PlgsError, and deletes nothing, while passes are being
         baked, and OSError if a file cannot be read: the file stays."""
-        self.drop_next_result()
+        was_begun = self.is_lifted_again
         if self.has_result():
-            (self.path / NEXT).mkdir()  # before the check, so that a bake that begins now sees it
+            (self.path / NEXT).mkdir(exist_ok=True)  # before the check, so that a bake that begins now sees it
         if BakeLocks(self.path).others_at_work():
-            self.drop_next_result()
+            if not was_begun:
+                self.drop_next_result()
             fix = "Wait until the bake is done, or cancel it."
             raise PlgsError("being-baked", "passes of this lift are being baked", self.path, fix, code=ErrorCode.BUSY)
         self.cancel_path.unlink(missing_ok=True)
@@ -214,6 +215,8 @@ class LiftFolder:
         if changed or not self.has_result():
             self.drop_next_result()
             self.manifest_path.unlink(missing_ok=True)  # only now, as `changed_files` reads it
+        for path in files_below(self.path / NEXT):
+            path.unlink()
         remove_parts(self.path)
 
     @property

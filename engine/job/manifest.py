@@ -52,8 +52,8 @@ def write_manifest(
 
 
 def add_files(result: Path, paths: Sequence[Path], frames: _Names | None = None) -> None:
-    """List more files, or changed ones, in the manifest of a finished lift; the rest of it stays as it is. The result
-    is complete before and after, even if the process is killed in between. ``frames`` is as in `Manifest`. Raises
+    """List more files, or changed ones, in the manifest of a finished lift. Its other entries stay. The result is
+    complete before and after, even if the process is killed in between. ``frames`` is as in `Manifest`. Raises
     PlgsError if there is no manifest, and OSError."""
     manifest = read_manifest(result)
     files = {file.path: file for file in (*manifest.files, *(ListedFile.of(path, result) for path in paths))}

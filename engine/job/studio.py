@@ -68,7 +68,7 @@ def studio_defaults(environ: Mapping[str, str] = os.environ) -> StudioDefaults:
 
 
 def filled_in(options: argparse.Namespace) -> argparse.Namespace:
-    """The options of a command, with defaults for those not given, of which standard error tells. Raises PlgsError."""
+    """The options of a command, with defaults for those not given. Standard error names these. Raises PlgsError."""
     studio, given = studio_defaults(), vars(options)
     masks = studio.masks_of(given.get("scene"))
     defaults = {"preset": studio.preset, "masks": masks, "device": studio.device, "memory": studio.memory}

@@ -139,6 +139,10 @@ def test_lift_is_not_repeated_while_it_is_baked(tmp_path: Path) -> None:
     with job.BakeLocks(folder.path), raises_key("being-baked"):
         folder.prepare_run()
     assert folder.state() is job.LiftState.FINISHED and not folder.is_lifted_again
+    folder.prepare_run()
+    with job.BakeLocks(folder.path), raises_key("being-baked"):
+        folder.prepare_run()
+    assert folder.is_lifted_again, "a lift that was begun is not forgotten"
 
 
 def test_a_kill_between_two_results_loses_none(tmp_path: Path) -> None:

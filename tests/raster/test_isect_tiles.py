@@ -19,7 +19,7 @@ COLUMNS, ROWS = -(-WIDTH // TILE), -(-HEIGHT // TILE)
 def test_tile_lists_match_a_stable_sort(
     count: int, workers: int, worth_sharing: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Boxes of tiles anywhere in the image, some of them empty; depths of which many are equal. The scattering is
+    """Boxes of tiles anywhere in the image. Some boxes are empty, and many depths are equal. The scattering is
     shared, or not."""
     monkeypatch.setattr(listing, "WORTH_SHARING", worth_sharing)
     random = np.random.default_rng(count)

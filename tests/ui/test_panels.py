@@ -201,7 +201,7 @@ def test_a_lift_that_was_cancelled_is_resumed_first_and_a_running_one_ends_with_
     shown = drawn()
     assert shown.index("plgs.resume_lift") < shown.index("plgs.lift_scene Start Anew") and not bpy.ops.plgs.quit.poll()
     assert "plgs.place_lift" not in shown
-    followed.has_result = True  # an earlier one, as it is lifted again
+    followed.has_result = True  # the lift was lifted again, and has its earlier result
     assert "plgs.place_lift" in drawn()
 
 
