@@ -43,8 +43,8 @@ _BAKES = [
 ]
 _DEVICES = [
     ("cpu", "CPU", "Train and render on the processor"),
-    ("cuda", "CUDA", "Train and render on an NVIDIA GPU; the engine needs torch for CUDA, and gsplat"),
-    ("auto", "Automatic", "CUDA if the engine and the computer can use it, else CPU"),
+    ("cuda", "CUDA", "Experimental: never run by us on a GPU. Needs an NVIDIA GPU, torch for CUDA, and gsplat"),
+    ("auto", "Automatic", "The CPU, until CUDA is no longer experimental"),
 ]
 
 _PATHS = ("lift_folder", "scene_folder", "masks", "detections", "depth")

@@ -34,8 +34,8 @@ _NO_BLOCKS = "A long capture fits without blocks: lift again without them, with 
 GONE = {"blocks": _NO_BLOCKS, "block": _NO_BLOCKS}
 """Options of earlier versions that no longer exist, and what to do instead."""
 _ABOUT_DEVICES = (
-    "where to train and draw (default: cpu); cuda needs gsplat, nvcc, ninja and a C++ compiler; auto takes cuda where "
-    "it works"
+    "where to train and draw (default: cpu); cuda is experimental, never run by us on a GPU, and needs gsplat, nvcc, "
+    "ninja and a C++ compiler; auto is cpu, and says why"
 )
 _ABOUT_SEEDS = "seed of all random numbers: same seed, same result (default: 0)"
 _PLACES = ("scene", "masks", "detections", "depth", "names_from")

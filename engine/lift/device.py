@@ -12,22 +12,18 @@ from ..raster.cuda import what_fails, what_is_missing
 
 
 def usable_device(device: str, stages: StageReporter) -> str:
-    """The device for a lift: "cuda" if it was requested, or if "auto" was and it works; otherwise "cpu". The stage
-    "check" tries to draw before any work, and says what "auto" chose, and why. If gsplat compiles its code for that,
-    *Cancel* ends the process, and the next try starts over. Raises PlgsError if a requested "cuda" does not work."""
-    if device == "cpu":
-        return device
-    try:
-        _refuse_missing(f"--device {device}", stages)
-    except PlgsError as error:
-        if device != "auto":
-            raise
-        with stages.stage("check", f"Lifting on the CPU: {error.what}"):
-            return "cpu"
+    """The device for a lift: "cuda" if it was requested and works, otherwise "cpu". "auto" never takes "cuda", since no
+    version of ours has run on a GPU yet; the stage "check" says so. For "cuda" that stage tries to draw before any
+    work. If gsplat compiles its code for that, *Cancel* ends the process, and the next try starts over. Raises
+    PlgsError if a requested "cuda" does not work."""
     if device == "auto":
-        with stages.stage("check", "Lifting on the CUDA device"):
-            pass
-    return "cuda"
+        found = torch.cuda.is_available()
+        why = "--device cuda is experimental, never run by us on a GPU" if found else "torch finds no CUDA device here"
+        with stages.stage("check", f"Lifting on the CPU: {why}"):
+            return "cpu"
+    if device == "cuda":
+        _refuse_missing("--device cuda", stages)
+    return device
 
 
 def _refuse_missing(where: str, stages: StageReporter) -> None:

@@ -72,14 +72,21 @@ def test_broken_gsplat_is_found_first(stages: StageReporter, tmp_path: Path, mon
     assert "compiles once" in told[0], "before that begins, as it takes minutes"
 
 
-def test_auto_takes_what_works(stages: StageReporter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("found", "why"),
+    [(True, "--device cuda is experimental, never run by us on a GPU"), (False, "torch finds no CUDA device here")],
+)
+def test_auto_never_takes_what_was_never_run(
+    found: bool, why: str, stages: StageReporter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: found)
     monkeypatch.setattr(device, "what_is_missing", lambda: None)
     monkeypatch.setattr(device, "what_fails", lambda where: None)
-    assert usable_device("auto", stages) == usable_device("cuda", stages) == "cuda"
-    monkeypatch.setattr(device, "what_is_missing", lambda: "gsplat is not installed")
+    if found:
+        assert usable_device("cuda", stages) == "cuda"
     assert usable_device("auto", stages) == "cpu"
     told = [event.data["label"] for event in last_run(tmp_path / "events.jsonl") if event.kind == "stage"]
-    assert "Lifting on the CUDA device" in told and told[-1] == "Lifting on the CPU: gsplat is not installed"
+    assert told[-1] == f"Lifting on the CPU: {why}"
 
 
 def test_a_whole_lift_on_a_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
