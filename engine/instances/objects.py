@@ -72,6 +72,7 @@ def held_back_agreement(
     object_of_point: NDArray[np.int32],
     objects: int,
     class_ids: tuple[int, ...],
+    *,
     kinds: ViewEvidence,
     frames: Sequence[Sequence[int]],
 ) -> NDArray[np.bool_]:
@@ -153,6 +154,7 @@ def regroup_pieces(
     object_of_point: NDArray[np.int32],
     class_of_object: Sequence[int],
     summaries: Sequence[ViewPoints],
+    *,
     rules: PieceRules,
     progress: Progress = lambda *_: None,
 ) -> tuple[NDArray[np.int32], list[int]]:

@@ -58,6 +58,7 @@ def vote_panoptic_labels(
     points: int,
     labels: PanopticLabels,
     object_of_segment: Mapping[tuple[str, int], int],
+    *,
     options: SegmentVoting,
     kind: EvidenceKind,
     neighbours: Any = None,
@@ -75,7 +76,7 @@ def vote_panoptic_labels(
         progress(next(done), (1 + options.rounds) * (len(views) + len(chosen) * (1 + options.near)))
 
     def decided(maps: Iterable[NDArray[np.int16]]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        votes = _votes(watched(views, step), maps, point_of_pixel, points, len(labels), kind)
+        votes = _votes(watched(views, step), maps, point_of_pixel, size=(points, len(labels)), kind=kind)
         shared = votes if neighbours is None else _Votes(*(own + neighbours @ own for own in votes))
         label, share = _winners(shared.asked, labels, watched(chosen, step))
         if options.near:  # votes by density decide, where most of them come from segments that are seen as a whole
@@ -154,11 +155,13 @@ def _votes(
     views: Iterable[View],
     maps: Iterable[NDArray[np.int16]],
     point_of_pixel: Iterable[NDArray[np.int32]],
-    points: int,
-    count: int,
+    *,
+    size: tuple[int, int],
     kind: EvidenceKind,
 ) -> _Votes:
-    """The votes of all views on ``count`` labels. In each view a point's pixels share its votes on the point."""
+    """The votes of all views. ``size``: the numbers of points and of labels. In each view a point's pixels share its
+    votes on the point."""
+    points, count = size
     total = [sparse.csr_matrix((points, count), dtype=np.float32)] * 3
     parts: list[tuple[NDArray[np.int64], NDArray[np.float32]]] = []
     for view, labels, rows in zip(views, maps, point_of_pixel, strict=True):

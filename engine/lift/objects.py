@@ -90,52 +90,100 @@ def segment_options(preset: Preset) -> SegmentOptions:
     return SegmentOptions(preset.voxel_size, erosion_share=shape.erosion, min_points=shape.least_points)
 
 
+@dataclass(frozen=True, eq=False)
+class VotedThings:
+    """The ``things`` that views agree on. ``training``: the views whose masks were joined; ``everyone``: all that vote,
+    with the detections that do (``layers_vote``)."""
+
+    things: list[SceneObject]
+    training: ViewsOnCloud
+    everyone: ViewsOnCloud
+    layers_vote: bool
+
+
 def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StageProgress) -> Matching:
     """Our method: the views agree on objects and vote on the class of each; segments and points vote on the label of
     every pixel."""
-    cloud, kinds = given.cloud, preset.evidence
-    training = on_cloud(given.views, cloud, given.scratch, progress.part(0.0, 0.1)).looked_at(progress.part(0.1, 0.15))
-    voting = on_cloud(given.others, cloud, given.scratch, progress.part(0.15, 0.2))
-    everyone = training.and_also(voting)
-
-    options = replace(CONSENSUS, evidence=kinds.masks)
-    found = find_objects(training, len(cloud), options, progress.part(0.2, 0.4))
-    layers = trusted_layers(everyone, len(cloud), cloud.class_ids, kinds.segments)
-    voting, everyone = voting.and_also(layers), everyone.and_also(layers)
-    found = with_masks_of(found, voting, CONSENSUS.rules)
-    things = thing_objects(found, everyone, cloud, given.classes, kinds)
-
-    neighbours: Any = None
+    found = voted_things(given, preset.evidence, progress)
     part = None
     if preset.segment_voting.superpoints:
-        part = trusted_superpoints(cloud.xyz, cloud.spacing, everyone, cloud.class_ids, kinds.segments)
-    if part is not None:
-        neighbours = RestOfSuperpoint(part)
-    elif preset.segment_voting.neighbours:
-        neighbours = neighbours_on_a_thing(cloud.xyz, cloud.spacing, training.seen)
-    labels, members = labels_of(cloud, things), object_of_mask(things)
-    rules_of_vote = preset.segment_voting, kinds.segments, neighbours, progress.part(0.4, 0.85)
-    voted = vote_panoptic_labels(everyone, len(cloud), labels, members, *rules_of_vote)
-    cloud = replace(cloud, class_id=labels.classes(voted.label), confidence=voted.confidence)
-    object_of_point = labels.objects(voted.label)
-    rules, kinds_of = by_votes.PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing)), [one.class_id for one in things]
-    regrouping = progress.part(0.85, 0.92)
-    owner, origin = by_votes.regroup_pieces(cloud.xyz, object_of_point, kinds_of, training.seen, rules, regrouping)
-    masks = masks_of_pieces([mask for one in things for mask in one.masks], training, owner, len(origin))
-    pieces = [SceneObject(number, own, kinds_of[number - 1]) for number, own in zip(origin, masks, strict=True)]
-    owner, things = without_fragments(owner, pieces, training.seen)
+        some, kind = given.cloud, preset.evidence.segments
+        part = trusted_superpoints(some.xyz, some.spacing, found.everyone, some.class_ids, kind)
+    cloud, object_of_point = voted_points(given.cloud, found, part, preset, progress.part(0.4, 0.85))
+    owner, things = regrouped(cloud, object_of_point, found, progress.part(0.85, 0.92))
     # A point that lost its object was on the ragged edge of a few masks, so their class is no evidence for it either.
     is_fragment = (object_of_point > 0) & (owner == 0)
     cloud = replace(cloud, class_id=np.where(is_fragment, VOID, cloud.class_id).astype(np.int32))
     watching = watched(things, progress.part(0.92, 0.95))
-    placed = by_votes.placed_objects(training.views, watching, cloud.xyz, owner, preset.voxel_size)
+    placed = by_votes.placed_objects(found.training.views, watching, cloud.xyz, owner, preset.voxel_size)
     instances, instance_of_point, dropped = limit_instances(placed, owner, preset.most_instances)
-    labels = labels_of(cloud, instances)
+    labels, seeing = labels_of(cloud, instances), found.training
     label = labels.of_points(cloud.class_id, instance_of_point)
-    shown = view_labels(training.views, training.point_of_pixel, label, len(labels))
+    shown = view_labels(seeing.views, seeing.point_of_pixel, label, len(labels))
     maps = stored(watched(shown, progress.part(0.95, 1.0)), given.scratch)
-    masks_agree = part is None and not len(layers.views)
-    return Matching(cloud, instances, instance_of_point, dropped, maps, training.point_of_pixel, masks_agree)
+    masks_agree = part is None and not found.layers_vote
+    return Matching(cloud, instances, instance_of_point, dropped, maps, seeing.point_of_pixel, masks_agree)
+
+
+def voted_things(given: ViewsToMatch, kinds: ViewEvidence, progress: StageProgress) -> VotedThings:
+    """The objects that the views agree on, if the views vote that they are things. This is the first 40 % of the
+    stage's ``progress``."""
+    cloud = given.cloud
+    training = on_cloud(given.views, cloud, given.scratch, progress.part(0.0, 0.1))
+    training = training.looked_at(progress.part(0.1, 0.15))
+    voting = on_cloud(given.others, cloud, given.scratch, progress.part(0.15, 0.2))
+    options = replace(CONSENSUS, evidence=kinds.masks)
+    found = find_objects(training, len(cloud), options, progress.part(0.2, 0.4))
+    layers = trusted_layers(training.and_also(voting), len(cloud), cloud.class_ids, kinds.segments)
+    voting = voting.and_also(layers)
+    everyone = training.and_also(voting)
+    found = with_masks_of(found, voting, CONSENSUS.rules)
+    things = thing_objects(found, everyone, cloud, given.classes, kinds)
+    return VotedThings(things, training, everyone, layers_vote=bool(len(layers.views)))
+
+
+def voted_points(
+    cloud: SemanticPointCloud,
+    found: VotedThings,
+    superpoint: NDArray[np.int64] | None,
+    preset: Preset,
+    progress: Progress,
+) -> tuple[SemanticPointCloud, NDArray[np.int32]]:
+    """The cloud with the classes that segments and points vote on, and the object of each point, int32 [N] (0 = none).
+    ``superpoint`` int [N]: the superpoint of each point, if superpoints share their votes; else neighbours may."""
+    neighbours: Any = None
+    if superpoint is not None:
+        neighbours = RestOfSuperpoint(superpoint)
+    elif preset.segment_voting.neighbours:
+        neighbours = neighbours_on_a_thing(cloud.xyz, cloud.spacing, found.training.seen)
+    labels, members = labels_of(cloud, found.things), object_of_mask(found.things)
+    voted = vote_panoptic_labels(
+        found.everyone,
+        len(cloud),
+        labels,
+        members,
+        options=preset.segment_voting,
+        kind=preset.evidence.segments,
+        neighbours=neighbours,
+        progress=progress,
+    )
+    cloud = replace(cloud, class_id=labels.classes(voted.label), confidence=voted.confidence)
+    return cloud, labels.objects(voted.label)
+
+
+def regrouped(
+    cloud: SemanticPointCloud, object_of_point: NDArray[np.int32], found: VotedThings, progress: Progress
+) -> tuple[NDArray[np.int32], list[SceneObject]]:
+    """The object of each point, int32 [N] (0 = none), and the objects, after the views decided on connected pieces.
+    ``object_of_point`` int32 [N]: which of the things ``found`` each point showed before."""
+    rules, seeing = by_votes.PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing)), found.training
+    classes = [one.class_id for one in found.things]
+    owner, origin = by_votes.regroup_pieces(
+        cloud.xyz, object_of_point, classes, seeing.seen, rules=rules, progress=progress
+    )
+    masks = masks_of_pieces([mask for one in found.things for mask in one.masks], seeing, owner, len(origin))
+    pieces = [SceneObject(number, own, classes[number - 1]) for number, own in zip(origin, masks, strict=True)]
+    return without_fragments(owner, pieces, seeing.seen)
 
 
 def labels_of(cloud: SemanticPointCloud, objects: Sequence[SceneObject]) -> PanopticLabels:
@@ -183,7 +231,7 @@ def thing_objects(
     shown = [(seen, shown_classes(view, seen)) for view, seen in zip(seeing.views, seeing.seen, strict=True)]
     asked = found.object_of_point, len(found.objects), cloud.class_ids
     votes = by_votes.vote_classes(shown, *asked, kinds.objects)
-    is_one = by_votes.held_back_agreement(shown, *asked, kinds, seeing.by_frame())
+    is_one = by_votes.held_back_agreement(shown, *asked, kinds=kinds, frames=seeing.by_frame())
     class_of_object = by_votes.object_classes(votes, cloud.class_ids, is_one).tolist()
     things = (one for one in found.objects if class_of_object[one.id] in classes.thing_ids)
     return [replace(one, id=number, class_id=class_of_object[one.id]) for number, one in enumerate(things, start=1)]

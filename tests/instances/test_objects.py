@@ -66,8 +66,10 @@ def test_views_that_are_held_back_tell_one_object_from_two() -> None:
     one = [showing([0, 1, 2, 3], [kind] * 4, [10] * 4) for kind in (SOFA, SOFA, CHAIR, WALL, SOFA)]
     halves = [showing([0, 1, 2, 3], [SOFA, SOFA, CHAIR, CHAIR], [10] * 4) for _ in range(5)]
     owner, kinds = np.array([1, 1, 1, 1, 0], np.int32), ViewEvidence()
-    assert held_back_agreement(one, owner, 1, CLASS_IDS, kinds, [[n] for n in range(len(one))]).tolist()[1]
-    assert not held_back_agreement(halves, owner, 1, CLASS_IDS, kinds, [[n] for n in range(len(halves))]).tolist()[1]
+    assert held_back_agreement(one, owner, 1, CLASS_IDS, kinds=kinds, frames=[[n] for n in range(len(one))]).tolist()[1]
+    assert not held_back_agreement(
+        halves, owner, 1, CLASS_IDS, kinds=kinds, frames=[[n] for n in range(len(halves))]
+    ).tolist()[1]
 
 
 RULES = PieceRules(reach=0.15)
@@ -114,7 +116,7 @@ def regrouped(
 ) -> tuple[list[int], list[int]]:
     """The object of each block's points, and where the objects come from."""
     object_of_point = np.repeat(np.array(owner, np.int32), SIZE)
-    found, origin = regroup_pieces(xyz, object_of_point, classes, views, RULES)
+    found, origin = regroup_pieces(xyz, object_of_point, classes, views, rules=RULES)
     assert found.dtype == np.int32
     blocks = found.reshape(-1, SIZE)
     assert (blocks == blocks[:, :1]).all()
@@ -171,7 +173,7 @@ def test_fragments_vanish() -> None:
     xyz = np.concatenate([chair, fragment, few, [[9.0, 9.0, 9.0]]])
     owner = np.array([1] * 414 + [2], np.int32)
     everything = view((3, slice(0, 415)), points=415)
-    found, origin = regroup_pieces(xyz, owner, [CHAIR, SOFA], [everything] * 3, RULES)
+    found, origin = regroup_pieces(xyz, owner, [CHAIR, SOFA], [everything] * 3, rules=RULES)
     assert (found[:400] == 1).all() and not found[400:414].any()
     assert found[414] == 0 and origin == [1], "a lone point is not an object"
 
@@ -180,7 +182,7 @@ def test_the_largest_piece_says_which_object_a_group_comes_from() -> None:
     xyz = np.concatenate([block(0.0, 10), block(NEAR, 30)])
     owner = np.repeat(np.array([1, 2], np.int32), [10, 30])
     all_of_it = view((3, slice(0, 40)), points=40)
-    found, origin = regroup_pieces(xyz, owner, [SOFA, SOFA], [all_of_it] * 2, RULES)
+    found, origin = regroup_pieces(xyz, owner, [SOFA, SOFA], [all_of_it] * 2, rules=RULES)
     assert (found == 1).all() and origin == [2]
 
 

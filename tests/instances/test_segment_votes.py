@@ -55,7 +55,7 @@ def voted(views: list[View], members: set[str], rounds: int = ROUNDS) -> VotedLa
         if view.name in members and segment.is_thing
     }  # fmt: skip
     seeing = ViewsOnCloud.of(views, [rows] * len(views))
-    return vote_panoptic_labels(seeing, rows.size, LABELS, members_of, SegmentVoting(rounds), "root")
+    return vote_panoptic_labels(seeing, rows.size, LABELS, members_of, options=SegmentVoting(rounds), kind="root")
 
 
 def wrong(found: np.ndarray) -> int:
@@ -110,7 +110,9 @@ def test_a_point_has_votes_by_the_evidence(kind: EvidenceKind, near_votes: int) 
         replace(drawn(name), mask=PanopticMask(ids, (Segment(1, class_id, False),)))
         for name, class_id in (("near", CHAIR), *((f"far {i}", WALL) for i in range(5)))
     ]
-    found = vote_panoptic_labels(ViewsOnCloud.of(views, [near, *[far] * 5]), 1, LABELS, {}, SegmentVoting(0), kind)
+    found = vote_panoptic_labels(
+        ViewsOnCloud.of(views, [near, *[far] * 5]), 1, LABELS, {}, options=SegmentVoting(0), kind=kind
+    )
     assert found.label.tolist() == [CHAIR_LABEL if near_votes > 5 else WALL_LABEL]
     assert found.confidence == pytest.approx(max(near_votes, 5) / (near_votes + 5))
 
@@ -129,7 +131,9 @@ def test_a_near_view_overrules_far_ones_on_what_it_shows_as_a_whole(columns: sli
     rows = np.arange(SIZE[0] * SIZE[1], dtype=np.int32).reshape(SIZE[::-1])
     views = [close, *(wall_view(f"far {number}", 0.0) for number in range(5))]
     members, options = {("near", SOFA): 1}, SegmentVoting(0, near=near)
-    found = vote_panoptic_labels(ViewsOnCloud.of(views, [rows] * 6), rows.size, LABELS, members, options, "resolution")
+    found = vote_panoptic_labels(
+        ViewsOnCloud.of(views, [rows] * 6), rows.size, LABELS, members, options=options, kind="resolution"
+    )
     assert (found.label.reshape(SIZE[::-1])[ROWS, columns] == expected).all()
     assert (found.label != expected).any() == (expected == OBJECT)
 
@@ -142,7 +146,9 @@ def test_a_point_gets_its_neighbours_votes_besides_its_own() -> None:
         views.append(wall_view(f"{number}", 0.0, classes=class_id))
         shown.append(np.where(np.arange(rows.size).reshape(rows.shape) == 0, point, rows).astype(np.int32))
     neighbours = csr_matrix(np.array([[0, 1, 0], [1, 0, 0], [0, 0, 0]], np.float32))
-    found = vote_panoptic_labels(ViewsOnCloud.of(views, shown), 3, LABELS, {}, SegmentVoting(0), "views", neighbours)
+    found = vote_panoptic_labels(
+        ViewsOnCloud.of(views, shown), 3, LABELS, {}, options=SegmentVoting(0), kind="views", neighbours=neighbours
+    )
     assert found.label.tolist() == [WALL_LABEL, WALL_LABEL, CHAIR_LABEL]
     np.testing.assert_allclose(found.confidence, [2 / 3, 2 / 3, 1])
 
