@@ -116,7 +116,7 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "coco: COCO panoptic (panoptic.json, panoptic/). instances: 16-bit PNGs of classes and instances, and in "
         "colours. scannet: label-filt/ and instance-filt/. points: the labelled points and Gaussians (PLY). splats: "
-        "Gaussians alone (PLY, SPZ, GLB). boxes: the objects' boxes (JSON, CSV, for labelCloud and CVAT). mesh: the "
+        "Gaussians alone (PLY, SPZ, GLB). boxes: the objects' boxes (JSON, CSV). mesh: the "
         "surface, cut into one mesh per instance and per stuff class (PLY, GLB). gltf: these in one file (GLB). usd: "
         "Gaussians, meshes, boxes and cameras (OpenUSD). depth: a map in metres per frame (NPY), as lift --depth takes "
         "it. clouds: the pixels of a frame, or of any camera, as labelled points (NPZ). Frames that are not baked are "

@@ -23,7 +23,7 @@ FORMS = {
     "scannet": ("ScanNet Labels", "label-filt, instance-filt and their table"),
     "points": ("Labelled Points", "PLY of the semantic points, and of the Gaussians"),
     "splats": ("Splats", "PLY, SPZ and GLB of the Gaussians alone, with the names of their ids"),
-    "boxes": ("Boxes", "The objects' oriented boxes as JSON and CSV, and for labelCloud and CVAT"),
+    "boxes": ("Boxes", "The objects' oriented boxes as JSON and CSV"),
     "mesh": ("Meshes", "The surface as PLY, and a GLB for each instance and each stuff class"),
     "surface": ("Surface to View", "The surface as one PLY, coarser away from objects, as Blender shows it"),
     "gltf": ("glTF", "The meshes of all instances and stuff classes in one GLB"),

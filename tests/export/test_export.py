@@ -153,37 +153,6 @@ def test_boxes_are_exported(lift: LiftFolder, tmp_path: Path) -> None:
         assert [float(row[f"centre_{axis}"]) for axis in "xyz"] == record["centre"]
 
 
-def test_boxes_are_exported_for_labelling_programs(lift: LiftFolder, tmp_path: Path) -> None:
-    """The points are read by Open3D; the boxes beside them hold most of the points of their object."""
-    open3d = pytest.importorskip("open3d")
-    run(lift, "boxes", tmp_path)
-    points = FinishedLift(lift, ["all"]).corrected.points
-    for name in ("labelcloud/pointclouds/points.ply", "cvat/ds0/pointcloud/points.pcd"):
-        cloud = open3d.io.read_point_cloud(str(tmp_path / name))
-        np.testing.assert_allclose(np.asarray(cloud.points), points.xyz, atol=1e-6)
-        np.testing.assert_allclose(np.asarray(cloud.colors) * 255, points.rgb, atol=1e-3)
-    labels = json.loads((tmp_path / "labelcloud/labels/points.json").read_text())["objects"]
-    cuboids = json.loads((tmp_path / "cvat/ds0/ann/points.pcd.json").read_text())
-    known = json.loads((tmp_path / "cvat/meta.json").read_text())["classes"]
-    keys = json.loads((tmp_path / "cvat/key_id_map.json").read_text())
-    listed = FinishedLift(lift, ["all"]).listed
-    assert keys["videos"] == {cuboids["key"]: 0}, "CVAT's reader needs the number of the frame"
-    assert len(labels) == len(cuboids["figures"]) == len(cuboids["objects"]) == len(listed) > 0
-    for one, label, figure, entry in zip(listed, labels, cuboids["figures"], cuboids["objects"], strict=True):
-        assert label["name"] == entry["classTitle"] == one.class_name and entry["tags"][0]["value"] == one.name
-        assert figure["objectKey"] == entry["key"] and keys["objects"][entry["key"]] == one.id
-        assert one.class_name in {each["title"] for each in known}
-        box = figure["geometry"]
-        sides = [label["dimensions"][each] for each in ("length", "width", "height")]
-        assert sides == [box["dimensions"][axis] for axis in "xyz"] == list(one.size)
-        assert np.radians(label["rotations"]["z"]) == pytest.approx(box["rotation"]["z"] % (2 * np.pi))
-        turn = open3d.geometry.get_rotation_matrix_from_xyz([0, 0, box["rotation"]["z"]])
-        oriented = open3d.geometry.OrientedBoundingBox([box["position"][axis] for axis in "xyz"], turn, sides)
-        own = points.xyz[points.instance_id == one.id].astype(float)
-        inside = oriented.get_point_indices_within_bounding_box(open3d.utility.Vector3dVector(own))
-        assert len(inside) > 0.8 * len(own)
-
-
 def test_splats_are_exported_and_chosen_by_name(lift: LiftFolder, tmp_path: Path) -> None:
     open3d = pytest.importorskip("open3d")
     run(lift, "splats", tmp_path / "all")

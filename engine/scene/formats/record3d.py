@@ -3,7 +3,7 @@
 ``metadata`` is JSON: ``K`` (column by column) for pictures of ``w`` x ``h``, or ``perFrameIntrinsicCoeffs`` (fx fy cx
 cy); ``poses`` (qx qy qz qw tx ty tz), camera-to-world, OpenGL axes, metres; ``dw`` and ``dh``, the size of depth.
 Depth is LZFSE of float32 metres, confidence LZFSE of bytes 0 to 2; pixels with 0 are dropped. The library pyliblzfse
-takes as much memory as a stream asks for, so ``unpack_lzfse`` bounds it by the sizes that the stream's blocks claim.
+takes as much memory as a stream asks for, so ``unpack_lzfse`` bounds the first block's claim and the number of blocks.
 
 Its export "EXR + JPG sequence" is a folder ``EXR_RGBD`` of ``metadata.json``, ``rgb/N.jpg`` or ``.png``, and
 ``depth/N.exr`` with metres in the channel R.
@@ -12,12 +12,11 @@ Its export "EXR + JPG sequence" is a folder ``EXR_RGBD`` of ``metadata.json``, `
 from __future__ import annotations
 
 import re
-import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from zipfile import BadZipFile, ZipFile
 
 import numpy as np
@@ -44,9 +43,9 @@ _LARGEST = 2**28  # maximum size in bytes of one unpacked picture or depth map
 _DEPTH_SIZES = ((192, 256), (256, 192), (480, 640), (640, 480))
 _MOST_DEPTHS = 2**22  # maximum number of values in a depth map
 _CLEARLY_Y = 0.9  # cosine of 25 degrees
-_STORED, _SHORT, _USUAL, _END = b"bvx-", b"bvxn", b"bvx2", b"bvx$"  # kinds of LZFSE's blocks
+_BLOCK = b"bvx"  # the mark at the beginning of each of LZFSE's blocks, none of which grows beyond 27 MB
 _FULL_BLOCK = 10_000  # minimum bytes of all blocks but the last: they are full with 10 000 matches or 40 000 literals
-_AT_ONCE = 8  # blocks unpacked before their size is compared with the claims; no block can grow beyond 27 MB
+_SHORTEST = 12  # bytes of the shortest stream: a block without content, and the end
 
 
 @dataclass(frozen=True)
@@ -232,56 +231,17 @@ def _unpacked(archive: _Archive, name: str, step: int, most: int) -> bytes:
     return unpacked
 
 
-class _Block(NamedTuple):
-    """Where a block ends in its stream, and the unpacked size claimed by all blocks up to it."""
-
-    end: int
-    unpacked: int
-
-
 def unpack_lzfse(data: bytes, most_bytes: int, decompress: Callable[[bytes], bytes]) -> bytes:
-    """A stream unpacked. Raises ValueError if it is cut off or over ``most_bytes``, and as ``decompress``."""
-    blocks = _blocks(data, 4 + most_bytes // _FULL_BLOCK)
-    if blocks and blocks[-1].unpacked > most_bytes:
+    """A stream unpacked. Raises ValueError if it is cut off or over ``most_bytes``, and as ``decompress``. The library
+    first takes the memory that a stream's first block claims, then doubles it until all blocks fit."""
+    if len(data) < _SHORTEST:
+        raise ValueError("it is cut off")
+    if int.from_bytes(data[4:8], "little") > most_bytes or data.count(_BLOCK) > 4 + most_bytes // _FULL_BLOCK:
         raise ValueError(f"it unpacks to more than {most_bytes} bytes")
-    for block in blocks[_AT_ONCE - 1 : -1 : _AT_ONCE]:
-        _refuse_more(decompress(data[: block.end] + _END), block.unpacked)
     unpacked = decompress(data)
-    _refuse_more(unpacked, blocks[-1].unpacked if blocks else 0)
+    if len(unpacked) > most_bytes:
+        raise ValueError(f"it unpacks to more than {most_bytes} bytes")
     return unpacked
-
-
-def _refuse_more(unpacked: bytes, claimed: int) -> None:
-    if len(unpacked) != claimed:
-        raise ValueError("a block does not unpack to the size that it says")
-
-
-def _blocks(data: bytes, most: int) -> list[_Block]:
-    """The blocks of a stream. Raises ValueError if it is truncated or has more than ``most``."""
-    found, place, unpacked = list[_Block](), 0, 0
-    try:
-        while (kind := data[place : place + 4]) != _END:
-            (claimed,) = struct.unpack_from("<I", data, place + 4)
-            place, unpacked = place + _length(data, place, kind, claimed), unpacked + claimed
-            found.append(_Block(place, unpacked))
-            if len(found) > most:
-                raise ValueError("it has too many blocks")
-    except struct.error as error:
-        raise ValueError("it is cut off") from error
-    return found
-
-
-def _length(data: bytes, place: int, kind: bytes, claimed: int) -> int:
-    """The length in bytes of a block including its header. Raises ValueError, struct.error."""
-    if kind == _STORED:
-        return 8 + claimed
-    if kind == _SHORT:
-        return 12 + int(struct.unpack_from("<I", data, place + 8)[0])
-    if kind != _USUAL:
-        raise ValueError("it has a block of a kind that is not known")
-    # 64 bits hold numbers of 20 bits: literals' bytes from bit 20 of the first, matches' from bit 40 of the second.
-    first, second, third = struct.unpack_from("<3Q", data, place + 8)
-    return (third & 0xFFFFFFFF) + (first >> 20 & 0xFFFFF) + (second >> 40 & 0xFFFFF)
 
 
 FORMAT = SceneFormat("record3d", lambda place: _find(place) is not None or _exr_folder(place) is not None, _read)
