@@ -127,8 +127,6 @@ _POINTS = 150
 _BETTER = 1.15  # least factor by which views must agree better under another assumption
 _CERTAIN = 5.0  # least mean gain of the frames, in its standard errors
 _MOST_CAUSES = 4
-_POOR = 0.4  # a fraction of the points seen by two views; if fewer agree, two causes at once are tried
-_POSE_CAUSES = ("inverted", "opengl", "inverted opengl")
 _LENS_CAUSES = ("lens size", "focal")
 _ASIDE = 0.1  # of the picture; a principal point farther from the middle may belong to pictures of another size
 _KINDS_COMPARED = 4
@@ -136,7 +134,7 @@ _RIVAL = 1.05  # least factor by which a cause must explain more than the next, 
 _ERROR_LEFT = 0.7
 _LEAST_SHARE, _LEAST_OF_ALL = 0.5, 0.15  # least fractions that agree under a cause: of what both views see, and of all
 _NEAREST, _FARTHEST = 0.4, 8.0  # metres: bounds of a room's median depth, to which a cause in lengths must lead
-_LAGS = (-3, -2, -1, 1, 2, 3)
+_LAGS = (-2, -1, 1, 2)
 
 
 class Trial(NamedTuple):
@@ -201,20 +199,7 @@ def find_causes(views: Views, pairs: Pairs, lens_is_doubtful: bool = False) -> t
             break
         found.append(best)
         assumed, before = best.assumed, best.after
-    if not found and before.share < _POOR:
-        found = _two_at_once(views, pairs, before)
-        assumed = found[-1].assumed if found else assumed
     return found, assumed
-
-
-def _two_at_once(views: Views, pairs: Pairs, before: Agreement) -> list[FoundCause]:
-    """Poses and another number may both be wrong. Then fixing either one alone improves nothing."""
-    best: tuple[FoundCause, FoundCause] | None = None
-    for pose in (trial for trial in _trials(views, Assumption()) if trial.cause in _POSE_CAUSES):
-        found = _best(views, pairs, pose.assumed, before, {*_POSE_CAUSES})
-        if found is not None and (best is None or found.after.mean > best[1].after.mean):
-            best = FoundCause(pose.cause, pose.assumed, before, found.after), found
-    return [] if best is None else [*best]
 
 
 def is_far_better(after: Agreement, before: Agreement) -> bool:

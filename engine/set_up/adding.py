@@ -50,12 +50,12 @@ class Addition(UvTask):
         self._root, self._tools = root, tools or environments_folder()
         self._site_packages = Path(site.getsitepackages([str(environment)])[0])
         self._part = environment / "added" / f"{name}.part"
-        downloads = self._part / "downloads"
+        self._downloads = self._part / "downloads"
         super().__init__(
             "add", LABELS, _AGAIN, events, stop,
-            log_path=environment / "add.log", cwd=self._part, unpacks=downloads, bytes=self.size,
+            log_path=environment / "add.log", cwd=self._part,
         )  # fmt: skip
-        self._use_packages(index_url, wheels, downloads)
+        self._use_packages(index_url, wheels, self._downloads)
 
     def run(self) -> Path:
         """The folder with the packages. Raises PlgsError; Cancelled when it was asked to stop."""
@@ -93,7 +93,7 @@ class Addition(UvTask):
             "--require-hashes", "--requirement", requirement_file(self._root, f"hashes-{self.name}"),
             "--build-constraints", pins,
         ])  # fmt: skip
-        shutil.rmtree(self._unpacks, ignore_errors=True)
+        shutil.rmtree(self._downloads, ignore_errors=True)
         for path in packages.iterdir():
             path.rename(self._part / path.name)
         packages.rmdir()

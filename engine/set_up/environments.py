@@ -1,10 +1,8 @@
-"""The folder of environments: what it holds, how large that is, and how it is deleted."""
+"""The folder of environments: what it holds, and how it is deleted."""
 
 from __future__ import annotations
 
-import os
 import shutil
-from contextlib import suppress
 from pathlib import Path
 
 from ..errors import PlgsError
@@ -14,20 +12,6 @@ LOG, LOCK = "set-up.log", "set-up.lock"
 DOWNLOADS, PYTHON = "downloads", "python"
 """The folders of uv: what it unpacked for an unfinished environment, and the Pythons that it downloaded."""
 _TRASH = "trash-"
-
-
-def bytes_in(folder: Path) -> int:
-    """Bytes of all files in a folder. Files that vanish meanwhile or cannot be read count as nothing."""
-    total, waiting = 0, [str(folder)]
-    while waiting:
-        with suppress(OSError), os.scandir(waiting.pop()) as entries:
-            for entry in entries:
-                with suppress(OSError):
-                    if entry.is_dir(follow_symlinks=False):
-                        waiting.append(entry.path)
-                    else:
-                        total += entry.stat(follow_symlinks=False).st_size
-    return total
 
 
 def throw_away(path: Path, folder: Path) -> None:

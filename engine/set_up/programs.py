@@ -15,11 +15,8 @@ from ..job import EventWriter, StopSignal
 from ..job.lock import FileLock
 from ..job.process import ChildProcess, clean_environment
 from . import uv_program
-from .environments import bytes_in
 
-PARTS = 1000
-"""The progress of the whole task is counted in this many parts."""
-_POLL_S, _MEASURE_S = 0.05, 1.0
+_POLL_S = 0.05
 _MOST_BYTES = 200_000  # bytes of a program's output that are kept, counted from its end
 
 
@@ -33,17 +30,16 @@ def complaint(output: str) -> str:
 
 class UvTask:
     """Runs programs one after another in ``cwd``, with their output in a log. ``labels`` are the steps; ``again`` is
-    what to do after a failure. ``unpacks`` is the folder whose growth to ``bytes`` is the progress up to ``share``."""
+    what to do after a failure."""
 
     def __init__(
         self, stage: str, labels: Sequence[str], again: str, events: EventWriter, stop: StopSignal,
-        *, log_path: Path, cwd: Path, unpacks: Path, bytes: float, share: float = 1.0,
+        *, log_path: Path, cwd: Path,
     ) -> None:  # fmt: skip
         self.log_path = log_path
         self._stage, self._labels, self._again, self._events, self._stop = stage, labels, again, events, stop
-        self._cwd, self._unpacks, self._bytes, self._share = cwd, unpacks, bytes, share
+        self._cwd = cwd
         self._variables: dict[str, str] = {}
-        self._done, self._measured_at = 0.0, 0.0
         self._step, self._label = 0, ""
         self._lock: FileLock | None = None
 
@@ -132,16 +128,9 @@ class UvTask:
         if (step, label) != (self._step, self._label):
             self._step, self._label = step, label
             self._events.stage(self._stage, step, len(self._labels), label)
-            self._tell_progress()
+            self._events.progress(self._stage, step - 1, len(self._labels))
 
     def _pause(self) -> None:
         """Wait a moment. Raises Cancelled when this is asked to stop."""
         self._stop.check()
         time.sleep(_POLL_S)
-        if time.monotonic() - self._measured_at > _MEASURE_S:
-            self._measured_at = time.monotonic()
-            self._done = max(self._done, self._share * min(1.0, bytes_in(self._unpacks) / self._bytes))
-            self._tell_progress()
-
-    def _tell_progress(self) -> None:
-        self._events.progress(self._stage, round(PARTS * self._done), PARTS)

@@ -49,9 +49,6 @@ _ANSWER_S = 10.0
 """Seconds within which a Python must answer. The first answer from a cold disk takes a few."""
 NEEDED_BYTES = {"cpu": 5e9, "cuda": 15e9}
 """Free bytes on the disk for the environment and for what is unpacked meanwhile, rounded up."""
-_INSTALLED_BYTES = {"cpu": 1.8e9, "cuda": 7e9}  # bytes that the installed packages take on the disk
-_INSTALLED, _COMPILED = 0.8, 0.98
-"""Parts of the whole that are done when the packages are installed, and when the kernels are compiled."""
 _BY_HASH = ("--no-deps", "--require-hashes", "--requirement")
 _TORCH_FOR_CPU = "https://download.pytorch.org/whl/cpu"
 _SYNC = "import os; getattr(os, 'sync', lambda: None)()"  # Windows has no os.sync
@@ -90,8 +87,7 @@ class SetUp(UvTask):
         self.folder = folder or environments_folder()
         super().__init__(
             "set-up", LABELS if request.download is None else DOWNLOAD_LABELS, _AGAIN, events, stop,
-            log_path=self.folder / LOG, cwd=self.folder, unpacks=request.download or self.folder / DOWNLOADS,
-            bytes=_INSTALLED_BYTES[request.torch_build], share=_INSTALLED,
+            log_path=self.folder / LOG, cwd=self.folder,
         )  # fmt: skip
         self._use_packages(request.index_url, request.wheels, self.folder / DOWNLOADS)
         self._variables["UV_PYTHON_INSTALL_DIR"] = str(self.folder / PYTHON)
@@ -233,7 +229,6 @@ class SetUp(UvTask):
 
     def _compile_kernels(self, environment: Path) -> None:
         """Compile what a lift runs. This is also the best test that the engine works here."""
-        self._done = _INSTALLED
         self._tell(5, "half a minute")
         output, code = self._run([*engine_call(python_in(environment), self.root), "warm-up"], cwd=self.root)
         if code != 0:
@@ -252,7 +247,6 @@ class SetUp(UvTask):
 
     def _ask(self, python: Path) -> EngineAnswer:
         """The answer of the engine in ``python``. Raises PlgsError when there is none."""
-        self._done = _COMPILED
         self._tell(6)
         output, code = self._run([*engine_call(python, self.root), "handshake"], cwd=self.root, limit_s=_ANSWER_S)
         answer = EngineAnswer.from_line(output.splitlines()[-1]) if code == 0 and output else None

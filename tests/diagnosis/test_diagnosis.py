@@ -108,16 +108,6 @@ def test_another_axis_up_is_found_and_the_option_named(tmp_path: Path) -> None:
     assert diagnose(open_scene(tmp_path / "mended")).findings == ()
 
 
-@pytest.mark.slow
-def test_two_defects_at_once_are_found(scene: Path, tmp_path: Path) -> None:
-    matrix.FAULTS["world-to-camera poses"].plant(scene)
-    matrix.FAULTS["depth in 5000 steps per metre"].plant(scene)
-    diagnosis = diagnose(open_scene(scene))
-    assert sorted(wrong_in(diagnosis)) == ["depth unit", "inverted poses"]
-    write_mended(open_scene(scene), diagnosis, tmp_path / "mended")
-    assert diagnose(open_scene(tmp_path / "mended")).findings == ()
-
-
 def test_shuffled_frames_are_reported_not_renamed(tmp_path: Path) -> None:
     scene = write_tiny_scene(tmp_path / "scene", *LARGE)
     spoiling.rename(scene, np.random.default_rng(1).permutation(LARGE[0]).tolist())
