@@ -1,11 +1,11 @@
-"""Ground truth for the metrics, never read by the lift itself, and which classes its numbers mean: those of its own
-table, else the masks' class ids, unless another table agrees far better with the masks, which is noted."""
+"""Ground truth for the metrics, never read by the lift itself, and which classes its numbers mean: those of the table
+that its folder or a file names, else the masks' class ids. Numbers that look like another table are refused."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -28,12 +28,12 @@ from .pixels import check_label_header, distinct_ids, read_indices, resize_neare
 
 LOOKED_AT = 6  # frames in which ground truth is compared with the masks
 _FEWEST = 500  # minimum number of pixels for a meaningful agreement
-_POOR, _AGREES = 0.1, 0.2  # fractions of agreeing pixels: hardly any, and enough to infer a table
-_DOUBTED, _REFUTED, _EQUAL = 0.8, 0.6, 0.95
-"""Agreement relative to the best table's. Below the first, reading the numbers as the masks' class ids is doubted;
-below the second, it is rejected. Other tables above the third count as equally good."""
+_POOR, _ENOUGH = 0.1, 0.2  # fractions of agreeing pixels: hardly any, and enough to suspect a table
+_REFUTED, _EQUAL = 0.6, 0.95
+"""Agreement relative to the best table's. Below the first, the numbers are not the masks' class ids; tables above the
+second are as likely as the best."""
 _ASKING = Asking("the ground truth's", 'table = "{}"', f"write {{}} into {FILE_NAME} beside its folder", "")
-_IN_FILES = "the numbers in the masks' files"
+_NAME_IT = f"name its table in {FILE_NAME} beside its folder"
 
 Joint = Mapping[tuple[int, int], int]
 """The number of pixels for each pair of a ground-truth number and a class of the masks. Possible void is left out: a
@@ -42,23 +42,21 @@ table whose 0 is a wall is recognised by its other numbers."""
 
 @dataclass(frozen=True)
 class Numbers:
-    """``class_of`` maps the ground truth's numbers to the masks' classes. ``names`` are those of its own table;
-    ``looks_like`` is that table's name if it was inferred from the numbers."""
+    """``class_of`` maps the ground truth's numbers to the masks' classes. ``names`` are those of its own table."""
 
     class_of: Mapping[int, int]
     names: Mapping[int, str] = field(default_factory=dict)
-    looks_like: str | None = None
     inferred: tuple[Inferred, ...] = ()
 
 
 def numbers_of_truth(folder: Path, files: Mapping[str, Path], masks: MaskSet) -> Numbers:
     """What the numbers in a ``folder`` mean; its ``files`` are named like frames. Its table is that of ``classes.toml``
-    beside it, or of its name (``semantic_nyu40``; ``rs_semantics``: the paper's 21). Raises PlgsError if two fit."""
+    beside it, or of its name (``semantic_nyu40``; ``rs_semantics``: the paper's 21). Raises PlgsError if
+    they look like those of another table."""
     choice = _own_choice(folder)
     if choice is None:
-        # Numbers in the masks' own files differ from class ids where they count from 0.
-        in_files = next((reader.known.class_of for reader in masks.readers.values()), {})
-        return numbers_by_agreement(_compared(files, masks), masks.classes, folder, in_files)
+        doubts = refuse_other_numbers(_compared(files, masks), masks.classes, folder)
+        return Numbers({number: number for number in masks.classes.ids}, inferred=doubts)
     source = MaskSource(label_pairs(files, {}), void=IGNORED)
     _, choice, inferred = numbered(source, choice, folder, _ASKING)
     names = _names(choice, folder)
@@ -99,60 +97,31 @@ def joined(numbers: NDArray[np.integer], classes: NDArray[np.integer]) -> Counte
     return Counter({(pair >> 32, pair & 0xFFFFFFFF): count for pair, count in zip(values, counts, strict=True)})
 
 
-def numbers_by_agreement(
-    joint: Joint, classes: ClassTable, where: Path, in_files: Mapping[int, int] | None = None
-) -> Numbers:
-    """The numbers as ids of ``classes``, unless they agree far better with the masks as another table, or as the
-    numbers ``in_files``. Raises PlgsError if two tables agree equally well."""
-    usual = Numbers({number: number for number in classes.ids})
-    total, own = sum(joint.values()), _agreement(joint, usual)
-    numbers = {number for number, _ in joint}
-    if total < _FEWEST or len(numbers) < 2 or len({class_id for _, class_id in joint}) < 2 or own >= _DOUBTED * total:
-        return usual
-    ways = dict(_ways(classes, where, in_files or {}, numbers))
-    found = {name: _agreement(joint, way) for name, way in ways.items()}
-    best = max(found.values(), default=0)
-    if best < _AGREES * total or own >= _DOUBTED * best:
-        poor = f"{own / total:.0%} of the pixels agree with the masks then; if that is wrong, {_advice()}"
-        return replace(usual, inferred=(_read_as("class ids of the masks", poor),) if own < _POOR * total else ())
-    equals = [name for name, pixels in found.items() if pixels >= _EQUAL * best]
-    meanings = {tuple(ways[name].class_of.get(n, VOID) for n in sorted(numbers)): name for name in equals[::-1]}
-    first, *others = [*meanings.values()][::-1]  # of tables that mean the same here, the first
-    shares = f"{best / total:.0%} of the pixels then agree with the masks, {own / total:.0%} as the masks' class ids"
-    if own >= _REFUTED * best:
-        doubt = _read_as(f"class ids of the masks, but look like {first}", f"{shares}; if they are, {_advice(first)}")
-        return replace(usual, looks_like=first, inferred=(doubt,))
-    if others:
-        what = f"the ground truth's numbers look like {listed([first, *others], 3)}: {shares}"
-        raise PlgsError("truth-numbers", what, where, f"{_advice(first, *others).capitalize()}.")
-    said = _read_as(first, f"{shares}; if that is wrong, {_advice()}")
-    return replace(ways[first], looks_like=first, inferred=(said,))
-
-
-def _read_as(what: str, reason: str) -> Inferred:
-    return Inferred("numbering", f"the ground truth's numbers are read as {what}", reason)
-
-
-def _advice(*tables: str) -> str:
-    named = [table for table in tables if table != _IN_FILES]
-    return _ASKING.advice(*named) if named else _ASKING.how.format("its table")
-
-
-def _agreement(joint: Joint, way: Numbers) -> int:
-    """The pixels that have the masks' class."""
-    return sum(pixels for (number, class_id), pixels in joint.items() if way.class_of.get(number) == class_id)
-
-
-def _ways(
-    classes: ClassTable, where: Path, in_files: Mapping[int, int], numbers: set[int]
-) -> Iterable[tuple[str, Numbers]]:
-    """All tables that have every one of the ``numbers``, and the numbers in the masks' files."""
+def refuse_other_numbers(joint: Joint, classes: ClassTable, where: Path, fix: str = "") -> tuple[Inferred, ...]:
+    """Raise PlgsError if numbers agree far better with the masks as those of a table than as ids of ``classes``: a
+    score must not choose its own truth. Returns a doubt if they hardly agree in any way. ``fix``: how to name a table,
+    if not in a file beside the ground truth."""
+    total, numbers = sum(joint.values()), {number for number, _ in joint}
+    own = sum(pixels for (number, class_id), pixels in joint.items() if number == class_id)
+    if total < _FEWEST or len(numbers) < 2 or len({class_id for _, class_id in joint}) < 2:
+        return ()
+    found = {}
     for table in (*NUMBERINGS, *(each for each in TABLES if each == numberings_of(each)[0])):
         names = _names(ClassChoice(table=table), where)
         if numbers <= names.keys():
-            yield table, Numbers(classes_by_name(names, classes), names)
-    if numbers <= in_files.keys():
-        yield _IN_FILES, Numbers(in_files)
+            class_of = classes_by_name(names, classes)
+            found[table] = sum(n for (number, class_id), n in joint.items() if class_of.get(number) == class_id)
+    best = max(found.values(), default=0)
+    if best >= _ENOUGH * total and own < _REFUTED * best:
+        likely = [table for table, pixels in found.items() if pixels >= _EQUAL * best]
+        shares = f"{best / total:.0%} of the pixels then agree with the masks, {own / total:.0%} as class ids"
+        what = f"its numbers look like {listed(likely, 3)}, not like class ids of the masks ({shares})"
+        named = f"{_ASKING.advice(*likely[:3]).capitalize()}."
+        raise PlgsError("truth-numbers", what, where, fix or named)
+    if own >= _POOR * total:
+        return ()
+    reason = f"{own / total:.0%} of the pixels agree with the masks then; if that is wrong, {_NAME_IT}"
+    return (Inferred("numbering", "the ground truth's numbers are read as class ids of the masks", reason),)
 
 
 def classes_by_name(names: Mapping[int, str], classes: ClassTable) -> dict[int, int]:

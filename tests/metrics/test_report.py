@@ -211,5 +211,5 @@ def test_numbers_of_another_table_are_refused(tmp_path: Path) -> None:
     truth = write_pngs(tmp_path / "truth", "semantic", "instance", scale=2)
     for path in (truth / "semantic").iterdir():
         cv2.imwrite(str(path), np.where(cv2.imread(str(path), -1) == 5, 62, 199).astype(np.uint8))
-    with raises_key("other-numbers coco:90"):
+    with raises_key("truth-numbers coco:90"):
         strict(predictions, truth)

@@ -9,12 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
-from engine.scene import Category, ClassTable, GroundTruth, Scene, load_view, open_scene
+from engine.scene import ClassTable, GroundTruth, Scene, load_view, open_scene
 from engine.scene.class_map import class_map
 from engine.scene.class_tables import known_table
-from engine.scene.ground_truth import classes_by_name, numbers_by_agreement
-from tests.raises_key import raises_key
-from tests.scene.refusing import check_scene, describe, refuses
+from engine.scene.ground_truth import classes_by_name
+from tests.scene.refusing import check_scene, refuses
 from tests.scene.test_numbering import ADE, ADE_DATA, COCO_DATA, NYU13, NYU40, RAW
 from tests.tiny_scene import write_tiny_scene
 
@@ -46,37 +45,18 @@ def check(folder: Path, before: list[np.ndarray], without: tuple[int, ...] = ())
 
 
 @pytest.mark.parametrize(
-    ("numbers", "void", "table", "without"),
+    ("numbers", "table"),
     [
-        (ADE, 255, "ade20k:0-149", ()),
-        (ADE_DATA, 0, "ade20k:1-150", ()),
-        (COCO_DATA, 0, "coco:90", ()),
-        ({key: number - 1 for key, number in NYU40.items()}, 255, "nyu40:0-39", ()),
-        (NYU13, 0, "nyu13:1-13", (3,)),
-        (RAW, 0, "scannet:1-1357", ()),
+        (ADE, "ade20k:0-149"),
+        (ADE_DATA, "ade20k:1-150"),
+        (COCO_DATA, "coco:90"),
+        ({key: number - 1 for key, number in NYU40.items()}, "nyu40:0-39"),
+        (RAW, "scannet:1-1357"),
     ],
 )
-def test_numbers_of_another_table_are_recognised_by_the_masks(
-    folder: Path, numbers: dict[int, int], void: int, table: str, without: tuple[int, ...]
-) -> None:
-    (warning,) = check(folder, renumber(folder, numbers, void), without)
-    is_doubted = "but look like" in warning
-    assert f"look like {table}: " in warning if is_doubted else f"numbers are read as {table}: " in warning
-    report = describe(open_scene(folder))
-    assert [warning] == [str(each) for each in report.inferred if each.is_doubtful]
-
-
-@pytest.mark.parametrize("is_asked", [True, False])
-def test_ambiguous_tables_are_refused(is_asked: bool) -> None:
-    """The number 10 is a bookshelf or a counter."""
-    names = {101: "wall", 102: "floor", 104: "counter"}
-    classes = ClassTable(tuple(Category(n, name, False, (n, 0, 0)) for n, name in names.items()))
-    joint = {(1, 101): 1000, (2, 102): 800} | ({(10, 104): 20} if is_asked else {})
-    if not is_asked:
-        assert numbers_by_agreement(joint, classes, Path("gt")).looks_like == "nyu40:1-40"
-        return
-    with raises_key("truth-numbers nyu40:1-40 Write into"):
-        numbers_by_agreement(joint, classes, Path("gt"))
+def test_numbers_of_a_table_that_nobody_named_are_refused(folder: Path, numbers: dict[int, int], table: str) -> None:
+    renumber(folder, numbers, 255 if numbers is ADE else 0)
+    refuses(f"truth-numbers {table} Write", folder)
 
 
 def test_truth_that_no_table_explains_is_reported(folder: Path) -> None:
