@@ -9,6 +9,7 @@ from tests.doors.terminal import PAGES, commands_of
 
 FOLDER = Path(__file__).parent
 UNTRIED = {
+    "blender": "needs a Blender on PATH: tests/window runs its own",
     "sbatch": "needs a cluster: tests/batch runs its Slurm against a stand-in",
     "curl": "needs Flamenco's manager: tests/farm runs the job type in a JavaScript engine",
 }

@@ -1,0 +1,216 @@
+"""What docs/passes.md promises, done as it says on a lift of the tiny room, whose geometry is known exactly."""
+
+import json
+import shutil
+from pathlib import Path
+
+import bpy
+import cv2
+import numpy as np
+import OpenEXR
+import OpenImageIO
+import pytest
+from mathutils import Matrix
+
+import engine
+from engine.passes.exr import read_exr
+from tests.doors.terminal import Terminal
+from tests.passes.agreement import coverage_of
+from tests.tiny_scene import tiny_intrinsics, tiny_pose, trace_view
+
+SIZE = (64, 48)
+FRAME = "0004"  # held out of six
+CAMERA = ".venv/bin/python run_plgs.py -o LIFT --bake camera --blend shot.blend --camera dolly --range 1-250"
+EXPORT = ".venv/bin/python -m engine export LIFT --to FORM -o FOLDER"
+
+
+@pytest.fixture(scope="module")
+def baked(lifted: Path, quick_python: Path, tmp_path_factory: pytest.TempPathFactory) -> Terminal:
+    """All frames baked with every layer into the folder `shot`. Only for reading."""
+    folder = tmp_path_factory.mktemp("passes") / "clone"
+    shutil.copytree(lifted, folder)
+    terminal = Terminal.like_a_clone(folder, quick_python)
+    printed = ".venv/bin/python -m engine bake LIFT --frames all -o FOLDER"
+    terminal.run(printed, LIFT="lifts/demo", FOLDER="shot", more=["--layers", "normal", "position", "vector"])
+    return terminal
+
+
+def planes_of(path: Path) -> dict[str, np.ndarray]:
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+
+
+def shot_blend(folder: Path) -> Path:
+    """An artist's file: from frame 1 to 3 the camera "dolly" goes into the room."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    scene = bpy.context.scene
+    scene.render.resolution_x, scene.render.resolution_y, scene.frame_end = 80, 45, 3
+    scene.camera = dolly = bpy.data.objects.new("dolly", bpy.data.cameras.new("dolly"))
+    scene.collection.objects.link(dolly)
+    pose = tiny_pose(1, 6)
+    for frame in (1, 3):
+        pose[:3, 3] += 0.1 * pose[:3, 2]
+        dolly.matrix_world = Matrix((pose @ np.diag([1.0, -1.0, -1.0, 1.0])).tolist())  # Blender's axes
+        dolly.keyframe_insert("location", frame=frame)
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "shot.blend"), copy=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    return folder / "shot.blend"
+
+
+def test_a_pass_file_is_one_multilayer_exr_at_the_frames_own_size(baked: Terminal) -> None:
+    files = sorted((baked.folder / "shot").glob("*.exr"))
+    assert [path.stem for path in files] == [f"{number:04d}" for number in range(6)]
+    planes = planes_of(files[0])
+    assert {plane.shape for plane in planes.values()} == {SIZE[::-1]}
+    exact = [name for name in planes if name.startswith(("PLGS.Depth", "PLGS.Semantic", "PLGS.Instance", "Crypto"))]
+    assert len(exact) > 20 and {planes[name].dtype for name in exact} == {np.dtype(np.float32)}
+    for channel in "RGBA":
+        np.testing.assert_array_equal(planes[channel], planes[f"PLGS.Combined.{channel}"])
+
+
+def test_depth_is_metres_along_the_viewing_axis(baked: Terminal) -> None:
+    planes = planes_of(baked.folder / "shot" / f"{FRAME}.exr")
+    truth = trace_view(tiny_pose(4, 6), tiny_intrinsics(SIZE), SIZE).depth
+    depth = planes["PLGS.Depth.V"]
+    assert np.median(np.abs(depth - truth)[depth > 0]) < 0.15 < 0.5 * np.median(truth)
+    steps = depth * 4096
+    assert np.abs(steps - np.round(steps)).max() < 1e-2, "in steps of a quarter of a millimetre, 1/4096 m"
+
+
+def test_position_is_the_surfaces_place_in_the_world(baked: Terminal) -> None:
+    planes = planes_of(baked.folder / "shot" / f"{FRAME}.exr")
+    camera = next(f.camera for f in engine.read_lift(baked.folder / "lifts/demo").frames if f.name == FRAME)
+    position = np.stack([planes[f"PLGS.Position.{axis}"] for axis in "XYZ"], axis=-1).astype(np.float64)
+    rows, columns = np.nonzero(planes["PLGS.Depth.V"] > 0)
+    local = (position[rows, columns] - camera.camera_to_world[:3, 3]) @ camera.camera_to_world[:3, :3]
+    pixel = local @ camera.K.T
+    np.testing.assert_allclose(pixel[:, 0] / pixel[:, 2], columns + 0.5, atol=0.15)
+    np.testing.assert_allclose(local[:, 2], planes["PLGS.Depth.V"][rows, columns], rtol=2e-3)
+
+
+def test_normals_are_of_length_one_and_face_the_camera(baked: Terminal) -> None:
+    planes = planes_of(baked.folder / "shot" / f"{FRAME}.exr")
+    normal = np.stack([planes[f"PLGS.Normal.{axis}"] for axis in "XYZ"], axis=-1).astype(np.float64)
+    shown = np.linalg.norm(normal, axis=-1) > 0
+    assert shown.mean() > 0.9
+    np.testing.assert_allclose(np.linalg.norm(normal[shown], axis=-1), 1.0, atol=0.01)
+
+
+def test_vectors_say_where_a_pixel_was_in_the_previous_frame(baked: Terminal) -> None:
+    """By the true cameras: X and Y, y up, as Cycles has them."""
+    planes = planes_of(baked.folder / "shot" / f"{FRAME}.exr")
+    frames = {one.name: one.camera for one in engine.read_lift(baked.folder / "lifts/demo").frames}
+    here, before = frames[FRAME], frames["0003"]
+    rows, columns = np.nonzero(planes["PLGS.Depth.V"] > 0)
+    position = np.stack([planes[f"PLGS.Position.{axis}"] for axis in "XYZ"], axis=-1).astype(np.float64)
+    then, _ = before.project(position[rows, columns])
+    moved = np.stack([then[:, 0] - (columns + 0.5), -(then[:, 1] - (rows + 0.5))], axis=-1)
+    shown = np.stack([planes["PLGS.Vector.X"], planes["PLGS.Vector.Y"]], axis=-1)[rows, columns]
+    assert np.median(np.abs(moved)) > 1 and np.median(np.abs(shown - moved)) < 0.1
+    assert here.K.shape == (3, 3)
+
+
+def test_a_whole_pixel_has_the_id_of_an_object_exactly_where_its_matte_is_above_one_half(baked: Terminal) -> None:
+    lift = engine.read_lift(baked.folder / "lifts/demo")
+    for path in sorted((baked.folder / "shot").glob("*.exr")):
+        planes = planes_of(path)
+        for one in lift.instances:
+            matte = coverage_of(planes, "CryptoInstance", one.name)
+            whole = planes["A"] > 0.999
+            np.testing.assert_array_equal(
+                (planes["PLGS.Instance.V"] == one.id)[whole], (matte > 0.5)[whole], err_msg=f"{path.stem} {one.name}"
+            )
+
+
+def test_opencv_and_openimageio_read_the_picture(baked: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = baked.folder / "shot" / f"{FRAME}.exr"
+    monkeypatch.setenv("OPENCV_IO_ENABLE_OPENEXR", "1")
+    planes, picture = planes_of(path), cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_allclose(picture[..., 2], planes["R"], rtol=1e-3)
+    file = OpenImageIO.ImageInput.open(str(path))
+    assert file.spec().channelnames[:4] == ("R", "G", "B", "A")
+    file.close()
+
+
+def test_frames_that_are_baked_already_are_kept(terminal: Terminal) -> None:
+    bake = ".venv/bin/python -m engine bake LIFT --frames all -o FOLDER"
+    terminal.run(bake.replace("all", "0001"), LIFT="lifts/demo", FOLDER="shot")
+    before = (terminal.folder / "shot" / "0001.exr").stat().st_mtime_ns
+    terminal.run(bake.replace("all", "0001 0002"), LIFT="lifts/demo", FOLDER="shot")
+    assert (terminal.folder / "shot" / "0001.exr").stat().st_mtime_ns == before
+    assert (terminal.folder / "shot" / "0002.exr").is_file()
+
+
+def test_in_a_folder_of_your_own_a_file_is_refused_unless_plgs_wrote_it(terminal: Terminal) -> None:
+    bake = ".venv/bin/python -m engine bake lifts/demo --frames 0001 -o shot"
+    theirs = terminal.folder / "shot" / "0001.exr"
+    theirs.parent.mkdir()
+    theirs.write_bytes(b"another program's")
+    assert "0001.exr" in terminal.run(bake, code=2) and theirs.read_bytes() == b"another program's"
+    terminal.run(f"{bake} --replace")
+    assert read_exr(theirs).depth.shape == SIZE[::-1]
+
+
+def test_a_camera_of_your_own_is_baked_under_the_shots_name(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blend = shot_blend(terminal.folder)
+    before = blend.read_bytes()
+    monkeypatch.setenv("PLGS_ENGINE_PYTHON", str(terminal.folder / ".venv/bin/python"))
+    printed = CAMERA.replace("1-250", "1-3")
+    terminal.run(printed, LIFT="lifts/demo")
+    passes = terminal.folder / "lifts/demo/result/passes"
+    names = [f"shot_dolly.{frame:04d}.exr" for frame in (1, 2, 3)]
+    assert {*names} <= {path.name for path in passes.iterdir()} and blend.read_bytes() == before
+    depths = [np.median(read_exr(passes / name).depth) for name in names]
+    assert depths[0] > depths[1] > depths[2], "it goes into the room"
+    header = OpenEXR.File(str(passes / names[1]), header_only=True).header()
+    assert header["imageCounter"] == 2 and "worldToCamera" in header and "PLGS" in header["software"]
+    named = "'{shot}_{camera}_{layer}.{frame:04d}'"
+    terminal.run(printed, LIFT="lifts/demo", more=["--passes", "mine", "--shot", named])
+    assert {path.name for path in (terminal.folder / "mine").iterdir() if path.suffix} == {
+        f"shot_dolly_passes.{frame:04d}.exr" for frame in (1, 2, 3)
+    }
+    assert (terminal.folder / "mine" / ".plgs").is_dir(), "its notes lie in the hidden folder"
+
+
+def test_bake_takes_cameras_of_any_program(terminal: Terminal) -> None:
+    K, pose = tiny_intrinsics((80, 60)), tiny_pose(2, 6)
+    entry = {"name": "any.0007", "width": 80, "height": 60, "K": K.tolist(), "camera_to_world": pose.tolist()}
+    (terminal.folder / "cameras.json").write_text(json.dumps([entry]))
+    printed = ".venv/bin/python -m engine bake LIFT --cameras FILE.json"
+    terminal.run(printed.replace("FILE.json", "cameras.json"), LIFT="lifts/demo")
+    shown = read_exr(terminal.folder / "lifts/demo/result/passes/any.0007.exr")
+    truth = trace_view(pose, K, (80, 60))
+    assert np.median(np.abs(shown.depth - truth.depth)) < 0.2
+    assert (shown.semantic == truth.semantic).mean() > 0.7
+
+
+def test_a_bake_of_cameras_warns_where_a_tenth_of_a_view_or_more_has_no_surface(terminal: Terminal) -> None:
+    outside = tiny_pose(0, 6)
+    outside[:3, 3] += 30 * outside[:3, 2]
+    entry = {"name": "far.0001", "width": 64, "height": 48, "K": tiny_intrinsics(SIZE).tolist()}
+    (terminal.folder / "cameras.json").write_text(json.dumps([{**entry, "camera_to_world": outside.tolist()}]))
+    assert "warning" in terminal.run(".venv/bin/python -m engine bake lifts/demo --cameras cameras.json")
+
+
+def test_with_objects_an_export_holds_only_these(terminal: Terminal) -> None:
+    chair = next(one for one in engine.read_lift(terminal.folder / "lifts/demo").instances if one.class_name == "chair")
+    own = {"LIFT": "lifts/demo", "FORM": "boxes", "FOLDER": "boxes"}
+    terminal.run(EXPORT, **own, more=["--objects", '"chair 1"'])
+    boxes = json.loads((terminal.folder / "boxes" / "boxes.json").read_text())
+    assert [one["name"] for one in boxes["boxes"]] == [chair.name] == ["chair 1"]
+    assert json.loads((terminal.folder / "boxes" / "export.json").read_text())["form"] == "boxes"
+
+
+def test_usd_is_metres_z_up_and_each_object_a_component(terminal: Terminal) -> None:
+    pxr = pytest.importorskip("pxr")
+    from pxr import Kind, Usd, UsdGeom
+
+    assert pxr
+    terminal.run(EXPORT, LIFT="lifts/demo", FORM="usd", FOLDER="usd")
+    stage = Usd.Stage.Open(str(terminal.folder / "usd" / "lift.usdc"))
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 1.0 and UsdGeom.GetStageUpAxis(stage) == "Z"
+    objects = stage.GetPrimAtPath("/Lift/Objects").GetChildren()
+    assert {one.GetDisplayName() for one in objects} == {"chair 1", "cabinet 1"}
+    assert all(Usd.ModelAPI(one).GetKind() == Kind.Tokens.component for one in objects)
