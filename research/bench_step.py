@@ -17,7 +17,7 @@ from torch.autograd.graph import register_multi_grad_hook
 from engine.job import EventWriter, StopSignal
 from engine.job.progress import StageReporter
 from engine.job.system import peak_bytes
-from engine.lift.preparation import PreparedLift, prepare
+from engine.lift.preparation import PreparedLift, ViewsToLift, prepare
 from engine.lift.run import STAGES
 from engine.model.gaussians import visible_anchors
 from engine.model.render import render_view
@@ -128,7 +128,7 @@ def _prepared(views: Sequence[View], classes: ClassTable, preset: Preset) -> Pre
         events = EventWriter(Path(folder) / "events.jsonl")
         try:
             stages = StageReporter(events, StopSignal(Path(folder) / "cancel"), STAGES)
-            return prepare(views, classes, preset, 0, stages)
+            return prepare(ViewsToLift(views, classes, preset), stages)
         finally:
             events.close()
 

@@ -12,11 +12,10 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-import sys
 import time
 from pathlib import Path
 
-from environment import LIBRARIES, ROOT, STAMP, alone, install_packages, run, say, stop
+from environment import LIBRARIES, ROOT, STAMP, alone, exit_with, install_packages, run, say, stop
 
 SUITES = ("trixie", "sid")
 PACKAGES = (
@@ -108,8 +107,4 @@ def main(arguments: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        raise SystemExit(main(sys.argv[1:]))
-    except KeyboardInterrupt:
-        print("\nset-up: interrupted; the next make starts it again", file=sys.stderr)
-        raise SystemExit(130) from None
+    exit_with(main)

@@ -21,7 +21,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple, NoReturn
@@ -261,9 +261,14 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-if __name__ == "__main__":
+def exit_with(main: Callable[[list[str]], int]) -> NoReturn:
+    """Run ``main`` with the command's arguments, and end with its exit code."""
     try:
         raise SystemExit(main(sys.argv[1:]))
     except KeyboardInterrupt:
         print("\nset-up: interrupted; the next make starts it again", file=sys.stderr)
         raise SystemExit(130) from None
+
+
+if __name__ == "__main__":
+    exit_with(main)

@@ -44,44 +44,43 @@ class PreparedLift(Matching):
     class_of_instance: Mapping[int, int] | None
 
 
-def prepare(
-    views: Sequence[View],
-    classes: ClassTable,
-    preset: Preset,
-    seed: int,
-    stages: StageReporter,
-    scratch: Path | None = None,
-    others: Sequence[View] = (),
-) -> PreparedLift:
-    """Do everything before the first step. Arrays of every view are stored in temporary files in ``scratch`` (None: in
-    the system's folder for them). ``others`` are views that vote, but are not trained on. Raises Cancelled, and OSError
-    if the disk is full."""
-    matching, photos, placed = find(views, classes, preset, stages, scratch, others)
+@dataclass(frozen=True, eq=False)
+class ViewsToLift:
+    """``views`` to train on, their ``classes``, the ``preset`` and the ``seed``. ``others`` are views that vote, but
+    are not trained on. Arrays of every view are stored in temporary files in ``scratch`` (None: in the system's
+    folder for them)."""
+
+    views: Sequence[View]
+    classes: ClassTable
+    preset: Preset
+    seed: int = 0
+    others: Sequence[View] = ()
+    scratch: Path | None = None
+
+
+def prepare(given: ViewsToLift, stages: StageReporter) -> PreparedLift:
+    """Do everything before the first step. Raises Cancelled, and OSError if the disk is full."""
+    views, preset = given.views, given.preset
+    matching, photos, placed = find(given, stages)
     with stages.stage("prepare") as progress:
         channels = label_channels(used_classes(views), matching.instances, preset)
         viewpoints = np.array([view.camera.centre for view in views])
         start = starting_anchors(matching.cloud, matching.instance_of_point, preset)
-        scene = starting_scene(start, channels, viewpoints, preset, seed, progress=progress)
-        targets = targets_of(views, placed, matching, photos, channels, classes, preset, scratch)
+        scene = starting_scene(start, channels, viewpoints, preset, seed=given.seed, progress=progress)
+        targets = targets_of(given, placed, matching, photos, channels)
     class_of_instance = {one.id: one.class_id for one in matching.instances} if channels.class_of_slot else None
     return PreparedLift(**vars(matching), scene=scene, targets=targets, class_of_instance=class_of_instance)
 
 
-def find(
-    views: Sequence[View],
-    classes: ClassTable,
-    preset: Preset,
-    stages: StageReporter,
-    scratch: Path | None,
-    others: Sequence[View],
-) -> tuple[Matching, Photos, Sequence[View]]:
+def find(given: ViewsToLift, stages: StageReporter) -> tuple[Matching, Photos, Sequence[View]]:
     """The objects of the views, how their photos compare, and the views with the depth that places pixels in space."""
+    views, preset, scratch = given.views, given.preset, given.scratch
     with stages.stage("consistency") as progress:
         placed = filled_views(views, scratch) if preset.fill_holes else views
         cloud = semantic_cloud(placed, used_classes(views), preset, stages.events, progress)
     with stages.stage("match") as progress:
-        given = ViewsToMatch(placed, cloud, classes, others, scratch)
-        matching = MATCHERS.chosen(preset.objects)(given, preset, progress)
+        to_match = ViewsToMatch(placed, cloud, given.classes, given.others, scratch)
+        matching = MATCHERS.chosen(preset.objects)(to_match, preset, progress)
         if matching.dropped:
             found = len(matching.instances) + matching.dropped
             stages.events.warning(
@@ -174,6 +173,7 @@ def starting_scene(
     channels: LabelChannels,
     viewpoints: NDArray[np.float64],
     preset: Preset,
+    *,
     seed: int,
     progress: Progress = lambda *_: None,
 ) -> StructuredScene:
@@ -200,7 +200,7 @@ def starting_scene(
     scene = StructuredScene(anchors, DECODERS.chosen(preset.head)(shape, seed), channels, preset.voxel_size)
     if preset.warm_start:
         owners = start.owners if preset.objects != "none" else None
-        warm_start(scene, start.rgb, owners, viewpoints, seed, progress)
+        warm_start(scene, start.rgb, owners, viewpoints, seed=seed, progress=progress)
     return scene
 
 
@@ -215,7 +215,7 @@ class Photos:
 def compared_photos(
     views: Sequence[View], placed: Sequence[View], matching: Matching, preset: Preset, scratch: Path | None = None
 ) -> Photos:
-    """The photos of the views, compared as the preset asks. ``placed``, ``scratch``: see `targets_of`."""
+    """The photos of the views, compared as the preset asks. ``placed`` is as in `targets_of`."""
     weights = sharpness_weights(view.colour for view in views) if preset.weigh_sharpness else np.ones(len(views))
     if not preset.fit_exposure:
         return Photos(weights)
@@ -227,21 +227,14 @@ def compared_photos(
 
 
 def targets_of(
-    views: Sequence[View],
-    placed: Sequence[View],
-    matching: Matching,
-    photos: Photos,
-    channels: LabelChannels,
-    classes: ClassTable,
-    preset: Preset,
-    scratch: Path | None = None,
+    given: ViewsToLift, placed: Sequence[View], matching: Matching, photos: Photos, channels: LabelChannels
 ) -> OnDemand[ViewTargets]:
     """The targets of each view, computed on demand: the labels voted for its segments, or else the projected cloud's
-    semantic mask and M_match. ``placed`` are the views with the depth that places pixels in space; ``scratch`` is the
-    folder for temporary files."""
+    semantic mask and M_match. ``placed`` are the views with the depth that places pixels in space."""
+    views, preset = given.views, given.preset
     weights, gains, maps = photos.weights, photos.gains, matching.label_maps
     labels = labels_of(matching.cloud, matching.instances)
-    masks = None if maps is not None else projected_masks(placed, matching, classes, preset, scratch)
+    masks = None if maps is not None else projected_masks(placed, matching, given.classes, preset, given.scratch)
     with_objects = preset.objects != "none"  # without a matching there are no targets for objects
 
     def targets(number: int) -> ViewTargets:

@@ -47,7 +47,7 @@ from .frame_sets import FRAMES, FrameSets, check_disk, frames_to_bake, predicted
 from .judging import read_held_back
 from .live_previews import LivePreviews
 from .objects import MATCHERS
-from .preparation import PreparedLift, prepare
+from .preparation import PreparedLift, ViewsToLift, prepare
 from .scene_files import instance_names, is_near_measured, shown_by_depth, shown_instances, write_scene_files
 from .voting import read_voters, vote_labels
 
@@ -124,7 +124,7 @@ def run_lift(
 
     preset = preset.for_views(len(views))
     classes = frames.all.classes
-    prepared = preparing(views, classes, preset, request.seed, stages, folder.path, others)
+    prepared = preparing(ViewsToLift(views, classes, preset, request.seed, others, folder.path), stages)
     trainer = training(prepared.scene, prepared.targets, views, preset, request.seed)
     if checkpoint is not None:
         take_up(trainer, checkpoint, events, masks_changed=masks_changed)

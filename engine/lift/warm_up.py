@@ -23,7 +23,7 @@ from ..presets.preset import PRESETS
 from ..raster import rasterize
 from ..scene import Camera, Category, ClassTable, PanopticMask, Segment, View
 from ..train.trainer import GrowthSchedule, Trainer, reconstruction_loss
-from .preparation import prepare
+from .preparation import ViewsToLift, prepare
 from .run import STAGES
 
 WALL, PICTURE = 1, 2
@@ -71,7 +71,7 @@ def _lift_a_wall(wait_for_rasteriser: Callable[[], object]) -> None:
     with TemporaryDirectory() as folder:
         events = EventWriter(Path(folder) / "events.jsonl")
         stages = StageReporter(events, StopSignal(Path(folder) / "cancel"), STAGES)
-        prepared = prepare(views, classes, preset, 0, stages)
+        prepared = prepare(ViewsToLift(views, classes, preset), stages)
         trainer = _Trainer(prepared.scene, prepared.targets, views, preset, 0)
         camera, shown = views[0].camera, ShownInstances({}, prepared.class_of_instance)
         gaussians = decode(trainer.scene.anchors, trainer.scene.decoders, camera, channels=trainer.initial_channels)

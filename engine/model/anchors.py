@@ -8,6 +8,7 @@ offsets, three limit the size of the Gaussians.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -120,3 +121,14 @@ def _codes(labels: int, width: int, random: np.random.Generator) -> NDArray[np.f
             row[:] = random.choice(sides, width)
         taken.add(row.tobytes())
     return codes
+
+
+class AnchorsInView(NamedTuple):
+    """Rows of the ``anchors`` to decode, as seen from a place. With ``known_labels``, decoded earlier (`SceneLabels`),
+    labels are not decoded; ``channels``, the semantic channel of each anchor's class, are for the cluster loss."""
+
+    anchors: Anchors
+    visible: torch.Tensor  # int64 [V], without repetitions
+    centre: torch.Tensor  # [3], metres
+    channels: torch.Tensor | None = None  # int64 [M], -1 = none
+    known_labels: torch.Tensor | None = None  # float32 [M * k, L]

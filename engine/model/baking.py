@@ -15,6 +15,7 @@ from ..instances.panoptic_labels import LEAST_OF_CLASS, objects_of_classes
 from ..machine.distinct_rows import distinct_rows
 from ..result_files import Anchors
 from ..scene import Progress, watched
+from .anchors import AnchorsInView
 from .detail import widened
 from .gaussians import decode_rows, no_labels
 from .scene_labels import shown_labels, shown_probabilities
@@ -122,7 +123,7 @@ def bake(
     step = CHUNK * USUAL_LABELS // max(USUAL_LABELS, classes + len(scene.channels.slot_ids))
     for start in watched(range(0, len(scene.anchors), step), progress):
         rows = torch.arange(start, min(start + step, len(scene.anchors)))
-        decoded = decode_rows(scene.anchors, scene.decoders, rows, centre, known_labels=without)
+        decoded = decode_rows(AnchorsInView(scene.anchors, rows, centre, known_labels=without), scene.decoders)
         if known is None:
             by_class, by_slot = decoded.labels[:, :classes], decoded.labels[:, classes:]
             labels = shown_probabilities(by_class, by_slot, scene.channels).numpy()

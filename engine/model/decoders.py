@@ -12,7 +12,7 @@ from torch import nn
 from torch.nn import functional
 
 from ..presets.parts import Parts
-from .anchors import Anchors
+from .anchors import AnchorsInView
 from .neural_gaussians import NeuralGaussians
 
 HIDDEN = 32
@@ -144,14 +144,7 @@ class Decoders(nn.Module):
     decodes_all_anchors: ClassVar[bool] = False
     """Whether all anchors are decoded; otherwise only those whose position the camera sees."""
 
-    def own_decoding(
-        self,
-        anchors: Anchors,
-        visible: torch.Tensor,
-        centre: torch.Tensor,
-        channels: torch.Tensor | None,
-        known_labels: torch.Tensor | None,
-    ) -> NeuralGaussians | None:
+    def own_decoding(self, given: AnchorsInView) -> NeuralGaussians | None:
         """The result of ``decode_rows``, for decoders that implement their own; otherwise None."""
         return None
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from ..scene import Camera
-from .anchors import Anchors
+from .anchors import Anchors, AnchorsInView
 from .decoders import Decoders
 from .decoding.native import decode_natively
 from .neural_gaussians import NeuralGaussians
@@ -38,39 +38,28 @@ def decode(
     in_torch: bool = False,
 ) -> NeuralGaussians:
     """Decode the Gaussians of every anchor that ``camera`` can see, and drop those with opacity <= 0. The other
-    arguments are those of ``decode_rows``; ``in_torch`` avoids all kernels."""
+    arguments are those of ``AnchorsInView``; ``in_torch`` avoids all kernels."""
     position = anchors.position
     centre = torch.from_numpy(camera.centre.copy()).to(position.dtype).to(position.device, non_blocking=True)
     if decoders.decodes_all_anchors:
         visible = torch.arange(len(anchors), device=position.device)
     else:
         visible = visible_anchors(anchors, camera)
+    given = AnchorsInView(anchors, visible, centre, channels, known_labels)
     if not in_torch:
-        return decode_rows(anchors, decoders, visible, centre, channels=channels, known_labels=known_labels)
-    own = decoders.own_decoding(anchors, visible, centre, channels, known_labels)
-    return own or decode_in_torch(anchors, decoders, visible, centre, channels, known_labels)
+        return decode_rows(given, decoders)
+    return decoders.own_decoding(given) or decode_in_torch(given, decoders)
 
 
-def decode_rows(
-    anchors: Anchors,
-    decoders: Decoders,
-    visible: torch.Tensor,
-    centre: torch.Tensor,
-    *,
-    channels: torch.Tensor | None = None,
-    known_labels: torch.Tensor | None = None,
-) -> NeuralGaussians:
-    """Decode the anchors in rows ``visible`` int64 [V] (without repetitions) as seen from ``centre`` [3] metres.
-    ``channels`` int64 [M]: semantic channel of each anchor's class, -1 if it has none, for the cluster loss.
-    ``known_labels`` float32 [M * k, L]: what every Gaussian shows, decoded earlier (see ``SceneLabels``). Then labels
-    are rows of it without a gradient, and there is no cluster loss."""
-    own = decoders.own_decoding(anchors, visible, centre, channels, known_labels)
+def decode_rows(given: AnchorsInView, decoders: Decoders) -> NeuralGaussians:
+    """Decode these anchors. Of ``known_labels``, labels are rows without a gradient, and there is no cluster loss."""
+    own = decoders.own_decoding(given)
     if own is not None:
         return own
-    is_compiled = anchors.feature.dtype == torch.float32 and anchors.feature.device.type == "cpu"
+    feature = given.anchors.feature
+    is_compiled = feature.dtype == torch.float32 and feature.device.type == "cpu"
     is_compiled &= type(decoders) is Decoders  # the kernels know no others
-    decode_with = decode_natively if is_compiled else decode_in_torch
-    return decode_with(anchors, decoders, visible, centre, channels, known_labels)
+    return decode_natively(given, decoders) if is_compiled else decode_in_torch(given, decoders)
 
 
 def no_labels(anchors: Anchors) -> torch.Tensor:

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch.nn import functional
 
-from .anchors import Anchors
+from .anchors import AnchorsInView
 from .decoders import Decoders, run_side_by_side
 from .neural_gaussians import NeuralGaussians
 
@@ -37,15 +37,9 @@ def take_rows(tensor: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
     return taken
 
 
-def decode_in_torch(
-    anchors: Anchors,
-    decoders: Decoders,
-    visible: torch.Tensor,
-    centre: torch.Tensor,
-    channels: torch.Tensor | None,
-    known_labels: torch.Tensor | None,
-) -> NeuralGaussians:
+def decode_in_torch(given: AnchorsInView, decoders: Decoders) -> NeuralGaussians:
     """The same as ``decode_rows``."""
+    anchors, visible, centre, channels, known_labels = given
     position = anchors.position.index_select(0, visible)
     feature = take_rows(anchors.feature, visible)
     seen = decoders.view_input(feature, position, centre)

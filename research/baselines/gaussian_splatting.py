@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import nn
 from torch.nn import functional
 
-from engine.model.anchors import UNKNOWN_CLASS, Anchors, spacing
+from engine.model.anchors import UNKNOWN_CLASS, Anchors, AnchorsInView, spacing
 from engine.model.checking import LARGEST_LEVEL
 from engine.model.decoders import Decoders, DecoderShape, register_head
 from engine.model.growing import GrowthRound, GrowthStatistics
@@ -82,15 +82,9 @@ class PlainDecoders(Decoders):
         logits = LABEL_RATE * feature[:, None, LABELS:]
         return logits[..., : self.shape.classes], logits[..., self.shape.classes :]
 
-    def own_decoding(
-        self,
-        anchors: Anchors,
-        visible: torch.Tensor,
-        centre: torch.Tensor,
-        channels: torch.Tensor | None,
-        known_labels: torch.Tensor | None,
-    ) -> NeuralGaussians:
+    def own_decoding(self, given: AnchorsInView) -> NeuralGaussians:
         """The Gaussians look the same from every direction."""
+        anchors, visible, _, channels, known_labels = given
         feature = anchors.feature.index_select(0, visible)
         opacity = torch.sigmoid(OPACITY_RATE * feature[:, OPACITY])
         cluster = feature.new_zeros(())

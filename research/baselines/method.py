@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from pathlib import Path
 from typing import ClassVar, cast
 
 import numpy as np
@@ -14,14 +13,14 @@ from numpy.typing import NDArray
 
 from engine.job import EventWriter, LiftFolder, StopSignal
 from engine.job.progress import StageReporter
-from engine.lift.preparation import PreparedLift, prepare, starting_anchors, starting_scene
+from engine.lift.preparation import PreparedLift, ViewsToLift, prepare, starting_anchors, starting_scene
 from engine.lift.run import run_lift
 from engine.model.growing import GrowthRound
 from engine.model.neural_gaussians import NeuralGaussians
 from engine.model.structured import StructuredScene
 from engine.presets.preset import Preset
 from engine.raster import Rendering
-from engine.scene import ClassTable, OnDemand, View
+from engine.scene import OnDemand, View
 from engine.train.label_losses import TINY, ThingSegments, label_losses
 from engine.train.optimiser import RATES
 from engine.train.targets import ViewTargets, columns_of
@@ -95,23 +94,15 @@ def lift_baseline(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, 
     run_lift(folder, events, stop, resume=resume, preparing=prepare_baseline, training=new_trainer, sources=SOURCES)
 
 
-def prepare_baseline(
-    views: Sequence[View],
-    classes: ClassTable,
-    preset: Preset,
-    seed: int,
-    stages: StageReporter,
-    scratch: Path | None = None,
-    others: Sequence[View] = (),
-) -> PreparedLift:
+def prepare_baseline(given: ViewsToLift, stages: StageReporter) -> PreparedLift:
     """PLGS's start, with another scene, other targets or other label maps instead of its own."""
-    options = cast(BaselinePreset, preset)
+    options, views = cast(BaselinePreset, given.preset), given.views
     has_own_start = options.representation != "structured" or not options.labelled_start
-    first = replace(preset, warm_start=False) if has_own_start else preset
-    prepared = prepare(views, classes, first, seed, stages, scratch, others)
+    first = replace(given, preset=replace(options, warm_start=False)) if has_own_start else given
+    prepared = prepare(first, stages)
     if has_own_start:
         viewpoints = np.array([view.camera.centre for view in views])
-        prepared = replace(prepared, scene=baseline_scene(prepared, viewpoints, options, seed))
+        prepared = replace(prepared, scene=baseline_scene(prepared, viewpoints, options, given.seed))
     if options.semantic_targets != "projected":
         prepared = with_semantic_targets(prepared, views, options.semantic_targets)
     return prepared
@@ -138,7 +129,7 @@ def baseline_scene(
         decoders = PlainDecoders.of_labels(len(channels.class_ids), len(channels.slot_ids))
         gaussians = plain_gaussians(start.positions, start.classes, start.rgb, decoders.shape)
         return StructuredScene(gaussians, decoders, channels, options.voxel_size)
-    return starting_scene(start, channels, viewpoints, options, seed)
+    return starting_scene(start, channels, viewpoints, options, seed=seed)
 
 
 def with_semantic_targets(prepared: PreparedLift, views: Sequence[View], source: str) -> PreparedLift:

@@ -12,7 +12,7 @@ from engine.instances.records import ObjectMask, SceneObject
 from engine.job import EventWriter, StopSignal, last_run, progress
 from engine.job.progress import StageReporter
 from engine.lift.objects import without_fragments
-from engine.lift.preparation import find
+from engine.lift.preparation import ViewsToLift, find
 from engine.lift.run import STAGES
 from engine.scene import Segment
 from tests.train.tiny_lift import TINY
@@ -65,7 +65,7 @@ def match(folder: Path, stop: StopSignal, scratch: Path | None = None) -> list[f
     events = EventWriter(folder / "events.jsonl")
     events.hello(threads=1, resumed=False)
     try:
-        find(views[1:], classes, TINY, StageReporter(events, stop, STAGES), scratch, views[:1])
+        find(ViewsToLift(views[1:], classes, TINY, 0, views[:1], scratch), StageReporter(events, stop, STAGES))
     except Cancelled:
         assert stop.reason
     finally:

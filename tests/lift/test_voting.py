@@ -13,7 +13,7 @@ from engine.errors import Cancelled, PlgsError
 from engine.job import EventWriter, StopSignal
 from engine.job.progress import StageReporter
 from engine.lift.frame_sets import frames_to_vote
-from engine.lift.preparation import PreparedLift, prepare
+from engine.lift.preparation import PreparedLift, ViewsToLift, prepare
 from engine.lift.run import STAGES
 from engine.lift.voting import SMALLER, read_voters, vote_labels
 from engine.model.render import render_view
@@ -120,7 +120,7 @@ def voters(frames: Sequence[Frame], folder: Path) -> tuple[Sequence[View], list[
 def prepared_with(scene: Scene, views: list[View], others: Sequence[View], folder: Path) -> PreparedLift:
     events = EventWriter(folder / "stages.jsonl")
     stages = StageReporter(events, StopSignal(folder / "cancel"), STAGES)
-    prepared = prepare(views, scene.classes, COARSE, 0, stages, folder, others)
+    prepared = prepare(ViewsToLift(views, scene.classes, COARSE, 0, others, folder), stages)
     events.close()
     return prepared
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from engine.model.anchors import Anchors, initial_anchors, seeded_features, spacing
+from engine.model.anchors import Anchors, AnchorsInView, initial_anchors, seeded_features, spacing
 from engine.model.decoders import Decoders, DecoderShape
 from engine.model.gaussians import decode_rows, visible_anchors
 from engine.model.growing import GrowthRules, GrowthStatistics, grow_and_prune
@@ -35,8 +35,8 @@ def test_labels_depend_on_the_view_only_when_asked(label_view_input: bool) -> No
     with torch.no_grad():
         decoders.opacity.get_parameter("2.bias").fill_(9.0)  # all Gaussians are drawn, whoever looks
     rows = torch.arange(2)
-    first = decode_rows(anchors, decoders, rows, torch.zeros(3)).labels
-    second = decode_rows(anchors, decoders, rows, torch.tensor([0.0, 5.0, 1.0])).labels
+    places = torch.zeros(3), torch.tensor([0.0, 5.0, 1.0])
+    first, second = (decode_rows(AnchorsInView(anchors, rows, place), decoders).labels for place in places)
     assert torch.equal(first, second) is not label_view_input
 
 

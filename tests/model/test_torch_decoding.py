@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import pytest
 import torch
 
-from engine.model.anchors import Anchors
+from engine.model.anchors import Anchors, AnchorsInView
 from engine.model.decoders import Decoders, DecoderShape
 from engine.model.gaussians import decode_rows
 from engine.model.neural_gaussians import NeuralGaussians
@@ -31,6 +31,11 @@ class Case:
     visible: torch.Tensor
     centre: torch.Tensor
     channels: torch.Tensor | None
+
+    def given(self, known: torch.Tensor | None) -> AnchorsInView:
+        return AnchorsInView(
+            self.anchors, self.visible, self.centre, None if known is not None else self.channels, known
+        )
 
     def inputs(self) -> dict[str, torch.Tensor]:
         learnt = {name: getattr(self.anchors, name) for name in Anchors.LEARNT}
@@ -68,15 +73,12 @@ def case_of(shape: DecoderShape, visible: int, *, anchors: int | None = None, se
 
 
 def by_torch(case: Case, known: torch.Tensor | None = None) -> NeuralGaussians:
-    channels = case.channels if known is None else None
-    return decode_in_torch(case.anchors, case.decoders, case.visible, case.centre, channels, known)
+    return decode_in_torch(case.given(known), case.decoders)
 
 
 def by_kernels(case: Case, known: torch.Tensor | None = None) -> NeuralGaussians:
     """In float32. For float64, ``decode_rows`` takes torch."""
-    channels = case.channels if known is None else None
-    asked = case.anchors, case.decoders, case.visible, case.centre
-    return decode_rows(*asked, channels=channels, known_labels=known)
+    return decode_rows(case.given(known), case.decoders)
 
 
 Decode = Callable[..., NeuralGaussians]

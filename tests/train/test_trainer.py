@@ -301,7 +301,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[StructuredScene]:
     views, classes = views_of(folder / "scene")
     cold = replace(TINY, warm_start=False)
     chosen = ((TINY, 0, warm_start.STEPS), (cold, 0, 0), *((TINY, seed, WARM_STEPS) for seed in (0, 0, 1)))
-    return [prepared_for(views, classes, preset, folder, seed, steps).scene for preset, seed, steps in chosen]
+    return [prepared_for(views, classes, each, folder, seed, warm_steps=steps).scene for each, seed, steps in chosen]
 
 
 def share_right(scene: StructuredScene) -> float:

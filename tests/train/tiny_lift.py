@@ -10,7 +10,7 @@ import torch
 
 from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal, last_run
 from engine.job.progress import StageReporter
-from engine.lift.preparation import PreparedLift, prepare
+from engine.lift.preparation import PreparedLift, ViewsToLift, prepare
 from engine.lift.run import STAGES, run_lift
 from engine.model.growing import GrowthRules
 from engine.presets.preset import PRESETS, Growth, Preset, Schedule
@@ -93,14 +93,14 @@ def views_of(folder: Path, **options: object) -> tuple[list[View], ClassTable]:
 
 
 def prepared_for(
-    views: list[View], classes: ClassTable, preset: Preset, folder: Path, seed: int = 0, warm_steps: int = WARM_STEPS,
-    preparing: Callable[..., PreparedLift] = prepare,
+    views: list[View], classes: ClassTable, preset: Preset, folder: Path, seed: int = 0,
+    *, warm_steps: int = WARM_STEPS, preparing: Callable[..., PreparedLift] = prepare,
 ) -> PreparedLift:  # fmt: skip
     events = EventWriter(folder / "events.jsonl")
     try:
         stages = StageReporter(events, StopSignal(folder / "cancel"), STAGES)
         with short_warm_start(warm_steps):
-            return preparing(views, classes, preset, seed, stages)
+            return preparing(ViewsToLift(views, classes, preset, seed), stages)
     finally:
         events.close()
 

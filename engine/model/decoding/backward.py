@@ -13,7 +13,7 @@ from ...machine.compiled import Array, device_function, parallel_kernel
 from ...machine.vectors import WIDTH, fetch_add
 from . import layers, packing
 from .activations import softmax, softmax_backward
-from .packing import AnchorArrays, Batch, Batches, Gradients, Labelling, Packed, Work
+from .packing import AnchorArrays, Batch, Decoding, Gradients, Labelling, Packed, Work
 
 F = np.float32
 ZERO, ONE = F(0.0), F(1.0)
@@ -142,18 +142,10 @@ def batch_backward(
 
 
 @parallel_kernel
-def decode_backward(
-    worker: int,
-    workers: int,
-    anchors: AnchorArrays,
-    packed: Packed,
-    labelling: Labelling,
-    batches: Batches,
-    gradients: Gradients,
-    work: Work,
-) -> None:
+def decode_backward(worker: int, workers: int, given: Decoding, gradients: Gradients, work: Work) -> None:
     """Gradients of the anchors and of the packed weights. The number of chunks of batches is fixed, so that their sum
     does not depend on the scheduling of threads."""
+    anchors, packed, labelling, batches = given
     mine, numbers = work.floats[worker], work.numbers[worker]
     count, chunks = batches.starts.shape[0], gradients.weights.shape[0]
     while True:

@@ -12,7 +12,7 @@ from ...machine.vectors import WIDTH, fetch_add, load, store
 from . import packing
 from .activations import copy, sigmoid, softmax, tanh
 from .layers import collect_inputs, collect_scales, head_of, list_batch, run_head, wanted_class
-from .packing import BATCH, AnchorArrays, Batch, Batches, Drawn, Labelling, Packed, Work
+from .packing import BATCH, AnchorArrays, Batch, Decoding, Drawn, Labelling, Packed, Work
 
 F = np.float32
 ZERO = F(0.0)
@@ -134,17 +134,9 @@ def write_classes(
 
 
 @parallel_kernel
-def decode_gaussians(
-    worker: int,
-    workers: int,
-    anchors: AnchorArrays,
-    packed: Packed,
-    labelling: Labelling,
-    batches: Batches,
-    drawn: Drawn,
-    work: Work,
-) -> None:
+def decode_gaussians(worker: int, workers: int, given: Decoding, drawn: Drawn, work: Work) -> None:
     """All of the Gaussians with opacity above 0, and ``batches.losses``."""
+    anchors, packed, labelling, batches = given
     mine, numbers = work.floats[worker], work.numbers[worker]
     sizes, heads, visible = packed.sizes, packed.heads, anchors.visible
     decoded = packing.INSTANCE if labelling.known.shape[0] == 0 else packing.COLOUR

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ...machine import memory
 from ...machine.threads import parallel_for, worker_count
-from ..anchors import Anchors
+from ..anchors import AnchorsInView
 from ..decoders import Decoders
 from ..neural_gaussians import NeuralGaussians
 from . import packing
@@ -22,15 +22,9 @@ CHUNKS = 32
 """Chunks of batches with separate sums of weight gradients; also the maximum number of useful workers."""
 
 
-def decode_natively(
-    anchors: Anchors,
-    decoders: Decoders,
-    visible: Tensor,
-    centre: Tensor,
-    channels: Tensor | None,
-    known_labels: Tensor | None,
-) -> NeuralGaussians:
+def decode_natively(given: AnchorsInView, decoders: Decoders) -> NeuralGaussians:
     """``decode_rows`` for float32 tensors on the CPU, with ``torch.get_num_threads()`` threads."""
+    anchors, visible, centre, channels, known_labels = given
     layout = packing.layout_of(decoders.shape)
     labels = torch.empty(0, 0) if known_labels is None else known_labels
     wanted = torch.empty(0, dtype=torch.int64) if channels is None else channels
@@ -100,13 +94,14 @@ class _Decode(torch.autograd.Function):
         opacities = _flat(all_opacities)
         parallel_for(workers, decode_opacities, anchors, weights, opacities, counts, _new_work(workers, layout))
         batches = packing.Batches(opacities, np.cumsum(counts) - counts, np.zeros(len(counts)))
+        given = packing.Decoding(anchors, weights, labelling, batches)
         channels = labelling.known_channels if len(labelling.known) else sizes.classes + sizes.slots
         count = int(counts.sum())
         shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, 3), (count, channels))
         outputs = [_empty(shape) for shape in shapes]
         drawn = packing.Drawn(*map(_flat, outputs))
         work = _new_work(workers, layout)
-        parallel_for(workers, decode_gaussians, anchors, weights, labelling, batches, drawn, work)
+        parallel_for(workers, decode_gaussians, given, drawn, work)
         ctx.mark_non_differentiable(all_opacities)
         ctx.save_for_backward(feature, offset, log_scale, *outputs)
         ctx.state = fixed, weights, batches
@@ -125,6 +120,6 @@ class _Decode(torch.autograd.Function):
         by_loss = float(by[7]) / fixed.clustered()
         gradients = packing.Gradients(drawn, by_drawn, by_loss, of_feature, of_offset, of_scale, d_weights)
         work = _new_work(workers, layout)
-        anchors = fixed.anchors(*learnt)
-        parallel_for(workers, decode_backward, anchors, weights, fixed.labelling, batches, gradients, work)
+        given = packing.Decoding(fixed.anchors(*learnt), weights, fixed.labelling, batches)
+        parallel_for(workers, decode_backward, given, gradients, work)
         return None, *d_anchors, *packing.unpacked(d_weights.sum(axis=0), layout)

@@ -192,6 +192,15 @@ class Batches(NamedTuple):
     losses: Array
 
 
+class Decoding(NamedTuple):
+    """What is decoded, and in which batches."""
+
+    anchors: AnchorArrays
+    packed: Packed
+    labelling: Labelling
+    batches: Batches
+
+
 class Drawn(NamedTuple):
     """The Gaussians drawn, or their gradients, float32: ``means`` and ``scales`` [N * 3], ``quats`` [N * 4],
     ``opacities`` [N], ``colours`` [N * 3], ``labels`` [N * (C + S)]."""
