@@ -10,6 +10,7 @@ import bpy
 from bpy.props import StringProperty
 
 from ..plgs_blender import registry
+from ..plgs_blender.corrections import note_gone
 from ..plgs_blender.errors import EXPECTED, with_field_names
 from ..plgs_blender.registry import Task
 from ..plgs_blender.settings import option_names
@@ -47,6 +48,7 @@ def reporting(method: Method) -> Method:
         try:
             return method(operator, *given)
         except EXPECTED as error:
+            note_gone(error)
             operator.report({"ERROR"}, with_field_names(error))
             return CANCELLED
 

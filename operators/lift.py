@@ -95,6 +95,21 @@ class PLGS_OT_open_lift(base.ChoosesFile, bpy.types.Operator):
         return self.run(context, waits=bpy.app.background)
 
 
+class PLGS_OT_find_lift(base.Acts, bpy.types.Operator):
+    """Choose where the lift that is shown was moved to. Its objects in the scene stay as they are"""
+
+    bl_idname, bl_label, bl_options = "plgs.find_lift", "Find Lift", {"UNDO"}
+
+    directory: base.folder_argument("Lift Folder", "The folder of the lift")
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        context.window_manager.fileselect_add(self)
+        return base.RUNNING
+
+    def act(self, context: bpy.types.Context) -> str:
+        return lifting.bind_lift(context.scene, context.active_object, absolute(self.directory))
+
+
 class PLGS_OT_cancel_lift(base.OnLiftFolder, base.Acts, bpy.types.Operator):
     """Stop the lift at its next step, within a second; it can be resumed"""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +16,8 @@ from ..engine.scene_source import MASK_FORMAT_NAMES, SCENE_FORMAT_NAMES, SceneSo
 
 def absolute(path: str) -> Path:
     """The path made absolute, without a trailing slash; "//" stands for the .blend's folder."""
-    return Path(bpy.path.abspath(path)).absolute()
+    full = bpy.path.abspath(path)
+    return Path(os.path.abspath(full) if path.startswith("//") else full).absolute()  # "//../room" as Blender reads it
 
 
 def free_folder(beside: Path, ending: str) -> Path:

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 _COMPOSITOR_IS_A_GROUP = bpy.app.version >= (5, 0, 0)
+BLEND_RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set[str]()
+"""Option of a property whose path may begin with "//"; earlier versions do not ask."""
 
 
 def new_point_clouds(names: Sequence[str], xyz: Sequence[NDArray[np.float32]]) -> list[bpy.types.PointCloud]:

@@ -8,12 +8,10 @@ handlers here update the file to match. They never touch the edits of other prog
 from __future__ import annotations
 
 import json
-import zlib
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
-from pathlib import Path
 
 import bpy
 import numpy as np
@@ -35,8 +33,20 @@ from .errors import EXPECTED, with_field_names
 from .inspecting import selection
 from .inspecting.lists import fill_lists, fill_masks
 from .meshes import CORRECTIONS
-from .owned import FOLDER, LIFT, OwnedDataBlocks, child_collection, folder_of, lifts_in, text_of
-from .results import LiftResult, listed_in, version_of
+from .owned import (
+    COMPARED,
+    FOLDER,
+    LIFT,
+    RESULT,
+    OwnedDataBlocks,
+    child_collection,
+    folder_of,
+    lifts_in,
+    mark_of,
+    shows,
+    text_of,
+)
+from .results import LiftResult, listed_in
 
 PROPOSALS = "plgs_proposals"
 """Property of a lift's collection: the proposed corrections as JSON."""
@@ -95,13 +105,10 @@ def next_uncertain(root: bpy.types.Collection) -> tuple[str, int, int]:
 EDITS = "plgs_edits"
 """Property of a lift's collection: the uids of the edits that the scene shows, as one text."""
 
-RESULT = "plgs_result"
-"""Property of a lift's collection: the size and a checksum of the list of objects that the scene shows."""
 outdated: set[str] = set()
-"""The folders, as their collections name them, of lifts that differ on disk from what the opened file shows."""
-_COMPARED = 1 << 18
-"""Bytes of a file that are looked at for that; more corrections than that are not compared."""
-
+"""The keys of lifts that differ on disk from what the opened file shows."""
+gone: set[str] = set()
+"""The keys of lifts that are not where the opened file says."""
 _mine: dict[str, set[str]] = {}  # by lift folder: the uids of the edits made by this Blender process
 failed: list[str] = []
 """Why the file could not follow the last undo, for the panel; empty if it could."""
@@ -182,28 +189,25 @@ def remember(root: bpy.types.Collection, result: LiftResult | CorrectedResult) -
     root[EDITS] = " ".join(each.uid for each in result.edits if not each.undone)
     root[CORRECTIONS] = result.fingerprint
     with suppress(OSError):
-        root[RESULT] = _mark(folder_of(root))
-    outdated.discard(text_of(root, FOLDER))
+        root[RESULT] = mark_of(folder_of(root))
+    outdated.discard(root[LIFT])
+    gone.discard(root[LIFT])
     if isinstance(result, CorrectedResult) and text_of(root, PROPOSALS):
         keep_proposals(root, result)
 
 
 def look_for_changes(root: bpy.types.Collection) -> None:
-    """Note in `outdated` whether a lift differs on disk from what the scene shows. Raises PlgsError, OSError."""
+    """Note in `outdated` whether a lift differs on disk from what the scene shows, in `gone` whether there is none.
+    Raises PlgsError, OSError."""
     lift = folder_of(root)
-    is_same = text_of(root, RESULT) in ("", _mark(lift))  # empty: placed by an earlier version
-    if is_same and (not (lift / FILE).exists() or (lift / FILE).stat().st_size <= _COMPARED):
+    if not lift.is_dir():
+        gone.add(root[LIFT])
+        return
+    is_same = not text_of(root, RESULT) or shows(root, lift)  # empty: placed by an earlier version
+    if is_same and (not (lift / FILE).exists() or (lift / FILE).stat().st_size <= COMPARED):
         is_same = {*text_of(root, EDITS).split()} == {each.uid for each in read_edits(lift) if not each.undone}
     if not is_same:
-        outdated.add(text_of(root, FOLDER))
-
-
-def _mark(lift: Path) -> str:
-    path, at = version_of(lift)
-    if at is None:
-        return ""
-    with open(path, "rb") as file:
-        return f"{at[1]} {zlib.crc32(file.read(_COMPARED))}"
+        outdated.add(root[LIFT])
 
 
 def chosen_instances(root: bpy.types.Collection, named: str, context: bpy.types.Context) -> list[int]:
@@ -240,7 +244,7 @@ def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
     """Rename an object. If the scene shows what the lift's corrections were, all is shown anew; else only the object's
     row and box change, as one of their fields may call this. Raises PlgsError, OSError."""
     made, result = _correct(root, lambda state, _: making.rename(state, instance, name))
-    if text_of(root, FOLDER) in outdated:  # then there is more to show
+    if root[LIFT] in outdated:  # then there is more to show
         show_corrections(root, result)
     row, box = selection.row_of(root, instance), selection.boxes_of(root).get(instance)
     row.known_name = row.name = made.name  # in this order, or setting `name` would rename again
@@ -250,13 +254,25 @@ def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
     return made
 
 
+def note_gone(error: Exception) -> None:
+    """Note in `gone` that a lift is not where the file says, if this is the error."""
+    if isinstance(error, PlgsError) and error.key == "no-lift-folder":
+        for root in (root for scene in bpy.data.scenes for root in lifts_in(scene)):
+            if text_of(root, FOLDER) and str(folder_of(root)) == error.where:
+                gone.add(root[LIFT])
+
+
 def _rename_by_field(root: bpy.types.Collection, instance: int, name: str) -> None:
     """Apply a rename made in a list or the outliner. If that fails, restore the old name; `failed` says why."""
     failed.clear()
     try:
         rename(root, instance, name)
     except EXPECTED as error:
+        note_gone(error)
         failed.append(with_field_names(error))
+        if not bpy.app.background and bpy.context.window is not None:  # a field cannot report
+            say = f"Not renamed. {failed[-1]}"
+            bpy.context.window_manager.popup_menu(lambda menu, _: menu.layout.label(text=say), icon="ERROR")
         row, box = selection.row_of(root, instance), selection.boxes_of(root).get(instance)
         row.name = row.known_name
         if box is not None:
@@ -382,4 +398,5 @@ def unregister() -> None:
     selection.renaming.remove(_rename_by_field)
     _mine.clear()
     outdated.clear()
+    gone.clear()
     failed.clear()

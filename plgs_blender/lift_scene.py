@@ -28,6 +28,7 @@ from .inspecting import looks
 from .inspecting.lists import fill_lists, fill_masks, fill_not_shown, registered
 from .inspecting.views import look_at_room
 from .meshes import ReadMeshes, placing_meshes, reading_meshes
+from .moving import relate
 from .owned import (
     FOLDER,
     GAUSSIANS,
@@ -37,7 +38,6 @@ from .owned import (
     Placed,
     child_collection,
     is_same_place,
-    key_of,
     lifts_in,
     overview_of,
     root_collection,
@@ -185,7 +185,7 @@ def _placing_passes(read: ReadLift, root: bpy.types.Collection, scene: bpy.types
     place_shots(owned, read.result, scene)
     owned.sweep_data()  # images of views that no longer exist
     if bpy.data.filepath:
-        relate_paths(root, Path(bpy.data.filepath).parent)
+        relate(Path(bpy.data.filepath))
     yield
 
 
@@ -290,42 +290,12 @@ def save_lift(lift: Path, blend: Path) -> None:
     root = place_lift(lift, scene)
     if is_new:
         _dress(scene, root)
-    _save(blend)
-    if is_new:
-        # Only now do relative paths lead anywhere.
-        relate_paths(root, blend.parent)
-        _save(blend, keep_backup=False)  # the backup would be our own first save
-
-
-def _save(blend: Path, keep_backup: bool = True) -> None:
-    """Save the file in Blender's own safe way. Raises PlgsError."""
-    settings = bpy.context.preferences.filepaths
-    backups = settings.save_version
-    settings.save_version = backups if keep_backup else 0
+    relate(blend)  # a script's Blender may not have our handlers
     try:
-        bpy.ops.wm.save_as_mainfile(filepath=str(blend), compress=True, relative_remap=False)
+        bpy.ops.wm.save_as_mainfile(filepath=str(blend), compress=True)
     except RuntimeError as error:
         fix = "Choose a place that you may write to, on a disk with space."
         raise PlgsError("unwritable", f"cannot be written ({str(error).strip()})", blend, fix) from error
-    finally:
-        settings.save_version = backups
-
-
-def relate_paths(root: bpy.types.Collection, base: Path) -> None:
-    """Make the paths of a lift's images and folder relative to the .blend's folder, if all are on one drive."""
-    for image in bpy.data.images:
-        if key_of(image, root[LIFT]) is not None and image.filepath:
-            image.filepath_raw = _relative(image.filepath, base)  # setting `filepath` would read the file
-    root[FOLDER] = _relative(text_of(root, FOLDER), base)
-
-
-def _relative(path: str, base: Path) -> str:
-    if path.startswith("//"):
-        return path
-    try:
-        return bpy.path.relpath(path, start=str(base))
-    except ValueError:  # another drive
-        return path
 
 
 def open_blend(blend: Path, lift: Path, named_by: str = "--save") -> bpy.types.Scene:

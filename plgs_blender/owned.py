@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import re
+import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ import bpy
 
 from ..engine.errors import PlgsError
 from .chosen_scene import absolute
+from .results import version_of
 
 LIFT = "plgs_lift"
 KEY = "plgs_key"
@@ -197,6 +199,11 @@ FOLDER, SCENE = "plgs_lift_folder", "plgs_scene_folder"
 PLACE = "plgs_place"
 """Property of an imported scene's collection: how the scene was read (masks, up, format, depth), as text."""
 
+RESULT = "plgs_result"
+"""Property of a lift's collection: the size and a checksum of the list of objects that the scene shows."""
+COMPARED = 1 << 18
+"""Bytes of a file that are compared with what is shown."""
+
 GAUSSIANS = "gaussians"
 """Key of the object with a lift's splats."""
 _ROOT = "lift"
@@ -223,6 +230,20 @@ def folder_of(root: bpy.types.Collection) -> Path:
 def overview_of(root: bpy.types.Collection) -> bpy.types.Object | None:
     """A lift's overview camera; None if the user removed it."""
     return next((ob for ob in root.all_objects if key_of(ob, root[LIFT]) == "overview"), None)
+
+
+def shows(root: bpy.types.Collection, lift: Path) -> bool:
+    """Whether a collection shows the result in this folder. Raises OSError."""
+    return text_of(root, RESULT) == mark_of(lift) != ""
+
+
+def mark_of(lift: Path) -> str:
+    """What tells a lift's result from others, for RESULT; empty without a result. Raises OSError."""
+    path, at = version_of(lift)
+    if at is None:
+        return ""
+    with open(path, "rb") as file:
+        return f"{at[1]} {zlib.crc32(file.read(COMPARED))}"
 
 
 def is_placed(lift: Path, scene: bpy.types.Scene) -> bool:
@@ -255,12 +276,14 @@ class Placed:
 
 
 def root_collection(scene_folder: Path, lift_folder: Path | None, scene: bpy.types.Scene) -> bpy.types.Collection:
-    """The collection of this lift or an earlier one of its scene, or a new one. Raises PlgsError for a bad path."""
+    """The collection of this lift, which may have been moved, or an earlier one of its scene, or a new one. Raises
+    OSError, and PlgsError for a bad path."""
     _check_name(scene_folder)
     if lift_folder is not None:
         _check_name(lift_folder)
     for root in lifts_in(scene):
-        is_same_lift = lift_folder is not None and is_same_place(text_of(root, FOLDER), lift_folder)
+        folder = text_of(root, FOLDER)
+        is_same_lift = lift_folder is not None and (is_same_place(folder, lift_folder) or shows(root, lift_folder))
         is_ours = root.library is None and root.override_library is None
         if is_ours and (is_same_lift or is_same_place(text_of(root, SCENE), scene_folder)):
             break

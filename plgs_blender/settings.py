@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from ..engine.job.request import chosen_options
 from ..engine.presets import options as presets
 from ..engine.presets.preset import LONGEST_SIDE, PRESETS, SHORTEST_SIDE
 from .chosen_scene import AUTOMATIC, FORMAT_ITEMS, MASK_FORMAT_ITEMS, ChosenScene, absolute, as_texts
+from .compat import BLEND_RELATIVE
 from .engine_environment import studio
 from .errors import with_field_names
 
@@ -47,25 +48,39 @@ _DEVICES = [
     ("auto", "Automatic", "The CPU, until CUDA is no longer experimental"),
 ]
 
-_PATHS = ("lift_folder", "scene_folder", "masks", "detections", "depth")
+PATHS = ("lift_folder", "scene_folder", "masks", "detections", "depth", "classes_table")
+"""Names of the properties that are paths, or may be."""
 _SKIP_SAVE = {"SKIP_SAVE"}  # so that an operator does not remember what a script once passed to it
+_PATH = _SKIP_SAVE | BLEND_RELATIVE
 
 Listener = Callable[["PLGS_PG_settings"], None]
 on_scene_chosen: list[Listener] = []
 """Called with the settings after their description of a scene has changed."""
 on_lift_chosen: list[Listener] = []
 """Called with the settings after their lift folder has changed."""
+_is_unheard = False
+
+
+@contextmanager
+def unheard() -> Iterator[None]:
+    """Settings may be set without anything being looked at: the same path in other words."""
+    global _is_unheard
+    _is_unheard = True
+    try:
+        yield
+    finally:
+        _is_unheard = False
 
 
 def _tell_of_scene(settings: SceneOptions, context: bpy.types.Context) -> None:
-    if isinstance(settings, PLGS_PG_settings) and settings.scene_folder:
+    if isinstance(settings, PLGS_PG_settings) and settings.scene_folder and not _is_unheard:
         for listener in on_scene_chosen:
             listener(settings)
 
 
 def _take_defaults(settings: SceneOptions, context: bpy.types.Context) -> None:
     """Show the studio's defaults in the fields that the user has left alone. Its file is checked when a lift starts."""
-    if isinstance(settings, PLGS_PG_settings) and settings.scene_folder:
+    if isinstance(settings, PLGS_PG_settings) and settings.scene_folder and not _is_unheard:
         with suppress(PlgsError):
             defaults = studio()
             masks, every = (str(defaults.masks_of(path) or "") for path in (absolute(settings.scene_folder), None))
@@ -80,7 +95,7 @@ def _take_defaults(settings: SceneOptions, context: bpy.types.Context) -> None:
 
 
 def _tell_of_lift(settings: SceneOptions, context: bpy.types.Context) -> None:
-    if isinstance(settings, PLGS_PG_settings) and settings.lift_folder:
+    if isinstance(settings, PLGS_PG_settings) and settings.lift_folder and not _is_unheard:
         for listener in on_lift_chosen:
             listener(settings)
 
@@ -91,16 +106,16 @@ class SceneOptions:
 
     format: EnumProperty(options=_SKIP_SAVE, name="Format", items=FORMAT_ITEMS, default=AUTOMATIC,
         update=_tell_of_scene, description="The scene's layout, if it cannot be detected from its files")
-    masks: StringProperty(options=_SKIP_SAVE, name="Masks", subtype="FILE_PATH", update=_tell_of_scene,
+    masks: StringProperty(options=_PATH, name="Masks", subtype="FILE_PATH", update=_tell_of_scene,
         description="Panoptic masks outside the scene's folder")
     mask_format: EnumProperty(options=_SKIP_SAVE, name="Mask Format", items=MASK_FORMAT_ITEMS, default=AUTOMATIC,
         update=_tell_of_scene, description="The masks' layout, if it cannot be detected from their files")
-    detections: StringProperty(options=_SKIP_SAVE, name="Detections", subtype="FILE_PATH", update=_tell_of_scene,
+    detections: StringProperty(options=_PATH, name="Detections", subtype="FILE_PATH", update=_tell_of_scene,
         description="Detections to draw over the masks, which may overlap: a JSON of COCO results or instances")
     classes_table: StringProperty(options=_SKIP_SAVE, name="Classes", update=_tell_of_scene,
         description="The masks' classes: a .toml file, or one of coco, ade20k, cityscapes, nyu40, nyu13, scannet, "
         "scannet200, replica, reduced; empty: classes.toml beside them")
-    depth: StringProperty(options=_SKIP_SAVE, name="Depth Maps", subtype="DIR_PATH", update=_tell_of_scene,
+    depth: StringProperty(options=_PATH, name="Depth Maps", subtype="DIR_PATH", update=_tell_of_scene,
         description="Folder of depth maps by a network, one per frame; they are fitted to the sparse points, if any")
     up: EnumProperty(options=_SKIP_SAVE, name="Up", items=UPS, default="z", update=_tell_of_scene,
         description="The axis of the poses that points up")
@@ -109,7 +124,7 @@ class SceneOptions:
 class LiftOptions(SceneOptions):
     """The options of a lift: properties of the settings and of the operator that starts one."""
 
-    scene_folder: StringProperty(options=_SKIP_SAVE, name="Scene", subtype="DIR_PATH", update=_take_defaults,
+    scene_folder: StringProperty(options=_PATH, name="Scene", subtype="DIR_PATH", update=_take_defaults,
         description="A capture's folder or file: ScanNet, transforms.json, COLMAP, Polycam, .r3d, .sens and others")
     preset: EnumProperty(options=_SKIP_SAVE, name="Preset", items=_PRESETS, default="preview",
         description="How much work to spend")
@@ -131,7 +146,7 @@ class LiftOptions(SceneOptions):
         description="Where the lift trains and renders")
     preset_options: StringProperty(options=_SKIP_SAVE, name="Changed",
         description="Changed options of the preset, such as: weights.depth=0 objects=boxes")
-    lift_folder: StringProperty(options=_SKIP_SAVE, name="Lift Folder", subtype="DIR_PATH", update=_tell_of_lift,
+    lift_folder: StringProperty(options=_PATH, name="Lift Folder", subtype="DIR_PATH", update=_tell_of_lift,
         description="Where the lift and its results go; empty: a new folder beside the scene's")
     keep_names: BoolProperty(options=_SKIP_SAVE, name="Keep Names", default=True,
         description="Objects found by the lift shown in this scene keep their names and ids")
@@ -243,7 +258,7 @@ def adopt(settings: PLGS_PG_settings, request: LiftRequest, folder: Path) -> Non
     }
     for name, value in asked.items():
         now = getattr(settings, name)
-        is_same_path = name in _PATHS and now and value and absolute(now) == Path(str(value))
+        is_same_path = name in PATHS and now and value and absolute(now) == Path(str(value))
         if now != value and not is_same_path:  # each assignment makes us look at the folder again
             setattr(settings, name, value)
 

@@ -56,8 +56,6 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
                 row = layout.row(align=True)
                 if not draw_bar(row, making_meshes(), "Surface"):
                     row.operator("plgs.make_meshes", text="Update Surface", icon="FILE_REFRESH")
-        for line in corrections.failed:
-            draw_text(layout, context, line, "ERROR")
         if split is not None and not split.is_running:
             draw_task(layout, context, split)
         if root is not None:

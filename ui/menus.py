@@ -46,6 +46,7 @@ _WORK: Entries = (
     ("resume_lift", {}, "Resume the Lift"),
     ("cancel_lift", {}, "Cancel the Lift"),
     ("open_lift", {}, "Open Lift…"),
+    ("find_lift", {}, "Find the Lift…"),
     ("find_scene", {}, "Find the Lift's Scene…"),
     "place_lift",
     *(("bake_passes", {"frames": frames}, f"Bake Passes: {text}")

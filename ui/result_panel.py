@@ -9,13 +9,13 @@ from bpy.props import EnumProperty
 
 from ..plgs_blender import registry, viewport
 from ..plgs_blender.compat import STORED_COLOURS
-from ..plgs_blender.corrections import outdated
+from ..plgs_blender.corrections import failed, gone, outdated
 from ..plgs_blender.errors import one_line, plural
 from ..plgs_blender.inspecting.drawing import is_rest
 from ..plgs_blender.inspecting.looks import BY_CLASS, POINTS, SPLATS, SURFACE, has
 from ..plgs_blender.inspecting.selection import active_lift, chosen_row
 from ..plgs_blender.meshes import are_stale
-from ..plgs_blender.owned import FOLDER, folder_of, text_of
+from ..plgs_blender.owned import LIFT, folder_of
 from ..plgs_blender.running.exports import Export, making_meshes
 from .sidebar import Sidebar, Step, draw_bar, draw_task, draw_text, fitted, from_panel
 
@@ -182,10 +182,15 @@ class PLGS_PT_result(Step, bpy.types.Panel):
             title.prop(context.space_data.overlay, "show_overlays", text="", icon="OVERLAY")
             if viewport.draws_in_software():
                 layout.label(text=fitted(context, "No GPU: Solid shading is fastest"), icon="INFO")
-        if text_of(root, FOLDER) in outdated:
+        if root[LIFT] in gone:
+            draw_text(layout, context, f"The lift was moved away from {folder_of(root)}", "ERROR")
+            layout.operator("plgs.find_lift", text="Find Lift…", icon="VIEWZOOM")
+        elif root[LIFT] in outdated:
             draw_text(layout, context, "The lift on disk differs from what is shown", "INFO")
             anew = layout.operator("plgs.place_lift", text="Show It Anew", icon="FILE_REFRESH")
             anew.lift_folder = str(folder_of(root))
+        for line in failed:
+            draw_text(layout, context, line, "ERROR")
         _draw_look(from_panel(layout.column(align=True), context), context, root)
         layout.prop(lists, "instances_search", text="", icon="VIEWZOOM")
         _draw_heads(layout, "Name", "Points, confidence")

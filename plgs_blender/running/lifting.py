@@ -16,9 +16,10 @@ from .. import engine_environment, registry
 from ..chosen_scene import absolute, free_folder
 from ..clouds import cloud_folder
 from ..engine_environment import why_no_engine
-from ..errors import with_field_names
-from ..inspecting.selection import objects_by_key
+from ..errors import one_line, with_field_names
+from ..inspecting.selection import find_lift, objects_by_key
 from ..lift_scene import result_of
+from ..moving import bind
 from ..owned import FOLDER, Placed, is_same_place, lift_of_scene, lifts_in, root_of_placed, text_of
 from ..registry import Task, start_engine
 from ..settings import PLGS_PG_settings, adopt, chosen_lift, request_of, why_no_options
@@ -146,6 +147,15 @@ def join_lift(scene: bpy.types.Scene, folder: str = "") -> Lift:
     followed.is_taken = False  # so that its result is taken, at the next polls
     registry.go_on()
     return followed
+
+
+def bind_lift(scene: bpy.types.Scene, active: bpy.types.Object | None, folder: Path) -> str:
+    """Bind the lift that the panels show, and the panel, to the folder to which it was moved. Raises PlgsError."""
+    root = find_lift(scene, active=active)
+    bind(root, folder)
+    lift = lifts.attach(folder).folder
+    adopt(scene.plgs, lift.request, lift.path)
+    return f"{one_line(root.name)} is bound to {lift.path}"
 
 
 def cancel_lift(settings: PLGS_PG_settings, folder: str = "") -> None:

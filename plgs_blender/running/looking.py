@@ -31,25 +31,33 @@ def look_at_scene(chosen: ChosenScene) -> None:
 
 
 def find_own_lifts() -> None:
-    """Follow the lifts that the open file's scenes name or show, if this user's list has them, or they have the file.
-    Somebody else's file may name any path, such as a FIFO or a disk that never answers. Other paths, and the scene's
-    folder, are read only when the user asks."""
-    own = {*map(Path, remembered_lifts()), absolute("//")}
+    """Follow the lifts that the open file's scenes name or show, if this user's list has them, or they are beside the
+    file. Somebody else's file may name any path, such as a FIFO or a disk that never answers. Other paths, and the
+    scene's folder, are read only when the user asks."""
     for scene in bpy.data.scenes:
-        if (folder := lifts.shown_lift(scene.plgs)) in own:
+        folder = lifts.shown_lift(scene.plgs)
+        if folder is not None and _is_own(folder):
             lifts.look_at(folder)
+
+
+def _is_own(lift: Path) -> bool:
+    """Whether this user's list has a lift, or it moves along with the open file: it is in the file's folder or in that
+    one's, or it is one of them."""
+    if str(lift) in remembered_lifts():
+        return True
+    here = absolute("//") if bpy.data.filepath else None
+    return here is not None and {here, here.parent} & {lift, lift.parent} != set() and not lift.is_symlink()
 
 
 def begin_to_read_objects() -> None:
     """Start reading the objects of the lift that the open file shows: an edit would otherwise wait for them. Note which
-    of its lifts have changed. It reads a lift only if this user's list has it, or the file is in its folder, and if
-    no link leads elsewhere."""
-    known = {*map(Path, remembered_lifts()), absolute("//")}
+    of its lifts have changed or are gone. It reads a lift only if it is the user's own, and no link leads elsewhere."""
     roots = [root for scene in (bpy.context.scene, *bpy.data.scenes) for root in lifts_in(scene)]
     shown = {folder_of(root): root for root in reversed(roots) if text_of(root, FOLDER)}
     corrections.outdated.clear()
+    corrections.gone.clear()
     for folder, root in shown.items():
-        if folder in known:
+        if _is_own(folder):
             with suppress(PlgsError, OSError):  # an edit reads it again and reports the error
                 refuse_foreign(folder, f"result/{INSTANCES}")  # not the passes: there may be thousands
                 corrections.look_for_changes(root)

@@ -137,7 +137,7 @@ def test_opened_file_reads_no_foreign_path(lift: Path, tmp_path: Path, monkeypat
     monkeypatch.setattr(survey, "look", lambda place, python: looked.append(place))
     bpy.context.scene.plgs.scene_folder = str(theirs)
     looked.clear()
-    reopen_with(theirs, tmp_path)
+    reopen_with(theirs, tmp_path / "other" / "place")
     assert lifts.lift_of(theirs) is None and theirs not in lifts.refusals and looked == []
     with pytest.raises(RuntimeError, match=worded("foreign-file")):
         bpy.ops.plgs.watch_lift()
@@ -145,6 +145,7 @@ def test_opened_file_reads_no_foreign_path(lift: Path, tmp_path: Path, monkeypat
 
 def reopen_with(folder: Path, tmp_path: Path) -> None:
     bpy.context.scene.plgs.lift_folder = str(folder)
+    tmp_path.mkdir(parents=True, exist_ok=True)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "file.blend"))
     registry.forget_all()
     lifts.refusals.clear()

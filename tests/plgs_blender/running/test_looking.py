@@ -58,10 +58,11 @@ def test_an_edit_of_an_opened_file_waits_for_no_reading(lift: Path, tmp_path: Pa
 
 
 def test_a_path_that_a_file_names_is_read_only_if_it_is_ones_own(lift: Path, tmp_path: Path, read: Read) -> None:
-    mine = opened(lift, tmp_path / "mine", "../elsewhere.blend", read)
+    (tmp_path / "else" / "where").mkdir(parents=True)
+    mine = opened(lift, tmp_path / "mine", "../else/where/film.blend", read)
     assert looking._read_objects() is None and not read
     remember_lift(mine)
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "elsewhere.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "else" / "where" / "film.blend"))
     assert looking._read_objects() is not None and len(read) == 1
 
 
