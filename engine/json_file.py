@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import unicodedata
 from collections.abc import Mapping
 from numbers import Integral, Real
@@ -19,6 +20,8 @@ MOST_BYTES = 1 << 26
 LARGEST_TABLE = 1 << 28
 """Bytes: the largest table of another program that is read. Those of the longest recordings have a tenth of that."""
 _WRITE_AGAIN = "Write this file again."
+_LARGEST = 2**64 - 1  # the largest whole number in a file: ids made of hashes reach it
+_LONG = re.compile(rb"\d{20}")  # only a number that is as long can be larger
 Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
 
 
@@ -85,7 +88,8 @@ def _parsed(data: bytes, path: Path, fix: str) -> Any:
     if not text.strip():
         raise PlgsError("json-empty", "the JSON file is empty", path, fix)
     try:
-        return json.loads(text, parse_constant=_refuse_constant)
+        parse_int = _bounded if _LONG.search(data) else None  # the default is much faster
+        return json.loads(text, parse_constant=_refuse_constant, parse_int=parse_int)
     except json.JSONDecodeError as error:
         what = f"the JSON is cut off or broken (line {error.lineno}: {error.msg})"
         raise PlgsError("json-broken", what, path, fix) from error
@@ -104,6 +108,18 @@ def _object(value: Any, path: Path, fix: str) -> dict[str, Any]:
 
 def _refuse_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is not a number")
+
+
+def _bounded(digits: str) -> int:
+    number = int(digits) if len(digits) <= len(str(-_LARGEST)) else _LARGEST + 1
+    if abs(number) > _LARGEST:
+        raise ValueError(f"the number {digits[:12]}… has {len(digits)} digits")
+    return number
+
+
+def whole_number(text: str) -> int | None:
+    """The whole number that a text of at most 18 decimal digits is, such as a key of JSON or a part of a name."""
+    return int(text) if text.isdecimal() and len(text) <= 18 else None
 
 
 def _kind_of(value: object) -> str:
@@ -131,20 +147,28 @@ def take_objects(entry: dict[str, Any], key: str, context: str, path: Path) -> l
     return value
 
 
-def take_whole_number(entry: dict[str, Any], key: str, context: str, path: Path) -> int:
-    """``entry[key]`` as a whole number (2 or 2.0, not true, not "2"). Raises PlgsError."""
+def take_whole_number(
+    entry: dict[str, Any], key: str, context: str, path: Path, least: int = -_LARGEST, most: int = _LARGEST
+) -> int:
+    """``entry[key]`` as a whole number (2 or 2.0, not true, not "2") between two. Raises PlgsError."""
     value = _take(entry, key, context, path)
     whole = isinstance(value, int) or (isinstance(value, float) and value.is_integer())
     if isinstance(value, bool) or not whole:
         raise wrong_type(key, "a whole number", value, context, path)
+    if not least <= value <= most:
+        raise wrong_type(key, f"between {least} and {most}", value, context, path)
     return int(value)
 
 
-def take_number(entry: dict[str, Any], key: str, context: str, path: Path) -> float:
-    """``entry[key]`` as a finite number. Raises PlgsError."""
+def take_number(
+    entry: dict[str, Any], key: str, context: str, path: Path, least: float = -1e300, most: float = 1e300
+) -> float:
+    """``entry[key]`` as a finite number between two. Raises PlgsError."""
     value = _take(entry, key, context, path)
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
         raise wrong_type(key, "a number", value, context, path)
+    if not least <= value <= most:
+        raise wrong_type(key, f"between {least:g} and {most:g}", value, context, path)
     return float(value)
 
 

@@ -1,6 +1,8 @@
 """Whatever stands in a file of somebody else's, its reader reads it or refuses it in one line. `READERS` lists them."""
 
+import copy
 import io
+import itertools
 import json
 import re
 import shutil
@@ -32,13 +34,16 @@ from engine.posed.image_header import check_image_file, read_image_header
 from engine.posed.ply import read_gaussians
 from engine.scene import open_scene
 from engine.scene.checks import survey_scene
+from engine.scene.formats import FORMATS, find_format
+from engine.scene.mask_formats import MASK_FORMATS, find_mask_format
+from engine.scene.masks import mask_place
 from tests.conftest import HAS_BLENDER
 from tests.corrections.two_rooms import CHAIRS, DESK, SOFA, TABLE, write_result
-from tests.fuzzing import damaged, examples, with_odd_value
+from tests.fuzzing import damaged, examples, places, with_odd_value
 from tests.job.following import tiny_lift, watch
 from tests.passes.test_exr import write_layers
 from tests.scene.formats.test_record3d import lzfse  # noqa: F401 - a fixture
-from tests.scene.samples import WRITERS, look_into, with_content
+from tests.scene.samples import OPTIONS, WRITERS, look_into, with_content
 from tests.tiny_scene import write_tiny_scene
 
 ODD_WORDS = ("nan", "-inf", "1e999", "x", "", "-1", "0", "99999999999999999999", "../a", "\0")
@@ -267,6 +272,47 @@ def test_spoilt_files_are_read_or_refused_by_a_line(good: Callable[[str], Path],
             refused_by_a_line(lambda: reader.read(folder), reader.allowed)
 
     spoil()
+
+
+def test_every_format_is_fuzzed(good: Callable[[str], Path]) -> None:
+    samples = {name: good(name) / ("ai_001_001" if name == "hypersim" else "") for name in WRITERS}
+    assert {find_format(place).name for place in samples.values()} == {each.name for each in FORMATS}
+    masks = {name: found for name, place in samples.items() if (found := mask_place(place, None)) is not None}
+    named = {name: OPTIONS.get(name, {}).get("mask_format") for name in masks}
+    assert {find_mask_format(masks[name], named[name]).name for name in masks} == {each.name for each in MASK_FORMATS}
+
+
+NUMBERS = ("1" + "0" * 400, "9" * 5000, "1e999", str(2**63), "-1")
+
+
+@pytest.mark.parametrize("name", sorted(WRITERS))
+def test_numbers_have_limits(good: Callable[[str], Path], name: str) -> None:
+    """Each number of each JSON, and each key that is one, once with each of these in its place."""
+    folder = good(name)
+    files = {path.parent: path for path in folder.rglob("*.json") if path.is_file()}  # one of a folder's
+    for path in files.values():
+        content = json.loads(path.read_bytes())
+        kinds = {tuple("" if isinstance(key, int) else key for key in way): way for way in places(content)}
+        for way, number in itertools.product(kinds.values(), NUMBERS):
+            text = with_number(copy.deepcopy(content), way, number)
+            if text is not None:
+                with with_content(path, text.encode()):
+                    refused_by_a_line(lambda: READERS[name].read(folder))
+
+
+def with_number(content: Any, way: tuple[Any, ...], number: str) -> str | None:
+    """The document with another number there; None if there is none."""
+    *outer, key = way or (None,)
+    holder = content
+    for each in outer:
+        holder = holder[each]
+    if isinstance(key, str) and key.isdecimal():
+        holder[number] = holder.pop(key)
+    elif key is not None and type(holder[key]) in (int, float):
+        holder[key] = "@"
+    else:
+        return None
+    return json.dumps(content).replace('"@"', number)
 
 
 HOLES: dict[str, Callable[[Any, Any], Any]] = {

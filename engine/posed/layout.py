@@ -17,6 +17,7 @@ from .frames import Camera, Size
 
 Read = TypeVar("Read")
 _SAME_SHAPE = 0.02  # relative difference of two aspect ratios that count as one: ScanNet's differ by 0.4 %
+_LARGEST_SCALE = 8  # maximum width of a mask in widths of its picture: ARKitScenes' small pictures reach 7.5
 
 
 def read_file(path: Path, most_bytes: int, fix: str = "Check that it exists.") -> bytes:
@@ -153,6 +154,11 @@ def shown(name: object) -> str:
 def same_shape(one: Size, other: Size) -> bool:
     """Whether two pictures can show the same view: their aspect ratios agree within 2 %."""
     return abs(one[0] * other[1] / (one[1] * other[0]) - 1.0) < _SAME_SHAPE
+
+
+def fits_picture(size: Size, picture: Size) -> bool:
+    """Whether a mask of this ``size`` can belong to a ``picture``: its shape fits, and it is not far larger."""
+    return same_shape(size, picture) and size[0] <= _LARGEST_SCALE * picture[0]
 
 
 def shown_size(size: Size) -> str:

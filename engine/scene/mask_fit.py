@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from ..posed.frames import Camera
-from ..posed.layout import listed, same_shape, shown_size
+from ..posed.layout import fits_picture, listed, same_shape, shown_size
 from .formats.lens import Distortion, undistorted
 from .frame import Inferred, Size
 from .frame_choice import evenly_spread
@@ -254,7 +254,7 @@ def placements(
     for name, placement in found.items():
         width, height = source.masks[name].size if placement.box is None else placement.box[2:]
         size = (height, width) if placement.turns % 2 else (width, height)
-        if not same_shape(size, pictured[name].size):
+        if not fits_picture(size, pictured[name].size):
             what = f"a mask of {shown_size(size)} does not fit the colour image of {shown_size(pictured[name].size)}"
             raise PlgsError("mask-shape", what, source.masks[name].path, _FIX, option="--masks")
     bent = {name: replace(one, lens=pictured[name].lens) for name, one in found.items() if pictured[name].lens}

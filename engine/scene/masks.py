@@ -11,7 +11,7 @@ from zlib import compress, decompress
 import numpy as np
 
 from ..errors import ErrorCode, PlgsError, reading
-from ..job.progress import Progress, unwatched
+from ..job.progress import Progress, part_of, unwatched
 from ..posed.classes import VOID, ClassLabel, ClassTable
 from ..posed.layout import listed
 from ..scene_source import SceneSource
@@ -145,8 +145,11 @@ def find_masks(source: SceneSource, scene: Path, pictured: Mapping[str, Pictured
     if place is None or (are_kept and place == scene / MASK_FOLDER):  # mask_path: these pictures are no classes
         return MaskSet()
     sizes = {name: each.size for name, each in pictured.items()}
-    detections = None if source.detections is None else open_detections(source.detections, place, sizes)
-    return open_masks(place, [*pictured], source.mask_format, source.classes, pictured, detections, progress)
+    detections, rest = None, progress
+    if source.detections is not None:
+        detections = open_detections(source.detections, place, sizes, part_of(progress, 0.0, 0.5))
+        rest = part_of(progress, 0.5, 1.0)
+    return open_masks(place, [*pictured], source.mask_format, source.classes, pictured, detections, rest)
 
 
 def mask_place(scene: Path, masks: Path | None) -> Path | None:

@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import PlgsError
+from ..job.progress import Progress, unwatched
 from ..json_file import read_json_object
 from ..posed.classes import VOID, ClassLabel
-from ..posed.layout import listed, same_shape, shown_size
+from ..posed.layout import fits_picture, listed, shown_size
 from .class_choice import find_class_choice
 from .class_map import ClassMap, plain_name
 from .frame import Evidence, Segment, Size
 from .mask_formats.coco import images_of
 from .mask_formats.coco_results import DetectedSegment, read_table
-from .pixels import resize_nearest
 
 TABLE = "panoptic.json"  # the file name of the masks' table, which may name pictures by id
 LEAST_SCORE = 0.1  # minimum score of a detection; weak detections are evidence, too
@@ -47,7 +47,7 @@ class EvidenceReader:
         inside = np.zeros((len(self.found), height, width), bool)
         for one in self.found:
             class_id = VOID if one.label is None else self.known.class_of.get(self.number_of[one.label], VOID)
-            pixels = resize_nearest(one.inside(self.path).view(np.uint8), (width, height)).astype(bool)
+            pixels = one.inside(self.path, (width, height))
             if class_id != VOID and pixels.any():
                 inside[len(segments)] = pixels
                 is_thing = self.known.classes[class_id].is_thing
@@ -96,17 +96,17 @@ class Detections:
         return {number: number_of[plain_name(name_of[number].name)] for number in used}, tuple(more)
 
 
-def open_detections(path: Path, masks: Path, sizes: Mapping[str, Size]) -> Detections:
+def open_detections(path: Path, masks: Path, sizes: Mapping[str, Size], progress: Progress = unwatched) -> Detections:
     """The detections in ``path``, over ``masks``, for frames of these ``sizes``. Raises PlgsError."""
     folder = masks if masks.is_dir() else masks.parent
     if not path.exists():
         raise PlgsError("no-detections", "there are no detections", path, "Name a JSON file.", option="--detections")
     table, panoptic = read_table(path), folder / TABLE
     images = images_of(read_json_object(panoptic), panoptic) if panoptic.is_file() else {}
-    found, warnings = table.of_frames(sizes, images)
+    found, warnings = table.of_frames(sizes, images, progress)
     for name, each in found.items():
         for one in each:
-            if not same_shape(one.size, sizes[name]):
+            if not fits_picture(one.size, sizes[name]):
                 what = f"a detection in {shown_size(one.size)} does not fit frame {name} of {shown_size(sizes[name])}"
                 raise PlgsError("mask-shape", what, path, "Give detections of these pictures.", option="--detections")
     labels, choice = table.labels, find_class_choice(None, path.parent) if path.parent != folder else None

@@ -128,9 +128,15 @@ def resize_nearest(pixels: NDArray[Any], size: Size) -> NDArray[Any]:
     height, width = pixels.shape
     if (width, height) == size:
         return pixels
-    rows = (2 * np.arange(size[1]) + 1) * height // (2 * size[1])  # pixel centres, in exact whole numbers
-    columns = (2 * np.arange(size[0]) + 1) * width // (2 * size[0])
+    rows, columns = nearest_pixels((width, height), size)
     return pixels[rows[:, None], columns]
+
+
+def nearest_pixels(stored: Size, size: Size) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The row of a picture of the size ``stored`` (width, height) for each row of one of ``size``, and the columns."""
+    centres = ((2 * np.arange(new) + 1) * old // (2 * new) for old, new in zip(stored, size, strict=True))
+    columns, rows = centres  # in exact whole numbers
+    return rows, columns
 
 
 def resize_aligned(pixels: NDArray[Any], size: Size, alignment: Alignment) -> NDArray[Any]:

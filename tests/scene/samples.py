@@ -10,6 +10,7 @@ import pytest
 
 from engine.scene import Scene, open_scene
 from tests.scene.formats import (
+    test_arkitscenes,
     test_colmap,
     test_hypersim,
     test_nerfstudio,
@@ -20,7 +21,14 @@ from tests.scene.formats import (
     test_seven_scenes,
     test_tum,
 )
-from tests.scene.mask_formats import test_detections, test_label_images, test_segment_maps, test_tracks
+from tests.scene.mask_formats import (
+    test_coco_detections,
+    test_detections,
+    test_label_images,
+    test_segment_maps,
+    test_tracks,
+)
+from tests.scene.mask_formats.labelled_room import write_masked_frames
 from tests.scene.refusing import describe
 from tests.tiny_scene import write_tiny_scene
 
@@ -36,6 +44,15 @@ def unpacked_r3d(folder: Path) -> None:
     with zipfile.ZipFile(test_record3d.write_r3d(folder / "a.r3d")) as archive:
         archive.extractall(folder)
     (folder / "a.r3d").unlink()
+
+
+def coco_detections(folder: Path, pack: Callable[..., object]) -> None:
+    """Each entry has all that one may have."""
+    masks, truths = write_masked_frames(folder)
+    content = test_coco_detections.instances(truths, pack=pack)
+    for entry in content["annotations"]:
+        entry |= {"score": 0.5, "predicted_iou": 0.5, "track": 3, "scores": {str(entry["category_id"]): 0.5}}
+    test_coco_detections.wrote(masks / "instances.json", content)
 
 
 WRITERS: dict[str, Callable[[Path], object]] = {
@@ -56,14 +73,19 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "stray": test_phone_apps.write_stray,
     "scannetpp": lambda folder: test_scannetpp.write_scannetpp(folder, test_scannetpp.lz4_blocks),
     "hypersim": lambda folder: test_hypersim.write_hypersim(folder / "ai_001_001", test_hypersim.USUAL),
+    "arkitscenes": lambda folder: test_arkitscenes.write_video(folder, "lowres_wide"),
     "panoptic-lifting": lambda folder: write_tiny_scene(folder, frames=3, size=(32, 24), masks="panoptic_lifting"),
     "pairs": lambda folder: test_label_images.write_pairs(folder, ("semantic", "instance")),
     "arrays": arrays,
     "detections": test_detections.write_stacks,
     "detection-pictures": test_detections.write_pictures,
+    "coco-detections": lambda folder: coco_detections(folder, test_coco_detections.whole),
+    "coco-polygons": lambda folder: coco_detections(folder, test_coco_detections.polygons),
     "detectron2": lambda folder: test_segment_maps.write_detectron2(folder, test_segment_maps.COCO_NUMBERS, {5}),
     "transformers": test_segment_maps.write_transformers,
     "sam2": test_tracks.write_palettes,
+    "sam": test_tracks.write_pictures,
+    "palette": test_tracks.write_palettes,
     "grounded-sam2": test_tracks.write_grounded,
 }
 OPTIONS: dict[str, dict[str, str]] = {
@@ -72,6 +94,7 @@ OPTIONS: dict[str, dict[str, str]] = {
     "detections": {"classes": "coco"},
     "detection-pictures": {"mask_format": "detections"},
     "sam2": {"mask_format": "sam2"},
+    "palette": {"mask_format": "palette", "classes": "coco"},
 }
 Sample = Callable[[str], Path]
 

@@ -7,7 +7,6 @@ table that uses 0, which is void here, is shifted by one as a whole, in ground t
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -18,7 +17,16 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...job.progress import part_of
-from ...json_file import read_json_object, take_flag, take_list, take_objects, take_text, take_whole_number, wrong_type
+from ...json_file import (
+    read_json_object,
+    take_flag,
+    take_list,
+    take_number,
+    take_objects,
+    take_text,
+    take_whole_number,
+    wrong_type,
+)  # fmt: skip
 from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
 from ...posed.image_header import read_image_header
 from ...posed.layout import LARGEST_PIXELS, composed, file_inside, listed, of_most, require_most
@@ -190,14 +198,7 @@ def _segment(info: dict[str, Any], name: str, table: Path, known: frozenset[int]
 
 def take_score(info: dict[str, Any], context: str, table: Path) -> float:
     """The detector's confidence, 1 if there is none."""
-    score = info.get("score")
-    if score is None:
-        return 1.0
-    if isinstance(score, bool) or not isinstance(score, int | float) or not math.isfinite(score):
-        raise wrong_type("score", "a number", score, context, table)
-    if not 0.0 <= score <= 1.0:
-        raise wrong_type("score", "between 0 and 1", score, context, table)
-    return float(score)
+    return 1.0 if info.get("score") is None else take_number(info, "score", context, table, 0.0, 1.0)
 
 
 FORMAT = MaskFormat("coco", lambda place: _table_of(place).is_file(), _read, in_scene=True, own_names=True)

@@ -19,13 +19,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
-from ...job.progress import Progress
-from ...json_file import LARGEST_TABLE, read_json, shown_json, take_list, take_objects, take_whole_number, wrong_type
+from ...job.progress import Progress, part_of, unwatched
+from ...json_file import (
+    LARGEST_TABLE,
+    read_json,
+    shown_json,
+    take_list,
+    take_number,
+    take_objects,
+    take_whole_number,
+    whole_number,
+    wrong_type,
+)  # fmt: skip
 from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
 from ...posed.layout import LARGEST_PIXELS, listed, shown_files, shown_size
 from ..frame import Size
+from ..pixels import nearest_pixels
+from ..view import watched
 from .coco import images_of, read_categories, take_score
-from .source import FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask, painted
+from .source import LARGEST_TRACK, FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask, painted
 
 _FIX = "Write run lengths with pycocotools' encode, as detectron2 and ultralytics do."
 _SIZE_FIX = "Give the image its width and height under images, or write run lengths."
@@ -45,20 +57,19 @@ class DetectedSegment:
     runs: bytes
     track: int | None = None
 
-    def inside(self, path: Path) -> NDArray[np.bool_]:
-        """Its pixels, bool [H, W]. Raises PlgsError, which names the file ``path``, for damaged run lengths."""
-        from pycocotools import mask as rle_tools  # late: a scene is opened without it
-
-        runs = {"size": [*self.size[::-1]], "counts": self.runs}
-        try:
-            pixels = rle_tools.decode(runs)
-        except ValueError:
-            pixels = None
-        # Run lengths that end early leave what follows undefined.
-        if pixels is None or rle_tools.encode(np.asfortranarray(pixels))["counts"] != self.runs:
+    def inside(self, path: Path, size: Size | None = None) -> NDArray[np.bool_]:
+        """Its pixels at ``size`` (width, height), chosen as by `resize_nearest`, or at its own; bool [H, W]. Time and
+        memory grow with that size. Raises PlgsError, which names the file ``path``, for damaged run lengths."""
+        width, height = self.size
+        counts = _counts_of(self.runs)
+        if not len(counts) or counts.min() < 0 or counts.sum() != width * height:
             what = f"run lengths of a detection do not fill its picture of {shown_size(self.size)}"
             raise PlgsError("bad-rle", what, path, _FIX)
-        return pixels.astype(bool)
+        if size in (None, self.size):
+            return np.repeat(np.arange(len(counts)) % 2 == 1, counts).reshape(width, height).T
+        rows, columns = nearest_pixels(self.size, size)
+        runs = np.searchsorted(np.cumsum(counts), columns[:, None] * height + rows, side="right")
+        return (runs % 2 == 1).T
 
 
 @dataclass(frozen=True)
@@ -75,7 +86,7 @@ class DetectionTable:
     video_frames: int = 0
 
     def of_frames(
-        self, frames: Mapping[str, Size | None], images: Mapping[str, str]
+        self, frames: Mapping[str, Size | None], images: Mapping[str, str], progress: Progress = unwatched
     ) -> tuple[dict[str, tuple[DetectedSegment, ...]], tuple[str, ...]]:
         """The detections of the ``frames``, whose sizes are given where known, and a warning about pictures that are
         not frames. ``images`` are more names of pictures by id. Raises PlgsError, also if no picture is a frame."""
@@ -85,7 +96,8 @@ class DetectionTable:
             fix = "Let image_id be the name or number of a frame, or list id and file_name of each under images."
             raise PlgsError("unknown-images", f"no frame has these image ids ({listed(others)})", self.path, fix)
         found: dict[str, list[DetectedSegment]] = {}
-        for position, (image, entry) in enumerate(self.entries):
+        in_frames = part_of(progress, 0.0, 1.0, len(frames))
+        for position, (image, entry) in enumerate(watched(self.entries, in_frames)):
             if image in frame_of and entry.get("iscrowd") != 1:
                 name = frame_of[image]
                 size, context = self.sizes.get(image) or frames[name], f"detection {position}"
@@ -109,7 +121,7 @@ class DetectionTable:
         found = {}
         for image in images:
             stem = stems.get(image, image)
-            name = stem if stem in known else by_number.get(int(image) if re.fullmatch(r"\d{1,18}", image) else -1)
+            name = stem if stem in known else by_number.get(whole_number(image))
             if name is not None:
                 found[image] = name
         return found
@@ -124,22 +136,37 @@ class DetectionTable:
         if "scores" not in entry:
             return [entry]
         scores = entry["scores"]
-        if not isinstance(scores, dict) or not scores or not all(key.isdecimal() for key in scores):
+        numbers = [whole_number(key) for key in scores] if isinstance(scores, dict) else []
+        if not numbers or None in numbers:
             raise wrong_type("scores", "an object with a score for each category id", scores, context, self.path)
-        return [entry | {"category_id": int(key), "score": score} for key, score in scores.items()]
+        each = zip(numbers, scores.values(), strict=True)
+        return [entry | {"category_id": number, "score": score} for number, score in each]
 
     def _detection(self, entry: dict[str, Any], context: str, size: Size | None) -> DetectedSegment:
         label = None
         if entry.get("category_id") is not None:
-            label = take_whole_number(entry, "category_id", context, self.path)
-            if not 0 <= label <= LARGEST_CLASS_ID:
-                raise wrong_type("category_id", f"between 0 and {LARGEST_CLASS_ID}", label, context, self.path)
+            label = take_whole_number(entry, "category_id", context, self.path, 0, LARGEST_CLASS_ID)
         if "score" not in entry and "predicted_iou" in entry:  # SAM's own estimate, which may exceed 1
-            quality = entry["predicted_iou"]
-            entry = entry | {"score": min(quality, 1.0) if isinstance(quality, float) else quality}
+            entry = entry | {"score": min(take_number(entry, "predicted_iou", context, self.path, 0.0), 1.0)}
         score = take_score(entry, context, self.path)
         size, runs = compressed(entry.get("segmentation"), size, context, self.path)
-        return DetectedSegment(label, score, size, runs, entry.get("track"))
+        has_track = entry.get("track") is not None
+        track = take_whole_number(entry, "track", context, self.path, 0, LARGEST_TRACK) if has_track else None
+        return DetectedSegment(label, score, size, runs, track)
+
+
+def _counts_of(runs: bytes) -> NDArray[np.int64]:
+    """The run lengths of COCO's compressed form: numbers of five bits a character, lowest first, each but the first
+    three less the one before the last."""
+    characters = np.frombuffer(runs, np.uint8).astype(np.int64) - 48
+    ends = np.flatnonzero(characters & 32 == 0)
+    starts = np.concatenate([[0], ends[:-1] + 1])
+    place = np.arange(len(characters)) - np.repeat(starts, ends - starts + 1)
+    numbers = np.add.reduceat((characters & 31) << 5 * place, starts)
+    numbers -= np.where(characters[ends] & 16, np.int64(1) << 5 * (ends - starts + 1), 0)
+    numbers[1::2] = np.cumsum(numbers[1::2])
+    numbers[2::2] = np.cumsum(numbers[2::2])
+    return numbers
 
 
 def compressed(given: Any, size: Size | None, context: str, path: Path) -> tuple[Size, bytes]:
@@ -160,8 +187,8 @@ def compressed(given: Any, size: Size | None, context: str, path: Path) -> tuple
         if sum(whole) != width * height:
             what = f"the run lengths of {context} do not fill its picture of {shown_size((width, height))}"
             raise PlgsError("bad-rle", what, path, _FIX)
-        packed = rle_tools.frPyObjects({"size": [height, width], "counts": whole}, height, width)
-        return (width, height), rle_tools.encode(rle_tools.decode(packed))["counts"]  # without empty runs
+        runs = {"size": [height, width], "counts": _without_empty(whole)}
+        return (width, height), rle_tools.frPyObjects(runs, height, width)["counts"]
     if not isinstance(given, list):
         raise wrong_type("segmentation", "run lengths or polygons", given, context, path)
     if size is None:
@@ -171,6 +198,16 @@ def compressed(given: Any, size: Size | None, context: str, path: Path) -> tuple
     if not polygons:
         raise PlgsError("bad-polygon", f"{context} has no polygon", path, _FIX)
     return size, rle_tools.merge(rle_tools.frPyObjects(polygons, size[1], size[0]))["counts"]
+
+
+def _without_empty(counts: list[int]) -> list[int]:
+    """The same runs, none of them empty but perhaps the first."""
+    kept = [0]
+    for place, count in enumerate(counts):
+        if count and len(kept) % 2 == place % 2:
+            kept.append(0)
+        kept[-1] += count
+    return kept
 
 
 def check_picture(size: Size, context: str, path: Path) -> None:
@@ -192,7 +229,8 @@ def _whole_numbers(values: list[Any], key: str, count: int | None, context: str,
 def _polygon(values: Any, size: Size, context: str, path: Path) -> list[float]:
     """x and y of the corners in turn, within the picture. Raises PlgsError."""
     numbers = values if isinstance(values, list) else []
-    if len(numbers) < 6 or len(numbers) % 2 or not all(type(one) in (int, float) for one in numbers):
+    are_finite = all(type(one) in (int, float) and abs(one) < 1e300 for one in numbers)
+    if len(numbers) < 6 or len(numbers) % 2 or not are_finite:
         what = f"a polygon of {context} is not x and y of at least three corners, but {shown_json(values)}"
         raise PlgsError("bad-polygon", what, path, _FIX)
     corners = np.clip(np.array(numbers, np.float64).reshape(-1, 2), 0, size)
@@ -200,9 +238,10 @@ def _polygon(values: Any, size: Size, context: str, path: Path) -> list[float]:
 
 
 def read_table(place: Path) -> DetectionTable:
-    """The detections in a file, or in a folder of files named like their frames. Raises PlgsError."""
-    if place.is_dir():
-        tables = [(path.stem, _table_of(path)) for path in sorted(shown_files(place, "*.json"))]
+    """The detections in a file, or in a folder of one, or of files named like their frames. Raises PlgsError."""
+    files = sorted(shown_files(place, "*.json")) if place.is_dir() else [place]
+    if len(files) != 1:
+        tables = [(path.stem, _table_of(path)) for path in files]
         entries = [(name, entry) for name, table in tables for _, entry in table.entries]
         sizes = {name: next(iter(table.sizes.values())) for name, table in tables if len(table.sizes) == 1}
         labels = {table.labels for _, table in tables}
@@ -210,7 +249,7 @@ def read_table(place: Path) -> DetectionTable:
             fix = "Give all files the same list."
             raise PlgsError("classes-differ", "the files name different classes", place, fix)
         return DetectionTable(place, entries, {}, sizes, next(iter(labels), None))
-    return _table_of(place)
+    return _table_of(files[0])
 
 
 def _table_of(path: Path) -> DetectionTable:
@@ -258,7 +297,7 @@ def is_detections(place: Path) -> bool:
 
 def _read(place: Path, names: Sequence[str], progress: Progress) -> MaskSource:
     table = read_table(place)
-    found, warnings = table.of_frames(dict.fromkeys(names), {})
+    found, warnings = table.of_frames(dict.fromkeys(names), {}, progress)
     classless = all(one.label is None for each in found.values() for one in each)
     sizes = {one.size for each in found.values() for one in each}
     masks = {}
@@ -281,7 +320,7 @@ def _painted(path: Path, detected: Sequence[DetectedSegment], size: Size) -> Fou
         FoundSegment(number, one.track or 0 if one.label is None else one.label, one.score, track=one.track)
         for number, one in enumerate(detected, start=1)
     ]
-    return painted([one.inside(path) for one in detected], segments, size)
+    return painted((one.inside(path) for one in detected), segments, size)
 
 
 FORMAT = MaskFormat("coco-detections", is_detections, _read, own_names=True)

@@ -17,6 +17,7 @@ from functools import partial
 from pathlib import Path
 
 from ...errors import PlgsError
+from ...json_file import whole_number
 from ...posed.array_file import array_headers, read_array
 from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
 from ...posed.layout import listed, natural_order, require_most, shown_files
@@ -92,7 +93,7 @@ def _read_stack(path: Path, segments: Sequence[FoundSegment]) -> FoundMask:
     """The mask in an .npz, with ``segments`` in the order of its detections."""
     masks = read_array(path, _key(path, "masks"))
     masks = masks.reshape(-1, *masks.shape[-2:])  # [N, 1, H, W] of networks, or [H, W]
-    return painted([inside(mask, path) for mask in masks], segments, (masks.shape[2], masks.shape[1]))
+    return painted((inside(mask, path) for mask in masks), segments, (masks.shape[2], masks.shape[1]))
 
 
 def _from_name(path: Path) -> Detection:
@@ -138,8 +139,9 @@ def _key(path: Path, what: str) -> str:
 def _labels(frames: Iterable[Sequence[Detection]]) -> tuple[dict[str, int], tuple[ClassLabel, ...] | None]:
     """The label of each class, and the classes if the file names them: numbers need a table that the user names."""
     words = {one.word for found in frames for one in found}
-    if all(word.isdecimal() and int(word) < LARGEST_CLASS_ID for word in words):
-        return {word: int(word) for word in words}, None
+    numbers = {word: number for word in words if (number := whole_number(word)) is not None}
+    if len(numbers) == len(words) and max(numbers.values(), default=0) < LARGEST_CLASS_ID:
+        return numbers, None
     return named_labels(words)
 
 

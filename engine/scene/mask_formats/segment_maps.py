@@ -24,7 +24,15 @@ import numpy as np
 
 from ...errors import PlgsError
 from ...job.progress import Progress, part_of
-from ...json_file import LARGEST_TABLE, parse_json_object, read_json_object, take_flag, take_objects, take_whole_number
+from ...json_file import (
+    LARGEST_TABLE,
+    parse_json_object,
+    read_json_object,
+    take_flag,
+    take_objects,
+    take_whole_number,
+    whole_number,
+)  # fmt: skip
 from ...posed.classes import LARGEST_CLASS_ID, ClassLabel
 from ...posed.layout import listed, read_file
 from ..class_tables import is_thing_by_name, nearest_tables
@@ -166,11 +174,12 @@ def labels_of_config(config: Path, fused: Set[int] = frozenset()) -> tuple[Class
         raise PlgsError("no-id2label", 'the model\'s "id2label" is missing', config, fix, option="--classes")
     labels, tables = {}, nearest_tables(str(name) for name in names.values())
     for key, name in names.items():
-        if not key.isdecimal() or int(key) > LARGEST_CLASS_ID or not isinstance(name, str) or not name.isprintable():
+        number = whole_number(key)
+        if number is None or number > LARGEST_CLASS_ID or not isinstance(name, str) or not name.isprintable():
             what = f"the class {json.dumps(key)[:40]} of id2label is not a number with a name"
             raise PlgsError("bad-id2label", what, config, fix)
         is_thing = is_thing_by_name(name, tables)
-        labels[int(key)] = ClassLabel(int(key), name, int(key) not in fused if is_thing is None else is_thing)
+        labels[number] = ClassLabel(number, name, number not in fused if is_thing is None else is_thing)
     return tuple(labels[key] for key in sorted(labels))
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from zlib import compress, decompress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,8 @@ from ..frame import Size
 from ..pixels import label_header, read_indices
 from ..values import inside
 
+LARGEST_TRACK = 2**31 - 1
+"""The largest number of an object that is the same in several frames."""
 IGNORED = frozenset({0, 255, 65535})  # labels that mean nothing in most label images, unless their table has them
 
 
@@ -115,23 +118,24 @@ def segments_of_labels(labels: NDArray[np.integer]) -> FoundMask:
     return segments_of_pairs(labels, np.zeros_like(labels))
 
 
-def painted(masks: Sequence[NDArray[np.bool_]], segments: Sequence[FoundSegment], size: Size) -> FoundMask:
-    """Paints ``masks``, bool [H, W], one per segment, over each other: the highest score, then the smallest, on top."""
+def painted(masks: Iterable[NDArray[np.bool_]], segments: Sequence[FoundSegment], size: Size) -> FoundMask:
+    """Paints ``masks``, bool [H, W], one per segment, over each other: the highest score, then the smallest, on top.
+    They are taken one at a time and kept packed: a frame may have hundreds."""
     ids = np.zeros(size[::-1], np.int32)
-    areas = [int(mask.sum()) for mask in masks]
-    for place in sorted(range(len(masks)), key=lambda place: (segments[place].score, -areas[place])):
-        ids[masks[place]] = segments[place].id
+    packed = [(np.count_nonzero(mask), compress(np.packbits(mask), 1)) for mask in masks]
+    for place in sorted(range(len(packed)), key=lambda place: (segments[place].score, -packed[place][0])):
+        bits = np.frombuffer(decompress(packed[place][1]), np.uint8)
+        ids[np.unpackbits(bits, count=ids.size).reshape(ids.shape).view(np.bool_)] = segments[place].id
     seen = {*np.unique(ids).tolist()}
     return FoundMask(ids, tuple(segment for segment in segments if segment.id in seen))
 
 
 def painted_files(paths: Sequence[Path], segments: Sequence[FoundSegment], size: Size, fix: str) -> FoundMask:
     """``painted`` for PNGs of one object each. Raises PlgsError, including for one not of ``size``."""
-    masks = [inside(read_indices(path), path) for path in paths]
-    for path, mask in zip(paths, masks, strict=True):
-        if mask.shape != size[::-1]:
+    for path in paths:
+        if label_header(path).size != size:
             raise PlgsError("other-size", f"this mask is not {shown_size(size)} like the others", path, fix)
-    return painted(masks, segments, size)
+    return painted((inside(read_indices(path), path) for path in paths), segments, size)
 
 
 def pile(paths: Sequence[Path], segments: Sequence[FoundSegment], fix: str) -> StoredMask:
