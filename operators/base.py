@@ -10,8 +10,8 @@ import bpy
 from bpy.props import StringProperty
 
 from ..plgs_blender import registry
-from ..plgs_blender.corrections import note_gone
 from ..plgs_blender.errors import EXPECTED, with_field_names
+from ..plgs_blender.owned import note_gone
 from ..plgs_blender.registry import Task
 from ..plgs_blender.settings import option_names
 

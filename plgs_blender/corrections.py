@@ -41,8 +41,10 @@ from .owned import (
     OwnedDataBlocks,
     child_collection,
     folder_of,
+    gone,
     lifts_in,
     mark_of,
+    note_gone,
     shows,
     text_of,
 )
@@ -107,8 +109,6 @@ EDITS = "plgs_edits"
 
 outdated: set[str] = set()
 """The keys of lifts that differ on disk from what the opened file shows."""
-gone: set[str] = set()
-"""The keys of lifts that are not where the opened file says."""
 _mine: dict[str, set[str]] = {}  # by lift folder: the uids of the edits made by this Blender process
 failed: list[str] = []
 """Why the file could not follow the last undo, for the panel; empty if it could."""
@@ -252,14 +252,6 @@ def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
         name_box(box, made.name)
     remember(root, result)
     return made
-
-
-def note_gone(error: Exception) -> None:
-    """Note in `gone` that a lift is not where the file says, if this is the error."""
-    if isinstance(error, PlgsError) and error.key == "no-lift-folder":
-        for root in (root for scene in bpy.data.scenes for root in lifts_in(scene)):
-            if text_of(root, FOLDER) and str(folder_of(root)) == error.where:
-                gone.add(root[LIFT])
 
 
 def _rename_by_field(root: bpy.types.Collection, instance: int, name: str) -> None:

@@ -51,7 +51,7 @@ from .reuse import leave_holes
 from .splat_objects import open_room
 from .splats import are_outdated, gaussians_of, place_gaussians, placing_gaussians
 from .timeline import mark_timeline, places_of
-from .viewport import all_views, show_materials_in, start_file
+from .viewport import NEW, all_views, show_materials_in, start_file
 
 _VIEWPOINTS = 200
 """At most this many cameras decide which side of a surface was seen: if there are more, every n-th."""
@@ -327,6 +327,7 @@ def _dress(scene: bpy.types.Scene, root: bpy.types.Collection) -> None:
     scene.view_layers[0].update()
     with registered():
         look_at_room(root, overview, all_views())
+    root[NEW] = True
 
 
 def show_lift_as(root: bpy.types.Collection, scene: bpy.types.Scene, kind: str) -> None:

@@ -19,8 +19,8 @@ from ..engine.errors import PlgsError
 from ..engine.job import LiftFolder
 from ..engine.known_scene import known_scene
 from .chosen_scene import absolute
-from .corrections import gone, look_for_changes
-from .owned import FOLDER, LIFT, PLACE, SCENE, folder_of, key_of, lifts_in, shows, text_of
+from .corrections import look_for_changes
+from .owned import FOLDER, LIFT, PLACE, SCENE, folder_of, gone, key_of, lifts_in, shows, text_of
 from .settings import PATHS, unheard
 
 _before: list[tuple[Callable[[str], object], str]] = []

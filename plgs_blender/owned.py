@@ -246,6 +246,18 @@ def mark_of(lift: Path) -> str:
         return f"{at[1]} {zlib.crc32(file.read(COMPARED))}"
 
 
+gone: set[str] = set()
+"""The keys of lifts that are not where the opened file says."""
+
+
+def note_gone(error: Exception) -> None:
+    """Note in `gone` that a lift is not where the file says, if this is the error."""
+    if isinstance(error, PlgsError) and error.key == "no-lift-folder":
+        for root in (root for scene in bpy.data.scenes for root in lifts_in(scene)):
+            if text_of(root, FOLDER) and str(folder_of(root)) == error.where:
+                gone.add(root[LIFT])
+
+
 def is_placed(lift: Path, scene: bpy.types.Scene) -> bool:
     """Whether the lift's result is in `scene`."""
     return any(is_same_place(text_of(root, FOLDER), lift) for root in lifts_in(scene_to_fill(scene)))
@@ -346,7 +358,7 @@ def child_collection(
         for view_layer in scene.view_layers:
             if view_layer.layer_collection is None:  # Blender 5 makes it when the scene is shown for the first time
                 view_layer.update()
-            for found in _layer_collections(view_layer.layer_collection):
+            for found in layer_collections(view_layer.layer_collection):
                 if found.collection == child:
                     found.hide_viewport = True
     return child
@@ -357,5 +369,6 @@ def is_child(child: bpy.types.Collection, root: bpy.types.Collection, name: str)
     return key_of(child, root[LIFT]) == f"collection:{name}"
 
 
-def _layer_collections(top: bpy.types.LayerCollection) -> list[bpy.types.LayerCollection]:
-    return [top, *(found for child in top.children for found in _layer_collections(child))]
+def layer_collections(top: bpy.types.LayerCollection) -> list[bpy.types.LayerCollection]:
+    """A layer's collection and all below it."""
+    return [top, *(found for child in top.children for found in layer_collections(child))]

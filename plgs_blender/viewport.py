@@ -1,14 +1,11 @@
-"""What editors show: a file that we create, 3D views of a lift, a picture, and an untouched startup file after an
-import.
-
-The user's own files keep their look, range, size, camera and objects.
-"""
+"""What editors show: a file that we create, 3D views of a lift, and a picture. Views that the user has set up keep
+their look."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +16,10 @@ from mathutils import Matrix, Quaternion, Vector
 from numpy.typing import NDArray
 
 from ..engine.posed.frames import Camera
-from .cameras import OVERVIEW_SIZE, pixel_aspect
+from .cameras import OVERVIEW_SIZE
 from .compat import composite_without_gpu, show_stored_colours, use_nodes
-from .owned import KEY, LIFT, lifts_in
-from .timeline import places_of
+from .inspecting import looks
+from .owned import layer_collections, lifts_in
 
 VIEW_SENSOR = 72.0
 """Sensor width of a 3D view in millimetres: twice that of a camera."""
@@ -49,7 +46,9 @@ def start_file() -> bpy.types.Scene:
     for area in all_views():
         for space in area.spaces:
             if space.type == "VIEW_3D":
-                show_materials(space, always=True)
+                show_lift_colours(space)  # it may be opened where there is no graphics card
+                space.clip_start, space.show_region_ui = 0.01, True
+                space.overlay.show_relationship_lines = space.overlay.show_floor = False
     return scene
 
 
@@ -72,6 +71,55 @@ def show_lift_colours(view: bpy.types.SpaceView3D) -> None:
     show_object_colours(view.shading)
     view.shading.color_type, view.shading.show_backface_culling = "VERTEX", True
     view.shading.wireframe_color_type = "OBJECT"
+
+
+def show_pictures_in(scene: bpy.types.Scene) -> None:
+    """Show the pictures of meshes in the 3D views with our Solid shading if lifts show nothing else there; what has no
+    picture would be white. Crevices are darkened then, or a user's own object would be a silhouette."""
+    roots = [root for root in lifts_in(scene) if not is_excluded(root, scene)]
+    has_all = bool(roots) and all(map(looks.shows_pictures, roots))
+    for shading in (area.spaces.active.shading for area in areas_of(scene)):
+        is_ours = (shading.type, shading.light, shading.wireframe_color_type) == ("SOLID", "FLAT", "OBJECT")
+        if is_ours and shading.color_type in ("VERTEX", "TEXTURE"):
+            shading.color_type = "TEXTURE" if has_all else "VERTEX"
+            shading.show_cavity, shading.cavity_type = has_all, "WORLD"
+
+
+def is_excluded(root: bpy.types.Collection, scene: bpy.types.Scene) -> bool:
+    """Whether a lift's collection is hidden or excluded in the scene's first view layer."""
+    layers = layer_collections(scene.view_layers[0].layer_collection)
+    return not any(each.collection == root and each.is_visible for each in layers)
+
+
+NEW = "plgs_new"
+"""Property of a lift's collection in a file that we made and nobody has looked at yet."""
+_TRIES, _TRY_S = 60, 0.2
+_tries: list[int] = []
+
+
+def look_first() -> float | None:
+    """For a timer: where a file of ours is opened for the first time, open the sidebar's tab PLGS, and show materials
+    where there is a graphics card. Blender knows the tabs once it has drawn them: until then, returns the seconds to
+    wait."""
+    new = [root for scene in bpy.data.scenes for root in lifts_in(scene) if root.get(NEW)]
+    bars = [region for area in all_views() for region in area.regions if region.type == "UI" and region.width > 1]
+    _tries.append(0)
+    if not new or len(_tries) > _TRIES:
+        _tries.clear()
+        return None
+    shown = []
+    for bar in bars:
+        with suppress(AttributeError, TypeError):  # not drawn yet
+            bar.active_panel_category = "PLGS"
+            shown.append(bar)
+    if not shown:
+        return _TRY_S
+    for area in all_views() if not draws_in_software() else ():
+        show_materials(area.spaces.active, always=True)
+    for root in new:
+        del root[NEW]
+    _tries.clear()
+    return None
 
 
 def draws_in_software() -> bool:
@@ -100,6 +148,7 @@ def show_materials_in(scene: bpy.types.Scene) -> None:
     """The same for all 3D views of windows that show this scene."""
     for area in areas_of(scene):
         show_materials(area.spaces.active)
+    show_pictures_in(scene)
 
 
 def show_room(areas: Iterable[bpy.types.Area], rotation: Quaternion, corners: NDArray[np.float64]) -> None:
@@ -261,98 +310,3 @@ def _largest_first(
 ) -> list[tuple[bpy.types.Window, bpy.types.Area]]:
     found = [(window, area) for window, area in areas if area.type == kind]
     return sorted(found, key=lambda each: -each[1].width * each[1].height)
-
-
-_STARTUP_LOCATIONS = {
-    "MESH": (0.0, 0.0, 0.0),
-    "CAMERA": (7.35889, -6.92579, 4.95831),
-    "LIGHT": (4.07625, 1.00545, 5.90386),
-}
-"""Positions of the cube, camera and light in Blender's startup file, in metres."""
-_RANGE, _SIZE, _ASPECT = (1, 250), (1920, 1080, 100), (1.0, 1.0)
-
-
-@contextmanager
-def taking_over(scene: bpy.types.Scene) -> Iterator[bool]:
-    """Wraps the placement of a capture or lift; yields whether the scene is an untouched startup scene. That then takes
-    the capture's range, size, pixel aspect, camera and colours, and its own objects are hidden. A range that was that
-    of our frames remains so. If placing fails, everything is restored."""
-    is_untouched = _is_untouched(scene)
-    follows = is_untouched or (scene.frame_start, scene.frame_end) == _span(scene)
-    camera = scene.camera
-    if is_untouched:
-        scene.camera = None  # else our markers would come after the scene's range, and its camera stay active
-    try:
-        yield is_untouched
-    except BaseException:
-        scene.camera = camera
-        raise
-    span = _span(scene)
-    if not follows or span is None:
-        return
-    if is_untouched:
-        _hide_startup_objects(scene)
-        _use_size(scene)
-        show_stored_colours(scene)
-    scene.frame_start, scene.frame_end = span
-    numbers = _frame_numbers(scene)
-    overview = next((number for ob, number in numbers.items() if "frame" not in ob), span[0])
-    number = overview if is_untouched else numbers.get(camera, span[0])
-    if (scene.frame_current, scene.camera) != (number, camera):  # else Blender would evaluate everything in vain
-        scene.frame_set(number)
-
-
-def _is_untouched(scene: bpy.types.Scene) -> bool:
-    """Whether a scene is as in Blender's startup file, with all or some of its three objects."""
-    render = scene.render
-    size = (render.resolution_x, render.resolution_y, render.resolution_percentage)
-    aspect = (render.pixel_aspect_x, render.pixel_aspect_y)
-    span = (scene.frame_start, scene.frame_end)
-    has_defaults = (span, size, aspect) == (_RANGE, _SIZE, _ASPECT) and not scene.timeline_markers
-    is_new = not bpy.data.filepath and KEY not in scene and has_defaults
-    return is_new and all(LIFT in ob or _is_startup_object(ob) for ob in scene.objects)  # a live preview is ours
-
-
-def _is_startup_object(ob: bpy.types.Object) -> bool:
-    location = _STARTUP_LOCATIONS.get(ob.type)
-    if location is None or ob.animation_data is not None or len(ob.modifiers) or len(ob.constraints):
-        return False
-    is_there = (ob.location - Vector(location)).length < 1e-3 and ob.scale == Vector((1.0, 1.0, 1.0))
-    if not is_there or ob.type != "MESH":
-        return is_there
-    xyz = np.array([vertex.co for vertex in ob.data.vertices]).reshape(-1, 3)
-    return len(xyz) == 8 and bool((np.abs(xyz) == 1.0).all())  # the cube of two metres
-
-
-def _hide_startup_objects(scene: bpy.types.Scene) -> None:
-    """Hide what is not ours in the views and, if it is in the way there, in renders."""
-    for ob in scene.objects:
-        if LIFT in ob:
-            continue
-        ob.hide_render = ob.hide_render or ob.type == "MESH"
-        for layer in scene.view_layers:
-            if ob.name in layer.objects:
-                ob.hide_set(True, view_layer=layer)
-                if layer.objects.active == ob:
-                    layer.objects.active = None  # else editors show the properties of a hidden cube
-
-
-def _use_size(scene: bpy.types.Scene) -> None:
-    """Take the size and pixel aspect of the first frame."""
-    numbers = _frame_numbers(scene)
-    frame = next((ob for ob in sorted(numbers, key=numbers.__getitem__) if "frame" in ob), None)
-    if frame is not None:
-        render = scene.render
-        render.resolution_x, render.resolution_y = frame["width"], frame["height"]
-        render.pixel_aspect_x, render.pixel_aspect_y = pixel_aspect(frame["fx"], frame["fy"])
-
-
-def _span(scene: bpy.types.Scene) -> tuple[int, int] | None:
-    """The first and last timeline frame of our cameras, or None."""
-    numbers = _frame_numbers(scene).values()
-    return (min(numbers), max(numbers)) if numbers else None
-
-
-def _frame_numbers(scene: bpy.types.Scene) -> dict[bpy.types.Object, int]:
-    """The timeline frames of our cameras."""
-    return {ob: number for root in lifts_in(scene) for ob, number in places_of(root, scene).items()}

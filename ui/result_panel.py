@@ -9,13 +9,13 @@ from bpy.props import EnumProperty
 
 from ..plgs_blender import registry, viewport
 from ..plgs_blender.compat import STORED_COLOURS
-from ..plgs_blender.corrections import failed, gone, outdated
+from ..plgs_blender.corrections import failed, outdated
 from ..plgs_blender.errors import one_line, plural
 from ..plgs_blender.inspecting.drawing import is_rest
 from ..plgs_blender.inspecting.looks import BY_CLASS, POINTS, SPLATS, SURFACE, has
 from ..plgs_blender.inspecting.selection import active_lift, chosen_row
 from ..plgs_blender.meshes import are_stale
-from ..plgs_blender.owned import LIFT, folder_of
+from ..plgs_blender.owned import LIFT, folder_of, gone
 from ..plgs_blender.running.exports import Export, making_meshes
 from .sidebar import Sidebar, Step, draw_bar, draw_task, draw_text, fitted, from_panel
 

@@ -28,6 +28,7 @@ from ...engine.result_files import Instance, MatchedSegment
 from ..lifecycle import register_modules, unregister_modules
 from ..materials import UNKNOWN
 from ..results import LiftResult
+from ..viewport import show_pictures_in
 from . import looks
 from .selection import renaming, select_row
 
@@ -57,9 +58,15 @@ def _update_name(row: bpy.types.PropertyGroup, _context: bpy.types.Context) -> N
         rename(row.id_data, row.instance_id, row.name)
 
 
-def _update_look(lists: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
+def _update_look(lists: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
     looks.apply_look(lists.id_data)
     looks.apply_colours(lists.id_data)
+    show_pictures_in(context.scene)
+
+
+def _update_show_as(lists: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
+    looks.apply_show_as(lists.id_data)
+    show_pictures_in(context.scene)
 
 
 def _update_selection(lists: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
@@ -68,6 +75,7 @@ def _update_selection(lists: bpy.types.PropertyGroup, context: bpy.types.Context
 
 def _update_catcher(lists: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
     looks.apply_catcher(lists.id_data, context.scene)
+    show_pictures_in(context.scene)
 
 
 # fmt: off
@@ -153,7 +161,7 @@ class PLGS_PG_lift(bpy.types.PropertyGroup):
             (looks.UNCERTAINTY, "Uncertainty", "Bright where the class is uncertain"),
         ],
     )
-    show_as: EnumProperty(name="Show As", update=_applying(looks.apply_show_as), description="How the lift is shown",
+    show_as: EnumProperty(name="Show As", update=_update_show_as, description="How the lift is shown",
         items=WAYS_TO_SHOW)
     lit: BoolProperty(name="Lit", update=_applying(looks.apply_lit),
         description="Light the surface with the scene's lights instead of those in the photos")

@@ -94,6 +94,14 @@ def apply_show_as(root: bpy.types.Collection) -> None:
                 child.hide_viewport = child.hide_render = kind != root.plgs.show_as
 
 
+def shows_pictures(root: bpy.types.Collection) -> bool:
+    """Whether all that a lift shows are meshes with pictures of the photos."""
+    lists = root.plgs
+    if (lists.show_as, lists.look, lists.catch_shadows) != (SURFACE, PHOTO, False):
+        return False
+    return any((key_of(image, root[LIFT]) or "").startswith("mesh:") for image in bpy.data.images)
+
+
 def has(root: bpy.types.Collection, kind: str) -> bool:
     """Whether the lift has what a value of `show_as` shows."""
     return any(is_child(child, root, SHOWN_IN[kind]) and len(child.all_objects) for child in root.children)

@@ -27,7 +27,8 @@ from ..inspecting.selection import objects_by_key
 from ..owned import FOLDER, LIFT, SCENE, OwnedDataBlocks, is_same_place, lifts_in, text_of
 from ..registry import Task, start_engine
 from ..settings import chosen_scene
-from ..viewport import areas_of, show_room, taking_over
+from ..startup_file import taking_over
+from ..viewport import areas_of, show_room
 
 _NAMES = {"colour": "pictures", "cloud": "a coloured cloud"}
 

@@ -34,7 +34,8 @@ from ..owned import FOLDER, Placed, is_placed, tag, text_of
 from ..registry import Task
 from ..settings import PLGS_PG_settings, adopt, chosen_lift
 from ..shots import ShotReader
-from ..viewport import own_view, taking_over
+from ..startup_file import taking_over
+from ..viewport import own_view
 from . import exports
 
 _LARGEST = (1024, 1024)  # largest width and height of a live preview in pixels

@@ -15,9 +15,10 @@ from .. import corrections
 from .. import settings as panel
 from ..chosen_scene import ChosenScene, absolute
 from ..engine_environment import engine_python
-from ..owned import FOLDER, folder_of, lifts_in, text_of
+from ..owned import FOLDER, folder_of, gone, lifts_in, text_of
 from ..results import begin_to_read, read_on
 from ..settings import PLGS_PG_settings, chosen_lift, chosen_scene
+from ..viewport import look_first
 from . import estimate, lifts, survey
 
 _PARTS_S = 0.02  # seconds of reading a list without a pause, and of the pause
@@ -55,7 +56,7 @@ def begin_to_read_objects() -> None:
     roots = [root for scene in (bpy.context.scene, *bpy.data.scenes) for root in lifts_in(scene)]
     shown = {folder_of(root): root for root in reversed(roots) if text_of(root, FOLDER)}
     corrections.outdated.clear()
-    corrections.gone.clear()
+    gone.clear()
     for folder, root in shown.items():
         if _is_own(folder):
             with suppress(PlgsError, OSError):  # an edit reads it again and reports the error
@@ -92,6 +93,7 @@ def _on_load(*_: object) -> None:
     begin_to_read_objects()
     if not bpy.app.background:
         bpy.app.timers.register(_read_objects, first_interval=_PARTS_S)
+        bpy.app.timers.register(look_first, first_interval=_PARTS_S)
 
 
 HANDLERS = (("load_post", _on_load),)
@@ -108,7 +110,7 @@ def register() -> None:
 def unregister() -> None:
     panel.on_scene_chosen.remove(_on_scene_chosen)
     panel.on_lift_chosen.remove(_on_lift_chosen)
-    for each in (_at_start, _read_objects):
+    for each in (_at_start, _read_objects, look_first):
         if bpy.app.timers.is_registered(each):
             bpy.app.timers.unregister(each)
     lifts.refusals.clear()

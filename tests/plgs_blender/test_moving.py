@@ -12,7 +12,7 @@ from plgs.plgs_blender import corrections
 from plgs.plgs_blender.chosen_scene import absolute
 from plgs.plgs_blender.inspecting.selection import find_lift
 from plgs.plgs_blender.lift_scene import place_lift
-from plgs.plgs_blender.owned import FOLDER, LIFT, PLACE, SCENE, folder_of, lifts_in
+from plgs.plgs_blender.owned import FOLDER, LIFT, PLACE, SCENE, folder_of, gone, lifts_in
 from plgs.plgs_blender.running import lifting
 from plgs.plgs_blender.settings import PATHS
 
@@ -71,7 +71,7 @@ def other_disk() -> Path:
 def check_whole(root: bpy.types.Collection, home: Path) -> None:
     assert stored() and all(path.startswith("//") for path in stored()), stored()
     assert all(absolute(path).exists() and absolute(path).is_relative_to(home) for path in stored()), stored()
-    assert folder_of(root) == home / "room_lift" and root[LIFT] not in corrections.gone | corrections.outdated
+    assert folder_of(root) == home / "room_lift" and root[LIFT] not in gone | corrections.outdated
     followed = lifting.followed_lift(bpy.context.scene.plgs)
     assert followed is not None and followed.has_result, "it can be baked and exported"
     assert bpy.ops.plgs.rename_instance(instance=1, name="throne") == {"FINISHED"}

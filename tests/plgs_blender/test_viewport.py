@@ -12,10 +12,13 @@ from typing import Any
 import bpy
 import numpy as np
 import pytest
+import tiny_lift
 from mathutils import Euler
 from plgs.plgs_blender import lifecycle, lift_scene, timeline
 from plgs.plgs_blender.inspecting.views import look_from_frame
-from plgs.plgs_blender.viewport import frame_room
+from plgs.plgs_blender.meshes import mesh_folder
+from plgs.plgs_blender.viewport import areas_of, frame_room, show_lift_colours
+from surface_file import write_surface
 
 
 def area(width: int, height: int, bar: int) -> Any:
@@ -138,3 +141,33 @@ def test_a_camera_that_the_user_adds_later_stays_active(lift: Path) -> None:
     assert {marker.name: marker.frame for marker in scene.timeline_markers} == before
     scene.frame_set(1)
     assert scene.camera["frame"] == "0001"
+
+
+def test_solid_shading_shows_the_pictures_of_a_surface_and_nothing_white(extension: None, tmp_path: Path) -> None:
+    """Only for what has pictures: splats, points, classes and shadow catchers keep their own colours."""
+    lift = tiny_lift.write_tiny_lift(tmp_path / "lift")
+    write_surface(mesh_folder(lift.path) / "mesh.ply", shade=40)
+    bpy.ops.wm.read_homefile(use_empty=False, use_factory_startup=True)
+    scene = bpy.context.scene
+    shadings = [each.spaces.active.shading for each in areas_of(scene)]
+    assert shadings
+    for each in areas_of(scene):
+        show_lift_colours(each.spaces.active)
+    lists = lift_scene.place_lift(lift.path, scene).plgs
+
+    def shown() -> set[tuple[str, bool]]:
+        return {(each.color_type, each.show_cavity) for each in shadings}
+
+    assert lists.show_as == "SURFACE" and shown() == {("TEXTURE", True)}
+    for name, other in (("look", "CLASSES"), ("catch_shadows", True), ("show_as", "POINTS")):
+        before = getattr(lists, name)
+        setattr(lists, name, other)
+        assert shown() == {("VERTEX", False)}, name
+        setattr(lists, name, before)
+        assert shown() == {("TEXTURE", True)}, name
+    scene.view_layers[0].layer_collection.children[-1].exclude = True  # then it is a matter of what else there is
+    second = lift_scene.place_lift(tiny_lift.write_tiny_lift(tmp_path / "other" / "lift", instances=1).path, scene)
+    assert second.plgs.show_as != "SURFACE" and shown() == {("VERTEX", False)}
+    shadings[0].color_type = "OBJECT"  # a user's own choice
+    lists.look = "CLASSES"
+    assert shadings[0].color_type == "OBJECT"
