@@ -12,7 +12,7 @@ from ..plgs_blender.inspecting.lists import WAYS_TO_SHOW
 from ..plgs_blender.inspecting.selection import chosen_row, class_row_of, find_lift, row_of
 from ..plgs_blender.lift_scene import show_lift_as
 from ..plgs_blender.owned import lifts_in
-from ..plgs_blender.viewport import show_lift_colours, show_pictures_in, view_of
+from ..plgs_blender.viewport import show_lift_colours, view_of
 from .base import CANCELLED, FINISHED, Acts, argument, panel_of, reporting, text_argument
 
 
@@ -151,7 +151,7 @@ class PLGS_OT_show_colours(Acts, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> None:
         show_lift_colours(context.space_data)
-        show_pictures_in(context.scene)
+        looks.show_pictures_in(context.scene)
 
 
 class PLGS_OT_frame_instance(OnInstance, bpy.types.Operator):

@@ -177,6 +177,7 @@ def _show(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
     if root.plgs.look != looks.PHOTO:
         looks.apply_look(root)
     show_materials_in(scene)
+    looks.show_pictures_in(scene)
 
 
 def _placing_passes(read: ReadLift, root: bpy.types.Collection, scene: bpy.types.Scene) -> Iterator[None]:
@@ -343,3 +344,4 @@ def show_lift_as(root: bpy.types.Collection, scene: bpy.types.Scene, kind: str) 
         raise PlgsError("no-meshes", "has no meshes yet", root.name, "Make them first: plgs.make_meshes.")
     root.plgs.show_as, root[_WAS_ASKED] = kind, True
     show_materials_in(scene)
+    looks.show_pictures_in(scene)

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from ..engine.posed.frames import Camera
 from .cameras import OVERVIEW_SIZE
 from .compat import composite_without_gpu, show_stored_colours, use_nodes
-from .inspecting import looks
-from .owned import layer_collections, lifts_in
+from .owned import lifts_in
 
 VIEW_SENSOR = 72.0
 """Sensor width of a 3D view in millimetres: twice that of a camera."""
@@ -71,24 +70,6 @@ def show_lift_colours(view: bpy.types.SpaceView3D) -> None:
     show_object_colours(view.shading)
     view.shading.color_type, view.shading.show_backface_culling = "VERTEX", True
     view.shading.wireframe_color_type = "OBJECT"
-
-
-def show_pictures_in(scene: bpy.types.Scene) -> None:
-    """Show the pictures of meshes in the 3D views with our Solid shading if lifts show nothing else there; what has no
-    picture would be white. Crevices are darkened then, or a user's own object would be a silhouette."""
-    roots = [root for root in lifts_in(scene) if not is_excluded(root, scene)]
-    has_all = bool(roots) and all(map(looks.shows_pictures, roots))
-    for shading in (area.spaces.active.shading for area in areas_of(scene)):
-        is_ours = (shading.type, shading.light, shading.wireframe_color_type) == ("SOLID", "FLAT", "OBJECT")
-        if is_ours and shading.color_type in ("VERTEX", "TEXTURE"):
-            shading.color_type = "TEXTURE" if has_all else "VERTEX"
-            shading.show_cavity, shading.cavity_type = has_all, "WORLD"
-
-
-def is_excluded(root: bpy.types.Collection, scene: bpy.types.Scene) -> bool:
-    """Whether a lift's collection is hidden or excluded in the scene's first view layer."""
-    layers = layer_collections(scene.view_layers[0].layer_collection)
-    return not any(each.collection == root and each.is_visible for each in layers)
 
 
 NEW = "plgs_new"
@@ -148,7 +129,6 @@ def show_materials_in(scene: bpy.types.Scene) -> None:
     """The same for all 3D views of windows that show this scene."""
     for area in areas_of(scene):
         show_materials(area.spaces.active)
-    show_pictures_in(scene)
 
 
 def show_room(areas: Iterable[bpy.types.Area], rotation: Quaternion, corners: NDArray[np.float64]) -> None:

@@ -28,7 +28,6 @@ from ...engine.result_files import Instance, MatchedSegment
 from ..lifecycle import register_modules, unregister_modules
 from ..materials import UNKNOWN
 from ..results import LiftResult
-from ..viewport import show_pictures_in
 from . import looks
 from .selection import renaming, select_row
 
@@ -61,12 +60,12 @@ def _update_name(row: bpy.types.PropertyGroup, _context: bpy.types.Context) -> N
 def _update_look(lists: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
     looks.apply_look(lists.id_data)
     looks.apply_colours(lists.id_data)
-    show_pictures_in(context.scene)
+    looks.show_pictures_in(context.scene)
 
 
 def _update_show_as(lists: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
     looks.apply_show_as(lists.id_data)
-    show_pictures_in(context.scene)
+    looks.show_pictures_in(context.scene)
 
 
 def _update_selection(lists: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
@@ -75,7 +74,7 @@ def _update_selection(lists: bpy.types.PropertyGroup, context: bpy.types.Context
 
 def _update_catcher(lists: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
     looks.apply_catcher(lists.id_data, context.scene)
-    show_pictures_in(context.scene)
+    looks.show_pictures_in(context.scene)
 
 
 # fmt: off

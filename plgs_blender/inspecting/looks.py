@@ -20,8 +20,9 @@ from .. import compat
 from ..boxes import INSTANCE, TOGETHER
 from ..cameras import PATH
 from ..materials import LIT, PICTURE, add_node, catcher_material, let_catch, linear_rgba, object_colour, value_node
-from ..owned import KEY, LIFT, OwnedDataBlocks, is_child, key_of, tag, text_of
+from ..owned import KEY, LIFT, OwnedDataBlocks, is_child, key_of, layer_collections, lifts_in, tag, text_of
 from ..splat_objects import dye, read_attribute
+from ..viewport import areas_of
 from .selection import boxes_of, clouds_of, ids_of, objects_by_key, row_of, surfaces_of, values_of
 
 PHOTO, BY_CLASS, INSTANCES, UNCERTAINTY = "PHOTO", "CLASSES", "INSTANCES", "UNCERTAINTY"
@@ -100,6 +101,24 @@ def shows_pictures(root: bpy.types.Collection) -> bool:
     if (lists.show_as, lists.look, lists.catch_shadows) != (SURFACE, PHOTO, False):
         return False
     return any((key_of(image, root[LIFT]) or "").startswith("mesh:") for image in bpy.data.images)
+
+
+def show_pictures_in(scene: bpy.types.Scene) -> None:
+    """Show the pictures of meshes in the 3D views with our Solid shading if lifts show nothing else there; what has no
+    picture would be white. Crevices are darkened then, or a user's own object would be a silhouette."""
+    roots = [root for root in lifts_in(scene) if not is_excluded(root, scene)]
+    has_all = bool(roots) and all(map(shows_pictures, roots))
+    for shading in (area.spaces.active.shading for area in areas_of(scene)):
+        is_ours = (shading.type, shading.light, shading.wireframe_color_type) == ("SOLID", "FLAT", "OBJECT")
+        if is_ours and shading.color_type in ("VERTEX", "TEXTURE"):
+            shading.color_type = "TEXTURE" if has_all else "VERTEX"
+            shading.show_cavity, shading.cavity_type = has_all, "WORLD"
+
+
+def is_excluded(root: bpy.types.Collection, scene: bpy.types.Scene) -> bool:
+    """Whether a lift's collection is hidden or excluded in the scene's first view layer."""
+    layers = layer_collections(scene.view_layers[0].layer_collection)
+    return not any(each.collection == root and each.is_visible for each in layers)
 
 
 def has(root: bpy.types.Collection, kind: str) -> bool:
