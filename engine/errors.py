@@ -27,8 +27,8 @@ _SILENT = (errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.EINTR, 
 class ExitCode(IntEnum):
     """The exit status of the engine and of run_plgs.py.
 
-    75 is EX_TEMPFAIL of sysexits.h, which farms take as "try again". 130 is the shell's own number for a process that
-    Ctrl-C ended, 143 for one that SIGTERM ended.
+    75 is EX_TEMPFAIL of sysexits.h, which farms take as "try again". From 129 on they are the shell's own numbers for
+    processes that a signal ended: a closed terminal, Ctrl-C, SIGTERM.
     """
 
     FINISHED = 0
@@ -36,8 +36,15 @@ class ExitCode(IntEnum):
     BAD_INPUT = 2
     CANCELLED = 3
     BUSY = 75
+    HUNG_UP = 129
     INTERRUPTED = 130
     TERMINATED = 143
+
+
+OF_SIGNALS = {"SIGHUP": ExitCode.HUNG_UP, "SIGINT": ExitCode.INTERRUPTED, "SIGTERM": ExitCode.TERMINATED}
+"""The signals that every command takes as a request to stop, and its exit status then. Windows lacks some of them."""
+STOPPED = frozenset({ExitCode.CANCELLED, *OF_SIGNALS.values()})
+"""How a process that was asked to stop ends."""
 
 
 class ErrorCode(StrEnum):

@@ -285,7 +285,7 @@ def passes_scene_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
 def shot_name(camera: bpy.types.Object, given: str = "", later: int = 0) -> str:
     """The name of a camera's views, without their numbers: ``given``, else the names of the .blend and the camera. A
     long one of these is cut, and ends in a number of the whole, so that other names stay other names. Raises PlgsError
-    for a given name that is too long. ``given`` may have fields of Python's format strings: {shot} (the .blend's name
+    for a given name that is too long. ``given`` may have fields: {shot} (the .blend's name
     without its version), {camera}, {layer} ("passes"), {version} (the .blend's, such as 12 of "_v012", else 1, plus
     ``later``), and at the end ".{frame:04d}", which all names have. Raises PlgsError for other fields."""
     if "{" in given or "}" in given:

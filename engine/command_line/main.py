@@ -16,7 +16,7 @@ from ..job import CHANNELS, FURTHER_LAYERS, EventWriter, ExitCode, StopSignal, r
 from ..job.handshake import ADDED, CAPABILITIES
 from ..job.system import refuse_small_memory
 from ..job.task import TaskFiles
-from ..job.terminal import stdout_for_events
+from ..job.terminal import Interrupted, Interrupts, stdout_for_events
 from ..presets.preset import PRESETS
 from . import commands
 from .batch import add_batch, add_worker
@@ -349,7 +349,8 @@ def _run(arguments: Sequence[str], parser: argparse.ArgumentParser) -> int:
     try:
         refuse_small_memory()
         if not vars(options).get("is_task"):
-            return int(options.run(options))
+            with Interrupts():
+                return int(options.run(options))
         files = None if options.events is None else TaskFiles.at(options.events)
         pipe = sys.stdin.fileno() if options.stay_with_parent else None
         how = {"when_stopped": options.when_stopped, "parent_pipe": pipe, "echo": options.echo}
@@ -357,6 +358,6 @@ def _run(arguments: Sequence[str], parser: argparse.ArgumentParser) -> int:
     except PlgsError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
-    except KeyboardInterrupt:  # in commands that leave nothing to continue
+    except Interrupted as error:  # in commands that leave nothing to continue
         print("Stopped.", file=sys.stderr)
-        return ExitCode.INTERRUPTED
+        return error.exit_code

@@ -10,7 +10,6 @@ import os
 import re
 import signal
 import sys
-import threading
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
@@ -19,13 +18,13 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, TextIO
 
-from ..errors import Cancelled, ErrorCode, ExitCode, PlgsError
+from ..errors import STOPPED, Cancelled, ErrorCode, ExitCode, PlgsError
 from ..gates import open_to_append, printable
 from ..job import Event, EventWriter, StopSignal, Watchdog
 from ..job.lock import FileLock
 from ..job.system import usable_cpus
 from ..job.task import TaskFiles, TaskProgress
-from ..job.terminal import Interrupted, Interrupts, LiveLine
+from ..job.terminal import STOP_SIGNALS, Interrupted, Interrupts, LiveLine, stop_signals_call
 from ..json_file import to_line
 
 Work = Callable[[EventWriter, StopSignal], object]
@@ -62,7 +61,7 @@ def run_in_terminal(command: Command, *, as_json: bool = False) -> ExitCode:
     except Interrupted as error:
         events.close()
         print(f"Stopped. {command.when_stopped}".strip(), file=sys.stderr)
-        return ExitCode(error.exit_code)
+        return error.exit_code
     finally:
         events.close()
 
@@ -81,7 +80,7 @@ def run_at(command: Command, files: TaskFiles, terminal: TextIO) -> ExitCode:
         with suppress(OSError):  # the disk may be full; the result and the exit code tell it too
             if code is ExitCode.FINISHED:
                 events.done("finished")
-            elif code in (ExitCode.CANCELLED, ExitCode.INTERRUPTED, ExitCode.TERMINATED):
+            elif code in STOPPED:
                 events.done("cancelled")
         return code
     finally:
@@ -174,16 +173,12 @@ def _number_of(error: Exception) -> int | None:
 
 @contextmanager
 def _signals_ask(stop: StopSignal) -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM stop the task like its cancel file, but with their own exit codes."""
-    if threading.current_thread() is not threading.main_thread():  # Python allows handlers only there
-        yield
-        return
-    codes = {signal.SIGINT: ExitCode.INTERRUPTED, signal.SIGTERM: ExitCode.TERMINATED}
+    """Let signals stop the task like its cancel file, but with their own exit codes."""
 
     def ask(signum: int, frame: FrameType | None) -> None:
-        stop.ask(f"signal {signum}", codes[signal.Signals(signum)])
+        stop.ask(f"signal {signum}", STOP_SIGNALS[signal.Signals(signum)])
 
-    before = {number: signal.signal(number, ask) for number in codes}
+    before = stop_signals_call(ask)
     try:
         yield
     finally:

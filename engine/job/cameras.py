@@ -34,7 +34,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import PlgsError
-from ..gates import create_plain
+from ..gates import create_plain, shortened
 from ..json_file import read_object, read_value
 from ..records import record_of, to_json
 from .atomic import PART
@@ -48,7 +48,9 @@ LONGEST_NAME = 100
 _FORBIDDEN = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 """Names that Windows forbids for files."""
-_FRAME = re.compile(r"[._]\{frame(:0?\d*d)?\}$")
+_FRAME = re.compile(r"[._]\{frame(:0?[1-9]?d)?\}$")
+_FIELD = re.compile(r"\{(shot|camera|layer|version(?::(0?[1-9])d)?)\}")
+"""A field of a shot's name; only the version has a width."""
 _SIDE = {"least": 1, "most": LARGEST_SIDE}
 _FIX = "Correct the file; `python -m engine bake --help` explains its content."
 _PREVIEW_FIX = "Choose another camera for the preview."
@@ -133,11 +135,12 @@ def safe_name(text: str) -> str:
 def filled_name(template: str, shot: str, camera: str, version: int) -> str:
     """A shot's name, whose number of the frame is left out; its layer is "passes", as one file holds all layers. Raises
     ValueError for a template with other fields."""
-    fields = {"shot": shot, "camera": camera, "layer": "passes", "version": version}
-    try:
-        return _FRAME.sub("", template).format_map(fields)
-    except (KeyError, IndexError, AttributeError, TypeError) as error:
-        raise ValueError(str(error)) from error
+    words = {"shot": shot, "camera": camera, "layer": "passes"}
+    template = _FRAME.sub("", template)
+    rest = _FIELD.sub("", template)
+    if "{" in rest or "}" in rest:
+        raise ValueError(f"{shortened(rest, 40)!r} has other braces")
+    return _FIELD.sub(lambda found: words.get(found[1]) or f"{version:{found[2] or ''}}", template)
 
 
 def refuse_equal_names(names: Sequence[str], path: Path, taken: Sequence[str] = ()) -> None:

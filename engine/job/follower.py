@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from ..errors import ErrorCode, ExitCode, PlgsError, is_silence
+from ..errors import STOPPED, ErrorCode, ExitCode, PlgsError, is_silence
 from ..json_file import Json
 from .events import Event, EventReader
 from .folder import LiftFolder, LiftState
@@ -19,9 +19,6 @@ PATIENCE_S = 5.0
 """Seconds for which a folder may be unreachable before its task counts as lost."""
 CANCEL_WAIT_S = 0.65
 """Seconds that an engine may take to stop before it is killed. Its own watchdog needs at most 0.6."""
-
-
-_CANCELLED = (ExitCode.CANCELLED, ExitCode.INTERRUPTED, ExitCode.TERMINATED)
 
 
 class TaskFollower:
@@ -200,7 +197,7 @@ class TaskFollower:
             else self._done == "finished" or code == ExitCode.FINISHED
         ):
             self.state = TaskState.FINISHED
-        elif self._done == "cancelled" or self.kill_at is not None or code in _CANCELLED:
+        elif self._done == "cancelled" or self.kill_at is not None or code in STOPPED:
             self.state = TaskState.CANCELLED
         elif code is not None and code < 0:
             hint = " (often: out of memory)" if code == -9 else ""  # SIGKILL, which Linux sends then

@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -14,7 +15,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, TextIO
 
-from ..errors import ExitCode, PlgsError
+from ..errors import OF_SIGNALS, ExitCode, PlgsError
 from ..gates import open_to_append, printable
 from ..json_file import Json
 from .events import at_work, echoed
@@ -27,22 +28,31 @@ from .task import LIFT, TaskFiles, TaskProgress, TaskState
 
 _POLL_S = 0.05
 _PLAIN_LINE_S = 5.0
-_SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+STOP_SIGNALS = {getattr(signal, name): code for name, code in OF_SIGNALS.items() if hasattr(signal, name)}
+"""`OF_SIGNALS` by the numbers of this system."""
 
 
-class Interrupted(BaseException):  # so that no `except Exception` on the way catches it
-    """A signal asked this process to end. The exit code is 128 + ``signum``, as in a shell (Ctrl-C: 130)."""
+class Interrupted(KeyboardInterrupt):  # no `except Exception` on the way catches it, and asyncio does not either
+    """A signal asked this process to end, with this exit code."""
 
     def __init__(self, signum: int) -> None:
         super().__init__(signum)
-        self.exit_code = 128 + signum
+        self.exit_code = STOP_SIGNALS[signal.Signals(signum)]
+
+
+def stop_signals_call(handler: Callable[[int, FrameType | None], object]) -> dict[signal.Signals, Any]:
+    """Let ``handler`` take the signals that stop a command, and return their handlers until now. One that was ignored,
+    as with nohup, stays so. Python allows handlers only in the main thread: elsewhere nothing changes."""
+    if threading.current_thread() is not threading.main_thread():
+        return {}
+    taken = [number for number in STOP_SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+    return {number: signal.signal(number, handler) for number in taken}
 
 
 class Interrupts:
-    """Takes over SIGINT, SIGTERM and SIGHUP, even from Blender's own handlers; for ``with``, in the main thread. They
-    raise Interrupted at once or, inside `deferred`, only at its end, as code there must not be interrupted. A signal
-    that was ignored before, as with nohup, stays ignored. During an import, native code may turn Interrupted into
-    another error; if the block ends with one, Interrupted is raised again."""
+    """Takes over `STOP_SIGNALS`, even from Blender's own handlers; for ``with``. They raise Interrupted at once or,
+    inside `deferred`, only at its end, as code there must not be interrupted. During an import, native code may turn
+    Interrupted into another error; if the block ends with one, Interrupted is raised again."""
 
     def __init__(self) -> None:
         self.pending: int | None = None
@@ -50,9 +60,7 @@ class Interrupts:
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Interrupts:
-        for number in _SIGNALS:
-            if signal.getsignal(number) is not signal.SIG_IGN:
-                self._before[number] = signal.signal(number, self._on_signal)
+        self._before = stop_signals_call(self._on_signal)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:

@@ -7,13 +7,16 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from unittest import mock
 
 import pytest
 
-from engine.command_line.main import main
+from engine.command_line.main import main, make_parser
 from engine.job import LiftFolder, LiftRequest, write_atomically, write_manifest
 from engine.job.request import add_options
+from engine.job.terminal import STOP_SIGNALS
 from engine.scene_source import SceneSource, UpAxis
 from tests.commands import exit_code, refuse_heavy_help
 from tests.job.following import new_lift
@@ -117,21 +120,41 @@ INTERRUPTED = (
 )
 
 
+@pytest.fixture(params=STOP_SIGNALS, ids=lambda number: number.name)
+def stopping(request: pytest.FixtureRequest) -> Iterator[tuple[Callable[..., None], int]]:
+    """Sends this process the signal, and the exit code that follows."""
+    number = request.param
+    before = signal.signal(number, signal.SIG_DFL)  # ignored where pytest runs in the background
+    try:
+        yield lambda *_: signal.raise_signal(number), 128 + number
+    finally:
+        signal.signal(number, before)
+
+
 @pytest.mark.parametrize(("what", "arguments", "told"), INTERRUPTED)
-def test_ctrl_c_says_what_is_left(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+def test_a_signal_says_what_is_left(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, stopping: tuple[Callable[..., None], int],
     what: str, arguments: list[str], told: str,
 ) -> None:  # fmt: skip
-    def stopped(*_: object) -> None:
-        signal.raise_signal(signal.SIGINT)
-
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where pytest runs in the background
-    try:
-        monkeypatch.setattr(f"engine.{what}", stopped)
-        assert code_of(*arguments) == 130
-    finally:
-        signal.signal(signal.SIGINT, before)
+    monkeypatch.setattr(f"engine.{what}", stopping[0])
+    assert code_of(*arguments) == stopping[1]
     assert capsys.readouterr().err.splitlines() == [f"Stopped. {told}".strip()]
+
+
+KNOWN = next(each for each in make_parser()._actions if isinstance(each, argparse._SubParsersAction)).choices
+
+
+@pytest.mark.parametrize("command", KNOWN)
+def test_every_command_ends_alike(
+    capsys: pytest.CaptureFixture[str], stopping: tuple[Callable[..., None], int], command: str
+) -> None:
+    defaults = {each.dest: each.default for each in KNOWN[command]._actions} | KNOWN[command]._defaults
+    options = argparse.Namespace(**defaults | {"command": command, "run": stopping[0]})
+    parser = mock.Mock(spec=argparse.ArgumentParser)
+    parser.parse_args.return_value = options
+    assert main([], lambda: parser) == stopping[1]
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1 and said[0].startswith("Stopped.")
 
 
 @pytest.mark.parametrize("form", [["--up", "-y"], ["--up=-y"]])

@@ -322,7 +322,25 @@ def test_a_changed_camera_is_another_version_or_is_refused(change: str, scene: b
     write_shot(lift, scene, shot_of(scene, given=fixed))
 
 
-@pytest.mark.parametrize("template", ["{lens}", "{shot", "{shot.a}", "{version:q}", "{frame:04d}_{shot}", "{}", "}"])
+@pytest.mark.parametrize(
+    "template",
+    [
+        "{lens}",
+        "{shot",
+        "{shot.__class__}",
+        "{shot.format}",
+        "{shot:>2000000000}",
+        "{version:10d}",
+        "{version:q}",
+        "{version!r}",
+        "{shot[0]}",
+        "{shot:{version}}",
+        "{{shot}}",
+        "{frame:04d}_{shot}",
+        "{}",
+        "}",
+    ],
+)
 def test_an_unknown_field_of_a_name_is_refused(template: str, scene: bpy.types.Scene) -> None:
     with raises_key("bad-template {version:03d}"):
         ShotReader(scene, shot_of(scene, given=template))
