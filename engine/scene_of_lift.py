@@ -120,11 +120,16 @@ def complete_known_scene(folder: LiftFolder, scene: Scene) -> None:
 
 
 def is_done(folder: LiftFolder) -> bool:
-    """Whether nothing is left to lift, if no engine is running: the result is complete and unmodified, and of the masks
-    and classes of now. Raises PlgsError, also for a scene that has changed in other ways."""
+    """Whether nothing is left to lift, if no engine is running: the result is complete and unmodified, and of the preset
+    that is asked for, and the masks and classes of now. Raises PlgsError, also for a scene that has changed in other
+    ways."""
     if not folder.has_result() or not folder.is_whole():
         return False
-    lifted = read_manifest(folder.result_path).masks
+    manifest = read_manifest(folder.result_path)
+    name = folder.request.chosen_preset.name
+    if manifest.settings.get("name", name) != name:
+        return False
+    lifted = manifest.masks
     if not lifted and folder.is_lifted_again:  # scene.json tells only what that is lifted from
         return False
     lifted = lifted or masks_last_run(folder)

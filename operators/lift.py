@@ -54,6 +54,16 @@ class PLGS_OT_resume_lift(base.OnLiftFolder, base.StartsTask, bpy.types.Operator
         return lifting.resume_lift(context.scene.plgs, self.lift_folder)
 
 
+class PLGS_OT_refine_lift(base.OnLiftFolder, base.StartsTask, bpy.types.Operator):
+    """Go on from a finished draft by the panel's preset, or by Preview. Names and corrections stay"""
+
+    bl_idname, bl_label = "plgs.refine_lift", "Refine"
+    has_undo_step = True
+
+    def begin(self, context: bpy.types.Context) -> Task:
+        return lifting.refine_lift(context.scene.plgs, self.lift_folder)
+
+
 class PLGS_OT_find_scene(base.OnLiftFolder, base.ChoosesFile, bpy.types.Operator):
     """Choose where the scene of a lift was moved to. The frames there are compared with those of the lift"""
 

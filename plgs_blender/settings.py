@@ -22,6 +22,7 @@ from .engine_environment import studio
 from .errors import with_field_names
 
 _PRESETS = [
+    ("draft", "Draft", "Takes half a minute; shows a first room, which Refine makes better"),
     ("preview", "Preview", "Takes minutes; shows whether frames, poses and masks fit together"),
     ("standard", "Standard", "The best result; takes a few times as long as Preview"),
     ("paper", "Thorough", "Takes hours; the paper's method and number of steps"),
@@ -38,6 +39,7 @@ _LAYERS = [
     ("vector", "Vector", "Pixels to the previous and the next frame, for Vector Blur; more than doubles the space"),
 ]
 _BAKES = [
+    ("usual", "Preset's", "Bake the test frames; none in a draft"),
     ("test", "Test Frames", "Bake the passes of the frames held out of training, to check it"),
     ("all", "All Frames", "Bake the passes of every frame"),
     ("none", "None", "Bake no passes now; you can bake them later"),
@@ -140,7 +142,7 @@ class LiftOptions(SceneOptions):
         description="Train on fewer frames if memory would otherwise run out")
     seed: IntProperty(options=_SKIP_SAVE, name="Seed", min=0, max=2**31 - 1,
         description="The same seed gives the same result")
-    bake: EnumProperty(options=_SKIP_SAVE, name="Bake", items=_BAKES, default="test",
+    bake: EnumProperty(options=_SKIP_SAVE, name="Bake", items=_BAKES, default="usual",
         description="Which frames become compositor passes")
     device: EnumProperty(options=_SKIP_SAVE, name="Device", items=_DEVICES, default="cpu",
         description="Where the lift trains and renders")
@@ -198,7 +200,8 @@ def chosen_lift(settings: PLGS_PG_settings) -> Path | None:
 def request_of(settings: PLGS_PG_settings) -> LiftRequest:
     """The lift request that the settings describe. Raises PlgsError if a value is out of range."""
     preset, options = asked_of_preset(settings)
-    others = {name: getattr(settings, name) for name in ("fit", "anyway", "seed", "bake", "device")}
+    others = {name: getattr(settings, name) for name in ("fit", "anyway", "seed", "device")}
+    others["bake"] = None if settings.bake == "usual" else settings.bake
     return LiftRequest(**vars(chosen_scene(settings)), preset=preset, options=options, **others)
 
 
@@ -252,7 +255,7 @@ def adopt(settings: PLGS_PG_settings, request: LiftRequest, folder: Path) -> Non
         "fit": request.fit,
         "anyway": request.anyway,
         "seed": min(request.seed, 2**31 - 1),  # Blender's integers have 32 bits, with a sign
-        "bake": request.bake,
+        "bake": request.bake or "usual",
         "device": request.device,
         "preset_options": " ".join(presets.shown_options(options)),
     }

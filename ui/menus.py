@@ -44,6 +44,7 @@ _WORK: Entries = (
     ("fix_scene", {}, "Fix Diagnosed Problems"),
     ("lift_scene", {}, "Start the Lift"),
     ("resume_lift", {}, "Resume the Lift"),
+    ("refine_lift", {}, "Refine the Draft"),
     ("cancel_lift", {}, "Cancel the Lift"),
     ("open_lift", {}, "Open Lift…"),
     ("find_lift", {}, "Find the Lift…"),

@@ -39,9 +39,11 @@ def lift(options: argparse.Namespace) -> int:
         fix = "Leave them out, or lift a scene into a new folder with -o."
         raise PlgsError("request-fixed", "a lift's request never changes", ", ".join(given), fix)
     folder = LiftFolder.open(options.scene)
+    if options.refine is not None:
+        folder = folder.refined(options.refine)
     pipe = _parent_pipe(options, folder)
     own = getattr(options, "lift", None)  # set by another program that has its own way to lift
-    return run_engine(folder, resume=options.resume, parent_pipe=pipe, echo=options.echo, lift=own)
+    return run_engine(folder, resume=options.resume or options.refine is not None, parent_pipe=pipe, echo=options.echo, lift=own)
 
 
 def _lift_in_terminal(options: argparse.Namespace) -> int:

@@ -68,6 +68,10 @@ def _add_lift(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, metavar="OUT", help="the lift folder to make")
     request.add_lift_options(parser)
     parser.add_argument("--resume", action="store_true", help="continue a lift that was stopped")
+    parser.add_argument(
+        "--refine", nargs="?", const="preview", choices=[name for name in PRESETS if name != "draft"], metavar="PRESET",
+        help="go on from a finished lift in LIFT, without -o, by a better preset (default: preview)",
+    )  # fmt: skip
     request.add_progress_option(parser)
     _add_relink(parser)
     _add_stay_with_parent(parser)

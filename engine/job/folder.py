@@ -17,12 +17,13 @@ from stat import S_ISDIR, S_ISLNK, S_ISREG
 
 from ..errors import ErrorCode, ExitCode, PlgsError, is_silence, reading
 from ..gates import create_plain
+from ..presets.preset import PRESETS
 from .atomic import PART, files_below, flush_to_disk, remove_parts, write_atomically
 from .checkpoint import CheckpointStore
 from .events import last_events
 from .lock import BakeLocks, FileLock, is_locked
 from .manifest import changed_files, check_sizes, verify
-from .request import LiftRequest, refuse_unwritable_name
+from .request import LiftRequest, PresetName, refuse_unwritable_name
 from .task import LIVE_PREVIEW, TaskFiles
 
 
@@ -111,6 +112,19 @@ class LiftFolder:
         asked = replace(self.request, anyway=True)
         write_atomically(self.path / "request.json", asked.to_json(self.path))
         return LiftFolder(self.path, asked)
+
+    def refined(self, preset: PresetName) -> LiftFolder:
+        """This lift, which a better preset goes on with from now on; its result stays until there is a new one. Raises
+        PlgsError if the lift's preset is better than that, or an engine is at work here; OSError."""
+        with self.lock():
+            order, request = list(PRESETS), LiftRequest.read(self.path / "request.json")
+            if order.index(preset) < order.index(request.preset):
+                what, fix = f"was lifted by {request.preset}, which is better than {preset}", "Refine it to a later one."
+                raise PlgsError("not-finer", what, self.path, fix, option="--refine")
+            if preset != request.preset:
+                request = replace(request, preset=preset)
+                write_atomically(self.path / "request.json", request.to_json(self.path))
+        return LiftFolder(self.path, request)
 
     @property
     def task_files(self) -> TaskFiles:

@@ -105,7 +105,8 @@ def predict(
     seen = views * trained_on
     rendered = {"test": test_frames, "all": frames, "none": test_frames}[bake]  # held-out frames are scored in any case
     written = 0 if bake == "none" else rendered
-    steps = preset.for_views(views).steps
+    scored = own if written else _megapixels_within(frame_size, preset.scored)
+    steps = preset.for_views(views).last_step
     most = min(preset.most_anchors, MOST_ANCHORS_PER_POINT * preset.most_points)
     gaussians = preset.gaussians_per_anchor * min(SURFACE / preset.voxel_size**2, most) / 1e6  # millions, as the sample
     step = step_seconds(trained_on, gaussians)
@@ -128,8 +129,8 @@ def predict(
         "prepare": 10.0 + 0.7 * seen,
         "train": steps * step + rounds * views * 0.42 * step,
         "result": 0.5 + 3.0 * voted + 0.12 * voting * own + 2.75 * gaussians,
-        "evaluate": 0.5 + 1.6 * test_frames * own,
-        "bake": rendered * _render_s(own) + written * WRITE_S * own,
+        "evaluate": 0.5 + 1.6 * test_frames * scored,
+        "bake": rendered * _render_s(scored) + written * WRITE_S * own,
     }
     labels = classes + OBJECTS_A_MASK * masks_a_frame
     peak = _peak_bytes(frame_size, preset, views, gaussians, labels)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
 from .events import EventWriter
 from .task import StopSignal
+
+log = logging.getLogger("plgs.job")
 
 Progress = Callable[[int, int], object]
 """Called with (done, total); may raise to stop."""
@@ -89,8 +92,8 @@ class StageProgress:
 
 
 class StageReporter:
-    """Announces the stages in order and records how long each took (``timings``, seconds). Once it has a ``course``,
-    stages report how long the whole run still takes."""
+    """Announces the stages in order, records how long each took (``timings``, seconds), and logs its processor time.
+    Once it has a ``course``, stages report how long the whole run still takes."""
 
     def __init__(self, events: EventWriter, stop: StopSignal, labels: Mapping[str, str]) -> None:
         self.events, self.stop, self.labels = events, stop, labels
@@ -102,6 +105,8 @@ class StageReporter:
         """Announce the stage ``name``, or a part of it that has a ``label`` of its own, and time it."""
         self.stop.check()
         self.events.stage(name, list(self.labels).index(name) + 1, len(self.labels), label or self.labels[name])
-        began = time.monotonic()
+        began, used = time.monotonic(), time.process_time()
         yield StageProgress(name, self.events, self.stop, self.course)
         self.timings[name] = round(time.monotonic() - began, 3)
+        took = time.process_time() - used
+        log.info("stage %s: %.2f s, %.2f s of processor time after %.2f s", name, self.timings[name], took, used)

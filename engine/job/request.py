@@ -20,7 +20,7 @@ from ..presets.preset import PRESETS, Preset
 from ..records import check_record, record_of, refuse_other_format, to_json
 from ..scene_source import UP_OPTIONS, SceneSource, option
 
-PresetName = Literal["preview", "standard", "paper"]
+PresetName = Literal["draft", "preview", "standard", "paper"]
 Bake = Literal["test", "all", "none"]
 Device = Literal["cpu", "cuda", "auto"]
 FURTHER_LAYERS = ("normal", "position", "vector")
@@ -50,7 +50,7 @@ def _switch(about: str) -> dict[str, Any]:
 class LiftRequest(SceneSource):
     """One lift of a scene. Relative paths are taken from the working directory, and become absolute. ``options`` are
     the changed options of the preset, by name (see ``engine/presets``). ``fit`` uses fewer frames if memory is limited.
-    ``device`` trains and draws the Gaussians. ``names_from`` is the folder of an earlier lift whose objects keep their
+    ``bake`` None: what is usual for the preset (``bakes``). ``device`` trains and draws the Gaussians. ``names_from`` is the folder of an earlier lift whose objects keep their
     names and ids. ``anyway`` lifts a scene whose numbers or masks are wrong for certain. Raises PlgsError if a value is
     out of range. Files are not checked, as this is the scene's task."""
 
@@ -58,7 +58,7 @@ class LiftRequest(SceneSource):
     options: Mapping[str, Json] = field(default_factory=dict)
     fit: bool = field(default=False, metadata=_switch("use fewer frames if memory is short"))
     seed: int = field(default=0, metadata=option(_ABOUT_SEEDS, "N", int) | {"least": 0, "most": 2**32 - 1})
-    bake: Bake = "test"
+    bake: Bake | None = None
     device: Device = field(default="cpu", metadata={"option": {"choices": DEVICES, "help": _ABOUT_DEVICES}})
     names_from: Path | None = field(
         default=None,
@@ -83,6 +83,11 @@ class LiftRequest(SceneSource):
     def chosen_preset(self) -> Preset:
         """The preset with the options of the request."""
         return presets.with_options(PRESETS[self.preset], self.options)
+
+    @property
+    def bakes(self) -> Bake:
+        """The frames to bake."""
+        return self.bake or usual_bake(self.preset)
 
     def to_json(self, lift: Path | None = None) -> str:
         """The text of request.json, with paths relative to a ``lift``, which can be moved together with its scene."""
@@ -131,7 +136,8 @@ class LiftRequest(SceneSource):
         value = presets.option_value
         options = [name for name in presets.preset_options() if value(mine, name) != value(theirs, name)]
         names = [each.name for each in fields(self) if each.name not in ("options", "anyway", "engine_version")]
-        differing = [name for name in names if getattr(self, name) != getattr(other, name)]
+        pairs = zip(*(vars(replace(one, bake=one.bakes)).items() for one in (self, other)), strict=True)
+        differing = [name for (name, one), (_, its) in pairs if name in names and one != its]
         return [*differing, *([] if "preset" in differing else options)]
 
 
@@ -149,6 +155,11 @@ DEFAULTS = LiftRequest(scene=Path(Path(__file__).anchor))
 """The request with all options at their defaults; its scene is a placeholder."""
 _OF_PRESET = ("steps", "size", "frames", "set")  # the options that change those of the preset
 _FIELDS = {each.name: each.metadata["option"] for each in fields(LiftRequest) if "option" in each.metadata}
+
+
+def usual_bake(preset: str) -> Bake:
+    """The frames that a lift by this preset bakes if none are chosen."""
+    return "none" if preset == "draft" else "test"
 
 
 class Parser(argparse.ArgumentParser):
@@ -173,8 +184,8 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
     ``more_bakes``: other values of --bake, and their meanings; the caller must remove them from the options."""
     parser.add_argument(
         "--preset", type=preset_or_file, metavar="NAME|FILE.toml",
-        help=f"how much work to spend: preview takes minutes, standard tens of minutes, paper follows the paper's "
-        f"own settings; or your own file, like those that 'presets NAME' prints (default: {DEFAULTS.preset})",
+        help=f"how much work to spend: draft shows a room in half a minute, preview takes minutes, standard tens of "
+        f"minutes, paper follows the paper's own settings; or your own file, like those that 'presets NAME' prints (default: {DEFAULTS.preset})",
     )  # fmt: skip
     add_set_option(parser)
     add_amount_options(parser)
@@ -190,7 +201,7 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
         parser.add_argument(f"--{name}", type=partial(_refuse_gone, instead), help=argparse.SUPPRESS)
     parser.add_argument(
         "--bake", choices=(*BAKES, *more_bakes),
-        help=f"which frames to render as passes: the held-out ones, all, or none (default: {DEFAULTS.bake})"
+        help="which frames to render as passes: the held-out ones, all, or none (default: test, for a draft none)"
         + "".join(f"; {name}: {meaning}" for name, meaning in more_bakes.items()),
     )  # fmt: skip
 

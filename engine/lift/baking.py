@@ -33,7 +33,7 @@ from ..passes.baked_view import BakedView, ShownInstances, bake_view, joined
 from ..passes.exr import NOTHING_SHOWN, ShownFrame, write_exr
 from ..passes.layers import FROM_LABELS, PanopticLayers, decide
 from ..passes.previews import MOST_ROWS, SheetRow, colour_picture, preview_paths, write_contact_sheet, write_previews
-from ..scene import Camera, ClassTable, Frame, Scene, View, counted, evenly_spread
+from ..scene import Camera, ClassTable, Frame, Scene, Size, View, counted, evenly_spread, size_within
 from ..scene_of_lift import another, have_classes_changed, names_of_frames, opened_scene, refuse_other_pictures
 from .device import be_repeatable
 from .judging import judge
@@ -145,16 +145,18 @@ def bake_and_evaluate(
     events: EventWriter,
     stages: StageReporter,
     findings: Sequence[Finding] = (),
+    scored: Size | None = None,
 ) -> None:
     """Evaluate the lift with the masks of the training ``views`` and of those ``held_back``, which calibrates
-    ``baker``; bake ``wanted``, score the held-out frames, and write the contact sheet and metrics.json, with the
-    ``findings``. Ground truth is used for metrics.json only. Raises Cancelled, PlgsError, OSError."""
+    ``baker``; bake ``wanted``, score the held-out frames (within the box ``scored`` if they are not baked), and write
+    the contact sheet and metrics.json, with the ``findings``. Ground truth is used for metrics.json only. Raises
+    Cancelled, PlgsError, OSError."""
     baked_names = {frame.name for frame in wanted}
     frames = wanted or scene.test_frames  # wanted frames include the held-out ones, or are empty
     shown = {frame.name for frame in evenly_spread(scene.test_frames, MOST_ROWS)}
     report, rows, seconds, names = Report(scene.classes), [], [], names_of_files(folder)
     with stages.stage("evaluate") as progress:
-        add_input_masks(report, scene)
+        add_input_masks(report, scene, None if wanted else scored)
         seen = partial(baker.decided, wanted=("semantic", "confidence"))
         judgement = judge(seen, scene, views, held_back, progress, folder.path)
         judgement.report(events)
@@ -162,14 +164,15 @@ def bake_and_evaluate(
     with stages.stage("bake") as progress:
         for done, frame in enumerate(frames, start=1):
             began = time.monotonic()
-            view = baker.render(frame.camera)
+            size = frame.size if scored is None or frame.name in baked_names else size_within(frame.size, scored)
+            view = baker.render(frame.camera.resized(*size))
             seconds.append(time.monotonic() - began)
             if frame.name in baked_names:
                 baker.write(folder, names.get(frame.name, frame.name), view, events)
             if frame.held_out:
                 report.add(LIFTED, frame, predicted(view.layers))
             if frame.name in shown:
-                photo, mask = frame.read_colour(frame.size), frame.mask(frame.size)
+                photo, mask = frame.read_colour(size), frame.mask(size)
                 rows.append(SheetRow(frame.name, photo, mask.class_map(), view.layers))
             del view  # frees its memory before the next is made
             progress(done, len(frames))

@@ -24,8 +24,6 @@ from ..scene.view import OnDemand, StoredViews, View, chained, load_view, read_a
 
 log = logging.getLogger("plgs.lift")
 
-MOST_VIEWS = 100
-"""The most training views for the evaluation, evenly chosen. Each is drawn once, at the size of training."""
 MOST_NAMED = 5
 """The most missing objects that the warning names. metrics.json lists all."""
 
@@ -66,14 +64,13 @@ class Judgement:
 def judge(
     draw: Callable[[Camera], PanopticLayers],
     scene: Scene,
-    views: Sequence[View],
+    trained: Sequence[View],
     held_back: Sequence[View],
     progress: Callable[[int, int], object],
     scratch: Path | None = None,
 ) -> Judgement:
-    """Evaluate the finished lift with the training ``views`` and those that were ``held_back``. ``draw`` returns what a
+    """Evaluate the finished lift with the ``trained`` views and those that were ``held_back``. ``draw`` returns what a
     camera sees of it, with the classes' shares as its confidence. Raises PlgsError, OSError, Cancelled."""
-    trained = evenly(views)
     every = chained(trained, held_back)
     samples: list[Samples] = []
     most = MOST_SAMPLES // (len(held_back) or len(trained))
@@ -100,9 +97,9 @@ def judge(
     )
 
 
-def evenly(views: Sequence[View]) -> Sequence[View]:
-    """At most MOST_VIEWS of them."""
-    return views[:: -(-len(views) // MOST_VIEWS) or 1]  # without views the step would be 0
+def evenly(views: Sequence[View], most: int) -> Sequence[View]:
+    """At most ``most`` of them, evenly chosen. Each is drawn once, at the size of training."""
+    return views[:: -(-len(views) // most) or 1]  # without views the step would be 0
 
 
 def read_held_back(scene: Scene, size: Size, scratch: Path | None = None) -> StoredViews:

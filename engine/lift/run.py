@@ -7,6 +7,7 @@ Gaussians, write the result, bake the passes, evaluate.
 from __future__ import annotations
 
 import hashlib
+import json
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -23,7 +24,7 @@ from safetensors.torch import save_file
 from .. import __version__
 from ..diagnosis import Finding, diagnose_quickly
 from ..errors import Cancelled, PlgsError
-from ..job import Checkpoint, EventWriter, LiftFolder, StopSignal, write_manifest
+from ..job import Checkpoint, EventWriter, LiftFolder, StopSignal, read_manifest, write_manifest
 from ..job.prediction import USUAL_MASKS, learn_slowness, machine_slowness
 from ..job.progress import Course, StageProgress, StageReporter
 from ..job.training_log import TrainingLog
@@ -44,7 +45,7 @@ from . import lasting_names
 from .baking import FrameBaker, bake_and_evaluate, names_of_files
 from .device import be_repeatable, usable_device
 from .frame_sets import FRAMES, FrameSets, check_disk, frames_to_bake, predicted_lift, sets_of_frames
-from .judging import read_held_back
+from .judging import evenly, read_held_back
 from .live_previews import LivePreviews
 from .objects import MATCHERS
 from .preparation import PreparedLift, ViewsToLift, prepare
@@ -76,6 +77,8 @@ VOTED, SIFTED = 0.8, 0.83
 """Shares of the stage "result" after voting (67 of 92 s in a small lift), and after points were left out."""
 CODE = "code"
 """The name, in checkpoints and manifest, of the digest of the code that did the lift."""
+TRAINING = "training"
+"""The name, in checkpoints, of the options that training depends on."""
 MASKS = "masks"
 """The name, in checkpoints, of the digest of the masks that the lift was trained with."""
 LONG_S = 3600.0
@@ -104,7 +107,7 @@ def run_lift(
     lasting_names.refuse_names_of_no_objects(request, preset)
     device = usable_device(request.device, stages)
     be_repeatable(device)
-    checkpoint = folder.checkpoints.latest() if resume else None
+    checkpoint = begun_alike(folder.checkpoints.latest(), preset, events) if resume else None
     parts = own_parts(preset)
     digest = code_digest(*sources)
     if parts:
@@ -113,12 +116,13 @@ def run_lift(
     with stages.stage("check") as progress:
         frames, masks_changed, findings = checked_frames(folder, preset, checkpoint, progress, events)
         made = folder.with_next_result()
-        earlier = None if request.names_from is None else lasting_names.read_earlier(request.names_from)
-    predicted = predicted_lift(frames.all, replace(preset, frames=len(frames.training)), USUAL_MASKS, request.bake)
+        named_by = names_before(folder, made, checkpoint)
+        earlier = None if named_by is None else lasting_names.read_earlier(named_by)
+    predicted = predicted_lift(frames.all, replace(preset, frames=len(frames.training)), USUAL_MASKS, request.bakes)
     left = {name: seconds for name, seconds in predicted.stages.items() if name not in ("start", "check")}  # both over
     stages.course = Course({name: machine_slowness() * seconds for name, seconds in left.items()})
     warn_if_long(stages.course, events)
-    check_disk(folder.path, (frame.size for frame in frames_to_bake(frames.all, request.bake)), events)
+    check_disk(folder.path, (frame.size for frame in frames_to_bake(frames.all, request.bakes)), events)
     with stages.stage("read") as progress:
         views, others = read_views(frames, preset, folder.path, progress, events)
 
@@ -131,6 +135,7 @@ def run_lift(
     names: Mapping[int, str] = instance_names(prepared.instances, classes)
     previews = LivePreviews(folder, frames.all, shown_instances(prepared, names), events)
     facts: dict[str, Json] = {FRAMES: list(frames.begun_with), CODE: code, MASKS: masks_last_run(folder)}
+    facts[TRAINING] = training_options(request.chosen_preset)
     trainer.move_to(device)
     paces = train(trainer, folder, facts, stages, previews)
     trainer.move_to("cpu")
@@ -152,8 +157,9 @@ def run_lift(
         part, lifted = progress.part(SIFTED, 1.0), trainer.scene
         write_scene_files(made, frames.chosen, views, held_back, prepared, seen, lifted, events, names, part)
     baker = FrameBaker(classes, trainer.scene.on(device), shown_instances(prepared, names))
-    wanted = frames_to_bake(frames.all, request.bake)
-    bake_and_evaluate(made, frames.chosen, baker, wanted, views, held_back, events, stages, findings)
+    wanted = frames_to_bake(frames.all, request.bakes)
+    judges = evenly(views, preset.judged)
+    bake_and_evaluate(made, frames.chosen, baker, wanted, judges, held_back, events, stages, findings, preset.scored)
     previews.clear_away()
     if earlier is not None:
         lasting_names.take_over_edits(folder, earlier)  # not before: until now, they would apply to the earlier result
@@ -246,6 +252,36 @@ def warn_if_long(course: Course, events: EventWriter) -> None:
         events.warning(f"this lift is predicted to take {hours} in all here; it can be stopped and resumed")
 
 
+NO_EFFECT_ON_TRAINING = {"name", "trained", "judged", "scored", "vote_size"}
+
+
+def training_options(preset: Preset) -> dict[str, Json]:
+    """The options that training depends on, as a JSON value."""
+    found: dict[str, Json] = json.loads(json.dumps(asdict(preset)))
+    return {name: value for name, value in found.items() if name not in NO_EFFECT_ON_TRAINING}
+
+
+def begun_alike(checkpoint: Checkpoint | None, preset: Preset, events: EventWriter) -> Checkpoint | None:
+    """The checkpoint, or None, with a warning, if it was trained by a preset from which this one cannot go on."""
+    wanted = training_options(preset)
+    before = {} if checkpoint is None else checkpoint.state.get(TRAINING, wanted)  # earlier versions refined nothing
+    if checkpoint is None or before == wanted:
+        return checkpoint
+    differing = [name for name in wanted if not isinstance(before, dict) or before.get(name) != wanted[name]]
+    events.warning(f"it was begun with another {', '.join(differing)}: {TRAINED_ANEW}")
+    return None
+
+
+def names_before(folder: LiftFolder, made: LiftFolder, checkpoint: Checkpoint | None) -> Path | None:
+    """The folder of the lift whose names the objects keep. If another preset refines a lift from the first step, its
+    objects may be other ones: those that are still there keep their names."""
+    if made == folder or checkpoint is not None:
+        return folder.request.names_from
+    name = folder.request.chosen_preset.name
+    is_refined = read_manifest(folder.result_path).settings.get("name", name) != name
+    return folder.path if is_refined else folder.request.names_from
+
+
 def code_of(code: str, checkpoint: Checkpoint | None, events: EventWriter) -> str:
     """The digest of the ``code`` that does the lift. If other code began it, warn, and return both."""
     begun_by = "" if checkpoint is None else str(checkpoint.state.get(CODE, "unknown"))
@@ -294,7 +330,7 @@ def train(
     ``show`` is called with the model after each step. A checkpoint is written every CHECKPOINT_EVERY_S seconds or more,
     when stopped, and at the end, but not if a step fails: half a step's changes would replace the last complete
     state."""
-    steps, paces = trainer.preset.steps, []
+    steps, paces = trainer.preset.last_step, []
     with stages.stage("train") as progress, closing(TrainingLog(folder.training_path, trainer.step_number)) as losses:
         saved_at, pause = time.monotonic(), CHECKPOINT_EVERY_S
         compiled = log_compilation("the kernels of a training step", "half a minute")

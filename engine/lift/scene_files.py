@@ -35,6 +35,8 @@ MODEL = "model.safetensors"
 FILLED = 0.3
 """Metres from measured depth within which filled holes count as seen. This keeps dark screens, but not planes that were
 extended far beyond anything measured, which stand in rays around the room."""
+MOST_JUDGES = 100
+"""The most training views that judge the points."""
 LIFT_ANEW = "Lift the scene again, into another folder."
 
 
@@ -55,7 +57,7 @@ def write_scene_files(
     from all points are written only to the model. Raises OSError if the disk is full, and what ``progress`` raises."""
     cloud, owner = prepared.cloud, prepared.instance_of_point
     judged, listed, baked = (part_of(progress, part / 3, (part + 1) / 3, 100) for part in range(3))
-    judging = watched(evenly(views), judged)
+    judging = watched(evenly(views, MOST_JUDGES), judged)
     likely = calibrate(Samples(cloud.xyz, cloud.class_id, cloud.confidence), judging, held_back)
     viewpoint = np.mean([frame.camera.centre for frame in scene.train_frames], axis=0)
     points = result_files.SemanticPoints(

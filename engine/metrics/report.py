@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from ..posed.layout import same_shape, shown_size
-from ..scene import ClassTable, Frame, GroundTruth, Scene
+from ..scene import ClassTable, Frame, GroundTruth, Scene, Size, size_within
 from ..scene.label_folders import LabelFolder, in_one_table
 from ..scene.pixels import resize_nearest
 from .images import DepthErrors, PictureScores, score_picture
@@ -70,18 +70,20 @@ class Report:
         self._frames: list[str] = []
 
     def add(self, method: str, frame: Frame, view: PredictedView) -> None:
-        """Score one held-out view: its labels if the frame has ground truth, its picture and its depth if it has
-        them. Raises ValueError if the view and the frame differ in size, and PlgsError if a file is bad."""
+        """Score one held-out view at its own size: its labels if the frame has ground truth, its picture and its depth
+        if it has them. Raises PlgsError if a file is bad."""
+        height, width = view.semantic.shape
+        size = width, height
         if frame.name not in self._frames:
             self._frames.append(frame.name)
         if view.image is not None:
-            scores = score_picture(view.image, frame.read_colour(frame.size))
+            scores = score_picture(view.image, frame.read_colour(size))
             self._pictures.setdefault(method, []).append(scores)
         if view.depth is not None and view.alpha is not None:
             errors = self._depths.setdefault(method, DepthErrors())
-            errors.add(view.depth, view.alpha, frame.depth(frame.size))
+            errors.add(view.depth, view.alpha, frame.depth(size))
         if frame.read_ground_truth is not None:
-            self.add_labels(method, frame.name, view, frame.read_ground_truth(frame.size))
+            self.add_labels(method, frame.name, view, frame.read_ground_truth(size))
 
     def add_labels(self, method: str, frame: str, view: PredictedView, truth: GroundTruth) -> None:
         """Score the labels of one view. Raises ValueError if it and its ground truth differ in size."""
@@ -120,12 +122,13 @@ class Report:
             yield {"name": method, **_NO_LABEL_SCORES, **rendered}
 
 
-def add_input_masks(report: Report, scene: Scene) -> None:
-    """Score the input masks as they are on the held-out frames that have ground truth. Raises PlgsError."""
+def add_input_masks(report: Report, scene: Scene, within: Size | None = None) -> None:
+    """Score the input masks as they are on the held-out frames that have ground truth, at a size that fits into the box
+    ``within`` (None: their own). Raises PlgsError."""
     first_id = 1
     for frame in scene.test_frames:
         if frame.read_ground_truth is not None:
-            mask = frame.mask(frame.size)
+            mask = frame.mask(frame.size if within is None else size_within(frame.size, within))
             values, index = np.unique(mask.ids, return_inverse=True)
             # The ids of different views are unrelated, so each view gets fresh ones.
             fresh = np.where(values > 0, np.cumsum(values > 0) + first_id - 1, 0).astype(np.int32)

@@ -1,4 +1,4 @@
-"""All options of a lift, and their values in the three presets.
+"""All options of a lift, and their values in the presets.
 
 Each field is an option. It has the same name here, after --set, in a preset's file and in request.json; a field of a
 group is called ``group.field``. What neither a preset nor an experiment varies is a constant beside the code that uses
@@ -174,6 +174,12 @@ class Preset:
     growth: Growth = Growth()
     steps_a_view: float = _ranged(5.0)
     """With many views, the steps suffice to see each view this often."""
+    trained: float = _ranged(1.0, 0.001, 1.0)
+    """The share of the steps that are done; ``lift --refine`` does the others."""
+    judged: int = _ranged(100, 1)
+    """At most this many training views judge the finished lift by their masks, evenly chosen."""
+    scored: tuple[int, int] = _ranged((LONGEST_SIDE, LONGEST_SIDE), SHORTEST_SIDE, LONGEST_SIDE)
+    """Pixels (width, height): held-out frames that are not baked are scored at a size that fits into this box."""
     all_frames_vote: bool = True
     """Frames that are not trained on also vote on the classes of objects and points."""
     fill_holes: bool = True
@@ -204,6 +210,11 @@ class Preset:
         """Whether views can vote on Gaussians: that needs objects by agreement, of one class each."""
         return self.objects == "agreement" and self.one_class_an_object
 
+    @property
+    def last_step(self) -> int:
+        """The number of steps that are done."""
+        return max(1, round(self.trained * self.steps))
+
     def views_of(self, train_frames: int) -> int:
         """The number of the ``train_frames`` training frames that are lifted."""
         return min(train_frames, self.frames) if self.frames else train_frames
@@ -216,6 +227,7 @@ class Preset:
 PRESETS: dict[str, Preset] = {
     preset.name: preset
     for preset in (
+        Preset("draft", trained=0.12, vote_size=(200, 200), judged=20, scored=(320, 320)),
         Preset("preview"),
         Preset(
             "standard",

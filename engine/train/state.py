@@ -25,7 +25,7 @@ def trainer_state(trainer: Trainer) -> tuple[dict[str, torch.Tensor], dict[str, 
     """Everything that ``restore`` needs to continue bit for bit."""
     model, facts = to_tensors(trainer.scene)
     tensors = {f"model.{name}": tensor for name, tensor in model.items()}
-    if not trainer.finished:  # no step follows; the moments are two thirds of a checkpoint
+    if trainer.step_number < trainer.preset.steps:  # else no step follows; the moments are two thirds of a checkpoint
         tensors |= {f"optimiser.{name}": tensor for name, tensor in trainer.optimiser.tensors().items()}
     tensors |= {f"growth.{name}": tensor for name, tensor in trainer.statistics.tensors().items()}
     for number, labels in enumerate(trainer.pseudo):

@@ -196,7 +196,7 @@ class Trainer:
 
     @property
     def finished(self) -> bool:
-        return self.step_number >= self.preset.steps
+        return self.step_number >= self.preset.last_step
 
     def follow_anchors(self) -> None:
         """Update what is derived from the anchors after they were replaced."""

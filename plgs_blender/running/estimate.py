@@ -9,6 +9,7 @@ from bpy.props import IntProperty
 
 from ...engine.errors import PlgsError
 from ...engine.job.prediction import USUAL_CLASSES, BakeCost, Prediction, machine_slowness, predict, predict_bake
+from ...engine.job.request import usual_bake
 from ...engine.posed import size_within
 from ...engine.presets.options import with_options
 from ...engine.presets.preset import PRESETS
@@ -42,7 +43,7 @@ def estimate_of(settings: PLGS_PG_settings) -> Prediction | None:
         survey.test_frames,
         size,
         with_options(PRESETS[preset], options),
-        bake=settings.bake,
+        bake=usual_bake(preset) if settings.bake == "usual" else settings.bake,
         slowness=_slowness,
         classes=len(survey.classes) or USUAL_CLASSES,
     )

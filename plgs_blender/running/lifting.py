@@ -12,6 +12,7 @@ import bpy
 from ...engine.errors import ErrorCode, PlgsError
 from ...engine.job import LiftFolder, read_manifest
 from ...engine.job.follower import TaskFollower
+from ...engine.job.request import PresetName
 from .. import engine_environment, registry
 from ..chosen_scene import absolute, free_folder
 from ..clouds import cloud_folder
@@ -104,6 +105,30 @@ def resume_lift(settings: PLGS_PG_settings, folder: str = "") -> Lift:
         fix = "Watch it, or cancel it first." if known.is_running else "Lift into another folder."
         raise PlgsError("not-resumable", f"cannot be resumed: it is {known.lift_state.value}", lift.path, fix)
     followed = lifts.start(lift, engine_environment.usable_python(), resume=True, keep_running=settings.keep_running)
+    adopt(settings, lift.request, lift.path)
+    return followed
+
+
+def finer_preset(settings: PLGS_PG_settings, lift: LiftFolder) -> PresetName | None:
+    """The preset by which the panel would refine a lift: its own choice if that is better than the lift's, else the
+    next better one; None if the lift is no draft."""
+    if lift.request.preset != "draft":
+        return None
+    chosen: PresetName = settings.preset
+    return chosen if chosen != "draft" else "preview"
+
+
+def refine_lift(settings: PLGS_PG_settings, folder: str = "") -> Lift:
+    """Go on from the finished draft in `folder`, else in that of the settings, by the panel's preset, or by Preview.
+    Names and corrections stay. Raises OSError, and PlgsError if it is no finished draft, or an engine is at work."""
+    lift = lift_at(settings, folder)
+    known, preset = lifts.attach(lift.path), finer_preset(settings, lift)
+    if not known.is_finished or preset is None:
+        what = "is not a finished draft"
+        raise PlgsError("no-draft", what, lift.path, "Lift by another preset into another folder.")
+    python = engine_environment.usable_python()
+    lift = lift.refined(preset)
+    followed = lifts.start(lift, python, resume=True, keep_running=settings.keep_running)
     adopt(settings, lift.request, lift.path)
     return followed
 

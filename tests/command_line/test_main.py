@@ -17,6 +17,7 @@ from engine.command_line.main import main, make_parser
 from engine.job import LiftFolder, LiftRequest, write_atomically, write_manifest
 from engine.job.request import add_options
 from engine.job.terminal import STOP_SIGNALS
+from engine.presets.preset import PRESETS
 from engine.scene_source import SceneSource, UpAxis
 from tests.commands import exit_code, refuse_heavy_help
 from tests.job.following import new_lift
@@ -79,7 +80,7 @@ def test_invalid_frame_number_is_refused(text: str, capsys: pytest.CaptureFixtur
 
 def test_a_preset_is_printed_as_a_file_that_is_read(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert code_of("presets") == 0
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()[:3]] == ["preview", "standard", "paper"]
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()[:4]] == [*PRESETS]
     assert code_of("presets", "standard", "--set", "weights.depth=0", "--set", "steps=7") == 0
     printed = capsys.readouterr().out
     assert "steps = 7" in printed and "depth = 0.0" in printed

@@ -43,7 +43,6 @@ def test_request_has_documented_form() -> None:
         "preset": "preview",
         "overrides": {},
         "up": "z",
-        "bake": "test",
         "device": "cpu",
     }
 
@@ -78,7 +77,7 @@ def test_request_has_documented_form() -> None:
         ({"scene": 5}, "wrong-type scene"),
         ({"scene": "relative"}, "relative scene"),
         ({"masks": 5}, "wrong-type masks"),
-        ({"preset": "best"}, "wrong-type preview standard paper"),
+        ({"preset": "best"}, "wrong-type draft preview standard paper"),
         ({"preset": None}, "wrong-type preset"),
         ({"up": "x"}, "wrong-type -y"),
         ({"scene_format": 5}, "wrong-type scene_format"),

@@ -23,7 +23,7 @@ from tests.train.tiny_lift import warnings_in
 class Trainer:
     """Changes its state at the beginning of a step, and fails in the middle of the third as it is told to."""
 
-    preset = type("Preset", (), {"steps": 5})
+    preset = type("Preset", (), {"last_step": 5})
 
     def __init__(self, failure: Exception | None) -> None:
         self.failure, self.step_number, self.stored, self.scene = failure, 0, -1, None
@@ -88,7 +88,7 @@ def test_checkpoints_take_two_percent_of_the_time_at_most(
     monkeypatch.setattr(run, "save_checkpoint", save)
     trainer = Trainer(None)
     monkeypatch.setattr(Trainer, "finished", property(lambda self: now[0] >= 5000))
-    monkeypatch.setattr(trainer.preset, "steps", 10**6)
+    monkeypatch.setattr(trainer.preset, "last_step", 10**6)
     stages.course = None
     folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path))
     run.train(trainer, folder, {}, stages, show=lambda scene: now.append(now.pop() + 0.5))  # type: ignore[arg-type]
@@ -202,7 +202,8 @@ def test_another_part_of_a_stage_has_its_own_pace(
 ) -> None:
     """Opening a long scene says nothing about the few frames that are then checked."""
     now = [0.0]
-    monkeypatch.setattr(job_progress, "time", type("Clock", (), {"monotonic": staticmethod(lambda: now[0])}))
+    reads = staticmethod(lambda: now[0])
+    monkeypatch.setattr(job_progress, "time", type("Clock", (), {"monotonic": reads, "process_time": reads}))
     with stages.stage("check") as progress:
         for seconds, done, total in ((1.0, 0, 1000), (900.0, 900, 1000), (901.0, 1, 5), (902.0, 2, 5)):
             now[0] = seconds

@@ -82,7 +82,7 @@ def test_a_printed_preset_is_read_back(base: str, tmp_path: Path) -> None:
     ("content", "key"),
     [
         ("steps = ", "not-toml"),
-        ("steps = 3", "preset-base preview standard paper"),
+        ("steps = 3", "preset-base draft preview standard paper"),
         ('preset = "preview"\n[weights]\ndept = 1', "no-option weights.depth"),
         ('preset = "preview"\nobjects = "box"', "bad-value boxes"),
         ('preset = "preview"\nsteps = 2026-11-22', "bad-value"),
