@@ -27,6 +27,7 @@ UNTRIED = {
     "plgs.write_classes",
     "plgs.use_this_python",
     "plgs.resume_lift",
+    "plgs.refine_lift",
     "plgs.watch_lift",
     "plgs.open_lift",
     "plgs.browse_scene",

@@ -73,6 +73,20 @@ def test_resuming(behaves: Behaves, room: Path, tmp_path: Path) -> None:
         bpy.ops.plgs.resume_lift()
 
 
+def test_a_draft_is_refined_by_preview_or_by_the_panels_preset(behaves: Behaves, room: Path, tmp_path: Path) -> None:
+    behaves("short")
+    settings = bpy.context.scene.plgs
+    settings.place_when_done = False
+    for chosen, expected in (("draft", "preview"), ("standard", "standard")):
+        folder = tmp_path / expected
+        bpy.ops.plgs.lift_scene(scene_folder=str(room), lift_folder=str(folder), preset="draft")
+        settings.preset = chosen
+        assert bpy.ops.plgs.refine_lift() == {"FINISHED"}
+        assert LiftFolder.open(folder).request.preset == settings.preset == expected
+        with pytest.raises(RuntimeError, match=worded("no-draft")):
+            bpy.ops.plgs.refine_lift()
+
+
 def test_a_lift_without_its_scene_is_placed_and_finds_it(lift: Path, tmp_path: Path) -> None:
     own = shutil.copytree(lift, tmp_path / "deep" / "own")
     asked = json.loads((own / "request.json").read_text())
