@@ -120,9 +120,8 @@ def complete_known_scene(folder: LiftFolder, scene: Scene) -> None:
 
 
 def is_done(folder: LiftFolder) -> bool:
-    """Whether nothing is left to lift, if no engine is running: the result is complete and unmodified, and of the preset
-    that is asked for, and the masks and classes of now. Raises PlgsError, also for a scene that has changed in other
-    ways."""
+    """Whether nothing is left to lift, if no engine is running: the result is complete and unmodified, of the requested
+    preset, and of the masks and classes of now. Raises PlgsError, also for a scene that has changed in other ways."""
     if not folder.has_result() or not folder.is_whole():
         return False
     manifest = read_manifest(folder.result_path)

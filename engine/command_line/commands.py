@@ -43,7 +43,8 @@ def lift(options: argparse.Namespace) -> int:
         folder = folder.refined(options.refine)
     pipe = _parent_pipe(options, folder)
     own = getattr(options, "lift", None)  # set by another program that has its own way to lift
-    return run_engine(folder, resume=options.resume or options.refine is not None, parent_pipe=pipe, echo=options.echo, lift=own)
+    resume = options.resume or options.refine is not None
+    return run_engine(folder, resume=resume, parent_pipe=pipe, echo=options.echo, lift=own)
 
 
 def _lift_in_terminal(options: argparse.Namespace) -> int:

@@ -119,7 +119,7 @@ class LiftFolder:
         with self.lock():
             order, request = list(PRESETS), LiftRequest.read(self.path / "request.json")
             if order.index(preset) < order.index(request.preset):
-                what, fix = f"was lifted by {request.preset}, which is better than {preset}", "Refine it to a later one."
+                what, fix = f"was lifted by {request.preset}, which is better than {preset}", "Name a better preset."
                 raise PlgsError("not-finer", what, self.path, fix, option="--refine")
             if preset != request.preset:
                 request = replace(request, preset=preset)

@@ -50,9 +50,10 @@ def _switch(about: str) -> dict[str, Any]:
 class LiftRequest(SceneSource):
     """One lift of a scene. Relative paths are taken from the working directory, and become absolute. ``options`` are
     the changed options of the preset, by name (see ``engine/presets``). ``fit`` uses fewer frames if memory is limited.
-    ``bake`` None: what is usual for the preset (``bakes``). ``device`` trains and draws the Gaussians. ``names_from`` is the folder of an earlier lift whose objects keep their
-    names and ids. ``anyway`` lifts a scene whose numbers or masks are wrong for certain. Raises PlgsError if a value is
-    out of range. Files are not checked, as this is the scene's task."""
+    ``bake`` None: what is usual for the preset (``bakes``). ``device`` trains and draws the Gaussians. ``names_from``
+    is the folder of an earlier lift whose objects keep their names and ids. ``anyway`` lifts a scene whose numbers or
+    masks are wrong for certain. Raises PlgsError if a value is out of range. Files are not checked, as this is the
+    scene's task."""
 
     preset: PresetName = "preview"
     options: Mapping[str, Json] = field(default_factory=dict)
@@ -184,8 +185,9 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
     ``more_bakes``: other values of --bake, and their meanings; the caller must remove them from the options."""
     parser.add_argument(
         "--preset", type=preset_or_file, metavar="NAME|FILE.toml",
-        help=f"how much work to spend: draft shows a room in half a minute, preview takes minutes, standard tens of "
-        f"minutes, paper follows the paper's own settings; or your own file, like those that 'presets NAME' prints (default: {DEFAULTS.preset})",
+        help="how much work to spend: draft shows a room in half a minute, preview takes minutes, standard tens of "
+        "minutes, paper follows the paper's own settings; or your own file, like those that 'presets NAME' prints "
+        f"(default: {DEFAULTS.preset})",
     )  # fmt: skip
     add_set_option(parser)
     add_amount_options(parser)
