@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import textwrap
 import time
 
 import bpy
-from bpy.props import EnumProperty
+from bpy.props import BoolProperty, EnumProperty, StringProperty
 
-from ..plgs_blender.chosen_scene import absolute
+from ..plgs_blender import shown_export
+from ..plgs_blender.chosen_scene import absolute, free_folder
 from ..plgs_blender.engine_environment import why_no_engine
-from ..plgs_blender.errors import one_line
+from ..plgs_blender.errors import one_line, plural
 from ..plgs_blender.inspecting.looks import SURFACE, has
-from ..plgs_blender.inspecting.selection import active_lift
+from ..plgs_blender.inspecting.selection import active_lift, find_lift
 from ..plgs_blender.meshes import are_stale
-from ..plgs_blender.owned import FOLDER
+from ..plgs_blender.owned import FOLDER, folder_of
 from ..plgs_blender.registry import Task
 from ..plgs_blender.running import exports, lifting, lifts
+from ..plgs_blender.running.adding import CAPABILITIES, why_lacking
 from ..plgs_blender.settings import LiftOptions, chosen_lift
 from . import base
 
@@ -231,14 +234,8 @@ _FRAMES = [
 ]
 
 
-class Exports(base.OnLiftFolder, base.StartsTask):
-    """An operator that exports a lift."""
-
-    frames: base.argument(EnumProperty, "Frames", "Which frames to export", items=_FRAMES, default="all")
-
-    @classmethod
-    def why_not(cls, context: bpy.types.Context) -> str | None:
-        return "An export is already running" if exports.is_busy() else why_no_engine()
+class OfShownLift(base.OnLiftFolder):
+    """An operator on the lift that the panels show, unless its folder is given."""
 
     def lift_of(self, context: bpy.types.Context) -> str:
         """The folder of the named lift, else of the panel's lift, else of the placed one, else ""."""
@@ -248,17 +245,83 @@ class Exports(base.OnLiftFolder, base.StartsTask):
         return str(absolute(root.get(FOLDER, ""))) if root is not None and root.get(FOLDER) else ""
 
 
+class Exports(OfShownLift, base.StartsTask):
+    """An operator that exports a lift."""
+
+    frames: base.argument(EnumProperty, "Frames", "Which frames to export", items=_FRAMES, default="all")
+
+    @classmethod
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        return "An export is already running" if exports.is_busy() else why_no_engine()
+
+
 class PLGS_OT_export_lift(Exports, base.ChoosesFile, bpy.types.Operator):
     """Write a finished lift to a folder, in a format that other programs read"""
 
     bl_idname, bl_label = "plgs.export_lift", "Export"
 
-    form: base.argument(EnumProperty, "Format", items=_FORMS, default="coco")
+    form: base.argument(EnumProperty, "Format", items=_FORMS, default="gltf")
     directory: base.folder_argument("Folder", "Where the files go")
+    filepath: base.argument(StringProperty, "Folder", "The folder that a file browser names", subtype="FILE_PATH")
+
+    @classmethod
+    def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
+        return exports.FORMS[properties.form][1]
+
+    @base.reporting
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Say what is lacking, else propose a new folder beside the lift."""
+        lacking = why_lacking(self.form) if self.form in CAPABILITIES else None
+        if lacking is not None:
+            self.report({"ERROR"}, lacking)
+            return base.CANCELLED
+        lift = lifting.lift_at(context.scene.plgs, self.lift_of(context))
+        self.filepath = str(free_folder(exports.beside(lift.path), self.form))
+        return super().invoke(context, event)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        if self.form in exports.OF_FRAMES:
+            self.layout.prop(self, "frames")
+        for line in textwrap.wrap(exports.FORMS[self.form][1], 36):
+            self.layout.label(text=line)
 
     def begin(self, context: bpy.types.Context) -> Task:
-        lift = self.lift_of(context)
-        return lifting.export_lift(context.scene.plgs, self.form, self.directory, self.frames, lift)
+        output = self.filepath if self.was_invoked else self.directory
+        return lifting.export_lift(context.scene.plgs, self.form, output, self.frames, self.lift_of(context))
+
+
+class PLGS_OT_export_shown(OfShownLift, base.Acts, bpy.types.Operator):
+    """Write the meshes that are shown, with their names and pictures, in seconds"""
+
+    bl_idname, bl_label = "plgs.export_shown", "Export What Is Shown"
+
+    form: base.argument(EnumProperty, "Format", items=[("gltf", "glTF", "One GLB"), ("usd", "OpenUSD", "One USDZ")])
+    filepath: base.file_argument("File", "Its ending chooses the kind: .glb or .gltf; .usdz, .usdc, .usda or .usd")
+    check_existing: base.argument(BoolProperty, "Check Existing", "Ask before overwriting", default=True)
+
+    @classmethod
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        root = active_lift(context.scene, context.active_object)
+        return None if root is not None and has(root, SURFACE) else "There are no meshes yet: press Surface in 3 Result"
+
+    @base.reporting
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        lacking = shown_export.why_not(self.form)
+        if lacking is not None:
+            self.report({"ERROR"}, lacking)
+            return base.CANCELLED
+        root = find_lift(context.scene, self.lift_folder, context.active_object)
+        self.filepath = f"{exports.beside(folder_of(root))}{shown_export.SUFFIXES[self.form][0]}"
+        context.window_manager.fileselect_add(self)
+        return base.RUNNING
+
+    def draw(self, context: bpy.types.Context) -> None:
+        pass  # its options are the file's name
+
+    def act(self, context: bpy.types.Context) -> str:
+        root = find_lift(context.scene, self.lift_folder, context.active_object)
+        count = shown_export.export_shown(root, context.scene, self.form, absolute(self.filepath))
+        return f"{plural(count, 'mesh is', 'meshes are')} in {self.filepath}"
 
 
 class PLGS_OT_make_meshes(Exports, bpy.types.Operator):

@@ -104,6 +104,12 @@ def key_visibility(root: bpy.types.Collection, numbers: Sequence[int], scene: bp
     return keyed
 
 
+def extracted(root: bpy.types.Collection) -> list[bpy.types.Object]:
+    """The extracted surfaces of a lift."""
+    objects = [ob for _, collection in _made(root) for ob in collection.objects]
+    return [ob for ob in objects if PLACED in ob and ob.type == "MESH" and len(ob.data.polygons)]
+
+
 def _made(root: bpy.types.Collection) -> Iterable[tuple[int, bpy.types.Collection]]:
     """The extracted instances of a lift, with their collections."""
     for top in bpy.data.collections:

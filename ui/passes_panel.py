@@ -86,7 +86,9 @@ class PLGS_PT_export(sidebar.Step, bpy.types.Panel):
         cell = row.row(align=True)
         if not sidebar.draw_bar(cell, running if scene == "clouds" else None, "Cloud"):
             cell.operator("plgs.make_depth_cloud", icon="OUTLINER_DATA_POINTCLOUD")
+        _draw_shown(layout.row(align=True))
         _draw_forms(layout.column(align=True), None if scene else running)
+        sidebar.draw_lacking(layout, context, "usd")
         if running is not None:
             sidebar.draw_text(layout, context, sidebar.how_far(running)[1], "TIME")
         if export is not None:
@@ -99,7 +101,15 @@ class PLGS_MT_export(bpy.types.Menu):
     bl_idname, bl_label = "PLGS_MT_export", "PLGS Lift"
 
     def draw(self, context: bpy.types.Context) -> None:
+        _draw_shown(self.layout)
         _draw_forms(self.layout)
+
+
+def _draw_shown(layout: bpy.types.UILayout) -> None:
+    """The forms that Blender writes itself from what is shown."""
+    layout.operator_context = "INVOKE_DEFAULT"
+    for form, label in (("gltf", "glTF…"), ("usd", "OpenUSD…")):
+        layout.operator("plgs.export_shown", text=label, icon="EXPORT").form = form
 
 
 def _draw_forms(layout: bpy.types.UILayout, running: Export | None = None) -> None:

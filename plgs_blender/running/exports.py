@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,20 +19,22 @@ from ..owned import root_of_placed
 from ..registry import Task, start_engine
 
 FORMS = {
+    "gltf": ("glTF, Finer", "The meshes of all instances and stuff classes in one GLB, made anew and finer"),
+    "usd": ("OpenUSD, Finer", "Gaussians, finer meshes, boxes and cameras in one USD file"),
+    "splats": ("Splats", "PLY, SPZ and GLB of the Gaussians alone, with the names of their ids"),
+    "mesh": ("Meshes, Finer", "The surface as PLY, and a GLB for each instance and each stuff class"),
+    "surface": ("Surface", "The surface as one PLY with pictures, as Blender shows it"),
+    "points": ("Labelled Points", "PLY of the semantic points, and of the Gaussians"),
+    "boxes": ("Boxes", "The objects' oriented boxes as JSON and CSV"),
+    "depth": ("Depth Maps", "The lifted surface's depth in metres, one NPY per frame"),
+    "clouds": ("Depth Clouds", "Each frame's pixels as labelled points in the world, one NPZ per frame"),
     "coco": ("COCO Panoptic", "panoptic.json and PNGs of segments"),
     "instances": ("Label Images", "16-bit PNGs of classes and instances, and coloured PNGs"),
     "scannet": ("ScanNet Labels", "label-filt, instance-filt and their table"),
-    "points": ("Labelled Points", "PLY of the semantic points, and of the Gaussians"),
-    "splats": ("Splats", "PLY, SPZ and GLB of the Gaussians alone, with the names of their ids"),
-    "boxes": ("Boxes", "The objects' oriented boxes as JSON and CSV"),
-    "mesh": ("Meshes", "The surface as PLY, and a GLB for each instance and each stuff class"),
-    "surface": ("Surface to View", "The surface as one PLY, coarser away from objects, as Blender shows it"),
-    "gltf": ("glTF", "The meshes of all instances and stuff classes in one GLB"),
-    "usd": ("OpenUSD", "Gaussians, meshes, boxes and cameras in one USD file; needs usd-core in the engine"),
-    "depth": ("Depth Maps", "The lifted surface's depth in metres, one NPY per frame"),
-    "clouds": ("Depth Clouds", "Each frame's pixels as labelled points in the world, one NPZ per frame"),
 }
-"""Label and description of each export format."""
+"""Label and description of each export format, an artist's first."""
+OF_FRAMES = ("depth", "clouds", "coco", "instances", "scannet")
+"""Formats that are files of each frame, so that a choice of frames means something."""
 
 
 class Export(Task):
@@ -111,6 +114,11 @@ def make_meshes(lift: Path, scene: bpy.types.Scene, frames: str = "all", *, aske
     root_of_placed(lift, scene)  # raises an error now, not when the meshes are made
     python = engine_environment.usable_python()
     return export(lift, SURFACE, mesh_folder(lift), python, [frames], shown_in=scene.name, asked=asked)
+
+
+def beside(lift: Path) -> Path:
+    """Where exports of a lift are proposed: its own name, beside it or, if nothing can be written there, at home."""
+    return lift if os.access(lift.parent, os.W_OK) else Path.home() / lift.name
 
 
 def is_busy() -> bool:

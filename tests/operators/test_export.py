@@ -9,6 +9,7 @@ from ast import literal_eval
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -17,7 +18,10 @@ from plgs.engine.job.follower import TaskFollower
 from plgs.engine.job.process import EngineProcess
 from plgs.engine.job.task import TaskFiles
 from plgs.plgs_blender import engine_environment, registry
+from plgs.plgs_blender.lift_scene import place_lift
 from plgs.plgs_blender.running import exports
+from surface_file import write_surface
+from tiny_scene import CHAIR_ID, FLOOR_ID
 
 from tests.raises_key import raises_key, worded
 
@@ -46,7 +50,7 @@ needs_engine = pytest.mark.skipif(find_spec("torch") is None, reason="the engine
 def test_the_command_knows_every_format(root: Path) -> None:
     text = (root / "engine" / "command_line" / "main.py").read_text()
     known = re.search(r"^EXPORTS = (\(.*?\))", text, re.DOTALL | re.MULTILINE)
-    assert known is not None and literal_eval(known[1]) == (*exports.FORMS,)
+    assert known is not None and sorted(literal_eval(known[1])) == sorted(exports.FORMS)
 
 
 @needs_engine
@@ -96,6 +100,45 @@ def test_meshes_are_made_and_placed(lift: Path, tmp_path: Path, monkeypatch: pyt
     assert arguments[0] == str(lift) and arguments[1:3] == ["--to", "surface"] and arguments[-2:] == ["--frames", "all"]
     names = {ob.name for ob in bpy.context.scene.objects if ob.get("plgs_key", "").startswith("mesh:")}
     assert len(names) == 2
+
+
+def test_what_is_shown_is_exported_at_once(mine: Path, tmp_path: Path) -> None:
+    """By Blender itself: names, pictures and what the lists hide; the scene is as it was."""
+    write_surface(mine / "exports" / "surface" / "mesh.ply", shade=40)
+    assert not bpy.ops.plgs.export_shown.poll()
+    root, scene = place_lift(mine, bpy.context.scene), bpy.context.scene
+    bpy.ops.plgs.show_as(kind="POINTS")  # the meshes are hidden, and still what is exported
+    before = state(root)
+    assert bpy.ops.plgs.export_shown(form="gltf", filepath=str(tmp_path / "room")) == {"FINISHED"}
+    content = glb(tmp_path / "room.glb")
+    assert {node["name"] for node in content["nodes"]} == {"floor mesh", "chair 1 mesh"}
+    assert {node["extras"]["class_id"] for node in content["nodes"]} == {FLOOR_ID, CHAIR_ID}
+    assert len(content["images"]) == 2 and all(
+        "baseColorTexture" in each["pbrMetallicRoughness"] for each in content["materials"]
+    )
+    root.plgs.instances[0].visible = False
+    assert bpy.ops.plgs.export_shown(form="gltf", filepath=str(tmp_path / "hidden.glb")) == {"FINISHED"}
+    assert [node["name"] for node in glb(tmp_path / "hidden.glb")["nodes"]] == ["floor mesh"]
+    root.plgs.instances[0].visible = True
+    assert state(root) == before and scene.collection.children.get("PLGS export") is None
+    if bpy.app.build_options.usd:
+        assert bpy.ops.plgs.export_shown(form="usd", filepath=str(tmp_path / "room.usdz")) == {"FINISHED"}
+        assert (tmp_path / "room.usdz").read_bytes().count(b".jpg") >= 2, "the pictures are in the file"
+    with pytest.raises(RuntimeError, match="cannot be written|was not written"):
+        (tmp_path / "file").touch()
+        bpy.ops.plgs.export_shown(form="gltf", filepath=str(tmp_path / "file" / "room.glb"))
+    assert state(root) == before
+
+
+def state(root: bpy.types.Collection) -> list[object]:
+    meshes = [ob for ob in root.all_objects if ob.get("plgs_key", "").startswith("mesh:")]
+    of_each = [(ob.name, ob.data.materials[0].name, ob.hide_viewport, ob.visible_get()) for ob in meshes]
+    return [*of_each, len(bpy.data.materials), len(bpy.data.images), len(bpy.data.collections)]
+
+
+def glb(path: Path) -> dict[str, Any]:
+    body = path.read_bytes()
+    return json.loads(body[20 : 20 + int.from_bytes(body[12:16], "little")])
 
 
 @needs_engine

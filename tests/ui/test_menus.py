@@ -42,7 +42,7 @@ ELSEWHERE = {
     "pick", "point_at", "rename_selected", "delete_selected", "select_instance", "select_class",
     "matte_class", "go_to_mask", "go_to_frame",
     # File > Import and Export, and files that are dropped
-    "browse_scene", "export_lift", "open_dropped",
+    "browse_scene", "export_lift", "export_shown", "open_dropped",
     # beside what they look at, cancel or mend
     "look_at_scene", "refresh_lifts", "watch_lift", "open_log", "show_finding", "go_to_finding", "leave_out",
     "cancel_frames", "cancel_poses", "cancel_masks", "cancel_diagnosis", "cancel_export",
