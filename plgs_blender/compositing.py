@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 
 import bpy
@@ -10,7 +11,7 @@ import bpy
 from ..engine.errors import PlgsError
 from ..engine.posed.names import matte_names
 from . import compat
-from .inspecting.selection import class_row_of, row_of
+from .inspecting.selection import choosing, class_row_of, row_of
 from .owned import KEY, LIFT, key_of, scene_to_fill
 from .pass_nodes import CRYPTO_CLASSES, CRYPTO_INSTANCES, PANOPTIC, PASSES, has_nodes, node_of
 from .passes import SHOT, passes_scene_of
@@ -159,9 +160,11 @@ HANDLERS = (("load_post", _subscribe),)
 
 def register() -> None:
     _subscribe()
+    choosing.append(_follow_choice)
 
 
 def unregister() -> None:
+    choosing.remove(_follow_choice)
     bpy.msgbus.clear_by_owner(_MSGBUS_OWNER)
     if bpy.app.timers.is_registered(follow_workspace):
         bpy.app.timers.unregister(follow_workspace)
@@ -190,6 +193,13 @@ def panoptic_of(scene: bpy.types.Scene) -> bpy.types.Node | None:
 
 def _group_node(tree: bpy.types.NodeTree | None) -> bpy.types.Node | None:
     return None if tree is None else next((node for node in tree.nodes if node.get(KEY) == PANOPTIC), None)
+
+
+def _follow_choice(root: bpy.types.Collection) -> None:
+    """Let the matte follow the list's active row, if the lift says so and has passes."""
+    if root.plgs.matte_follows and root.plgs.instance_index >= 0:
+        with suppress(PlgsError):
+            matte_instance(root, 0)
 
 
 def matte_instance(root: bpy.types.Collection, instance: int) -> str:

@@ -29,7 +29,19 @@ from ..engine.posed.names import matte_names
 from . import compat
 from .materials import linear_rgba
 from .owned import KEY, LIFT, OwnedDataBlocks, key_of, lifts_in, tag, text_of
-from .pass_nodes import CRYPTO_CLASSES, CRYPTO_INSTANCES, PASSES, build, has_nodes, node_of, reading_nodes, use_image
+from .pass_nodes import (
+    COLOURS,
+    CONTROLS,
+    CRYPTO_CLASSES,
+    CRYPTO_INSTANCES,
+    PANOPTIC,
+    PASSES,
+    build,
+    has_nodes,
+    node_of,
+    reading_nodes,
+    use_image,
+)
 from .results import LiftResult
 
 SHOT = "shot:"
@@ -127,12 +139,7 @@ def _fill_scene(
         if tree is None or not has_nodes(tree):
             tree = compat.new_compositor_tree(scene, name)
             build(tree, owned.lift, image)
-            if result.instances:
-                first = result.instances[0]
-                names = matte_names({each.id: each.name for each in result.instances})
-                classes = matte_names({each.id: each.name for each in result.classes.categories})
-                node_of(tree, CRYPTO_INSTANCES).matte_id = names[first.id]
-                node_of(tree, CRYPTO_CLASSES).matte_id = classes.get(first.class_id, "")
+            _begin_matte(owned.lift, scene, tree, result)
         if not tree.is_embedded_data:
             tag(tree, owned.lift, f"{key} tree")
             owned.keep(tree)
@@ -143,6 +150,28 @@ def _fill_scene(
     _fill_palette(owned, tree, "Instance", {each.id: each.colour for each in result.instances})
     _fill_palette(owned, tree, "Class", {each.id: each.colour for each in result.classes.categories})
     return scene
+
+
+def _begin_matte(lift: str, scene: bpy.types.Scene, tree: bpy.types.NodeTree, result: LiftResult) -> None:
+    """Give new nodes the matte and the controls of the lift's last compositor, else the selected object, else none."""
+    layers = (CRYPTO_INSTANCES, CRYPTO_CLASSES)
+    for other in reversed(bpy.data.scenes):
+        last = compat.compositor_tree(other) if other != scene and key_of(other, lift) else None
+        if last is not None and has_nodes(last) and any(node_of(last, layer).matte_id for layer in layers):
+            for layer in layers:
+                node_of(tree, layer).matte_id = node_of(last, layer).matte_id
+            groups = [node for each in (tree, last) for node in each.nodes if node.get(KEY) == PANOPTIC]
+            for name in (*CONTROLS, *COLOURS) if len(groups) == 2 else ():
+                groups[0].inputs[name].default_value = groups[1].inputs[name].default_value
+            return
+    for root in (root for each in bpy.data.scenes for root in lifts_in(each) if root[LIFT] == lift):
+        lists = getattr(root, "plgs", None)  # None while the extension is off
+        if lists is not None and 0 <= lists.instance_index < len(lists.instances):
+            row = lists.instances[lists.instance_index]
+            names = (matte_names({each.id: each.name for each in kind})
+                     for kind in (result.instances, result.classes.categories))  # fmt: skip
+            for layer, known, number in zip(layers, names, (row.instance_id, row.class_id), strict=True):
+                node_of(tree, layer).matte_id = known.get(number, "")
 
 
 def _new_scene(name: str) -> bpy.types.Scene:

@@ -7,7 +7,9 @@ import bpy
 from ..plgs_blender import registry
 from ..plgs_blender.compositing import panoptic_of
 from ..plgs_blender.errors import one_line
+from ..plgs_blender.inspecting.selection import active_lift
 from ..plgs_blender.meshes import SURFACE
+from ..plgs_blender.owned import scene_to_fill
 from ..plgs_blender.pass_nodes import COLOURS, CONTROLS
 from ..plgs_blender.running.estimate import bake_estimate
 from ..plgs_blender.running.exports import FORMS, Export
@@ -53,6 +55,9 @@ class PLGS_PT_panoptic(sidebar.Sidebar, bpy.types.Panel):
             sidebar.draw_text(layout, context, what_to_do, "INFO")
             return
         layout.use_property_split, layout.use_property_decorate = True, False
+        root = active_lift(scene_to_fill(context.scene), context.active_object)
+        if root is not None:
+            layout.prop(root.plgs, "matte_follows")
         for name in (*CONTROLS, *COLOURS):
             layout.prop(node.inputs[name], "default_value", text=name)
 

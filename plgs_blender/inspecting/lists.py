@@ -29,7 +29,7 @@ from ..lifecycle import register_modules, unregister_modules
 from ..materials import UNKNOWN
 from ..results import LiftResult
 from . import looks
-from .selection import renaming, select_row
+from .selection import choosing, renaming, select_row
 
 WAYS_TO_SHOW = [
     (looks.POINTS, "Points", "The semantic points"),
@@ -70,6 +70,8 @@ def _update_show_as(lists: bpy.types.PropertyGroup, context: bpy.types.Context) 
 
 def _update_selection(lists: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
     select_row(lists.id_data, context.view_layer)
+    for follow in choosing:
+        follow(lists.id_data)
 
 
 def _update_catcher(lists: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
@@ -167,6 +169,8 @@ class PLGS_PG_lift(bpy.types.PropertyGroup):
     catch_shadows: BoolProperty(name="Catch Shadows", update=_update_catcher,
         description="Show only shadows and reflections of other objects on the surface, to render them over a photo or "
         "a baked frame. EEVEE uses the light that is strongest now")
+    matte_follows: BoolProperty(name="Matte Follows Selection", update=_update_selection,
+        description="The object that you choose in the view or the list is the matte in the compositor, too")
     show_cameras: BoolProperty(name="Cameras", update=_applying(looks.size_cameras),
         description="Draw the frames' cameras and their path")
     show_labels: BoolProperty(name="Labels", default=True, description="Draw the instances' names over the view")

@@ -141,6 +141,8 @@ def class_row_of(root: bpy.types.Collection, class_id: int) -> Any:
 
 renaming: list[Callable[[bpy.types.Collection, int, str], None]] = []
 """Called with an instance's id after its row or box was renamed: `corrections` makes an edit of it."""
+choosing: list[Callable[[bpy.types.Collection], None]] = []
+"""Called after the active row of a lift's list of instances has changed, as by a click in the view."""
 _MSGBUS_OWNER = object()
 
 
