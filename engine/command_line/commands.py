@@ -260,7 +260,7 @@ def set_up(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -
         remove_environments(options.folder)
         events.answer({}, f"No environment is left in {options.folder}")
         return
-    sources = (os.environ.get("PLGS_INDEX_URL", ""), options.wheels, options.download)
+    sources = (os.environ.get("PLGS_INDEX_URL", ""), options.wheels, options.download, options.torch_hash)
     made = SetUp(SetUpRequest(options.base_python, options.torch, *sources), events, stop, folder=options.folder).run()
     if options.download is not None:
         events.answer({"wheels": made}, f"For set-up and add with --wheels: {made}")

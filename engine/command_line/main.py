@@ -273,6 +273,8 @@ def _add_set_up(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="where environments, their log and lock are")
     parser.add_argument("--base-python", type=Path, metavar="PYTHON", help="make it from this Python")
     parser.add_argument("--torch", choices=("cpu", "cuda"), default="cpu", help="the build of torch (default: cpu)")
+    about = "the SHA-256 of torch's wheel in --wheels, where PLGS knows none"
+    parser.add_argument("--torch-hash", default="", metavar="SHA256", help=about)
     either = parser.add_mutually_exclusive_group()
     _add_wheels(either)
     either.add_argument(

@@ -7,7 +7,7 @@ import hashlib
 import os
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from ..errors import PlgsError, reading
@@ -78,7 +78,7 @@ def pinned_versions(root: Path) -> tuple[Version, ...]:
 
 def requirement_file(root: Path, name: str, version: Version | None = None) -> Path:
     """A file in requirements/, which may be missing: "constraints" of a version pins dependencies, "hashes" of one has
-    the SHA-256 of all packages but torch, and "hashes-NAME" that of all packages added for NAME."""
+    the SHA-256 of all packages but torch's, which "hashes-torch" has, and "hashes-NAME" of all added for NAME."""
     ending = "" if version is None else f"-{version[0]}.{version[1]}"
     return root / "requirements" / f"{name}{ending}.txt"
 
@@ -91,6 +91,16 @@ def needed_packages(root: Path, version: Version, platform: str = sys.platform) 
     constraints = requirement_file(root, "constraints", version)
     numpy = _pins(constraints, version, platform).get("numpy") if constraints.exists() else None
     return needed | {"numpy": numpy}
+
+
+def pinned_hashes(path: Path) -> Iterator[tuple[str, str | None, str]]:
+    """The name, version and SHA-256 of each wheel in a file of hashes. Raises PlgsError."""
+    name = version = ""
+    for line in _text(path).splitlines():
+        if pin := re.match(r"([\w.-]+)==([^\s;]+)", line):
+            name, version = pin[1].lower().replace("_", "-"), pin[2]
+        for each in re.findall("sha256:([0-9a-f]{64})", line):
+            yield name, version, each
 
 
 def digest(root: Path, version: Version) -> str:

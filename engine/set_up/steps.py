@@ -24,6 +24,7 @@ from ..job.environment import (
     environments_folder,
     is_complete,
     needed_packages,
+    pinned_hashes,
     pinned_versions,
     python_in,
     requirement_file,
@@ -51,6 +52,11 @@ NEEDED_BYTES = {"cpu": 5e9, "cuda": 15e9}
 """Free bytes on the disk for the environment and for what is unpacked meanwhile, rounded up."""
 _BY_HASH = ("--no-deps", "--require-hashes", "--requirement")
 _TORCH_FOR_CPU = "https://download.pytorch.org/whl/cpu"
+_LISTED = re.compile(r"(\S+)==([^\s+]+)(?:\+\S+)? --hash=sha256:([0-9a-f]{64})")
+_FOREIGN_FIX = (
+    "If it is the wheel that 'set-up --download' named on a computer that you trust, give its hash with --torch-hash. "
+    "Otherwise collect the wheels again."
+)
 _SYNC = "import os; getattr(os, 'sync', lambda: None)()"  # Windows has no os.sync
 
 
@@ -58,13 +64,15 @@ _SYNC = "import os; getattr(os, 'sync', lambda: None)()"  # Windows has no os.sy
 class SetUpRequest:
     """``base_python`` None means this one, or another that the packages are pinned for. ``torch_build`` is "cpu" or
     "cuda". An empty ``index_url`` lets packages come from where uv or pip is configured to look; ``wheels`` is a folder
-    that they come from instead, without a network. ``download`` is such a folder to make, instead of an environment."""
+    that they come from instead, without a network. ``download`` is such a folder to make, instead of an environment.
+    ``torch_hash`` is the SHA-256 of torch's wheel, for a build whose hash is not pinned."""
 
     base_python: Path | None = None
     torch_build: str = "cpu"
     index_url: str = ""
     wheels: Path | None = None
     download: Path | None = None
+    torch_hash: str = ""
 
     def torch_list(self, version: Version) -> str:
         """The name of the file in a folder of wheels that lists torch's, with their hashes."""
@@ -175,7 +183,7 @@ class SetUp(UvTask):
             raise PlgsError("environment-failed", what, self.log_path, "Name another Python in the preferences.")
 
     def _install_packages(self, uv: Path, environment: Path, version: Version) -> None:
-        """Install torch, of which no hashes are kept, then all else by its hashes."""
+        """Install torch, of whose CPU builds few hashes are kept, then all else by its hashes."""
         install: list[str | Path] = [uv, "pip", "install", "--no-build", "--python", python_in(environment)]
         self._tell(3)
         if self.request.wheels is not None:
@@ -183,11 +191,35 @@ class SetUp(UvTask):
             if not listed.is_file():
                 fix = "Give 'set-up --download' the same --torch and a --base-python of the same version."
                 raise PlgsError("no-wheels", f"there is no {listed.name} among the wheels", listed.parent, fix)
-            self._install("torch", [*install, *_BY_HASH, listed])
+            self._install("torch", [*install, *_BY_HASH, self._pinned_list(listed, version)])
         else:
             self._install("torch", [*install, *self._torch_options(version, "--torch-backend", "cpu")])
         self._tell(4)
         self._install("packages", [*install, *_BY_HASH, requirement_file(self.root, "hashes", version)])
+
+    def _pinned_list(self, listed: Path, version: Version) -> Path:
+        """A copy of the list of torch's wheels, whose names, versions and hashes are all in our own. Raises PlgsError
+        for others: whoever can write to the folder could exchange a wheel and its line."""
+        pinned = {
+            *pinned_hashes(requirement_file(self.root, "hashes-torch")),
+            *pinned_hashes(requirement_file(self.root, "hashes", version)),
+            *(
+                ("torch", needed_packages(self.root, version)["torch"], each)
+                for each in [self.request.torch_hash]
+                if each
+            ),
+        }
+        text = listed.read_text(encoding="utf-8", errors="replace")
+        for line in text.splitlines():
+            match = _LISTED.fullmatch(line)
+            found = match and (match[1].lower().replace("_", "-"), match[2], match[3])
+            if found not in pinned:
+                what = f"PLGS does not know the wheel {line!r}"
+                raise PlgsError("foreign-wheel", what, listed, _FOREIGN_FIX, option="--torch-hash")
+        copy = self.folder / DOWNLOADS / listed.name
+        copy.parent.mkdir(exist_ok=True)
+        write_atomically(copy, text)
+        return copy
 
     def _torch_options(self, version: Version, *of_public_cpu_builds: str) -> list[str]:
         torch = f"torch=={needed_packages(self.root, version)['torch']}"
@@ -212,7 +244,7 @@ class SetUp(UvTask):
         options = self._torch_options(version, "--index-url", _TORCH_FOR_CPU)
         self._install("torch", [*collect, part, *options], for_pip=True)
         lines = []
-        for wheel in sorted(part.iterdir()):  # no hashes of torch's builds are pinned, so they are recorded here
+        for wheel in sorted(part.iterdir()):
             name, number, _ = wheel.name.split("-", 2)
             lines.append(f"{name}=={number} --hash=sha256:{sha256(wheel)}\n")
             wheel.replace(folder / wheel.name)
@@ -226,6 +258,10 @@ class SetUp(UvTask):
             except PlgsError as error:
                 self._events.warning(f"The folder will lack {name}: {error.what}")
         write_atomically(folder / self.request.torch_list(version), "".join(lines))
+        try:
+            self._pinned_list(folder / self.request.torch_list(version), version)
+        except PlgsError as error:
+            self._events.warning(f"{error.what}: set-up --wheels needs its hash with --torch-hash")
 
     def _compile_kernels(self, environment: Path) -> None:
         """Compile what a lift runs. This is also the best test that the engine works here."""

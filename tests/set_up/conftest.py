@@ -57,6 +57,7 @@ def index(code: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[PackageIndex]
     needed = needed_packages(code, sys.version_info[:2])
     index = PackageIndex({name: (pin or "1.0", module_of(name)) for name, pin in needed.items()})
     requirement_file(code, "hashes", sys.version_info[:2]).write_text(index.hashes(without="torch"))
+    requirement_file(code, "hashes-torch").write_text(index.hashes(only="torch"))
     for name in [name for name in os.environ if name.startswith(("PIP_", "UV_"))]:
         monkeypatch.delenv(name)
     monkeypatch.setenv("PIP_CONFIG_FILE", os.devnull)

@@ -63,11 +63,11 @@ class PackageIndex:
         self._server.shutdown()
         self._server.server_close()
 
-    def hashes(self, without: str) -> str:
+    def hashes(self, without: str = "", only: str = "") -> str:
         """As requirements/hashes-*.txt has them."""
         lines = []
         for name, (file, content) in self.wheels.items():
-            if name != without:
+            if name != without and only in ("", name):
                 lines.append(f"{name}=={file.split('-')[1]} --hash=sha256:{hashlib.sha256(content).hexdigest()}\n")
         return "".join(lines)
 

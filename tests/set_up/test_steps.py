@@ -9,11 +9,12 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from engine.job.environment import is_complete, python_in
+from engine.job.environment import is_complete, python_in, requirement_file
 from engine.set_up import SetUpRequest, remove_environments, steps, uv_program
 from tests.raises_key import raises_key, worded
 from tests.set_up.package_index import PackageIndex, installed, wheel
@@ -114,6 +115,20 @@ def test_wheels_of_one_computer_serve_another_without_a_network(
         told = error_of(RunningSetUp(offline, code, folder))
         assert worded("uv-failed").search(told) and package in told
         (wheels / name).write_bytes(content)
+    text = listed.read_text()
+    other, lines = wheel("torch", "99.9", "other"), requirement_file(code, "hashes-torch")
+    (wheels / other[0]).write_bytes(other[1])
+    other_line = f"torch==99.9 --hash=sha256:{hashlib.sha256(other[1]).hexdigest()}"
+    for line in (other_line, f"{text}torch @ https://a/b.whl", f"{text}-e ."):
+        listed.write_text(f"{line}\n")
+        with raises_key("foreign-wheel --torch-hash"):
+            raise RunningSetUp(offline, code, folder).wait().error or AssertionError
+    listed.write_text(text)
+    digest = lines.read_text().rpartition(":")[2].strip()
+    lines.write_text("")  # a build whose hash is not pinned
+    assert worded("foreign-wheel").search(error_of(RunningSetUp(offline, code, folder)))
+    assert RunningSetUp(replace(offline, torch_hash=digest), code, folder).wait().error is None
+    shutil.rmtree(environment_in(folder))
     listed.unlink()
     with raises_key("no-wheels"):
         raise RunningSetUp(offline, code, folder).wait().error or AssertionError
