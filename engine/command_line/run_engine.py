@@ -33,7 +33,8 @@ def run_engine(
     with folder.lock():
         if not (folder.path / "request.json").exists():
             raise PlgsError("lift-removed", "was removed in the meantime", folder.path, "Lift the scene again.")
-        folder.adopt_next_result()
+        if resume:  # otherwise the command is refused, and must change nothing
+            folder.adopt_next_result()
         state = folder.state_at_rest()
         if resume:
             from ..scene_of_lift import is_done  # late: it needs numpy

@@ -22,7 +22,7 @@ from .atomic import PART, files_below, flush_to_disk, remove_parts, write_atomic
 from .checkpoint import CheckpointStore
 from .events import last_events
 from .lock import BakeLocks, FileLock, is_locked
-from .manifest import changed_files, check_sizes, verify
+from .manifest import changed_files, check_sizes, verify, verify_of
 from .request import LiftRequest, PresetName, refuse_unwritable_name
 from .task import LIVE_PREVIEW, TaskFiles
 
@@ -248,10 +248,11 @@ class LiftFolder:
             shutil.rmtree(self.path / NEXT)
 
     def adopt_next_result(self) -> Path | None:
-        """Replace the result by a finished new one, also if a kill interrupted that. Returns where the earlier result
-        is now; None if it is gone, or nothing is new. Only the engine with the lock may call this. Raises OSError."""
+        """Replace the result by a finished new one, also if a kill interrupted that. It must be whole by its manifest,
+        and of this lift's request. Returns where the earlier result is now; None if it is gone, or nothing is new. Only
+        the engine with the lock may call this. Raises OSError, and PlgsError if the disk does not answer."""
         new = self.with_next_result()
-        if new is self or not new.manifest_path.is_file():
+        if new is self or not new._passes(lambda result: verify_of(result, self.path)):
             return None
         earlier = self.set_result_aside()
         new.result_path.rename(self.result_path)

@@ -28,7 +28,8 @@ def damaged(key: str, what: str, path: Path) -> PlgsError:
 @dataclass(frozen=True)
 class Manifest:
     """What a finished lift made and how. ``timings``: seconds by stage. ``frames``: the original names of frames whose
-    files have other names, by file name. ``masks``: the digest of the masks that were lifted; empty if unknown."""
+    files have other names, by file name. ``masks``: the digest of the masks that were lifted; empty if unknown.
+    ``request``: that of the lift's request.json."""
 
     engine_version: str
     versions: _Facts
@@ -38,6 +39,7 @@ class Manifest:
     files: tuple[ListedFile, ...]
     frames: Mapping[str, str] = field(default_factory=dict)
     masks: str = ""
+    request: str = ""
 
 
 def write_manifest(
@@ -48,7 +50,14 @@ def write_manifest(
     those of libraries, ``settings`` the final values of all options. The rest is as in `Manifest`."""
     remove_parts(result)
     files = tuple(ListedFile.of(path, result) for path in files_below(result) if path != result / NAME)
-    _write(result, Manifest(__version__, versions, seed, settings, timings, files, frames or {}, masks))
+    request = request_digest(result.parent)
+    _write(result, Manifest(__version__, versions, seed, settings, timings, files, frames or {}, masks, request))
+
+
+def request_digest(lift: Path) -> str:
+    """The SHA-256 of a lift's request.json; empty without one. Raises OSError."""
+    path = lift / "request.json"
+    return sha256(path) if path.is_file() else ""
 
 
 def add_files(result: Path, paths: Sequence[Path], frames: _Names | None = None) -> None:
@@ -109,6 +118,12 @@ def verify(result: Path) -> Manifest:
     manifest = check_sizes(result)
     verify_files(result, manifest.files)
     return manifest
+
+
+def verify_of(result: Path, lift: Path) -> None:
+    """`verify`, and that the result was made of the lift's request. Raises PlgsError."""
+    if verify(result).request != request_digest(lift):
+        raise damaged("other-request", "is the result of another request", result / NAME)
 
 
 def verify_lifted(result: Path) -> Manifest:

@@ -25,6 +25,7 @@ from .. import __version__
 from ..diagnosis import Finding, diagnose_quickly
 from ..errors import Cancelled, PlgsError
 from ..job import Checkpoint, EventWriter, LiftFolder, StopSignal, read_manifest, write_manifest
+from ..job.manifest import verify_of
 from ..job.prediction import USUAL_MASKS, learn_slowness, machine_slowness
 from ..job.progress import Course, StageProgress, StageReporter
 from ..job.training_log import TrainingLog
@@ -164,6 +165,8 @@ def run_lift(
     if earlier is not None:
         lasting_names.take_over_edits(folder, earlier)  # not before: until now, they would apply to the earlier result
     finish(made, preset, stages, code, parts)
+    if folder.is_lifted_again:
+        verify_of(made.result_path, folder.path)  # else the earlier result would stay, as if it was this one
     warn_of_earlier(folder.adopt_next_result(), events.warning)
     if earlier is not None:
         lasting_names.report_edits(folder, earlier, events)

@@ -17,9 +17,9 @@ FAKE = Path(__file__).parent / "fake_engine.py"
 Start = Callable[..., TaskFollower]
 
 
-def new_lift(tmp_path: Path, name: str = "lift") -> LiftFolder:
+def new_lift(tmp_path: Path, name: str = "lift", seed: int = 0) -> LiftFolder:
     """A folder that asks for a lift of a scene that need not be there."""
-    return LiftFolder.create(tmp_path / name, LiftRequest(scene=tmp_path / "scene"))
+    return LiftFolder.create(tmp_path / name, LiftRequest(scene=tmp_path / "scene", seed=seed))
 
 
 def tiny_lift(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:

@@ -3,12 +3,15 @@
 import errno
 import os
 import shutil
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from engine import job
+from engine.command_line.run_engine import run_engine
 from engine.errors import PlgsError
+from engine.job.atomic import files_below
 from tests.job.following import new_lift, tiny_lift
 from tests.raises_key import raises_key
 
@@ -143,6 +146,32 @@ def test_lift_is_not_repeated_while_it_is_baked(tmp_path: Path) -> None:
     with job.BakeLocks(folder.path), raises_key("being-baked"):
         folder.prepare_run()
     assert folder.is_lifted_again, "a lift that was begun is not forgotten"
+
+
+@pytest.mark.parametrize("spoil", ["empty", "foreign", "truncated", "of another request"])
+def test_a_result_is_replaced_only_by_a_result_of_this_request(tmp_path: Path, spoil: str) -> None:
+    folder, other = new_lift(tmp_path), new_lift(tmp_path, "other", seed=5)
+    for each in (folder, other):
+        run_tiny(each)
+    before = {path: path.read_bytes() for path in files_below(folder.result_path)}
+    folder.prepare_run()
+    new = folder.with_next_result()
+    if spoil == "of another request":
+        shutil.rmtree(new.result_path)
+        shutil.copytree(other.result_path, new.result_path)
+    else:
+        (new.result_path / "metrics.json").write_text("{}")
+        job.write_manifest(new.result_path, versions={}, seed=1, settings={}, timings={})
+        broken = new.result_path / "metrics.json" if spoil == "truncated" else new.manifest_path
+        broken.write_text("" if spoil == "truncated" else "{}" if spoil == "empty" else '{"format": 1, "objects": []}')
+    for command in ([], ["--resume"]):
+        with suppress(PlgsError):
+            run_engine(folder, resume=bool(command), lift=failing)
+        assert {path: path.read_bytes() for path in files_below(folder.result_path)} == before, command
+
+
+def failing(*_: object, **__: object) -> None:
+    raise PlgsError("no-depth", "has no depth", "room", "Give depth.")
 
 
 def test_a_kill_between_two_results_loses_none(tmp_path: Path) -> None:
