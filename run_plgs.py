@@ -236,10 +236,12 @@ def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, inte
 
     if options.blend is None and not blend.exists():
         build_blend(lift, blend)
-    shot = options.camera, options.camera_frames, options.layers
     passes = None if options.passes is None else options.passes.absolute()
-    named = {"name": options.shot, "replace": options.replace, "output": passes, "channels": options.channels}
-    code = bake_shot_in_terminal(lift, options.blend or blend, *shot, interrupts, options.echo, **named)
+    code = bake_shot_in_terminal(
+        lift, options.blend or blend, options.camera, frames=options.camera_frames, layers=options.layers,
+        interrupts=interrupts, echo=options.echo, name=options.shot, replace=options.replace, output=passes,
+        channels=options.channels,
+    )  # fmt: skip
     shows_them = code == ExitCode.FINISHED and options.blend is None and passes is None
     return build_blend(lift, blend) if shows_them else code
 

@@ -81,6 +81,7 @@ def make_frames(
     scene: Scene,
     source: SceneSource,
     folder: Path,
+    *,
     kinds: Collection[str] = KINDS,
     names: Collection[str] | None = None,
     progress: Progress = unwatched,

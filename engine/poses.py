@@ -271,7 +271,7 @@ def make_poses(source: Path, events: EventWriter, stop: StopSignal, pictures: in
     folder, photos = _photos_of(source, events, stop, asked)
     try:
         film, fps = (digests_of_files([(source,)])[0], Video(source).fps()) if is_film(source) else (_NO_FILM, None)
-        return _map(folder, photos, film, asked, fps, events, stop)
+        return _map(folder, photos, film, asked=asked, fps=fps, events=events, stop=stop)
     except BaseException:
         if is_film(source):  # its pictures, which this call wrote
             shutil.rmtree(folder, ignore_errors=True)
@@ -308,7 +308,7 @@ def _depths(folder: Path) -> Mapping[str, Path]:
 
 
 def _map(
-    folder: Path, photos: Path, film: str, asked: int, fps: float | None, events: EventWriter, stop: StopSignal
+    folder: Path, photos: Path, film: str, *, asked: int, fps: float | None, events: EventWriter, stop: StopSignal
 ) -> Made:
     names, others = sorted_out(photos)
     if others:

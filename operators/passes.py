@@ -80,7 +80,7 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
         names = ("frame_start", "frame_end", "frame_step")
         first, last, step = (getattr(self, name) if self.properties.is_property_set(name) else None for name in names)
         motion = "vector" in context.scene.plgs.layers
-        shot = shot_of(context.scene, self.camera, first, last, step, self.shot, motion=motion)
+        shot = shot_of(context.scene, self.camera, first=first, last=last, step=step, given=self.shot, motion=motion)
         for what in shot.warnings:
             self.report({"WARNING"}, what)
         usable_python()  # raises an error now if there is no engine to bake it

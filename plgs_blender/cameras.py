@@ -140,6 +140,7 @@ def place_camera(
     parent: bpy.types.Collection,
     key: str,
     name: str,
+    *,
     camera: Camera,
     display_size: float = _DISPLAY_SIZE,
 ) -> bpy.types.Object:
@@ -171,7 +172,7 @@ def place_frames(
     pictures, by frame name, that an engine made for frames without an image file."""
     cameras = []
     for frame in frames:
-        ob = place_camera(owned, parent, f"frame:{frame.name}", frame.name, frame.camera)
+        ob = place_camera(owned, parent, f"frame:{frame.name}", frame.name, camera=frame.camera)
         ob["frame"], ob["held_out"] = frame.name, bool(frame.held_out)
         for name, kind in (("width", int), ("height", int), ("fx", float), ("fy", float), ("cx", float), ("cy", float)):
             ob[name] = kind(getattr(frame.camera, name))
@@ -210,19 +211,33 @@ def place_camera_path(
     """A camera with one key per frame, at these frames of the timeline: an animation that other programs can read. The
     pose moves linearly between frames, for motion blur. The lens jumps, because each picture has its own. Keys that the
     user set on the camera are removed."""
-    ob = place_camera(owned, parent, PATH, "Camera path", frames[0].camera)
+    ob = place_camera(owned, parent, PATH, "Camera path", camera=frames[0].camera)
     ob.rotation_mode, ob.scale = "QUATERNION", (1.0, 1.0, 1.0)
     keys = np.array(times, np.float64)
     matrices = [Matrix(object_matrix(frame.camera).tolist()) for frame in frames]
     lenses = [lens_of(frame.camera) for frame in frames]
     moving, zooming = (_new_action(owned, part) for part in ("pose", "lens"))
-    add_keys(ob, moving, "location", keys, np.array([matrix.translation for matrix in matrices]), "LINEAR")
+    add_keys(
+        ob,
+        moving,
+        "location",
+        frames=keys,
+        values=np.array([matrix.translation for matrix in matrices]),
+        interpolation="LINEAR",
+    )
     turns = np.array([matrix.to_quaternion() for matrix in matrices])
     signs = np.where((turns[1:] * turns[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
     turns *= np.concatenate([[1.0], np.cumprod(signs)])[:, None]  # none more than half a turn from the one before
-    add_keys(ob, moving, "rotation_quaternion", keys, turns, "LINEAR")
+    add_keys(ob, moving, "rotation_quaternion", frames=keys, values=turns, interpolation="LINEAR")
     for path, name in (("lens", "focal_length"), ("shift_x", "shift_x"), ("shift_y", "shift_y")):
-        add_keys(ob.data, zooming, path, keys, np.array([getattr(lens, name) for lens in lenses]), "CONSTANT")
+        add_keys(
+            ob.data,
+            zooming,
+            path,
+            frames=keys,
+            values=np.array([getattr(lens, name) for lens in lenses]),
+            interpolation="CONSTANT",
+        )
     return ob
 
 

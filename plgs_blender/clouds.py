@@ -164,6 +164,7 @@ def place_semantic_points(
     owned: OwnedDataBlocks,
     parent: bpy.types.Collection,
     points: SemanticPoints,
+    *,
     grid: SurfaceGrid,
     normals: NDArray[np.float32],
     classes: ClassTable,
@@ -180,7 +181,7 @@ def place_semantic_points(
     clouds = new_point_clouds([name for name, _ in looks], [points.xyz[chosen] for _, chosen in groups])
     for (class_id, chosen), (name, srgb), cloud in zip(groups, looks, clouds, strict=True):
         attributes = _label_attributes(points, chosen) | {"normal": ("FLOAT_VECTOR", normals[chosen])}
-        ob = _place(owned, parent, f"class:{class_id}", name, cloud, radius[chosen], attributes)
+        ob = _place(owned, parent, f"class:{class_id}", name, cloud=cloud, radius=radius[chosen], attributes=attributes)
         ob.color = object_colour(srgb)
         ob["class"], ob["class_id"], ob["points"] = name, class_id, len(chosen)
         placed.append(ob)
@@ -198,7 +199,7 @@ def place_anchors(owned: OwnedDataBlocks, parent: bpy.types.Collection, anchors:
         "level": ("INT", anchors.level),
     }
     (cloud,) = new_point_clouds(["Anchors"], [anchors.xyz])
-    ob = _place(owned, parent, "anchors", "Anchors", cloud, radius, attributes)
+    ob = _place(owned, parent, "anchors", "Anchors", cloud=cloud, radius=radius, attributes=attributes)
     ob.color = (0.8, 0.8, 0.8, 1.0)
     ob["points"] = len(anchors.xyz)
     return ob
@@ -218,7 +219,7 @@ def place_depth_clouds(owned: OwnedDataBlocks, root: bpy.types.Collection, lift:
         parent, key = child_collection(root, "Depth clouds"), f"depth_cloud:{path.stem}"
         name, attributes = f"depth of {path.stem}", _label_attributes(points)
         (cloud,) = new_point_clouds([name], [points.xyz])
-        ob = _place(owned, parent, key, name, cloud, radius, attributes)
+        ob = _place(owned, parent, key, name, cloud=cloud, radius=radius, attributes=attributes)
         ob["frame"], ob["points"] = path.stem, len(points.xyz)
         count += len(points.xyz)
     return count
@@ -240,6 +241,7 @@ def _place(
     parent: bpy.types.Collection,
     key: str,
     name: str,
+    *,
     cloud: bpy.types.PointCloud,
     radius: NDArray[np.float32],
     attributes: Attributes,

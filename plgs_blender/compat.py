@@ -159,6 +159,7 @@ def add_keys(
     block: bpy.types.ID,
     action: bpy.types.Action,
     path: str,
+    *,
     frames: NDArray[np.floating],
     values: NDArray[np.floating],
     interpolation: str,

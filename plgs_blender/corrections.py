@@ -153,7 +153,9 @@ def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> Non
     grid = SurfaceGrid.of(result.points.xyz)
     centres = np.array([ob.matrix_world.translation[:] for ob in cameras] or [[0.0, 0.0, 0.0]])  # users may delete them
     clouds = child_collection(root, "Semantic points")
-    place_semantic_points(owned, clouds, result.points, grid, grid.normals(centres), result.classes)
+    place_semantic_points(
+        owned, clouds, result.points, grid=grid, normals=grid.normals(centres), classes=result.classes
+    )
     place_anchors(owned, child_collection(root, "Anchors", scene, hidden=True), result.anchors())
     place_boxes(owned, child_collection(root, "Instances"), result.instances, anew=False)
     owned.sweep_only("class:", INSTANCE, TOGETHER, "anchors")

@@ -85,7 +85,7 @@ def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrame
         points = read_cloud(made.cloud)
         unmoved = areas_that_show(scene, *room_of(root, scene))
         eyes = np.array([camera.matrix_world.translation for camera in cameras.values()])
-        place_points(owned, child_collection(root, _CLOUDS), _CLOUD, "Coloured cloud", points, eyes)
+        place_points(owned, child_collection(root, _CLOUDS), _CLOUD, "Coloured cloud", points=points, viewpoints=eyes)
         for area in unmoved:
             frame_room(area, *room_of(root, scene))
 
@@ -97,11 +97,13 @@ def _place_clouds(
     eyes = np.array([frame.camera.centre for frame in opened.frames])
     if opened.points is not None and len(opened.points):
         points = np.asarray(opened.points.xyz, np.float32), opened.points.rgb
-        place_points(owned, child_collection(root, _CLOUDS), _SPARSE, "Sparse points", points, eyes)
+        place_points(owned, child_collection(root, _CLOUDS), _SPARSE, "Sparse points", points=points, viewpoints=eyes)
     if not cloud:
         return []
     path = cloud_of(made, opened.frames)
     if path is None:
         return ["cloud"] if any(frame.depth_path is not None for frame in opened.frames) else []
-    place_points(owned, child_collection(root, _CLOUDS), _CLOUD, "Coloured cloud", read_cloud(path), eyes)
+    place_points(
+        owned, child_collection(root, _CLOUDS), _CLOUD, "Coloured cloud", points=read_cloud(path), viewpoints=eyes
+    )
     return []

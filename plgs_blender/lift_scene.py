@@ -200,7 +200,12 @@ def place_room(read: ReadLift, scene: bpy.types.Scene) -> tuple[Placed, Generato
 
     cameras = place_frames(owned, child_collection(root, "Cameras"), frames)
     clouds = place_semantic_points(
-        owned, child_collection(root, "Semantic points"), result.points, grid, normals, result.classes
+        owned,
+        child_collection(root, "Semantic points"),
+        result.points,
+        grid=grid,
+        normals=normals,
+        classes=result.classes,
     )
     open_room(owned, clouds)
     place_anchors(owned, child_collection(root, "Anchors", scene, hidden=True), result.anchors)
@@ -214,7 +219,7 @@ def place_room(read: ReadLift, scene: bpy.types.Scene) -> tuple[Placed, Generato
     if read.gaussians is not None:
         owned.keep(splats)  # until they are filled again
     # A new lift moves the overview back, where a user moved it.
-    overview = place_camera(owned, root, "overview", "Overview", read.overview, _OVERVIEW_SIZE)
+    overview = place_camera(owned, root, "overview", "Overview", camera=read.overview, display_size=_OVERVIEW_SIZE)
     place_camera_path(owned, root, frames, mark_timeline(scene, root, overview, cameras))
     if scene.camera is None:
         scene.camera = overview

@@ -85,7 +85,9 @@ def place_passes(owned: OwnedDataBlocks, result: LiftResult) -> bpy.types.Scene 
         owned.drop("scenes", PASSES)
         return None
     sequence = numbered([path.stem for path in result.passes.values()])
-    scene = _fill_scene(owned, result, PASSES, result.passes, sequence, _counting_through(result.passes, sequence))
+    scene = _fill_scene(
+        owned, result, PASSES, files=result.passes, sequence=sequence, count=_counting_through(result.passes, sequence)
+    )
     _mark_views(scene, result.passes)
     sizes = {frame.name: frame.size for frame in result.scene.frames}
     scene.render.resolution_x, scene.render.resolution_y = sizes[next(iter(result.passes))]
@@ -107,7 +109,7 @@ def place_shots(owned: OwnedDataBlocks, result: LiftResult, shot_scene: bpy.type
         sequence = numbered(list(files))
         numbers = (1,) if sequence is None else sequence.numbers
         count = _counting_through(files, sequence) if is_before_0 else partial(_count_on, min(numbers), max(numbers))
-        scene = _fill_scene(owned, result, f"{SHOT}{camera}", files, sequence, count)
+        scene = _fill_scene(owned, result, f"{SHOT}{camera}", files=files, sequence=sequence, count=count)
         _take_after(scene, shot_scene, range(1, 1 + len(files)) if is_before_0 else numbers, size_of(files[names[0]]))
         if is_before_0:
             _mark_views(scene, files)
@@ -125,6 +127,7 @@ def _fill_scene(
     owned: OwnedDataBlocks,
     result: LiftResult,
     key: str,
+    *,
     files: Mapping[str, Path],
     sequence: NumberedNames | None,
     count: Callable[[bpy.types.Scene, bpy.types.NodeTree], None],
@@ -222,7 +225,14 @@ def _count_through(views: int, offsets: list[int], scene: bpy.types.Scene, tree:
         node.frame_start, node.frame_duration = 1, views
         path = f'nodes["{bpy.utils.escape_identifier(node.name)}"].frame_offset'
         action = tree.animation_data_create().action or bpy.data.actions.new(f"{tree.name} frames")
-        compat.add_keys(tree, action, path, np.arange(1.0, len(offsets) + 1.0), np.array(offsets), "CONSTANT")
+        compat.add_keys(
+            tree,
+            action,
+            path,
+            frames=np.arange(1.0, len(offsets) + 1.0),
+            values=np.array(offsets),
+            interpolation="CONSTANT",
+        )
         if offsets:  # keys are evaluated only when the frame changes
             node.frame_offset = offsets[min(max(scene.frame_current, 1), views) - 1]
     node_of(tree, PASSES).use_auto_refresh = True

@@ -99,7 +99,7 @@ def key_visibility(root: bpy.types.Collection, numbers: Sequence[int], scene: bp
         for ob in objects.get(number, ()):
             action = bpy.data.actions.new(f"{ob.name} visibility")
             for path in ("hide_viewport",) if is_box(ob) else ("hide_viewport", "hide_render"):
-                add_keys(ob, action, path, every, hidden.astype(float), "CONSTANT")
+                add_keys(ob, action, path, frames=every, values=hidden.astype(float), interpolation="CONSTANT")
             keyed += 1
     return keyed
 

@@ -78,6 +78,7 @@ class Shot:
 def shot_of(
     scene: bpy.types.Scene,
     camera: str = "",
+    *,
     first: int | None = None,
     last: int | None = None,
     step: int | None = None,

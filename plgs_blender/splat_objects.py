@@ -176,6 +176,7 @@ def place_points(
     parent: bpy.types.Collection,
     key: str,
     name: str,
+    *,
     points: tuple[NDArray[np.float32], NDArray[np.uint8]],
     viewpoints: NDArray[np.float64],
 ) -> bpy.types.Object:

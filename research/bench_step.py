@@ -67,7 +67,7 @@ def bench_step(preset: Preset | None = None) -> dict[str, Any]:
 
     A ``preset`` is lifted as it is. Without one the frames are enlarged, so that the rasteriser counts more.
     """
-    scene = open_scene(SAMPLE, None, "z")
+    scene = open_scene(SAMPLE, None, up="z")
     if preset is None:
         preset = replace(PRESETS["standard"], size=SIZE, voxel_size=VOXEL_SIZE)
         views = [load_view(frame, SIZE) for frame in scene.train_frames[::EVERY]]

@@ -245,7 +245,7 @@ def holes(chance: Floats, noise: CaptureNoise, random: np.random.Generator) -> B
 
 
 def chance_of_holes(
-    depth: Floats, light: Pixels, rays: Floats, points: Floats, noise: CaptureNoise, waves: Floats
+    depth: Floats, light: Pixels, rays: Floats, *, points: Floats, noise: CaptureNoise, waves: Floats
 ) -> Floats:
     """The chance of a hole, float64 [H, W], from independent causes.
 

@@ -92,7 +92,7 @@ def sensed_depth(frame: Frame, light: Pixels, waves: Floats, noise: CaptureNoise
     camera = frame.camera.resized(width, height)
     rays, points = lines_of_sight(camera), camera.unproject(exact)
     seen = cv2.resize(light, (width, height), interpolation=cv2.INTER_AREA)
-    chance = capture_noise.chance_of_holes(exact, seen, rays, points, noise, waves)
+    chance = capture_noise.chance_of_holes(exact, seen, rays, points=points, noise=noise, waves=waves)
     random = stream(seed, "depth", frame.name)
     mixed = capture_noise.flying_pixels(exact, noise, random)
     depth = capture_noise.quantised(capture_noise.noisy(mixed, noise, random), noise)

@@ -180,7 +180,7 @@ def detect(
     kept, holes = _miss(regions, noise, random)
     seen: list[Region] = []
     for region in kept:
-        seen.extend(_classified(region, is_thing, noise, seed, frame, random))
+        seen.extend(_classified(region, is_thing, noise, seed, frame=frame, random=random))
     seen = _merge(seen, noise, random)
     ids = _draw(seen, holes, noise, random)
     stuff = np.array([False, *(not region.is_thing for region in seen)])
@@ -218,7 +218,13 @@ def _miss(regions: list[TrueRegion], noise: MaskNoise, random: np.random.Generat
 
 
 def _classified(
-    region: TrueRegion, is_thing: dict[str, bool], noise: MaskNoise, seed: int, frame: str, random: np.random.Generator
+    region: TrueRegion,
+    is_thing: dict[str, bool],
+    noise: MaskNoise,
+    seed: int,
+    *,
+    frame: str,
+    random: np.random.Generator,
 ) -> list[Region]:
     """One region, or its two parts, with the class of each."""
     name, score = believe(region.sight, noise.belief, seed, frame)

@@ -360,7 +360,9 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_tiny_scene(tmp_path_factory.mktemp("tiny") / "scene", frames=5, size=(32, 24))
 
 
-def look_at(tiny: Path, scene: Path, lens: tuple[float, ...] | None, holes: list[str], depths: str, poses: str) -> None:
+def look_at(
+    tiny: Path, scene: Path, *, lens: tuple[float, ...] | None, holes: list[str], depths: str, poses: str
+) -> None:
     """Inspect and diagnose the scene with other cameras and depth."""
     shutil.rmtree(scene, ignore_errors=True)
     shutil.copytree(tiny, scene)
@@ -393,4 +395,4 @@ def test_odd_cameras_and_depth_are_diagnosed(tiny: Path, tmp_path: Path, count: 
 
 @pytest.mark.parametrize("holes", ["rows", "columns", "grid", "chequers"])
 def test_depth_with_holes_is_diagnosed(tiny: Path, tmp_path: Path, holes: str) -> None:
-    look_at(tiny, tmp_path / "scene", None, [holes] * 5, "as it is", "as it is")
+    look_at(tiny, tmp_path / "scene", lens=None, holes=[holes] * 5, depths="as it is", poses="as it is")

@@ -63,3 +63,9 @@ def test_the_page_on_scripting_names_every_operator(plgs: ModuleType, root: Path
     finally:
         plgs.unregister()
     assert sorted(named) == sorted(registered)
+
+
+def test_the_extension_is_loaded_once(root: Path) -> None:
+    """pytest would import the root `__init__.py` again, under the folder's name, were it not kept from it."""
+    ours = str(root / "__init__.py")
+    assert [name for name, module in sys.modules.items() if getattr(module, "__file__", "") == ours] == ["plgs"]

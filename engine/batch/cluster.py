@@ -309,6 +309,7 @@ def resources(gigabytes: float, threads: int) -> dict[str, float]:
 
 def run_worker(
     address: str,
+    *,
     gigabytes: float = 0.0,
     threads: int = 0,
     parent_pipe: int | None = None,

@@ -101,7 +101,9 @@ def worker(options: argparse.Namespace) -> ExitCode:
     from ..batch import run_worker
 
     pipe = sys.stdin.fileno() if options.stay_with_parent else None
-    return run_worker(options.address, options.memory, options.threads or 0, pipe, tls=_tls(options))
+    return run_worker(
+        options.address, gigabytes=options.memory, threads=options.threads or 0, parent_pipe=pipe, tls=_tls(options)
+    )
 
 
 def batch(options: argparse.Namespace) -> int:

@@ -108,9 +108,10 @@ def export(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -
     from ..job.progress import StageProgress
 
     events.stage("export", 1, 1, "Exporting")
-    progress = StageProgress("export", events, stop)
-    chosen = (options.frames, progress, options.cameras, options.objects)
-    export(folder, options.to, options.output, *chosen, events.warning)
+    export(
+        folder, options.to, options.output, options.frames, progress=StageProgress("export", events, stop),
+        cameras=options.cameras, objects=options.objects, warn=events.warning,
+    )  # fmt: skip
     events.answer({"output": options.output}, f"Exported to {options.output}")
 
 
@@ -189,7 +190,7 @@ def frames(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -
     progress, output = StageProgress("frames", events, stop), options.output.resolve()
     scene = open_asked(source, progress)
     try:
-        made = make_frames(scene, source.resolved, output, options.make, options.frames, progress)
+        made = make_frames(scene, source.resolved, output, kinds=options.make, names=options.frames, progress=progress)
     except OSError as error:
         fix = "Name a folder that you can write to, on a disk with free space."
         what = f"cannot be written ({error.strerror})"
@@ -214,7 +215,7 @@ def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
     from ..segment import begin_job, load_model, make_masks
 
     source: Path = options.scene
-    scene = open_scene(source, None, options.up or "z", scene_format=options.scene_format)
+    scene = open_scene(source, None, up=options.up or "z", scene_format=options.scene_format)
     folder: Path = options.output or (source if source.is_dir() else source.with_suffix(""))
     name = str(Path(options.model).resolve()) if Path(options.model).is_dir() else options.model
     job = begin_job(folder, name, scene.frames)

@@ -84,7 +84,9 @@ def _doubts(corrected: CorrectedResult, one: Instance) -> list[Proposal]:
     mine = corrected.points.instance_id == one.id
     xyz, likely = corrected.points.xyz[mine], corrected.points.confidence[mine]
 
-    def propose(doubt: float, reason: str, answer: str, class_id: int = 0, other: int = 0, seen: str = frame) -> None:
+    def propose(
+        doubt: float, reason: str, answer: str, *, class_id: int = 0, other: int = 0, seen: str = frame
+    ) -> None:
         if doubt >= LEAST_DOUBT:
             found.append(Proposal(one.id, one.name, min(doubt, 1.0), reason, answer, class_id, other, seen))
 

@@ -194,7 +194,7 @@ def find_causes(views: Views, pairs: Pairs, lens_is_doubtful: bool = False) -> t
     assumed, found = Assumption(), list[FoundCause]()
     before = agreement(views, pairs, assumed)
     for _ in range(_MOST_CAUSES):
-        best = _best(views, pairs, assumed, before, {each.cause for each in found}, lens_is_doubtful)
+        best = _best(views, pairs, assumed, before, done={each.cause for each in found}, lens_first=lens_is_doubtful)
         if best is None:
             break
         found.append(best)
@@ -211,7 +211,7 @@ def is_far_better(after: Agreement, before: Agreement) -> bool:
 
 
 def _best(
-    views: Views, pairs: Pairs, assumed: Assumption, before: Agreement, done: set[str], lens_first: bool = False
+    views: Views, pairs: Pairs, assumed: Assumption, before: Agreement, *, done: set[str], lens_first: bool = False
 ) -> FoundCause | None:
     tried = [
         (agreement(views, pairs, trial.assumed), trial) for trial in _trials(views, assumed) if trial.cause not in done

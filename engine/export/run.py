@@ -25,6 +25,7 @@ def export(
     kind: str,
     output: Path,
     frames: Sequence[str],
+    *,
     progress: Progress = unwatched,
     cameras: Path | None = None,
     objects: Sequence[str] = (),

@@ -107,7 +107,7 @@ def bake_frames(
         ]  # fmt: skip
 
     with BakeLocks(folder.path) as locks:
-        _bake(folder, locks, views_in, events, stop, options)
+        _bake(folder, locks, views_in, events=events, stop=stop, options=options)
 
 
 def bake_cameras(
@@ -124,7 +124,7 @@ def bake_cameras(
         return [view_from(camera) for camera in wanted]
 
     with BakeLocks(folder.path) as locks:
-        _bake(folder, locks, views_in, events, stop, options)
+        _bake(folder, locks, views_in, events=events, stop=stop, options=options)
 
 
 def view_from(camera: BakeCamera) -> WantedView:
@@ -141,7 +141,7 @@ def _camera_of(pinhole: PreviewCamera) -> Camera:
 
 
 def _bake(
-    folder: LiftFolder, locks: BakeLocks, views_in: Callable[[Scene], list[WantedView]], events: EventWriter,
+    folder: LiftFolder, locks: BakeLocks, views_in: Callable[[Scene], list[WantedView]], *, events: EventWriter,
     stop: StopSignal, options: BakeOptions,
 ) -> None:  # fmt: skip
     if folder.is_lifted_again and events.path != folder.events_path and folder.is_running:
@@ -270,7 +270,9 @@ class _OwnFolder:
         self._output.mkdir(parents=True, exist_ok=True)
         notes = {**_notes_of(view, self._layers), **self._model, **baker.notes, LIFT_NOTE: self._lift}
         notes = {name: text for name, text in notes.items() if text}
-        write_exr(self._path_of(view), rendered, notes, self._layers, view.shown, self._channels)
+        write_exr(
+            self._path_of(view), rendered, notes=notes, layers=self._layers, shown=view.shown, named_for=self._channels
+        )
 
     def keep(self) -> None:
         """Do nothing, as there is no manifest."""
@@ -297,7 +299,15 @@ class _Result:
         if old := self._listed().intersection(baked_files(self._folder, view.name)):
             with self._locks.manifest():  # the result is complete without the view that is baked again
                 drop_files(self._folder.result_path, sorted(old))
-        baker.write(self._folder, view.name, rendered, events, _notes_of(view, self._layers), self._layers, view.shown)
+        baker.write(
+            self._folder,
+            view.name,
+            rendered,
+            events,
+            notes=_notes_of(view, self._layers),
+            layers=self._layers,
+            shown=view.shown,
+        )
         self._views.append(view)
         if self._locks.others_at_work() or time.monotonic() - self._kept_at > KEEP_EVERY_S:
             self.keep()  # before another process looks for views that are left to bake

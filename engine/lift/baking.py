@@ -62,7 +62,7 @@ class FrameBaker:
 
     def render(self, camera: Camera, clip: ClipRange | None = None) -> BakedView:
         """The model seen from a camera, at the camera's own size. No part of a frame's mask is used."""
-        bands = render_bands(self.lifted, camera, self.labels, clip)
+        bands = render_bands(self.lifted, camera, self.labels, clip=clip)
         view = bake_view(bands, camera, self.classes, self.instances)
         return replace(view, layers=view.layers._replace(confidence=self.calibration(view.layers.confidence)))
 
@@ -82,17 +82,17 @@ class FrameBaker:
         if wanted and FROM_LABELS.isdisjoint(wanted):
             gaussians = len(scene.anchors) * scene.anchors.gaussians_per_anchor
             scene, labels = replace(scene, channels=LabelChannels((), ())), SceneLabels(torch.empty(gaussians, 0))
-        bands = render_bands(scene, camera, labels, clip, want_surface=not wanted or "depth" in wanted)
+        bands = render_bands(scene, camera, labels, clip=clip, want_surface=not wanted or "depth" in wanted)
         return joined([decide(band, self.classes, self.instances.class_of, wanted) for band in bands])
 
     def write(
         self, folder: LiftFolder, name: str, view: BakedView, events: EventWriter,
-        notes: Mapping[str, str] | None = None, layers: Collection[str] = (), shown: ShownFrame = NOTHING_SHOWN,
+        *, notes: Mapping[str, str] | None = None, layers: Collection[str] = (), shown: ShownFrame = NOTHING_SHOWN,
     ) -> None:  # fmt: skip
         """Write passes/<name>.exr, with ``notes`` and what is ``shown`` in its header and these FURTHER_LAYERS,
         write the three previews (`baked_files`), and report the files."""
         passes, _, semantic, _ = baked_files(folder, name)
-        write_exr(passes, view, {**(notes or {}), **self.notes}, layers, shown)
+        write_exr(passes, view, notes={**(notes or {}), **self.notes}, layers=layers, shown=shown)
         write_previews(folder.previews_path, name, view.layers, self.classes, self.colours)
         events.artifact(passes, "pass")
         events.preview(semantic)
@@ -140,6 +140,7 @@ def bake_and_evaluate(
     scene: Scene,
     baker: FrameBaker,
     wanted: Sequence[Frame],
+    *,
     views: Sequence[View],
     held_back: Sequence[View],
     events: EventWriter,
@@ -158,7 +159,7 @@ def bake_and_evaluate(
     with stages.stage("evaluate") as progress:
         add_input_masks(report, scene, None if wanted else scored)
         seen = partial(baker.decided, wanted=("semantic", "confidence"))
-        judgement = judge(seen, scene, views, held_back, progress, folder.path)
+        judgement = judge(seen, scene, views, held_back, progress=progress, scratch=folder.path)
         judgement.report(events)
         baker.calibration = judgement.calibration
     with stages.stage("bake") as progress:

@@ -133,7 +133,7 @@ def frames_that_fit(scene: Scene, request: LiftRequest, memory: MainMemory | Non
     if request.fit and fewer is not None:
         events.warning(f"memory is limited: at most {fewer} frames are trained on")
         return fewer
-    advice = _advice(scene, request, preset, masks, memory.total, fewer)
+    advice = _advice(scene, request, preset, masks=masks, most=memory.total, fewer=fewer)
     named = " ".join(option for option in ("--frames", "--fit", "--size", "--preset") if option in advice)
     raise PlgsError("too-much", _too_much(needed, memory), scene.folder, advice, code=ErrorCode.NO_MEMORY, option=named)
 
@@ -193,7 +193,7 @@ def _peak(scene: Scene, preset: Preset, masks: float) -> int:
     return predicted_lift(scene, preset, masks).peak_bytes
 
 
-def _advice(scene: Scene, request: LiftRequest, preset: Preset, masks: float, most: int, fewer: int | None) -> str:
+def _advice(scene: Scene, request: LiftRequest, preset: Preset, *, masks: float, most: int, fewer: int | None) -> str:
     """Advice that names the options with which the lift would fit, in addition to those of the request."""
     found = [] if fewer is None else [f"--frames {fewer} (--fit finds such a number)"]
     sides = [(width, width * 3 // 4) for width in (640, 320, 200) if width < preset.size[0]]

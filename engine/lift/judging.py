@@ -66,6 +66,7 @@ def judge(
     scene: Scene,
     trained: Sequence[View],
     held_back: Sequence[View],
+    *,
     progress: Callable[[int, int], object],
     scratch: Path | None = None,
 ) -> Judgement:

@@ -144,7 +144,9 @@ def run_lift(
     with stages.stage("result") as progress:
         if preset.shows_votes:
             part = progress.part(0.0, VOTED)
-            trainer.scene.voted = vote_labels(trainer.scene, frames.training, prepared, preset, part, folder.path)
+            trainer.scene.voted = vote_labels(
+                trainer.scene, frames.training, prepared, preset, progress=part, scratch=folder.path
+            )
         cameras = [frame.camera.resized(*size_within(frame.size, preset.size)) for frame in frames.training]
         positions = trainer.scene.anchors.position.numpy(force=True)
         trainer.scene.finest = torch.from_numpy(finest_pixels(positions, cameras))
@@ -156,11 +158,16 @@ def run_lift(
             names = lasting.names
             lasting_names.write_names(made, lasting, events)
         part, lifted = progress.part(SIFTED, 1.0), trainer.scene
-        write_scene_files(made, frames.chosen, views, held_back, prepared, seen, lifted, events, names, part)
+        write_scene_files(
+            made, frames.chosen, views=views, held_back=held_back, prepared=prepared, seen=seen, lifted=lifted,
+            events=events, names=names, progress=part,
+        )  # fmt: skip
     baker = FrameBaker(classes, trainer.scene.on(device), shown_instances(prepared, names))
     wanted = frames_to_bake(frames.all, request.bakes)
-    judges = evenly(views, preset.judged)
-    bake_and_evaluate(made, frames.chosen, baker, wanted, judges, held_back, events, stages, findings, preset.scored)
+    bake_and_evaluate(
+        made, frames.chosen, baker, wanted, views=evenly(views, preset.judged), held_back=held_back, events=events,
+        stages=stages, findings=findings, scored=preset.scored,
+    )  # fmt: skip
     previews.clear_away()
     if earlier is not None:
         lasting_names.take_over_edits(folder, earlier)  # not before: until now, they would apply to the earlier result

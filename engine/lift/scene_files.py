@@ -43,6 +43,7 @@ LIFT_ANEW = "Lift the scene again, into another folder."
 def write_scene_files(
     folder: LiftFolder,
     scene: Scene,
+    *,
     views: Sequence[View],
     held_back: Sequence[View],
     prepared: PreparedLift,

@@ -35,6 +35,7 @@ def vote_labels(
     frames: Sequence[Frame],
     prepared: Matching,
     preset: Preset,
+    *,
     progress: Progress,
     scratch: Path | None = None,
 ) -> GaussianLabels:

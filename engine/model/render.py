@@ -40,6 +40,7 @@ def render_bands(
     scene: StructuredScene,
     camera: Camera,
     labels: ShownLabels | None = None,
+    *,
     clip: ClipRange | None = None,
     most_bytes: int | None = MOST_BYTES,
     want_surface: bool = True,
@@ -57,7 +58,7 @@ def render_bands(
     bands = row_bands(camera, len(scene.channels.class_ids) + len(scene.channels.slot_ids), most_bytes)
     for each in bands:
         reaching = seen if len(bands) == 1 else seen.reaching(each)
-        yield _draw_rows(reaching, labels, scene.channels, camera, each, want_surface)
+        yield _draw_rows(reaching, labels, scene.channels, camera, rows=each, want_surface=want_surface)
 
 
 def row_bands(camera: Camera, channels: int, most_bytes: int | None) -> list[tuple[int, int]]:
@@ -111,6 +112,7 @@ def _draw_rows(
     labels: ShownLabels | None,
     channels: LabelChannels,
     camera: Camera,
+    *,
     rows: tuple[int, int],
     want_surface: bool,
 ) -> PanopticRendering:

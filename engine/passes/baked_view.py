@@ -194,11 +194,13 @@ def bake_view(
         layers.append(decide(band, classes, instances.class_of))
         align_mattes(band, classes, instances.class_of, layers[-1])
         by_class = class_layer(band.class_ids, classes)
-        rank_coverage(band.class_coverage, by_class.columns, by_class.ids, band.alpha, None, of_classes, row)
+        rank_coverage(
+            band.class_coverage, by_class.columns, by_class.ids, band.alpha, limit=None, out=of_classes, first_row=row
+        )
         by_instance = instance_layer(band.instance_ids, instances.names, classes, instances.class_of)
         limit = things_coverage(band, classes) if instances.class_of is None else None
         columns, ids = by_instance.columns, by_instance.ids
-        rank_coverage(band.instance_coverage, columns, ids, band.alpha, limit, of_instances, row)
+        rank_coverage(band.instance_coverage, columns, ids, band.alpha, limit=limit, out=of_instances, first_row=row)
         row += len(band.alpha)
         del band  # frees its memory before the next is made
     if not layers:

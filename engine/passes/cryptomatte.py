@@ -36,6 +36,7 @@ def rank_coverage(
     columns: Sequence[int],
     ids: NDArray[np.float32],
     alpha: NDArray[np.float32],
+    *,
     limit: NDArray[np.float32] | None,
     out: NDArray[np.float32],
     first_row: int = 0,

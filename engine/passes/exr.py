@@ -142,6 +142,7 @@ EXACT_IDS = 1 << 24
 def write_exr(
     path: Path,
     view: BakedView,
+    *,
     notes: Mapping[str, str] | None = None,
     layers: Collection[str] = (),
     shown: ShownFrame = NOTHING_SHOWN,

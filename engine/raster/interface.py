@@ -61,7 +61,7 @@ def rasterize(
     """
     gaussians = GaussianSet(means, scales, quats, opacities, colours, labels)
     _check(gaussians)
-    pinhole = _pinhole(camera_to_world, K, width, height, near, rows)
+    pinhole = _pinhole(camera_to_world, K, width, height, near=near, rows=rows)
     if top_k < 0:
         raise ValueError(f"top_k is {top_k}; it must be 0 or more")
     drawn = _load(_pick(backend, means))(gaussians, pinhole, Wanted(top_k, want_surface, want_means2d_grad))
@@ -133,6 +133,7 @@ def _pinhole(
     intrinsics: Tensor | NDArray[Any],
     width: int,
     height: int,
+    *,
     near: float,
     rows: tuple[int, int] | None = None,
 ) -> Pinhole:

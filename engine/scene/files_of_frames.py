@@ -83,7 +83,7 @@ def _files(folder: Path, suffixes: Collection[str], fix: str) -> dict[str, Path]
 
 
 def files_of_frames(
-    folder: Path, names: Sequence[str], suffixes: Collection[str], what: str, fix: str, progress: Progress
+    folder: Path, names: Sequence[str], suffixes: Collection[str], *, what: str, fix: str, progress: Progress
 ) -> dict[str, Path]:
     """The file in ``folder`` of each frame in ``names``, without frames whose file is missing, empty, or a truncated
     image. Raises as ``files_by_stem`` does and, if these are more than half, as ``require_most`` and ``of_most`` do."""
@@ -92,11 +92,11 @@ def files_of_frames(
 
 
 def files_of_both(
-    one: Path, other: Path, names: Sequence[str], suffixes: Collection[str], fix: str, progress: Progress
+    one: Path, other: Path, names: Sequence[str], *, suffixes: Collection[str], fix: str, progress: Progress
 ) -> tuple[dict[str, Path], dict[str, Path]]:
     """The mask files of frames that have one in both folders, as found by ``files_of_frames``."""
-    first = files_of_frames(one, names, suffixes, "mask", fix, part_of(progress, 0.0, 0.5))
-    second = files_of_frames(other, list(first), suffixes, "mask", fix, part_of(progress, 0.5, 1.0))
+    first = files_of_frames(one, names, suffixes, what="mask", fix=fix, progress=part_of(progress, 0.0, 0.5))
+    second = files_of_frames(other, list(first), suffixes, what="mask", fix=fix, progress=part_of(progress, 0.5, 1.0))
     return {name: first[name] for name in second}, second
 
 

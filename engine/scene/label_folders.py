@@ -76,7 +76,7 @@ def open_label_folder(folder: Path, *, is_truth: bool) -> LabelFolder:
 
 def _coco(folder: Path) -> LabelFolder:
     names = list(files_by_stem(folder / "panoptic", {".png"}, _FIX))
-    masks = open_masks(folder, names, "coco")
+    masks = open_masks(folder, names, mask_format="coco")
     require_all(names, masks.readers, "readable mask", folder / "panoptic.json", _FIX)
     readers = {name: partial(_as_labels, read) for name, read in masks.readers.items()}
     return LabelFolder(folder, masks.classes, readers)
@@ -84,7 +84,7 @@ def _coco(folder: Path) -> LabelFolder:
 
 def _classes(folder: Path, semantics: Path) -> ClassTable | None:
     if (folder / "panoptic.json").is_file():
-        return open_masks(folder, [], "coco").classes
+        return open_masks(folder, [], mask_format="coco").classes
     path = folder / "labels.json"  # of export --to instances
     if path.is_file():
         labels = read_categories(read_json_object(path), path, "classes", "is_thing")

@@ -149,7 +149,10 @@ def find_masks(source: SceneSource, scene: Path, pictured: Mapping[str, Pictured
     if source.detections is not None:
         detections = open_detections(source.detections, place, sizes, part_of(progress, 0.0, 0.5))
         rest = part_of(progress, 0.5, 1.0)
-    return open_masks(place, [*pictured], source.mask_format, source.classes, pictured, detections, rest)
+    return open_masks(
+        place, [*pictured], mask_format=source.mask_format, classes=source.classes, pictured=pictured,
+        detections=detections, progress=rest,
+    )  # fmt: skip
 
 
 def mask_place(scene: Path, masks: Path | None) -> Path | None:
@@ -167,6 +170,7 @@ def mask_place(scene: Path, masks: Path | None) -> Path | None:
 def open_masks(
     place: Path,
     names: Sequence[str],
+    *,
     mask_format: str | None = None,
     classes: str | None = None,
     pictured: Mapping[str, Pictured] | None = None,

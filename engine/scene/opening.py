@@ -42,7 +42,7 @@ _KEPT = "some pixels do not count (mask_path, or black and white pictures in mas
 
 
 def open_scene(
-    folder: Path, masks: Path | None = None, up: UpAxis = "z", scene_format: str | None = None,
+    folder: Path, masks: Path | None = None, *, up: UpAxis = "z", scene_format: str | None = None,
     depth: Path | None = None, mask_format: str | None = None, classes: str | None = None,
     detections: Path | None = None,
 ) -> Scene:  # fmt: skip

@@ -117,7 +117,7 @@ class _Cells(NamedTuple):
 
 
 def adapted_centres(
-    batches: LabelledBatches, centres: NDArray[np.float64], spacing: float, classes: int, wanted: float, cap: int
+    batches: LabelledBatches, centres: NDArray[np.float64], spacing: float, classes: int, *, wanted: float, cap: int
 ) -> NDArray[np.float64]:
     """Centres float64 [K, 3] that are dense where labels change, and twice as far apart elsewhere. There are about as
     many as ``centres``, and at most ``cap``; none are closer than ``wanted`` metres. ``centres``: one for every

@@ -99,12 +99,11 @@ def build_point_cloud(
 
     centres, spacing = seed_centres(batches, options.spacing, options.cap)
     if spacing > ENLARGED * options.spacing and len(class_ids):
-        sizes = len(class_ids), options.spacing, options.cap
 
         def labelled() -> Iterable[ColumnedPoints]:
             return (_labelled_points(view, stride, columns) for view in views)
 
-        centres = adapted_centres(labelled, centres, spacing, *sizes)
+        centres = adapted_centres(labelled, centres, spacing, len(class_ids), wanted=options.spacing, cap=options.cap)
     for _ in range(LLOYD_STEPS):
         centres = lloyd_step(batches, centres, spacing)
     if not len(centres):

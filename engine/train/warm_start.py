@@ -32,6 +32,7 @@ def warm_start(
     colour: np.ndarray,
     instance_id: np.ndarray | None,
     viewpoints: np.ndarray,
+    *,
     seed: int,
     progress: Progress = lambda *_: None,
 ) -> None:

@@ -85,6 +85,7 @@ class TextBox:
 def label_text_boxes(
     rows: Any,
     boxes: Mapping[int, bpy.types.Object],
+    *,
     active: int,
     region: ViewRegion,
     hovered: int = 0,
@@ -288,11 +289,15 @@ def draw_text_boxes(text_boxes: Sequence[TextBox]) -> None:
     colours: list[tuple[float, float, float, float]] = []
     for text_box in text_boxes:
         x, y, height = text_box.x, text_box.y, text_box.height
-        _add_rectangle(corners, colours, x, y, text_box.width, height, (*text_box.ground, text_box.opacity))
+        _add_rectangle(
+            corners, colours, x=x, y=y, width=text_box.width, height=height, colour=(*text_box.ground, text_box.opacity)
+        )
         if text_box.swatch is not None:
             inset = 0.22 * height
             side = height - 2.0 * inset
-            _add_rectangle(corners, colours, x + 2 * inset, y + inset, side, side, (*text_box.swatch, 1.0))
+            _add_rectangle(
+                corners, colours, x=x + 2 * inset, y=y + inset, width=side, height=side, colour=(*text_box.swatch, 1.0)
+            )
     shader = gpu.shader.from_builtin("FLAT_COLOR")
     gpu.state.blend_set("ALPHA")
     batch_for_shader(shader, "TRIS", {"pos": corners, "color": colours}).draw(shader)
@@ -306,7 +311,14 @@ def draw_text_boxes(text_boxes: Sequence[TextBox]) -> None:
 
 
 def _add_rectangle(
-    corners: list[tuple[float, float]], colours: list[Any], x: float, y: float, width: float, height: float, colour: Any
+    corners: list[tuple[float, float]],
+    colours: list[Any],
+    *,
+    x: float,
+    y: float,
+    width: float,
+    height: float,
+    colour: Any,
 ) -> None:
     right, top = x + width, y + height
     corners += [(x, y), (right, y), (right, top), (x, y), (right, top), (x, top)]

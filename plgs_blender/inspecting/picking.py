@@ -85,7 +85,7 @@ def _names(context: bpy.types.Context, root: bpy.types.Collection, region: ViewR
         free.append((min(across), min(up), max(across), max(up)))
     active = selected_instance(root, context.view_layer.objects.active)
     under = next((instance for lift, instance in hovered if lift == root.session_uid), 0)
-    return label_text_boxes(root.plgs.instances, boxes, active, region, under, free)
+    return label_text_boxes(root.plgs.instances, boxes, active=active, region=region, hovered=under, keep_free=free)
 
 
 def _shown_boxes(context: bpy.types.Context, root: bpy.types.Collection) -> dict[int, bpy.types.Object]:

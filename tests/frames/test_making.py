@@ -51,7 +51,7 @@ def test_frames_in_an_archive_are_written(archive: Path, tmp_path: Path) -> None
 
 
 def test_the_cloud_lies_on_the_room(archive: Path, tmp_path: Path) -> None:
-    made = make_frames(open_scene(archive), SceneSource(archive), tmp_path / "out", ["cloud"])
+    made = make_frames(open_scene(archive), SceneSource(archive), tmp_path / "out", kinds=["cloud"])
     assert made.cloud is not None and made.frames["0"].colour is None
     with np.load(made.cloud) as stored:
         xyz, rgb = stored["xyz"], stored["rgb"]
@@ -72,15 +72,17 @@ def test_pictures_that_are_files_already_stay_where_they_are(tmp_path: Path) -> 
 
 def test_second_run_continues(archive: Path, tmp_path: Path) -> None:
     scene, source, out = open_scene(archive), SceneSource(archive), tmp_path / "out"
-    make_frames(scene, source, out, ["colour"], ["0", "1"])
+    make_frames(scene, source, out, kinds=["colour"], names=["0", "1"])
     (out / "color" / "1.jpg").unlink()
     (out / "color" / "0.jpg").write_bytes(b"kept")
-    made = make_frames(scene, source, out, ["colour", "depth"], ["1", "2"])
+    made = make_frames(scene, source, out, kinds=["colour", "depth"], names=["1", "2"])
     assert set(made.frames) == {"0", "1", "2"} and made.frames["0"].depth is None
     assert (out / "color" / "0.jpg").read_bytes() == b"kept" and image(made.frames["1"].colour).size
     before = (out / "color" / "0.jpg").stat().st_mtime
     os.utime(archive, (before + 10, before + 10))
-    assert image(make_frames(scene, source, out, ["colour"], ["0"]).frames["0"].colour).size, "the scene is newer"
+    assert image(make_frames(scene, source, out, kinds=["colour"], names=["0"]).frames["0"].colour).size, (
+        "the scene is newer"
+    )
 
 
 def test_pictures_of_a_replaced_scene_are_not_reused(tmp_path: Path) -> None:
@@ -92,14 +94,14 @@ def test_pictures_of_a_replaced_scene_are_not_reused(tmp_path: Path) -> None:
     (out / "color" / "0.jpg").write_bytes(b"of the first")
     place.unlink()
     room.rename(place)
-    made = make_frames(open_scene(place), SceneSource(place), out, ["depth"])
+    made = make_frames(open_scene(place), SceneSource(place), out, kinds=["depth"])
     assert first.cloud is not None and made.cloud is None and not {*first.frames} & {*made.frames}
     (out / "depth" / "0000.png").write_bytes(b"of the poses before")
     pose = place / "pose" / "0000.txt"
     moved = np.loadtxt(pose)
     moved[0, 3] += 0.1
     np.savetxt(pose, moved)
-    made = make_frames(open_scene(place), SceneSource(place), out, ["depth"])
+    made = make_frames(open_scene(place), SceneSource(place), out, kinds=["depth"])
     assert image(made.frames["0000"].depth).size
 
 
@@ -107,7 +109,7 @@ def test_folders_of_others_and_strange_names_are_refused(archive: Path, tmp_path
     scene, out = open_scene(archive), tmp_path / "out"
     with raises_key("not-a-frame 17"):
         make_frames(scene, SceneSource(archive), out, names=["17"])
-    make_frames(scene, SceneSource(archive), out, ["colour"], ["0"])
+    make_frames(scene, SceneSource(archive), out, kinds=["colour"], names=["0"])
     with raises_key("folder-used"):
         make_frames(scene, SceneSource(archive, up="y"), out)
     (tmp_path / "notes").mkdir()
@@ -127,9 +129,9 @@ def test_missing_kinds_are_refused(kinds: list[str], told: str, tmp_path: Path) 
     scene = open_scene(room)
     bare = replace(scene, frames=tuple(replace(frame, read_mask=None, read_depth=None) for frame in scene.frames))
     with raises_key(told):
-        make_frames(bare, SceneSource(room), tmp_path / "out", kinds)
+        make_frames(bare, SceneSource(room), tmp_path / "out", kinds=kinds)
     assert not (tmp_path / "out").exists()
-    made = make_frames(bare, SceneSource(room), tmp_path / "out", ["colour", *kinds])
+    made = make_frames(bare, SceneSource(room), tmp_path / "out", kinds=["colour", *kinds])
     assert made.cloud is None and all(each.masks is None for each in made.frames.values())
     assert [each.name for each in made.scene.posed_frames(room)] == [each.name for each in scene.frames]
 
@@ -137,7 +139,7 @@ def test_missing_kinds_are_refused(kinds: list[str], told: str, tmp_path: Path) 
 def test_bad_depth_only_costs_the_cloud(archive: Path, tmp_path: Path) -> None:
     archive.write_bytes(archive.read_bytes()[:-1000] + bytes(1000))
     with raises_key("other-size"):
-        make_frames(open_scene(archive), SceneSource(archive), tmp_path / "out", ["colour", "cloud"])
+        make_frames(open_scene(archive), SceneSource(archive), tmp_path / "out", kinds=["colour", "cloud"])
     made = MadeFrames.read(tmp_path / "out")
     assert made.cloud is None and all(each.colour is not None for each in made.frames.values())
 
@@ -145,7 +147,7 @@ def test_bad_depth_only_costs_the_cloud(archive: Path, tmp_path: Path) -> None:
 def test_lens_distortion_is_removed_from_the_files(tmp_path: Path) -> None:
     folder = write_scene(tmp_path / "bent", k1=-0.1)
     scene = open_scene(folder)
-    made = make_frames(scene, SceneSource(folder), tmp_path / "out", ["colour"])
+    made = make_frames(scene, SceneSource(folder), tmp_path / "out", kinds=["colour"])
     frame = scene.frames[0]
     straight = frame.read_colour(None).astype(int)
     assert np.abs(image(made.frames[frame.name].colour) - straight).mean() < 5.0

@@ -39,10 +39,10 @@ def without_chair(camera: Camera) -> SimpleNamespace:
 
 
 def judged(path: Path, draw: object) -> Judgement:
-    scene = open_scene(path, None, "z")
+    scene = open_scene(path, None, up="z")
     views = [load_view(frame) for frame in scene.train_frames]
     done: list[tuple[int, int]] = []
-    found = judge(draw, scene, views, read_held_back(scene, SIZE), lambda *each: done.append(each))  # type: ignore[arg-type]
+    found = judge(draw, scene, views, read_held_back(scene, SIZE), progress=lambda *each: done.append(each))  # type: ignore[arg-type]
     assert done[-1] == (8, 8), "training views and held-out frames"
     return found
 
@@ -52,7 +52,7 @@ def test_a_true_lift_agrees_with_true_masks(scene_path: Path) -> None:
     assert found.not_shown == ()
     assert found.trained is not None and found.trained > 0.99
     assert found.held_back is not None and found.held_back > 0.99
-    score = np.mean([segment.score for frame in open_scene(scene_path, None, "z").frames
+    score = np.mean([segment.score for frame in open_scene(scene_path, None, up="z").frames
                      for segment in frame.mask(SIZE).segments])  # fmt: skip
     assert found.calibration(np.array([0.5], np.float32))[0] > min(0.95, score - 0.05), "half of the votes, but right"
     doubt = doubt_of_frames({"masks_as_judges": found.to_json()})

@@ -79,7 +79,7 @@ def test_previews_begin_at_once_and_cost_a_twentieth_unless_they_would_stand_sti
     scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     trainer = trainer_of(*views_of(tmp_path / "scene"), TINY, tmp_path)
-    scene = open_scene(scene_folder, None, "z")
+    scene = open_scene(scene_folder, None, up="z")
     folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene_folder))
     for cost, expected in ((0.02, 2.0), (0.5, 9.5), (3.0, 12.0)):
         now, drawn = [0.0], []

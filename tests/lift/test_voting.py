@@ -34,7 +34,7 @@ PRESET = replace(TINY, steps=30, vote_size=LARGE)
 def lifted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, PreparedLift]:
     """Masks twice as large as the pictures that were trained on."""
     folder = tmp_path_factory.mktemp("voting")
-    scene = open_scene(write_tiny_scene(folder / "scene", frames=8, size=LARGE), None, "z")
+    scene = open_scene(write_tiny_scene(folder / "scene", frames=8, size=LARGE), None, up="z")
     views = [load_view(frame, SMALL) for frame in scene.train_frames]
     prepared = prepared_for(views, scene.classes, PRESET, folder, warm_steps=warm_start.STEPS)
     trainer = Trainer(prepared.scene, prepared.targets, views, PRESET, 0)
@@ -64,7 +64,7 @@ def shares_right(scene: Scene, prepared: PreparedLift) -> Right:
 
 
 def voted(scene: Scene, prepared: PreparedLift, preset: Preset, progress: Callable[[int, int], None]) -> PreparedLift:
-    labels = vote_labels(prepared.scene, scene.train_frames, prepared, preset, progress)
+    labels = vote_labels(prepared.scene, scene.train_frames, prepared, preset, progress=progress)
     return replace(prepared, scene=replace(prepared.scene, voted=labels))
 
 
@@ -85,7 +85,7 @@ def test_a_vote_can_be_stopped(lifted: tuple[Scene, PreparedLift]) -> None:
 
 
 def test_without_objects_there_are_classes(tmp_path: Path) -> None:
-    scene = open_scene(write_tiny_scene(tmp_path / "scene", frames=8, size=SMALL), None, "z")
+    scene = open_scene(write_tiny_scene(tmp_path / "scene", frames=8, size=SMALL), None, up="z")
     views = [load_view(frame) for frame in scene.train_frames]
     prepared = prepared_for(views, scene.classes, replace(TINY, most_instances=0), tmp_path)
     assert not prepared.instances and prepared.scene.channels.slot_ids[0] == NO_OBJECT

@@ -123,14 +123,14 @@ def test_ranks_match_a_full_sort(seed: int) -> None:
     alpha = random.choice(np.array([0, 1], np.float32), (height, width))
     limit = random.uniform(0, 1, (height, width)).astype(np.float32) if seed % 2 else None
     out = np.full((2 * RANKS, height, width), np.nan, np.float32)
-    rank_coverage(coverage, columns, ids, alpha, limit, out)
+    rank_coverage(coverage, columns, ids, alpha, limit=limit, out=out)
     for pixel in np.ndindex(height, width):
         expected = np.zeros((RANKS, 2))
         if alpha[pixel]:
             expected[:] = sorted_pairs(coverage[pixel][columns], ids, None if limit is None else float(limit[pixel]))
         np.testing.assert_allclose(out[(slice(None), *pixel)].reshape(RANKS, 2), expected, atol=RANKS / 2 / STEPS)
     below = np.full((2 * RANKS, height + 2, width), np.nan, np.float32)
-    rank_coverage(coverage, columns, ids, alpha, limit, below, first_row=2)
+    rank_coverage(coverage, columns, ids, alpha, limit=limit, out=below, first_row=2)
     assert (below[:, 2:] == out).all() and np.isnan(below[:, :2]).all()
     shares = out[1::2]
     assert (np.diff(shares, axis=0) <= 0).all() and shares.sum(axis=0).max() <= 1 + 1e-5
@@ -146,7 +146,7 @@ def test_the_number_of_threads_changes_no_bit() -> None:
         for count in (1, 2, 3):
             torch.set_num_threads(count)
             out = np.empty((2 * RANKS, 97, 101), np.float32)
-            rank_coverage(coverage, range(12), np.arange(1, 13, dtype=np.float32), alpha, None, out)
+            rank_coverage(coverage, range(12), np.arange(1, 13, dtype=np.float32), alpha, limit=None, out=out)
             seen.append(out.tobytes())
     finally:
         torch.set_num_threads(threads)

@@ -46,7 +46,7 @@ def place(points: SemanticPoints) -> list[bpy.types.Object]:
     )  # fmt: skip
     viewpoints = np.random.default_rng(1).random((200, 3)) * [6.0, 4.0, 1.0] + 1.0
     grid = SurfaceGrid.of(points.xyz)
-    clouds = place_semantic_points(owned, parent, points, grid, grid.normals(viewpoints), CLASSES)
+    clouds = place_semantic_points(owned, parent, points, grid=grid, normals=grid.normals(viewpoints), classes=CLASSES)
     place_anchors(owned, parent, anchors)
     return clouds
 

@@ -196,7 +196,7 @@ def test_a_long_range_is_read_a_few_frames_at_a_time(scene: bpy.types.Scene, tmp
 
 def test_clip_and_the_requested_range(scene: bpy.types.Scene) -> None:
     scene.camera.data.clip_start, scene.camera.data.clip_end = 0.25, 40.0
-    cameras = cameras_of(scene, shot_of(scene, "dolly", 2, 3))
+    cameras = cameras_of(scene, shot_of(scene, "dolly", first=2, last=3))
     assert [(camera.name, camera.near, camera.far) for camera in cameras] == [
         ("dolly.0002", 0.25, 40.0), ("dolly.0003", 0.25, 40.0),
     ]  # fmt: skip
@@ -239,7 +239,8 @@ def test_parts_of_a_shot_name_a_camera_that_stands_still_alike(scene: bpy.types.
     scene.camera.animation_data_clear()
     scene.camera.data.animation_data_clear()
     for first, last in ((1, 4), (5, 8), (7, 7)):
-        assert [camera.name for camera in cameras_of(scene, shot_of(scene, "", first, last))] == ["dolly.0001"]
+        shot = shot_of(scene, "", first=first, last=last)
+        assert [camera.name for camera in cameras_of(scene, shot)] == ["dolly.0001"]
 
 
 def test_a_camera_that_cannot_move_is_looked_at_once(scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -33,6 +33,7 @@ def write_tiny_lift(
     folder: Path,
     scene: Path | None = None,
     frames: int = FRAMES,
+    *,
     size: tuple[int, int] = (64, 48),
     instances: int = 2,
     bake: bool = True,

@@ -181,7 +181,7 @@ def gaps(centres: np.ndarray, points: np.ndarray) -> np.ndarray:
 def test_points_are_dense_at_the_edge_of_a_label_and_nowhere_too_sparse() -> None:
     centres, spacing = even_centres()
     assert spacing > 2 * WANTED
-    adapted = adapted_centres(lambda: floor_views(1), centres, spacing, 2, WANTED, CAP)
+    adapted = adapted_centres(lambda: floor_views(1), centres, spacing, 2, wanted=WANTED, cap=CAP)
     assert len(adapted) <= CAP
     points = floor(99)
     inner = [np.abs(points[:, axis] - edge) < 0.1 for axis, bounds in enumerate(RUG) for edge in bounds]
@@ -200,10 +200,10 @@ def test_where_labels_change_everywhere_the_spacing_stays_even() -> None:
         random = np.random.default_rng(0)
         return ((points, random.integers(0, 2, len(points))) for points, _ in floor_views(0))
 
-    assert adapted_centres(noise, centres, spacing, 2, WANTED, CAP) is centres
+    assert adapted_centres(noise, centres, spacing, 2, wanted=WANTED, cap=CAP) is centres
 
 
 def test_points_are_never_denser_than_wanted() -> None:
     centres, spacing = even_centres()
-    adapted = adapted_centres(lambda: floor_views(1), centres, spacing, 2, 0.9 * spacing, CAP)
+    adapted = adapted_centres(lambda: floor_views(1), centres, spacing, 2, wanted=0.9 * spacing, cap=CAP)
     assert len(adapted) < len(centres)

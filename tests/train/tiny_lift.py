@@ -88,7 +88,7 @@ def warnings_in(events: Path) -> list[str]:
 
 def views_of(folder: Path, **options: object) -> tuple[list[View], ClassTable]:
     """The tiny room's training views, and its classes."""
-    scene = open_scene(write_tiny_scene(folder, frames=8, **options), None, "z")  # type: ignore[arg-type]
+    scene = open_scene(write_tiny_scene(folder, frames=8, **options), None, up="z")  # type: ignore[arg-type]
     return [load_view(frame) for frame in scene.train_frames], scene.classes
 
 

@@ -83,7 +83,7 @@ def _read(place: Path, progress: Progress) -> Capture:
     root = _find_images(place, images)
     paths = [file_inside(root, image.name, folder) for image in images]
     found = [
-        (name, with_picture(path, partial(_shot, name, image, path, model, place, depths)))
+        (name, with_picture(path, partial(_shot, name, image, path, model=model, place=place, depths=depths)))
         for name, image, path in watched([*zip(names, images, paths, strict=True)], progress)
     ]
     folders, kinds = {path.parent for path in paths}, {path.suffix.lower() for path in paths}
@@ -115,7 +115,7 @@ def _find_images(place: Path, images: list[ColmapImage]) -> Path:
 
 
 def _shot(
-    name: str, image: ColmapImage, path: Path, model: ColmapModel, place: Path, depths: Mapping[str, Path]
+    name: str, image: ColmapImage, path: Path, *, model: ColmapModel, place: Path, depths: Mapping[str, Path]
 ) -> Shot:
     if image.camera not in model.cameras:
         what = f"image {name} has camera {image.camera}, which is missing"

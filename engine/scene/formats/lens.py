@@ -17,7 +17,7 @@ from ...errors import PlgsError
 from ...posed.frames import Camera
 from ...posed.image_header import read_image_header
 from ...posed.layout import same_shape, shown_size
-from ..frame import Inferred
+from ..frame import Inferred, Size
 
 Values = NDArray[np.float64]
 
@@ -144,7 +144,7 @@ def undistorted(pixels: NDArray[Any], lens: Camera, distortion: Distortion, path
 
     height, width = pixels.shape[:2]
     own = lens.resized(width, height)
-    x, y, share = _source_pixels(width, height, own.fx, own.fy, own.cx, own.cy, distortion)
+    x, y, share = _source_pixels((width, height), (own.fx, own.fy, own.cx, own.cy), distortion)
     if share < _LEAST_SEEN:
         values = ", ".join(f"{value:.4g}" for value in distortion.numbers)
         what = f"the lens distorts so much that {share:.0%} of the picture is left (its distortion: {values})"
@@ -156,10 +156,11 @@ def undistorted(pixels: NDArray[Any], lens: Camera, distortion: Distortion, path
 
 @lru_cache(maxsize=4)
 def _source_pixels(
-    width: int, height: int, fx: float, fy: float, cx: float, cy: float, distortion: Distortion
+    size: Size, lens: tuple[float, float, float, float], distortion: Distortion
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
     """For each pixel of the undistorted picture, its position in the distorted one, float32 [H, W] x and y with pixel
-    centres at integers, and the fraction of them that lies inside it."""
+    centres at integers, and the fraction of them that lies inside it. ``lens``: fx, fy, cx, cy."""
+    (width, height), (fx, fy, cx, cy) = size, lens
     across, down = (np.arange(width) + 0.5 - cx) / fx, (np.arange(height) + 0.5 - cy) / fy
     with np.errstate(all="ignore"):
         u, v = distortion.bent(*np.meshgrid(across, down))

@@ -63,8 +63,8 @@ def _read_polycam(place: Path, progress: Progress) -> Capture:
     found: dict[str, Found] = dict.fromkeys(sorted({*raw, *cameras, *images}, key=natural_order))
     for name, entry in watched([*entries.items()], part_of(progress, 0.5, 1.0)):
         size = _size(entry, images[name], cameras[name], raw.get(name))
-        files = (images[name], cameras[name], depths.get(name), levels.get(name))
-        found[name] = with_picture(images[name], partial(_shot_polycam, name, entry, size, *files))
+        make = partial(_shot_polycam, name, entry, size, depth=depths.get(name), level=levels.get(name))
+        found[name] = with_picture(images[name], partial(make, image=images[name], path=cameras[name]))
     warnings = [] if is_corrected else [_NOT_OPTIMISED]
     if len(entries) < len(found):
         lost = len(found) - len(entries)
@@ -93,7 +93,7 @@ def _size(entry: dict[str, Any], image: Path, path: Path, raw: Path | None) -> t
 
 
 def _shot_polycam(
-    name: str, entry: dict[str, Any], size: tuple[float, ...], image: Path, path: Path, depth: Path | None,
+    name: str, entry: dict[str, Any], size: tuple[float, ...], *, image: Path, path: Path, depth: Path | None,
     level: Path | None,
 ) -> Shot:  # fmt: skip
     values = [take_number(entry, key, "the camera", path) for key in _POLYCAM_POSE]

@@ -64,7 +64,7 @@ def _folders(place: Path) -> list[Path]:
 def _read(place: Path, progress: Progress) -> Capture:
     own = _find(place, _OWN_LENS, "colorIntrinsics.txt")
     if own is not None:
-        return _capture(place, progress, partial(_own_lens_shot, own, _find(place, "depthIntrinsics.txt") or own))
+        return _capture(place, progress, partial(_own_lens_shot, (own, _find(place, "depthIntrinsics.txt") or own)))
     path = _find(place, "info.txt", "_info.txt")  # ScanNet's own reader writes the second
     # Unrelated texts may have the same name.
     if path is None or b"m_calibration" not in path.open("rb").read(_MOST_INFO):
@@ -139,8 +139,9 @@ def _depth_file(base: Path) -> Path:
     return base.with_name(f"{base.name}.depth.png")
 
 
-def _own_lens_shot(colour: Path, depth: Path, name: str, base: Path, pose: NDArray[np.float64], picture: Path) -> Shot:
+def _own_lens_shot(lenses: tuple[Path, Path], name: str, base: Path, pose: NDArray[np.float64], picture: Path) -> Shot:
     """A frame with one lens file for colour and one for depth, which may be the same."""
+    colour, depth = lenses
     lens = read_intrinsics(colour, read_image_header(picture).size)
     measured = png_depth(_depth_file(base), lens)
     if depth != colour and measured.fault is None:

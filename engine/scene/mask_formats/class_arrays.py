@@ -73,7 +73,7 @@ def _name_of(path: Path) -> str | None:
 
 def _read(place: Path, names: Sequence[str], progress: Progress) -> MaskSource:
     masks = {}
-    for name, path in files_of_frames(place, names, {".npy", ".npz"}, "mask", _FIX, progress).items():
+    for name, path in files_of_frames(place, names, {".npy", ".npz"}, what="mask", fix=_FIX, progress=progress).items():
         key = _name_of(path)
         if key is None:
             raise PlgsError("no-class-array", "there is no array of classes", path, f"Name it {_CLASSES[0]}. {_FIX}")

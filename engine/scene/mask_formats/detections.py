@@ -63,7 +63,7 @@ def _folders(place: Path) -> list[Path]:
 
 def _read(place: Path, names: Sequence[str], progress: Progress) -> MaskSource:
     if mask_files(place, ".npz"):
-        files = files_of_frames(place, names, {".npz"}, "detections", _FIX, progress)
+        files = files_of_frames(place, names, {".npz"}, what="detections", fix=_FIX, progress=progress)
         found = {name: _detections(path) for name, path in files.items()}
         label_of, labels = _labels(found.values())
         masks = {}

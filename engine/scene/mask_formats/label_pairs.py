@@ -48,7 +48,7 @@ def _read_pairs(place: Path, names: Sequence[str], progress: Progress) -> MaskSo
     if pair is None:
         what = "there are no paired folders of classes and instances"
         raise PlgsError("no-label-pair", what, place, f"Looked for {_LOOKS_FOR}.")
-    classes, instances = files_of_both(*pair, names, SUFFIXES, _FIX, part_of(progress, 0.0, 0.5))
+    classes, instances = files_of_both(*pair, names, suffixes=SUFFIXES, fix=_FIX, progress=part_of(progress, 0.0, 0.5))
     return MaskSource(label_pairs(classes, instances, part_of(progress, 0.5, 1.0)), void=IGNORED)
 
 
@@ -83,7 +83,7 @@ PALETTE = MaskFormat(
     "palette",
     lambda place: not mask_files(place, ".json") and bool(mask_files(place, ".png")),
     lambda place, names, progress: MaskSource(
-        label_pairs(files_of_frames(place, names, {".png"}, "mask", _FIX, progress), {}), void=IGNORED
+        label_pairs(files_of_frames(place, names, {".png"}, what="mask", fix=_FIX, progress=progress), {}), void=IGNORED
     ),
 )
 
@@ -107,7 +107,9 @@ def _read_lifting(place: Path, names: Sequence[str], progress: Progress) -> Mask
     instances = semantics.with_name(semantics.name.removesuffix("_semantics") + "_instance")
     fix = "Add PNGs named like the colour images."
     of_files, of_headers = part_of(progress, 0.0, 0.3), part_of(progress, 0.3, 0.6)
-    semantic_files, instance_files = files_of_both(semantics, instances, names, {".png"}, fix, of_files)
+    semantic_files, instance_files = files_of_both(
+        semantics, instances, names, suffixes={".png"}, fix=fix, progress=of_files
+    )
     for name in watched([*semantic_files], of_headers):
         check_label_header(semantic_files[name])
         check_label_header(instance_files[name])

@@ -60,7 +60,7 @@ def _has_palette(place: Path) -> bool:
 def _read(place: Path, names: Sequence[str], progress: Progress) -> MaskSource:
     folders = _object_folders(place)
     if not folders:
-        files = files_of_frames(place, names, {".png"}, "mask", _FIX, progress)
+        files = files_of_frames(place, names, {".png"}, what="mask", fix=_FIX, progress=progress)
         sizes = {name: label_header(path).size for name, path in files.items()}
         numbers = numbers_of_colours([*files.values()])
         masks = {name: StoredMask(path, sizes[name], partial(_read_map, path, numbers)) for name, path in files.items()}

@@ -132,8 +132,8 @@ def _counts_stuff_apart(infos: Mapping[str, list[dict[str, Any]]], tables: Mappi
 
 def _files(place: Path, names: Sequence[str], progress: Progress) -> tuple[dict[str, Path], dict[str, Path]]:
     first, second = part_of(progress, 0.0, 0.5), part_of(progress, 0.5, 1.0)
-    pictures = files_of_frames(place, names, SUFFIXES, "mask", _FIX, first)
-    tables = files_of_frames(place, list(pictures), {".json"}, "JSON of segments", _FIX, second)
+    pictures = files_of_frames(place, names, SUFFIXES, what="mask", fix=_FIX, progress=first)
+    tables = files_of_frames(place, list(pictures), {".json"}, what="JSON of segments", fix=_FIX, progress=second)
     return {name: pictures[name] for name in tables}, tables
 
 

@@ -56,7 +56,7 @@ def seen(root: bpy.types.Collection) -> Seen:
 
 
 def test_labels_stand_at_their_boxes(root: bpy.types.Collection, seen: Seen) -> None:
-    text_boxes = drawing.label_text_boxes(root.plgs.instances, boxes_of(root), 1, seen.region)
+    text_boxes = drawing.label_text_boxes(root.plgs.instances, boxes_of(root), active=1, region=seen.region)
     assert {text_box.text for text_box in text_boxes} == {"chair 1", "cabinet 1"}
     for text_box in text_boxes:
         box = bpy.data.objects[text_box.text]
@@ -65,7 +65,7 @@ def test_labels_stand_at_their_boxes(root: bpy.types.Collection, seen: Seen) -> 
     chair, cabinet = sorted(text_boxes, key=lambda text_box: text_box.text, reverse=True)
     assert max(chair.ground) > max(cabinet.ground), "the selected one in its full colour"
     bpy.data.objects.remove(bpy.data.objects["chair 1"])
-    text_boxes = drawing.label_text_boxes(root.plgs.instances, boxes_of(root), 1, seen.region)
+    text_boxes = drawing.label_text_boxes(root.plgs.instances, boxes_of(root), active=1, region=seen.region)
     assert [text_box.text for text_box in text_boxes] == ["cabinet 1"]
 
 
@@ -74,17 +74,22 @@ def test_selected_name_says_out_of_view_and_hovered_has_a_name(root: bpy.types.C
     at = region.pixel_of(bpy.data.objects["chair 1"].matrix_world.translation)
     free = [(at[0] - 80.0, 0.0, at[0] + 80.0, float(HEIGHT))]
     assert "chair 1" not in {
-        each.text for each in drawing.label_text_boxes(root.plgs.instances, boxes, 0, region, 0, free)
+        each.text
+        for each in drawing.label_text_boxes(
+            root.plgs.instances, boxes, active=0, region=region, hovered=0, keep_free=free
+        )
     }
     one_only = drawing.ViewRegion(WIDTH, 24, 0, region.perspective, 1.0)
     for number, name in ((1, "chair 1"), (2, "cabinet 1")):
-        first = drawing.label_text_boxes(root.plgs.instances, boxes, 0, one_only, number)[0]
+        first = drawing.label_text_boxes(root.plgs.instances, boxes, active=0, region=one_only, hovered=number)[0]
         assert (first.text, first.instance) == (name, number)
     boxes[1].matrix_world = Matrix.Translation((0.0, 0.0, 500.0)) @ boxes[1].matrix_world
     bpy.context.view_layer.update()
-    texts = {each.text for each in drawing.label_text_boxes(root.plgs.instances, boxes, 1, region)}
+    texts = {each.text for each in drawing.label_text_boxes(root.plgs.instances, boxes, active=1, region=region)}
     assert any(text.startswith("chair 1 is out of view") for text in texts)
-    assert not any("chair" in each.text for each in drawing.label_text_boxes(root.plgs.instances, boxes, 0, region))
+    assert not any(
+        "chair" in each.text for each in drawing.label_text_boxes(root.plgs.instances, boxes, active=0, region=region)
+    )
 
 
 def test_the_legend_has_the_classes_that_are_shown(root: bpy.types.Collection, seen: Seen) -> None:
@@ -138,7 +143,9 @@ def test_overlay_is_drawn(root: bpy.types.Collection, seen: Seen) -> None:
     def draw() -> None:
         in_pixels()
         drawing.draw_mark(highlight.mark_of(points, seen, (WIDTH, HEIGHT), drawing.brightened(colour)))
-        drawing.draw_text_boxes(drawing.label_text_boxes(root.plgs.instances, boxes_of(root), 1, seen.region))
+        drawing.draw_text_boxes(
+            drawing.label_text_boxes(root.plgs.instances, boxes_of(root), active=1, region=seen.region)
+        )
         drawing.draw_text_boxes(drawing.legend_text_boxes(drawing.shown_classes(root.plgs.classes), seen.region))
         drawing.draw_outline([(300, 20), (400, 20), (400, 90), (300, 90)], (0.2, 0.9, 0.3))
 

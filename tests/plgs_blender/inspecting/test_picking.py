@@ -148,7 +148,7 @@ def test_pixels_of_a_frame_are_what_rays_hit(root: bpy.types.Collection) -> None
 def test_a_name_is_its_object(root: bpy.types.Collection) -> None:
     seen = Seen(middle(root, 1) + Vector((1.5, 1.5, 3.0)), middle(root, 1))
     region = seen.region
-    names = label_text_boxes(root.plgs.instances, boxes_of(root), 0, region)
+    names = label_text_boxes(root.plgs.instances, boxes_of(root), active=0, region=region)
     assert {each.instance for each in names} == {1, 2}
     for each in names:
         assert picking.name_under(names, (each.x + each.width / 2.0, each.y + each.height / 2.0)) == each.instance
