@@ -148,7 +148,7 @@ def take_objects(entry: dict[str, Any], key: str, context: str, path: Path) -> l
 
 
 def take_whole_number(
-    entry: dict[str, Any], key: str, context: str, path: Path, least: int = -_LARGEST, most: int = _LARGEST
+    entry: dict[str, Any], key: str, context: str, path: Path, *, least: int = -_LARGEST, most: int = _LARGEST
 ) -> int:
     """``entry[key]`` as a whole number (2 or 2.0, not true, not "2") between two. Raises PlgsError."""
     value = _take(entry, key, context, path)
@@ -161,7 +161,7 @@ def take_whole_number(
 
 
 def take_number(
-    entry: dict[str, Any], key: str, context: str, path: Path, least: float = -1e300, most: float = 1e300
+    entry: dict[str, Any], key: str, context: str, path: Path, *, least: float = -1e300, most: float = 1e300
 ) -> float:
     """``entry[key]`` as a finite number between two. Raises PlgsError."""
     value = _take(entry, key, context, path)

@@ -136,7 +136,7 @@ def partly_saturated(scene: Scene) -> Scene:
 def steady_pixels(scene: Scene) -> Tensor:
     """bool [H, W]: no threshold is so near that float32 might decide otherwise."""
     means, scales, quats, opacities = (tensor.double() for tensor in scene.tensors[:4])
-    pinhole = _pinhole(scene.pose, scene.intrinsics, scene.width, scene.height, 0.01)
+    pinhole = _pinhole(scene.pose, scene.intrinsics, scene.width, scene.height, near=0.01)
     centres, covariances, depths = project(means, scales, quats, pinhole)
     shown = torch.nonzero(footprint_visible(centres, covariances, depths, opacities.clamp(min=ALPHA_MIN), pinhole))[
         :, 0

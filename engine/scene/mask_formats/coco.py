@@ -198,7 +198,7 @@ def _segment(info: dict[str, Any], name: str, table: Path, known: frozenset[int]
 
 def take_score(info: dict[str, Any], context: str, table: Path) -> float:
     """The detector's confidence, 1 if there is none."""
-    return 1.0 if info.get("score") is None else take_number(info, "score", context, table, 0.0, 1.0)
+    return 1.0 if info.get("score") is None else take_number(info, "score", context, table, least=0.0, most=1.0)
 
 
 FORMAT = MaskFormat("coco", lambda place: _table_of(place).is_file(), _read, in_scene=True, own_names=True)

@@ -145,13 +145,15 @@ class DetectionTable:
     def _detection(self, entry: dict[str, Any], context: str, size: Size | None) -> DetectedSegment:
         label = None
         if entry.get("category_id") is not None:
-            label = take_whole_number(entry, "category_id", context, self.path, 0, LARGEST_CLASS_ID)
+            label = take_whole_number(entry, "category_id", context, self.path, least=0, most=LARGEST_CLASS_ID)
         if "score" not in entry and "predicted_iou" in entry:  # SAM's own estimate, which may exceed 1
-            entry = entry | {"score": min(take_number(entry, "predicted_iou", context, self.path, 0.0), 1.0)}
+            entry = entry | {"score": min(take_number(entry, "predicted_iou", context, self.path, least=0.0), 1.0)}
         score = take_score(entry, context, self.path)
         size, runs = compressed(entry.get("segmentation"), size, context, self.path)
         has_track = entry.get("track") is not None
-        track = take_whole_number(entry, "track", context, self.path, 0, LARGEST_TRACK) if has_track else None
+        track = (
+            take_whole_number(entry, "track", context, self.path, least=0, most=LARGEST_TRACK) if has_track else None
+        )
         return DetectedSegment(label, score, size, runs, track)
 
 
