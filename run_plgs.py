@@ -248,9 +248,7 @@ def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, inte
 
 def blend_path(options: argparse.Namespace) -> Path:
     """Where the .blend goes. Raises PlgsError if it could not be written at the end."""
-    if options.save is None:
-        return Path(options.output).absolute() / "lift.blend"
-    blend: Path = options.save.absolute()
+    blend = (options.save or Path(options.output) / "lift.blend").absolute()
     is_in_lift = blend.parent == options.output.absolute()  # which need not exist yet
     if blend.suffix != ".blend" or blend.is_dir():
         what = "is not a name for a .blend"
@@ -261,7 +259,7 @@ def blend_path(options: argparse.Namespace) -> Path:
     if blend.exists() and not is_blend(blend):
         what = "already exists and is not a Blender file"
         raise PlgsError("not-blend", what, blend, "Give --save another file name.")
-    return blend
+    return Path(blend)
 
 
 def refuse_no_blend(named: Path | None) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .errors import PlgsError
 from .job import write_atomically
+from .job.own_files import OwnFiles
 from .job.progress import Progress, unwatched
 from .known_scene import MadeFrame, MadeFrames, is_newer, made_of, stored_scene
 from .scene import Camera, Frame, Scene
@@ -89,12 +90,13 @@ def make_frames(
     """Write ``kinds`` of files of the frames ``names`` (None: all) into ``folder``: frames.json first with all cameras,
     so that a reader need not wait for pictures, and last with the files. Pictures that an image file already shows
     unchanged are not written, nor are depth and masks that the scene lacks. Files of an earlier run are kept, unless
-    their source is newer or the frame's camera differs: another scene may have taken this one's path.
+    their source is newer or the frame's camera differs: another scene may have taken this one's path. Other people's
+    files are kept always (see `OwnFiles`).
 
     Raises PlgsError if the folder holds something else, a frame is missing, the scene has none of ``kinds``, or a file
     of the scene is bad. Bad depth for the cloud is reported after the pictures are written.
     """
-    made = made_of(folder, source)
+    made, own = made_of(folder, source), OwnFiles(folder).begin("frames", {"scene": str(source.scene)}, replaces=True)
     known = {frame.name for frame in scene.frames}
     chosen = known if names is None else {*names}
     if strange := sorted(chosen - known):
@@ -105,28 +107,30 @@ def make_frames(
     same = set() if made is None else {frame.name for frame in {*stored.frames} & {*made.scene.frames}}
     done = {} if made is None else {name: each for name, each in made.frames.items() if name in same}
     cloud = None if made is None or len(same) < len(stored.frames) else made.cloud
-    points = None
-    if scene.points is not None and len(scene.points):
-        points = _write_points(folder / "points.npz", scene.points.xyz.astype(np.float32), scene.points.rgb)
-    made = MadeFrames(folder, source, stored, done, cloud, points)
-    made.write()
-    in_cloud = cloud_strides(scene.frames) if "cloud" in kinds else {}
-    builder, problem = CloudBuilder(), None
-    todo = [frame for frame in scene.frames if frame.name in chosen or frame.name in in_cloud]
-    for position, frame in enumerate(todo):
-        if frame.name in chosen:
-            done[frame.name] = _make(scene, frame, folder, kinds, done.get(frame.name, MadeFrame()))
-        if frame.name in in_cloud and problem is None:
-            try:
-                add_to_cloud(builder, frame, in_cloud[frame.name])
-            except PlgsError as error:
-                problem = error  # pictures come first; it is raised below
-        progress(position + 1, len(todo))
-    is_new = in_cloud and problem is None
-    found = builder.cloud()
-    cloud = _write_points(folder / "cloud.npz", found.xyz, found.rgb) if is_new else made.cloud
-    result = replace(made, frames=done, cloud=cloud)
-    result.write()
+    with own:
+        points = None
+        if scene.points is not None and len(scene.points):
+            points = _write_points(folder / "points.npz", scene.points.xyz.astype(np.float32), scene.points.rgb)
+        made = MadeFrames(folder, source, stored, done, cloud, points)
+        made.write()
+        in_cloud = cloud_strides(scene.frames) if "cloud" in kinds else {}
+        builder, problem = CloudBuilder(), None
+        todo = [frame for frame in scene.frames if frame.name in chosen or frame.name in in_cloud]
+        for position, frame in enumerate(todo):
+            if frame.name in chosen:
+                done[frame.name] = _make(scene, frame, folder, kinds, done.get(frame.name, MadeFrame()))
+            if frame.name in in_cloud and problem is None:
+                try:
+                    add_to_cloud(builder, frame, in_cloud[frame.name])
+                except PlgsError as error:
+                    problem = error  # pictures come first; it is raised below
+            progress(position + 1, len(todo))
+        is_new = in_cloud and problem is None
+        found = builder.cloud()
+        cloud = _write_points(folder / "cloud.npz", found.xyz, found.rgb) if is_new else made.cloud
+        result = replace(made, frames=done, cloud=cloud)
+        result.write()
+    own.complete()
     if problem is not None:
         raise problem
     return result

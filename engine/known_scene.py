@@ -12,6 +12,7 @@ import numpy as np
 
 from .errors import PlgsError
 from .job import LiftFolder, write_atomically
+from .job.own_files import NOTE, OwnFiles
 from .posed import Camera, ClassTable, PosedFrame, PosedScene
 from .records import read_record, record_text
 from .result_files import INSTANCES, read_instances
@@ -156,9 +157,9 @@ def made_of(folder: Path, source: SceneSource) -> MadeFrames | None:
         return None
     if (folder / FILE).is_file():
         made = MadeFrames.read(folder)
-        if made.source == source:
+        if made.source == source and OwnFiles(folder).begun is not None:
             return made
-    elif folder.is_dir() and not any(folder.iterdir()):
+    elif folder.is_dir() and not any(path.name != NOTE for path in folder.iterdir()):
         return None
     raise PlgsError("folder-used", "the folder exists already and holds something else", folder, "Name another folder.")
 

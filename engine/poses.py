@@ -7,12 +7,12 @@ A reconstruction has no unit of length; measured depth in ``depth``, beside the 
 from __future__ import annotations
 
 import json
-import shutil
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from .errors import PlgsError, lacks_part
 from .gates import open_plain
-from .job import EventWriter, StopSignal
+from .job import EventWriter, StopSignal, write_atomically
+from .job.own_files import OwnFiles
 from .json_file import read_object, to_line
 from .posed.layout import listed
 from .records import record_of, to_json
@@ -36,23 +37,25 @@ from .scene.pixels import decode, write_image
 
 
 def write_pictures(film: Path, folder: Path, most: int, progress: Callable[[int, int], object]) -> None:
-    """Write at most ``most`` pictures of a film as ``folder/NNNNNN.jpg``, by their number in it, and a Record3D film's
-    depth as ``folder/depth/NNNNNN.npy``. ``progress`` counts pictures. Raises PlgsError, OSError."""
+    """Write at most ``most`` pictures of a film as ``folder/images/NNNNNN.jpg``, by their number in it, and a Record3D
+    film's depth as ``folder/depth/NNNNNN.npy``. ``progress`` counts pictures. Raises PlgsError, OSError."""
     video, encoded = Video(film), encoded_depth(film)
     count = video.count()
     edges = np.linspace(0, count, min(most, count) + 1).astype(int)
-    folder.mkdir(parents=True)
     for done, (first, after) in enumerate(zip(edges[:-1], edges[1:], strict=True), start=1):
         numbers = np.unique(np.linspace(first, after - 1, CANDIDATES).round().astype(int))  # short parts repeat some
         whole = {int(number): video.frame(int(number)) for number in numbers}
         pictures = whole if encoded is None else {at: both[:, both.shape[1] // 2 :] for at, both in whole.items()}
         sharpest = max(pictures, key=lambda number: photo_detail(pictures[number]))
-        write_image(folder / f"{sharpest:06d}.jpg", pictures[sharpest])
+        write_image(folder / "images" / f"{sharpest:06d}.jpg", pictures[sharpest])
         if encoded is not None:
-            (folder / "depth").mkdir(exist_ok=True)
-            left = whole[sharpest][:, : whole[sharpest].shape[1] // 2]
-            np.save(folder / "depth" / f"{sharpest:06d}.npy", decoded_depth(left, *encoded))
+            depth = decoded_depth(whole[sharpest][:, : whole[sharpest].shape[1] // 2], *encoded)
+            write_atomically(folder / "depth" / f"{sharpest:06d}.npy", partial(_save, depth))
         progress(done, len(edges) - 1)
+
+
+def _save(values: NDArray[np.float32], path: Path) -> None:
+    np.save(path, values)
 
 
 _RECORD3D, _SEARCHED = b'{"intrinsic', 1 << 20
@@ -267,14 +270,26 @@ def make_poses(source: Path, events: EventWriter, stop: StopSignal, pictures: in
             events.warning(f"the poses of {made.photos} pictures that were found before are used: {fix}")
         return made
     colmap(source)  # before minutes of work
-    asked = (pictures or FILM_PICTURES) if is_film(source) else 0
-    folder, photos = _photos_of(source, events, stop, asked)
+    if not is_film(source):
+        return _map(source, _photos_in(source), _NO_FILM, asked=0, fps=None, events=events, stop=stop)
+    asked = pictures or FILM_PICTURES
+    folder, film = source.with_suffix(""), digests_of_files([(source,)])[0]
+    own = _begun(folder, film)
     try:
-        film, fps = (digests_of_files([(source,)])[0], Video(source).fps()) if is_film(source) else (_NO_FILM, None)
-        return _map(folder, photos, film, asked=asked, fps=fps, events=events, stop=stop)
+        events.stage(STAGE, 1, 4, "Taking the sharpest pictures of the film")
+
+        def progress(done: int, count: int) -> None:
+            stop.check()
+            events.progress(STAGE, done, count)
+
+        with own:
+            write_pictures(source, folder, asked, progress)
+        fps = Video(source).fps()
+        made = _map(folder, folder / "images", film, asked=asked, fps=fps, events=events, stop=stop)
+        own.complete()
+        return made
     except BaseException:
-        if is_film(source):  # its pictures, which this call wrote
-            shutil.rmtree(folder, ignore_errors=True)
+        own.discard()
         raise
 
 
@@ -343,27 +358,19 @@ def _map(
     return made
 
 
-def _photos_of(source: Path, events: EventWriter, stop: StopSignal, pictures: int) -> tuple[Path, Path]:
-    """The scene's folder, and the folder of its photos. Raises PlgsError if there are no photos, or poses already."""
-    if is_film(source):
-        folder = source.with_suffix("")
-        if folder.exists():
-            fix = "Make the poses of that folder, or move it away."
-            raise PlgsError("exists", "the film's pictures would go into a folder that exists already", folder, fix)
-        part = folder.with_name(f".{folder.name}.part")
-        shutil.rmtree(part, ignore_errors=True)
+def _begun(folder: Path, film: str) -> OwnFiles:
+    """The film's folder, without what a killed call left in it. Raises PlgsError if it holds anything else."""
+    own = OwnFiles(folder)
+    if own.begun is not None and not own.is_complete:
+        own.discard()
+    if folder.exists():
+        fix = "Make the poses of that folder, or move it away."
+        raise PlgsError("exists", "the film's pictures would go into a folder that exists already", folder, fix)
+    return own.begin("pictures", {"film": film})
 
-        def progress(done: int, count: int) -> None:
-            stop.check()
-            events.progress(STAGE, done, count)
 
-        events.stage(STAGE, 1, 4, "Taking the sharpest pictures of the film")
-        try:
-            write_pictures(source, part / "images", pictures, progress)
-            part.rename(folder)
-        finally:
-            shutil.rmtree(part, ignore_errors=True)
-        return folder, folder / "images"
+def _photos_in(source: Path) -> Path:
+    """The folder of a scene's photos. Raises PlgsError if there are no photos, or poses already."""
     photos = photos_in(source) if source.is_dir() else None
     if photos is None:
         what = "this is neither a folder with photos nor a film"
@@ -371,4 +378,4 @@ def _photos_of(source: Path, events: EventWriter, stop: StopSignal, pictures: in
     for each in FORMATS:
         if each.recognises(source):
             raise PlgsError("has-poses", f"this scene has poses already ({each.name})", source, "Lift it as it is.")
-    return source, photos
+    return photos

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from .errors import PlgsError, lacks_part
 from .job import write_atomically
 from .job.atomic import sha256 as digest_of
+from .job.own_files import OwnFiles
 from .json_file import read_object
 from .scene import ClassLabel, Frame, Scene, digests_of_files, labels_of_config, size_within
 from .scene.pixels import write_image
@@ -272,9 +273,10 @@ class Segmenter(Protocol):
 
 @dataclass(frozen=True)
 class Job:
-    """The folder of the masks, whether an earlier run began them, and whether they are complete."""
+    """The folder of the masks, what of it is ours, whether an earlier run began them, and whether they are complete."""
 
     folder: Path
+    own: OwnFiles
     is_begun: bool
     is_finished: bool
 
@@ -285,8 +287,7 @@ class Job:
     def discard_if_empty(self) -> None:
         """Remove the files of ``begin_job`` if there is no mask yet."""
         if not self.is_begun:
-            (self.pictures / MADE_BY).unlink(missing_ok=True)
-            self.pictures.rmdir()
+            self.own.discard()
 
 
 def begin_job(folder: Path, model: str, frames: Sequence[Frame]) -> Job:
@@ -296,6 +297,7 @@ def begin_job(folder: Path, model: str, frames: Sequence[Frame]) -> Job:
     named = [*zip((frame.name for frame in frames), of_files, strict=True)]
     photos = sha256(repr(named).encode()).hexdigest() if all(of_files) else ""  # not known
     fix = "Remove these, or write into another folder."
+    own = OwnFiles(folder).begin("masks", {"model": model}, among_others=True)
     if made_by.is_file():
         content = read_object(made_by, fix)
         if content.get("model") != model or content.get("frames") != len(frames):
@@ -303,24 +305,33 @@ def begin_job(folder: Path, model: str, frames: Sequence[Frame]) -> Job:
             raise PlgsError("other-masks", what, folder, fix)
         if photos and content.get("photos", "") not in ("", photos):
             raise PlgsError("photos-changed", "the photos have changed since masks of them were made here", folder, fix)
-        return Job(folder, True, (folder / TABLE).is_file())
-    others = [name for name in (TABLE, FOLDER, *_OTHER_MASKS) if (folder / name).exists()]
+        return Job(folder, own, True, (folder / TABLE).is_file())
+    others = [name for name in (TABLE, FOLDER, DETECTIONS, *_OTHER_MASKS) if (folder / name).exists()]
     if others:
         raise PlgsError("has-masks", f"there are masks already ({others[0]})", folder, fix)
     try:
-        write_atomically(made_by, json.dumps({"model": model, "frames": len(frames), "photos": photos}) + "\n")
+        with own:
+            write_atomically(made_by, json.dumps({"model": model, "frames": len(frames), "photos": photos}) + "\n")
     except OSError as error:
         what = f"this cannot be written ({error.strerror})"
         raise PlgsError("unwritable", what, folder, "Name another with -o.") from error
-    return Job(folder, False, False)
+    return Job(folder, own, False, False)
 
 
 def make_masks(scene: Scene, job: Job, network: Segmenter, progress: Progress) -> None:
     """Make the missing masks, then the table. Raises PlgsError, OSError."""
+    with job.own:
+        _make_masks(scene, job, network, progress)
+    for frame in scene.frames:
+        job.own.remove(job.pictures / f"{frame.name}.json")  # last, as a run that was killed before needs them
+    job.own.complete()
+
+
+def _make_masks(scene: Scene, job: Job, network: Segmenter, progress: Progress) -> None:
     made = 0
     for done, frame in enumerate(scene.frames, start=1):
         segments, picture = (job.pictures / f"{frame.name}{suffix}" for suffix in (".json", ".png"))
-        if not (segments.is_file() and picture.is_file()):
+        if not (job.own.owns(segments) and job.own.owns(picture)):
             ids, found, detections = network.segment(frame.read_colour(None))
             # R + 256 G + 65536 B
             write_image(picture, np.stack([ids & 255, ids >> 8 & 255, ids >> 16 & 255], axis=-1).astype(np.uint8))
@@ -344,5 +355,3 @@ def make_masks(scene: Scene, job: Job, network: Segmenter, progress: Progress) -
     over = {"images": images, "annotations": annotations, "categories": categories}
     for file, table in ((DETECTIONS, over), (TABLE, {"annotations": masks, "categories": categories})):
         write_atomically(job.folder / file, json.dumps(table, ensure_ascii=False) + "\n")  # TABLE last: all is done
-    for name in names:
-        (job.pictures / f"{name}.json").unlink()  # last, as a run that was killed before needs them

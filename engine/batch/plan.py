@@ -18,10 +18,13 @@ from ..errors import PlgsError
 from ..gates import inner_path, markdown_cell, table_cell
 from ..job import LiftRequest, write_atomically
 from ..job.manifest import check_sizes, read_manifest
+from ..job.own_files import OwnFiles
 from ..json_file import Json, read_object
 
 RECORDS = ".batch"
 """The folder in OUT that records for each scene what was done, and from which result."""
+TABLES = ("table.csv", "table.md")
+"""The tables in OUT: exact figures, and the same to read."""
 SCENE = "{scene}"
 """Stands for a scene's name in the paths of options."""
 _WHOLE_SCENES = (".sens", ".r3d")
@@ -133,7 +136,7 @@ def names_of(scenes: Sequence[Path], given: Sequence[str] = ()) -> list[str]:
         if not _is_folder_name(name):
             fix = "Rename the scene, or name it in a table of scenes (--scenes)."
             raise PlgsError("scene-unnamable", "its name cannot be used for a result folder", scene, fix)
-        if folded.count(name.casefold()) > 1 or name.casefold() in (RECORDS, "table.csv", "table.md"):
+        if folded.count(name.casefold()) > 1 or name.casefold() in (RECORDS, *TABLES):
             fix = "Rename the scene, or name it in a table of scenes (--scenes)."
             raise PlgsError("names-clash", f"two scenes, or files of the batch, are named {name!r}", scene, fix)
     return names
@@ -165,7 +168,8 @@ def done_before(plan: BatchPlan, job: SceneJob) -> Row | None:
     except PlgsError:
         return None
     is_same = record.get("asked") == plan.asked(job) and record.get("result") == _result(job.lift)
-    return row if is_same and all((job.lift / "exports" / form).exists() for form in plan.exports) else None
+    is_same = is_same and all(OwnFiles(job.lift / "exports" / form).is_complete for form in plan.exports)
+    return row if is_same else None
 
 
 def rows_kept(plan: BatchPlan) -> Iterator[Row]:
@@ -227,11 +231,22 @@ _FACTORS = {"miou": 100.0, "miou_true": 100.0, "pq": 100.0, "sq": 100.0, "rq": 1
 
 
 def write_tables(folder: Path, rows: Sequence[Row]) -> str:
-    """Write table.csv, with the exact figures, and table.md, whose text is returned. Raises OSError."""
+    """Write table.csv, with the exact figures, and table.md, whose text is returned. Raises PlgsError for tables of
+    other programs, OSError."""
     text = markdown(rows)
-    write_atomically(folder / "table.csv", _csv(rows))
-    write_atomically(folder / "table.md", text)
+    with own_tables(folder) as own:
+        write_atomically(folder / "table.csv", _csv(rows))
+        write_atomically(folder / "table.md", text)
+    own.complete()
     return text
+
+
+def own_tables(folder: Path) -> OwnFiles:
+    """The note of a batch's folder. Raises PlgsError if the tables there are not ours, or were changed; OSError."""
+    own = OwnFiles(folder).begin("tables", {}, among_others=True)
+    for name in TABLES:
+        own.refuse_foreign(folder / name)
+    return own
 
 
 def _csv(rows: Sequence[Row]) -> str:

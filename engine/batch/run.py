@@ -22,7 +22,19 @@ from ..job.terminal import Interrupts, LiveLine
 from ..json_file import Json
 from .cluster import RETURN_S, Farm, FarmOptions, opened, reconnected
 from .piece import GIGABYTES, TOPIC, Ended, Kind, Outcome, Piece, do_on_dask, engine_tag
-from .plan import RECORDS, BatchPlan, Row, SceneJob, done_before, lifting_code, remember, rows_kept, write_tables
+from .plan import (
+    RECORDS,
+    TABLES,
+    BatchPlan,
+    Row,
+    SceneJob,
+    done_before,
+    lifting_code,
+    own_tables,
+    remember,
+    rows_kept,
+    write_tables,
+)  # fmt: skip
 
 _POLL_S = 0.2
 _LOOK_S = 1.0  # seconds between two checks of the workers
@@ -58,6 +70,7 @@ def run_batch(
     earlier batches in the same folder. Failed scenes are rows with their reason; the exit code is that of the first of
     them. Call it inside `interrupts.deferred()`. Raises PlgsError if nothing can begin, and OSError."""
     refuse_foreign_below(plan.output, (RECORDS,))
+    own_tables(plan.output)
     (plan.output / RECORDS).mkdir(parents=True, exist_ok=True)
     report = BatchReport(events, farm_options.threads)
     rows = {job.name: row for job in plan.jobs if (row := done_before(plan, job)) is not None}
@@ -74,15 +87,15 @@ def run_batch(
             batch.run(missing, interrupts)
     report.end()
     ordered = [rows[job.name] for job in plan.jobs]
-    files = (plan.output / "table.md", plan.output / "table.csv")
+    files = [plan.output / name for name in TABLES]
     with _turn(plan):
         for job in plan.jobs:
             if rows[job.name].state != Ended.DONE:  # the others were recorded as they ended
                 remember(plan, job, rows[job.name])
         text = write_tables(plan.output, [*ordered, *rows_kept(plan)])
-    print(text, *files, sep="\n", flush=True)
+    print(text, *reversed(files), sep="\n", flush=True)
     if events is not None:
-        events.answer({"rows": [asdict(row) for row in ordered], "table": str(files[1])})
+        events.answer({"rows": [asdict(row) for row in ordered], "table": str(files[0])})
     return ExitCode(next((row.exit_code for row in ordered if row.exit_code), 0))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError
-from ..job.atomic import PART, write_atomically
+from ..job import write_atomically
+from ..job.own_files import OwnFiles
 from ..scene.pixels import image_bytes
 from .reprojection import Assumption, Floats, Look, Views
 from .trials import Agreement
@@ -172,23 +172,21 @@ class Diagnosis:
 
 
 def write_findings(diagnosis: Diagnosis, folder: Path) -> dict[str, Any]:
-    """Write findings.json and its pictures, and return its content. The folder must be new, empty, or hold nothing but
-    earlier findings, their pictures ("1-depth-unit.png") and parts left by a killed run. Raises PlgsError."""
+    """Write findings.json and its pictures, and return its content. The folder must be new or empty, or hold findings,
+    which are replaced (see `OwnFiles`). Raises PlgsError."""
     try:
-        names = [path.name.removeprefix(PART) for path in folder.iterdir()] if folder.exists() else []
-        if not all(name == FINDINGS or re.fullmatch(r"\d+-[a-z-]+\.png", name) for name in names):
-            what = "the folder for the findings holds other files"
-            raise PlgsError("folder-used", what, folder, "Name a new or an empty folder.")
-        folder.mkdir(parents=True, exist_ok=True)
-        entries = []
-        for number, finding in enumerate(diagnosis.findings, start=1):
-            entry = finding.as_json()
-            if finding.picture is not None:
-                entry["picture"] = f"{number}-{finding.cause.replace(' ', '-')}.png"
-                write_atomically(folder / entry["picture"], image_bytes(finding.picture))
-            entries.append(entry)
-        written = {**diagnosis.as_json(), "findings": entries}
-        write_atomically(folder / FINDINGS, json.dumps(written, indent=1))
+        with OwnFiles(folder).begin("findings", {}, replaces=True) as own:
+            entries = []
+            for number, finding in enumerate(diagnosis.findings, start=1):
+                entry = finding.as_json()
+                if finding.picture is not None:
+                    entry["picture"] = f"{number}-{finding.cause.replace(' ', '-')}.png"
+                    write_atomically(folder / entry["picture"], image_bytes(finding.picture))
+                entries.append(entry)
+            written = {**diagnosis.as_json(), "findings": entries}
+            write_atomically(folder / FINDINGS, json.dumps(written, indent=1))
+            own.remove_earlier()
+        own.complete()
         return written
     except OSError as error:
         what = f"the findings cannot be written ({error.strerror or error})"

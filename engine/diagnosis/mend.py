@@ -7,6 +7,8 @@ import json
 import os
 import shutil
 from dataclasses import replace
+from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError
-from ..job.atomic import PART, write_atomically
+from ..job import write_atomically
+from ..job.own_files import PART, OwnFiles
 from ..scene import Camera, ClassTable, Frame, Scene, evenly_spread, open_scene
 from ..scene.depth import MILLIMETRES
 from ..scene.pixels import image_bytes
@@ -38,32 +41,33 @@ def write_mended(scene: Scene, diagnosis: Diagnosis, out: Path) -> str | None:
     frames = [frame for frame in scene.frames if frame.name not in diagnosis.mending.dropped]
     if not any(not frame.held_out for frame in frames):
         raise PlgsError("no-training-frame", "no frame to train on would be left", scene.folder, "Give more frames.")
-    part = out.with_name(PART + out.name)  # beside it, as a rename to another disk fails
+    for number in count(1):
+        part = out.with_name(f"{PART}{number}-{out.name}")  # beside it, as a rename to another disk fails
+        OwnFiles(part).discard()  # what a killed run left, but nobody else's files
+        if not part.exists():
+            break
+    own = OwnFiles(part).begin("mended scene", {"scene": str(scene.folder)})
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        if part.exists():
-            shutil.rmtree(part)
-        part.mkdir()
-        _write(scene, frames, diagnosis, part)
+        with own:
+            _write(scene, frames, diagnosis, part)
         harm = harm_of(scene, diagnosis, part)
         if harm is not None:
-            shutil.rmtree(part)
+            own.discard()
             return harm
+        own.complete()
         part.rename(out)
         return None
     except OSError as error:
-        shutil.rmtree(part, ignore_errors=True)
+        own.discard()
         where = error.filename or out
         what = f"this cannot be written ({error.strerror})"
         raise PlgsError("unwritable", what, where, "Choose another folder.") from error
     except BaseException:  # Ctrl-C as well
-        shutil.rmtree(part, ignore_errors=True)
+        own.discard()
         raise
 
 
 def _write(scene: Scene, frames: list[Frame], diagnosis: Diagnosis, folder: Path) -> None:
-    for name in ("color", "pose", "intrinsic"):
-        (folder / name).mkdir()
     mending, upright = diagnosis.mending, np.eye(4)
     if mending.turn is not None:
         upright[:3, :3] = mending.turn
@@ -78,11 +82,11 @@ def _write(scene: Scene, frames: list[Frame], diagnosis: Diagnosis, folder: Path
             _link_or_copy(source.resolve(), folder / "color" / f"{frame.name}{source.suffix.lower()}")
         else:
             _write_image(folder / "color" / f"{frame.name}.png", frame.read_colour(None))
-        np.savetxt(folder / "pose" / f"{frame.name}.txt", pose, "%.12g")
+        _write_matrix(folder / "pose" / f"{frame.name}.txt", pose)
         matrix = np.eye(4)
         matrix[:3, :3] = camera.K
         matrix[:2, 2] -= 0.5  # in this layout the centres of pixels are whole numbers
-        np.savetxt(folder / "intrinsic" / f"{frame.name}.txt", matrix, "%.12g")
+        _write_matrix(folder / "intrinsic" / f"{frame.name}.txt", matrix)
         if frame.read_depth is not None:
             millimetres = np.round(_mended_depth(frame, mending) / MILLIMETRES)
             millimetres[millimetres > _DEEPEST] = 0  # none, rather than a wrong depth
@@ -94,7 +98,7 @@ def _write(scene: Scene, frames: list[Frame], diagnosis: Diagnosis, folder: Path
     if all(frame.read_mask is not None for frame in frames) and not _link_group_masks(scene, frames, folder):
         _write_masks(frames, scene.classes, folder)
     split = {"train": [f.name for f in frames if not f.held_out], "test": [f.name for f in frames if f.held_out]}
-    (folder / "splits.json").write_text(json.dumps(split), encoding="utf-8")
+    write_atomically(folder / "splits.json", json.dumps(split))
     said = {
         "made_from": str(scene.folder.resolve()),
         "mended": [finding.as_json() for finding in diagnosis.findings if finding.is_mended],
@@ -111,10 +115,16 @@ def _lens(camera: Camera, assumed: Assumption) -> NDArray[np.float64]:
 
 def _link_or_copy(source: Path, target: Path) -> None:
     """Make a hard link if the file system supports it, so the original may be deleted; otherwise copy."""
-    try:
-        os.link(source, target)
-    except OSError:
-        shutil.copyfile(source, target)
+
+    def put(part: Path) -> None:
+        try:
+            if not os.access(source, os.W_OK):
+                raise PermissionError  # the link could not be flushed to the disk
+            os.link(source, part)
+        except OSError:
+            shutil.copyfile(source, part)
+
+    write_atomically(target, put)
 
 
 def _mended_depth(frame: Frame, mending: Mending) -> NDArray[np.float64]:
@@ -139,7 +149,6 @@ def _link_group_masks(scene: Scene, frames: list[Frame], folder: Path) -> bool:
     if not theirs or not any(segment.is_group for frame in frames for segment in frame.mask(None).segments):
         return False
     for source in theirs:
-        (folder / source.name).mkdir()
         for path in source.iterdir():
             if path.is_file():
                 _link_or_copy(path.resolve(), folder / source.name / path.name)
@@ -162,12 +171,15 @@ def _write_masks(frames: list[Frame], classes: ClassTable, folder: Path) -> None
         for each in classes.categories
     ]
     table = {"annotations": annotations, "categories": categories}
-    (folder / "panoptic.json").write_text(json.dumps(table), encoding="utf-8")
+    write_atomically(folder / "panoptic.json", json.dumps(table))
 
 
 def _write_image(path: Path, pixels: NDArray[np.integer[Any]]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(image_bytes(pixels))
+    write_atomically(path, image_bytes(pixels))
+
+
+def _write_matrix(path: Path, matrix: NDArray[np.float64]) -> None:
+    write_atomically(path, partial(np.savetxt, X=matrix, fmt="%.12g"))
 
 
 _LOOKED_AT = 8  # frames whose depth is compared pixel by pixel

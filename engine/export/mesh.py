@@ -63,7 +63,7 @@ FLOAT, _WHOLE, VERTICES, _INDICES = 5126, 5125, 34962, 34963  # glTF's codes for
 _MAGIC, _JSON, _BIN = b"glTF", b"JSON", b"BIN\0"
 
 
-GENERATOR = "PLGS for Blender"  # the generator named in the first 128 bytes of each file
+GENERATOR = "PLGS for Blender"  # the generator named in each file
 
 
 def glb_bytes(parts: Sequence[Part]) -> bytes:
@@ -127,7 +127,7 @@ class GlbBuffer:
 
     def file(self, nodes: Sequence[Any], meshes: Sequence[Any], more: Mapping[str, Any]) -> bytes:
         """A GLB file of one scene with all these nodes, of ``more`` of glTF's JSON, and of this buffer."""
-        about = {"asset": {"version": "2.0", "generator": GENERATOR}, "scene": 0}  # the generator is searched for here
+        about = {"asset": {"version": "2.0", "generator": GENERATOR}, "scene": 0}
         shown = {"scenes": [{"nodes": list(range(len(nodes)))}], "nodes": nodes, "meshes": meshes}
         own = {"buffers": [{"byteLength": len(self._body)}], "bufferViews": self.views, "accessors": self._accessors}
         head = json.dumps(about | shown | dict(more) | own, ensure_ascii=False).encode()
@@ -157,20 +157,11 @@ MOST_INSTANCES = 1 << 16  # factor of the class in a label, which is class * thi
 
 def export_mesh(lift: FinishedLift, output: Path) -> None:
     """mesh.ply, the whole surface with class_id and instance_id of every vertex, and meshes/<name>.glb, one per
-    instance and stuff class (glTF's axes, y up). Those of an earlier export whose objects are gone are removed. Raises
-    PlgsError where no surface was rendered, OSError."""
+    instance and stuff class (glTF's axes, y up). Raises PlgsError where no surface was rendered, OSError."""
     surface, label, texture = finished(lift)
     write_surface(lift, output / "mesh.ply", surface, label)
-    parts = {output / "meshes" / f"{part.name}.glb": part for part in _cut(lift, surface, label, texture)}
-    for path, part in parts.items():
-        write_atomically(path, glb_bytes([part]))
-    # Not by names: a disk may list them in other case or Unicode form.
-    others = [path for path in (output / "meshes").glob("*.glb") if not any(map(path.samefile, parts))]
-    for path in others:
-        with open(path, "rb") as file:
-            is_ours = GENERATOR.encode() in file.read(128)
-        if is_ours:
-            path.unlink()
+    for part in _cut(lift, surface, label, texture):
+        write_atomically(output / "meshes" / f"{part.name}.glb", glb_bytes([part]))
 
 
 def write_surface(

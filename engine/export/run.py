@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import json
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
 from ..errors import PlgsError, lacks_part
-from ..job import LiftFolder, verify_lifted, write_atomically
+from ..job import LiftFolder, verify_lifted
+from ..job.own_files import OwnFiles
 from ..job.progress import Progress, unwatched
 from .frame_images import export_coco, export_depth, export_label_images, export_scannet
 from .mesh import export_gltf, export_mesh
 from .points import export_boxes, export_clouds, export_points, export_splats
 from .source import FinishedLift
 from .view_surface import export_surface
-
-NOTE = "export.json"  # the file in an export's folder that names its format, its lift and its frames
 
 
 def export(
@@ -34,8 +31,9 @@ def export(
     """Write ``frames`` ("test", "all", names) of a finished lift as ``kind`` (of KINDS) into the folder ``output``.
     With a file of ``cameras``, which only clouds support, write what these see instead. The formats BY_OBJECT can be
     limited to ``objects`` with these names (instances or classes). The folder must be new or empty, or hold this very
-    export, complete or not, so that no other files are overwritten; one in the lift's own folder ``exports`` is
-    replaced. Raises PlgsError for a lift that is unfinished or damaged, bad cameras, and other files there; OSError."""
+    export, complete or not; one in the lift's own folder ``exports`` may hold any export. Only files of the earlier
+    export are replaced or deleted (see `OwnFiles`). Raises PlgsError for a lift that is unfinished or damaged, bad
+    cameras, and other files there; OSError."""
     if cameras is not None and kind != "clouds":
         what = f"{kind} can only show the scene's frames"
         raise PlgsError("export-cameras", what, cameras, "Give --frames, or export clouds.", option="--cameras")
@@ -53,21 +51,14 @@ def export(
     if objects:
         lift.wants(0, 0)  # reports an unknown name before anything is written
         facts["objects"] = [*objects]
-    make_room(folder, output, facts)
-    KINDS[kind](lift, output)
-
-
-def make_room(folder: LiftFolder, output: Path, export: Mapping[str, object]) -> None:
-    """Create the folder, with the facts of ``export`` in its note. Raises PlgsError for other files in it, OSError."""
-    if output.exists() and not output.is_dir():
-        raise PlgsError("file-not-folder", "the export needs a folder, but this is a file", output, "Name another one.")
-    text, note = json.dumps(export, indent=1) + "\n", output / NOTE
-    if output.resolve().is_relative_to(folder.path.resolve() / "exports"):
-        shutil.rmtree(output, ignore_errors=True)
-    elif output.exists() and any(output.iterdir()) and not (note.is_file() and note.read_bytes() == text.encode()):
-        what = "the folder for the export holds other files"
-        raise PlgsError("folder-used", what, output, "Name a new or an empty folder.")
-    write_atomically(note, text)
+    shared = folder.path.resolve() / "exports"
+    if output.resolve() == shared:
+        what = "is the folder of all exports of the lift"
+        raise PlgsError("all-exports", what, output, f"Name a folder in it, such as {output / kind}.", option="-o")
+    with OwnFiles(output).begin("export", facts, replaces=output.resolve().is_relative_to(shared)) as own:
+        KINDS[kind](lift, output)
+        own.remove_earlier()
+    own.complete()
 
 
 def _export_usd(lift: FinishedLift, output: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import shutil
 from collections.abc import Callable, Iterator
@@ -11,11 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from ..errors import ErrorCode, PlgsError
-from ..gates import create_plain, open_plain
+from ..gates import create_plain
+from .own_files import PART, guard_of
+from .own_files import sha256 as sha256
 from .system import flush_folder
-
-PART = ".part-"
-"""Prefix of names that are still being written. A kill leaves them behind; `remove_parts` deletes them."""
 
 
 def write_atomically(path: Path, content: bytes | str | Callable[[Path], object]) -> None:
@@ -23,7 +21,11 @@ def write_atomically(path: Path, content: bytes | str | Callable[[Path], object]
     ``content`` is the bytes, a text (written as UTF-8), or a function that writes the file at the path it is given.
     That path is in the same folder and ends like ``path``, so libraries that choose a format by suffix choose the right
     one. One process at a time may write a given path. Raises what the function or the file system raises, and PlgsError
-    if another process removed the part; ``path`` is then as it was. An OSError names the file."""
+    if another process removed the part, or if the folder's note is kept and the path has somebody else's file (see
+    `OwnFiles`); ``path`` is then as it was. An OSError names the file."""
+    guard = guard_of(path)
+    if guard is not None:
+        guard.claim(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(PART + path.name)
     try:
@@ -35,6 +37,8 @@ def write_atomically(path: Path, content: bytes | str | Callable[[Path], object]
                 file.write(content.encode() if isinstance(content, str) else content)
         try:
             flush_to_disk(part)
+            if guard is not None:
+                guard.record(path, part)
             os.replace(part, path)
         except FileNotFoundError as error:
             if callable(content):  # perhaps it wrote nothing
@@ -68,12 +72,6 @@ def remove_parts(folder: Path) -> None:
             shutil.rmtree(part)
         else:
             part.unlink(missing_ok=True)
-
-
-def sha256(path: Path) -> str:
-    """The file's SHA-256 in hex. Raises OSError."""
-    with open_plain(path) as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ The passes become part of the result, or go into a folder of their own, where no
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
@@ -20,6 +21,7 @@ from ..job import BakeCamera, BakeLocks, EventWriter, LiftFolder, StopSignal, re
 from ..job.cameras import PreviewCamera, frame_numbers, refuse_equal_names
 from ..job.events import at_work
 from ..job.manifest import add_files, drop_files, read_manifest
+from ..job.own_files import foreign
 from ..job.progress import StageReporter
 from ..model.neural_gaussians import ClipRange
 from ..passes.baked_view import BakedView
@@ -261,8 +263,7 @@ class _OwnFolder:
         if is_whole(path, {**notes, **_notes_of(view, self._layers), **self._model}, self._layers):
             return True
         if not self._replace and not (is_own(path) and read_note(path, MODEL_NOTE)):
-            fix = "Give another folder, or add --replace to overwrite it."
-            raise PlgsError("foreign-file", "was not written by PLGS", path, fix, option="--replace")
+            raise foreign(path, "Give another folder, or add --replace to overwrite it.", "--replace")
         return False
 
     def write(self, view: WantedView, rendered: BakedView, baker: FrameBaker, events: EventWriter) -> None:
@@ -295,8 +296,12 @@ class _Result:
         return self._listed().issuperset(files) and is_whole(files[0], wanted, self._layers)
 
     def write(self, view: WantedView, rendered: BakedView, baker: FrameBaker, events: EventWriter) -> None:
-        """Write a view, replacing one from another camera. Raises OSError."""
-        if old := self._listed().intersection(baked_files(self._folder, view.name)):
+        """Write a view, replacing one from another camera. Raises PlgsError for files of other programs, OSError."""
+        files = baked_files(self._folder, view.name)
+        for path in files:  # a killed bake's are not listed; without passes, previews are not of a bake
+            if os.path.lexists(path) and path not in self._listed() and not (files[0].exists() and is_own(files[0])):
+                raise foreign(path)
+        if old := self._listed().intersection(files):
             with self._locks.manifest():  # the result is complete without the view that is baked again
                 drop_files(self._folder.result_path, sorted(old))
         baker.write(

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import PlgsError
 from ..job.atomic import write_atomically
+from ..job.own_files import OwnFiles
 from ..job.progress import unwatched
 from ..json_file import read_object
 from ..posed.classes import VOID
@@ -138,7 +139,8 @@ def list_classes(source: SceneSource, table: str | None = None) -> ClassList:
 
 def write_class_list(source: SceneSource, edited: Path) -> Path:
     """Write the classes.toml beside a scene's masks from an edited ClassList in a JSON file; its path. Colours in an
-    existing one are kept. Raises PlgsError for a list of another scene, and for a class without a name."""
+    existing one are kept, and one that we did not write stays as "classes.before.toml". Raises PlgsError for a list of
+    another scene, and for a class without a name."""
     content: dict[str, Any] = read_object(edited, _AGAIN)
     listed, path = record_of(ClassList, content, edited, _AGAIN), class_list_path(source.scene, source.masks)
     if not listed.rows:
@@ -151,7 +153,10 @@ def write_class_list(source: SceneSource, edited: Path) -> Path:
     choice, before = choice_of(rows, frozenset(listed.void)), find_class_choice(None, path.parent)
     colours = {each: row.colour for row in (before.rows if before else ()) for each in (row.id, row.name)}
     kept = tuple(replace(row, colour=colours.get(row.id) or colours.get(row.name)) for row in choice.rows)
-    write_atomically(path, class_choice_text(replace(choice, rows=kept)))
+    with OwnFiles(path.parent).begin("classes", {}, among_others=True) as own:
+        own.set_aside(path)
+        write_atomically(path, class_choice_text(replace(choice, rows=kept)))
+    own.complete()
     return path
 
 

@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 from ..errors import PlgsError
+from ..job.environment import environments_folder
 from ..job.lock import is_locked
 
 LOG, LOCK = "set-up.log", "set-up.lock"
@@ -31,8 +32,19 @@ def empty_trash(folder: Path) -> None:
         shutil.rmtree(path, ignore_errors=True)
 
 
+def refuse_others(folder: Path) -> None:
+    """Raise PlgsError for a folder with files in which no set-up began: what a set-up deletes, such as "downloads",
+    would be somebody else's. The user's cache is ours. Raises OSError."""
+    is_ours = (folder / LOCK).is_file() or folder == environments_folder()
+    if not is_ours and folder.is_dir() and any(path.name[:3] != "uv-" for path in folder.iterdir()):
+        fix = "Name a new or an empty folder, or that of an earlier set-up."
+        raise PlgsError("folder-used", "the folder holds other files", folder, fix)
+
+
 def remove_environments(folder: Path) -> None:
-    """Delete a set-up's environments in ``folder``, and its downloads. Raises PlgsError while one runs, OSError."""
+    """Delete a set-up's environments in ``folder``, and its downloads. Raises PlgsError while one runs, and for a
+    folder of others; OSError."""
+    refuse_others(folder)
     if is_locked(folder / LOCK):
         raise PlgsError("being-set-up", "the engine is being set up", folder, "Wait until it is done, or cancel it.")
     for environment in sorted(folder.glob("engine-*")):

@@ -31,9 +31,10 @@ from ..job.environment import (
 )
 from ..job.handshake import ADDED, EngineAnswer
 from ..job.lock import FileLock, is_locked
+from ..job.own_files import OwnFiles
 from ..job.process import ROOT, engine_call
 from . import uv_program
-from .environments import DOWNLOADS, LOCK, LOG, PYTHON, empty_trash, throw_away
+from .environments import DOWNLOADS, LOCK, LOG, PYTHON, empty_trash, refuse_others, throw_away
 from .programs import UvTask, complaint
 
 LABELS = (
@@ -103,6 +104,7 @@ class SetUp(UvTask):
     def run(self) -> Path:
         """Do all steps and return the environment's Python, or the folder of wheels. Raises PlgsError, Cancelled."""
         try:
+            refuse_others(self.folder)
             self.folder.mkdir(parents=True, exist_ok=True)
             while is_locked(self.folder / LOCK):
                 self._tell(1, "Another set-up is running")
@@ -230,8 +232,11 @@ class SetUp(UvTask):
         return ["--no-deps", *(of_public_cpu_builds if sys.platform == "linux" and is_public else ()), torch]
 
     def _collect_wheels(self, uv: Path, python: str | Path, version: Version, folder: Path) -> None:
-        """Download for this system and Python what a set-up and all additions install, and uv."""
+        """Download for this system and Python what a set-up and all additions install, and uv. Raises PlgsError for a
+        folder that holds anything else."""
         self._tell(3)
+        own = OwnFiles(folder).begin("wheels", {}, replaces=True)
+        own.announce()
         pip, part = self.folder / DOWNLOADS / "pip", folder / "torch.part"
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir(parents=True)
@@ -257,7 +262,9 @@ class SetUp(UvTask):
                 self._install(name, [*collect, requirement_file(self.root, f"hashes-{name}")], for_pip=True)
             except PlgsError as error:
                 self._events.warning(f"The folder will lack {name}: {error.what}")
-        write_atomically(folder / self.request.torch_list(version), "".join(lines))
+        with own:
+            write_atomically(folder / self.request.torch_list(version), "".join(lines))
+        own.complete()
         try:
             self._pinned_list(folder / self.request.torch_list(version), version)
         except PlgsError as error:

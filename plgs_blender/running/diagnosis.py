@@ -15,6 +15,7 @@ import bpy
 from ...engine.errors import PlgsError
 from ...engine.job import write_atomically
 from ...engine.job.follower import TaskFollower
+from ...engine.job.own_files import OwnFiles
 from .. import registry
 from ..chosen_scene import AUTOMATIC, ChosenScene
 from ..engine_environment import usable_python
@@ -128,38 +129,21 @@ def diagnose(settings: PLGS_PG_settings, mended: Path | None = None) -> Diagnosi
     return registry.begin(Diagnosis(chosen, mended, folder, follower))
 
 
-_written: dict[Path, bytes] = {}  # what `leave_out` wrote into each splits.json
-
-
 def leave_out(known: Diagnosis, finding: Finding) -> tuple[Path, Path | None]:
-    """Remove a finding's frames from the capture's splits.json, and keep a copy of one that we did not write. Returns
-    both paths, the second None without a copy. Raises OSError, and PlgsError if no training frames would be left."""
+    """Remove a finding's frames from the capture's splits.json; one that we did not write is renamed. Returns both
+    paths, the second None if there was none. Raises OSError, and PlgsError if no training frames would be left."""
     assert known.split is not None
     split = known.split.without(finding.leave_out)
     if not split.train:
         what = "no frame to train on would be left"
         raise PlgsError("no-training-frame", what, split.path, "Leave fewer frames out.")
-    split.path.parent.mkdir(exist_ok=True)
-    kept = _keep(split.path)
-    text = json.dumps({"train": split.train, "test": split.test}).encode()
-    write_atomically(split.path, text)
-    _written[split.path] = text
+    with OwnFiles(split.path.parent).begin("split", {}, among_others=True) as own:
+        kept = own.set_aside(split.path)
+        write_atomically(split.path, json.dumps({"train": split.train, "test": split.test}))
+    own.complete()
     known.split = split
     looking.look_at_scene(known.chosen)
     return split.path, kept
-
-
-def _keep(path: Path) -> Path | None:
-    """Copy a splits.json that `leave_out` did not write to "splits.before.json" or the like. Raises OSError."""
-    before = path.read_bytes() if path.exists() else None
-    if before is None or _written.get(path) == before:
-        return None
-    number, kept = 1, path.with_name("splits.before.json")
-    while kept.exists() and kept.read_bytes() != before:
-        number += 1
-        kept = path.with_name(f"splits.before_{number}.json")
-    write_atomically(kept, before)
-    return kept
 
 
 def _finding(entry: Mapping[str, Any], folder: Path) -> Finding:

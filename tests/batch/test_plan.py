@@ -21,8 +21,9 @@ from engine.batch.plan import (
 )
 from engine.command_line.batch import read_scene_table
 from engine.command_line.main import make_parser
-from engine.job import LiftRequest
+from engine.job import LiftRequest, write_atomically
 from engine.job.manifest import write_manifest
+from engine.job.own_files import NOTE, OwnFiles
 from tests.raises_key import raises_key
 
 
@@ -47,13 +48,16 @@ def test_a_folder_is_named_after_where_it_is(tmp_path: Path) -> None:
     assert names_of([tmp_path / "a" / "-o" / ".." / "-o", tmp_path / "a" / "-o" / ".."]) == ["-o", "a"]
 
 
-@pytest.mark.parametrize("lost", ["result/passes/0001.exr", "exports/ply"])
+@pytest.mark.parametrize("lost", ["result/passes/0001.exr", "exports/ply", f"exports/ply/{NOTE}"])
 def test_missing_results_are_not_counted_as_done(lost: str, tmp_path: Path) -> None:
     job = SceneJob("room", tmp_path / "room", LiftRequest(scene=tmp_path / "scene"))
     plan = BatchPlan(tmp_path, (job,), exports=("ply",))
-    for name in ("result/passes/0001.exr", "exports/ply/splats.ply"):
-        (job.lift / name).parent.mkdir(parents=True)
-        (job.lift / name).write_text("all of it")
+    passes = job.lift / "result/passes/0001.exr"
+    passes.parent.mkdir(parents=True)
+    passes.write_text("all of it")
+    with OwnFiles(job.lift / "exports/ply").begin("export", {}) as own:
+        write_atomically(job.lift / "exports/ply/splats.ply", "all of it")
+    own.complete()
     write_manifest(job.lift / "result", versions={}, seed=0, settings={}, timings={})
     row = Row("room", "done", 1.0, "", 0, {})
     remember(plan, job, row)

@@ -198,7 +198,11 @@ def test_the_sharpest_pictures_of_a_film_are_taken(tmp_path: Path) -> None:
     film.release()
     done: list[tuple[int, int]] = []
     write_pictures(tmp_path / "film.mp4", tmp_path / "out", 3, lambda *each: done.append(each))
-    assert [path.name for path in sorted((tmp_path / "out").iterdir())] == ["000003.jpg", "000007.jpg", "000011.jpg"]
+    assert [path.name for path in sorted((tmp_path / "out/images").iterdir())] == [
+        "000003.jpg",
+        "000007.jpg",
+        "000011.jpg",
+    ]
     assert done == [(1, 3), (2, 3), (3, 3)]
 
 
@@ -235,34 +239,3 @@ def aligned(found: np.ndarray, wanted: np.ndarray) -> tuple[float, np.ndarray]:
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
     scale = float((values * signs).sum() / (one**2).sum())
     return scale, np.linalg.norm(other - scale * one @ (left * signs @ right).T, axis=1)
-
-
-RANGE = '{"intrinsicMatrix": [1], "rangeOfEncodedDepth": [0.5, 4.5]}'
-
-
-@pytest.mark.parametrize("told", [RANGE, "{}", '{"intrinsic": '])
-def test_depth_of_a_film_of_record3d_lies_beside_its_pictures(tmp_path: Path, told: str) -> None:
-    """Hue says depth on the left, black says none; the picture is on the right. Other films are whole."""
-    cv2 = pytest.importorskip("cv2")
-    path, depth = tmp_path / "film.mp4", np.linspace(0.8, 4.2, 64, dtype=np.float32)
-    hue = np.round(256 * (depth - 0.5) / 4).astype(np.uint8)
-    left = np.stack([np.broadcast_to(hue, (48, 64)), np.full((48, 64), 255), np.full((48, 64), 255)], -1)
-    left = cv2.cvtColor(left.astype(np.uint8), cv2.COLOR_HSV2BGR_FULL)
-    left[:8] = 0
-    film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 10, (128, 48))
-    for number in range(4):
-        film.write(np.concatenate([left, np.full((48, 64, 3), 40 + 50 * number, np.uint8)], axis=1))
-    film.release()
-    text = told.encode()
-    path.write_bytes(path.read_bytes() + (8 + len(text)).to_bytes(4, "big") + b"free" + text)
-    write_pictures(path, tmp_path / "out", 2, lambda done, total: None)
-    photos = sorted((tmp_path / "out").glob("*.jpg"))
-    is_theirs = "range" in told
-    assert [cv2.imread(str(photo)).shape[1] for photo in photos] == 2 * [64 if is_theirs else 128]
-    maps = sorted((tmp_path / "out/depth").glob("*.npy"))
-    assert [each.stem for each in maps] == ([each.stem for each in photos] if is_theirs else [])
-    for each in maps:
-        found = np.load(each)
-        assert found.dtype == np.float32 and not found[:6].any()
-        np.testing.assert_allclose(found[12:], np.broadcast_to(depth, (36, 64)), atol=0.12)
-        assert np.median(np.abs(found[12:] - depth)) < 0.04

@@ -88,7 +88,7 @@ def test_other_masks_are_never_overwritten(folder: Path) -> None:
     make_masks(open_scene(folder), begun(folder), Halves(), silent)
     with raises_key("other-masks halves"):
         begun(folder, "another")
-    for name in ("panoptic.json", "m2f_semantics", "masks"):
+    for name in ("panoptic.json", "detections.json", "m2f_semantics", "masks"):
         other = folder.parent / f"with_{name}"
         (other / name).mkdir(parents=True)
         with raises_key(f"has-masks {name}"):
@@ -110,14 +110,15 @@ def test_masks_of_other_photos_are_not_finished_already(folder: Path) -> None:
 
 
 def test_a_damaged_frame_is_named(folder: Path) -> None:
-    job = begun(folder)
-    make_masks(open_scene(folder), job, Halves(), silent)
-    (folder / "panoptic.json").unlink()
-    whole = '{"segments_info": [], "detections": [], "width": 32, "height": 24}'
-    for name in ("0000", "0001", "0002", "0003"):
-        (folder / "panoptic" / f"{name}.json").write_text("[" if name == "0002" else whole)
-    with raises_key("json-broken 0002.json"):
-        make_masks(open_scene(folder), job, Halves(), silent)
+    def stop(done: int, frames: int, made: int) -> None:
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make_masks(open_scene(folder), begun(folder), Halves(), stop)
+    (folder / "panoptic" / "0002.json").write_text("[")
+    with raises_key("foreign-file 0002.json"):
+        make_masks(open_scene(folder), begun(folder), Halves(), silent)
 
 
 def test_an_empty_job_leaves_nothing_behind(folder: Path) -> None:

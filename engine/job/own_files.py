@@ -1,0 +1,219 @@
+"""Which files of a folder are ours: what a command writes into a folder that a user names is listed in that folder's
+note. Nothing else in it is ever replaced or deleted.
+
+Each line of the note is a JSON object, appended before the file is put in place, so that the note also holds after a
+kill:
+
+    {"begins": "export", "about": {...}}               a run begins, which writes this
+    {"file": "meshes/chair 1.glb"}                     the run writes this file
+    {"file": "meshes/chair 1.glb", "sha256": HEX}      with this content
+    {"complete": true}                                 last: all of it is written
+
+A file with other content than we wrote is somebody else's. Passes carry their mark in their own header instead
+(`passes.exr.is_own`), as several machines write them into one folder.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import unicodedata
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Self
+
+from ..errors import PlgsError
+from ..gates import inner_path, open_plain, open_to_append
+
+PART = ".part-"
+"""Prefix of names that are still being written. A kill leaves them behind."""
+NOTE = ".plgs-written.jsonl"
+"""The note's name in its folder."""
+_MOST_ASIDE = 10_000  # files of one name that are set aside
+
+
+_Run = tuple[str, Mapping[str, Any]]
+"""A kind of files, and of what they are."""
+
+
+class OwnFiles:
+    """The files of a folder that we wrote, by its note. In a ``with`` block, `write_atomically` keeps to it: below the
+    folder it raises PlgsError for a path that has somebody else's file, and lists what it writes."""
+
+    def __init__(self, folder: Path) -> None:
+        """Read the note; without one, nothing is ours. Raises OSError, also if the note is a link."""
+        self.folder, self.is_complete = folder, False
+        self.begun: _Run | None = None
+        self._asked: _Run = ("", {})
+        self._is_announced = False
+        self._digests: dict[str, set[str]] = {}  # of each path's contents, by a name that ignores case
+        self._kinds: dict[str, str] = {}  # by path as it was written
+        self._latest: set[str] = set()  # what the run that began last wrote
+        with suppress(FileNotFoundError, NotADirectoryError), open_plain(folder / NOTE, follow_link=False) as file:
+            for line in file:
+                self._take(line)
+
+    def _take(self, line: bytes) -> None:
+        self.is_complete = False
+        with suppress(ValueError, AttributeError, TypeError):  # a line that a power cut left
+            entry = json.loads(line)
+            if "begins" in entry:
+                self.begun, self._latest = (entry["begins"], entry["about"]), set()
+            elif self.begun is not None and "file" in entry:
+                self._list(inner_path(entry["file"]).as_posix(), entry.get("sha256"))
+            self.is_complete = entry.get("complete") is True
+
+    def _list(self, name: str, digest: str | None) -> None:
+        assert self.begun is not None
+        self._kinds[name] = self.begun[0]
+        self._latest.add(name)
+        known = self._digests.setdefault(_folded(name), set())
+        if digest is not None:
+            known.add(digest)
+
+    def begin(self, kind: str, about: Mapping[str, Any], *, replaces: bool = False, among_others: bool = False) -> Self:
+        """Say what kind of files this run writes, and of what, for the note. Unless they are written ``among_others``,
+        the folder must be new or empty, or have our note of the same, or (with ``replaces``) of the same kind. Raises
+        PlgsError, OSError."""
+        self._asked = kind, json.loads(json.dumps(about))
+        if self.folder.exists() and not self.folder.is_dir():
+            what = "a folder is needed, but this is a file"
+            raise PlgsError("file-not-folder", what, self.folder, "Name another one.")
+        is_same = self.begun == self._asked or (replaces and self.begun is not None and self.begun[0] == kind)
+        if not (among_others or is_same) and self.folder.exists() and any(self.folder.iterdir()):
+            what = "the folder holds other files" if self.begun is None else "the folder holds other results of PLGS"
+            raise PlgsError("folder-used", what, self.folder, "Name a new or an empty folder.")
+        return self
+
+    def __enter__(self) -> Self:
+        GUARDS.append(self)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        GUARDS.remove(self)
+
+    def owns(self, path: Path) -> bool:
+        """Whether the file is there as we wrote it. Raises OSError."""
+        name = _folded(self._name(path))
+        digests = self._digests.get(name)
+        with suppress(FileNotFoundError, ValueError):  # not there, or behind a link that leads out of the folder
+            if digests and _folded(path.resolve().relative_to(self.folder.resolve()).as_posix()) == name:
+                return path.is_file() and sha256(path) in digests
+        return False
+
+    def claim(self, path: Path) -> None:
+        """List a file that is about to be written, with its part. Raises PlgsError for somebody else's, OSError."""
+        name, part = self._name(path), path.with_name(PART + path.name)
+        self.refuse_foreign(path)
+        if os.path.lexists(part) and _folded(name) not in self._digests:
+            raise foreign(part)
+        if not self._is_announced:
+            self.announce()
+        self._append({"file": name})
+        self._list(name, None)
+
+    def announce(self) -> None:
+        """Make the folder ours, before the first file. Raises OSError."""
+        kind, about = self.begun = self._asked
+        self._is_announced, self.is_complete, self._latest = True, False, set()
+        self._append({"begins": kind, "about": about})
+
+    def refuse_foreign(self, path: Path) -> None:
+        """Raise PlgsError if somebody else's file is there. Raises OSError."""
+        if os.path.lexists(path) and not self.owns(path):
+            raise foreign(path)
+
+    def set_aside(self, path: Path) -> Path | None:
+        """Rename somebody else's file to "NAME.before.json" or the like, and return that. Raises OSError."""
+        if not os.path.lexists(path) or self.owns(path):
+            return None
+        numbers = ("", *(f"_{number}" for number in range(2, _MOST_ASIDE)))
+        names = (path.with_name(f"{path.stem}.before{number}{path.suffix}") for number in numbers)
+        kept = next(each for each in names if not os.path.lexists(each))
+        path.rename(kept)
+        return kept
+
+    def record(self, path: Path, written: Path) -> None:
+        """List the content of a claimed file, which is at ``written`` by now. Raises OSError."""
+        name, digest = self._name(path), sha256(written)
+        self._append({"file": name, "sha256": digest})
+        self._list(name, digest)
+
+    def complete(self) -> None:
+        """Mark that all is written. Raises OSError."""
+        if not self._is_announced and (self.begun != self._asked or not self.is_complete):
+            self.announce()
+        if not self.is_complete:
+            self._append({"complete": True})
+            self.is_complete = True
+
+    def remove_earlier(self) -> None:
+        """Delete our files of this kind that this run did not write. Raises OSError."""
+        kept = [path for name in self._latest if (path := self.folder / name).exists()]
+        for name in [name for name, kind in self._kinds.items() if kind == self._asked[0]]:
+            path = self.folder / name
+            # Not by names: a disk may list them in other case or Unicode form.
+            if name not in self._latest and not (path.exists() and any(map(path.samefile, kept))):
+                self.remove(path)
+
+    def remove(self, path: Path) -> None:
+        """Delete a file, and the part of one, if they are ours, and folders that are empty then. Raises OSError."""
+        if self.owns(path):
+            path.unlink()
+        part = path.with_name(PART + path.name)
+        if _folded(self._name(path)) in self._digests and part.is_file() and not part.is_symlink():
+            part.unlink()
+        for folder in path.parents:
+            if folder == self.folder:
+                break
+            with suppress(OSError):
+                folder.rmdir()
+
+    def discard(self) -> None:
+        """Delete what the run that began last wrote, and the folder if it is empty then. Raises OSError."""
+        for name in [*self._latest]:
+            self.remove(self.folder / name)
+        if {*self._kinds} <= self._latest:
+            (self.folder / NOTE).unlink(missing_ok=True)
+        with suppress(OSError):
+            self.folder.rmdir()
+        OwnFiles.__init__(self, self.folder)
+
+    def _name(self, path: Path) -> str:
+        return path.absolute().relative_to(self.folder.absolute()).as_posix()
+
+    def _append(self, *entries: Mapping[str, Any]) -> None:
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with os.fdopen(open_to_append(self.folder / NOTE), "r+b") as note:
+            size = note.seek(0, os.SEEK_END)
+            note.seek(max(0, size - 1))
+            is_cut = note.read(1) not in (b"", b"\n")
+            lines = b"".join(json.dumps(entry).encode() + b"\n" for entry in entries)
+            note.write(b"\n" + lines if is_cut else lines)
+
+
+GUARDS: list[OwnFiles] = []
+"""The folders whose notes are kept at this moment, the innermost last."""
+
+
+def guard_of(path: Path) -> OwnFiles | None:
+    """The note that a path belongs to, if it is kept at this moment."""
+    whole = path.absolute()
+    return next((each for each in reversed(GUARDS) if whole.is_relative_to(each.folder.absolute())), None)
+
+
+def foreign(path: Path, fix: str = "Move it away, or write into another folder.", option: str = "") -> PlgsError:
+    """The error for somebody else's file where one of ours belongs."""
+    return PlgsError("foreign-file", "was not written by PLGS, or was changed since", path, fix, option=option)
+
+
+def sha256(path: Path) -> str:
+    """The file's SHA-256 in hex. Raises OSError."""
+    with open_plain(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _folded(name: str) -> str:
+    return unicodedata.normalize("NFC", name).casefold()
