@@ -126,6 +126,18 @@ class PLGS_OT_rename_selected(OnSelected, bpy.types.Operator):
         return set(bpy.ops.plgs.rename_instance("INVOKE_DEFAULT", lift=chosen[0].name, instance=chosen[1]))
 
 
+class PLGS_OT_isolate_selected(OnSelected, bpy.types.Operator):
+    """Show only the active object of the lift, and frame it. Again: go back"""
+
+    bl_idname, bl_label, bl_options = "plgs.isolate_selected", "Isolate Object", {"INTERNAL"}
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        chosen = self.chosen(context)
+        if chosen is None or context.space_data.local_view is not None:  # Blender's own local view comes to an end
+            return PASSED_ON
+        return set(bpy.ops.plgs.isolate_instance("INVOKE_DEFAULT", lift=chosen[0].name, instance=chosen[1]))
+
+
 class PLGS_OT_delete_selected(OnSelected, bpy.types.Operator):
     """Hide or dissolve the selected objects of the lift, and hide or delete your own selected objects with them"""
 
@@ -188,6 +200,8 @@ _KEYS: tuple[tuple[str, str, str, dict[str, Any], dict[str, Any]], ...] = (
     ("plgs.pick", "RIGHTMOUSE", "PRESS", {}, {}),
     ("plgs.pick", "RIGHTMOUSE", "PRESS", {"shift": True}, {"extend": True}),
     ("plgs.rename_selected", "F2", "PRESS", {}, {}),
+    ("plgs.isolate_selected", "SLASH", "PRESS", {}, {}),
+    ("plgs.isolate_selected", "NUMPAD_SLASH", "PRESS", {}, {}),
     ("plgs.delete_selected", "X", "PRESS", {}, {}),
     ("plgs.delete_selected", "DEL", "PRESS", {}, {}),
     ("plgs.quit", "Q", "PRESS", {"ctrl": True}, {}),

@@ -10,13 +10,13 @@ from types import ModuleType
 
 def _modules() -> tuple[ModuleType, ...]:
     """The modules to register, in order. Imported late, because readers of results need none of them."""
-    from . import compositing, corrections, moving, registry, settings, timeline
+    from . import compositing, corrections, moving, registry, settings, startup_file, timeline
     from .engine_environment import tasks
     from .inspecting import lists, selection
     from .running import estimate, importing, looking, preparation
 
     first = settings, estimate, preparation, lists, selection, registry
-    return *first, tasks, looking, importing, corrections, moving, timeline, compositing
+    return *first, tasks, looking, importing, corrections, moving, startup_file, timeline, compositing
 
 
 def register() -> None:

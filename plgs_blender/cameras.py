@@ -167,9 +167,11 @@ def place_frames(
     parent: bpy.types.Collection,
     frames: Sequence[PosedFrame],
     made: Mapping[str, Path] | None = None,
+    *,
+    shows_photo: bool = True,
 ) -> list[bpy.types.Object]:
-    """One camera per frame in `parent`, with the frame's photo in front of its view and its data as properties. `made`:
-    pictures, by frame name, that an engine made for frames without an image file."""
+    """One camera per frame in `parent`, with its data as properties and, perhaps hidden, the frame's photo in front of
+    its view. `made`: pictures, by frame name, that an engine made for frames without an image file."""
     cameras = []
     for frame in frames:
         ob = place_camera(owned, parent, f"frame:{frame.name}", frame.name, camera=frame.camera)
@@ -179,6 +181,7 @@ def place_frames(
         picture = picture_of(frame, made)
         if picture is not None:
             show_photo(ob, owned, picture)
+        ob.data.show_background_images = shows_photo
         cameras.append(ob)
     return cameras
 

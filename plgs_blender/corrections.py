@@ -32,7 +32,7 @@ from .clouds import SurfaceGrid, place_anchors, place_semantic_points
 from .errors import EXPECTED, with_field_names
 from .inspecting import selection
 from .inspecting.lists import fill_lists, fill_masks
-from .meshes import CORRECTIONS
+from .meshes import CORRECTIONS, mesh_name
 from .owned import (
     COMPARED,
     FOLDER,
@@ -189,7 +189,7 @@ def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
 def remember(root: bpy.types.Collection, result: LiftResult | CorrectedResult) -> None:
     """Store in the collection which edits the scene shows, and what is proposed now, if proposals were asked for."""
     root[EDITS] = " ".join(each.uid for each in result.edits if not each.undone)
-    root[CORRECTIONS] = result.fingerprint
+    root[CORRECTIONS] = result.label_fingerprint
     with suppress(OSError):
         root[RESULT] = mark_of(folder_of(root))
     outdated.discard(root[LIFT])
@@ -252,6 +252,9 @@ def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
     row.known_name = row.name = made.name  # in this order, or setting `name` would rename again
     if box is not None:
         name_box(box, made.name)
+    for ob in selection.surfaces_of(root):
+        if selection.instance_of(ob) == instance:
+            ob.name = ob.data.name = mesh_name(made.name)
     remember(root, result)
     return made
 

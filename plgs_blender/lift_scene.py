@@ -198,7 +198,7 @@ def place_room(read: ReadLift, scene: bpy.types.Scene) -> tuple[Placed, Generato
     owned = OwnedDataBlocks(root[LIFT], scene)
     frames = result.scene.frames
 
-    cameras = place_frames(owned, child_collection(root, "Cameras"), frames)
+    cameras = place_frames(owned, child_collection(root, "Cameras"), frames, shows_photo=False)
     clouds = place_semantic_points(
         owned,
         child_collection(root, "Semantic points"),
@@ -327,7 +327,8 @@ def _dress(scene: bpy.types.Scene, root: bpy.types.Collection) -> None:
     overview = overview_of(root)
     assert overview is not None
     places = places_of(root, scene)
-    scene.frame_start, scene.frame_end = min(places.values()), max(places.values())
+    numbers = [number for ob, number in places.items() if "frame" in ob]
+    scene.frame_start, scene.frame_end = min(numbers), max(numbers)
     scene.frame_set(places[overview])
     scene.camera = overview
     scene.view_layers[0].update()

@@ -72,7 +72,7 @@ def placing_meshes(placed: Placed, result: LiftResult, read: ReadMeshes) -> Gene
         owned = OwnedDataBlocks(root[LIFT], scene)
         keys.append(f"mesh:{class_id}:{instance_id}")
         one = instances.get(instance_id, kind)
-        name = f"{one.name} mesh"  # boxes and points have just the names
+        name = mesh_name(one.name)
         mesh = _fill(owned, keys[-1], name, surface)
         picture = read.pictures / f"{class_id}_{instance_id}.jpg"
         if surface.uv is not None and picture.is_file():
@@ -94,8 +94,13 @@ def placing_meshes(placed: Placed, result: LiftResult, read: ReadMeshes) -> Gene
     return len(keys)
 
 
+def mesh_name(name: str) -> str:
+    """The name of an instance's or class's mesh: boxes and points have just its name."""
+    return f"{name} mesh"
+
+
 def are_stale(root: bpy.types.Collection) -> bool:
-    """Whether a lift was corrected since its meshes were made."""
+    """Whether corrections changed more than names since a lift's meshes were made."""
     return text_of(root, _OF_MESHES) != text_of(root, CORRECTIONS)
 
 

@@ -197,7 +197,7 @@ def result_of(parts: Generator[None, None, Result]) -> Result:
 class LiftResult:
     """A finished lift with its corrections: its frames and its output. `passes` are the EXR files of frames, by frame
     name; `shots` those of other cameras, by camera name. `not_shown`: what the masks show well and the lift lacks, in
-    words, with the frame that shows it best. `fingerprint` identifies the edits that change what is shown."""
+    words, with the frame that shows it best. `label_fingerprint` identifies the edits that change more than names."""
 
     folder: Path
     scene: PosedScene
@@ -208,7 +208,7 @@ class LiftResult:
     passes: dict[str, Path]
     shots: dict[str, Path] = field(default_factory=dict)
     edits: tuple[Edit, ...] = ()
-    fingerprint: str = ""
+    label_fingerprint: str = ""
     not_shown: tuple[tuple[str, str], ...] = ()
 
     @property
@@ -248,7 +248,7 @@ def reading_result(folder: Path) -> Generator[None, None, LiftResult]:
         anchors=corrected.anchors(),
         passes=passes,
         edits=corrected.edits,
-        fingerprint=corrected.fingerprint,
+        label_fingerprint=corrected.label_fingerprint,
         not_shown=tuple(not_shown(read_metrics(lift))) if "metrics.json" in listed else (),
         shots={name: path for name, path in by_name.items() if name not in passes},
     )

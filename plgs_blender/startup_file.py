@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import bpy
 import numpy as np
@@ -13,6 +14,7 @@ from .cameras import pixel_aspect
 from .compat import show_stored_colours
 from .owned import KEY, LIFT, lifts_in
 from .timeline import places_of
+from .viewport import areas_of
 
 _STARTUP_LOCATIONS = {
     "MESH": (0.0, 0.0, 0.0),
@@ -32,6 +34,7 @@ def taking_over(scene: bpy.types.Scene) -> Iterator[bool]:
     follows = is_untouched or (scene.frame_start, scene.frame_end) == _span(scene)
     camera = scene.camera
     if is_untouched:
+        _views[:] = [(area, _state(area.spaces.active)) for area in areas_of(scene)]
         scene.camera = None  # else our markers would come after the scene's range, and its camera stay active
     try:
         yield is_untouched
@@ -51,6 +54,43 @@ def taking_over(scene: bpy.types.Scene) -> Iterator[bool]:
     number = overview if is_untouched else numbers.get(camera, span[0])
     if (scene.frame_current, scene.camera) != (number, camera):  # else Blender would evaluate everything in vain
         scene.frame_set(number)
+
+
+_views: list[tuple[bpy.types.Area, dict[str, Any]]] = []
+"""The 3D views of the startup file, and how they looked before something was placed: undo leaves screens alone."""
+_LOOKS = (
+    "clip_start", "shading.type", "shading.light", "shading.color_type", "shading.show_backface_culling",
+    "shading.wireframe_color_type", "shading.show_cavity", "shading.show_shadows", "shading.show_object_outline",
+    "overlay.show_relationship_lines", "overlay.show_floor", "region_3d.view_perspective", "region_3d.view_rotation",
+    "region_3d.view_location", "region_3d.view_distance",
+)  # fmt: skip
+
+
+def _state(space: bpy.types.SpaceView3D) -> dict[str, Any]:
+    values = {name: space.path_resolve(name) for name in _LOOKS}
+    return {name: value.copy() if hasattr(value, "copy") else value for name, value in values.items()}
+
+
+@bpy.app.handlers.persistent
+def _after_undo(*_arguments: object) -> None:
+    """Give the views their look back when undo has taken away all that was placed."""
+    if not _views or any(map(lifts_in, bpy.data.scenes)):
+        return
+    open_now = {area.as_pointer() for screen in bpy.data.screens for area in screen.areas}
+    for area, state in _views if all(each.as_pointer() in open_now for each, _ in _views) else ():
+        for name, value in state.items():
+            owner, _, last = name.rpartition(".")
+            space = area.spaces.active
+            setattr(space.path_resolve(owner) if owner else space, last, value)
+    _views.clear()
+
+
+@bpy.app.handlers.persistent
+def _after_loading(*_arguments: object) -> None:
+    _views.clear()
+
+
+HANDLERS = (("undo_post", _after_undo), ("load_post", _after_loading))
 
 
 def _is_untouched(scene: bpy.types.Scene) -> bool:
@@ -99,8 +139,8 @@ def _use_size(scene: bpy.types.Scene) -> None:
 
 
 def _span(scene: bpy.types.Scene) -> tuple[int, int] | None:
-    """The first and last timeline frame of our cameras, or None."""
-    numbers = _frame_numbers(scene).values()
+    """The first and last timeline frame of the frames' cameras, or None. The overview comes after them."""
+    numbers = [number for ob, number in _frame_numbers(scene).items() if "frame" in ob]
     return (min(numbers), max(numbers)) if numbers else None
 
 

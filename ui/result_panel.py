@@ -15,7 +15,7 @@ from ..plgs_blender.inspecting.drawing import is_rest
 from ..plgs_blender.inspecting.looks import BY_CLASS, POINTS, SPLATS, SURFACE, has
 from ..plgs_blender.inspecting.selection import active_lift, chosen_row
 from ..plgs_blender.meshes import are_stale
-from ..plgs_blender.owned import LIFT, folder_of, gone
+from ..plgs_blender.owned import LIFT, folder_of, gone, layer_collections, lifts_in
 from ..plgs_blender.running.exports import Export, making_meshes
 from .sidebar import Sidebar, Step, draw_bar, draw_task, draw_text, fitted, from_panel
 
@@ -182,6 +182,7 @@ class PLGS_PT_result(Step, bpy.types.Panel):
             title.prop(context.space_data.overlay, "show_overlays", text="", icon="OVERLAY")
             if viewport.draws_in_software():
                 layout.label(text=fitted(context, "No GPU: Solid shading is fastest"), icon="INFO")
+        _draw_chooser(layout, context, root)
         if root[LIFT] in gone:
             draw_text(layout, context, f"The lift was moved away from {folder_of(root)}", "ERROR")
             layout.operator("plgs.find_lift", text="Find Lift…", icon="VIEWZOOM")
@@ -209,6 +210,17 @@ class PLGS_PT_result(Step, bpy.types.Panel):
         made = registry.latest(Export)
         if made is not None and made.makes_meshes and not made.is_running:
             draw_task(layout, context, made)
+
+
+def _draw_chooser(layout: bpy.types.UILayout, context: bpy.types.Context, chosen: bpy.types.Collection) -> None:
+    """If the scene has several lifts, draw which of them the panels show, and the eye of each."""
+    roots = [root for root in lifts_in(context.scene) if len(root.plgs.classes)]
+    layers = layer_collections(context.view_layer.layer_collection) if len(roots) > 1 else []
+    for layer in (layer for layer in layers if layer.collection in roots):
+        row = layout.row(align=True)
+        name, icon = layer.collection.name, "RADIOBUT_ON" if layer.collection == chosen else "RADIOBUT_OFF"
+        row.operator("plgs.choose_lift", text=one_line(name), icon=icon, emboss=False).lift = name
+        row.prop(layer, "hide_viewport", text="", emboss=False)
 
 
 def _draw_heads(layout: bpy.types.UILayout, left: str, right: str) -> None:

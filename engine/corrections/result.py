@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
@@ -47,6 +47,11 @@ class CorrectedResult:
             for edit in self.edits
             if edit.uid in self.not_applied
         ]
+
+    @property
+    def label_fingerprint(self) -> str:
+        """Identifies the edits that change more than names; empty without any."""
+        return _fingerprint(self.edits, self.not_applied, ("accept", "rename"))
 
     @property
     def class_of(self) -> dict[int, int]:
@@ -97,6 +102,12 @@ def read_corrected(lift: Path, listed: Listed | None = None) -> CorrectedResult:
     return _Result.read(lift, listed).corrected(read_edits(lift))
 
 
+def _fingerprint(edits: Sequence[Edit], not_applied: Mapping[str, str], without: tuple[str, ...]) -> str:
+    """Identifies the edits that are applied, ``without`` these kinds; empty without any."""
+    uids = [each.uid for each in edits if not each.undone and each.kind not in without and each.uid not in not_applied]
+    return sha256("\n".join(uids).encode()).hexdigest()[:32] if uids else ""
+
+
 @dataclass(frozen=True, eq=False)
 class _Result:
     """A result as the engine made it."""
@@ -121,12 +132,7 @@ class _Result:
     def corrected(self, edits: Sequence[Edit], state: Replay | None = None) -> CorrectedResult:
         """The result after the edits. ``state`` is their replay, if it has already been made."""
         state = state or self.replay(edits)
-        shown = [
-            edit.uid
-            for edit in edits
-            if not edit.undone and edit.kind != "accept" and edit.uid not in state.not_applied
-        ]
-        fingerprint = sha256("\n".join(shown).encode()).hexdigest()[:32] if shown else ""
+        fingerprint = _fingerprint(edits, state.not_applied, ("accept",))
         corrected = CorrectedResult(
             self.lift,
             self.classes,

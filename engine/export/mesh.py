@@ -175,7 +175,8 @@ def write_surface(
         **columns_of("red green blue", surface.rgb),
         **{"class_id": class_id.astype(np.int32), "instance_id": instance_id.astype(np.int32)},
     }
-    comment = f"corrections {lift.corrected.fingerprint}" if lift.corrected.fingerprint else ""
+    fingerprint = lift.corrected.label_fingerprint
+    comment = f"corrections {fingerprint}" if fingerprint else ""
     for value, picture in (texture.pictures if texture is not None else {}).items():
         name = "{}_{}.jpg".format(*divmod(value, MOST_INSTANCES))
         write_atomically(path.parent / "pictures" / name, jpeg_bytes(picture))

@@ -106,7 +106,7 @@ def shows_pictures(root: bpy.types.Collection) -> bool:
 def show_pictures_in(scene: bpy.types.Scene) -> None:
     """Show the pictures of meshes in the 3D views with our Solid shading if lifts show nothing else there; what has no
     picture would be white. Crevices are darkened then, or a user's own object would be a silhouette."""
-    roots = [root for root in lifts_in(scene) if not is_excluded(root, scene)]
+    roots = [root for root in lifts_in(scene) if not is_excluded(root, scene.view_layers[0])]
     has_all = bool(roots) and all(map(shows_pictures, roots))
     for shading in (area.spaces.active.shading for area in areas_of(scene)):
         is_ours = (shading.type, shading.light, shading.wireframe_color_type) == ("SOLID", "FLAT", "OBJECT")
@@ -115,10 +115,9 @@ def show_pictures_in(scene: bpy.types.Scene) -> None:
             shading.show_cavity, shading.cavity_type = has_all, "WORLD"
 
 
-def is_excluded(root: bpy.types.Collection, scene: bpy.types.Scene) -> bool:
-    """Whether a lift's collection is hidden or excluded in the scene's first view layer."""
-    layers = layer_collections(scene.view_layers[0].layer_collection)
-    return not any(each.collection == root and each.is_visible for each in layers)
+def is_excluded(root: bpy.types.Collection, layer: bpy.types.ViewLayer) -> bool:
+    """Whether a lift's collection is hidden or excluded in a view layer."""
+    return not any(each.collection == root and each.is_visible for each in layer_collections(layer.layer_collection))
 
 
 def has(root: bpy.types.Collection, kind: str) -> bool:

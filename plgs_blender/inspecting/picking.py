@@ -16,7 +16,7 @@ from . import rays
 from .drawing import Rectangle, TextBox, ViewRegion, label_text_boxes
 from .highlight import outline_in_space
 from .looks import instances_left_out
-from .selection import boxes_of, objects_by_key, selected_instance
+from .selection import boxes_of, instance_of, objects_by_key, selected_instance
 
 hovered: list[tuple[int, int]] = []
 """The session uid of a lift's collection and its instance under the mouse; at most one."""
@@ -90,9 +90,12 @@ def _names(context: bpy.types.Context, root: bpy.types.Collection, region: ViewR
 
 def _shown_boxes(context: bpy.types.Context, root: bpy.types.Collection) -> dict[int, bpy.types.Object]:
     """The boxes, by instance, that are visible in the view, or would be if boxes were on."""
-    boxes = boxes_of(root)
+    boxes, space = boxes_of(root), context.space_data
+    if space.local_view is not None:  # of objects that the user has chosen
+        own = {instance_of(ob) for ob in objects_by_key(root).values() if instance_of(ob) and ob.local_view_get(space)}
+        boxes = {number: box for number, box in boxes.items() if number in own}
     if root.plgs.show_boxes:
-        return {number: box for number, box in boxes.items() if box.visible_get(viewport=context.space_data)}
+        return {number: box for number, box in boxes.items() if box.visible_get(viewport=space)}
     hidden = dict(zip(boxes, instances_left_out(root.plgs, boxes), strict=True))
     return {number: box for number, box in boxes.items() if not hidden[number]}
 

@@ -20,6 +20,9 @@ from ..boxes import INSTANCE, MOST_BOXES, NAME, SHOWN, TOGETHER
 from ..chosen_scene import absolute
 from ..owned import FOLDER, GAUSSIANS, KEY, LIFT, is_same_place, lifts_in, originals, text_of
 
+CHOSEN = "plgs_chosen"
+"""Property of a scene: the lift that the panels show, if it has several."""
+
 
 def find_lift(scene: bpy.types.Scene, lift: str = "", active: bpy.types.Object | None = None) -> bpy.types.Collection:
     """The lift with this folder or collection name, else `active_lift`. Raises PlgsError if there is none."""
@@ -36,10 +39,11 @@ def find_lift(scene: bpy.types.Scene, lift: str = "", active: bpy.types.Object |
 
 
 def active_lift(scene: bpy.types.Scene, active: bpy.types.Object | None) -> bpy.types.Collection | None:
-    """The lift of an object, else the scene's first lift with a result, else the scene's first, else None."""
+    """The lift of an object, else the chosen one, else the scene's first lift with a result, else its first, else
+    None."""
     roots = lifts_in(scene)
-    own = None if active is None else text_of(active, LIFT)
-    of_object = [root for root in roots if root[LIFT] == own]
+    owns = (None if active is None else text_of(active, LIFT), scene.get(CHOSEN))
+    of_object = [root for own in owns for root in roots if root[LIFT] == own]
     with_result = [root for root in roots if len(root.plgs.classes)]
     return next(iter((*of_object, *with_result, *roots)), None)
 

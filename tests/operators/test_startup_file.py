@@ -57,13 +57,24 @@ def test_the_views_look_at_the_room(room: Path) -> None:
 
 def test_undo_takes_it_back_as_one_step(room: Path) -> None:
     bpy.ops.ed.undo_push(message="before")
+    looks = [repr(view.view_rotation) + view.id_data.name for view in views_3d()], shading()
     import_room(room)
+    assert ([repr(view.view_rotation) + view.id_data.name for view in views_3d()], shading()) != looks
     bpy.ops.ed.undo_push(message="import")  # a script's calls push no steps
     bpy.ops.ed.undo()
     scene = bpy.context.scene
     assert (scene.frame_start, scene.frame_end) == (1, 250) and size_of(scene) == (1920, 1080, 1.0)
     assert scene.camera.name == "Camera" and bpy.data.objects["Cube"].visible_get()
     assert not scene.timeline_markers
+    assert ([repr(view.view_rotation) + view.id_data.name for view in views_3d()], shading()) == looks
+
+
+def shading() -> list[tuple[object, ...]]:
+    areas = [area for window in bpy.context.window_manager.windows for area in window.screen.areas]
+    spaces = [area.spaces.active for area in areas if area.type == "VIEW_3D"]
+    return [
+        (space.shading.type, space.shading.color_type, space.clip_start, space.overlay.show_floor) for space in spaces
+    ]
 
 
 @pytest.mark.parametrize(
@@ -94,7 +105,7 @@ def test_a_result_has_its_overview_behind_the_frames(lift: Path) -> None:
     assert bpy.ops.plgs.place_lift(lift_folder=str(lift)) == {"FINISHED"}
     scene = bpy.context.scene
     last = max(marker.frame for marker in scene.timeline_markers)
-    assert (scene.frame_start, scene.frame_end, scene.frame_current) == (0, last, last)
+    assert (scene.frame_start, scene.frame_end, scene.frame_current) == (0, last - 1, last)
     assert "frame" not in scene.camera and scene.camera.name == "Overview"
     first = min(scene.timeline_markers, key=lambda marker: marker.frame if "frame" in marker.camera else last).camera
     assert size_of(scene)[:2] == (first["width"], first["height"])
@@ -108,7 +119,17 @@ def test_the_range_of_an_import_follows_the_lift(lift: Path, room: Path) -> None
     assert bpy.ops.plgs.place_lift(lift_folder=str(lift)) == {"FINISHED"}
     assert scene.camera == shown
     last = max(marker.frame for marker in scene.timeline_markers)
-    assert (scene.frame_start, scene.frame_end) == (0, last)
+    assert (scene.frame_start, scene.frame_end) == (0, last - 1)
+
+
+def test_no_photo_lies_over_a_result_until_it_is_asked_for(lift: Path) -> None:
+    assert bpy.ops.plgs.place_lift(lift_folder=str(lift)) == {"FINISHED"}
+    cameras = [ob for ob in bpy.context.scene.objects if "frame" in ob]
+    assert cameras and not any(ob.data.show_background_images for ob in cameras)
+    bpy.context.scene.camera = cameras[0]
+    assert bpy.ops.plgs.show_picture(what="PHOTO") == {"FINISHED"}
+    data = cameras[0].data
+    assert data.show_background_images and data.background_images[0].alpha == 1.0
 
 
 def test_views_that_were_not_moved_look_at_a_cloud_that_comes_later(room: Path, tmp_path: Path) -> None:

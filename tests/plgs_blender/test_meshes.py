@@ -11,7 +11,7 @@ from plgs.engine.posed.ply import read_surface
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.inspecting.lists import registered
 from plgs.plgs_blender.materials import PICTURE, image_of, value_node
-from plgs.plgs_blender.meshes import mesh_folder
+from plgs.plgs_blender.meshes import are_stale, mesh_folder
 from plgs.plgs_blender.owned import lifts_in
 from plgs.plgs_blender.results import result_of
 from surface_file import SIDE, write_surface
@@ -181,3 +181,15 @@ def test_a_damaged_surface_is_reported_in_one_line(lift: Path) -> None:
         path.write_bytes(content)
         with raises_key("file-damaged|not-labelled-surface"):
             read_surface(path)
+
+
+def test_a_rename_leaves_no_old_name_and_makes_nothing_stale(lift: Path, extension: None) -> None:
+    objects = placed(lift)
+    (root,) = lifts_in(bpy.context.scene)
+    chair = objects[f"mesh:{CHAIR_ID}:1"]
+    assert bpy.ops.plgs.rename_instance(instance=1, name="throne") == {"FINISHED"}
+    assert (chair.name, chair.data.name) == ("throne mesh", "throne mesh") and not are_stale(root)
+    lift_scene.place_lift(lift, bpy.context.scene)
+    assert chair.name == "throne mesh" and not are_stale(root)
+    assert bpy.ops.plgs.reclass_instances(instances="1", class_name="cabinet") == {"FINISHED"}
+    assert are_stale(root)

@@ -192,5 +192,14 @@ def test_opening_a_moved_lift_makes_no_second_copy(project: Path, tmp_path: Path
 
 def test_two_lifts_of_two_rooms_are_two(project: Path, tmp_path: Path) -> None:
     other = tiny_lift.write_tiny_lift(tmp_path / "other", instances=1)
-    place_lift(other.path, bpy.context.scene)
-    assert len(lifts_in(bpy.context.scene)) == 2
+    second = place_lift(other.path, bpy.context.scene)
+    first = next(root for root in lifts_in(bpy.context.scene) if root != second)
+    bpy.context.view_layer.objects.active = None
+    for chosen in (second, first):
+        assert bpy.ops.plgs.choose_lift(lift=chosen.name) == {"FINISHED"}
+        assert find_lift(bpy.context.scene) == chosen
+        assert first.name in drawn() and second.name in drawn()
+    bpy.context.view_layer.objects.active = next(ob for ob in second.all_objects if ob.type == "MESH")
+    assert find_lift(bpy.context.scene, active=bpy.context.active_object) == second
+    assert bpy.ops.plgs.choose_lift(lift=first.name) == {"FINISHED"}
+    assert find_lift(bpy.context.scene, active=bpy.context.active_object) == first

@@ -39,7 +39,8 @@ def test_the_list_can_be_sorted(order: str, names: list[str]) -> None:
 ELSEWHERE = {
     "quit",  # a key, while a lift runs
     # of the mouse and keys in a 3D view, and of rows in lists
-    "pick", "point_at", "rename_selected", "delete_selected", "select_instance", "select_class",
+    "pick", "point_at", "rename_selected", "isolate_selected", "delete_selected", "select_instance", "select_class",
+    "choose_lift",
     "matte_class", "go_to_mask", "go_to_frame",
     # File > Import and Export, and files that are dropped
     "browse_scene", "export_lift", "export_shown", "open_dropped",
