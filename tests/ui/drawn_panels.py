@@ -79,6 +79,7 @@ def height_of(panel: type[bpy.types.Panel]) -> float:
 def _context(width: int) -> Any:
     return SimpleNamespace(
         scene=bpy.context.scene,
+        view_layer=bpy.context.view_layer,
         region=SimpleNamespace(width=width),
         preferences=SimpleNamespace(system=SimpleNamespace(ui_scale=1.0)),
         active_object=None,
