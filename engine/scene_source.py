@@ -40,8 +40,8 @@ class SceneSource:
     """``scene`` is its folder or file; the other fields say how to read it. ``masks`` names panoptic masks outside the
     folder. ``up`` is the upward axis of the poses' world; "z" leaves it to formats that know, "+z" is always the z
     axis. ``scene_format`` and ``mask_format`` name formats that are otherwise recognised. ``depth`` is a folder of
-    depth maps to use instead of the scene's. ``classes`` is the name of a table of the masks' classes, or the path of a
-    .toml file. ``detections`` is a JSON of possibly overlapping segments that are laid over the masks."""
+    depth maps, or a mesh, to use instead of the scene's. ``classes`` is the name of a table of the masks' classes, or
+    the path of a .toml file. ``detections`` is a JSON of possibly overlapping segments that are laid over the masks."""
 
     scene: Path
     masks: Path | None = _set_by("panoptic masks, if not in SCENE itself", "PATH", Path)
@@ -52,7 +52,9 @@ class SceneSource:
     scene_format: str | None = _set_by(
         "how SCENE is laid out, such as colmap, nerfstudio, polycam, tum (default: recognised by its files)", "NAME"
     )
-    depth: Path | None = _set_by("depth maps of a network, fitted to the scene's sparse points", "FOLDER", Path)
+    depth: Path | None = _set_by(
+        "a network's depth maps, fitted to the scene's sparse points, or a mesh (PLY, OBJ, GLB)", "MAPS|MESH", Path
+    )
     mask_format: str | None = _set_by(
         "how the masks are laid out, such as coco, transformers, sam2, pairs (default: recognised by their files)",
         "NAME",
@@ -104,6 +106,9 @@ SCENE_FORMAT_NAMES = (
     FormatName("scannetpp", "ScanNet++ iPhone", "iphone/pose_intrinsic_imu.json"),
     FormatName("hypersim", "Hypersim", "_detail/metadata_scene.csv and images/scene_cam_00_geometry_hdf5"),
     FormatName("arkitscenes", "ARKitScenes", "lowres_wide.traj with pictures in wide, vga_wide or lowres_wide"),
+    FormatName("metashape", "Metashape", "an .xml file of Metashape's cameras beside the photos"),
+    FormatName("reality", "RealityScan", "a .csv file of internal and external camera parameters beside the photos"),
+    FormatName("bundler", "Bundler", "an .out file of Bundler beside the photos"),
 )
 
 _LOOKS_FOR_MASKS = {

@@ -117,8 +117,8 @@ class SceneOptions:
     classes_table: StringProperty(options=_SKIP_SAVE, name="Classes", update=_tell_of_scene,
         description="The masks' classes: a .toml file, or one of coco, ade20k, cityscapes, nyu40, nyu13, scannet, "
         "scannet200, replica, reduced; empty: classes.toml beside them")
-    depth: StringProperty(options=_PATH, name="Depth Maps", subtype="DIR_PATH", update=_tell_of_scene,
-        description="Folder of depth maps by a network, one per frame; they are fitted to the sparse points, if any")
+    depth: StringProperty(options=_PATH, name="Depth", subtype="FILE_PATH", update=_tell_of_scene,
+        description="A folder of depth maps by a network, which are fitted to the sparse points, if any; or a mesh")
     up: EnumProperty(options=_SKIP_SAVE, name="Up", items=UPS, default="z", update=_tell_of_scene,
         description="The axis of the poses that points up")
 

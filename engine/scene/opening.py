@@ -33,6 +33,7 @@ from .frame import Frame, Inferred, LeftOut, Scene, doubts, left_out
 from .ground_truth import open_ground_truth
 from .mask_fit import KeptPixels, Pictured
 from .masks import MASK_FOLDER, find_masks, no_masks
+from .mesh_depth import is_mesh, with_mesh_depth
 from .pixels import ColourReader, decode
 from .view import watched
 
@@ -109,7 +110,12 @@ def _opened(source: SceneSource, progress: Progress) -> Scene:
     gone = (*left_out("a pose", capture.lost), *left_out("a readable picture", unreadable), *capture.left_out)
     inferred = (*_inferred(source, reader, capture, beside, turn), *capture.inferred, *mask_set.inferred, *of_truth)
     if source.depth is not None:
-        frames, mapless, of_depth = with_estimated_depth(frames, Path(source.depth), points, pictured, progress)
+        maps = Path(source.depth)
+        frames, mapless, of_depth = (
+            with_mesh_depth(frames, maps, turn, progress)
+            if is_mesh(maps)
+            else with_estimated_depth(frames, maps, points, pictured, progress)
+        )
         gone, inferred = (*gone, *mapless), (*inferred, *of_depth)
     frames, blind, of_blind = complete(frames, "readable depth", lambda frame: frame.read_depth is not None)
     frames, bare, of_bare = complete(frames, "a readable mask", lambda frame: frame.read_mask is not None)

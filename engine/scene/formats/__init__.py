@@ -11,7 +11,21 @@ from pathlib import Path
 
 from ...errors import ErrorCode, PlgsError, reading
 from ...posed.layout import listed, shown, shown_files
-from . import arkitscenes, colmap, hypersim, nerfstudio, phone_apps, record3d, replica, scannet, scannetpp, seven_scenes
+from . import (
+    arkitscenes,
+    bundler,
+    colmap,
+    hypersim,
+    metashape,
+    nerfstudio,
+    phone_apps,
+    reality,
+    record3d,
+    replica,
+    scannet,
+    scannetpp,
+    seven_scenes,
+)
 from .capture import Capture, SceneFormat, Shot
 from .photos import LET_COLMAP, finished_models, is_film, photos_in
 from .tum import FORMAT as TUM
@@ -31,6 +45,9 @@ FORMATS: tuple[SceneFormat, ...] = (
     scannetpp.FORMAT,
     hypersim.FORMAT,
     arkitscenes.FORMAT,
+    metashape.FORMAT,
+    reality.FORMAT,
+    bundler.FORMAT,
 )
 
 _EXPORT_SCAN = (

@@ -58,17 +58,20 @@ def assumed(whose: str, lens: Camera, file: str) -> Inferred:
 class Distortion:
     """How a lens distorts a pinhole's picture, in one formula for every tool's coefficients: ``bent``. ``radial`` are
     the factors of r^2, r^4, ... in its numerator, ``below`` those in its denominator, ``tangential`` p1 and p2 in
-    OpenCV's order, ``prism`` s1 s2 s3 s4. With ``is_fisheye``, all of them apply to angles from the axis."""
+    OpenCV's order, ``prism`` s1 s2 s3 s4. With ``is_fisheye``, all of them apply to angles from the axis. ``skew``
+    times the bent y is added to the bent x."""
 
     radial: tuple[float, ...] = ()
     below: tuple[float, ...] = ()
     tangential: tuple[float, float] = (0.0, 0.0)
     prism: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     is_fisheye: bool = False
+    skew: float = 0.0
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        return (*self.radial, *self.below, *self.tangential, *self.prism)
+        skew = (self.skew,) if self.skew else ()  # lifts of lenses without one remember the others alone
+        return (*self.radial, *self.below, *self.tangential, *self.prism, *skew)
 
     @property
     def bends(self) -> bool:
@@ -84,10 +87,9 @@ class Distortion:
         square = x * x + y * y
         factor = _series(self.radial, square) / _series(self.below, square)
         (p1, p2), (s1, s2, s3, s4) = self.tangential, self.prism
-        return (
-            x * factor + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x) + square * (s1 + square * s2),
-            y * factor + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y + square * (s3 + square * s4),
-        )
+        across = x * factor + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x) + square * (s1 + square * s2)
+        down = y * factor + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y + square * (s3 + square * s4)
+        return across + self.skew * down, down
 
 
 def _series(factors: tuple[float, ...], square: Values) -> Values:

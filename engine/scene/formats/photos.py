@@ -34,6 +34,13 @@ def photos_in(place: Path) -> Path | None:
     return None
 
 
+def pictures_by_stem(place: Path) -> dict[str, Path]:
+    """The photos in a folder and its usual subfolders, by their stems and by their whole names. Raises OSError."""
+    folders = [place / name for name in _FOLDERS if (place / name).is_dir()]
+    photos = [folder / name for folder in reversed(folders) for name in sorted_out(folder)[0]]
+    return {name: photo for photo in photos for name in (photo.stem, photo.name)}
+
+
 def sorted_out(folder: Path) -> tuple[list[str], list[str]]:
     """The names of a folder's photos, and of its depth or confidence pictures. Raises OSError."""
     pictures = sorted(each for each in shown_files(folder) if each.suffix.lower() in SUFFIXES)

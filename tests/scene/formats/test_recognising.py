@@ -28,9 +28,9 @@ def test_each_format_has_its_own_name_and_says_what_it_looks_for() -> None:
         names = [each.name for each in formats]
         assert len({*names}) == len(names) and names == [each.name for each in told]
         assert all(each.label and each.looks_for for each in told)
-    assert FORMATS[0].name == NAME and (len(FORMATS), len(MASK_FORMATS)) == (14, 12)
+    assert FORMATS[0].name == NAME and (len(FORMATS), len(MASK_FORMATS)) == (17, 12)
     readme = (Path(__file__).parents[3] / "README.md").read_text()
-    assert "Fourteen layouts are recognised" in readme and "Twelve kinds of masks are recognised" in readme
+    assert "Seventeen layouts are recognised" in readme and "Twelve kinds of masks are recognised" in readme
 
 
 def test_two_formats_in_one_folder_require_a_choice(tmp_path: Path) -> None:
