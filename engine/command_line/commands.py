@@ -18,6 +18,7 @@ from ..job import EventWriter, ExitCode, LiftFolder, StopSignal, verify
 from ..job.request import chosen_options, given_lift_options, source_of
 from ..job.task import TaskFiles
 from ..json_file import Json
+from ..known_networks import KNOWN, terms_of
 from ..presets.options import option_value, parsed_options, preset_options, preset_text, with_options
 from ..presets.preset import PRESETS
 from ..records import to_json
@@ -211,8 +212,9 @@ def poses(options: argparse.Namespace, events: EventWriter, stop: StopSignal) ->
 def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
     """Make the masks, or continue where it was stopped."""
     from ..job.progress import StageProgress
+    from ..mask_networks import load_model
     from ..scene import open_scene
-    from ..segment import begin_job, load_model, make_masks
+    from ..segment import MERGES, begin_job, make_masks
 
     source: Path = options.scene
     scene = open_scene(source, None, up=options.up or "z", scene_format=options.scene_format)
@@ -223,9 +225,10 @@ def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
     if job.is_finished:
         events.answer(answer, f"These masks are finished already: {folder}")
         return
+    say_terms(name, events)
     events.stage("load", 1, 2, "Loading the network")
     try:
-        network = load_model(name, download=options.download)
+        network = load_model(name, download=options.download, rounds=MERGES[options.merge])
     except PlgsError:
         job.discard_if_empty()
         raise
@@ -245,6 +248,14 @@ def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
         what = f"masks cannot be written ({error.strerror})"
         raise PlgsError("unwritable", what, job.folder, fix, code=ErrorCode.DISK_FULL) from error
     events.answer(answer, f"Masks of {len(scene.frames)} frames: {folder}")
+
+
+def say_terms(name: str, events: EventWriter) -> None:
+    """Tell the licence of a network before it is fetched, if it forbids commercial use or is not known."""
+    known = KNOWN.get(name.partition("@")[0])
+    if known is None or not known.is_commercial:
+        terms = terms_of(name)
+        events.warning(f"{terms[0].upper()}{terms[1:]}")
 
 
 def handshake(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:

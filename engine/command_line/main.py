@@ -16,7 +16,12 @@ from ..job import CHANNELS, FURTHER_LAYERS, EventWriter, ExitCode, StopSignal, r
 from ..job.handshake import ADDED, CAPABILITIES
 from ..job.system import refuse_small_memory
 from ..job.task import TaskFiles
+<<<<<<< HEAD
 from ..job.terminal import Interrupted, Interrupts, stdout_for_events
+=======
+from ..job.terminal import stdout_for_events
+from ..known_networks import MASKS, listing
+>>>>>>> 8926c390 (segment: take OneFormer, EoMT and RF-DETR, say licences, and merge in two rounds; fit depth to points and frames)
 from ..presets.preset import PRESETS
 from . import commands
 from .batch import add_batch, add_worker
@@ -24,7 +29,7 @@ from .correct import add_correct
 from .runner import Command, drop_output, failure_of, run_task
 
 FRAME_FILES = ("colour", "depth", "masks", "cloud")
-SEGMENT_MODEL = "facebook/mask2former-swin-small-coco-panoptic"
+SEGMENT_MODEL = MASKS[0].name
 Run = Callable[[argparse.Namespace, EventWriter, StopSignal], object]
 EXPORTS = (
     "coco", "instances", "scannet", "points", "splats", "boxes", "mesh", "surface", "gltf", "usd", "depth", "clouds",
@@ -246,17 +251,22 @@ def _add_poses(parser: argparse.ArgumentParser) -> None:
 
 def _add_segment(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Let Mask2Former (transformers) make a panoptic mask of every frame: panoptic.json and panoptic/, which a lift "
-        "reads. Existing masks are never overwritten. If this is stopped, the same command continues."
+        "Let a network of transformers (Mask2Former, OneFormer, EoMT, RF-DETR) make a panoptic mask of every frame: "
+        "panoptic.json and panoptic/, which a lift reads, and detections.json. Existing masks are never overwritten. "
+        "If this is stopped, the same command continues. Known networks:\n" + listing(each.name for each in MASKS)
     )
     parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder or file")
     parser.add_argument(
         "--model", default=SEGMENT_MODEL, metavar="NAME|FOLDER",
-        help=f"a folder with a Mask2Former, or its name on Hugging Face's hub (default: {SEGMENT_MODEL})",
+        help=f"a folder with such a network, or its name on Hugging Face's hub (default: {SEGMENT_MODEL})",
     )  # fmt: skip
     parser.add_argument(
         "--download", action="store_true",
         help="download the model from huggingface.co; otherwise it must be on this machine already",
+    )  # fmt: skip
+    parser.add_argument(
+        "--merge", choices=("one", "two"), default="one",
+        help="two: what is surer than 0.25 fills what the first round, above 0.5, left (default: one)",
     )  # fmt: skip
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FOLDER", help="where to write the masks (default: the scene's folder)"

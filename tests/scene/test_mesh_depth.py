@@ -135,4 +135,4 @@ def test_the_command_reads_a_mesh(surface: open3d.geometry.TriangleMesh, tmp_pat
     done = subprocess.run(command, cwd=ROOM.parents[1], capture_output=True, text=True, timeout=600)
     answer = json.loads(done.stdout)
     assert done.returncode == 0 and answer["depth_range"][0] > 0.1
-    assert not [each for each in answer["findings"] if each["is_wrong"]]
+    assert not [each for each in answer["diagnosis"]["findings"] if each["severity"] == "wrong"]

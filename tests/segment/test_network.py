@@ -20,7 +20,8 @@ from tests.tiny_scene import write_tiny_scene
 
 pytest.importorskip("transformers", reason="needs transformers (requirements/segment.txt)")
 
-from engine.segment import PINNED, load_model  # noqa: E402
+from engine.known_networks import KNOWN
+from engine.mask_networks import load_model  # noqa: E402
 from tests.raises_key import raises_key
 from tests.segment.tiny_mask2former import NAMES, save_tiny_mask2former  # noqa: E402
 
@@ -88,7 +89,7 @@ def test_the_default_network_is_one_revision(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr("huggingface_hub.HfApi.model_info", model_info)
     with raises_key("hub-silent"):
         load_model(SEGMENT_MODEL, download=True)
-    assert asked == [(SEGMENT_MODEL, PINNED[SEGMENT_MODEL])]
+    assert asked == [(SEGMENT_MODEL, KNOWN[SEGMENT_MODEL].revision)]
 
 
 @pytest.mark.parametrize(("name", "told"), [("nowhere", "no-model"), ("tests", "no-model")])

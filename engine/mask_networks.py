@@ -1,0 +1,144 @@
+"""transformers' networks that make masks: Mask2Former, OneFormer, EoMT (queries with a class and a mask) and RF-DETR.
+
+transformers' own post-processing is not used: it works at 384x384 for any aspect ratio, and its stuff fusion gives one
+id to several segments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from .errors import PlgsError
+from .json_file import read_object
+from .networks import ANOTHER, LOADING_FAILS, load_weights, model_folder, not_loaded, quiet_transformers
+from .scene import ClassLabel, labels_of_config, size_within
+from .segment import Detection, MadeSegment, Rounds, detections_of, merge_queries
+
+_LARGEST_SIDE = 1280
+"""Maximum pixels of a mask's longer side; networks work at a lower resolution anyway."""
+_TASK = "the task is panoptic"  # OneFormer's token
+_TASK_WORDS = 77  # and the length that its text encoder takes
+_RF_DETR_SIDE = 560  # of its pictures, if no file says
+Queries = tuple[torch.Tensor, torch.Tensor]
+"""Class logits, float [Q, C + 1] with no object as the last class, and mask logits, float [Q, h, w], of the picture."""
+Look = Callable[[NDArray[np.uint8]], Queries]
+
+
+@dataclass(frozen=True)
+class QueryNetwork:
+    """A loaded network: its ``name`` on loading, its classes as ``labels``, and ``queries``, which looks at a picture
+    uint8 [H, W, 3] RGB. ``rounds``: see ``merge_queries``."""
+
+    name: str
+    labels: tuple[ClassLabel, ...]
+    queries: Look
+    rounds: Rounds
+
+    @torch.inference_mode()
+    def segment(self, colour: NDArray[np.uint8]) -> tuple[NDArray[np.int32], list[MadeSegment], list[Detection]]:
+        """The mask of a picture uint8 [H, W, 3] RGB (``merge_queries``), and what it left out (``detections_of``)."""
+        width, height = size_within((colour.shape[1], colour.shape[0]), (_LARGEST_SIDE, _LARGEST_SIDE))
+        stuff = frozenset(label.id for label in self.labels if not label.is_thing)
+        classes, masks = self.queries(colour)
+        inside = _resized(masks[None], (height, width))[0].sigmoid()
+        return *merge_queries(classes, inside, stuff, self.rounds), detections_of(classes, inside)
+
+
+def _resized(masks: torch.Tensor, size: tuple[int, ...]) -> torch.Tensor:
+    return torch.nn.functional.interpolate(masks, size=tuple(size), mode="bilinear", align_corners=False)
+
+
+def load_model(name: str, *, download: bool, rounds: Rounds = (0.5,)) -> QueryNetwork:
+    """Load the network in the folder ``name``, or the one of this name on the hub. Raises PlgsError. It is fetched only
+    with ``download``; otherwise it must be on this computer already."""
+    quiet_transformers(name, download, "segment", "masks are made")
+    from safetensors import SafetensorError
+
+    try:
+        folder = model_folder(name, download=download)
+        labels = labels_of_config(folder / "config.json")
+        kind = str(read_object(folder / "config.json", ANOTHER).get("model_type"))
+        if kind not in _FAMILIES:
+            what = f"this is a network of the kind {kind[:40]!r}, which makes no masks that are read here"
+            raise PlgsError("model-kind", what, name, f"Name one of the kinds {', '.join(_FAMILIES)}.")
+        return QueryNetwork(name, labels, _FAMILIES[kind](folder, name), rounds)
+    except (*LOADING_FAILS, SafetensorError) as error:
+        raise not_loaded(name, download, error) from error
+
+
+def _universal(network_class: str, processor_class: str, folder: Path, name: str) -> Look:
+    """A network with transformers' "universal" outputs."""
+    import transformers
+
+    limits: dict[str, Any] = {"local_files_only": True, "trust_remote_code": False}
+    task: dict[str, torch.Tensor] = {}
+    if network_class.startswith("OneFormer"):
+        words = transformers.CLIPTokenizer.from_pretrained(folder, **limits)
+        said = words(_TASK, padding="max_length", max_length=_TASK_WORDS, truncation=True, return_tensors="pt")
+        task["task_inputs"] = said["input_ids"] * said["attention_mask"]  # as OneFormer's own processor does
+    processor = getattr(transformers, processor_class).from_pretrained(folder, **limits)
+    network = load_weights(getattr(transformers, network_class), folder, name)
+    is_eomt = network_class.startswith("Eomt")
+
+    def queries(colour: NDArray[np.uint8]) -> Queries:
+        how: dict[str, Any] = {"images": colour, "return_tensors": "pt", "input_data_format": "channels_last"}
+        if task:
+            how["task_inputs"] = ["panoptic"]
+        if is_eomt:  # pads without saying where
+            height, width = processor(**how, do_pad=False)["pixel_values"].shape[-2:]
+            pixels = processor(**how, do_pad=True)["pixel_values"]
+        else:
+            inputs = processor(**how)
+            pixels, valid = inputs["pixel_values"], inputs["pixel_mask"][0]
+            height, width = int(valid[:, 0].sum()), int(valid[0].sum())
+        seen = network(pixel_values=pixels, **task)
+        masks = _resized(seen.masks_queries_logits, pixels.shape[-2:])[..., :height, :width]  # the rest is padding
+        return seen.class_queries_logits[0], masks[0]
+
+    return queries
+
+
+def _rf_detr(folder: Path, name: str) -> Look:
+    """RF-DETR with masks. Its scores are a sigmoid a class: the best becomes the only class against none."""
+    import cv2
+    from transformers import RfDetrForInstanceSegmentation
+
+    network = load_weights(RfDetrForInstanceSegmentation, folder, name)
+    path = folder / "preprocessor_config.json"
+    told: dict[str, Any] = read_object(path, ANOTHER) if path.is_file() else {}
+    size = told.get("size") or {}
+    width, height = (int(size.get(side, _RF_DETR_SIDE)) for side in ("width", "height"))
+    mean = np.array(told.get("image_mean", (0.485, 0.456, 0.406)), np.float32)
+    spread = np.array(told.get("image_std", (0.229, 0.224, 0.225)), np.float32)
+
+    def queries(colour: NDArray[np.uint8]) -> Queries:
+        small = (cv2.resize(colour, (width, height), interpolation=cv2.INTER_AREA) / np.float32(255) - mean) / spread
+        seen = network(pixel_values=torch.from_numpy(small).permute(2, 0, 1)[None])
+        best, label = seen.logits[0, :, : network.config.num_labels].sigmoid().max(-1)
+        classes = torch.full((len(best), network.config.num_labels + 1), -torch.inf)
+        classes[torch.arange(len(best)), label] = best.clamp(1e-6).log()
+        classes[:, -1] = (1.0 - best).clamp(1e-6).log()
+        return classes, seen.pred_masks[0]
+
+    return queries
+
+
+def _family(network_class: str, processor_class: str) -> Callable[[Path, str], Look]:
+    return lambda folder, name: _universal(network_class, processor_class, folder, name)
+
+
+_FAMILIES = {
+    "mask2former": _family("Mask2FormerForUniversalSegmentation", "Mask2FormerImageProcessorPil"),
+    "oneformer": _family("OneFormerForUniversalSegmentation", "OneFormerImageProcessorPil"),
+    "eomt": _family("EomtForUniversalSegmentation", "EomtImageProcessorPil"),
+    "eomt_dinov3": _family("EomtDinov3ForUniversalSegmentation", "EomtImageProcessorPil"),
+    "rf_detr": _rf_detr,
+}
+"""How a network is loaded, by the ``model_type`` of its config.json."""

@@ -1,0 +1,129 @@
+"""Networks from a folder or, with the user's consent, from Hugging Face's hub: which ones are known, and their files.
+
+Only safetensors are read: no pickles, and no code that comes with a model. A name stands for one revision. transformers
+is imported late, by whoever loads a network.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from .errors import PlgsError, lacks_part
+from .job import write_atomically
+from .job.atomic import sha256 as digest_of
+from .json_file import read_object
+from .known_networks import KNOWN
+
+LOADING_FAILS = (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError)
+"""What transformers raises for a model that it cannot load."""
+ANOTHER = "Name another one, or fetch it again."
+_IS_COMMIT = re.compile("[0-9a-f]{40}")
+_HUB_S = 15.0
+"""Seconds within which huggingface.co must answer."""
+
+
+def quiet_transformers(name: str, download: bool, part: str, purpose: str) -> None:
+    """Import transformers, which then prints nothing and, without ``download``, asks no hub. Raises PlgsError if it is
+    not installed, or ``name`` is neither a folder nor a model's name."""
+    model = name.partition("@")[0]
+    if not Path(name).is_dir() and (model.count("/") != 1 or model.startswith((".", "/", "~"))):
+        fix = "Name a folder, or a model as OWNER/NAME or OWNER/NAME@REVISION."
+        raise PlgsError("no-model", "there is no such folder or model", name, fix)
+    if not download:  # the library reads this when it is imported
+        os.environ["HF_HUB_OFFLINE"] = "1"
+    try:
+        from transformers.utils import logging
+    except ImportError as error:
+        raise lacks_part(f"{purpose} with the package transformers ({error})", name, part) from error
+    logging.set_verbosity_error()
+    logging.disable_progress_bar()
+
+
+def model_folder(name: str, *, download: bool) -> Path:
+    """The folder with a model's files: ``name`` itself, or its files of the hub, fetched with ``download`` only. Raises
+    PlgsError and LOADING_FAILS."""
+    from huggingface_hub import HfApi, constants, snapshot_download
+
+    folder, (model, _, revision) = Path(name), name.partition("@")
+    if not folder.is_dir():
+        pin = Path(constants.HF_HUB_CACHE) / f"models--{model.replace('/', '--')}" / "plgs.json"
+        pins: dict[str, Any] = read_object(pin, "Delete it.") if pin.is_file() else {}
+        # What a name stands for may change on the hub: the revision that was downloaded first stays.
+        known = KNOWN[model].revision if model in KNOWN else ""
+        pinned = revision or (known if _IS_COMMIT.fullmatch(known) else next(iter(pins), known or None))
+        wanted = {"revision": pinned, "allow_patterns": ["*.json", "*.txt", "*.safetensors"]}
+        if download:
+            _ask_hub(HfApi(), model, pinned)
+        folder = Path(snapshot_download(model, local_files_only=not download, **wanted))
+        _check_pin(pin, pins, folder)
+    _check_weights(folder)
+    return folder
+
+
+def load_weights(kind: Any, folder: Path, name: str) -> Any:
+    """The network in a folder, of transformers' class ``kind``, ready to run. Raises PlgsError and LOADING_FAILS."""
+    limits: dict[str, Any] = {"local_files_only": True, "trust_remote_code": False, "use_safetensors": True}
+    network, loading = kind.from_pretrained(folder, output_loading_info=True, **limits)
+    wrong = {key.partition("_")[0]: keys for key, keys in loading.items() if keys}
+    import torch
+
+    wrong["infinite"] = [key for key, one in network.state_dict().items() if not bool(torch.isfinite(one).all())]
+    for trouble, keys in wrong.items():
+        if keys:
+            what = f"{len(keys)} weights of the model are {trouble}, such as {min(map(str, keys))}"
+            raise PlgsError("model-broken", what, name, ANOTHER)
+    return network.eval()
+
+
+def _check_weights(folder: Path) -> None:
+    """Raise PlgsError unless the weights are safetensors in the model's folder, unchanged since their download."""
+    config, index = folder / "config.json", folder / "model.safetensors.index.json"
+    if not config.is_file() or not any(folder.glob("*.safetensors")):
+        fix = "Name a folder that transformers' save_pretrained wrote, with config.json and safetensors."
+        raise PlgsError("no-model", "there is no model in this folder", folder, fix)
+    parts = read_object(index, ANOTHER).get("weight_map") if index.exists() else {}
+    files = [*parts.values()] if isinstance(parts, dict) else [parts]
+    for file in (*files, read_object(config, ANOTHER).get("transformers_weights") or "model.safetensors"):
+        if not isinstance(file, str) or not re.fullmatch(r"[\w.-]+\.safetensors", file):
+            what = f"{str(file)[:60]!r} is not a safetensors file in the model's folder"
+            raise PlgsError("model-outside", what, folder, ANOTHER)
+    for path in folder.glob("*.safetensors"):
+        digest = path.resolve().name  # the hub's cache links to files that are called by their SHA-256
+        if path.is_symlink() and re.fullmatch("[0-9a-f]{64}", digest) and digest_of(path) != digest:
+            raise PlgsError("model-broken", "the model differs from the hub's", path.resolve(), "Delete this file.")
+
+
+def _check_pin(pin: Path, pins: Mapping[str, Any], folder: Path) -> None:
+    """Record the SHA-256 of a new revision's weights in the file ``pin``. Raises PlgsError if recorded ones differ."""
+    weights = {path.name: digest_of(path) for path in sorted(folder.glob("*.safetensors"))}
+    if (known := pins.get(folder.name)) is None:
+        with suppress(OSError):  # a cache that others share may be read-only
+            write_atomically(pin, json.dumps({**pins, folder.name: weights}, indent=1) + "\n")
+    elif known != weights:
+        what = f"the weights of revision {folder.name} are not those that were downloaded first"
+        raise PlgsError("model-broken", what, pin, f"Delete {pin.parent}, then fetch it again with --download.")
+
+
+def _ask_hub(hub: Any, model: str, revision: str | None) -> None:
+    """Raise PlgsError if the hub does not answer or lacks the model, as a download would wait for a silent hub."""
+    try:
+        hub.model_info(model, revision=revision, timeout=_HUB_S)
+    except Exception as error:  # of httpx, or of whatever the hub's library uses in its place
+        fix = "Check the name and the connection, or name a folder that holds the model."
+        what = f"huggingface.co does not offer the model ({type(error).__name__})"
+        raise PlgsError("hub-silent", what, model, fix) from error
+
+
+def not_loaded(name: str, download: bool, error: Exception) -> PlgsError:
+    if not download and not Path(name).is_dir():
+        fix = "Add --download to fetch it from huggingface.co, or name a folder that holds it."
+        return PlgsError("not-downloaded", "the model is not on this computer", name, fix, option="--download")
+    lines = str(error).splitlines() or [type(error).__name__]
+    what = f"the model cannot be loaded ({lines[0][:200]})"
+    return PlgsError("model-unusable", what, name, ANOTHER)
