@@ -16,12 +16,8 @@ from ..job import CHANNELS, FURTHER_LAYERS, EventWriter, ExitCode, StopSignal, r
 from ..job.handshake import ADDED, CAPABILITIES
 from ..job.system import refuse_small_memory
 from ..job.task import TaskFiles
-<<<<<<< HEAD
 from ..job.terminal import Interrupted, Interrupts, stdout_for_events
-=======
-from ..job.terminal import stdout_for_events
 from ..known_networks import MASKS, listing
->>>>>>> 8926c390 (segment: take OneFormer, EoMT and RF-DETR, say licences, and merge in two rounds; fit depth to points and frames)
 from ..presets.preset import PRESETS
 from . import commands
 from .batch import add_batch, add_worker
