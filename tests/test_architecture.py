@@ -52,12 +52,16 @@ ENGINE_MAY_IMPORT = {
         "export": "gates errors job posed result_files corrections scene scene_of_lift passes lift",
         "frames": "errors scene_source job known_scene scene",
         "poses": "gates errors json_file records job posed scene",
-        "segment": "errors json_file job scene",
+        "known_networks": "",
+        "networks": "errors json_file job known_networks",
+        "segment": "errors json_file job known_networks scene",
+        "mask_networks": "errors json_file networks scene segment",
+        "depth_agreement": "job posed scene",
         "set_up": "gates errors job",
         "batch": "gates errors json_file job scene_of_lift machine",
         "command_line": (
             "gates errors json_file records presets scene_source job corrections scene scene_of_lift metrics lift "
-            "diagnosis export frames poses segment set_up batch"
+            "diagnosis export frames poses segment set_up batch known_networks mask_networks"
         ),
         "__main__": "command_line",
     }.items()
@@ -68,7 +72,7 @@ EXTENSION_MAY_IMPORT = {
     for part, names in {
         "plgs_blender": (
             "engine.errors engine.records engine.presets engine.scene_source engine.job engine.posed "
-            "engine.result_files engine.known_scene engine.corrections"
+            "engine.result_files engine.known_scene engine.corrections engine.known_networks"
         ),
         "operators": "plgs_blender",
         "ui": "plgs_blender",
