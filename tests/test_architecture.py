@@ -317,7 +317,7 @@ def test_job_needs_only_the_standard_library() -> None:
 
 
 def test_a_scene_needs_only_numpy_until_it_reads_pixels_or_a_special_format() -> None:
-    late = {"cv2", "liblzfse", "lz4", "h5py", "OpenEXR", "pycocotools"}
+    late = {"cv2", "liblzfse", "lz4", "h5py", "OpenEXR", "pycocotools", "open3d"}
     always = {"numpy", *sys.stdlib_module_names}
     wrong = lines_where(
         lambda i: not i.is_relative and first(i.module) not in (always if i.is_at_top else always | late),
