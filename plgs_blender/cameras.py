@@ -221,26 +221,18 @@ def place_camera_path(
     lenses = [lens_of(frame.camera) for frame in frames]
     moving, zooming = (_new_action(owned, part) for part in ("pose", "lens"))
     add_keys(
-        ob,
-        moving,
-        "location",
-        frames=keys,
-        values=np.array([matrix.translation for matrix in matrices]),
+        ob, moving, "location", frames=keys, values=np.array([matrix.translation for matrix in matrices]),
         interpolation="LINEAR",
-    )
+    )  # fmt: skip
     turns = np.array([matrix.to_quaternion() for matrix in matrices])
     signs = np.where((turns[1:] * turns[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
     turns *= np.concatenate([[1.0], np.cumprod(signs)])[:, None]  # none more than half a turn from the one before
     add_keys(ob, moving, "rotation_quaternion", frames=keys, values=turns, interpolation="LINEAR")
     for path, name in (("lens", "focal_length"), ("shift_x", "shift_x"), ("shift_y", "shift_y")):
         add_keys(
-            ob.data,
-            zooming,
-            path,
-            frames=keys,
-            values=np.array([getattr(lens, name) for lens in lenses]),
+            ob.data, zooming, path, frames=keys, values=np.array([getattr(lens, name) for lens in lenses]),
             interpolation="CONSTANT",
-        )
+        )  # fmt: skip
     return ob
 
 

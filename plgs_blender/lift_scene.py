@@ -200,13 +200,9 @@ def place_room(read: ReadLift, scene: bpy.types.Scene) -> tuple[Placed, Generato
 
     cameras = place_frames(owned, child_collection(root, "Cameras"), frames, shows_photo=False)
     clouds = place_semantic_points(
-        owned,
-        child_collection(root, "Semantic points"),
-        result.points,
-        grid=grid,
-        normals=normals,
+        owned, child_collection(root, "Semantic points"), result.points, grid=grid, normals=normals,
         classes=result.classes,
-    )
+    )  # fmt: skip
     open_room(owned, clouds)
     place_anchors(owned, child_collection(root, "Anchors", scene, hidden=True), result.anchors)
     own, others = shared_out(result.instances)

@@ -226,13 +226,9 @@ def _count_through(views: int, offsets: list[int], scene: bpy.types.Scene, tree:
         path = f'nodes["{bpy.utils.escape_identifier(node.name)}"].frame_offset'
         action = tree.animation_data_create().action or bpy.data.actions.new(f"{tree.name} frames")
         compat.add_keys(
-            tree,
-            action,
-            path,
-            frames=np.arange(1.0, len(offsets) + 1.0),
-            values=np.array(offsets),
+            tree, action, path, frames=np.arange(1.0, len(offsets) + 1.0), values=np.array(offsets),
             interpolation="CONSTANT",
-        )
+        )  # fmt: skip
         if offsets:  # keys are evaluated only when the frame changes
             node.frame_offset = offsets[min(max(scene.frame_current, 1), views) - 1]
     node_of(tree, PASSES).use_auto_refresh = True

@@ -305,14 +305,9 @@ class _Result:
             with self._locks.manifest():  # the result is complete without the view that is baked again
                 drop_files(self._folder.result_path, sorted(old))
         baker.write(
-            self._folder,
-            view.name,
-            rendered,
-            events,
-            notes=_notes_of(view, self._layers),
-            layers=self._layers,
+            self._folder, view.name, rendered, events, notes=_notes_of(view, self._layers), layers=self._layers,
             shown=view.shown,
-        )
+        )  # fmt: skip
         self._views.append(view)
         if self._locks.others_at_work() or time.monotonic() - self._kept_at > KEEP_EVERY_S:
             self.keep()  # before another process looks for views that are left to bake
