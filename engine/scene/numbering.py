@@ -107,55 +107,104 @@ class _Reading:
         return {label.id: label.name for label in known_table(self.table).labels}
 
 
-def numbered(
-    source: MaskSource, choice: ClassChoice | None, where: Path, asking: Asking | None = None
-) -> tuple[MaskSource, ClassChoice | None, tuple[Inferred, ...]]:
+Numbered = tuple[MaskSource, ClassChoice | None, tuple[Inferred, ...]]
+"""The masks and the choice of classes, with the numbering that was found, and what was inferred."""
+
+
+def numbered(source: MaskSource, choice: ClassChoice | None, where: Path, asking: Asking | None = None) -> Numbered:
     """The masks and the choice of classes with the numbering of the choice's table, and what was inferred. No table
     applies to masks of objects. Raises PlgsError if all numberings make things stuff, or if another table's fits."""
-    asking = asking or Asking()
     if choice is None:
         return source, None, () if source.kinds is None else (_UNNAMED,)
     if choice.table is None:
-        # The reading whose things match the choice's numbered rows best, as in an edited class list.
-        rows = {row.id: row.thing for row in choice.rows}
-        ways = [source] if source.apart is None else [source, source.apart]
-        wrong_kinds = [sum(rows.get(n) != is_thing for n, is_thing in (way.kinds or {}).items()) for way in ways]
-        return ways[int(np.argmin(wrong_kinds))], choice, ()
+        return _as_listed(source, choice), choice, ()
     if source.tells_no_class:
         taken = f"the table {choice.table} is left out, and all are of the class object"
         return source, replace(choice, table=None), (Inferred("numbering", taken, _OBJECTS.format(FILE_NAME)),)
-    readings = _readings(source, choice.table)
+    found = _find(source, choice, _agreeing_readings(source, choice, where))
+    asking = asking or Asking()
+    _refuse_other_table(found, choice, asking, where)
+    inferred = _doubts_of_table(found, choice, asking) or _doubts(found, asking)
+    return found.chosen.source, replace(choice, table=found.chosen.table), inferred
+
+
+def _as_listed(source: MaskSource, choice: ClassChoice) -> MaskSource:
+    """The masks read so that their things match the choice's numbered rows best, as in an edited class list."""
+    rows = {row.id: row.thing for row in choice.rows}
+    ways = [source] if source.apart is None else [source, source.apart]
+    wrong_kinds = [sum(rows.get(n) != is_thing for n, is_thing in (way.kinds or {}).items()) for way in ways]
+    return ways[int(np.argmin(wrong_kinds))]
+
+
+def _agreeing_readings(source: MaskSource, choice: ClassChoice, where: Path) -> list[_Reading]:
+    """The readings that agree with what the files call things, the usual one first; all if the files say nothing.
+    Raises PlgsError if none agrees."""
+    readings = _readings(source, choice.table or "")
     agreeing = [each for each in readings if not _disagreements(each, choice)]
-    usual = readings[0]
-    wrong = [] if agreeing or source.kinds is None else _disagreements(usual, choice, is_known=True)
+    wrong = [] if agreeing or source.kinds is None else _disagreements(readings[0], choice, is_known=True)
     if wrong:
         what = f"the files' isthing contradicts the table {choice.table}: {listed(wrong, 2)}"
         raise PlgsError("isthing-contradicts", what, where, _CONTRADICTED, option="--classes")
-    like = _tables_like(choice.table) if choice.table in _ALIKE else ()
+    return agreeing or readings[:1]
+
+
+@dataclass(frozen=True)
+class _Found:
+    """The ``chosen`` one of the ``agreeing`` readings, or of other tables' ``alike``; all that are ``fitting``;
+    ``every`` reading of the named table, the usual one first; and what frames ``shown``. ``reason`` is None if the
+    masks are ambiguous."""
+
+    chosen: _Reading
+    reason: str | None
+    fitting: list[_Reading]
+    agreeing: list[_Reading]
+    alike: list[_Reading]
+    every: list[_Reading]
+    shown: _Shown
+
+
+def _find(source: MaskSource, choice: ClassChoice, agreeing: list[_Reading]) -> _Found:
+    like = _tables_like(choice.table or "") if choice.table in _ALIKE else ()
     alike = [_Reading(source, each, each) for table in like for each in numberings_of(table)]
     shown = _shown(source, choice)
-    chosen, reason, fitting = _told([*(agreeing or [usual]), *alike], choice, shown)
-    if chosen in alike:
-        others = [each.table for each in fitting if each is not chosen]
-        what = f"{asking.whose} numbers look like {chosen.table}, not {choice.table}: {reason or 'it has all of them'}"
-        advice = asking.advice(chosen.table, *(others if reason is None or usual not in fitting else [usual.table]))
-        raise PlgsError("other-numbers", what, where, f"{advice[0].upper()}{advice[1:]}.", option=asking.option)
-    possible = (*agreeing, *(each for each in alike if each in fitting))
+    every = _readings(source, choice.table or "")
+    return _Found(*_told([*agreeing, *alike], choice, shown), agreeing, alike, every, shown)
+
+
+def _refuse_other_table(found: _Found, choice: ClassChoice, asking: Asking, where: Path) -> None:
+    if found.chosen not in found.alike:
+        return
+    chosen, reason = found.chosen.table, found.reason
+    others = [each.table for each in found.fitting if each is not found.chosen]
+    is_usual = reason is not None and found.every[0] in found.fitting
+    advice = asking.advice(chosen, *([found.every[0].table] if is_usual else others))
+    what = f"{asking.whose} numbers look like {chosen}, not {choice.table}: {reason or 'it has all of them'}"
+    raise PlgsError("other-numbers", what, where, f"{advice[0].upper()}{advice[1:]}.", option=asking.option)
+
+
+def _doubts(found: _Found, asking: Asking) -> tuple[Inferred, ...]:
+    """What a numbering was chosen by, if there was a choice."""
+    chosen, reason = found.chosen, found.reason
+    is_doubtful = chosen != found.every[0] or reason is None
+    if not (is_doubtful or len(found.every) > 1 or found.alike):
+        return ()
+    possible = (*found.agreeing, *(each for each in found.alike if each in found.fitting))
     others = [each.table for each in possible if each is not chosen]
-    is_doubtful = chosen is not usual or reason is None
-    inferred: tuple[Inferred, ...] = ()
-    if is_doubtful or len(readings) > 1 or alike:
-        why = "their content does not show it" if reason is None else reason
-        why += f"; if that is wrong, {asking.advice(*others)}" if others else ""
-        read_as = f"{asking.whose} numbers are read as {chosen.what}"
-        inferred = (Inferred("numbering", read_as, why, is_doubtful),)
-    likelier = _other_tables(chosen, choice, shown) if chosen.source is source else []
-    if likelier:
-        looks = f"{asking.whose} numbers are read as {chosen.what}, but look like {' or '.join(likelier)}"
-        best = _Reading(source, likelier[0], likelier[0])
-        why = f"{_compared(best, [chosen], shown)}; if that is right, {asking.advice(*likelier)}"
-        inferred = (Inferred("numbering", looks, why),)
-    return chosen.source, replace(choice, table=chosen.table), inferred
+    why = "their content does not show it" if reason is None else reason
+    why += f"; if that is wrong, {asking.advice(*others)}" if others else ""
+    return (Inferred("numbering", f"{asking.whose} numbers are read as {chosen.what}", why, is_doubtful),)
+
+
+def _doubts_of_table(found: _Found, choice: ClassChoice, asking: Asking) -> tuple[Inferred, ...]:
+    """Whether masks look more like another table than like the named one."""
+    chosen, shown = found.chosen, found.shown
+    likelier = _other_tables(chosen, choice, shown) if chosen.source is found.every[0].source else []
+    if not likelier:
+        return ()
+    looks = f"{asking.whose} numbers are read as {chosen.what}, but look like {' or '.join(likelier)}"
+    best = _Reading(chosen.source, likelier[0], likelier[0])
+    why = f"{_compared(best, [chosen], shown)}; if that is right, {asking.advice(*likelier)}"
+    return (Inferred("numbering", looks, why),)
 
 
 def other_numberings(choice: ClassChoice) -> str:
