@@ -39,9 +39,12 @@ class DecoderShape:
         return 4 if self.distance_input else 3
 
 
-def run_side_by_side(given: torch.Tensor, *networks: nn.Sequential) -> list[torch.Tensor]:
-    """Each network's output [V, its outputs] for the same ``given`` [V, inputs]. One matrix product serves all first
-    layers, which is faster than a narrow product for each."""
+def run_side_by_side(
+    given: torch.Tensor,  # [V, inputs]
+    *networks: nn.Sequential,
+) -> list[torch.Tensor]:
+    """Each network's output [V, its outputs]. One matrix product serves all first layers, which is faster than a narrow
+    product for each."""
     first, last = [network.get_submodule("0") for network in networks], [network[2] for network in networks]
     weight, bias = (torch.cat([layer.get_parameter(name) for layer in first]) for name in ("weight", "bias"))
     hidden = functional.linear(given, weight, bias).relu_().split(HIDDEN, dim=1)
@@ -122,8 +125,13 @@ class Decoders(nn.Module):
             if parameters:
                 yield name, parameters
 
-    def view_input(self, feature: torch.Tensor, position: torch.Tensor, camera_centre: torch.Tensor) -> torch.Tensor:
-        """Features [V, F] with the direction (and distance in metres) from the camera appended: [V, F + 3 or 4]."""
+    def view_input(
+        self,
+        feature: torch.Tensor,  # [V, F]
+        position: torch.Tensor,  # [V, 3], metres
+        camera_centre: torch.Tensor,  # [3], metres
+    ) -> torch.Tensor:
+        """Features with the direction (and distance in metres) from the camera appended, [V, F + 3 or 4]."""
         towards = position - camera_centre
         distance = towards.norm(dim=1, keepdim=True).clamp_min(1e-6)
         parts = [feature, towards / distance]
@@ -131,8 +139,12 @@ class Decoders(nn.Module):
             parts.append(distance)
         return torch.cat(parts, dim=1)
 
-    def label_logits(self, feature: torch.Tensor, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Semantic [V, k, C] and instance [V, k, S] logits. ``seen``: the output of ``view_input``."""
+    def label_logits(
+        self,
+        feature: torch.Tensor,  # [V, F]
+        seen: torch.Tensor,  # [V, F + 3 or 4], of ``view_input``
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Semantic [V, k, C] and instance [V, k, S] logits."""
         given = seen if self.shape.label_view_input else feature
         shape, count = self.shape, len(given)
         semantic, instance = run_side_by_side(given, self.semantic, self.instance)

@@ -32,15 +32,23 @@ def finest_pixels(points: NDArray[np.floating], cameras: Sequence[Camera]) -> ND
     return finest
 
 
-def blurred_scales(scales: torch.Tensor, finest: torch.Tensor, depth: torch.Tensor, camera: Camera) -> torch.Tensor:
-    """Standard deviations ``scales`` [N, 3] metres, widened so that the ``camera``, which blurs them once more, shows
-    Gaussians at ``depth`` [N] with the blur of pixels with the side ``finest`` [N] metres, if its own are smaller."""
+def blurred_scales(
+    scales: torch.Tensor,  # [N, 3], metres
+    finest: torch.Tensor,  # [N], metres
+    depth: torch.Tensor,  # [N], metres
+    camera: Camera,
+) -> torch.Tensor:
+    """Standard deviations, widened so that the ``camera``, which blurs them once more, shows Gaussians at ``depth`` with
+    the blur of pixels with the side ``finest``, if its own are smaller."""
     own = depth / math.sqrt(camera.fx * camera.fy)
     return widened(scales, (finest.square() - own.square()).clamp_min(0.0).sqrt())
 
 
-def widened(scales: torch.Tensor, pixels: torch.Tensor) -> torch.Tensor:
-    """Standard deviations ``scales`` [N, 3] metres with the blur of pixels with the side ``pixels`` [N] metres."""
+def widened(
+    scales: torch.Tensor,  # [N, 3], metres
+    pixels: torch.Tensor,  # [N], metres
+) -> torch.Tensor:
+    """Standard deviations with the blur of pixels with the side ``pixels``."""
     return (scales.square() + BLUR * pixels.square()[:, None]).sqrt()
 
 

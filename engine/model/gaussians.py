@@ -33,8 +33,8 @@ def decode(
     decoders: Decoders,
     camera: Camera,
     *,
-    channels: torch.Tensor | None = None,
-    known_labels: torch.Tensor | None = None,
+    channels: torch.Tensor | None = None,  # int64 [M]
+    known_labels: torch.Tensor | None = None,  # [M * k, L]
     in_torch: bool = False,
 ) -> NeuralGaussians:
     """Decode the Gaussians of every anchor that ``camera`` can see, and drop those with opacity <= 0. The other

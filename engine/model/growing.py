@@ -61,10 +61,14 @@ class GrowthStatistics:
         return GrowthStatistics(**{name: tensor.to(device) for name, tensor in self.tensors().items()})
 
     def add(
-        self, gaussians: NeuralGaussians, drawn: torch.Tensor, means2d_gradient: torch.Tensor, width: int, height: int
+        self,
+        gaussians: NeuralGaussians,
+        drawn: torch.Tensor,  # bool [N]
+        means2d_gradient: torch.Tensor,  # [N, 2], per pixel
+        width: int,
+        height: int,
     ) -> None:
-        """Add one step: ``drawn`` bool [N], ``means2d_gradient`` [N, 2] per pixel, which is converted to NDC units. No
-        anchor and no Gaussian occurs twice in it."""
+        """Add one step. The gradient is converted to NDC units. No anchor and no Gaussian occurs twice in it."""
         opacities, rows = gaussians.all_opacities, gaussians.rows(self.gradient.shape[1])
         self.visits.index_add_(0, gaussians.visible, opacities.new_ones(len(opacities)))
         self.opacity.index_add_(0, gaussians.visible, opacities.clamp_min(0).sum(dim=1))

@@ -138,7 +138,9 @@ def _draw_rows(
     )
 
 
-def likeliest(coverage: torch.Tensor) -> NDArray[np.float32]:
+def likeliest(
+    coverage: torch.Tensor,  # [H, W, L]
+) -> NDArray[np.float32]:
     """Coverage [H, W, L] on a device as an array. Only the KEPT largest values of each pixel are copied and the others
     are 0, as copying all would take longer than drawing."""
     share, label = (each.numpy(force=True) for each in coverage.topk(min(KEPT, coverage.shape[-1]), dim=-1))

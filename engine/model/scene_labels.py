@@ -54,7 +54,11 @@ class VotedLabels:
 ShownLabels = SceneLabels | VotedLabels
 
 
-def shown_probabilities(classes: torch.Tensor, slots: torch.Tensor, channels: LabelChannels) -> torch.Tensor:
+def shown_probabilities(
+    classes: torch.Tensor,  # [..., C]
+    slots: torch.Tensor,  # [..., S]
+    channels: LabelChannels,
+) -> torch.Tensor:
     """Probabilities (or coverage) of classes [..., C] and instances [..., U] together, [..., C + U], from those of the
     semantic channels [..., C] and of all slots [..., S]. Where an object has one class throughout, all of an instance
     counts for its own class, and only the rest follows the semantic channels. So an instance cannot appear with a class

@@ -31,8 +31,11 @@ class _TakeRows(torch.autograd.Function):
         return gradient.new_zeros(ctx.shape).index_copy_(0, rows, gradient), None
 
 
-def take_rows(tensor: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
-    """``tensor[rows]`` for int64 ``rows`` [N] without repetitions (not checked: a repeated row would lose gradient)."""
+def take_rows(
+    tensor: torch.Tensor,  # [M, ...]
+    rows: torch.Tensor,  # int64 [N]
+) -> torch.Tensor:
+    """``tensor[rows]`` without repetitions (not checked: a repeated row would lose gradient)."""
     taken: torch.Tensor = _TakeRows.apply(tensor, rows)
     return taken
 
@@ -77,9 +80,12 @@ def decode_in_torch(given: AnchorsInView, decoders: Decoders) -> NeuralGaussians
     )
 
 
-def cluster_loss(class_logits: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """L_cluster over visible initial anchors: ``class_logits`` [V, k, C], ``target`` int64 [V] with -1 = no label. All
-    k Gaussians of an anchor count, drawn or not (equation "Cluster Loss")."""
+def cluster_loss(
+    class_logits: torch.Tensor,  # [V, k, C]
+    target: torch.Tensor,  # int64 [V], -1 = no label
+) -> torch.Tensor:
+    """L_cluster over visible initial anchors. All k Gaussians of an anchor count, drawn or not (equation "Cluster
+    Loss")."""
     known, k = target >= 0, class_logits.shape[1]
     wanted = target.clamp_min(0)[:, None, None].expand(-1, k, 1)
     # torch's own cross entropy of millions of rows takes ten times as long on a GPU

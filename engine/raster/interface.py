@@ -21,14 +21,14 @@ _announced: set[str] = set()
 
 
 def rasterize(
-    means: Tensor,
-    scales: Tensor,
-    quats: Tensor,
-    opacities: Tensor,
-    colours: Tensor,
-    labels: Tensor | None,
-    camera_to_world: Tensor | NDArray[Any],
-    K: Tensor | NDArray[Any],  # noqa: N803 (the intrinsics' usual name)
+    means: Tensor,  # [N, 3], metres, world
+    scales: Tensor,  # [N, 3], standard deviations in metres
+    quats: Tensor,  # [N, 4], wxyz, normalised here
+    opacities: Tensor,  # [N], 0 to 1; below 1/255, even below 0, none is drawn
+    colours: Tensor,  # [N, 3]
+    labels: Tensor | None,  # [N, C]
+    camera_to_world: Tensor | NDArray[Any],  # [4, 4], OpenCV axes
+    K: Tensor | NDArray[Any],  # [3, 3]; noqa: N803 (the intrinsics' usual name)
     width: int,
     height: int,
     *,
@@ -39,14 +39,10 @@ def rasterize(
     want_means2d_grad: bool = False,
     backend: Backend | None = None,
 ) -> Rendering:
-    """Draw N Gaussians; differentiable in the first six arguments.
+    """Draw N Gaussians; differentiable in the first six arguments, which are float32 on one device for ``numba``.
 
-    ``means`` [N, 3], metres, world; ``scales`` [N, 3], standard deviations in metres; ``quats`` [N, 4], wxyz,
-    normalised here; ``opacities`` [N] in [0, 1] (anything below 1/255, including <= 0, is not drawn); ``colours`` [N,
-    3]; ``labels`` [N, C] or None. All are float32 on one device for the back end ``numba``.
-
-    ``camera_to_world`` [4, 4] with OpenCV axes (x right, y down, z forward); ``K`` [3, 3] with any fx, fy, cx, cy, no
-    skew; the centre of pixel (i, j) is (i + 0.5, j + 0.5). No gradient flows to the camera. ``rows``: the first row of
+    OpenCV axes: x right, y down, z forward. ``K`` has any fx, fy, cx, cy, but no skew; the centre of pixel (i, j) is
+    (i + 0.5, j + 0.5). No gradient flows to the camera. ``rows``: the first row of
     the picture to draw, and one past the last. The layers have only these rows, with the same values as in the whole
     picture. ``top_k`` > 0 requests the largest contributors of every pixel, which ``gsplat`` does not list. ``backend``
     None picks by the tensors' device: ``numba`` on the CPU, ``gsplat`` on CUDA. The surface is always found on the CPU.

@@ -43,7 +43,12 @@ def rasterize_reference(gaussians: GaussianSet, pinhole: Pinhole, wanted: Wanted
     )
 
 
-def project(means: Tensor, scales: Tensor, quats: Tensor, pinhole: Pinhole) -> tuple[Tensor, Tensor, Tensor]:
+def project(
+    means: Tensor,  # [N, 3]
+    scales: Tensor,  # [N, 3]
+    quats: Tensor,  # [N, 4]
+    pinhole: Pinhole,
+) -> tuple[Tensor, Tensor, Tensor]:
     """Centres [N, 2] in pixels, blurred 2D covariances [N, 2, 2] in pixels squared, planar depths [N] in metres. Rows
     at or behind the near plane are computed for a point at depth 1, so that no infinity enters the gradients."""
     rotation = torch.as_tensor(pinhole.rotation, dtype=means.dtype).reshape(3, 3)
@@ -64,8 +69,10 @@ def project(means: Tensor, scales: Tensor, quats: Tensor, pinhole: Pinhole) -> t
     return centres, covariances, z
 
 
-def rotation_matrices(quats: Tensor) -> Tensor:
-    """[N, 4] wxyz of any length to [N, 3, 3]."""
+def rotation_matrices(
+    quats: Tensor,  # [N, 4], wxyz of any length
+) -> Tensor:
+    """The rotation of each, [N, 3, 3]."""
     w, x, y, z = torch.nn.functional.normalize(quats, dim=-1, eps=TINY_NORM).unbind(-1)
     rows = [
         torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
@@ -76,7 +83,11 @@ def rotation_matrices(quats: Tensor) -> Tensor:
 
 
 def footprint_visible(
-    centres: Tensor, covariances: Tensor, depths: Tensor, opacities: Tensor, pinhole: Pinhole
+    centres: Tensor,  # [N, 2], pixels
+    covariances: Tensor,  # [N, 2, 2]
+    depths: Tensor,  # [N], metres
+    opacities: Tensor,  # [N]
+    pinhole: Pinhole,
 ) -> Tensor:
     """bool [N]: beyond the near plane, and the box around {alpha >= 1/255} contains a pixel centre of the image."""
     reach = 2.0 * torch.log(opacities.clamp(min=1e-30) / ALPHA_MIN)  # no logarithm of 0
@@ -87,7 +98,12 @@ def footprint_visible(
     return (depths > pinhole.near) & (opacities >= ALPHA_MIN) & (first <= last).all(-1)
 
 
-def raw_alphas(centres: Tensor, covariances: Tensor, opacities: Tensor, pinhole: Pinhole) -> Tensor:
+def raw_alphas(
+    centres: Tensor,  # [n, 2], pixels
+    covariances: Tensor,  # [n, 2, 2]
+    opacities: Tensor,  # [n]
+    pinhole: Pinhole,
+) -> Tensor:
     """[n, H * W]: opacity * exp(-d^2 / 2), neither capped nor cut."""
     rows, columns = torch.meshgrid(
         torch.arange(pinhole.height, dtype=centres.dtype) + 0.5,
@@ -102,8 +118,10 @@ def raw_alphas(centres: Tensor, covariances: Tensor, opacities: Tensor, pinhole:
     return opacities[:, None] * torch.exp(-0.5 * distance)
 
 
-def blending_weights(raw: Tensor) -> Tensor:
-    """[n, H * W] weights of n Gaussians in front-to-back order, from their ``raw_alphas``."""
+def blending_weights(
+    raw: Tensor,  # [n, H * W], of ``raw_alphas``
+) -> Tensor:
+    """[n, H * W] weights of n Gaussians in front-to-back order."""
     alpha = raw.clamp(max=ALPHA_MAX)
     alpha = torch.where(alpha >= ALPHA_MIN, alpha, torch.zeros_like(alpha))
     after = torch.cumprod(1.0 - alpha, 0)
@@ -112,7 +130,10 @@ def blending_weights(raw: Tensor) -> Tensor:
 
 
 def top_contributors(
-    weights: Tensor, order: Tensor, pinhole: Pinhole, top_k: int
+    weights: Tensor,  # [n, H * W]
+    order: Tensor,  # int64 [n]
+    pinhole: Pinhole,
+    top_k: int,
 ) -> tuple[Tensor | None, Tensor | None]:
     """int32 [H, W, k] Gaussian indices and [H, W, k] weights, largest first; -1 and 0 where there are fewer."""
     if top_k == 0:

@@ -37,9 +37,12 @@ class Arithmetic(NamedTuple):
 
 
 def compare_in_torch(
-    image: torch.Tensor, photo: PhotoMoments | torch.Tensor, l1_weight: float, ssim_weight: float
+    image: torch.Tensor,  # [H, W, 3], 0 to 1
+    photo: PhotoMoments | torch.Tensor,  # uint8 [H, W, 3]
+    l1_weight: float,
+    ssim_weight: float,
 ) -> torch.Tensor:
-    """``compare`` with a photo uint8 [H, W, 3], whose moments are not kept: those of all views may not fit."""
+    """``compare`` with a photo whose moments are not kept: those of all views may not fit."""
     assert isinstance(photo, torch.Tensor)  # as `place_in_torch` makes it
     y = photo.float() / 255.0
     planes = torch.cat([image, image * image, image * y, y, y * y], dim=2).permute(2, 0, 1)[:, None]

@@ -19,17 +19,16 @@ TINY = 1e-8
 
 
 def label_losses(
-    coverage: torch.Tensor,
-    alpha: torch.Tensor,
+    coverage: torch.Tensor,  # [H, W, C + S], blended probabilities
+    alpha: torch.Tensor,  # [H, W]
     classes: int,
-    semantic: torch.Tensor,
-    instance: tuple[torch.Tensor, torch.Tensor],
+    semantic: torch.Tensor,  # int16 [H, W], -1 = unknown
+    instance: tuple[torch.Tensor, torch.Tensor],  # int16 [H, W] each, -1 = unknown
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """L_sem without L_cluster, and L_ins: -log of the rendered probability of the target label, as the mean over the
     pixels with a target. The losses of a pixel's two instance targets (linear assignment and M_match) are added.
-    ``coverage`` float32 [H, W, C + S] holds blended probabilities of ``classes`` C classes, then of S slots; ``alpha``
-    [H, W] is only a divisor: no gradient reaches it, since only the reconstruction loss may reach opacity. Targets are
-    int16 [H, W]: the number of the class or slot, -1 where it is unknown. Without a target a loss is 0."""
+    ``coverage`` holds those of ``classes`` C classes, then of S slots. ``alpha`` is only a divisor: no gradient reaches
+    it, since only the reconstruction loss may reach opacity. Without a target a loss is 0."""
     losses: tuple[torch.Tensor, torch.Tensor] = _LabelLosses.apply(coverage, alpha, classes, semantic, *instance)
     return losses
 
@@ -92,11 +91,15 @@ class ThingSegments:
 
 
 def assigned_slots(
-    coverage: torch.Tensor, alpha: torch.Tensor, first: int, things: ThingSegments, no_object: int | None = None
+    coverage: torch.Tensor,  # [H, W, C], blended probabilities
+    alpha: torch.Tensor,  # [H, W]
+    first: int,
+    things: ThingSegments,
+    no_object: int | None = None,
 ) -> torch.Tensor:
-    """The target slot of each pixel, int16 [H, W], -1 where there is none. ``coverage`` float32 [H, W, C] holds the
-    blended slot probabilities from channel ``first`` on; divided by ``alpha`` [H, W] they are probabilities. No thing
-    is assigned to the slot ``no_object``. From a device, only the matrix of the mean probabilities is copied."""
+    """The target slot of each pixel, int16 [H, W], -1 where there is none. Slots begin at channel ``first``; divided by
+    ``alpha`` their coverage is a probability. No thing is assigned to the slot ``no_object``. From a device, only the
+    matrix of the mean probabilities is copied."""
     slots, segments = coverage.shape[-1] - first, len(things.pixels)
     row, slot_of_segment = torch.as_tensor(things.row).long(), np.full(segments + 1, NO_SLOT, np.int16)
     if slots and segments:

@@ -66,9 +66,15 @@ def adam_step(
 
 
 @torch.no_grad()
-def move_rows(parameter: torch.Tensor, moments: Moments, rows: torch.Tensor, count: int, rate: float) -> None:
-    """``adam_step`` for ``rows`` int64 [V] of one parameter [M, ...], float32 on the CPU; the others stay as they are,
-    and so do their moments. It drops the gradient."""
+def move_rows(
+    parameter: torch.Tensor,  # [M, ...]
+    moments: Moments,
+    rows: torch.Tensor,  # int64 [V]
+    count: int,
+    rate: float,
+) -> None:
+    """``adam_step`` for ``rows`` of one parameter, float32 on the CPU; the others stay as they are, and so do their
+    moments. It drops the gradient."""
     if parameter.grad is None:
         return
     tensors = (*moments, parameter.grad.contiguous(), parameter.detach())
@@ -120,8 +126,13 @@ class Optimiser:
         for name, parameter in self.decoders.named_parameters():
             yield f"decoders.{name}", parameter
 
-    def step(self, progress: float, rows: torch.Tensor, move: Callable[..., None] = move_rows) -> None:
-        """Do one Adam step with the current gradients, on the anchors in ``rows`` int64 [V]; ``progress`` is the share
+    def step(
+        self,
+        progress: float,
+        rows: torch.Tensor,  # int64 [V]
+        move: Callable[..., None] = move_rows,
+    ) -> None:
+        """Do one Adam step with the current gradients, on the anchors in ``rows``; ``progress`` is the share
         of all steps done, ``move`` is ``move_rows`` or its counterpart on a device."""
         for name, each in self._named():
             if name not in self.moments and each.requires_grad:
@@ -143,8 +154,12 @@ class Optimiser:
             getattr(anchors, name).requires_grad_()
         self.moments = {name: (mean.to(device), square.to(device)) for name, (mean, square) in self.moments.items()}
 
-    def replace_anchors(self, anchors: Anchors, keep: torch.Tensor) -> None:
-        """Continue with ``anchors``: rows ``keep`` (bool over the old ones), then new ones with moments of 0."""
+    def replace_anchors(
+        self,
+        anchors: Anchors,
+        keep: torch.Tensor,  # bool [M], of the old anchors
+    ) -> None:
+        """Continue with ``anchors``: rows ``keep``, then new ones with moments of 0."""
         self.anchors = anchors
         for name in Anchors.LEARNT:
             parameter, moments = getattr(anchors, name).requires_grad_(), self.moments.get(f"anchors.{name}")

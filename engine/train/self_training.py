@@ -37,8 +37,12 @@ class PseudoLabels:
     slots: bytes | None
 
     @classmethod
-    def of(cls, classes: torch.Tensor, slots: torch.Tensor | None) -> PseudoLabels:
-        """Pack channel numbers and slots, [H, W] each."""
+    def of(
+        cls,
+        classes: torch.Tensor,  # [H, W]
+        slots: torch.Tensor | None,  # [H, W]
+    ) -> PseudoLabels:
+        """Pack channel numbers and slots."""
         height, width = classes.shape
         return cls((height, width), _packed(classes), None if slots is None else _packed(slots))
 

@@ -139,8 +139,13 @@ def _gradient(
     return total
 
 
-def compare(image: torch.Tensor, photo: PhotoMoments, l1_weight: float, ssim_weight: float) -> torch.Tensor:
-    """``l1_weight`` * mean |difference| + ``ssim_weight`` * mean SSIM of ``image`` float32 [H, W, 3] in [0, 1] and a
+def compare(
+    image: torch.Tensor,  # [H, W, 3], 0 to 1
+    photo: PhotoMoments,
+    l1_weight: float,
+    ssim_weight: float,
+) -> torch.Tensor:
+    """``l1_weight`` * mean |difference| + ``ssim_weight`` * mean SSIM of an image and a
     photo. Differentiable once in ``image``. Raises ValueError if sizes differ."""
     result: torch.Tensor = _Comparison.apply(image, photo, l1_weight, ssim_weight)
     return result

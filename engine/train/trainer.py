@@ -50,28 +50,30 @@ class StepClock:
 
 
 def reconstruction_loss(
-    image: torch.Tensor,
-    photo: PhotoMoments | torch.Tensor,
-    scales: torch.Tensor,
+    image: torch.Tensor,  # [H, W, 3], 0 to 1
+    photo: PhotoMoments | torch.Tensor,  # [H, W, 3]
+    scales: torch.Tensor,  # [N, 3], metres
     *,
     photo_weight: float,
     ssim_weight: float,
     volume_weight: float,
     compare: Callable[..., torch.Tensor] = compare,
 ) -> torch.Tensor:
-    """L_recon: L1 + lambda_ssim (1 - SSIM) + lambda_vol sum of prod(scales), of a picture float32 [H, W, 3] in [0, 1]
-    and scales [N, 3] in metres. ``photo_weight`` (1 in the paper) is the weight of the first two terms. ``compare`` is
-    ``similarity.compare`` or its counterpart on a device."""
+    """L_recon: L1 + lambda_ssim (1 - SSIM) + lambda_vol sum of prod(scales). ``photo_weight`` (1 in the paper) is the
+    weight of the first two terms. ``compare`` is ``similarity.compare`` or its counterpart on a device."""
     volume = (scales[:, 0] * scales[:, 1] * scales[:, 2]).sum()
     picture = compare(image, photo, 1.0, -ssim_weight) + ssim_weight
     return photo_weight * picture + volume_weight * volume
 
 
-def depth_loss(depth: torch.Tensor, alpha: torch.Tensor, sensor: torch.Tensor) -> torch.Tensor:
+def depth_loss(
+    depth: torch.Tensor,  # [H, W], unnormalised, metres
+    alpha: torch.Tensor,  # [H, W], coverage
+    sensor: torch.Tensor,  # [H, W], metres, 0 = none
+) -> torch.Tensor:
     """The depth loss. It is ours: the paper supervises the geometry by pictures alone. Mean over the pixels with depth
     of min(1, (|D - alpha d| + (1 - alpha) d / 2) / max(d, NEAR)), weighted by the sensor's noise; 0 where no pixel has
-    depth. ``depth`` D float32 [H, W] is the unnormalised rendered depth in metres, ``alpha`` [H, W] the coverage,
-    ``sensor`` d [H, W] metres, 0 = none. The limit of 1 makes it robust: an error as large as the depth counts once."""
+    depth. ``depth`` D is rendered, ``sensor`` d measured. The limit of 1 makes it robust: an error as large as the depth counts once."""
     known = sensor > 0
     gap = (depth - alpha * sensor).abs() + 0.5 * (1.0 - alpha) * sensor
     weight = known / (1.0 + (sensor / NOISY) ** 2)
