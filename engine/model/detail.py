@@ -38,8 +38,8 @@ def blurred_scales(
     depth: torch.Tensor,  # [N], metres
     camera: Camera,
 ) -> torch.Tensor:
-    """Standard deviations, widened so that the ``camera``, which blurs them once more, shows Gaussians at ``depth`` with
-    the blur of pixels with the side ``finest``, if its own are smaller."""
+    """Standard deviations, widened so that the ``camera``, which blurs them once more, shows Gaussians at ``depth``
+    with the blur of pixels with the side ``finest``, if its own are smaller."""
     own = depth / math.sqrt(camera.fx * camera.fy)
     return widened(scales, (finest.square() - own.square()).clamp_min(0.0).sqrt())
 

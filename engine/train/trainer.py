@@ -73,7 +73,8 @@ def depth_loss(
 ) -> torch.Tensor:
     """The depth loss. It is ours: the paper supervises the geometry by pictures alone. Mean over the pixels with depth
     of min(1, (|D - alpha d| + (1 - alpha) d / 2) / max(d, NEAR)), weighted by the sensor's noise; 0 where no pixel has
-    depth. ``depth`` D is rendered, ``sensor`` d measured. The limit of 1 makes it robust: an error as large as the depth counts once."""
+    depth. ``depth`` D is rendered, ``sensor`` d measured. The limit of 1 makes it robust: an error as large as the
+    depth counts once."""
     known = sensor > 0
     gap = (depth - alpha * sensor).abs() + 0.5 * (1.0 - alpha) * sensor
     weight = known / (1.0 + (sensor / NOISY) ** 2)
