@@ -84,7 +84,7 @@ def write_farm_job(scene: bpy.types.Scene, lift: LiftFolder, shot: Shot) -> Path
     if not blend:
         fix = "Save it where the farm can read it, then try again."
         raise PlgsError("unsaved", "the farm reads the camera from a file, and this one has no name", scene.name, fix)
-    frames = shot.frames
+    frames, is_range = shot.frames, shot.step == 1 and not shot.only
     settings = {
         "scene": str(lift.request.scene),
         "output": str(lift.path),
@@ -95,7 +95,7 @@ def write_farm_job(scene: bpy.types.Scene, lift: LiftFolder, shot: Shot) -> Path
         "blend": blend,
         "camera": shot.camera.name,
         "shot": shot.given,
-        "frames": f"{frames[0]}-{frames[-1]}" if shot.step == 1 else ",".join(map(str, frames)),
+        "frames": f"{frames[0]}-{frames[-1]}" if is_range else ",".join(f"{each:g}" for each in frames),
         "chunk_size": _CHUNK,
         "layers": " ".join(sorted(scene.plgs.layers)),
     }

@@ -15,6 +15,7 @@ from ..job import EventWriter, LiftFolder, StopSignal, read_manifest
 if TYPE_CHECKING:
     from ..corrections import CorrectedResult, Edit
     from ..corrections.replay import Replay
+    from ..lift.separating import PartsSeen
 
 _LONGEST = 60  # characters of a name in a line
 AddTask = Callable[[argparse.ArgumentParser, Callable[[argparse.Namespace, EventWriter, StopSignal], object]], None]
@@ -28,20 +29,20 @@ def add_correct(parser: argparse.ArgumentParser, make_task: AddTask) -> None:
     )
     parser.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift")
     known = parser.add_subparsers(dest="edit", required=True, metavar="EDIT")
-    one = "id of the object, as shown by list"
+    one = "id or name of the object, as shown by list"
     rename = known.add_parser("rename", help="give an object another name")
-    rename.add_argument("id", type=int, metavar="ID", help=one)
+    rename.add_argument("id", metavar="OBJECT", help=one)
     rename.add_argument("name", metavar="NAME", help="the name")
     reclass = known.add_parser("reclass", help="give objects another class; with a stuff class they become stuff")
-    reclass.add_argument("id", type=int, nargs="+", metavar="ID", help=one)
+    reclass.add_argument("id", nargs="+", metavar="OBJECT", help=one)
     reclass.add_argument("class_name", metavar="CLASS", help="a class's name, or its id, or both: '3 chair'")
     merge = known.add_parser("merge", help="join objects into one, with the name and the class of the first")
-    merge.add_argument("id", type=int, nargs="+", metavar="ID", help=one)
+    merge.add_argument("id", nargs="+", metavar="OBJECT", help=one)
     delete = known.add_parser("delete", help="delete a false object: its points join what surrounds them")
-    delete.add_argument("id", type=int, metavar="ID", help=one)
+    delete.add_argument("id", metavar="OBJECT", help=one)
     delete.add_argument("--no-object", action="store_true", help="keep the points' class, but remove the object")
     split = known.add_parser("split", help="split an object into several")
-    split.add_argument("id", type=int, metavar="ID", help=one)
+    split.add_argument("id", metavar="OBJECT", help=one)
     how = split.add_mutually_exclusive_group(required=True)
     how.add_argument("--parts", action="store_true", help="into its connected parts; the largest keeps the id")
     how.add_argument("--views", action="store_true", help="into what the masks of two or more frames separate")
@@ -50,7 +51,7 @@ def add_correct(parser: argparse.ArgumentParser, make_task: AddTask) -> None:
         help="by the plane through a point in metres; the part in the direction of the normal is the new object",
     )  # fmt: skip
     accept = known.add_parser("accept", help="mark objects as right: no proposal mentions them again")
-    accept.add_argument("id", type=int, nargs="+", metavar="ID", help=one)
+    accept.add_argument("id", nargs="+", metavar="OBJECT", help=one)
     undo = known.add_parser("undo", help="undo the last edit")
     listed = known.add_parser("list", help="list the objects with their corrections, and all edits")
     proposed = known.add_parser("propose", help="list what may be wrong, the most doubtful first, and your progress")
@@ -79,41 +80,51 @@ def correct(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
     if options.edit == "undo":
         edit, corrected = undo(folder.path)
     else:
-        edit, corrected = correct(folder.path, partial(_edit, options, folder, StageProgress("split", events, stop)))
+        seen = _parts_seen(options, folder, StageProgress("split", events, stop))
+        edit, corrected = correct(folder.path, partial(_edit, options, folder, seen))
     for line in corrected.warnings:
         events.warning(line)
     answer = {"uid": edit.uid, "kind": edit.kind, "undone": edit.undone, "made": [one.id for one in edit.made]}
     events.answer(answer, _described(edit, corrected))
 
 
+def _parts_seen(
+    options: argparse.Namespace, folder: LiftFolder, progress: Callable[[int, int], object]
+) -> PartsSeen | None:
+    """What the masks show apart, for a split by views. They are read before the edits are locked, as it takes long."""
+    if options.edit != "split" or not options.views:
+        return None
+    from ..corrections import making, replayed
+    from ..lift.separating import parts_seen
+
+    state = replayed(folder.path)
+    return parts_seen(folder, state, making.object_of(state, options.id), progress)
+
+
 def _edit(
-    options: argparse.Namespace,
-    folder: LiftFolder,
-    progress: Callable[[int, int], object],
-    state: Replay,
-    first_id: int,
+    options: argparse.Namespace, folder: LiftFolder, seen: PartsSeen | None, state: Replay, first_id: int
 ) -> Edit:
-    """The edit that the options name; ``progress`` is called for each frame that is read for it. Raises PlgsError."""
+    """The edit that the options name. Raises PlgsError."""
     from ..corrections import class_of_parts, making
 
+    named = [options.id] if isinstance(options.id, str) else options.id
+    one, *_ = numbers = [making.object_of(state, each) for each in named]
     match options.edit:
         case "rename":
-            return making.rename(state, options.id, options.name)
+            return making.rename(state, one, options.name)
         case "reclass":
-            return making.reclass(state, options.id, options.class_name)
+            return making.reclass(state, numbers, options.class_name)
         case "merge":
-            return making.merge(state, options.id)
+            return making.merge(state, numbers)
         case "delete":
-            return making.delete(state, options.id, around=not options.no_object)
+            return making.delete(state, one, around=not options.no_object)
         case "accept":
-            return making.accept(state, options.id)
-    xyz = state.points_of(options.id)
-    if options.views:
-        from ..lift.separating import split_by_views
-
-        return split_by_views(folder, state, options.id, first_id, progress)
+            return making.accept(state, numbers)
+    if seen is not None:
+        return seen.split(state, one, first_id)
+    xyz = state.points_of(one)
     part = making.parts_of(xyz) if options.parts else making.sides_of(xyz, options.plane[:3], options.plane[3:])
-    return making.split(state, options.id, part, first_id, class_of_parts(folder.path, state, options.id, part))
+    return making.split(state, one, part, first_id, class_of_parts(folder.path, state, one, part))
 
 
 def _described(edit: Edit, corrected: CorrectedResult) -> str:

@@ -47,6 +47,20 @@ def class_of(classes: ClassTable, said: int | str) -> int:
     return found[0]
 
 
+def object_of(state: Replay, said: int | str) -> int:
+    """The id of the object that a text names by its id, its unique name, or both, as in "7 chair 1". Raises
+    PlgsError."""
+    names, text = {number: one.name for number, one in state.objects.items()}, str(said).strip()
+    found = [number for number, name in names.items() if text in (str(number), f"{number} {name}")]
+    found = found or named(names, text)
+    if not found:
+        raise no_object(f"there is no object {said}", CORRECTIONS, sorted(names))
+    if len(found) > 1:
+        what = f"several objects are named '{said}': {', '.join(map(str, found))}"
+        raise PlgsError("several-objects", what, CORRECTIONS, "Give the id of one, as shown by list.")
+    return found[0]
+
+
 def reclass(state: Replay, numbers: Sequence[int], said: int | str) -> Edit:
     """Give objects another class, see ``class_of``. Stuff has no objects, so their points become a stuff class."""
     class_id = class_of(state.classes, said)

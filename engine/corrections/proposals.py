@@ -140,9 +140,11 @@ def class_of_parts(lift: Path, state: Replay, number: int, part: NDArray[np.inte
 
     Raises PlgsError if the list of the lift's frames is damaged.
     """
+    if number not in state.objects or not len(part):
+        return {}
     folder = LiftFolder.open(lift)
     known = read_known(folder)
-    if number not in state.objects or known is None:
+    if known is None:
         return {}
     cameras = {frame.name: frame.camera for frame in known.posed_frames(folder.request.scene)}
     xyz, numbers = state.points_of(number), np.unique(part).tolist()

@@ -108,6 +108,11 @@ def _fingerprint(edits: Sequence[Edit], not_applied: Mapping[str, str], without:
     return sha256("\n".join(uids).encode()).hexdigest()[:32] if uids else ""
 
 
+def replayed(lift: Path) -> Replay:
+    """The objects and points of a finished lift after its corrections. Raises PlgsError."""
+    return _Result.read(lift).replay(read_edits(lift))
+
+
 @dataclass(frozen=True, eq=False)
 class _Result:
     """A result as the engine made it."""

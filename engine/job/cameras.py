@@ -7,10 +7,10 @@ their centres at +0.5. Cameras to bake need not belong to a frame. Their file is
      "frame": NUMBER, "fps": RATE, "display": [LEFT, TOP, WIDTH, HEIGHT], "previous": CAMERA, "next": CAMERA}
 
 "fx", "fy", "cx", "cy" (pixels) may be given instead of "K". The last six may be left out. "clip" holds planar depths
-in metres: what is centred nearer or farther is not drawn. "name" is the name of the file that is written. "frame" and
-"fps" are for its header. "display" is the window of the picture, in its pixels, that viewers show (none: all of it).
-"previous" and "next" are the cameras of the frames beside it, for the layer Vector: "width", "height", "K" and
-"camera_to_world".
+in metres, FAR perhaps null: what is centred nearer or farther is not drawn. "name" is the name of the file that is
+written. "frame" and "fps" are for its header. "display" is the window of the picture, in its pixels, that viewers show
+(none: all of it). "previous" and "next" are the cameras of the frames beside it, for the layer Vector: "width",
+"height", "K" and "camera_to_world".
 
 preview.json in the lift folder names the camera from which a user wants to see the growing model. The user's program
 writes it by rename, at any time; the engine reads it before each live preview, and it never changes the result. It
@@ -190,6 +190,9 @@ def _drawable(camera: PreviewCamera) -> PreviewCamera:
         for j, other in enumerate(rows):
             if abs(sum(a * b for a, b in zip(one, other, strict=True)) - (i == j)) > _RIGID_TOLERANCE:
                 raise ValueError("camera_to_world is not rigid")
+    (a, b, c), (d, e, f), (g, h, i) = rows
+    if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0:  # the determinant
+        raise ValueError("camera_to_world mirrors the picture")
     if pose[3] != (0.0, 0.0, 0.0, 1.0) or lens[2] != (0.0, 0.0, 1.0):
         raise ValueError("the last row is not that of a camera")
     if lens[0][0] <= 0 or lens[1][1] <= 0 or lens[0][1] or lens[1][0]:
@@ -198,7 +201,8 @@ def _drawable(camera: PreviewCamera) -> PreviewCamera:
 
 
 def _entry(camera: BakeCamera) -> dict[str, object]:
-    clip = None if math.isinf(camera.far) else [camera.near, camera.far]  # JSON has no infinity
+    far = None if math.isinf(camera.far) else camera.far  # JSON has no infinity
+    clip = None if far is None and not camera.near else [camera.near, far]
     further: dict[str, object] = {"clip": clip, "frame": camera.frame, "fps": camera.fps, "display": camera.display}
     further |= {"previous": camera.previous and to_json(camera.previous), "next": camera.next and to_json(camera.next)}
     given = {key: value for key, value in further.items() if value is not None}
@@ -218,7 +222,7 @@ class _Entry:
     fy: float | None = None
     cx: float | None = None
     cy: float | None = None
-    clip: tuple[float, float] | None = None
+    clip: tuple[float, float | None] | None = None
     frame: int | None = None
     fps: float | None = None
     display: tuple[int, int, int, int] | None = None
@@ -240,7 +244,8 @@ class _Entry:
     def camera(self) -> BakeCamera:
         """The camera. Raises ValueError if it cannot be drawn."""
         pinhole = _drawable(PreviewCamera(self.camera_to_world, self._lens(), self.width, self.height))
-        near, far = self.clip or (0.0, math.inf)
+        near, far = self.clip or (0.0, None)
+        far = math.inf if far is None else far
         beside = (each and _drawable(each) for each in (self.previous, self.next))
         return BakeCamera(self.name, pinhole, near, far, self.frame, self.fps, self.display, *beside)
 

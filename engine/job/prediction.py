@@ -133,7 +133,7 @@ def predict(
         "bake": rendered * _render_s(scored) + written * WRITE_S * own,
     }
     labels = classes + OBJECTS_A_MASK * masks_a_frame
-    peak = _peak_bytes(frame_size, preset, views, gaussians, labels)
+    peak = _peak_bytes(frame_size, preset, views, gaussians, labels=labels, classes=classes)
     return Prediction({name: slowness * seconds for name, seconds in stages.items()}, peak)
 
 
@@ -157,12 +157,15 @@ def learn_slowness(seconds: float, megapixels: float, millions_of_gaussians: flo
         write_atomically(path, record_text(_Speed(tuple(measured[-REMEMBERED:]))))
 
 
-def _peak_bytes(frame_size: tuple[int, int], preset: Preset, views: int, gaussians: float, labels: float) -> int:
-    """The most bytes held at once: they grow with the views in matching, with the Gaussians in training, and with the
-    pixels of a frame when it is baked at its own size; in the last two they grow with the labels too."""
+def _peak_bytes(
+    frame_size: tuple[int, int], preset: Preset, views: int, gaussians: float, *, labels: float, classes: int
+) -> int:
+    """The most bytes held at once: they grow with the views and the points' votes in matching, with the Gaussians in
+    training, and with the pixels of a frame when it is baked at its own size; in the last two with the labels too."""
     own = frame_size[0] * frame_size[1] / 1e6
     trained_on = _megapixels_within(frame_size, preset.size)
-    matching = 800 + 12 * views * trained_on
+    votes = 16 * classes * preset.most_points / 1e6 if preset.objects == "agreement" else 0.0  # float64, and a copy
+    matching = 800 + 12 * views * trained_on + votes
     training = 880 + 500 * gaussians + (700 + 8 * labels) * trained_on + SEEN_SHARE * gaussians * 12 * labels
     baking = 700 + 400 * gaussians + (1000 + 4 * labels) * own
     return round(max(matching, training, baking) * MB)

@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -108,21 +109,24 @@ SHARE = "PLGS_MEMORY_GB"
 
 
 class MainMemory(NamedTuple):
-    """The total and the free bytes. A container's limit, and SHARE, count as the computer's memory."""
+    """The total and the free bytes. The limit of a container or a farm's job, and SHARE, count as the computer's."""
 
     total: int
     free: int
 
 
-def main_memory(proc: Path = Path("/proc/meminfo"), cgroup: Path = CGROUP) -> MainMemory | None:
+def main_memory(proc: Path = Path("/proc"), cgroup: Path = CGROUP) -> MainMemory | None:
     """The current memory; None if the system does not report it. Never raises."""
     try:
         if sys.platform == "win32":
             return _share(_of_windows())
-        if proc.exists():
-            lines = (line.split(":") for line in proc.read_text().splitlines() if ":" in line)
+        if (proc / "meminfo").exists():
+            lines = (line.split(":") for line in (proc / "meminfo").read_text().splitlines() if ":" in line)
             bytes_of = {name: 1024 * int(value.split()[0]) for name, value in lines}
-            return _share(_within(MainMemory(bytes_of["MemTotal"], bytes_of["MemAvailable"]), cgroup))
+            memory = MainMemory(bytes_of["MemTotal"], bytes_of["MemAvailable"])
+            for group in _groups(proc / "self/cgroup", cgroup):
+                memory = _within(memory, group)
+            return _share(memory)
         total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
         return _share(MainMemory(total, total))
     except (OSError, ValueError, KeyError, IndexError, OverflowError):
@@ -134,21 +138,37 @@ def _share(memory: MainMemory) -> MainMemory:
     return MainMemory(min(memory.total, share), min(memory.free, share))
 
 
-def _within(memory: MainMemory, cgroup: Path) -> MainMemory:
-    """The memory within a container's limit, if there is one."""
+def _groups(own: Path, cgroup: Path) -> list[Path]:
+    """The folders with the limits of this process: of its own cgroup, as Slurm and systemd make one for a job, and of
+    all around it. Version 1 of cgroups has those of memory in a folder of their own."""
     try:
-        limit = int((cgroup / "memory.max").read_text())
-        held = int((cgroup / "memory.current").read_text()) - _given_back(cgroup)
-    except (OSError, ValueError):  # no such file, or "max"
-        return memory
-    return MainMemory(min(memory.total, limit), min(memory.free, max(0, limit - held)))
+        lines = [line.split(":", 2) for line in own.read_text().splitlines()]
+    except OSError:
+        return [cgroup]
+    tops = {"": cgroup, "memory": cgroup / "memory"}
+    named = [(tops[kind], path) for _, kinds, path in lines for kind in kinds.split(",") if kind in tops]
+    return [each for top, path in named for each in (top / path.lstrip("/"), *(top / path.lstrip("/")).parents)
+            if each.is_relative_to(top)]  # fmt: skip
 
 
-def _given_back(cgroup: Path) -> int:
-    """Bytes of cached files in a container's memory, which the system frees when needed."""
+def _within(memory: MainMemory, group: Path) -> MainMemory:
+    """The memory within a cgroup's limit, if there is one."""
+    for limit_in, held_in, cached in (
+        ("memory.max", "memory.current", "inactive_file"),
+        ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),  # version 1
+    ):
+        with suppress(OSError, ValueError):  # no such file, or "max"
+            limit = int((group / limit_in).read_text())
+            held = int((group / held_in).read_text()) - _given_back(group / "memory.stat", cached)
+            memory = MainMemory(min(memory.total, limit), min(memory.free, max(0, limit - held)))
+    return memory
+
+
+def _given_back(stat: Path, cached: str) -> int:
+    """Bytes of cached files in a cgroup's memory, which the system frees when needed."""
     try:
-        lines = (line.split() for line in (cgroup / "memory.stat").read_text().splitlines())
-        return next((int(line[1]) for line in lines if line[:1] == ["inactive_file"]), 0)
+        lines = (line.split() for line in stat.read_text().splitlines())
+        return next((int(line[1]) for line in lines if line[:1] == [cached]), 0)
     except (OSError, ValueError, IndexError):  # older systems do not tell
         return 0
 

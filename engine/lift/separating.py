@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..corrections import Edit, making
+from ..corrections import CORRECTIONS, Edit, making
 from ..corrections.relabelling import nearest
 from ..corrections.replay import Replay
+from ..errors import ErrorCode, PlgsError
 from ..instances.consensus import join
 from ..job import LiftFolder
 from ..scene import Frame
@@ -31,15 +32,21 @@ LEAST_FRAMES = 2
 
 @dataclass(frozen=True, eq=False)
 class PartsSeen:
-    """``part`` int64 [n]: the part of each point, 0 = the largest. ``class_of``: the class that the masks give each
-    part most often. ``frames``: the number of frames that show parts apart."""
+    """``part`` int64 [n]: the part of each point ``xyz`` float32 [n, 3], 0 = the largest. ``class_of``: the class that
+    the masks give each part most often. ``frames``: the number of frames that show parts apart."""
 
     part: NDArray[np.int64]
     class_of: dict[int, int]
     frames: int
+    xyz: NDArray[np.floating]
 
-
-NOTHING_SEEN = PartsSeen(np.zeros(0, np.int64), {}, 0)
+    def split(self, state: Replay, number: int, first_id: int) -> Edit:
+        """Split the object into these parts, each with the class that its masks give it. Raises PlgsError if they show
+        one thing, or if somebody edited the object meanwhile."""
+        if not np.array_equal(self.xyz, state.points_of(number)):
+            what = f"object {number} was edited while its masks were read"
+            raise PlgsError("edited-meanwhile", what, CORRECTIONS, "Split it again.", code=ErrorCode.BUSY)
+        return making.split(state, number, self.part, first_id, self.class_of)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +64,11 @@ Progress = Callable[[int, int], object]
 """Called before each frame is read, and after the last, with the numbers of read and all frames. It may raise."""
 
 
-def split_by_views(
-    folder: LiftFolder, state: Replay, number: int, first_id: int, progress: Progress = lambda done, count: None
-) -> Edit:
-    """Split an object of a lift into the parts that its masks show apart. Each part gets the class that its masks give
-    it. Raises PlgsError if they show one thing, or if the scene is gone."""
-    frames = scene_of_lift(folder).train_frames
-    seen = parts_by_views(frames, state.points_of(number), progress) if number in state.objects else NOTHING_SEEN
-    return making.split(state, number, seen.part, first_id, seen.class_of)
+def parts_seen(
+    folder: LiftFolder, state: Replay, number: int, progress: Progress = lambda done, count: None
+) -> PartsSeen:
+    """The parts of an object that the lift's masks show apart. Raises PlgsError if the scene is gone."""
+    return parts_by_views(scene_of_lift(folder).train_frames, state.points_of(number), progress)
 
 
 def parts_by_views(
@@ -74,7 +78,7 @@ def parts_by_views(
     different things. Points that none sees go to the nearest part. Raises PlgsError for bad files."""
     segments = _segments(frames, xyz, progress)
     if not segments:
-        return PartsSeen(np.zeros(len(xyz), np.int64), {}, 0)
+        return PartsSeen(np.zeros(len(xyz), np.int64), {}, 0, xyz)
     # The evidence of two views on one point is weighted by the geometric mean of their weights.
     holds, seen = (np.sqrt(np.stack([getattr(each, name) for each in segments])) for name in ("holds", "seen"))
     shared, in_both_frames = holds @ holds.T, holds @ seen.T
@@ -90,13 +94,13 @@ def parts_by_views(
             members.setdefault(own, []).append(segment)
     shown = [own for own in members.values() if len({segment.frame for segment in own}) >= LEAST_FRAMES]
     if len(shown) < 2:
-        return PartsSeen(np.zeros(len(xyz), np.int64), {}, 0)
+        return PartsSeen(np.zeros(len(xyz), np.int64), {}, 0, xyz)
     part = _voted(np.stack([sum(segment.holds for segment in own) for own in shown]), xyz)
     counts = np.bincount(part, minlength=len(shown))
     order = [each for each in np.argsort(-counts, kind="stable").tolist() if counts[each]]
     rank = np.zeros(len(shown), np.int64)
     rank[order] = np.arange(len(order))
-    return PartsSeen(rank[part], {index: _class_of(shown[each]) for index, each in enumerate(order)}, len(apart))
+    return PartsSeen(rank[part], {index: _class_of(shown[each]) for index, each in enumerate(order)}, len(apart), xyz)
 
 
 def _class_of(segments: Sequence[_Segment]) -> int:

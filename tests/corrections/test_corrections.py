@@ -12,11 +12,13 @@ from engine.corrections import (
     BY_VIEWS,
     CORRECTIONS,
     CorrectedResult,
+    class_of_parts,
     correct,
     editing,
     proposals_of,
     read_corrected,
     read_edits,
+    replayed,
     undo,
 )
 from engine.corrections import making as m
@@ -176,6 +178,27 @@ def test_impossible_edit_is_a_one_line_error(lift: Path, make: object, line: str
     with raises_key(line):
         correct(lift, make)  # type: ignore[arg-type]
     assert not (lift / CORRECTIONS).exists()
+
+
+def test_objects_are_named_by_id_or_name(lift: Path) -> None:
+    state = replayed(lift)
+    name = state.objects[DESK].name
+    assert {m.object_of(state, said) for said in (DESK, str(DESK), name.upper(), f"{DESK} {name}")} == {DESK}
+    with raises_key("no-object sofa"):
+        m.object_of(state, "sofa 1")
+    other = next(number for number in state.objects if number != DESK)
+    correct(lift, lambda s, _: m.rename(s, other, name))
+    with raises_key("several-objects"):
+        m.object_of(replayed(lift), name)
+
+
+def test_an_object_without_points_has_no_parts(lift: Path) -> None:
+    state = replayed(lift)
+    state.label[state.label == DESK] = 0
+    part = m.parts_of(state.points_of(DESK))
+    assert class_of_parts(lift, state, DESK, part) == {}
+    with raises_key("split-one-part"):
+        m.split(state, DESK, part, 99)
 
 
 def test_another_lift_of_the_scene_keeps_what_it_can(tmp_path: Path, lift: Path) -> None:

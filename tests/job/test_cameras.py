@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from engine.job.cameras import (
     frame_numbers,
     read_preview_request,
     refuse_equal_names,
+    write_cameras,
     write_preview_request,
 )
 from tests.raises_key import raises_key
@@ -36,6 +38,9 @@ def test_cameras_file_is_read(tmp_path: Path) -> None:
     assert first.pinhole == second.pinhole and first.pinhole.K[1] == (0.0, 51.5, 22.5)
     assert (second.near, second.far) == (0.1, 9.0)
     assert first.fingerprint != second.fingerprint  # it is clipped
+    near_alone = [replace(second, far=math.inf)]
+    write_cameras(tmp_path / "near.json", near_alone)
+    assert [*read_cameras(tmp_path / "near.json")] == near_alone
 
 
 @pytest.mark.parametrize(
@@ -54,6 +59,7 @@ def test_cameras_file_is_read(tmp_path: Path) -> None:
         ([{**GOOD, "camera_to_world": [[2, 0, 0, 0], *POSE[1:]]}], "bad-record rigid"),
         ([{**GOOD, "camera_to_world": POSE[:3]}], "bad-record rows"),
         ([{**GOOD, "clip": [2, 1]}], "bad-record"),
+        ([{**GOOD, "camera_to_world": [[-each for each in POSE[0]], *POSE[1:]]}], "bad-record mirrors"),
         ([{**GOOD, "clip": [True, 1]}], "wrong-type camera 1.clip"),
         ([{**GOOD, "name": "a/b"}], "bad-record"),
         ([{**GOOD, "name": "CON.1"}], "bad-record"),

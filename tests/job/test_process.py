@@ -226,10 +226,31 @@ def test_memory_is_limited_by_container_and_share(
         (tmp_path / "memory.current").write_text(str(held))
     if share:
         monkeypatch.setenv(SHARE, share)
-    assert main_memory(tmp_path / "meminfo", tmp_path) == MainMemory(*memory)
+    assert main_memory(tmp_path, tmp_path) == MainMemory(*memory)
+
+
+@pytest.mark.parametrize(
+    ("group", "limit", "held", "cached"),
+    [
+        ("0::/system.slice/slurmstepd.scope/job_7/step_0\n", "memory.max", "memory.current", "inactive_file"),
+        ("5:cpu,memory:/slurm/job_7/step_0\n", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
+    ],
+)
+def test_memory_is_limited_by_the_job_of_a_farm(group: str, limit: str, held: str, cached: str, tmp_path: Path) -> None:
+    """The limit of the job's cgroup holds for the processes of its steps, as sbatch and systemd-run make them."""
+    (tmp_path / "self").mkdir()
+    (tmp_path / "self/cgroup").write_text(group)
+    (tmp_path / "meminfo").write_text(INFO)
+    top = tmp_path / "memory" if "memory" in group else tmp_path
+    job = (top / group.strip().rpartition(":")[2].lstrip("/")).parent
+    (job / "step_0").mkdir(parents=True)
+    (job / limit).write_text("500000")
+    (job / held).write_text("300000")
+    (job / "memory.stat").write_text(f"{cached} 100000")
+    assert main_memory(tmp_path, tmp_path) == MainMemory(500_000, 300_000)
 
 
 @pytest.mark.parametrize("text", ["", "MemTotal: 5 kB", "MemTotal: x\n", "MemTotal:\nMemAvailable:\n"])
 def test_unreadable_memory_is_unknown(tmp_path: Path, text: str) -> None:
     (tmp_path / "meminfo").write_text(text)
-    assert main_memory(tmp_path / "meminfo", tmp_path) is None
+    assert main_memory(tmp_path, tmp_path) is None
