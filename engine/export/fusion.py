@@ -37,8 +37,10 @@ class Surface:
 
     def of(self, triangles: Ints) -> tuple[Surface, Ints]:
         """The surface with only these of its triangles [T, 3], and which of its vertices they use, [V]."""
-        used, corners = np.unique(triangles, return_inverse=True)
-        return Surface(self.xyz[used], self.rgb[used], self.normal[used], corners.reshape(-1, 3)), used
+        is_used = np.zeros(len(self.xyz), np.bool_)
+        is_used[triangles] = True
+        used, number = np.flatnonzero(is_used), np.cumsum(is_used) - 1
+        return Surface(self.xyz[used], self.rgb[used], self.normal[used], number[triangles]), used
 
 
 @dataclass(frozen=True)

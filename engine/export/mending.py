@@ -100,9 +100,12 @@ def _rings(surface: Surface, rim: Ints, largest: float) -> tuple[Ints, NDArray[n
 
 def open_edges(triangles: Ints) -> Ints:
     """The edges [E, 2] with a triangle on only one side, directed as in that triangle [T, 3]."""
-    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    there, back = edges @ np.array([KEYS, 1]), edges @ np.array([1, KEYS])  # each as one number
-    return edges[~np.isin(there, back)]
+    if not len(triangles):
+        return np.empty((0, 2), np.int64)
+    first, last = triangles.ravel(), triangles[:, [1, 2, 0]].ravel()
+    count = int(triangles.max()) + 1
+    there = coo_matrix((np.ones(len(first), np.bool_), (first, last)), (count, count)).tocsr()
+    return np.stack((there > there.T).nonzero(), axis=-1).astype(np.int64)
 
 
 def even_rim(surface: Surface) -> NDArray[np.float32]:
@@ -246,6 +249,22 @@ def around_vertices(triangles: Ints, count: int) -> csr_matrix:
     beside = coo_matrix((np.ones(len(edges)), tuple(edges.T)), (count, count)).tocsr()
     beside.data[:] = 1.0  # the edge of two triangles was added twice
     return diags(1.0 / np.maximum(np.asarray(beside.sum(axis=1)).ravel(), 1.0)) @ beside
+
+
+def numbered(group: Ints, kind: Ints, groups: int) -> tuple[Ints, Ints]:
+    """The number of each different pair of a group and a kind (0 or more), for the pairs [N]; and the group of each
+    number. Groups mostly have one kind: only pairs of another one than their group's last are sorted."""
+    usual = np.full(groups, -1, np.int64)
+    usual[group] = kind
+    is_usual = usual[group] == kind
+    number = (np.cumsum(usual >= 0) - 1)[group]
+    there = np.flatnonzero(usual >= 0)
+    rest = np.stack([group, kind])[:, ~is_usual]
+    order = np.lexsort(rest)
+    is_new = np.ones(len(order), np.bool_)
+    is_new[1:] = (np.diff(rest[:, order]) != 0).any(axis=0)
+    number[np.flatnonzero(~is_usual)[order]] = len(there) + np.cumsum(is_new) - 1
+    return number, np.concatenate([there, rest[0, order[is_new]]])
 
 
 def both_ways(triangles: Ints) -> Ints:

@@ -20,14 +20,25 @@ from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from ..job import write_atomically
+from ..job.progress import Progress, unwatched
 from ..passes.layers import linear
 from ..passes.ply import columns_of, write_ply_table
 from ..passes.previews import colour_picture
 from ..posed.names import matte_names
 from ..posed.ply import LEAST_TRIANGLES, rows_by_label
-from ..scene import ClassTable
+from ..scene import ClassTable, watched
 from .fusion import SmallView, Surface, fuse
-from .mending import HAND, close_holes, cut_by_label, even_labels, without_crumbs, without_flakes, without_fringe
+from .mending import (
+    HAND,
+    KEYS,
+    close_holes,
+    cut_by_label,
+    even_labels,
+    numbered,
+    without_crumbs,
+    without_flakes,
+    without_fringe,
+)  # fmt: skip
 from .source import FinishedLift
 from .texture import Texture, jpeg_bytes, textured
 
@@ -52,11 +63,11 @@ class Part:
     def with_seams(self) -> tuple[Part, NDArray[np.float32]]:
         """The same with one picture position per vertex, float32 [V, 2]; vertices at seams are duplicated."""
         assert self.uv is not None
-        corners = np.column_stack([self.triangles.reshape(-1), self.uv.reshape(-1, 2).astype(np.float64)])
-        rows, number = np.unique(corners, axis=0, return_inverse=True)
-        at, triangles = rows[:, 0].astype(np.int64), number.reshape(-1, 3)
-        part = replace(self, xyz=self.xyz[at], normal=self.normal[at], rgb=self.rgb[at], triangles=triangles)
-        return part, rows[:, 1:].astype(np.float32)
+        corners = np.ascontiguousarray(self.uv.reshape(-1, 2), np.float32)
+        number, at = numbered(self.triangles.reshape(-1), corners.view(np.int64).ravel(), len(self.xyz))
+        triangles, uv = number.reshape(-1, 3), np.empty((len(at), 2), np.float32)
+        uv[number] = corners
+        return replace(self, xyz=self.xyz[at], normal=self.normal[at], rgb=self.rgb[at], triangles=triangles), uv
 
 
 FLOAT, _WHOLE, VERTICES, _INDICES = 5126, 5125, 34962, 34963  # glTF's codes for float32, uint32, and kinds of buffers
@@ -160,8 +171,9 @@ def export_mesh(lift: FinishedLift, output: Path) -> None:
     instance and stuff class (glTF's axes, y up). Raises PlgsError where no surface was rendered, OSError."""
     surface, label, texture = finished(lift)
     write_surface(lift, output / "mesh.ply", surface, label)
-    for part in _cut(lift, surface, label, texture):
+    for part in watched(_cut(lift, surface, label, texture), lift.part(TEXTURED, 1.0)):
         write_atomically(output / "meshes" / f"{part.name}.glb", glb_bytes([part]))
+    lift.progress(1, 1)
 
 
 def write_surface(
@@ -186,7 +198,8 @@ def write_surface(
 
 def export_gltf(lift: FinishedLift, output: Path) -> None:
     """lift.glb: the named meshes of the wanted objects and stuff in one file. Raises as ``export_mesh``."""
-    write_atomically(output / "lift.glb", glb_bytes(parts_of(lift)))
+    write_atomically(output / "lift.glb", glb_bytes(watched(parts_of(lift), lift.part(TEXTURED, 1.0))))
+    lift.progress(1, 1)
 
 
 def parts_of(lift: FinishedLift) -> list[Part]:
@@ -211,14 +224,22 @@ def _cut(lift: FinishedLift, surface: Surface, label: NDArray[np.int64], texture
     return parts
 
 
+DRAWN, FUSED, LABELLED, MENDED, TEXTURED = 0.35, 0.5, 0.55, 0.65, 0.9
+"""Shares of an export of meshes after its views are drawn and fused, and its surface is labelled, mended, textured."""
+
+
 def finished(lift: FinishedLift) -> tuple[Surface, NDArray[np.int64], Texture | None]:
     """The surface of the views, mended and cut, its labels, int64 [V], and its texture. Raises PlgsError, OSError."""
-    small = views_of(lift, WIDEST, MOST_VIEWS)
-    surface = fuse(small)
+    small = views_of(lift, WIDEST, MOST_VIEWS, lift.part(0.0, DRAWN))
+    surface = fuse(watched(small, lift.part(DRAWN, FUSED)))
     refuse_none(lift, surface)
-    surface, label = cut_by_label(*mended(*without_flakes(surface, vertex_labels(surface.xyz, small))))
+    label = vertex_labels(surface.xyz, watched(small, lift.part(FUSED, LABELLED)))
+    mending = lift.part(LABELLED, MENDED)
+    surface, label = cut_by_label(*mended(*without_flakes(surface, label), progress=mending))
+    mending(1, 1)
     refuse_none(lift, surface)
-    return surface, label, textured(surface, label, small) if lift.has_photos else None
+    texture = textured(surface, label, small, lift.part(MENDED, TEXTURED)) if lift.has_photos else None
+    return surface, label, texture
 
 
 def refuse_none(lift: FinishedLift, surface: Surface) -> None:
@@ -228,17 +249,24 @@ def refuse_none(lift: FinishedLift, surface: Surface) -> None:
         raise PlgsError("no-surface", "the rendered views show no surface", lift.folder.path, fix)
 
 
-def mended(surface: Surface, label: NDArray[np.int64], largest: float = HAND) -> tuple[Surface, NDArray[np.int64]]:
+def mended(
+    surface: Surface, label: NDArray[np.int64], largest: float = HAND, progress: Progress = unwatched
+) -> tuple[Surface, NDArray[np.int64]]:
     """The surface and its labels with holes up to the ``largest`` closed, without fringes and crumbs."""
-    surface, label = without_fringe(*close_holes(surface, label, largest))
+    progress(0, 4)
+    surface, label = close_holes(surface, label, largest)
+    progress(1, 4)
+    surface, label = without_fringe(surface, label)
+    progress(2, 4)
     label = even_labels(surface.triangles, label)
+    progress(3, 4)
     return surface, without_crumbs(surface, label, label % MOST_INSTANCES == 0)
 
 
-def views_of(lift: FinishedLift, width: int, most: int) -> list[SmallView]:
+def views_of(lift: FinishedLift, width: int, most: int, progress: Progress = unwatched) -> list[SmallView]:
     """At most ``most`` of the lift's views, scaled for fusion. Raises PlgsError, OSError."""
     views = []
-    for frame, camera, layers in lift.small_views(width, most):
+    for frame, camera, layers in lift.small_views(width, most, progress):
         depth = np.where(layers.combined[..., 3] >= LEAST_ALPHA, layers.depth, 0).astype(np.float32)
         if lift.has_photos and frame.read_depth is not None:
             depth = sharpened(depth, frame.read_depth(camera.size))
@@ -257,19 +285,21 @@ def sharpened(depth: NDArray[np.float32], measured: NDArray[np.float32]) -> NDAr
     return np.where(is_known, measured, depth).astype(np.float32)
 
 
-def vertex_labels(xyz: NDArray[np.float32], views: list[SmallView], times: int = 1) -> NDArray[np.int64]:
+def vertex_labels(xyz: NDArray[np.float32], views: Sequence[SmallView], times: int = 1) -> NDArray[np.int64]:
     """The label that most views show at each vertex, int64 [V]; 0 for none. A view counts if its depth,
     enlarged by ``times``, matches the vertex."""
-    known = np.unique(np.concatenate([np.unique(view.label) for view in views]))
-    votes = np.zeros((len(xyz), len(known)), np.uint16)
+    votes = []
     for view in views:
         vertex, pixel, depth = view.camera.seen(xyz)
         column, row = pixel.astype(np.int64).T
         x, y = (times * pixel).astype(np.int64).T
         seen = np.abs(view.large_depth(times)[y, x] - depth) < SEEN_WITHIN
-        index = np.searchsorted(known, view.label[row[seen], column[seen]])
-        votes[vertex[seen], index] += 1
-    return np.where(votes.any(axis=1), known[votes.argmax(axis=1)], 0)
+        votes.append(vertex[seen] * KEYS + view.label[row[seen], column[seen]])
+    pairs, count = np.unique(np.concatenate(votes), return_counts=True)
+    found, order = np.zeros(len(xyz), np.int64), np.argsort(count[::-1], kind="stable")
+    vertex, label = np.divmod(pairs[::-1][order], KEYS)
+    found[vertex] = label  # the most frequent is written last, and of several the lowest
+    return found
 
 
 def label_names(labels: NDArray[np.int64], classes: ClassTable, instances: Mapping[int, str]) -> dict[int, str]:

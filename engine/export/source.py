@@ -15,7 +15,7 @@ from ..corrections import CorrectedResult, read_corrected
 from ..errors import PlgsError
 from ..job import LiftFolder, read_cameras, read_manifest, verify_files
 from ..job.manifest import damaged
-from ..job.progress import Progress, unwatched
+from ..job.progress import Progress, part_of, unwatched
 from ..lift.bake_more import WantedView, frames_named, view_from
 from ..lift.baking import CORRECTIONS_NOTE, FrameBaker, baked_files, names_of_files, read_baker
 from ..passes.baked_view import ShownInstances
@@ -142,14 +142,18 @@ class FinishedLift:
             yield frame, layers
             self.progress(number, len(self.frames))
 
-    def small_views(self, width: int, most: int) -> Iterator[tuple[Frame, Camera, PanopticLayers]]:
+    def part(self, begin: float, end: float) -> Progress:
+        """The progress of the part of the export from one share of it to another, in percent."""
+        return part_of(self.progress, begin, end, 100)
+
+    def small_views(self, width: int, most: int, progress: Progress) -> Iterator[tuple[Frame, Camera, PanopticLayers]]:
         """At most ``most`` frames, evenly spread, as the lift shows them at no more than this width."""
         chosen = evenly_spread(self.frames, most)
         for number, frame in enumerate(chosen, start=1):
             shrunk = min(1.0, width / frame.camera.width)
             camera = frame.camera.resized(*(round(shrunk * side) for side in (frame.camera.width, frame.camera.height)))
             yield frame, camera, self._baker.decided(camera, wanted=("combined", "depth", "semantic", "instance"))
-            self.progress(number, len(chosen))
+            progress(number, len(chosen))
 
 
 def is_corrected(baked: Path, corrections: str) -> bool:

@@ -9,17 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..job.progress import Progress, part_of, unwatched
 from ..posed.ply import labels_of_triangles
-from ..scene import Frame, photo_detail, read_ahead
+from ..scene import Frame, photo_detail, read_ahead, watched
 from ..scene.pixels import image_bytes
 from ..scene.view import border_mask
 from .fusion import Ints, SmallView, Surface
-from .mending import around_vertices, pieces
+from .mending import around_vertices, numbered, pieces
 
 LARGEST = 8192  # the square of this limits the pixels of all pictures together; photos are at most this wide
 _FILLED = 0.6  # approximate share of a picture that its charts fill
@@ -50,13 +52,15 @@ def jpeg_bytes(picture: NDArray[np.uint8]) -> bytes:
     return image_bytes(picture, ".jpg", ways=ways)
 
 
-def textured(surface: Surface, label: Ints, views: Sequence[SmallView]) -> Texture:
+def textured(surface: Surface, label: Ints, views: Sequence[SmallView], progress: Progress = unwatched) -> Texture:
     """Textures of a surface with labelled vertices [V] from the photos of the ``views``. Triangles that no photo shows
-    have the colours of their vertices. Raises PlgsError if a photo cannot be read."""
+    have the colours of their vertices. Raises PlgsError if a photo cannot be read, and what ``progress`` raises."""
     frames = [view.frame for view in views if view.frame is not None]
-    quality, gains = _qualities(surface, views, frames)
+    rating, choosing, cutting, packing = (part_of(progress, part / 4, (part + 1) / 4, 100) for part in range(4))
+    quality, gains = _qualities(surface, views, frames, rating)
     labels = labels_of_triangles(surface.triangles, label)
-    of_triangle, view, of_label = _charts(surface.triangles, labels, _chosen(surface.triangles, quality))
+    chosen = _chosen(surface.triangles, len(surface.xyz), watched(quality, choosing))
+    of_triangle, view, of_label = _charts(surface.triangles, labels, chosen)
     wedge, vertex, chart = _wedges(surface.triangles, of_triangle)
     pixel = np.empty((len(vertex), 2))
     for number, frame in enumerate(frames):
@@ -76,10 +80,13 @@ def textured(surface: Surface, label: Ints, views: Sequence[SmallView]) -> Textu
         for each in np.flatnonzero(view == number).tolist():
             left, top, right, bottom = boxes[each].tolist()
             crops[each] = cv2.resize(even[top:bottom, left:right], sizes[each].tolist(), interpolation=cv2.INTER_AREA)
+        cutting(number + 1, len(frames))
     uv, pictures = np.zeros((len(labels), 3, 2), np.float32), {}
-    for value in np.unique(labels).tolist():
+    for value in watched(np.unique(labels).tolist(), packing):
         own, cells = np.flatnonzero(of_label == value), np.flatnonzero(bare & (labels == value))
         picture, corner = _packed([crops[each] for each in own], len(cells))
+        for each in own.tolist():
+            crops[each] = crops[each][:0]  # frees its memory
         origin = np.zeros((len(boxes), 2))
         origin[own] = corner[: len(own)]
         rows = np.flatnonzero(~bare & (labels == value))
@@ -91,12 +98,19 @@ def textured(surface: Surface, label: Ints, views: Sequence[SmallView]) -> Textu
     return Texture(uv, pictures)
 
 
+class _Quality(NamedTuple):
+    """How well a view shows vertices: the ``vertices`` int32 [n] that it shows, and the ``pixels`` float32 [n] per
+    square metre in its photo there, above 0, reduced for blur and overexposure."""
+
+    vertices: NDArray[np.int32]
+    pixels: NDArray[np.float32]
+
+
 def _qualities(
-    surface: Surface, views: Sequence[SmallView], frames: Sequence[Frame]
-) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """How well each view shows each vertex, float32 [V, N], 0 for not at all: the pixels per square metre in its photo,
-    reduced for blur and overexposure; and how much brighter each photo is than the vertices, [N, 3]."""
-    quality, gains = np.zeros((len(surface.xyz), len(views)), np.float32), np.ones((len(views), 3))
+    surface: Surface, views: Sequence[SmallView], frames: Sequence[Frame], progress: Progress
+) -> tuple[list[_Quality], NDArray[np.float64]]:
+    """How well each view shows vertices; and how much brighter each photo is than the vertices, [N, 3]."""
+    found, gains = [], np.ones((len(views), 3))
     detail = np.zeros(len(views))
     for number, (view, photo) in enumerate(zip(views, read_ahead(frames, _photo), strict=True)):
         camera, large = view.camera, frames[number].camera
@@ -118,9 +132,12 @@ def _qualities(
             ratio = np.exp(np.median(np.log(colour[usable] / own[usable]), axis=0))
             gains[number] = ratio.clip(1 / LARGEST_GAIN, LARGEST_GAIN)
         odd = np.abs(cv2.blur(photo, (3, 3))[y, x] / gains[number] - own).max(axis=1)
-        quality[seen, number] = worth * np.maximum(np.exp(-((odd / _ODD) ** 2)), 1e-3)
-    quality *= (np.minimum(detail / max(float(np.median(detail)), 1e-9), 1.0) ** 2).astype(np.float32)
-    return quality, gains
+        worth *= np.maximum(np.exp(-((odd / _ODD) ** 2)), 1e-3)
+        shows = worth > 0
+        found.append(_Quality(seen[shows].astype(np.int32), worth[shows].astype(np.float32)))
+        progress(number + 1, len(views))
+    sharp = (np.minimum(detail / max(float(np.median(detail)), 1e-9), 1.0) ** 2).astype(np.float32)
+    return [_Quality(one.vertices, one.pixels * factor) for one, factor in zip(found, sharp, strict=True)], gains
 
 
 def _photo(frame: Frame) -> NDArray[np.uint8]:
@@ -130,16 +147,22 @@ def _photo(frame: Frame) -> NDArray[np.uint8]:
     return np.where(border[..., None], np.uint8(0), photo) if border.any() else photo
 
 
-def _chosen(triangles: Ints, quality: NDArray[np.float32]) -> Ints:
-    """The view of each triangle, -1 where none shows all its corners. [T]"""
-    best = np.maximum(quality.max(axis=1, keepdims=True), np.float32(1e-9))
-    share = np.sqrt(quality / best)
-    around = around_vertices(triangles, len(quality)).astype(np.float32)
-    for _ in range(_ROUNDS):
-        share = 0.5 * (share + around @ share)
+def _chosen(triangles: Ints, count: int, qualities: Sequence[_Quality]) -> Ints:
+    """The view of each triangle [T] of ``count`` vertices, -1 where none shows all its corners. A view's share of the
+    best quality is smoothed over the vertices that it shows, so that neighbours choose the same view."""
+    best = np.full(count, 1e-9, np.float32)
+    for vertices, pixels in qualities:
+        best[vertices] = np.maximum(best[vertices], pixels)
+    around = around_vertices(triangles, count).astype(np.float32)
     view, score = np.full(len(triangles), -1, np.int64), np.zeros(len(triangles), np.float32)
-    for number in range(quality.shape[1]):
-        own = share[:, number][triangles].sum(axis=1) * (quality[:, number][triangles] > 0).all(axis=1)
+    for number, (vertices, pixels) in enumerate(qualities):
+        share, beside = np.sqrt(pixels / best[vertices]), around[vertices][:, vertices]
+        for _ in range(_ROUNDS):
+            share = 0.5 * (share + beside @ share)
+        everywhere = np.zeros(count, np.float32)
+        everywhere[vertices] = share
+        corners = everywhere[triangles]
+        own = corners.sum(axis=1) * (corners > 0).all(axis=1)
         view[own > score], score = number, np.maximum(own, score)
     return view
 
@@ -163,11 +186,13 @@ def _charts(triangles: Ints, labels: Ints, view: Ints) -> tuple[Ints, Ints, Ints
 def _wedges(triangles: Ints, chart: Ints) -> tuple[Ints, Ints, Ints]:
     """Each corner's wedge, which is a vertex within a chart, [T, 3]; the vertex and the chart of each wedge [W]."""
     shown = chart >= 0
-    charts = int(chart.max(initial=-1)) + 1
-    key, number = np.unique(triangles[shown] * max(charts, 1) + chart[shown, None], return_inverse=True)
     wedge = np.full(triangles.shape, -1, np.int64)
+    corner, own = triangles[shown].ravel(), np.repeat(chart[shown], 3)
+    number, vertex = numbered(corner, own, int(triangles.max(initial=-1)) + 1)
     wedge[shown] = number.reshape(-1, 3)
-    return wedge, *np.divmod(key, max(charts, 1))
+    of_wedge = np.empty_like(vertex)
+    of_wedge[number] = own
+    return wedge, vertex, of_wedge
 
 
 def _boxes(pixel: NDArray[np.float64], chart: Ints, size: Ints) -> Ints:

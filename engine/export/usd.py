@@ -17,8 +17,8 @@ from ..passes.layers import linear
 from ..posed.classes import VOID
 from ..posed.names import unique_names
 from ..result_files import Instance
-from ..scene import Camera, Frame
-from .mesh import MOST_INSTANCES, Part, parts_of
+from ..scene import Camera, Frame, watched
+from .mesh import MOST_INSTANCES, TEXTURED, Part, parts_of
 from .source import FinishedLift
 from .splat_files import columns, opacities, unit_turns
 from .texture import jpeg_bytes
@@ -37,14 +37,14 @@ def export_usd(lift: FinishedLift, output: Path) -> None:
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     stage.SetDefaultPrim(_add_model(stage, "/Lift", Kind.Tokens.assembly))
-    for part in parts:
+    for part in watched(parts, lift.part(TEXTURED, 0.95)):
         path = _add_component(stage, lift, part.class_id, part.instance_id, "mesh")
         if part.picture is not None:
             write_atomically(output / _picture(path), jpeg_bytes(part.picture))
         _label(_add_mesh(stage, path, part), lift, part.class_id, part.instance_id)
     splats = lift.splats
     label = splats["class_id"].astype(np.int64) * MOST_INSTANCES + splats["instance_id"]
-    for value in np.unique(label).tolist():
+    for value in watched(np.unique(label).tolist(), lift.part(0.95, 1.0)):
         class_id, instance_id = divmod(value, MOST_INSTANCES)
         path = _add_component(stage, lift, class_id, instance_id, "splats")
         _label(_add_field(stage, path, splats[label == value]), lift, class_id, instance_id)

@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ..job.progress import Progress, part_of, unwatched
+from ..scene import watched
 from .fusion import GRAZED, Grain, Ints, SmallView, Surface, fuse
 from .mending import HAND, cut_by_label, open_edges, without_crumbs, without_flakes
-from .mesh import MOST_INSTANCES, mended, refuse_none, vertex_labels, views_of, write_surface
+from .mesh import DRAWN, MENDED, MOST_INSTANCES, TEXTURED, mended, refuse_none, vertex_labels, views_of, write_surface
 from .source import FinishedLift
 from .texture import textured
 
@@ -29,22 +31,23 @@ _RIM = 5  # side in pixels of the square around each pixel of an object that bel
 
 def export_surface(lift: FinishedLift, output: Path) -> None:
     """mesh.ply for viewing, as `mesh.export_mesh` writes it, and its pictures. Raises PlgsError if empty, OSError."""
-    views = views_of(lift, WIDEST, MOST_VIEWS)
-    surface, label = surface_to_view(views)
+    views = views_of(lift, WIDEST, MOST_VIEWS, lift.part(0.0, DRAWN))
+    surface, label = surface_to_view(views, lift.part(DRAWN, MENDED))
     refuse_none(lift, surface)
-    write_surface(
-        lift, output / "mesh.ply", surface, label, textured(surface, label, views) if lift.has_photos else None
-    )
+    texture = textured(surface, label, views, lift.part(MENDED, TEXTURED)) if lift.has_photos else None
+    write_surface(lift, output / "mesh.ply", surface, label, texture)
+    lift.progress(1, 1)
 
 
-def surface_to_view(views: list[SmallView]) -> tuple[Surface, Ints]:
+def surface_to_view(views: list[SmallView], progress: Progress = unwatched) -> tuple[Surface, Ints]:
     """The surface of the views, and the label of each vertex, int64 [V]: coarse except for objects."""
-    room = _labelled(fuse(views, ROOM), views, WINDOW)
+    fusing, labelling, fusing_objects, rest = (part_of(progress, part / 4, (part + 1) / 4, 100) for part in range(4))
+    room = _labelled(fuse(watched(views, fusing), ROOM), views, WINDOW, labelling)
     rim, near = np.ones((_RIM, _RIM), np.uint8), []
     for view in views:  # with only its objects' depth
         shown = cv2.dilate((view.label % MOST_INSTANCES > 0).astype(np.uint8), rim) > 0
         near.append(replace(view, depth=np.where(shown, view.depth, np.float32(0))))
-    objects = _labelled(fuse(near, OBJECTS), views, HAND)
+    objects = _labelled(fuse(watched(near, fusing_objects), OBJECTS), views, HAND, rest)
     coarse, coarse_label = cut_by_label(*_around(*room, ~_is_double(room, objects)))
     fine, fine_label = cut_by_label(*objects)
     fine, used = fine.of(fine.triangles[fine_label[fine.triangles[:, 0]] % MOST_INSTANCES > 0])
@@ -58,15 +61,15 @@ def surface_to_view(views: list[SmallView]) -> tuple[Surface, Ints]:
     return both, without_crumbs(both, label, label % MOST_INSTANCES == 0)
 
 
-def _labelled(surface: Surface, views: list[SmallView], largest: float) -> tuple[Surface, Ints]:
+def _labelled(surface: Surface, views: list[SmallView], largest: float, progress: Progress) -> tuple[Surface, Ints]:
     """The surface mended, its holes up to the ``largest`` closed, and its labels."""
     if not len(surface.triangles):
         return surface, np.zeros(len(surface.xyz), np.int64)
-    surface, label = without_flakes(surface, vertex_labels(surface.xyz, views, ROOM.times))
+    surface, label = without_flakes(surface, vertex_labels(surface.xyz, watched(views, progress), ROOM.times))
     if (label > 0).any() and (label == 0).any():
         far, at = cKDTree(surface.xyz[label > 0]).query(surface.xyz[label == 0], distance_upper_bound=_AROUND)
         label[label == 0] = np.append(label[label > 0], 0)[at]  # 0 where none is near
-    return mended(surface, label, largest)
+    return mended(surface, label, largest, lambda *_: progress(len(views), len(views)))
 
 
 def _is_double(room: tuple[Surface, Ints], objects: tuple[Surface, Ints]) -> NDArray[np.bool_]:

@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import isotonic_regression
 
 from ..scene import VOID, View
 
@@ -138,5 +137,7 @@ def fitted(share: NDArray[np.floating], right: NDArray[np.floating]) -> tuple[tu
     number = np.searchsorted(edges, share, side="right")
     count = np.bincount(number, minlength=len(edges) + 1)
     count, sums = count[count > 0], [np.bincount(number, each)[count > 0] for each in (share, right)]
+    from scipy.optimize import isotonic_regression  # late: it takes half a second, and few commands calibrate
+
     pooled = isotonic_regression(sums[1] / count, weights=count).x
     return (0.0, *np.round(sums[0] / count, 6).tolist()), (0.0, *np.round(pooled, 6).tolist())
