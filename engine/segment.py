@@ -9,7 +9,7 @@ Existing masks are kept.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Collection, Sequence, Set
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -116,6 +116,8 @@ def detections_of(class_logits: torch.Tensor, mask_probabilities: torch.Tensor) 
 
 
 TABLE, FOLDER, MADE_BY, DETECTIONS = "panoptic.json", "panoptic", "made_by.json", "detections.json"
+LEFT_OUT = "left_out"
+"""The key in the table of a frame that was given an empty mask, as it was not wanted."""
 _OTHER_MASKS = ("m2f_semantics", "m2f_notta_semantics", "masks")
 Progress = Callable[[int, int, int], object]
 """Called after each frame with the number done, the total, and the number made in this run. Its errors end the work."""
@@ -152,9 +154,9 @@ class Job:
             self.own.discard()
 
 
-def begin_job(folder: Path, model: str, frames: Sequence[Frame]) -> Job:
-    """Begin in ``folder``, or continue there. Raises PlgsError for masks of other programs, another model or other
-    photos, and overwrites nothing."""
+def begin_job(folder: Path, model: str, frames: Sequence[Frame], wanted: Collection[str] | None = None) -> Job:
+    """Begin in ``folder``, or continue there, with masks of the frames ``wanted`` (None: all). Raises PlgsError for
+    masks of other programs, another model or other photos, and overwrites nothing."""
     made_by, of_files = folder / FOLDER / MADE_BY, digests_of_files([(frame.colour_path,) for frame in frames])
     named = [*zip((frame.name for frame in frames), of_files, strict=True)]
     photos = sha256(repr(named).encode()).hexdigest() if all(of_files) else ""  # not known
@@ -167,7 +169,9 @@ def begin_job(folder: Path, model: str, frames: Sequence[Frame]) -> Job:
             raise PlgsError("other-masks", what, folder, fix)
         if photos and content.get("photos", "") not in ("", photos):
             raise PlgsError("photos-changed", "the photos have changed since masks of them were made here", folder, fix)
-        return Job(folder, own, True, (folder / TABLE).is_file())
+        left_out = _left_out(folder / TABLE)
+        is_finished = left_out is not None and left_out.isdisjoint(left_out if wanted is None else wanted)
+        return Job(folder, own, True, is_finished)
     others = [name for name in (TABLE, FOLDER, DETECTIONS, *_OTHER_MASKS) if (folder / name).exists()]
     if others:
         raise PlgsError("has-masks", f"there are masks already ({others[0]})", folder, fix)
@@ -181,18 +185,33 @@ def begin_job(folder: Path, model: str, frames: Sequence[Frame]) -> Job:
     return Job(folder, own, False, False)
 
 
-def make_masks(scene: Scene, job: Job, network: Segmenter, progress: Progress) -> None:
-    """Make the missing masks, then the table. Raises PlgsError, OSError."""
+def _left_out(table: Path) -> set[str] | None:
+    """The frames that a finished run gave no mask; None without a table."""
+    if not table.is_file():
+        return None
+    entries: Any = read_object(table, "Delete this file, then start again.")["annotations"]
+    return {str(entry["image_id"]) for entry in entries if entry.get(LEFT_OUT)}
+
+
+def make_masks(
+    scene: Scene, job: Job, network: Segmenter, progress: Progress, wanted: Collection[str] | None = None
+) -> None:
+    """Make the missing masks of the frames ``wanted`` (None: all), then the table, in which the others have empty
+    masks. Raises PlgsError, OSError."""
+    job.own.remove(job.folder / TABLE)  # of fewer frames: their empty masks are replaced
     with job.own:
-        _make_masks(scene, job, network, progress)
-    for frame in scene.frames:
+        left_out = _make_masks(scene, job, network, progress, wanted)
+    for frame in () if left_out else scene.frames:  # a run that makes masks of more frames needs them
         job.own.remove(job.pictures / f"{frame.name}.json")  # last, as a run that was killed before needs them
     job.own.complete()
 
 
-def _make_masks(scene: Scene, job: Job, network: Segmenter, progress: Progress) -> None:
-    made = 0
-    for done, frame in enumerate(scene.frames, start=1):
+def _make_masks(
+    scene: Scene, job: Job, network: Segmenter, progress: Progress, wanted: Collection[str] | None
+) -> set[str]:
+    """The names of the frames that have empty masks now."""
+    made, frames = 0, [frame for frame in scene.frames if wanted is None or frame.name in wanted]
+    for done, frame in enumerate(frames, start=1):
         segments, picture = (job.pictures / f"{frame.name}{suffix}" for suffix in (".json", ".png"))
         if not (job.own.owns(segments) and job.own.owns(picture)):
             ids, found, detections = network.segment(frame.read_colour(None))
@@ -202,10 +221,17 @@ def _make_masks(scene: Scene, job: Job, network: Segmenter, progress: Progress) 
             listed = [one.to_json() | {"area": int((ids == one.id).sum())} for one in found]
             write_atomically(segments, json.dumps({"segments_info": listed, **seen}))
             made += 1
-        progress(done, len(scene.frames), made)
-    names = [frame.name for frame in scene.frames]
+        progress(done, len(frames), made)
+    left_out = {frame.name for frame in scene.frames if not job.own.owns(job.pictures / f"{frame.name}.json")}
     masks, images, annotations = list[object](), list[object](), list[object]()
-    for number, name in enumerate(names, start=1):
+    for number, frame in enumerate(scene.frames, start=1):
+        name = frame.name
+        if name in left_out:
+            width, height = frame.size
+            write_image(job.pictures / f"{name}.png", np.zeros((height, width, 3), np.uint8))
+            masks.append({"image_id": name, "file_name": f"{name}.png", "segments_info": [], LEFT_OUT: True})
+            images.append({"id": number, "file_name": f"{name}.png", "width": width, "height": height})
+            continue
         content: Any = read_object(job.pictures / f"{name}.json", "Delete this file, then start again.")
         masks.append({"image_id": name, "file_name": f"{name}.png", "segments_info": content["segments_info"]})
         size = {"width": content["width"], "height": content["height"]}
@@ -218,3 +244,4 @@ def _make_masks(scene: Scene, job: Job, network: Segmenter, progress: Progress) 
     over = {"images": images, "annotations": annotations, "categories": categories}
     for file, table in ((DETECTIONS, over), (TABLE, {"annotations": masks, "categories": categories})):
         write_atomically(job.folder / file, json.dumps(table, ensure_ascii=False) + "\n")  # TABLE last: all is done
+    return left_out

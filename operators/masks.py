@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import bpy
-from bpy.props import EnumProperty, IntProperty
+from bpy.props import BoolProperty, EnumProperty, IntProperty
 
 from ..plgs_blender import registry
 from ..plgs_blender.chosen_scene import absolute, free_folder
@@ -22,11 +22,13 @@ from . import base
 
 
 class PLGS_OT_make_masks(base.StartsTask, bpy.types.Operator):
-    """Make a panoptic mask of every frame with a network, which is downloaded only if Blender may go online"""
+    """Make panoptic masks with a network, of the frames that together see every surface five times. It is downloaded
+    only if Blender may go online"""
 
     bl_idname, bl_label = "plgs.make_masks", "Make Masks"
 
     model: base.text_argument("Model", "Folder or name of a Mask2Former; empty: the panel's")
+    every: base.argument(BoolProperty, "All Frames", "Make masks of all frames, also those that were left out before")
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
@@ -42,7 +44,8 @@ class PLGS_OT_make_masks(base.StartsTask, bpy.types.Operator):
             self.report({"WARNING"}, "The panel names other masks. Clear Masks to use the new ones")
         # Blender's own setting is the user's consent to downloads.
         scene = chosen_scene(context.scene.plgs)
-        return preparation.make_masks(scene, usable_python(), model, download=bpy.app.online_access)
+        online = bpy.app.online_access
+        return preparation.make_masks(scene, usable_python(), model, download=online, every=self.every)
 
 
 class PLGS_OT_make_poses(base.StartsTask, bpy.types.Operator):

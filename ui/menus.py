@@ -40,7 +40,9 @@ _WORK: Entries = (
     "import_scene",
     *(("show_picture", {"what": what}, f"Show {what.capitalize()} of the Frame")
       for what in ("PHOTO", "DEPTH", "MASKS")),
-    "make_poses", "make_masks", "read_classes", "write_classes", "diagnose",
+    "make_poses", "make_masks",
+    ("make_masks", {"every": True}, "Make Masks of All Frames"),
+    "read_classes", "write_classes", "diagnose",
     ("fix_scene", {}, "Fix Diagnosed Problems"),
     ("lift_scene", {}, "Start the Lift"),
     ("resume_lift", {}, "Resume the Lift"),

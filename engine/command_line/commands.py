@@ -211,29 +211,39 @@ def poses(options: argparse.Namespace, events: EventWriter, stop: StopSignal) ->
 
 def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
     """Make the masks, or continue where it was stopped."""
+    from ..job.prediction import MASK_S, machine_slowness
     from ..job.progress import StageProgress
     from ..mask_networks import load_model
     from ..scene import open_scene
+    from ..scene.frame_choice import frames_to_mask
     from ..segment import MERGES, begin_job, make_masks
 
     source: Path = options.scene
     scene = open_scene(source, None, up=options.up or "z", scene_format=options.scene_format)
     folder: Path = options.output or (source if source.is_dir() else source.with_suffix(""))
     name = str(Path(options.model).resolve()) if Path(options.model).is_dir() else options.model
-    job = begin_job(folder, name, scene.frames)
-    answer: dict[str, Json] = {"folder": str(folder), "frames": len(scene.frames)}
+    wanted = None
+    if options.frames == "auto":
+        events.stage("choose", 1, 3, "Choosing frames")
+        chosen = frames_to_mask(scene, StageProgress("choose", events, stop))
+        wanted = frozenset(frame.name for frame in chosen)
+    count = len(scene.frames) if wanted is None else len(wanted)
+    job = begin_job(folder, name, scene.frames, wanted)
+    answer: dict[str, Json] = {"folder": str(folder), "frames": len(scene.frames), "masks": count}
     if job.is_finished:
         events.answer(answer, f"These masks are finished already: {folder}")
         return
     say_terms(name, events)
-    events.stage("load", 1, 2, "Loading the network")
+    events.stage("load", 2, 3, "Loading the network")
     try:
         network = load_model(name, download=options.download, rounds=MERGES[options.merge])
     except PlgsError:
         job.discard_if_empty()
         raise
     stop.check()
-    events.stage("segment", 2, 2, "Making masks")
+    minutes = max(1, round(count * MASK_S * machine_slowness() / 60))
+    told = f"Making masks of {count} of {len(scene.frames)} frames, in about {minutes} min"
+    events.stage("segment", 3, 3, told)
     progress = StageProgress("segment", events, stop)
 
     def follow(done: int, frames: int, made: int) -> None:
@@ -242,12 +252,12 @@ def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
             progress(done, frames)
 
     try:
-        make_masks(scene, job, network, follow)
+        make_masks(scene, job, network, follow, wanted)
     except OSError as error:
         fix = "Make room there, then continue."
         what = f"masks cannot be written ({error.strerror})"
         raise PlgsError("unwritable", what, job.folder, fix, code=ErrorCode.DISK_FULL) from error
-    events.answer(answer, f"Masks of {len(scene.frames)} frames: {folder}")
+    events.answer(answer, f"Masks of {count} of {len(scene.frames)} frames: {folder}")
 
 
 def say_terms(name: str, events: EventWriter) -> None:

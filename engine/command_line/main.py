@@ -267,6 +267,11 @@ def _add_segment(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FOLDER", help="where to write the masks (default: the scene's folder)"
     )
+    parser.add_argument(
+        "--frames", choices=("auto", "all"), default="all",
+        help="auto: the sharpest frames that together see every surface five times, the others get empty masks; "
+        "all makes those later (default: all)",
+    )  # fmt: skip
     request.add_options(parser, "up", "scene_format")
     _make_task(parser, commands.segment, "The same command continues.")
 

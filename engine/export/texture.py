@@ -86,7 +86,7 @@ def textured(surface: Surface, label: Ints, views: Sequence[SmallView], progress
         own, cells = np.flatnonzero(of_label == value), np.flatnonzero(bare & (labels == value))
         picture, corner = _packed([crops[each] for each in own], len(cells))
         for each in own.tolist():
-            crops[each] = crops[each][:0]  # frees its memory
+            crops[each] = np.empty(0, np.uint8)  # frees its memory
         origin = np.zeros((len(boxes), 2))
         origin[own] = corner[: len(own)]
         rows = np.flatnonzero(~bare & (labels == value))

@@ -34,6 +34,8 @@ CANDIDATES = 3
 """The number of pictures that are examined for each chosen one."""
 SEEN_SHARE = 0.3
 """The share of the Gaussians that one view sees."""
+MASK_S = 5.0
+"""Seconds in which a network makes the mask of a frame."""
 WRITE_S = 2.0
 """Seconds to write the passes and previews of a megapixel."""
 PIXEL = 12.0

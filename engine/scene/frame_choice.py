@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from heapq import heappop, heappush
 from typing import TypeVar
 
 import numpy as np
@@ -62,6 +63,52 @@ def evenly_spread(listed: Sequence[Listed], most: int) -> list[Listed]:
     """At most ``most`` of the items, including the first and the last."""
     places = np.unique(np.linspace(0, len(listed) - 1, min(most, len(listed))).round().astype(int))
     return [listed[place] for place in places]
+
+
+CELL = 0.4  # side in metres of the cubes of space whose surfaces are counted as one
+TIMES, LEFT = 5, 0.02  # how often each is to be seen, and what share of all these sightings may be missing
+_SEEN_WITHIN = (64, 64)  # maximum (width, height) in pixels at which a frame's depth is looked at
+_AROUND = 9  # frames with which a frame's sharpness is compared
+
+
+def frames_to_mask(scene: Scene, progress: Progress = unwatched) -> tuple[Frame, ...]:
+    """The sharpest training frames that together see every surface TIMES times, or as often as it is seen, but for LEFT
+    of these sightings; and as large a share of the frames held out, evenly spread. All frames if some have no depth.
+    Raises PlgsError for bad depth."""
+    frames = scene.train_frames
+    if not frames or any(frame.read_depth is None for frame in frames):
+        return scene.frames
+    seen, details = [], []
+    for number, frame in enumerate(frames):
+        progress(number, len(frames))
+        seen.append(_cells_of(frame))
+        details.append(frame_detail(frame))
+    _, cell = np.unique(np.concatenate(seen), return_inverse=True)
+    rows = np.split(cell, np.cumsum([len(each) for each in seen])[:-1])
+    usual = [np.percentile(details[max(0, each - _AROUND // 2) :][:_AROUND], 75) for each in range(len(frames))]
+    sharpness = np.minimum(np.array(details) / np.maximum(usual, 1e-9), 1.0)
+    missing = np.minimum(np.bincount(cell), TIMES)
+    most, chosen = LEFT * missing.sum(), set[str]()
+    waiting = [(-np.inf, number) for number in range(len(frames))]
+    while missing.sum() > most:
+        _, number = heappop(waiting)
+        gain = float(sharpness[number] * np.count_nonzero(missing[rows[number]]))
+        if waiting and -gain > waiting[0][0]:  # a frame's gain only falls, so those behind the next cannot beat it
+            heappush(waiting, (-gain, number))
+            continue
+        chosen.add(frames[number].name)
+        missing[rows[number]] = np.maximum(missing[rows[number]] - 1, 0)
+    held_out = round(len(scene.test_frames) * len(chosen) / len(frames))
+    chosen |= {frame.name for frame in evenly_spread(scene.test_frames, held_out)}
+    return tuple(frame for frame in scene.frames if frame.name in chosen)
+
+
+def _cells_of(frame: Frame) -> NDArray[np.int64]:
+    """The numbers of the cubes whose surfaces a frame's depth shows, each once."""
+    size = size_within(frame.size, _SEEN_WITHIN)
+    depth = frame.depth(size)
+    place = np.floor(frame.camera.resized(*size).unproject(depth)[depth > 0] / CELL).astype(np.int64) + (1 << 20)
+    return np.unique(place @ (1 << np.array([42, 21, 0], np.int64)))
 
 
 def frame_detail(frame: Frame) -> float:

@@ -161,13 +161,14 @@ class PoseMaking(Preparation):
         settings.scene_folder = str(Path((self.answer or {}).get("folder", self.chosen.scene)))
 
 
-def make_masks(chosen: ChosenScene, python: Path, model: str, *, download: bool) -> MaskMaking:
-    """Start an engine. ``model`` is a folder or a name on the Hugging Face Hub, which ``download`` allows fetching;
-    empty: the engine's default. Raises OSError, and PlgsError if one is already running or cannot be started."""
+def make_masks(chosen: ChosenScene, python: Path, model: str, *, download: bool, every: bool = False) -> MaskMaking:
+    """Start an engine that makes masks of the frames that matter, or of ``every`` one. ``model`` is a folder or a name
+    on the Hugging Face Hub, which ``download`` allows fetching; empty: the engine's default. Raises OSError, and
+    PlgsError if one is already running or cannot be started."""
     registry.refuse_second(MaskMaking)
     if model and absolute(model).is_dir():  # the engine's working folder is not Blender's
         model = str(absolute(model))
-    command: list[str | Path] = [chosen.scene, f"--up={chosen.up_option}"]
+    command: list[str | Path] = [chosen.scene, f"--up={chosen.up_option}", *([] if every else ["--frames=auto"])]
     command += [] if chosen.scene_format is None else ["--format", chosen.scene_format]
     command += [*(["--model", model] if model else []), *(["--download"] if download else [])]
     return registry.begin(MaskMaking(chosen, start_engine("segment", python, *command)))

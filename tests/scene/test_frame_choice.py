@@ -1,6 +1,7 @@
 """Which frames of a long capture are lifted."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from engine.scene import Camera, ClassTable, Frame, Scene, choose_frames, photo_detail
-from engine.scene.frame_choice import windows
+from engine.scene.frame_choice import frames_to_mask, windows
 
 SIZE = (48, 36)
 PICTURE = np.random.default_rng(0).integers(0, 255, (SIZE[1], SIZE[0], 3), np.uint8)
@@ -67,3 +68,26 @@ def test_more_frames_are_used_where_the_camera_moves_more(turns: bool) -> None:
 def test_a_jump_of_the_tracker_does_not_swallow_the_windows() -> None:
     frames = [frame(number, 0.1 * number + (1000.0 if number >= 50 else 0.0)) for number in range(100)]
     assert len(windows(frames, 20)) >= 18
+
+
+def deep(number: int, place: float, *, sharp: bool = True, held_out: bool = False) -> Frame:
+    """A frame in front of a wall 2 m away, of which it sees 2.4 m."""
+    seen = lambda size: np.full(size[::-1] if size else SIZE[::-1], 2.0, np.float32)  # noqa: E731
+    return replace(frame(number, place, sharp=sharp, held_out=held_out), read_depth=seen)
+
+
+def test_masks_are_wanted_where_each_surface_is_seen_five_times() -> None:
+    """Forty frames that stand at two places see as much as ten sharp ones; a place that few see needs all of them."""
+    frames = [deep(number, 10.0 * (number % 2), sharp=number % 4 < 2) for number in range(40)]
+    frames += [deep(number, 30.0, sharp=False) for number in range(40, 43)]
+    frames += [deep(number, 0.0, held_out=True) for number in range(50, 70)]
+    chosen = {int(each.name) for each in frames_to_mask(scene_of(frames))}
+    trained = {number for number in chosen if number < 50}
+    assert len(trained) == 13 and {40, 41, 42} <= trained
+    assert all(number % 4 < 2 for number in trained if number < 40), "the sharp ones"
+    assert len(chosen - trained) == round(20 * 13 / 43)
+
+
+def test_without_depth_masks_are_wanted_everywhere() -> None:
+    scene = scene_of([frame(number, 0.0) for number in range(20)])
+    assert frames_to_mask(scene) == scene.frames
