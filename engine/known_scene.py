@@ -18,6 +18,7 @@ from .records import read_record, record_text
 from .result_files import INSTANCES, read_instances
 from .scene_source import SceneSource
 
+_MOST_WARNINGS = 1_000  # that are shown; a scene has tens
 Row = tuple[float, float, float, float]
 
 
@@ -93,7 +94,7 @@ def known_scene(folder: LiftFolder, classes: ClassTable | None = None) -> PosedS
         fix = "Bake one of its frames, which writes the list."
         raise PlgsError("early-lift", "an early version made this lift, with no list of frames", folder.path, fix)
     classes = classes or read_instances(folder.result_path / INSTANCES)[0]
-    frames, warnings = known.posed_frames(scene), known.warnings
+    frames, warnings = known.posed_frames(scene), known.warnings[:_MOST_WARNINGS]
     if not os.path.exists(scene):
         warnings = (f"the scene is not at {scene}, so there are no photos. {FIND_SCENE}",)
     return PosedScene(scene, frames, classes, warnings, known.layout)

@@ -35,6 +35,8 @@ from ..engine.result_files import (
 
 MOST_INSTANCES = 5_000
 """A lift finds at most 4000 objects. A file with more is not a lift's and would block Blender for minutes."""
+MOST_CLASSES = 10_000
+"""Open Images, the largest public table, has 9 600 classes with masks of objects. Each takes 0.1 ms here."""
 _USUAL, _LONGEST, _TABLE = 1 << 16, 1 << 23, 1 << 24
 """Characters of one object with its masks, usually and at most (ten thousand masks), and of the table of up to 65 534
 classes. Four million are read in a fifth of a second."""
@@ -116,11 +118,11 @@ def read_on(seconds: float) -> bool:
     return False
 
 
-def refuse_too_many(instances: Sequence[object], path: Path) -> None:
-    """Raises PlgsError if there are more objects than Blender shows."""
-    if len(instances) > MOST_INSTANCES:
-        what = f"has more than {MOST_INSTANCES} objects, which are too many for Blender"
-        raise PlgsError("too-many", what, path, "Lift it again with a smaller most_instances.")
+def refuse_too_many(found: Sequence[object], path: Path, most: int = MOST_INSTANCES, kind: str = "objects") -> None:
+    """Raises PlgsError if there are more objects, or more of another ``kind``, than Blender shows."""
+    if len(found) > most:
+        fix = "Lift it again with a smaller most_instances, or with masks of fewer classes."
+        raise PlgsError("too-many", f"has more than {most} {kind}, which are too many for Blender", path, fix)
 
 
 class _Reader:
@@ -235,6 +237,7 @@ def reading_result(folder: Path) -> Generator[None, None, LiftResult]:
     instances = yield from reading_listed(version_of(lift.path))
     corrected = read_corrected(lift.path, instances)
     refuse_too_many(corrected.instances, lift.result_path / INSTANCES)  # edits split objects
+    refuse_too_many(corrected.classes.categories, lift.result_path / INSTANCES, MOST_CLASSES, "classes")
     yield
     scene = known_scene(lift, corrected.classes)
     by_name = {manifest.frames.get(path.stem, path.stem): path for path in exrs}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,13 +13,15 @@ from ..engine.errors import ErrorCode, PlgsError
 from ..engine.job import ExitCode, LiftFolder, write_atomically
 from ..engine.job.follower import start_bake
 from ..engine.job.process import engine_python
-from ..engine.job.task import TaskState
+from ..engine.job.task import TaskProgress, TaskState
 from ..engine.job.terminal import Interrupts, LiveLine, follow
 from .engine_environment import studio
 from .lift_scene import open_blend
 from .shots import Shot, ShotReader, shot_of
 
 JOB = "farm.json"
+_SHOWN_EVERY_S = 1.0
+"""Seconds between two lines that say how much of a camera's path is read."""
 _CHUNK = 50  # frames per farm task
 _PLATFORMS = {"win32": "windows", "darwin": "darwin"}
 
@@ -51,8 +52,11 @@ def bake_shot_in_terminal(
         print(f"From {studio().file}: names {shot.given}", file=sys.stderr)
     for what in shot.warnings:
         print(f"warning: {what}", file=sys.stderr)
-    reader = ShotReader(scene, shot)
-    reader.read_for(math.inf)
+    reader, line = ShotReader(scene, shot), LiveLine(sys.stderr)
+    while not reader.read_for(_SHOWN_EVERY_S):
+        step, steps = reader.progress
+        line.show(TaskProgress("read", "Reading the camera", 1, 1, step, steps))
+    line.end()
     try:
         cameras = reader.write(lift.path, replace=replace, output=output)
     except OSError as error:

@@ -35,6 +35,8 @@ DIGITS = 4
 """Minimum digits of the frame number in a file name."""
 _CLAIM_S = 10.0  # seconds to wait while another bake claims a shot
 _MOST_LATER = 100  # versions of a shot to try until one is free or shows the same
+_MOST_OF_FILE = 50_000
+"""Frames: the longest range that is taken from a file without having been asked for, half an hour at 25 a second."""
 _LISTED = 8  # maximum number of cameras named in an error
 
 
@@ -92,6 +94,11 @@ def shot_of(
     if ob is None or (camera and ob.type != "CAMERA"):
         what = f"has no camera named {camera!r}" if camera else "has no active camera"
         raise PlgsError("no-camera", what, scene.name, _cameras_to_choose(scene, camera))
+    is_files = not only and (first is None or last is None)
+    if is_files and scene.frame_end - scene.frame_start >= _MOST_OF_FILE:
+        what = f"has a range of {scene.frame_end - scene.frame_start + 1} frames, which nobody asked for"
+        fix = "Say which frames to bake with --range, or set the range in the Output properties."
+        raise PlgsError("long-range", what, scene.name, fix, option="--range")
     shot = Shot(
         ob,
         scene.frame_start if first is None else first,
@@ -221,6 +228,8 @@ class ShotReader:
     def __init__(self, scene: bpy.types.Scene, shot: Shot) -> None:
         self._scene, self._camera, self._frames = scene.name, shot.camera.name, shot.frames
         self._read: list[BakeCamera] = []
+        self._others: list[int] = []
+        self._checked = 0
         self._names = [shot.named(later) for later in range(_MOST_LATER if "{version" in shot.given else 1)]
         self._shot = self._names[0]
         self._first = math.floor(min(*shot.frames, scene.frame_start))
@@ -237,8 +246,8 @@ class ShotReader:
 
     @property
     def progress(self) -> tuple[int, int]:
-        """The number of frames read, and of all frames."""
-        return len(self._read), len(self._frames)
+        """The number of frames read, and of all to read: of a camera that stands still, those outside the shot, too."""
+        return len(self._read) + self._checked, len(self._frames) + len(self._others)
 
     @property
     def cameras(self) -> list[BakeCamera]:
@@ -263,18 +272,31 @@ class ShotReader:
         with _frame_kept(scene):
             if not self._read and not _may_move(scene, ob):  # no need to evaluate each frame
                 self._read, self._stands_still = [_camera_at(scene, ob, self._first, "")], True
-                return True
-            for frame in self._frames[len(self._read) :]:
-                self._read.append(self._camera_with_motion(scene, ob, frame))
+            while self._stands_still is None and self._read_one(scene, ob):
                 if time.monotonic() >= end:
-                    break
-            is_done = len(self._read) == len(self._frames)
-            if is_done and self._stands_still is None:
-                seen = {camera.fingerprint for camera in self._read}
-                others = (frame for frame in range(self._first, self._last + 1) if frame not in self._frames)
-                same = (_camera_at(scene, ob, frame, "").fingerprint in seen for frame in others)
-                self._stands_still = len(seen) == 1 and all(same)
-        return is_done
+                    return False
+        return True
+
+    def _read_one(self, scene: bpy.types.Scene, ob: bpy.types.Object) -> bool:
+        """Read the camera at one more frame. Returns whether any is left."""
+        if len(self._read) < len(self._frames):
+            self._read.append(self._camera_with_motion(scene, ob, self._frames[len(self._read)]))
+            if len(self._read) < len(self._frames):
+                return True
+            is_short, taken = self._last - self._first < _MOST_OF_FILE, {*self._frames}
+            if not is_short or len({each.fingerprint for each in self._read}) > 1:
+                self._stands_still = False
+                return False
+            self._others = [each for each in range(self._first, self._last + 1) if each not in taken]
+        else:
+            seen = _camera_at(scene, ob, self._others[self._checked], "")
+            self._checked += 1
+            if seen.fingerprint != self._read[0].fingerprint:
+                self._stands_still = False
+                return False
+        is_left = self._checked < len(self._others)
+        self._stands_still = None if is_left else True
+        return is_left
 
     def _camera_with_motion(self, scene: bpy.types.Scene, ob: bpy.types.Object, frame: float) -> BakeCamera:
         if not self._motion:

@@ -38,8 +38,8 @@ class Replay:
     accepted: set[int] = field(default_factory=set)
     steps: list[Step] = field(default_factory=list)
     not_applied: dict[str, str] = field(default_factory=dict)
-    _recognised: set[ObjectMark] = field(default_factory=set)
-    """The marks that fit their objects as the points are labelled now: checking a mark takes a look at all points."""
+    _marks: dict[int, ObjectMark] = field(default_factory=dict)
+    """The marks of objects as the points are labelled now: making one takes a look at all points."""
 
     @classmethod
     def of(cls, classes: ClassTable, instances: Iterable[Instance], points: SemanticPoints) -> Replay:
@@ -80,12 +80,14 @@ class Replay:
         if reasons and (edit.kind != "assign" or len(reasons) == len(edit.objects)):
             return reasons[0]
         ids = [*dict.fromkeys(mark.id for mark in edit.objects if mark.id in self.objects)]
-        if edit.kind in (*MOVES, "merge"):
-            self._recognised.clear()  # such an edit changes the labels of points
         if not ids and (edit.kind != "assign" or not edit.classes):
             return "it names no object"
+        if edit.kind == "merge" and len(ids) < 2:
+            return "it names one object only"
         if edit.kind in MOVES and (reason := self._no_label(edit)):
             return reason
+        if edit.kind in (*MOVES, "merge"):
+            self._marks.clear()  # such an edit changes the labels of points
         match edit.kind:
             case "rename":
                 self.objects[ids[0]] = replace(self.objects[ids[0]], name=edit.name)
@@ -111,14 +113,11 @@ class Replay:
 
     def _missing(self, mark: ObjectMark) -> str:
         """Why the object that a mark refers to is missing; empty if it exists."""
-        if mark in self._recognised:
-            return ""
         if mark.id not in self.objects:
             return f"there is no object {mark.id}"
-        now = self.mark(mark.id)
-        if mark.points and now.points and _overlap(mark, now) < LEAST_OVERLAP:
+        now = self._marks.get(mark.id) or self._marks.setdefault(mark.id, self.mark(mark.id))
+        if mark != now and mark.points and now.points and _overlap(mark, now) < LEAST_OVERLAP:
             return f"object {mark.id} ({self.objects[mark.id].name}) is a different object in this lift"
-        self._recognised.add(mark)
         return ""
 
     def _reclass(self, ids: Sequence[int], class_id: int) -> str:

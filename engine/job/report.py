@@ -25,6 +25,7 @@ _CLASS_SHARES = (("iou", "IoU %"), *_SHARES[2:])
 _COUNTS = ("tp", "fp", "fn")
 _NO_METRICS = "There are no metrics: they need held-out frames with ground truth."
 _LARGEST = 1e15
+_MOST_ENTRIES = 5_000  # of a list that are shown; a lift writes hundreds
 _SHOWN = ("semantic_points.npz", "instances.json", "gaussians.ply", "metrics.json", "previews", "passes")
 
 
@@ -96,7 +97,7 @@ def read_metrics(lift: LiftFolder) -> dict[str, Json]:
 
 
 def _list(value: Json) -> list[Json]:
-    return value if isinstance(value, list) else []
+    return value[:_MOST_ENTRIES] if isinstance(value, list) else []
 
 
 def _number(value: Json, factor: float, digits: int) -> str:

@@ -27,6 +27,7 @@ LOG_LINES = 40
 LOG_BYTES = 1 << 16
 """At most this many bytes at a log's end are read for them."""
 _LONGEST_LINE = 500
+_MOST_WARNINGS = 1_000  # of a task that are kept
 _MOST = 1 << 62  # the largest count and number of seconds that is accepted
 _NO_LINK: int = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # O_NONBLOCK: a FIFO would wait
 
@@ -132,7 +133,7 @@ class TaskProgress:
                 self.live_preview_camera = str(data.get("camera", ""))
             case "preview" if path := _inside(data["path"], folder):
                 self.previews.append(path)
-            case "warning":
+            case "warning" if len(self.warnings) < _MOST_WARNINGS:
                 self.warnings.append(str(data["message"]))
 
 

@@ -25,7 +25,7 @@ from ..job.own_files import foreign
 from ..job.progress import StageReporter
 from ..model.neural_gaussians import ClipRange
 from ..passes.baked_view import BakedView
-from ..passes.exr import ShownFrame, further_layers, is_own, number_in, read_note, write_exr
+from ..passes.exr import ShownFrame, further_layers, is_frame, is_own, number_in, read_note, write_exr
 from ..posed.layout import listed
 from ..result_files import INSTANCES
 from ..scene import Camera, Frame, Scene, size_within
@@ -197,12 +197,12 @@ def look_ahead(baker: FrameBaker, wanted: Sequence[WantedView], photos: Sequence
     report_unresolved(found, events, before=True)
 
 
-def is_whole(passes: Path, notes: Mapping[str, str], layers: tuple[str, ...]) -> bool:
-    """Whether a file of passes has these notes in its header (a missing note counts as empty), and at least these
-    FURTHER_LAYERS. False for a damaged file. Raises OSError."""
+def is_whole(passes: Path, notes: Mapping[str, str], layers: tuple[str, ...], shown: ShownFrame) -> bool:
+    """Whether a file of passes has these notes in its header (a missing note counts as empty), the number and rate of
+    its frame, and at least these FURTHER_LAYERS. False for a damaged file. Raises OSError."""
     try:
         same = all((read_note(passes, name) or "") == text for name, text in notes.items())
-        return same and further_layers(passes).issuperset(layers)
+        return same and is_frame(passes, shown) and further_layers(passes).issuperset(layers)
     except (ValueError, PlgsError):
         return False
 
@@ -260,7 +260,7 @@ class _OwnFolder:
         path = self._path_of(view)
         if not path.exists():
             return False
-        if is_whole(path, {**notes, **_notes_of(view, self._layers), **self._model}, self._layers):
+        if is_whole(path, {**notes, **_notes_of(view, self._layers), **self._model}, self._layers, view.shown):
             return True
         if not self._replace and not (is_own(path) and read_note(path, MODEL_NOTE)):
             raise foreign(path, "Give another folder, or add --replace to overwrite it.", "--replace")
@@ -293,7 +293,7 @@ class _Result:
     def has(self, view: WantedView, notes: Mapping[str, str]) -> bool:
         """Whether the result has this view, from this camera, with these notes. Raises PlgsError, OSError."""
         files, wanted = baked_files(self._folder, view.name), {**notes, **_notes_of(view, self._layers)}
-        return self._listed().issuperset(files) and is_whole(files[0], wanted, self._layers)
+        return self._listed().issuperset(files) and is_whole(files[0], wanted, self._layers, view.shown)
 
     def write(self, view: WantedView, rendered: BakedView, baker: FrameBaker, events: EventWriter) -> None:
         """Write a view, replacing one from another camera. Raises PlgsError for files of other programs, OSError."""

@@ -224,6 +224,18 @@ def read_note(path: Path, name: str) -> str | None:
     return value.decode() if kind == b"string" else None
 
 
+def is_frame(path: Path, shown: ShownFrame) -> bool:
+    """Whether a baked view's header has the number and the rate of this frame. Raises ValueError, OSError."""
+    attributes = _header(path).attributes
+    number = number_in(path.stem) if shown.number is None else shown.number
+    rate = exact_rate(shown.fps or 0.0)
+    wanted = {
+        b"imageCounter": None if number is None else (b"int", struct.pack("<i", number)),
+        _RATE.encode(): None if rate is None else (b"rational", struct.pack("<iI", rate.numerator, rate.denominator)),
+    }
+    return all(attributes.get(name) == value for name, value in wanted.items())
+
+
 def is_own(path: Path) -> bool:
     """Whether a file's header says that PLGS wrote it, and no other program afterwards: those that keep all attributes
     add their own, such as capDate, or leave out the type. Raises OSError."""

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from engine.corrections import CORRECTIONS, read_corrected
+from engine.corrections.replay import Replay
 from tests.test_fuzzing import read_corrections, write_corrections
 
 
@@ -36,6 +37,24 @@ def test_edits_of_another_lift_are_reported(lift: Path, original: bytes) -> None
             mark["id"], mark["low"], mark["high"] = mark["id"] + 1000, [90.0, 90.0, 0.0], [91.0, 91.0, 1.0]
     (lift / CORRECTIONS).write_text(json.dumps(content))
     assert len(read_corrected(lift).warnings) == len(content["edits"])
+
+
+def test_work_grows_with_objects_and_not_with_edits(
+    lift: Path, original: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    content = json.loads(original)
+    first = content["edits"][0]
+    mark = first["objects"][0]
+    of_another = {**mark, "low": [90.0, 90.0, 0.0], "high": [91.0, 91.0, 1.0]}
+    renames = [{**first, "uid": f"{n:032x}", "objects": [of_another]} for n in range(300)]
+    merges = [{**first, "uid": f"{n:032x}", "kind": "merge", "objects": [mark, mark]} for n in range(300, 600)]
+    for edit in merges:
+        edit.pop("name", None)
+    (lift / CORRECTIONS).write_text(json.dumps({**content, "edits": renames + merges}))
+    looks = []
+    look = Replay.mark
+    monkeypatch.setattr(Replay, "mark", lambda self, number: (looks.append(number), look(self, number))[1])
+    assert len(read_corrected(lift).warnings) == 600 and len(looks) < 5
 
 
 @pytest.mark.parametrize(

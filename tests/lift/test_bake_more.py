@@ -2,10 +2,12 @@
 
 import json
 import shutil
+import struct
 import subprocess
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +37,7 @@ from engine.known_scene import stored_scene, write_known
 from engine.lift import bake_frames, bake_more
 from engine.lift.bake_more import frames_named
 from engine.lift.baking import FrameBaker, names_of_files
-from engine.passes.exr import further_layers, read_exr
+from engine.passes.exr import exact_rate, further_layers, read_exr
 from engine.posed import Camera, ClassTable, PosedFrame, PosedScene
 from engine.posed.exr_header import read_exr_header
 from engine.presets.preset import PRESETS
@@ -179,6 +181,18 @@ def test_any_camera_can_be_baked(lift: LiftFolder, tmp_path: Path, monkeypatch: 
     assert run_bake(lift, None, cameras=write_cameras(cameras, ["shot.0001"], shift=0.2)) is ExitCode.FINISHED
     assert np.abs(read_exr(exr).depth - layers.depth).max() > 0.01  # the camera has moved
     verify(lift.result_path)
+
+
+def test_the_same_view_at_another_rate_is_another_file(lift: LiftFolder, tmp_path: Path) -> None:
+    cameras, output = write_cameras(tmp_path / "cameras.json", ["shot"]), tmp_path / "shot"
+    for more in ({"frame": 1, "fps": 24.0}, {"frame": 1, "fps": 23.976}, {"frame": 5, "fps": 23.976}):
+        content = json.loads(cameras.read_text())
+        cameras.write_text(json.dumps([content[0] | more]))
+        for folder in (None, output):
+            assert run_bake(lift, None, cameras=cameras, output=folder) is ExitCode.FINISHED
+            header = read_exr_header((folder or lift.passes_path) / "shot.exr").attributes
+            assert header[b"imageCounter"] == (b"int", struct.pack("<i", more["frame"]))
+            assert Fraction(*struct.unpack("<iI", header[b"framesPerSecond"][1])) == exact_rate(more["fps"])
 
 
 def test_bake_into_its_own_folder_works(lift: LiftFolder, tmp_path: Path) -> None:

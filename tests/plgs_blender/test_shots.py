@@ -194,6 +194,28 @@ def test_a_long_range_is_read_a_few_frames_at_a_time(scene: bpy.types.Scene, tmp
         reader.read_for(0.0)
 
 
+def test_frames_outside_the_shot_are_read_a_few_at_a_time(scene: bpy.types.Scene) -> None:
+    """A keyed camera may stand still, which all of the scene's frames decide."""
+    for owner in (scene.camera, scene.camera.data):
+        owner.animation_data_clear()
+    scene.camera.keyframe_insert("location", frame=1)
+    scene.frame_end = 9
+    reader = ShotReader(scene, shot_of(scene, first=3, last=4))
+    said = []
+    while not reader.read_for(0.0):
+        said.append(reader.progress)
+    assert said == [(1, 2), *((number, 9) for number in range(2, 9))]
+    assert [camera.name for camera in reader.cameras] == ["dolly.0001"]
+
+
+def test_a_range_that_nobody_asked_for_has_a_limit(scene: bpy.types.Scene) -> None:
+    scene.frame_end = 2_097_149
+    with raises_key("long-range 1048574 --range"):
+        shot_of(scene)
+    reader = ShotReader(scene, shot_of(scene, only=(1, 2)))
+    assert reader.read_for(60.0) and len(reader.cameras) == 2
+
+
 def test_clip_and_the_requested_range(scene: bpy.types.Scene) -> None:
     scene.camera.data.clip_start, scene.camera.data.clip_end = 0.25, 40.0
     cameras = cameras_of(scene, shot_of(scene, "dolly", first=2, last=3))
@@ -247,7 +269,7 @@ def test_a_camera_that_cannot_move_is_looked_at_once(scene: bpy.types.Scene, mon
     scene.camera.animation_data_clear()
     scene.camera.data.animation_data_clear()
     scene.frame_end = 1_000_000
-    assert [camera.name for camera in cameras_of(scene, shot_of(scene))] == ["dolly.0000001"]
+    assert [camera.name for camera in cameras_of(scene, shot_of(scene, "", 1, 1_000_000))] == ["dolly.0000001"]
     scene.frame_end, scene.camera.parent = 4, bpy.data.objects["Cube"]
     driven = scene.camera.parent.driver_add("location", 0).driver
     driven.expression = "frame"
