@@ -75,9 +75,6 @@ def test_done_frames_are_kept(shot: Path, blend: Path, tmp_path: Path, capfd: py
     lift = LiftFolder.open(shutil.copytree(shot, tmp_path / "lift"))
     baked = [lift.passes_path / f"shot_dolly.{frame:04d}.exr" for frame in (1, 2, 3)]
     assert sorted(lift.passes_path.iterdir()) == baked
-    depths = [read_exr(path).depth for path in baked]
-    assert {depth.shape for depth in depths} == {(45, 80)} and min((depth > 0).mean() for depth in depths) > 0.5
-    assert np.median(depths[0]) > np.median(depths[1]) > np.median(depths[2])  # it goes nearer
     written = [path.stat().st_mtime_ns for path in baked]
 
     command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "1-2,4,3"]

@@ -104,14 +104,6 @@ def test_two_chairs_in_one_box_are_separated(lift: Path) -> None:
     assert found[DESK] == result.made[1]  # an untouched box never moves
 
 
-def test_merged_parts_are_one_object_with_all_points(lift: Path) -> None:
-    points = objects(lift)[CHAIRS].points
-    correct(lift, split_chairs)
-    correct(lift, merge(CHAIRS, 4))
-    found = objects(lift)
-    assert 4 not in found and found[CHAIRS].points == points
-
-
 def test_a_crumb_becomes_what_surrounds_it(lift: Path) -> None:
     crumb, desk = objects(lift)[CRUMB].points, objects(lift)[DESK].points
     correct(lift, lambda state, _: m.delete(state, CRUMB))
@@ -121,12 +113,6 @@ def test_a_crumb_becomes_what_surrounds_it(lift: Path) -> None:
     correct(lift, lambda state, _: m.delete(state, CRUMB, around=False))
     result = read_corrected(lift)
     assert counts(result)[TABLE, 0] == crumb and counts(result)[TABLE, DESK] == desk
-
-
-def test_stuff_takes_the_points_of_an_object(lift: Path) -> None:
-    correct(lift, lambda state, _: m.reclass(state, [DESK], FLOOR))
-    result = read_corrected(lift)
-    assert DESK not in {one.id for one in result.instances} and (result.points.instance_id == DESK).sum() == 0
 
 
 def test_points_get_an_object_or_a_class(lift: Path) -> None:
@@ -212,14 +198,6 @@ def test_another_lift_of_the_scene_keeps_what_it_can(tmp_path: Path, lift: Path)
     found = objects(again)
     assert found[DESK].name == "desk"
     assert sorted(round(found[one].centre[0], 1) for one in (CHAIRS, 4)) == [0.2, 1.2]
-
-
-def test_corrections_of_another_scene_are_not_applied(tmp_path: Path, lift: Path) -> None:
-    correct(lift, lambda state, _: m.rename(state, DESK, "desk"))
-    other = write_result(tmp_path / "other", shift=7.0)
-    shutil.copy(lift / CORRECTIONS, other)
-    result = read_corrected(other)
-    assert "object 2 (table 1) is a different object in this lift" in result.warnings[0] and not result.fingerprint
 
 
 def test_later_versions_are_refused_or_kept(lift: Path) -> None:

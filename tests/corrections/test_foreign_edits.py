@@ -29,16 +29,6 @@ def test_the_report_of_an_unknown_edit_is_printable(lift: Path, original: bytes)
     read_corrections(lift.parent)
 
 
-def test_edits_of_another_lift_are_reported(lift: Path, original: bytes) -> None:
-    """Objects that are not there, or are others: each edit says why it is not applied."""
-    content = json.loads(original)
-    for edit in content["edits"]:
-        for mark in edit["objects"]:
-            mark["id"], mark["low"], mark["high"] = mark["id"] + 1000, [90.0, 90.0, 0.0], [91.0, 91.0, 1.0]
-    (lift / CORRECTIONS).write_text(json.dumps(content))
-    assert len(read_corrected(lift).warnings) == len(content["edits"])
-
-
 def test_work_grows_with_objects_and_not_with_edits(
     lift: Path, original: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:

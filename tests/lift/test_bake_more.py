@@ -219,31 +219,6 @@ def test_bake_into_its_own_folder_works(lift: LiftFolder, tmp_path: Path) -> Non
     verify(lift.result_path)
 
 
-def test_other_programs_files_are_not_overwritten(
-    lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    output, command = tmp_path / "comp", ["bake", str(lift.path), "--frames", "0-2", "-o", str(tmp_path / "comp")]
-    output.mkdir()
-    with OpenEXR.File({"software": "Nuke"}, {"R": np.zeros((3, 4), np.float32)}) as file:
-        file.write(str(output / "0002.exr"))
-    (output / "0001.exr").write_text("no picture")
-    before = {path: path.read_bytes() for path in output.iterdir()}
-    with monkeypatch.context() as patch:
-        patch.setattr(FrameBaker, "render", lambda *_: pytest.fail("nothing is drawn"))
-        for first in ("0001.exr", "0002.exr"):
-            assert main(command) == 2
-            (line,) = [line for line in capfd.readouterr().err.splitlines() if line.startswith("error: ")]
-            assert first in line and "--replace" in line
-            assert before == {path: path.read_bytes() for path in output.iterdir()}
-            (output / "0001.exr").unlink(missing_ok=True)
-            before.pop(output / "0001.exr", None)
-    assert main([*command, "--replace"]) == 0
-    assert main([*command, "--layers", "normal"]) == 0  # PLGS's own are baked again
-    assert {path.name for path in output.iterdir() if "normal" in further_layers(path)} == {
-        f"{frame:04d}.exr" for frame in range(3)
-    }
-
-
 def test_a_folder_in_a_files_place_is_named(lift: LiftFolder, capfd: pytest.CaptureFixture[str]) -> None:
     (lift.passes_path / "0000.exr").mkdir()
     assert run_bake(lift, ["0000"]) is ExitCode.BAD_INPUT

@@ -95,18 +95,6 @@ def test_further_layers_are_written_on_request(tmp_path: Path) -> None:
     assert further_layers(write_layers(path)) == set(FURTHER_LAYERS)
 
 
-def test_the_surface_is_in_the_world(tmp_path: Path) -> None:
-    camera, layers = made_rendering().camera, decide(made_rendering(), CLASSES)
-    with OpenEXR.File(str(write_layers(tmp_path / "a.exr")), separate_channels=True) as file:
-        found = {name: channel.pixels for name, channel in file.channels().items()}
-    position = np.stack([found[f"PLGS.Position.{axis}"] for axis in "XYZ"], axis=-1)
-    normal = np.stack([found[f"PLGS.Normal.{axis}"] for axis in "XYZ"], axis=-1)
-    rendered = layers.depth > 0
-    np.testing.assert_allclose(position[rendered], camera.unproject(layers.depth)[rendered], atol=1e-6)
-    np.testing.assert_allclose(normal[rendered], np.broadcast_to([0, 0, -1], normal[rendered].shape), atol=1e-6)
-    assert not position[~rendered].any() and not normal[~rendered].any()
-
-
 def test_invalid_exr_is_refused(tmp_path: Path) -> None:
     view = _baked()
     layers = view.layers._replace(instance=np.full((6, 8), 1 << 24, np.int32))
