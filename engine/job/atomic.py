@@ -15,6 +15,9 @@ from .own_files import PART, guard_of
 from .own_files import sha256 as sha256
 from .system import flush_folder
 
+WRITTEN: set[Path] = set()
+"""Every path that this process wrote. What else lies beside is somebody else's, or an earlier run's."""
+
 
 def write_atomically(path: Path, content: bytes | str | Callable[[Path], object]) -> None:
     """Write a file so that readers, even after a kill at any point, see the old content or the new, never a mixture.
@@ -51,6 +54,7 @@ def write_atomically(path: Path, content: bytes | str | Callable[[Path], object]
         if isinstance(error, OSError) and error.errno and error.filename in (None, str(part), part):
             error.filename = str(path)
         raise
+    WRITTEN.add(path)
     flush_to_disk(path.parent)  # else a power cut may lose the new name
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from stat import S_ISREG
@@ -44,12 +44,14 @@ class Manifest:
 
 def write_manifest(
     result: Path, *, versions: _Facts, seed: int, settings: _Facts, timings: _Facts,
-    frames: _Names | None = None, masks: str = "",
+    frames: _Names | None = None, masks: str = "", only: Collection[Path] | None = None,
 ) -> None:  # fmt: skip
-    """List every file of the result with its size and SHA-256. The lift is finished when this returns. ``versions`` are
-    those of libraries, ``settings`` the final values of all options. The rest is as in `Manifest`."""
+    """List every file of the result with its size and SHA-256, or ``only`` these, as others may be somebody else's. The
+    lift is finished when this returns. ``versions`` are those of libraries, ``settings`` the final values of all
+    options. The rest is as in `Manifest`."""
     remove_parts(result)
-    files = tuple(ListedFile.of(path, result) for path in files_below(result) if path != result / NAME)
+    listed = (path for path in files_below(result) if path != result / NAME and (only is None or path in only))
+    files = tuple(ListedFile.of(path, result) for path in listed)
     request = request_digest(result.parent)
     _write(result, Manifest(__version__, versions, seed, settings, timings, files, frames or {}, masks, request))
 

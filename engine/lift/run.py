@@ -25,6 +25,7 @@ from .. import __version__
 from ..diagnosis import Finding, diagnose_quickly
 from ..errors import Cancelled, PlgsError
 from ..job import Checkpoint, EventWriter, LiftFolder, StopSignal, read_manifest, write_manifest
+from ..job.atomic import WRITTEN
 from ..job.manifest import verify_of
 from ..job.prediction import USUAL_MASKS, learn_slowness, machine_slowness
 from ..job.progress import Course, StageProgress, StageReporter
@@ -199,6 +200,7 @@ def finish(folder: LiftFolder, preset: Preset, stages: StageReporter, code: str,
         timings=stages.timings,
         frames={file: name for name, file in names_of_files(folder).items() if name != file},
         masks=masks_last_run(folder),
+        only=WRITTEN,
     )
 
 

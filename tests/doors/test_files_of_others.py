@@ -165,3 +165,19 @@ def test_the_folder_of_all_exports_is_no_export(place: tuple[Path, Path], engine
     before = {path: path.read_bytes() for path in (lift / "exports").rglob("*") if path.is_file()}
     assert worded("all-exports").search(engine("export", lift, "--to", "coco", "-o", lift / "exports", code=2))
     assert {path: path.read_bytes() for path in (lift / "exports").rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.slow
+def test_a_file_that_was_put_into_a_result_while_it_was_made_outlives_the_next_one(
+    place: tuple[Path, Path], engine: Engine
+) -> None:
+    at, _ = place
+    arguments = COMMANDS["lift"](at, at)
+    engine(*arguments, killed=20)
+    notes = at / "again/result/notes.txt"
+    notes.parent.mkdir(exist_ok=True)
+    notes.write_text("mine")
+    engine(*arguments)
+    (at / "room/panoptic.json").write_text((at / "room/panoptic.json").read_text().replace('"chair"', '"seat"'))
+    engine(*arguments)
+    assert (at / "again/earlier/1/notes.txt").read_text() == "mine"
