@@ -260,6 +260,40 @@ def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
     events.answer(answer, f"Masks of {count} of {len(scene.frames)} frames: {folder}")
 
 
+def depth(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
+    """Make depth, or continue where it was stopped."""
+    from ..depth_making import is_made, load_depth_network, make_depth
+    from ..job.progress import StageProgress
+    from ..scene import open_scene
+
+    source: Path = options.scene
+    scene = open_scene(source, up=options.up or "z", scene_format=options.scene_format)
+    folder = source if source.is_dir() else source.with_suffix("")
+    if scene.has_depth and not is_made(folder):
+        what = "this scene has depth that was measured or given"
+        raise PlgsError("has-depth", what, scene.folder, "Lift it as it is.")
+    name = str(Path(options.model).resolve()) if Path(options.model).is_dir() else options.model
+    say_terms(name, events)
+    events.stage("load", 1, 2, "Loading the network")
+    network = load_depth_network(name, download=options.download)
+    stop.check()
+    events.stage("depth", 2, 2, "Making depth")
+    for warning in make_depth(scene, folder, network, StageProgress("depth", events, stop)):
+        events.warning(warning)
+    answer: dict[str, Json] = {"folder": str(folder), "frames": len(scene.frames)}
+    events.answer(answer, f"Depth of {len(scene.frames)} frames: {folder}")
+
+
+def scale(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
+    from ..scene import open_scene
+    from ..scene.made import set_scale
+
+    source: Path = options.scene
+    open_scene(source, up=options.up or "z", scene_format=options.scene_format)  # to refuse what is no scene
+    factor = set_scale(source if source.is_dir() else source.with_suffix(""), options.factor, options.measured)
+    events.answer({"scale": factor}, f"Lengths of {source} are multiplied by {factor:.6g}")
+
+
 def say_terms(name: str, events: EventWriter) -> None:
     """Tell the licence of a network before it is fetched, if it forbids commercial use or is not known."""
     known = KNOWN.get(name.partition("@")[0])
@@ -292,10 +326,13 @@ def set_up(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -
 
 def add(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
     """Packages come from the same index as for `set_up`."""
+    from ..job.handshake import ALSO_ADDED
     from ..set_up import Addition
 
     index_url = os.environ.get("PLGS_INDEX_URL", "")
-    folder = Addition(options.name, events, stop, index_url=index_url, wheels=options.wheels).run()
+    folder = Addition(
+        ALSO_ADDED.get(options.name, options.name), events, stop, index_url=index_url, wheels=options.wheels
+    ).run()
     events.answer({"folder": folder}, f"Added to the engine: {options.name}")
 
 

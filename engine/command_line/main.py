@@ -13,11 +13,11 @@ from .. import __version__
 from ..errors import PlgsError
 from ..gates import printable
 from ..job import CHANNELS, FURTHER_LAYERS, EventWriter, ExitCode, StopSignal, request
-from ..job.handshake import ADDED, CAPABILITIES
+from ..job.handshake import ADDED, ALSO_ADDED, CAPABILITIES
 from ..job.system import refuse_small_memory
 from ..job.task import TaskFiles
 from ..job.terminal import Interrupted, Interrupts, stdout_for_events
-from ..known_networks import MASKS, listing
+from ..known_networks import DEPTH, MASKS, listing
 from ..presets.preset import PRESETS
 from . import commands
 from .batch import add_batch, add_worker
@@ -51,6 +51,8 @@ def make_parser() -> argparse.ArgumentParser:
     _add_frames(known.add_parser("frames", help="write a scene's pictures, depth and masks as plain image files"))
     _add_poses(known.add_parser("poses", help="find the poses of photos or of a film's pictures, with COLMAP"))
     _add_segment(known.add_parser("segment", help="make masks for a scene that has none"))
+    _add_depth(known.add_parser("depth", help="make depth for a scene that has none, with a network"))
+    _add_scale(known.add_parser("scale", help="set the scale of a scene whose lengths have no unit"))
     _add_presets(known.add_parser("presets", help="show the presets and all their options"))
     handshake = known.add_parser("handshake", help="show at once what this engine is and what it lacks")
     handshake.description = "One line of JSON: versions, packages and their pins, what is missing, how to fix it."
@@ -276,6 +278,41 @@ def _add_segment(parser: argparse.ArgumentParser) -> None:
     _make_task(parser, commands.segment, "The same command continues.")
 
 
+def _add_depth(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "Let a network make depth of every photo, fit it to the points of the reconstruction and to the other frames, "
+        "and write it to made_depth beside them, where every command reads it. What the frames contradict gets no "
+        "depth. If this is stopped, the same command continues. Known networks:\n"
+        + listing(each.name for each in DEPTH)
+    )
+    parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder or file")
+    parser.add_argument(
+        "--model", default=DEPTH[0].name, metavar="NAME|FOLDER",
+        help=f"a folder with a network for depth, or its name on Hugging Face's hub (default: {DEPTH[0].name})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--download", action="store_true",
+        help="download the model from huggingface.co; otherwise it must be on this machine already",
+    )  # fmt: skip
+    request.add_options(parser, "up", "scene_format")
+    _make_task(parser, commands.depth, "The same command continues.")
+
+
+def _add_scale(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "Multiply the lengths of a scene, as poses of COLMAP or of photogrammetry have no unit: by FACTOR, or so that "
+        "a distance that is LENGTH now becomes METRES. Every command reads scale.json in the scene's folder."
+    )
+    parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder or file")
+    either = parser.add_mutually_exclusive_group(required=True)
+    either.add_argument("--factor", type=float, metavar="FACTOR", help="replaces an earlier scale")
+    either.add_argument(
+        "--measured", type=float, nargs=2, metavar=("LENGTH", "METRES"), help="on top of an earlier scale"
+    )
+    request.add_options(parser, "up", "scene_format")
+    _make_task(parser, commands.scale)
+
+
 def _add_set_up(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Make an environment in FOLDER with the pinned packages, about 1.3 GB, and compile what a lift runs. Any "
@@ -302,7 +339,9 @@ def _add_add(parser: argparse.ArgumentParser) -> None:
         f"Add the pinned packages of one ability to the environment of the Python that runs this: {parts}. "
         "If this is stopped or fails, the environment stays as it was."
     )
-    parser.add_argument("name", choices=ADDED, metavar="NAME", help=f"one of {', '.join(ADDED)}")
+    parser.add_argument(
+        "name", choices=(*ADDED, *ALSO_ADDED), metavar="NAME", help=f"one of {', '.join((*ADDED, *ALSO_ADDED))}"
+    )
     _add_wheels(parser)
     _make_task(parser, commands.add, "The engine is unchanged.")
 

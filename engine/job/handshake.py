@@ -107,6 +107,7 @@ CAPABILITIES: dict[str, Capability] = {
     "meshes": Capability("Make Meshes", {}),
     "points": Capability("Labelled points", {}),
     "segment": Capability("Make Masks", {"transformers": "transformers", "pillow": "PIL"}, 130_000_000),
+    "depth": Capability("Make Depth", {"transformers": "transformers", "pillow": "PIL"}),
     "record3d": Capability("Record3D's depth (.r3d)", {"pyliblzfse": "liblzfse"}, 1_000_000),
     "hypersim": Capability("Hypersim", {"h5py": "h5py"}, 16_000_000),
     "colmap": Capability("Poses of photos and films", {"pycolmap": "pycolmap"}, 134_000_000),
@@ -120,6 +121,8 @@ CAPABILITIES: dict[str, Capability] = {
 
 ADDED = tuple(name for name, each in CAPABILITIES.items() if each.size)
 """The names of the abilities that can be added to an engine."""
+ALSO_ADDED = {"depth": "segment"}
+"""Abilities that need just the packages of another one, and come with it."""
 
 
 _CUDA = re.compile(r"^cuda\b[^=]*= *['\"]([^'\"]+)['\"]", re.MULTILINE)

@@ -176,7 +176,7 @@ def with_estimated_depth(
             fix = "Give a 16-bit .png in millimetres, a .npy in metres, or COLMAP's points."
             raise PlgsError("depth-bits", what, path, fix)
     usual = {name: Placement(lens=pictured[name].lens) for name in names}
-    seen = {frame.name: _seen_points(frame, points) for frame in frames} if points is not None and has_points else {}
+    seen = {frame.name: seen_points(frame, points) for frame in frames} if points is not None and has_points else {}
     inferred: tuple[Inferred, ...] = ()
     if seen:
         files, usual, inferred = _fitting(find, files, usual, pictured, seen)
@@ -274,7 +274,7 @@ def _with_depth(frame: Frame, path: Path, read: Callable[[Path], NDArray[np.floa
     return replace(frame, depth_path=path, read_depth=depth.through(depth_check(frame.name, path)))
 
 
-def _seen_points(frame: Frame, points: SparsePoints) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def seen_points(frame: Frame, points: SparsePoints) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The (x, y) of a frame's points (without tracks: all in view) as fractions of the picture, and their depth."""
     xyz = points.xyz[points.seen_by.get(frame.name, np.zeros(0, np.int64))] if points.seen_by else points.xyz
     _, pixels, depths = frame.camera.seen(xyz)

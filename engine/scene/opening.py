@@ -31,6 +31,7 @@ from .formats.lens import UNDISTORTED, Distortion, undistorted
 from .formats.photos import LET_COLMAP, photos_in
 from .frame import Frame, Inferred, LeftOut, Scene, doubts, left_out
 from .ground_truth import open_ground_truth
+from .made import estimates, made_depth, scale_of
 from .mask_fit import KeptPixels, Pictured
 from .masks import MASK_FOLDER, find_masks, no_masks
 from .mesh_depth import is_mesh, with_mesh_depth
@@ -87,10 +88,16 @@ def _opened(source: SceneSource, progress: Progress) -> Scene:
     shots = [shot for shot in capture.shots if shot.name in chosen]
     poses = [shot.camera.camera_to_world for shot in capture.shots]
     turn, turn_warnings = upright_turn(poses, source.up, capture.up, is_known=capture.up_is_known)
-    cameras = {shot.name: shot.camera.at(turned(shot.camera.camera_to_world, turn)) for shot in shots}
+    scale = scale_of(beside)
+    cameras = {shot.name: scaled(shot.camera.at(turned(shot.camera.camera_to_world, turn)), scale) for shot in shots}
     sizes = {shot.name: shot.camera.size for shot in shots}
     of_shot = {shot.name: shot for shot in shots} if source.depth is None else {}
     depths = of_most(list(of_shot), lambda name: _readable_depth(of_shot[name]))
+    depths = {name: each for name, each in depths.items() if each is not None}
+    made = {} if depths or source.depth is not None else made_depth(beside, {each.name: each.camera for each in shots})
+    depths |= made
+    if scale != 1.0:
+        depths = {name: each.through(lambda values: values * np.float32(scale)) for name, each in depths.items()}
     kept = _kept_pixels(shots, beside)
     unmasked, pictured = {}, {}
     for shot in watched(shots, of_frames):
@@ -101,18 +108,20 @@ def _opened(source: SceneSource, progress: Progress) -> Scene:
         pictured[name] = Pictured(read, shot.camera.size, turn_of_photo, lens, counts)
     mask_set = find_masks(source, beside, pictured, of_masks)
     truth, truth_warnings, of_truth = open_ground_truth(beside, sizes, mask_set)
-    points = None if capture.points is None else capture.points.turned(turn)
+    points = None if capture.points is None else capture.points.turned(scale * turn)
     readers, over = mask_set.readers, mask_set.over
     frames = tuple(
         replace(one, read_mask=readers.get(name), read_ground_truth=truth.get(name), read_detections=over.get(name))
         for name, one in unmasked.items()
     )
+    told = estimates(beside, Path(source.masks or beside), has_made_depth=bool(made), has_unit=capture.has_unit)
     gone = (*left_out("a pose", capture.lost), *left_out("a readable picture", unreadable), *capture.left_out)
-    inferred = (*_inferred(source, reader, capture, beside, turn), *capture.inferred, *mask_set.inferred, *of_truth)
+    of_parts = (*capture.inferred, *mask_set.inferred, *of_truth, *told)
+    inferred = (*_inferred(source, reader, capture, beside, turn), *of_parts)
     if source.depth is not None:
         maps = Path(source.depth)
         frames, mapless, of_depth = (
-            with_mesh_depth(frames, maps, turn, progress)
+            with_mesh_depth(frames, maps, scale * turn, progress)
             if is_mesh(maps)
             else with_estimated_depth(frames, maps, points, pictured, progress)
         )
@@ -139,6 +148,13 @@ def _opened(source: SceneSource, progress: Progress) -> Scene:
         turn=None if np.array_equal(turn, np.eye(3)) else turn,
         fps=capture.fps,
     )
+
+
+def scaled(camera: Camera, scale: float) -> Camera:
+    """The same camera in a world whose lengths are ``scale`` times as long."""
+    pose = camera.camera_to_world.copy()
+    pose[:3, 3] *= scale
+    return camera.at(pose)
 
 
 def splits_path(place: Path) -> Path:

@@ -22,7 +22,6 @@ from ...posed.layout import check_count, file_inside, listed, natural_order, rea
 from ..frame import Inferred, SparsePoints, left_out
 from .capture import Capture, Found, Progress, SceneFormat, Shot, frame_names, watched, with_picture
 from .lens import Distortion, pinhole
-from .metashape import UNSCALED
 from .photos import pictures_by_stem
 from .poses import finite_pose, from_opengl
 
@@ -52,7 +51,7 @@ def _read(place: Path, progress: Progress) -> Capture:
         raise PlgsError("not-bundler", "this is not one of Bundler's files", path, _FIX) from error
     check_count(cameras, "cameras", path, _FIX, most=10**6, room=(len(values) - 2) // _CAMERA, made=500)
     named = _names(path, cameras)
-    pictures, inferred = (named, (UNSCALED,)) if named is not None else _by_order(path, cameras)
+    pictures, inferred = (named, tuple[Inferred, ...]()) if named is not None else _by_order(path, cameras)
     names = frame_names([str(each) for each in pictures])
     numbers = values[2 : 2 + _CAMERA * cameras].reshape(cameras, _CAMERA)
     missing = [name for name, picture in zip(names, pictures, strict=True) if not picture.is_file()]
@@ -65,7 +64,8 @@ def _read(place: Path, progress: Progress) -> Capture:
     ]
     found.sort(key=lambda each: natural_order(each[0]))
     sparse = _points(values[2 + _CAMERA * cameras :], points, names, path)
-    return Capture(found, None, points=sparse, left_out=left_out("a picture", missing), inferred=inferred)
+    gone = left_out("a picture", missing)
+    return Capture(found, None, points=sparse, left_out=gone, inferred=inferred, has_unit=False)
 
 
 def _names(path: Path, cameras: int) -> list[Path] | None:
@@ -100,7 +100,7 @@ def _by_order(path: Path, cameras: int) -> tuple[list[Path], tuple[Inferred, ...
     if len(photos) != cameras:
         what = f"there are {cameras} cameras and {len(photos)} photos, and no list of pictures"
         raise PlgsError("no-list", what, path, "Put list.txt there, with a picture's name on each line.")
-    return photos, (UNSCALED, _BY_ORDER)
+    return photos, (_BY_ORDER,)
 
 
 def _shot(name: str, picture: Path, row: NDArray[np.float64], path: Path) -> Shot | None:

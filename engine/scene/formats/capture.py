@@ -48,7 +48,8 @@ class Capture:
     """All pictures in recording order: ``found`` pairs each name with what was found. ``up`` is the axis of the
     format's world that points up, None if the format does not say; ``up_is_known``: it was measured, so sideways
     cameras cause no warning. ``split`` is set by readers whose format defines one. ``left_out`` lists frames besides
-    those of ``found``, ``inferred`` what no file says. ``fps`` is the rate of the numbers in names, None if unknown."""
+    those of ``found``, ``inferred`` what no file says. ``fps`` is the rate of the numbers in names, None if unknown.
+    ``has_unit``: lengths are metres."""
 
     found: Sequence[tuple[str, Found]]
     up: UpAxis | None
@@ -59,6 +60,7 @@ class Capture:
     left_out: tuple[LeftOut, ...] = ()
     inferred: tuple[Inferred, ...] = ()
     fps: float | None = None
+    has_unit: bool = True
 
     @property
     def shots(self) -> list[Shot]:

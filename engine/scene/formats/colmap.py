@@ -22,7 +22,7 @@ from ...posed.layout import file_inside, listed, natural_order, read_file, read_
 from ...posed.plain_folders import Split
 from ..depth import DepthMap, fault_of, npy_depth, only_depth, png_depth
 from ..files_of_frames import files_if_any
-from ..frame import Inferred, SparsePoints, left_out
+from ..frame import SparsePoints, left_out
 from .capture import Capture, Progress, SceneFormat, Shot, frame_names, watched, with_picture
 from .colmap_model import EXPORT_AGAIN, MADE_BY, UNDISTORT, ColmapImage, ColmapModel, has_model, read_model
 from .lens import Distortion, fitted, of_colmap, pinhole
@@ -34,9 +34,6 @@ _MODELS = ("sparse/0", "sparse", "model", "colmap/sparse/0", ".")
 _IMAGES = ("images", "image", "rgb", "color", "input", ".")
 _DEPTH_MAPS = "stereo/depth_maps"
 _DENSE = ("dense/0", "dense")
-_SCALE = Inferred(
-    "units", "COLMAP's lengths have no unit, and a lift reads them as metres", "scale the model if that is far off"
-)
 _PANORAMAS = (
     "COLMAP's image_undistorter cannot straighten panoramas: cut them into perspective pictures before COLMAP (its "
     "example panorama_sfm.py does), and name the folder with their model."
@@ -97,11 +94,11 @@ def _read(place: Path, progress: Progress) -> Capture:
     held_out = {name for name, image in zip(names, images, strict=True) if image.name in chosen}
     posed = [name for name, shot in found if isinstance(shot, Shot)]
     split = Split(*(tuple(name for name in posed if (name in held_out) is is_test) for is_test in (False, True)))
-    own_split, scale = split if split.train and split.test else None, () if depths else (_SCALE,)
+    own_split = split if split.train and split.test else None
     points = _points(model, names, images)
     fps = made_by.get("fps")  # of the film that the pictures are from
     fps = fps if isinstance(fps, int | float) else None
-    return Capture(found, None, tuple(warnings), points, own_split, left_out=lost, inferred=scale, fps=fps)
+    return Capture(found, None, tuple(warnings), points, own_split, left_out=lost, fps=fps, has_unit=bool(depths))
 
 
 def _find_images(place: Path, images: list[ColmapImage]) -> Path:

@@ -21,7 +21,7 @@ from ...gates import open_plain
 from ...json_file import LARGEST_TABLE
 from ...posed.frames import Camera, as_pose
 from ...posed.layout import listed, natural_order, read_text, shown_files
-from ..frame import Inferred, left_out
+from ..frame import left_out
 from .capture import Capture, Found, Progress, SceneFormat, Shot, watched, with_picture
 from .lens import Distortion, fitted, pinhole
 from .photos import pictures_by_stem
@@ -35,9 +35,6 @@ _MEASURED = (
     "markers/marker/reference",
     "cameras//camera/reference",
 )  # what gives a project metres
-UNSCALED = Inferred(
-    "units", "the reconstruction's lengths may have no unit, and are read as metres", "set its scale with --scale if so"
-)
 Array = NDArray[np.float64]
 
 
@@ -98,7 +95,7 @@ def _read(place: Path, progress: Progress) -> Capture:
     return Capture(
         found, "z" if is_measured or on_earth else None, tuple(warnings),
         left_out=(*left_out("a picture", missing), *left_out("being enabled in Metashape", disabled)),
-        inferred=() if is_measured or on_earth else (UNSCALED,), up_is_known=on_earth,
+        has_unit=is_measured or on_earth, up_is_known=on_earth,
     )  # fmt: skip
 
 

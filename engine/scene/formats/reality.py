@@ -24,7 +24,6 @@ from ...posed.layout import listed, natural_order, read_text, shown_files
 from ..frame import left_out
 from .capture import Capture, Found, Progress, SceneFormat, Shot, watched, with_picture
 from .lens import Distortion, pinhole
-from .metashape import UNSCALED
 from .photos import pictures_by_stem
 from .poses import finite_pose, from_opengl
 
@@ -66,7 +65,7 @@ def _read(place: Path, progress: Progress) -> Capture:
             found.append((picture.stem, with_picture(picture, partial(_shot, picture, row, path))))
     if missing and not found:
         raise PlgsError("no-pictures", f"the pictures are missing ({listed(missing)})", path.parent, "Copy them there.")
-    return Capture(found, "z", left_out=left_out("a picture", missing), inferred=(UNSCALED,))
+    return Capture(found, "z", left_out=left_out("a picture", missing), has_unit=False)
 
 
 def _shot(picture: Path, row: Mapping[str, str | None], path: Path) -> Shot | None:

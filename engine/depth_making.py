@@ -1,0 +1,139 @@
+"""Makes depth of the photos of a scene that has none, with a network: ``made_depth`` in the scene's folder, which every
+later command reads (`engine/scene/made.py`).
+
+Each photo's map is written at once, so that a stopped run goes on; all of them are then fitted to the reconstruction's
+points and to each other (`engine/depth_agreement.py`), and ``made_by.json`` is written last.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .depth_agreement import Map, agreeing_depth
+from .errors import PlgsError
+from .job import write_atomically
+from .job.own_files import OwnFiles
+from .json_file import read_object
+from .known_networks import terms_of
+from .networks import LOADING_FAILS, load_weights, model_folder, not_loaded, quiet_transformers
+from .posed.array_file import read_npy
+from .posed.layout import listed
+from .scene import Scene, digests_of_files, size_within
+from .scene.estimated_depth import LEAST_POINTS, seen_points
+from .scene.made import DEPTH_FOLDER, MADE_BY, layout_of, scale_of
+
+_RAW = "raw"  # the folder of the network's own maps, until all are made
+_LONGEST = 640  # pixels of the longer side of a map
+_AGAIN = "Move the folder made_depth away, then make it again."
+Follow = Callable[[int, int], object]
+"""Called with the number of frames done and of all. Its errors end the work."""
+
+
+@dataclass(frozen=True)
+class DepthNetwork:
+    """A network, its ``name`` on loading, and ``look``: a map float32 [h, w] of a picture uint8 [H, W, 3] RGB."""
+
+    name: str
+    look: Callable[[NDArray[np.uint8]], NDArray[np.float32]]
+
+
+def load_depth_network(name: str, *, download: bool) -> DepthNetwork:
+    """Load the network in the folder ``name``, or the one of this name on the hub (any that transformers' class
+    AutoModelForDepthEstimation takes). It is fetched only with ``download``. Raises PlgsError."""
+    quiet_transformers(name, download, "segment", "depth is made")
+    import transformers
+    from safetensors import SafetensorError
+
+    try:
+        folder = model_folder(name, download=download)
+        told = read_object(folder / "preprocessor_config.json", _AGAIN)
+        kind = str(told.get("image_processor_type") or told.get("feature_extractor_type") or "DPTImageProcessor")
+        # Those that need torchvision have a twin with pillow alone.
+        plain = kind.removesuffix("Fast").removesuffix("Pil").replace("FeatureExtractor", "ImageProcessor")
+        made = getattr(transformers, f"{plain}Pil", None) or getattr(transformers, plain)
+        processor = made.from_pretrained(folder, local_files_only=True)
+        network = load_weights(transformers.AutoModelForDepthEstimation, folder, name)
+    except (*LOADING_FAILS, ImportError, SafetensorError) as error:
+        raise not_loaded(name, download, error) from error
+    return DepthNetwork(name, partial(_map_of, network, processor))
+
+
+def _map_of(network: Any, processor: Any, colour: NDArray[np.uint8]) -> NDArray[np.float32]:
+    import torch
+
+    with torch.inference_mode():
+        inputs = processor(images=colour, return_tensors="pt", input_data_format="channels_last")
+        found = network(pixel_values=inputs["pixel_values"]).predicted_depth
+        width, height = size_within((colour.shape[1], colour.shape[0]), (_LONGEST, _LONGEST))
+        whole = torch.nn.functional.interpolate(found[:, None].float(), size=(height, width), mode="bilinear")
+    return np.asarray(whole[0, 0].numpy(), np.float32)
+
+
+def make_depth(scene: Scene, folder: Path, network: DepthNetwork, follow: Follow) -> list[str]:
+    """Make the depth of every frame below ``folder``, or what an earlier run left, and return warnings. Raises
+    PlgsError, also if there is depth of another network or for other photos; OSError."""
+    place, scale = folder / DEPTH_FOLDER, scale_of(folder)  # stored in the poses' own unit
+    names = [frame.name for frame in scene.frames]
+    photos = dict(zip(names, digests_of_files([(frame.colour_path,) for frame in scene.frames]), strict=True))
+    about = {
+        "model": network.name, "licence": terms_of(network.name), "frames": len(scene.frames),
+        "photos": photos,
+        "layout": layout_of({frame.name: frame.camera for frame in scene.frames}, scale),
+    }  # fmt: skip
+    if is_made(folder):
+        known: dict[str, Any] = read_object(place / MADE_BY, _AGAIN)
+        if known.get("model") != network.name or not photos.items() <= dict(known.get("photos") or {}).items():
+            raise PlgsError("other-depth", "there is depth by another network, or of other photos", place, _AGAIN)
+        return []
+    points = scene.points
+    if points is None or not len(points):
+        what = "a network's depth has no unit, and there are no points of a reconstruction to fit it to"
+        raise PlgsError("no-points", what, scene.folder, "Find the poses with COLMAP, or give a mesh with --depth.")
+    seen = {frame.name: seen_points(frame, points) for frame in scene.frames}
+    own = OwnFiles(place).begin("depth", {name: about[name] for name in ("model", "photos")})
+    maps, few = dict[str, Map](), list[str]()
+    total = len(scene.frames)
+    with own:
+        for done, frame in enumerate(scene.frames, start=1):
+            path, (places, depths) = place / _RAW / f"{frame.name}.npy", seen[frame.name]
+            if len(depths) < LEAST_POINTS:
+                few.append(frame.name)
+                continue
+            if not own.owns(path):
+                values = network.look(frame.read_colour(None))
+                write_atomically(path, lambda part, values=values: np.save(part, values))
+            maps[frame.name] = Map(frame.camera, partial(_read_map, path), places, depths)
+            follow(done, 2 * total)
+        lost = []
+        for name, depth in agreeing_depth(maps, lambda done, all_: follow(total + done * total // all_, 2 * total)):
+            if depth is None:
+                lost.append(name)
+            else:
+                stored = (depth / scale).astype(np.float16)
+                write_atomically(place / f"{name}.npy", lambda part, stored=stored: np.save(part, stored))
+        if len(lost) == len(maps):
+            what = "no map rises or falls with the depth of the reconstruction's points"
+            raise PlgsError("depth-unrelated", what, place, "Name another network with --model.")
+        write_atomically(place / MADE_BY, json.dumps(about) + "\n")
+        for name in maps:
+            own.remove(place / _RAW / f"{name}.npy")
+    own.complete()
+    told = ((few, f"see fewer than {LEAST_POINTS} points"), (lost, "have maps that fit no points"))
+    return [f"{len(names)} frames {why}, and get no depth: {listed(names)}" for names, why in told if names]
+
+
+def is_made(folder: Path) -> bool:
+    """Whether the depth of a scene with its files in ``folder`` is complete."""
+    return (folder / DEPTH_FOLDER / MADE_BY).is_file()
+
+
+def _read_map(path: Path) -> NDArray[np.float32]:
+    return read_npy(path, _AGAIN).astype(np.float32)

@@ -1,0 +1,111 @@
+"""What of a scene was not measured: depth that a network made (``made_depth``), poses and their unit, and the licences
+of networks, as the files that our own commands leave say it. All of it is told wherever warnings are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import PlgsError
+from ..job import write_atomically
+from ..json_file import read_object, to_text
+from ..posed.frames import Camera
+from .depth import DepthMap, npy_depth
+from .frame import Inferred
+
+DEPTH_FOLDER = "made_depth"
+"""The folder in a scene's folder where ``engine depth`` writes a .npy a frame, in the unit of the poses."""
+MADE_BY = "made_by.json"
+SCALE = "scale.json"
+"""The file in a scene's folder that says by what its lengths are multiplied: ``{"scale": 1.5}``."""
+_AGAIN = "Delete it, then give the same command again."
+_ALIKE = 1e-3  # relative difference of focal lengths and of the cameras' distances from their middle
+_SCALES = (1e-4, 1e4)
+
+
+def layout_of(cameras: Mapping[str, Camera], scale: float = 1.0) -> dict[str, list[float]]:
+    """What depth was made for: each frame's focal length in parts of its width, and its distance from the middle of
+    all, which no turn of the world changes. ``scale``: by what the cameras' lengths are multiplied."""
+    if not cameras:
+        return {}
+    middle = np.mean([camera.centre for camera in cameras.values()], axis=0)
+    return {
+        name: [camera.fx / camera.width, float(np.linalg.norm(camera.centre - middle)) / scale]
+        for name, camera in cameras.items()
+    }
+
+
+def made_depth(beside: Path, cameras: Mapping[str, Camera]) -> dict[str, DepthMap]:
+    """The depth that ``engine depth`` made for these frames; empty if there is none. Raises PlgsError if it was made
+    for other poses."""
+    folder = beside / DEPTH_FOLDER
+    if not (folder / MADE_BY).is_file():
+        return {}
+    record: dict[str, Any] = read_object(folder / MADE_BY, _AGAIN)
+    known, now = record.get("layout"), layout_of(cameras)
+    try:
+        same = isinstance(known, dict) and all(
+            name in known and np.allclose(known[name], values, rtol=_ALIKE, atol=_ALIKE) for name, values in now.items()
+        )
+    except (TypeError, ValueError):
+        same = False
+    if not same:
+        what, fix = "the poses have changed since depth was made for them", "Move this folder away, then make it again."
+        raise PlgsError("other-poses", what, folder, fix)
+    files = {name: folder / f"{name}.npy" for name in cameras}
+    return {name: npy_depth(path) for name, path in files.items() if path.is_file()}
+
+
+def scale_of(beside: Path) -> float:
+    """By what a scene's lengths are multiplied, as ``engine scale`` wrote it; 1 without the file. Raises PlgsError."""
+    path = beside / SCALE
+    if not path.is_file():
+        return 1.0
+    content: dict[str, Any] = read_object(path, _AGAIN)
+    scale = content.get("scale")
+    if not isinstance(scale, int | float) or not _SCALES[0] <= scale <= _SCALES[1]:
+        raise PlgsError("bad-scale", "this is not a scale from 0.0001 to 10000", path, "Set it with engine scale.")
+    return float(scale)
+
+
+def set_scale(beside: Path, factor: float | None, measured: Sequence[float] | None) -> float:
+    """Write by what a scene's lengths are multiplied: ``factor``, or so that of the two ``measured`` lengths the first,
+    as the scene is now, becomes the second. Raises PlgsError for a factor beyond all use, OSError."""
+    if measured is not None and measured[0] > 0.0:
+        factor = scale_of(beside) * measured[1] / measured[0]
+    if factor is None or not _SCALES[0] <= factor <= _SCALES[1]:
+        what = "a scale from 0.0001 to 10000 is needed"
+        raise PlgsError("bad-scale", what, beside, "Give positive lengths, the second in metres.")
+    beside.mkdir(exist_ok=True)
+    write_atomically(beside / SCALE, to_text({"scale": factor}))
+    return factor
+
+
+def estimates(beside: Path, masks: Path, *, has_made_depth: bool, has_unit: bool) -> Iterator[Inferred]:
+    """What the folders' notes say of depth, lengths and masks."""
+    if has_made_depth:
+        record = read_object(beside / DEPTH_FOLDER / MADE_BY, _AGAIN)
+        taken = f"estimated: depth is made of the photos by {record.get('model')}"
+        yield Inferred("depth", taken, "it is fitted to the reconstruction's points; what disagrees has none")
+        yield from _licence(record)
+    if scale_of(beside) != 1.0:
+        said = f"lengths are multiplied by {scale_of(beside):.6g}"
+        yield Inferred("units", said, f"{SCALE} says so", is_doubtful=False)
+    elif not has_unit:
+        said = "estimated: lengths are by the reconstruction's scale, which is unknown"
+        yield Inferred("units", said, "measure one distance, and give it to engine scale or Set Scale")
+    for path in (masks / "panoptic" / MADE_BY, masks / MADE_BY):
+        if path.is_file():
+            yield from _licence(read_object(path, _AGAIN))
+            break
+
+
+def _licence(record: Mapping[str, Any]) -> Iterator[Inferred]:
+    licence = record.get("licence")
+    if isinstance(licence, str) and licence:
+        is_doubtful = "forbids commercial use" in licence
+        yield Inferred("licence", f"licence: {licence[:300]}", "its authors state it there", is_doubtful)

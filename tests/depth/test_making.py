@@ -1,0 +1,180 @@
+"""Depth made by a network: its code path with random weights, its values with the sample's depth, bent as they do."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.command_line.main import main
+from engine.depth_agreement import Map, agreeing_depth
+from engine.depth_making import DepthNetwork, load_depth_network, make_depth
+from engine.scene import open_scene
+from engine.scene.made import scale_of
+from tests.raises_key import raises_key
+from tests.scene.formats.room import look, views
+from tests.scene.refusing import refuses
+from tests.scene.test_depth import LENS, write_colmap
+
+transformers = pytest.importorskip("transformers", reason="needs transformers (requirements/segment.txt)")
+ROOM = Path(__file__).resolve().parents[2] / "sample" / "room"
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A Depth Anything with random weights, as transformers itself saves one."""
+    import torch
+
+    torch.manual_seed(2)
+    folder = tmp_path_factory.mktemp("depth")
+    backbone = transformers.Dinov2Config(
+        hidden_size=16, num_hidden_layers=4, num_attention_heads=2, image_size=56, patch_size=14,
+        out_indices=[1, 2, 3, 4], reshape_hidden_states=False, apply_layernorm=True,
+    )  # fmt: skip
+    config = transformers.DepthAnythingConfig(
+        backbone_config=backbone, reassemble_hidden_size=16, patch_size=14, neck_hidden_sizes=[8, 8, 8, 8],
+        fusion_hidden_size=8, head_hidden_size=4,
+    )  # fmt: skip
+    transformers.DepthAnythingForDepthEstimation(config).save_pretrained(folder)
+    processor = transformers.DPTImageProcessorPil(
+        size={"height": 56, "width": 56}, keep_aspect_ratio=True, ensure_multiple_of=14
+    )
+    processor.save_pretrained(folder)
+    told = folder / "preprocessor_config.json"  # the hub's names the older class
+    told.write_text(told.read_text().replace("DPTImageProcessorPil", "DPTImageProcessor"))
+    return folder
+
+
+def bent(depth: np.ndarray, seed: int) -> np.ndarray:
+    """What a network says of true ``depth``: affine in disparity, with a smooth drift of 10 %, blurred jumps, and a
+    mirror in which the room goes on."""
+    random, (height, width) = np.random.default_rng(seed), depth.shape
+    whole = np.where(depth > 0, depth, np.median(depth[depth > 0]))
+    coarse = random.uniform(-0.1, 0.1, (3, 4)).astype(np.float32)
+    drift = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+    disparity = cv2.GaussianBlur((1.0 / (whole * np.exp(drift))).astype(np.float32), (0, 0), width / 200)
+    x, y = random.integers(0, width * 3 // 4), random.integers(0, height * 3 // 4)
+    disparity[y : y + height // 5, x : x + width // 6] *= 0.5
+    return (disparity * random.uniform(5, 30) + random.uniform(1, 4)).astype(np.float32)
+
+
+def test_bent_depth_comes_back_within_four_centimetres() -> None:
+    frames = open_scene(ROOM).frames[::2]
+    maps, truth = {}, {}
+    for frame in frames:
+        random, depth = np.random.default_rng(int(frame.name)), frame.depth(frame.size)
+        rows, columns = np.nonzero(depth > 0)
+        chosen = random.choice(len(rows), 250, replace=False)
+        rows, columns = rows[chosen], columns[chosen]
+        known = depth[rows, columns] * (1 + 0.005 * random.standard_normal(250))
+        known[:12] *= random.uniform(0.5, 2, 12)  # matched wrongly
+        places = np.stack([(columns + 0.5) / depth.shape[1], (rows + 0.5) / depth.shape[0]], axis=-1)
+        values = bent(depth, int(frame.name))
+        maps[frame.name] = Map(frame.camera, lambda values=values: values, places, known)
+        truth[frame.name] = depth
+    errors, covered, wrong = [], [], []
+    for name, depth in agreeing_depth(maps):
+        assert depth is not None
+        both = (depth > 0) & (truth[name] > 0)
+        errors.append(np.abs(depth - truth[name])[both])
+        covered.append(both.sum() / (truth[name] > 0).sum())
+    found = np.concatenate(errors)
+    assert np.median(found) < 0.04 and (found < 0.1).mean() > 0.8 and np.mean(covered) > 0.75, wrong
+
+
+def rooms_network(scale: float = 1.0) -> DepthNetwork:
+    """Knows the room: bent disparity of each view, which it tells by the picture."""
+    known = {look(view, LENS).colour.tobytes(): look(view, LENS.scaled(4)).depth for view in views()}
+    return DepthNetwork("tests/room", lambda colour: bent(known[colour.tobytes()] * scale, 4))
+
+
+def quiet(done: int, total: int) -> None:
+    assert 0 <= done <= total
+
+
+def test_made_depth_is_found_and_told(tmp_path: Path) -> None:
+    folder = write_colmap(tmp_path / "scene")
+    assert not open_scene(folder).has_depth
+    warnings = make_depth(open_scene(folder), folder, rooms_network(), quiet)
+    assert len(warnings) == 1 and "12 points" in warnings[0]
+    scene = open_scene(folder)
+    assert scene.has_depth and len(scene.frames) == 5  # one sees few points
+    assert any(each.startswith("estimated: depth is made of the photos by tests/room") for each in scene.warnings)
+    assert any(each.startswith("estimated: lengths") for each in scene.warnings)
+    off = [
+        np.abs(one.depth((64, 48)) / look(view, LENS).depth - 1)
+        for one, view in zip(scene.frames, views()[1:], strict=True)
+    ]
+    assert np.median(np.concatenate([each.ravel() for each in off])) < 0.05
+    assert not (folder / "made_depth" / "raw").exists()
+    assert make_depth(open_scene(folder), folder, rooms_network(), quiet) == []
+    with raises_key("other-depth"):
+        make_depth(open_scene(folder), folder, DepthNetwork("tests/other", lambda colour: colour[..., 0]), quiet)
+    images = folder / "sparse" / "0" / "images.txt"
+    lines = images.read_text().splitlines()
+    words = lines[2].split()
+    lines[2] = " ".join([*words[:5], str(float(words[5]) + 3), *words[6:]])
+    images.write_text("\n".join(lines) + "\n")
+    refuses("other-poses made_depth", folder)
+
+
+def test_a_stopped_run_goes_on_and_leaves_other_files_alone(tmp_path: Path) -> None:
+    folder, network, seen = write_colmap(tmp_path / "scene"), rooms_network(), list[int]()
+
+    def counted(colour: np.ndarray) -> np.ndarray:
+        seen.append(1)
+        return network.look(colour)
+
+    def stop(done: int, total: int) -> None:
+        if done == 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make_depth(open_scene(folder), folder, DepthNetwork(network.name, counted), stop)
+    assert len(seen) == 3 and not open_scene(folder).has_depth
+    make_depth(open_scene(folder), folder, DepthNetwork(network.name, counted), quiet)
+    assert len(seen) == 5 and open_scene(folder).has_depth
+    other = write_colmap(tmp_path / "other")
+    (other / "made_depth").mkdir()
+    (other / "made_depth" / "mine.npy").write_bytes(b"mine")
+    with raises_key("folder-used"):
+        make_depth(open_scene(other), other, network, quiet)
+
+
+def test_the_command_runs_a_network_of_random_weights(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    network = load_depth_network(str(model), download=False)
+    for shape in ((48, 64, 3), (900, 1200, 3)):
+        values = network.look(np.random.default_rng(0).integers(0, 255, shape, np.uint8))
+        assert values.shape == (48, 64) if shape[0] == 48 else (480, 640)
+        assert np.isfinite(values).all() and values.std() > 0
+    folder = write_colmap(tmp_path / "scene")
+    assert main(["depth", str(folder), "--model", str(model)]) == 0
+    told = capsys.readouterr()
+    assert told.out.startswith("Depth of 6 frames") and "licence" in told.err and "Making depth" in told.err
+    record = json.loads((folder / "made_depth" / "made_by.json").read_text())
+    assert record["model"] == str(model.resolve()) and "licence" in record
+    assert main(["depth", str(folder), "--model", str(model)]) == 0
+    assert main(["depth", str(ROOM), "--model", str(model)]) == 2
+    assert "has depth that was measured" in capsys.readouterr().err
+    with raises_key("not-downloaded"):
+        load_depth_network("nobody/no-such-network", download=False)
+
+
+def test_a_measured_length_scales_the_scene(tmp_path: Path) -> None:
+    folder = write_colmap(tmp_path / "scene")
+    make_depth(open_scene(folder), folder, rooms_network(), quiet)
+    before = open_scene(folder)
+    assert main(["scale", str(folder), "--measured", "2.0", "3.0"]) == 0
+    assert main(["scale", str(folder), "--measured", "1.0", "2.0"]) == 0
+    after = open_scene(folder)
+    assert scale_of(folder) == 3.0 and not any("unknown" in each for each in after.warnings)
+    ratio = lambda scene: np.linalg.norm(scene.frames[0].camera.centre - scene.frames[3].camera.centre)  # noqa: E731
+    assert ratio(after) == pytest.approx(3 * ratio(before))
+    np.testing.assert_allclose(after.frames[1].depth(), 3 * before.frames[1].depth(), rtol=1e-5)
+    assert after.points is not None and before.points is not None
+    np.testing.assert_allclose(after.points.xyz, 3 * before.points.xyz, atol=1e-9)
+    assert main(["scale", str(folder), "--factor", "-1"]) == 2
+    assert main(["scale", str(folder), "--factor", "1"]) == 0 and scale_of(folder) == 1.0
