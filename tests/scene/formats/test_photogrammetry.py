@@ -130,7 +130,7 @@ def test_metashape_is_opencv_with_p1_and_p2_swapped(tmp_path: Path) -> None:
 
 def test_metashapes_photos_are_read_and_its_unit_is_doubted(tmp_path: Path) -> None:
     scene = open_scene(metashape_xml(tmp_path, NONE, whole=True))
-    assert scene.format == "metashape" and any("no unit" in each for each in scene.warnings)
+    assert scene.format == "metashape" and any("scale, which is unknown" in each for each in scene.warnings)
     room.check_colours(scene)
     assert open_scene(tmp_path / "cameras.xml").format == "metashape"
 
