@@ -22,7 +22,7 @@ from engine.errors import PlgsError
 from engine.job import LiftFolder
 from engine.job.report import read_metrics
 from engine.lift.baking import score_corrected
-from engine.lift.separating import parts_by_views, split_by_views
+from engine.lift.separating import parts_seen
 from engine.result_files import Instance
 from engine.scene import Scene, open_asked
 from engine.scene_of_lift import scene_of_lift
@@ -113,9 +113,9 @@ def _split(folder: LiftFolder, number: int, truth: NDArray[np.int64]) -> Make:
     """A split by views. It is refused if the parts are no purer than the whole."""
 
     def make(state: Replay, first_id: int) -> Edit:
-        edit = split_by_views(folder, state, number, first_id)
+        seen = parts_seen(folder, state, number)
+        edit, part = seen.split(state, number, first_id), seen.part
         own = truth[state.label == number]
-        part = parts_by_views(scene_of_lift(folder).train_frames, state.points_of(number)).part
         if sum(_most(own[part == each]) for each in np.unique(part)) < _most(own) + MIXED * len(own):
             raise PlgsError("not-purer", "the parts are not purer than the whole", folder.path, "Leave it whole.")
         return edit

@@ -269,7 +269,8 @@ def test_a_camera_that_cannot_move_is_looked_at_once(scene: bpy.types.Scene, mon
     scene.camera.animation_data_clear()
     scene.camera.data.animation_data_clear()
     scene.frame_end = 1_000_000
-    assert [camera.name for camera in cameras_of(scene, shot_of(scene, "", 1, 1_000_000))] == ["dolly.0000001"]
+    shot = shot_of(scene, first=1, last=1_000_000)
+    assert [camera.name for camera in cameras_of(scene, shot)] == ["dolly.0000001"]
     scene.frame_end, scene.camera.parent = 4, bpy.data.objects["Cube"]
     driven = scene.camera.parent.driver_add("location", 0).driver
     driven.expression = "frame"
