@@ -25,7 +25,6 @@ from engine.lift.baking import score_corrected
 from engine.lift.separating import parts_seen
 from engine.result_files import Instance
 from engine.scene import Scene, open_asked
-from engine.scene_of_lift import scene_of_lift
 
 MOST_EDITS = 19
 SEEN_WITHIN = 0.05
