@@ -30,6 +30,7 @@ from scipy.spatial import cKDTree
 from ..machine.threads import worker_count
 from ..presets.preset import EvidenceKind, SegmentVoting
 from ..scene import VOID, OnDemand, PanopticMask, Progress, View, evidence, resolution_of, watched
+from ..scene.pixels import distinct_ids, numbered_labels
 from .agreement import ViewPoints, ViewsOnCloud
 from .panoptic_labels import UNKNOWN_LABEL, PanopticLabels, decide_labels
 
@@ -109,7 +110,7 @@ def member_labels(
     view: View, labels: PanopticLabels, object_of_segment: Mapping[tuple[str, int], int]
 ) -> NDArray[np.int16]:
     """The labels of a view's own mask, int16 [H, W]: the label of the segment's object, or else that of its class."""
-    present, inverse = np.unique(view.mask.ids, return_inverse=True)
+    present, inverse = numbered_labels(view.mask.ids)
     class_of = {segment.id: segment.class_id for segment in view.mask.segments}
     table = np.full(len(present), UNKNOWN_LABEL, np.int16)
     for index, segment in enumerate(present.tolist()):
@@ -124,11 +125,10 @@ def segment_labels(
     """The label of each pixel, int16 [H, W]. A segment gets the label that at least ``agreement`` of its labelled
     pixels show; without such a label its pixels keep their label in ``shown``, int [H, W] of ``count`` labels (-1 =
     unknown). Void stays unknown."""
-    present, number = np.unique(mask.ids, return_inverse=True)  # ids may be as large as a PNG's colours
+    present, number = numbered_labels(mask.ids)  # ids may be as large as a PNG's colours
     segments, ids = len(present), number.reshape(mask.ids.shape)
     voting = (shown >= 0) & (mask.ids > 0)
-    pairs = ids[voting].astype(np.int64) * count + shown[voting]
-    pairs, pixels = np.unique(pairs, return_counts=True)
+    pairs, pixels = distinct_ids(ids[voting].astype(np.int64) * count + shown[voting])
     segment = pairs // count
     total = np.bincount(segment, pixels, segments)
     order = np.lexsort((pairs, -pixels, segment))

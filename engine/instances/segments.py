@@ -17,6 +17,7 @@ from scipy.ndimage import find_objects
 
 from ..machine.distinct_rows import distinct_rows
 from ..scene import PanopticMask, View
+from ..scene.pixels import numbered_labels
 from .records import ObjectMask, SceneObject, fit_box
 
 
@@ -47,7 +48,8 @@ def mask_extents(mask: PanopticMask) -> dict[int, tuple[float, Rectangle]]:
     """The extent of each segment that has pixels, by segment id: its share of the picture's pixels, and the rectangle
     around it."""
     height, width = mask.ids.shape
-    present, number, count = np.unique(mask.ids, return_inverse=True, return_counts=True)
+    present, number = numbered_labels(mask.ids)
+    count = np.bincount(number)
     rectangles = find_objects(number.reshape(mask.ids.shape) + 1)  # SciPy takes 0 as background
     return {
         int(segment): (

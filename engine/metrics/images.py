@@ -31,11 +31,9 @@ def score_picture(rendered: NDArray[np.generic], photo: NDArray[np.uint8]) -> Pi
     auto exposure shows one surface in many colours. The fitted scores ignore what a gain and an offset explain. Black
     borders that undistortion left in the photo count neither in the fit nor in PSNR. SSIM uses the whole picture.
     Raises ValueError if shapes differ."""
-    valid = ~border_mask(photo)
-    fitted = fit_colours(rendered, photo, valid)
-    return PictureScores(
-        psnr(rendered, photo, valid), ssim(rendered, photo), psnr(fitted, photo, valid), ssim(fitted, photo)
-    )
+    valid, (x, y) = ~border_mask(photo), _unit(rendered, photo)
+    fitted, seen = fit_colours(x, y, valid), _Windows(y)
+    return PictureScores(psnr(x, y, valid), seen.ssim(x), psnr(fitted, y, valid), seen.ssim(fitted))
 
 
 def fit_colours(
@@ -45,19 +43,23 @@ def fit_colours(
     ``valid`` pixels. Pictures [H, W, 3], uint8 or floats in [0, 1]; ``valid`` bool [H, W]. The result is float64,
     clipped to [0, 1], so its PSNR is never lower than that of ``rendered``. Raises ValueError if shapes differ."""
     x, y = _unit(rendered, photo)
-    here, there = x[valid], y[valid]
+    here, there = (each.reshape(-1, 3) if valid.all() else each[valid] for each in (x, y))
     mean_here, mean_there = here.mean(axis=0), there.mean(axis=0)
-    variance = ((here - mean_here) ** 2).mean(axis=0)
-    covariance = ((here - mean_here) * (there - mean_there)).mean(axis=0)
+    away = here - mean_here
+    variance = np.diag(away.T @ away) / len(away)
+    covariance = np.diag(away.T @ (there - mean_there)) / len(away)
     gain = np.divide(covariance, variance, out=np.zeros(3), where=variance > 0)  # a flat picture has none
-    return np.clip((x - mean_here) * gain + mean_there, 0.0, 1.0)
+    fitted = x * gain
+    fitted += mean_there - mean_here * gain
+    return np.clip(fitted, 0.0, 1.0, out=fitted)
 
 
 def psnr(a: NDArray[np.generic], b: NDArray[np.generic], valid: NDArray[np.bool_] | None = None) -> float:
     """-10 log10(MSE) in decibels of two pictures [H, W, 3], uint8 or floats in [0, 1], over all pixels or the ``valid``
     ones, bool [H, W]. Raises ValueError if shapes differ."""
     x, y = _unit(a, b)
-    error = float(np.mean((x - y) ** 2 if valid is None else (x - y)[valid] ** 2))
+    gap = (x - y).ravel() if valid is None or valid.all() else (x - y)[valid].ravel()
+    error = float(gap @ gap) / len(gap)
     return BEST_PSNR if error < 10 ** (-BEST_PSNR / 10) else -10.0 * math.log10(error)
 
 
@@ -66,22 +68,49 @@ def ssim(a: NDArray[np.generic], b: NDArray[np.generic]) -> float:
     window with sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2, each channel separately: the measure that the
     training loss uses. Raises ValueError if shapes differ."""
     x, y = _unit(a, b)
-    mean_x, mean_y = _window_mean(x), _window_mean(y)
-    variance_x = _window_mean(x * x) - mean_x**2
-    variance_y = _window_mean(y * y) - mean_y**2
-    covariance = _window_mean(x * y) - mean_x * mean_y
-    similarity = ((2 * mean_x * mean_y + C1) * (2 * covariance + C2)) / (
-        (mean_x**2 + mean_y**2 + C1) * (variance_x + variance_y + C2)
-    )
-    return float(np.mean(similarity))
+    return _Windows(y).ssim(x)
+
+
+class _Windows:
+    """A photo float64 [H, W, 3] with the means of its windows, for the SSIM of several pictures. Arrays of full size
+    are changed in place, as making them takes as long as computing them."""
+
+    def __init__(self, photo: NDArray[np.float64]) -> None:
+        self._photo, self._mean = photo, _window_mean(photo)
+        self._squared = self._mean * self._mean
+        self._variance = _window_mean(photo * photo)
+        self._variance -= self._squared
+
+    def ssim(self, picture: NDArray[np.float64]) -> float:
+        mean = _window_mean(picture)
+        shared = mean * self._mean
+        above = _window_mean(picture * self._photo)  # becomes 2 covariance + C2
+        above -= shared
+        above *= 2
+        above += C2
+        shared *= 2
+        shared += C1
+        above *= shared
+        mean *= mean
+        below = _window_mean(picture * picture)  # becomes the sum of the variances + C2
+        below -= mean
+        below += self._variance
+        below += C2
+        mean += self._squared
+        mean += C1
+        below *= mean
+        above /= below
+        return float(np.mean(above))
 
 
 def _unit(*pictures: NDArray[np.generic]) -> list[NDArray[np.float64]]:
     """Pictures as float64 in [0, 1]. Raises ValueError if shapes differ."""
     if len({picture.shape for picture in pictures}) > 1:
         raise ValueError(f"pictures differ in shape: {' and '.join(str(each.shape) for each in pictures)}")
-    scales = (255.0 if picture.dtype == np.uint8 else 1.0 for picture in pictures)
-    return [np.clip(each.astype(np.float64) / scale, 0.0, 1.0) for each, scale in zip(pictures, scales, strict=True)]
+    return [
+        each / np.float64(255) if each.dtype == np.uint8 else np.clip(each, 0.0, 1.0, dtype=np.float64)
+        for each in pictures
+    ]
 
 
 def _window_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..scene import VOID, ClassTable
-from ..scene.pixels import resize_nearest
+from ..scene.pixels import distinct_ids, numbered_labels, resize_nearest
 
 Mode = Literal["strict", "pl_compat"]
 MODES: tuple[Mode, ...] = get_args(Mode)
@@ -93,9 +93,9 @@ class PanopticEvaluation:
             raise ValueError(f"prediction and ground truth differ in size: {shapes}")
         predicted, true = self._segments(maps[0], maps[1]), self._segments(maps[2], maps[3])
         valid = (true >> 32) != VOID
-        p_values, p_index = np.unique(predicted[valid], return_inverse=True)
-        t_values, t_index = np.unique(true[valid], return_inverse=True)
-        pairs, pixels = np.unique(p_index * max(len(t_values), 1) + t_index, return_counts=True)
+        p_values, p_index = numbered_labels(predicted[valid])
+        t_values, t_index = numbered_labels(true[valid])
+        pairs, pixels = distinct_ids(p_index * max(len(t_values), 1) + t_index)
         shared = {
             (_unpack(int(p_values[k // len(t_values)])), _unpack(int(t_values[k % len(t_values)]))): int(n)
             for k, n in zip(pairs.tolist(), pixels.tolist(), strict=True)

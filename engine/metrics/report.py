@@ -12,7 +12,7 @@ from ..errors import PlgsError
 from ..posed.layout import same_shape, shown_size
 from ..scene import ClassTable, Frame, GroundTruth, Scene, Size, size_within
 from ..scene.label_folders import LabelFolder, in_one_table
-from ..scene.pixels import resize_nearest
+from ..scene.pixels import numbered_labels, resize_nearest
 from .images import DepthErrors, PictureScores, score_picture
 from .panoptic import MODES, FrameQuality, IdChanges, PanopticEvaluation
 
@@ -129,7 +129,7 @@ def add_input_masks(report: Report, scene: Scene, within: Size | None = None) ->
     for frame in scene.test_frames:
         if frame.read_ground_truth is not None:
             mask = frame.mask(frame.size if within is None else size_within(frame.size, within))
-            values, index = np.unique(mask.ids, return_inverse=True)
+            values, index = numbered_labels(mask.ids)
             # The ids of different views are unrelated, so each view gets fresh ones.
             fresh = np.where(values > 0, np.cumsum(values > 0) + first_id - 1, 0).astype(np.int32)
             first_id = max(first_id, int(fresh.max(initial=0)) + 1)

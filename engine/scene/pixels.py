@@ -159,8 +159,8 @@ def values_at(pixels: NDArray[Any], places: NDArray[np.float64]) -> NDArray[Any]
     return pixels[rows, columns]
 
 
-def distinct_ids(ids: NDArray[np.int32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """The distinct values in int32 [H, W] (>= 0), ascending, and each one's pixel count, void (0) included."""
+def distinct_ids(ids: NDArray[np.int32] | NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The distinct values (>= 0) of an array, ascending, and each one's pixel count, void (0) included."""
     # Counting is faster than sorting, unless the table is much larger than the picture.
     if int(ids.max(initial=0)) > ids.size + 65536:
         values, counts = np.unique(ids, return_counts=True)
@@ -168,6 +168,15 @@ def distinct_ids(ids: NDArray[np.int32]) -> tuple[NDArray[np.intp], NDArray[np.i
     counts = np.bincount(ids.ravel())
     values = np.flatnonzero(counts)
     return values, counts[values]
+
+
+def numbered_labels(labels: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.intp]]:
+    """The distinct values of a picture of labels, ascending, and the index of each pixel's value among them, [N]: as
+    ``numpy.unique`` returns them, but only one value of each run of equal pixels is sorted."""
+    flat = labels.ravel()
+    starts = np.flatnonzero(np.append(len(flat) > 0, flat[1:] != flat[:-1]))
+    values, index = np.unique(flat[starts], return_inverse=True)
+    return values, np.repeat(index, np.diff(starts, append=len(flat)))
 
 
 SUFFIXES = {".png", ".npy", ".npz"}
