@@ -2,31 +2,46 @@
 
     python set_up/extension.py FOLDER           # makes FOLDER/plgs-<version>.zip, index.json and index.html
 
-The tool belongs to the `blender` on PATH or, without one, to the bpy module of the Python that runs this program.
+The tool belongs to the `blender` on PATH, if that is new enough to have one, else to the bpy module of the Python that
+runs this program.
 """
 
 from __future__ import annotations
 
 import importlib.util
+import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
+OLDEST = (4, 2)
+"""The first Blender with extensions."""
 
 
 def tool() -> list[str]:
     """The command of Blender's extension tool. SystemExit if there is neither a Blender nor its module."""
     blender = shutil.which("blender")
-    if blender:
+    if blender and (version := version_of(blender)) >= OLDEST:
         return [blender, "--command", "extension"]
     # bpy is located but not imported: importing takes a second, and the tool is a script.
     module = importlib.util.find_spec("bpy")
     if module is None or module.origin is None:
-        raise SystemExit("extension: no blender on PATH, and this Python has no bpy module: run make set-up")
+        found = "no blender on PATH" if not blender else f"{blender} is {version[0]}.{version[1]}, older than 4.2"
+        raise SystemExit(f"extension: {found}, and this Python has no bpy module: run make set-up")
     scripts = sorted(Path(module.origin).parent.glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py"))
     return [sys.executable, str(scripts[-1])]
+
+
+def version_of(blender: str) -> tuple[int, int]:
+    """The version that a program says it has; 0, 0 if it says none within a minute."""
+    try:
+        said = subprocess.run([blender, "--version"], capture_output=True, text=True, check=False, timeout=60).stdout
+    except (OSError, subprocess.TimeoutExpired):
+        return 0, 0
+    found = re.search(r"^Blender (\d+)\.(\d+)", said, re.MULTILINE)
+    return (int(found[1]), int(found[2])) if found else (0, 0)
 
 
 def build(folder: Path) -> Path:

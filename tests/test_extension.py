@@ -38,10 +38,13 @@ print("all is well")
 def package(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The zip, built and judged by Blender's own tool."""
     folder = tmp_path_factory.mktemp("extension")
-    # Without a blender on PATH, the tool is that of the bpy module that runs this test.
+    # With a blender on PATH that has no tool yet, as Debian 12's, it is that of the bpy module that runs this test.
+    old = folder / "blender"
+    old.write_text("#!/bin/sh\n[ \"$1\" = --version ] && echo Blender 3.4.1 && exit 0\nexit 1\n")
+    old.chmod(0o755)
     command = [sys.executable, str(root / "set_up" / "extension.py"), str(folder)]
     process = subprocess.run(
-        command, env=os.environ | {"PATH": "/nonexistent"}, capture_output=True, text=True, timeout=120
+        command, env=os.environ | {"PATH": str(folder)}, capture_output=True, text=True, timeout=120
     )
     assert process.returncode == 0, process.stderr
     (path,) = folder.glob("*.zip")

@@ -124,12 +124,12 @@ def _draw_preview(context: bpy.types.Context) -> None:
     if picture is None:
         return
     if own is not None and own[0] == context.area:
-        drawing.draw_picture(picture, [(0, 0), _size(context)])
+        drawing.draw_picture(picture, [(0, 0), _size(context)], blend="ALPHA")
     elif camera is not None and camera == scene.camera:
         at, turned, _ = camera.matrix_world.decompose()  # a camera's scale does not change what it sees
         frame = [at + turned @ corner for corner in camera.data.view_frame(scene=scene)]
         region = drawing.ViewRegion.of(context)
-        drawing.draw_picture(picture, [region.pixel_of(corner) for corner in frame])
+        drawing.draw_picture(picture, [region.pixel_of(corner) for corner in frame], blend="ALPHA")
 
 
 def _size(context: bpy.types.Context) -> tuple[int, int]:

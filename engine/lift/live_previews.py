@@ -9,9 +9,13 @@ import logging
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from ..errors import PlgsError
 from ..job import EventWriter, LiftFolder, write_atomically
@@ -30,8 +34,13 @@ EVERY_S = 2.0
 """Minimum seconds between two previews."""
 LARGEST_SHARE = 0.05
 """The largest share of the time for previews, which sets the pause after each. The first is exempt: it may compile."""
-LONGEST_S = 15.0
-"""Maximum seconds from one preview to the next, whatever share of the time they take."""
+LONGEST_S, WATCHED_S = 15.0, 5.0
+"""Maximum seconds from one preview to the next, whatever share of the time they take: unasked, and when a camera is
+requested."""
+OUTSIDE = 1.0
+"""Metres from all of the scene's cameras beyond which a camera is taken to be outside the room: it sees no backs."""
+MOST_POINTS, NEIGHBOURS = 30_000, 12
+"""The most points whose normals tell front from back, and the neighbours of each that make its plane."""
 SIZE_WITHIN = (480, 480)
 """The largest width and height of a preview in pixels."""
 
@@ -47,12 +56,17 @@ class LivePreviews:
         instances: ShownInstances,
         events: EventWriter,
         clock: Callable[[], float] = time.monotonic,
+        surface: NDArray[np.float32] | None = None,
     ) -> None:
+        """``surface``: points [N, 3] of the scene, which tell front from back."""
         self.folder, self.scene, self.instances, self.events = folder, scene, instances, events
         self._clock, self._due, self._is_first = clock, clock(), True
         self._last_read: tuple[int, int, int] | None = None  # the stamp of preview.json when it was last read
         self._camera, self._fingerprint = frame_to_show(scene).camera, ""
         self._has_warned = False
+        self._eyes = np.array([frame.camera.centre for frame in scene.frames])
+        self._surface = surface
+        self._fronts: tuple[cKDTree, NDArray[np.float64]] | None = None
 
     def __call__(self, lifted: StructuredScene) -> None:
         """Draw the model if a preview is due. Raises OSError if the disk is full."""
@@ -63,7 +77,8 @@ class LivePreviews:
         ended = self._clock()
         pause = 0.0 if self._is_first else (ended - began) * (1 - LARGEST_SHARE) / LARGEST_SHARE
         took = ended - began
-        self._due = ended + max(EVERY_S, min(pause, max(LONGEST_S - took, took)))  # at most half of the time
+        longest = WATCHED_S if self._fingerprint else LONGEST_S
+        self._due = ended + max(EVERY_S, min(pause, max(longest - took, took)))  # at most half of the time
         self._is_first = False
 
     def clear_away(self) -> None:
@@ -76,15 +91,32 @@ class LivePreviews:
         self.folder.live_preview_path.unlink(missing_ok=True)
 
     def _draw(self, lifted: StructuredScene) -> None:
-        rendering = render_view(lifted, self._wanted_camera())
+        camera = self._wanted_camera()
+        rendering = render_view(self._without_backs(lifted, camera.centre), camera)
         layers = decide(rendering, self.scene.classes, self.instances.class_of)
         picture = panoptic_picture(layers, self.scene.classes, self.instances.colours)
+        if self._fingerprint:  # drawn over what Blender shows
+            picture = np.dstack([picture, np.rint(255 * np.clip((rendering.alpha - 0.3) / 0.4, 0, 1)).astype(np.uint8)])
         try:
             write_atomically(self.folder.live_preview_path, image_bytes(picture))
         except PermissionError as error:  # on Windows, while a program reads the last one
             log.info("a live preview was skipped: %s", error)
         else:
             self.events.preview(self.folder.live_preview_path, self._fingerprint)
+
+    def _without_backs(self, lifted: StructuredScene, eye: NDArray[np.float64]) -> StructuredScene:
+        """The scene without what faces away from a requested camera outside the room, so that it is open there."""
+        is_outside = np.linalg.norm(self._eyes - eye, axis=1).min() > OUTSIDE
+        if self._surface is None or not self._fingerprint or not is_outside:
+            return lifted
+        if self._fronts is None:
+            self._fronts = fronts_of(self._surface, self._eyes)
+        tree, normals = self._fronts
+        xyz = lifted.anchors.position.numpy(force=True)
+        faces = np.einsum("ij,ij->i", normals[tree.query(xyz)[1]], eye - xyz) >= 0.0
+        rows = torch.from_numpy(np.flatnonzero(faces)).to(lifted.anchors.position.device)
+        finest = None if lifted.finest is None else lifted.finest[rows]
+        return replace(lifted, anchors=lifted.anchors.select(rows), finest=finest)
 
     def _wanted_camera(self) -> Camera:
         path = self.folder.preview_request_path
@@ -118,6 +150,18 @@ class LivePreviews:
                 self._has_warned = True
                 self.events.warning(f"the previews show a different camera from the requested one: {error}")
             return default
+
+
+def fronts_of(surface: NDArray[np.float32], eyes: NDArray[np.float64]) -> tuple[cKDTree, NDArray[np.float64]]:
+    """At most MOST_POINTS of a surface's points [N, 3], and their normals, float64 [n, 3], of the planes through their
+    neighbours, towards the nearest of the cameras' centres, ``eyes`` [V, 3]."""
+    xyz = surface[:: 1 + len(surface) // MOST_POINTS].astype(np.float64)
+    tree = cKDTree(xyz)
+    around = xyz[tree.query(xyz, min(NEIGHBOURS, len(xyz)))[1]].reshape(len(xyz), -1, 3)
+    around -= around.mean(axis=1, keepdims=True)
+    normal = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))[1][..., 0]
+    towards = eyes[cKDTree(eyes).query(xyz)[1]] - xyz
+    return tree, np.where(np.einsum("ij,ij->i", normal, towards)[:, None] < 0.0, -normal, normal)
 
 
 def frame_to_show(scene: Scene) -> Frame:

@@ -135,7 +135,8 @@ def run_lift(
     if checkpoint is not None:
         take_up(trainer, checkpoint, events, masks_changed=masks_changed)
     names: Mapping[int, str] = instance_names(prepared.instances, classes)
-    previews = LivePreviews(folder, frames.all, shown_instances(prepared, names), events)
+    previews = LivePreviews(folder, frames.all, shown_instances(prepared, names), events, surface=prepared.cloud.xyz)
+    previews(trainer.scene)
     facts: dict[str, Json] = {FRAMES: list(frames.begun_with), CODE: code, MASKS: masks_last_run(folder)}
     facts[TRAINING] = training_options(request.chosen_preset)
     trainer.move_to(device)

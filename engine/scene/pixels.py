@@ -63,11 +63,11 @@ def write_image(path: Path, rgb: NDArray[Any]) -> None:
 def image_bytes(
     pixels: NDArray[Any], suffix: str = ".png", where: str = "a picture", ways: Sequence[int] = ()
 ) -> bytes:
-    """RGB uint8 [H, W, 3], or ids [H, W] of 8 or 16 bits, as PNG, or JPEG of the quality 95; ``ways`` are OpenCV's
-    flags and their values. Raises PlgsError when they cannot be encoded."""
+    """RGB or RGBA uint8 [H, W, 3 or 4], or ids [H, W] of 8 or 16 bits, as PNG, or JPEG of the quality 95; ``ways`` are
+    OpenCV's flags and their values. Raises PlgsError when they cannot be encoded."""
     import cv2
 
-    stored = np.ascontiguousarray(pixels[..., ::-1] if pixels.ndim == 3 else pixels)  # OpenCV has BGR
+    stored = np.ascontiguousarray(pixels[..., [2, 1, 0, 3][: pixels.shape[-1]]] if pixels.ndim == 3 else pixels)  # BGR
     good, data = cv2.imencode(suffix, stored, ways)
     if not good:
         fix = "Check the size of the scene's pictures."

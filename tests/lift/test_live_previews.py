@@ -16,7 +16,7 @@ from engine.lift.scene_files import ShownInstances
 from engine.scene import open_scene
 from engine.train.trainer import Trainer
 from tests.lift.test_lift import files_of
-from tests.tiny_scene import write_tiny_scene
+from tests.tiny_scene import ROOM, write_tiny_scene
 from tests.train.tiny_lift import TINY, presets_as, run, trainer_of, views_of
 
 FROM_ABOVE = PreviewCamera(
@@ -67,9 +67,9 @@ def test_watching_keeps_the_model(scene_folder: Path, tmp_path: Path, monkeypatc
     monkeypatch.setattr(Trainer, "step", step_and_turn)
     with pytest.raises(Cancelled):
         run(watched)
-    assert told(watched, "preview") == ["result/previews/live.png"] * 7
+    assert told(watched, "preview") == ["result/previews/live.png"] * 8, "the first before the first step"
     cameras = [event.data.get("camera") for event in last_run(watched.events_path) if event.kind == "preview"]
-    assert cameras == [None, None, FROM_ABOVE.fingerprint, None, None, FROM_ABOVE.fingerprint, None]
+    assert cameras == [None, None, None, FROM_ABOVE.fingerprint, None, None, FROM_ABOVE.fingerprint, None]
     assert len(told(watched, "warning")) == len(told(unwatched, "warning")) + 1  # of two broken ones the first
     run(watched, resume=True)
     assert files_of(watched) == files_of(unwatched) and not watched.live_preview_path.exists()
@@ -98,3 +98,30 @@ def test_previews_begin_at_once_and_cost_a_twentieth_unless_they_would_stand_sti
         gaps = np.diff(drawn[1:]) - cost
         assert gaps.min() >= expected - 1e-9 and gaps.max() < expected + 0.2
         assert cost > 1 or cost * len(drawn[1:]) <= 0.05 * now[0] + cost
+
+
+def test_from_outside_the_room_is_open_and_what_is_not_there_is_clear(scene_folder: Path, tmp_path: Path) -> None:
+    """As the cloud and the result are in Blender, over which the picture is drawn."""
+    trainer = trainer_of(*views_of(tmp_path / "scene"), TINY, tmp_path)
+    scene = open_scene(scene_folder, None, up="z")
+    folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene_folder))
+    xyz = trainer.scene.anchors.position.numpy(force=True)
+    at = np.random.default_rng(0).uniform(ROOM[0], ROOM[1], (6, 4000, 3))
+    for face in range(6):
+        at[face, :, face % 3] = ROOM[face // 3, face % 3]
+    walls = at.reshape(-1, 3).astype(np.float32)
+    previews = LivePreviews(folder, scene, ShownInstances({}, None), EventWriter(tmp_path / "e"), surface=walls)
+    drawn = {}
+    for name, eye in (("inside", scene.frames[0].camera.centre), ("outside", np.array([2.0, -6.0, 1.2]))):
+        pose = ((1.0, 0.0, 0.0, eye[0]), (0.0, 0.0, 1.0, eye[1]), (0.0, -1.0, 0.0, eye[2]), (0.0, 0.0, 0.0, 1.0))
+        write_preview_request(folder.preview_request_path, PreviewCamera(pose, FROM_ABOVE.K, 1200, 800))
+        previews._due = 0.0
+        previews(trainer.scene)
+        picture = cv2.imread(str(folder.live_preview_path), cv2.IMREAD_UNCHANGED)
+        assert picture.shape == (320, 480, 4)
+        drawn[name] = previews._without_backs(trainer.scene, eye).anchors.position.numpy(force=True), picture[..., 3]
+    assert len(drawn["inside"][0]) == len(xyz) > len(drawn["outside"][0]) > 0
+    wall = xyz[:, 1].min() + 0.1
+    near = [np.count_nonzero((points[:, 1] < wall) & (points[:, 2] > 0.3)) for points, _ in drawn.values()]
+    assert near[1] < 0.3 * near[0], "the wall between the eye and the room is left out"
+    assert drawn["outside"][1].min() == 0 and drawn["outside"][1].max() == 255
