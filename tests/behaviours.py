@@ -28,19 +28,15 @@ BEHAVIOURS = {
     "each format of captures is recognised": (
         "scene/formats/test_recognising.py::test_each_format_has_its_own_name_and_says_what_it_looks_for"
     ),
-    "frames of COLMAP": "scene/formats/test_colmap.py::test_dense_depth_lies_on_the_room",
-    "frames of Hypersim": "scene/formats/test_hypersim.py::test_points_lie_on_the_room",
-    "frames of Nerfstudio": "scene/formats/test_nerfstudio.py::test_points_lie_on_the_room",
-    "frames of Polycam": "scene/formats/test_phone_apps.py::test_polycam_points_lie_on_the_room",
+    "frames of ten layouts": ("doors/test_captures.py::test_the_layout_is_recognised_by_the_files_in_it"),
     "frames of Record3D": "scene/formats/test_record3d.py::test_points_lie_on_the_room",
-    "frames of Replica": "scene/formats/test_seven_scenes.py::test_nice_slams_layout_is_read",
     "frames of ScanNet's archives": "scene/formats/test_scannet.py::test_sens_points_lie_on_the_room",
     "frames of ScanNet++": "scene/formats/test_scannetpp.py::test_points_lie_on_the_room",
     "frames of 7-Scenes": "scene/formats/test_seven_scenes.py::test_raw_depth_is_registered_to_colour",
-    "frames of Stray Scanner": "scene/formats/test_phone_apps.py::test_stray_points_lie_on_the_room",
-    "frames of TUM": "scene/formats/test_tum.py::test_points_lie_on_the_room",
     "bad scenes and masks are one line": "scene/test_bad_input.py",
-    "a scene is diagnosed and mended": "diagnosis/test_mend.py::test_the_command_reports_shows_and_fixes",
+    "a scene is diagnosed and mended": (
+        "doors/test_captures.py::test_inspect_writes_a_mended_scene_and_your_files_stay_as_they_are"
+    ),
     "exports: clouds": "export/test_export.py::test_clouds_hold_pixels",
     "exports: COCO panoptic": "export/test_export.py::test_coco_is_exported",
     "exports: label images": "export/test_export.py::test_labels_are_exported",

@@ -1,6 +1,5 @@
 """What a mended scene's folder holds."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -82,25 +81,6 @@ def test_a_failure_leaves_no_folder(scene: Scene, tmp_path: Path) -> None:
     with pytest.raises(PlgsError):
         write_mended(scene, treated(scene, Mending(Assumption(unit=2.0))), tmp_path / "out")
     assert [path.name for path in tmp_path.iterdir()] == ["scene"]
-
-
-def test_the_command_reports_shows_and_fixes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = write_tiny_scene(tmp_path / "scene", 14, (96, 72))
-    for path in (folder / "pose").iterdir():
-        np.savetxt(path, np.linalg.inv(np.loadtxt(path)))
-    out, shown = tmp_path / "out", tmp_path / "shown"
-    assert main(["inspect", str(folder), "-o", str(shown), "--fix", str(out)]) == 0
-    assert main(["inspect", str(folder), "-o", str(folder)]) == 2  # it holds other files
-    assert main(["inspect", str(folder), "--fix", str(folder / "depth" / "mended")]) == 2
-    assert not (folder / "findings.json").exists() and not (folder / "depth" / "mended").exists()
-    told = capsys.readouterr().out
-    assert "wrong: inverted poses: " in told and "mended    inverted poses" in told
-    (finding,) = json.loads((shown / "findings.json").read_text())["findings"]
-    assert finding["cause"] == "inverted poses" and (shown / finding["picture"]).stat().st_size > 1000
-    assert json.loads((out / "mended.json").read_text())["mended"][0]["cause"] == "inverted poses"
-    assert main(["inspect", str(out), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["diagnosis"]["findings"] == []
-    assert not diagnose(open_scene(out)).mending.is_needed
 
 
 def test_refused_scene_is_explained_and_mended(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,6 +1,8 @@
-"""What docs/captures.md promises."""
+"""What docs/captures.md promises, done as it says on captures as their formats' documentation shows them."""
 
 import json
+import shutil
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,9 +15,180 @@ import pytest
 from engine import poses
 from engine.command_line.main import main
 from engine.scene import open_scene
-from tests.conftest import ROOT
+from tests.doors.terminal import ROOT, Terminal
 from tests.poses.test_making import aligned
-from tests.scene.formats.test_colmap import write_text
+from tests.raises_key import worded
+from tests.scene.formats.room import check_on_room, distance_to_room, views
+from tests.scene.formats.test_arkitscenes import write_video
+from tests.scene.formats.test_colmap import write_depth, write_text
+from tests.scene.formats.test_hypersim import SHIFTED, USUAL, write_hypersim
+from tests.scene.formats.test_nerfstudio import write_scene as write_nerfstudio
+from tests.scene.formats.test_phone_apps import write_polycam, write_scanner_app, write_stray
+from tests.scene.formats.test_scannet import sens
+from tests.scene.formats.test_scannetpp import one_stream, write_scannetpp
+from tests.scene.formats.test_seven_scenes import write_nice
+from tests.scene.formats.test_tum import write_tum
+from tests.tiny_scene import write_tiny_scene
+
+INSPECT = ".venv/bin/python -m engine inspect SCENE"
+FRAMES = ".venv/bin/python -m engine frames SCENE -o FOLDER"
+POSES = ".venv/bin/python -m engine poses PHOTOS"
+
+
+@pytest.fixture
+def shell(tmp_path: Path, quick_python: Path) -> Terminal:
+    """A terminal in an empty clone."""
+    (tmp_path / "clone").mkdir()
+    return Terminal.like_a_clone(tmp_path / "clone", quick_python)
+
+
+def answer_of(capsys: pytest.CaptureFixture[str], *arguments: object) -> Any:
+    """What a command of the engine answers with --json."""
+    capsys.readouterr()
+    assert main([*map(str, arguments), "--json"]) == 0, capsys.readouterr().err
+    return json.loads(capsys.readouterr().out.splitlines()[-1])
+
+
+def write_colmap(folder: Path) -> None:
+    write_depth(write_text(folder))
+
+
+def write_sens(folder: Path) -> None:
+    (folder / "scene0000_00.sens").write_bytes(sens(lost=2))
+
+
+LAYOUTS: list[tuple[str, Callable[[Path], object], str, float, float]] = [
+    ("sens", write_sens, "1 frame without a pose is left out: 2", 0.06, 0),
+    ("nerfstudio", write_nerfstudio, "", 0.004, 0),
+    ("colmap", write_colmap, "", 0.004, 0),
+    ("tum", write_tum, "a Kinect's lens is assumed", 0.004, 0),
+    ("replica", write_nice, "", 0.004, 60),
+    ("polycam", write_polycam, "", 0.004, 0),
+    ("polycam", lambda folder: write_polycam(folder, corrected=False), "not optimised", 0.004, 0),
+    ("stray", write_stray, "1 frame without a pose is left out: 000000", 0.004, 60),
+    ("stray", lambda folder: write_stray(folder, older=True), "", 0.004, 60),
+    ("scanner-app", write_scanner_app, "", 0.004, 60),
+    ("scannetpp", lambda folder: write_scannetpp(folder, one_stream), "without a pose is left out", 0.004, 60),
+    ("hypersim", lambda folder: write_hypersim(folder / "ai_001_001", USUAL), "", 0.001, 60),
+    ("hypersim", lambda folder: write_hypersim(folder / "ai_001_001", SHIFTED), "", 0.001, 60),
+    ("arkitscenes", lambda folder: write_video(folder, "wide"), "", 0.004, 0),
+    ("arkitscenes", lambda folder: write_video(folder / "40777060_frames", "lowres_wide"), "", 0.004, 0),
+]
+"""A layout, its writer, what a reader says of it, how far its depth may lie from the room in metres, and how far a
+colour from the room's, of 255 (pictures are compressed)."""
+
+
+@pytest.mark.parametrize(("layout", "write", "said", "away", "colour_step"), LAYOUTS)
+def test_the_layout_is_recognised_by_the_files_in_it(
+    layout: str, write: Callable[[Path], object], said: str, away: float, colour_step: float, tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    """Its depth and colours lie on the room, and so does the cloud that is shown of it."""
+    place = tmp_path / "scan"
+    place.mkdir()
+    write(place)
+    place = place / "ai_001_001" if layout == "hypersim" else place
+    told = answer_of(capsys, "inspect", place)
+    assert told["format"] == layout and said in json.dumps(told, ensure_ascii=False)
+    scene = open_scene(place)
+    check_on_room(scene, tolerance=away, share=0.97 if layout == "sens" else 0.99, colour_step=colour_step)
+    made = answer_of(capsys, "frames", place, "-o", tmp_path / "out", "--make", "cloud")
+    cloud = np.load(Path(made["folder"]) / "cloud.npz")
+    turn, shift = _onto_room(scene)
+    near = distance_to_room(cloud["xyz"].astype(np.float64) @ turn.T + shift) < 0.03 + away
+    assert len(near) > 500 and near.mean() > 0.97
+
+
+def _onto_room(scene: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The rotation and the shift that take the scene's world to the room's, by where its cameras stand."""
+    found = np.array([frame.camera.centre for frame in scene.frames])
+    known = np.array([view.eye for view in views(len(found))])
+    left, _, right = np.linalg.svd((known - known.mean(0)).T @ (found - found.mean(0)))
+    turn = left @ np.diag([1, 1, np.sign(np.linalg.det(left @ right))]) @ right
+    return turn, known.mean(0) - turn @ found.mean(0)
+
+
+@pytest.fixture
+def inverted(tmp_path: Path) -> Path:
+    """A scan whose program wrote world-to-camera poses."""
+    folder = write_tiny_scene(tmp_path / "scan", 14, (96, 72))
+    for path in (folder / "pose").iterdir():
+        np.savetxt(path, np.linalg.inv(np.loadtxt(path)))
+    return folder
+
+
+def test_inspect_says_what_is_in_a_scene_and_what_is_wrong(inverted: Path, shell: Terminal) -> None:
+    told = shell.run(INSPECT, SCENE=inverted)
+    assert "wrong: inverted poses: " in told and "chair" in told and "14 frames" in told
+
+
+def test_inspect_writes_a_picture_for_each_finding_that_shows_in_one(inverted: Path, shell: Terminal) -> None:
+    shell.run(".venv/bin/python -m engine inspect SCENE -o FOLDER", SCENE=inverted, FOLDER="found")
+    (finding,) = json.loads((shell.folder / "found/findings.json").read_text())["findings"]
+    assert finding["cause"] == "inverted poses" and cv2.imread(str(shell.folder / "found" / finding["picture"])).std()
+
+
+def test_inspect_writes_a_mended_scene_and_your_files_stay_as_they_are(
+    inverted: Path, shell: Terminal, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = {path: path.read_bytes() for path in inverted.rglob("*") if path.is_file()}
+    told = shell.run(".venv/bin/python -m engine inspect SCENE --fix OUT", SCENE=inverted, OUT="mended")
+    assert "mended    inverted poses" in told
+    assert {path: path.read_bytes() for path in inverted.rglob("*") if path.is_file()} == before
+    assert answer_of(capsys, "inspect", shell.folder / "mended")["diagnosis"]["findings"] == []
+    for name in ("0000", "0013"):
+        pose = np.loadtxt(shell.folder / f"mended/pose/{name}.txt")
+        np.testing.assert_allclose(pose, np.linalg.inv(np.loadtxt(inverted / f"pose/{name}.txt")), atol=1e-6)
+    assert main(["inspect", str(inverted), "--fix", str(inverted / "depth/mended")]) == 2
+
+
+def test_inverted_poses_stop_a_lift_and_it_says_what_mends_them(
+    inverted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["lift", str(inverted), "-o", str(tmp_path / "lift"), "--preset", "preview"]) == 2
+    told = capsys.readouterr().err
+    assert "inverted poses" in told and "--fix" in told and "--anyway" in told
+
+
+def test_up_to_half_of_the_frames_may_lack_depth_mask_or_pose(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_tiny_scene(tmp_path / "scan", 8)
+    (folder / "pose/0000.txt").write_text("inf " * 16)
+    (folder / "depth/0001.png").unlink()
+    (folder / "panoptic/0002.png").write_bytes((folder / "panoptic/0002.png").read_bytes()[:40])
+    told = answer_of(capsys, "inspect", folder)
+    assert told["train_frames"] + told["test_frames"] == 5
+    assert all(any(name in warning for warning in told["warnings"]) for name in ("0000", "0001", "0002"))
+    for name in ("0003", "0004", "0005", "0006"):
+        (folder / f"depth/{name}.png").unlink()
+    assert main(["inspect", str(folder)]) == 2 and "depth" in capsys.readouterr().err
+
+
+def test_frames_writes_pictures_that_no_image_file_shows_and_needs_no_masks(tmp_path: Path, shell: Terminal) -> None:
+    """Those of Stray Scanner's video, with depth in colours and a cloud."""
+    write_stray(tmp_path / "scan")
+    assert "6 frames in" in shell.run(FRAMES, SCENE=tmp_path / "scan", FOLDER="plain")
+    names = [f"{number:06d}" for number in range(2, 8)]
+    for folder, suffix in (("color", "jpg"), ("depth", "png")):
+        assert sorted(path.name for path in (shell.folder / "plain" / folder).iterdir()) == [
+            f"{name}.{suffix}" for name in names
+        ]
+    film = cv2.VideoCapture(str(tmp_path / "scan/rgb.mp4"))
+    film.set(cv2.CAP_PROP_POS_FRAMES, 2)
+    shown = cv2.imread(str(shell.folder / "plain/color/000002.jpg")).astype(int)
+    assert np.abs(shown - film.read()[1]).mean() < 5
+    depth = cv2.imread(str(shell.folder / "plain/depth/000002.png"))
+    assert depth.std(axis=(0, 1)).min() > 10 and len(np.load(shell.folder / "plain/cloud.npz")["rgb"]) > 500
+
+
+def test_finished_models_are_refused_with_the_export_to_choose(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "Scaniverse 2026-01-02.spz").write_bytes(b"")
+    assert main(["inspect", str(tmp_path)]) == 2
+    assert worded("models-only").search(capsys.readouterr().err)
+
 
 METADATA = '{"intrinsicMatrix": [1], "rangeOfEncodedDepth": [0.5, 4.5]}'
 
@@ -108,3 +281,26 @@ def test_a_rgbd_video_of_the_sample_gets_its_poses_in_metres(
     found = np.array([frame.camera.centre for frame in made.frames])
     scale, errors = aligned(found, np.array([wanted[frame.name] for frame in made.frames]))
     assert made.has_depth and errors.mean() < 0.1 and abs(scale - 1.0) < 0.05, (scale, errors.mean())
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(find_spec("pycolmap") is None, reason="needs pycolmap (engine add colmap)")
+@pytest.mark.parametrize("has_depth", [True, False])
+def test_poses_of_photos_are_written_beside_them_as_sparse_0(
+    has_depth: bool, shell: Terminal, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Those of the sample, to some centimetres; measured depth beside them gives the unit."""
+    sample, photos = ROOT / "sample/room", tmp_path / "photos"
+    shutil.copytree(sample / "color", photos / "color")
+    if has_depth:
+        shutil.copytree(sample / "depth", photos / "depth")
+    assert "72 of 72 photos" in shell.run(POSES, PHOTOS=photos)
+    assert (photos / "sparse/0/images.bin").is_file()
+    answer = answer_of(capsys, "poses", photos)
+    assert answer["posed"] == 72 and (answer["scale"] is not None) is has_depth, "what an earlier call made is taken"
+    made, true = open_scene(photos), open_scene(sample)
+    assert made.has_depth is has_depth
+    centres = {frame.name: frame.camera.centre for frame in made.frames}
+    found = np.array([centres[frame.name] for frame in true.frames])
+    scale, errors = aligned(found, np.array([frame.camera.centre for frame in true.frames]))
+    assert errors.mean() < 0.05 and (abs(scale - 1.0) < 0.02 or not has_depth), (scale, errors.mean())

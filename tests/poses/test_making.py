@@ -2,8 +2,6 @@
 
 import json
 import shutil
-import subprocess
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
@@ -207,31 +205,6 @@ def test_the_sharpest_pictures_of_a_film_are_taken(tmp_path: Path) -> None:
 
 
 @needs_colmap
-@pytest.mark.slow
-@pytest.mark.parametrize("has_depth", [True, False])
-def test_the_samples_photos_get_the_samples_poses(has_depth: bool, root: Path, tmp_path: Path) -> None:
-    sample = root / "sample" / "room"
-    shutil.copytree(sample / "color", tmp_path / "photos" / "color")
-    if has_depth:
-        shutil.copytree(sample / "depth", tmp_path / "photos" / "depth")
-    said = subprocess.run(
-        [sys.executable, "-m", "engine", "poses", tmp_path / "photos", "--json"],
-        cwd=root, capture_output=True, text=True, timeout=500,
-    )  # fmt: skip
-    assert said.returncode == 0, said.stderr
-    answer = json.loads(said.stdout.splitlines()[-1])
-    again = main(["poses", str(tmp_path / "photos")])
-    assert again == 0, "what an earlier call made is taken"
-    assert answer["posed"] == answer["photos"] == 72 and (answer["scale"] is not None) is has_depth
-    made, true = open_scene(tmp_path / "photos"), open_scene(sample)
-    assert made.has_depth is has_depth
-    centres = {frame.name: frame.camera.camera_to_world[:3, 3] for frame in made.frames}
-    found = np.array([centres[frame.name] for frame in true.frames])
-    wanted = np.array([frame.camera.camera_to_world[:3, 3] for frame in true.frames])
-    scale, errors = aligned(found, wanted)
-    assert errors.mean() < 0.05 and (abs(scale - 1.0) < 0.02 or not has_depth), (scale, errors.mean())
-
-
 def aligned(found: np.ndarray, wanted: np.ndarray) -> tuple[float, np.ndarray]:
     """The scale of the similarity (Umeyama) that brings places [N, 3] to others, and the distances left [N]."""
     one, other = found - found.mean(0), wanted - wanted.mean(0)

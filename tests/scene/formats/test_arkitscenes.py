@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from engine.scene import open_scene
-from tests.scene.formats.room import Lens, check_on_room, in_steps, look, opencv_pose, views, write_colour, write_grey
+from tests.scene.formats.room import Lens, in_steps, look, opencv_pose, views, write_colour, write_grey
 from tests.scene.refusing import refuses
 
 LENS, DEPTH = Lens().scaled(2), Lens()
@@ -42,14 +42,6 @@ def write_video(folder: Path, kind: str) -> Path:
             rows.append(row(seconds + at, end))
     (folder / "lowres_wide.traj").write_text("\n".join(rows) + "\n")
     return folder
-
-
-@pytest.mark.parametrize(("inner", "kind"), [("", "wide"), ("40777060_frames", "lowres_wide")])
-def test_points_lie_on_the_room(tmp_path: Path, inner: str, kind: str) -> None:
-    write_video(tmp_path / inner, kind)
-    scene = open_scene(tmp_path)
-    assert scene.format == "arkitscenes" and len(scene.frames) == len(views())
-    check_on_room(scene)
 
 
 def test_pictures_far_from_any_pose_are_left_out(tmp_path: Path) -> None:

@@ -75,11 +75,6 @@ def test_text_pictures_and_points(tmp_path: Path) -> None:
             np.testing.assert_allclose([*pixel[0], depth[0]], [LENS.cx, LENS.cy, 1.0], atol=1e-5)
 
 
-def test_dense_depth_lies_on_the_room(tmp_path: Path) -> None:
-    write_depth(write_text(tmp_path))
-    room.check_on_room(open_scene(tmp_path))
-
-
 @pytest.mark.parametrize("place", ["dense/0", "dense"])
 def test_depth_of_a_workspace_is_found(tmp_path: Path, place: str) -> None:
     """Its pictures are undistorted and of another size than the photos; empty folders are no depth."""

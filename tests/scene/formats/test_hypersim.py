@@ -57,14 +57,6 @@ def write_hypersim(folder: Path, M: np.ndarray, table: bool = True, linear: bool
     return folder
 
 
-@pytest.mark.parametrize("M", [USUAL, SHIFTED])
-def test_points_lie_on_the_room(tmp_path: Path, M: np.ndarray) -> None:
-    scene = open_scene(write_hypersim(tmp_path / "ai_001_001", M))
-    assert scene.format == "hypersim" and scene.frames[4].name == "cam_01_0000" and scene.warnings == ()
-    assert scene.frames[0].file_shows_colour and not scene.frames[0].depth()[:2].any()
-    check_on_room(scene, tolerance=0.001, colour_step=60)
-
-
 def test_a_tilted_lens_is_straightened(tmp_path: Path) -> None:
     scene = open_scene(write_hypersim(tmp_path / "ai_007_005", TILTED))
     assert not scene.frames[0].file_shows_colour

@@ -37,13 +37,6 @@ def write_scene(folder: Path, depth: bool = True, **shared: Any) -> Path:
     return folder
 
 
-def test_points_lie_on_the_room(tmp_path: Path) -> None:
-    for place in (write_scene(tmp_path), tmp_path / "transforms.json"):
-        scene = open_scene(place)
-        assert scene.format == "nerfstudio" and scene.frames[2].name == "frame_10"
-        room.check_on_room(scene)
-
-
 def test_frames_whose_pictures_are_missing_are_left_out(tmp_path: Path) -> None:
     """instant-ngp's own sample names more pictures than it has."""
     write_scene(tmp_path)

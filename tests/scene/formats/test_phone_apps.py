@@ -51,15 +51,6 @@ def write_polycam(folder: Path, corrected: bool = True) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("corrected", [True, False])
-def test_polycam_points_lie_on_the_room(tmp_path: Path, corrected: bool) -> None:
-    scene = open_scene(write_polycam(tmp_path, corrected))
-    assert scene.format == "polycam" and scene.frames[0].name == "98765432100"
-    assert any("not optimised" in warning for warning in scene.warnings) is not corrected
-    room.check_on_room(scene)
-    assert not scene.frames[0].depth()[:5].any()
-
-
 def without_size(folder: Path, kind: str = "corrected_cameras", **other: float) -> None:
     for path in (folder / "keyframes" / kind).iterdir():
         entry = json.loads(path.read_text())
@@ -115,13 +106,6 @@ def write_scanner_app(folder: Path) -> Path:
     room.write_colour(folder / "thumb_00000.jpg", np.zeros((8, 8, 3), np.uint8))
     (folder / "info.json").write_text('{"title": "Scan"}')
     return folder
-
-
-def test_scanner_app_points_lie_on_the_room(tmp_path: Path) -> None:
-    scene = open_scene(write_scanner_app(tmp_path))
-    assert scene.format == "scanner-app" and [frame.name for frame in scene.frames][1] == "frame_00002"
-    room.check_on_room(scene, colour_step=60)
-    assert not scene.frames[0].depth()[:5].any()
 
 
 def test_a_scan_without_depth_and_a_picture_without_a_pose(tmp_path: Path) -> None:
@@ -184,15 +168,6 @@ def write_stray(folder: Path, older: bool = False, sideways: bool = False) -> Pa
     rows = [[STRAY_LENS.fx, 0.0, STRAY_LENS.cx], [0.0, STRAY_LENS.fy, STRAY_LENS.cy], [0.0, 0.0, 1.0]]
     (folder / "camera_matrix.csv").write_text("".join(", ".join(map(str, row)) + "\n" for row in rows))
     return folder
-
-
-@pytest.mark.parametrize("older", [True, False])
-def test_stray_points_lie_on_the_room(tmp_path: Path, older: bool) -> None:
-    scene = open_scene(write_stray(tmp_path, older))
-    assert scene.format == "stray" and [frame.name for frame in scene.frames] == [f"{i:06d}" for i in range(2, 8)]
-    assert "1 frame without a pose is left out: 000000" in scene.warnings and scene.fps == 60
-    room.check_on_room(scene, colour_step=60)  # the video's compression
-    assert not scene.frames[0].depth()[:5].any() and not scene.frames[0].file_shows_colour
 
 
 def test_empty_columns_of_the_current_app_are_ignored(tmp_path: Path) -> None:

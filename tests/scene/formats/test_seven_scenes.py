@@ -184,12 +184,6 @@ def write_nice(folder: Path, lens: room.Lens = NICE, steps: float = 6553.5) -> P
     return folder
 
 
-def test_nice_slams_layout_is_read(tmp_path: Path) -> None:
-    scene = open_scene(write_nice(tmp_path))
-    assert scene.format == "replica" and scene.frames[0].name == "frame000000"
-    room.check_on_room(scene, colour_step=60)
-
-
 def test_nice_slams_camera_file(tmp_path: Path) -> None:
     lens = room.Lens()
     write_nice(tmp_path / "office0", lens, steps=1000.0)

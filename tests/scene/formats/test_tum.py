@@ -39,14 +39,6 @@ def write_tum(folder: Path) -> Path:
     return folder
 
 
-def test_points_lie_on_the_room(tmp_path: Path) -> None:
-    scene = open_scene(write_tum(tmp_path))
-    assert scene.format == "tum" and scene.frames[0].name == "1305031102.170000"
-    assert "1 frame without a pose is left out: 1305031100.000000" in scene.warnings
-    assert any("a Kinect's lens is assumed" in warning for warning in scene.warnings)
-    check_on_room(scene)
-
-
 @pytest.mark.parametrize("by_number", [False, True])
 def test_rtabmaps_poses_with_numbers(tmp_path: Path, by_number: bool) -> None:
     lines = "#timestamp x y z qx qy qz qw id\n"
