@@ -40,11 +40,11 @@ MASKS = (
     ),
     KnownNetwork(
         "shi-labs/oneformer_ade20k_swin_tiny", "refs/pr/6", "OneFormer, ADE20K", "rooms (ADE20K's 150 classes)",
-        203_000_000, "MIT", "its card on huggingface.co", True, 0.0,
+        203_000_000, "MIT", "its card on huggingface.co", True, 5.6,
     ),
     KnownNetwork(
         "Roboflow/rf-detr-seg-medium", "", "RF-DETR, COCO", "things, as detections over other masks (COCO's 80)",
-        140_000_000, "Apache-2.0", "README.md of github.com/roboflow/rf-detr", True, 0.0,
+        143_000_000, "Apache-2.0", "README.md of github.com/roboflow/rf-detr", True, 1.4,
     ),
 )  # fmt: skip
 """Networks that make masks; the first is the default."""
@@ -52,7 +52,7 @@ DEPTH = (
     KnownNetwork(
         "depth-anything/Depth-Anything-V2-Small-hf", "5426e4f0f36572d16453bbda7a8389317b1bef99",
         "Depth Anything V2 Small", "depth", 99_200_000, "Apache-2.0",
-        "its card on huggingface.co; only Small has this licence", True, 0.0,
+        "its card on huggingface.co; only Small has this licence", True, 2.7,
     ),
 )  # fmt: skip
 """Networks that make depth; the first is the default."""

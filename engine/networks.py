@@ -45,6 +45,17 @@ def quiet_transformers(name: str, download: bool, part: str, purpose: str) -> No
     logging.disable_progress_bar()
 
 
+def is_here(name: str) -> bool:
+    """Whether a network is on this machine, without asking the hub."""
+    if Path(name).is_dir():
+        return True
+    try:
+        model_folder(name, download=False)
+    except (*LOADING_FAILS, ImportError, PlgsError):
+        return False
+    return True
+
+
 def model_folder(name: str, *, download: bool) -> Path:
     """The folder with a model's files: ``name`` itself, or its files of the hub, fetched with ``download`` only. Raises
     PlgsError and LOADING_FAILS."""

@@ -128,6 +128,10 @@ _LOOKS_FOR_MASKS = {
 }
 MASK_FORMAT_NAMES = tuple(FormatName(name, name, looks_for) for name, looks_for in _LOOKS_FOR_MASKS.items())
 
+FILMS = frozenset({".mp4", ".mov", ".m4v", ".avi", ".mkv"})
+"""Suffixes of films, in lower case."""
+MADE_POSES = "sparse/0/made_by.json"
+"""The note of `python -m engine poses` in a scene's folder."""
 TABLES = ("coco", "ade20k", "cityscapes", "nyu40", "nyu13", "scannet", "scannet200", "replica", "reduced")
 """The public tables of classes."""
 NUMBERINGS = (

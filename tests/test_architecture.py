@@ -57,12 +57,13 @@ ENGINE_MAY_IMPORT = {
         "segment": "errors json_file job known_networks scene",
         "mask_networks": "errors json_file networks scene segment",
         "depth_agreement": "job posed scene",
+        "film": "depth_making errors job known_networks mask_networks networks poses scene segment",
         "depth_making": "depth_agreement errors job json_file known_networks networks posed scene",
         "set_up": "gates errors job",
         "batch": "gates errors json_file job scene_of_lift machine",
         "command_line": (
             "gates errors json_file records presets scene_source job corrections scene scene_of_lift metrics lift "
-            "diagnosis export frames poses segment set_up batch known_networks mask_networks depth_making"
+            "diagnosis export frames poses segment set_up batch known_networks depth_making film"
         ),
         "__main__": "command_line",
     }.items()

@@ -13,12 +13,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ..errors import ErrorCode, PlgsError
+from ..errors import PlgsError
 from ..job import EventWriter, ExitCode, LiftFolder, StopSignal, verify
 from ..job.request import chosen_options, given_lift_options, source_of
 from ..job.task import TaskFiles
 from ..json_file import Json
-from ..known_networks import KNOWN, terms_of
 from ..presets.options import option_value, parsed_options, preset_options, preset_text, with_options
 from ..presets.preset import PRESETS
 from ..records import to_json
@@ -211,95 +210,53 @@ def poses(options: argparse.Namespace, events: EventWriter, stop: StopSignal) ->
 
 def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
     """Make the masks, or continue where it was stopped."""
-    from ..job.prediction import MASK_S, machine_slowness
-    from ..job.progress import StageProgress
-    from ..mask_networks import load_model
+    from ..film import Wish, mask_scene, scene_folder
     from ..scene import open_scene
-    from ..scene.frame_choice import frames_to_mask
-    from ..segment import MERGES, begin_job, make_masks
 
-    source: Path = options.scene
-    scene = open_scene(source, None, up=options.up or "z", scene_format=options.scene_format)
-    folder: Path = options.output or (source if source.is_dir() else source.with_suffix(""))
-    name = str(Path(options.model).resolve()) if Path(options.model).is_dir() else options.model
-    wanted = None
-    if options.frames == "auto":
-        events.stage("choose", 1, 3, "Choosing frames")
-        chosen = frames_to_mask(scene, StageProgress("choose", events, stop))
-        wanted = frozenset(frame.name for frame in chosen)
-    count = len(scene.frames) if wanted is None else len(wanted)
-    job = begin_job(folder, name, scene.frames, wanted)
+    scene = open_scene(options.scene, up=options.up or "z", scene_format=options.scene_format)
+    folder: Path = options.output or scene_folder(options.scene)
+    wish = Wish(masks=options.model, download=options.download, merge=options.merge, frames=options.frames)
+    made = mask_scene(scene, folder, wish, events, stop)
+    count = len(scene.frames) if made is None else made
     answer: dict[str, Json] = {"folder": str(folder), "frames": len(scene.frames), "masks": count}
-    if job.is_finished:
-        events.answer(answer, f"These masks are finished already: {folder}")
-        return
-    say_terms(name, events)
-    events.stage("load", 2, 3, "Loading the network")
-    try:
-        network = load_model(name, download=options.download, rounds=MERGES[options.merge])
-    except PlgsError:
-        job.discard_if_empty()
-        raise
-    stop.check()
-    minutes = max(1, round(count * MASK_S * machine_slowness() / 60))
-    told = f"Making masks of {count} of {len(scene.frames)} frames, in about {minutes} min"
-    events.stage("segment", 3, 3, told)
-    progress = StageProgress("segment", events, stop)
-
-    def follow(done: int, frames: int, made: int) -> None:
-        stop.check()
-        if made:  # those of an earlier run would spoil the pace
-            progress(done, frames)
-
-    try:
-        make_masks(scene, job, network, follow, wanted)
-    except OSError as error:
-        fix = "Make room there, then continue."
-        what = f"masks cannot be written ({error.strerror})"
-        raise PlgsError("unwritable", what, job.folder, fix, code=ErrorCode.DISK_FULL) from error
-    events.answer(answer, f"Masks of {count} of {len(scene.frames)} frames: {folder}")
+    text = f"Masks of {count} of {len(scene.frames)} frames: {folder}"
+    events.answer(answer, f"These masks are finished already: {folder}" if made is None else text)
 
 
 def depth(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
     """Make depth, or continue where it was stopped."""
-    from ..depth_making import is_made, load_depth_network, make_depth
-    from ..job.progress import StageProgress
+    from ..depth_making import is_made
+    from ..film import Wish, depth_scene, scene_folder
     from ..scene import open_scene
 
-    source: Path = options.scene
-    scene = open_scene(source, up=options.up or "z", scene_format=options.scene_format)
-    folder = source if source.is_dir() else source.with_suffix("")
+    scene, folder = (
+        open_scene(options.scene, up=options.up or "z", scene_format=options.scene_format),
+        scene_folder(options.scene),
+    )
     if scene.has_depth and not is_made(folder):
         what = "this scene has depth that was measured or given"
         raise PlgsError("has-depth", what, scene.folder, "Lift it as it is.")
-    name = str(Path(options.model).resolve()) if Path(options.model).is_dir() else options.model
-    say_terms(name, events)
-    events.stage("load", 1, 2, "Loading the network")
-    network = load_depth_network(name, download=options.download)
-    stop.check()
-    events.stage("depth", 2, 2, "Making depth")
-    for warning in make_depth(scene, folder, network, StageProgress("depth", events, stop)):
-        events.warning(warning)
+    depth_scene(scene, folder, Wish(depth=options.model, download=options.download), events, stop)
     answer: dict[str, Json] = {"folder": str(folder), "frames": len(scene.frames)}
     events.answer(answer, f"Depth of {len(scene.frames)} frames: {folder}")
 
 
+def prepare(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
+    from ..film import Wish, prepare
+
+    wish = Wish(options.masks_model, options.depth_model, options.download, have=frozenset(options.have))
+    folder = prepare(options.scene, wish, events, stop)
+    events.answer({"folder": str(folder)}, f"Poses, depth and masks: {folder}")
+
+
 def scale(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
+    from ..film import scene_folder
     from ..scene import open_scene
     from ..scene.made import set_scale
 
-    source: Path = options.scene
-    open_scene(source, up=options.up or "z", scene_format=options.scene_format)  # to refuse what is no scene
-    factor = set_scale(source if source.is_dir() else source.with_suffix(""), options.factor, options.measured)
-    events.answer({"scale": factor}, f"Lengths of {source} are multiplied by {factor:.6g}")
-
-
-def say_terms(name: str, events: EventWriter) -> None:
-    """Tell the licence of a network before it is fetched, if it forbids commercial use or is not known."""
-    known = KNOWN.get(name.partition("@")[0])
-    if known is None or not known.is_commercial:
-        terms = terms_of(name)
-        events.warning(f"{terms[0].upper()}{terms[1:]}")
+    open_scene(options.scene, up=options.up or "z", scene_format=options.scene_format)  # to refuse what is no scene
+    factor = set_scale(scene_folder(options.scene), options.factor, options.measured)
+    events.answer({"scale": factor}, f"Lengths of {options.scene} are multiplied by {factor:.6g}")
 
 
 def handshake(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:

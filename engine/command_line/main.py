@@ -51,6 +51,7 @@ def make_parser() -> argparse.ArgumentParser:
     _add_frames(known.add_parser("frames", help="write a scene's pictures, depth and masks as plain image files"))
     _add_poses(known.add_parser("poses", help="find the poses of photos or of a film's pictures, with COLMAP"))
     _add_segment(known.add_parser("segment", help="make masks for a scene that has none"))
+    _add_prepare(known.add_parser("prepare", help="make what a lift of a film or of photos needs: poses, depth, masks"))
     _add_depth(known.add_parser("depth", help="make depth for a scene that has none, with a network"))
     _add_scale(known.add_parser("scale", help="set the scale of a scene whose lengths have no unit"))
     _add_presets(known.add_parser("presets", help="show the presets and all their options"))
@@ -71,6 +72,7 @@ def _add_lift(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, metavar="OUT", help="the lift folder to make")
     request.add_lift_options(parser)
     parser.add_argument("--resume", action="store_true", help="continue a lift that was stopped")
+    _add_download(parser)
     parser.add_argument(
         "--refine", nargs="?", const="preview", choices=[name for name in PRESETS if name != "draft"], metavar="PRESET",
         help="go on from a finished lift in LIFT, without -o, by a better preset (default: preview)",
@@ -258,10 +260,7 @@ def _add_segment(parser: argparse.ArgumentParser) -> None:
         "--model", default=SEGMENT_MODEL, metavar="NAME|FOLDER",
         help=f"a folder with such a network, or its name on Hugging Face's hub (default: {SEGMENT_MODEL})",
     )  # fmt: skip
-    parser.add_argument(
-        "--download", action="store_true",
-        help="download the model from huggingface.co; otherwise it must be on this machine already",
-    )  # fmt: skip
+    _add_download(parser)
     parser.add_argument(
         "--merge", choices=("one", "two"), default="one",
         help="two: what is surer than 0.25 fills what the first round, above 0.5, left (default: one)",
@@ -278,6 +277,27 @@ def _add_segment(parser: argparse.ArgumentParser) -> None:
     _make_task(parser, commands.segment, "The same command continues.")
 
 
+def _add_prepare(parser: argparse.ArgumentParser) -> None:
+    parser.description = (
+        "Make the poses, the depth and the masks of a film or of photos, each only where it is missing, in a folder of "
+        "the film's name, or beside the photos. lift FILM -o OUT does this first. What must be downloaded is listed "
+        "with its size and licence, and fetched with --download only. If this is stopped, the same command continues."
+    )
+    parser.add_argument("scene", type=Path, metavar="FILM|PHOTOS", help="a film, or a folder with photos")
+    _add_download(parser)
+    parser.add_argument("--masks-model", default=SEGMENT_MODEL, metavar="NAME|FOLDER", help="as segment --model")
+    parser.add_argument("--depth-model", default=DEPTH[0].name, metavar="NAME|FOLDER", help="as depth --model")
+    parser.add_argument("--have", nargs="+", choices=("depth", "masks"), default=(), help="what not to make")
+    _make_task(parser, commands.prepare, "The same command continues.")
+
+
+def _add_download(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--download", action="store_true",
+        help="download networks from huggingface.co; otherwise they must be on this machine already",
+    )  # fmt: skip
+
+
 def _add_depth(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Let a network make depth of every photo, fit it to the points of the reconstruction and to the other frames, "
@@ -290,10 +310,7 @@ def _add_depth(parser: argparse.ArgumentParser) -> None:
         "--model", default=DEPTH[0].name, metavar="NAME|FOLDER",
         help=f"a folder with a network for depth, or its name on Hugging Face's hub (default: {DEPTH[0].name})",
     )  # fmt: skip
-    parser.add_argument(
-        "--download", action="store_true",
-        help="download the model from huggingface.co; otherwise it must be on this machine already",
-    )  # fmt: skip
+    _add_download(parser)
     request.add_options(parser, "up", "scene_format")
     _make_task(parser, commands.depth, "The same command continues.")
 

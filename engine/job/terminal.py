@@ -15,9 +15,10 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, TextIO
 
-from ..errors import OF_SIGNALS, ExitCode, PlgsError
+from ..errors import OF_SIGNALS, ErrorCode, ExitCode, PlgsError
 from ..gates import open_to_append, printable
 from ..json_file import Json
+from ..scene_source import FILMS, MADE_POSES
 from .events import at_work, echoed
 from .folder import LiftFolder, LiftState
 from .follower import TaskFollower
@@ -228,6 +229,8 @@ def lift_in_terminal(
     python = engine_python()
     if options.poses is not None:  # an engine finds them, unless an earlier one has
         options.scene = Path(str(ask_engine(python, interrupts, "poses", options.scene)["folder"]))
+    elif _is_made_by_us(options.scene):
+        _prepare(options, python, interrupts)
     lift = resumable(options)
     is_new, finished_at = lift is None, None
     if lift is None:
@@ -246,7 +249,7 @@ def lift_in_terminal(
         with interrupts.deferred():
             follower = TaskFollower.start(command, lift.task_files, kind=LIFT, lift=lift)
             follow(follower, interrupts, LiveLine(sys.stderr), getattr(options, "echo", None))
-        if follower.error is not None:
+        if follower.error is not None and not _lacks_poses(follower.error, options):
             on_error(follower.error)
         elif follower.state is TaskState.CANCELLED:
             print(f"Cancelled. Give the same command with --resume to continue: {lift.path}", file=sys.stderr)
@@ -254,9 +257,29 @@ def lift_in_terminal(
         if is_new and lift.came_to_nothing():
             lift.discard()
     code = follower.exit_code
+    if follower.error is not None and _lacks_poses(follower.error, options):
+        _prepare(options, python, interrupts)
+        return lift_in_terminal(options, interrupts, on_error)
     if code is ExitCode.FINISHED and finished_at == lift.manifest_path.stat().st_mtime_ns:
         print(f"This lift is finished already: {lift.path}", file=sys.stderr)
     return lift, code
+
+
+def _is_made_by_us(scene: Path) -> bool:
+    """Whether a scene is a film, or photos for which an earlier `prepare` or `poses` found the poses."""
+    return (scene.suffix.lower() in FILMS and scene.is_file()) or (scene / MADE_POSES).is_file()
+
+
+def _lacks_poses(error: PlgsError, options: argparse.Namespace) -> bool:
+    """Whether a lift failed because its scene is photos, for which `_prepare` was not tried yet."""
+    return error.code is ErrorCode.NO_POSES and options.poses is None and not _is_made_by_us(options.scene)
+
+
+def _prepare(options: argparse.Namespace, python: Path, interrupts: Interrupts) -> None:
+    """Let an engine make what photos or a film lack for a lift; the scene is then the folder with it."""
+    have = [name for name in ("depth", "masks") if getattr(options, name) is not None]
+    more = [*(["--have", *have] if have else []), *(["--download"] if getattr(options, "download", False) else [])]
+    options.scene = Path(str(ask_engine(python, interrupts, "prepare", options.scene, *more)["folder"]))
 
 
 def resumable(options: argparse.Namespace) -> LiftFolder | None:

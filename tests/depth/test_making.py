@@ -21,13 +21,11 @@ transformers = pytest.importorskip("transformers", reason="needs transformers (r
 ROOM = Path(__file__).resolve().parents[2] / "sample" / "room"
 
 
-@pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def save_tiny_depth_network(folder: Path) -> Path:
     """A Depth Anything with random weights, as transformers itself saves one."""
     import torch
 
     torch.manual_seed(2)
-    folder = tmp_path_factory.mktemp("depth")
     backbone = transformers.Dinov2Config(
         hidden_size=16, num_hidden_layers=4, num_attention_heads=2, image_size=56, patch_size=14,
         out_indices=[1, 2, 3, 4], reshape_hidden_states=False, apply_layernorm=True,
@@ -44,6 +42,11 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     told = folder / "preprocessor_config.json"  # the hub's names the older class
     told.write_text(told.read_text().replace("DPTImageProcessorPil", "DPTImageProcessor"))
     return folder
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return save_tiny_depth_network(tmp_path_factory.mktemp("depth"))
 
 
 def bent(depth: np.ndarray, seed: int) -> np.ndarray:

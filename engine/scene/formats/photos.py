@@ -14,11 +14,11 @@ from ...errors import PlgsError, reading
 from ...gates import open_plain
 from ...posed.image_header import read_image_header
 from ...posed.layout import shown_files
+from ...scene_source import FILMS
 from ..frame import Size
 
 SUFFIXES = {".jpg", ".jpeg", ".png"}
 _MODELS = {".ply", ".spz", ".splat", ".obj", ".glb", ".gltf", ".usdz", ".fbx", ".stl", ".las", ".laz"}
-FILMS = {".mp4", ".mov", ".m4v", ".avi", ".mkv"}
 LET_COLMAP = "let COLMAP find the poses with --poses colmap"  # the fix for missing poses, for the end of a sentence
 LEAST = 3  # the fewest photos whose poses can be found
 _NO_PHOTO = re.compile(r"(?<![a-z])(depths?|depth_?maps?|conf|confidence)(?![a-z])", re.IGNORECASE)

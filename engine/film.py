@@ -1,0 +1,178 @@
+"""One press from a film or from photos: what a lift needs and they lack (poses, depth, masks), each made only where it
+is missing, beside the film. The same call goes on where an earlier one stopped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from .errors import ErrorCode, PlgsError
+from .job import EventWriter, StopSignal
+from .job.handshake import ADDED, CAPABILITIES
+from .job.prediction import MASK_S, machine_slowness
+from .job.progress import StageProgress
+from .known_networks import DEPTH, KNOWN, MASKS, listing, terms_of
+from .poses import FILM_PICTURES, Made, make_poses
+from .scene import Scene, open_scene
+from .scene.formats.photos import photos_in, sorted_out
+from .scene.frame_choice import frames_to_mask
+from .scene.masks import MASK_FOLDER
+
+_POSE_S = 0.4  # processor seconds of COLMAP for a photo of one machine as ours: 72 photos took 22
+_MINUTE = 60.0
+
+
+@dataclass(frozen=True)
+class Wish:
+    """The networks, folders or names on the hub, and whether they may be downloaded; how masks are merged (a name of
+    ``segment.MERGES``), of which frames they are made (all or auto), and what is not to be made, as the user has it."""
+
+    masks: str = MASKS[0].name
+    depth: str = DEPTH[0].name
+    download: bool = False
+    merge: str = "one"
+    frames: str = "all"
+    have: frozenset[str] = frozenset()
+
+
+def scene_folder(source: Path) -> Path:
+    """Where the files that are made for a scene go: its folder, or one named like its file."""
+    return source if source.is_dir() else source.with_suffix("")
+
+
+def prepare(source: Path, wish: Wish, events: EventWriter, stop: StopSignal) -> Path:
+    """Make what a lift of a film or of photos lacks; returns the scene's folder. Raises PlgsError, before any work if
+    packages or networks are missing; OSError; Cancelled."""
+    folder = scene_folder(source)
+    _refuse_missing(source, folder, wish, events)
+    if Made.read(folder) is None:
+        photos = photos_in(source) if source.is_dir() else None
+        count = FILM_PICTURES if photos is None else len(sorted_out(photos)[0])
+        events.stage("plan", 1, 1, f"Finding poses of up to {count} pictures, in {_about(count * _POSE_S)}")
+    make_poses(source, events, stop)
+    scene = open_scene(folder)
+    if "depth" not in wish.have and not scene.has_depth:
+        depth_scene(scene, folder, wish, events, stop)
+        scene = open_scene(folder)
+    if "masks" not in wish.have and not scene.has_masks:
+        mask_scene(scene, folder, wish, events, stop)
+    return folder
+
+
+def _refuse_missing(source: Path, folder: Path, wish: Wish, events: EventWriter) -> None:
+    """Tell what is downloaded. Raises PlgsError, with the whole list, if packages are missing, or networks that may not
+    be downloaded."""
+    parts = [] if Made.read(folder) is not None else ["colmap"]
+    networks = [*_networks(folder, wish)]
+    parts += ["segment"] if networks else []
+    lacking = [part for part in parts if any(find_spec(each) is None for each in CAPABILITIES[part].packages.values())]
+    if lacking:
+        sizes = [f"{CAPABILITIES[part].label} ({CAPABILITIES[part].size / 1e6:.0f} MB)" for part in lacking]
+        fix = " ".join(f"Give python -m engine add {part}." for part in lacking if part in ADDED)
+        what = f"packages are missing for this: {', '.join(sizes)}"
+        raise PlgsError("lacks-parts", what, source, fix, code=ErrorCode.LACKS_PART, option=lacking[0])
+    from .networks import is_here
+
+    wanted = [name for name in networks if not is_here(name)]
+    if not wanted:
+        return
+    listed = listing(wanted)
+    if not wish.download:
+        what = f"{len(wanted)} networks must be downloaded from huggingface.co first: {'; '.join(listed.splitlines())}"
+        raise PlgsError("downloads", what, source, "Give --download if you agree to that.", option="--download")
+    for line in listed.splitlines():
+        events.warning(f"This is downloaded: {line}")
+
+
+def _networks(folder: Path, wish: Wish) -> Iterator[str]:
+    """The networks that are still needed."""
+    from .segment import TABLE
+
+    if Made.read(folder) is not None:
+        scene = open_scene(folder)
+        has_depth, has_masks = scene.has_depth, scene.has_masks
+    else:
+        has_depth, has_masks = (
+            (folder / "depth").is_dir(),
+            (folder / TABLE).is_file() or (folder / MASK_FOLDER).is_dir(),
+        )
+    if "depth" not in wish.have and not has_depth:
+        yield wish.depth
+    if "masks" not in wish.have and not has_masks:
+        yield wish.masks
+
+
+def _about(seconds: float) -> str:
+    return f"about {max(1, round(seconds * machine_slowness() / _MINUTE))} min"
+
+
+def say_terms(name: str, events: EventWriter) -> None:
+    """Tell the licence of a network before it is fetched, if it forbids commercial use or is not known."""
+    known = KNOWN.get(name.partition("@")[0])
+    if known is None or not known.is_commercial:
+        terms = terms_of(name)
+        events.warning(f"{terms[0].upper()}{terms[1:]}")
+
+
+def depth_scene(scene: Scene, folder: Path, wish: Wish, events: EventWriter, stop: StopSignal) -> None:
+    """Make a scene's depth in ``folder``, or go on. Raises PlgsError, OSError, Cancelled."""
+    from .depth_making import load_depth_network, make_depth
+
+    name = _resolved(wish.depth)
+    say_terms(name, events)
+    events.stage("load", 1, 2, "Loading the network for depth")
+    network = load_depth_network(name, download=wish.download)
+    stop.check()
+    known = KNOWN.get(name.partition("@")[0], DEPTH[0])
+    told = f"Making depth of {len(scene.frames)} frames, in {_about(len(scene.frames) * known.seconds)}"
+    events.stage("depth", 2, 2, told)
+    for warning in make_depth(scene, folder, network, StageProgress("depth", events, stop)):
+        events.warning(warning)
+
+
+def mask_scene(scene: Scene, folder: Path, wish: Wish, events: EventWriter, stop: StopSignal) -> int | None:
+    """Make a scene's masks in ``folder``, or go on; returns how many, None if they were finished. Raises PlgsError,
+    OSError, Cancelled."""
+    from .mask_networks import load_model
+    from .segment import MERGES, begin_job, make_masks
+
+    name, wanted = _resolved(wish.masks), None
+    if wish.frames == "auto":
+        events.stage("choose", 1, 3, "Choosing frames")
+        chosen = frames_to_mask(scene, StageProgress("choose", events, stop))
+        wanted = frozenset(frame.name for frame in chosen)
+    count = len(scene.frames) if wanted is None else len(wanted)
+    job = begin_job(folder, name, scene.frames, wanted)
+    if job.is_finished:
+        return None
+    say_terms(name, events)
+    events.stage("load", 2, 3, "Loading the network for masks")
+    try:
+        network = load_model(name, download=wish.download, rounds=MERGES[wish.merge])
+    except PlgsError:
+        job.discard_if_empty()
+        raise
+    stop.check()
+    told = f"Making masks of {count} of {len(scene.frames)} frames, in {_about(count * MASK_S)}"
+    events.stage("segment", 3, 3, told)
+    progress = StageProgress("segment", events, stop)
+
+    def follow(done: int, frames: int, made: int) -> None:
+        stop.check()
+        if made:  # those of an earlier run would spoil the pace
+            progress(done, frames)
+
+    try:
+        make_masks(scene, job, network, follow, wanted)
+    except OSError as error:
+        fix = "Make room there, then continue."
+        what = f"masks cannot be written ({error.strerror})"
+        raise PlgsError("unwritable", what, job.folder, fix, code=ErrorCode.DISK_FULL) from error
+    return count
+
+
+def _resolved(model: str) -> str:
+    return str(Path(model).resolve()) if Path(model).is_dir() else model

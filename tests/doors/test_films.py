@@ -1,0 +1,79 @@
+"""What docs/captures.md promises of films and photos, through the commands as printed."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from engine.command_line.main import main
+from engine.poses import Made
+from engine.records import to_json
+from engine.scene import open_scene
+from tests.commands import exit_code
+from tests.scene.test_depth import write_colmap
+from tests.segment.tiny_mask2former import save_tiny_mask2former
+from tests.tiny_scene import write_tiny_scene
+
+pytest.importorskip("transformers", reason="needs transformers (requirements/segment.txt)")
+from tests.depth.test_making import save_tiny_depth_network  # noqa: E402
+
+
+@pytest.fixture
+def film(tmp_path: Path) -> Path:
+    """A film whose poses were found, as `python -m engine poses` leaves it: the folder of its name beside it."""
+    import cv2
+
+    path = tmp_path / "room.mp4"
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 30, (64, 48))
+    for _ in range(4):
+        video.write(np.zeros((48, 64, 3), np.uint8))
+    video.release()
+    folder = write_colmap(tmp_path / "room")
+    made = Made(folder, 6, 6, 305, None)
+    (folder / "sparse" / "0" / "made_by.json").write_text(json.dumps(to_json(made)))
+    return path
+
+
+def test_one_command_makes_what_is_missing_and_goes_on(
+    film: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    depth_model = save_tiny_depth_network(tmp_path / "depth_network")
+    masks = save_tiny_mask2former(tmp_path / "masks_network")
+    command = ["prepare", film, "--masks-model", masks, "--depth-model", depth_model]
+    assert exit_code(main, *command) == 0
+    told = capsys.readouterr()
+    assert "Making depth of 6 frames, in about" in told.err and "Making masks of 5 of 5 frames" in told.err
+    folder = film.with_suffix("")
+    scene = open_scene(folder)
+    assert told.out.strip().endswith(str(folder)) and scene.has_depth and scene.has_masks
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
+    assert exit_code(main, *command) == 0
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()} == before
+    shutil.rmtree(folder / "panoptic")
+    (folder / "panoptic.json").unlink()
+    assert exit_code(main, *command, "--have", "masks") == 0 and not (folder / "panoptic.json").exists()
+
+
+def test_a_lift_of_a_film_lists_its_downloads_first(
+    film: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HF_HOME", str(tmp_path / "hub"))
+    assert exit_code(main, "lift", film, "-o", tmp_path / "lift") == 2
+    said = capfd.readouterr().err
+    assert "99 MB" in said and "Apache-2.0" in said and "276 MB" in said and "CC BY-NC 4.0" in said
+    assert "forbids commercial use" in said and "--download" in said and not (tmp_path / "lift").exists()
+
+
+def test_photos_are_taken_too_and_lacking_packages_are_listed(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from importlib.util import find_spec
+
+    photos = shutil.copytree(write_tiny_scene(tmp_path / "scene", frames=6) / "color", tmp_path / "photos")
+    monkeypatch.setenv("HF_HOME", str(tmp_path / "hub"))
+    assert exit_code(main, "lift", photos, "-o", tmp_path / "lift") == 2
+    said = capfd.readouterr().err
+    assert ("engine add colmap" if find_spec("pycolmap") is None else "--download") in said
+    assert not (tmp_path / "lift").exists()
