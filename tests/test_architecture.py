@@ -63,7 +63,7 @@ ENGINE_MAY_IMPORT = {
         "batch": "gates errors json_file job scene_of_lift machine",
         "command_line": (
             "gates errors json_file records presets scene_source job corrections scene scene_of_lift metrics lift "
-            "diagnosis export frames poses segment set_up batch known_networks depth_making film"
+            "diagnosis export frames poses set_up batch known_networks depth_making film"
         ),
         "__main__": "command_line",
     }.items()

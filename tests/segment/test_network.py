@@ -56,7 +56,7 @@ def test_large_pictures_have_smaller_masks_of_the_same_shape(model: Path) -> Non
 def test_the_command_makes_masks_that_open(model: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert exit_code(main, "segment", folder, "--model", model) == 0
     told = capsys.readouterr()
-    assert "3/3" in told.err and told.out == f"Masks of 3 frames: {folder}\n"
+    assert "3/3" in told.err and told.out == f"Masks of 3 of 3 frames: {folder}\n"
     scene = open_scene(folder)
     check_scene(scene)
     assert [one.name for one in scene.classes.categories] == NAMES
