@@ -72,7 +72,10 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
     def begin(self, context: bpy.types.Context) -> Task:
         shot = self._shot or self._begin_reading(context)
         shot.read_for(math.inf)  # all at once for a script
-        return lifting.bake_shot(context.scene, shot, self.lift_folder, replace=self.replace)
+        bake = lifting.bake_shot(context.scene, shot, self.lift_folder, replace=self.replace)
+        for what in shot.said:
+            self.report({"WARNING"}, what)
+        return bake
 
     def _begin_reading(self, context: bpy.types.Context) -> ShotReader:
         # Now, because another scene may be shown by the time the camera is read.

@@ -309,7 +309,7 @@ def passes_scene_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
     for root in lifts_in(scene):
         found = {key_of(other, root[LIFT]) or "": other for other in bpy.data.scenes}
         shots = [key for key in found if key.startswith(SHOT)]
-        named = () if scene.camera is None else (shot_name(scene.camera), safe_name(scene.camera.name))
+        named = () if scene.camera is None else (shot_name(scene.camera.name), safe_name(scene.camera.name))
         own = [SHOT + next(iter(sequences([f"{name}.0001"]))) for name in named]  # with or without the file's name
         for key in (*own, PASSES, *shots):
             if key in found:
@@ -317,7 +317,7 @@ def passes_scene_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
     return None
 
 
-def shot_name(camera: bpy.types.Object, given: str = "", later: int = 0) -> str:
+def shot_name(camera: str, given: str = "", later: int = 0) -> str:
     """The name of a camera's views, without their numbers: ``given``, else the names of the .blend and the camera. A
     long one of these is cut, and ends in a number of the whole, so that other names stay other names. Raises PlgsError
     for a given name that is too long. ``given`` may have fields: {shot} (the .blend's name
@@ -328,7 +328,7 @@ def shot_name(camera: bpy.types.Object, given: str = "", later: int = 0) -> str:
     if len(given) > _LONGEST_NAME:
         what = f"the shot's name has {len(given)} characters, over {_LONGEST_NAME}"
         raise PlgsError("long-name", what, given, "Give it a shorter one with --shot.", option="--shot")
-    words = [given] if given else [bpy.path.display_name_from_filepath(bpy.data.filepath), camera.name]
+    words = [given] if given else [bpy.path.display_name_from_filepath(bpy.data.filepath), camera]
     most = _LONGEST_NAME // len(words)
     return safe_name("_".join(_short(word, most) for word in words if word))
 
@@ -338,12 +338,12 @@ def _short(text: str, most: int) -> str:
     return name if len(name) <= most else f"{name[: most - 9]}_{zlib.crc32(text.encode(errors='replace')):08x}"
 
 
-def _filled(template: str, camera: bpy.types.Object, later: int) -> str:
+def _filled(template: str, camera: str, later: int) -> str:
     blend = bpy.path.display_name_from_filepath(bpy.data.filepath)
     version = VERSION.search(blend)
     number = int(version[1]) if version else 1
     try:
-        return filled_name(template, VERSION.sub("", blend) or "untitled", camera.name, number + later)
+        return filled_name(template, VERSION.sub("", blend) or "untitled", camera, number + later)
     except ValueError as error:
         fix = "Use {shot}, {camera}, {layer}, {version:03d}, and {frame:04d} only at its end, after a dot."
         what = f"the shot's name cannot be filled in ({error})"

@@ -62,6 +62,8 @@ def bake_shot_in_terminal(
     except OSError as error:
         fix = "Name a folder that you can write to, on a disk with free space."
         raise PlgsError("unwritable", f"cannot be written to ({error.strerror})", output or lift.path, fix) from error
+    for what in reader.said:
+        print(f"warning: {what}", file=sys.stderr)
     with interrupts.deferred():
         while True:
             follower = start_bake(
@@ -97,7 +99,7 @@ def write_farm_job(scene: bpy.types.Scene, lift: LiftFolder, shot: Shot) -> Path
         "lifted": True,
         "bake": "camera",
         "blend": blend,
-        "camera": shot.camera.name,
+        "camera": "" if shot.cuts else shot.camera.name,
         "shot": shot.given,
         "frames": f"{frames[0]}-{frames[-1]}" if is_range else ",".join(f"{each:g}" for each in frames),
         "chunk_size": _CHUNK,

@@ -12,7 +12,7 @@ import time
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,20 +20,21 @@ import bpy
 import numpy as np
 
 from ..engine.errors import PlgsError
-from ..engine.job import BakeCamera, write_atomically
+from ..engine.job import BakeCamera
 from ..engine.job.cameras import LARGEST_SIDE, PreviewCamera, safe_name, write_cameras
 from ..engine.job.follower import TaskFollower
-from ..engine.job.lock import FileLock
 from ..engine.job.task import TaskState
 from ..engine.posed import Camera
-from ..engine.records import read_record, record_text
+from ..engine.posed.layout import listed
 from .cameras import seen_by
 from .engine_environment import studio
-from .passes import NOTES, VERSION, shot_name
+from .passes import NOTES, shot_name
+from .shot_notes import Claim, ShotSource, claim, next_version
 
+CUTS = "cuts"
+"""What a shot is named after whose camera markers switch."""
 DIGITS = 4
 """Minimum digits of the frame number in a file name."""
-_CLAIM_S = 10.0  # seconds to wait while another bake claims a shot
 _MOST_LATER = 100  # versions of a shot to try until one is free or shows the same
 _MOST_OF_FILE = 50_000
 """Frames: the longest range that is taken from a file without having been asked for, half an hour at 25 a second."""
@@ -44,7 +45,8 @@ _LISTED = 8  # maximum number of cameras named in an error
 class Shot:
     """``camera`` at every ``step``-th frame from ``first`` to ``last``, or ``only`` at these, which may lie between
     whole ones. Its files are named ``given``, else after the .blend and the camera. ``motion``: whether the cameras one
-    frame before and after each are wanted, too."""
+    frame before and after each are wanted, too. If markers switch the camera, ``cuts`` are the first frames of each,
+    with its name, in order: as in Blender, the first holds before its marker, too."""
 
     camera: bpy.types.Object
     first: int
@@ -53,10 +55,20 @@ class Shot:
     given: str = ""
     only: tuple[float, ...] = ()
     motion: bool = False
+    cuts: tuple[tuple[int, str], ...] = ()
+
+    @property
+    def camera_name(self) -> str:
+        """What the shot is named after, if it is not given a name."""
+        return CUTS if self.cuts else self.camera.name
 
     def named(self, later: int = 0) -> str:
         """The shot's name; its version, if any, is that of the .blend plus ``later``."""
-        return shot_name(self.camera, self.given, later)
+        return shot_name(self.camera_name, self.given, later)
+
+    def camera_at(self, frame: float) -> str:
+        """The name of the camera that renders a frame."""
+        return _camera_at_cut(self.cuts or ((0, self.camera.name),), frame)
 
     @property
     def frames(self) -> Sequence[float]:
@@ -71,7 +83,10 @@ class Shot:
         warnings = [f"{what} is not baked: {self.camera.name} is sharp in the passes" for what in found]
         if any(scene.render.use_border and not scene.render.use_crop_to_border for scene in scenes):
             warnings.append("the render region is not cropped to, so whole pictures are baked")
-        words = bpy.path.display_name_from_filepath(bpy.data.filepath), self.camera.name
+        if self.cuts:
+            cuts = ", ".join(f"{name} from {first}" for first, name in self.cuts)
+            warnings.append(f"markers switch the camera ({cuts}): --camera with --range bakes one of these shots alone")
+        words = bpy.path.display_name_from_filepath(bpy.data.filepath), self.camera_name
         if not self.given and any(word not in self.named() for word in words):
             warnings.append(f"the names of the .blend and the camera do not fit: the shot is named {self.named()}")
         return warnings
@@ -90,7 +105,9 @@ def shot_of(
 ) -> Shot:
     """The named camera, or the active one, over the given range, else the scene's. ``given`` names its files, else
     the studio's default does. Raises PlgsError."""
-    ob = scene.objects.get(camera) if camera else scene.camera
+    cuts = () if camera else _cuts_of(scene)
+    wanted = camera or (cuts[0][1] if cuts else "")
+    ob = scene.objects.get(wanted) if wanted else scene.camera
     if ob is None or (camera and ob.type != "CAMERA"):
         what = f"has no camera named {camera!r}" if camera else "has no active camera"
         raise PlgsError("no-camera", what, scene.name, _cameras_to_choose(scene, camera))
@@ -107,12 +124,23 @@ def shot_of(
         given or studio().names or "",
         tuple(only),
         motion,
+        cuts if len({name for _, name in cuts}) > 1 else (),
     )
     if not shot.frames:
         what = f"cannot be baked: {shot.first} to {shot.last} is not a range of frames"
         fix = "Set the range in the Output properties: it must not end before it starts."
         raise PlgsError("bad-shot-range", what, scene.name, fix)
     return shot
+
+
+def _camera_at_cut(cuts: Sequence[tuple[int, str]], frame: float) -> str:
+    return ([name for first, name in cuts if first <= frame] or [cuts[0][1]])[-1]
+
+
+def _cuts_of(scene: bpy.types.Scene) -> tuple[tuple[int, str], ...]:
+    """The frames of the markers that switch the camera, each with the camera's name, in order."""
+    bound = {marker.frame: marker.camera.name for marker in scene.timeline_markers if marker.camera is not None}
+    return tuple(sorted(bound.items()))
 
 
 def _cameras_to_choose(scene: bpy.types.Scene, wanted: str) -> str:
@@ -125,82 +153,6 @@ def _cameras_to_choose(scene: bpy.types.Scene, wanted: str) -> str:
     names = ", ".join(repr(ob.name) for ob in cameras[:_LISTED])
     more = f" and {len(cameras) - _LISTED} more" if len(cameras) > _LISTED else ""
     return f"Choose one of its cameras: {names}{more}."
-
-
-@dataclass(frozen=True)
-class ShotSource:
-    """The origin of a lift's shot: its ``camera`` in ``blend`` (unsaved: its Blender's temporary folder), and the
-    fingerprints of the camera by names of ``frames``."""
-
-    blend: str
-    camera: str
-    frames: dict[str, str] = field(default_factory=dict)
-
-    @property
-    def origin(self) -> tuple[str, str]:
-        """The file, without the version in its name, and the camera."""
-        return VERSION.sub("", self.blend), self.camera
-
-
-@dataclass(frozen=True)
-class _Claim:
-    """The record of a shot in a folder, and its text ``before`` (empty: there was none) and after a bake began.
-    ``made`` are the files and folders that are new."""
-
-    path: Path
-    before: str
-    text: str
-    made: Sequence[Path]
-
-    def withdraw(self) -> None:
-        """Leave all as it was, unless another bake has claimed more frames since then. Raises OSError, PlgsError."""
-        lock = self.path.with_suffix(".lock")
-        with FileLock(lock, _CLAIM_S):
-            if self.path.read_text(encoding="utf-8") != self.text:
-                return
-            if self.before:
-                write_atomically(self.path, self.before)
-            for path in self.made:
-                if path.is_file() and path != lock:
-                    path.unlink()
-        for path in self.made:
-            if path.is_dir():
-                path.rmdir()
-            else:
-                path.unlink(missing_ok=True)
-
-
-def _claim(folder: Path, name: str, source: ShotSource, cameras: Path, *, replace: bool) -> _Claim:
-    """Record in a folder which shot has this ``name`` and what its camera shows. Raises PlgsError if a bake would
-    overwrite another shot, or one with another camera, unless ``replace``."""
-    path, before = folder / f"{name}.shot.json", ""
-    lock = path.with_suffix(".lock")
-    made = [each for each in (path, cameras, lock, folder, *folder.parents) if not each.exists()]
-    folder.mkdir(parents=True, exist_ok=True)
-    with FileLock(lock, _CLAIM_S):  # others may begin to bake the same shot
-        if path.exists():
-            other = read_record(ShotSource, path, "Delete it, if no other file bakes a shot of this name.")
-            if not replace:
-                _refuse_other(folder, name, other, source)
-            source = dataclasses.replace(source, frames=other.frames | source.frames)
-            before = path.read_text(encoding="utf-8")
-        text = record_text(source)
-        if text != before:
-            write_atomically(path, text)
-    return _Claim(path, before, text, made)
-
-
-def _refuse_other(folder: Path, name: str, other: ShotSource, source: ShotSource) -> None:
-    if other.origin != source.origin:
-        whose = "another camera of this file" if other.origin[0] == source.origin[0] else "another file"
-        what = f"has a shot {name!r} of {whose} already: camera {other.camera!r} in {other.blend}"
-        fix = "Give this one another name with --shot, or replace the other one with --replace."
-        raise PlgsError("shot-taken", what, folder, fix, option="--shot --replace")
-    changed = [frame for frame, seen in source.frames.items() if other.frames.get(frame, seen) != seen]
-    if changed:
-        what = f"has the shot {name!r} with another camera or size: {len(changed)} frames differ, such as {changed[0]}"
-        fix = "Name the next version with --shot, as {version} in its name does, or replace this one with --replace."
-        raise PlgsError("shot-changed", what, folder, fix, option="--shot --replace")
 
 
 def write_view(lift: Path, scene: bpy.types.Scene) -> Path:
@@ -226,7 +178,8 @@ class ShotReader:
     at its original frame. Undo replaces the scene and the camera, so they are looked up by name."""
 
     def __init__(self, scene: bpy.types.Scene, shot: Shot) -> None:
-        self._scene, self._camera, self._frames = scene.name, shot.camera.name, shot.frames
+        self._scene, self._frames = scene.name, shot.frames
+        self._cuts = shot.cuts or ((0, shot.camera.name),)
         self._read: list[BakeCamera] = []
         self._others: list[int] = []
         self._checked = 0
@@ -234,15 +187,17 @@ class ShotReader:
         self._shot = self._names[0]
         self._first = math.floor(min(*shot.frames, scene.frame_start))
         self._last = math.ceil(max(*shot.frames, scene.frame_end))
-        self._motion, self._beside = shot.motion, dict[float, BakeCamera]()
+        self._motion, self._beside = shot.motion, dict[tuple[str, float], BakeCamera]()
         self._digits = max(DIGITS, *(len(str(abs(frame))) for frame in (self._first, self._last)))
-        self._source = ShotSource(bpy.data.filepath or bpy.app.tempdir, shot.camera.name)
+        self._source = ShotSource(bpy.data.filepath or bpy.app.tempdir, shot.camera_name)
         which = f"{shot.first}-{shot.last}x{shot.step}"
         if shot.only:  # two lists of frames may be baked at once
             which = f"{shot.only[0]}-{shot.only[-1]}.{zlib.crc32(repr(shot.only).encode()):08x}"
         self._which = which
         self._stands_still: bool | None = None
-        self._claimed: _Claim | None = None
+        self._claimed: Claim | None = None
+        self.said: list[str] = []
+        """What `write` has to tell: a name that became the next version, and what that lacks."""
 
     @property
     def progress(self) -> tuple[int, int]:
@@ -266,21 +221,31 @@ class ShotReader:
         """Continue reading for about ``seconds``, at least one frame. Returns whether it is done. Raises PlgsError."""
         end = time.monotonic() + seconds
         scene = bpy.data.scenes.get(self._scene)
-        ob = None if scene is None else scene.objects.get(self._camera)
-        if ob is None:
-            raise PlgsError("camera-gone", "is gone", f"{self._scene}: {self._camera}", "Bake it again.")
+        if scene is None:
+            raise PlgsError("camera-gone", "is gone", self._scene, "Bake it again.")
         with _frame_kept(scene):
-            if not self._read and not _may_move(scene, ob):  # no need to evaluate each frame
-                self._read, self._stands_still = [_camera_at(scene, ob, self._first, "")], True
-            while self._stands_still is None and self._read_one(scene, ob):
+            ob = self._camera(scene, self._first)
+            if not self._read and len(self._cuts) == 1 and not _may_move(scene, ob):  # no need to evaluate each frame
+                self._read, self._stands_still = [self._seen(scene, self._first)], True
+            while self._stands_still is None and self._read_one(scene):
                 if time.monotonic() >= end:
                     return False
         return True
 
-    def _read_one(self, scene: bpy.types.Scene, ob: bpy.types.Object) -> bool:
+    def _camera(self, scene: bpy.types.Scene, frame: float) -> bpy.types.Object:
+        name = _camera_at_cut(self._cuts, frame)
+        ob = scene.objects.get(name)
+        if ob is None:
+            raise PlgsError("camera-gone", "is gone", f"{self._scene}: {name}", "Bake it again.")
+        return ob
+
+    def _seen(self, scene: bpy.types.Scene, frame: float) -> BakeCamera:
+        return _camera_at(scene, self._camera(scene, frame), frame, "")
+
+    def _read_one(self, scene: bpy.types.Scene) -> bool:
         """Read the camera at one more frame. Returns whether any is left."""
         if len(self._read) < len(self._frames):
-            self._read.append(self._camera_with_motion(scene, ob, self._frames[len(self._read)]))
+            self._read.append(self._camera_with_motion(scene, self._frames[len(self._read)]))
             if len(self._read) < len(self._frames):
                 return True
             is_short, taken = self._last - self._first < _MOST_OF_FILE, {*self._frames}
@@ -289,7 +254,7 @@ class ShotReader:
                 return False
             self._others = [each for each in range(self._first, self._last + 1) if each not in taken]
         else:
-            seen = _camera_at(scene, ob, self._others[self._checked], "")
+            seen = self._seen(scene, self._others[self._checked])
             self._checked += 1
             if seen.fingerprint != self._read[0].fingerprint:
                 self._stands_still = False
@@ -298,34 +263,41 @@ class ShotReader:
         self._stands_still = None if is_left else True
         return is_left
 
-    def _camera_with_motion(self, scene: bpy.types.Scene, ob: bpy.types.Object, frame: float) -> BakeCamera:
+    def _camera_with_motion(self, scene: bpy.types.Scene, frame: float) -> BakeCamera:
         if not self._motion:
-            return _camera_at(scene, ob, frame, "")
-        around = (frame - 1, frame, frame + 1)
-        self._beside = {each: self._beside.get(each) or _camera_at(scene, ob, each, "") for each in around}
+            return self._seen(scene, frame)
+        ob = self._camera(scene, frame)  # also for the frames beside it: a cut is no motion
+        around = [(ob.name, each) for each in (frame - 1, frame, frame + 1)]
+        self._beside = {key: self._beside.get(key) or _camera_at(scene, ob, key[1], "") for key in around}
         previous, now, following = self._beside.values()
         return replace(now, previous=previous.pinhole, next=following.pinhole)
 
     def write(self, lift: Path, *, replace: bool = False, output: Path | None = None) -> Path:
         """Once all frames are read: write the shot's cameras into the lift's folder or ``output``, and return the file.
         Raises PlgsError, OSError."""
-        source = self._source
-        if Path(source.blend).parent == lift:  # relative, as the folder may be moved
-            source = ShotSource(Path(source.blend).name, source.camera)
-        folder = lift / "bake" if output is None else output / NOTES
+        blend = Path(self._source.blend)
+        source = dataclasses.replace(
+            self._source,
+            blend=blend.name if blend.parent == lift else str(blend),  # relative, as the folder may be moved
+            frames={numbered_name("", frame, 1)[1:]: camera.fingerprint for frame, camera in self._shown},
+            fps=self._read[0].fps,
+        ).of_lift(lift)
+        folder, passes = (lift / "bake", lift / "result" / "passes") if output is None else (output / NOTES, output)
+        earlier = ""
         for name in self._names:
-            self._shot = name
-            cameras = self.cameras
-            shown = {numbered_name("", frame, 1)[1:]: camera.fingerprint for frame, camera in self._shown}
-            file = folder / f"{name}.{self._which}.json"
+            self._shot, file = name, folder / f"{name}.{self._which}.json"
             try:
-                self._claimed = _claim(folder, name, dataclasses.replace(source, frames=shown), file, replace=replace)
+                self._claimed = claim(folder, name, source, cameras=file, passes=passes, replaces=replace)
             except PlgsError as error:
                 if error.key != "shot-changed" or name == self._names[-1]:
                     raise
+                earlier = name
                 continue
+            self.said = next_version(folder, earlier, name) if earlier else []
+            if self._claimed.left:
+                self.said.append(f"frames of {name} still show its earlier state: {listed(self._claimed.left)}")
             break
-        write_cameras(file, cameras)
+        write_cameras(file, self.cameras)
         return file
 
     def withdraw_unbaked(self, bake: TaskFollower) -> None:

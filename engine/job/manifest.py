@@ -16,6 +16,7 @@ from .atomic import ListedFile, files_below, remove_parts, sha256, write_atomica
 _Facts = Mapping[str, Json]
 _Names = Mapping[str, str]
 NAME = "manifest.json"
+_LIFTED = ("model.safetensors", "instances.json")
 MAKE_ANEW = "Resume the lift: 'python -m engine lift LIFT --resume' makes the result again."
 """The advice for a result that has changed since it was written."""
 
@@ -120,6 +121,12 @@ def verify(result: Path) -> Manifest:
     manifest = check_sizes(result)
     verify_files(result, manifest.files)
     return manifest
+
+
+def lifted_digest(manifest: Manifest) -> str:
+    """The SHA-256 of a result's model, and of its objects, which say what its passes show; empty without a model."""
+    digests = {str(file.path): file.sha256 for file in manifest.files}
+    return " ".join(digests[name] for name in _LIFTED) if digests.keys() >= {*_LIFTED} else ""
 
 
 def verify_of(result: Path, lift: Path) -> None:

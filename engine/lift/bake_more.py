@@ -20,21 +20,19 @@ from ..errors import PlgsError
 from ..job import BakeCamera, BakeLocks, EventWriter, LiftFolder, StopSignal, read_cameras
 from ..job.cameras import PreviewCamera, frame_numbers, refuse_equal_names
 from ..job.events import at_work
-from ..job.manifest import add_files, drop_files, read_manifest
+from ..job.manifest import add_files, drop_files, lifted_digest, read_manifest
 from ..job.own_files import foreign
 from ..job.progress import StageReporter
 from ..model.neural_gaussians import ClipRange
 from ..passes.baked_view import BakedView
 from ..passes.exr import ShownFrame, further_layers, is_frame, is_own, number_in, read_note, write_exr
 from ..posed.layout import listed
-from ..result_files import INSTANCES
 from ..scene import Camera, Frame, Scene, size_within
 from ..scene_of_lift import complete_known_scene, names_of_frames, scene_of_lift
 from .baking import CORRECTIONS_NOTE, FrameBaker, baked_files, names_of_files, read_baker
 from .device import be_repeatable
 from .frame_sets import check_disk
 from .judging import Unresolved, report_unresolved, unresolved
-from .scene_files import MODEL
 
 STAGES = {"open": "Opening the lifted scene", "bake": "Baking panoptic passes"}
 KEEP_EVERY_S = 20.0
@@ -50,7 +48,12 @@ MOTION_NOTE = "plgs/motion"
 CHANNELS_NOTE = "plgs/channels"
 """Attribute in the header of a view whose channels are not named for Blender: the program that they are named for."""
 MODEL_NOTE = "plgs/model"
-"""Attribute in the header of a view in a folder of its own: the SHA-256 of the lift's model, and of its objects."""
+"""Header attribute of a view of no frame, or in a folder of its own: the SHA-256 of the lift's model and objects."""
+_SHOWS = {
+    MODEL_NOTE: "another result of a lift", CORRECTIONS_NOTE: "other corrections", CAMERA_NOTE: "another camera",
+    CHANNELS_NOTE: "other names of channels",
+}  # fmt: skip
+"""What a file shows whose note differs."""
 MOST_LOOKS, LOOK_WITHIN = 8, (96, 96)
 """The number and size of views that are drawn before a bake, to estimate what the capture does not resolve."""
 
@@ -158,6 +161,9 @@ def _bake(
         if options.output is None:
             complete_known_scene(folder, scene)
         wanted = [view for view in views_in(scene) if not destination.has(view, notes)]
+        again = [view.name for view in wanted if destination.path_of(view).exists()]
+        if again:
+            events.warning(f"views are baked again, with other layers or in another state: {listed(again)}")
         check_disk(options.output or folder.path, (view.camera.size for view in wanted), events)
         baker = read_baker(folder, scene.classes, corrected)
         photos, found = [frame.camera for frame in scene.train_frames], list[tuple[str, Unresolved]]()
@@ -243,37 +249,52 @@ class _OwnFolder:
         self._channels, self._replace = options.channels, options.replace
         if self._output.resolve().is_relative_to(folder.result_path.resolve()):
             raise PlgsError("inside", "is within the lift's result", self._output, "Name another folder.", option="-o")
-        files = {str(file.path): file for file in read_manifest(folder.result_path).files}
         named = {CHANNELS_NOTE: "" if options.channels == "blender" else options.channels}
-        self._model = {MODEL_NOTE: f"{files[MODEL].sha256} {files[INSTANCES].sha256}"} | named
+        self._model = {MODEL_NOTE: lifted_digest(read_manifest(folder.result_path))} | named
 
     def claim_of(self, view: WantedView) -> str:
         """The name of the claim that keeps other processes from writing this view."""
-        return str(self._path_of(view).resolve())
+        return str(self.path_of(view).resolve())
 
-    def _path_of(self, view: WantedView) -> Path:
+    def path_of(self, view: WantedView) -> Path:
         return self._output / f"{view.name}.exr"
 
     def has(self, view: WantedView, notes: Mapping[str, str]) -> bool:
         """Whether the folder has this view, from this camera and this model, with these notes. Raises PlgsError for
-        another program's file of its name, unless it may be replaced, and OSError."""
-        path = self._path_of(view)
+        another program's file of its name, also one of ours that it saved again, and for a view that shows something
+        else, unless they may be replaced, and OSError."""
+        path = self.path_of(view)
         if not path.exists():
             return False
+        if not (is_own(path) and read_note(path, MODEL_NOTE)):
+            if self._replace:
+                return False
+            raise foreign(path, "Give another folder, or add --replace to overwrite it.", "--replace")
         if is_whole(path, {**notes, **_notes_of(view, self._layers), **self._model}, self._layers, view.shown):
             return True
-        if not self._replace and not (is_own(path) and read_note(path, MODEL_NOTE)):
-            raise foreign(path, "Give another folder, or add --replace to overwrite it.", "--replace")
+        if (other := self._other(view, notes)) and not self._replace:
+            fix = "Give another folder or, with --shot, a name with {version}, or add --replace to overwrite it."
+            raise PlgsError("other-state", f"shows {other}", path, fix, option="--replace")
         return False
+
+    def _other(self, view: WantedView, notes: Mapping[str, str]) -> str:
+        """What an earlier file of the view shows that this bake would not; empty if only layers differ."""
+        path = self.path_of(view)
+        wanted = {**self._model, **notes, CAMERA_NOTE: view.fingerprint}
+        differing = [name for name, text in wanted.items() if (read_note(path, name) or "") != text]
+        has_motion = read_note(path, MOTION_NOTE) not in (None, view.motion)
+        other = [_SHOWS[name] for name in differing] + ["another camera before or after it"] * has_motion
+        return " and ".join(other) or ("" if is_frame(path, view.shown) else "another number or rate of its frame")
 
     def write(self, view: WantedView, rendered: BakedView, baker: FrameBaker, events: EventWriter) -> None:
         """Write a view. Raises OSError."""
         self._output.mkdir(parents=True, exist_ok=True)
-        notes = {**_notes_of(view, self._layers), **self._model, **baker.notes, LIFT_NOTE: self._lift}
+        path, layers = self.path_of(view), {*self._layers}
+        if path.exists() and is_own(path) and not self._other(view, {CORRECTIONS_NOTE: ""} | baker.notes):
+            layers |= further_layers(path) - (set() if view.previous or view.following else {"vector"})
+        notes = {**_notes_of(view, layers), **self._model, **baker.notes, LIFT_NOTE: self._lift}
         notes = {name: text for name, text in notes.items() if text}
-        write_exr(
-            self._path_of(view), rendered, notes=notes, layers=self._layers, shown=view.shown, named_for=self._channels
-        )
+        write_exr(path, rendered, notes=notes, layers=layers, shown=view.shown, named_for=self._channels)
 
     def keep(self) -> None:
         """Do nothing, as there is no manifest."""
@@ -284,11 +305,15 @@ class _Result:
 
     def __init__(self, folder: LiftFolder, locks: BakeLocks, options: BakeOptions) -> None:
         self._folder, self._locks, self._layers = folder, locks, options.layers
+        self._of_lift = {MODEL_NOTE: lifted_digest(read_manifest(folder.result_path)), LIFT_NOTE: folder.path.name}
         self._views, self._kept_at = list[WantedView](), time.monotonic()
         self._read: tuple[tuple[int, int, int], frozenset[Path]] | None = None
 
     def claim_of(self, view: WantedView) -> str:
         return view.name
+
+    def path_of(self, view: WantedView) -> Path:
+        return baked_files(self._folder, view.name)[0]
 
     def has(self, view: WantedView, notes: Mapping[str, str]) -> bool:
         """Whether the result has this view, from this camera, with these notes. Raises PlgsError, OSError."""
@@ -304,9 +329,9 @@ class _Result:
         if old := self._listed().intersection(files):
             with self._locks.manifest():  # the result is complete without the view that is baked again
                 drop_files(self._folder.result_path, sorted(old))
+        notes = _notes_of(view, self._layers) | (self._of_lift if view.fingerprint else {})
         baker.write(
-            self._folder, view.name, rendered, events, notes=_notes_of(view, self._layers), layers=self._layers,
-            shown=view.shown,
+            self._folder, view.name, rendered, events, notes=notes, layers=self._layers, shown=view.shown
         )  # fmt: skip
         self._views.append(view)
         if self._locks.others_at_work() or time.monotonic() - self._kept_at > KEEP_EVERY_S:

@@ -189,7 +189,7 @@ def test_the_same_view_at_another_rate_is_another_file(lift: LiftFolder, tmp_pat
         content = json.loads(cameras.read_text())
         cameras.write_text(json.dumps([content[0] | more]))
         for folder in (None, output):
-            assert run_bake(lift, None, cameras=cameras, output=folder) is ExitCode.FINISHED
+            assert run_bake(lift, None, cameras=cameras, output=folder, replace=True) is ExitCode.FINISHED
             header = read_exr_header((folder or lift.passes_path) / "shot.exr").attributes
             assert header[b"imageCounter"] == (b"int", struct.pack("<i", more["frame"]))
             assert Fraction(*struct.unpack("<iI", header[b"framesPerSecond"][1])) == exact_rate(more["fps"])
@@ -209,8 +209,10 @@ def test_bake_into_its_own_folder_works(lift: LiftFolder, tmp_path: Path) -> Non
     assert run_bake(lift, ["0000"], layers=["position"]) is ExitCode.FINISHED
     assert further_layers(lift.passes_path / "0000.exr") == {"position"}
     assert run_bake(lift, ["0000"], layers=["vector"], output=output) is ExitCode.FINISHED
-    assert further_layers(output / "0000.exr") == {"vector"}
-    assert run_bake(lift, ["0000"], layers=["vector"], output=output, channels="nuke") is ExitCode.FINISHED
+    assert further_layers(output / "0000.exr") == {"normal", "vector"}, "what was published is kept"
+    nuke = {"layers": ["vector"], "output": output, "channels": "nuke"}
+    assert run_bake(lift, ["0000"], **nuke) is ExitCode.BAD_INPUT
+    assert run_bake(lift, ["0000"], **nuke, replace=True) is ExitCode.FINISHED
     times = (output / "0000.exr").stat().st_mtime_ns
     assert {"depth.Z", "forward.u", "R"} < {*read_exr_header(output / "0000.exr").channels}
     assert run_bake(lift, ["0000"], layers=["vector"], output=output, channels="nuke") is ExitCode.FINISHED
@@ -235,7 +237,8 @@ def test_a_folder_of_its_own_shows_the_corrections(lift: LiftFolder, tmp_path: P
     assert not (layers.instance == one.id).any() and files_of(lift) == before
     assert (layers.semantic[shown == one.id] == one.class_id).mean() > 0.9
     assert main(["correct", str(lift.path), "undo"]) == 0
-    assert run_bake(lift, ["0004"], output=output) is ExitCode.FINISHED  # again, as it shows what was undone
+    assert run_bake(lift, ["0004"], output=output) is ExitCode.BAD_INPUT, "it shows what was undone"
+    assert run_bake(lift, ["0004"], output=output, replace=True) is ExitCode.FINISHED
     assert (read_exr(output / "0004.exr").instance == shown).all()
 
 

@@ -216,6 +216,29 @@ def test_a_range_that_nobody_asked_for_has_a_limit(scene: bpy.types.Scene) -> No
     assert reader.read_for(60.0) and len(reader.cameras) == 2
 
 
+def test_markers_switch_the_camera_as_in_blender(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    far = bpy.data.objects.new("far", bpy.data.cameras.new("far"))
+    scene.collection.objects.link(far)
+    far.location = (9.0, 0.0, 1.0)
+    scene.frame_end = 8
+    for frame, camera in ((7, scene.camera), (2, scene.camera), (5, far)):
+        scene.timeline_markers.new(camera.name, frame=frame).camera = camera
+    shown = {}
+    for frame in range(1, 9):
+        scene.frame_set(frame)
+        shown[frame] = scene.camera.name
+    shot = shot_of(scene, motion=True)
+    assert {frame: shot.camera_at(frame) for frame in shown} == {**shown, 1: "dolly"}, "before the first marker, too"
+    assert any("far from 5" in line and "--camera" in line for line in shot.warnings)
+    cameras = cameras_of(scene, shot)
+    assert [camera.name for camera in cameras] == [f"cuts.{frame:04d}" for frame in range(1, 9)]
+    places = [camera.pinhole.camera_to_world[0][3] for camera in cameras]
+    assert [place == 9.0 for place in places] == [False] * 4 + [True] * 2 + [False] * 2
+    assert cameras[4].previous is not None and cameras[4].previous.camera_to_world[0][3] == 9.0, "a cut is no motion"
+    alone = cameras_of(scene, shot_of(scene, "far", first=5, last=6))
+    assert [camera.name for camera in alone] == ["far.0001"], "it stands still"
+
+
 def test_clip_and_the_requested_range(scene: bpy.types.Scene) -> None:
     scene.camera.data.clip_start, scene.camera.data.clip_end = 0.25, 40.0
     cameras = cameras_of(scene, shot_of(scene, "dolly", first=2, last=3))
