@@ -21,7 +21,7 @@ from .inspect import OnClass, OnInstance
 
 _FRAMES = [
     ("all", "All Frames", "Bake every frame that has no passes yet"),
-    ("test", "Test Frames", "Bake the frames held out of training, to check it"),
+    ("test", "Check Frames", "Bake the frames that the lift did not learn from, which check it"),
     ("active", "Active Camera", "Bake the frame whose camera is the scene's active one"),
 ]
 _READ_S, _READ_EVERY_S = 0.04, 0.06

@@ -17,6 +17,7 @@ from ..plgs_blender.registry import Task
 from ..plgs_blender.running.importing import FrameMaking, begin_import, choose_picture, imported, what_is_missing
 from ..plgs_blender.running.lifting import why_no_scene
 from ..plgs_blender.running.looking import look_at_scene
+from ..plgs_blender.sample import own_sample
 from ..plgs_blender.settings import SceneOptions, chosen_scene
 from ..plgs_blender.viewport import look_through, show_materials_in
 from . import base
@@ -93,6 +94,17 @@ class PLGS_OT_browse_scene(ImportsScene, base.ChoosesFile, bpy.types.Operator):
         _forget_other_scene(settings)
         base.copy_given(self, SceneOptions, settings)
         settings.scene_folder = str(scene)
+        return super().begin(context)
+
+
+class PLGS_OT_try_sample(ImportsScene, bpy.types.Operator):
+    """Copy a small room into your home folder, and import it: try PLGS without a capture of your own"""
+
+    bl_idname, bl_label, bl_options = "plgs.try_sample", "Try the Sample", {"UNDO"}
+
+    def begin(self, context: bpy.types.Context) -> Task | None:
+        _forget_other_scene(context.scene.plgs)
+        context.scene.plgs.scene_folder = str(own_sample())
         return super().begin(context)
 
 

@@ -70,7 +70,11 @@ def test_the_zip_holds_what_runs_and_what_the_engine_is_set_up_from(root: Path, 
     tops = {name.partition("/")[0] for name in names}
     files = {"blender_manifest.toml", "__init__.py", "run_plgs.py", "LICENSE", "README.md", "CHANGELOG.md"}
     files.add("SECURITY.md")
-    assert tops == files | {*parts, "docs", "farm", "requirements"}
+    assert tops == files | {*parts, "docs", "farm", "requirements", "sample"}
+    sample = {name for name in names if name.startswith("sample/")}
+    assert "sample/room/LICENSE" in sample and not any("/gt/" in name or "_second" in name for name in sample)
+    with zipfile.ZipFile(package) as zipped:
+        assert sum(zipped.getinfo(name).file_size for name in sample) < 8e6
 
 
 def test_links_in_the_zip_lead_somewhere(package: Path) -> None:

@@ -37,7 +37,7 @@ _RESULT: Entries = (
     "next_uncertain_frame", "undo_correction",
 )  # fmt: skip
 _WORK: Entries = (
-    "import_scene",
+    "import_scene", "try_sample",
     *(("show_picture", {"what": what}, f"Show {what.capitalize()} of the Frame")
       for what in ("PHOTO", "DEPTH", "MASKS")),
     "make_poses", "make_masks",
@@ -53,7 +53,7 @@ _WORK: Entries = (
     ("find_scene", {}, "Find the Lift's Scene…"),
     "place_lift",
     *(("bake_passes", {"frames": frames}, f"Bake Passes: {text}")
-      for frames, text in (("all", "All Frames"), ("test", "Test Frames"), ("active", "Active Camera's Frame"))),
+      for frames, text in (("all", "All Frames"), ("test", "Check Frames"), ("active", "Active Camera's Frame"))),
     "bake_camera", "bake_on_farm", "show_passes", "show_room", "make_meshes", "make_depth_cloud",
     ("show_preferences", {}, "PLGS Preferences"),
 )  # fmt: skip

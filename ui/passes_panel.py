@@ -27,7 +27,7 @@ class PLGS_PT_passes(sidebar.Step, bpy.types.Panel):
         row.label(text="Also")
         row.prop(context.scene.plgs, "layers")
         column = sidebar.from_panel(self.layout.column(align=True), context)
-        for frames, label in (("all", "All Frames"), ("test", "Test Frames"), ("active", "the Active Camera's Frame")):
+        for frames, label in (("all", "All Frames"), ("test", "Check Frames"), ("active", "the Active Camera's Frame")):
             column.operator("plgs.bake_passes", text=f"Bake {label}", icon="RENDERLAYERS").frames = frames
         row = column.row(align=True)
         row.prop(context.scene.plgs, "shot")

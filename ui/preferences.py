@@ -52,6 +52,8 @@ class PLGS_AP_preferences(bpy.types.AddonPreferences):
             draw_task(layout, context, set_up)
             if set_up.is_running or set_up.error is not None:
                 draw_log(layout, (str(tasks.log_path()), *set_up.log_lines))
+        if status().state is EngineState.READY:
+            layout.operator("plgs.try_sample", icon="HOME")
         for name in ADDED:
             draw_lacking(layout, context, name)
         column = layout.column()

@@ -43,6 +43,7 @@ class PLGS_PT_scene(sidebar.StepBefore, bpy.types.Panel):
         if not settings.scene_folder:
             what_to_do = "Choose a capture's folder or file, or drop one of its files here"
             sidebar.draw_text(layout, context, what_to_do, "INFO")
+            layout.operator("plgs.try_sample", icon="HOME")
         elif survey is not None and survey.error is not None:
             box = sidebar.draw_error(layout, context, survey.error)
             if survey.error.code is ErrorCode.NO_POSES:
@@ -52,7 +53,7 @@ class PLGS_PT_scene(sidebar.StepBefore, bpy.types.Panel):
 
 
 class PLGS_PT_scene_options(sidebar.Sidebar, bpy.types.Panel):
-    bl_label, bl_parent_id, bl_options = "Format, Masks and Axes", "PLGS_PT_scene", {"DEFAULT_CLOSED"}
+    bl_label, bl_parent_id, bl_options = "Import Options", "PLGS_PT_scene", {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.plgs

@@ -31,7 +31,7 @@ class PLGS_PT_lift_panoptic_masks(Sidebar, bpy.types.Panel):
     bl_idname, bl_label = "PLGS_PT_lift_panoptic_masks", "Lift Panoptic Masks"
 
     def draw(self, context: bpy.types.Context) -> None:
-        self.layout.label(text="Turns a filmed room into objects")
+        draw_text(self.layout, context, "Turns a filmed room into named objects, mattes and meshes")
         draw_way_back(self, context)
         if has_result(context.scene):
             icon = "DISCLOSURE_TRI_DOWN" if context.scene.plgs.show_steps else "DISCLOSURE_TRI_RIGHT"

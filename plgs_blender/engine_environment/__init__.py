@@ -11,12 +11,14 @@ from ...engine.errors import ErrorCode, PlgsError
 from ...engine.job.process import ROOT, choose_python
 from ...engine.job.process import engine_python as find_engine_python
 from .choices import chosen_python, studio
-from .tasks import EngineState, EngineStatus, status
+from .tasks import EngineState, EngineStatus, running_set_up, status
 
 
 def why_no_engine() -> str | None:
     """Why no engine can be started now, or None if one can. Never reads the disk."""
     engine = status()
+    if not engine.is_usable and running_set_up() is not None:
+        return "The engine is being set up: it takes some minutes"
     return None if engine.is_usable else f"{engine.message}. {engine.fix}"
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -70,6 +70,10 @@ def status() -> EngineStatus:
     return _status
 
 
+when_ready: list[Callable[[], object]] = []
+"""Called after an engine has answered that it can be used."""
+
+
 class EngineCheck(Task):
     """Checks which engine a Python has."""
 
@@ -98,6 +102,8 @@ class EngineCheck(Task):
         else:
             message = f"{self._choice.python} does not run the engine ({str(self.error)[:200]})"
             _status = _failed(self._choice, message, "Choose another Python, or set the engine up.")
+        for listener in when_ready if _status.state is EngineState.READY else ():
+            listener()
 
 
 def _of_answer(choice: ChosenPython, answer: Mapping[str, Any] | None) -> EngineStatus:

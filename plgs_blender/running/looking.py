@@ -15,6 +15,7 @@ from .. import corrections
 from .. import settings as panel
 from ..chosen_scene import ChosenScene, absolute
 from ..engine_environment import engine_python
+from ..engine_environment.tasks import when_ready
 from ..owned import FOLDER, folder_of, gone, lifts_in, text_of
 from ..results import begin_to_read, read_on
 from ..settings import PLGS_PG_settings, chosen_lift, chosen_scene
@@ -82,6 +83,16 @@ def _on_lift_chosen(settings: PLGS_PG_settings) -> None:
         lifts.look_at(folder)
 
 
+def _when_engine_is_ready() -> None:
+    """Look again at scenes that were chosen before: Blender alone sees less in them."""
+    for scene in bpy.data.scenes:
+        seen = survey.survey_of_panel(scene.plgs)
+        if seen is not None and seen.has_masks is None:
+            look_at_scene(seen.chosen)
+        elif seen is not None and seen.error is not None and seen.error.key == "needs-engine":
+            look_at_scene(seen.chosen)
+
+
 def _at_start() -> None:
     lifts.refresh_recent()
     find_own_lifts()
@@ -102,6 +113,7 @@ HANDLERS = (("load_post", _on_load),)
 def register() -> None:
     panel.on_scene_chosen.append(_on_scene_chosen)
     panel.on_lift_chosen.append(_on_lift_chosen)
+    when_ready.append(_when_engine_is_ready)
     # A moment later: while extensions are switched on there is no file to look at.
     if not bpy.app.background:
         bpy.app.timers.register(_at_start, first_interval=0.0)
@@ -110,6 +122,7 @@ def register() -> None:
 def unregister() -> None:
     panel.on_scene_chosen.remove(_on_scene_chosen)
     panel.on_lift_chosen.remove(_on_lift_chosen)
+    when_ready.remove(_when_engine_is_ready)
     for each in (_at_start, _read_objects, look_first):
         if bpy.app.timers.is_registered(each):
             bpy.app.timers.unregister(each)

@@ -177,7 +177,7 @@ def test_edits_move_no_button(tmp_path: Path) -> None:
     ("form", "shown_in", "button", "bar"),
     [
         ("coco", "", "plgs.export_lift COCO Panoptic", "COCO Panoptic 50 %"),
-        ("surface", "", "plgs.export_lift Surface to View", "Surface to View 50 %"),
+        ("surface", "", "plgs.export_lift Surface", "Surface 50 %"),
         ("surface", "Scene", "plgs.make_meshes\n", "Meshes 50 %"),
         ("clouds", "Scene", "plgs.make_depth_cloud", "Cloud 50 %"),
     ],

@@ -1,0 +1,27 @@
+"""The small room that comes with the extension, for users who have no capture yet."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from ..engine.errors import PlgsError
+from ..engine.job.process import ROOT
+
+SAMPLE = ROOT / "sample" / "room"
+_ONLY_FOR_RESEARCH = shutil.ignore_patterns("gt", "panoptic_second*")
+
+
+def own_sample() -> Path:
+    """A copy of the room in the user's home, because lifts lie beside their scene; made if there is none. Raises
+    PlgsError, OSError."""
+    folder = Path.home() / "PLGS Sample" / SAMPLE.name
+    if folder.is_dir():
+        return folder
+    if not SAMPLE.is_dir():
+        raise PlgsError("no-sample", "this PLGS comes without the sample room", SAMPLE, "Install its zip again.")
+    part = folder.with_name(f"{SAMPLE.name}.part")
+    shutil.rmtree(part, ignore_errors=True)
+    shutil.copytree(SAMPLE, part, ignore=_ONLY_FOR_RESEARCH)
+    part.replace(folder)
+    return folder
