@@ -8,11 +8,9 @@ import pytest
 
 import engine.diagnosis.run as diagnosis_run
 from engine.diagnosis import diagnose_quickly
-from engine.job import EventWriter, LiftFolder, LiftRequest, StopSignal
-from engine.job.progress import StageReporter
+from engine.job import EventWriter, LiftFolder, LiftRequest
 from engine.job.report import metrics_text
 from engine.lift import run
-from engine.presets.preset import PRESETS
 from engine.scene import open_scene
 from tests.diagnosis.matrix import FAULTS
 from tests.raises_key import raises_key
@@ -74,15 +72,6 @@ def test_a_lift_stops_unless_it_is_asked_for_anyway(good: Path, tmp_path: Path, 
         with raises_key("wrong-for-certain invert --anyway"):
             run.ask_what_is_wrong(folder, opened, (96, 72), events, stops=True)
     assert any("inverted poses" in each and "invert them" in each for each in warnings_in(folder.events_path))
-    events.close()
-
-
-def test_lift_check_refuses_a_wrong_scene(good: Path, tmp_path: Path) -> None:
-    folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=spoilt(good, tmp_path, "OpenGL axes")))
-    events = EventWriter(folder.events_path)
-    stages = StageReporter(events, StopSignal(folder.cancel_path), run.STAGES)
-    with raises_key("wrong-for-certain"), stages.stage("check") as progress:
-        run.checked_frames(folder, PRESETS["preview"], None, progress, events)
     events.close()
 
 

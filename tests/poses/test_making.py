@@ -21,8 +21,6 @@ from tests.scene.formats.room import write_grey
 from tests.scene.formats.test_colmap import write_text
 from tests.tiny_scene import write_tiny_scene
 
-needs_colmap = pytest.mark.skipif(find_spec("pycolmap") is None, reason="needs pycolmap (engine add colmap)")
-
 
 @pytest.fixture
 def photos(tmp_path: Path) -> Path:
@@ -204,7 +202,6 @@ def test_the_sharpest_pictures_of_a_film_are_taken(tmp_path: Path) -> None:
     assert done == [(1, 3), (2, 3), (3, 3)]
 
 
-@needs_colmap
 def aligned(found: np.ndarray, wanted: np.ndarray) -> tuple[float, np.ndarray]:
     """The scale of the similarity (Umeyama) that brings places [N, 3] to others, and the distances left [N]."""
     one, other = found - found.mean(0), wanted - wanted.mean(0)
