@@ -40,7 +40,7 @@ def package(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("extension")
     # With a blender on PATH that has no tool yet, as Debian 12's, it is that of the bpy module that runs this test.
     old = folder / "blender"
-    old.write_text("#!/bin/sh\n[ \"$1\" = --version ] && echo Blender 3.4.1 && exit 0\nexit 1\n")
+    old.write_text('#!/bin/sh\n[ "$1" = --version ] && echo Blender 3.4.1 && exit 0\nexit 1\n')
     old.chmod(0o755)
     command = [sys.executable, str(root / "set_up" / "extension.py"), str(folder)]
     process = subprocess.run(

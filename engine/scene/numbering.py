@@ -114,6 +114,8 @@ Numbered = tuple[MaskSource, ClassChoice | None, tuple[Inferred, ...]]
 def numbered(source: MaskSource, choice: ClassChoice | None, where: Path, asking: Asking | None = None) -> Numbered:
     """The masks and the choice of classes with the numbering of the choice's table, and what was inferred. No table
     applies to masks of objects. Raises PlgsError if all numberings make things stuff, or if another table's fits."""
+    if choice is None and source.tells_no_class:
+        return source, None, (Inferred("numbering", "all are of the class object", _OBJECTS.format(FILE_NAME)),)
     if choice is None:
         return source, None, () if source.kinds is None else (_UNNAMED,)
     if choice.table is None:

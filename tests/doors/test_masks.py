@@ -1,0 +1,276 @@
+"""What docs/masks.md promises, on masks that other programs write, or as their documentation shows them."""
+
+import csv
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from engine.command_line.main import main
+from engine.scene import open_scene
+from tests.doors.terminal import Terminal
+from tests.raises_key import worded
+from tests.scene.mask_formats.labelled_room import COCO_NAMES, COCO_NUMBERS, NAMES, Truth, check_on_room, write_frames
+from tests.segment.tiny_mask2former import save_tiny_mask2former
+from tests.tiny_scene import CATEGORIES, write_tiny_scene
+
+LIFT = ".venv/bin/python -m engine lift SCENE --masks MASKS --detections coco_instances_results.json -o OUT"
+SEGMENT = (
+    ".venv/bin/python -m engine segment SCENE --download "
+    "[--model facebook/mask2former-swin-large-coco-panoptic | FOLDER] [-o FOLDER] [--frames auto]"
+)
+QUICK = ("--steps", "5", "--set", "warm_start=false")
+CHAIRS = {1: "", 2: "", 3: "", 5: "chair", 13: ""}
+"""What is left of the room's classes where masks show chairs alone."""
+
+
+@pytest.fixture
+def shell(tmp_path: Path, quick_python: Path) -> Terminal:
+    """A terminal in a clone with a scene "room" without masks."""
+    (tmp_path / "clone").mkdir()
+    return Terminal.like_a_clone(tmp_path / "clone", quick_python)
+
+
+def answer_of(capsys: pytest.CaptureFixture[str], *arguments: object) -> Any:
+    """What a command of the engine answers with --json."""
+    capsys.readouterr()
+    assert main([*map(str, arguments), "--json"]) == 0, capsys.readouterr().err
+    return json.loads(capsys.readouterr().out.splitlines()[-1])
+
+
+def runs(mask: np.ndarray) -> dict[str, Any]:
+    """Run lengths as pycocotools packs them."""
+    rle_tools = pytest.importorskip("pycocotools.mask")
+    packed = rle_tools.encode(np.asfortranarray(mask, np.uint8))
+    return {"size": packed["size"], "counts": packed["counts"].decode()}
+
+
+def chairs(truths: list[Truth]) -> Iterator[tuple[str, np.ndarray]]:
+    for truth in truths:
+        yield from ((truth.name, region) for kind, _, region in truth.regions() if kind == 5)
+
+
+def panoptic_api(masks: Path, truths: list[Truth]) -> None:
+    """cocodataset/panopticapi: a pixel's id is R + 256 G + 256² B; the picture is written by Pillow."""
+    image = pytest.importorskip("PIL.Image")
+    annotations = []
+    (masks / "panoptic").mkdir()
+    for number, truth in enumerate(truths):
+        ids, segments = np.zeros((*truth.semantic.shape, 3), np.uint8), []
+        for kind, one, region in truth.regions():
+            identity = 1 + kind + 300 * one + 70000 * (number % 2)
+            ids[region] = identity % 256, identity // 256 % 256, identity // 65536
+            segments.append({"id": identity, "category_id": kind, "iscrowd": 0, "area": int(region.sum())})
+        image.fromarray(ids).save(masks / "panoptic" / f"{truth.name}.png")
+        annotations.append({"image_id": number, "file_name": f"{truth.name}.png", "segments_info": segments})
+    images = [{"id": number, "file_name": f"{truth.name}.jpg"} for number, truth in enumerate(truths)]
+    content = {"images": images, "annotations": annotations, "categories": CATEGORIES}
+    (masks / "panoptic.json").write_text(json.dumps(content))
+
+
+def detectron2_results(masks: Path, truths: list[Truth]) -> None:
+    """COCOEvaluator's coco_instances_results.json: categories by the data set's ids, images by numbers."""
+    found = [
+        {"image_id": int(name), "category_id": 62, "bbox": [0, 0, 9, 9], "score": 0.98, "segmentation": runs(region)}
+        for name, region in chairs(truths)
+    ]
+    (masks / "coco_instances_results.json").write_text(json.dumps(found))
+
+
+def ultralytics_predictions(masks: Path, truths: list[Truth]) -> None:
+    """`yolo val save_json=True`: COCO's results with the stems of the pictures."""
+    found = [
+        {"image_id": name, "file_name": f"{name}.jpg", "category_id": 62, "bbox": [0.0, 0.0, 9.0, 9.0],
+         "score": 0.87654, "segmentation": runs(region)}
+        for name, region in chairs(truths)
+    ]  # fmt: skip
+    (masks / "predictions.json").write_text(json.dumps(found))
+
+
+def coco_instances(masks: Path, truths: list[Truth]) -> None:
+    """COCO's annotations with polygons, by OpenCV's contours."""
+    annotations = []
+    for name, region in chairs(truths):
+        outlines = cv2.findContours(region.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+        polygons = [each.ravel().tolist() for each in outlines if len(each) > 2]
+        annotations.append({"id": len(annotations) + 1, "image_id": int(name), "category_id": 5, "iscrowd": 0,
+                            "segmentation": polygons})  # fmt: skip
+    images = [{"id": int(t.name), "file_name": f"{t.name}.png", "width": 64, "height": 48} for t in truths]
+    content = {"images": images, "annotations": annotations, "categories": [{"id": 5, "name": "chair"}]}
+    (masks / "instances.json").write_text(json.dumps(content))
+
+
+def transformers_panoptic(masks: Path, truths: list[Truth]) -> None:
+    """What transformers' own post_process_panoptic_segmentation returns, and the config that it saves."""
+    transformers = pytest.importorskip("transformers")
+    import torch
+
+    labels = {number: COCO_NAMES.get(kind, "") for kind, number in COCO_NUMBERS.items()}
+    names = {number: labels.get(number, f"class {number}") for number in range(133)}
+    config = transformers.Mask2FormerConfig(id2label=names, label2id={name: number for number, name in names.items()})
+    config.save_pretrained(masks)
+    for truth in truths:
+        regions = list(truth.regions())
+        classes = torch.full((1, len(regions), 134), -20.0)
+        pixels = torch.stack([torch.from_numpy(region) for *_, region in regions])[None].float() * 40 - 20
+        for query, (kind, *_) in enumerate(regions):
+            classes[0, query, COCO_NUMBERS[kind]] = 20.0
+        outputs = transformers.models.mask2former.modeling_mask2former.Mask2FormerForUniversalSegmentationOutput(
+            class_queries_logits=classes, masks_queries_logits=pixels
+        )
+        network = transformers.Mask2FormerImageProcessorPil(num_labels=133)
+        (found,) = network.post_process_panoptic_segmentation(outputs, target_sizes=[truth.semantic.shape])
+        np.save(masks / f"{truth.name}.npy", found["segmentation"].numpy())
+        (masks / f"{truth.name}.json").write_text(json.dumps({"segments_info": found["segments_info"]}))
+
+
+def opencv_label_images(masks: Path, truths: list[Truth]) -> None:
+    """A script of the user's: classes of ADE20K's networks, counted from 0."""
+    ade = {1: 0, 2: 3, 3: 10, 5: 19, 13: 5}
+    for truth in truths:
+        classes = np.vectorize(ade.__getitem__)(truth.semantic).astype(np.uint8)
+        for name, values in (("semantic", classes), ("instance", truth.instance.astype(np.uint16))):
+            (masks / name).mkdir(exist_ok=True)
+            cv2.imwrite(str(masks / name / f"{truth.name}.png"), values)
+
+
+def scannet_filt(masks: Path, truths: list[Truth]) -> None:
+    """ScanNet's label-filt and instance-filt: raw ids of 16 bits, instances of 8 bits."""
+    raw = {1: 1, 2: 3, 3: 7, 5: 2, 13: 41}
+    for truth in truths:
+        classes = np.vectorize(raw.__getitem__)(truth.semantic).astype(np.uint16)
+        for name, values in (("label-filt", classes), ("instance-filt", truth.instance.astype(np.uint8))):
+            (masks / name).mkdir(exist_ok=True)
+            cv2.imwrite(str(masks / name / f"{truth.name}.png"), values)
+
+
+Writer = Callable[[Path, list[Truth]], None]
+ADE_NAMES = {1: "wall", 2: "floor", 3: "cabinet", 5: "chair", 13: "ceiling"}
+KINDS: list[tuple[str, Writer, str | None, dict[int, str], set[str]]] = [
+    ("coco", panoptic_api, None, NAMES, {"cabinet", "chair"}),
+    ("coco-detections", detectron2_results, "coco:90", CHAIRS, {"chair"}),
+    ("coco-detections", ultralytics_predictions, "coco:90", CHAIRS, {"chair"}),
+    ("coco-detections", coco_instances, None, CHAIRS, {"chair"}),
+    ("transformers", transformers_panoptic, None, COCO_NAMES, {"chair"}),
+    ("pairs", opencv_label_images, "ade20k:0-149", ADE_NAMES, {"cabinet", "chair"}),
+    ("pairs", scannet_filt, "scannet", NAMES, {"cabinet", "chair"}),
+]
+"""A kind of masks, its writer, the class table that the user names, the names of the room's classes, and its things."""
+
+
+@pytest.mark.parametrize(("kind", "write", "table", "names", "things"), KINDS)
+def test_a_kind_of_masks_is_recognised_and_shows_the_rooms_classes_and_objects(
+    kind: str, write: Writer, table: str | None, names: dict[int, str], things: set[str], tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    room, truths = write_frames(tmp_path / "room")
+    (tmp_path / "masks").mkdir()
+    write(tmp_path / "masks", truths)
+    options = ["--masks", tmp_path / "masks", *(["--classes", table] if table else [])]
+    told = answer_of(capsys, "inspect", room, *options)
+    shares = {each["name"]: each["share"] for each in told["classes"]}
+    pixels = np.stack([truth.semantic for truth in truths])
+    for number, name in names.items():
+        if name and (pixels == number).any():
+            assert shares[name] == pytest.approx((pixels == number).mean(), abs=0.02)
+    if write is not coco_instances:  # polygons do not keep every pixel
+        named = open_scene(room, tmp_path / "masks", classes=table, mask_format=kind)
+        check_on_room(named, truths, names, frozenset(things))
+
+
+def test_sams_folders_number_objects_and_a_warning_says_that_they_have_no_classes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As segment-anything's scripts/amg.py writes them: a folder per picture, <k>.png and metadata.csv."""
+    room, truths = write_frames(tmp_path / "room")
+    head = "id,area,bbox_x0,bbox_y0,bbox_w,bbox_h,point_input_x,point_input_y,predicted_iou,stability_score"
+    head += ",crop_box_x0,crop_box_y0,crop_box_w,crop_box_h"
+    for truth in truths:
+        (tmp_path / "masks" / truth.name).mkdir(parents=True)
+        with (tmp_path / "masks" / truth.name / "metadata.csv").open("w", newline="") as file:
+            file.write(f"{head}\n")
+            for k, (*_, region) in enumerate(truth.regions()):
+                csv.writer(file).writerow([k, region.sum(), *(9 * [1]), 0, 0, 64, 48][:14])
+                cv2.imwrite(str(tmp_path / "masks" / truth.name / f"{k}.png"), region * np.uint8(255))
+    told = answer_of(capsys, "inspect", room, "--masks", tmp_path / "masks")
+    counts = sorted(len(list(truth.regions())) for truth in truths)
+    assert told["segments_per_frame"][0] == counts[0] and told["segments_per_frame"][2] == counts[-1]
+    doubtful = [each["reason"] for each in told["inferred"] if each["is_doubtful"]]
+    assert any("number objects and have no classes" in reason for reason in doubtful), told["inferred"]
+
+
+def test_a_number_of_sam_2_is_one_object_in_all_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As sam2's vos_inference.py writes them: Pillow's palette pictures."""
+    image = pytest.importorskip("PIL.Image")
+    room, truths = write_frames(tmp_path / "room")
+    (tmp_path / "masks").mkdir()
+    for truth in truths:
+        picture = image.fromarray(truth.instance.astype(np.uint8))
+        picture.putpalette([0, 0, 0, 128, 0, 0, 0, 128, 0, 128, 128, 0] + 756 * [0])
+        picture.save(tmp_path / "masks" / f"{truth.name}.png")
+    (tmp_path / "masks/classes.toml").write_text('[[class]]\nid = 1\nname = "chair"\nthing = true\n')
+    options = ["--masks", tmp_path / "masks", "--mask-format", "sam2"]
+    told = answer_of(capsys, "inspect", room, *options)
+    shares = {each["name"]: each["share"] for each in told["classes"]}
+    wanted = np.stack([truth.instance for truth in truths]) == 1
+    assert shares["chair"] == pytest.approx(wanted.mean(), abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["0000.pkl", "0000.pt", "0000.ptz"])
+def test_pickled_masks_are_never_read(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    room, _ = write_frames(tmp_path / "room")
+    (tmp_path / "masks").mkdir()
+    (tmp_path / "masks" / name).write_bytes(b"cos\nsystem\n(S'touch stolen'\ntR.")
+    assert main(["inspect", str(room), "--masks", str(tmp_path / "masks")]) == 2
+    assert name.rpartition(".")[2] in capsys.readouterr().err and not Path("stolen").exists()
+
+
+def test_classes_toml_names_merges_and_drops_classes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    room, truths = write_frames(tmp_path / "room")
+    (tmp_path / "masks").mkdir()
+    panoptic_api(tmp_path / "masks", truths)
+    (tmp_path / "masks/classes.toml").write_text(
+        '[[class]]\nname = "cabinet"\ninto = "furniture"\n[[class]]\nname = "chair"\ninto = "furniture"\n'
+        'colour = "#c8a064"\n[[class]]\nname = "ceiling"\ninto = "void"\n'
+    )
+    told = answer_of(capsys, "inspect", room, "--masks", tmp_path / "masks")
+    names = {each["name"] for each in told["classes"]}
+    pixels = np.stack([truth.semantic for truth in truths])
+    shares = {each["name"]: each["share"] for each in told["classes"]}
+    assert {"furniture", "wall", "floor"} == names
+    assert shares["furniture"] == pytest.approx(np.isin(pixels, [3, 5]).mean(), abs=1e-3)
+
+
+@pytest.mark.slow
+def test_a_lift_takes_detections_over_masks(shell: Terminal, tmp_path: Path) -> None:
+    """pycocotools' runs in detectron2's file; the log says whether they voted."""
+    room = write_tiny_scene(shell.folder / "room", 6, masks="none")
+    with_masks = write_tiny_scene(tmp_path / "masked", 6)
+    truths = write_frames(tmp_path / "truth", 6)[1]
+    detectron2_results(shell.folder, truths)
+    (shell.folder / "classes.toml").write_text('table = "coco:90"\n')  # as the page says for a file without names
+    shell.run(LIFT, SCENE=room.name, MASKS=with_masks / "panoptic.json", OUT="out", more=QUICK)
+    log = (shell.folder / "out/log.txt").read_text()
+    assert "detections" in log and (shell.folder / "out/result/manifest.json").is_file()
+
+
+def test_segment_writes_coco_panoptic_masks_and_never_overwrites_others(
+    shell: Terminal, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With a network in a folder, as transformers saves one."""
+    pytest.importorskip("transformers")
+    assert SEGMENT.startswith(".venv/bin/python -m engine segment SCENE --download")
+    write_tiny_scene(shell.folder / "room", 2, masks="none", ground_truth=False)
+    save_tiny_mask2former(shell.folder / "network")
+    shell.run(".venv/bin/python -m engine segment SCENE --model FOLDER", SCENE="room", FOLDER="network")
+    told = answer_of(capsys, "inspect", shell.folder / "room")
+    assert told["mask_sizes"] == [[[64, 48], 2]]
+    before = {path: path.read_bytes() for path in (shell.folder / "room/panoptic").iterdir()}
+    other = save_tiny_mask2former(shell.folder / "other", sure=20.0)
+    command = ".venv/bin/python -m engine segment SCENE --model FOLDER"
+    assert worded("other-masks").search(shell.run(command, code=2, SCENE="room", FOLDER=other))
+    assert {path: path.read_bytes() for path in (shell.folder / "room/panoptic").iterdir()} == before
