@@ -32,7 +32,10 @@ def relate(blend: Path) -> None:
     now = Path(bpy.data.filepath)
     is_kept_absolute = bool(bpy.data.filepath) and not bpy.context.preferences.filepaths.use_relative_paths
     for store, path in _stored_paths():
-        if not (is_kept_absolute and not path.startswith("//")):
+        is_related = path.startswith("//")
+        if is_related and not bpy.data.filepath:  # by an earlier call for this file, which has no place yet
+            continue
+        if is_related or not is_kept_absolute:
             _change(store, path, _relative(str(absolute(path)), blend.parent))
     if now.parent == blend.parent and not is_kept_absolute:  # else Blender changes them itself after us
         for image in bpy.data.images:
