@@ -105,9 +105,15 @@ def _read_png(path: Path, unit: float) -> NDArray[np.float32]:
     return steps * np.float32(unit)
 
 
-def npy_depth(path: Path) -> DepthMap:
-    """The depth map in a .npy file: metres as floats, or millimetres as whole numbers."""
-    return DepthMap(path, lambda: in_metres(read_depth_array(path)), fault=fault_of(path))
+def npy_depth(path: Path, step: float | None = None) -> DepthMap:
+    """The depth map in a .npy file: numbers of a ``step`` in metres; None: metres as floats, or millimetres as whole
+    numbers."""
+
+    def read() -> NDArray[np.float32]:
+        values = read_depth_array(path)
+        return in_metres(values) if step is None else only_depth(values.astype(np.float32) * np.float32(step))
+
+    return DepthMap(path, read, fault=fault_of(path))
 
 
 def read_depth_array(path: Path) -> NDArray[Any]:

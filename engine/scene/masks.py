@@ -17,6 +17,7 @@ from ..posed.layout import listed
 from ..scene_source import SceneSource
 from .class_choice import FILE_NAME, find_class_choice
 from .class_map import ClassMap, class_map
+from .detection_fit import fitted
 from .files_of_frames import digests_of_files, says_what_counts
 from .frame import Inferred, PanopticMask, Segment, Size, mapped
 from .mask_fit import Pictured, Placement, paired, placements
@@ -192,8 +193,11 @@ def open_masks(
     source, choice, of_numbers = numbered(source, choice, place)
     number_of: Mapping[int, int] = {}
     more: tuple[ClassLabel, ...] = ()
+    of_detections: tuple[Inferred, ...] = ()
     if detections is not None:
-        number_of, more = detections.joined((choice and choice.labels) or source.labels or ())
+        labels = (choice and choice.labels) or source.labels or ()
+        detections, of_detections = fitted(detections, source, labels)
+        number_of, more = detections.joined(labels)
     known = class_map(source.labels, choice, place, source.tells_no_class, more)
     fuses = source.stuff_in_pieces or known.merges
     table = source.table if choice is None else "the class table"
@@ -223,7 +227,7 @@ def open_masks(
             for name, found in detections.found.items()
             if name in readers
         }
-    return MaskSet(known.classes, readers, tuple(warnings), (*inferred, *of_numbers), over)
+    return MaskSet(known.classes, readers, tuple(warnings), (*inferred, *of_numbers, *of_detections), over)
 
 
 def open_mask_source(place: Path, names: Sequence[str], mask_format: str | None, progress: Progress) -> MaskSource:

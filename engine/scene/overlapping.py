@@ -19,7 +19,7 @@ from .class_choice import find_class_choice
 from .class_map import ClassMap, plain_name
 from .frame import Evidence, Segment, Size
 from .mask_formats.coco import images_of
-from .mask_formats.coco_results import DetectedSegment, read_table
+from .mask_formats.coco_results import DetectedSegment, DetectionTable, read_table
 
 TABLE = "panoptic.json"  # the file name of the masks' table, which may name pictures by id
 LEAST_SCORE = 0.1  # minimum score of a detection; weak detections are evidence, too
@@ -63,13 +63,17 @@ class EvidenceReader:
 
 @dataclass(frozen=True)
 class Detections:
-    """Detections of a scene's frames, the frames' ``sizes`` (width, height), and the ``labels``, None if unnamed."""
+    """Detections of a scene's frames, the frames' ``sizes`` (width, height), and the ``labels``, None if unnamed. If
+    the pictures' ids can be read in two ways, ``by_table`` says whether they are read as those of the masks' table, and
+    ``otherwise`` are the detections as read in the other way."""
 
     path: Path
     sizes: Mapping[str, Size]
     found: Mapping[str, tuple[DetectedSegment, ...]]
     labels: tuple[ClassLabel, ...] | None
     warnings: tuple[str, ...] = ()
+    by_table: bool = False
+    otherwise: Detections | None = None
 
     def joined(self, labels: Sequence[ClassLabel]) -> tuple[dict[int, int], tuple[ClassLabel, ...]]:
         """Maps each label of the detections to the masks' ``labels`` of the same name, and lists the classes that these
@@ -103,16 +107,34 @@ def open_detections(path: Path, masks: Path, sizes: Mapping[str, Size], progress
         raise PlgsError("no-detections", "there are no detections", path, "Name a JSON file.", option="--detections")
     table, panoptic = read_table(path), folder / TABLE
     images = images_of(read_json_object(panoptic), panoptic) if panoptic.is_file() else {}
+    first = _open(table, sizes, images, labels=_labels(table, folder), progress=progress)
+    if not images or table.names:
+        return first
+    by_number = _open(table, sizes, {}, labels=first.labels)
+    return first if by_number.found == first.found else replace(first, by_table=True, otherwise=by_number)
+
+
+def _labels(table: DetectionTable, masks: Path) -> tuple[ClassLabel, ...] | None:
+    """The classes of the file, or of a classes.toml beside it, unless that is the masks'."""
+    path, labels = table.path, table.labels
+    choice = find_class_choice(None, path.parent) if path.parent != masks else None
+    if labels is None and choice is not None:
+        rows = (row for row in choice.rows if row.id is not None)
+        named_rows = (ClassLabel(row.id or 0, row.into or row.name or "", row.thing is not False) for row in rows)
+        labels = (*(choice.labels or ()), *(label for label in named_rows if label.name))
+    return labels
+
+
+def _open(
+    table: DetectionTable, sizes: Mapping[str, Size], images: Mapping[str, str],
+    *, labels: tuple[ClassLabel, ...] | None, progress: Progress = unwatched,
+) -> Detections:  # fmt: skip
+    path = table.path
     found, warnings = table.of_frames(sizes, images, progress)
     for name, each in found.items():
         for one in each:
             if not fits_picture(one.size, sizes[name]):
                 what = f"a detection in {shown_size(one.size)} does not fit frame {name} of {shown_size(sizes[name])}"
                 raise PlgsError("mask-shape", what, path, "Give detections of these pictures.", option="--detections")
-    labels, choice = table.labels, find_class_choice(None, path.parent) if path.parent != folder else None
-    if labels is None and choice is not None:
-        rows = (row for row in choice.rows if row.id is not None)
-        named_rows = (ClassLabel(row.id or 0, row.into or row.name or "", row.thing is not False) for row in rows)
-        labels = (*(choice.labels or ()), *(label for label in named_rows if label.name))
     kept = {name: tuple(one for one in each if one.score >= LEAST_SCORE) for name, each in found.items()}
     return Detections(path, sizes, kept, labels, warnings)

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -81,6 +82,8 @@ def _read(place: Path, progress: Progress) -> Capture:
     if contents[0].get("ply_file_path"):
         ply = file_inside(paths[0].parent, take_text(contents[0], "ply_file_path", "the file", paths[0]), paths[0])
         points = read_ply_points(ply) if ply.is_file() else None
+        if points is not None:
+            points = replace(points, xyz=points.xyz / _applied_scale(contents[0], paths[0]))
     kept = [tuple(name for name in own if name in posed) for own in of_parts]
     own = {name: frame for name, frame in entries.items() if name in posed}
     split = Split(*kept) if len(kept) == 2 else _own_split(contents[0], own, paths[0])
@@ -145,12 +148,20 @@ def _shot(name: str, frame: Mapping[str, Any], path: Path) -> Shot | None:
     lens = _lens(entry, read_image_header(colour_path).size, context, path)
     lens = fitted(lens, colour_path, f"Correct w and h of {context} in {path.name}.")
     depth = _depth(entry, lens, context, path)
+    pose[:3, 3] /= _applied_scale(entry, path)
     camera = lens.at(from_opengl(pose))
     kept = None
     if entry.get("mask_path"):
         kept = file_inside(path.parent, take_text(entry, "mask_path", context, path), path)
         label_header(kept)  # only to raise now rather than in the middle of a lift
     return Shot(name, camera, colour_path, depth, distortion=_distortion(entry, context, path), kept_pixels=kept)
+
+
+def _applied_scale(entry: dict[str, Any], path: Path) -> float:
+    """What the file's poses and points were multiplied by. Depth was not: it is in metres."""
+    return (
+        take_number(entry, "applied_scale", "the file", path, least=1e-6, most=1e6) if "applied_scale" in entry else 1.0
+    )
 
 
 def _image_path(path: Path, name: str) -> Path:
@@ -227,16 +238,17 @@ def _depth(entry: dict[str, Any], lens: Camera, context: str, path: Path) -> Dep
     if key is None:
         return None
     depth_path = file_inside(path.parent, take_text(entry, key, context, path), path)
-    if depth_path.suffix.lower() == ".npy":
-        return npy_depth(depth_path)
+    is_array = depth_path.suffix.lower() == ".npy"
     if not depth_path.suffix and not depth_path.is_file():
         depth_path = depth_path.with_name(depth_path.name + ".png")
     scale = next((key for key in ("integer_depth_scale", "depth_unit_scale_factor") if key in entry), None)
     unit = MILLIMETRES if scale is None else take_number(entry, scale, context, path)
-    if not 0.0 < unit < 1.0:
+    if is_array and scale is None:
+        return npy_depth(depth_path)
+    if not 0.0 < unit < 1.0 and not (is_array and unit == 1.0):
         fix = "Write one such as 0.001; or give 16-bit depth from another source with --depth MAPS."
         raise PlgsError("bad-scale", f'"{scale}" is not the length of a step in metres', path, fix, option="--depth")
-    return png_depth(depth_path, lens, unit)
+    return npy_depth(depth_path, unit) if is_array else png_depth(depth_path, lens, unit)
 
 
 FORMAT = SceneFormat("nerfstudio", lambda place: any(path.is_file() for path in _files(place)), _read)

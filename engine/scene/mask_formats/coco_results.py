@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from ...json_file import (
     take_list,
     take_number,
     take_objects,
+    take_text,
     take_whole_number,
     whole_number,
     wrong_type,
@@ -36,13 +37,16 @@ from ...posed.layout import LARGEST_PIXELS, listed, shown_files, shown_size
 from ..frame import Size
 from ..pixels import nearest_pixels
 from ..view import watched
-from .coco import images_of, read_categories, take_score
-from .source import LARGEST_TRACK, FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask, painted
+from .coco import images_of, read_categories, stem_of, take_score
+from .source import LARGEST_TRACK, FoundMask, FoundSegment, MaskFormat, MaskSource, StoredMask, named_labels, painted
 
 _FIX = "Write run lengths with pycocotools' encode, as detectron2 and ultralytics do."
 _SIZE_FIX = "Give the image its width and height under images, or write run lengths."
 _KINDS = "Give COCO results, COCO or LVIS instances, or masklets of SA-V."
 _RLE = re.compile(rb"(?:[P-o]{0,6}[0-O])+")  # six bits a character; the highest says that the number continues
+_WORD = "class_name"
+_LOOKED_AT, _LEAST_COMPARED, _MOST_COMPARED = 50, 5, 1 << 22
+"""Detections whose outlines are compared, at most and at least, in pictures of at most as many pixels."""
 _EVERY = 4  # SA-V has masklets for every fourth frame of its videos
 
 
@@ -120,7 +124,7 @@ class DetectionTable:
         by_number = numbers if len(numbers) == len(names) and not known.intersection(stems.values()) else {}
         found = {}
         for image in images:
-            stem = stems.get(image, image)
+            stem = stems.get(image) or (image if image in known else stem_of(image))  # some ids are files' names
             name = stem if stem in known else by_number.get(whole_number(image))
             if name is not None:
                 found[image] = name
@@ -148,6 +152,8 @@ class DetectionTable:
             label = take_whole_number(entry, "category_id", context, self.path, least=0, most=LARGEST_CLASS_ID)
         if "score" not in entry and "predicted_iou" in entry:  # SAM's own estimate, which may exceed 1
             entry = entry | {"score": min(take_number(entry, "predicted_iou", context, self.path, least=0.0), 1.0)}
+        if isinstance(entry.get("score"), list) and len(entry["score"]) == 1:  # as Grounded-SAM-2's demos write it
+            entry = entry | {"score": entry["score"][0]}
         score = take_score(entry, context, self.path)
         size, runs = compressed(entry.get("segmentation"), size, context, self.path)
         has_track = entry.get("track") is not None
@@ -250,8 +256,52 @@ def read_table(place: Path) -> DetectionTable:
         if len(labels) > 1:
             fix = "Give all files the same list."
             raise PlgsError("classes-differ", "the files name different classes", place, fix)
-        return DetectionTable(place, entries, {}, sizes, next(iter(labels), None))
-    return _table_of(files[0])
+        return _checked(DetectionTable(place, entries, {}, sizes, next(iter(labels), None)))
+    return _checked(_table_of(files[0]))
+
+
+def _checked(table: DetectionTable) -> DetectionTable:
+    """The table with classes that entries name by words, as Grounded-SAM-2's do. Raises PlgsError for shapes that were
+    counted otherwise than COCO's: normalised polygons, and run lengths along rows."""
+    found = [entry for _, entry in table.entries]
+    polygons = [one for entry in found if isinstance(entry.get("segmentation"), list) for one in entry["segmentation"]]
+    numbers = [each for one in polygons if isinstance(one, list) for each in one if type(each) in (int, float)]
+    if numbers and max(map(abs, numbers)) <= 1.0:
+        what = "the polygons lie within the first pixel, as if their corners were shares of the picture"
+        raise PlgsError(
+            "normalised-polygons", what, table.path, "Multiply x by the picture's width and y by its height."
+        )
+    runs = [runs for entry in found if isinstance(runs := entry.get("segmentation"), dict)][:_LOOKED_AT]
+    if _are_along_rows([each for each in runs if isinstance(each.get("counts"), list)]):
+        what = "the run lengths look counted along rows, and COCO counts down columns"
+        raise PlgsError("runs-along-rows", what, table.path, 'Encode the masks with order "F", as pycocotools does.')
+    words = {str(entry[_WORD]) for entry in found if entry.get("category_id") is None and _WORD in entry}
+    if not words or table.labels is not None:
+        return table
+    number_of, labels = named_labels(words)
+    entries = [
+        (image, entry | {"category_id": number_of[str(entry[_WORD])]} if str(entry.get(_WORD)) in number_of else entry)
+        for image, entry in table.entries
+    ]
+    return replace(table, entries=entries, labels=labels)
+
+
+def _are_along_rows(segmentations: Sequence[dict[str, Any]]) -> bool:
+    """Whether the outlines of run lengths are far shorter if these are read along rows: else they are stripes."""
+    as_columns = as_rows = seen = 0
+    for each in segmentations:
+        size, counts = each.get("size"), each["counts"]
+        numbers = [*size, *counts] if isinstance(size, list) and len(size) == 2 and len(counts) > 2 else [None]
+        if not all(type(one) is int and 0 <= one <= _MOST_COMPARED for one in numbers):
+            continue  # it is refused later
+        if sum(counts) != size[0] * size[1] or sum(counts) > _MOST_COMPARED:
+            continue
+        values = np.repeat(np.arange(len(counts)) % 2 == 1, counts)
+        for pixels, is_rows in ((values.reshape(size[::-1]), False), (values.reshape(size), True)):
+            edges = sum(int(np.count_nonzero(np.diff(pixels, axis=axis))) for axis in (0, 1))
+            as_rows, as_columns = as_rows + edges * is_rows, as_columns + edges * (not is_rows)
+        seen += 1
+    return seen >= _LEAST_COMPARED and 2 * as_rows < as_columns
 
 
 def _table_of(path: Path) -> DetectionTable:
@@ -265,14 +315,21 @@ def _table_of(path: Path) -> DetectionTable:
     sizes = {}
     for position, image in enumerate(take_objects(content, "images", "the file", path) if "images" in content else ()):
         if "width" in image and "height" in image:
-            context = f"image {position}"
-            width, height = (take_whole_number(image, key, context, path) for key in ("width", "height"))
-            check_picture((width, height), context, path)
-            sizes[str(image.get("id"))] = width, height
+            sizes[str(image.get("id"))] = _size_of(image, "width", "height", f"image {position}", path)
     found = take_objects(content, "annotations", "the file", path)
     entries = [(str(entry.get("image_id", path.stem)), entry) for entry in found]
     labels = read_categories(content, path, may_lack=True) if "categories" in content else ()
-    return DetectionTable(path, entries, images_of(content, path), sizes, labels or None)
+    if "img_width" in content and "img_height" in content:  # Grounded-SAM-2's picture
+        sizes[path.stem] = _size_of(content, "img_width", "img_height", "the picture", path)
+    own = {image: stem_of(take_text(entry, "file_name", "a detection", path)) for image, entry in entries
+           if "file_name" in entry}  # fmt: skip
+    return DetectionTable(path, entries, own | images_of(content, path), sizes, labels or None)
+
+
+def _size_of(entry: dict[str, Any], width: str, height: str, context: str, path: Path) -> Size:
+    size = take_whole_number(entry, width, context, path), take_whole_number(entry, height, context, path)
+    check_picture(size, context, path)
+    return size
 
 
 def _masklets(frames: list[Any], path: Path) -> DetectionTable:

@@ -45,6 +45,22 @@ def test_frames_whose_pictures_are_missing_are_left_out(tmp_path: Path) -> None:
     assert len(scene.frames) == 5 and "1 frame without a picture is left out: ./images/frame_9.png" in scene.warnings
 
 
+@pytest.mark.parametrize("step", [None, 0.1, 0.001, 0.0002])
+def test_arrays_of_depth_and_scaled_poses_are_metres(tmp_path: Path, step: float | None) -> None:
+    """A .npy has nerfstudio's factor, too, and ``applied_scale`` multiplied the poses, not the depth."""
+    write_scene(tmp_path, applied_scale=0.5, depth_unit_scale_factor=step)
+    path = tmp_path / "transforms.json"
+    content = json.loads(path.read_text())
+    for frame in content["frames"]:
+        png = tmp_path / frame["depth_file_path"]
+        frame["depth_file_path"] = frame["depth_file_path"].replace(".png", ".npy")
+        metres = cv2.imread(str(png), cv2.IMREAD_UNCHANGED).astype(np.float32) / 1000
+        np.save(png.with_suffix(".npy"), metres / (step or 1.0))
+        frame["transform_matrix"] = [[*row[:3], 0.5 * row[3]] for row in frame["transform_matrix"][:3]]
+    path.write_text(json.dumps(content))
+    room.check_on_room(open_scene(tmp_path))
+
+
 def test_names_relative_to_another_folder_are_found_beside_it(tmp_path: Path) -> None:
     write_scene(tmp_path)
     path = tmp_path / "transforms.json"

@@ -158,6 +158,76 @@ def test_several_classes_of_a_detection_share_its_vote(room: Path) -> None:
             over_the_tiny_scene(room, {"annotations": [one | {"scores": wrong}], "categories": names})
 
 
+def chairs(room: Path, shift: int = 0, **more: Any) -> list[dict[str, Any]]:
+    """Each frame's chair, with the frame's number as the picture's id."""
+    masks = [frame.mask() for frame in open_scene(room).frames]
+    found = [np.isin(mask.ids, [one.id for one in mask.segments if one.class_id == 5]) for mask in masks]
+    return [a_detection(one, image_id=n + shift, **more) for n, one in enumerate(found)]
+
+
+def agreement(scene: Scene, class_name: str = "chair") -> float:
+    """The share of the detections' pixels where the masks show the class."""
+    (number,) = [one.id for one in scene.classes.categories if one.name == class_name]
+    layers = [(frame.mask(), layer) for frame in scene.frames for layer in frame.layers()]
+    inside = [mask.class_map()[layer.ids > 0] == number for mask, layer in layers if layer.segments]
+    assert all(one.class_id == number for _, layer in layers for one in layer.segments)
+    return float(np.concatenate(inside).mean())
+
+
+def test_numbers_of_another_table_are_told_by_what_they_cover(room: Path) -> None:
+    """COCO's own id of a chair is 62, 5 in the room's masks."""
+    scene = over_the_tiny_scene(room, chairs(room, category_id=62))
+    assert agreement(scene) == 1.0 and any("coco:90" in told for told in scene.warnings)
+    assert not any("coco" in told for told in over_the_tiny_scene(room, chairs(room)).warnings)
+    assert any("only 0%" in told for told in over_the_tiny_scene(room, chairs(room, category_id=2)).warnings)
+
+
+def test_ids_of_pictures_are_told_by_what_the_detections_cover(room: Path) -> None:
+    """The masks' table counts pictures from 1, the detections count as the frames' names do."""
+    table = json.loads((room / "panoptic.json").read_text())
+    table["images"] = [{"id": n + 1, "file_name": f"{n:04d}.jpg"} for n in range(3)]
+    (room / "panoptic.json").write_text(json.dumps(table))
+    for found in (
+        chairs(room),
+        chairs(room, 1),
+        [{**one, "image_id": f"{one['image_id']:04d}.jpg"} for one in chairs(room)],
+    ):
+        assert agreement(over_the_tiny_scene(room, found)) == 1.0
+    named = [{**one, "image_id": 77 + n, "file_name": f"{n:04d}.jpg"} for n, one in enumerate(chairs(room))]
+    assert agreement(over_the_tiny_scene(room, named)) == 1.0
+
+
+def test_classes_may_be_words_and_a_folder_may_hold_one_file(room: Path) -> None:
+    """As Grounded-SAM-2's demos write them, a file a picture."""
+    for n, one in enumerate(chairs(room)):
+        entry = {"class_name": "chair", "segmentation": one["segmentation"], "score": [0.5]}
+        wrote(room.parent / "found" / f"{n:04d}.json", {"annotations": [entry], "img_width": 64, "img_height": 48})
+    scene = open_scene(room, detections=room.parent / "found")
+    assert agreement(scene) == 1.0 and scene.frames[0].layers()[0].segments[0].score == 0.5
+    assert open_scene(room, room.parent / "found").classes.categories[0].name == "chair"
+    alone = wrote(room.parent / "alone" / "predictions.json", chairs(room))
+    assert agreement(open_scene(room, detections=alone.parent)) == 1.0
+
+
+def along_rows(mask: np.ndarray) -> dict[str, Any]:
+    return {"size": [*mask.shape], "counts": whole(mask.T)["counts"]}
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda mask: along_rows(mask), "runs-along-rows"),
+        (lambda mask: [[0.1, 0.1, 0.9, 0.1, 0.9, 0.9]], "normalised-polygons"),
+        (lambda mask: {**compressed(mask), "size": [64, 48]}, "mask-shape"),
+    ],
+)
+def test_shapes_that_are_counted_otherwise_are_named(room: Path, change: Any, told: str) -> None:
+    found = [frame.mask().ids == one.id for frame in open_scene(room).frames for one in frame.mask().segments]
+    with raises_key(told):
+        over_the_tiny_scene(room, [a_detection(mask, segmentation=change(mask)) for mask in found])
+    over_the_tiny_scene(room, [a_detection(mask, segmentation=whole(mask)) for mask in found])
+
+
 def test_pictures_that_are_no_frames_are_told(room: Path) -> None:
     upper = np.ones((48, 64), bool)
     scene = over_the_tiny_scene(room, [a_detection(upper), a_detection(upper, image_id=987)])
