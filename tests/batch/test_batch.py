@@ -1,10 +1,7 @@
 """Batches on a real scheduler and real workers, in processes of their own. Most lifts are pretended: `farm_worker`."""
 
-import csv
 import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -14,11 +11,8 @@ from engine.batch.cluster import FarmOptions
 from engine.errors import ExitCode
 from engine.job import LiftFolder, verify
 from engine.job.terminal import Interrupted
-from engine.machine.code_digest import code_digest
 from tests.batch import farm_worker
 from tests.batch.farm import Farm, hellos, in_the_middle, meanwhile, pause, plan_of, rows_of, run
-from tests.raises_key import worded
-from tests.tiny_scene import write_tiny_scene
 from tests.waiting import PATIENCE_S
 
 distributed = pytest.importorskip("distributed", reason="distributed is not installed: python -m engine add farm")
@@ -142,28 +136,3 @@ def test_unfit_worker_passes_piece_to_another(
     assert run(plan, FarmOptions(scheduler=address)) is ExitCode.FINISHED
     said = {"unmounted": "does not exist on this worker", "full": "the disk is full"}[unfit]
     assert said in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_command_line_runs_local_batch(tmp_path: Path, root: Path) -> None:
-    """Real lifts, bakes in pieces, an export and scores, by workers that the batch starts."""
-    write_tiny_scene(tmp_path / "room", frames=8, noise=0.1)
-    (tmp_path / "empty").mkdir()
-    out = tmp_path / "out"
-    command = [sys.executable, "-m", "engine", "batch", tmp_path / "room", tmp_path / "empty", "-o", out]
-    command += "--workers 2 --preset preview --steps 10 --bake all --chunk 4 --export boxes".split()
-    (tmp_path / "scratch").mkdir()
-    variables = {**os.environ, "TMPDIR": str(tmp_path / "scratch")}
-    said = subprocess.run([*map(str, command)], cwd=root, env=variables, capture_output=True, text=True, timeout=200)
-    assert said.returncode == ExitCode.BAD_INPUT, said.stderr
-    assert not list((tmp_path / "scratch").glob("plgs-worker-*"))
-    assert "Dashboard: http://127.0.0.1:" in said.stderr and "| room | done |" in said.stdout
-    files = {file.path.name for file in verify(out / "room" / "result").files}
-    assert {f"{frame:04d}.exr" for frame in range(8)} <= files
-    assert (out / "room" / "exports" / "boxes" / "boxes.csv").exists()
-    rows = list(csv.DictReader((out / "table.csv").open()))
-    assert float(rows[0]["miou"]) > 0.2 and rows[2] | {"seconds": ""} == rows[0] | {
-        "scene": "mean", "state": "", "seconds": "", "code": "",
-    }  # fmt: skip
-    assert rows[0]["code"] == code_digest("engine")
-    assert worded("no-format").search(rows[1]["reason"])

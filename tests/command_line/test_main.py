@@ -3,7 +3,6 @@
 import argparse
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -17,7 +16,6 @@ from engine.command_line.main import main, make_parser
 from engine.job import LiftFolder, LiftRequest, write_atomically, write_manifest
 from engine.job.request import add_options
 from engine.job.terminal import STOP_SIGNALS
-from engine.presets.preset import PRESETS
 from engine.scene_source import SceneSource, UpAxis
 from tests.commands import exit_code, refuse_heavy_help
 from tests.job.following import new_lift
@@ -76,20 +74,6 @@ def test_invalid_frame_number_is_refused(text: str, capsys: pytest.CaptureFixtur
     assert code_of("lift", tmp_path, "-o", tmp_path / "out", "--frames", "9999999") == 2
     said = capsys.readouterr().err
     assert said.startswith("error: frames = 9999999 is not a valid value") and said.count("\n") == 1
-
-
-def test_a_preset_is_printed_as_a_file_that_is_read(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert code_of("presets") == 0
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()[:4]] == [*PRESETS]
-    assert code_of("presets", "standard", "--set", "weights.depth=0", "--set", "steps=7") == 0
-    printed = capsys.readouterr().out
-    assert "steps = 7" in printed and "depth = 0.0" in printed
-    (tmp_path / "mine.toml").write_text(printed)
-    assert code_of("presets", tmp_path / "mine.toml") == 0
-    assert capsys.readouterr().out == printed
-    assert code_of("presets", tmp_path / "mine.toml", "--json", "--set", "voxel_size=0.5") == 0
-    values = json.loads(capsys.readouterr().out)
-    assert (values["weights.depth"], values["steps"], values["voxel_size"]) == (0.0, 7, 0.5) and values["objects"]
 
 
 def test_bad_input_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -172,18 +156,6 @@ def test_a_given_axis_is_respected(said: str, meant: UpAxis) -> None:
     assert SceneSource(Path("room"), up=meant).up_option == said
 
 
-def test_inspect_describes_a_scene(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    scene = write_tiny_scene(tmp_path / "scene", frames=9)
-    assert code_of("inspect", scene, "--preset", "standard") == 0
-    said = capsys.readouterr().out
-    for told in ("64x48", "chair", "thing", "wall", "stuff", "held out", " m"):
-        assert told in said
-    assert re.search(r"\nstandard  about \d+ min and \d+\.\d GB of memory\n$", said)
-    assert code_of("inspect", scene, "--json") == 0
-    answer = json.loads(capsys.readouterr().out)
-    assert answer["train_frames"] + answer["test_frames"] == 9 and len(answer["depth_range"]) == 3
-
-
 METRICS = """{"format": 1, "test_frames": ["0000"], "tables": [
  {"name": "input masks", "mode": "strict", "miou": 0.5, "pq": 0.25, "sq": 0.75, "rq": 0.3, "psnr": null, "ssim": null,
   "per_class": []},
@@ -252,27 +224,6 @@ def test_command_ends_with_its_parent(root: Path, tmp_path: Path, command: list[
     asked = [sys.executable, "-m", "engine", *command, room, "-o", tmp_path / "out", "--stay-with-parent"]
     ended = subprocess.run(asked, cwd=root, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=120)
     assert ended.returncode == 3 and not ended.stdout and not (tmp_path / "out").exists()
-
-
-def test_progress_json_prints_events(root: Path, tmp_path: Path) -> None:
-    """They are all that stands there, and the same as in a file of events."""
-    file = tmp_path / "events.jsonl"
-    command = [sys.executable, "-m", "engine", "handshake", "--progress", "json"]
-    for more in ([], ["--events", str(file)]):
-        said = subprocess.run([*command, *more], cwd=root, capture_output=True, text=True, timeout=120)
-        assert said.returncode == 0, said.stderr
-        told = [json.loads(line) for line in said.stdout.splitlines()]
-        assert [each["event"] for each in told] == ["hello", "answer", "done"]
-        assert [each["seq"] for each in told] == [1, 2, 3]
-    assert file.read_text() == said.stdout
-
-
-def test_progress_json_prints_errors_as_events(root: Path, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "engine", "inspect", str(tmp_path), "--progress", "json"]
-    said = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=120)
-    told = [json.loads(line) for line in said.stdout.splitlines()]
-    assert said.returncode == 2 and told[-1]["event"] == "error" and told[-1]["exit_code"] == 2
-    assert said.stderr.startswith("error: ")
 
 
 @pytest.mark.parametrize("command", ["lift", "inspect", "batch"])

@@ -17,6 +17,7 @@ UNTRIED = {
     "python3 -m engine set-up": "downloads 600 MB: tests/set_up runs it with an index of its own",
     "PYTHON -m engine add": "downloads packages: tests/set_up runs it with an index of its own",
     ".venv/bin/python -m engine add": "downloads packages: tests/set_up runs it with an index of its own",
+    ".venv/bin/python -m engine batch scans/* -o OUT --scheduler": "tests/batch has a scheduler with TLS",
     ".venv/bin/python -m engine worker": "does not end: tests/batch starts workers",
     "curl": "needs Flamenco's manager: tests/farm runs the job type in a JavaScript engine",
 }

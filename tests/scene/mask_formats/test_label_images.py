@@ -132,13 +132,6 @@ def header_of(shape: tuple[int, ...]) -> bytes:
     return file.getvalue()
 
 
-@pytest.mark.parametrize("name", ["0000.pkl", "0000.pt", "panoptic.ptz"])
-def test_pickles_are_named_and_never_read(tmp_path: Path, name: str) -> None:
-    masks, _ = write_masked_frames(tmp_path)
-    (masks / name).write_bytes(b"\x80\x04cos\nsystem\n")
-    refuses(f"pickled {name} numpy.save", tmp_path)
-
-
 def test_an_unknown_format_is_answered_with_the_known_ones(tmp_path: Path) -> None:
     write_masked_frames(tmp_path)
     refuses("no-known-masks coco arrays", tmp_path)
