@@ -13,6 +13,7 @@ import numpy as np
 
 from .errors import ErrorCode, PlgsError
 from .job import LiftFolder, read_manifest, write_atomically
+from .job.manifest import ESTIMATED
 from .job.progress import Progress, part_of, unwatched
 from .known_scene import FIND_SCENE, KNOWN_SCENE, StoredScene, known_scene, read_known, stored_scene, write_known
 from .result_files import INSTANCES, read_instances
@@ -154,6 +155,12 @@ def masks_last_run(folder: LiftFolder) -> str:
     """The digest of the masks when the lift was last run; empty if unknown. Raises PlgsError."""
     known = read_known(folder)
     return "" if known is None else known.masks
+
+
+def estimates_of(folder: LiftFolder) -> list[str]:
+    """What of a lift's scene was estimated, and licences, as it told when the lift was last run. Raises PlgsError."""
+    known = read_known(folder)
+    return [] if known is None else [line for line in known.warnings if line.startswith(ESTIMATED)]
 
 
 def digest_of_masks(scene: Scene, progress: Progress = unwatched) -> str:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, IntProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
+from mathutils import Vector
 
 from ..plgs_blender import registry
 from ..plgs_blender.chosen_scene import absolute, free_folder
@@ -15,7 +16,7 @@ from ..plgs_blender.registry import Task
 from ..plgs_blender.running import preparation
 from ..plgs_blender.running.adding import why_lacking
 from ..plgs_blender.running.diagnosis import Diagnosis, Finding, diagnose, diagnosis_of, leave_out
-from ..plgs_blender.running.preparation import MaskMaking, PoseMaking
+from ..plgs_blender.running.preparation import FILMS, DepthMaking, FilmMaking, MaskMaking, PoseMaking
 from ..plgs_blender.settings import chosen_scene
 from ..plgs_blender.viewport import load_finding, show_beside, view_of
 from . import base
@@ -46,6 +47,112 @@ class PLGS_OT_make_masks(base.StartsTask, bpy.types.Operator):
         scene = chosen_scene(context.scene.plgs)
         online = bpy.app.online_access
         return preparation.make_masks(scene, usable_python(), model, download=online, every=self.every)
+
+
+class PLGS_OT_make_depth(base.StartsTask, bpy.types.Operator):
+    """Make depth of every photo with a network, fitted to the points of the reconstruction, if the scene has none"""
+
+    bl_idname, bl_label = "plgs.make_depth", "Make Depth"
+
+    model: base.text_argument("Model", "Folder or name of a network for depth; empty: Depth Anything V2 Small")
+
+    @classmethod
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        if registry.running(DepthMaking):
+            return "The engine is already making depth"
+        return base.why_no_folder(context) or why_no_engine() or why_lacking("segment")
+
+    def begin(self, context: bpy.types.Context) -> Task:
+        chosen = chosen_scene(context.scene.plgs)
+        return preparation.make_depth(chosen, usable_python(), self.model, download=bpy.app.online_access)
+
+
+class PLGS_OT_import_film(base.ChoosesFile, bpy.types.Operator):
+    """Lift a film, or the photos of a folder: find poses, make depth and masks where they are missing, then lift"""
+
+    bl_idname, bl_label = "plgs.import_film", "PLGS Film"
+
+    filepath: base.file_argument("Film", "A film, or a folder of photos")
+    filter_glob: base.argument(StringProperty, "Filter", default=";".join(f"*{each}" for each in sorted(FILMS)))
+
+    @classmethod
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        if registry.running(FilmMaking):
+            return "The engine is already preparing a film"
+        return why_no_engine() or why_lacking("colmap") or why_lacking("segment")
+
+    def ask(self, manager: bpy.types.WindowManager, event: bpy.types.Event) -> set[str]:
+        """Nothing for a film that was dropped."""
+        return self.execute(bpy.context) if self.filepath else super().ask(manager, event)
+
+    def begin(self, context: bpy.types.Context) -> Task:
+        scene, film = context.scene, absolute(self.filepath)
+        model, online = scene.plgs_masks.model, bpy.app.online_access
+        return preparation.prepare_film(scene.plgs, film, usable_python(), model, download=online)
+
+
+class PLGS_FH_film(bpy.types.FileHandler):
+    """Lifts a film that is dropped on a 3D view"""
+
+    bl_idname, bl_label = "PLGS_FH_film", "PLGS Film"
+    bl_import_operator, bl_file_extensions = "plgs.import_film", ";".join(sorted(FILMS))
+
+    @classmethod
+    def poll_drop(cls, context: bpy.types.Context) -> bool:
+        return context.area is not None and context.area.type == "VIEW_3D"
+
+
+class PLGS_OT_set_scale(base.AsksFirst, bpy.types.Operator):
+    """Scale a scene whose lengths have no unit, so that a measured length has its metres"""
+
+    bl_idname, bl_label = "plgs.set_scale", "Set Scale"
+
+    length: base.argument(FloatProperty, "Length Now", "A length in the scene as it is", default=1.0, min=1e-6)
+    metres: base.argument(FloatProperty, "Metres", "The same length as measured", default=1.0, min=1e-6)
+
+    @classmethod
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        return base.why_no_folder(context) or why_no_engine()
+
+    def ask(self, manager: bpy.types.WindowManager, event: bpy.types.Event) -> set[str]:
+        return manager.invoke_props_dialog(self)
+
+    def begin(self, context: bpy.types.Context) -> Task:
+        return preparation.set_scale(chosen_scene(context.scene.plgs), usable_python(), self.length, self.metres)
+
+
+class PLGS_OT_measure(bpy.types.Operator):
+    """Click two points in the 3D view, then say how far apart they are in the room"""
+
+    bl_idname, bl_label, bl_options = "plgs.measure", "Measure for Scale", {"INTERNAL"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return context.area is not None and context.area.type == "VIEW_3D"
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.points: list[Vector] = []
+        self.before = context.scene.cursor.location.copy()
+        context.workspace.status_text_set("Click two points whose distance is known; Esc stops")
+        context.window_manager.modal_handler_add(self)
+        return base.RUNNING
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if event.type in {"ESC", "RIGHTMOUSE"}:
+            return self._end(context, base.CANCELLED)
+        if event.type != "LEFTMOUSE" or event.value != "PRESS":
+            return base.PASSED_ON
+        bpy.ops.view3d.cursor3d("INVOKE_DEFAULT", use_depth=True, orientation="NONE")  # finds what is drawn there
+        self.points.append(context.scene.cursor.location.copy())
+        if len(self.points) < 2:
+            return base.RUNNING
+        bpy.ops.plgs.set_scale("INVOKE_DEFAULT", length=(self.points[1] - self.points[0]).length)
+        return self._end(context, base.FINISHED)
+
+    def _end(self, context: bpy.types.Context, ended: set[str]) -> set[str]:
+        context.scene.cursor.location = self.before
+        context.workspace.status_text_set(None)
+        return ended
 
 
 class PLGS_OT_make_poses(base.StartsTask, bpy.types.Operator):
@@ -231,6 +338,8 @@ def _known(context: bpy.types.Context) -> Diagnosis | None:
     return diagnosis_of(chosen_scene(settings)) if settings.scene_folder else None
 
 
+PLGS_OT_cancel_depth = base.cancels(DepthMaking, "Stop making depth. Finished maps are kept; the next run continues")
+PLGS_OT_cancel_film = base.cancels(FilmMaking, "Stop preparing the film. What is made is kept; the next run continues")
 PLGS_OT_cancel_poses = base.cancels(PoseMaking, "Stop finding poses; nothing is written")
 PLGS_OT_cancel_masks = base.cancels(MaskMaking, "Stop making masks. Finished ones are kept, and the next run continues")
 PLGS_OT_cancel_diagnosis = base.cancels(Diagnosis, "Stop the diagnosis; your files do not change")

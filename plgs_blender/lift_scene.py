@@ -30,6 +30,7 @@ from .inspecting.views import look_at_room
 from .meshes import ReadMeshes, placing_meshes, reading_meshes
 from .moving import relate
 from .owned import (
+    ESTIMATED,
     FOLDER,
     GAUSSIANS,
     KEY,
@@ -143,6 +144,7 @@ def _objects_in_turn(result: LiftResult) -> Iterator[Callable[[bpy.types.Collect
 def _list(result: LiftResult, root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
     fill_lists(root, result)
     fill_not_shown(root, result)
+    root[ESTIMATED] = "\n".join(result.estimated)
     leave_holes(root)
 
 

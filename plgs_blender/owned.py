@@ -195,6 +195,8 @@ class OwnedDataBlocks:
 
 FOLDER, SCENE = "plgs_lift_folder", "plgs_scene_folder"
 """Properties of a lift's collection: the folders of the lift, empty before there is one, and of its scene."""
+ESTIMATED = "plgs_estimated"
+"""Its property for what of the scene was not measured, a line each."""
 
 PLACE = "plgs_place"
 """Property of an imported scene's collection: how the scene was read (masks, up, format, depth), as text."""

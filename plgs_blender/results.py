@@ -199,7 +199,8 @@ def result_of(parts: Generator[None, None, Result]) -> Result:
 class LiftResult:
     """A finished lift with its corrections: its frames and its output. `passes` are the EXR files of frames, by frame
     name; `shots` those of other cameras, by camera name. `not_shown`: what the masks show well and the lift lacks, in
-    words, with the frame that shows it best. `label_fingerprint` identifies the edits that change more than names."""
+    words, with the frame that shows it best. `estimated`: see `Manifest`. `label_fingerprint` identifies the edits that
+    change more than names."""
 
     folder: Path
     scene: PosedScene
@@ -212,6 +213,7 @@ class LiftResult:
     edits: tuple[Edit, ...] = ()
     label_fingerprint: str = ""
     not_shown: tuple[tuple[str, str], ...] = ()
+    estimated: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -253,6 +255,7 @@ def reading_result(folder: Path) -> Generator[None, None, LiftResult]:
         edits=corrected.edits,
         label_fingerprint=corrected.label_fingerprint,
         not_shown=tuple(not_shown(read_metrics(lift))) if "metrics.json" in listed else (),
+        estimated=manifest.estimated,
         shots={name: path for name, path in by_name.items() if name not in passes},
     )
 

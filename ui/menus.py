@@ -40,7 +40,7 @@ _WORK: Entries = (
     "import_scene", "try_sample",
     *(("show_picture", {"what": what}, f"Show {what.capitalize()} of the Frame")
       for what in ("PHOTO", "DEPTH", "MASKS")),
-    "make_poses", "make_masks",
+    ("import_film", {}, "Lift a Film…"), "make_poses", "make_depth", "set_scale", "measure", "make_masks",
     ("make_masks", {"every": True}, "Make Masks of All Frames"),
     "read_classes", "write_classes", "diagnose",
     ("fix_scene", {}, "Fix Diagnosed Problems"),

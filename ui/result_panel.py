@@ -15,7 +15,7 @@ from ..plgs_blender.inspecting.drawing import is_rest
 from ..plgs_blender.inspecting.looks import BY_CLASS, POINTS, SPLATS, SURFACE, has
 from ..plgs_blender.inspecting.selection import active_lift, chosen_row
 from ..plgs_blender.meshes import are_stale
-from ..plgs_blender.owned import LIFT, folder_of, gone, layer_collections, lifts_in
+from ..plgs_blender.owned import ESTIMATED, LIFT, folder_of, gone, layer_collections, lifts_in, text_of
 from ..plgs_blender.running.exports import Export, making_meshes
 from .sidebar import Sidebar, Step, draw_bar, draw_task, draw_text, fitted, from_panel
 
@@ -192,6 +192,8 @@ class PLGS_PT_result(Step, bpy.types.Panel):
             anew.lift_folder = str(folder_of(root))
         for line in failed:
             draw_text(layout, context, line, "ERROR")
+        for line in text_of(root, ESTIMATED).splitlines():
+            draw_text(layout, context, f"{line[:1].upper()}{line[1:]}", "INFO")
         _draw_look(from_panel(layout.column(align=True), context), context, root)
         layout.prop(lists, "instances_search", text="", icon="VIEWZOOM")
         _draw_heads(layout, "Name", "Points, confidence")

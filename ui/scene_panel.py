@@ -15,7 +15,7 @@ from ..plgs_blender.frame_pictures import DEPTH, MASKS, range_shown, why_no_pict
 from ..plgs_blender.owned import LIFT, lifts_in
 from ..plgs_blender.running.diagnosis import Diagnosis, diagnosis_of
 from ..plgs_blender.running.importing import FrameMaking
-from ..plgs_blender.running.preparation import MaskMaking, PoseMaking
+from ..plgs_blender.running.preparation import DepthMaking, MaskMaking, PoseMaking, ScaleSetting
 from ..plgs_blender.running.survey import SceneLook, Survey, obstacles_to, survey_of_panel
 from ..plgs_blender.settings import chosen_scene
 from . import sidebar
@@ -60,6 +60,7 @@ class PLGS_PT_scene_options(sidebar.Sidebar, bpy.types.Panel):
         layout.use_property_split, layout.use_property_decorate = True, False
         for name in ("format", "masks", "mask_format", "detections", "classes_table", "depth", "up"):
             layout.prop(settings, name)
+        _draw_depth(layout, context)
 
 
 class PLGS_UL_mask_classes(bpy.types.UIList):
@@ -78,6 +79,7 @@ class PLGS_PT_scene_masks(sidebar.Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings, masks = self.layout, context.scene.plgs, context.scene.plgs_masks
         making = registry.latest(MaskMaking)
+        layout.prop(masks, "known")
         layout.prop(masks, "model")
         if making is not None and making.is_running:
             sidebar.draw_task(layout, context, making)
@@ -152,6 +154,19 @@ def _draw_poses(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     sidebar.draw_lacking(layout, context, "colmap")
 
 
+def _draw_depth(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Make Depth for a scene that has none, and Set Scale for one without a unit."""
+    buttons = (DepthMaking, "plgs.make_depth", "MOD_MESHDEFORM"), (ScaleSetting, "plgs.set_scale", "FULLSCREEN_ENTER")
+    for kind, name, icon in buttons:
+        making = registry.latest(kind)
+        if making is not None and making.is_running:
+            sidebar.draw_task(layout, context, making)
+        else:
+            layout.operator(name, icon=icon)
+            if making is not None and making.error_for(chosen_scene(context.scene.plgs)) is not None:
+                sidebar.draw_task(layout, context, making)
+
+
 def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey: Survey | None) -> None:
     """Draw the scene summary in a fixed number of rows, so that nothing moves as it is read."""
     if survey is None:
@@ -183,7 +198,7 @@ def _facts(survey: Survey) -> tuple[str, ...]:
         frames += f", {survey.left_out} left out"
     sizes = [f"{width} x {height}" + (f" ({count})" if len(survey.sizes) > 1 else "")
              for (width, height), count in survey.sizes[:2]]  # fmt: skip
-    depth = "Depth maps, range not read" if survey.has_depth else "No depth: choose it below"
+    depth = "Depth maps, range not read" if survey.has_depth else "No depth: make or choose it below"
     if survey.depth_range is not None:
         depth = "Depth {:.1f} to {:.1f} m, median {:.1f}".format(*(survey.depth_range[place] for place in (0, 2, 1)))
     masks = "Masks: read when a lift starts"
@@ -249,6 +264,8 @@ def _is_import(making: FrameMaking, context: bpy.types.Context) -> bool:
 
 
 def _draw_import_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    menu.layout.operator_context = "INVOKE_DEFAULT"
+    menu.layout.operator("plgs.import_film", text="PLGS Film (.mp4, .mov) or Folder of Photos")
     menu.layout.operator("plgs.browse_scene", text="PLGS Scene (ScanNet, COLMAP, transforms.json, .sens, .r3d ...)")
 
 

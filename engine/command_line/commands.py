@@ -48,7 +48,7 @@ def lift(options: argparse.Namespace) -> int:
 
 
 def _lift_in_terminal(options: argparse.Namespace) -> int:
-    from ..job.report import made_files, metrics_text, read_metrics
+    from ..job.report import estimated_text, made_files, metrics_text, read_metrics
     from ..job.terminal import Interrupted, Interrupts, lift_in_terminal
 
     try:
@@ -58,7 +58,8 @@ def _lift_in_terminal(options: argparse.Namespace) -> int:
         print(f"Stopped. Give the same command with --resume to continue: {options.output}", file=sys.stderr)
         return error.exit_code
     if code is ExitCode.FINISHED:
-        print(metrics_text(read_metrics(lift)), "", *made_files(lift), sep="\n")
+        told = estimated_text(lift)
+        print(metrics_text(read_metrics(lift)), *([told] if told else []), "", *made_files(lift), sep="\n")
     return code
 
 

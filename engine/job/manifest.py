@@ -17,6 +17,8 @@ _Facts = Mapping[str, Json]
 _Names = Mapping[str, str]
 NAME = "manifest.json"
 _LIFTED = ("model.safetensors", "instances.json")
+ESTIMATED = ("estimated: ", "licence: ")
+"""How the scene's warnings begin that `Manifest` keeps."""
 MAKE_ANEW = "Resume the lift: 'python -m engine lift LIFT --resume' makes the result again."
 """The advice for a result that has changed since it was written."""
 
@@ -30,7 +32,8 @@ def damaged(key: str, what: str, path: Path) -> PlgsError:
 class Manifest:
     """What a finished lift made and how. ``timings``: seconds by stage. ``frames``: the original names of frames whose
     files have other names, by file name. ``masks``: the digest of the masks that were lifted; empty if unknown.
-    ``request``: that of the lift's request.json."""
+    ``request``: that of the lift's request.json. ``estimated``: what of the scene was not measured, and licences of
+    networks that made a part of it, as lines."""
 
     engine_version: str
     versions: _Facts
@@ -41,11 +44,12 @@ class Manifest:
     frames: Mapping[str, str] = field(default_factory=dict)
     masks: str = ""
     request: str = ""
+    estimated: tuple[str, ...] = ()
 
 
 def write_manifest(
     result: Path, *, versions: _Facts, seed: int, settings: _Facts, timings: _Facts,
-    frames: _Names | None = None, masks: str = "", only: Collection[Path] | None = None,
+    frames: _Names | None = None, masks: str = "", only: Collection[Path] | None = None, estimated: Sequence[str] = (),
 ) -> None:  # fmt: skip
     """List every file of the result with its size and SHA-256, or ``only`` these, as others may be somebody else's. The
     lift is finished when this returns. ``versions`` are those of libraries, ``settings`` the final values of all
@@ -54,7 +58,8 @@ def write_manifest(
     listed = (path for path in files_below(result) if path != result / NAME and (only is None or path in only))
     files = tuple(ListedFile.of(path, result) for path in listed)
     request = request_digest(result.parent)
-    _write(result, Manifest(__version__, versions, seed, settings, timings, files, frames or {}, masks, request))
+    facts = (versions, seed, settings, timings, files, frames or {}, masks, request)
+    _write(result, Manifest(__version__, *facts, tuple(estimated)))
 
 
 def request_digest(lift: Path) -> str:

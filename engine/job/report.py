@@ -8,7 +8,7 @@ from pathlib import Path
 from ..gates import printable
 from ..json_file import Json, read_object
 from .folder import LiftFolder
-from .manifest import MAKE_ANEW
+from .manifest import MAKE_ANEW, read_manifest
 
 _SHARES = (("miou", "mIoU %"), ("miou_true", "true %"), ("pq", "PQ %"), ("sq", "SQ %"), ("rq", "RQ %"))
 _OTHERS = (
@@ -89,6 +89,12 @@ def _classes_text(tables: Iterable[Mapping[str, Json]]) -> Iterator[str]:
 def made_files(lift: LiftFolder) -> list[Path]:
     """The existing files and folders of the result that a user may want to open."""
     return [path for path in (lift.result_path / name for name in _SHOWN) if path.exists()]
+
+
+def estimated_text(lift: LiftFolder) -> str:
+    """What of a finished lift's scene was not measured, a line each; empty if all was. Raises PlgsError."""
+    lines = read_manifest(lift.result_path).estimated
+    return "\n".join(printable(f"{line[0].upper()}{line[1:]}") for line in lines if line)
 
 
 def read_metrics(lift: LiftFolder) -> dict[str, Json]:

@@ -40,7 +40,7 @@ from ..model.structured import StructuredScene
 from ..presets.preset import Preset
 from ..scene import VOID, Scene, Size, open_scene_to_lift, size_within, survey_scene
 from ..scene.view import StoredViews, View, chained, load_view, read_ahead
-from ..scene_of_lift import masks_differ, masks_last_run, refuse_changed, remember_scene, warn_of_earlier
+from ..scene_of_lift import estimates_of, masks_differ, masks_last_run, refuse_changed, remember_scene, warn_of_earlier
 from ..train.state import OtherLabels, restore, trainer_state
 from ..train.trainer import LOSSES, Trainer
 from . import lasting_names
@@ -202,6 +202,7 @@ def finish(folder: LiftFolder, preset: Preset, stages: StageReporter, code: str,
         frames={file: name for name, file in names_of_files(folder).items() if name != file},
         masks=masks_last_run(folder),
         only=WRITTEN,
+        estimated=estimates_of(folder),
     )
 
 

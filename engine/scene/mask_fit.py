@@ -23,7 +23,7 @@ from .frame import Inferred, Size
 from .frame_choice import evenly_spread
 from .frame_colours import borders
 from .mask_formats import MaskSource
-from .pixels import read_indices, resize_nearest
+from .pixels import opaque, read_indices, resize_nearest
 from .values import inside
 
 Ids = NDArray[np.int32]
@@ -72,14 +72,16 @@ class Placement:
 
 @dataclass(frozen=True)
 class KeptPixels:
-    """The pixels of a frame that count: a picture like the photo as taken, black elsewhere, and the photo's lens."""
+    """The pixels of a frame that count: a picture like the photo as taken, black elsewhere, and the photo's lens; with
+    ``is_photo``, the photo itself, transparent elsewhere."""
 
     path: Path
     lens: tuple[Camera, Distortion] | None = None
+    is_photo: bool = False
 
     def __call__(self, size: Size) -> NDArray[np.bool_]:
         """Bool [H, W] at ``size`` (width, height). Raises PlgsError."""
-        kept = inside(read_indices(self.path), self.path)
+        kept = opaque(self.path) if self.is_photo else inside(read_indices(self.path), self.path)
         if self.lens is not None:
             kept = undistorted(kept.astype(np.uint8), *self.lens, self.path, smooth=False) > 0
         return resize_nearest(kept, size)

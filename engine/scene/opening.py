@@ -30,17 +30,22 @@ from .formats import Capture, SceneFormat, Shot, find_format
 from .formats.lens import UNDISTORTED, Distortion, undistorted
 from .formats.photos import LET_COLMAP, photos_in
 from .frame import Frame, Inferred, LeftOut, Scene, doubts, left_out
+from .frame_choice import evenly_spread
 from .ground_truth import open_ground_truth
 from .made import estimates, made_depth, scale_of
 from .mask_fit import KeptPixels, Pictured
 from .masks import MASK_FOLDER, find_masks, no_masks
 from .mesh_depth import is_mesh, with_mesh_depth
-from .pixels import ColourReader, decode
+from .pixels import ColourReader, decode, opaque
 from .view import watched
 
 _FAR_ASIDE = 0.2
 _ASIDE = "the principal point is far from the middle (are the intrinsics in pixels of the colour images?)"
-_KEPT = "some pixels do not count (mask_path, or black and white pictures in masks): they have no class and no depth"
+_KEPT = (
+    "some pixels do not count (mask_path, black and white pictures in masks, or transparent ones): they have no class "
+    "and no depth"
+)
+_LOOKED_AT = 8  # photos with an alpha channel that are looked at: many have one that is opaque everywhere
 
 
 def open_scene(
@@ -212,7 +217,14 @@ def _kept_pixels(shots: Sequence[Shot], beside: Path) -> dict[str, KeptPixels]:
     if not paths and folder.is_dir() and says_what_counts(folder):
         paths = kept_pixels(folder, [shot.name for shot in shots])
     lenses = {shot.name: _bent_lens(shot) for shot in shots}
+    seen_through = [shot for shot in shots if not paths and shot.read_colour is None and _has_alpha(shot.colour_path)]
+    if any(not opaque(shot.colour_path).all() for shot in evenly_spread(seen_through, _LOOKED_AT)):
+        return {shot.name: KeptPixels(shot.colour_path, lenses[shot.name], is_photo=True) for shot in seen_through}
     return {name: KeptPixels(path, lenses[name]) for name, path in paths.items()}
+
+
+def _has_alpha(path: Path) -> bool:
+    return path.suffix.lower() == ".png" and read_image_header(path).channels == 4
 
 
 def _bent_lens(shot: Shot) -> tuple[Camera, Distortion] | None:

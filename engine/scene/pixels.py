@@ -37,6 +37,11 @@ def decode(path: Path, as_colour: bool) -> NDArray[Any]:
     return decode_bytes(check_image_file(path), path, as_colour)
 
 
+def opaque(path: Path) -> NDArray[np.bool_]:
+    """The pixels of an image with transparency that are not fully transparent, bool [H, W]. Raises PlgsError."""
+    return np.asarray(decode(path, as_colour=False)[..., 3] > 0)
+
+
 def decode_bytes(data: bytes, path: Path, as_colour: bool) -> NDArray[Any]:
     """``decode`` for an image's bytes from the file ``path``. Raises PlgsError for damaged ones."""
     import cv2

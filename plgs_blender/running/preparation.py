@@ -8,17 +8,19 @@ from pathlib import Path
 from typing import Any
 
 import bpy
-from bpy.props import BoolProperty, CollectionProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, CollectionProperty, EnumProperty, IntProperty, StringProperty
 
 from ...engine.errors import PlgsError
 from ...engine.job.follower import TaskFollower
+from ...engine.known_networks import MASKS
+from ...engine.scene_source import FILMS as FILMS
 from ...engine.scene_source import NUMBERINGS, TABLES
 from .. import registry
 from ..chosen_scene import ChosenScene, absolute
 from ..engine_environment import usable_python
 from ..registry import SceneTask, start_engine
 from ..settings import chosen_scene
-from . import looking
+from . import lifting, looking
 
 OWN_TABLE = "OWN"
 TABLE_ITEMS = [
@@ -37,6 +39,16 @@ class PLGS_PG_mask_class(bpy.types.PropertyGroup):
         description="Countable objects, such as chairs; stuff, such as walls, has no instances")  # fmt: skip
 
 
+KNOWN_MASKS = [
+    (each.name, f"{each.label}: {each.good_for}", f"{each.bytes / 1e6:.0f} MB, {each.terms}. Processor time of one "
+     f"thread for a picture: {each.seconds:.1f} s") for each in MASKS
+]  # fmt: skip
+
+
+def _take_known(masks: PLGS_PG_masks, context: bpy.types.Context) -> None:
+    masks.model = masks.known
+
+
 class PLGS_PG_masks(bpy.types.PropertyGroup):
     """`scene.plgs_masks`: the list of classes, its file, and the network that makes masks."""
 
@@ -45,7 +57,9 @@ class PLGS_PG_masks(bpy.types.PropertyGroup):
     path: StringProperty()
     void: StringProperty()
     model: StringProperty(name="Model",
-        description="A folder with a Mask2Former, or its name on the Hugging Face Hub; empty: the default")  # fmt: skip
+        description="A folder with a network, or its name on the Hugging Face Hub; empty: the default")  # fmt: skip
+    known: EnumProperty(name="Network", items=KNOWN_MASKS, update=_take_known,
+        description="Known networks, with their size, the licence of their weights, and seconds a frame")  # fmt: skip
 
 
 def fill_classes(masks: PLGS_PG_masks, listed: Mapping[str, Any]) -> None:
@@ -161,16 +175,72 @@ class PoseMaking(Preparation):
         settings.scene_folder = str(Path((self.answer or {}).get("folder", self.chosen.scene)))
 
 
+class DepthMaking(Preparation):
+    """Maps made before a cancel are kept, and the next run continues."""
+
+    kind, label, cancel_operator = "depth", "Making depth", "plgs.cancel_depth"
+
+
+class ScaleSetting(Preparation):
+    kind, label = "scale", "Setting the scale"
+
+    @property
+    def message(self) -> str:
+        """The scale; empty before it is set."""
+        made = self.answer or {}
+        return f"Lengths are multiplied by {made['scale']:.4g}: import the scene again" if "scale" in made else ""
+
+
+class FilmMaking(Preparation):
+    """Makes what a film or photos lack, and then starts the lift, if the panel still has them. What was made before a
+    cancel is kept, and the next run continues."""
+
+    kind, label, cancel_operator = "prepare", "Preparing the film", "plgs.cancel_film"
+
+    def take_scene(self, settings: Any) -> None:
+        settings.scene_folder = str(Path((self.answer or {}).get("folder", self.chosen.scene)))
+        lifting.start_lift(settings)
+
+
+def make_depth(chosen: ChosenScene, python: Path, model: str, *, download: bool) -> DepthMaking:
+    """Start an engine that makes depth. ``model``, ``download``: as in `make_masks`. Raises OSError, PlgsError."""
+    registry.refuse_second(DepthMaking)
+    command = [chosen.scene, f"--up={chosen.up_option}", *_network("--model", model, download=download)]
+    return registry.begin(DepthMaking(chosen, start_engine("depth", python, *command)))
+
+
+def prepare_film(settings: Any, film: Path, python: Path, model: str, *, download: bool) -> FilmMaking:
+    """Choose a film, or a folder of photos, and start an engine that makes what it lacks, with the network ``model``
+    for masks; the lift follows. Raises OSError, PlgsError."""
+    registry.refuse_second(FilmMaking)
+    settings.scene_folder = str(film)
+    command = [film, *_network("--masks-model", model, download=download)]
+    return registry.begin(FilmMaking(chosen_scene(settings), start_engine("prepare", python, *command)))
+
+
+def set_scale(chosen: ChosenScene, python: Path, length: float, metres: float) -> ScaleSetting:
+    """Start an engine that scales the scene so that a ``length``, as it is now, becomes ``metres``. Raises OSError,
+    PlgsError."""
+    registry.refuse_second(ScaleSetting)
+    command: list[str | Path] = [chosen.scene, "--measured", str(length), str(metres)]
+    return registry.begin(ScaleSetting(chosen, start_engine("scale", python, *command)))
+
+
+def _network(option: str, model: str, *, download: bool) -> list[str]:
+    """Arguments that name a network, an absolute folder or a name, and allow to fetch it."""
+    if model and absolute(model).is_dir():  # the engine's working folder is not Blender's
+        model = str(absolute(model))
+    return [*([option, model] if model else []), *(["--download"] if download else [])]
+
+
 def make_masks(chosen: ChosenScene, python: Path, model: str, *, download: bool, every: bool = False) -> MaskMaking:
     """Start an engine that makes masks of the frames that matter, or of ``every`` one. ``model`` is a folder or a name
     on the Hugging Face Hub, which ``download`` allows fetching; empty: the engine's default. Raises OSError, and
     PlgsError if one is already running or cannot be started."""
     registry.refuse_second(MaskMaking)
-    if model and absolute(model).is_dir():  # the engine's working folder is not Blender's
-        model = str(absolute(model))
     command: list[str | Path] = [chosen.scene, f"--up={chosen.up_option}", *([] if every else ["--frames=auto"])]
     command += [] if chosen.scene_format is None else ["--format", chosen.scene_format]
-    command += [*(["--model", model] if model else []), *(["--download"] if download else [])]
+    command += _network("--model", model, download=download)
     return registry.begin(MaskMaking(chosen, start_engine("segment", python, *command)))
 
 

@@ -169,3 +169,25 @@ def test_a_measurement_can_be_cancelled(inverted: Path) -> None:
     assert bpy.ops.plgs.cancel_diagnosis() == {"FINISHED"}
     assert not registry.running(Diagnosis) and bpy.ops.plgs.diagnose.poll()
     assert diagnosis.was_cancelled and diagnosis_of(chosen_scene(bpy.context.scene.plgs)) is None
+
+
+@pytest.mark.skipif(not HAS_TRANSFORMERS, reason="needs transformers (requirements/segment.txt)")
+def test_depth_is_made_and_a_length_is_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path) -> None:
+    from tests.depth.test_making import save_tiny_depth_network
+    from tests.scene.test_depth import write_colmap
+
+    monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)
+    folder = write_colmap(tmp_path / "room")
+    bpy.context.scene.plgs.scene_folder = str(folder)
+    model = save_tiny_depth_network(tmp_path / "model")
+    assert bpy.ops.plgs.make_depth(model=str(model)) == {"FINISHED"} and open_scene(folder).has_depth
+    assert bpy.ops.plgs.set_scale(length=2.0, metres=1.0) == {"FINISHED"}
+    assert json.loads((folder / "scale.json").read_text()) == {"scale": 0.5}
+
+
+def test_a_film_that_is_none_is_reported(tmp_path: Path) -> None:
+    (tmp_path / "room.mp4").write_text("no film")
+    if importlib.util.find_spec("pycolmap") is None:
+        with pytest.raises(RuntimeError, match="(?i)engine lacks pycolmap|packages are missing"):
+            bpy.ops.plgs.import_film(filepath=str(tmp_path / "room.mp4"))
+    assert not (tmp_path / "room").exists()

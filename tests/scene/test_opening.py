@@ -231,3 +231,25 @@ def test_masks_of_a_rig_lie_in_a_folder_for_each_camera(tmp_path: Path, cameras:
         _, camera, number = frame.name.split("_")
         label = 2 * int(number) + cameras.index(camera) + 1
         assert scene.classes[frame.mask().class_map()[-1, -1]].id == label
+
+
+def test_transparent_pixels_have_no_colour_depth_or_class(tmp_path: Path) -> None:
+    """Photos that a program cut out; an alpha channel that is opaque everywhere says nothing."""
+    folder = write_tiny_scene(tmp_path / "scene", frames=4, size=(64, 48))
+    for path in (folder / "color").iterdir():
+        colour = cv2.imread(str(path))
+        alpha = np.full(colour.shape[:2], 255, np.uint8)
+        path.unlink()
+        cv2.imwrite(str(path.with_suffix(".png")), np.dstack([colour, alpha]))
+    assert all(frame.read_kept is None for frame in open_scene(folder).frames)
+    for path in (folder / "color").iterdir():
+        pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        pixels[:, :20, 3] = 0
+        cv2.imwrite(str(path), pixels)
+    scene = open_scene(folder)
+    assert any("transparent" in each for each in scene.warnings)
+    for frame in scene.frames:
+        assert frame.read_kept is not None and not frame.read_kept((64, 48))[:, :20].any()
+        assert frame.read_kept((64, 48))[:, 20:].all()
+        assert not frame.depth((64, 48))[:, :20].any() and not frame.mask((64, 48)).ids[:, :20].any()
+        assert frame.depth((64, 48))[:, 20:].any() and frame.mask((64, 48)).ids[:, 20:].any()
