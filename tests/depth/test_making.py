@@ -10,8 +10,11 @@ import pytest
 from engine.command_line.main import main
 from engine.depth_agreement import Map, agreeing_depth
 from engine.depth_making import DepthNetwork, load_depth_network, make_depth
+from engine.job import LiftFolder, LiftRequest, read_manifest, write_manifest
+from engine.job.report import estimated_text
 from engine.scene import open_scene
 from engine.scene.made import scale_of
+from engine.scene_of_lift import estimates_of, remember_scene
 from tests.raises_key import raises_key
 from tests.scene.formats.room import look, views
 from tests.scene.refusing import refuses
@@ -181,3 +184,17 @@ def test_a_measured_length_scales_the_scene(tmp_path: Path) -> None:
     np.testing.assert_allclose(after.points.xyz, 3 * before.points.xyz, atol=1e-9)
     assert main(["scale", str(folder), "--factor", "-1"]) == 2
     assert main(["scale", str(folder), "--factor", "1"]) == 0 and scale_of(folder) == 1.0
+
+
+def test_a_lifts_manifest_and_report_say_what_was_estimated(tmp_path: Path) -> None:
+    folder = write_colmap(tmp_path / "scene")
+    make_depth(open_scene(folder), folder, rooms_network(), quiet)
+    lift = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=folder))
+    remember_scene(lift, open_scene(folder))
+    lift.result_path.mkdir(exist_ok=True)
+    write_manifest(
+        lift.result_path, versions={}, seed=0, settings={}, timings={}, estimated=estimates_of(lift)
+    )  # fmt: skip
+    kept = read_manifest(lift.result_path).estimated
+    assert len(kept) == 2 and "tests/room" in kept[0] and "scale, which is unknown" in kept[1]
+    assert estimated_text(lift).startswith("Estimated: depth is made of the photos by tests/room")
