@@ -1,12 +1,13 @@
-"""The networks that PLGS offers by name: what each is good for, its size, and its licence as its authors state it.
-
-Standard library only: Blender lists them before an engine runs.
+"""The networks that PLGS offers by name: what each is good for, its size, and its licence as its authors state it. They
+are in ``known_networks.json``, which Blender reads, too.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 
 @dataclass(frozen=True)
@@ -32,29 +33,10 @@ class KnownNetwork:
         return f"the weights of {self.name} have the licence {self.licence}{forbids} ({self.stated})"
 
 
-MASKS = (
-    KnownNetwork(
-        "facebook/mask2former-swin-small-coco-panoptic", "823b60a9dddf1829580505654f6a00b306a65381",
-        "Mask2Former, COCO", "people and things (COCO's 133 classes)", 276_000_000, "CC BY-NC 4.0",
-        'section "License" of MODEL_ZOO.md in github.com/facebookresearch/Mask2Former', False, 9.6,
-    ),
-    KnownNetwork(
-        "shi-labs/oneformer_ade20k_swin_tiny", "refs/pr/6", "OneFormer, ADE20K", "rooms (ADE20K's 150 classes)",
-        203_000_000, "MIT", "its card on huggingface.co", True, 5.6,
-    ),
-    KnownNetwork(
-        "Roboflow/rf-detr-seg-medium", "", "RF-DETR, COCO", "things, as detections over other masks (COCO's 80)",
-        143_000_000, "Apache-2.0", "README.md of github.com/roboflow/rf-detr", True, 1.4,
-    ),
-)  # fmt: skip
+_TABLE = json.loads(Path(__file__).with_suffix(".json").read_text(encoding="utf-8"))
+MASKS = tuple(KnownNetwork(**each) for each in _TABLE["masks"])
 """Networks that make masks; the first is the default."""
-DEPTH = (
-    KnownNetwork(
-        "depth-anything/Depth-Anything-V2-Small-hf", "5426e4f0f36572d16453bbda7a8389317b1bef99",
-        "Depth Anything V2 Small", "depth", 99_200_000, "Apache-2.0",
-        "its card on huggingface.co; only Small has this licence", True, 2.7,
-    ),
-)  # fmt: skip
+DEPTH = tuple(KnownNetwork(**each) for each in _TABLE["depth"])
 """Networks that make depth; the first is the default."""
 KNOWN = {each.name: each for each in (*MASKS, *DEPTH)}
 """All of them by their names."""

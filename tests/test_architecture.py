@@ -74,7 +74,7 @@ EXTENSION_MAY_IMPORT = {
     for part, names in {
         "plgs_blender": (
             "engine.errors engine.records engine.presets engine.scene_source engine.job engine.posed "
-            "engine.result_files engine.known_scene engine.corrections engine.known_networks"
+            "engine.result_files engine.known_scene engine.corrections"
         ),
         "operators": "plgs_blender",
         "ui": "plgs_blender",

@@ -57,8 +57,7 @@ def write_manifest(
     remove_parts(result)
     listed = (path for path in files_below(result) if path != result / NAME and (only is None or path in only))
     files = tuple(ListedFile.of(path, result) for path in listed)
-    request = request_digest(result.parent)
-    facts = (versions, seed, settings, timings, files, frames or {}, masks, request)
+    facts = (versions, seed, settings, timings, files, frames or {}, masks, request_digest(result.parent))
     _write(result, Manifest(__version__, *facts, tuple(estimated)))
 
 

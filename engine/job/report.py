@@ -93,8 +93,7 @@ def made_files(lift: LiftFolder) -> list[Path]:
 
 def estimated_text(lift: LiftFolder) -> str:
     """What of a finished lift's scene was not measured, a line each; empty if all was. Raises PlgsError."""
-    lines = read_manifest(lift.result_path).estimated
-    return "\n".join(printable(f"{line[0].upper()}{line[1:]}") for line in lines if line)
+    return "\n".join(printable(f"{line[:1].upper()}{line[1:]}") for line in read_manifest(lift.result_path).estimated)
 
 
 def read_metrics(lift: LiftFolder) -> dict[str, Json]:

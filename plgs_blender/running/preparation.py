@@ -12,7 +12,7 @@ from bpy.props import BoolProperty, CollectionProperty, EnumProperty, IntPropert
 
 from ...engine.errors import PlgsError
 from ...engine.job.follower import TaskFollower
-from ...engine.known_networks import MASKS
+from ...engine.job.process import ROOT
 from ...engine.scene_source import FILMS as FILMS
 from ...engine.scene_source import NUMBERINGS, TABLES
 from .. import registry
@@ -40,8 +40,9 @@ class PLGS_PG_mask_class(bpy.types.PropertyGroup):
 
 
 KNOWN_MASKS = [
-    (each.name, f"{each.label}: {each.good_for}", f"{each.bytes / 1e6:.0f} MB, {each.terms}. Processor time of one "
-     f"thread for a picture: {each.seconds:.1f} s") for each in MASKS
+    (each["name"], f"{each['label']}: {each['good_for']}", f"{each['bytes'] / 1e6:.0f} MB; {each['seconds']:.1f} s of "
+     f"one thread for a picture; licence of the weights: {each['licence']} ({each['stated']})")
+    for each in json.loads((ROOT / "engine" / "known_networks.json").read_text(encoding="utf-8"))["masks"]
 ]  # fmt: skip
 
 
