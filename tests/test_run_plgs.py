@@ -174,6 +174,8 @@ def test_bad_input_is_found_before_anything_is_made(
     used.mkdir()
     (used / "diary.txt").write_text("private")
     (tmp_path / "notes.blend").write_text("no blend")
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old/lift.blend").write_text("no blend")
     for arguments, told in (
         ((tmp_path / "nowhere", "-o", out), "nowhere"),
         ((scene, "-o", out, "--steps", "0"), "steps = 0"),
@@ -185,6 +187,7 @@ def test_bad_input_is_found_before_anything_is_made(
         ((scene, "-o", out, "--save", tmp_path / "a.txt"), ".blend"),
         ((scene, "-o", out, "--save", tmp_path / "no" / "a.blend"), str(tmp_path / "no")),
         ((scene, "-o", out, "--save", tmp_path / "notes.blend"), "not a Blender file"),
+        ((scene, "-o", tmp_path / "old"), "not a Blender file"),
         ((scene, "-o", used), "diary.txt"),
         ((scene, "-o", used, "--resume"), "diary.txt"),
         ((scene, "-o", scene / "color" / "0000.png"), "0000.png"),

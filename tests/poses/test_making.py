@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
@@ -144,6 +145,31 @@ def test_a_film_does_not_take_the_poses_of_another_of_its_name(mapped: None, tmp
     find_poses(tmp_path / "moved", tmp_path)
     with raises_key("other-photos"):
         find_poses(film, tmp_path)
+
+
+@pytest.mark.parametrize("stopped", [KeyboardInterrupt, None])
+def test_files_of_others_in_a_films_folder_stay(
+    stopped: type[BaseException] | None, mapped: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The folder is refused while they are there, and a stopped run takes only its own away."""
+    film, notes = tmp_path / "walk.mp4", tmp_path / "walk/images/notes.txt"
+    write_film(film, 0)
+
+    def interrupted(photos: Path, *others: object) -> object:
+        notes.write_text("mine")
+        if stopped is None:
+            return _Mapped()
+        raise stopped
+
+    monkeypatch.setattr(poses, "map_photos", interrupted)
+    with suppress(KeyboardInterrupt):
+        find_poses(film, tmp_path)
+    assert notes.read_text() == "mine" and (tmp_path / "walk/sparse").exists() is (stopped is None)
+    assert len([*(tmp_path / "walk/images").glob("*.jpg")]) == (4 if stopped is None else 0)
+    if stopped is not None:
+        with raises_key("exists"):
+            find_poses(film, tmp_path)
+    assert notes.read_text() == "mine"
 
 
 def test_poses_in_metres_of_other_depth_are_not_used(mapped: None, photos: Path, tmp_path: Path) -> None:

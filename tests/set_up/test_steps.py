@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from engine.job import EventWriter, StopSignal
 from engine.job.environment import is_complete, python_in, requirement_file
 from engine.set_up import SetUpRequest, remove_environments, steps, uv_program
 from tests.raises_key import raises_key, worded
@@ -233,3 +234,20 @@ def test_the_command_says_why_it_ended(tmp_path: Path, root: Path) -> None:
     (made / "pyvenv.cfg").touch()
     removed = subprocess.run([*command, "--remove"], capture_output=True, text=True)
     assert removed.returncode == 0 and "No environment is left" in removed.stdout and not made.exists()
+
+
+def test_a_folder_of_others_is_neither_used_nor_emptied(tmp_path: Path) -> None:
+    """On macOS and Windows, a home has such a folder."""
+    film = tmp_path / "home/Downloads/film.mp4"
+    film.parent.mkdir(parents=True)
+    film.write_text("mine")
+    (tmp_path / "home/python").mkdir()
+    events = EventWriter(tmp_path / "events.jsonl")
+    for act in (
+        lambda: steps.SetUp(SetUpRequest(), events, StopSignal(), folder=tmp_path / "home").run(),
+        lambda: remove_environments(tmp_path / "home"),
+    ):
+        with raises_key("folder-used"):
+            act()
+    assert film.read_text() == "mine" and (tmp_path / "home/python").is_dir()
+    assert sorted(path.name for path in (tmp_path / "home").iterdir()) == ["Downloads", "python"]
