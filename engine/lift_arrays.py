@@ -56,23 +56,20 @@ def read_lift(folder: str | Path) -> LiftArrays:
     lift = LiftFolder.open(Path(folder))
     check_sizes(lift.result_path)
     corrected = read_corrected(lift.path)
-    rows = read_gaussians(lift.result_path / "gaussians.ply")
+    rows = corrected.splats(read_gaussians(lift.result_path / "gaussians.ply"))
 
     def columns(names: str) -> NDArray[np.float32]:
         return np.stack([rows[name] for name in names.split()], axis=1)
 
     xyz, turns = columns("x y z"), columns("rot_0 rot_1 rot_2 rot_3")
-    class_id, instance_id = rows["class_id"].astype(np.int32), rows["instance_id"].astype(np.int32)
-    if corrected.changes_labels:
-        class_id, instance_id = corrected.ids(xyz, class_id, instance_id)
     gaussians = Gaussians(
         xyz,
         np.exp(columns("scale_0 scale_1 scale_2")),
         turns / np.maximum(np.linalg.norm(turns, axis=1, keepdims=True), np.float32(1e-12)),
         1 / (1 + np.exp(-rows["opacity"])),
         np.clip(0.5 + np.float32(_SH_DEGREE_0) * columns("f_dc_0 f_dc_1 f_dc_2"), 0, 1),
-        class_id,
-        instance_id,
+        rows["class_id"].astype(np.int32),
+        rows["instance_id"].astype(np.int32),
     )
     return LiftArrays(
         corrected.classes,

@@ -33,7 +33,7 @@ ENGINE_MAY_IMPORT = {
         "result_files": "gates errors json_file job posed",
         "known_scene": "errors records scene_source job posed result_files",
         "lift_arrays": "job json_file known_scene corrections posed result_files",
-        "corrections": "errors json_file records job posed result_files known_scene",
+        "corrections": "errors gates json_file records job posed result_files known_scene",
         "scene": "gates errors json_file records presets scene_source job posed",
         "scene_of_lift": "errors job result_files known_scene scene",
         "machine": "user_cache",
@@ -47,6 +47,9 @@ ENGINE_MAY_IMPORT = {
         "lift": (
             "errors json_file presets job posed result_files corrections scene scene_of_lift machine raster "
             "semantics instances metrics model train passes diagnosis"
+        ),
+        "plates": (
+            "errors job corrections scene scene_of_lift model passes lift"
         ),
         "diagnosis": "errors job posed scene",
         "export": "gates errors job posed result_files corrections scene scene_of_lift passes lift",
@@ -63,7 +66,7 @@ ENGINE_MAY_IMPORT = {
         "batch": "gates errors json_file job scene_of_lift machine",
         "command_line": (
             "gates errors json_file records presets scene_source job corrections scene scene_of_lift metrics lift "
-            "diagnosis export frames poses set_up batch known_networks depth_making film"
+            "diagnosis plates export frames poses set_up batch known_networks depth_making film"
         ),
         "__main__": "command_line",
     }.items()

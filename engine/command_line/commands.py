@@ -73,6 +73,9 @@ def bake(options: argparse.Namespace) -> ExitCode:
     if options.channels != "blender" and options.output is None:
         what, fix = "the lift's own passes are read by Blender", "Give a folder for passes with other names."
         raise PlgsError("channels-of-result", what, options.lift, fix, option="-o")
+    if options.without and options.output is None:
+        what, fix = "a plate without objects would replace the passes with them", "Give a folder for the plate."
+        raise PlgsError("without-in-result", what, options.lift, fix, option="-o")
     if options.cameras is not None:
         if not options.cameras.is_file():  # perhaps a camera's name, as "--camera NAME" is read as "--cameras"
             fix = "--help explains what such a file holds; run_plgs.py --bake camera bakes the cameras of a .blend."
@@ -82,7 +85,7 @@ def bake(options: argparse.Namespace) -> ExitCode:
     pipe = _parent_pipe(options, folder)
     return run_bake(
         folder, frames, cameras=options.cameras, layers=options.layers, output=options.output, parent_pipe=pipe,
-        channels=options.channels, replace=options.replace, files=files, echo=options.echo,
+        channels=options.channels, replace=options.replace, without=options.without, files=files, echo=options.echo,
     )  # fmt: skip
 
 

@@ -50,18 +50,22 @@ def add_correct(parser: argparse.ArgumentParser, make_task: AddTask) -> None:
         "--plane", type=float, nargs=6, metavar=("X", "Y", "Z", "NX", "NY", "NZ"),
         help="by the plane through a point in metres; the part in the direction of the normal is the new object",
     )  # fmt: skip
+    remove = known.add_parser("remove", help="take objects out of the room: what is behind them is drawn instead")
+    remove.add_argument("id", type=int, nargs="+", metavar="ID", help=one)
+    put_back = known.add_parser("put-back", help="undo the removal of objects")
+    put_back.add_argument("id", type=int, nargs="+", metavar="ID", help="id of a removed object, as shown by list")
     accept = known.add_parser("accept", help="mark objects as right: no proposal mentions them again")
     accept.add_argument("id", nargs="+", metavar="OBJECT", help=one)
     undo = known.add_parser("undo", help="undo the last edit")
     listed = known.add_parser("list", help="list the objects with their corrections, and all edits")
     proposed = known.add_parser("propose", help="list what may be wrong, the most doubtful first, and your progress")
-    for each in (rename, reclass, merge, delete, split, accept, undo, listed, proposed):
+    for each in (rename, reclass, merge, delete, remove, put_back, split, accept, undo, listed, proposed):
         make_task(each, correct)
 
 
 def correct(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
     """Make the edit and answer with it, or list the edits or proposals."""
-    from ..corrections import correct, proposals_of, read_corrected, undo
+    from ..corrections import correct, proposals_of, put_back, read_corrected, undo
     from ..job.progress import StageProgress
 
     folder = LiftFolder.open(options.lift)
@@ -79,6 +83,13 @@ def correct(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
 
     if options.edit == "undo":
         edit, corrected = undo(folder.path)
+    elif options.edit == "put-back":
+        edit, corrected = put_back(folder.path, options.id)
+    elif options.edit == "remove":
+        from ..plates import remove
+
+        events.stage("remove", 1, 1, "Removing objects")
+        edit, corrected = remove(folder, options.id, StageProgress("remove", events, stop))
     else:
         seen = _parts_seen(options, folder, StageProgress("split", events, stop))
         edit, corrected = correct(folder.path, partial(_edit, options, folder, seen))
@@ -128,7 +139,8 @@ def _edit(
 
 
 def _described(edit: Edit, corrected: CorrectedResult) -> str:
-    names = {one.id: shortened(one.name, _LONGEST) for one in (*corrected.made, *corrected.instances)}
+    everything = (*corrected.made, *corrected.removed, *corrected.instances)
+    names = {one.id: shortened(one.name, _LONGEST) for one in everything}
     objects = ", ".join(f"{mark.id} {names.get(mark.id, '')}".strip() for mark in edit.objects)
     made = "".join(f"; new: {one.id} {one.name}" for one in edit.made)
     to = edit.name or (corrected.classes[edit.class_id].name if edit.class_id in corrected.classes else "")
@@ -141,18 +153,20 @@ def _content(corrected: CorrectedResult) -> dict[str, object]:
          "accepted": one.id in corrected.accepted}
         for one in corrected.instances
     ]  # fmt: skip
+    removed = [{"id": one.id, "name": one.name, "class": one.class_name} for one in corrected.removed]
     edits = [
         {"uid": edit.uid, "time": edit.time, "kind": edit.kind, "objects": [mark.id for mark in edit.objects],
          "made": [one.id for one in edit.made], "undone": edit.undone,
          "not_applied": corrected.not_applied.get(edit.uid)}
         for edit in corrected.edits
     ]  # fmt: skip
-    return {"objects": objects, "edits": edits}
+    return {"objects": objects, "removed": removed, "edits": edits}
 
 
 def _listing(corrected: CorrectedResult) -> str:
     objects = [(one, shortened(one.name, _LONGEST), shortened(one.class_name, _LONGEST)) for one in corrected.instances]
     lines = [f"{one.id:5}  {name}  ({class_name}, {one.points} points)" for one, name, class_name in objects]
+    lines += [f"{one.id:5}  {shortened(one.name, _LONGEST)}  (removed)" for one in corrected.removed]
     lines += ["", f"{len(corrected.edits)} edits"]
     for edit in corrected.edits:
         why = corrected.not_applied.get(edit.uid)

@@ -116,6 +116,10 @@ def _add_bake(parser: argparse.ArgumentParser) -> None:
         help="write FOLDER/NAME.exr, and leave the lift's result unchanged (default: write into the result)",
     )  # fmt: skip
     parser.add_argument("--replace", action="store_true", help="overwrite other programs' files in FOLDER, too")
+    parser.add_argument(
+        "--without", type=int, nargs="+", default=(), metavar="ID",
+        help="a clean plate: bake the room without these objects, and keep no correction; needs -o",
+    )  # fmt: skip
     _add_relink(parser)
     _add_place_options(parser)
     parser.set_defaults(run=commands.bake)

@@ -90,20 +90,29 @@ def run_bake(
     output: Path | None = None,
     channels: str = "blender",
     replace: bool = False,
+    without: Sequence[int] = (),
     parent_pipe: int | None = None,
     files: TaskFiles | None = None,
     echo: int | None = None,
 ) -> ExitCode:
     """Bake more of a finished lift, frames ("test", "all", or their names) or the cameras in a file, and return how it
-    ended. ``layers``, ``output``, ``channels`` and ``replace`` are those of ``BakeOptions``. Whatever happens, the lift
-    stays finished and earlier passes are kept. If another process is baking already, this one bakes at the same time:
-    with events in ``files`` or, if no program follows it (no ``parent_pipe``), in its own folder below bake/. The
-    lift's file 'cancel' stops all of them. The rest is as in `run_engine`."""
+    ended. ``layers``, ``output``, ``channels`` and ``replace`` are those of ``BakeOptions``. The objects ``without``
+    are not shown, as if they had been removed. Whatever happens, the lift stays finished and earlier passes are kept.
+    If another process is baking already, this one bakes at the same time: with events in ``files`` or, if no program
+    follows it (no ``parent_pipe``), in its own folder below bake/. The lift's file 'cancel' stops all of them. The rest
+    is as in `run_engine`."""
 
     def work(events: EventWriter, stop: StopSignal) -> None:
         from ..lift import BakeOptions, bake_cameras, bake_frames  # late: it loads torch
 
-        options = BakeOptions(tuple(layers), output, channels, replace)
+        corrected = None
+        if without:
+            from ..job.progress import StageProgress
+            from ..plates import without as without_objects
+
+            events.stage("remove", 1, 3, "Removing objects")
+            corrected = without_objects(folder, without, StageProgress("remove", events, stop))
+        options = BakeOptions(tuple(layers), output, channels, replace, corrected)
         if cameras is not None:
             bake_cameras(folder, cameras, events, stop, options)
         if frames is not None:

@@ -25,7 +25,7 @@ from ..json_file import Json, read_object, take_objects, take_whole_number
 from ..records import record_of, to_json
 
 CORRECTIONS = "corrections.json"
-KINDS = ("rename", "reclass", "merge", "delete", "split", "assign", "accept")
+KINDS = ("rename", "reclass", "merge", "delete", "split", "assign", "accept", "remove")
 """The kinds that this version knows. Edits of other kinds are kept but not applied."""
 MOVES = ("delete", "split", "assign")
 """The kinds that give points other labels."""
@@ -80,8 +80,9 @@ class Edit:
 
     A rename has a ``name``. A reclass has a ``class_id``, as has a split whose first part changes its class. A merge
     turns all ``objects`` into the first. A move gives points of the ``objects`` and of the stuff ``classes`` other
-    labels (``moved``); ``rest`` is the label of the objects' other points, None where they keep theirs. ``raw`` is the
-    entry as it was read, for kinds that this version does not know.
+    labels (``moved``); ``rest`` is the label of the objects' other points, None where they keep theirs. A removal takes
+    the ``objects`` out of the room; what is there instead is in the ``fill`` of this name, whose file has the SHA-256
+    ``digest``. ``raw`` is the entry as it was read, for kinds that this version does not know.
     """
 
     kind: str = field(metadata=_SHOWN)
@@ -92,6 +93,8 @@ class Edit:
     moved: tuple[MovedPoints, ...] = ()
     made: tuple[NewObject, ...] = ()
     rest: int | None = None
+    fill: str = field(default="", metadata=_SHOWN)
+    digest: str = field(default="", metadata=_SHOWN)
     undone: bool = False
     uid: str = field(default_factory=lambda: uuid4().hex)
     time: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"), metadata=_SHOWN)
@@ -128,6 +131,8 @@ def edit_of(entry: dict[str, Any], path: Path) -> Edit:
     edit = record_of(Edit, entry, path, MEND, str(entry["kind"]), raw=None)
     if edit.kind == "rename" and not edit.name:
         raise PlgsError("edit-name-empty", "'rename.name' is empty", path, MEND)
+    if edit.kind == "remove" and not (edit.fill.isalnum() and edit.digest):
+        raise PlgsError("edit-no-fill", "'remove.fill' or 'remove.digest' is missing", path, MEND)
     return edit
 
 

@@ -91,6 +91,11 @@ def delete(state: Replay, number: int, *, around: bool = True) -> Edit:
     return Edit("delete", (mark,), moved=moved, rest=-state.class_of(number))
 
 
+def remove(state: Replay, numbers: Sequence[int], fill: str, digest: str) -> Edit:
+    """Take objects out of the room. The ``fill`` of this name, whose file has the SHA-256 ``digest``, replaces them."""
+    return Edit("remove", tuple(_mark(state, number) for number in _some(numbers)), fill=fill, digest=digest)
+
+
 def split(
     state: Replay, number: int, part: NDArray[np.integer], first_id: int, class_of: Mapping[int, int] | None = None
 ) -> Edit:

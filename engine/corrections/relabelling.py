@@ -8,9 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from .fills import Fill
 
 _PAIRS = 1 << 22
 """The largest number of distances held at a time."""
@@ -46,6 +50,8 @@ def nearest(
 
 
 Labels = NDArray[np.int32]
+GONE = -(10**9)
+"""The label of what was removed."""
 
 
 def labels_of(class_id: NDArray[np.integer], instance_id: NDArray[np.integer]) -> Labels:
@@ -56,10 +62,12 @@ def labels_of(class_id: NDArray[np.integer], instance_id: NDArray[np.integer]) -
 @dataclass(frozen=True, eq=False)
 class Step:
     """A change of some labels. ``table``: labels that change as a whole. ``points``: by source label, the points that
-    had it, float32 [N, 3], and their new labels, int32 [N]."""
+    had it, float32 [N, 3], and their new labels, int32 [N]. ``fill`` belongs to a removal: all stuff that stands where
+    it clears goes, too."""
 
     table: Mapping[int, int] = field(default_factory=dict)
     points: Mapping[int, tuple[NDArray[np.float32], Labels]] = field(default_factory=dict)
+    fill: Fill | None = None
 
     def apply(self, xyz: NDArray[np.floating], label: Labels) -> None:
         """Change the ``label`` [N] of what stands at ``xyz`` [N, 3] in place."""
@@ -70,6 +78,8 @@ class Step:
             rows = rows_of[source]
             if len(rows):
                 label[rows] = after[nearest(xyz[rows], points)[0]]
+        if self.fill is not None:
+            label[(label <= 0) & self.fill.clears(xyz)] = GONE
 
 
 def step_of(xyz: NDArray[np.float32], before: Labels, after: Labels) -> Step:
@@ -96,12 +106,21 @@ class Relabelling:
         """The labels that some step changes."""
         return frozenset(source for step in self.steps for source in (*step.table, *step.points))
 
-    def of(self, xyz: NDArray[np.floating], label: Labels) -> Labels:
-        """The labels, int32 [N], that what stands at ``xyz`` [N, 3] and had ``label`` [N] has after all edits."""
+    @property
+    def fills(self) -> list[tuple[int, Fill]]:
+        """The fills of removals, each with the number of the first step after it."""
+        return [(number, step.fill) for number, step in enumerate(self.steps, start=1) if step.fill is not None]
+
+    def of(self, xyz: NDArray[np.floating], label: Labels, first: int = 0) -> Labels:
+        """The labels, int32 [N], that what stands at ``xyz`` [N, 3] and had ``label`` [N] has after all edits from the
+        step ``first`` on; GONE for what was removed."""
         after = label.copy()
-        rows = np.flatnonzero(np.isin(label, sorted(self.sources)))
+        changes = np.isin(label, sorted(self.sources))
+        for _, fill in self.fills:
+            changes |= fill.clears(xyz)
+        rows = np.flatnonzero(changes)
         some, changed = xyz[rows], after[rows]
-        for step in self.steps:
+        for step in self.steps[first:]:
             step.apply(some, changed)
         after[rows] = changed
         return after

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import PlgsError
 from ..posed import ClassTable, distinct_colour
 from ..result_files import Instance, SemanticPoints
 from .edits import KINDS, MOVES, PER_METRE, Edit, MovedPoints, ObjectMark
-from .relabelling import Labels, Relabelling, Step, labels_of, nearest, step_of
+from .fills import NOTHING, Fill
+from .relabelling import GONE, Labels, Relabelling, Step, labels_of, nearest, step_of
 
 LEAST_OVERLAP = 0.2
 """Least intersection over union of the boxes at which an object is the one that an edit means."""
@@ -29,12 +31,16 @@ OUTER = (0.5, 99.5)
 
 @dataclass(eq=False)
 class Replay:
-    """The state between two edits. ``label`` int32 [N]: each point's. ``not_applied``: reasons, by the edits' uid."""
+    """The state between two edits. ``label`` int32 [N]: each of the ``points``'. ``not_applied``: reasons, by the
+    edits' uid. ``removed`` are objects that were taken out of the room. ``fill_of`` reads a removal's fill; it may
+    raise PlgsError."""
 
     classes: ClassTable
-    xyz: NDArray[np.float32]
+    points: SemanticPoints
     label: Labels
     objects: dict[int, Instance]
+    fill_of: Callable[[Edit], Fill] = lambda edit: NOTHING
+    removed: dict[int, Instance] = field(default_factory=dict)
     accepted: set[int] = field(default_factory=set)
     steps: list[Step] = field(default_factory=list)
     not_applied: dict[str, str] = field(default_factory=dict)
@@ -42,10 +48,18 @@ class Replay:
     """The marks of objects as the points are labelled now: making one takes a look at all points."""
 
     @classmethod
-    def of(cls, classes: ClassTable, instances: Iterable[Instance], points: SemanticPoints) -> Replay:
+    def of(
+        cls, classes: ClassTable, instances: Iterable[Instance], points: SemanticPoints,
+        fill_of: Callable[[Edit], Fill] = lambda edit: NOTHING,
+    ) -> Replay:  # fmt: skip
         """The result as the engine made it."""
         label = labels_of(points.class_id, points.instance_id)
-        return cls(classes, points.xyz, label, {one.id: one for one in instances})
+        return cls(classes, points, label, {one.id: one for one in instances}, fill_of)
+
+    @property
+    def xyz(self) -> NDArray[np.float32]:
+        """The points' positions, [N, 3] metres."""
+        return self.points.xyz
 
     def apply_all(self, edits: Iterable[Edit]) -> None:
         for edit in edits:
@@ -86,7 +100,7 @@ class Replay:
             return "it names one object only"
         if edit.kind in MOVES and (reason := self._no_label(edit)):
             return reason
-        if edit.kind in (*MOVES, "merge"):
+        if edit.kind in (*MOVES, "merge", "remove"):
             self._marks.clear()  # such an edit changes the labels of points
         match edit.kind:
             case "rename":
@@ -97,6 +111,8 @@ class Replay:
                 self._merge(ids)
             case "accept":
                 self.accepted.update(ids)
+            case "remove":
+                return self._remove(edit, ids)
             case kind if kind in MOVES:
                 return self._move(edit, ids)
         return ""
@@ -141,6 +157,21 @@ class Replay:
         step.apply(self.xyz, self.label)
         self.steps.append(step)
         self._fit([kept])
+
+    def _remove(self, edit: Edit, ids: Sequence[int]) -> str:
+        try:
+            fill = self.fill_of(edit)
+        except PlgsError as error:
+            return f"{error.what} ({error.where})"
+        step = Step(dict.fromkeys(ids, GONE), fill=fill)
+        step.apply(self.xyz, self.label)
+        self.steps.append(step)
+        stays, (points, label) = self.label != GONE, fill.points()
+        both = ((name, [each[stays], getattr(points, name)]) for name, each in vars(self.points).items())
+        self.points = SemanticPoints(**{name: np.concatenate(each) for name, each in both})
+        self.label = np.concatenate([self.label[stays], label])
+        self.removed.update((number, self.objects.pop(number)) for number in ids)
+        return ""
 
     def _move(self, edit: Edit, ids: Sequence[int]) -> str:
         known = {one.id for one in edit.made} | self.objects.keys()

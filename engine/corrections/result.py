@@ -15,7 +15,8 @@ from ..errors import PlgsError
 from ..posed import ClassTable
 from ..result_files import Anchors, Instance, Listed, SemanticPoints
 from .edits import CORRECTIONS, Edit, editing, read_edits
-from .relabelling import Relabelling, labels_of
+from .fills import Fill, path_of, read_fill
+from .relabelling import GONE, Relabelling, labels_of
 from .replay import Replay
 
 
@@ -23,9 +24,9 @@ from .replay import Replay
 class CorrectedResult:
     """The objects and points of a result after the edits.
 
-    ``made`` are the objects as the engine made them. ``accepted`` are ids of objects that a person confirmed.
-    ``not_applied``: the reasons, by the edits' uid. ``fingerprint`` identifies the edits that change what is shown; it
-    is empty without any.
+    ``made`` are the objects as the engine made them, ``removed`` those that were taken out of the room. ``accepted``
+    are ids of objects that a person confirmed. ``not_applied``: the reasons, by the edits' uid. ``fingerprint``
+    identifies the edits that change what is shown; it is empty without any.
     """
 
     folder: Path
@@ -33,6 +34,7 @@ class CorrectedResult:
     instances: tuple[Instance, ...]
     points: SemanticPoints
     made: tuple[Instance, ...]
+    removed: tuple[Instance, ...]
     edits: tuple[Edit, ...]
     relabelling: Relabelling
     accepted: frozenset[int]
@@ -84,7 +86,7 @@ class CorrectedResult:
             if kinds.get(number) != made.get(number):
                 changed[own] = kinds.get(number, 0)
             else:
-                changed[own & moved] = kinds[number]
+                changed[own & (moved | (class_id == 0))] = kinds[number]  # fills know only their object
         return changed, np.maximum(after, 0).astype(np.int32)
 
     def anchors(self) -> Anchors:
@@ -92,14 +94,31 @@ class CorrectedResult:
         anchors = result_files.read_arrays(self.folder / "result" / result_files.ANCHORS, Anchors)
         if not self.changes_labels:
             return anchors
-        class_id, instance_id = self.ids(anchors.xyz, anchors.class_id, anchors.instance_id)
-        return replace(anchors, class_id=class_id, instance_id=instance_id)
+        before = labels_of(anchors.class_id, anchors.instance_id)
+        after = self.relabelling.of(anchors.xyz, before)
+        class_id, instance_id = self.ids_of(before, after, anchors.class_id)
+        relabelled = replace(anchors, class_id=class_id, instance_id=instance_id)
+        return Anchors(**{name: values[after != GONE] for name, values in vars(relabelled).items()})
+
+    def splats(self, rows: NDArray[np.void]) -> NDArray[np.void]:
+        """The rows of gaussians.ply with their labels after the edits: without those of removed objects, and with what
+        takes their place."""
+        if not self.changes_labels:
+            return rows
+        parts = list[NDArray[np.void]]()
+        for first, fill in [(0, None), *self.relabelling.fills]:
+            part = rows.copy() if fill is None else fill.splats(rows.dtype)
+            before = labels_of(part["class_id"], part["instance_id"])
+            after = self.relabelling.of(np.stack([part[axis] for axis in "xyz"], axis=1), before, first)
+            part["class_id"], part["instance_id"] = self.ids_of(before, after, part["class_id"].astype(np.int32))
+            parts.append(part[after != GONE])
+        return np.concatenate(parts)
 
 
-def read_corrected(lift: Path, listed: Listed | None = None) -> CorrectedResult:
-    """The result of the finished lift in this folder, with its corrections; ``listed`` is what instances.json lists,
-    where it was read. Raises PlgsError when either cannot be read."""
-    return _Result.read(lift, listed).corrected(read_edits(lift))
+def read_corrected(lift: Path, listed: Listed | None = None, further: Sequence[Edit] = ()) -> CorrectedResult:
+    """The result of the finished lift in this folder, with its corrections and ``further`` ones that are not kept;
+    ``listed`` is what instances.json lists, where it was read. Raises PlgsError when either cannot be read."""
+    return _Result.read(lift, listed).corrected([*read_edits(lift), *further])
 
 
 def _fingerprint(edits: Sequence[Edit], not_applied: Mapping[str, str], without: tuple[str, ...]) -> str:
@@ -129,8 +148,12 @@ class _Result:
         points = result_files.read_arrays(lift / "result" / result_files.SEMANTIC_POINTS, SemanticPoints)
         return cls(lift, classes, made, points)
 
+    def fill_of(self, edit: Edit) -> Fill:
+        """The fill of a removal. Raises PlgsError."""
+        return read_fill(path_of(self.lift, edit.fill), edit.digest)
+
     def replay(self, edits: Sequence[Edit]) -> Replay:
-        state = Replay.of(self.classes, self.made, self.points)
+        state = Replay.of(self.classes, self.made, self.points, self.fill_of)
         state.apply_all(edits)
         return state
 
@@ -142,8 +165,9 @@ class _Result:
             self.lift,
             self.classes,
             tuple(state.objects[number] for number in sorted(state.objects)),
-            self.points,
+            state.points,
             self.made,
+            tuple(state.removed[number] for number in sorted(state.removed)),
             tuple(edits),
             state.relabelling,
             frozenset(state.accepted),
@@ -152,9 +176,9 @@ class _Result:
         )
         if not corrected.changes_labels:
             return corrected
-        before = labels_of(self.points.class_id, self.points.instance_id)
-        class_id, instance_id = corrected.ids_of(before, state.label, self.points.class_id)
-        return replace(corrected, points=replace(self.points, class_id=class_id, instance_id=instance_id))
+        before = labels_of(state.points.class_id, state.points.instance_id)
+        class_id, instance_id = corrected.ids_of(before, state.label, state.points.class_id)
+        return replace(corrected, points=replace(state.points, class_id=class_id, instance_id=instance_id))
 
 
 Make = Callable[[Replay, int], Edit]
@@ -186,6 +210,24 @@ def undo(lift: Path, listed: Listed | None = None) -> tuple[Edit, CorrectedResul
             raise PlgsError("nothing-to-undo", "there is no edit to undo", lift / CORRECTIONS, "")
         edits[last] = replace(edits[last], undone=True)
     return edits[last], _Result.read(lift, listed).corrected(edits)
+
+
+def put_back(lift: Path, ids: Sequence[int], listed: Listed | None = None) -> tuple[Edit, CorrectedResult]:
+    """Undo the removals of objects. Returns the last of these edits and the result without them. Raises PlgsError if
+    one of the objects is not removed, and OSError; nothing is then changed."""
+    with editing(lift) as edits:
+        rows = [
+            row
+            for row, edit in enumerate(edits)
+            if edit.kind == "remove" and not edit.undone and {mark.id for mark in edit.objects}.intersection(ids)
+        ]
+        for number in ids:
+            if number not in {mark.id for row in rows for mark in edits[row].objects}:
+                fix = "List the corrections to see which objects are removed."
+                raise PlgsError("not-removed", f"object {number} is not removed", lift / CORRECTIONS, fix)
+        for row in rows:
+            edits[row] = replace(edits[row], undone=True)
+    return edits[rows[-1]], _Result.read(lift, listed).corrected(edits)
 
 
 def set_undone(lift: Path, undone: dict[str, bool]) -> None:

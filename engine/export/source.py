@@ -94,10 +94,7 @@ class FinishedLift:
     @cached_property
     def splats(self) -> NDArray[np.void]:
         """The wanted Gaussians by the columns of gaussians.ply, [N], with their corrected labels."""
-        rows = read_gaussians(self.folder.result_path / "gaussians.ply").copy()
-        if self.corrected.changes_labels:
-            xyz = np.stack([rows[axis] for axis in "xyz"], axis=1)
-            rows["class_id"], rows["instance_id"] = self.corrected.ids(xyz, rows["class_id"], rows["instance_id"])
+        rows = self.corrected.splats(read_gaussians(self.folder.result_path / "gaussians.ply"))
         if not self.objects:
             return rows
         classes, instances = (np.array(sorted(ids)) for ids in self._wanted)

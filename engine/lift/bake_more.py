@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..corrections import read_corrected
+from ..corrections import CorrectedResult, read_corrected
 from ..errors import PlgsError
 from ..job import BakeCamera, BakeLocks, EventWriter, LiftFolder, StopSignal, read_cameras
 from ..job.cameras import PreviewCamera, frame_numbers, refuse_equal_names
@@ -62,12 +62,13 @@ MOST_LOOKS, LOOK_WITHIN = 8, (96, 96)
 class BakeOptions:
     """``layers`` are those wanted from FURTHER_LAYERS; ``output`` is the folder for the passes (None: the result),
     where other programs' files are overwritten only with ``replace``; ``channels`` is one of CHANNELS, "blender" for
-    the result."""
+    the result; ``corrected`` is shown instead of the lift with its corrections."""
 
     layers: tuple[str, ...] = ()
     output: Path | None = None
     channels: str = "blender"
     replace: bool = False
+    corrected: CorrectedResult | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +156,7 @@ def _bake(
     stages = StageReporter(events, stop, STAGES)
     with stages.stage("open"):
         scene = scene_of_lift(folder)
-        corrected = read_corrected(folder.path)
+        corrected = options.corrected or read_corrected(folder.path)
         notes = {CORRECTIONS_NOTE: corrected.fingerprint}
         destination = _Result(folder, locks, options) if options.output is None else _OwnFolder(folder, options)
         if options.output is None:

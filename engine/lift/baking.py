@@ -14,8 +14,11 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from ..corrections import CorrectedResult
+from ..corrections.fills import OPACITY
+from ..corrections.relabelling import GONE
 from ..diagnosis import Finding
 from ..errors import PlgsError
 from ..job import EventWriter, LiftFolder, write_atomically
@@ -28,7 +31,7 @@ from ..model.neural_gaussians import ClipRange
 from ..model.render import render_bands
 from ..model.scene_labels import SceneLabels, shown_labels
 from ..model.settling import gaussian_centres
-from ..model.structured import GaussianLabels, LabelChannels, StructuredScene
+from ..model.structured import GaussianLabels, LabelChannels, SceneFill, StructuredScene
 from ..passes.baked_view import BakedView, ShownInstances, bake_view, joined
 from ..passes.exr import NOTHING_SHOWN, ShownFrame, write_exr
 from ..passes.layers import FROM_LABELS, PanopticLayers, decide
@@ -41,6 +44,8 @@ from .scene_files import LIFT_ANEW, read_model, read_shown_instances
 
 CORRECTIONS_NOTE = "plgs/corrections"
 """Attribute in the header of a view that shows corrections: their fingerprint."""
+REMOVED_NOTE = "plgs/removed"
+"""Attribute in the header of a view from which objects were removed: their names."""
 DIGITS = 4
 """Minimum number of digits of a frame's number in the names of its files."""
 _NUMBERED = re.compile(r"(?s)((?:.*[_-]|.*\D\.)?)(\d{1,9})")
@@ -52,11 +57,11 @@ class FrameBaker:
 
     def __init__(
         self, classes: ClassTable, lifted: StructuredScene, instances: ShownInstances, corrections: str = "",
-        calibration: Calibration = UNCALIBRATED,
+        calibration: Calibration = UNCALIBRATED, removed: Sequence[str] = (),
     ) -> None:  # fmt: skip
-        """``corrections``: the fingerprint of the corrections that ``lifted`` and ``instances`` include.
-        ``calibration`` makes probabilities of the classes' shares."""
-        self.corrections, self.calibration = corrections, calibration
+        """``corrections``: the fingerprint of the corrections that ``lifted`` and ``instances`` include; ``removed``:
+        the names of the objects that they took away. ``calibration`` makes probabilities of the classes' shares."""
+        self.corrections, self.calibration, self.removed = corrections, calibration, removed
         self.classes, self.lifted, self.labels = classes, lifted, shown_labels(lifted)
         self.instances, self.colours = instances, instances.colours
 
@@ -69,7 +74,8 @@ class FrameBaker:
     @property
     def notes(self) -> dict[str, str]:
         """The header's notes on corrections; empty without corrections."""
-        return {CORRECTIONS_NOTE: self.corrections} if self.corrections else {}
+        notes = {CORRECTIONS_NOTE: self.corrections, REMOVED_NOTE: ", ".join(self.removed)}
+        return {name: text for name, text in notes.items() if text}
 
     def layers(self, camera: Camera, clip: ClipRange | None = None, wanted: Collection[str] = ()) -> PanopticLayers:
         """The ``wanted`` layers of ``render`` (see `decide`), without its mattes. Labels are drawn only if needed."""
@@ -109,7 +115,8 @@ def read_baker(folder: LiftFolder, classes: ClassTable, corrected: CorrectedResu
         calibration = Calibration(**found) if isinstance(found, dict) else UNCALIBRATED
     except (TypeError, ValueError) as error:
         raise PlgsError("calibration-damaged", f"the calibration cannot be used ({error})", path, LIFT_ANEW) from error
-    return FrameBaker(classes, lifted, shown, corrected.fingerprint, calibration)
+    removed = [one.name for one in corrected.removed]
+    return FrameBaker(classes, lifted, shown, corrected.fingerprint, calibration, removed)
 
 
 def baked_files(folder: LiftFolder, frame: str) -> tuple[Path, Path, Path, Path]:
@@ -225,13 +232,15 @@ def corrected_scene(scene: StructuredScene, corrected: CorrectedResult) -> Struc
         return scene
     channels = scene.channels
     codes = np.array([*(-one for one in channels.class_ids), *channels.shown_ids], np.int32)
-    voted = scene.voted
-    if voted is None:
-        labels, shares = zip(*_likeliest_of_chunks(scene, corrected), strict=True)
-        voted = GaussianLabels(torch.cat(labels), torch.cat(shares))
+    voted = voted_labels(scene, corrected)
     means, k = gaussian_centres(scene.anchors), voted.label.shape[1]
     before = codes[voted.label.numpy().astype(np.int64)]
     after = np.stack([corrected.relabelling.of(means, before[:, column]) for column in range(k)], axis=1)
+    share, fill = voted.share, None
+    if corrected.relabelling.fills:
+        fill, of_fill = _fill_of_scene(after, share.numpy(), corrected)
+        after = np.concatenate([_without_gone(after), of_fill])
+        share = torch.cat([share, torch.nn.functional.one_hot(torch.zeros(len(of_fill), dtype=torch.int64), k).float()])
     kinds, made = ({one.id: one.class_id for one in known} for known in (corrected.instances, corrected.made))
     # An object without any point keeps its slot and the class that the engine decided on.
     own = channels.class_of_shown or {one: made.get(one, channels.class_ids[0]) for one in channels.shown_ids}
@@ -242,7 +251,45 @@ def corrected_scene(scene: StructuredScene, corrected: CorrectedResult) -> Struc
     index_of = {code: index for index, code in enumerate([*(-one for one in class_ids), *shown])}
     known = np.array(sorted(index_of), np.int32)
     label = np.array([index_of[code] for code in known.tolist()], np.int16)[np.searchsorted(known, after)]
-    return replace(scene, channels=changed, voted=GaussianLabels(torch.from_numpy(label), voted.share))
+    return replace(scene, channels=changed, voted=GaussianLabels(torch.from_numpy(label), share), fill=fill)
+
+
+def voted_labels(scene: StructuredScene, corrected: CorrectedResult) -> GaussianLabels:
+    """The labels of the Gaussians: the voted ones, or else those that the decoders find likeliest."""
+    if scene.voted is not None:
+        return scene.voted
+    labels, shares = zip(*_likeliest_of_chunks(scene, corrected), strict=True)
+    return GaussianLabels(torch.cat(labels), torch.cat(shares))
+
+
+OWNED = 0.3
+"""A Gaussian with more than this share of labels that are gone goes with the removed object."""
+
+
+def _fill_of_scene(
+    after: NDArray[np.int32], share: NDArray[np.float32], corrected: CorrectedResult
+) -> tuple[SceneFill, NDArray[np.int32]]:
+    """What replaces the removed objects, and its labels [P, K], of which only the first counts. ``after`` and ``share``
+    [G, K] are the labels of the scene's Gaussians."""
+    parts, labels = [], []
+    for first, fill in corrected.relabelling.fills:
+        label = corrected.relabelling.of(fill.xyz, fill.label, first)
+        stays = label != GONE
+        opaque = np.full(len(label), OPACITY, np.float32)
+        columns = (fill.xyz, fill.scale, fill.turn, opaque, fill.rgb, fill.guessed)
+        parts.append([column[stays] for column in columns])
+        labels.append(label[stays])
+    gone = np.where(after == GONE, share, 0.0).sum(axis=1) > OWNED * np.maximum(share.sum(axis=1), 1e-9)
+    drawn = (torch.from_numpy(np.concatenate(each)) for each in zip(*parts, strict=True))
+    label = np.concatenate(labels)
+    return SceneFill(torch.from_numpy(gone), *drawn), np.repeat(label[:, None], after.shape[1], axis=1)
+
+
+def _without_gone(after: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Labels [G, K] in which each that is gone is replaced by the likeliest one of its Gaussian that is not."""
+    first = np.take_along_axis(after, (after != GONE).argmax(axis=1)[:, None], axis=1)
+    other = after[after != GONE][:1] if (after != GONE).any() else np.zeros(1, np.int32)
+    return np.where(after != GONE, after, np.where(first != GONE, first, other))
 
 
 def _likeliest_of_chunks(

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..corrections import Edit, editing, read_corrected, read_edits
+from ..corrections.fills import path_of
 from ..errors import PlgsError
 from ..instances.lasting_objects import LastingObjects, lasting_objects, object_overlap
 from ..instances.records import SceneObject
@@ -202,7 +203,11 @@ def take_over_edits(folder: LiftFolder, earlier: EarlierLift) -> None:
         return
     with editing(folder.path) as edits:
         known = {edit.uid for edit in edits}
-        edits += [edit for edit in earlier.edits if not edit.undone and edit.uid not in known]
+        taken = [edit for edit in earlier.edits if not edit.undone and edit.uid not in known]
+        for edit in taken:
+            if edit.kind == "remove" and (fill := path_of(earlier.folder, edit.fill)).is_file():
+                write_atomically(path_of(folder.path, edit.fill), fill.read_bytes())
+        edits += taken
 
 
 def report_edits(folder: LiftFolder, earlier: EarlierLift, events: EventWriter) -> None:

@@ -72,7 +72,8 @@ class PanopticRendering:
     [H, W], planar depth of the surface in metres (0 where nothing was hit). ``class_coverage`` float32 [H, W, C] holds
     sum_i w_i * p_i(class) for the blending weights w_i of the pixel's Gaussians: it sums to alpha over the classes.
     ``instance_coverage`` float32 [H, W, S] is the same for instances; the rest of alpha belongs to no object. Column c
-    belongs to ``class_ids[c]``, column s to ``instance_ids[s]``."""
+    belongs to ``class_ids[c]``, column s to ``instance_ids[s]``. ``guessed`` float32 [H, W]: the share of the pixel
+    that no photo ever saw; None if nothing was removed from the scene."""
 
     camera: Camera
     image: NDArray[np.float32]
@@ -82,3 +83,4 @@ class PanopticRendering:
     instance_coverage: NDArray[np.float32]
     class_ids: tuple[int, ...]
     instance_ids: tuple[int, ...]
+    guessed: NDArray[np.float32] | None = None

@@ -15,7 +15,7 @@ from .detail import blurred_scales
 from .gaussians import decode, no_labels
 from .neural_gaussians import ClipRange, NeuralGaussians, PanopticRendering
 from .scene_labels import ShownLabels, shown_labels, shown_probabilities
-from .structured import LabelChannels, StructuredScene
+from .structured import LabelChannels, SceneFill, StructuredScene
 
 MOST_BYTES = 1 << 27
 """The most bytes of a band's label coverage. Larger bands are not faster; smaller ones are slower."""
@@ -54,11 +54,30 @@ def render_bands(
     drawn = decode(scene.anchors, scene.decoders, camera, known_labels=known)
     k = scene.anchors.gaussians_per_anchor
     rows = drawn.rows(k)
-    seen = _see(drawn, rows, None if scene.finest is None else scene.finest[rows // k], camera, clip or ClipRange())
+    finest = None if scene.finest is None else scene.finest[rows // k]
+    guessed = None
+    if scene.fill is not None:
+        drawn, rows, finest, guessed = _filled(scene.fill, drawn, rows, finest)
+    seen = _see(drawn, rows, finest, camera, clip or ClipRange())
     bands = row_bands(camera, len(scene.channels.class_ids) + len(scene.channels.slot_ids), most_bytes)
     for each in bands:
         reaching = seen if len(bands) == 1 else seen.reaching(each)
-        yield _draw_rows(reaching, labels, scene.channels, camera, rows=each, want_surface=want_surface)
+        yield _draw_rows(reaching, labels, scene.channels, camera, rows=each, want_surface=want_surface, guessed=guessed)
+
+
+def _filled(
+    fill: SceneFill, drawn: NeuralGaussians, rows: torch.Tensor, finest: torch.Tensor | None
+) -> tuple[NeuralGaussians, torch.Tensor, torch.Tensor | None, torch.Tensor]:
+    """The decoded Gaussians without those that are gone and with those of the fill; the rows of all in the scene's
+    labels; their finest pixels; and which are guessed, float32 [N, 1]."""
+    kept, new = ~fill.gone[rows], len(fill.means)
+    names = ("means", "scales", "quats", "opacities", "colours")
+    both = {name: torch.cat([getattr(drawn, name)[kept], getattr(fill, name)]) for name in names}
+    labels = torch.cat([drawn.labels[kept], drawn.labels.new_zeros(new, drawn.labels.shape[1])])
+    own = torch.arange(new, device=rows.device) + len(fill.gone)
+    guessed = torch.cat([fill.guessed.new_zeros(int(kept.sum())), fill.guessed])[:, None]
+    finest = None if finest is None else torch.cat([finest[kept], finest.new_zeros(new)])
+    return replace(drawn, **both, labels=labels), torch.cat([rows[kept], own]), finest, guessed
 
 
 def row_bands(camera: Camera, channels: int, most_bytes: int | None) -> list[tuple[int, int]]:
@@ -115,14 +134,20 @@ def _draw_rows(
     *,
     rows: tuple[int, int],
     want_surface: bool,
+    guessed: torch.Tensor | None = None,
 ) -> PanopticRendering:
     names = ("means", "scales", "quats", "opacities", "colours", "labels")
     drawn = replace(seen.drawn, **{name: seen.of(getattr(seen.drawn, name)) for name in names})
     own = drawn.labels if labels is None else labels.of(seen.of(seen.rows_of))
+    if guessed is not None:
+        own = torch.cat([own, seen.of(guessed)], dim=1)
     rendering = drawn.drawn_by(camera, own, near=seen.near, rows=rows, want_surface=want_surface)
     alpha = rendering.alpha.numpy(force=True)
     assert rendering.labels is not None  # as requested
     classes, shown = len(channels.class_ids), rendering.labels
+    share = None
+    if guessed is not None:
+        share, shown = shown[..., -1].numpy(force=True), shown[..., :-1]
     if labels is None:
         shown = shown_probabilities(shown[..., :classes], shown[..., classes:], channels)
     coverage = shown.numpy() if shown.device.type == "cpu" else likeliest(shown)
@@ -135,6 +160,7 @@ def _draw_rows(
         instance_coverage=coverage[..., classes:],
         class_ids=channels.class_ids,
         instance_ids=channels.shown_ids,
+        guessed=share,
     )
 
 

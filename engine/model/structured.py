@@ -55,12 +55,32 @@ class GaussianLabels:
     share: torch.Tensor
 
 
+@dataclass(frozen=True, eq=False)
+class SceneFill:
+    """What is drawn where objects were removed, float32: ``means`` [P, 3] metres, ``scales`` [P, 3], ``quats`` [P, 4]
+    wxyz, ``opacities`` [P], ``colours`` [P, 3]; ``guessed`` [P], 1 where no photo saw the place. ``gone`` bool [G]: the
+    scene's Gaussians that are not drawn."""
+
+    gone: torch.Tensor
+    means: torch.Tensor
+    scales: torch.Tensor
+    quats: torch.Tensor
+    opacities: torch.Tensor
+    colours: torch.Tensor
+    guessed: torch.Tensor
+
+    def on(self, device: torch.device | str) -> SceneFill:
+        """A copy on ``device``."""
+        return SceneFill(*(each.to(device) for each in vars(self).values()))
+
+
 @dataclass
 class StructuredScene:
     """A lifted (or partly lifted) scene. ``voxel_size`` is in metres. ``voted``: labels of all Gaussians that replace
     the label decoders', with those of anchor i in rows i k to i k + k - 1; None if the decoders are used. ``finest``
     float32 [M]: the side in metres of the smallest pixel that a training picture has at each anchor, 0 if it is in
-    none; None if it is not known."""
+    none; None if it is not known. ``fill``: what replaces removed objects; its labels follow those of the scene's
+    Gaussians in ``voted``. It is not part of the model's file."""
 
     anchors: Anchors
     decoders: Decoders
@@ -68,6 +88,7 @@ class StructuredScene:
     voxel_size: float
     voted: GaussianLabels | None = None
     finest: torch.Tensor | None = None
+    fill: SceneFill | None = None
 
     def on(self, device: torch.device | str) -> StructuredScene:
         """A copy of the scene on ``device``; the scene itself if that is the CPU."""
@@ -75,7 +96,10 @@ class StructuredScene:
             return self
         voted = None if self.voted is None else GaussianLabels(*(each.to(device) for each in vars(self.voted).values()))
         finest, decoders = None if self.finest is None else self.finest.to(device), deepcopy(self.decoders).to(device)
-        return replace(self, anchors=self.anchors.on(device), decoders=decoders, voted=voted, finest=finest)
+        fill = None if self.fill is None else self.fill.on(device)
+        return replace(
+            self, anchors=self.anchors.on(device), decoders=decoders, voted=voted, finest=finest, fill=fill
+        )
 
 
 def to_tensors(scene: StructuredScene) -> tuple[dict[str, torch.Tensor], dict[str, object]]:

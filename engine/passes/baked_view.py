@@ -142,13 +142,15 @@ class Matte:
 @dataclass(frozen=True, eq=False)
 class BakedView:
     """Everything that is written for a view, as ``camera`` sees it; the cameras of the previous and the next frame, if
-    they are known."""
+    they are known; ``guessed`` float32 [H, W], the share of each pixel that no photo ever saw, where objects were
+    removed from the scene, else None."""
 
     camera: Camera
     layers: PanopticLayers
     mattes: tuple[Matte, ...]
     previous: Camera | None = None
     following: Camera | None = None
+    guessed: NDArray[np.float32] | None = None
 
     @property
     def surface(self) -> Surface:
@@ -189,6 +191,7 @@ def bake_view(
     shape = (2 * RANKS, camera.height, camera.width)
     of_instances, of_classes = np.empty(shape, np.float32), np.empty(shape, np.float32)
     layers: list[PanopticLayers] = []
+    guessed: list[NDArray[np.float32]] = []
     row = 0
     for band in bands:
         layers.append(decide(band, classes, instances.class_of))
@@ -202,11 +205,12 @@ def bake_view(
         columns, ids = by_instance.columns, by_instance.ids
         rank_coverage(band.instance_coverage, columns, ids, band.alpha, limit=limit, out=of_instances, first_row=row)
         row += len(band.alpha)
+        guessed += [] if band.guessed is None else [band.guessed]
         del band  # frees its memory before the next is made
     if not layers:
         raise ValueError("no bands to bake")
     mattes = Matte(by_instance, of_instances), Matte(by_class, of_classes)
-    return BakedView(camera, joined(layers), mattes)
+    return BakedView(camera, joined(layers), mattes, guessed=np.concatenate(guessed) if guessed else None)
 
 
 def things_coverage(rendering: PanopticRendering, classes: ClassTable) -> NDArray[np.float32]:

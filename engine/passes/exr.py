@@ -274,6 +274,8 @@ def _pass_channels(view: BakedView, further: Collection[str]) -> dict[str, NDArr
     half = {f"Combined.{c}": layers.combined[..., k] for k, c in enumerate("RGBA")}
     half |= {"Confidence.V": layers.confidence, "Entropy.V": layers.entropy}
     exact = {"Depth.V": layers.depth, "Semantic.V": layers.semantic, "Instance.V": layers.instance}
+    if view.guessed is not None:
+        half["Guessed.V"] = np.clip(view.guessed, 0.0, 1.0)
     surface = view.surface if {*further} & {"normal", "position"} else None
     if surface is not None and "normal" in further:
         half |= {f"Normal.{c}": surface.normal[k] for k, c in enumerate("XYZ")}

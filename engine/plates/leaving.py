@@ -1,0 +1,142 @@
+"""What leaves with removed objects: their own points and Gaussians, legs that their masks missed, and what floats."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ..corrections.fills import CELL, cell_keys, cells_of
+from ..lift.baking import OWNED
+from .planes import ON_PLANE, Plane
+from .views import PlateView, grown
+
+STRAY = 0.12
+"""Metres from the objects' semantic points beyond which a mask has leaked."""
+AROUND = 0.5
+"""Metres around the objects in which planes are sought."""
+THINNED = 0.015
+"""Metres between points of anything else."""
+NEAR = 0.08
+"""Metres around the objects' points within which a Gaussian needs a surface of something else to stay."""
+ON_SURFACE = 0.025
+"""Metres from a surface of something else within which a Gaussian belongs to it."""
+MOST_POINTS = 40000
+"""The most points of the objects that Gaussians are compared with."""
+TOUCHED = 0.1
+"""The same for one NEAR the objects."""
+LEGS, BESIDE_LEGS = 0.6, 0.08
+"""Metres below an object and around its outline within which legs are sought."""
+ABOVE_SUPPORT = 0.03
+"""Metres above a support from which on a point belongs to what stands there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Others:
+    """The photos' points of anything else: ``xyz`` [N, 3] metres, ``label`` int32 [N], ``towards`` [N, 3], the
+    direction to a camera that sees the point."""
+
+    xyz: NDArray[np.float64]
+    label: NDArray[np.int32]
+    towards: NDArray[np.float64]
+
+    def of(self, rows: NDArray[np.bool_]) -> Others:
+        return Others(self.xyz[rows], self.label[rows], self.towards[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class Leaving:
+    """``xyz`` [N, 3] metres: the points that photos saw of what leaves. ``low``, ``high`` [3]: their box."""
+
+    xyz: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, xyz: NDArray[np.float64]) -> Leaving:
+        low, high = np.percentile(xyz, (1, 99), axis=0)
+        return cls(xyz, low, high)
+
+
+def leaving_points(views: Sequence[PlateView], points: NDArray[np.floating]) -> Leaving:
+    """What the photos show of the objects with these semantic points [N, 3]."""
+    inner = np.percentile(points, (2, 98), axis=0)
+    points = points[((points >= inner[0] - 0.1) & (points <= inner[1] + 0.1)).all(axis=1)].astype(np.float64)
+    parts = [points]
+    for view in views:
+        inside = ~grown(~view.leaves, 1) & (view.depth > 0)
+        parts.append(view.camera.unproject(view.depth)[inside])
+    found = np.concatenate(parts)
+    return Leaving.of(found[np.isfinite(cKDTree(points).query(found, distance_upper_bound=STRAY, workers=-1)[0])])
+
+
+def other_points(views: Sequence[PlateView], leaving: Leaving) -> Others:
+    """What the photos show of anything else within AROUND, one point in each cell of THINNED."""
+    low, high = leaving.low - AROUND, leaving.high + AROUND
+    parts = []
+    for view in views:
+        world = view.camera.unproject(view.depth)
+        chosen = (view.depth > 0) & ~view.beside & ((world > low) & (world < high)).all(axis=-1)
+        parts.append((world[chosen], view.label[chosen], view.camera.centre - world[chosen]))
+    xyz, label, towards = (np.concatenate(each) for each in zip(*parts, strict=True))
+    _, first = np.unique(cell_keys(np.floor(xyz / THINNED).astype(np.int64)), return_index=True)
+    away = towards[first]
+    return Others(xyz[first], label[first], away / np.linalg.norm(away, axis=1, keepdims=True))
+
+
+def legs_of(leaving: Leaving, others: Others, planes: Sequence[Plane]) -> NDArray[np.bool_]:
+    """Which of the other points [N] are parts of the objects that their masks missed: what is called stuff between
+    their tops and what they stand on, off every plane."""
+    support = support_of(leaving, planes)
+    if support is None:
+        return np.zeros(len(others.xyz), np.bool_)
+    height = others.xyz[:, 2]
+    legs = (height > support + ABOVE_SUPPORT) & (height < leaving.high[2]) & (others.label <= 0)
+    tree = cKDTree(leaving.xyz[:, :2])
+    legs[legs] = np.isfinite(tree.query(others.xyz[legs][:, :2], distance_upper_bound=BESIDE_LEGS)[0])
+    for plane in planes:
+        legs &= np.abs(plane.local(others.xyz)[:, 2]) > 1.2 * ON_PLANE
+    return legs
+
+
+def support_of(leaving: Leaving, planes: Sequence[Plane]) -> float | None:
+    """The height in metres of the floor or table that what leaves stands on; None if it hangs."""
+    floors = [plane.origin[2] for plane in planes if plane.is_floor and abs(plane.origin[2] - leaving.low[2]) < LEGS]
+    below = [height for height in floors if height < leaving.low[2] + 0.1]
+    return max(below) if below else None
+
+
+def with_legs(
+    views: Sequence[PlateView], leaving: Leaving, others: Others, planes: Sequence[Plane]
+) -> tuple[list[PlateView], Leaving, Others]:
+    """All three, once the legs have left, too."""
+    legs = legs_of(leaving, others, planes)
+    if not legs.any():
+        return list(views), leaving, others
+    own = others.xyz[legs]
+    beside = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3), axis=-1).reshape(-1, 1, 3)
+    cells = np.unique((cells_of(own)[None] + beside).reshape(-1, 3), axis=0)
+    more = replace(leaving, xyz=np.concatenate([leaving.xyz, own]), low=np.minimum(leaving.low, own.min(axis=0)))
+    cells = cells[cells[:, 2] * CELL > (support_of(leaving, planes) or 0.0) + ABOVE_SUPPORT - CELL]
+    return [view.also_without(cells) for view in views], more, others.of(~legs)
+
+
+def leaving_gaussians(
+    centres: NDArray[np.floating], label: NDArray[np.int32], share: NDArray[np.floating], leaving: Leaving,
+    others: Others,
+) -> NDArray[np.bool_]:  # fmt: skip
+    """Which Gaussians, with their likeliest ``label`` [G], leave, bool [G]: those with a ``share`` [G] of the objects'
+    labels; and near them all of stuff that no surface of anything else supports, which float or are inside."""
+    gone = share > OWNED
+    low, high = leaving.low, leaving.high
+    rows = np.flatnonzero(((centres > low - 0.15) & (centres < high + 0.15)).all(axis=1))
+    some = centres[rows]
+    own = cKDTree(leaving.xyz[:: max(1, len(leaving.xyz) // MOST_POINTS)])
+    near, _ = own.query(some, distance_upper_bound=NEAR, workers=-1)
+    is_near = np.isfinite(near) | ((some > low) & (some < high)).all(axis=1)
+    on, _ = cKDTree(others.xyz).query(some, distance_upper_bound=ON_SURFACE, workers=-1)
+    gone[rows] |= is_near & ((np.isinf(on) & (label[rows] <= 0)) | (share[rows] > TOUCHED))
+    return gone

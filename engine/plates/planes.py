@@ -1,0 +1,90 @@
+"""The planes around removed objects: floors, walls, table tops."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+ON_PLANE = 0.02
+"""Metres from a plane within which a point is on it."""
+MOST, TRIES, SAMPLE = 6, 150, 4000
+"""The most planes that are sought, the tries for each, and the points that judge a try."""
+LEAST_SHARE, LEAST_POINTS = 0.04, 60
+"""A plane has at least this share of the points, and this many."""
+_SEED_REACH = 0.25
+"""Metres within which the three points of a try lie."""
+UPRIGHT = 0.95
+"""Least upward part of the normal of a floor or a table's top."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """``origin`` [3] metres; ``axes`` [3, 3]: two directions within the plane, and its normal towards the cameras."""
+
+    origin: NDArray[np.float64]
+    axes: NDArray[np.float64]
+
+    def local(self, xyz: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Positions [N, 3] along the axes; the last is the height above the plane."""
+        return (xyz - self.origin) @ self.axes.T
+
+    def world(self, uv: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Positions [..., 3] in the world of positions [..., 2] within the plane."""
+        return uv @ self.axes[:2] + self.origin
+
+    @property
+    def is_floor(self) -> bool:
+        """Whether things can stand on it."""
+        return bool(self.axes[2, 2] > UPRIGHT)
+
+
+def find_planes(xyz: NDArray[np.floating], towards: NDArray[np.floating]) -> list[Plane]:
+    """The planes of points [N, 3], largest first, by RANSAC; ``towards`` [N, 3] are the directions to cameras that saw
+    the points."""
+    random = np.random.default_rng(0)
+    left, least = np.arange(len(xyz)), max(LEAST_POINTS, int(LEAST_SHARE * len(xyz)))
+    planes: list[Plane] = []
+    while len(planes) < MOST and len(left) >= least:
+        found = _largest(xyz[left], random)
+        if found is None or (on := np.abs(xyz[left] @ found[0] - found[1]) < ON_PLANE).sum() < least:
+            break
+        normal, offset = found
+        if np.median(towards[left[on]] @ normal) < 0:
+            normal, offset = -normal, -offset
+        planes.append(Plane(xyz[left[on]].mean(axis=0).astype(np.float64), _axes(normal)))
+        left = left[np.abs(xyz[left] @ normal - offset) > 1.5 * ON_PLANE]
+    return planes
+
+
+def _largest(xyz: NDArray[np.floating], random: np.random.Generator) -> tuple[NDArray[np.float64], float] | None:
+    """Normal and offset of the plane with most of the points [N, 3]."""
+    sample = xyz[random.permutation(len(xyz))[:SAMPLE]].astype(np.float64)
+    near = cKDTree(sample).query_ball_point(sample[random.integers(len(sample), size=TRIES)], _SEED_REACH)
+    corners = np.array([random.choice(ball, 3) for ball in near])
+    a, b, c = sample[corners.T]
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1)
+    if not (proper := lengths > 1e-6).any():
+        return None
+    normals, a = normals[proper] / lengths[proper, None], a[proper]
+    counts = (np.abs(sample @ normals.T - (a * normals).sum(axis=1)) < ON_PLANE).sum(axis=0)
+    normal = normals[best := int(counts.argmax())]
+    offset = float(a[best] @ normal)
+    for _ in range(3):
+        on = xyz[np.abs(xyz @ normal - offset) < ON_PLANE].astype(np.float64)
+        centre = on.mean(axis=0)
+        normal = np.linalg.svd(on[:: max(1, len(on) // 5000)] - centre, full_matrices=False)[2][2]
+        offset = float(centre @ normal)
+    return normal, offset
+
+
+def _axes(normal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Axes [3, 3] of a plane with this normal, the first of them level."""
+    across = np.cross([0.0, 0.0, 1.0], normal)
+    if np.linalg.norm(across) < 0.3:
+        across = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+    across /= np.linalg.norm(across)
+    return np.stack([across, np.cross(normal, across), normal])

@@ -1,0 +1,164 @@
+"""Removing objects from a finished lift, from end to end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from hashlib import sha256
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import __version__
+from ..corrections import CorrectedResult, Edit, correct, making, read_corrected
+from ..corrections.edits import CORRECTIONS, no_object, read_edits
+from ..corrections.fills import Fill, path_of, read_fill, write_fill
+from ..corrections.replay import Replay
+from ..errors import ErrorCode, PlgsError
+from ..job import LiftFolder, read_manifest
+from ..job.progress import Progress, part_of, unwatched
+from ..lift.baking import FrameBaker, read_baker, voted_labels
+from ..lift.scene_files import MODEL
+from ..model.settling import gaussian_centres
+from ..scene_of_lift import scene_of_lift
+from .completion import complete
+from .fill import cleared_cells, gaussians_of, joined, replaced_gaussians
+from .leaving import leaving_gaussians, leaving_points, other_points, with_legs
+from .planes import ON_PLANE, Plane, find_planes
+from .texture import texture_around
+from .views import PlateView, frames_around, read_views
+
+TOGETHER = 0.5
+"""Metres between the boxes of objects that are removed together."""
+READ = 0.7
+"""The share of the time that the photos take."""
+
+
+def remove(folder: LiftFolder, ids: Sequence[int], progress: Progress = unwatched) -> tuple[Edit, CorrectedResult]:
+    """Take objects out of a finished lift, an edit like any other. Returns the edit and the new result. Raises
+    PlgsError if there is no such object, or the scene is gone or another; OSError, and what ``progress`` raises.
+    Nothing is then changed."""
+    before = read_corrected(folder.path)
+    name, digest = _made_fill(folder, before, ids, progress)
+
+    def make(state: Replay, _: int) -> Edit:
+        if {edit.uid: edit.undone for edit in read_edits(folder.path)} != {
+            edit.uid: edit.undone for edit in before.edits
+        }:
+            what = "the lift was corrected in the meantime"
+            raise PlgsError("corrected-meanwhile", what, folder.path / CORRECTIONS, "Try again.", code=ErrorCode.BUSY)
+        return making.remove(state, ids, name, digest)
+
+    return correct(folder.path, make)
+
+
+def without(folder: LiftFolder, ids: Sequence[int], progress: Progress = unwatched) -> CorrectedResult:
+    """The corrected result without objects, as `remove` would leave it; the edit is not kept. Raises what `remove`
+    raises."""
+    before = read_corrected(folder.path)
+    name, digest = _made_fill(folder, before, ids, progress)
+    state = Replay(before.classes, before.points, np.zeros(0, np.int32), {one.id: one for one in before.instances})
+    marks = tuple(state.mark(number) for number in ids)
+    return read_corrected(folder.path, further=[Edit("remove", marks, fill=name, digest=digest, uid=name)])
+
+
+def _made_fill(
+    folder: LiftFolder, corrected: CorrectedResult, ids: Sequence[int], progress: Progress
+) -> tuple[str, str]:
+    """The name and the digest of the file with what replaces objects. What was computed before is kept."""
+    known = sorted(one.id for one in corrected.instances)
+    for number in ids:
+        if number not in known:
+            raise no_object(f"there is no object {number}", CORRECTIONS, known)
+    files = {str(file.path): file.sha256 for file in read_manifest(folder.result_path).files}
+    asked = repr((sorted(set(ids)), corrected.fingerprint, files[MODEL], __version__))
+    name = sha256(asked.encode()).hexdigest()[:16]
+    path = path_of(folder.path, name)
+    if path.is_file():
+        try:
+            read_fill(path)
+            return name, sha256(path.read_bytes()).hexdigest()
+        except PlgsError:  # a damaged one is made again
+            pass
+    return name, write_fill(path, fill_of(folder, corrected, ids, progress))
+
+
+def fill_of(folder: LiftFolder, corrected: CorrectedResult, ids: Sequence[int], progress: Progress) -> Fill:
+    """What replaces objects of a lift. Raises PlgsError if its photos cannot be read, and what ``progress`` raises."""
+    scene = scene_of_lift(folder)
+    baker = read_baker(folder, scene.classes, corrected)
+    points = {number: corrected.points.xyz[corrected.points.instance_id == number] for number in ids}
+    points = {number: xyz for number, xyz in points.items() if len(xyz)}
+    if not points:
+        what = "no point of the lift belongs to these objects"
+        raise PlgsError("remove-no-points", what, folder.path, "Delete them instead.")
+    room = _Room(baker, corrected, ids)
+    every = np.concatenate([*points.values()])
+    frames = frames_around(scene.train_frames, every.min(axis=0), every.max(axis=0))
+    views = list(read_views(frames, baker, ids, part_of(progress, 0.0, READ)))
+    groups, parts = _groups([*points.values()]), list[Fill]()
+    for number, xyz in enumerate(groups):
+        begin, end = (READ + (1 - READ) * done / len(groups) for done in (number, number + 1))
+        parts.append(room.without(views, xyz, part_of(progress, begin, end)))
+    progress(1, 1)
+    return joined(parts)
+
+
+def _groups(points: Sequence[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
+    """The points [N, 3] of objects, joined where their boxes are near each other."""
+    groups: list[NDArray[np.float32]] = []
+    for xyz in points:
+        apart = []
+        for other in groups:
+            gap = np.maximum(xyz.min(axis=0) - other.max(axis=0), other.min(axis=0) - xyz.max(axis=0)).max()
+            if gap < TOGETHER:
+                xyz = np.concatenate([xyz, other])
+            else:
+                apart.append(other)
+        groups = [*apart, xyz]
+    return groups
+
+
+class _Room:
+    """The lift from which the objects ``ids`` are removed."""
+
+    def __init__(self, baker: FrameBaker, corrected: CorrectedResult, ids: Sequence[int]) -> None:
+        scene = baker.lifted
+        voted = voted_labels(scene, corrected)
+        codes = np.array([*(-one for one in scene.channels.class_ids), *scene.channels.shown_ids], np.int32)
+        label = codes[voted.label.numpy().astype(np.int64)]
+        share = np.where(np.isin(label, sorted(ids)), voted.share.numpy(), 0).sum(axis=1)
+        centres, drawn = gaussian_centres(scene.anchors), np.ones(len(label), np.bool_)
+        if scene.fill is not None:
+            centres = np.concatenate([centres, scene.fill.means.numpy()])
+            drawn[: len(scene.fill.gone)] = ~scene.fill.gone.numpy()
+        self.things, self.label = corrected.classes.thing_ids, label[drawn, 0]
+        others = corrected.points.instance_id > 0
+        self.staying = corrected.points.xyz[others & ~np.isin(corrected.points.instance_id, ids)]
+        self.centres, self.share = centres[drawn].astype(np.float64), share[drawn]
+
+    def without(self, views: Sequence[PlateView], points: NDArray[np.floating], progress: Progress) -> Fill:
+        """What replaces the objects with these points [N, 3]."""
+        leaving = leaving_points(views, points)
+        others = other_points(views, leaving)
+        progress(1, 10)
+        planes = find_planes(others.xyz, others.towards)
+        views, leaving, others = with_legs(views, leaving, others, planes)
+        progress(3, 10)
+        gone = leaving_gaussians(self.centres, self.label, self.share, leaving, others)
+        parts = list[Fill]()
+        for number, plane in enumerate(planes):
+            progress(4 + 6 * number // len(planes), 10)
+            solid = [one for one in planes if one is not plane and self._is_stuff(one, others.xyz, others.label)]
+            texture = texture_around(plane, solid, views, leaving)
+            completed = texture and complete(texture, leaving, self.staying)
+            if texture is not None and completed:
+                parts.append(gaussians_of(texture, completed))
+                gone |= replaced_gaussians(self.centres, self.label, texture, completed, planes, leaving)
+        stuff = self.label <= 0
+        cells = cleared_cells(self.centres, gone & stuff, ~gone & stuff)
+        return replace(joined(parts), cells=cells)
+
+    def _is_stuff(self, plane: Plane, xyz: NDArray[np.floating], label: NDArray[np.int32]) -> bool:
+        on = np.abs(plane.local(xyz)[:, 2]) < ON_PLANE
+        return bool(((label[on] < 0) & ~np.isin(-label[on], sorted(self.things))).mean() > 0.5)

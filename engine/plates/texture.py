@@ -1,0 +1,194 @@
+"""A plane as the photos show it, rectified: its colours, its labels, and what of it only removed objects hide."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, binary_fill_holes, distance_transform_edt
+from scipy.ndimage import label as components
+
+from .leaving import LEGS, Leaving
+from .planes import ON_PLANE, Plane
+from .views import PlateView
+
+BESIDE = 0.12
+"""Metres between objects and a wall beside them at most, if it is to hide anything of it."""
+COARSE = 0.04
+"""Metres, the side of a texel of the first look at a plane."""
+FINEST, COARSEST = 0.006, 0.02
+"""Metres, the limits of a texel's side."""
+MOST_TEXELS = 60000
+CONTEXT = 0.7
+"""Metres of the plane around the hole, which show its light and its pattern."""
+MOSTLY = 0.4
+"""Of the photos that show something before a texel, the share that show what leaves before it, where it hides it."""
+FRAMED = 0.5
+"""Least share of a hole's edge at which photos saw the plane. A plane that merely passes by has less."""
+GRAZING = 0.05
+"""Least cosine between a view and the plane's normal."""
+STANDS_OVER = 0.6
+"""Metres above a plane within which what leaves stands over it."""
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(eq=False)
+class Texture:
+    """A rectangle of a plane. ``low`` [2]: its corner within the plane, ``texel`` metres. All [h, w]: ``colour`` [h, w,
+    3]; ``seen`` by a photo; ``hidden`` in every photo by what leaves; ``label`` int32 (see PlateView); ``inside`` the
+    room."""
+
+    plane: Plane
+    low: NDArray[np.float64]
+    texel: float
+    colour: NDArray[np.float32]
+    seen: Mask
+    hidden: Mask
+    label: NDArray[np.int32]
+    inside: Mask
+
+    def points(self) -> NDArray[np.float64]:
+        """The middle of each texel in the world, [h, w, 3]."""
+        return grid(self.plane, self.low, self.texel, self.seen.shape)
+
+    def hole(self) -> Mask:
+        """What is hidden, and the rim between that and what photos saw, where the plane surrounds it."""
+        if not self.hidden.any():
+            return self.hidden
+        reach = max(0.1, 2 * self.texel)
+        rim = ~self.seen & self.inside & (distance_transform_edt(~self.hidden) * self.texel <= reach)
+        return _framed(self.hidden | rim, self.seen, self.inside)
+
+    def below(self, leaving: Leaving) -> Mask:
+        """The texels that what leaves stands over."""
+        local = self.plane.local(leaving.xyz)
+        h, w = self.seen.shape
+        x, y = np.floor((local[:, :2] - self.low) / self.texel).astype(int).T
+        over = (x >= 0) & (x < w) & (y >= 0) & (y < h) & (local[:, 2] > -0.05) & (local[:, 2] < STANDS_OVER)
+        mask = np.zeros((h, w), np.bool_)
+        mask[y[over], x[over]] = True
+        return closed(mask, 3)
+
+
+def grid(plane: Plane, low: NDArray[np.float64], texel: float, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    y, x = np.mgrid[0 : shape[0], 0 : shape[1]]
+    return plane.world(low + (np.stack([x, y], axis=-1) + 0.5) * texel)
+
+
+def closed(mask: Mask, radius: int) -> Mask:
+    """A mask without gaps up to twice the ``radius``, in texels."""
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2)
+    wide = cv2.morphologyEx(np.pad(mask, radius + 1).astype(np.uint8), cv2.MORPH_CLOSE, kernel) > 0
+    return np.asarray(wide[radius + 1 : -radius - 1, radius + 1 : -radius - 1])
+
+
+def texture_around(
+    plane: Plane, solid: Sequence[Plane], views: Sequence[PlateView], leaving: Leaving
+) -> Texture | None:
+    """The plane around what leaves; None if nothing of it was hidden. Nothing of it is behind a ``solid`` plane."""
+    corners = np.stack(np.meshgrid(*zip(leaving.low, leaving.high, strict=True)), axis=-1).reshape(-1, 3)
+    flat = plane.local(corners)
+    if flat[:, 2].min() > (LEGS if plane.is_floor else BESIDE) or flat[:, 2].max() < -0.05:
+        return None  # far before the plane, or behind it
+    start, end = flat[:, :2].min(axis=0) - 0.3, flat[:, :2].max(axis=0) + 0.3
+    coarse = _look(plane, solid, views, start, end, COARSE)
+    if coarse is None:
+        return None
+    near = coarse.hole() | (coarse.below(leaving) & binary_dilation(coarse.seen, np.ones((5, 5))))
+    y, x = np.nonzero(near)
+    if not len(x):
+        return None
+    first = start + (np.array([x.min(), y.min()]) - 1) * COARSE - CONTEXT
+    last = start + (np.array([x.max(), y.max()]) + 2) * COARSE + CONTEXT
+    middle = plane.world((first + last) / 2)
+    sizes = [z / view.camera.fx for view in views for _, z in [view.camera.project(middle)] if z > 0.3]
+    texel = float(np.clip(np.percentile(sizes, 15), FINEST, COARSEST)) if sizes else COARSEST
+    return _look(plane, solid, views, first, last, max(texel, float(np.sqrt((last - first).prod() / MOST_TEXELS))))
+
+
+class _Sums:
+    """What the views show of N texels, added up."""
+
+    def __init__(self, count: int) -> None:
+        self.colour, self.weight = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
+        self.covered, self.hidden = np.zeros(count, np.int32), np.zeros(count, np.int32)
+        self.votes: dict[int, NDArray[np.float32]] = {}
+
+    def add(self, plane: Plane, view: PlateView, xyz: NDArray[np.float64]) -> None:
+        """Add what a view shows of the texels at ``xyz`` [N, 3]."""
+        rows, pixel, depth = view.camera.seen(xyz)
+        away = view.camera.centre - xyz[rows]
+        facing = away @ plane.axes[2] / np.linalg.norm(away, axis=1)
+        front = (facing > GRAZING) & (depth > 0.1)
+        rows, pixel, depth, facing = rows[front], pixel[front], depth[front], facing[front]
+        column, row = pixel.astype(np.int64).T
+        measured = view.depth[row, column]
+        covered = (measured < depth - 0.01) & (measured > 0)
+        self.covered[rows[covered]] += 1
+        self.hidden[rows[covered & view.leaves[row, column]]] += 1
+        slant = depth / view.camera.fx * np.sqrt(1 - facing**2) / facing  # metres of depth from pixel to pixel
+        good = (measured > 0) & (np.abs(measured - depth) < np.minimum(ON_PLANE + 0.01 * depth + slant, 0.06))
+        steps = cv2.dilate(view.depth, np.ones((3, 3))) - cv2.erode(view.depth, np.ones((3, 3)))
+        good &= ~view.beside[row, column] & (steps[row, column] < 4 * slant + 0.03)  # at an edge, colours mix
+        rows, pixel = rows[good], pixel[good]
+        strength = ((facing[good] / depth[good] ** 2) ** 2).astype(np.float32)
+        self.colour[rows] += strength[:, None] * _sampled(view.colour, pixel)
+        self.weight[rows] += strength
+        kind = view.label[row[good], column[good]]
+        for one in np.unique(kind).tolist():
+            self.votes.setdefault(one, np.zeros(len(xyz), np.float32))[rows[kind == one]] += strength[kind == one]
+
+
+def _look(
+    plane: Plane, solid: Sequence[Plane], views: Sequence[PlateView], start: NDArray[np.float64],
+    end: NDArray[np.float64], texel: float,
+) -> Texture | None:  # fmt: skip
+    """What the photos show of a rectangle; None if they show nothing of it, or a thing's side."""
+    w, h = np.ceil((end - start) / texel).astype(int).tolist()
+    xyz = grid(plane, start, texel, (h, w)).reshape(-1, 3)
+    sums, inside = _Sums(h * w), np.ones(h * w, np.bool_)
+    for other in solid:
+        inside &= other.local(xyz)[:, 2] > -ON_PLANE
+    for view in views:
+        sums.add(plane, view, xyz)
+    votes = {one: each for one, each in sums.votes.items() if one != 0}
+    if not votes:
+        return None
+    most = max(votes, key=lambda one: float(votes[one].sum()))
+    if most > 0 and not plane.is_floor:
+        return None  # a table's top carries things, its side does not
+    votes = {one: each for one, each in votes.items() if one == most or (one < 0 and most < 0)}  # no thing lies flat
+    names = np.array(sorted(votes), np.int32)
+    counted = np.stack([votes[one] for one in names.tolist()])
+    seen = counted.any(axis=0).reshape(h, w)
+    label = np.where(seen, names[counted.argmax(axis=0)].reshape(h, w), 0).astype(np.int32)
+    label[seen] = cv2.medianBlur(label.astype(np.float32), 5).astype(np.int32)[seen]
+    hidden = (sums.hidden >= MOSTLY * sums.covered) & (sums.hidden > 0) & (sums.weight == 0) & inside
+    colour = (sums.colour / np.maximum(sums.weight, 1e-9)[:, None]).reshape(h, w, 3)
+    return Texture(plane, start, texel, colour, seen & (label != 0), hidden.reshape(h, w), label, inside.reshape(h, w))
+
+
+def _sampled(picture: NDArray[np.float32], pixel: NDArray[np.float64]) -> NDArray[np.float32]:
+    """The colours [n, 3] at continuous pixel coordinates [n, 2], interpolated."""
+    places = np.zeros((-(-len(pixel) // 1024) * 1024, 2), np.float32)  # OpenCV takes no row longer than 32767
+    places[: len(pixel)] = pixel - 0.5
+    x, y = places.reshape(-1, 1024, 2).transpose(2, 0, 1)
+    found = cv2.remap(picture, np.ascontiguousarray(x), np.ascontiguousarray(y), cv2.INTER_LINEAR,
+                      borderMode=cv2.BORDER_REPLICATE) if len(pixel) else np.zeros((0, 3), np.float32)  # fmt: skip
+    return np.asarray(found.reshape(-1, 3)[: len(pixel)])
+
+
+def _framed(hole: Mask, seen: Mask, inside: Mask) -> Mask:
+    """The parts of the hole whose edges photos saw."""
+    part, count = components(hole)
+    kept = np.zeros_like(hole)
+    for number in range(1, count + 1):
+        one = np.pad(part == number, 3)
+        edge = binary_dilation(one, iterations=3) & ~one & np.pad(inside, 3, constant_values=True)
+        if one.sum() >= 2 and edge.any() and np.pad(seen, 3)[edge].mean() >= FRAMED:
+            kept |= one[3:-3, 3:-3]
+    return np.asarray(binary_fill_holes(closed(kept, 5)) & inside) if kept.any() else kept
