@@ -9,8 +9,8 @@ import bpy
 import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatVectorProperty, IntProperty
 
-from ..plgs_blender import correction_tools, corrections, registry
-from ..plgs_blender.correction_tools import Painting, SplitByViews, split_by_views
+from ..plgs_blender import correction_tools, corrections, registry, reuse
+from ..plgs_blender.correction_tools import Painting, RemoveObjects, SplitByViews, remove_objects, split_by_views
 from ..plgs_blender.engine_environment import why_no_engine
 from ..plgs_blender.errors import EXPECTED, PlgsError, one_line, plural
 from ..plgs_blender.inspecting import selection, views
@@ -116,6 +116,39 @@ class PLGS_OT_delete_instance(OnInstance, bpy.types.Operator):
 
     def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
         corrections.delete(root, row_of(root, self.instance).instance_id, around=self.becomes == "AROUND")
+
+
+class PLGS_OT_remove_instances(base.StartsTask, OnInstances, bpy.types.Operator):
+    """Take the objects out of the room: an engine draws what other photos saw behind them, and fills in the rest"""
+
+    bl_idname, bl_label = "plgs.remove_instances", "Remove (Clean Plate)"
+
+    make_objects: base.argument(BoolProperty, "Make Objects", "Keep each as a mesh of its own, which you can move")
+
+    @classmethod
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        if registry.running(RemoveObjects):
+            return "The engine is already removing objects"
+        return super().why_not(context) or (why_no_engine() if base.panel_of(context) is not None else None)
+
+    def begin(self, context: bpy.types.Context) -> Task:
+        root = self.root(context)
+        numbers = corrections.chosen_instances(root, self.instances, context)
+        if self.make_objects:
+            reuse.make_objects(root, numbers, as_assets=False)
+        return remove_objects(root, numbers)
+
+
+class PLGS_OT_put_back(OnLift, bpy.types.Operator):
+    """Put a removed object back, with all that were removed together with it"""
+
+    bl_idname, bl_label, bl_options = "plgs.put_back", "Put Back", _UNDOABLE
+
+    instance: base.argument(IntProperty, "Instance", "Id of the removed object; 0: the last one", min=0)
+
+    def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
+        removed = corrections.removed_objects(root)
+        corrections.put_back(root, self.instance or max(removed, default=0))
 
 
 _SPLITS = [
@@ -361,3 +394,5 @@ class PLGS_OT_next_uncertain_frame(OnLift, bpy.types.Operator):
 
 
 PLGS_OT_cancel_split = base.cancels(SplitByViews, "Stop reading the masks. An object that is not split yet stays whole")
+
+PLGS_OT_cancel_removal = base.cancels(RemoveObjects, "Stop removing objects. Nothing is then changed")

@@ -139,7 +139,7 @@ class PLGS_OT_isolate_selected(OnSelected, bpy.types.Operator):
 
 
 class PLGS_OT_delete_selected(OnSelected, bpy.types.Operator):
-    """Hide or dissolve the selected objects of the lift, and hide or delete your own selected objects with them"""
+    """Hide, dissolve or remove the selected objects of the lift, and hide or delete your own selected objects"""
 
     bl_idname, bl_label, bl_options = "plgs.delete_selected", "Remove Objects", {"UNDO", "INTERNAL"}
 
@@ -148,6 +148,7 @@ class PLGS_OT_delete_selected(OnSelected, bpy.types.Operator):
         items=[
             ("HIDE", "Hide", "They leave the view. Show All brings back the lift's own, Alt H other objects"),
             ("DISSOLVE", "Dissolve into Surroundings", "They stay visible, as part of what is around them"),
+            ("REMOVE", "Remove (Clean Plate)", "They are gone, and what was behind them is drawn instead"),
         ],
     )  # fmt: skip
 
@@ -174,6 +175,9 @@ class PLGS_OT_delete_selected(OnSelected, bpy.types.Operator):
                 ob.hide_set(True)
             self.report({"INFO"}, one_line(f"Hidden: {', '.join(names[number] for number in numbers)}"))
             return FINISHED
+        if self.way == "REMOVE":
+            named = " ".join(map(str, numbers))
+            return set(bpy.ops.plgs.remove_instances("INVOKE_DEFAULT", lift=root.name, instances=named))
         selected = {ob.session_uid: _lift_of(ob, context.scene) for ob in context.selected_objects}
         others = {uid for uid, lift in selected.items() if lift is None}
         try:

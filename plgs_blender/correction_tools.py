@@ -1,11 +1,11 @@
-"""Tools that correct an object: a cutting plane, painted points, and a split by the views' masks."""
+"""Tools that correct an object: a cutting plane, painted points, and what an engine does: splits by views, removals."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import bpy
 import numpy as np
@@ -193,10 +193,11 @@ def boxed(
     return rows[((pixel >= low) & (pixel <= high)).all(axis=1)]
 
 
-class SplitByViews(Task):
-    """Splits one object of a placed lift. The engine writes the edit to the lift's file; then it is shown."""
+class EditByEngine(Task):
+    """An edit of a placed lift that needs the photos or the masks. The engine writes it to the lift's file; then it is
+    shown. ``step``: the name of its undo step."""
 
-    kind, label, cancel_operator = "split", "Reading the masks", "plgs.cancel_split"
+    edit_kind, step = "", ""
 
     def __init__(self, lift: Path, follower: TaskFollower, known: Collection[str]) -> None:
         """``known``: the uids of the edits that existed before."""
@@ -213,15 +214,8 @@ class SplitByViews(Task):
     def was_cancelled(self) -> bool:
         return super().was_cancelled and not self.has_finished
 
-    @property
-    def message(self) -> str:
-        """One line about the resulting objects."""
-        if self.was_cancelled:
-            return "The split was cancelled"
-        return plural(0 if self._edit is None else len(self._edit.made), "new object")
-
     def done(self, scene: Any) -> None:
-        made = [edit for edit in read_edits(self._lift) if edit.uid not in self._known and edit.kind == "split"]
+        made = [edit for edit in read_edits(self._lift) if edit.uid not in self._known and edit.kind == self.edit_kind]
         self._edit = made[-1] if made else None
         every = {root for each in bpy.data.scenes for root in lifts_in(each)}  # a set, as scenes may share a collection
         shown = [root for root in every if is_same_place(text_of(root, FOLDER), self._lift)]
@@ -230,13 +224,50 @@ class SplitByViews(Task):
         result = read_corrected(self._lift)
         for root in shown:
             corrections.show_edit(root, self._edit.uid, result)
-        self.undo_step = "Split by Views"
+        self.undo_step = self.step
+
+    @classmethod
+    def start(cls, root: bpy.types.Collection, *edit: str) -> Self:
+        """Let an engine make this edit of a placed lift. Raises PlgsError, OSError."""
+        registry.refuse_second(cls)
+        lift, python = folder_of(root), engine_environment.usable_python()
+        known = {each.uid for each in read_edits(lift)}
+        return registry.begin(cls(lift, start_engine("correct", python, lift, *edit), known))
+
+
+class SplitByViews(EditByEngine):
+    """Splits one object."""
+
+    kind, label, cancel_operator = "split", "Reading the masks", "plgs.cancel_split"
+    edit_kind, step = "split", "Split by Views"
+
+    @property
+    def message(self) -> str:
+        """One line about the resulting objects."""
+        if self.was_cancelled:
+            return "The split was cancelled"
+        return plural(0 if self._edit is None else len(self._edit.made), "new object")
+
+
+class RemoveObjects(EditByEngine):
+    """Takes objects out of the room, and fills what was behind them."""
+
+    kind, label, cancel_operator = "remove", "Removing objects", "plgs.cancel_removal"
+    edit_kind, step = "remove", "Remove Objects"
+
+    @property
+    def message(self) -> str:
+        """One line about the removed objects."""
+        if self.was_cancelled:
+            return "The removal was cancelled"
+        return f"{plural(0 if self._edit is None else len(self._edit.objects), 'object')} removed"
 
 
 def split_by_views(root: bpy.types.Collection, instance: int) -> SplitByViews:
     """Start splitting an object of a placed lift into the parts that the masks separate. Raises PlgsError, OSError."""
-    registry.refuse_second(SplitByViews)
-    lift, python = folder_of(root), engine_environment.usable_python()
-    known = {edit.uid for edit in read_edits(lift)}
-    follower = start_engine("correct", python, lift, "split", str(instance), "--views")
-    return registry.begin(SplitByViews(lift, follower, known))
+    return SplitByViews.start(root, "split", str(instance), "--views")
+
+
+def remove_objects(root: bpy.types.Collection, instances: Sequence[int]) -> RemoveObjects:
+    """Start taking objects out of a placed lift. Raises PlgsError, OSError."""
+    return RemoveObjects.start(root, "remove", *map(str, instances))

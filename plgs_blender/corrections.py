@@ -23,6 +23,7 @@ from ..engine.corrections.edits import Edit, read_edits
 from ..engine.corrections.proposals import BY_VIEWS, Proposal, Proposals, class_of_parts, entropy_of_views, proposals_of
 from ..engine.corrections.replay import Replay
 from ..engine.corrections.result import CorrectedResult, correct, read_corrected, set_undone, undo
+from ..engine.corrections.result import put_back as engine_put_back
 from ..engine.errors import PlgsError
 from ..engine.job import LiftFolder
 from ..engine.job.report import doubt_of_frames, read_metrics
@@ -32,6 +33,7 @@ from .clouds import SurfaceGrid, place_anchors, place_semantic_points
 from .errors import EXPECTED, with_field_names
 from .inspecting import selection
 from .inspecting.lists import fill_lists, fill_masks
+from .inspecting.looks import SPLATS, has
 from .meshes import CORRECTIONS, mesh_name
 from .owned import (
     COMPARED,
@@ -49,6 +51,7 @@ from .owned import (
     text_of,
 )
 from .results import LiftResult, listed_in
+from .splats import place_gaussians
 
 PROPOSALS = "plgs_proposals"
 """Property of a lift's collection: the proposed corrections as JSON."""
@@ -109,6 +112,9 @@ EDITS = "plgs_edits"
 
 outdated: set[str] = set()
 """The keys of lifts that differ on disk from what the opened file shows."""
+REMOVED = "plgs_removed"
+"""Property of a lift's collection: the names of the removed objects by id, as JSON."""
+
 _mine: dict[str, set[str]] = {}  # by lift folder: the uids of the edits made by this Blender process
 failed: list[str] = []
 """Why the file could not follow the last undo, for the panel; empty if it could."""
@@ -144,6 +150,22 @@ def undo_last(root: bpy.types.Collection) -> Edit:
     return undone
 
 
+def put_back(root: bpy.types.Collection, instance: int) -> Edit:
+    """Put a removed object back, with all that were removed with it. Raises PlgsError, OSError."""
+    undone, result = engine_put_back(folder_of(root), [instance], listed_in(folder_of(root)))
+    show_corrections(root, result)
+    return undone
+
+
+def removed_objects(root: bpy.types.Collection) -> dict[int, str]:
+    """The names of the objects that were taken out of a placed lift, by id."""
+    try:
+        content = json.loads(text_of(root, REMOVED) or "{}")
+        return {int(number): str(name) for number, name in content.items()}
+    except (ValueError, TypeError, AttributeError):  # a file may come from somebody else
+        return {}
+
+
 def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> None:
     """Show a placed lift as corrected; what the user moved or renamed stays. Raises PlgsError."""
     scene, layer = bpy.context.scene, bpy.context.view_layer
@@ -166,6 +188,8 @@ def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> Non
     fill_masks(root, result.instances, result.classes)
     if active in {row.instance_id for row in lists.instances}:
         selection.select_instance(root, active, layer)
+    if removed_objects(root) != {one.id: one.name for one in result.removed} and has(root, SPLATS):
+        place_gaussians(root, scene)
     remember(root, result)
 
 
@@ -189,6 +213,7 @@ def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
 def remember(root: bpy.types.Collection, result: LiftResult | CorrectedResult) -> None:
     """Store in the collection which edits the scene shows, and what is proposed now, if proposals were asked for."""
     root[EDITS] = " ".join(each.uid for each in result.edits if not each.undone)
+    root[REMOVED] = json.dumps({one.id: one.name for one in result.removed})
     root[CORRECTIONS] = result.label_fingerprint
     with suppress(OSError):
         root[RESULT] = mark_of(folder_of(root))

@@ -88,7 +88,7 @@ def reading_lift(lift: Path) -> Generator[None, None, ReadLift]:
     result = yield from _reading(lift)
     yield
     splats = result.folder / "result" / "gaussians.ply"
-    gaussians = read_gaussians(splats) if splats.is_file() else None
+    gaussians = result.splats(read_gaussians(splats)) if splats.is_file() else None
     yield
     meshes = yield from reading_meshes(result.folder)
     xyz, frames = result.points.xyz, result.scene.frames

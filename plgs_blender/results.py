@@ -7,10 +7,13 @@ import json
 import math
 import re
 import time
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ..engine.corrections import Edit, read_corrected
 from ..engine.errors import PlgsError
@@ -200,7 +203,8 @@ class LiftResult:
     """A finished lift with its corrections: its frames and its output. `passes` are the EXR files of frames, by frame
     name; `shots` those of other cameras, by camera name. `not_shown`: what the masks show well and the lift lacks, in
     words, with the frame that shows it best. `estimated`: see `Manifest`. `label_fingerprint` identifies the edits that
-    change more than names."""
+    change more than names. `removed` are the objects that were taken out of the room; `splats` corrects the rows of
+    gaussians.ply."""
 
     folder: Path
     scene: PosedScene
@@ -214,6 +218,8 @@ class LiftResult:
     label_fingerprint: str = ""
     not_shown: tuple[tuple[str, str], ...] = ()
     estimated: tuple[str, ...] = ()
+    removed: tuple[Instance, ...] = ()
+    splats: Callable[[NDArray[np.void]], NDArray[np.void]] = lambda rows: rows
 
     @property
     def name(self) -> str:
@@ -257,6 +263,8 @@ def reading_result(folder: Path) -> Generator[None, None, LiftResult]:
         not_shown=tuple(not_shown(read_metrics(lift))) if "metrics.json" in listed else (),
         estimated=manifest.estimated,
         shots={name: path for name, path in by_name.items() if name not in passes},
+        removed=corrected.removed,
+        splats=corrected.splats,
     )
 
 

@@ -15,12 +15,24 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..engine.corrections import read_corrected
 from ..engine.errors import PlgsError
 from ..engine.posed.ply import read_gaussians
 from . import splat_objects
 from .clouds import SurfaceGrid, towards_nearest
 from .inspecting.selection import ids_of
-from .owned import FOLDER, GAUSSIANS, KEY, LIFT, OwnedDataBlocks, Placed, child_collection, key_of, text_of
+from .owned import (
+    FOLDER,
+    GAUSSIANS,
+    KEY,
+    LIFT,
+    OwnedDataBlocks,
+    Placed,
+    child_collection,
+    folder_of,
+    key_of,
+    text_of,
+)
 from .splat_objects import EXTENT, HARMONIC, Splats, Squares, across, axes_of, joined, place_squares
 
 _FAINTEST, _FAINTEST_NATIVE = 0.1, 0.01
@@ -69,7 +81,7 @@ def place_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
     path = gaussians_of(root)
     if not path.is_file():
         raise PlgsError("file-missing", "is not there", path, "Lift the scene again, or open the lift where it is now.")
-    for _ in placing_gaussians(root, scene, read_gaussians(path)):
+    for _ in placing_gaussians(root, scene, read_corrected(folder_of(root)).splats(read_gaussians(path))):
         pass
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..plgs_blender import corrections, registry
-from ..plgs_blender.correction_tools import SplitByViews
+from ..plgs_blender.correction_tools import RemoveObjects, SplitByViews
 from ..plgs_blender.errors import EXPECTED, one_line, plural
 from ..plgs_blender.inspecting.looks import SURFACE, has
 from ..plgs_blender.inspecting.selection import active_lift, chosen_row
@@ -31,6 +31,9 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
         row = column.row(align=True)
         row.operator("plgs.merge_instances", icon="AUTOMERGE_ON")
         row.operator("plgs.delete_instance", text="Dissolve", icon="TRASH").becomes = "AROUND"
+        removal, cell = registry.latest(RemoveObjects), column.row(align=True)
+        if not draw_bar(cell, removal, "Removing"):
+            cell.operator("plgs.remove_instances", icon="SELECT_SUBTRACT")
         row = layout.split(factor=0.45, align=True)
         row.operator("plgs.split_instance", text="Split Parts", icon="MOD_EXPLODE").by = "PARTS"
         split, cell = registry.latest(SplitByViews), row.row(align=True)
@@ -56,10 +59,20 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
                 row = layout.row(align=True)
                 if not draw_bar(row, making_meshes(), "Surface"):
                     row.operator("plgs.make_meshes", text="Update Surface", icon="FILE_REFRESH")
-        if split is not None and not split.is_running:
-            draw_task(layout, context, split)
+        for task in (split, removal):
+            if task is not None and not task.is_running:
+                draw_task(layout, context, task)
+        for number, name in corrections.removed_objects(root).items() if root is not None else ():
+            row = layout.row(align=True)
+            row.label(text=struck_through(one_line(name)), icon="X")
+            row.operator("plgs.put_back", icon="LOOP_BACK").instance = number
         if root is not None:
             _draw_proposals(self.layout.column(), context, root)
+
+
+def struck_through(text: str) -> str:
+    """The text with a stroke through each character (U+0336)."""
+    return "".join(f"{each}\u0336" for each in text)
 
 
 def _draw_proposals(layout: bpy.types.UILayout, context: bpy.types.Context, root: bpy.types.Collection) -> None:

@@ -26,6 +26,7 @@ _OBJECT: Entries = (
     ("make_objects", {"as_assets": True}, "Make Assets"),
     "key_visibility",
     ("delete_instance", {"becomes": "AROUND"}, "Dissolve into Surroundings"),
+    "remove_instances", "put_back",
 )  # fmt: skip
 _RESULT: Entries = (
     "show_all", "show_colours",

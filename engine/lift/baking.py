@@ -87,6 +87,7 @@ class FrameBaker:
         scene, labels = self.lifted, self.labels
         if wanted and FROM_LABELS.isdisjoint(wanted):
             gaussians = len(scene.anchors) * scene.anchors.gaussians_per_anchor
+            gaussians += 0 if scene.fill is None else len(scene.fill.means)
             scene, labels = replace(scene, channels=LabelChannels((), ())), SceneLabels(torch.empty(gaussians, 0))
         bands = render_bands(scene, camera, labels, clip=clip, want_surface=not wanted or "depth" in wanted)
         return joined([decide(band, self.classes, self.instances.class_of, wanted) for band in bands])

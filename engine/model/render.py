@@ -62,7 +62,9 @@ def render_bands(
     bands = row_bands(camera, len(scene.channels.class_ids) + len(scene.channels.slot_ids), most_bytes)
     for each in bands:
         reaching = seen if len(bands) == 1 else seen.reaching(each)
-        yield _draw_rows(reaching, labels, scene.channels, camera, rows=each, want_surface=want_surface, guessed=guessed)
+        yield _draw_rows(
+            reaching, labels, scene.channels, camera, rows=each, want_surface=want_surface, guessed=guessed
+        )
 
 
 def _filled(
