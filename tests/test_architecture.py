@@ -192,7 +192,7 @@ def target_of(found: Import) -> str:
 EXTENSION = ("plgs_blender", "operators", "ui", "__init__.py")
 OURS = {"self", "cls", "ctx"}
 KERNELS = {"compiled", "parallel_kernel", "device_function", "inlined", "contracted"}
-MOST_LINES_OF_THE_CORE = 8_900
+MOST_LINES_OF_THE_CORE = 9_200
 """Lines of the engine that Blender imports, at most."""
 
 

@@ -51,9 +51,9 @@ def add_correct(parser: argparse.ArgumentParser, make_task: AddTask) -> None:
         help="by the plane through a point in metres; the part in the direction of the normal is the new object",
     )  # fmt: skip
     remove = known.add_parser("remove", help="take objects out of the room: what is behind them is drawn instead")
-    remove.add_argument("id", type=int, nargs="+", metavar="ID", help=one)
-    put_back = known.add_parser("put-back", help="undo the removal of objects")
-    put_back.add_argument("id", type=int, nargs="+", metavar="ID", help="id of a removed object, as shown by list")
+    remove.add_argument("id", nargs="+", metavar="OBJECT", help=one)
+    put_back = known.add_parser("put-back", help="undo the removal of objects, and of those removed together with them")
+    put_back.add_argument("id", nargs="+", metavar="OBJECT", help=one)
     accept = known.add_parser("accept", help="mark objects as right: no proposal mentions them again")
     accept.add_argument("id", nargs="+", metavar="OBJECT", help=one)
     undo = known.add_parser("undo", help="undo the last edit")

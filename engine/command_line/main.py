@@ -117,7 +117,7 @@ def _add_bake(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--replace", action="store_true", help="overwrite other programs' files in FOLDER, too")
     parser.add_argument(
-        "--without", type=int, nargs="+", default=(), metavar="ID",
+        "--without", nargs="+", default=(), metavar="OBJECT",
         help="a clean plate: bake the room without these objects, and keep no correction; needs -o",
     )  # fmt: skip
     _add_relink(parser)

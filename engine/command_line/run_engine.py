@@ -90,7 +90,7 @@ def run_bake(
     output: Path | None = None,
     channels: str = "blender",
     replace: bool = False,
-    without: Sequence[int] = (),
+    without: Sequence[str] = (),
     parent_pipe: int | None = None,
     files: TaskFiles | None = None,
     echo: int | None = None,

@@ -212,22 +212,22 @@ def undo(lift: Path, listed: Listed | None = None) -> tuple[Edit, CorrectedResul
     return edits[last], _Result.read(lift, listed).corrected(edits)
 
 
-def put_back(lift: Path, ids: Sequence[int], listed: Listed | None = None) -> tuple[Edit, CorrectedResult]:
-    """Undo the removals of objects. Returns the last of these edits and the result without them. Raises PlgsError if
-    one of the objects is not removed, and OSError; nothing is then changed."""
+def put_back(lift: Path, objects: Sequence[int | str], listed: Listed | None = None) -> tuple[Edit, CorrectedResult]:
+    """Undo the removals of objects, named by their ids or names. Returns the last of these edits and the result without
+    them. Raises PlgsError if one of the objects is not removed, and OSError; nothing is then changed."""
     with editing(lift) as edits:
-        rows = [
-            row
-            for row, edit in enumerate(edits)
-            if edit.kind == "remove" and not edit.undone and {mark.id for mark in edit.objects}.intersection(ids)
-        ]
-        for number in ids:
-            if number not in {mark.id for row in rows for mark in edits[row].objects}:
+        result = _Result.read(lift, listed)
+        removed, ids = result.replay(edits).removed, set[int]()
+        for said in objects:
+            found = [number for number, one in removed.items() if str(said) in (str(number), one.name)]
+            if not found:
                 fix = "List the corrections to see which objects are removed."
-                raise PlgsError("not-removed", f"object {number} is not removed", lift / CORRECTIONS, fix)
-        for row in rows:
-            edits[row] = replace(edits[row], undone=True)
-    return edits[rows[-1]], _Result.read(lift, listed).corrected(edits)
+                raise PlgsError("not-removed", f"object {said} is not removed", lift / CORRECTIONS, fix)
+            ids |= {*found}
+        for row, edit in enumerate(edits):
+            if edit.kind == "remove" and not edit.undone and ids.intersection(mark.id for mark in edit.objects):
+                edits[row] = last = replace(edit, undone=True)
+    return last, result.corrected(edits)
 
 
 def set_undone(lift: Path, undone: dict[str, bool]) -> None:

@@ -12,12 +12,14 @@ from scipy.spatial import cKDTree
 from ..corrections.fills import CELL, cell_keys, cells_of
 from ..lift.baking import OWNED
 from .planes import ON_PLANE, Plane
-from .views import PlateView, grown
+from .views import GROWN, PlateView, grown
 
 STRAY = 0.12
 """Metres from the objects' semantic points beyond which a mask has leaked."""
 AROUND = 0.5
 """Metres around the objects in which planes are sought."""
+OUTLINE = 20
+"""Part of a photo's width within which a pixel is beside an outline."""
 THINNED = 0.015
 """Metres between points of anything else."""
 NEAR = 0.08
@@ -74,12 +76,16 @@ def leaving_points(views: Sequence[PlateView], points: NDArray[np.floating]) -> 
 
 
 def other_points(views: Sequence[PlateView], leaving: Leaving) -> Others:
-    """What the photos show of anything else within AROUND, one point in each cell of THINNED."""
+    """What the photos show of anything else within AROUND, and beside its outline in the photos, one point in each cell
+    of THINNED."""
     low, high = leaving.low - AROUND, leaving.high + AROUND
     parts = []
     for view in views:
         world = view.camera.unproject(view.depth)
-        chosen = (view.depth > 0) & ~view.beside & ((world > low) & (world < high)).all(axis=-1)
+        near = ((world > low) & (world < high)).all(axis=-1) | grown(
+            view.leaves, max(GROWN + 2, view.leaves.shape[1] // OUTLINE)
+        )
+        chosen = (view.depth > 0) & ~view.beside & near
         parts.append((world[chosen], view.label[chosen], view.camera.centre - world[chosen]))
     xyz, label, towards = (np.concatenate(each) for each in zip(*parts, strict=True))
     _, first = np.unique(cell_keys(np.floor(xyz / THINNED).astype(np.int64)), return_index=True)

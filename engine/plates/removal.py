@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import __version__
-from ..corrections import CorrectedResult, Edit, correct, making, read_corrected
-from ..corrections.edits import CORRECTIONS, no_object, read_edits
+from ..corrections import CorrectedResult, Edit, correct, making, read_corrected, replayed
+from ..corrections.edits import CORRECTIONS, read_edits
 from ..corrections.fills import Fill, path_of, read_fill, write_fill
 from ..corrections.replay import Replay
 from ..errors import ErrorCode, PlgsError
@@ -34,53 +34,41 @@ READ = 0.7
 """The share of the time that the photos take."""
 
 
-def remove(folder: LiftFolder, ids: Sequence[int], progress: Progress = unwatched) -> tuple[Edit, CorrectedResult]:
-    """Take objects out of a finished lift, an edit like any other. Returns the edit and the new result. Raises
-    PlgsError if there is no such object, or the scene is gone or another; OSError, and what ``progress`` raises.
-    Nothing is then changed."""
-    before = read_corrected(folder.path)
-    name, digest = _made_fill(folder, before, ids, progress)
+def remove(folder: LiftFolder, objects: Sequence[str], progress: Progress = unwatched) -> tuple[Edit, CorrectedResult]:
+    """Take objects, given by ids or names, out of a finished lift, an edit like any other. Returns it and the new
+    result. Raises PlgsError if there is no such object, if the scene is gone, and if the lift is corrected meanwhile;
+    OSError, and what ``progress`` raises. Nothing is then changed."""
+    edit, known = _removal(folder, objects, progress)
 
     def make(state: Replay, _: int) -> Edit:
-        if {edit.uid: edit.undone for edit in read_edits(folder.path)} != {
-            edit.uid: edit.undone for edit in before.edits
-        }:
+        if read_edits(folder.path) != known:
             what = "the lift was corrected in the meantime"
             raise PlgsError("corrected-meanwhile", what, folder.path / CORRECTIONS, "Try again.", code=ErrorCode.BUSY)
-        return making.remove(state, ids, name, digest)
+        return edit
 
     return correct(folder.path, make)
 
 
-def without(folder: LiftFolder, ids: Sequence[int], progress: Progress = unwatched) -> CorrectedResult:
+def without(folder: LiftFolder, objects: Sequence[str], progress: Progress = unwatched) -> CorrectedResult:
     """The corrected result without objects, as `remove` would leave it; the edit is not kept. Raises what `remove`
     raises."""
-    before = read_corrected(folder.path)
-    name, digest = _made_fill(folder, before, ids, progress)
-    state = Replay(before.classes, before.points, np.zeros(0, np.int32), {one.id: one for one in before.instances})
-    marks = tuple(state.mark(number) for number in ids)
-    return read_corrected(folder.path, further=[Edit("remove", marks, fill=name, digest=digest, uid=name)])
+    edit, _ = _removal(folder, objects, progress)
+    return read_corrected(folder.path, further=[replace(edit, uid=edit.fill)])  # the same plate has the same uid
 
 
-def _made_fill(
-    folder: LiftFolder, corrected: CorrectedResult, ids: Sequence[int], progress: Progress
-) -> tuple[str, str]:
-    """The name and the digest of the file with what replaces objects. What was computed before is kept."""
-    known = sorted(one.id for one in corrected.instances)
-    for number in ids:
-        if number not in known:
-            raise no_object(f"there is no object {number}", CORRECTIONS, known)
+def _removal(folder: LiftFolder, objects: Sequence[str], progress: Progress) -> tuple[Edit, tuple[Edit, ...]]:
+    """The edit, whose fill is in its file, and the edits before it. A fill that was computed before is kept."""
+    state, corrected = replayed(folder.path), read_corrected(folder.path)
+    ids = sorted({making.object_of(state, each) for each in objects})
     files = {str(file.path): file.sha256 for file in read_manifest(folder.result_path).files}
-    asked = repr((sorted(set(ids)), corrected.fingerprint, files[MODEL], __version__))
-    name = sha256(asked.encode()).hexdigest()[:16]
+    name = sha256(repr((ids, corrected.fingerprint, files[MODEL], __version__)).encode()).hexdigest()[:16]
     path = path_of(folder.path, name)
-    if path.is_file():
-        try:
-            read_fill(path)
-            return name, sha256(path.read_bytes()).hexdigest()
-        except PlgsError:  # a damaged one is made again
-            pass
-    return name, write_fill(path, fill_of(folder, corrected, ids, progress))
+    try:
+        read_fill(path)
+        digest = sha256(path.read_bytes()).hexdigest()
+    except PlgsError:  # there is none, or a damaged one
+        digest = write_fill(path, fill_of(folder, corrected, ids, progress))
+    return making.remove(state, ids, name, digest), corrected.edits
 
 
 def fill_of(folder: LiftFolder, corrected: CorrectedResult, ids: Sequence[int], progress: Progress) -> Fill:
@@ -95,11 +83,11 @@ def fill_of(folder: LiftFolder, corrected: CorrectedResult, ids: Sequence[int], 
     room = _Room(baker, corrected, ids)
     every = np.concatenate([*points.values()])
     frames = frames_around(scene.train_frames, every.min(axis=0), every.max(axis=0))
-    views = list(read_views(frames, baker, ids, part_of(progress, 0.0, READ)))
+    views = list(read_views(frames, baker, ids, part_of(progress, 0.0, READ, 100)))
     groups, parts = _groups([*points.values()]), list[Fill]()
     for number, xyz in enumerate(groups):
         begin, end = (READ + (1 - READ) * done / len(groups) for done in (number, number + 1))
-        parts.append(room.without(views, xyz, part_of(progress, begin, end)))
+        parts.append(room.without(views, xyz, part_of(progress, begin, end, 100)))
     progress(1, 1)
     return joined(parts)
 

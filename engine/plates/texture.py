@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, binary_fill_holes, distance_transform_edt
 from scipy.ndimage import label as components
 
-from .leaving import LEGS, Leaving
+from .leaving import Leaving
 from .planes import ON_PLANE, Plane
 from .views import PlateView
 
-BESIDE = 0.12
-"""Metres between objects and a wall beside them at most, if it is to hide anything of it."""
+EVERY, FARTHEST = 4, 12.0
+"""One of this many rows and columns of a photo, and metres from it, in which hidden parts of a plane are sought."""
 COARSE = 0.04
 """Metres, the side of a texel of the first look at a plane."""
 FINEST, COARSEST = 0.006, 0.02
@@ -40,7 +40,7 @@ Mask = NDArray[np.bool_]
 class Texture:
     """A rectangle of a plane. ``low`` [2]: its corner within the plane, ``texel`` metres. All [h, w]: ``colour`` [h, w,
     3]; ``seen`` by a photo; ``hidden`` in every photo by what leaves; ``label`` int32 (see PlateView); ``inside`` the
-    room."""
+    room and some photo's view."""
 
     plane: Plane
     low: NDArray[np.float64]
@@ -90,11 +90,8 @@ def texture_around(
     plane: Plane, solid: Sequence[Plane], views: Sequence[PlateView], leaving: Leaving
 ) -> Texture | None:
     """The plane around what leaves; None if nothing of it was hidden. Nothing of it is behind a ``solid`` plane."""
-    corners = np.stack(np.meshgrid(*zip(leaving.low, leaving.high, strict=True)), axis=-1).reshape(-1, 3)
-    flat = plane.local(corners)
-    if flat[:, 2].min() > (LEGS if plane.is_floor else BESIDE) or flat[:, 2].max() < -0.05:
-        return None  # far before the plane, or behind it
-    start, end = flat[:, :2].min(axis=0) - 0.3, flat[:, :2].max(axis=0) + 0.3
+    behind = np.concatenate([plane.local(leaving.xyz)[:, :2], *(_behind(plane, view) for view in views)])
+    start, end = np.percentile(behind, (1, 99), axis=0) + [[-0.3], [0.3]]
     coarse = _look(plane, solid, views, start, end, COARSE)
     if coarse is None:
         return None
@@ -108,6 +105,18 @@ def texture_around(
     sizes = [z / view.camera.fx for view in views for _, z in [view.camera.project(middle)] if z > 0.3]
     texel = float(np.clip(np.percentile(sizes, 15), FINEST, COARSEST)) if sizes else COARSEST
     return _look(plane, solid, views, first, last, max(texel, float(np.sqrt((last - first).prod() / MOST_TEXELS))))
+
+
+def _behind(plane: Plane, view: PlateView) -> NDArray[np.float64]:
+    """Where on the plane [N, 2] the view's rays to what leaves would end."""
+    measured = np.where(view.leaves, view.depth, 0)[::EVERY, ::EVERY]
+    seen = view.camera.resized(measured.shape[1], measured.shape[0]).unproject(measured)[measured > 0]
+    ways, height = seen - view.camera.centre, plane.local(view.camera.centre[None])[0, 2]
+    falls = -(ways @ plane.axes[2])
+    times = height / np.where(falls > 1e-6, falls, np.inf)
+    found = times > 0.98  # at what leaves, or behind it
+    ends = plane.local(view.camera.centre + times[found, None] * ways[found])[:, :2]
+    return ends[np.linalg.norm(times[found, None] * ways[found], axis=1) < FARTHEST]
 
 
 class _Sums:
@@ -155,6 +164,7 @@ def _look(
         inside &= other.local(xyz)[:, 2] > -ON_PLANE
     for view in views:
         sums.add(plane, view, xyz)
+    inside &= (sums.covered > 0) | (sums.weight > 0)
     votes = {one: each for one, each in sums.votes.items() if one != 0}
     if not votes:
         return None

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = ("captures", "command-line", "corrections", "farms", "masks", "passes", "scripting")
+PAGES = ("captures", "clean-plates", "command-line", "corrections", "farms", "masks", "passes", "scripting")
 """Pages whose commands the tests in this folder run, a file a page."""
 # The engine and `research` run in forks of a process that has imported them; what needs bpy has a process of its own.
 _PYTHON = """#!/bin/sh

@@ -1,0 +1,147 @@
+"""What docs/clean-plates.md promises, done as it says, in the tiny room: a cabinet and a chair on the floor."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+
+import engine
+from engine.passes.exr import PanopticLayers, read_exr, read_note
+from engine.scene import open_scene
+from tests.doors.terminal import Terminal
+from tests.tiny_scene import CHAIR, CHAIR_ID, FLOOR_ID
+
+LIFT = "lifts/demo"
+REMOVE = ".venv/bin/python -m engine correct lifts/demo remove 7"
+BAKE = ".venv/bin/python -m engine bake lifts/demo --frames test --layers normal position vector"
+PLATE = ".venv/bin/python -m engine bake lifts/demo --frames test --without 7 -o plate"
+PUT_BACK = ".venv/bin/python -m engine correct lifts/demo put-back 7"
+LIST = ".venv/bin/python -m engine correct lifts/demo list"
+
+
+@pytest.fixture(scope="module")
+def removed(lifted: Path, tmp_path_factory: pytest.TempPathFactory, quick_python: Path) -> Terminal:
+    """A terminal in whose lift the chair was removed, and the held-out frame baked again."""
+    folder = tmp_path_factory.mktemp("removed") / "clone"
+    shutil.copytree(lifted, folder)
+    terminal = Terminal.like_a_clone(folder, quick_python)
+    shutil.copytree(folder / LIFT, folder / "lifts/before")
+    terminal.run(REMOVE, id7=chair(terminal))
+    terminal.run(BAKE)
+    return terminal
+
+
+def chair(terminal: Terminal, lift: str = LIFT) -> int:
+    return next(one.id for one in engine.read_lift(terminal.folder / lift).instances if one.class_id == CHAIR_ID)
+
+
+def passes(folder: Path) -> Path:
+    [path] = folder.rglob("*.exr")
+    return path
+
+
+def planes(path: Path) -> dict[str, np.ndarray]:
+    return {name: each.pixels for name, each in OpenEXR.File(str(path), separate_channels=True).channels().items()}
+
+
+def before_and_after(terminal: Terminal) -> tuple[PanopticLayers, PanopticLayers, np.ndarray]:
+    """Both passes, and where the chair was."""
+    both = [read_exr(passes(terminal.folder / lift / "result" / "passes")) for lift in ("lifts/before", LIFT)]
+    return both[0], both[1], both[0].instance == chair(terminal, "lifts/before")
+
+
+def test_no_pixel_keeps_a_removed_object(removed: Terminal) -> None:
+    before, after, was = before_and_after(removed)
+    number = chair(removed, "lifts/before")
+    assert was.any() and number not in after.instance and CHAIR_ID not in after.semantic
+    channels = planes(passes(removed.folder / LIFT / "result/passes"))
+    assert b"chair 1" not in passes(removed.folder / LIFT / "result/passes").read_bytes().split(b"plgs/removed")[0]
+    assert not {name for name, plane in channels.items() if not np.isfinite(plane).all()}
+
+
+def test_all_passes_show_the_same_room(removed: Terminal) -> None:
+    before, after, was = before_and_after(removed)
+    assert (after.combined[..., 3][was] > 0.8).mean() > 0.9, "the hole is filled"
+    assert (after.semantic[was] == FLOOR_ID).mean() > 0.4 and (after.semantic[was] > 0).all()
+    assert np.median(after.depth[was]) > np.median(before.depth[was]), "what is behind is farther away"
+    channels = planes(passes(removed.folder / LIFT / "result/passes"))
+    floor = was & (after.semantic == FLOOR_ID)
+    assert np.median(channels["PLGS.Normal.Z"][floor].astype(float)) > 0.9
+    assert np.abs(np.median(channels["PLGS.Position.Z"][floor])) < 0.05
+    assert np.abs(after.combined[~was] - before.combined[~was]).mean() < 0.01, "elsewhere little changes"
+
+
+def test_guessed_is_1_where_no_photo_ever_saw_what_is_shown(removed: Terminal) -> None:
+    guessed = planes(passes(removed.folder / LIFT / "result/passes"))["PLGS.Guessed.V"].astype(float)
+    _, after, was = before_and_after(removed)
+    assert guessed.min() >= 0 and guessed.max() <= 1 and guessed[was].max() > 0.9
+    channels = planes(passes(removed.folder / LIFT / "result/passes"))
+    place = np.stack([channels[f"PLGS.Position.{axis}"] for axis in "XYZ"], axis=-1)[guessed > 0.9]
+    seen = np.zeros(len(place), bool)
+    for frame in open_scene(removed.folder / "scans/room").train_frames:
+        rows, pixel, depth = frame.camera.seen(place)
+        column, row = pixel.astype(int).T
+        seen[rows[np.abs(frame.depth()[row, column] - depth) < 0.05]] = True
+    assert len(place) > 20 and seen.mean() < 0.15
+    before = planes(passes(removed.folder / "lifts/before/result/passes"))
+    assert "PLGS.Guessed.V" not in before
+
+
+def test_the_header_names_what_was_removed(removed: Terminal) -> None:
+    assert read_note(passes(removed.folder / LIFT / "result/passes"), "plgs/removed") == "chair 1"
+
+
+def test_what_fills_the_hole_is_stored_in_the_lift(removed: Terminal) -> None:
+    [fill] = (removed.folder / LIFT / "fills").iterdir()
+    [edit] = json.loads((removed.folder / LIFT / "corrections.json").read_text())["edits"]
+    assert edit["kind"] == "remove" and edit["fill"] == fill.stem
+
+
+def test_points_and_splats_show_it_too(removed: Terminal) -> None:
+    lift, number = engine.read_lift(removed.folder / LIFT), chair(removed, "lifts/before")
+    for found in (lift.points, lift.gaussians):
+        assert number not in found.instance_id
+        above = ((found.xyz > [*CHAIR[0, :2], 0.2]) & (found.xyz < [*CHAIR[1, :2], 0.9])).all(axis=1)
+        below = ((found.xyz > [*CHAIR[0, :2], -0.1]) & (found.xyz < [*CHAIR[1, :2], 0.1])).all(axis=1)
+        assert below.sum() > 20 and above.sum() < 0.1 * below.sum()
+        assert (found.class_id[below] == FLOOR_ID).mean() > 0.9
+    removed.run(".venv/bin/python -m engine export lifts/demo --to splats -o out/splats")
+    assert number not in [
+        one["id"] for one in json.loads((removed.folder / "out/splats/labels.json").read_text())["instances"]
+    ]
+
+
+def test_without_bakes_one_plate_and_keeps_no_correction(terminal: Terminal) -> None:
+    number, lift = chair(terminal), terminal.folder / LIFT
+    shown = passes(lift / "result/passes").read_bytes()
+    terminal.run(PLATE, id7=number)
+    assert number not in read_exr(passes(terminal.folder / "plate")).instance
+    assert passes(lift / "result/passes").read_bytes() == shown and not (lift / "corrections.json").exists()
+    assert chair(terminal) == number
+    said = terminal.run(PLATE.removesuffix(" -o plate"), code=2, id7=number)
+    assert "Give a folder" in said
+
+
+def test_put_back_undoes_and_list_says_what_is_removed(terminal: Terminal) -> None:
+    number = chair(terminal)
+    terminal.run(REMOVE, id7=number)
+    assert "(removed)" in terminal.run(LIST)
+    terminal.run(PUT_BACK, id7=number)
+    assert chair(terminal) == number and "(removed)" not in terminal.run(LIST)
+    terminal.run(REMOVE.replace("7", '"chair 1"'))
+    shutil.rmtree(terminal.folder / "scans")
+    terminal.run(BAKE)
+    assert number not in read_exr(passes(terminal.folder / LIFT / "result/passes")).instance, "photos may be gone"
+
+
+def test_several_objects_at_once(terminal: Terminal) -> None:
+    before = read_exr(passes(terminal.folder / LIFT / "result/passes"))
+    numbers = [one.id for one in engine.read_lift(terminal.folder / LIFT).instances]
+    assert len(numbers) > 1
+    terminal.run(REMOVE.replace("7", " ".join(map(str, numbers))))
+    terminal.run(BAKE)
+    shown = read_exr(passes(terminal.folder / LIFT / "result/passes"))
+    assert not shown.instance.any() and (shown.combined[..., 3][before.instance > 0] > 0.5).mean() > 0.8
