@@ -20,7 +20,7 @@ NAME = "PLGS Panoptic"
 MARK = "panoptic group"
 LINE_PIXELS = 2
 """Width of the outline in pixels."""
-_OUTLINE, _RECOLOUR = (1.0, 0.6, 0.05, 1.0), (0.05, 0.25, 0.9, 1.0)
+_OUTLINE, _RECOLOUR, _GUESSED = (1.0, 0.6, 0.05, 1.0), (0.05, 0.25, 0.9, 1.0), (0.9, 0.05, 0.7, 1.0)
 
 
 CONTROLS = {
@@ -30,11 +30,14 @@ CONTROLS = {
     "Outline": "Opacity of the line around the matte",
     "Isolate": "How much everything but the matte is cut out",
     "Hold out": "How much the matte itself is cut out",
+    "Clean plate": "How much the picture linked to Plate, the room without an object, replaces the picture",
+    "Difference": "How much of the difference from the plate is shown instead",
+    "Guessed": "Opacity of the colour below where no photo ever saw what is shown, as objects were removed",
 }
 """Factors of the group, 0 to 1, initially 0, with descriptions."""
-PICTURES = ("Image", "Instance colours", "Class colours")
-MATTES = ("Instance matte", "Class matte", "Instance")
-COLOURS = {"Outline colour": _OUTLINE, "Recolour to": _RECOLOUR}
+PICTURES = ("Image", "Instance colours", "Class colours", "Plate")
+MATTES = ("Instance matte", "Class matte", "Instance", "Guessed matte")
+COLOURS = {"Outline colour": _OUTLINE, "Recolour to": _RECOLOUR, "Guessed colour": _GUESSED}
 
 
 def panoptic_group() -> bpy.types.NodeTree:
@@ -85,7 +88,10 @@ class _Wiring:
         line = self._product(self._math("SUBTRACT", grown.outputs[0], matte), given["Outline"])
         colours = self._mixed(given["By class"], given["Instance colours"], given["Class colours"])
         is_shown = self._larger(self._math("GREATER_THAN", given["Instance"], 0.5), given["By class"])
-        image = self._mixed(self._product(given["Overlay"], is_shown), given["Image"], colours)
+        image = self._mixed(given["Clean plate"], given["Image"], given["Plate"])
+        image = self._mixed(given["Difference"], image, given["Plate"], "DIFFERENCE")
+        image = self._mixed(self._product(given["Guessed"], given["Guessed matte"]), image, given["Guessed colour"])
+        image = self._mixed(self._product(given["Overlay"], is_shown), image, colours)
         image = self._mixed(self._product(given["Recolour"], matte), image, given["Recolour to"], "COLOR")
         image = self._mixed(line, image, given["Outline colour"])
         around = self._without(self._larger(matte, line))
@@ -180,6 +186,15 @@ def use_image(tree: bpy.types.NodeTree, image: bpy.types.Image) -> None:
     node_of(tree, PASSES).layer = LAYER
     for key in (CRYPTO_INSTANCES, CRYPTO_CLASSES):
         node_of(tree, key).layer_name = key
+    _link_guessed(tree)
+
+
+def _link_guessed(tree: bpy.types.NodeTree) -> None:
+    """Link the layer that only files have from which objects were removed, to a group that takes it."""
+    group = next((node for node in tree.nodes if node.get(KEY) == PANOPTIC), None)
+    guessed = node_of(tree, PASSES).outputs.get("Guessed")
+    if group is not None and guessed is not None and "Guessed matte" in group.inputs:
+        tree.links.new(guessed, group.inputs["Guessed matte"])
 
 
 def reading_nodes(tree: bpy.types.NodeTree) -> Iterator[bpy.types.Node]:
@@ -241,6 +256,7 @@ def _show_panoptic(make: _NodeBuilder) -> None:
     for name in ("Instance colours", "Class colours", "Instance matte", "Class matte", "Instance"):
         make.link(output_of(make.tree, name), node.inputs[name])
     make.link(output_of(make.tree, "Combined"), node.inputs["Image"])
+    _link_guessed(make.tree)
     node.inputs["Overlay"].default_value = _STRENGTH
     image = node.outputs["Image"]
     make.link(image, make.add("result", "", 5.3, 200, compat.COMPOSITE_OUTPUT).inputs[0])

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import PlgsError
+from ..gates import shortened
 from ..job import EventWriter, ExitCode, LiftFolder, StopSignal, verify
 from ..job.request import chosen_options, given_lift_options, source_of
 from ..job.task import TaskFiles
@@ -151,6 +152,9 @@ def _corrected_metrics(lift: LiftFolder, events: EventWriter, stop: StopSignal) 
     corrected = read_corrected(lift.path)
     for line in corrected.warnings:
         events.warning(line)
+    if corrected.removed:
+        names = ", ".join(shortened(one.name, 60) for one in corrected.removed)
+        events.warning(f"the ground truth still shows what was removed: {names}")
     if not corrected.fingerprint:
         return None
     from ..job.progress import StageProgress

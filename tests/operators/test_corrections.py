@@ -261,3 +261,36 @@ def test_a_split_that_was_written_before_its_engine_was_stopped_is_shown(mine: P
 def new_id(placed: bpy.types.Collection) -> int:
     """The object that an edit made."""
     return max(row.instance_id for row in placed.plgs.instances)
+
+
+def test_a_removed_object_leaves_a_filled_floor_and_is_put_back(lift: Path, tmp_path: Path) -> None:
+    """X > Remove (Clean Plate), then Ctrl Z, Ctrl Shift Z and Put Back."""
+    mine = Path(shutil.copytree(lift.parent, tmp_path / "both")) / lift.name
+    placed = lift_scene.place_lift(mine, bpy.context.scene)
+    count = points_of(placed, CHAIR)
+    bpy.ops.ed.undo_push(message="placed")
+    assert bpy.ops.plgs.remove_instances(instances=str(CHAIR), make_objects=True) == {"FINISHED"}
+    bpy.ops.ed.undo_push(message="removed")
+    placed = again()
+    assert CHAIR not in names(placed) and points_of(placed, CHAIR) == 0 < count
+    assert [*corrections.removed_objects(placed)] == [CHAIR]
+    own = [ob for ob in bpy.data.objects if ob.get("instance_id") == CHAIR and ob.name.startswith("chair 1 ")]
+    assert own, "the object itself, which can be moved"
+    xyz = read_corrected(mine).points.xyz
+    assert len(xyz[(xyz[:, 2] < 0.1) & (abs(xyz[:, :2] - [1.5, 1.3]) < 0.25).all(axis=1)]) > 10, "floor where it stood"
+    bpy.ops.ed.undo()
+    assert CHAIR in names(again()) and [edit.undone for edit in read_edits(mine)] == [True]
+    bpy.ops.ed.redo()
+    assert CHAIR not in names(again()) and [edit.undone for edit in read_edits(mine)] == [False]
+    assert bpy.ops.plgs.put_back(instance=CHAIR) == {"FINISHED"}
+    assert CHAIR in names(again()) and points_of(again(), CHAIR) == count and not corrections.removed_objects(again())
+    registry.forget_all()
+
+
+def test_a_stopped_removal_changes_nothing(lift: Path, tmp_path: Path) -> None:
+    mine = Path(shutil.copytree(lift.parent, tmp_path / "both")) / lift.name
+    placed = lift_scene.place_lift(mine, bpy.context.scene)
+    stopped = correction_tools.remove_objects(placed, [CHAIR])
+    assert bpy.ops.plgs.cancel_removal() == {"FINISHED"} and stopped.was_cancelled and stopped.error is None
+    assert not read_edits(mine) and CHAIR in names(again())
+    registry.forget_all()
