@@ -18,6 +18,8 @@ SEAM = 0.04
 """Metres at the rim of what is drawn in which the lift's Gaussians stay, too, as they are larger than texels."""
 FLAT = 0.05
 """Metres from a plane within which the lift's Gaussians are replaced by it."""
+AROUND = 0.1
+"""Metres around the objects' box in which something is left of them over a hole."""
 SCALE, THICKNESS = 0.6, 0.002
 """Standard deviations of new Gaussians: in texels along the plane, in metres across it."""
 POINTS_APART = 0.03
@@ -35,8 +37,8 @@ def replaced_gaussians(
     cell = np.floor((local[:, :2] - texture.low) / texture.texel).astype(int)
     rows = np.flatnonzero(((cell >= 0) & (cell < texture.seen.shape[::-1])).all(axis=1))
     height, (x, y) = local[rows, 2], cell[rows].T
-    over = (height >= FLAT) & (height < np.percentile(texture.plane.local(leaving.xyz)[:, 2], 99) + 0.03)
-    over &= completed.hole[y, x] & (label[rows] <= 0)
+    near = (centres[rows] > leaving.low - AROUND) & (centres[rows] < leaving.high + AROUND)
+    over = near.all(axis=1) & (height >= FLAT) & completed.hole[y, x] & (label[rows] <= 0)
     for plane in planes:
         if plane is not texture.plane:
             over &= np.abs(plane.local(centres[rows])[:, 2]) > 0.04

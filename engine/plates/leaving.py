@@ -30,7 +30,7 @@ MOST_POINTS = 40000
 """The most points of the objects that Gaussians are compared with."""
 TOUCHED = 0.1
 """The same for one NEAR the objects."""
-LEGS, BESIDE_LEGS = 0.6, 0.08
+LEGS, BESIDE_LEGS = 0.6, 0.12
 """Metres below an object and around its outline within which legs are sought."""
 ABOVE_SUPPORT = 0.03
 """Metres above a support from which on a point belongs to what stands there."""
@@ -104,7 +104,9 @@ def legs_of(leaving: Leaving, others: Others, planes: Sequence[Plane]) -> NDArra
     tree = cKDTree(leaving.xyz[:, :2])
     legs[legs] = np.isfinite(tree.query(others.xyz[legs][:, :2], distance_upper_bound=BESIDE_LEGS)[0])
     for plane in planes:
-        legs &= np.abs(plane.local(others.xyz)[:, 2]) > 1.2 * ON_PLANE
+        on = np.abs(plane.local(others.xyz)[:, 2]) < 1.2 * ON_PLANE
+        if legs[on].mean() < 0.5:  # else it is a side of the objects
+            legs &= ~on
     return legs
 
 
