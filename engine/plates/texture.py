@@ -30,6 +30,8 @@ FRAMED = 0.5
 """Least share of a hole's edge at which photos saw the plane. A plane that merely passes by has less."""
 GRAZING = 0.05
 """Least cosine between a view and the plane's normal."""
+THROUGH = 0.1
+"""Metres behind a plane at which a photo that measures them looks through it."""
 STANDS_OVER = 0.6
 """Metres above a plane within which what leaves stands over it."""
 
@@ -40,7 +42,7 @@ Mask = NDArray[np.bool_]
 class Texture:
     """A rectangle of a plane. ``low`` [2]: its corner within the plane, ``texel`` metres. All [h, w]: ``colour`` [h, w,
     3]; ``seen`` by a photo; ``hidden`` in every photo by what leaves; ``label`` int32 (see PlateView); ``inside`` the
-    room and some photo's view."""
+    room and some photo's view; ``open`` where a photo looks through the plane, as in a door."""
 
     plane: Plane
     low: NDArray[np.float64]
@@ -50,6 +52,7 @@ class Texture:
     hidden: Mask
     label: NDArray[np.int32]
     inside: Mask
+    open: Mask
 
     def points(self) -> NDArray[np.float64]:
         """The middle of each texel in the world, [h, w, 3]."""
@@ -60,8 +63,8 @@ class Texture:
         if not self.hidden.any():
             return self.hidden
         reach = max(0.1, 2 * self.texel)
-        rim = ~self.seen & self.inside & (distance_transform_edt(~self.hidden) * self.texel <= reach)
-        return _framed(self.hidden | rim, self.seen, self.inside)
+        rim = ~self.seen & self.inside & ~self.open & (distance_transform_edt(~self.hidden) * self.texel <= reach)
+        return _framed(self.hidden | rim, self.seen, self.inside) & ~self.open
 
     def below(self, leaving: Leaving) -> Mask:
         """The texels that what leaves stands over."""
@@ -125,6 +128,7 @@ class _Sums:
     def __init__(self, count: int) -> None:
         self.colour, self.weight = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
         self.covered, self.hidden = np.zeros(count, np.int32), np.zeros(count, np.int32)
+        self.open = np.zeros(count, np.bool_)
         self.votes: dict[int, NDArray[np.float32]] = {}
 
     def add(self, plane: Plane, view: PlateView, xyz: NDArray[np.float64]) -> None:
@@ -140,6 +144,7 @@ class _Sums:
         self.covered[rows[covered]] += 1
         self.hidden[rows[covered & view.leaves[row, column]]] += 1
         slant = depth / view.camera.fx * np.sqrt(1 - facing**2) / facing  # metres of depth from pixel to pixel
+        self.open[rows[measured > depth + THROUGH + 2 * slant]] = True
         good = (measured > 0) & (np.abs(measured - depth) < np.minimum(ON_PLANE + 0.01 * depth + slant, 0.06))
         steps = cv2.dilate(view.depth, np.ones((3, 3))) - cv2.erode(view.depth, np.ones((3, 3)))
         good &= ~view.beside[row, column] & (steps[row, column] < 4 * slant + 0.03)  # at an edge, colours mix
@@ -164,7 +169,7 @@ def _look(
         inside &= other.local(xyz)[:, 2] > -ON_PLANE
     for view in views:
         sums.add(plane, view, xyz)
-    inside &= (sums.covered > 0) | (sums.weight > 0)
+    inside &= (sums.covered > 0) | (sums.weight > 0) | sums.open
     votes = {one: each for one, each in sums.votes.items() if one != 0}
     if not votes:
         return None
@@ -177,9 +182,11 @@ def _look(
     seen = counted.any(axis=0).reshape(h, w)
     label = np.where(seen, names[counted.argmax(axis=0)].reshape(h, w), 0).astype(np.int32)
     label[seen] = cv2.medianBlur(label.astype(np.float32), 5).astype(np.int32)[seen]
-    hidden = (sums.hidden >= MOSTLY * sums.covered) & (sums.hidden > 0) & (sums.weight == 0) & inside
+    is_open = sums.open & (sums.weight == 0)
+    hidden = (sums.hidden >= MOSTLY * sums.covered) & (sums.hidden > 0) & (sums.weight == 0) & inside & ~is_open
     colour = (sums.colour / np.maximum(sums.weight, 1e-9)[:, None]).reshape(h, w, 3)
-    return Texture(plane, start, texel, colour, seen & (label != 0), hidden.reshape(h, w), label, inside.reshape(h, w))
+    hidden, inside, is_open = (each.reshape(h, w) for each in (hidden, inside, is_open))
+    return Texture(plane, start, texel, colour, seen & (label != 0), hidden, label, inside, is_open)
 
 
 def _sampled(picture: NDArray[np.float32], pixel: NDArray[np.float64]) -> NDArray[np.float32]:
