@@ -12,6 +12,7 @@ import numpy as np
 
 from ..errors import PlgsError
 from ..job import write_atomically
+from ..job.own_files import OwnFiles
 from ..json_file import read_object, to_text
 from ..posed.frames import Camera
 from .depth import DepthMap, npy_depth
@@ -81,7 +82,10 @@ def set_scale(beside: Path, factor: float | None, measured: Sequence[float] | No
         what = "a scale from 0.0001 to 10000 is needed"
         raise PlgsError("bad-scale", what, beside, "Give positive lengths, the second in metres.")
     beside.mkdir(exist_ok=True)
-    write_atomically(beside / SCALE, to_text({"scale": factor}))
+    with OwnFiles(beside).begin("scale", {}, among_others=True) as own:
+        own.set_aside(beside / SCALE)
+        write_atomically(beside / SCALE, to_text({"scale": factor}))
+    own.complete()
     return factor
 
 

@@ -56,7 +56,7 @@ def test_a_batch_has_a_row_a_scene_and_continues_with_what_is_missing(shell: Ter
     (shell.folder / "scans.csv").write_text(table)
     shell.run(OF_A_TABLE, OUT="out", more=QUICK)
     request = json.loads((out / "old-room/request.json").read_text())
-    assert request["options"]["voxel_size"] == 0.3 and request["up"] == "y"
+    assert request["overrides"]["voxel_size"] == 0.3 and request["up"] == "y"
     assert rows_of(out)["old-room"]["state"] == "done" and "room" in rows_of(out), "the earlier scene's row stays"
 
 
