@@ -159,7 +159,7 @@ def _place_late(
 
 def _placing_splats(read: ReadLift, root: bpy.types.Collection, scene: bpy.types.Scene) -> Iterator[None]:
     placed = Placed(root[LIFT], scene.name)
-    if read.gaussians is not None:
+    if read.gaussians is not None and _wants_splats(root, read):
         yield from placing_gaussians(root, scene, read.gaussians)
     found = placed.find()
     if found is not None:
@@ -171,6 +171,13 @@ def _placing_splats(read: ReadLift, root: bpy.types.Collection, scene: bpy.types
             ways = (*chosen, looks.SURFACE, looks.SPLATS)
             lists.show_as = next((kind for kind in ways if looks.has(root, kind)), looks.POINTS)
             _show(root, scene)
+
+
+def _wants_splats(root: bpy.types.Collection, read: ReadLift) -> bool:
+    """Whether splats are placed: beside a surface, which is shown instead, only if the user shows them. The button
+    places them; they would take a quarter of the file."""
+    with registered():
+        return not read.meshes.parts or bool(root.plgs.show_as == looks.SPLATS)
 
 
 def _show(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
@@ -214,7 +221,7 @@ def place_room(read: ReadLift, scene: bpy.types.Scene) -> tuple[Placed, Generato
     owned.keep_known(lambda key: key.startswith("mesh:"))  # until they are placed again
     place_depth_clouds(owned, root, result.folder)
     splats = owned.known(GAUSSIANS)
-    if read.gaussians is not None:
+    if read.gaussians is not None and _wants_splats(root, read):
         owned.keep(splats)  # until they are filled again
     # A new lift moves the overview back, where a user moved it.
     overview = place_camera(owned, root, "overview", "Overview", camera=read.overview, display_size=_OVERVIEW_SIZE)
@@ -251,6 +258,8 @@ def placing_meshes_anew(lift: Path, scene: bpy.types.Scene, *, asked: bool = Tru
     with registered():
         if count and (asked or not root.get(_WAS_ASKED)):
             root.plgs.show_as = looks.SURFACE
+        if root.plgs.show_as == looks.SURFACE:  # splats are placed again when they are asked for
+            OwnedDataBlocks(root[LIFT], scene).drop_object(GAUSSIANS)
         _show(root, scene)
         looks.apply_lit(root)
         looks.apply_catcher(root, scene)

@@ -15,7 +15,7 @@ from ..plgs_blender.cameras import SHOWN
 from ..plgs_blender.correction_tools import CUT
 from ..plgs_blender.frame_pictures import MASKS, colour_numbers, colours_shown
 from ..plgs_blender.inspecting import drawing, highlight, picking
-from ..plgs_blender.inspecting.looks import BY_CLASS, POINTS, SURENESS, UNCERTAINTY, is_excluded
+from ..plgs_blender.inspecting.looks import BY_CLASS, POINTS, SURENESS, SURFACE, UNCERTAINTY, is_excluded
 from ..plgs_blender.inspecting.picking import camera_of, names_to_draw, outline_of, outlined
 from ..plgs_blender.inspecting.selection import objects_by_key, selected_instance
 from ..plgs_blender.owned import lifts_in
@@ -90,7 +90,11 @@ def _draw_selected(context: bpy.types.Context, root: bpy.types.Collection) -> No
         is_stand_in = lists.show_as != POINTS and "class_id" in cloud
         return is_stand_in or cloud.visible_in_viewport_get(context.space_data)
 
-    seen = highlight.highlight_of(root, number, is_outlined)
+    mesh = objects_by_key(root).get(f"mesh:{row.class_id}:{number}") if lists.show_as == SURFACE else None
+    if mesh is not None and mesh.visible_in_viewport_get(context.space_data):
+        seen = highlight.highlight_of_mesh(root, mesh)
+    else:
+        seen = highlight.highlight_of(root, number, is_outlined)
     colour = drawing.brightened(tuple(row.colour))
     drawing.draw_mark(highlight.mark_of(seen, context.region_data, _size(context), colour))
 

@@ -6,6 +6,9 @@ cut follows the smooth lines where labels change, not the triangles, so that par
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csr_matrix, diags
@@ -13,7 +16,10 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..posed.ply import rows_by_label
-from .fusion import Ints, Surface
+from .fusion import Ints, SmallView, Surface
+
+Labelled = tuple[Surface, Ints]
+"""A surface and the label of each of its vertices, int64 [V]."""
 
 HAND = 0.1
 """The largest size in metres, along each axis, of a hole that is closed. Its square is the largest crumb of stuff."""
@@ -21,6 +27,9 @@ FLAKE = 0.03  # area in square metres below which an isolated piece of the whole
 CRUMB = 0.1  # share of the largest piece's area below which a piece of a mesh is small
 SCRAP = 0.02  # share of the largest piece's area below which a piece of an object's mesh is always a crumb
 FAR = 0.2  # metres from the large pieces beyond which a small one is a crumb
+STEEPEST = 0.1  # cosine between the normal and the way to a view below which the view does not see it from in front
+OFF, OFF_SHARE = 0.05, 0.02  # metres, and the share of the distance, by which depth may differ on one surface
+LEAST_PIECE = 100  # triangles below which a piece of a mesh is a crumb, except the largest of an object
 FRINGE = 2  # half the width in vertices of a fringe
 THIN = 0.5  # share of a label's vertices outside fringes below which the label itself is thin, and keeps its fringes
 KEYS = 1 << 32
@@ -59,6 +68,27 @@ def without_flakes(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
     of_triangle = piece[surface.triangles[:, 0]]
     area = np.bincount(of_triangle, _areas(surface.xyz, surface.triangles), len(surface.xyz))
     kept, used = surface.of(surface.triangles[area[of_triangle] >= FLAKE])
+    return kept, label[used]
+
+
+def without_flaps(surface: Surface, label: Ints, views: Sequence[SmallView], steepest: float = STEEPEST) -> Labelled:
+    """The surface and its vertices' labels [V] without what stands off: vertices that more views look through than
+    see, and those that no view sees from in front, less steeply than ``steepest``, the cosine towards the view."""
+    front, seen, through = np.full(len(label), -1.0, np.float32), *np.zeros((2, len(label)), np.int64)
+    around = np.ones((3, 3), np.uint8)
+    for view in views:
+        vertex, pixel, depth = view.camera.seen(surface.xyz)
+        column, row = pixel.astype(np.int64).T
+        # Outlines in a view are as wide as its pixels: it looks through a vertex only if it does all around.
+        nearest, farthest = cv2.erode(view.depth, around)[row, column], cv2.dilate(view.depth, around)[row, column]
+        is_seen = (depth > nearest - OFF) & (depth < farthest + OFF) & (farthest > 0)
+        through[vertex] += nearest > depth * (1 + OFF_SHARE) + OFF
+        seen[vertex] += is_seen
+        towards = view.camera.centre - surface.xyz[vertex[is_seen]]
+        cosine = np.einsum("ij,ij->i", towards, surface.normal[vertex[is_seen]]) / np.linalg.norm(towards, axis=1)
+        front[vertex[is_seen]] = np.maximum(front[vertex[is_seen]], cosine)
+    stands_off = (through > seen) | (front < steepest)
+    kept, used = surface.of(surface.triangles[stands_off[surface.triangles].sum(axis=1) < 2])
     return kept, label[used]
 
 
@@ -119,10 +149,11 @@ def even_rim(surface: Surface) -> NDArray[np.float32]:
     return xyz
 
 
-def without_crumbs(surface: Surface, label: Ints, is_stuff: NDArray[np.bool_]) -> Ints:
+def without_crumbs(surface: Surface, label: Ints, is_stuff: NDArray[np.bool_], least: int = 0) -> Ints:
     """The labels [V] without crumbs: small pieces of a label's mesh far from its large ones, and scraps. A crumb gets
     the label that most of its neighbours on the surface have, and 0 without any. Stuff, marked by ``is_stuff`` [V], is
-    naturally in pieces, such as the wall between two pictures: only its smallest pieces are crumbs."""
+    naturally in pieces, such as the wall between two pictures: only its smallest pieces are crumbs. So are pieces of
+    less than the ``least`` number of triangles, unless they are the largest."""
     number, crumbs, stays = np.full(len(label), -1, np.int64), 0, np.zeros(len(label), np.bool_)
     for value, rows in rows_by_label(surface.triangles, label).items():
         if value == 0:
@@ -135,6 +166,7 @@ def without_crumbs(surface: Surface, label: Ints, is_stuff: NDArray[np.bool_]) -
         away, _ = cKDTree(xyz[is_large[piece]]).query(xyz, distance_upper_bound=FAR)
         is_near = np.bincount(piece, np.isfinite(away)) > 0
         is_scrap = area < (0.0 if is_stuff[used][own].any() else SCRAP * area.max())
+        is_scrap |= (np.bincount(piece[part.triangles[:, 0]]) < least) & (area < area.max())
         crumb = own & (~is_near | is_scrap)[piece]
         number[used[crumb]] = crumbs + piece[crumb]
         stays[used[own & ~crumb]] = True

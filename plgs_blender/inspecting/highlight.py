@@ -49,6 +49,24 @@ def highlight_of(root: bpy.types.Collection, instance: int, visible: Any) -> Hig
     return _last[0]
 
 
+def highlight_of_mesh(root: bpy.types.Collection, ob: bpy.types.Object) -> Highlight:
+    """The vertices of an instance's mesh of triangles, and the middles of its edges and triangles: so dense that their
+    outline is the mesh's own."""
+    data = ob.data
+    key = (root.session_uid, ob.session_uid, len(data.vertices), *map(tuple, ob.matrix_world))
+    if not _last or _last[0].key != key:
+        xyz, world = values_of(data, "position"), np.array(ob.matrix_world, np.float32)
+        xyz = xyz @ world[:3, :3].T + world[:3, 3]
+        edges, corners = np.empty(2 * len(data.edges), np.int32), np.empty(len(data.loops), np.int32)
+        data.edges.foreach_get("vertices", edges)
+        data.loops.foreach_get("vertex_index", corners)
+        ends = xyz[edges.reshape(-1, 2)]
+        length = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+        points = np.concatenate([xyz, ends.mean(axis=1), xyz[corners.reshape(-1, 3)].mean(axis=1)])
+        _last[:] = [Highlight(key, points, float(np.median(length)) / 8.0 if len(length) else 0.0)]
+    return _last[0]
+
+
 def forget() -> None:
     """Clear the cache."""
     _last.clear()

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from engine.export import mending
-from engine.export.fusion import Ints, Surface
+from engine.export.fusion import Ints, SmallView, Surface
+from engine.scene import Camera
 
 STEP = 0.02
 """Metres between the vertices of a sheet."""
@@ -201,3 +202,38 @@ def test_normals_have_unit_length_and_colours_end_at_the_cut() -> None:
     cut, labels = mending.cut_by_label(replace(whole, normal=normal, rgb=rgb), label)
     np.testing.assert_allclose(np.linalg.norm(cut.normal, axis=1), 1.0, atol=1e-5)
     assert ((cut.rgb[:, 0] == 200) == (labels == 7)).all()
+
+
+def seen_from(x: float, height: float, depth: np.ndarray | float) -> SmallView:
+    """A view straight down from (x, 0.2) at this height, of a picture with this depth."""
+    pose = np.array([[1.0, 0, 0, x], [0, -1, 0, 0.2], [0, 0, -1, height], [0, 0, 0, 1]])
+    camera = Camera(100, 100, 100.0, 100.0, 50.0, 50.0, pose)
+    shown = np.broadcast_to(np.float32(depth), (100, 100)).copy()
+    return SmallView(camera, shown, np.zeros((100, 100, 3), np.uint8), np.ones((100, 100), np.int64))
+
+
+def test_what_views_look_through_or_see_only_from_behind_is_left_out() -> None:
+    floor = sheet(20, 20)
+    flap = replace(sheet(20, 20), xyz=sheet(20, 20).xyz + np.float32([0, 0, 0.5]))  # above it: all see the floor
+    below = replace(sheet(20, 20), normal=-sheet(20, 20).normal)  # the floor's own place, facing away
+    views = [seen_from(x, 1.5, 1.5) for x in (0.1, 0.2, 0.3)]
+    for surface, kept in ((floor, 1.0), (flap, 0.0), (below, 0.0)):
+        label = np.ones(len(surface.xyz), np.int64)
+        left, of_left = mending.without_flaps(surface, label, views)
+        assert len(left.triangles) == kept * len(surface.triangles) and len(of_left) == len(left.xyz)
+    label = np.ones(len(below.xyz), np.int64)
+    assert len(mending.without_flaps(below, label, views, -1.0)[0].triangles) == len(below.triangles)
+    unseen = mending.without_flaps(floor, label, [seen_from(0.2, 1.5, 0.7)], -1.0)[0]
+    assert len(unseen.triangles) == len(floor.triangles), "something is in the way: nothing is known of it"
+
+
+def test_pieces_of_few_triangles_are_crumbs_unless_they_are_all_there_is() -> None:
+    large, small = sheet(20, 20), sheet(6, 6, x=0.5)
+    both = joined(large, small)
+    label = np.ones(len(both.xyz), np.int64)
+    stuff = np.ones(len(label), np.bool_)
+    found = mending.without_crumbs(both, label, stuff, 100)
+    assert (found[: len(large.xyz)] == 1).all() and (found[len(large.xyz) :] == 0).all()
+    assert (mending.without_crumbs(both, label, stuff, 10) == 1).all()
+    alone = np.ones(len(small.xyz), np.int64)
+    assert (mending.without_crumbs(small, alone, alone < 0, 100) == 1).all()

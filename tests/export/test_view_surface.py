@@ -84,7 +84,8 @@ def test_views_may_lack_objects_labels_or_depth() -> None:
         (void, {0}),
     ):
         surface, label = surface_to_view(given)
-        assert areas(surface).sum() == pytest.approx(whole, rel=0.05) and set(label) == labels
+        assert areas(surface).sum() == pytest.approx(whole, rel=0.05)
+        assert labels <= set(label) <= labels | {0}, "a crumb that touches nothing has no label"
     for given in (blind, []):
         surface, label = surface_to_view(given)
         assert not len(surface.triangles) and not len(label)

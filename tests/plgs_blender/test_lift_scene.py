@@ -47,7 +47,7 @@ def test_cameras_stand_where_the_frames_were_taken(lift: Path) -> None:
         assert (ob["frame"], ob["held_out"]) == (frame.name, frame.held_out)
         assert (ob["width"], ob["height"], ob["fx"], ob["cy"]) == (64, 48, frame.camera.fx, frame.camera.cy)
         picture = ob.data.background_images[0].image
-        assert ob.data.show_background_images
+        assert not ob.data.show_background_images, "until it is asked for"
         assert Path(bpy.path.abspath(picture.filepath)) == frame.colour_path
 
 

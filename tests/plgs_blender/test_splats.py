@@ -13,8 +13,12 @@ from plgs.engine.passes.ply import columns_of, write_ply_table
 from plgs.engine.posed.ply import read_gaussians
 from plgs.plgs_blender import lift_scene, splat_objects, splats
 from plgs.plgs_blender.clouds import SurfaceGrid
+from plgs.plgs_blender.inspecting import looks
 from plgs.plgs_blender.inspecting.lists import registered
+from plgs.plgs_blender.meshes import mesh_folder
+from plgs.plgs_blender.results import result_of
 from plgs.plgs_blender.reuse import make_objects
+from surface_file import write_surface
 from tiny_lift import mend_manifest, write_tiny_lift
 from tiny_scene import CHAIR_ID
 
@@ -207,3 +211,21 @@ def test_a_lift_opens_as_splats_in_photo_colours_and_is_recoloured(lift: Path) -
             lift_scene.show_lift_as(root, bpy.context.scene, "SURFACE")
     lift_scene.place_lift(lift, bpy.context.scene)
     assert [ob.name for ob in bpy.data.objects if ob.name.startswith("Gaussians")] == ["Gaussians"]
+
+
+def test_splats_beside_a_surface_wait_for_their_button(lift: Path, extension: None) -> None:
+    """They would take a quarter of the saved file."""
+    scene = bpy.context.scene
+    root = lift_scene.place_lift(lift, scene)
+    assert looks.has(root, "SPLATS") and root.plgs.show_as == "SPLATS"
+    write_surface(mesh_folder(lift) / "mesh.ply")
+    assert result_of(lift_scene.placing_meshes_anew(lift, scene, asked=False)) == 2
+    assert not looks.has(root, "SPLATS") and root.plgs.show_as == "SURFACE"
+    for kind in ("SPLATS", "SURFACE", "SPLATS"):
+        assert bpy.ops.plgs.show_as(kind=kind) == {"FINISHED"}
+        assert looks.has(root, "SPLATS") and root.plgs.show_as == kind
+    lift_scene.place_lift(lift, scene)
+    assert looks.has(root, "SPLATS"), "they are shown"
+    root.plgs.show_as = "SURFACE"
+    lift_scene.place_lift(lift, scene)
+    assert not looks.has(root, "SPLATS")

@@ -211,7 +211,7 @@ def test_once_a_result_is_shown_the_steps_before_it_are_folded(tmp_path: Path) -
     folded = drawn(steps=False)
     assert "plgs.lift_scene" not in folded and "plgs.import_scene" not in folded and "Photo" in folded
     assert "plgs.lift_scene" in drawn()
-    assert folded.startswith("Turns a filmed room into named objects")
+    assert folded.lstrip().startswith("Turns a filmed room into named objects")
 
 
 def test_other_classes_are_listed_last() -> None:

@@ -185,7 +185,7 @@ def test_edits_move_no_button(tmp_path: Path) -> None:
 @pytest.mark.parametrize("asked", [True, False])
 def test_export_has_its_bar(form: str, shown_in: str, button: str, bar: str, asked: bool, tmp_path: Path) -> None:
     """The other buttons stay in sight, and where they are: what the export tells comes below the last one."""
-    idle, last = drawn(), f"plgs.export_lift {FORMS['clouds'][0]}"
+    idle, last = drawn(), f"plgs.export_lift {[*FORMS.values()][-1][0]}"
     follower: Any = Pretended(TaskState.RUNNING)
     export = registry.follow(Export(tmp_path, form, tmp_path, shown_in, follower, asked=asked))
     shown = drawn()

@@ -1,6 +1,7 @@
 """Labels, the legend and the highlight: where they stand, and that they are seen."""
 
 import os
+from types import SimpleNamespace
 
 import bpy
 import gpu
@@ -172,3 +173,26 @@ def test_a_path_is_a_line_that_breaks_at_jumps(root: bpy.types.Collection) -> No
     drawn = picture(draw)[HEIGHT - 52 : HEIGHT - 48].astype(int)
     amber = ((drawn[..., 0] > 200) & (drawn[..., 2] < 140)).any(axis=0)
     assert amber[22:78].all() and amber[302:318].all() and not amber[90:290].any()
+
+
+def test_the_outline_of_a_mesh_is_its_own(extension: None) -> None:
+    """Within two pixels of a ball's outline, without the circles of sparse points."""
+    bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=6, radius=1.0)
+    ball = bpy.context.active_object
+    lens, size, away = 1.5, (800, 800), 5.0
+    window = np.array([[lens, 0, 0, 0], [0, lens, 0, 0], [0, 0, -1.002, -0.2], [0, 0, -1, 0]])
+    pose = np.eye(4)
+    pose[2, 3] = -away
+    view = SimpleNamespace(window_matrix=window, view_matrix=pose)
+    found = highlight.highlight_of_mesh(bpy.context.scene.collection, ball)
+    mark = highlight.mark_of(found, view, size, (1.0, 0.5, 0.0))
+    true = lens * 400.0 / np.sqrt(away**2 - 1.0)
+    left, low, right, high = mark.place
+    rows, columns = np.nonzero(mark.pixels[..., 3] == np.float32(0.1))
+    cell = (right - left) / mark.pixels.shape[1]
+    x, y = left + (columns + 0.5) * cell - 400.0, low + (rows + 0.5) * cell - 400.0
+    angle = np.arctan2(y, x)
+    for start in np.linspace(-3.1, 3.0, 40):
+        reach = np.hypot(x, y)[np.abs(angle - start) < 0.05].max()
+        assert abs(reach - true) <= 2.0, start
+    assert (right - left) - 2.0 * true < 14.0, "with the line and its margin"
