@@ -180,7 +180,8 @@ def python_with_blender() -> Path | None:
         return None
     python = engine_python()
     if missing_modules(python, ["bpy"]):
-        fix = f"Run 'make set-up' in {ROOT}, or let Blender run this script: blender -b --python run_plgs.py -- ..."
+        blender = "blender -b --python-exit-code 1 --python run_plgs.py -- ..."
+        fix = f"Run 'make set-up' in {ROOT}, or let Blender run this script: {blender}"
         raise PlgsError("no-bpy", "has no bpy, the Blender module", python, fix)
     return python
 

@@ -17,6 +17,7 @@ from ..errors import PlgsError
 from ..gates import shortened
 from ..job import EventWriter, ExitCode, LiftFolder, StopSignal, verify
 from ..job.request import chosen_options, given_lift_options, source_of
+from ..job.studio import filled_in
 from ..job.task import TaskFiles
 from ..json_file import Json
 from ..presets.options import option_value, parsed_options, preset_options, preset_text, with_options
@@ -167,6 +168,8 @@ def _corrected_metrics(lift: LiftFolder, events: EventWriter, stop: StopSignal) 
 def inspect(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
     from .inspect_scene import inspect_scene
 
+    options.masks = filled_in(argparse.Namespace(scene=options.scene, masks=options.masks)).masks
+    options.masks = filled_in(argparse.Namespace(scene=options.scene, masks=options.masks)).masks
     inspect_scene(source_of(options), events, stop, preset=options.preset, findings=options.output, fix=options.fix)
 
 

@@ -143,6 +143,10 @@ def _described(edit: Edit, corrected: CorrectedResult) -> str:
     names = {one.id: shortened(one.name, _LONGEST) for one in everything}
     objects = ", ".join(f"{mark.id} {names.get(mark.id, '')}".strip() for mark in edit.objects)
     made = "".join(f"; new: {one.id} {one.name}" for one in edit.made)
+    if edit.kind == "rename" and not edit.undone:
+        number = edit.objects[0].id
+        objects, matte = str(number), corrected.names_in_mattes.get(number, edit.name)
+        made = "" if matte == edit.name else f"; in Cryptomatte {matte}"  # no commas, and no name twice
     to = edit.name or (corrected.classes[edit.class_id].name if edit.class_id in corrected.classes else "")
     return f"{'undone: ' if edit.undone else ''}{edit.kind} {objects}{f' to {to}' if to else ''}{made}"
 

@@ -99,8 +99,9 @@ def run_bake(
     ended. ``layers``, ``output``, ``channels`` and ``replace`` are those of ``BakeOptions``. The objects ``without``
     are not shown, as if they had been removed. Whatever happens, the lift stays finished and earlier passes are kept.
     If another process is baking already, this one bakes at the same time: with events in ``files`` or, if no program
-    follows it (no ``parent_pipe``), in its own folder below bake/. The lift's file 'cancel' stops all of them. The rest
-    is as in `run_engine`."""
+    follows it (no ``parent_pipe``), in its own folder below bake/. The lift's file 'cancel' stops all of them. If no
+    program follows it, standard output says what was baked. The rest is as in `run_engine`."""
+    baked = list[str]()
 
     def work(events: EventWriter, stop: StopSignal) -> None:
         from ..lift import BakeOptions, bake_cameras, bake_frames  # late: it loads torch
@@ -114,9 +115,9 @@ def run_bake(
             corrected = without_objects(folder, without, StageProgress("remove", events, stop))
         options = BakeOptions(tuple(layers), output, channels, replace, corrected)
         if cameras is not None:
-            bake_cameras(folder, cameras, events, stop, options)
+            baked.append(bake_cameras(folder, cameras, events, stop, options))
         if frames is not None:
-            bake_frames(folder, frames, events, stop, options)
+            baked.append(bake_frames(folder, frames, events, stop, options))
 
     command = Command(
         BAKE,
@@ -144,12 +145,16 @@ def run_bake(
         code = run_task(command, beside)
         if code is ExitCode.FINISHED:
             beside.discard()
+            print(*baked, sep="\n")
         return code
     try:
         _refuse_unfinished(folder)
         with output_to(folder.log_path) as terminal:
             folder.prepare_bake()
-            return run_at(command, folder.task_files, terminal)
+            code = run_at(command, folder.task_files, terminal)
+        if baked and parent_pipe is None and echo is None:
+            print(*baked, sep="\n")
+        return code
     finally:
         lock.__exit__(None, None, None)
 

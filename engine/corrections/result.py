@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from .. import result_files
 from ..errors import PlgsError
 from ..posed import ClassTable
+from ..posed.names import matte_names
 from ..result_files import Anchors, Instance, Listed, SemanticPoints
 from .edits import CORRECTIONS, Edit, editing, read_edits
 from .fills import Fill, path_of, read_fill
@@ -40,6 +41,11 @@ class CorrectedResult:
     accepted: frozenset[int]
     not_applied: dict[str, str]
     fingerprint: str
+
+    @property
+    def names_in_mattes(self) -> dict[int, str]:
+        """What Cryptomatte calls the objects, by their ids."""
+        return matte_names({one.id: one.name for one in self.instances})
 
     @property
     def warnings(self) -> list[str]:

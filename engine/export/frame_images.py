@@ -8,11 +8,13 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import __version__
 from ..errors import PlgsError
 from ..job import write_atomically
 from ..passes.baked_view import ShownInstances
@@ -31,7 +33,8 @@ def export_coco(lift: FinishedLift, output: Path) -> None:
     """See ``write_coco``. Raises PlgsError for ids that do not fit, OSError."""
     shown = lift.views("semantic", "instance")
     views = ((frame.name, layers.semantic, layers.instance, frame.camera) for frame, layers in shown)
-    write_coco(output, lift.classes, views, {each.id: each.name for each in lift.corrected.instances})
+    photos = {frame.name: frame.colour_path.name for frame in lift.frames if frame.file_shows_colour}
+    write_coco(output, lift.classes, views, {each.id: each.name for each in lift.corrected.instances}, photos)
 
 
 def write_coco(
@@ -39,12 +42,14 @@ def write_coco(
     classes: ClassTable,
     views: Iterable[tuple[str, Ids, Ids, Camera]],
     names: Mapping[int, str],
+    photos: Mapping[str, str] = MappingProxyType({}),
 ) -> None:
     """Write ``panoptic.json`` and ``panoptic/<frame>.png`` into ``folder``, and ``instances.json``: the objects again,
     as COCO's instance annotations with run lengths. ``views``: frame name, class ids and instance ids, int32 [H, W]
     each, and camera. A segment's id is class * 4096 + instance, so it means the same object in every view. Beside what
     COCO asks for, a segment has the ``instance_id`` and the ``name`` of its instance (``names``) or class, and an image
-    its ``K`` and ``camera_to_world`` (OpenCV's axes, metres). Raises PlgsError for ids from 4096 on, OSError."""
+    its ``K`` and ``camera_to_world`` (OpenCV's axes, metres). Its ``file_name`` is that of its photo, if ``photos`` has
+    it. Raises PlgsError for ids from 4096 on, OSError."""
     images, annotations, instances = [], [], list[dict[str, object]]()
     for number, (name, semantic, instance, camera) in enumerate(views, start=1):
         if max(int(semantic.max(initial=0)), int(instance.max(initial=0))) >= MOST_COCO_IDS:
@@ -55,7 +60,7 @@ def write_coco(
         write_atomically(folder / "panoptic" / f"{name}.png", image_bytes(colours))
         height, width = ids.shape
         images.append({
-            "id": number, "file_name": f"{name}.png", "width": width, "height": height,
+            "id": number, "file_name": photos.get(name, f"{name}.png"), "width": width, "height": height,
             "K": camera.resized(width, height).K.tolist(), "camera_to_world": camera.camera_to_world.tolist(),
         })  # fmt: skip
         segments = _segments(ids, classes, names)
@@ -69,7 +74,8 @@ def write_coco(
         {"id": c.id, "name": c.name, "isthing": int(c.is_thing), "color": list(c.colour)} for c in classes.categories
     ]
     for file, found in (("panoptic.json", annotations), ("instances.json", instances)):
-        content = {"images": images, "annotations": found, "categories": categories}
+        info = {"description": f"A lift, exported by PLGS {__version__}", "version": __version__}
+        content = {"info": info, "images": images, "annotations": found, "categories": categories}
         write_atomically(folder / file, json.dumps(content, ensure_ascii=False) + "\n")
 
 

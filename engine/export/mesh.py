@@ -84,7 +84,7 @@ def glb_bytes(parts: Sequence[Part]) -> bytes:
     nodes: list[dict[str, Any]] = []
     meshes: list[dict[str, Any]] = []
     matt = {"metallicFactor": 0.0, "roughnessFactor": 1.0}
-    materials: list[dict[str, Any]] = [{"pbrMetallicRoughness": matt, "doubleSided": True}]
+    materials: list[dict[str, Any]] = [{"name": "vertex colours", "pbrMetallicRoughness": matt, "doubleSided": True}]
     images: list[dict[str, Any]] = []
     for part in parts:
         colours, values, number = "COLOR_0", linear(part.rgb / 255), 0
@@ -92,7 +92,7 @@ def glb_bytes(parts: Sequence[Part]) -> bytes:
             encoded = jpeg_bytes(part.picture)
             (part, values), colours, number = part.with_seams(), "TEXCOORD_0", len(materials)
             shown = matt | {"baseColorTexture": {"index": len(images)}}
-            materials.append({"pbrMetallicRoughness": shown, "doubleSided": True})
+            materials.append({"name": part.name, "pbrMetallicRoughness": shown, "doubleSided": True})
             images.append({"bufferView": buffer.add(encoded + b"\0" * (-len(encoded) % 4)), "mimeType": "image/jpeg"})
             buffer.views[-1]["byteLength"] = len(encoded)  # without the padding, by which glTF aligns what follows
         arrays = {"POSITION": upright(part.xyz), "NORMAL": upright(part.normal), colours: values}

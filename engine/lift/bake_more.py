@@ -26,7 +26,7 @@ from ..job.progress import StageReporter
 from ..model.neural_gaussians import ClipRange
 from ..passes.baked_view import BakedView
 from ..passes.exr import ShownFrame, further_layers, is_frame, is_own, number_in, read_note, write_exr
-from ..posed.layout import listed
+from ..posed.layout import listed, plural
 from ..scene import Camera, Frame, Scene, size_within
 from ..scene_of_lift import complete_known_scene, names_of_frames, scene_of_lift
 from .baking import CORRECTIONS_NOTE, FrameBaker, baked_files, names_of_files, read_baker
@@ -94,9 +94,10 @@ def bake_frames(
     events: EventWriter,
     stop: StopSignal,
     options: BakeOptions = BakeOptions(),
-) -> None:
-    """Bake frames that are not baked yet: "test", "all", or names. The result is complete at every moment. Raises
-    PlgsError if the scene can no longer be read or lacks a frame, and Cancelled if stopped. Baked views are kept."""
+) -> str:
+    """Bake frames that are not baked yet: "test", "all", or names, and return what was baked, in words. The result is
+    complete at every moment. Raises PlgsError if the scene can no longer be read or lacks a frame, and Cancelled if
+    stopped. Baked views are kept."""
 
     def views_in(scene: Scene) -> list[WantedView]:
         lost = {*names_of_frames(folder)} - {frame.name for frame in scene.frames}
@@ -113,12 +114,12 @@ def bake_frames(
         ]  # fmt: skip
 
     with BakeLocks(folder.path) as locks:
-        _bake(folder, locks, views_in, events=events, stop=stop, options=options)
+        return _bake(folder, locks, views_in, events=events, stop=stop, options=options)
 
 
 def bake_cameras(
     folder: LiftFolder, cameras: Path, events: EventWriter, stop: StopSignal, options: BakeOptions = BakeOptions()
-) -> None:
+) -> str:
     """Bake the views in a file of cameras (see `job.cameras`) that are not baked yet, as `bake_frames` does. A view
     that was baked from a different camera with the same name is baked again. Raises PlgsError for a bad camera, or one
     with the name of a frame; otherwise it raises what `bake_frames` raises."""
@@ -130,7 +131,7 @@ def bake_cameras(
         return [view_from(camera) for camera in wanted]
 
     with BakeLocks(folder.path) as locks:
-        _bake(folder, locks, views_in, events=events, stop=stop, options=options)
+        return _bake(folder, locks, views_in, events=events, stop=stop, options=options)
 
 
 def view_from(camera: BakeCamera) -> WantedView:
@@ -149,7 +150,7 @@ def _camera_of(pinhole: PreviewCamera) -> Camera:
 def _bake(
     folder: LiftFolder, locks: BakeLocks, views_in: Callable[[Scene], list[WantedView]], *, events: EventWriter,
     stop: StopSignal, options: BakeOptions,
-) -> None:  # fmt: skip
+) -> str:  # fmt: skip
     if folder.is_lifted_again and events.path != folder.events_path and folder.is_running:
         raise at_work(folder.events_path)  # its new result will take the place of this one
     be_repeatable()
@@ -161,7 +162,8 @@ def _bake(
         destination = _Result(folder, locks, options) if options.output is None else _OwnFolder(folder, options)
         if options.output is None:
             complete_known_scene(folder, scene)
-        wanted = [view for view in views_in(scene) if not destination.has(view, notes)]
+        asked, began = views_in(scene), time.monotonic()
+        wanted = [view for view in asked if not destination.has(view, notes)]
         again = [view.name for view in wanted if destination.path_of(view).exists()]
         if again:
             events.warning(f"views are baked again, with other layers or in another state: {listed(again)}")
@@ -192,6 +194,9 @@ def _bake(
         finally:
             destination.keep()
             report_unresolved(found, events, before=False)
+    there = f"; {len(asked) - len(wanted)} were there" if len(asked) > len(wanted) else ""
+    place = options.output or folder.passes_path
+    return f"Baked {plural(len(wanted), 'view')} in {time.monotonic() - began:.0f} s{there}: {place}"
 
 
 def look_ahead(baker: FrameBaker, wanted: Sequence[WantedView], photos: Sequence[Camera], events: EventWriter) -> None:

@@ -82,7 +82,7 @@ def frames_to_bake(scene: Scene, bake: str) -> tuple[Frame, ...]:
 
 def frames_to_vote(scene: Scene, chosen: Scene, preset: Preset) -> tuple[Frame, ...]:
     """The frames of a scene that are neither held out nor among the ``chosen``."""
-    if preset.objects != "agreement" or not preset.all_frames_vote:
+    if preset.objects in ("boxes", "none") or not preset.all_frames_vote:
         return ()
     training = {frame.name for frame in chosen.train_frames}
     return tuple(frame for frame in scene.train_frames if frame.name not in training)

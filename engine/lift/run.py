@@ -73,7 +73,7 @@ CHECKPOINT_SHARE = 0.02
 """The largest share of the time for checkpoints: slow ones become rarer."""
 NO_VOTES = (
     "the finished scene shows the label decoders, not the views' votes: "
-    'votes need objects = "agreement" and one_class_an_object = true'
+    'votes need objects = "agreement", or a matcher that returns label_maps, and one_class_an_object = true'
 )
 VOTED, SIFTED = 0.8, 0.83
 """Shares of the stage "result" after voting (67 of 92 s in a small lift), and after points were left out."""
@@ -131,6 +131,9 @@ def run_lift(
     preset = preset.for_views(len(views))
     classes = frames.all.classes
     prepared = preparing(ViewsToLift(views, classes, preset, request.seed, others, folder.path), stages)
+    if preset.shows_votes and prepared.label_maps is None:
+        preset = replace(preset, labels="decoders")
+        events.warning(NO_VOTES)
     trainer = training(prepared.scene, prepared.targets, views, preset, request.seed)
     if checkpoint is not None:
         take_up(trainer, checkpoint, events, masks_changed=masks_changed)

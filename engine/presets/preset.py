@@ -207,8 +207,9 @@ class Preset:
 
     @property
     def can_vote(self) -> bool:
-        """Whether views can vote on Gaussians: that needs objects by agreement, of one class each."""
-        return self.objects == "agreement" and self.one_class_an_object
+        """Whether views can vote on Gaussians: that needs objects of one class each, by agreement or by a matcher of a
+        script, whose answer then decides."""
+        return self.objects not in ("boxes", "none") and self.one_class_an_object
 
     @property
     def last_step(self) -> int:

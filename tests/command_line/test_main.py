@@ -142,6 +142,20 @@ def test_every_command_ends_alike(
     assert len(said) == 1 and said[0].startswith("Stopped.")
 
 
+def test_inspect_takes_the_masks_of_the_studio(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    room = write_tiny_scene(tmp_path / "scene", frames=6)
+    (tmp_path / "masks" / "scene").mkdir(parents=True)
+    for name in ("panoptic", "panoptic.json"):
+        (room / name).rename(tmp_path / "masks" / "scene" / name)
+    (tmp_path / "plgs.toml").write_text('masks = "masks/{scene}"\n')
+    monkeypatch.setenv("PLGS_DEFAULTS", str(tmp_path / "plgs.toml"))
+    assert code_of("inspect", room) == 0
+    said = capsys.readouterr()
+    assert "chair" in said.out and f"masks {tmp_path / 'masks' / 'scene'}" in said.err
+
+
 @pytest.mark.parametrize("form", [["--up", "-y"], ["--up=-y"]])
 def test_up_may_point_down(capsys: pytest.CaptureFixture[str], tmp_path: Path, form: list[str]) -> None:
     assert code_of("inspect", *form, write_tiny_scene(tmp_path / "scene", frames=6)) == 0

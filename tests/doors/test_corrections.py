@@ -45,6 +45,8 @@ def test_what_you_mend_is_kept_in_corrections_json_and_result_stays(terminal: Te
     kept = json.loads((terminal.folder / LIFT / "corrections.json").read_text())
     assert kept["edits"][0]["name"] == "Anna's sofa"
     assert "Anna's sofa" in terminal.run(LIST)
+    said = terminal.run(RENAME.replace("Anna's sofa", "a, b"), id6=ids(terminal)["cabinet"])
+    assert said.strip().endswith("to a, b; in Cryptomatte a b")
 
 
 def test_bakes_those_again_that_show_other_corrections(terminal: Terminal) -> None:

@@ -1,5 +1,6 @@
 """A shot that was published stays as it is: docs/passes.md, "Nothing is overwritten by accident"."""
 
+import re
 from pathlib import Path
 
 import OpenEXR
@@ -52,7 +53,8 @@ def test_another_state_is_the_next_version_or_is_refused(room: Terminal) -> None
 
 def test_other_frames_of_the_capture_and_files_saved_again_are_refused(room: Terminal) -> None:
     printed = ".venv/bin/python -m engine bake LIFT --frames all -o FOLDER"
-    room.run(printed, LIFT="lifts/demo", FOLDER="plate")
+    assert re.search(r"Baked 6 views in \d+ s: plate", room.run(printed, LIFT="lifts/demo", FOLDER="plate"))
+    assert "Baked 0 views in 0 s; 6 were there: plate" in room.run(printed, LIFT="lifts/demo", FOLDER="plate")
     path = room.folder / "plate" / "0002.exr"
     with OpenEXR.File(str(path), separate_channels=True) as file:  # as a program does that keeps all attributes
         header = {**file.header(), "capDate": "2026:11:28 10:00:00"}

@@ -94,6 +94,11 @@ def test_coco_is_exported(lift: LiftFolder, truth: dict[str, tuple[np.ndarray, n
             of_class = categories[segment["category_id"]]["name"]
             assert segment["name"] == names.get(segment["instance_id"], of_class)
             assert categories[segment["category_id"]]["isthing"] or not instance[pixels].any()
+    photos = {frame.colour_path.name for frame in FinishedLift(lift, ["all"]).frames}
+    assert {image["file_name"] for image in images.values()} == photos
+    coco = pytest.importorskip("pycocotools.coco").COCO(str(tmp_path / "instances.json"))
+    coco.info()  # pycocotools 2.0.10 needs the block
+    assert {image["file_name"] for image in coco.loadImgs(coco.getImgIds())} == photos
     found = json.loads((tmp_path / "instances.json").read_text())["annotations"]
     assert len(found) == sum(len(np.unique(instance[instance > 0])) for _, instance in truth.values())
     for one in found:

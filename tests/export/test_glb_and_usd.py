@@ -35,6 +35,7 @@ for path in sys.argv[1:]:
         if ob.type == "MESH":
             told["vertices"] = [list(ob.matrix_world @ vertex.co) for vertex in ob.data.vertices]
             images = [n.image for m in ob.data.materials for n in m.node_tree.nodes if n.type == "TEX_IMAGE"]
+            told["materials"] = [material.name for material in ob.data.materials]
             told["pictures"] = [list(image.size) for image in images if image is not None]
             told["uv"] = len(ob.data.uv_layers)
             told["class"] = ob.get("class")
@@ -119,6 +120,7 @@ def check_in_blender(lifted: FinishedLift, meshes: Mapping[str, Any], folder: Pa
         for name, mesh in meshes.items():
             told = found[str(path)][name if path == glb else mesh.GetPrim().GetName()]
             points = np.array(mesh.GetPointsAttr().Get())
+            assert path != glb or told["materials"] == [name]
             assert told["uv"] == 1 and len(told["pictures"]) == 1 and min(told["pictures"][0]) > 1
             assert are_same_places(told["vertices"], points)
     assert found[str(glb)]["floor"]["class"] == "floor"

@@ -3,21 +3,33 @@
 import csv
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
+from safetensors import safe_open
 
 from engine.job import LiftFolder, LiftRequest
+from engine.job.progress import StageProgress
 from engine.job.training_log import TrainingLog
-from engine.lift.objects import MATCHERS, no_objects, register_matcher
+from engine.lift.objects import (
+    MATCHERS,
+    Matching,
+    ViewsToMatch,
+    no_objects,
+    objects_by_agreement,
+    register_matcher,
+)
+from engine.lift.run import NO_VOTES
 from engine.model.decoders import DECODERS, Decoders, register_head
 from engine.presets import parts
 from engine.presets.options import checked_options, parsed_options
+from engine.presets.preset import Preset
 from engine.train.trainer import LOSSES, Step, register_loss
 from tests.raises_key import raises_key
 from tests.tiny_scene import write_tiny_scene
-from tests.train.tiny_lift import TINY, lift_into, presets_as
+from tests.train.tiny_lift import TINY, lift_into, presets_as, warnings_in
 
 
 class OneLabel(Decoders):
@@ -64,6 +76,19 @@ def test_registered_parts_are_used_and_recorded(tmp_path: Path) -> None:
     assert float(steps[0]["loss"]) > float(before[0]["loss"]) + 0.5 * float(steps[0]["transparent"]) > 1.0
     versions, old = (json.loads((each.manifest_path).read_text())["versions"] for each in (own, plain))
     assert {"loss transparent", "head one_label"} <= {*versions} and versions["code"] != old["code"]
+
+
+@pytest.mark.parametrize("keeps", [True, False])
+def test_a_matcher_that_returns_label_maps_keeps_the_votes(tmp_path: Path, keeps: bool) -> None:
+    def matcher(given: ViewsToMatch, preset: Preset, progress: StageProgress) -> Matching:
+        found = objects_by_agreement(given, preset, progress)
+        return found if keeps else replace(found, label_maps=None)
+
+    MATCHERS["mine"] = matcher
+    own = lifted(tmp_path, objects="mine")
+    with safe_open(own.result_path / "model.safetensors", "pt") as file:
+        assert ("voted.label" in file.keys()) == keeps  # noqa: SIM118 - it is no mapping
+    assert (NO_VOTES in warnings_in(own.events_path)) != keeps
 
 
 def test_names_of_other_programs_are_read_and_not_lifted(tmp_path: Path) -> None:
