@@ -63,7 +63,7 @@ from plgs.engine.job import CHANNELS, FURTHER_LAYERS, LiftFolder, read_manifest
 from plgs.engine.job.cameras import frame_numbers
 from plgs.engine.job.lock import FileLock
 from plgs.engine.job.process import clean_environment, engine_python, missing_modules
-from plgs.engine.job.report import made_files, metrics_text, read_metrics
+from plgs.engine.job.report import estimated_text, made_files, metrics_text, read_metrics
 from plgs.engine.job.request import Parser, add_lift_options, add_progress_option, given_lift_options, readable
 from plgs.engine.job.terminal import Interrupted, Interrupts, ask_engine, lift_in_terminal, stdout_for_events
 
@@ -219,7 +219,7 @@ def lift_to_blend(options: argparse.Namespace, interrupts: Interrupts) -> int:
     if code == ExitCode.FINISHED and options.bakes_camera:
         code = bake_camera(lift, blend, options, interrupts)
     if code == ExitCode.FINISHED:
-        print(metrics_text(read_metrics(lift)), "", blend, *made_files(lift), sep="\n", flush=True)
+        print(metrics_text(read_metrics(lift)), estimated_text(lift), blend, *made_files(lift), sep="\n", flush=True)
     return code
 
 

@@ -171,7 +171,8 @@ def _solved(fitted: Sequence[_Fitted], pairs: Sequence[tuple[int, int]], same: f
     from scipy.sparse.linalg import spsolve
 
     cells, unknowns, places = _GRID[0] * _GRID[1], _GRID[0] * _GRID[1] + 1, _places(_SAMPLES)
-    rows, columns, values, targets = list[Values](), list[Values](), list[Values](), list[Values]()
+    rows, columns = list[NDArray[np.int64]](), list[NDArray[np.int64]]()
+    values, targets = list[Values](), list[Values]()
     count = 0
 
     def add(terms: Sequence[tuple[int, NDArray[np.int64], Values]], target: Values, weight: float) -> None:

@@ -108,8 +108,7 @@ def make_depth(scene: Scene, folder: Path, network: DepthNetwork, follow: Follow
                 few.append(frame.name)
                 continue
             if not own.owns(path):
-                values = network.look(frame.read_colour(None))
-                write_atomically(path, lambda part, values=values: np.save(part, values))
+                write_atomically(path, partial(_save, network.look(frame.read_colour(None))))
             maps[frame.name] = Map(frame.camera, partial(_read_map, path), places, depths)
             follow(done, 2 * total)
         lost = []
@@ -117,8 +116,7 @@ def make_depth(scene: Scene, folder: Path, network: DepthNetwork, follow: Follow
             if depth is None:
                 lost.append(name)
             else:
-                stored = (depth / scale).astype(np.float16)
-                write_atomically(place / f"{name}.npy", lambda part, stored=stored: np.save(part, stored))
+                write_atomically(place / f"{name}.npy", partial(_save, (depth / scale).astype(np.float16)))
         if len(lost) == len(maps):
             what = "no map rises or falls with the depth of the reconstruction's points"
             raise PlgsError("depth-unrelated", what, place, "Name another network with --model.")
@@ -133,6 +131,10 @@ def make_depth(scene: Scene, folder: Path, network: DepthNetwork, follow: Follow
 def is_made(folder: Path) -> bool:
     """Whether the depth of a scene with its files in ``folder`` is complete."""
     return (folder / DEPTH_FOLDER / MADE_BY).is_file()
+
+
+def _save(values: NDArray[Any], part: Any) -> None:
+    np.save(part, values)
 
 
 def _read_map(path: Path) -> NDArray[np.float32]:

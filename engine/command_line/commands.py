@@ -265,8 +265,8 @@ def scale(options: argparse.Namespace, events: EventWriter, stop: StopSignal) ->
     from ..scene import open_scene
     from ..scene.made import set_scale
 
-    open_scene(options.scene, up=options.up or "z", scene_format=options.scene_format)  # to refuse what is no scene
-    factor = set_scale(scene_folder(options.scene), options.factor, options.measured)
+    scene = open_scene(options.scene, up=options.up or "z", scene_format=options.scene_format)
+    factor = set_scale(scene, scene_folder(options.scene), options.factor, options.measured)
     events.answer({"scale": factor}, f"Lengths of {options.scene} are multiplied by {factor:.6g}")
 
 

@@ -15,8 +15,9 @@ from ..job import write_atomically
 from ..job.own_files import OwnFiles
 from ..json_file import read_object, to_text
 from ..posed.frames import Camera
+from ..posed.plain_folders import NAME
 from .depth import DepthMap, npy_depth
-from .frame import Inferred
+from .frame import Inferred, Scene
 
 DEPTH_FOLDER = "made_depth"
 """The folder in a scene's folder where ``engine depth`` writes a .npy a frame, in the unit of the poses."""
@@ -73,9 +74,11 @@ def scale_of(beside: Path) -> float:
     return float(scale)
 
 
-def set_scale(beside: Path, factor: float | None, measured: Sequence[float] | None) -> float:
-    """Write by what a scene's lengths are multiplied: ``factor``, or so that of the two ``measured`` lengths the first,
-    as the scene is now, becomes the second. Raises PlgsError for a factor beyond all use, OSError."""
+def set_scale(scene: Scene, beside: Path, factor: float | None, measured: Sequence[float] | None) -> float:
+    """Write ``beside`` a scene by what its lengths are multiplied: ``factor``, or so that of the two ``measured``
+    lengths the first, as it is now, becomes the second. Raises PlgsError for a factor beyond all use, OSError."""
+    if scene.format == NAME:
+        raise PlgsError("has-unit", "the lengths of this layout are metres", scene.folder, "Correct its files.")
     if measured is not None and measured[0] > 0.0:
         factor = scale_of(beside) * measured[1] / measured[0]
     if factor is None or not _SCALES[0] <= factor <= _SCALES[1]:

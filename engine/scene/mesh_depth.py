@@ -107,14 +107,17 @@ def read_mesh(path: Path) -> Any:
         refuse_special(path)
         check_memory(_BYTES * path.stat().st_size, path)
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)  # it would print what we raise
-    mesh = open3d.io.read_triangle_mesh(str(path))
+    mesh = open3d.io.read_triangle_mesh(path)
     vertices, triangles = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.triangles, np.int64)
     if not len(triangles) or not len(vertices):
         raise PlgsError("no-mesh", "there are no triangles in this file", path, f"{_FIX} Points alone give no depth.")
     if triangles.min() < 0 or triangles.max() >= len(vertices) or not np.isfinite(vertices).all():
         raise PlgsError("broken-mesh", "the mesh has vertices that are missing or no numbers", path, _FIX)
     surface = open3d.t.geometry.RaycastingScene()
-    surface.add_triangles(vertices, triangles.astype(np.uint32))
+    parts = (
+        open3d.core.Tensor.from_numpy(np.ascontiguousarray(each)) for each in (vertices, triangles.astype(np.uint32))
+    )
+    surface.add_triangles(*parts)
     return surface
 
 

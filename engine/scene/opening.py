@@ -93,12 +93,12 @@ def _opened(source: SceneSource, progress: Progress) -> Scene:
     shots = [shot for shot in capture.shots if shot.name in chosen]
     poses = [shot.camera.camera_to_world for shot in capture.shots]
     turn, turn_warnings = upright_turn(poses, source.up, capture.up, is_known=capture.up_is_known)
-    scale = scale_of(beside)
+    scale = 1.0 if reader.name == NAME else scale_of(beside)  # plain folders have metres, and Blender reads them itself
     cameras = {shot.name: scaled(shot.camera.at(turned(shot.camera.camera_to_world, turn)), scale) for shot in shots}
     sizes = {shot.name: shot.camera.size for shot in shots}
     of_shot = {shot.name: shot for shot in shots} if source.depth is None else {}
-    depths = of_most(list(of_shot), lambda name: _readable_depth(of_shot[name]))
-    depths = {name: each for name, each in depths.items() if each is not None}
+    found = of_most(list(of_shot), lambda name: _readable_depth(of_shot[name]))
+    depths = {name: each for name, each in found.items() if each is not None}
     made = {} if depths or source.depth is not None else made_depth(beside, {each.name: each.camera for each in shots})
     depths |= made
     if scale != 1.0:
@@ -286,7 +286,7 @@ def _alike_names(named: Iterable[tuple[str, str]]) -> list[list[str]]:
 def require_liftable(scene: Scene) -> None:
     """Raise PlgsError if a scene lacks the masks or depth that a lift needs."""
     if not scene.has_depth:
-        fix = "Give depth images in the scene, or a folder of depth maps with --depth."
+        fix = "Make depth (engine depth, Make Depth), or give a mesh or a folder of depth maps with --depth."
         without = [frame.name for frame in scene.frames if frame.read_depth is None]
         some = f"{len(without)} of {len(scene.frames)} frames have no depth ({listed(without)})"
         what = "the scene has no depth" if len(without) == len(scene.frames) else some

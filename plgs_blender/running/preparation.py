@@ -206,7 +206,8 @@ class FilmMaking(Preparation):
 def make_depth(chosen: ChosenScene, python: Path, model: str, *, download: bool) -> DepthMaking:
     """Start an engine that makes depth. ``model``, ``download``: as in `make_masks`. Raises OSError, PlgsError."""
     registry.refuse_second(DepthMaking)
-    command = [chosen.scene, f"--up={chosen.up_option}", *_network("--model", model, download=download)]
+    command: list[str | Path] = [chosen.scene, f"--up={chosen.up_option}"]
+    command += _network("--model", model, download=download)
     return registry.begin(DepthMaking(chosen, start_engine("depth", python, *command)))
 
 
@@ -214,8 +215,9 @@ def prepare_film(settings: Any, film: Path, python: Path, model: str, *, downloa
     """Choose a film, or a folder of photos, and start an engine that makes what it lacks, with the network ``model``
     for masks; the lift follows. Raises OSError, PlgsError."""
     registry.refuse_second(FilmMaking)
+    settings.scene_folder = settings.masks = settings.detections = settings.depth = ""  # those of an earlier scene
     settings.scene_folder = str(film)
-    command = [film, *_network("--masks-model", model, download=download)]
+    command: list[str | Path] = [film, *_network("--masks-model", model, download=download)]
     return registry.begin(FilmMaking(chosen_scene(settings), start_engine("prepare", python, *command)))
 
 

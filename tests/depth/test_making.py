@@ -183,6 +183,7 @@ def test_a_measured_length_scales_the_scene(tmp_path: Path) -> None:
     assert after.points is not None and before.points is not None
     np.testing.assert_allclose(after.points.xyz, 3 * before.points.xyz, atol=1e-9)
     assert main(["scale", str(folder), "--factor", "-1"]) == 2
+    assert main(["scale", str(ROOM), "--factor", "2"]) == 2, "it has metres"
     assert main(["scale", str(folder), "--factor", "1"]) == 0 and scale_of(folder) == 1.0
 
 
