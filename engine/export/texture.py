@@ -59,7 +59,7 @@ def textured(surface: Surface, label: Ints, views: Sequence[SmallView], progress
     rating, choosing, cutting, packing = (part_of(progress, part / 4, (part + 1) / 4, 100) for part in range(4))
     quality, gains = _qualities(surface, views, frames, rating)
     labels = labels_of_triangles(surface.triangles, label)
-    chosen = _chosen(surface.triangles, len(surface.xyz), watched(quality, choosing))
+    chosen = _chosen(surface.triangles, len(surface.xyz), quality, choosing)
     of_triangle, view, of_label = _charts(surface.triangles, labels, chosen)
     wedge, vertex, chart = _wedges(surface.triangles, of_triangle)
     pixel = np.empty((len(vertex), 2))
@@ -147,7 +147,7 @@ def _photo(frame: Frame) -> NDArray[np.uint8]:
     return np.where(border[..., None], np.uint8(0), photo) if border.any() else photo
 
 
-def _chosen(triangles: Ints, count: int, qualities: Sequence[_Quality]) -> Ints:
+def _chosen(triangles: Ints, count: int, qualities: Sequence[_Quality], progress: Progress) -> Ints:
     """The view of each triangle [T] of ``count`` vertices, -1 where none shows all its corners. A view's share of the
     best quality is smoothed over the vertices that it shows, so that neighbours choose the same view."""
     best = np.full(count, 1e-9, np.float32)
@@ -155,7 +155,7 @@ def _chosen(triangles: Ints, count: int, qualities: Sequence[_Quality]) -> Ints:
         best[vertices] = np.maximum(best[vertices], pixels)
     around = around_vertices(triangles, count).astype(np.float32)
     view, score = np.full(len(triangles), -1, np.int64), np.zeros(len(triangles), np.float32)
-    for number, (vertices, pixels) in enumerate(qualities):
+    for number, (vertices, pixels) in enumerate(watched(qualities, progress)):
         share, beside = np.sqrt(pixels / best[vertices]), around[vertices][:, vertices]
         for _ in range(_ROUNDS):
             share = 0.5 * (share + beside @ share)

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from engine.command_line.main import EXPORTS, main
-from engine.export.run import KINDS
+from engine.errors import Cancelled
+from engine.export.run import KINDS, export
 from engine.export.source import FinishedLift
 from engine.job import LiftFolder
 from engine.result_files import SemanticPoints, read_arrays
@@ -274,3 +275,22 @@ def test_unknown_frame_refused(kind: str, lift: LiftFolder, tmp_path: Path, caps
     assert main(["export", str(lift.path), "--to", kind, "-o", str(output), "--frames", "0001", "nosuch"]) == 2
     said = capsys.readouterr().err
     assert "no frame nosuch" in said and said.count("\n") == 1 and not output.exists()
+
+
+@pytest.mark.parametrize("form", ["mesh", "gltf", "surface"])
+def test_an_export_of_meshes_can_be_stopped_in_each_of_its_steps(lift: LiftFolder, form: str, tmp_path: Path) -> None:
+    """Drawing the views is a third of its bar; what follows has shares too, and ends where it is asked to."""
+    shares: list[float] = []
+    export(lift, form, tmp_path / "whole", ["all"], progress=lambda done, total: shares.append(done / total))
+    after_drawing = {round(20 * share) for share in shares if share > 0.35}
+    assert shares == sorted(shares) and shares[-1] == 1.0 and len(after_drawing) >= 8
+
+    for asked in (0.2, 0.4, 0.6, 0.8):
+
+        def stop(done: int, total: int, asked: float = asked) -> None:
+            if done >= asked * total:
+                raise Cancelled("asked to")
+
+        with pytest.raises(Cancelled):
+            export(lift, form, tmp_path / f"{asked}", ["all"], progress=stop)
+        assert not any(path.suffix in (".glb", ".ply") for path in (tmp_path / f"{asked}").rglob("*"))
