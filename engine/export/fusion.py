@@ -6,12 +6,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
 
-from ..scene import Camera, Frame
+from ..job.progress import Progress, part_of, unwatched
+from ..scene import Camera, Frame, watched
 
 VOXEL = 0.02  # side of a voxel in metres
 _STEP = 1.1  # the ratio of neighbouring depths above which two pixels belong to different surfaces
@@ -21,7 +24,9 @@ GRAZED = (*STRAIGHT, (2.0, 8.0), (4.0, 12.0))
 that slope on. A view that grazes a floor must reach farther; otherwise the floor has holes. The cost is that round
 objects get thicker."""
 _STRIDE = 4  # Open3D looks for voxels at every fourth row and column, and refuses views that show none there
-_BLOCKS = 20_000  # the blocks of voxels for which memory is reserved at first; Open3D takes more when it needs them
+_SIDE = 8  # voxels along a block
+MOST_BLOCKS = 6_000
+"""Blocks of voxels that are fused at once: each takes 18 KB, in the field and while its surface is found."""
 
 Ints = NDArray[np.int64]
 
@@ -97,34 +102,131 @@ class SmallView:
         return np.divide(length, inverse, out=np.zeros_like(inverse), where=is_one > 0)
 
 
-def fuse(views: Sequence[SmallView], grain: Grain = Grain()) -> Surface:
-    """The zero level of the field of all views. Normals point towards the cameras."""
+def fuse(views: Sequence[SmallView], grain: Grain = Grain(), progress: Progress = unwatched) -> Surface:
+    """The zero level of the field of all views, fused slab by slab, so that memory does not grow with the room. Normals
+    point towards the cameras. Raises what ``progress`` raises."""
+    finding, fusing = part_of(progress, 0.0, 0.2, 100), part_of(progress, 0.2, 0.9, 100)
+    seen = [_blocks(view, grain) for view in watched(views, finding)]
+    slabs = _slabs(np.concatenate([np.empty((0, 3), np.int32), *(each for found in seen for each in found)]))
+    parts = [
+        _fused(views, seen, slab, grain, part_of(fusing, number / len(slabs), (number + 1) / len(slabs), 100))
+        for number, slab in enumerate(slabs)
+    ]
+    if not any(len(part.triangles) for part in parts):
+        none = np.empty((0, 3), np.float32)
+        return Surface(none, none.astype(np.uint8), none, none.astype(np.int64))
+    before = np.cumsum([0, *(len(part.xyz) for part in parts)])
+    triangles = np.concatenate([part.triangles + start for part, start in zip(parts, before, strict=False)])
+    arrays = (np.concatenate([getattr(part, name) for part in parts]) for name in ("xyz", "rgb", "normal"))
+    whole = _in_order(Surface(*arrays, triangles))
+    progress(95, 100)
+    return _smoothed(whole)
+
+
+class _Slab(NamedTuple):
+    """The blocks of voxels from ``first`` to ``last`` along an axis."""
+
+    axis: int
+    first: int
+    last: int
+
+
+def _slabs(blocks: NDArray[np.int32]) -> list[_Slab]:
+    """Slabs across the longest axis with about MOST_BLOCKS of these blocks [N, 3], which may be listed repeatedly."""
+    if not len(blocks):
+        return []
+    blocks = np.unique(blocks, axis=0)
+    axis = int(np.argmax(np.ptp(blocks, axis=0)))
+    low = int(blocks[:, axis].min())
+    number = np.cumsum(np.bincount(blocks[:, axis] - low)) // MOST_BLOCKS
+    firsts = low + np.flatnonzero(np.diff(number, prepend=-1))
+    return [_Slab(axis, *ends) for ends in zip(firsts, [*(firsts[1:] - 1), low + len(number) - 1], strict=True)]
+
+
+class _Lens:
+    """A view's camera as Open3D takes it, for its enlarged depth and for its colours."""
+
+    def __init__(self, view: SmallView, times: int) -> None:
+        import open3d.core
+
+        height, width = view.depth.shape
+        matrices = view.camera.resized(times * width, times * height).K, view.camera.K
+        pose = np.linalg.inv(view.camera.camera_to_world)
+        self.large, self.small, self.pose = map(open3d.core.Tensor.from_numpy, (*matrices, pose))
+
+
+def _grid(voxel: float, blocks: int) -> Any:
+    """A field with memory for some ``blocks``; Open3D takes more when it needs it."""
     import open3d.core
     import open3d.t.geometry as geometry
 
     names, kinds = ("tsdf", "weight", "color"), (open3d.core.float32,) * 3
-    grid = geometry.VoxelBlockGrid(names, kinds, ((1), (1), (3)), grain.voxel, 8, _BLOCKS)  # 8 along a block
-    for view in views:
-        large = view.large_depth(grain.times)
-        colour = geometry.Image(view.rgb / np.float32(255))
-        lenses = view.camera.resized(*large.shape[::-1]).K, view.camera.K
-        to_camera = np.linalg.inv(view.camera.camera_to_world)
-        lens, small_lens, pose = map(open3d.core.Tensor.from_numpy, (*lenses, to_camera))
-        for part, reach in _by_slope(view, large, grain):
-            if not part[::_STRIDE, ::_STRIDE].any():
-                continue
-            depth = geometry.Image(part)
-            blocks = grid.compute_unique_block_coordinates(depth, lens, pose, 1.0, grain.farthest, reach)  # 1.0: metres
-            grid.integrate(blocks, depth, colour, lens, small_lens, pose, 1.0, grain.farthest, reach)
-    if not grid.hashmap().size():
+    return geometry.VoxelBlockGrid(names, kinds, ((1), (1), (3)), voxel, _SIDE, blocks)
+
+
+def _blocks(view: SmallView, grain: Grain) -> list[NDArray[np.int32]]:
+    """The blocks [N, 3] that each part of the view's depth changes."""
+    import open3d.t.geometry as geometry
+
+    lens, grid, found = _Lens(view, grain.times), _grid(grain.voxel, 1), []
+    for part, reach in _by_slope(view, view.large_depth(grain.times), grain):
+        blocks = np.empty((0, 3), np.int32)
+        if part[::_STRIDE, ::_STRIDE].any():
+            seen = lens.large, lens.pose, 1.0, grain.farthest, reach  # 1.0: metres
+            blocks = grid.compute_unique_block_coordinates(geometry.Image(part), *seen).numpy()
+        found.append(blocks)
+    return found
+
+
+def _fused(
+    views: Sequence[SmallView], seen: Sequence[Sequence[NDArray[np.int32]]], slab: _Slab, grain: Grain,
+    progress: Progress,
+) -> Surface:  # fmt: skip
+    """The zero level within a slab. The blocks beside it are fused, too: its outermost voxels need them."""
+    import open3d.core
+    import open3d.t.geometry as geometry
+
+    grid, steps = _grid(grain.voxel, MOST_BLOCKS), len(views) + 1
+    for number, (view, found) in enumerate(zip(views, seen, strict=True)):
+        progress(number, steps)
+        within = [(each[:, slab.axis] >= slab.first - 1) & (each[:, slab.axis] <= slab.last + 1) for each in found]
+        if not any(each.any() for each in within):
+            continue
+        lens, colour = _Lens(view, grain.times), geometry.Image(view.rgb / np.float32(255))
+        parts = _by_slope(view, view.large_depth(grain.times), grain)
+        for (part, reach), blocks, inside in zip(parts, found, within, strict=True):
+            if inside.any():
+                own = open3d.core.Tensor.from_numpy(np.ascontiguousarray(blocks[inside]))
+                how = lens.large, lens.small, lens.pose, 1.0, grain.farthest, reach
+                grid.integrate(own, geometry.Image(part), colour, *how)
+    mesh = grid.extract_triangle_mesh(grain.least_views - 0.5)  # more than this weight, and each view weighs 1
+    progress(steps, steps)
+    if "positions" not in mesh.vertex or "indices" not in mesh.triangle:
         none = np.empty((0, 3), np.float32)
         return Surface(none, none.astype(np.uint8), none, none.astype(np.int64))
-    # Open3D needs more than this weight, and each view weighs 1. Its vertices lie on the edges of the grid, so grazing
-    # views leave steps: one round of smoothing brings the vertices nearer to the true surface.
-    mesh = grid.extract_triangle_mesh(grain.least_views - 0.5).to_legacy().filter_smooth_simple(1).normalize_normals()
-    xyz, normal, rgb = (np.asarray(each) for each in (mesh.vertices, mesh.vertex_normals, mesh.vertex_colors))
-    colour, triangles = np.rint(255 * rgb.clip(0, 1)).astype(np.uint8), np.asarray(mesh.triangles).astype(np.int64)
-    return _in_order(Surface(xyz.astype(np.float32), colour, normal.astype(np.float32), triangles))
+    arrays = (mesh.vertex[name].numpy() for name in ("positions", "colors", "normals"))
+    xyz, rgb, normal = arrays
+    triangles = mesh.triangle.indices.numpy().astype(np.int64)
+    middle = xyz[triangles, slab.axis].mean(axis=1, dtype=np.float64)
+    block = np.floor(middle / (_SIDE * grain.voxel))
+    triangles = triangles[(block >= slab.first) & (block <= slab.last)]
+    colours = np.rint(255 * rgb.clip(0, 1)).astype(np.uint8)
+    return Surface(xyz.copy(), colours, normal.copy(), triangles).of(triangles)[0]
+
+
+def _smoothed(surface: Surface) -> Surface:
+    """The surface after each vertex takes the mean of itself and its neighbours. Open3D's vertices lie on the edges of
+    the grid, so grazing views leave steps: this brings the vertices nearer to the true surface."""
+    edges = surface.triangles[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2).T
+    count = len(surface.xyz)
+    own = coo_matrix((np.ones(edges.shape[1], np.bool_), tuple(edges)), (count, count)).tocsr().astype(np.float64)
+    size = np.asarray(own.sum(axis=1)) + 1
+    xyz, rgb, normal = (
+        (values + own @ values.astype(np.float64)) / size for values in (surface.xyz, surface.rgb, surface.normal)
+    )
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+    colours = np.rint(rgb).astype(np.uint8)
+    return Surface(xyz.astype(np.float32), colours, normal.astype(np.float32), surface.triangles)
 
 
 def _by_slope(view: SmallView, large: NDArray[np.float32], grain: Grain) -> Iterator[tuple[NDArray[np.float32], float]]:

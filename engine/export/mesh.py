@@ -231,7 +231,7 @@ DRAWN, FUSED, LABELLED, MENDED, TEXTURED = 0.35, 0.5, 0.55, 0.65, 0.9
 def finished(lift: FinishedLift) -> tuple[Surface, NDArray[np.int64], Texture | None]:
     """The surface of the views, mended and cut, its labels, int64 [V], and its texture. Raises PlgsError, OSError."""
     small = views_of(lift, WIDEST, MOST_VIEWS, lift.part(0.0, DRAWN))
-    surface = fuse(watched(small, lift.part(DRAWN, FUSED)))
+    surface = fuse(small, progress=lift.part(DRAWN, FUSED))
     refuse_none(lift, surface)
     label = vertex_labels(surface.xyz, watched(small, lift.part(FUSED, LABELLED)))
     mending = lift.part(LABELLED, MENDED)

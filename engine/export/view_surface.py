@@ -47,12 +47,12 @@ def export_surface(lift: FinishedLift, output: Path) -> None:
 def surface_to_view(views: list[SmallView], progress: Progress = unwatched) -> tuple[Surface, Ints]:
     """The surface of the views, and the label of each vertex, int64 [V]: coarse except for objects."""
     fusing, labelling, fusing_objects, rest = (part_of(progress, part / 4, (part + 1) / 4, 100) for part in range(4))
-    room = _labelled(fuse(watched(views, fusing), ROOM), views, WINDOW, labelling)
+    room = _labelled(fuse(views, ROOM, fusing), views, WINDOW, labelling)
     rim, near = np.ones((_RIM, _RIM), np.uint8), []
     for view in views:  # with only its objects' depth
         shown = cv2.dilate((view.label % MOST_INSTANCES > 0).astype(np.uint8), rim) > 0
         near.append(replace(view, depth=np.where(shown, view.depth, np.float32(0))))
-    objects = _labelled(fuse(watched(near, fusing_objects), OBJECTS), views, HOLE, rest)
+    objects = _labelled(fuse(near, OBJECTS, fusing_objects), views, HOLE, rest)
     coarse, coarse_label = cut_by_label(*_around(*room, ~_is_double(room, objects)))
     fine, fine_label = cut_by_label(*objects)
     fine, used = fine.of(fine.triangles[fine_label[fine.triangles[:, 0]] % MOST_INSTANCES > 0])

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from engine.export import fusion
 from engine.export.fusion import GRAZED, STRAIGHT, VOXEL, Grain, SmallView, fuse
 from engine.export.mending import close_holes
 from engine.export.points import point_normals
@@ -48,6 +49,18 @@ def test_a_ball_is_round_closed_and_turned_outwards() -> None:
     _, count = np.unique(edges, axis=0, return_counts=True)
     assert (count % 2 == 0).all(), "a hole"
     assert (surface.rgb == COLOUR).all()
+
+
+@pytest.mark.parametrize("most", [1, 20, 60])
+def test_slabs_give_the_surface_of_the_whole(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    views = [view_of_ball(number) for number in range(6)] * 2
+    whole = fuse(views)
+    monkeypatch.setattr(fusion, "MOST_BLOCKS", most)
+    told: list[float] = []
+    parts = fuse(views, progress=lambda done, total: told.append(done / total))
+    for name in ("xyz", "rgb", "normal", "triangles"):
+        np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
+    assert told == sorted(told) and len(told) > 3 * len(views)
 
 
 def test_the_same_views_give_the_same_bytes() -> None:
