@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
+from scipy.sparse import coo_matrix, csr_matrix
 
 from ..job.progress import Progress, part_of, unwatched
 from ..scene import Camera, Frame, watched
@@ -25,8 +25,8 @@ that slope on. A view that grazes a floor must reach farther; otherwise the floo
 objects get thicker."""
 _STRIDE = 4  # Open3D looks for voxels at every fourth row and column, and refuses views that show none there
 _SIDE = 8  # voxels along a block
-MOST_BLOCKS = 6_000
-"""Blocks of voxels that are fused at once: each takes 18 KB, in the field and while its surface is found."""
+MOST_BLOCKS = 3_000
+"""Blocks of voxels in a slab. Each takes 18 KB, in the field and while its surface is found."""
 
 Ints = NDArray[np.int64]
 
@@ -186,7 +186,7 @@ def _fused(
     import open3d.core
     import open3d.t.geometry as geometry
 
-    grid, steps = _grid(grain.voxel, MOST_BLOCKS), len(views) + 1
+    grid, steps = _grid(grain.voxel, 2 * MOST_BLOCKS), len(views) + 1  # with those beside the slab
     for number, (view, found) in enumerate(zip(views, seen, strict=True)):
         progress(number, steps)
         within = [(each[:, slab.axis] >= slab.first - 1) & (each[:, slab.axis] <= slab.last + 1) for each in found]
@@ -214,15 +214,20 @@ def _fused(
     return Surface(xyz.copy(), colours, normal.copy(), triangles).of(triangles)[0]
 
 
+def neighbours(triangles: Ints, count: int) -> csr_matrix:
+    """Which of ``count`` vertices share an edge of a triangle [T, 3], bool [count, count]."""
+    first, last = (triangles[:, corner].astype(np.int32).ravel() for corner in ((0, 1, 2), (1, 2, 0)))
+    one_way = coo_matrix((np.ones(len(first), np.bool_), (first, last)), (count, count)).tocsr()
+    return one_way + one_way.T
+
+
 def _smoothed(surface: Surface) -> Surface:
     """The surface after each vertex takes the mean of itself and its neighbours. Open3D's vertices lie on the edges of
     the grid, so grazing views leave steps: this brings the vertices nearer to the true surface."""
-    edges = surface.triangles[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2).T
-    count = len(surface.xyz)
-    own = coo_matrix((np.ones(edges.shape[1], np.bool_), tuple(edges)), (count, count)).tocsr().astype(np.float64)
-    size = np.asarray(own.sum(axis=1)) + 1
+    beside = neighbours(surface.triangles, len(surface.xyz)).astype(np.float32)
+    size = np.asarray(beside.sum(axis=1)) + 1
     xyz, rgb, normal = (
-        (values + own @ values.astype(np.float64)) / size for values in (surface.xyz, surface.rgb, surface.normal)
+        (values + beside @ values.astype(np.float64)) / size for values in (surface.xyz, surface.rgb, surface.normal)
     )
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
     colours = np.rint(rgb).astype(np.uint8)

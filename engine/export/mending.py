@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..posed.ply import rows_by_label
-from .fusion import Ints, SmallView, Surface
+from .fusion import Ints, SmallView, Surface, neighbours
 
 Labelled = tuple[Surface, Ints]
 """A surface and the label of each of its vertices, int64 [V]."""
@@ -171,9 +171,10 @@ def without_crumbs(surface: Surface, label: Ints, is_stuff: NDArray[np.bool_], l
         number[used[crumb]] = crumbs + piece[crumb]
         stays[used[own & ~crumb]] = True
         crumbs += len(area)
-    edges = both_ways(surface.triangles)
-    beside = edges[(number[edges[:, 0]] >= 0) & stays[edges[:, 1]]]
-    around = most_frequent(number[beside[:, 0]], label[beside[:, 1]], crumbs)
+    rows = np.flatnonzero(number >= 0)
+    row, other = neighbours(surface.triangles, len(label))[rows].nonzero()
+    row, other = row[stays[other]], other[stays[other]]
+    around = most_frequent(number[rows[row]], label[other], crumbs)
     return np.where(number >= 0, around[number] if crumbs else 0, label)
 
 
@@ -277,9 +278,7 @@ def _along(triangles: Ints, label: Ints, own: Ints, other: Ints) -> NDArray[np.f
 
 def around_vertices(triangles: Ints, count: int) -> csr_matrix:
     """The matrix that takes the mean of the neighbours' values for each vertex, [count, count]."""
-    edges = both_ways(triangles)
-    beside = coo_matrix((np.ones(len(edges)), tuple(edges.T)), (count, count)).tocsr()
-    beside.data[:] = 1.0  # the edge of two triangles was added twice
+    beside = neighbours(triangles, count).astype(np.float64)
     return diags(1.0 / np.maximum(np.asarray(beside.sum(axis=1)).ravel(), 1.0)) @ beside
 
 
@@ -297,11 +296,6 @@ def numbered(group: Ints, kind: Ints, groups: int) -> tuple[Ints, Ints]:
     is_new[1:] = (np.diff(rest[:, order]) != 0).any(axis=0)
     number[np.flatnonzero(~is_usual)[order]] = len(there) + np.cumsum(is_new) - 1
     return number, np.concatenate([there, rest[0, order[is_new]]])
-
-
-def both_ways(triangles: Ints) -> Ints:
-    """The edges [E, 2] of all triangles [T, 3], in both directions."""
-    return triangles[:, [0, 1, 1, 2, 2, 0, 1, 0, 2, 1, 0, 2]].reshape(-1, 2)
 
 
 def _shares(triangles: Ints, index: Ints, known: int) -> csr_matrix:

@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from ..job import write_atomically
+from ..job.prediction import mesh_bytes
 from ..job.progress import Progress, unwatched
+from ..job.system import main_memory
 from ..passes.layers import linear
 from ..passes.ply import columns_of, write_ply_table
 from ..passes.previews import colour_picture
@@ -253,18 +255,21 @@ def mended(
     surface: Surface, label: NDArray[np.int64], largest: float = HAND, progress: Progress = unwatched
 ) -> tuple[Surface, NDArray[np.int64]]:
     """The surface and its labels with holes up to the ``largest`` closed, without fringes and crumbs."""
-    progress(0, 4)
+    progress(0, 5)
     surface, label = close_holes(surface, label, largest)
-    progress(1, 4)
+    progress(1, 5)
     surface, label = without_fringe(surface, label)
-    progress(2, 4)
+    progress(2, 5)
     label = even_labels(surface.triangles, label)
-    progress(3, 4)
-    return surface, without_crumbs(surface, label, label % MOST_INSTANCES == 0)
+    progress(3, 5)
+    label = without_crumbs(surface, label, label % MOST_INSTANCES == 0)
+    progress(4, 5)
+    return surface, label
 
 
 def views_of(lift: FinishedLift, width: int, most: int, progress: Progress = unwatched) -> list[SmallView]:
     """At most ``most`` of the lift's views, scaled for fusion. Raises PlgsError, OSError."""
+    expect_memory(lift, width, most)
     views = []
     for frame, camera, layers in lift.small_views(width, most, progress):
         depth = np.where(layers.combined[..., 3] >= LEAST_ALPHA, layers.depth, 0).astype(np.float32)
@@ -273,6 +278,17 @@ def views_of(lift: FinishedLift, width: int, most: int, progress: Progress = unw
         label = layers.semantic.astype(np.int64) * MOST_INSTANCES + layers.instance
         views.append(SmallView(camera, depth, colour_picture(layers), label, frame))
     return views
+
+
+def expect_memory(lift: FinishedLift, width: int, most: int) -> None:
+    """Warn if this many views of this width are likely to need more memory than is free."""
+    memory, sizes = main_memory(), [frame.size for frame in lift.frames] or [(1, 1)]
+    height = round(max(high * width / max(wide, width) for wide, high in sizes))
+    needed = mesh_bytes(min(most, len(lift.frames)), (width, height))
+    if memory is not None and needed > memory.free and lift.warn is not None:
+        lift.warn(
+            f"The export needs about {needed / 1e9:.1f} GB of memory, but only {memory.free / 1e9:.1f} GB is free."
+        )
 
 
 def sharpened(depth: NDArray[np.float32], measured: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -139,6 +139,12 @@ def predict(
     return Prediction({name: slowness * seconds for name, seconds in stages.items()}, peak)
 
 
+def mesh_bytes(views: int, size: tuple[int, int]) -> int:
+    """The most main memory that an export of meshes holds: the programs, the model and the surface, and 16 bytes for
+    each pixel of its ``views`` of ``size`` (width, height) pixels. The field of voxels is made in slabs."""
+    return 1_050 * MB + 16 * views * size[0] * size[1]
+
+
 def step_seconds(megapixels: float, millions_of_gaussians: float) -> float:
     """Seconds of a training step on the machine of the constants, for this size of picture and number of Gaussians."""
     return 0.03 + 0.55 * megapixels + 0.3625 * millions_of_gaussians

@@ -11,9 +11,11 @@ import pytest
 
 from engine.command_line.main import EXPORTS, main
 from engine.errors import Cancelled
+from engine.export import mesh
 from engine.export.run import KINDS, export
 from engine.export.source import FinishedLift
 from engine.job import LiftFolder
+from engine.job.system import MainMemory
 from engine.result_files import SemanticPoints, read_arrays
 from tests.conftest import HAS_BLENDER
 from tests.export.conftest import run
@@ -294,3 +296,14 @@ def test_an_export_of_meshes_can_be_stopped_in_each_of_its_steps(lift: LiftFolde
         with pytest.raises(Cancelled):
             export(lift, form, tmp_path / f"{asked}", ["all"], progress=stop)
         assert not any(path.suffix in (".glb", ".ply") for path in (tmp_path / f"{asked}").rglob("*"))
+
+
+def test_an_export_that_needs_more_memory_than_is_free_says_so(
+    lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str] = []
+    for free, expected in ((10**10, 0), (10**9, 1)):
+        monkeypatch.setattr(mesh, "main_memory", lambda free=free: MainMemory(10**10, free))
+        export(lift, "gltf", tmp_path / f"{free}", ["all"], warn=told.append)
+        assert len(told) == expected
+    assert "1.1 GB of memory, but only 1.0 GB" in told[0]
