@@ -97,6 +97,10 @@ def claim(folder: Path, name: str, source: ShotSource, *, cameras: Path, passes:
     lock = path.with_suffix(".lock")
     made = [each for each in (path, cameras, lock, folder, *folder.parents) if not each.exists()]
     folder.mkdir(parents=True, exist_ok=True)
+    alike = [each.name for each in folder.glob("*.shot.json") if each.name.casefold() == path.name.casefold()]
+    if alike and path.name not in alike:
+        what = f"has a shot whose name differs from {name!r} only in capitals, which Windows and macOS ignore"
+        raise PlgsError("shot-taken", what, folder, "Give this one another name with --shot.", option="--shot")
     with FileLock(lock, _CLAIM_S):  # others may begin to bake the same shot
         if path.exists():
             other = read_record(ShotSource, path, _NOTE_FIX)

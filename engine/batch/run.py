@@ -211,7 +211,8 @@ class _Batch:
                 return
         if not there and not self._is_missed and now > self._staffed + RETURN_S:
             self._is_missed = True
-            self._report.say(f"Waiting for a worker. Start one: python -m engine worker {self._farm.address}")
+            start = f"Start one: python -m engine worker {self._farm.address}"
+            self._report.say(f"Waiting for a worker. {start if self._farm.slurm is None else 'squeue shows its job.'}")
         for future, (workers, seen) in [*self._pins.items()]:
             if future not in self._out:
                 continue  # another piece of the scene could not be placed

@@ -130,6 +130,7 @@ def run_bake(
         also_stops=(folder.task_files.cancel,),
     )
     folder.refuse_foreign()
+    folder.refuse_read_only()  # also for a bake elsewhere: events and claims of views are in the lift
     if files is not None:
         _refuse_unfinished(folder)
         return run_task(command, files)

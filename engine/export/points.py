@@ -15,10 +15,12 @@ from ..gates import table_cell
 from ..job import write_atomically
 from ..passes.ply import columns_of, write_ply_table
 from ..passes.previews import colour_picture
+from ..posed.layout import plural
+from ..posed.ply import left_out
 from ..result_files import SemanticPoints, write_arrays
 from .frame_images import LEAST_COVERAGE, labels_text
 from .source import FinishedLift
-from .splat_files import splats_glb, spz_bytes
+from .splat_files import LARGEST_OF_SPZ, columns, splats_glb, spz_bytes
 
 FIELDS = ("id", "name", "class_id", "class_name", "centre", "size", "yaw", "rotation", "score", "points", "views")
 """Fields of an `Instance` that are exported: metres in the world, z up; ``yaw`` in radians about +z, ``rotation`` the
@@ -63,6 +65,15 @@ def export_splats(lift: FinishedLift, output: Path) -> None:
     floats. splats.spz, in the same order without ids, and splats.glb: see `splat_files`. labels.json names ids. Raises
     PlgsError, OSError."""
     rows = lift.splats
+    if lift.warn is not None:
+        lost = left_out(lift.folder.result_path / "gaussians.ply")
+        far = int((np.abs(columns(rows, "x y z")) >= LARGEST_OF_SPZ).any(axis=1).sum())
+        if lost:
+            lift.warn(f"{plural(lost, 'Gaussian')} with impossible numbers or positions: left out of all files")
+        if far:
+            lift.warn(f"{plural(far, 'Gaussian')} beyond {LARGEST_OF_SPZ} m: splats.spz holds no such position")
+        if not len(rows):
+            lift.warn("there is no Gaussian, so splats.glb is not written")
     write_ply_table(output / "splats.ply", {name: rows[name].astype(np.float32) for name in rows.dtype.names or ()})
     write_atomically(output / "splats.spz", spz_bytes(rows))
     if len(rows):  # glTF has no empty arrays

@@ -57,6 +57,10 @@ def spz_bytes(rows: NDArray[np.void]) -> bytes:
     return gzip.compress(head + b"".join(part.tobytes() for part in parts), mtime=0)  # no time: repeatable bytes
 
 
+LARGEST_OF_SPZ = 1 << (23 - _FRACTIONAL_BITS)
+"""Metres: the largest coordinate that SPZ holds."""
+
+
 def _bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 

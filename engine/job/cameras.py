@@ -40,6 +40,8 @@ from ..records import record_of, to_json
 from .atomic import PART
 
 Matrix = tuple[tuple[float, ...], ...]
+FARTHEST = 10_000.0
+"""Metres from the origin; farther away, 32-bit floats no longer resolve millimetres."""
 LARGEST_SIDE = 16384
 """Pixels: the longest side that a camera's picture may have."""
 _RIGID_TOLERANCE = 2e-3
@@ -193,6 +195,8 @@ def _drawable(camera: PreviewCamera) -> PreviewCamera:
     (a, b, c), (d, e, f), (g, h, i) = rows
     if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0:  # the determinant
         raise ValueError("camera_to_world mirrors the picture")
+    if max(abs(row[3]) for row in pose[:3]) > FARTHEST:
+        raise ValueError(f"the camera is farther than {FARTHEST:.0f} m from the origin")
     if pose[3] != (0.0, 0.0, 0.0, 1.0) or lens[2] != (0.0, 0.0, 1.0):
         raise ValueError("the last row is not that of a camera")
     if lens[0][0] <= 0 or lens[1][1] <= 0 or lens[0][1] or lens[1][0]:

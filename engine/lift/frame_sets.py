@@ -214,4 +214,4 @@ def _advice(scene: Scene, request: LiftRequest, preset: Preset, *, masks: float,
 
 
 def _gb(size: float) -> str:
-    return f"{size / 1e9:.1f} GB"
+    return f"{size / 1e9:.1f} GB" if size >= 1e8 else f"{size / 1e6:.1f} MB"

@@ -97,9 +97,7 @@ class StructuredScene:
         voted = None if self.voted is None else GaussianLabels(*(each.to(device) for each in vars(self.voted).values()))
         finest, decoders = None if self.finest is None else self.finest.to(device), deepcopy(self.decoders).to(device)
         fill = None if self.fill is None else self.fill.on(device)
-        return replace(
-            self, anchors=self.anchors.on(device), decoders=decoders, voted=voted, finest=finest, fill=fill
-        )
+        return replace(self, anchors=self.anchors.on(device), decoders=decoders, voted=voted, finest=finest, fill=fill)
 
 
 def to_tensors(scene: StructuredScene) -> tuple[dict[str, torch.Tensor], dict[str, object]]:

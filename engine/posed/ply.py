@@ -118,6 +118,11 @@ def read_gaussians(path: Path) -> NDArray[np.void]:
     return (rows if is_sound.all() else rows[is_sound]).astype([*(columns | whole).items()])
 
 
+def left_out(path: Path) -> int:
+    """The number of rows of a splat file that `read_gaussians` leaves out. Raises PlgsError."""
+    return _read(path, _MOST_OF_SPLATS, _SPLATS_FIX)[3][0] - len(read_gaussians(path))
+
+
 def _read(path: Path, most_bytes: int, fix: str) -> tuple[bytes, int, dict[str, str], tuple[int, int]]:
     """A file's bytes, the end of its header, the vertices' columns, and the numbers of vertices and faces. There are no
     columns in other kinds of files, nor if a name occurs twice. Raises PlgsError, with ``fix`` as the advice."""

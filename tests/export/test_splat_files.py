@@ -3,12 +3,14 @@
 import json
 import struct
 from pathlib import Path
+from types import SimpleNamespace
 
 import gsply
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from engine.export.points import export_splats
 from engine.export.splat_files import splats_glb, spz_bytes
 from engine.passes.ply import write_ply_table
 from engine.posed.ply import read_gaussians
@@ -67,6 +69,25 @@ def test_gaussians_with_impossible_ids_are_left_out(rows: NDArray[np.void], tmp_
     columns["instance_id"][3] = value
     write_ply_table(tmp_path / "splats.ply", columns)
     assert (read_gaussians(tmp_path / "splats.ply") == np.delete(rows, 3)).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [("x", "1 Gaussian with impossible"), ("far", "1 Gaussian beyond 2048 m"), ("none", "splats.glb is not written")],
+)
+def test_what_a_file_cannot_hold_is_told(
+    rows: NDArray[np.void], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: str, told: str
+) -> None:
+    rows["x"][0] = {"x": np.nan, "far": 3000.0}.get(change, 0.0)
+    rows = rows[:0] if change == "none" else rows
+    path, warned = tmp_path / "gaussians.ply", list[str]()
+    write_ply_table(path, {name: rows[name] for name in rows.dtype.names or ()})
+    monkeypatch.setattr("engine.export.points.labels_text", lambda *_: "{}")
+    folder = SimpleNamespace(result_path=tmp_path)
+    lift = SimpleNamespace(splats=read_gaussians(path), folder=folder, warn=warned.append, classes=None, instances=None)
+    export_splats(lift, tmp_path / "out")  # type: ignore[arg-type]
+    assert len(warned) == 1 and told in warned[0]
+    assert (tmp_path / "out" / "splats.glb").exists() == (change != "none")
 
 
 def test_another_reader_opens_spz(rows: NDArray[np.void], tmp_path: Path) -> None:

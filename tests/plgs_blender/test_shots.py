@@ -343,6 +343,13 @@ def test_another_camera_of_the_same_file_is_said(scene: bpy.types.Scene, tmp_pat
         write_shot(tmp_path, scene, shot_of(scene, given="pan_v{version}"))
 
 
+def test_names_that_differ_in_capitals_are_refused(scene: bpy.types.Scene, tmp_path: Path) -> None:
+    write_shot(tmp_path, scene, shot_of(scene, given="cam"))
+    with raises_key("shot-taken --shot capitals"):
+        write_shot(tmp_path, scene, shot_of(scene, given="CAM"))
+    write_shot(tmp_path, scene, shot_of(scene, given="cam"))
+
+
 @pytest.mark.parametrize("change", ["camera", "lens", "size"])
 def test_a_changed_camera_is_another_version_or_is_refused(change: str, scene: bpy.types.Scene, tmp_path: Path) -> None:
     lift = tmp_path / "lift"
