@@ -34,6 +34,7 @@ BEHAVIOURS = {
     "frames of ScanNet++": "scene/formats/test_scannetpp.py::test_points_lie_on_the_room",
     "frames of 7-Scenes": "scene/formats/test_seven_scenes.py::test_raw_depth_is_registered_to_colour",
     "bad scenes and masks are one line": "scene/test_bad_input.py",
+    "files of others stay": "doors/test_files_of_others.py::test_files_of_others_stay",
     "a scene is diagnosed and mended": (
         "doors/test_captures.py::test_inspect_writes_a_mended_scene_and_your_files_stay_as_they_are"
     ),
@@ -44,7 +45,9 @@ BEHAVIOURS = {
     "exports: boxes": "export/test_export.py::test_boxes_are_exported",
     "exports: depth maps": "export/test_export.py::test_depth_maps_are_exported",
     "exports: meshes": "export/test_export.py::test_meshes_are_exported",
-    "run_plgs.py lifts a scene into a .blend": "test_run_plgs.py::test_run_plgs_lifts_a_scene_into_a_blend",
+    "run_plgs.py lifts a scene into a .blend": (
+        "doors/test_command_line.py::test_run_plgs_lifts_the_scene_and_puts_the_result_into_a_blend"
+    ),
     "run_plgs.py bakes a camera": "test_run_plgs_camera.py::test_done_frames_are_kept",
     "the zip installs, registers and goes": "test_extension.py::test_the_zip_installs_and_registers_and_goes",
     "every button works with the engine that the set-up made": (

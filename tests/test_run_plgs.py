@@ -66,16 +66,6 @@ def has_begun(out: Path) -> Callable[[], bool]:
     return lambda: events.exists() and b'"step": 5' in events.read_bytes()
 
 
-def test_run_plgs_lifts_a_scene_into_a_blend(run: Run, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    stdout, stderr = (process := run("short", tmp_path / "scene", "-o", out)).communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0, stderr
-    assert LiftFolder.open(out).state() is LiftState.FINISHED
-    assert (out / "lift.blend").read_bytes() == b"BLENDER of out"
-    assert "Training" in stderr and "loss" in stderr
-    assert str(out / "lift.blend") in stdout and str(out / "result" / "metrics.json") in stdout
-
-
 def test_resuming_a_finished_lift_only_repairs_the_blend(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
     first = run("short", tmp_path / "scene", "-o", out, "--seed", "4")

@@ -192,8 +192,8 @@ def _drawable(camera: PreviewCamera) -> PreviewCamera:
         for j, other in enumerate(rows):
             if abs(sum(a * b for a, b in zip(one, other, strict=True)) - (i == j)) > _RIGID_TOLERANCE:
                 raise ValueError("camera_to_world is not rigid")
-    (a, b, c), (d, e, f), (g, h, i) = rows
-    if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0:  # the determinant
+    (a, b, c), (d, e, f), (p, q, r) = rows
+    if a * (e * r - f * q) - b * (d * r - f * p) + c * (d * q - e * p) < 0:  # the determinant
         raise ValueError("camera_to_world mirrors the picture")
     if max(abs(row[3]) for row in pose[:3]) > FARTHEST:
         raise ValueError(f"the camera is farther than {FARTHEST:.0f} m from the origin")

@@ -21,6 +21,7 @@ import os
 import unicodedata
 from collections.abc import Mapping
 from contextlib import suppress
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, Self
 
@@ -31,7 +32,6 @@ PART = ".part-"
 """Prefix of names that are still being written. A kill leaves them behind."""
 NOTE = ".plgs-written.jsonl"
 """The note's name in its folder."""
-_MOST_ASIDE = 10_000  # files of one name that are set aside
 
 
 _Run = tuple[str, Mapping[str, Any]]
@@ -129,7 +129,7 @@ class OwnFiles:
         """Rename somebody else's file to "NAME.before.json" or the like, and return that. Raises OSError."""
         if not os.path.lexists(path) or self.owns(path):
             return None
-        numbers = ("", *(f"_{number}" for number in range(2, _MOST_ASIDE)))
+        numbers = chain([""], (f"_{number}" for number in count(2)))
         names = (path.with_name(f"{path.stem}.before{number}{path.suffix}") for number in numbers)
         kept = next(each for each in names if not os.path.lexists(each))
         path.rename(kept)
