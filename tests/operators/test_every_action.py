@@ -32,9 +32,12 @@ UNTRIED = {
     "plgs.open_lift",
     "plgs.browse_scene",
     "plgs.make_poses",
+    "plgs.import_film",
+    "plgs.make_depth",
+    "plgs.set_scale",
     "plgs.answer_proposal",
 }
-"""They start what others of these start; poses are made in tests/poses."""
+"""They start what others of these start; poses are made in tests/poses, depth and scales in test_masks.py."""
 
 
 @pytest.fixture
