@@ -341,8 +341,10 @@ def _check_pinhole(ob: bpy.types.Object, frame: float) -> None:
     if ob.type != "CAMERA":
         raise PlgsError("not-a-camera", "is not a camera", at, "Make a camera the scene's active one.")
     if ob.data.type != "PERSP":
-        kind = {"ORTHO": "orthographic", "PANO": "panoramic"}.get(ob.data.type, ob.data.type.lower())
-        what = f"is {kind}; only perspective cameras can be baked"
+        owner = ob.data if hasattr(ob.data, "panorama_type") else getattr(ob.data, "cycles", None)  # Blender 5, 4.5
+        shown = getattr(owner, "panorama_type", "unknown").lower()
+        kinds = {"ORTHO": "orthographic", "PANO": f"panoramic ({shown})"}
+        what = f"is {kinds.get(ob.data.type, ob.data.type.lower())}; only perspective cameras can be baked"
         raise PlgsError("not-perspective", what, at, "Set its type to Perspective.")
     if ob.matrix_world.is_negative:
         raise PlgsError("mirrored", "shows the world mirrored", at, "Give it and its parents a positive scale.")

@@ -257,7 +257,7 @@ def test_unfit_camera_is_refused_in_one_line(scene: bpy.types.Scene) -> None:
     scene.render.use_border, scene.render.use_crop_to_border, scene.render.border_max_x = True, True, 0.001
     refused("region-empty")
     scene.render.use_border = False
-    for kind, line in (("ORTHO", "not-perspective orthographic"), ("PANO", "not-perspective panoramic")):
+    for kind, line in (("ORTHO", "not-perspective orthographic"), ("PANO", "not-perspective panoramic fisheye")):
         scene.camera.data.type = kind
         refused(line)
     scene.camera.data.type = "PERSP"
