@@ -22,7 +22,8 @@ class Inferred:
 
     about: Literal[
         "format", "lens", "principal point", "depth's lens", "units", "axes", "numbering", "split", "up axis",
-        "orientation", "masks' borders", "masks' lens", "detections' numbers", "depth", "licence",
+        "orientation", "masks' borders", "masks' lens", "detections' numbers", "detections' pictures", "depth",
+        "licence",
     ]  # fmt: skip
     taken: str
     reason: str

@@ -125,7 +125,7 @@ class DetectionTable:
         found = {}
         for image in images:
             stem = stems.get(image) or (image if image in known else stem_of(image))  # some ids are files' names
-            name = stem if stem in known else by_number.get(whole_number(image))
+            name = stem if stem in known else by_number.get(-1 if (number := whole_number(image)) is None else number)
             if name is not None:
                 found[image] = name
         return found
@@ -195,8 +195,8 @@ def compressed(given: Any, size: Size | None, context: str, path: Path) -> tuple
         if sum(whole) != width * height:
             what = f"the run lengths of {context} do not fill its picture of {shown_size((width, height))}"
             raise PlgsError("bad-rle", what, path, _FIX)
-        runs = {"size": [height, width], "counts": _without_empty(whole)}
-        return (width, height), rle_tools.frPyObjects(runs, height, width)["counts"]
+        packed = rle_tools.frPyObjects({"size": [height, width], "counts": _without_empty(whole)}, height, width)
+        return (width, height), packed["counts"]
     if not isinstance(given, list):
         raise wrong_type("segmentation", "run lengths or polygons", given, context, path)
     if size is None:
@@ -290,7 +290,8 @@ def _are_along_rows(segmentations: Sequence[dict[str, Any]]) -> bool:
     """Whether the outlines of run lengths are far shorter if these are read along rows: else they are stripes."""
     as_columns = as_rows = seen = 0
     for each in segmentations:
-        size, counts = each.get("size"), each["counts"]
+        size: Any = each.get("size")
+        counts = each["counts"]
         numbers = [*size, *counts] if isinstance(size, list) and len(size) == 2 and len(counts) > 2 else [None]
         if not all(type(one) is int and 0 <= one <= _MOST_COMPARED for one in numbers):
             continue  # it is refused later

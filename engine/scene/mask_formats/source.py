@@ -122,7 +122,7 @@ def painted(masks: Iterable[NDArray[np.bool_]], segments: Sequence[FoundSegment]
     """Paints ``masks``, bool [H, W], one per segment, over each other: the highest score, then the smallest, on top.
     They are taken one at a time and kept packed: a frame may have hundreds."""
     ids = np.zeros(size[::-1], np.int32)
-    packed = [(np.count_nonzero(mask), compress(np.packbits(mask), 1)) for mask in masks]
+    packed = [(np.count_nonzero(mask), compress(np.packbits(mask).tobytes(), 1)) for mask in masks]
     for place in sorted(range(len(packed)), key=lambda place: (segments[place].score, -packed[place][0])):
         bits = np.frombuffer(decompress(packed[place][1]), np.uint8)
         ids[np.unpackbits(bits, count=ids.size).reshape(ids.shape).view(np.bool_)] = segments[place].id
