@@ -35,8 +35,8 @@ Depth = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Map:
-    """A frame's ``camera``; what reads the network's ``values``, float32 [H, W]; and its points: their ``places``
-    [N, 2], x and y in parts of the picture, and their ``depths`` [N]."""
+    """A frame's ``camera``, a function that reads the network's ``values``, float32 [H, W], and the frame's points:
+    their ``places`` [N, 2], x and y as fractions of the picture, and their ``depths`` [N]."""
 
     camera: Camera
     values: Callable[[], NDArray[np.float32]]
@@ -46,7 +46,8 @@ class Map:
 
 @dataclass(frozen=True, eq=False)
 class _Fitted:
-    """A map with its ``fit``, its small depth and camera, and a ``grid`` [rows, columns] of logarithms of factors."""
+    """A map after its ``fit`` to the points: its depth and camera at a small size, and a ``grid`` [rows, columns] of
+    logarithms of factors that correct the depth."""
 
     map: Map
     fit: DepthFit
@@ -55,15 +56,15 @@ class _Fitted:
     grid: Values
 
     def at(self, places: Values) -> Values:
-        """Logarithms of the small depth with its factors, [N], NaN where there is none."""
+        """The logarithm of the small, corrected depth at ``places`` [N, 2], [N]; NaN where there is none."""
         depth = values_at(self.depth, places).astype(np.float64)
         index, weight = _corners(places)
         with np.errstate(divide="ignore"):
             return np.where(depth > 0.0, np.log(depth), np.nan) + (self.grid.ravel()[index] * weight).sum(axis=1)
 
     def terms(self, places: Values) -> tuple[NDArray[np.int64], Values]:
-        """How the logarithms of depth change with the frame's unknowns, [N, 5] indices and [N, 5] slopes: with its
-        grid, and with the shift times the median depth, or over it."""
+        """How the logarithm of depth at each place depends on the frame's unknowns: their indices [N, 5], and the
+        derivatives [N, 5]. The unknowns are the values of the grid and the shift, scaled by the median depth."""
         index, weight = _corners(places)
         depth = np.exp(self.at(places)) / self.middle
         slope = -depth if self.fit.is_inverse else 1.0 / depth
@@ -76,7 +77,7 @@ class _Fitted:
         return float(np.median(self.map.depths))
 
     def changed(self, change: Values) -> _Fitted:
-        """The same with its unknowns changed by ``change`` [rows * columns + 1]."""
+        """The same map after ``change`` [rows * columns + 1] was added to its unknowns."""
         middle = self.middle
         shift = self.fit.shift + float(change[-1]) * (1.0 / middle if self.fit.is_inverse else middle)
         fit = replace(self.fit, shift=shift)
@@ -84,7 +85,7 @@ class _Fitted:
         return replace(self, fit=fit, depth=fit.depth(small), grid=self.grid + change[:-1].reshape(_GRID))
 
     def whole(self) -> Depth:
-        """The depth of the whole map with its factors."""
+        """The corrected depth at the map's full size."""
         depth = self.fit.depth(self.map.values())
         index, weight = _corners(_places(depth.shape))
         factors = np.exp((self.grid.ravel()[index] * weight).sum(axis=1)).reshape(depth.shape)
@@ -92,7 +93,7 @@ class _Fitted:
 
 
 def agreeing_depth(maps: Mapping[str, Map], progress: Progress = unwatched) -> Iterator[tuple[str, Depth | None]]:
-    """Each frame's name and its depth, or None if its map does not rise or fall with its points."""
+    """Yields each frame's name and its depth, None if the map does not rise or fall with the depth of its points."""
     found: dict[str, _Fitted] = {}
     for name, each in maps.items():
         values = each.values()
@@ -114,13 +115,14 @@ def agreeing_depth(maps: Mapping[str, Map], progress: Progress = unwatched) -> I
 
 
 def _places(shape: Sequence[int]) -> Values:
-    """The middles of the pixels of a picture [rows, columns], x and y in parts of it, float64 [rows * columns, 2]."""
+    """The centres of the pixels of a picture of this shape (rows, columns), x and y as fractions of its size, float64
+    [rows * columns, 2]."""
     rows, columns = np.mgrid[0 : shape[0], 0 : shape[1]]
     return np.stack([(columns.ravel() + 0.5) / shape[1], (rows.ravel() + 0.5) / shape[0]], axis=-1)
 
 
 def _corners(places: Values) -> tuple[NDArray[np.int64], Values]:
-    """The four values of a grid around each place, [N, 4], and their weights."""
+    """The four values of the grid around each place: their indices [N, 4], and their bilinear weights."""
     rows, columns = _GRID
     x, y = (places * [columns - 1, rows - 1]).clip(0, [columns - 1, rows - 1]).T
     left, top = np.minimum(x.astype(np.int64), columns - 2), np.minimum(y.astype(np.int64), rows - 2)
@@ -131,8 +133,8 @@ def _corners(places: Values) -> tuple[NDArray[np.int64], Values]:
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """Places of one frame that another shows: in the one and in the other, the logarithm of the ratio of the other's
-    depth to the one expected, and how much the latter grows with the one's depth."""
+    """Places of ``one`` frame that an ``other`` frame shows, and where it shows them. ``ratio`` is the logarithm of the
+    other's depth over the expected depth, and ``slope`` the growth of the expected depth with the depth in ``one``."""
 
     one: Values
     other: Values
@@ -166,7 +168,7 @@ def _neighbours(fitted: Sequence[_Fitted]) -> list[tuple[int, int]]:
 
 
 def _solved(fitted: Sequence[_Fitted], pairs: Sequence[tuple[int, int]], same: float) -> list[_Fitted]:
-    """The frames with the factors for which points and frames agree best: robust least squares."""
+    """The frames after one round of robust least squares, with the factors for which points and frames agree best."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.linalg import spsolve
 
@@ -215,7 +217,8 @@ def _solved(fitted: Sequence[_Fitted], pairs: Sequence[tuple[int, int]], same: f
 
 
 def _trusted(one: _Fitted, beside: Sequence[_Fitted]) -> Depth:
-    """The whole depth without blurred jumps, and without what more frames see through than agree with."""
+    """The whole depth, without pixels on blurred jumps, and without those that more frames see through than agree
+    with."""
     depth = one.whole()
     jumps = np.zeros(depth.shape, bool)
     for axis in (0, 1):

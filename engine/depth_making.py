@@ -39,7 +39,8 @@ Follow = Callable[[int, int], object]
 
 @dataclass(frozen=True)
 class DepthNetwork:
-    """A network, its ``name`` on loading, and ``look``: a map float32 [h, w] of a picture uint8 [H, W, 3] RGB."""
+    """A network: its ``name`` on loading, and ``look``, which makes a map float32 [h, w] of a picture uint8 [H, W, 3]
+    RGB."""
 
     name: str
     look: Callable[[NDArray[np.uint8]], NDArray[np.float32]]

@@ -27,8 +27,9 @@ _MINUTE = 60.0
 
 @dataclass(frozen=True)
 class Wish:
-    """The networks, folders or names on the hub, and whether they may be downloaded; how masks are merged (a name of
-    ``segment.MERGES``), of which frames they are made (all or auto), and what is not to be made, as the user has it."""
+    """What a user wants to be made. ``masks`` and ``depth`` are networks, folders or names on the hub, which may be
+    downloaded with ``download``. ``merge`` is a name of ``segment.MERGES``, and ``frames`` ("all" or "auto") says which
+    get masks. What is in ``have`` is not made, as the user has it."""
 
     masks: str = MASKS[0].name
     depth: str = DEPTH[0].name
@@ -63,8 +64,8 @@ def prepare(source: Path, wish: Wish, events: EventWriter, stop: StopSignal) -> 
 
 
 def _refuse_missing(source: Path, folder: Path, wish: Wish, events: EventWriter) -> None:
-    """Tell what is downloaded. Raises PlgsError, with the whole list, if packages are missing, or networks that may not
-    be downloaded."""
+    """Warn of what is downloaded. Raises PlgsError, with the whole list, for packages that are missing, or networks
+    that may not be downloaded."""
     parts = [] if Made.read(folder) is not None else ["colmap"]
     networks = [*_networks(folder, wish)]
     parts += ["segment"] if networks else []
@@ -110,7 +111,7 @@ def _about(seconds: float) -> str:
 
 
 def say_terms(name: str, events: EventWriter) -> None:
-    """Tell the licence of a network before it is fetched, if it forbids commercial use or is not known."""
+    """Warn of a network's licence before the network is fetched, if it forbids commercial use or is not known."""
     known = KNOWN.get(name.partition("@")[0])
     if known is None or not known.is_commercial:
         terms = terms_of(name)
@@ -118,7 +119,7 @@ def say_terms(name: str, events: EventWriter) -> None:
 
 
 def depth_scene(scene: Scene, folder: Path, wish: Wish, events: EventWriter, stop: StopSignal) -> None:
-    """Make a scene's depth in ``folder``, or go on. Raises PlgsError, OSError, Cancelled."""
+    """Make a scene's depth in ``folder``, or continue an earlier run. Raises PlgsError, OSError, Cancelled."""
     from .depth_making import load_depth_network, make_depth
 
     name = _resolved(wish.depth)
@@ -134,8 +135,8 @@ def depth_scene(scene: Scene, folder: Path, wish: Wish, events: EventWriter, sto
 
 
 def mask_scene(scene: Scene, folder: Path, wish: Wish, events: EventWriter, stop: StopSignal) -> int | None:
-    """Make a scene's masks in ``folder``, or go on; returns how many, None if they were finished. Raises PlgsError,
-    OSError, Cancelled."""
+    """Make a scene's masks in ``folder``, or continue an earlier run. Returns their number, None if they were finished
+    before. Raises PlgsError, OSError, Cancelled."""
     from .mask_networks import load_model
     from .segment import MERGES, begin_job, make_masks
 

@@ -87,15 +87,13 @@ def make_frames(
     names: Collection[str] | None = None,
     progress: Progress = unwatched,
 ) -> MadeFrames:
-    """Write ``kinds`` of files of the frames ``names`` (None: all) into ``folder``: frames.json first with all cameras,
-    so that a reader need not wait for pictures, and last with the files. Pictures that an image file already shows
-    unchanged are not written, nor are depth and masks that the scene lacks. Files of an earlier run are kept, unless
-    their source is newer or the frame's camera differs: another scene may have taken this one's path. Other people's
-    files are kept always (see `OwnFiles`).
+    """Write the ``kinds`` of files of the frames ``names`` (None: all) into ``folder``. frames.json lists all cameras
+    before the first picture is made, and the files at the end. A picture that an image file shows unchanged is not
+    written. Files of an earlier run are kept, unless their source is newer or the frame's camera differs, as another
+    scene may have taken this one's path. Other people's files are always kept (see `OwnFiles`).
 
     Raises PlgsError if the folder holds something else, a frame is missing, the scene has none of ``kinds``, or a file
-    of the scene is bad. Bad depth for the cloud is reported after the pictures are written.
-    """
+    of the scene is bad. Bad depth for the cloud is reported after the pictures are written."""
     made, own = made_of(folder, source), OwnFiles(folder).begin("frames", {"scene": str(source.scene)}, replaces=True)
     known = {frame.name for frame in scene.frames}
     chosen = known if names is None else {*names}
@@ -182,7 +180,8 @@ def cloud_strides(frames: Sequence[Frame]) -> dict[str, int]:
 
 
 def add_to_cloud(builder: CloudBuilder, frame: Frame, stride: int) -> None:
-    """Add every ``stride``-th pixel, of the picture's width, of a frame with depth. Raises PlgsError, OSError."""
+    """Add every ``stride``-th pixel (of the picture's, where depth has fewer) of a frame with depth. Raises PlgsError,
+    OSError."""
     depth = frame.depth(None)
     height, width = depth.shape
     # The stride is that of the picture; depth often has fewer pixels.
@@ -191,6 +190,6 @@ def add_to_cloud(builder: CloudBuilder, frame: Frame, stride: int) -> None:
 
 
 def _write_points(path: Path, xyz: NDArray[np.float32], rgb: NDArray[np.uint8]) -> Path:
-    """``xyz`` [N, 3] metres, ``rgb`` [N, 3] sRGB."""
+    """Write points ``xyz`` [N, 3] metres with colours ``rgb`` [N, 3] sRGB, and return the path."""
     write_atomically(path, lambda part: np.savez(part, xyz=xyz, rgb=rgb))
     return path

@@ -150,7 +150,7 @@ def take_objects(entry: dict[str, Any], key: str, context: str, path: Path) -> l
 def take_whole_number(
     entry: dict[str, Any], key: str, context: str, path: Path, *, least: int = -_LARGEST, most: int = _LARGEST
 ) -> int:
-    """``entry[key]`` as a whole number (2 or 2.0, not true, not "2") between two. Raises PlgsError."""
+    """``entry[key]`` as a whole number (2 or 2.0, not true, not "2") from ``least`` to ``most``. Raises PlgsError."""
     value = _take(entry, key, context, path)
     whole = isinstance(value, int) or (isinstance(value, float) and value.is_integer())
     if isinstance(value, bool) or not whole:
@@ -163,7 +163,7 @@ def take_whole_number(
 def take_number(
     entry: dict[str, Any], key: str, context: str, path: Path, *, least: float = -1e300, most: float = 1e300
 ) -> float:
-    """``entry[key]`` as a finite number between two. Raises PlgsError."""
+    """``entry[key]`` as a finite number from ``least`` to ``most``. Raises PlgsError."""
     value = _take(entry, key, context, path)
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
         raise wrong_type(key, "a number", value, context, path)

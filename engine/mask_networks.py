@@ -106,7 +106,7 @@ def _universal(network_class: str, processor_class: str, folder: Path, name: str
 
 
 def _rf_detr(folder: Path, name: str) -> Look:
-    """RF-DETR with masks. Its scores are a sigmoid a class: the best becomes the only class against none."""
+    """RF-DETR with masks. It scores each class by a sigmoid: only the best class is kept, against that of no object."""
     import cv2
     from transformers import RfDetrForInstanceSegmentation
 

@@ -142,7 +142,7 @@ class _Reader:
         )
 
     def _simple(self, kind: Any, given: Any, key: str) -> Any:
-        """None for a value of another kind."""
+        """A value of a simple kind; None if it is of another."""
         if get_origin(kind) is Literal:
             return given if isinstance(given, str) and given in get_args(kind) else None
         if kind in (int, float):

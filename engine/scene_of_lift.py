@@ -158,7 +158,8 @@ def masks_last_run(folder: LiftFolder) -> str:
 
 
 def estimates_of(folder: LiftFolder) -> list[str]:
-    """What of a lift's scene was estimated, and licences, as it told when the lift was last run. Raises PlgsError."""
+    """What was estimated in a lift's scene, and licences of networks, as known when the lift was last run. Raises
+    PlgsError."""
     known = read_known(folder)
     return [] if known is None else [line for line in known.warnings if line.startswith(ESTIMATED)]
 

@@ -137,7 +137,8 @@ class Segmenter(Protocol):
 
 @dataclass(frozen=True)
 class Job:
-    """The folder of the masks, what of it is ours, whether an earlier run began them, and whether they are complete."""
+    """The masks in a ``folder``: its note of what is ours, whether an earlier run began them, and whether they are
+    complete."""
 
     folder: Path
     own: OwnFiles
@@ -186,7 +187,7 @@ def begin_job(folder: Path, model: str, frames: Sequence[Frame], wanted: Collect
 
 
 def _left_out(table: Path) -> set[str] | None:
-    """The frames that a finished run gave no mask; None without a table."""
+    """The frames to which a finished run gave empty masks; None without a table."""
     if not table.is_file():
         return None
     entries: Any = read_object(table, "Delete this file, then start again.")["annotations"]
@@ -209,7 +210,7 @@ def make_masks(
 def _make_masks(
     scene: Scene, job: Job, network: Segmenter, progress: Progress, wanted: Collection[str] | None
 ) -> set[str]:
-    """The names of the frames that have empty masks now."""
+    """Make the missing masks and write the tables. Returns the names of the frames that have empty masks."""
     made, frames = 0, [frame for frame in scene.frames if wanted is None or frame.name in wanted]
     for done, frame in enumerate(frames, start=1):
         segments, picture = (job.pictures / f"{frame.name}{suffix}" for suffix in (".json", ".png"))

@@ -143,7 +143,7 @@ class StartsTask(Explained):
 
 
 class AsksFirst(StartsTask):
-    """An operator whose button asks for something. A script passes it and waits for the end."""
+    """An operator whose button asks the user for its options. A script passes them, and waits for the end."""
 
     was_invoked = False
 

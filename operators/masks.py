@@ -82,7 +82,7 @@ class PLGS_OT_import_film(base.ChoosesFile, bpy.types.Operator):
         return why_no_engine() or why_lacking("colmap") or why_lacking("segment")
 
     def ask(self, manager: bpy.types.WindowManager, event: bpy.types.Event) -> set[str]:
-        """Nothing for a film that was dropped."""
+        """Open the file browser, unless a film was dropped."""
         return self.execute(bpy.context) if self.filepath else super().ask(manager, event)
 
     def begin(self, context: bpy.types.Context) -> Task:
@@ -274,7 +274,7 @@ class OnFinding(base.Acts):
         return None if known is not None and known.findings else "Diagnose the scene first"
 
     def finding(self, context: bpy.types.Context) -> tuple[Diagnosis, Finding]:
-        """Raises PlgsError."""
+        """The finding that the operator works on. Raises PlgsError."""
         known = _known(context)
         if known is None or self.number >= len(known.findings):
             raise PlgsError("no-finding", "there is no such finding", str(self.number), "Diagnose the scene again.")

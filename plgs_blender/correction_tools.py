@@ -103,7 +103,7 @@ class Painting:
 
     @classmethod
     def of_lift(cls, folder: Path) -> Painting:
-        """An empty painting of the lift in a folder. Raises PlgsError."""
+        """A painting of a lift's points, none of them chosen yet. Raises PlgsError."""
         return cls.of(read_corrected(folder).points.xyz)
 
     def press(self, position: Position, *, is_box: bool, is_eraser: bool) -> None:

@@ -268,8 +268,8 @@ def class_choices(root: bpy.types.Collection, instance: int) -> list[str]:
 
 
 def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
-    """Rename an object. If the scene shows what the lift's corrections were, all is shown anew; else only the object's
-    row and box change, as one of their fields may call this. Raises PlgsError, OSError."""
+    """Rename an object. If only this Blender changed the corrections, only the object's row, box and mesh change, as
+    one of their fields may call this; otherwise all is shown anew. Raises PlgsError, OSError."""
     made, result = _correct(root, lambda state, _: making.rename(state, instance, name))
     if root[LIFT] in outdated:  # then there is more to show
         show_corrections(root, result)

@@ -174,8 +174,8 @@ def _placing_splats(read: ReadLift, root: bpy.types.Collection, scene: bpy.types
 
 
 def _wants_splats(root: bpy.types.Collection, read: ReadLift) -> bool:
-    """Whether splats are placed: beside a surface, which is shown instead, only if the user shows them. The button
-    places them; they would take a quarter of the file."""
+    """Whether splats are placed. They would take a quarter of the file, so beside a surface, which is shown instead,
+    they wait until the user shows them."""
     with registered():
         return not read.meshes.parts or bool(root.plgs.show_as == looks.SPLATS)
 
@@ -267,7 +267,7 @@ def placing_meshes_anew(lift: Path, scene: bpy.types.Scene, *, asked: bool = Tru
 
 
 def _hide_surface_until_whole(placed: Placed) -> None:
-    """Hide the surface until all of it is placed, unless it is what is shown, instead of the splats."""
+    """Hide a surface until all of it is placed, unless it is what the lift shows."""
     if (found := placed.find()) is not None:
         child_collection(found[0], looks.SHOWN_IN[looks.SURFACE])
         with registered():

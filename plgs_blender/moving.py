@@ -59,7 +59,7 @@ def _relative(path: str, base: Path) -> str:
 
 
 def _stored_paths() -> Iterator[tuple[Callable[[str], object], str]]:
-    """Each path in our properties, which Blender does not take for one, and how to set it."""
+    """Yields each path in our own properties, which Blender does not know to be paths, and how to set it."""
     for scene in bpy.data.scenes:
         if scene.library is not None:
             continue
@@ -95,7 +95,7 @@ def _before_saving(blend: str, *_: object) -> None:
 
 @bpy.app.handlers.persistent
 def _after_saving(blend: str, *_: object) -> None:
-    """After a failure, and after a copy was saved elsewhere, the open file is where it was."""
+    """Undo `relate` if the open file stayed where it was: saving failed, or a copy was saved elsewhere."""
     if not blend or Path(bpy.data.filepath).parent != Path(blend).absolute().parent:
         for store, before in _before:
             store(before)

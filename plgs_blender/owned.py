@@ -121,7 +121,8 @@ class OwnedDataBlocks:
         return self._objects.get(key)
 
     def data(self, key: str, create: Callable[[], Any]) -> Any:
-        """The data of our object `key`, to be refilled; made by `create` if there is none or the user uses it too."""
+        """The data of our object `key`, to be filled again. `create` makes it if there is none, or if the user uses it,
+        too."""
         ob = self._objects.get(key)
         if ob is not None and ob.data is not None and ob.data.users <= 1 and key_of(ob.data, self.lift) is not None:
             return ob.data
@@ -240,7 +241,7 @@ def shows(root: bpy.types.Collection, lift: Path) -> bool:
 
 
 def mark_of(lift: Path) -> str:
-    """What tells a lift's result from others, for RESULT; empty without a result. Raises OSError."""
+    """What distinguishes a lift's result from others, for RESULT; empty without a result. Raises OSError."""
     path, at = version_of(lift)
     if at is None:
         return ""
@@ -253,7 +254,7 @@ gone: set[str] = set()
 
 
 def note_gone(error: Exception) -> None:
-    """Note in `gone` that a lift is not where the file says, if this is the error."""
+    """If this error says that a lift's folder is missing, note the lifts in it in `gone`."""
     if isinstance(error, PlgsError) and error.key == "no-lift-folder":
         for root in (root for scene in bpy.data.scenes for root in lifts_in(scene)):
             if text_of(root, FOLDER) and str(folder_of(root)) == error.where:

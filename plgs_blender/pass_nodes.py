@@ -190,7 +190,7 @@ def use_image(tree: bpy.types.NodeTree, image: bpy.types.Image) -> None:
 
 
 def _link_guessed(tree: bpy.types.NodeTree) -> None:
-    """Link the layer that only files have from which objects were removed, to a group that takes it."""
+    """Link the layer Guessed to a group that takes it. Only files of lifts with removed objects have it."""
     group = next((node for node in tree.nodes if node.get(KEY) == PANOPTIC), None)
     guessed = node_of(tree, PASSES).outputs.get("Guessed")
     if group is not None and guessed is not None and "Guessed matte" in group.inputs:

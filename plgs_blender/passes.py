@@ -190,7 +190,8 @@ def _new_scene(name: str) -> bpy.types.Scene:
 def _images(
     owned: OwnedDataBlocks, key: str, files: Mapping[str, Path], sequence: NumberedNames | None
 ) -> bpy.types.Image:
-    """The first of the files' images, none of them loaded yet: one image for the whole sequence, or one per file."""
+    """Make images that read the files, without loading one: one for the whole sequence, or one per file. Returns the
+    first."""
     if sequence is not None:
         files = {"": next(path for path in files.values() if path.stem == sequence.first)}
     images = []

@@ -65,7 +65,7 @@ _is_unheard = False
 
 @contextmanager
 def unheard() -> Iterator[None]:
-    """Settings may be set without anything being looked at: the same path in other words."""
+    """In this block, a path in the settings may be written in another form without being looked at again."""
     global _is_unheard
     _is_unheard = True
     try:

@@ -120,7 +120,7 @@ def claim(folder: Path, name: str, source: ShotSource, *, cameras: Path, passes:
 
 
 def next_version(folder: Path, earlier: str, name: str) -> list[str]:
-    """Why a shot got another name than an earlier version, and what it lacks of that. Raises PlgsError."""
+    """Why a shot became the next version of an ``earlier`` one, and which of its frames it lacks. Raises PlgsError."""
     before, now = (read_record(ShotSource, _note(folder, each), _NOTE_FIX) for each in (earlier, name))
     lacking = [frame for frame in before.frames if frame not in now.frames]
     lines = [f"{name} is the next version of {earlier}: {now.changed_from(before)}"]

@@ -76,7 +76,8 @@ class Shot:
 
     @property
     def warnings(self) -> list[str]:
-        """What Blender would render but a bake leaves out, and that the shot is not named as its file and camera."""
+        """What Blender would render but a bake leaves out, and whether the shot's name lacks that of its file or
+        camera."""
         scenes = self.camera.users_scene
         found = ["depth of field"] if self.camera.type == "CAMERA" and self.camera.data.dof.use_dof else []
         found += ["motion blur"] if any(scene.render.use_motion_blur for scene in scenes) else []

@@ -73,7 +73,7 @@ def _state(space: bpy.types.SpaceView3D) -> dict[str, Any]:
 
 @bpy.app.handlers.persistent
 def _after_undo(*_arguments: object) -> None:
-    """Give the views their look back when undo has taken away all that was placed."""
+    """Restore the look of the views when undo has removed all that was placed."""
     if not _views or any(map(lifts_in, bpy.data.scenes)):
         return
     open_now = {area.as_pointer() for screen in bpy.data.screens for area in screen.areas}

@@ -79,9 +79,8 @@ _tries: list[int] = []
 
 
 def look_first() -> float | None:
-    """For a timer: where a file of ours is opened for the first time, open the sidebar's tab PLGS, and show materials
-    where there is a graphics card. Blender knows the tabs once it has drawn them: until then, returns the seconds to
-    wait."""
+    """For a timer. When a file of ours is opened for the first time, open the sidebar's tab PLGS, and show materials if
+    there is a graphics card. Blender knows a tab once it has drawn it; until then, returns the seconds to wait."""
     new = [root for scene in bpy.data.scenes for root in lifts_in(scene) if root.get(NEW)]
     bars = [region for area in all_views() for region in area.regions if region.type == "UI" and region.width > 1]
     _tries.append(0)

@@ -23,7 +23,7 @@ right ones."""
 
 
 def reliability(probability: NDArray[np.floating], right: NDArray[np.floating]) -> Curve:
-    """The curve of pixels [N] that are right (1) or not (0)."""
+    """The reliability curve of pixels [N] that are right (1) or wrong (0)."""
     number = np.clip((probability * BINS).astype(np.int64), 0, BINS - 1)  # 1.0 is in the last bin
     count = np.bincount(number, minlength=BINS)
     return np.stack([count, *(np.bincount(number, each, BINS) / np.maximum(count, 1) for each in (probability, right))])

@@ -133,7 +133,7 @@ def lifting_seconds(events: Sequence[Event]) -> float | None:
 
 
 def number(value: Json) -> float | None:
-    """None for anything that is not a number."""
+    """The number, or None for anything else."""
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
@@ -170,7 +170,7 @@ def read_results(path: Path) -> tuple[Result, ...]:
 
 
 def _from_json(entry: Json) -> Result:
-    """Raises KeyError or TypeError when something is missing or of another type."""
+    """The result in an entry. Raises KeyError or TypeError when something is missing or of another type."""
     if not isinstance(entry, dict):
         raise TypeError("a list of objects is missing")
     steps, seed, figures = entry["steps"], entry["seed"], entry["figures"]

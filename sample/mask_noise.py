@@ -304,7 +304,7 @@ def _coarse(pixels: Bools, cell: int) -> NDArray[np.float64]:
 
 
 def _read(field_: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """``field_`` at columns x and rows y, bilinear and clamped to its edges."""
+    """The values of ``field_`` at columns x and rows y, bilinear and clamped to its edges."""
     x, y = np.clip(x, 0, field_.shape[1] - 1), np.clip(y, 0, field_.shape[0] - 1)
     left, top = np.minimum(x.astype(int), field_.shape[1] - 2), np.minimum(y.astype(int), field_.shape[0] - 2)
     fx, fy = x - left, y - top

@@ -62,7 +62,7 @@ def mirror() -> str:
 
 
 def make(suite: str) -> None:
-    """Make the tree from nothing."""
+    """Make the tree from scratch."""
     started = time.monotonic()
     tree = tree_of(suite)
     if os.geteuid() != 0 or shutil.which("apt-get") is None:

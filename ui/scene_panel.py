@@ -155,7 +155,7 @@ def _draw_poses(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
 
 def _draw_depth(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Make Depth for a scene that has none, and Set Scale for one without a unit."""
+    """Draw Make Depth, for a scene without depth, and Set Scale, for one without a unit; or their progress."""
     buttons = (DepthMaking, "plgs.make_depth", "MOD_MESHDEFORM"), (ScaleSetting, "plgs.set_scale", "FULLSCREEN_ENTER")
     for kind, name, icon in buttons:
         making = registry.latest(kind)

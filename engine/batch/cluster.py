@@ -69,7 +69,7 @@ class Farm:
                 self.own[number] = _start_worker(self.address, self.options)
 
     def use_fewer(self, name: str) -> bool:
-        """Continue with one of our own workers fewer: the named one, if it is ours. False if only one is left."""
+        """Continue without one of our own workers: the named one, if it is ours. Returns False if only one is left."""
         if len(self.own) < 2:
             return False
         number = next((k for k, worker in enumerate(self.own) if f"plgs-{worker.pid}-" in name), -1)  # -1: any

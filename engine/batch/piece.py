@@ -189,8 +189,8 @@ def _followed(piece: Piece, tell: Tell, variables: Mapping[str, str]) -> TaskFol
 
 
 class _Pulse:
-    """Whether an engine still runs. A stopped one would hold up a batch. Its watchdog alone counts as running, as an
-    engine may wait for what another one bakes."""
+    """Checks whether an engine still runs, as a stopped one would hold up a batch. Only its watchdog counts, as the
+    engine itself may wait for what another one bakes."""
 
     def __init__(self, follower: TaskFollower) -> None:
         from psutil import Process  # late: distributed brings it, which only batches have

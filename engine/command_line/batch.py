@@ -81,7 +81,7 @@ def _add_tls(parser: argparse._ActionsContainer) -> None:
 
 
 def _tls(options: argparse.Namespace) -> Tls | None:
-    """Raises PlgsError if only one of the two files is given."""
+    """The TLS files that the options name. Raises PlgsError if only one of the two is given."""
     from ..batch.cluster import Tls
 
     ca, own = options.tls_ca, options.tls_certificate

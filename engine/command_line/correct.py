@@ -102,7 +102,8 @@ def correct(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
 def _parts_seen(
     options: argparse.Namespace, folder: LiftFolder, progress: Callable[[int, int], object]
 ) -> PartsSeen | None:
-    """What the masks show apart, for a split by views. They are read before the edits are locked, as it takes long."""
+    """The parts of an object that the masks show, for a split by views. Masks are read before the edits are locked, as
+    this takes long."""
     if options.edit != "split" or not options.views:
         return None
     from ..corrections import making, replayed

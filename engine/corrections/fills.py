@@ -36,11 +36,10 @@ _FARTHEST = 1e4
 
 @dataclass(frozen=True, eq=False)
 class Fill:
-    """``cells`` int32 [C, 3]: the cells, counted in CELL from the world's origin, in which no stuff is left. The new
+    """``cells`` int32 [C, 3]: the cells, counted in CELL from the world's origin, from which stuff is removed. The new
     Gaussians: ``xyz`` float32 [P, 3] metres, ``scale`` float32 [P, 3] standard deviations in metres, ``turn`` float32
     [P, 4] unit quaternions wxyz, ``rgb`` float32 [P, 3] sRGB in [0, 1], ``label`` int32 [P] (see `edits`), ``guessed``
-    float32 [P], 1 where no photo saw their place, and ``is_point`` bool [P], which of them are semantic points, too.
-    """
+    float32 [P], 1 where no photo saw their place, and ``is_point`` bool [P], which of them are semantic points, too."""
 
     cells: NDArray[np.int32]
     xyz: NDArray[np.float32]

@@ -62,15 +62,15 @@ def labels_of(class_id: NDArray[np.integer], instance_id: NDArray[np.integer]) -
 @dataclass(frozen=True, eq=False)
 class Step:
     """A change of some labels. ``table``: labels that change as a whole. ``points``: by source label, the points that
-    had it, float32 [N, 3], and their new labels, int32 [N]. ``fill`` belongs to a removal: all stuff that stands where
-    it clears goes, too."""
+    had it, float32 [N, 3], and their new labels, int32 [N]. ``fill`` belongs to a removal: all stuff in the cells that
+    it clears is removed, too."""
 
     table: Mapping[int, int] = field(default_factory=dict)
     points: Mapping[int, tuple[NDArray[np.float32], Labels]] = field(default_factory=dict)
     fill: Fill | None = None
 
     def apply(self, xyz: NDArray[np.floating], label: Labels) -> None:
-        """Change the ``label`` [N] of what stands at ``xyz`` [N, 3] in place."""
+        """Change in place the ``label`` [N] of points at ``xyz`` [N, 3]."""
         rows_of = {source: np.flatnonzero(label == source) for source in (*self.table, *self.points)}  # before changes
         for source, target in self.table.items():
             label[rows_of[source]] = target
@@ -112,8 +112,8 @@ class Relabelling:
         return [(number, step.fill) for number, step in enumerate(self.steps, start=1) if step.fill is not None]
 
     def of(self, xyz: NDArray[np.floating], label: Labels, first: int = 0) -> Labels:
-        """The labels, int32 [N], that what stands at ``xyz`` [N, 3] and had ``label`` [N] has after all edits from the
-        step ``first`` on; GONE for what was removed."""
+        """The labels after all edits from the step ``first`` on, int32 [N], of points at ``xyz`` [N, 3] whose label was
+        ``label`` [N]; GONE for what was removed."""
         after = label.copy()
         changes = np.isin(label, sorted(self.sources))
         for _, fill in self.fills:

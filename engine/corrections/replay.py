@@ -31,9 +31,9 @@ OUTER = (0.5, 99.5)
 
 @dataclass(eq=False)
 class Replay:
-    """The state between two edits. ``label`` int32 [N]: each of the ``points``'. ``not_applied``: reasons, by the
-    edits' uid. ``removed`` are objects that were taken out of the room. ``fill_of`` reads a removal's fill; it may
-    raise PlgsError."""
+    """The state between two edits. ``label`` int32 [N] is the label of each of the ``points``. ``not_applied``:
+    reasons, by the edits' uid. ``removed`` are objects that were taken out of the room. ``fill_of`` reads a removal's
+    fill; it may raise PlgsError."""
 
     classes: ClassTable
     points: SemanticPoints

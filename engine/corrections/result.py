@@ -75,7 +75,7 @@ class CorrectedResult:
     def ids(
         self, xyz: NDArray[np.floating], class_id: NDArray[np.int32], instance_id: NDArray[np.int32]
     ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """The class and instance ids after the edits, int32 [N] each, of what stands at ``xyz`` [N, 3]."""
+        """The class and instance ids after the edits, int32 [N] each, of points at ``xyz`` [N, 3]."""
         before = labels_of(class_id, instance_id)
         return self.ids_of(before, self.relabelling.of(xyz, before), class_id)
 
@@ -96,7 +96,7 @@ class CorrectedResult:
         return changed, np.maximum(after, 0).astype(np.int32)
 
     def anchors(self) -> Anchors:
-        """Raises PlgsError."""
+        """The anchors after the edits, without those of removed objects. Raises PlgsError."""
         anchors = result_files.read_arrays(self.folder / "result" / result_files.ANCHORS, Anchors)
         if not self.changes_labels:
             return anchors
@@ -149,7 +149,7 @@ class _Result:
 
     @classmethod
     def read(cls, lift: Path, listed: Listed | None = None) -> _Result:
-        """Raises PlgsError."""
+        """Read a finished lift's result. Raises PlgsError."""
         classes, made = listed or result_files.read_instances(lift / "result" / result_files.INSTANCES)
         points = result_files.read_arrays(lift / "result" / result_files.SEMANTIC_POINTS, SemanticPoints)
         return cls(lift, classes, made, points)

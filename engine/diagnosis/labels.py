@@ -88,8 +88,8 @@ closer look. Correct masks lose by 2.7 or more."""
 
 
 def measure_mask_lag(examined: Examined, assumed: Assumption, certain: float = _CERTAIN) -> tuple[int, Gain] | None:
-    """How many frames later each look's mask belongs, and what that gains in points with the same class, beyond
-    ``certain`` standard errors. None if it is the look's own. Raises PlgsError."""
+    """By how many frames the masks are late, and how much this correction raises the share of points with the same
+    class, beyond ``certain`` standard errors. None if each mask belongs to its own look. Raises PlgsError."""
     views, maps = examined.views, examined.class_maps
     if maps is None:
         return None
@@ -202,7 +202,8 @@ _OPTION = (
 
 
 class Suiting(NamedTuple):
-    """The points whose class is named like a kind: their number, and the fraction that fits the name."""
+    """How well the surfaces of some classes suit what their names mean: the number of points, and the fraction that
+    fits."""
 
     points: int
     share: float

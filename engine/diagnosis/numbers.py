@@ -79,7 +79,8 @@ def lens_findings(scene: Scene, findings: list[Finding]) -> list[Finding]:
 
 
 def number_findings(examined: Examined, lens_is_doubtful: bool = False) -> tuple[list[Finding], Assumption, Shift]:
-    """Findings, what the numbers mean, and the shift that depth needs, as fractions of the picture."""
+    """What is wrong with a scene's numbers, what the numbers mean, and the shift that depth needs, as fractions of the
+    picture."""
     causes, assumed = find_causes(examined.views, examined.pairs, lens_is_doubtful)
     befores = [Assumption(), *(cause.assumed for cause in causes)]
     findings = [_cause_finding(examined, cause, before) for cause, before in zip(causes, befores, strict=False)]

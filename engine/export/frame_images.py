@@ -82,7 +82,8 @@ def write_coco(
 def _segments(
     ids: Ids, classes: ClassTable, names: Mapping[int, str]
 ) -> list[tuple[dict[str, object], dict[str, Any]]]:
-    """A view's segments in order of id, with area, box (x, y, width, height), run lengths. Unowned things: a crowd."""
+    """A view's segments in order of id, with area, box (x, y, width, height), run lengths. Things without an instance
+    are a crowd."""
     from pycocotools import mask as rle_tools  # late: no other export needs it
 
     segments = []
@@ -105,7 +106,7 @@ def _segments(
 
 
 def export_label_images(lift: FinishedLift, output: Path) -> None:
-    """class/<frame>.png and instance/<frame>.png (16 bits, 0 = none), the same in colours in class_colour/ and
+    """Write class/<frame>.png and instance/<frame>.png (16 bits, 0 = none), the same in colours in class_colour/ and
     instance_colour/, and labels.json with their meaning. Raises PlgsError for ids that do not fit, OSError."""
     for frame, layers in lift.views("semantic", "instance"):
         pictures = {
@@ -120,8 +121,8 @@ def export_label_images(lift: FinishedLift, output: Path) -> None:
 
 
 def export_scannet(lift: FinishedLift, output: Path) -> None:
-    """label-filt/<frame>.png and instance-filt/<frame>.png, 16 bits, 0 = none, as in ScanNet's own folders, but stuff
-    has no instances. labels.tsv names the ids of the lift's classes. Raises as ``export_label_images``."""
+    """Write label-filt/<frame>.png and instance-filt/<frame>.png, 16 bits, 0 = none, as in ScanNet's own folders, but
+    stuff has no instances. labels.tsv names the ids of the lift's classes. Raises as ``export_label_images``."""
     for frame, layers in lift.views("semantic", "instance"):
         write_atomically(output / "label-filt" / f"{frame.name}.png", id_bytes(layers.semantic, output))
         write_atomically(output / "instance-filt" / f"{frame.name}.png", id_bytes(layers.instance, output))
@@ -130,7 +131,7 @@ def export_scannet(lift: FinishedLift, output: Path) -> None:
 
 
 def export_depth(lift: FinishedLift, output: Path) -> None:
-    """<frame>.npy: planar depth float32 [H, W] metres, 0 = none, as ``lift --depth`` reads it. Raises OSError."""
+    """Write <frame>.npy: planar depth float32 [H, W] metres, 0 = none, as ``lift --depth`` reads it. Raises OSError."""
     for frame, layers in lift.views("combined", "depth"):
         depth = np.where(layers.combined[..., 3] >= LEAST_COVERAGE, layers.depth, np.float32(0))
         content = io.BytesIO()

@@ -50,8 +50,9 @@ class Surface:
 
 @dataclass(frozen=True)
 class Grain:
-    """How views are fused: the side of a ``voxel`` in metres, the maximum depth in metres, how many views must see a
-    voxel, the enlargement of the views' depth, and their reach. Far floors need depth between pixels, and GRAZED."""
+    """How finely views are fused. ``voxel`` is its side and ``farthest`` the largest depth, both in metres.
+    ``least_views`` must see a voxel. Depth is enlarged ``times`` before; ``reaches`` says how far it acts by the slope
+    of the surface (see `_by_slope`). Far floors need depth between pixels, and GRAZED."""
 
     voxel: float = VOXEL
     farthest: float = 8.0
@@ -103,8 +104,8 @@ class SmallView:
 
 
 def fuse(views: Sequence[SmallView], grain: Grain = Grain(), progress: Progress = unwatched) -> Surface:
-    """The zero level of the field of all views, fused slab by slab, so that memory does not grow with the room. Normals
-    point towards the cameras. Raises what ``progress`` raises."""
+    """The surface on which the signed distances of all views are zero, fused slab by slab, so that memory does not grow
+    with the room. Normals point towards the cameras. Raises what ``progress`` raises."""
     finding, fusing = part_of(progress, 0.0, 0.2, 100), part_of(progress, 0.2, 0.9, 100)
     seen = [_blocks(view, grain) for view in watched(views, finding)]
     slabs = _slabs(np.concatenate([np.empty((0, 3), np.int32), *(each for found in seen for each in found)]))

@@ -283,8 +283,9 @@ def around_vertices(triangles: Ints, count: int) -> csr_matrix:
 
 
 def numbered(group: Ints, kind: Ints, groups: int) -> tuple[Ints, Ints]:
-    """The number of each different pair of a group and a kind (0 or more), for the pairs [N]; and the group of each
-    number. Groups mostly have one kind: only pairs of another one than their group's last are sorted."""
+    """Number the different pairs of a group and a kind (0 or more). Returns the number of each of the pairs [N], and
+    the group that each number belongs to. Most groups have one kind, so only pairs of other kinds than their group's
+    last are sorted."""
     usual = np.full(groups, -1, np.int64)
     usual[group] = kind
     is_usual = usual[group] == kind

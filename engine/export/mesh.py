@@ -117,13 +117,14 @@ class GlbBuffer:
         self.views, self._accessors, self._body = list[dict[str, int]](), list[dict[str, Any]](), bytearray()
 
     def add(self, data: bytes) -> int:
-        """The index of the view of some bytes."""
+        """Append bytes, and return the index of their view."""
         self.views.append({"buffer": 0, "byteOffset": len(self._body), "byteLength": len(data)})
         self._body += data
         return len(self.views) - 1
 
     def add_array(self, values: NDArray[Any], code: int, dtype: str, target: int) -> int:
-        """The index of the accessor of an array [N] or [N, K], with glTF's codes for its type and use."""
+        """Append an array [N] or [N, K], with glTF's codes for its type and use, and return the index of its
+        accessor."""
         kind = "SCALAR" if values.ndim == 1 else f"VEC{values.shape[1]}"
         view = self.add(np.ascontiguousarray(values, dtype).tobytes())
         self.views[view]["target"] = target
@@ -139,7 +140,7 @@ class GlbBuffer:
         return found
 
     def file(self, nodes: Sequence[Any], meshes: Sequence[Any], more: Mapping[str, Any]) -> bytes:
-        """A GLB file of one scene with all these nodes, of ``more`` of glTF's JSON, and of this buffer."""
+        """A GLB file of one scene with these nodes and meshes, ``more`` keys of glTF's JSON, and this buffer."""
         about = {"asset": {"version": "2.0", "generator": GENERATOR}, "scene": 0}
         shown = {"scenes": [{"nodes": list(range(len(nodes)))}], "nodes": nodes, "meshes": meshes}
         own = {"buffers": [{"byteLength": len(self._body)}], "bufferViews": self.views, "accessors": self._accessors}
@@ -169,7 +170,7 @@ MOST_INSTANCES = 1 << 16  # factor of the class in a label, which is class * thi
 
 
 def export_mesh(lift: FinishedLift, output: Path) -> None:
-    """mesh.ply, the whole surface with class_id and instance_id of every vertex, and meshes/<name>.glb, one per
+    """Write mesh.ply, the whole surface with class_id and instance_id of every vertex, and meshes/<name>.glb, one per
     instance and stuff class (glTF's axes, y up). Raises PlgsError where no surface was rendered, OSError."""
     surface, label, texture = finished(lift)
     write_surface(lift, output / "mesh.ply", surface, label)
@@ -199,7 +200,7 @@ def write_surface(
 
 
 def export_gltf(lift: FinishedLift, output: Path) -> None:
-    """lift.glb: the named meshes of the wanted objects and stuff in one file. Raises as ``export_mesh``."""
+    """Write lift.glb: the named meshes of the wanted objects and stuff in one file. Raises as ``export_mesh``."""
     write_atomically(output / "lift.glb", glb_bytes(watched(parts_of(lift), lift.part(TEXTURED, 1.0))))
     lift.progress(1, 1)
 
@@ -215,7 +216,7 @@ def parts_of(lift: FinishedLift) -> list[Part]:
 
 
 def _cut(lift: FinishedLift, surface: Surface, label: NDArray[np.int64], texture: Texture | None) -> list[Part]:
-    """The parts of a surface with labelled vertices and their pictures, without scraps."""
+    """Cut a labelled surface into one mesh for each label, with its picture. Scraps are left out."""
     names, parts = label_names(np.unique(label), lift.classes, lift.instances.names), []
     for value, rows in rows_by_label(surface.triangles, label).items():
         if value in names and len(rows) >= LEAST_TRIANGLES:

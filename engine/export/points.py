@@ -29,7 +29,7 @@ _AXES = {"centre": "xyz", "size": "xyz", "rotation": "wxyz"}
 
 
 def export_boxes(lift: FinishedLift, output: Path) -> None:
-    """boxes.json, boxes.csv (a column per number, such as size_x). Raises PlgsError, OSError."""
+    """Write boxes.json and boxes.csv, which has a column for each number, such as size_x. Raises PlgsError, OSError."""
     boxes: list[dict[str, Any]] = [{field: getattr(one, field) for field in FIELDS} for one in lift.listed]
     content = {"up": "z", "unit": "m", "boxes": boxes}
     write_atomically(output / "boxes.json", json.dumps(content, indent=1, ensure_ascii=False) + "\n")
@@ -47,7 +47,7 @@ NEIGHBOURS = 30  # the number of nearest points that a normal is fitted to
 
 
 def export_points(lift: FinishedLift, output: Path) -> None:
-    """points.ply: semantic points with colours, normals, ids and confidence. Raises PlgsError, OSError."""
+    """Write points.ply: semantic points with colours, normals, ids and confidence. Raises PlgsError, OSError."""
     points = lift.corrected.points
     centres = np.array([frame.camera.centre for frame in lift.scene.frames])
     columns = {
@@ -60,7 +60,7 @@ def export_points(lift: FinishedLift, output: Path) -> None:
 
 
 def export_splats(lift: FinishedLift, output: Path) -> None:
-    """splats.ply: the wanted Gaussians as the authors of 3D Gaussian Splatting write them (colour as spherical
+    """Write splats.ply: the wanted Gaussians as the authors of 3D Gaussian Splatting write them (colour as spherical
     harmonics of degree 0, logit of opacity, logarithm of scale, rotation wxyz), with class_id and instance_id, all
     floats. splats.spz, in the same order without ids, and splats.glb: see `splat_files`. labels.json names ids. Raises
     PlgsError, OSError."""
@@ -82,7 +82,8 @@ def export_splats(lift: FinishedLift, output: Path) -> None:
 
 
 def export_clouds(lift: FinishedLift, output: Path) -> None:
-    """<name>.npz: what each camera sees of the lift, as semantic points in the world. Raises PlgsError, OSError."""
+    """Write <name>.npz: what each camera sees of the lift, as semantic points in the world. Raises PlgsError,
+    OSError."""
     for name, camera, layers in lift.shown("combined", "depth", "semantic", "instance", "confidence"):
         height, width = layers.depth.shape
         seen = (layers.combined[..., 3] >= LEAST_COVERAGE) & (layers.depth > 0)

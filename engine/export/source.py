@@ -59,7 +59,7 @@ class FinishedLift:
 
     @cached_property
     def frames(self) -> list[Frame]:
-        """In recording order."""
+        """The frames to export, in recording order."""
         return frames_named(self.scene, self.names)
 
     @cached_property

@@ -28,8 +28,8 @@ _TO_USD = np.diag((1.0, -1.0, -1.0, 1.0))  # from OpenCV's camera axes to OpenUS
 
 
 def export_usd(lift: FinishedLift, output: Path) -> None:
-    """lift.usdc, in metres, z up, with the pictures of its meshes in pictures/. /Lift is an assembly. In Objects and
-    Stuff, each wanted instance and stuff class is a component, which is named after its lasting number and holds a
+    """Write lift.usdc, in metres, z up, with the pictures of its meshes in pictures/. /Lift is an assembly. In Objects
+    and Stuff, each wanted instance and stuff class is a component, named after its lasting number and holds a
     ParticleField3DGaussianSplat and a mesh, and for an instance a box (a guide). Cameras holds the frames' cameras and
     one that moves through them. SemanticsLabelsAPI names "class" and "instance". Raises as `parts_of`."""
     parts = parts_of(lift)

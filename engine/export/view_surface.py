@@ -35,7 +35,8 @@ _RIM = 5  # side in pixels of the square around each pixel of an object that bel
 
 
 def export_surface(lift: FinishedLift, output: Path) -> None:
-    """mesh.ply for viewing, as `mesh.export_mesh` writes it, and its pictures. Raises PlgsError if empty, OSError."""
+    """Write mesh.ply for viewing, as `mesh.export_mesh` writes it, and its pictures. Raises PlgsError if empty,
+    OSError."""
     views = views_of(lift, WIDEST, MOST_VIEWS, lift.part(0.0, DRAWN))
     surface, label = surface_to_view(views, lift.part(DRAWN, MENDED))
     refuse_none(lift, surface)
@@ -67,8 +68,8 @@ def surface_to_view(views: list[SmallView], progress: Progress = unwatched) -> t
 
 
 def coarsened(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
-    """The surface with fewer triangles where it is flat, each label's mesh for itself, as Open3D's quadrics tell. The
-    pictures show what is on it."""
+    """The surface with fewer triangles where it is flat, by Open3D's quadric decimation of each label's mesh. The
+    pictures show what is lost."""
     from open3d.geometry import TriangleMesh
     from open3d.utility import Vector3dVector, Vector3iVector
 

@@ -135,8 +135,8 @@ def safe_name(text: str) -> str:
 
 
 def filled_name(template: str, shot: str, camera: str, version: int) -> str:
-    """A shot's name, whose number of the frame is left out; its layer is "passes", as one file holds all layers. Raises
-    ValueError for a template with other fields."""
+    """The name that a template gives a shot, without the number of the frame. The layer is "passes", as one file holds
+    all layers. Raises ValueError for a template with other fields."""
     words = {"shot": shot, "camera": camera, "layer": "passes"}
     template = _FRAME.sub("", template)
     rest = _FIELD.sub("", template)

@@ -77,8 +77,9 @@ def pinned_versions(root: Path) -> tuple[Version, ...]:
 
 
 def requirement_file(root: Path, name: str, version: Version | None = None) -> Path:
-    """A file in requirements/, which may be missing: "constraints" of a version pins dependencies, "hashes" of one has
-    the SHA-256 of all packages but torch's, which "hashes-torch" has, and "hashes-NAME" of all added for NAME."""
+    """A file in requirements/, which may be missing. "constraints" of a version pins dependencies. "hashes" of a
+    version has the SHA-256 of all packages but torch, "hashes-torch" those of torch, and "hashes-NAME" those of what is
+    added for NAME."""
     ending = "" if version is None else f"-{version[0]}.{version[1]}"
     return root / "requirements" / f"{name}{ending}.txt"
 

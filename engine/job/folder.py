@@ -114,8 +114,8 @@ class LiftFolder:
         return LiftFolder(self.path, asked)
 
     def refined(self, preset: PresetName) -> LiftFolder:
-        """This lift, which a better preset goes on with from now on; its result stays until there is a new one. Raises
-        PlgsError if the lift's preset is better than that, or an engine is at work here; OSError."""
+        """Replace the lift's preset by a better one, with which the next run goes on. Its result stays until there is a
+        new one. Raises PlgsError if the lift's preset is better than that, or an engine is at work here; OSError."""
         with self.lock():
             order, request = list(PRESETS), LiftRequest.read(self.path / "request.json")
             if order.index(preset) < order.index(request.preset):

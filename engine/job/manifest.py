@@ -134,7 +134,7 @@ def lifted_digest(manifest: Manifest) -> str:
 
 
 def verify_of(result: Path, lift: Path) -> None:
-    """`verify`, and that the result was made of the lift's request. Raises PlgsError."""
+    """`verify`, and check that the result was made from the lift's request. Raises PlgsError."""
     if verify(result).request != request_digest(lift):
         raise damaged("other-request", "is the result of another request", result / NAME)
 

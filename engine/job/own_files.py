@@ -39,8 +39,8 @@ _Run = tuple[str, Mapping[str, Any]]
 
 
 class OwnFiles:
-    """The files of a folder that we wrote, by its note. In a ``with`` block, `write_atomically` keeps to it: below the
-    folder it raises PlgsError for a path that has somebody else's file, and lists what it writes."""
+    """The files in a folder that we wrote, as the folder's note lists them. In a ``with`` block, `write_atomically`
+    lists what it writes below the folder, and raises PlgsError for a path that has somebody else's file."""
 
     def __init__(self, folder: Path) -> None:
         """Read the note; without one, nothing is ours. Raises OSError, also if the note is a link."""
@@ -74,9 +74,9 @@ class OwnFiles:
             known.add(digest)
 
     def begin(self, kind: str, about: Mapping[str, Any], *, replaces: bool = False, among_others: bool = False) -> Self:
-        """Say what kind of files this run writes, and of what, for the note. Unless they are written ``among_others``,
-        the folder must be new or empty, or have our note of the same, or (with ``replaces``) of the same kind. Raises
-        PlgsError, OSError."""
+        """Set what the note will say about this run: the kind of its files, and ``about`` what they are. Unless they
+        are written ``among_others``, the folder must be new or empty, or have our note of the same run, or (with
+        ``replaces``) of the same kind. Raises PlgsError, OSError."""
         self._asked = kind, json.loads(json.dumps(about))
         if self.folder.exists() and not self.folder.is_dir():
             what = "a folder is needed, but this is a file"
@@ -104,7 +104,7 @@ class OwnFiles:
         return False
 
     def claim(self, path: Path) -> None:
-        """List a file that is about to be written, with its part. Raises PlgsError for somebody else's, OSError."""
+        """List a file that is about to be written, and its part. Raises PlgsError if it is somebody else's, OSError."""
         name, part = self._name(path), path.with_name(PART + path.name)
         self.refuse_foreign(path)
         if os.path.lexists(part) and _folded(name) not in self._digests:

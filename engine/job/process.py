@@ -200,10 +200,11 @@ class EngineProcess(ChildProcess):
 
 
 def engine_call(python: Path, root: Path = ROOT, program: str = "engine") -> list[str | Path]:
-    """The beginning of every command of the engine. ``program``: the folder of a program that has its commands too.
+    """The first arguments of every command of the engine. ``program`` is the folder of a program with the engine's
+    commands.
 
-    -I: neither the current folder, which may be someone else's scene, nor a variable adds modules to Python's own.
-    """
+    With -I, Python imports nothing from the current folder, which may be someone else's scene, nor from what a variable
+    adds."""
     return [python, "-I", "-u", root / program / "__main__.py"]  # -u, as -I ignores PYTHONUNBUFFERED
 
 

@@ -223,7 +223,7 @@ def add_amount_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_progress_option(parser: argparse.ArgumentParser) -> None:
-    """--progress."""
+    """Add --progress."""
     parser.add_argument(
         "--progress", choices=("text", "json"), default="text",
         help="json: write the run's events to standard output, one JSON line each, and all else to standard error",

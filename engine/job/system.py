@@ -109,7 +109,7 @@ SHARE = "PLGS_MEMORY_GB"
 
 
 class MainMemory(NamedTuple):
-    """The total and the free bytes. The limit of a container or a farm's job, and SHARE, count as the computer's."""
+    """The total and the free bytes, within the limits of a container or a farm's job and of the variable SHARE."""
 
     total: int
     free: int
@@ -139,8 +139,8 @@ def _share(memory: MainMemory) -> MainMemory:
 
 
 def _groups(own: Path, cgroup: Path) -> list[Path]:
-    """The folders with the limits of this process: of its own cgroup, as Slurm and systemd make one for a job, and of
-    all around it. Version 1 of cgroups has those of memory in a folder of their own."""
+    """The cgroups whose limits apply to this process: its own, which Slurm and systemd make for a job, and all around
+    it. Version 1 of cgroups has those of memory in a folder of their own."""
     try:
         lines = [line.split(":", 2) for line in own.read_text().splitlines()]
     except OSError:
@@ -152,7 +152,7 @@ def _groups(own: Path, cgroup: Path) -> list[Path]:
 
 
 def _within(memory: MainMemory, group: Path) -> MainMemory:
-    """The memory within a cgroup's limit, if there is one."""
+    """The memory, reduced to a cgroup's limit if there is one."""
     for limit_in, held_in, cached in (
         ("memory.max", "memory.current", "inactive_file"),
         ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),  # version 1

@@ -266,7 +266,7 @@ def lift_in_terminal(
 
 
 def _is_made_by_us(scene: Path) -> bool:
-    """Whether a scene is a film, or photos for which an earlier `prepare` or `poses` found the poses."""
+    """Whether a scene is a film, or photos whose poses an earlier `prepare` or `poses` found."""
     return (scene.suffix.lower() in FILMS and scene.is_file()) or (scene / MADE_POSES).is_file()
 
 

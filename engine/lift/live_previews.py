@@ -105,7 +105,8 @@ class LivePreviews:
             self.events.preview(self.folder.live_preview_path, self._fingerprint)
 
     def _without_backs(self, lifted: StructuredScene, eye: NDArray[np.float64]) -> StructuredScene:
-        """The scene without what faces away from a requested camera outside the room, so that it is open there."""
+        """The scene without what faces away from a requested camera outside the room, so that the camera sees into
+        it."""
         is_outside = np.linalg.norm(self._eyes - eye, axis=1).min() > OUTSIDE
         if self._surface is None or not self._fingerprint or not is_outside:
             return lifted
@@ -153,8 +154,8 @@ class LivePreviews:
 
 
 def fronts_of(surface: NDArray[np.float32], eyes: NDArray[np.float64]) -> tuple[cKDTree, NDArray[np.float64]]:
-    """At most MOST_POINTS of a surface's points [N, 3], and their normals, float64 [n, 3], of the planes through their
-    neighbours, towards the nearest of the cameras' centres, ``eyes`` [V, 3]."""
+    """A tree of at most MOST_POINTS of a surface's points [N, 3], and their normals, float64 [n, 3]. A normal is that
+    of the plane through a point's neighbours, on the side of the nearest of the cameras' centres ``eyes`` [V, 3]."""
     xyz = surface[:: 1 + len(surface) // MOST_POINTS].astype(np.float64)
     tree = cKDTree(xyz)
     around = xyz[tree.query(xyz, min(NEIGHBOURS, len(xyz)))[1]].reshape(len(xyz), -1, 3)

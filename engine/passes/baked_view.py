@@ -171,8 +171,8 @@ class BakedView:
 
 @dataclass(frozen=True)
 class ShownInstances:
-    """The instances of pictures and passes: ``names`` by id. ``class_of``: the one class that an instance is shown
-    with, or None if every pixel decides on its own."""
+    """The instances that pictures and passes show: their ``names`` by id, and ``class_of``, the one class that each is
+    shown with, by id; None if every pixel decides on its own."""
 
     names: Mapping[int, str]
     class_of: Mapping[int, int] | None = None

@@ -48,7 +48,7 @@ class Completed:
 
 def complete(texture: Texture, leaving: Leaving, staying: NDArray[np.floating]) -> Completed | None:
     """Complete a texture of a plane that ``leaving`` stands on or hides, while other things with the points ``staying``
-    [N, 3] keep their shadows. None if there is nothing to draw, or too little to go by."""
+    [N, 3] keep their shadows. None if there is nothing to draw, or too little is known."""
     t, seen, hole = texture.texel, texture.seen, texture.hole()
     good = (distance_transform_edt(np.pad(seen, 1))[1:-1, 1:-1] > EDGE) & ~hole
     if hole.any():
@@ -82,8 +82,9 @@ def _metres(mask: Mask, texel: float) -> NDArray[np.float64]:
 
 
 def completed_labels(known_label: NDArray[np.int32], hole: Mask, seen: Mask) -> NDArray[np.int32]:
-    """Labels [h, w], continued into the hole: what fills a rectangle (a rug) where it was seen fills all of it;
-    elsewhere there is the commonest label, or where there is no other beside, the nearest."""
+    """Labels [h, w], continued into the hole. A label that fills its rectangle where photos saw it, such as a rug's,
+    fills the rest of the rectangle. Elsewhere the hole gets the commonest label or, if all labels around it are that
+    one, the nearest."""
     near = distance_transform_edt(~seen, return_distances=False, return_indices=True)
     label = known_label[near[0], near[1]]
     counts = {int(one): int((seen & (known_label == one)).sum()) for one in np.unique(label)}
@@ -149,9 +150,9 @@ ODD = 4.0
 def copied_pattern(
     pattern: Colours, known: Mask, wanted: Mask, label: NDArray[np.int32], before: NDArray[np.int32]
 ) -> Colours:
-    """The pattern, copied into ``wanted`` from texels of the same label (``before``): one shift after another, each the
-    one whose copy fits best to what surrounds the rest of the hole, among those that fill much of it (a greedy form of
-    Shift-Map, Pritch et al. 2009)."""
+    """The pattern, copied into ``wanted`` from texels of the same label (``before``), by one shift after another. Each
+    is the shift whose copy fits best to what surrounds the rest of the hole, among those that fill much of it (a greedy
+    form of Shift-Map, Pritch et al. 2009)."""
     out = np.where(known[..., None], pattern, 0).astype(np.float32)
     size = np.abs(pattern).max(axis=-1)
     for kind in np.unique(label[wanted]).tolist():

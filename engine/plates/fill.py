@@ -30,8 +30,8 @@ def replaced_gaussians(
     centres: NDArray[np.floating], label: NDArray[np.int32], texture: Texture, completed: Completed,
     planes: Sequence[Plane], leaving: Leaving,
 ) -> NDArray[np.bool_]:  # fmt: skip
-    """Which of the lift's Gaussians, with their likeliest ``label`` [G], give way to a texture, bool [G]: those on the
-    plane where it is drawn, and stuff over its hole that is on no plane, which is left of the objects."""
+    """Which of the lift's Gaussians, with their likeliest ``label`` [G], a texture replaces, bool [G]: those on the
+    plane where it is drawn, and stuff over its hole that is on no plane, a remainder of the objects."""
     gone = np.zeros(len(centres), np.bool_)
     local = texture.plane.local(centres)
     cell = np.floor((local[:, :2] - texture.low) / texture.texel).astype(int)
@@ -50,7 +50,7 @@ def replaced_gaussians(
 
 
 def gaussians_of(texture: Texture, completed: Completed) -> Fill:
-    """New Gaussians, one a texel, without cells."""
+    """New Gaussians, one for each texel that is drawn, in a fill without cells."""
     drawn, t = completed.fill, texture.texel
     xyz = texture.points()[drawn]
     every = max(1, round(POINTS_APART / t))
@@ -69,7 +69,7 @@ def gaussians_of(texture: Texture, completed: Completed) -> Fill:
 
 
 def joined(fills: Sequence[Fill]) -> Fill:
-    """All fills as one."""
+    """All fills in one."""
     return Fill(**{name: np.concatenate([getattr(each, name) for each in [NOTHING, *fills]]) for name in vars(NOTHING)})
 
 

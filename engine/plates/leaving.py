@@ -94,8 +94,8 @@ def other_points(views: Sequence[PlateView], leaving: Leaving) -> Others:
 
 
 def legs_of(leaving: Leaving, others: Others, planes: Sequence[Plane]) -> NDArray[np.bool_]:
-    """Which of the other points [N] are parts of the objects that their masks missed: what is called stuff between
-    their tops and what they stand on, off every plane."""
+    """Which of the other points [N] are parts of the objects that their masks missed, such as legs: points of stuff off
+    every plane, between the objects' tops and what they stand on."""
     support = support_of(leaving, planes)
     if support is None:
         return np.zeros(len(others.xyz), np.bool_)
@@ -120,7 +120,7 @@ def support_of(leaving: Leaving, planes: Sequence[Plane]) -> float | None:
 def with_legs(
     views: Sequence[PlateView], leaving: Leaving, others: Others, planes: Sequence[Plane]
 ) -> tuple[list[PlateView], Leaving, Others]:
-    """All three, once the legs have left, too."""
+    """The views, what leaves and the others, after the legs were counted among what leaves."""
     legs = legs_of(leaving, others, planes)
     if not legs.any():
         return list(views), leaving, others
@@ -136,8 +136,8 @@ def leaving_gaussians(
     centres: NDArray[np.floating], label: NDArray[np.int32], share: NDArray[np.floating], leaving: Leaving,
     others: Others,
 ) -> NDArray[np.bool_]:  # fmt: skip
-    """Which Gaussians, with their likeliest ``label`` [G], leave, bool [G]: those with a ``share`` [G] of the objects'
-    labels; and near them all of stuff that no surface of anything else supports, which float or are inside."""
+    """Which Gaussians leave, bool [G]: those with enough ``share`` [G] of the objects' labels and, near the objects,
+    those of stuff (by their likeliest ``label`` [G]) that no surface of anything else supports."""
     gone = share > OWNED
     low, high = leaving.low, leaving.high
     rows = np.flatnonzero(((centres > low - 0.15) & (centres < high + 0.15)).all(axis=1))

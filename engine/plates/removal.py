@@ -108,7 +108,7 @@ def _groups(points: Sequence[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
 
 
 class _Room:
-    """The lift from which the objects ``ids`` are removed."""
+    """The Gaussians and objects of a lift from which the objects ``ids`` are removed."""
 
     def __init__(self, baker: FrameBaker, corrected: CorrectedResult, ids: Sequence[int]) -> None:
         scene = baker.lifted

@@ -59,7 +59,8 @@ class Texture:
         return grid(self.plane, self.low, self.texel, self.seen.shape)
 
     def hole(self) -> Mask:
-        """What is hidden, and the rim between that and what photos saw, where the plane surrounds it."""
+        """The hidden part of the plane, with the rim between that and what photos saw, where photos saw the plane
+        around it."""
         if not self.hidden.any():
             return self.hidden
         reach = max(0.1, 2 * self.texel)
@@ -67,7 +68,7 @@ class Texture:
         return _framed(self.hidden | rim, self.seen, self.inside) & ~self.open
 
     def below(self, leaving: Leaving) -> Mask:
-        """The texels that what leaves stands over."""
+        """The texels below what leaves, bool [h, w]."""
         local = self.plane.local(leaving.xyz)
         h, w = self.seen.shape
         x, y = np.floor((local[:, :2] - self.low) / self.texel).astype(int).T
@@ -92,7 +93,7 @@ def closed(mask: Mask, radius: int) -> Mask:
 def texture_around(
     plane: Plane, solid: Sequence[Plane], views: Sequence[PlateView], leaving: Leaving
 ) -> Texture | None:
-    """The plane around what leaves; None if nothing of it was hidden. Nothing of it is behind a ``solid`` plane."""
+    """The plane around what leaves; None if nothing of it was hidden. No part of it lies behind a ``solid`` plane."""
     behind = np.concatenate([plane.local(leaving.xyz)[:, :2], *(_behind(plane, view) for view in views)])
     start, end = np.percentile(behind, (1, 99), axis=0) + [[-0.3], [0.3]]
     coarse = _look(plane, solid, views, start, end, COARSE)
@@ -111,7 +112,7 @@ def texture_around(
 
 
 def _behind(plane: Plane, view: PlateView) -> NDArray[np.float64]:
-    """Where on the plane [N, 2] the view's rays to what leaves would end."""
+    """The places [N, 2] on the plane at which the view's rays to what leaves would end without it."""
     measured = np.where(view.leaves, view.depth, 0)[::EVERY, ::EVERY]
     seen = view.camera.resized(measured.shape[1], measured.shape[0]).unproject(measured)[measured > 0]
     ways, height = seen - view.camera.centre, plane.local(view.camera.centre[None])[0, 2]

@@ -41,7 +41,7 @@ class PlateView:
         return grown(self.leaves, GROWN)
 
     def also_without(self, cells: NDArray[np.int32]) -> PlateView:
-        """The same view, from which what is seen in these cells leaves, too."""
+        """The same view, in which what lies in these cells leaves, too."""
         more = np.isin(cell_keys(cells_of(self.camera.unproject(self.depth).reshape(-1, 3))), cell_keys(cells))
         return replace(self, leaves=self.leaves | (more.reshape(self.depth.shape) & (self.depth > 0)))
 
@@ -61,8 +61,8 @@ def frames_around(frames: Sequence[Frame], low: NDArray[np.floating], high: NDAr
 def read_views(
     frames: Sequence[Frame], baker: FrameBaker, ids: Collection[int], progress: Callable[[int, int], object]
 ) -> Iterator[PlateView]:
-    """The frames, of which the objects ``ids`` leave. Raises PlgsError for a photo that cannot be read, and what
-    ``progress`` raises."""
+    """Yields the frames' photos, in which the objects ``ids`` are marked as leaving. Raises PlgsError for a photo that
+    cannot be read, and what ``progress`` raises."""
     for done, frame in enumerate(frames):
         progress(done, len(frames))
         size = size_within(frame.size, WITHIN)

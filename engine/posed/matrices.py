@@ -140,8 +140,9 @@ _SPREAD = 0.3  # second over first singular value of the cameras' right axes; be
 def upright_turn(
     poses: Sequence[Matrix], asked: UpAxis, own: UpAxis | None, *, is_known: bool
 ) -> tuple[Matrix, list[str]]:
-    """The rotation, float64 [3, 3], from a capture's world into one with z up, and warnings. ``poses`` are its cameras,
-    float64 [4, 4] camera-to-world. ``own`` is its format's up axis, None if unknown; ``is_known``: measured."""
+    """The rotation, float64 [3, 3], from a capture's world into one with z up, and warnings. ``poses`` are the
+    cameras', float64 [4, 4] camera-to-world. ``own`` is the format's up axis, None if unknown, and ``is_known`` says
+    that it was measured."""
     axis: UpAxis | None = "z" if asked == "+z" else own if asked == "z" else asked
     if axis is None:
         return upright_rotation(poses), []

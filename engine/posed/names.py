@@ -10,7 +10,8 @@ _NOT_IN_MATTES = str.maketrans(dict.fromkeys(",\"'\\", " "))
 
 
 def unique_names(names: Mapping[int, str], mark: str = " #") -> dict[int, str]:
-    """The names made unique, even on a disk that ignores case, and as a matte's number, by ``mark`` and the key."""
+    """The names, with ``mark`` and the key added to those that are not unique. Two names are the same if they differ
+    only in case, as for some disks, or have the same number in a matte."""
     seen = Counter(form for name in names.values() for form in _forms(name))
     unique = {key: name for key, name in names.items() if all(seen[form] == 1 for form in _forms(name))}
     taken = {form for name in unique.values() for form in _forms(name)}

@@ -101,7 +101,7 @@ class PlainFolders:
 
 
 def recognises(place: Path) -> bool:
-    """Two of the folders are enough, so that an error can name a missing one."""
+    """Whether a folder has at least two of the folders: then an error can name the missing ones."""
     return sum((place / name).is_dir() for name in ("color", "pose", "intrinsic")) >= 2
 
 

@@ -159,7 +159,7 @@ def _pinhole(
 
 
 def _rows(values: Tensor | NDArray[Any], name: str, shape: tuple[int, int]) -> list[list[float]]:
-    """The numbers of a matrix, in double."""
+    """The numbers of a matrix, row by row, in double precision."""
     if isinstance(values, Tensor):
         values = values.detach().cpu().numpy()
     values = np.asarray(values, dtype=np.float64)

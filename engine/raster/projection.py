@@ -34,7 +34,7 @@ def camera_array(pinhole: Pinhole) -> NDArray[np.float64]:
 
 @device_function
 def camera_point(camera: Array, x: float, y: float, z: float) -> Any:
-    """World to camera coordinates, in metres."""
+    """A point from world to camera coordinates, in metres."""
     x -= camera[9]
     y -= camera[10]
     z -= camera[11]

@@ -72,7 +72,7 @@ def project(
 def rotation_matrices(
     quats: Tensor,  # [N, 4], wxyz of any length
 ) -> Tensor:
-    """The rotation of each, [N, 3, 3]."""
+    """The rotation matrix of each quaternion, [N, 3, 3]."""
     w, x, y, z = torch.nn.functional.normalize(quats, dim=-1, eps=TINY_NORM).unbind(-1)
     rows = [
         torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),

@@ -196,7 +196,8 @@ def _pixel_warnings(facts: Sequence[FrameFacts]) -> Iterable[str]:
 
 
 def _colour_warnings(brightest: Mapping[str, int]) -> Iterable[str]:
-    """Cameras write 10, 12 or 14 bits into 16-bit PNGs. Since a photo may simply be dark, none is brightened."""
+    """Warnings about 16-bit photos: cameras write 10, 12 or 14 bits into them. None is brightened, as it may simply be
+    dark."""
     name = max(brightest, key=brightest.__getitem__, default="")
     bits = next((bits for bits in _BITS if 0 < brightest.get(name, 0) < 1 << bits), None)  # 0: a covered lens
     if bits is not None:

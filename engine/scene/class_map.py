@@ -60,7 +60,7 @@ def plain_name(name: str) -> str:
 
 
 def _words(name: str) -> tuple[str, ...]:
-    """The ``plain_name``, then each of its synonyms ("road, route")."""
+    """The ``plain_name``, then that of each of its synonyms ("road, route")."""
     return plain_name(name), *(word.strip() for word in plain_name(name).split(","))
 
 

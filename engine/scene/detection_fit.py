@@ -30,7 +30,8 @@ _MEND = "if that is wrong, name their table in a classes.toml beside them"
 def fitted(
     detections: Detections, source: MaskSource, labels: Sequence[ClassLabel]
 ) -> tuple[Detections, tuple[Inferred, ...]]:
-    """The detections as they fit the masks of ``source``, whose classes are ``labels``, and what was inferred."""
+    """The detections, read in the way that fits the masks of ``source`` with the classes ``labels`` best; and what was
+    inferred."""
     inferred = []
     covered, overlap = _compared(detections, source)
     if detections.otherwise is not None:

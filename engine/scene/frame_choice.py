@@ -72,9 +72,9 @@ _AROUND = 9  # frames with which a frame's sharpness is compared
 
 
 def frames_to_mask(scene: Scene, progress: Progress = unwatched) -> tuple[Frame, ...]:
-    """The sharpest training frames that together see every surface TIMES times, or as often as it is seen, but for LEFT
-    of these sightings; and as large a share of the frames held out, evenly spread. All frames if some have no depth.
-    Raises PlgsError for bad depth."""
+    """The sharpest training frames that together see every surface TIMES times, or as often as all frames see it; the
+    share LEFT of these sightings may be missing. The same share of the held-out frames, evenly spread, is added. If
+    some frames have no depth, all are chosen. Raises PlgsError for bad depth."""
     frames = scene.train_frames
     if not frames or any(frame.read_depth is None for frame in frames):
         return scene.frames

@@ -30,8 +30,8 @@ _SCALES = (1e-4, 1e4)
 
 
 def layout_of(cameras: Mapping[str, Camera], scale: float = 1.0) -> dict[str, list[float]]:
-    """What depth was made for: each frame's focal length in parts of its width, and its distance from the middle of
-    all, which no turn of the world changes. ``scale``: by what the cameras' lengths are multiplied."""
+    """What depth depends on: each frame's focal length as a fraction of its width, and its distance from the mean of
+    all cameras, which no rotation of the world changes. ``scale`` is the factor of the cameras' lengths."""
     if not cameras:
         return {}
     middle = np.mean([camera.centre for camera in cameras.values()], axis=0)
@@ -63,7 +63,7 @@ def made_depth(beside: Path, cameras: Mapping[str, Camera]) -> dict[str, DepthMa
 
 
 def scale_of(beside: Path) -> float:
-    """By what a scene's lengths are multiplied, as ``engine scale`` wrote it; 1 without the file. Raises PlgsError."""
+    """The factor of a scene's lengths, as ``engine scale`` wrote it; 1 without the file. Raises PlgsError."""
     path = beside / SCALE
     if not path.is_file():
         return 1.0
@@ -93,7 +93,7 @@ def set_scale(scene: Scene, beside: Path, factor: float | None, measured: Sequen
 
 
 def estimates(beside: Path, masks: Path, *, has_made_depth: bool, has_unit: bool) -> Iterator[Inferred]:
-    """What the folders' notes say of depth, lengths and masks."""
+    """Yields what the notes in the folders say about depth, lengths and masks that were not measured."""
     if has_made_depth:
         record = read_object(beside / DEPTH_FOLDER / MADE_BY, _AGAIN)
         taken = f"estimated: depth is made of the photos by {record.get('model')}"

@@ -52,8 +52,8 @@ _EXPORT = "Export mesh and cameras from one program in one coordinate system, in
 
 
 class Seen(NamedTuple):
-    """``depth`` float32 [H, W], 0 = none, and the share of the rays that met a surface from behind, of those that met
-    one. Depth of surfaces seen from behind is none unless ``both`` sides count."""
+    """``depth`` float32 [H, W], 0 = none, and how many of the rays that met a surface met it from ``behind``, as a
+    share. Surfaces seen from behind have no depth, unless both sides of the mesh count."""
 
     depth: NDArray[np.float32]
     behind: float
@@ -158,8 +158,8 @@ class Look(NamedTuple):
 
 
 def _agreement(mesh: Mesh, look: Look) -> float:
-    """The mean rank of the photo's edges on the mesh's outlines, less that of the photo: 0 by chance, NaN if the frame
-    shows too little of them."""
+    """How much stronger the photo's edges are on the mesh's outlines than elsewhere on the mesh, as a difference of
+    mean ranks: 0 by chance, NaN if the frame shows too little of either."""
     depth = mesh.seen(look.frame.camera, look.size).depth
     outline = outlines(depth) & np.isfinite(look.ranks)
     if (depth > 0.0).mean() < _LEAST_SEEN or outline.sum() < _LEAST_OUTLINE:
@@ -278,7 +278,7 @@ def _elsewhere(path: Path, what: str, fix: str) -> PlgsError:
 
 
 def _inside_out(fit: Fit, looks: Sequence[Look]) -> Fit:
-    """The same mesh with both sides: if outlines agree then, its triangles are turned inside out."""
+    """The same mesh with surfaces that count from both sides, as if its triangles were turned inside out."""
     tried = _tried(replace(fit.mesh, both=True), f"{fit.axes}, with its surfaces turned inside out", looks)
     return replace(tried, behind=0.0)
 
@@ -291,7 +291,8 @@ def _is_better(one: Fit, other: Fit) -> bool:
 
 
 def _others(surface: Any, path: Path, turn: NDArray[np.float64], looks: Sequence[Look]) -> Iterable[Fit]:
-    """The mesh with axes and units that programs confuse, the likeliest first: those that fill the frames most."""
+    """The mesh with other axes and units, as programs confuse them, the best agreement first. Only those that fill the
+    frames most are compared with the photos."""
     rough = []
     for (axes, how), (unit, scale) in product(_axes(), _UNITS.items()):
         mesh = Mesh(path, surface, scale * turn @ axes)

@@ -185,7 +185,7 @@ def _refuse_other_table(found: _Found, choice: ClassChoice, asking: Asking, wher
 
 
 def _doubts(found: _Found, asking: Asking) -> tuple[Inferred, ...]:
-    """What a numbering was chosen by, if there was a choice."""
+    """Why this numbering was chosen, if there was a choice."""
     chosen, reason = found.chosen, found.reason
     is_doubtful = chosen != found.every[0] or reason is None
     if not (is_doubtful or len(found.every) > 1 or found.alike):
@@ -198,7 +198,7 @@ def _doubts(found: _Found, asking: Asking) -> tuple[Inferred, ...]:
 
 
 def _doubts_of_table(found: _Found, choice: ClassChoice, asking: Asking) -> tuple[Inferred, ...]:
-    """Whether masks look more like another table than like the named one."""
+    """A doubt if the masks look more like another table than like the named one."""
     chosen, shown = found.chosen, found.shown
     likelier = _other_tables(chosen, choice, shown) if chosen.source is found.every[0].source else []
     if not likelier:

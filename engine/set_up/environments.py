@@ -33,8 +33,8 @@ def empty_trash(folder: Path) -> None:
 
 
 def refuse_others(folder: Path) -> None:
-    """Raise PlgsError for a folder with files in which no set-up began: what a set-up deletes, such as "downloads",
-    would be somebody else's. The user's cache is ours. Raises OSError."""
+    """Raise PlgsError for a folder that holds files but no earlier set-up, as a set-up would delete somebody else's
+    "downloads". The user's cache is ours. Raises OSError."""
     is_ours = (folder / LOCK).is_file() or folder == environments_folder()
     if not is_ours and folder.is_dir() and any(path.name[:3] != "uv-" for path in folder.iterdir()):
         fix = "Name a new or an empty folder, or that of an earlier set-up."

@@ -185,7 +185,7 @@ class SetUp(UvTask):
             raise PlgsError("environment-failed", what, self.log_path, "Name another Python in the preferences.")
 
     def _install_packages(self, uv: Path, environment: Path, version: Version) -> None:
-        """Install torch, of whose CPU builds few hashes are kept, then all else by its hashes."""
+        """Install torch, few of whose CPU builds have a hash here, then everything else by its hashes."""
         install: list[str | Path] = [uv, "pip", "install", "--no-build", "--python", python_in(environment)]
         self._tell(3)
         if self.request.wheels is not None:
@@ -200,8 +200,8 @@ class SetUp(UvTask):
         self._install("packages", [*install, *_BY_HASH, requirement_file(self.root, "hashes", version)])
 
     def _pinned_list(self, listed: Path, version: Version) -> Path:
-        """A copy of the list of torch's wheels, whose names, versions and hashes are all in our own. Raises PlgsError
-        for others: whoever can write to the folder could exchange a wheel and its line."""
+        """A copy of the list of torch's wheels, if our own lists have every name, version and hash in it. Raises
+        PlgsError otherwise, as whoever can write to the folder could exchange a wheel and its line."""
         pinned = {
             *pinned_hashes(requirement_file(self.root, "hashes-torch")),
             *pinned_hashes(requirement_file(self.root, "hashes", version)),

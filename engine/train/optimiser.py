@@ -113,7 +113,8 @@ def no_moments(parameter: torch.Tensor) -> Moments:
 
 
 class Optimiser:
-    """Adam. State is kept by name, so that it can be stored, restored and cut."""
+    """Adam for anchors and decoders. Moments are kept by parameter name, so that they can be stored, restored and
+    cut."""
 
     def __init__(self, anchors: Anchors, decoders: Decoders, rates: Rates, extent: float) -> None:
         self.decoders, self.rates, self.extent, self.count = decoders, rates, extent, 0

@@ -192,7 +192,7 @@ def is_rest(class_name: str) -> bool:
 
 
 def _text_width(text: str, size: float) -> float:
-    """The width of a text, whose size is set for drawing, too."""
+    """Set the size in which text is drawn, and return a text's width in it."""
     blf.size(0, size)
     return float(blf.dimensions(0, text)[0])
 

@@ -91,8 +91,8 @@ class Projected:
     opacity: NDArray[np.float32] | None = None
 
     def at(self, pixels: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int32]]:
-        """The opacities and nearness, float32 [P, n], at pixels [P, 2] of the elements that may cover one of them, and
-        their ids [n, 2]."""
+        """What the elements that may cover one of the pixels [P, 2] show at each: opacities and nearness, float32 [P,
+        n], and the elements' ids [n, 2]."""
         (left, low), (right, high) = pixels.min(axis=0), pixels.max(axis=0)
         bounds = self.bounds
         rows = np.flatnonzero((bounds[0] <= right) & (bounds[2] >= left) & (bounds[1] <= high) & (bounds[3] >= low))

@@ -98,7 +98,8 @@ class FrameMaking(Task):
 
 
 def make_frames(order: FrameOrder, python: Path) -> FrameMaking:
-    """Start an engine. Raises OSError, and PlgsError if one is already running or cannot be started."""
+    """Start an engine that makes the files. Raises OSError, and PlgsError if one is already running or cannot be
+    started."""
     registry.refuse_second(FrameMaking)
     folder = frame_pictures.frames_folder(order.chosen.resolved)
     command: list[str | Path] = [*order.chosen.arguments(), "-o", folder, "--make", *order.kinds]

@@ -92,7 +92,8 @@ def forget(lift: Path | None = None) -> None:
 
 
 def _view_of(scene: bpy.types.Scene) -> PreviewCamera | None:
-    """What a 3D view of the scene sees, or its camera if one looks through it; None if it cannot be rendered."""
+    """The camera of the scene's 3D view, or the scene's camera if the view looks through one; None if it cannot be
+    rendered."""
     own = own_view(scene)
     camera = own[1] if own is not None else camera_seen(scene)
     if camera is None:
@@ -164,7 +165,7 @@ class Lift(Task):
 
     @property
     def can_be_resumed(self) -> bool:
-        """Whether an engine could resume it."""
+        """Whether an engine could resume the lift."""
         return self.lift_state not in (LiftState.RUNNING, LiftState.FINISHED)
 
     @property

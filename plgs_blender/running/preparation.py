@@ -143,7 +143,7 @@ def write_classes(scene: bpy.types.Scene) -> ClassWriting:
 
 
 class Preparation(SceneTask):
-    """When it has finished, the panel reads the scene again, if that is still the chosen one."""
+    """Prepares a scene. At the end the panel reads the scene again, if that is still the chosen one."""
 
     def done(self, scene: Any) -> None:
         settings = scene.plgs
@@ -156,13 +156,13 @@ class Preparation(SceneTask):
 
 
 class MaskMaking(Preparation):
-    """Masks made before a cancel are kept, and the next run continues."""
+    """Makes masks. Those made before a cancel are kept, and the next run continues."""
 
     kind, label, cancel_operator = "masks", "Making masks", "plgs.cancel_masks"
 
 
 class PoseMaking(Preparation):
-    """The panel switches to the scene that it made. After a cancel, nothing is written."""
+    """Finds poses. The panel then switches to the scene that was made. After a cancel, nothing is written."""
 
     kind, label, cancel_operator = "poses", "Finding poses", "plgs.cancel_poses"
 
@@ -177,7 +177,7 @@ class PoseMaking(Preparation):
 
 
 class DepthMaking(Preparation):
-    """Maps made before a cancel are kept, and the next run continues."""
+    """Makes depth. Maps made before a cancel are kept, and the next run continues."""
 
     kind, label, cancel_operator = "depth", "Making depth", "plgs.cancel_depth"
 
@@ -193,8 +193,8 @@ class ScaleSetting(Preparation):
 
 
 class FilmMaking(Preparation):
-    """Makes what a film or photos lack, and then starts the lift, if the panel still has them. What was made before a
-    cancel is kept, and the next run continues."""
+    """Makes what a film or photos lack. Then it starts the lift, if they are still the panel's scene. What was made
+    before a cancel is kept, and the next run continues."""
 
     kind, label, cancel_operator = "prepare", "Preparing the film", "plgs.cancel_film"
 
@@ -230,7 +230,7 @@ def set_scale(chosen: ChosenScene, python: Path, length: float, metres: float) -
 
 
 def _network(option: str, model: str, *, download: bool) -> list[str]:
-    """Arguments that name a network, an absolute folder or a name, and allow to fetch it."""
+    """Arguments that name a network, by a folder's absolute path or a name, and say whether it may be fetched."""
     if model and absolute(model).is_dir():  # the engine's working folder is not Blender's
         model = str(absolute(model))
     return [*([option, model] if model else []), *(["--download"] if download else [])]
@@ -248,6 +248,7 @@ def make_masks(chosen: ChosenScene, python: Path, model: str, *, download: bool,
 
 
 def make_poses(chosen: ChosenScene, python: Path) -> PoseMaking:
-    """Start an engine. Raises OSError, and PlgsError if one is already running or cannot be started."""
+    """Start an engine that finds poses. Raises OSError, and PlgsError if one is already running or cannot be
+    started."""
     registry.refuse_second(PoseMaking)
     return registry.begin(PoseMaking(chosen, start_engine("poses", python, chosen.scene)))

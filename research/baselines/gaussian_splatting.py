@@ -167,7 +167,7 @@ def clone_split_prune(
 
 
 def _split(anchors: Anchors, rows: torch.Tensor, random: np.random.Generator) -> Anchors:
-    """Two for each of ``rows`` int64 [n]."""
+    """Two new Gaussians for each of ``rows`` int64 [n]."""
     halves = anchors.select(rows.repeat(2))
     scale = torch.exp(SCALE_RATE * halves.feature[:, SCALE])
     drawn = torch.from_numpy(random.standard_normal(tuple(scale.shape)).astype(np.float32)) * scale

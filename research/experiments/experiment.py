@@ -70,7 +70,7 @@ def scenes_from(texts: Sequence[str], names: Sequence[str] | None = None) -> tup
 
 
 def _matching(text: str) -> list[str]:
-    """The scenes that a text means. Raises PlgsError for a pattern that matches no folder."""
+    """The scenes that a path or a pattern of paths names. Raises PlgsError for a pattern that matches no folder."""
     match = _SCENE.fullmatch(text)
     if match is None or not has_magic(match["folder"]) or Path(match["folder"]).exists():
         return [text]

@@ -62,7 +62,7 @@ class Row:
 
     @property
     def measured_as(self) -> str:
-        """The name of its results."""
+        """The name under which the row's results are stored."""
         return f"{self.method}, {self.masks}" if self.method and self.masks else self.method or self.name
 
     @property
@@ -79,7 +79,7 @@ class Rows:
     tables: Mapping[str, str]
 
     def named(self, name: str) -> Row:
-        """Raises KeyError if there is none."""
+        """The row with this name. Raises KeyError if there is none."""
         return next(row for row in self.rows if row.name == name)
 
     def lift_of(self, row: Row) -> Row:
@@ -107,7 +107,7 @@ class Rows:
 
 
 def read_rows(path: Path = ROWS) -> Rows:
-    """Raises PlgsError when the file is not a table of rows."""
+    """Read a table of rows. Raises PlgsError when the file is none."""
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
         rows = tuple(_rows(content))

@@ -156,7 +156,7 @@ class Tables:
         return self._of_row(self.results, scene, row)
 
     def _failures(self, scene: str, row: Row) -> str:
-        """Empty if all seeds were measured."""
+        """Why seeds of a row have no figures; empty if all were measured."""
         reasons: dict[str, list[int]] = {}
         for result in self._tried(scene, row):
             if result.failed:
@@ -177,7 +177,7 @@ def _cells(now: Sequence[Result], before: Sequence[Result]) -> Iterator[tuple[st
 
 
 def _cell(seeds: Sequence[Result], column: Column) -> str:
-    """Empty if nothing was measured."""
+    """A figure's mean and spread as text; empty if nothing was measured."""
     values = column.values(seeds)
     if not values:
         return ""
@@ -186,7 +186,7 @@ def _cell(seeds: Sequence[Result], column: Column) -> str:
 
 
 def _cited(paper: Cited | None) -> str:
-    """Such as "71.2 / 57.8 / 36.6 dB (Replica)"."""
+    """The figures that the paper gives, such as "71.2 / 57.8 / 36.6 dB (Replica)"."""
     if paper is None:
         return ""
     shares = [f"{value:.1f}" if value is not None else "-" for value in (paper.miou, paper.pq)]
@@ -195,7 +195,7 @@ def _cited(paper: Cited | None) -> str:
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """The first column flush left, figures flush right; a reason may be wider than its column."""
+    """The table's lines, the first column flush left and figures flush right. A reason may be wider than its column."""
     rows = [[markdown_cell(cell) for cell in row] for row in rows]
     widths = [max(3, *(min(len(row[column]), _WIDEST) for row in rows)) for column in range(len(rows[0]))]
     rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]

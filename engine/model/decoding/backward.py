@@ -21,7 +21,7 @@ ZERO, ONE = F(0.0), F(1.0)
 
 @device_function
 def opacities_backward(batch: Batch, head: Any, sizes: Any, mine: Array, gradients: Gradients) -> None:
-    """Through tanh."""
+    """The gradient of the opacity decoder's outputs, through tanh."""
     for m in range(batch.gaussians):
         n = batch.first + m
         opacity = gradients.drawn.opacities[n]
@@ -33,7 +33,7 @@ def opacities_backward(batch: Batch, head: Any, sizes: Any, mine: Array, gradien
 def shapes_backward(
     batch: Batch, head: Any, anchors: AnchorArrays, sizes: Any, mine: Array, gradients: Gradients
 ) -> None:
-    """Outputs of the covariance decoder, offsets and log scales."""
+    """The gradients of the covariance decoder's outputs, the offsets and the log scales."""
     by, d_log_scale = gradients.by, gradients.log_scale
     room = sizes.d_hidden_at  # for a vector a row, of which six are the anchor's scales
     layers.collect_scales(batch, anchors, mine, room)
@@ -56,7 +56,7 @@ def shapes_backward(
 
 @device_function
 def colours_backward(batch: Batch, head: Any, sizes: Any, mine: Array, gradients: Gradients) -> None:
-    """Through the sigmoid."""
+    """The gradient of the colour decoder's outputs, through the sigmoid."""
     for m in range(batch.gaussians):
         at = sizes.out_at + batch.owners[2 * m] * head.padded + 3 * batch.owners[2 * m + 1]
         for c in range(3):
@@ -67,7 +67,7 @@ def colours_backward(batch: Batch, head: Any, sizes: Any, mine: Array, gradients
 
 @device_function
 def instances_backward(batch: Batch, head: Any, sizes: Any, mine: Array, gradients: Gradients) -> None:
-    """Through the softmax, whose values are the labels."""
+    """The gradient of the instance decoder's outputs, through the softmax, whose values are the labels."""
     slots, channels = sizes.slots, sizes.classes + sizes.slots
     for m in range(batch.gaussians):
         at = sizes.out_at + batch.owners[2 * m] * head.padded + batch.owners[2 * m + 1] * slots

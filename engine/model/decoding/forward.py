@@ -50,7 +50,7 @@ def decode_opacities(
 
 @device_function
 def through_sigmoid(rows: int, head: Any, sizes: Any, mine: Array) -> None:
-    """All outputs of a decoder, in place."""
+    """Apply the sigmoid to all outputs of a decoder, in place."""
     for at in range(sizes.out_at, sizes.out_at + rows * head.padded, WIDTH):
         store(mine, at, sigmoid(load(mine, at)))
 
@@ -59,7 +59,7 @@ def through_sigmoid(rows: int, head: Any, sizes: Any, mine: Array) -> None:
 def write_shapes(
     batch: Batch, head: Any, anchors: AnchorArrays, opacities: Array, sizes: Any, mine: Array, drawn: Drawn
 ) -> None:
-    """Write what the covariance decoder and the anchors say of the drawn Gaussians: all but colours and labels."""
+    """Write the drawn Gaussians' means, shapes and opacities, from the covariance decoder and the anchors."""
     k, scale = sizes.k, sizes.d_hidden_at  # room for a vector a row, of which six are the anchor's scales
     collect_scales(batch, anchors, mine, scale)
     for m in range(batch.gaussians):
@@ -91,7 +91,7 @@ def write_colours(batch: Batch, head: Any, sizes: Any, mine: Array, colours: Arr
 
 @device_function
 def write_known_labels(batch: Batch, k: int, visible: Array, labelling: Labelling, labels: Array) -> None:
-    """Labels that were decoded before."""
+    """Write labels that were decoded before."""
     channels = labelling.known_channels
     for m in range(batch.gaussians):
         anchor = visible[batch.listed[batch.owners[2 * m]]]
@@ -135,7 +135,7 @@ def write_classes(
 
 @parallel_kernel
 def decode_gaussians(worker: int, workers: int, given: Decoding, drawn: Drawn, work: Work) -> None:
-    """All of the Gaussians with opacity above 0, and ``batches.losses``."""
+    """Write all Gaussians with an opacity above 0, and ``batches.losses``."""
     anchors, packed, labelling, batches = given
     mine, numbers = work.floats[worker], work.numbers[worker]
     sizes, heads, visible = packed.sizes, packed.heads, anchors.visible

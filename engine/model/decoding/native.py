@@ -47,7 +47,7 @@ def decode_natively(given: AnchorsInView, decoders: Decoders) -> NeuralGaussians
 
 
 class _Fixed(NamedTuple):
-    """Inputs without a gradient."""
+    """The inputs that have no gradient."""
 
     visible: NDArray[np.int64]
     position: NDArray[np.float32]

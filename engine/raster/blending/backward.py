@@ -209,7 +209,7 @@ def strips_of(mask: int) -> int:
 
 @inlined
 def whitened(patch: int, slope: Any, scratch: Array, own: int) -> Any:
-    """s1 on a patch."""
+    """The whitened coordinate s1 of a patch's pixels."""
     row, side = patch & -2, patch & 1
     return v.fma(slope, v.load(scratch, COLUMNS + side * TILE), v.load_pairs(scratch, own + S1_LEFT + row))
 

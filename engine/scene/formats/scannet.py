@@ -93,7 +93,7 @@ class _Block:
     size: int
 
     def read(self) -> bytes:
-        """Raises PlgsError."""
+        """The block's bytes. Raises PlgsError."""
         with reading(self.path), open_plain(self.path) as file:
             file.seek(self.start)
             data = file.read(self.size)

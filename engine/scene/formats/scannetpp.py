@@ -146,7 +146,7 @@ def _find_blocks(path: Path) -> list[tuple[int, int]] | None:
 
 
 def _unpack_block(data: bytes) -> NDArray[np.float32]:
-    """Raises ValueError, zlib.error."""
+    """Decompress a frame's block. Raises ValueError, zlib.error."""
     import lz4.block
 
     try:

@@ -209,7 +209,7 @@ def compressed(given: Any, size: Size | None, context: str, path: Path) -> tuple
 
 
 def _without_empty(counts: list[int]) -> list[int]:
-    """The same runs, none of them empty but perhaps the first."""
+    """The same runs without empty ones, except perhaps the first."""
     kept = [0]
     for place, count in enumerate(counts):
         if count and len(kept) % 2 == place % 2:
