@@ -61,7 +61,7 @@ def _removal(folder: LiftFolder, objects: Sequence[str], progress: Progress) -> 
     state, corrected = replayed(folder.path), read_corrected(folder.path)
     ids = sorted({making.object_of(state, each) for each in objects})
     files = {str(file.path): file.sha256 for file in read_manifest(folder.result_path).files}
-    name = sha256(repr((ids, corrected.fingerprint, files[MODEL], __version__)).encode()).hexdigest()[:16]
+    name = sha256(repr((ids, corrected.fingerprint, files.get(MODEL), __version__)).encode()).hexdigest()[:16]
     path = path_of(folder.path, name)
     try:
         read_fill(path)
