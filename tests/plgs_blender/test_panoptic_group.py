@@ -107,6 +107,16 @@ def test_recolour_is_shaded(root: bpy.types.Collection, scene: bpy.types.Scene, 
     assert np.allclose(seen[matte][:, :3], expected, atol=1e-4)
 
 
+def test_a_plate_is_switched_to_and_subtracted(scene: bpy.types.Scene, view: TinyView, tmp_path: Path) -> None:
+    before, plate, pink = picture(view)[..., :3], (0.2, 0.4, 0.1, 1.0), (0.9, 0.1, 0.7, 1.0)
+    seen = shown(scene, "Overlay", tmp_path, Plate=plate, Clean_plate=1.0)
+    assert np.allclose(seen[..., :3], plate[:3], atol=1e-5)
+    seen = shown(scene, "Overlay", tmp_path, Clean_plate=0.0, Difference=1.0)
+    assert np.allclose(seen[..., :3], np.abs(before - plate[:3]), atol=1e-5)
+    seen = shown(scene, "Overlay", tmp_path, Difference=0.0, Guessed=0.5, Guessed_matte=1.0, Guessed_colour=pink)
+    assert np.allclose(seen[..., :3], 0.5 * before + 0.5 * np.array(pink[:3]), atol=1e-5)
+
+
 def test_overlay_is_mixed(root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path) -> None:
     before = picture(view)
     seen = shown(scene, "Overlay", tmp_path, Overlay=0.4)
