@@ -118,14 +118,25 @@ def _add_experiments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_bench(parser: argparse.ArgumentParser) -> None:
-    parser.description = "step: time the parts of a training step of a lift of the sample, and drawing the result."
-    parser.add_argument("what", choices=("step",))
-    parser.add_argument(
+    kinds = parser.add_subparsers(required=True, metavar="WHAT")
+    step = kinds.add_parser("step", help="time the parts of a training step of a lift of the sample, and drawing it")
+    step.add_argument(
         "--preset", choices=PRESETS, help="a lift by this preset (default: standard on enlarged frames, coarsely)"
     )
-    add_set_option(parser)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures to a file")
-    parser.set_defaults(run=run_bench)
+    step.set_defaults(run=run_bench)
+    masks = kinds.add_parser("masks", help="score many pairs of a scene and masks of it, and compare with another run")
+    masks.add_argument("pairs", type=Path, metavar="FOLDER", help="holds SCENE/scene, and SCENE/MASKS for each masks")
+    masks.add_argument("--only", nargs="+", default=[], metavar="TEXT", help="pairs whose names contain one of these")
+    masks.add_argument("--preset", choices=PRESETS, default="preview", help="as for lift (default: preview)")
+    masks.add_argument("--sizes", type=_seeds, default=[160, 200], metavar="160,200", help="picture sizes in pixels")
+    masks.add_argument(
+        "--lifts", type=Path, metavar="FOLDER", help="lift every pair into this folder (default: read the points alone)"
+    )
+    masks.add_argument("--against", type=Path, metavar="FILE", help="a run to compare with (default: the stored one)")
+    masks.set_defaults(run=run_masks)
+    for each in (step, masks):
+        add_set_option(each)
+        each.add_argument("--json", type=Path, metavar="FILE", help="also write the figures to a file")
 
 
 def run_printing(options: argparse.Namespace) -> int:
@@ -221,6 +232,22 @@ def run_bench(options: argparse.Namespace) -> ExitCode:
     figures = bench_step(preset)
     if options.json is not None:
         options.json.write_text(json.dumps(figures, indent=1), encoding="utf-8")
+    return ExitCode.FINISHED
+
+
+def run_masks(options: argparse.Namespace) -> ExitCode:
+    """Score the pairs and print how they differ from a stored run. Raises PlgsError."""
+    from .bench_masks import STORED, bench_masks, differences, pairs_in, read_run, write_run
+
+    if options.json is not None:
+        _refuse_unwritable(options.json)
+    preset = with_options(PRESETS[options.preset], parsed_options(options.set or ()))
+    before, run = read_run(options.against or STORED), {}
+    for run in bench_masks(pairs_in(options.pairs, options.only), preset, options.sizes, options.lifts):
+        print(*("{} {:.1f} / {:.1f}".format(key, *run[key]) for key in list(run)[-1:]), file=sys.stderr)
+        if options.json is not None:
+            write_run(options.json, run)
+    print(*differences(run, before), sep="\n")
     return ExitCode.FINISHED
 
 
