@@ -12,7 +12,7 @@ sees enough of two pieces either shows both inside one mask, or does not.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,11 +24,14 @@ from scipy.spatial import cKDTree
 from ..presets.preset import EvidenceKind, ViewEvidence
 from ..scene import Progress, View, evidence, watched
 from .agreement import ViewPoints
-from .records import SceneObject, fit_box
+from .panoptic_labels import UNBALANCED, ClassBalance
+from .records import ObjectMask, SceneObject, fit_box
 
 LEAST_SHARE = 0.4
 """Minimum fraction of an object's votes for its class. Masks that share a position but no class are not one object:
 usually they belong to several things that a network could not distinguish."""
+LEAST_VIEWS = 2
+"""Views that must have a mask on a piece of a thing that no object owns, so that it becomes an object."""
 
 
 def vote_classes(
@@ -57,11 +60,15 @@ def vote_classes(
 
 
 def object_classes(
-    votes: NDArray[np.float64], class_ids: tuple[int, ...], is_one: NDArray[np.bool_]
+    votes: NDArray[np.float64],
+    class_ids: tuple[int, ...],
+    is_one: NDArray[np.bool_],
+    balance: ClassBalance = UNBALANCED,
 ) -> NDArray[np.int32]:
     """The class with the most votes for each object, int32 [objects + 1]. Ties go to the lower id. An object has no
     class, 0, without votes, and if the winner has less than ``LEAST_SHARE`` of them, unless the views find that it
     ``is_one`` object (``held_back_agreement``), bool [objects + 1]."""
+    votes = balance.of(votes)
     winner = np.asarray(class_ids, np.int32)[votes.argmax(1)]
     is_agreed = (votes.max(1) >= LEAST_SHARE * votes.sum(1)) | is_one
     return np.where(votes.any(1) & is_agreed, winner, 0).astype(np.int32)
@@ -184,6 +191,34 @@ def regroup_pieces(
     number_of_group[order] = np.arange(1, count + 1)
     table = np.append(number_of_group[group], 0).astype(np.int32)  # the last entry is for piece -1, none
     return table[piece], [origin[each] for each in order]
+
+
+def unowned_pieces(
+    xyz: NDArray[np.floating],
+    class_of_point: NDArray[np.int32],
+    views: Sequence[View],
+    summaries: Sequence[ViewPoints],
+    taken: Container[tuple[str, int]],
+    rules: PieceRules,
+) -> tuple[NDArray[np.int32], list[SceneObject]]:
+    """Objects 1.. that connected points of one class found, if at least LEAST_VIEWS views have a mask of that class on
+    them, and the object of each point, int32 [N], 0 = none. ``class_of_point`` int32 [N], 0 for points that found
+    nothing; ``taken``: the keys of masks that belong to other objects; ``summaries``: what each view shows at the
+    points. A mask goes to the piece that has most of it."""
+    piece, class_of_piece = _pieces(xyz, class_of_point, rules, lambda *_: None)
+    masks: list[list[ObjectMask]] = [[] for _ in class_of_piece]
+    for view, seen in zip(views, summaries, strict=True):
+        for segment in view.mask.segments:
+            own = piece[seen.row[seen.segment == segment.id]]
+            own = own[own >= 0]
+            own = own[class_of_piece[own] == segment.class_id]
+            if len(own) >= rules.min_points and (view.name, segment.id) not in taken:
+                masks[int(np.bincount(own).argmax())].append(ObjectMask(view.name, segment))
+    kept = [number for number, own in enumerate(masks) if len({mask.frame for mask in own}) >= LEAST_VIEWS]
+    number_of = np.zeros(len(masks) + 1, np.int32)  # the last is for piece -1, none
+    number_of[kept] = np.arange(1, len(kept) + 1)
+    found = [SceneObject(new, tuple(masks[old]), int(class_of_piece[old])) for new, old in enumerate(kept, start=1)]
+    return number_of[piece], found
 
 
 def joined_by_views(

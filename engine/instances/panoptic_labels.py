@@ -55,6 +55,25 @@ def _fill_objects(
         found[row] = object_of_class(shown[row], columns, class_of_object, wanted[row], least[row])
 
 
+@dataclass(frozen=True)
+class ClassBalance:
+    """How much a vote for each class counts, ``weights`` [C], unless one class has at least the share ``majority`` of
+    the votes. By default all votes count alike."""
+
+    weights: tuple[float, ...] = ()
+    majority: float = 0.0
+
+    def of(self, votes: NDArray[np.floating]) -> NDArray[np.floating]:
+        """The balanced ``votes`` [N, C]."""
+        if not self.weights:
+            return votes
+        is_clear = votes.max(1, initial=0) >= self.majority * votes.sum(1)
+        weighted = votes * np.asarray(self.weights, votes.dtype)
+        return np.where(is_clear[:, None], votes, weighted)
+
+
+UNBALANCED = ClassBalance()
+
 UNKNOWN_LABEL = -1
 """Label of a pixel or point that has no label."""
 
@@ -62,10 +81,11 @@ UNKNOWN_LABEL = -1
 @dataclass(frozen=True)
 class PanopticLabels:
     """Labels 0..C-1 are the classes ``class_ids`` without an object. Labels C..C+U-1 are the objects 1..U in order,
-    with the classes ``class_of_object`` (length U, each in ``class_ids``)."""
+    with the classes ``class_of_object`` (length U, each in ``class_ids``). Votes on them are in ``balance``."""
 
     class_ids: tuple[int, ...]
     class_of_object: tuple[int, ...]
+    balance: ClassBalance = UNBALANCED
 
     def __len__(self) -> int:
         return len(self.class_ids) + len(self.class_of_object)
@@ -111,7 +131,7 @@ def decide_labels(
     by_class = np.array(votes[:, :classes], np.float32)
     for number in range(classes, len(labels)):
         by_class[:, column[number]] += votes[:, number]
-    winner = by_class.argmax(1)
+    winner = labels.balance.of(by_class).argmax(1)
     most = by_class[np.arange(len(votes)), winner]
     total = by_class.sum(1)
     found = objects_of_classes(votes, np.arange(classes, len(labels)), column[classes:], winner, least_share * most)

@@ -41,15 +41,20 @@ TOLERANCE = 0.02
 
 
 def trusted_superpoints(
-    xyz: NDArray[np.floating], spacing: float, seeing: ViewsOnCloud, class_ids: tuple[int, ...], kind: EvidenceKind
+    xyz: NDArray[np.floating],
+    spacing: float,
+    seeing: ViewsOnCloud,
+    class_ids: tuple[int, ...],
+    kind: EvidenceKind,
+    masks_are_weak: bool,
 ) -> NDArray[np.int64] | None:
     """The superpoint of each of a cloud's points ``xyz`` [N, 3] metres, ``spacing`` metres apart, int64 [N], if views
-    that are held back prefer them, or are too weak to judge; else None."""
+    that are held back prefer them and ``masks_are_weak``, or are too weak to judge; else None."""
     if len(xyz) < LEAST_POINTS:
         return None
     part = superpoints(xyz, spacing, seeing)
     by_point, by_part = held_back_agreement(part, seeing, class_ids, kind)
-    are_trusted = by_point < WEAK or by_part >= by_point - TOLERANCE
+    are_trusted = by_point < WEAK or (masks_are_weak and by_part >= by_point - TOLERANCE)
     log.info(
         "a view that is held back agrees with the others by %.3f, and by %.3f with %d superpoints, which are%s used",
         by_point, by_part, part.max() + 1, "" if are_trusted else " not",

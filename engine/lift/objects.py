@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from ..instances import objects as by_votes
 from ..instances.agreement import ViewPoints, ViewsOnCloud, shown_classes
 from ..instances.consensus import ConsensusOptions, FoundObjects, find_objects, with_masks_of
-from ..instances.layers import trusted_layers
 from ..instances.matching import limit_instances, match_views, merged
-from ..instances.panoptic_labels import PanopticLabels
+from ..instances.panoptic_labels import ClassBalance, PanopticLabels
 from ..instances.records import ObjectMask, SceneObject, object_of_mask
 from ..instances.segment_votes import neighbours_on_a_thing, view_labels, vote_panoptic_labels
 from ..instances.segments import SegmentOptions, vote_instances
 from ..instances.superpoints import RestOfSuperpoint, trusted_superpoints
+from ..instances.weak_masks import agreement_of_views, class_balance
 from ..job.progress import StageProgress
 from ..presets.parts import Parts
 from ..presets.preset import Preset, ViewEvidence
@@ -93,12 +93,13 @@ def segment_options(preset: Preset) -> SegmentOptions:
 @dataclass(frozen=True, eq=False)
 class VotedThings:
     """The ``things`` that views agree on. ``training``: the views whose masks were joined; ``everyone``: all that vote,
-    with the detections that do (``layers_vote``)."""
+    with the detections that do; ``masks_are_weak``: whether the masks contradict each other."""
 
     things: list[SceneObject]
     training: ViewsOnCloud
     everyone: ViewsOnCloud
-    layers_vote: bool
+    masks_are_weak: bool
+    balance: ClassBalance
 
 
 def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StageProgress) -> Matching:
@@ -108,12 +109,14 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     part = None
     if preset.segment_voting.superpoints:
         some, kind = given.cloud, preset.evidence.segments
-        part = trusted_superpoints(some.xyz, some.spacing, found.everyone, some.class_ids, kind)
+        asked = found.everyone, some.class_ids, kind, found.masks_are_weak
+        part = trusted_superpoints(some.xyz, some.spacing, *asked)
     cloud, object_of_point = voted_points(given.cloud, found, part, preset, progress.part(0.4, 0.85))
     owner, things = regrouped(cloud, object_of_point, found, progress.part(0.85, 0.92))
     # A point that lost its object was on the ragged edge of a few masks, so their class is no evidence for it either.
     is_fragment = (object_of_point > 0) & (owner == 0)
     cloud = replace(cloud, class_id=np.where(is_fragment, VOID, cloud.class_id).astype(np.int32))
+    owner, things = with_unowned(cloud, owner, things, found.training, given.classes)
     watching = watched(things, progress.part(0.92, 0.95))
     placed = by_votes.placed_objects(found.training.views, watching, cloud.xyz, owner, preset.voxel_size)
     instances, instance_of_point, dropped = limit_instances(placed, owner, preset.most_instances)
@@ -121,7 +124,7 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     label = labels.of_points(cloud.class_id, instance_of_point)
     shown = view_labels(seeing.views, seeing.point_of_pixel, label, len(labels))
     maps = stored(watched(shown, progress.part(0.95, 1.0)), given.scratch)
-    masks_agree = part is None and not found.layers_vote
+    masks_agree = part is None and not found.masks_are_weak
     return Matching(cloud, instances, instance_of_point, dropped, maps, seeing.point_of_pixel, masks_agree)
 
 
@@ -134,12 +137,15 @@ def voted_things(given: ViewsToMatch, kinds: ViewEvidence, progress: StageProgre
     voting = on_cloud(given.others, cloud, given.scratch, progress.part(0.15, 0.2))
     options = replace(CONSENSUS, evidence=kinds.masks)
     found = find_objects(training, len(cloud), options, progress.part(0.2, 0.4))
-    layers = trusted_layers(training.and_also(voting), len(cloud), cloud.class_ids, kinds.segments)
-    voting = voting.and_also(layers)
-    everyone = training.and_also(voting)
+    everyone, asked = training.and_also(voting), (len(cloud), cloud.class_ids, kinds.segments)
+    agreement = agreement_of_views(everyone, *asked)
+    if agreement.is_weak:
+        voting = voting.and_also(everyone.layers().looked_at(lambda *_: None))
+        everyone = training.and_also(voting)
+    balance = class_balance(everyone, *asked, agreement)
     found = with_masks_of(found, voting, CONSENSUS.rules)
-    things = thing_objects(found, everyone, cloud, given.classes, kinds)
-    return VotedThings(things, training, everyone, layers_vote=bool(len(layers.views)))
+    things = thing_objects(found, everyone, cloud, given.classes, kinds, balance)
+    return VotedThings(things, training, everyone, agreement.is_weak, balance)
 
 
 def voted_points(
@@ -156,7 +162,8 @@ def voted_points(
         neighbours = RestOfSuperpoint(superpoint)
     elif preset.segment_voting.neighbours:
         neighbours = neighbours_on_a_thing(cloud.xyz, cloud.spacing, found.training.seen)
-    labels, members = labels_of(cloud, found.things), object_of_mask(found.things)
+    labels = replace(labels_of(cloud, found.things), balance=found.balance)
+    members = object_of_mask(found.things)
     voted = vote_panoptic_labels(
         found.everyone, len(cloud), labels, members, options=preset.segment_voting, kind=preset.evidence.segments,
         neighbours=neighbours, progress=progress,
@@ -178,6 +185,24 @@ def regrouped(
     masks = masks_of_pieces([mask for one in found.things for mask in one.masks], seeing, owner, len(origin))
     pieces = [SceneObject(number, own, classes[number - 1]) for number, own in zip(origin, masks, strict=True)]
     return without_fragments(owner, pieces, seeing.seen)
+
+
+def with_unowned(
+    cloud: SemanticPointCloud,
+    owner: NDArray[np.int32],
+    things: list[SceneObject],
+    seeing: ViewsOnCloud,
+    classes: ClassTable,
+) -> tuple[NDArray[np.int32], list[SceneObject]]:
+    """The object of each point, int32 [N] (0 = none), and the objects, with those that points of a thing's class found
+    where no object owned them (``unowned_pieces``)."""
+    is_alone = (owner == 0) & np.isin(cloud.class_id, sorted(classes.thing_ids))
+    class_of_point = np.where(is_alone, cloud.class_id, VOID).astype(np.int32)
+    rules = by_votes.PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing), fragment=0.0)
+    taken = object_of_mask(things)
+    piece, found = by_votes.unowned_pieces(cloud.xyz, class_of_point, seeing.views, seeing.seen, taken, rules)
+    joined = [*things, *(replace(one, id=len(things) + one.id) for one in found)]
+    return np.where(piece > 0, piece + len(things), owner).astype(np.int32), joined
 
 
 def labels_of(cloud: SemanticPointCloud, objects: Sequence[SceneObject]) -> PanopticLabels:
@@ -219,14 +244,19 @@ def register_matcher(name: str, matcher: Matcher) -> None:
 
 
 def thing_objects(
-    found: FoundObjects, seeing: ViewsOnCloud, cloud: SemanticPointCloud, classes: ClassTable, kinds: ViewEvidence
+    found: FoundObjects,
+    seeing: ViewsOnCloud,
+    cloud: SemanticPointCloud,
+    classes: ClassTable,
+    kinds: ViewEvidence,
+    balance: ClassBalance,
 ) -> list[SceneObject]:
     """The objects that the views vote to be things, renumbered from 1."""
     shown = [(seen, shown_classes(view, seen)) for view, seen in zip(seeing.views, seeing.seen, strict=True)]
     asked = found.object_of_point, len(found.objects), cloud.class_ids
     votes = by_votes.vote_classes(shown, *asked, kinds.objects)
     is_one = by_votes.held_back_agreement(shown, *asked, kinds=kinds, frames=seeing.by_frame())
-    class_of_object = by_votes.object_classes(votes, cloud.class_ids, is_one).tolist()
+    class_of_object = by_votes.object_classes(votes, cloud.class_ids, is_one, balance).tolist()
     things = (one for one in found.objects if class_of_object[one.id] in classes.thing_ids)
     return [replace(one, id=number, class_id=class_of_object[one.id]) for number, one in enumerate(things, start=1)]
 

@@ -118,6 +118,12 @@ def decide_labels(pixels: Any, columns: Any, start: int, end: int, decided: Any)
             if has_entropy and value > LEAST_SHARE:
                 weighted += value * np.log(value)
         total = max(total, LEAST_TOTAL)
+        if columns.is_thing[winner]:
+            slot = best_slot(pixels.slots[pixel], pixels.alpha[pixel], most, columns, winner)
+            if slot < 0 and columns.one_class:
+                winner, most, slot = owned_class(coverage, pixels.slots[pixel], columns, winner, most)
+            if slot >= 0:
+                decided.instance[pixel] = columns.slot_ids[slot]
         decided.semantic[pixel] = columns.class_ids[winner]
         if has_share:
             decided.confidence[pixel] = np.rint(STEPS * most / total) / STEPS
@@ -125,10 +131,23 @@ def decide_labels(pixels: Any, columns: Any, start: int, end: int, decided: Any)
             # the sum of -p log p for p = value / total
             entropy = (np.log(total) - weighted / total) / np.float32(np.log(max(classes, 2)))
             decided.entropy[pixel] = np.rint(STEPS * max(entropy, ZERO)) / STEPS
-        if columns.is_thing[winner]:
-            slot = best_slot(pixels.slots[pixel], pixels.alpha[pixel], most, columns, winner)
-            if slot >= 0:
-                decided.instance[pixel] = columns.slot_ids[slot]
+
+
+@device_function
+def owned_class(coverage: Array, slots: Array, columns: Any, winner: int, most: Any) -> Any:
+    """The class with the largest coverage of those that are stuff or have an object there, its coverage, and the slot
+    of the object, -1 for stuff. If there is none: ``winner`` with ``most`` coverage, and -1."""
+    best, largest, shown = winner, ZERO, -1
+    for number in range(len(columns.of_class)):
+        value, slot = coverage[columns.of_class[number]], -1
+        if value <= largest:
+            continue
+        if columns.is_thing[number]:
+            least = LEAST_SHARE_OF_CLASS * value
+            slot = object_of_class(slots, columns.of_slot, columns.class_of_slot, number, least)
+        if slot >= 0 or not columns.is_thing[number]:
+            best, largest, shown = number, value, slot
+    return best, largest if largest > ZERO else most, shown
 
 
 @device_function
@@ -226,7 +245,8 @@ def decide(
     of the classes' coverage. A pixel of a thing class shows the instance with the largest coverage, unless "no object"
     has more. With ``instance_classes`` (instance id to class id) an object has one class throughout. Its coverage is
     then part of its class's (see ``scene_labels``), and a pixel shows only an instance of its class with LEAST_OF_CLASS
-    of that class's coverage. So pixels that no object owns show their own class and no instance.
+    of that class's coverage. A thing's class that no such instance owns is left out, unless there is nothing else: such
+    pixels are specks, as what is larger became an object (``unowned_things``).
     """
     columns, made = _columns(rendering, classes, instance_classes or {}), {}
     needed = {*(wanted or PanopticLayers._fields)}

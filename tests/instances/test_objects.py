@@ -10,9 +10,11 @@ from engine.instances.objects import (
     joined_by_views,
     object_classes,
     regroup_pieces,
+    unowned_pieces,
     vote_classes,
 )
 from engine.presets.preset import ViewEvidence
+from engine.scene import Camera, PanopticMask, Segment, View
 from tests.semantics.plane_views import CHAIR, CLASS_IDS, SOFA, WALL
 
 
@@ -192,3 +194,18 @@ def test_instances_of_one_class_are_joined_by_the_share_of_judging_views(share: 
     whole, halves = np.full(18, 4, np.int32), np.repeat([4, 5, 6], 6).astype(np.int32)
     views = [ViewPoints(rows, segment, ones, ones) for segment in (whole, whole, halves)]
     assert joined_by_views(owner, [CHAIR, CHAIR, SOFA], views, share).tolist() == groups
+
+
+def test_pieces_of_things_without_an_object_become_objects_where_two_views_have_masks_on_them() -> None:
+    xyz = np.concatenate([block(0.0), block(2.0), block(4.0), block(6.0)])
+    class_of_point = np.repeat(np.array([CHAIR, CHAIR, SOFA, CHAIR], np.int32), SIZE)
+    ids = np.repeat(np.arange(1, 5), SIZE)
+    segments = tuple(Segment(n, CHAIR, True) for n in (1, 2, 3, 4))  # nobody calls the third block a sofa
+    seen = [view(*((n, ids == n) for n in shown), points=len(xyz)) for shown in ((1, 2, 3, 4), (1, 3, 4), (1, 3, 4))]
+    camera, nothing = Camera(1, 1, 1.0, 1.0, 0.5, 0.5, np.eye(4)), np.zeros((1, 1, 3), np.uint8)
+    mask = PanopticMask(np.zeros((1, 1), np.int32), segments)
+    views = [View(str(n), camera, nothing, np.zeros((1, 1), np.float32), mask) for n in range(3)]
+    taken = {(str(n), 4) for n in range(3)}  # the masks of the fourth block are those of another object
+    owner, found = unowned_pieces(xyz, class_of_point, views, seen, taken, PieceRules())
+    assert owner.tolist() == [1] * SIZE + [0] * 3 * SIZE
+    assert [(one.id, one.class_id, one.views) for one in found] == [(1, CHAIR, 3)]

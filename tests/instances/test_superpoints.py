@@ -9,10 +9,10 @@ from scipy import sparse
 
 from engine.instances import superpoints as module
 from engine.instances.agreement import ViewPoints, ViewsOnCloud, shown_classes, view_points, words_of_views
-from engine.instances.layers import class_agreement, trusted_layers
 from engine.instances.objects import vote_classes
 from engine.instances.segment_votes import _votes
 from engine.instances.superpoints import RestOfSuperpoint, held_back_agreement, superpoints, trusted_superpoints
+from engine.instances.weak_masks import DOUBTED, WEAK, agreement_of_views, class_balance
 from engine.scene import Camera, Evidence, PanopticMask, Segment, View
 
 FLOOR, BOX, WALL = 1, 2, 3
@@ -66,13 +66,24 @@ def test_views_that_contradict_each_other_trust_superpoints_and_views_that_agree
     true = np.where(is_box, BOX, FLOOR).astype(np.int32)
     random = np.random.default_rng(0)
     noisy = [np.where(random.random(len(true)) < 0.45, WALL, true).astype(np.int32) for _ in range(6)]
-    assert trusted_superpoints(xyz, SPACING, seeing(xyz, noisy), CLASS_IDS, "pixels") is not None
+    assert trusted_superpoints(xyz, SPACING, seeing(xyz, noisy), CLASS_IDS, "pixels", False) is not None
     picture = true.copy()
     picture[(xyz[:, 0] < 0.7) & ~is_box] = WALL  # what lies in a plane with something else
     agreeing = seeing(xyz, [picture] * 6)
-    assert trusted_superpoints(xyz, SPACING, agreeing, CLASS_IDS, "pixels") is None
+    assert trusted_superpoints(xyz, SPACING, agreeing, CLASS_IDS, "pixels", True) is None
     by_point, by_part = held_back_agreement(superpoints(xyz, SPACING, agreeing), agreeing, CLASS_IDS, "pixels")
     assert by_point == pytest.approx(1) and by_part < 0.95
+
+
+def test_superpoints_that_lose_a_little_are_for_weak_masks_alone() -> None:
+    xyz, is_box = box_on_a_floor()
+    picture = np.where(is_box, BOX, FLOOR).astype(np.int32)
+    picture[np.argsort(np.linalg.norm(xyz - [0.5, 0.5, 0], axis=1))[:3]] = WALL  # small, and in the plane of the floor
+    views = seeing(xyz, [picture] * 6)
+    by_point, by_part = held_back_agreement(superpoints(xyz, SPACING, views), views, CLASS_IDS, "pixels")
+    assert by_point - module.TOLERANCE < by_part < by_point
+    for are_weak in (False, True):
+        assert (trusted_superpoints(xyz, SPACING, views, CLASS_IDS, "pixels", are_weak) is not None) == are_weak
 
 
 def test_a_point_gets_the_votes_of_the_rest_of_its_superpoint() -> None:
@@ -105,19 +116,38 @@ def with_layers(views: ViewsOnCloud, shown: list[NDArray[np.int32]]) -> ViewsOnC
     return ViewsOnCloud(layered, views.point_of_pixel, views.seen)
 
 
-def test_detections_vote_where_masks_are_weak_alone() -> None:
+def test_masks_are_weak_where_views_disagree_on_small_classes() -> None:
+    """Most of what is seen is floor, on which all agree; what the box is, they do not."""
     xyz, is_box = box_on_a_floor()
-    true = np.where(is_box, BOX, FLOOR).astype(np.int32)
-    # Most of what is seen is floor, on which all agree; what the box is, they do not.
-    random = np.random.default_rng(0)
+    true, random = np.where(is_box, BOX, FLOOR).astype(np.int32), np.random.default_rng(0)
     torn = [np.where(is_box, random.choice([BOX, WALL, FLOOR], len(true)), FLOOR).astype(np.int32) for _ in range(6)]
-    for shown, are_weak in ((torn, True), ([true] * 6, False)):
-        views = with_layers(seeing(xyz, shown), [true] * 6)
-        layers = trusted_layers(views, len(xyz), CLASS_IDS, "pixels")
-        assert len(layers.views) == (12 if are_weak else 0)
-        for view, seen in zip(layers.views, layers.seen, strict=True):
-            assert view.mask.segments[0].class_id == BOX and view.frame in {each.name for each in views.views}
-            assert np.array_equal(seen.segment > 0, is_box[seen.row])
+    good, weak = (agreement_of_views(seeing(xyz, shown), len(xyz), CLASS_IDS, "pixels") for shown in ([true] * 6, torn))
+    assert good.by_class == good.in_all == 1 and not good.is_weak
+    assert weak.by_class < WEAK < DOUBTED < weak.in_all and weak.is_weak
+
+
+def test_where_masks_are_weak_a_rare_class_outvotes_a_common_one_without_a_majority() -> None:
+    xyz, is_box = box_on_a_floor()
+    views = seeing(xyz, [np.where(is_box, shown, FLOOR).astype(np.int32) for shown in (BOX, WALL, FLOOR, FLOOR)])
+    asked = views, len(xyz), CLASS_IDS, "pixels"
+    agreement = agreement_of_views(*asked)
+    assert agreement.is_weak and agreement.in_all > DOUBTED
+    balanced = class_balance(*asked, agreement).of(np.array([[2.5, 2.0, 1.0], [3.0, 2.0, 1.0], [4.0, 2.0, 1.0]]))
+    assert balanced.argmax(1).tolist() == [1, 0, 0], "what most votes say stays"
+    doubtful = replace(agreement, in_all=DOUBTED - 0.1)
+    assert class_balance(*asked, doubtful).of(np.array([[3.0, 2.0, 1.0]])).argmax(1).tolist() == [1]
+    votes = np.array([[3.0, 2.0, 1.0]])
+    assert class_balance(*asked, replace(agreement, by_class=WEAK)).of(votes) is votes
+
+
+def test_detections_become_views_of_their_own() -> None:
+    xyz, is_box = box_on_a_floor()
+    views = with_layers(seeing(xyz, [np.full(len(xyz), FLOOR, np.int32)] * 3), [np.where(is_box, BOX, FLOOR)] * 3)
+    layers = views.layers()
+    assert len(layers.views) == 6
+    for view, seen in zip(layers.views, layers.seen, strict=True):
+        assert view.mask.segments[0].class_id == BOX and view.frame in {each.name for each in views.views}
+        assert np.array_equal(seen.segment > 0, is_box[seen.row])
 
 
 def test_classes_of_one_detection_share_its_vote() -> None:
@@ -149,7 +179,9 @@ def test_each_class_counts_alike() -> None:
         for point in np.flatnonzero((one > 0) & (counts.sum(0) > 0)):
             share[int(one[point])].append(CLASS_IDS[counts[:, point].argmax()] == one[point])
     expected = np.mean([np.mean(each) for each in share.values()])
-    assert class_agreement(views, 50, CLASS_IDS, "views") == pytest.approx(expected)
+    found = agreement_of_views(views, 50, CLASS_IDS, "views")
+    assert found.by_class == pytest.approx(expected)
+    assert found.in_all == pytest.approx(np.mean(np.concatenate([*share.values()])))
 
 
 def test_a_frame_is_held_back_with_its_layers() -> None:

@@ -45,17 +45,22 @@ def test_an_object_is_shown_with_its_class_or_not_at_all() -> None:
     layers = decide(made_rendering(), CLASSES, {70001: CHAIR, 3: CHAIR, 99: CHAIR})
     assert (layers.semantic[RIGHT] == CHAIR).all() and (layers.instance[RIGHT] == 70001).all()
     layers = decide(made_rendering(), CLASSES, {70001: SOFA, 3: CHAIR})
-    assert (layers.semantic[RIGHT] == CHAIR).all() and not layers.instance[RIGHT].any()
-    assert layers.confidence[RIGHT] == pytest.approx(0.75)
+    assert (layers.semantic[RIGHT] == SOFA).all() and (layers.instance[RIGHT] == 70001).all()
+    assert layers.confidence[RIGHT] == pytest.approx(0.25)
     assert (layers.semantic[LEFT] == CHAIR).all() and (layers.instance[LEFT] == 3).all()
     assert layers.semantic[0, 3] == WALL and layers.instance[0, 3] == 0
 
 
-def test_a_thing_that_no_object_owns_has_its_own_class_and_no_instance() -> None:
+def test_a_thing_that_no_object_owns_gives_way_to_what_is_owned_or_stuff() -> None:
     of_class = {3: CHAIR, 70001: SOFA}
-    for instances in ({}, {70001: 0.25}):
-        layers = decide(with_right_chair(instances), CLASSES, of_class)
-        assert (layers.semantic[RIGHT] == CHAIR).all() and not layers.instance[RIGHT].any()
+    layers = decide(with_right_chair({}), CLASSES, of_class)  # nothing else is there
+    assert (layers.semantic[RIGHT] == CHAIR).all() and not layers.instance[RIGHT].any()
+    layers = decide(with_right_chair({70001: 0.25}), CLASSES, of_class)
+    assert (layers.semantic[RIGHT] == SOFA).all() and (layers.instance[RIGHT] == 70001).all()
+    rendering = with_right_chair({})
+    rendering.class_coverage[RIGHT][..., rendering.class_ids.index(WALL)] = 0.01
+    layers = decide(rendering, CLASSES, of_class)
+    assert (layers.semantic[RIGHT] == WALL).all() and not layers.instance[RIGHT].any()
     layers = decide(with_right_chair({3: 0.2, 70001: 0.25}), CLASSES, of_class)
     assert (layers.semantic[RIGHT] == CHAIR).all() and (layers.instance[RIGHT] == 3).all()
 
@@ -102,18 +107,22 @@ def plain_decision(
             total += each
         probability = coverage / max(total, np.float32(1e-8))
         likely = {one: p for (one, _), p in zip(order, probability, strict=True)}
-        shown = max(likely, key=lambda one: (likely[one], -one))
-        if shown in classes.thing_ids:
-            weight = {one: rendering.instance_coverage[pixel][s] for one, s in slots}
-            alone = rendering.alpha[pixel]
+        by_slot = {one: rendering.instance_coverage[pixel][s] for one, s in slots}
+        found = {}
+        for shown in likely:
+            weight, alone = by_slot, rendering.alpha[pixel]
             for each in weight.values():
                 alone -= each
             if owned:
                 weight = {one: w for one, w in weight.items() if owned.get(one) == shown}
                 alone = np.float32(LEAST_OF_CLASS) * rendering.class_coverage[pixel][dict(order)[shown]]
             best = max(weight, key=lambda one: (weight[one], -one), default=0)
-            instance[pixel] = best if best and weight[best] > max(alone, 0) else 0
-        semantic[pixel], confidence[pixel] = shown, likely[shown]
+            is_owned = shown in classes.thing_ids and best and weight[best] > max(alone, 0)
+            found[shown] = best if is_owned else 0
+        able = [one for one in likely if found[one] or one not in classes.thing_ids] if owned else []
+        able = [one for one in able if likely[one] > 0]
+        shown = max(able or likely, key=lambda one: (likely[one], -one))
+        semantic[pixel], instance[pixel], confidence[pixel] = shown, found[shown], likely[shown]
         terms = probability.astype(float) * np.log(np.maximum(probability, 1e-12).astype(float))
         entropy[pixel] = -terms.sum() / np.log(max(len(order), 2))
     return semantic, instance, confidence, entropy
