@@ -29,6 +29,8 @@ EVENING = 0.35
 """How much rare classes are favoured: 0 not at all, 1 until all classes have as many votes."""
 RAREST = 0.02
 """Classes with less than this fraction of the commonest class's votes are not favoured further."""
+STRAY = 0.001
+"""Classes with less than this fraction of the commonest class's votes are slips, and not favoured at all."""
 MAJORITY = 0.5
 """Share of the votes with which a class keeps a point or an object, unless common classes are doubtful."""
 
@@ -77,5 +79,6 @@ def class_balance(
     if not agreement.is_weak:
         return UNBALANCED
     total = words_of_views(seeing, points, np.asarray(class_ids), kind)[1].sum(0)
-    weights = np.maximum(total / max(total.max(initial=0), 1e-12), RAREST) ** -EVENING
+    share = total / max(total.max(initial=0), 1e-12)
+    weights = np.where(share < STRAY, 1.0, np.maximum(share, RAREST) ** -EVENING)
     return ClassBalance(tuple(weights.tolist()), MAJORITY if agreement.in_all >= DOUBTED else 1.0)

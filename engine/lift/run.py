@@ -149,9 +149,11 @@ def run_lift(
     with stages.stage("result") as progress:
         if preset.shows_votes:
             part = progress.part(0.0, VOTED)
-            trainer.scene.voted = vote_labels(
+            voted, in_view = vote_labels(
                 trainer.scene, frames.training, prepared, preset, progress=part, scratch=folder.path
             )
+            trainer.scene.voted = voted
+            events.metric("objects_in_view", in_view.numbers())
         cameras = [frame.camera.resized(*size_within(frame.size, preset.size)) for frame in frames.training]
         positions = trainer.scene.anchors.position.numpy(force=True)
         trainer.scene.finest = torch.from_numpy(finest_pixels(positions, cameras))

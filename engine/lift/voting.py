@@ -23,9 +23,12 @@ from ..scene.hole_filling import fill_holes
 from ..scene.pixels import resize_nearest
 from ..scene.view import Progress, StoredArrays, StoredViews, View, read_ahead
 from .objects import Matching, labels_of
+from .objects_in_view import LEAST_SHOWN, ObjectsInView, objects_in_view, with_hidden_objects
 
 MOST_BYTES = 1 << 32
 """The most bytes of frames that are stored on disk between two rounds."""
+MOST_VIEWS = 100
+"""At most this many views say whether every object is shown, evenly chosen."""
 ROUNDS = 2
 """Rounds in which the views vote on the Gaussians where their masks agree."""
 
@@ -38,13 +41,13 @@ def vote_labels(
     *,
     progress: Progress,
     scratch: Path | None = None,
-) -> GaussianLabels:
-    """The labels of every Gaussian, by a vote of the training frames within ``vote_size``. Where masks agree, they
-    outline objects better than points do. In the first round, the segments of each mask take the labels that its pixels
-    got before training; in the second, those that the Gaussians of the first show. Where masks contradict each other, a
-    second round would undo what the points gained: each pixel votes once, with the label of its point. Data that both
-    rounds need is stored in temporary files in ``scratch``. Raises PlgsError if a file is bad, and what ``progress``
-    raises."""
+) -> tuple[GaussianLabels, ObjectsInView]:
+    """The labels of every Gaussian, and how far they show every object, by a vote of the training frames within
+    ``vote_size``. Where masks agree, they outline objects better than points do. In the first round, the segments of
+    each mask take the labels that its pixels got before training; in the second, those that the Gaussians of the first
+    show. Where masks contradict each other, a second round would undo what the points gained: each pixel votes once,
+    with the label of its point. Data that both rounds need is stored in temporary files in ``scratch``. Raises
+    PlgsError if a file is bad, and what ``progress`` raises."""
     cloud, maps = prepared.cloud, prepared.label_maps
     assert maps is not None  # objects by agreement come with them
     labels = labels_of(cloud, prepared.instances)
@@ -52,7 +55,7 @@ def vote_labels(
     label_of_point = label_of_point.astype(np.int16)  # the last is that of pixels without a point
     point_index, reach = cloud.index(), 2 * cloud.spacing
     rounds = ROUNDS if prepared.masks_agree else 1
-    voting_frames = _VotingFrames(scene, frames, preset, scratch, most_bytes=MOST_BYTES if rounds > 1 else 0)
+    voting_frames = _VotingFrames(scene, frames, preset, scratch, most_bytes=MOST_BYTES)
     named = NamedGaussians(len(scene.anchors) * scene.anchors.gaussians_per_anchor)
     voted: GaussianLabels | None = None
     for number in range(rounds):
@@ -67,10 +70,22 @@ def vote_labels(
             if number == 0:
                 named.add(frame.seen, frame.mask.ids > 0)
             votes.add(frame.seen, shown, frame.depth, frames[index].size[0] / frame.size[0])
-            progress(number * len(frames) + index + 1, rounds * len(frames))
+            progress(number * len(frames) + index + 1, (rounds + 1) * len(frames))
         voted = votes.result()
     assert voted is not None  # there is at least one round
-    return settled(scene, voted, named.are_named, OwnedPoints(cloud.xyz, prepared.instance_of_point))
+    points = OwnedPoints(cloud.xyz, prepared.instance_of_point)
+    labelled = settled(scene, voted, named.are_named, points)
+
+    def some_views() -> Iterator[Contributors]:
+        for index in range(0, len(frames), -(-len(frames) // MOST_VIEWS)):
+            yield voting_frames.at(index).seen
+            progress(rounds * len(frames) + index + 1, (rounds + 1) * len(frames))
+
+    found = objects_in_view(scene, labelled, some_views(), points)
+    if (found.share < LEAST_SHOWN).any():
+        labelled = with_hidden_objects(scene, labelled, found)
+        found = objects_in_view(scene, labelled, some_views(), points)
+    return labelled, found
 
 
 @dataclass(frozen=True, eq=False)

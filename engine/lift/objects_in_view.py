@@ -1,0 +1,87 @@
+"""Whether the finished scene shows every object where its points are, and what is done for those that it does not.
+
+A Gaussian is about as large as a wall plug, and is blended of the votes of all that it covers. So small objects may own
+points and no Gaussian.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..model.label_voting import Contributors, pixel_labels
+from ..model.settling import OwnedPoints
+from ..model.structured import GaussianLabels, LabelChannels, StructuredScene
+from ..scene.view import NEAR, NEAR_SHARE
+
+LEAST_SHOWN = 0.5
+"""Least share of the pixels at an object's own points that show the object."""
+LEAST_WEIGHT = 0.2
+"""Least blending weight in such a pixel of a Gaussian that the object takes."""
+
+
+class ObjectsInView(NamedTuple):
+    """Of the views' pixels in which an object's own points lie at the drawn depth, those that show it. ``seen`` and
+    ``shown`` int64 [U], for the objects in the order of the channels' ``instance_slots``. ``hiding`` int64 [2, n]: the
+    number of an object, and a Gaussian that much of one of the other pixels is blended from."""
+
+    seen: NDArray[np.int64]
+    shown: NDArray[np.int64]
+    hiding: NDArray[np.int64]
+
+    @property
+    def share(self) -> NDArray[np.float64]:
+        """The share of the pixels that show the object, float64 [U]; 0 for one that is never seen."""
+        return self.shown / np.maximum(self.seen, 1)
+
+    def numbers(self) -> dict[str, float]:
+        """Figures for the log: over the objects that own points."""
+        share = self.share
+        mean = float(share.mean()) if len(share) else 1.0
+        return {"objects": len(share), "mean": mean, "below": int((share < LEAST_SHOWN).sum())}
+
+
+def objects_in_view(
+    scene: StructuredScene, labels: GaussianLabels, views: Iterable[Contributors], points: OwnedPoints
+) -> ObjectsInView:
+    """What the ``views`` show of the objects if the Gaussians have these ``labels``."""
+    number = _numbers(scene.channels, points.instance)
+    xyz, number = points.xyz[number >= 0], number[number >= 0]
+    count, first = len(scene.channels.instance_slots), len(scene.channels.class_ids)
+    seen, shown = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    hiding = np.zeros((2, 0), np.int64)
+    for view in views:
+        row, pixel, depth = view.camera.seen(xyz)
+        x, y = pixel.astype(np.int64).T
+        drawn = view.depth[y, x]
+        near = (drawn > 0) & (np.abs(drawn - depth) <= np.maximum(NEAR, NEAR_SHARE * drawn))
+        pairs = np.unique(np.stack([number[row], y, x])[:, near], axis=1)  # a pixel counts once for an object
+        is_shown = pixel_labels(scene, labels, view)[pairs[1], pairs[2]] == first + pairs[0]
+        seen += np.bincount(pairs[0], minlength=count)
+        shown += np.bincount(pairs[0][is_shown], minlength=count)
+        hidden, y, x = pairs[:, ~is_shown]
+        pixel_of, place = np.nonzero(view.weight[y, x] >= LEAST_WEIGHT)
+        found = np.stack([hidden[pixel_of], view.gaussian[y, x][pixel_of, place].astype(np.int64)])
+        hiding = np.unique(np.concatenate([hiding, found], axis=1), axis=1)
+    return ObjectsInView(seen, shown, hiding)
+
+
+def with_hidden_objects(scene: StructuredScene, labels: GaussianLabels, found: ObjectsInView) -> GaussianLabels:
+    """The labels, where each object that is shown too little takes the Gaussians that hide its own points."""
+    label, share = labels.label.numpy().copy(), labels.share.numpy().copy()
+    numbers, rows = found.hiding[:, found.share[found.hiding[0]] < LEAST_SHOWN]
+    share[rows] = 0
+    label[rows, 0], share[rows, 0] = len(scene.channels.class_ids) + numbers, 1
+    return GaussianLabels(torch.from_numpy(label), torch.from_numpy(share))
+
+
+def _numbers(channels: LabelChannels, instance: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The place of each instance [N] among the channels' ``instance_slots``, int64 [N], -1 for none."""
+    ids = [channels.slot_ids[slot] for slot in channels.instance_slots]
+    table = np.full(max([*ids, int(instance.max(initial=0))], default=0) + 1, -1, np.int64)
+    table[ids] = np.arange(len(ids))
+    return table[instance]
