@@ -198,6 +198,7 @@ def unowned_pieces(
     class_of_point: NDArray[np.int32],
     views: Sequence[View],
     summaries: Sequence[ViewPoints],
+    *,
     taken: Container[tuple[str, int]],
     rules: PieceRules,
 ) -> tuple[NDArray[np.int32], list[SceneObject]]:

@@ -46,6 +46,7 @@ def trusted_superpoints(
     seeing: ViewsOnCloud,
     class_ids: tuple[int, ...],
     kind: EvidenceKind,
+    *,
     masks_are_weak: bool,
 ) -> NDArray[np.int64] | None:
     """The superpoint of each of a cloud's points ``xyz`` [N, 3] metres, ``spacing`` metres apart, int64 [N], if views

@@ -109,8 +109,8 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     part = None
     if preset.segment_voting.superpoints:
         some, kind = given.cloud, preset.evidence.segments
-        asked = found.everyone, some.class_ids, kind, found.masks_are_weak
-        part = trusted_superpoints(some.xyz, some.spacing, *asked)
+        asked = some.xyz, some.spacing, found.everyone, some.class_ids, kind
+        part = trusted_superpoints(*asked, masks_are_weak=found.masks_are_weak)
     cloud, object_of_point = voted_points(given.cloud, found, part, preset, progress.part(0.4, 0.85))
     owner, things = regrouped(cloud, object_of_point, found, progress.part(0.85, 0.92))
     # A point that lost its object was on the ragged edge of a few masks, so their class is no evidence for it either.
@@ -144,7 +144,7 @@ def voted_things(given: ViewsToMatch, kinds: ViewEvidence, progress: StageProgre
         everyone = training.and_also(voting)
     balance = class_balance(everyone, *asked, agreement)
     found = with_masks_of(found, voting, CONSENSUS.rules)
-    things = thing_objects(found, everyone, cloud, given.classes, kinds, balance)
+    things = thing_objects(found, everyone, cloud, given.classes, kinds=kinds, balance=balance)
     return VotedThings(things, training, everyone, agreement.is_weak, balance)
 
 
@@ -200,7 +200,9 @@ def with_unowned(
     class_of_point = np.where(is_alone, cloud.class_id, VOID).astype(np.int32)
     rules = by_votes.PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing), fragment=0.0)
     taken = object_of_mask(things)
-    piece, found = by_votes.unowned_pieces(cloud.xyz, class_of_point, seeing.views, seeing.seen, taken, rules)
+    piece, found = by_votes.unowned_pieces(
+        cloud.xyz, class_of_point, seeing.views, seeing.seen, taken=taken, rules=rules
+    )
     joined = [*things, *(replace(one, id=len(things) + one.id) for one in found)]
     return np.where(piece > 0, piece + len(things), owner).astype(np.int32), joined
 
@@ -248,6 +250,7 @@ def thing_objects(
     seeing: ViewsOnCloud,
     cloud: SemanticPointCloud,
     classes: ClassTable,
+    *,
     kinds: ViewEvidence,
     balance: ClassBalance,
 ) -> list[SceneObject]:

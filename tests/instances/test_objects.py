@@ -206,6 +206,6 @@ def test_pieces_of_things_without_an_object_become_objects_where_two_views_have_
     mask = PanopticMask(np.zeros((1, 1), np.int32), segments)
     views = [View(str(n), camera, nothing, np.zeros((1, 1), np.float32), mask) for n in range(3)]
     taken = {(str(n), 4) for n in range(3)}  # the masks of the fourth block are those of another object
-    owner, found = unowned_pieces(xyz, class_of_point, views, seen, taken, PieceRules())
+    owner, found = unowned_pieces(xyz, class_of_point, views, seen, taken=taken, rules=PieceRules())
     assert owner.tolist() == [1] * SIZE + [0] * 3 * SIZE
     assert [(one.id, one.class_id, one.views) for one in found] == [(1, CHAIR, 3)]

@@ -66,11 +66,11 @@ def test_views_that_contradict_each_other_trust_superpoints_and_views_that_agree
     true = np.where(is_box, BOX, FLOOR).astype(np.int32)
     random = np.random.default_rng(0)
     noisy = [np.where(random.random(len(true)) < 0.45, WALL, true).astype(np.int32) for _ in range(6)]
-    assert trusted_superpoints(xyz, SPACING, seeing(xyz, noisy), CLASS_IDS, "pixels", False) is not None
+    assert trusted_superpoints(xyz, SPACING, seeing(xyz, noisy), CLASS_IDS, "pixels", masks_are_weak=False) is not None
     picture = true.copy()
     picture[(xyz[:, 0] < 0.7) & ~is_box] = WALL  # what lies in a plane with something else
     agreeing = seeing(xyz, [picture] * 6)
-    assert trusted_superpoints(xyz, SPACING, agreeing, CLASS_IDS, "pixels", True) is None
+    assert trusted_superpoints(xyz, SPACING, agreeing, CLASS_IDS, "pixels", masks_are_weak=True) is None
     by_point, by_part = held_back_agreement(superpoints(xyz, SPACING, agreeing), agreeing, CLASS_IDS, "pixels")
     assert by_point == pytest.approx(1) and by_part < 0.95
 
@@ -83,7 +83,9 @@ def test_superpoints_that_lose_a_little_are_for_weak_masks_alone() -> None:
     by_point, by_part = held_back_agreement(superpoints(xyz, SPACING, views), views, CLASS_IDS, "pixels")
     assert by_point - module.TOLERANCE < by_part < by_point
     for are_weak in (False, True):
-        assert (trusted_superpoints(xyz, SPACING, views, CLASS_IDS, "pixels", are_weak) is not None) == are_weak
+        assert (
+            trusted_superpoints(xyz, SPACING, views, CLASS_IDS, "pixels", masks_are_weak=are_weak) is not None
+        ) == are_weak
 
 
 def test_a_point_gets_the_votes_of_the_rest_of_its_superpoint() -> None:
