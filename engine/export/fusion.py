@@ -118,8 +118,8 @@ def fuse(views: Sequence[SmallView], grain: Grain = Grain(), progress: Progress 
         return Surface(none, none.astype(np.uint8), none, none.astype(np.int64))
     before = np.cumsum([0, *(len(part.xyz) for part in parts)])
     triangles = np.concatenate([part.triangles + start for part, start in zip(parts, before, strict=False)])
-    arrays = (np.concatenate([getattr(part, name) for part in parts]) for name in ("xyz", "rgb", "normal"))
-    whole = _in_order(Surface(*arrays, triangles))
+    xyz, rgb, normal = (np.concatenate([getattr(part, name) for part in parts]) for name in ("xyz", "rgb", "normal"))
+    whole = _in_order(Surface(xyz, rgb, normal, triangles))
     progress(95, 100)
     return _smoothed(whole)
 

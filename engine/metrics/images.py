@@ -108,7 +108,7 @@ def _unit(*pictures: NDArray[np.generic]) -> list[NDArray[np.float64]]:
     if len({picture.shape for picture in pictures}) > 1:
         raise ValueError(f"pictures differ in shape: {' and '.join(str(each.shape) for each in pictures)}")
     return [
-        each / np.float64(255) if each.dtype == np.uint8 else np.clip(each, 0.0, 1.0, dtype=np.float64)
+        each.astype(np.float64) / 255.0 if each.dtype == np.uint8 else np.clip(each, 0.0, 1.0, dtype=np.float64)
         for each in pictures
     ]
 
