@@ -38,7 +38,7 @@ BEHAVIOURS = {
     "a scene is diagnosed and mended": (
         "doors/test_captures.py::test_inspect_writes_a_mended_scene_and_your_files_stay_as_they_are"
     ),
-    "exports: clouds": "export/test_export.py::test_clouds_hold_pixels",
+    "exports: clouds": "export/test_export.py::test_depth_clouds_hold_a_point_for_each_pixel",
     "exports: COCO panoptic": "export/test_export.py::test_coco_is_exported",
     "exports: label images": "export/test_export.py::test_labels_are_exported",
     "exports: ScanNet": "export/test_export.py::test_scannet_is_exported",
@@ -48,14 +48,14 @@ BEHAVIOURS = {
     "run_plgs.py lifts a scene into a .blend": (
         "doors/test_command_line.py::test_run_plgs_lifts_the_scene_and_puts_the_result_into_a_blend"
     ),
-    "run_plgs.py bakes a camera": "test_run_plgs_camera.py::test_done_frames_are_kept",
+    "run_plgs.py bakes a camera": "test_run_plgs_camera.py::test_frames_that_are_baked_are_kept",
     "the zip installs, registers and goes": "test_extension.py::test_the_zip_installs_and_registers_and_goes",
     "every button works with the engine that the set-up made": (
         "operators/test_every_action.py::test_every_action_works_with_the_engine_that_the_buttons_made"
     ),
     "the panel's buttons: import": "operators/test_scene.py::test_importing_cameras_lifts_nothing",
     "the panel's buttons: lift": "operators/test_lift.py::test_a_script_waits_for_the_lift",
-    "the panel's buttons: resume": "operators/test_lift.py::test_resuming",
+    "the panel's buttons: resume": "operators/test_lift.py::test_a_cancelled_lift_is_resumed_by_the_operator",
     "the panel's buttons: masks": "operators/test_masks.py::test_masks_are_made",
     "the panel's buttons: corrections": ("operators/test_corrections.py::test_deleted_and_undone_by_blenders_own_undo"),
     "the panel's buttons: passes": (

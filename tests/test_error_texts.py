@@ -54,7 +54,7 @@ def test_keys_are_short_names_and_a_wording_has_one_key() -> None:
         assert keys.setdefault((one.what, one.fix), one.key) == one.key or "{" in one.what, one
 
 
-def test_no_wording_lacks_a_subject() -> None:
+def test_every_message_is_a_sentence_with_a_subject() -> None:
     assert [one for one in all_errors() if one.text.startswith(" ")] == []
 
 

@@ -46,7 +46,7 @@ def finish(lift: LiftFolder) -> None:
     write_manifest(lift.result_path, versions={}, seed=0, settings={}, timings={})
 
 
-def test_a_lift_as_arrays(lift: LiftFolder) -> None:
+def test_a_lift_is_read_as_arrays(lift: LiftFolder) -> None:
     with raises_key("not-finished"):
         engine.read_lift(lift.path)
     finish(lift)

@@ -73,7 +73,7 @@ print(json.dumps(told))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="memory is limited as Linux does it")
-def test_each_reader_reports_it(root: Path, tmp_path: Path) -> None:
+def test_each_reader_reports_a_lack_of_memory(root: Path, tmp_path: Path) -> None:
     values = np.random.default_rng(0).integers(0, 255, (1500, 2000, 3), np.uint8)
     np.savez_compressed(tmp_path / "a.npz", xyz=np.zeros((2_000_000, 3)))
     np.save(tmp_path / "a.npy", np.zeros((2_000_000, 3)))

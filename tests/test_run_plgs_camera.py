@@ -71,7 +71,9 @@ def shot(finished: Path, blend: Path, root: Path, tmp_path_factory: pytest.TempP
     return lift
 
 
-def test_done_frames_are_kept(shot: Path, blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_frames_that_are_baked_are_kept(
+    shot: Path, blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     lift = LiftFolder.open(shutil.copytree(shot, tmp_path / "lift"))
     baked = [lift.passes_path / f"shot_dolly.{frame:04d}.exr" for frame in (1, 2, 3)]
     assert sorted(lift.passes_path.iterdir()) == baked
@@ -86,7 +88,9 @@ def test_done_frames_are_kept(shot: Path, blend: Path, tmp_path: Path, capfd: py
     assert listed == {*(path.name for path in baked), "shot_dolly.0004.exr"}
 
 
-def test_passes_go_elsewhere(lift: LiftFolder, blend: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_passes_can_go_into_another_folder(
+    lift: LiftFolder, blend: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     moved = Path(shutil.copytree(lift.request.scene, tmp_path / "moved"))
     command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "-1-1", "--scene"]
     before = lift.manifest_path.read_bytes()
@@ -132,7 +136,9 @@ def test_corrections_are_seen_and_the_lifts_own_file_stays(shot: Path, blend: Pa
     assert not (read_exr(baked).instance == one).any() and own.read_bytes() == before
 
 
-def test_bad_camera_refused(lift: LiftFolder, blend: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bad_camera_is_refused(
+    lift: LiftFolder, blend: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     text, cut = tmp_path / "notes.blend", tmp_path / "cut.blend"
     text.write_text("no blend")
     cut.write_bytes(blend.read_bytes()[:100])

@@ -116,7 +116,9 @@ def test_cpu_index_is_used_only_for_torch(workshop: list[list[str]], monkeypatch
     assert asked == [(True, True), (True, False)], "the second brings what torch needs"
 
 
-def test_missing_packages_are_one_apt_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_packages_give_one_apt_command(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     monkeypatch.setattr(shutil, "which", lambda name: f"/usr/bin/{name}")
     with pytest.raises(SystemExit) as stopped:
@@ -168,14 +170,18 @@ def test_without_any_python_one_line_says_what_to_install(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("program", ["dnf", "zypper"])
-def test_rpm_names_are_files(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], program: str) -> None:
+def test_rpm_systems_are_told_to_install_files(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], program: str
+) -> None:
     monkeypatch.setattr(shutil, "which", lambda name: f"/usr/bin/{name}" if name == program else None)
     with pytest.raises(SystemExit):
         environment.install_packages(["libgl1", "libegl1"])
     assert f"\n    sudo {program} install 'libGL.so.1()(64bit)' 'libEGL.so.1()(64bit)'\n" in capsys.readouterr().err
 
 
-def test_too_old_system_is_refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_system_that_is_too_old_is_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(environment.platform, "libc_ver", lambda: ("glibc", "2.34"))
     with pytest.raises(SystemExit):
         environment.refuse_old_system()

@@ -18,7 +18,7 @@ from tests.waiting import PATIENCE_S
 distributed = pytest.importorskip("distributed", reason="distributed is not installed: python -m engine add farm")
 
 
-def test_scenes_are_shared(tmp_path: Path, farm: Farm, address: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_workers_share_the_scenes(tmp_path: Path, farm: Farm, address: str, capsys: pytest.CaptureFixture[str]) -> None:
     plan = plan_of(tmp_path, "a", "b", "dark", "c")
     farm.workers(address, "usual", "usual")
     assert run(plan, FarmOptions(scheduler=address)) is ExitCode.BAD_INPUT

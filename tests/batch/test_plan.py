@@ -28,7 +28,7 @@ from tests.raises_key import raises_key
 
 
 @pytest.mark.parametrize("name", ["...zip", "..zip", ".batch.zip", "table.md.zip", "Table.CSV.zip"])
-def test_a_name_that_is_not_a_folder_of_its_own_is_refused(name: str, tmp_path: Path) -> None:
+def test_a_name_that_leads_to_another_folder_is_refused(name: str, tmp_path: Path) -> None:
     (tmp_path / name).touch()
     with raises_key("names-clash|scene-unnamable"):
         names_of([tmp_path / name])
@@ -176,7 +176,7 @@ def test_shared_path_for_several_scenes_is_refused() -> None:
     assert of_scene(Path("masks/{scene}.json"), "room") == Path("masks/room.json")
 
 
-def test_rows_of_other_scenes_are_kept_as_long_as_they_hold(tmp_path: Path) -> None:
+def test_rows_of_other_scenes_are_kept_while_their_results_exist(tmp_path: Path) -> None:
     jobs = {}
     for name in ("corrected", "deleted", "done", "failed", "failed and gone"):
         (tmp_path / f"{name}.scene").touch()
@@ -245,7 +245,7 @@ def test_each_scene_has_its_own_options(name: str, text: str, tmp_path: Path) ->
         ("t.toml", "[[scene]\n", "not-scene-table"),
     ],
 )
-def test_a_bad_table_is_one_line(name: str, text: str, said: str, tmp_path: Path) -> None:
+def test_a_bad_table_gives_a_one_line_error(name: str, text: str, said: str, tmp_path: Path) -> None:
     with raises_key(said) as error:
         options_of(tmp_path, name, text)
     assert "\n" not in str(error.value)

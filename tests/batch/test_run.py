@@ -177,7 +177,7 @@ def test_records_that_lead_elsewhere_are_refused(name: str, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("kind", [Kind.LIFT, Kind.EXPORT, Kind.SCORE])
-def test_a_scene_that_is_not_mounted_is_for_another_worker(kind: Kind, tmp_path: Path) -> None:
+def test_a_scene_that_is_not_mounted_goes_to_another_worker(kind: Kind, tmp_path: Path) -> None:
     work = Piece(kind, "room", tmp_path, LiftRequest(scene=tmp_path / "unmounted"), engine_tag(), ("ply",))
     outcome = do(work, lambda progress: None)
     assert outcome.ended is Ended.ELSEWHERE and "unmounted" in outcome.reason
@@ -223,7 +223,7 @@ def test_changed_masks_are_lifted_again(tmp_path: Path, monkeypatch: pytest.Monk
     assert do(work, lambda progress: None).ended is Ended.DONE and len(started) == 2
 
 
-def test_an_error_crosses_processes() -> None:
+def test_an_error_can_be_sent_between_processes() -> None:
     error = PlgsError("made-up", "is dark", "room", "Add light.", code=ErrorCode.NO_MASKS, option="--masks")
     again = pickle.loads(pickle.dumps(error))
     assert str(again) == str(error) and vars(again) == vars(error)

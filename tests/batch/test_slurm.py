@@ -85,7 +85,7 @@ def test_slurm_job_does_a_batch(slurm: Path) -> None:
 
 
 @pytest.mark.parametrize("refuses", [True, False])
-def test_jobs_that_die_are_rows_of_the_table(refuses: bool, slurm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_jobs_are_rows_of_the_table(refuses: bool, slurm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """sbatch refuses the job, or the job ends before its worker begins: the batch does not wait for ever."""
     monkeypatch.setattr(run_module, "_JOBS_S", 0.5)
     squeue = slurm / "bin" / "squeue"
@@ -135,7 +135,7 @@ def test_paths_are_quoted_for_the_shell(slurm: Path, monkeypatch: pytest.MonkeyP
     assert {str(ca), str(own), f"PYTHONPATH={odd}"} < {*said} and "PYTHONHOME=/nowhere" not in said
 
 
-def test_job_imports_nothing_of_its_folder(slurm: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_job_imports_nothing_from_its_folder(slurm: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in ("dask", "distributed", "engine"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text("open('oops', 'w')\nraise SystemExit(9)\n")

@@ -76,7 +76,7 @@ def test_invalid_frame_number_is_refused(text: str, capsys: pytest.CaptureFixtur
     assert said.startswith("error: frames = 9999999 is not a valid value") and said.count("\n") == 1
 
 
-def test_bad_input_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_bad_input_gives_a_one_line_error(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     lift = new_lift(tmp_path)
     for arguments, told in (
         (["inspect", tmp_path / "none"], "none"),
@@ -117,7 +117,7 @@ def stopping(request: pytest.FixtureRequest) -> Iterator[tuple[Callable[..., Non
 
 
 @pytest.mark.parametrize(("what", "arguments", "told"), INTERRUPTED)
-def test_a_signal_says_what_is_left(
+def test_after_a_signal_the_command_says_what_is_left(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, stopping: tuple[Callable[..., None], int],
     what: str, arguments: list[str], told: str,
 ) -> None:  # fmt: skip
@@ -130,7 +130,7 @@ KNOWN = next(each for each in make_parser()._actions if isinstance(each, argpars
 
 
 @pytest.mark.parametrize("command", KNOWN)
-def test_every_command_ends_alike(
+def test_every_command_ends_in_the_same_ways(
     capsys: pytest.CaptureFixture[str], stopping: tuple[Callable[..., None], int], command: str
 ) -> None:
     defaults = {each.dest: each.default for each in KNOWN[command]._actions} | KNOWN[command]._defaults
@@ -241,7 +241,9 @@ def test_command_ends_with_its_parent(root: Path, tmp_path: Path, command: list[
 
 
 @pytest.mark.parametrize("command", ["lift", "inspect", "batch"])
-def test_looping_link_is_one_line(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_looping_link_gives_a_one_line_error(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     output = [] if command == "inspect" else ["-o", tmp_path / "out"]
     assert code_of(command, tmp_path / "loop", *output) == 2

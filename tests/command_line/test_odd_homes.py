@@ -45,7 +45,9 @@ def said_by(
 
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 @pytest.mark.parametrize("call", ["presets", "presets --json", "handshake", "lift --help"])
-def test_no_room_on_standard_output_is_one_line(call: str, unbuffered: str, root: Path, tmp_path: Path) -> None:
+def test_a_full_disk_for_standard_output_gives_a_one_line_error(
+    call: str, unbuffered: str, root: Path, tmp_path: Path
+) -> None:
     if unbuffered and "--help" in call:
         pytest.skip("argparse says nothing then")
     code, _, told = said_by(root, tmp_path, *call.split(), shell="exec >/dev/full", PYTHONUNBUFFERED=unbuffered)
@@ -53,7 +55,7 @@ def test_no_room_on_standard_output_is_one_line(call: str, unbuffered: str, root
 
 
 @pytest.mark.parametrize("odd", [*VARIABLES, *SHELLS])
-def test_odd_environment_changes_no_answer(odd: str, root: Path, tmp_path: Path, scene: Path) -> None:
+def test_an_unusual_environment_changes_no_answer(odd: str, root: Path, tmp_path: Path, scene: Path) -> None:
     code, out, told = said_by(root, tmp_path, "inspect", scene, shell=SHELLS.get(odd, ""), **VARIABLES.get(odd, {}))
     assert code == 0 and b"Traceback" not in told
     assert b"frames    2 for training" in out or odd == "no streams"
@@ -65,7 +67,7 @@ def test_too_small_a_limit_of_memory_is_refused_before_anything_starts(root: Pat
 
 
 @pytest.mark.parametrize("odd", NAMES)
-def test_an_odd_name_is_read(odd: str, root: Path, tmp_path: Path) -> None:
+def test_an_unusual_name_is_read(odd: str, root: Path, tmp_path: Path) -> None:
     place = Path(os.fsdecode(os.fsencode(tmp_path) + b"/" + NAMES[odd]))
     write_tiny_scene(tmp_path / "scene", frames=2)
     place.parent.mkdir(parents=True, exist_ok=True)
@@ -91,7 +93,7 @@ def test_a_name_that_a_lift_refuses_is_refused_by_all(command: str, root: Path, 
         (b"room", b"file/lift", b"Not a directory"),
     ],
 )
-def test_unusable_paths_are_one_line(
+def test_unusable_paths_give_a_one_line_error(
     scene_name: bytes, lift_name: bytes, why: bytes, root: Path, tmp_path: Path, scene: Path
 ) -> None:
     names = [os.fsencode(tmp_path) + b"/" + name for name in (scene_name, lift_name)]
@@ -102,7 +104,7 @@ def test_unusable_paths_are_one_line(
 
 
 @pytest.mark.slow  # the kernels are compiled again, as there is no place to keep them
-def test_lift_works_in_odd_environment(root: Path, tmp_path: Path, scene: Path) -> None:
+def test_a_lift_works_in_an_unusual_environment(root: Path, tmp_path: Path, scene: Path) -> None:
     shell, lift = "umask 077; ulimit -n 64; mkdir gone; cd gone; rmdir ../gone; exec <&-", tmp_path / "l\u00eft \u90e8"
     tiny = ("--steps", "2", "--set", "warm_start=false", "--bake", "all")
     odd = {**FILES, "NUMBA_CACHE_DIR": "FILE", "LC_ALL": "C"}

@@ -98,7 +98,7 @@ def test_task_files_are_used_by_one_process_at_a_time(tmp_path: Path, capsys: py
 
 
 @pytest.mark.parametrize("name", ["events.json", "missing/events.jsonl"])
-def test_events_go_only_where_events_can_be(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_events_are_written_only_to_valid_places(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["handshake", "--events", str(tmp_path / name)]) == 2
     assert "--events" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
@@ -193,7 +193,9 @@ def test_failed_lift_is_reported(
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
-def test_full_log_is_a_line(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_log_gives_a_one_line_error(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = new_lift(tmp_path)
     monkeypatch.setattr(runner, "open_to_append", lambda path: os.open("/dev/full", os.O_WRONLY))
     assert run_engine(folder, lift=raising(OSError(28, "No space left on device"))) == 1  # type: ignore[arg-type]

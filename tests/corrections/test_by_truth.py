@@ -61,7 +61,7 @@ def test_the_sample_is_better_after_fewer_than_20_edits(root: Path, tmp_path: Pa
     assert all(path.read_bytes() == content for path, content in made.items()), "result/ is as the engine made it"
 
 
-def test_without_ground_truth_it_is_a_one_line_error(tmp_path: Path) -> None:
+def test_without_ground_truth_there_is_a_one_line_error(tmp_path: Path) -> None:
     with pytest.raises(PlgsError):
         correct_by_truth(tmp_path)
     assert main(["correct", str(tmp_path)]) == 2

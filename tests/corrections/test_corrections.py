@@ -104,7 +104,7 @@ def test_two_chairs_in_one_box_are_separated(lift: Path) -> None:
     assert found[DESK] == result.made[1]  # an untouched box never moves
 
 
-def test_a_crumb_becomes_what_surrounds_it(lift: Path) -> None:
+def test_a_crumb_takes_the_label_of_what_surrounds_it(lift: Path) -> None:
     crumb, desk = objects(lift)[CRUMB].points, objects(lift)[DESK].points
     correct(lift, lambda state, _: m.delete(state, CRUMB))
     found = objects(lift)
@@ -160,7 +160,7 @@ def test_undo_works_after_rereading(lift: Path) -> None:
         (lambda s, _: m.assign(s, np.zeros(len(s.xyz), bool), DESK), "no-points"),
     ],
 )  # fmt: skip
-def test_impossible_edit_is_a_one_line_error(lift: Path, make: object, line: str) -> None:
+def test_an_impossible_edit_gives_a_one_line_error(lift: Path, make: object, line: str) -> None:
     with raises_key(line):
         correct(lift, make)  # type: ignore[arg-type]
     assert not (lift / CORRECTIONS).exists()
@@ -187,7 +187,7 @@ def test_an_object_without_points_has_no_parts(lift: Path) -> None:
         m.split(state, DESK, part, 99)
 
 
-def test_another_lift_of_the_scene_keeps_what_it_can(tmp_path: Path, lift: Path) -> None:
+def test_another_lift_of_the_scene_keeps_the_edits_that_still_apply(tmp_path: Path, lift: Path) -> None:
     correct(lift, split_chairs)
     correct(lift, lambda state, _: m.delete(state, CRUMB))
     correct(lift, lambda state, _: m.rename(state, DESK, "desk"))
@@ -217,7 +217,7 @@ def test_later_versions_are_refused_or_kept(lift: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"format": 1, "edits": [{"kind": "rename"}]}', '{"format": 1}'])
-def test_a_damaged_file_is_a_one_line_error_and_is_kept(lift: Path, text: str) -> None:
+def test_a_damaged_file_gives_a_one_line_error_and_is_kept(lift: Path, text: str) -> None:
     (lift / CORRECTIONS).write_text(text)
     for act in (read_corrected, undo, lambda folder: correct(folder, merge(DESK, CRUMB))):
         with raises_key("* corrections.json"):
@@ -284,6 +284,6 @@ def test_class_is_found_by_name_or_number(text: int | str, found: int) -> None:
         ("99", "no-class 99"),
     ],
 )
-def test_a_class_is_not_guessed(text: str, told: str) -> None:
+def test_an_ambiguous_class_name_is_refused(text: str, told: str) -> None:
     with raises_key(told):
         class_of(ALIKE, text)

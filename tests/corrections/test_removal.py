@@ -46,7 +46,7 @@ def test_a_removed_object_has_no_points_and_is_listed_as_removed(lift: Path) -> 
     assert read_corrected(lift).fingerprint == now.fingerprint != ""
 
 
-def test_stuff_in_cleared_cells_goes_and_things_stay(lift: Path) -> None:
+def test_stuff_in_cleared_cells_is_removed_and_things_stay(lift: Path) -> None:
     before = read_corrected(lift).points
     is_stuff = before.instance_id == 0
     everything = cells_of(before.xyz)
@@ -90,7 +90,7 @@ def test_what_fills_a_hole_can_be_corrected_like_anything_else(lift: Path) -> No
 
 
 @pytest.mark.parametrize("damage", ["missing", "changed", "cut off"])
-def test_a_fill_that_is_lost_is_told_and_the_object_stays(lift: Path, damage: str) -> None:
+def test_a_missing_fill_is_reported_and_the_object_stays(lift: Path, damage: str) -> None:
     removal(lift, DESK, fill=patch(np.ones((4, 3))))
     path = path_of(lift, "a1")
     if damage == "missing":

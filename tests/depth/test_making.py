@@ -65,7 +65,7 @@ def bent(depth: np.ndarray, seed: int) -> np.ndarray:
     return (disparity * random.uniform(5, 30) + random.uniform(1, 4)).astype(np.float32)
 
 
-def test_bent_depth_comes_back_within_four_centimetres() -> None:
+def test_distorted_depth_is_corrected_to_four_centimetres() -> None:
     frames = open_scene(ROOM).frames[::2]
     maps, truth = {}, {}
     for frame in frames:
@@ -99,7 +99,7 @@ def quiet(done: int, total: int) -> None:
     assert 0 <= done <= total
 
 
-def test_made_depth_is_found_and_told(tmp_path: Path) -> None:
+def test_made_depth_is_found_and_reported(tmp_path: Path) -> None:
     folder = write_colmap(tmp_path / "scene")
     assert not open_scene(folder).has_depth
     warnings = make_depth(open_scene(folder), folder, rooms_network(), quiet)

@@ -127,7 +127,7 @@ def test_drift_is_reported(scene: Path) -> None:
     assert diagnosis.findings[0].figures["far_m"] > 0.02
 
 
-def test_a_room_whose_floor_is_called_tree_is_noted(scene: Path) -> None:
+def test_a_floor_of_the_class_tree_is_reported(scene: Path) -> None:
     """ADE20K's numbers from 1, read as from 0: the wall is a building, the floor a tree, the ceiling a road."""
     table = scene / "panoptic.json"
     content = table.read_text()
@@ -143,7 +143,7 @@ def test_a_room_whose_floor_is_called_tree_is_noted(scene: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("hand_held", [False, True])
-def test_the_matrix_of_planted_faults(root: Path, tmp_path: Path, hand_held: bool) -> None:
+def test_every_planted_fault_is_found_in_every_scene(root: Path, tmp_path: Path, hand_held: bool) -> None:
     """All but one in twenty are noticed, nine in ten rightly, and no mend harms. docs/captures.md sums the rows up."""
     scene = root / "sample/room"
     if hand_held:

@@ -58,7 +58,7 @@ def test_depth_moves_by_whole_pixels(scene: Scene, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("unproven")
-def test_segments_that_may_be_several_objects_stay_so(tmp_path: Path) -> None:
+def test_segments_that_may_be_several_objects_are_kept_as_groups(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path / "scene", 6, (64, 48), masks="panoptic_lifting")
     for path in (folder / "m2f_instance").iterdir():
         path.write_bytes((folder / "m2f_instance" / "0000.png").read_bytes())

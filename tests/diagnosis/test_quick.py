@@ -48,7 +48,7 @@ def test_certain_faults_are_found_quickly(good: Path, tmp_path: Path, fault: str
 
 
 @pytest.mark.parametrize("by", [-1, 1])
-def test_masks_of_neighbours_are_seen(good: Path, by: int) -> None:
+def test_masks_that_belong_to_neighbouring_frames_are_found(good: Path, by: int) -> None:
     scene = open_scene(good)
     masks = [frame.read_mask for frame in scene.frames]
     last = len(masks) - 1

@@ -235,7 +235,7 @@ class _Found:
 
 
 @pytest.mark.parametrize("metadata", [METADATA, "{}", '{"intrinsic": '])
-def test_of_record3ds_rgbd_video_both_are_written_and_the_depth_gives_the_unit(
+def test_record3ds_rgbd_video_gives_pictures_and_depth_with_the_unit(
     tmp_path: Path, metadata: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """COLMAP alone is stood in for. Other films are whole pictures."""

@@ -109,7 +109,7 @@ def test_what_fills_the_hole_is_stored_in_the_lift(removed: Terminal) -> None:
     assert edit["kind"] == "remove" and edit["fill"] == fill.stem
 
 
-def test_points_and_splats_show_it_too(removed: Terminal) -> None:
+def test_points_and_splats_show_the_removal_too(removed: Terminal) -> None:
     lift, number = engine.read_lift(removed.folder / LIFT), chair(removed, "lifts/before")
     for found in (lift.points, lift.gaussians):
         assert number not in found.instance_id
@@ -146,7 +146,7 @@ def test_put_back_undoes_and_list_says_what_is_removed(terminal: Terminal) -> No
     assert number not in read_exr(passes(terminal.folder / LIFT / "result/passes")).instance, "photos may be gone"
 
 
-def test_several_objects_at_once(terminal: Terminal) -> None:
+def test_several_objects_are_removed_at_once(terminal: Terminal) -> None:
     before = read_exr(passes(terminal.folder / LIFT / "result/passes"))
     numbers = [one.id for one in engine.read_lift(terminal.folder / LIFT).instances]
     assert len(numbers) > 1

@@ -49,7 +49,7 @@ def test_what_you_mend_is_kept_in_corrections_json_and_result_stays(terminal: Te
     assert said.strip().endswith("to a, b; in Cryptomatte a b")
 
 
-def test_bakes_those_again_that_show_other_corrections(terminal: Terminal) -> None:
+def test_frames_that_show_other_corrections_are_baked_again(terminal: Terminal) -> None:
     passes = held_out(terminal)
     terminal.run(BAKE)
     before = passes.read_bytes()
@@ -67,7 +67,7 @@ def test_with_a_class_of_stuff_the_object_becomes_points_of_it(terminal: Termina
     assert (shown.semantic == WALL_ID).any()
 
 
-def test_all_become_the_first(terminal: Terminal) -> None:
+def test_merged_objects_become_the_first(terminal: Terminal) -> None:
     chair, cabinet = ids(terminal)["chair"], ids(terminal)["cabinet"]
     printed = ".venv/bin/python -m engine correct lifts/demo merge ONE OTHER ..."
     terminal.run(printed.removesuffix(" ..."), ONE=chair, OTHER=cabinet)
@@ -77,7 +77,7 @@ def test_all_become_the_first(terminal: Terminal) -> None:
     assert cabinet not in lift.points.instance_id
 
 
-def test_its_points_become_what_lies_around(terminal: Terminal) -> None:
+def test_the_points_of_a_deleted_object_become_what_surrounds_it(terminal: Terminal) -> None:
     chair = ids(terminal)["chair"]
     terminal.run(".venv/bin/python -m engine correct lifts/demo delete 22", id22=chair)
     lift = engine.read_lift(terminal.folder / LIFT)
@@ -87,7 +87,7 @@ def test_its_points_become_what_lies_around(terminal: Terminal) -> None:
     assert chair not in shown.instance and (shown.semantic > 0).all()
 
 
-def test_connected_parts(terminal: Terminal) -> None:
+def test_an_object_is_split_into_connected_parts(terminal: Terminal) -> None:
     """The tiny room's chair and cabinet are one object first, in two pieces."""
     chair, cabinet = ids(terminal)["chair"], ids(terminal)["cabinet"]
     terminal.run(".venv/bin/python -m engine correct lifts/demo merge ONE OTHER", ONE=chair, OTHER=cabinet)
@@ -95,7 +95,7 @@ def test_connected_parts(terminal: Terminal) -> None:
     assert len(engine.read_lift(terminal.folder / LIFT).instances) >= 2
 
 
-def test_plane_cuts_by_a_plane(terminal: Terminal) -> None:
+def test_an_object_is_split_by_a_plane(terminal: Terminal) -> None:
     cabinet = ids(terminal)["cabinet"]
     terminal.run(f".venv/bin/python -m engine correct lifts/demo split {cabinet} --plane 2.65 1.65 0.6 0 0 1")
     lift = engine.read_lift(terminal.folder / LIFT)
@@ -104,7 +104,7 @@ def test_plane_cuts_by_a_plane(terminal: Terminal) -> None:
     assert len(cut) == 3 and sum(bool(z.min() > 0.59) for z in cut) == 1, "one part lies above the plane"
 
 
-def test_what_the_masks_of_at_least_two_frames_show_apart(terminal: Terminal) -> None:
+def test_an_object_is_split_into_what_two_frames_show_apart(terminal: Terminal) -> None:
     chair, cabinet = ids(terminal)["chair"], ids(terminal)["cabinet"]
     terminal.run(".venv/bin/python -m engine correct lifts/demo merge ONE OTHER", ONE=chair, OTHER=cabinet)
     terminal.run(".venv/bin/python -m engine correct lifts/demo split 15 --views", id15=chair)
@@ -120,13 +120,13 @@ def test_accept_means_that_no_proposal_mentions_them_again(terminal: Terminal) -
     assert "chair 1" not in terminal.run(propose, LIFT=LIFT).replace("chair 1 is right", "")
 
 
-def test_undo(terminal: Terminal) -> None:
+def test_undo_takes_back_the_last_edit(terminal: Terminal) -> None:
     terminal.run(RENAME, id6=ids(terminal)["chair"])
     terminal.run(".venv/bin/python -m engine correct lifts/demo undo")
     assert "Anna's sofa" not in [one.name for one in engine.read_lift(terminal.folder / LIFT).instances]
 
 
-def test_an_edit_whose_object_is_missing_is_not_applied_list_says_why(terminal: Terminal) -> None:
+def test_list_says_why_an_edit_of_a_missing_object_is_not_applied(terminal: Terminal) -> None:
     cabinet = ids(terminal)["cabinet"]
     terminal.run(RENAME, id6=cabinet)
     file = terminal.folder / LIFT / "corrections.json"

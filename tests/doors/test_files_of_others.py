@@ -137,7 +137,7 @@ CLASHES = {
 
 
 @pytest.mark.parametrize("name", CLASHES)
-def test_somebodys_file_of_our_name_is_refused(name: str, place: tuple[Path, Path], engine: Engine) -> None:
+def test_somebody_elses_file_with_our_name_is_refused(name: str, place: tuple[Path, Path], engine: Engine) -> None:
     """Before the first run, while it was stopped, or in place of what we wrote."""
     at, lift = place
     prepared(name, at, engine)
@@ -159,7 +159,7 @@ def test_a_stopped_export_does_not_count_as_whole(place: tuple[Path, Path], engi
     assert OwnFiles(lift / "exports/boxes").is_complete
 
 
-def test_the_folder_of_all_exports_is_no_export(place: tuple[Path, Path], engine: Engine) -> None:
+def test_the_folder_of_all_exports_is_refused_as_an_export(place: tuple[Path, Path], engine: Engine) -> None:
     _, lift = place
     engine("export", lift, "--to", "boxes", "-o", lift / "exports/boxes")
     before = {path: path.read_bytes() for path in (lift / "exports").rglob("*") if path.is_file()}

@@ -163,7 +163,7 @@ KINDS: list[tuple[str, Writer, str | None, dict[int, str], set[str]]] = [
 
 
 @pytest.mark.parametrize(("kind", "write", "table", "names", "things"), KINDS)
-def test_a_kind_of_masks_is_recognised_and_shows_the_rooms_classes_and_objects(
+def test_each_kind_of_masks_shows_the_rooms_classes_and_objects(
     kind: str, write: Writer, table: str | None, names: dict[int, str], things: set[str], tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip

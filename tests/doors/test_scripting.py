@@ -35,7 +35,7 @@ def test_a_script_lifts_a_scene_and_lists_its_objects(terminal: Terminal) -> Non
     assert "6 frames" in said and "chair 1" in said and "0004 {" in said
 
 
-def test_a_line_of_statistics_for_each_object(terminal: Terminal) -> None:
+def test_a_script_prints_statistics_of_each_object(terminal: Terminal) -> None:
     save(terminal, "statistics_of_lift.py", '"""Statistics')
     terminal.run(".venv/bin/python statistics_of_lift.py lifts/demo table.csv")
     rows = list(csv.DictReader((terminal.folder / "table.csv").open()))
@@ -53,7 +53,7 @@ def test_a_matcher_of_ones_own_is_named_in_the_manifest_with_the_digest_of_its_f
     assert "error:" in terminal.run(".venv/bin/python matcher.py scans/room lifts/own 3", code=1), "the folder is used"
 
 
-def test_a_lift_as_arrays(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lift_is_read_as_arrays(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(terminal.folder)
     names: dict[str, object] = {}
     exec(script("import engine").replace("lifts/room", "lifts/demo"), names)

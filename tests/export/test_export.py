@@ -26,7 +26,9 @@ def test_the_command_knows_every_kind() -> None:
     assert tuple(KINDS) == EXPORTS
 
 
-def test_clouds_hold_pixels(lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Path) -> None:
+def test_depth_clouds_hold_a_point_for_each_pixel(
+    lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Path
+) -> None:
     run(lift, "clouds", tmp_path, "--frames", "test")
     (path,) = tmp_path.glob("*.npz")
     points = read_arrays(path, SemanticPoints)
@@ -48,7 +50,7 @@ def test_layers_drawn_alone_are_those_of_a_bake(lift: LiftFolder) -> None:
         assert all((getattr(drawn, name) == getattr(whole, name)).all() for name in wanted)
 
 
-def test_clouds_of_any_camera(lift: LiftFolder, tmp_path: Path) -> None:
+def test_clouds_are_exported_for_any_camera(lift: LiftFolder, tmp_path: Path) -> None:
     frame, layers = next(iter(FinishedLift(lift, ["test"]).views()))
     (width, height), pose = frame.size, frame.camera.camera_to_world
     entry = {"name": "shot.0007", "width": width // 2, "height": height // 2, "camera_to_world": pose.tolist()}
@@ -174,7 +176,7 @@ def test_splats_are_exported_and_chosen_by_name(lift: LiftFolder, tmp_path: Path
     assert 0 < kept.sum() < len(kept)
 
 
-def test_all_objects_of_a_name_are_exported(lift: LiftFolder, tmp_path: Path) -> None:
+def test_all_objects_with_a_name_are_exported(lift: LiftFolder, tmp_path: Path) -> None:
     """The last of them alone was."""
     own = LiftFolder.open(shutil.copytree(lift.path, tmp_path / "lift"))
     ids = [one.id for one in FinishedLift(own, ["all"]).listed]
@@ -271,7 +273,9 @@ def test_no_existing_file_is_overwritten(lift: LiftFolder, tmp_path: Path, capsy
 
 
 @pytest.mark.parametrize("kind", EXPORTS)
-def test_unknown_frame_refused(kind: str, lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_frame_is_refused(
+    kind: str, lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Also where all of the lift is exported, whatever frames are named."""
     output = tmp_path / "out"
     assert main(["export", str(lift.path), "--to", kind, "-o", str(output), "--frames", "0001", "nosuch"]) == 2

@@ -134,7 +134,7 @@ def check_in_blender(lifted: FinishedLift, meshes: Mapping[str, Any], folder: Pa
         assert shift_y * camera.width == pytest.approx(camera.cy - camera.height / 2, abs=1e-2)
 
 
-def test_gaussians_and_cameras_in_usd(lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_usd_holds_gaussians_and_cameras(lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usd = pytest.importorskip("pxr.Usd")
     from pxr import Gf, UsdGeom, UsdSemantics, UsdVol
 
@@ -182,7 +182,7 @@ def test_gaussians_and_cameras_in_usd(lift: LiftFolder, tmp_path: Path, monkeypa
     assert ((x + 1) / 2 * camera.width, (1 - y) / 2 * camera.height) == pytest.approx(tuple(pixel), abs=1e-3)
 
 
-def test_fractions_of_seconds_are_no_frame_numbers() -> None:
+def test_fractions_of_seconds_are_not_frame_numbers() -> None:
     pytest.importorskip("pxr")
     from engine.export.usd import ascending_numbers
 
@@ -199,7 +199,7 @@ def test_usd_export_names_the_missing_package(
 
 
 @pytest.mark.parametrize("letter", ["a", "\N{PILE OF POO}", "/"])
-def test_the_file_of_a_long_name_has_a_name_that_disks_take(letter: str) -> None:
+def test_a_long_name_is_shortened_for_the_disk(letter: str) -> None:
     classes = ClassTable((Category(1, "chair", True, (1, 2, 3)),))
     labels = np.array([MOST_INSTANCES + 1, MOST_INSTANCES + 2])
     names = [*label_names(labels, classes, {1: 300 * letter, 2: 300 * letter + "b"}).values()]

@@ -96,7 +96,7 @@ def test_flakes_that_float_are_left_out() -> None:
     assert np.isclose(area(kept).sum(), (19 * STEP) ** 2 + (11 * STEP) ** 2)
 
 
-def test_the_teeth_of_a_rim_are_evened_and_nothing_within_moves() -> None:
+def test_a_rim_is_smoothed_and_its_inside_does_not_move() -> None:
     whole = sheet(20, 20)
     row = np.arange(len(whole.xyz)) // 20
     teeth = (row[whole.triangles] >= 10).sum(axis=1) >= 2  # as labels cut a surface
@@ -118,7 +118,7 @@ def test_near_scraps_of_an_object_are_removed_but_its_legs_stay() -> None:
     assert (mending.without_crumbs(surface, label, np.ones(len(label), np.bool_)) == 3).all()
 
 
-def test_tatters_between_open_edges_are_left_out_and_holes_grow_no_larger() -> None:
+def test_narrow_strips_between_open_edges_are_removed_and_holes_do_not_grow() -> None:
     whole = with_hole(sheet(40, 40), 0.3, 0.48)
     torn = with_tongue(whole)
     kept, label = mending.without_fringe(torn, np.full(len(torn.xyz), 3))
@@ -212,7 +212,7 @@ def seen_from(x: float, height: float, depth: np.ndarray | float) -> SmallView:
     return SmallView(camera, shown, np.zeros((100, 100, 3), np.uint8), np.ones((100, 100), np.int64))
 
 
-def test_what_views_look_through_or_see_only_from_behind_is_left_out() -> None:
+def test_surfaces_that_views_see_through_or_only_from_behind_are_removed() -> None:
     floor = sheet(20, 20)
     flap = replace(sheet(20, 20), xyz=sheet(20, 20).xyz + np.float32([0, 0, 0.5]))  # above it: all see the floor
     below = replace(sheet(20, 20), normal=-sheet(20, 20).normal)  # the floor's own place, facing away

@@ -88,7 +88,7 @@ def test_a_camera_is_baked_in_parallel_and_collected(root: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["a b", "it's", 'say "x"', "$(touch x)", "`touch x`", "a\nb", "--force", "; rm -r ."])
-def test_a_name_is_one_argument_whatever_it_says(name: str, root: Path) -> None:
+def test_any_name_is_passed_as_one_argument(name: str, root: Path) -> None:
     """exec runs no shell. A camera is the only name that may begin with a dash: the others are paths."""
     folder = f"/shared/{name}"
     given = {"scene": folder, "output": folder, "blend": f"{folder}.blend", "camera": name, "frames": "1"}
@@ -130,7 +130,7 @@ def test_an_existing_lift_keeps_its_options(root: Path, tmp_path: Path, monkeypa
 
 @pytest.mark.slow
 @pytest.mark.parametrize("bake", ["camera", "frames"])
-def test_its_commands_run(bake: str, root: Path, tmp_path: Path) -> None:
+def test_the_jobs_commands_run(bake: str, root: Path, tmp_path: Path) -> None:
     """In order, two at a time; paths come by a variable, as on a worker of another system."""
     pytest.importorskip("bpy")
     write_tiny_scene(tmp_path / "room", frames=8, noise=0.1)

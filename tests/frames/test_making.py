@@ -133,7 +133,7 @@ def test_missing_kinds_are_refused(kinds: list[str], told: str, tmp_path: Path) 
     assert [each.name for each in made.scene.posed_frames(room)] == [each.name for each in scene.frames]
 
 
-def test_bad_depth_only_costs_the_cloud(archive: Path, tmp_path: Path) -> None:
+def test_bad_depth_only_prevents_the_cloud(archive: Path, tmp_path: Path) -> None:
     archive.write_bytes(archive.read_bytes()[:-1000] + bytes(1000))
     with raises_key("other-size"):
         make_frames(open_scene(archive), SceneSource(archive), tmp_path / "out", kinds=["colour", "cloud"])

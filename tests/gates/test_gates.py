@@ -27,7 +27,9 @@ SPECIAL: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("make", SPECIAL.values(), ids=SPECIAL)
-def test_special_is_refused(make: Callable[[Path], object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_special_files_are_refused(
+    make: Callable[[Path], object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)  # a socket's path is short
     path = Path("special")
     make(path)
@@ -105,7 +107,9 @@ def test_terminal_control_characters_are_removed(code: int) -> None:
         (gates.markdown_cell, "a|b\\|<img src=x>", "a\\|b\\\\\\|&lt;img src=x>"),
     ],
 )
-def test_texts_are_fit_for_where_they_stand(fit: Callable[[object], object], text: object, fitted: object) -> None:
+def test_texts_are_cleaned_for_where_they_are_shown(
+    fit: Callable[[object], object], text: object, fitted: object
+) -> None:
     assert fit(text) == fitted
 
 

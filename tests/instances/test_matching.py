@@ -88,7 +88,7 @@ def test_costs_match_their_formulas(terms: str, same: float, half: float) -> Non
     assert pair_cost(unit_box(0), unit_box(2), terms) == 0.0
 
 
-def test_rules_differ_where_the_best_is_taken() -> None:
+def test_the_matching_rules_differ_if_the_best_partner_is_taken() -> None:
     view = view_of("a", around(0), [LEFT, ((0.5, 0.0, 0.0), (1.0, 0.5, 0.8))])
     known = match_views([view], THINGS, SEGMENTS, Matching())
     half = local_instances(view, THINGS, SEGMENTS)[0]

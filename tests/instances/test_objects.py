@@ -50,7 +50,7 @@ def test_void_and_unknown_classes_do_not_vote() -> None:
     assert not votes.any()
 
 
-def test_the_class_with_most_votes_is_the_objects() -> None:
+def test_an_object_has_the_class_with_most_votes() -> None:
     votes = np.array([[0, 0, 0, 0], [0, 0, 1, 3], [5, 0, 0, 5], [0, 0, 0, 0]], np.float64)
     classes = object_classes(votes, CLASS_IDS, np.zeros(len(votes), bool))
     assert classes.tolist() == [0, SOFA, WALL, 0], "ties go to the lower class, without votes there is none"

@@ -213,7 +213,7 @@ def test_points_that_no_view_shows_together_have_no_neighbours() -> None:
 TWO_SOFAS_AND_A_CHAIR = PanopticLabels(CLASS_IDS, (SOFA, CHAIR, SOFA))
 
 
-def test_points_come_back_as_they_were() -> None:
+def test_points_are_restored_exactly() -> None:
     class_id = np.array([WALL, SOFA, CHAIR, SOFA, SOFA, 0, 99], np.int32)
     number = np.array([0, 0, 2, 1, 3, 0, 0], np.int32)
     labels = TWO_SOFAS_AND_A_CHAIR.of_points(class_id, number)

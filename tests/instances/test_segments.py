@@ -25,7 +25,7 @@ def test_a_region_that_may_be_several_objects_does_not_enter() -> None:
     assert not local_instances(replace(view, mask=PanopticMask(view.mask.ids, groups)), THINGS, SegmentOptions(0.05))
 
 
-def test_erosion_takes_the_bleed_but_spares_small_segments() -> None:
+def test_erosion_removes_bleeding_edges_but_keeps_small_segments() -> None:
     camera = look((0, -3, 1.5), (0, 0, 0.4), (160, 120))
     bleeding = view_of("a", camera, [CHAIR_BOX], bleed=1)
     assert local_instances(bleeding, THINGS, SegmentOptions(0.05))[0].box.size[0] < 0.75

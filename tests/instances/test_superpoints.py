@@ -94,7 +94,7 @@ def test_a_point_gets_the_votes_of_the_rest_of_its_superpoint() -> None:
     assert rest.toarray().tolist() == [[2, 0], [1, 0], [0, 0]]
 
 
-def test_what_only_one_view_sees_has_no_agreement() -> None:
+def test_points_that_only_one_view_sees_do_not_count() -> None:
     """Two views that share no point and no piece, each of many: rounding leaves no votes of anybody else."""
     points, random = 20_000, np.random.default_rng(0)
     rows = np.arange(2 * points, dtype=np.int32).reshape(2, points)

@@ -217,7 +217,9 @@ def test_texts_that_are_not_utf8_are_escaped(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("said", "state"), [("finished", TaskState.FINISHED), ("cancelled", TaskState.CANCELLED), (None, TaskState.FAILED)]
 )
-def test_bake_end_keeps_lift_state(folder: LiftFolder, start: Start, said: str | None, state: TaskState) -> None:
+def test_the_end_of_a_bake_keeps_the_lifts_state(
+    folder: LiftFolder, start: Start, said: str | None, state: TaskState
+) -> None:
     follow(start("short"))
     events = EventWriter(folder.events_path)
     events.hello(threads=1, resumed=False, task="bake")

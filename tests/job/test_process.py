@@ -47,7 +47,9 @@ def environ(tmp_path: Path) -> dict[str, str]:
 
 
 @pytest.mark.skipif(sys.platform == "darwin", reason="the cache folder cannot be chosen there")
-def test_order_of_pythons(code: Path, environ: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pythons_are_tried_in_order(
+    code: Path, environ: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with raises_key("no-python"):
         choose_python(code, environ)
@@ -138,14 +140,14 @@ def test_other_program_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         missing_modules(script, ["torch"])
 
 
-def test_startup_output_is_not_an_answer(tmp_path: Path) -> None:
+def test_output_at_startup_is_not_taken_as_an_answer(tmp_path: Path) -> None:
     script = tmp_path / "python"
     script.write_text(f'#!/bin/sh\necho hello\nexec {sys.executable} "$@"\n')
     script.chmod(0o755)
     assert missing_modules(script, ["json", "no_such_module"]) == ["no_such_module"]
 
 
-def test_unpassable_path_is_refused(tmp_path: Path) -> None:
+def test_a_path_that_cannot_be_passed_on_is_refused(tmp_path: Path) -> None:
     with (tmp_path / "log").open("wb") as log, raises_key("bad-path"):
         ChildProcess([sys.executable, "a\0b"], cwd=tmp_path, environment={}, output=log)
 

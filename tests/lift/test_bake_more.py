@@ -103,7 +103,7 @@ def test_later_bakes_write_the_same_bytes(finished: dict[str, LiftFolder], lift:
         (["3", "0003"], ["3", "0003"]),
     ],
 )
-def test_numbers_in_the_names_of_files(frames: list[str], files: list[str], tmp_path: Path) -> None:
+def test_numbers_in_file_names_are_padded(frames: list[str], files: list[str], tmp_path: Path) -> None:
     lift = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path))
     assert names_of_files(lift) == {}
     camera = Camera(4, 3, 4.0, 4.0, 2.0, 1.5, np.eye(4))
@@ -221,7 +221,7 @@ def test_bake_into_its_own_folder_works(lift: LiftFolder, tmp_path: Path) -> Non
     verify(lift.result_path)
 
 
-def test_a_folder_in_a_files_place_is_named(lift: LiftFolder, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_where_a_file_belongs_is_reported(lift: LiftFolder, capfd: pytest.CaptureFixture[str]) -> None:
     (lift.passes_path / "0000.exr").mkdir()
     assert run_bake(lift, ["0000"]) is ExitCode.BAD_INPUT
     told = capfd.readouterr().err
@@ -242,7 +242,9 @@ def test_a_folder_of_its_own_shows_the_corrections(lift: LiftFolder, tmp_path: P
     assert (read_exr(output / "0004.exr").instance == shown).all()
 
 
-def test_camera_takes_no_frames_place(lift: LiftFolder, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_camera_with_a_frames_name_is_refused(
+    lift: LiftFolder, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     cameras = write_cameras(tmp_path / "cameras.json", ["shot", "0000"])
     assert run_bake(lift, None, cameras=cameras) is ExitCode.BAD_INPUT
     assert "a frame of the scene is named '0000'" in capfd.readouterr().err
@@ -277,7 +279,9 @@ def test_a_bake_needs_the_manifests_kind_of_labels(lift: LiftFolder) -> None:
         bake(lift, "0002")
 
 
-def test_numbers_last_unnamed(finished: dict[str, LiftFolder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_views_without_numbers_come_last(
+    finished: dict[str, LiftFolder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(PRESETS, "preview", TINY)
     options = {"objects": "none", "linear_assignment": True, "labels": "decoders", "one_class_an_object": False}
     request = LiftRequest(scene=finished["test"].request.scene, bake="test", options=options)
@@ -338,7 +342,7 @@ def test_ranges_refer_to_the_numbers_in_the_names(finished: dict[str, LiftFolder
             frames_named(scene, [wrong])
 
 
-def test_a_frame_with_the_name_of_a_group(finished: dict[str, LiftFolder]) -> None:
+def test_a_frame_may_have_the_name_of_a_group(finished: dict[str, LiftFolder]) -> None:
     """It took the group's place: of a scene with a photo all.png, nothing else was baked or exported."""
     scene = scene_of_lift(finished["test"])
     names = {"0001": "all", "0002": "test"}

@@ -26,7 +26,9 @@ from tests.tiny_scene import write_tiny_scene
 from tests.train.tiny_lift import TINY, colour_error, lift_into, presets_as, trainer_of, views_of
 
 
-def test_no_cuda_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_machine_without_cuda_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(torch.backends.cuda, "is_built", lambda: True)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     scene = write_tiny_scene(tmp_path / "scene", frames=4)
@@ -76,7 +78,7 @@ def test_broken_gsplat_is_found_first(stages: StageReporter, tmp_path: Path, mon
     ("found", "why"),
     [(True, "--device cuda is experimental, never run by us on a GPU"), (False, "torch finds no CUDA device here")],
 )
-def test_auto_never_takes_what_was_never_run(
+def test_auto_never_chooses_a_device_that_was_never_tested(
     found: bool, why: str, stages: StageReporter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: found)

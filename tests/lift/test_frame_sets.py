@@ -49,7 +49,9 @@ def test_checkpoint_determines_the_frames(scene: Scene, events: EventWriter, tmp
 
 
 @pytest.mark.parametrize("state", [None, {"step": 3}], ids=["a new lift", "an earlier version's checkpoint"])
-def test_frames_chosen_anew(state: dict[str, object] | None, scene: Scene, events: EventWriter, tmp_path: Path) -> None:
+def test_frames_are_chosen_again_without_a_checkpoint(
+    state: dict[str, object] | None, scene: Scene, events: EventWriter, tmp_path: Path
+) -> None:
     assert len(chosen(scene, events, tmp_path, state, frames=5).train_frames) == 5
     assert chosen(scene, events, tmp_path, state, frames=0) is scene
 
@@ -67,7 +69,9 @@ def test_a_missing_frame_is_named(scene: Scene, events: EventWriter, tmp_path: P
             chosen(scene, events, tmp_path, {"frames": [scene.train_frames[0].name, name]})
 
 
-def test_low_memory_refuses(scene: Scene, events: EventWriter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lift_is_refused_if_memory_is_low(
+    scene: Scene, events: EventWriter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     names = [frame.name for frame in scene.train_frames]
     monkeypatch.setattr(frame_sets, "main_memory", lambda: MainMemory(10**7, 10**7))
     with raises_key(f"too-much {len(names)}"):

@@ -227,7 +227,7 @@ def cloud_of(xyz: np.ndarray, spacing: float = 0.025) -> SemanticPointCloud:
     return SemanticPointCloud(xyz.astype(np.float32), rgb, ids, one, one[:, None], (1,), spacing)
 
 
-def test_places_in_holes_were_not_measured(tmp_path: Path) -> None:
+def test_points_in_holes_count_as_not_measured(tmp_path: Path) -> None:
     """Points of two views, of which the second has a hole, and points 40 cm behind those of the first."""
     scene = open_scene(write_tiny_scene(tmp_path, frames=2, size=(80, 60)))
     first, second = (load_view(frame) for frame in scene.frames)

@@ -100,7 +100,7 @@ def test_previews_begin_at_once_and_cost_a_twentieth_unless_they_would_stand_sti
         assert cost > 1 or cost * len(drawn[1:]) <= 0.05 * now[0] + cost
 
 
-def test_from_outside_the_room_is_open_and_what_is_not_there_is_clear(scene_folder: Path, tmp_path: Path) -> None:
+def test_from_outside_one_sees_into_the_room_and_the_rest_is_transparent(scene_folder: Path, tmp_path: Path) -> None:
     """As the cloud and the result are in Blender, over which the picture is drawn."""
     trainer = trainer_of(*views_of(tmp_path / "scene"), TINY, tmp_path)
     scene = open_scene(scene_folder, None, up="z")

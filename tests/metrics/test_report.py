@@ -194,12 +194,12 @@ def test_missing_frames_are_counted_or_refused(tmp_path: Path, capsys: pytest.Ca
 @pytest.mark.parametrize(
     "arguments", [[], ["--predictions", "a"], ["a", "--predictions", "b", "--truth", "c"], ["--truth", "a"]]
 )
-def test_one_or_the_other(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_only_one_source_of_labels_may_be_given(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["evaluate", *arguments]) == 2
     assert worded("evaluate-what").search(capsys.readouterr().err)
 
 
-def test_a_folder_without_labels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_without_labels_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     truth = write_masks(tmp_path / "truth")
     for folder, key in ((tmp_path / "none", "not-folder"), (tmp_path, "no-labels")):
         assert main(["evaluate", "--predictions", str(folder), "--truth", str(truth)]) == 2

@@ -47,7 +47,7 @@ def test_what_is_clipped_is_not_drawn() -> None:
     assert not nothing.alpha.any() and not nothing.depth.any()
 
 
-def test_the_smallest_pixel_that_shows_a_place() -> None:
+def test_the_smallest_pixel_that_shows_a_point_is_found() -> None:
     pose = np.eye(4)
     pose[2, 3] = 1.0
     near, narrow = SMALL.at(pose), Camera(10, 10, 80.0, 80.0, 5.0, 5.0, np.eye(4))
@@ -58,7 +58,7 @@ def test_the_smallest_pixel_that_shows_a_place() -> None:
     assert not finest_pixels(places, []).any()
 
 
-def test_a_picture_of_the_training_is_as_it_was() -> None:
+def test_a_training_picture_is_drawn_unchanged() -> None:
     scene = some_scene((4, 9, 0, 0, 0))
     finest = torch.from_numpy(finest_pixels(scene.anchors.position.numpy(), [SMALL]))
     for camera in (SMALL, SMALL.resized(20, 15)):

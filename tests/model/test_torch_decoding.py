@@ -149,7 +149,7 @@ def test_each_output_has_its_own_gradient(decode: Decode, only: tuple[str, ...])
     assert_matches(decode, case_of(STANDARD, 90), only)
 
 
-def test_a_camera_inside_an_anchor_and_huge_features_are_decode(decode: Decode) -> None:
+def test_a_camera_inside_an_anchor_and_huge_features_are_decoded(decode: Decode) -> None:
     """Activations saturate, and the direction has no length."""
     case = case_of(STANDARD, 40)
     case.anchors.position[case.visible[0]] = case.centre

@@ -48,7 +48,7 @@ def test_a_new_name_shows_at_once_and_is_kept(placed: bpy.types.Collection, mine
     assert names(placed)[CHAIR] == "Throne" and boxes_of(placed)[CHAIR].name == "Throne"
 
 
-def test_a_class_moves_points_to_its_cloud(placed: bpy.types.Collection, mine: Path) -> None:
+def test_a_new_class_moves_points_to_its_cloud(placed: bpy.types.Collection, mine: Path) -> None:
     count = points_of(placed, CHAIR)
     other = next(row.class_name for row in placed.plgs.instances if row.instance_id == CABINET)
     bpy.ops.plgs.reclass_instances(instances=str(CHAIR), class_name=other)
@@ -159,7 +159,7 @@ def test_what_cannot_be_done_is_a_one_line_error(placed: bpy.types.Collection, m
         bpy.ops.plgs.rename_instance(instance=CHAIR, name="x")
 
 
-def test_strokes_rectangles_and_erasing() -> None:
+def test_points_are_painted_by_strokes_and_rectangles_and_erased() -> None:
     xyz = np.array([[x, 0.0, -1.0] for x in (-0.5, 0.0, 0.5)], np.float32)
     to_view = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, -0.2], [0, 0, -1, 0]])
     one = Painting.of(xyz)
@@ -202,7 +202,7 @@ def test_proposals_are_answered_one_by_one(placed: bpy.types.Collection, mine: P
     assert corrections.kept_proposals(placed) == ([], "1 of 2 looked at")
 
 
-def test_the_next_uncertain_frame(placed: bpy.types.Collection, mine: Path) -> None:
+def test_next_uncertain_frame_visits_each_frame_once(placed: bpy.types.Collection, mine: Path) -> None:
     points = read_corrected(mine).points
     frames = [ob for ob in placed.all_objects if ob.type == "CAMERA" and "frame" in ob]
     chair = points.instance_id == CHAIR

@@ -63,7 +63,7 @@ def test_boxes_by_class_and_back(root: bpy.types.Collection) -> None:
     assert tuple(chair.color) == pytest.approx((1.0, 0.0, 0.0, 1.0)), "a colour chosen in the list is the box's"
 
 
-def test_views_and_masks(root: bpy.types.Collection) -> None:
+def test_views_and_masks_of_an_instance_are_shown(root: bpy.types.Collection) -> None:
     row = root.plgs.instances[0]
     bpy.ops.plgs.go_to_best_view(instance=1)
     best = row.masks[row.best_mask].frame

@@ -59,7 +59,7 @@ def test_without_a_lift_folder_one_is_made_beside_the_scene(behaves: Behaves, ro
     assert Path(bpy.context.scene.plgs.lift_folder) == tmp_path / "room_lift_2", "no lift is overwritten"
 
 
-def test_resuming(behaves: Behaves, room: Path, tmp_path: Path) -> None:
+def test_a_cancelled_lift_is_resumed_by_the_operator(behaves: Behaves, room: Path, tmp_path: Path) -> None:
     behaves("broken")
     bpy.context.scene.plgs.place_when_done = False
     with pytest.raises(RuntimeError, match="no such luck|ZeroDivisionError"):

@@ -125,7 +125,7 @@ def test_a_scene_is_diagnosed_and_mended(inverted: Path) -> None:
     assert not bpy.ops.plgs.fix_scene.poll()
 
 
-def test_frames_of_a_finding_are_gone_to_and_left_out(tmp_path: Path) -> None:
+def test_frames_of_a_finding_can_be_visited_and_left_out(tmp_path: Path) -> None:
     """The photo of one frame is black: its name leads to its camera, and splits.json leaves it out."""
     folder = write_tiny_scene(tmp_path / "scene", frames=14, size=(96, 72))
     photo = sorted((folder / "color").iterdir())[6]
@@ -185,7 +185,7 @@ def test_depth_is_made_and_a_length_is_set(tmp_path: Path, monkeypatch: pytest.M
     assert json.loads((folder / "scale.json").read_text()) == {"scale": 0.5}
 
 
-def test_a_film_that_is_none_is_reported(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_film_is_reported(tmp_path: Path) -> None:
     (tmp_path / "room.mp4").write_text("no film")
     if importlib.util.find_spec("pycolmap") is None:
         with pytest.raises(RuntimeError, match="(?i)engine lacks pycolmap|packages are missing"):

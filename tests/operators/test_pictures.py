@@ -150,7 +150,7 @@ def test_cloud_of_scene_with_bad_frames_returns(room: Path, tmp_path: Path, monk
     assert len(positions()) == count and bpy.data.collections["PLGS room"]["plgs_missing"] == ""
 
 
-def test_sparse_points_come_with_the_cameras(own: Path) -> None:
+def test_sparse_points_are_imported_with_the_cameras(own: Path) -> None:
     assert bpy.ops.plgs.import_scene(scene_folder=str(own / "walk")) == {"FINISHED"}
     assert len(frames()) == 6 and all(ob.data.background_images for ob in frames().values())
     points = open_scene(own / "walk").points

@@ -57,7 +57,7 @@ def test_x_hides_what_is_selected_and_all_can_be_shown_again(placed: bpy.types.C
 
 
 @pytest.mark.parametrize("shows_boxes", [True, False])
-def test_keys_are_blenders_without_selection(placed: bpy.types.Collection, shows_boxes: bool) -> None:
+def test_without_a_selection_keys_do_what_blender_does(placed: bpy.types.Collection, shows_boxes: bool) -> None:
     placed.plgs.show_boxes = shows_boxes
     cube, box = own("Cube"), boxes_of(placed)[CHAIR]
     choose(box, cube)
@@ -69,7 +69,7 @@ def test_keys_are_blenders_without_selection(placed: bpy.types.Collection, shows
     assert [*boxes_of(placed)] == [CABINET]
 
 
-def test_a_copy_of_a_box_is_blenders(placed: bpy.types.Collection) -> None:
+def test_a_copy_of_a_box_is_left_to_blender(placed: bpy.types.Collection) -> None:
     copy = boxes_of(placed)[CHAIR].copy()
     bpy.context.scene.collection.objects.link(copy)
     choose(copy, copy)

@@ -98,7 +98,7 @@ def test_assets_have_a_picture(placed: bpy.types.Collection) -> None:
     assert 0.1 < (pixels[..., 3] > 0).mean() < 0.95 and pixels[..., :3].max() > 0.1
 
 
-def test_visible_where_frames_show_it(placed: bpy.types.Collection) -> None:
+def test_an_object_is_visible_only_in_frames_that_show_it(placed: bpy.types.Collection) -> None:
     scene = bpy.context.scene
     (row,) = [row for row in placed.plgs.instances if row.instance_id == CHAIR]
     shown = {mask.frame for mask in row.masks}

@@ -25,7 +25,7 @@ def import_room(room: Path) -> bpy.types.Scene:
     return bpy.context.scene
 
 
-def test_an_import_makes_the_view_the_captures(room: Path) -> None:
+def test_an_import_takes_over_an_untouched_startup_file(room: Path) -> None:
     scene = import_room(room)
     assert (scene.frame_start, scene.frame_end) == (0, 7)
     assert scene.camera["frame"] == "0000"
@@ -89,7 +89,7 @@ def shading() -> list[tuple[object, ...]]:
         "scene.collection.objects.link(bpy.data.objects.new('mine', None))",
     ],
 )
-def test_touched_startup_file_stays(room: Path, touch: str) -> None:
+def test_a_changed_startup_file_keeps_its_settings(room: Path, touch: str) -> None:
     scene = bpy.context.scene
     exec(touch, {"bpy": bpy, "scene": scene})
     before = (scene.frame_start, scene.frame_end, size_of(scene), scene.camera)

@@ -54,7 +54,7 @@ def test_exr_is_single_part_zip_with_float_ids(tmp_path: Path) -> None:
     assert len(names) == 4 + 9 + 6 + 4 + 12 + 12
 
 
-def test_nuke_finds_its_own_names(tmp_path: Path) -> None:
+def test_channels_have_the_names_that_nuke_expects(tmp_path: Path) -> None:
     view, folder = _baked(), tmp_path
     view = replace(view, previous=view.camera, following=view.camera.resized(2 * view.camera.width, view.camera.height))
     write_exr(folder / "ours.exr", view, layers=FURTHER_LAYERS)
@@ -81,7 +81,7 @@ def channels_of(path: Path) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a folder where root, too, can write nothing")
-def test_what_the_system_refuses_names_the_file() -> None:
+def test_an_error_of_the_system_names_the_file() -> None:
     with pytest.raises(OSError) as refused:
         write_exr(Path("/proc/0001.exr"), _baked())
     assert refused.value.filename == "/proc/0001.exr"

@@ -148,7 +148,7 @@ def test_folders_that_blender_cannot_name_change_nothing(lift: Path, tmp_path: P
         ("rotation", [1e6, 1e6, 0.0, 0.0]),
     ],
 )
-def test_odd_instances_are_clean_objects(lift: Path, tmp_path: Path, name: str, value: object) -> None:
+def test_unusual_instances_become_valid_objects(lift: Path, tmp_path: Path, name: str, value: object) -> None:
     shutil.copytree(lift, tmp_path / "lift")
     path = tmp_path / "lift" / "result" / "instances.json"
     content = json.loads(path.read_text())
@@ -225,7 +225,9 @@ def link_to_a_text(path: Path) -> None:
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no FIFOs")
 @pytest.mark.parametrize("make", [fifo, folder, noise, link_to_a_text])
-def test_other_file_than_a_blend_is_one_line(lift: Path, tmp_path: Path, make: Callable[[Path], None]) -> None:
+def test_a_file_that_is_no_blend_gives_a_one_line_error(
+    lift: Path, tmp_path: Path, make: Callable[[Path], None]
+) -> None:
     """Blender would wait for ever for whoever writes into the FIFO."""
     blend = tmp_path / "lift.blend"
     make(blend)
@@ -257,7 +259,7 @@ def test_a_file_of_a_newer_blender_stays_as_it_is(lift: Path, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("every", [6, pytest.param(1, marks=pytest.mark.slow)], ids=["some", "all"])
-def test_odd_custom_properties(tmp_path: Path, every: int) -> None:
+def test_unexpected_custom_properties_are_ignored(tmp_path: Path, every: int) -> None:
     """Each of ours, on one block of each kind, with other values: none of Python's own errors comes of it."""
     small, placed = write_tiny_lift(tmp_path / "lift", frames=5, size=(16, 12)).path, tmp_path / "file.blend"
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
@@ -318,7 +320,7 @@ def test_parts_read_the_same_instances(tmp_path: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize("text", BAD, ids=range(len(BAD)))
-def test_broken_instances_are_one_line(tmp_path: Path, text: str) -> None:
+def test_broken_instances_give_a_one_line_error(tmp_path: Path, text: str) -> None:
     path = tmp_path / "instances.json"
     path.write_text(text, encoding="utf-8")
     for read in (read_instances, lambda path: result_of(reading_instances(path))):

@@ -146,7 +146,7 @@ def share(picture: np.ndarray, colour: np.ndarray, within: int) -> float:
     return float((np.abs(picture - colour).max(axis=-1) <= within).mean())
 
 
-def test_classes_in_solid_shading(lift: Path, tmp_path: Path) -> None:
+def test_solid_shading_shows_classes(lift: Path, tmp_path: Path) -> None:
     lift_scene.place_lift(lift, bpy.context.scene)
     picture = render("BLENDER_WORKBENCH", tmp_path / "solid.png")
     assert share(picture, COLOUR[CHAIR_ID], 14) > 0.02
@@ -154,7 +154,7 @@ def test_classes_in_solid_shading(lift: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("engine", ["CYCLES", pytest.param(EEVEE, marks=pytest.mark.slow)])
-def test_photo_colours_in_renders(lift: Path, tmp_path: Path, engine: str) -> None:
+def test_renders_show_photo_colours(lift: Path, tmp_path: Path, engine: str) -> None:
     root = lift_scene.place_lift(lift, bpy.context.scene)
     chair = next(ob for ob in root.all_objects if ob.name == "chair")
     green = np.tile(np.array([0.0, 1.0, 0.0, 1.0], np.float32), (len(chair.data.points), 1))

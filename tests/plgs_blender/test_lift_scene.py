@@ -75,7 +75,7 @@ def test_points_keep_their_attributes_through_a_file(lift: Path, tmp_path: Path)
     assert anchors.hide_render or anchors.users_collection[0].hide_render
 
 
-def test_boxes_say_what_they_are(lift: Path) -> None:
+def test_boxes_have_the_properties_of_their_objects(lift: Path) -> None:
     root = lift_scene.place_lift(lift, bpy.context.scene)
     bpy.context.view_layer.update()
     box = next(ob for ob in child(root, "Instances").objects if ob["instance_id"] == 1)

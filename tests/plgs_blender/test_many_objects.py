@@ -49,7 +49,7 @@ def test_a_lift_that_is_removed_between_parts_stays_removed(lift: Path, parts: i
     assert placed.find() is None
 
 
-def test_a_scene_that_no_longer_wants_it_gets_nothing(lift: Path) -> None:
+def test_a_scene_that_chose_another_lift_gets_nothing(lift: Path) -> None:
     asked: list[str] = []
 
     def is_wanted(scene: bpy.types.Scene) -> bool:

@@ -87,11 +87,11 @@ def test_a_moved_project_is_whole(project: Path, tmp_path: Path, name: str) -> N
     check_whole(moved(project, tmp_path / name), tmp_path / name)
 
 
-def test_on_another_disk(project: Path, other_disk: Path) -> None:
+def test_paths_on_another_disk_stay_absolute(project: Path, other_disk: Path) -> None:
     check_whole(moved(project, other_disk), other_disk)
 
 
-def test_saved_again_in_other_folders(project: Path, tmp_path: Path) -> None:
+def test_paths_stay_right_when_the_file_is_saved_elsewhere(project: Path, tmp_path: Path) -> None:
     """Save As takes the paths along; a copy leaves the open file's alone, and so does a failure."""
     open_ones = stored()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "copy.blend"), copy=True)
@@ -120,7 +120,7 @@ def test_where_blender_keeps_paths_absolute_we_do(project: Path, tmp_path: Path)
     assert root[SCENE] == "//room"
 
 
-def test_saving_looks_at_nothing_again(project: Path) -> None:
+def test_saving_reads_no_scene_or_lift(project: Path) -> None:
     from plgs.plgs_blender import settings
 
     heard = []
@@ -134,7 +134,7 @@ def test_saving_looks_at_nothing_again(project: Path) -> None:
     assert not heard
 
 
-def test_on_a_read_only_share(project: Path, tmp_path: Path) -> None:
+def test_a_lift_on_a_read_only_share_is_shown(project: Path, tmp_path: Path) -> None:
     """It opens and looks whole; what a rename cannot do is said."""
     root = moved(project, tmp_path / "share")
     lift = tmp_path / "share" / "room_lift"

@@ -35,14 +35,14 @@ def test_a_correction_joins_the_old_ones(lift: Path, capsys: pytest.CaptureFixtu
     assert "my chair" in listed and "armchair" in listed and "2 edits" in listed
 
 
-def test_it_is_exported_and_scored(lift: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_older_lift_is_exported_and_scored(lift: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert exit_code(main, "export", lift, "--to", "boxes", "-o", tmp_path / "boxes") == 0
     assert any("my chair" in file.read_text(errors="replace") for file in (tmp_path / "boxes").rglob("*.*"))
     assert exit_code(main, "evaluate", lift) == 0
     assert "lifted       strict" in capsys.readouterr().out
 
 
-def test_blender_shows_it(lift: Path) -> None:
+def test_blender_shows_an_older_lift(lift: Path) -> None:
     placed = place_lift(lift, bpy.context.scene)
     assert any("my chair" in each.name for each in placed.all_objects)
 

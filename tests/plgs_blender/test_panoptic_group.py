@@ -76,7 +76,9 @@ def test_mattes_match_ids(root: bpy.types.Collection, scene: bpy.types.Scene, vi
     assert np.array_equal(shown(scene, "Matte", tmp_path)[..., 0], view.instance == CHAIR)
 
 
-def test_matte_isolates(root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path) -> None:
+def test_isolate_cuts_out_everything_but_the_matte(
+    root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path
+) -> None:
     compositing.matte_instance(root, CHAIR)
     matte = (view.instance == CHAIR)[..., None]
     alone = shown(scene, "Overlay", tmp_path, Outline=0.0, Isolate=1.0)
@@ -85,7 +87,9 @@ def test_matte_isolates(root: bpy.types.Collection, scene: bpy.types.Scene, view
     assert np.allclose(half, picture(view) * np.where(matte, 0.5, 1.0), atol=1e-5)
 
 
-def test_outline(root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path) -> None:
+def test_the_matte_has_an_outline(
+    root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path
+) -> None:
     compositing.matte_instance(root, CHAIR)  # which turns the outline on, as nothing else shows the matte
     matte, colour = view.instance == CHAIR, (0.2, 0.7, 0.1, 1.0)
     seen = shown(scene, "Overlay", tmp_path, Outline_colour=colour)
@@ -96,7 +100,9 @@ def test_outline(root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyV
     assert np.allclose(cut, np.where((line | matte)[..., None], seen, 0.0), atol=1e-5)
 
 
-def test_recolour_is_shaded(root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path) -> None:
+def test_a_recoloured_object_keeps_its_shading(
+    root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path
+) -> None:
     compositing.matte_instance(root, CHAIR)
     matte, colour = view.instance == CHAIR, (0.1, 0.3, 0.8, 1.0)
     seen = shown(scene, "Overlay", tmp_path, Outline=0.0, Recolour=1.0, Recolour_to=colour)
@@ -117,7 +123,9 @@ def test_a_plate_is_switched_to_and_subtracted(scene: bpy.types.Scene, view: Tin
     assert np.allclose(seen[..., :3], 0.5 * before + 0.5 * np.array(pink[:3]), atol=1e-5)
 
 
-def test_overlay_is_mixed(root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path) -> None:
+def test_the_overlay_is_mixed_over_the_picture(
+    root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path
+) -> None:
     before = picture(view)
     seen = shown(scene, "Overlay", tmp_path, Overlay=0.4)
     assert_mixed(seen, before, view.instance == CABINET, (20, 190, 220))

@@ -65,7 +65,7 @@ def test_the_matte_of_a_named_instance(scene: bpy.types.Scene, tmp_path: Path) -
     assert np.array_equal(rendered(scene, "Class matte", tmp_path)[..., 0], view.semantic == CHAIR_ID)
 
 
-def test_ids_in_their_colours(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_ids_are_shown_in_their_colours(scene: bpy.types.Scene, tmp_path: Path) -> None:
     view = truth(scene.timeline_markers[0].name)
     passes.show_view(scene, scene.timeline_markers[0].name)
     colours = rendered(scene, "Instance colours", tmp_path)
@@ -95,7 +95,7 @@ def place_two_views(folder: Path, files: dict[str, str], sizes: tuple[tuple[int,
     lift_scene.place_lift(lift.path, bpy.context.scene)
 
 
-def test_files_whose_numbers_are_longer_than_the_captures(tmp_path: Path) -> None:
+def test_file_numbers_may_be_longer_than_the_captures(tmp_path: Path) -> None:
     place_two_views(tmp_path, {"3": "0003", "12": "0012"}, ((64, 48), (64, 48)))
     scene = passes_scene()
     assert [marker.name for marker in scene.timeline_markers] == ["3", "12"]
@@ -245,7 +245,7 @@ def test_nodes_that_the_user_deleted_are_made_again(lift: Path, key: str) -> Non
         (["1305031102.175304", "1305031103.2"], "", None),
     ],
 )
-def test_numbered_names(names: list[str], first: str, numbers: tuple[int, ...] | None) -> None:
+def test_numbered_names_are_recognised(names: list[str], first: str, numbers: tuple[int, ...] | None) -> None:
     found = numbered(names)
     assert found is None if numbers is None else found is not None and (found.first, found.numbers) == (first, numbers)
 

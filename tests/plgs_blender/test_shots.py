@@ -126,7 +126,7 @@ def test_vectors_are_those_of_cycles(scene: bpy.types.Scene, tmp_path: Path) -> 
     assert np.abs(ours - theirs)[:, depth > 0].max() < 0.05
 
 
-def test_frames_between_frames(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_frames_between_whole_frames_are_baked(scene: bpy.types.Scene, tmp_path: Path) -> None:
     cameras = cameras_of(scene, shot_of(scene, only=(2, 2.5, 3)))
     assert [camera.name for camera in cameras] == ["dolly.0002", "dolly.sub500.0002", "dolly.0003"]
     poses = [np.array(camera.pinhole.camera_to_world)[0, 3] for camera in cameras]
@@ -135,7 +135,7 @@ def test_frames_between_frames(scene: bpy.types.Scene, tmp_path: Path) -> None:
     assert numbered_name("dolly", -0.25) == "dolly.sub750.-0001"
 
 
-def test_the_render_region_if_it_is_cropped_to(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_a_cropped_render_region_is_baked(scene: bpy.types.Scene, tmp_path: Path) -> None:
     render = scene.render
     render.use_border, render.use_crop_to_border = True, True
     render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.237, 0.811, 0.129, 0.7
@@ -160,7 +160,7 @@ def test_overscan_is_around_the_display_window(scene: bpy.types.Scene) -> None:
     assert wide.fingerprint != plain.fingerprint
 
 
-def test_frames_before_0(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_frames_before_0_are_baked(scene: bpy.types.Scene, tmp_path: Path) -> None:
     scene.frame_start = 0
     cameras = read_cameras(write_shot(tmp_path, scene, shot_of(scene, first=-2, last=2)))
     assert [camera.name for camera in cameras] == [
@@ -239,7 +239,7 @@ def test_markers_switch_the_camera_as_in_blender(scene: bpy.types.Scene, tmp_pat
     assert [camera.name for camera in alone] == ["far.0001"], "it stands still"
 
 
-def test_clip_and_the_requested_range(scene: bpy.types.Scene) -> None:
+def test_clipping_and_the_requested_range_are_kept(scene: bpy.types.Scene) -> None:
     scene.camera.data.clip_start, scene.camera.data.clip_end = 0.25, 40.0
     cameras = cameras_of(scene, shot_of(scene, "dolly", first=2, last=3))
     assert [(camera.name, camera.near, camera.far) for camera in cameras] == [
@@ -277,7 +277,7 @@ def test_unfit_camera_is_refused_in_one_line(scene: bpy.types.Scene) -> None:
     refused("not-a-camera")
 
 
-def test_parts_of_a_shot_name_a_camera_that_stands_still_alike(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_all_parts_of_a_shot_give_a_still_camera_one_name(scene: bpy.types.Scene, tmp_path: Path) -> None:
     scene.frame_end = 8
     moving = cameras_of(scene, shot_of(scene, first=5, last=8))
     assert [camera.name for camera in moving] == [f"dolly.{frame:04d}" for frame in range(5, 9)], "it moved before"
@@ -335,7 +335,7 @@ def test_a_refused_bake_leaves_nothing(scene: bpy.types.Scene, tmp_path: Path) -
     assert ended("bake", 3) == ended("open", 3) == ended("open", 4) == begun
 
 
-def test_another_camera_of_the_same_file_is_said(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_a_shot_of_another_camera_of_the_file_is_reported(scene: bpy.types.Scene, tmp_path: Path) -> None:
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "day.blend"))
     write_shot(tmp_path, scene, shot_of(scene, given="pan_v{version}"))
     scene.camera.name = "wide"

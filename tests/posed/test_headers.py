@@ -112,14 +112,14 @@ def test_splats_with_impossible_positions_are_left_out(original: bytes, tmp_path
     assert read_gaussians(path)["class_id"].tolist() == [1, 2, 3, 4, 5]
 
 
-def test_a_column_that_appears_twice(original: bytes, tmp_path: Path) -> None:
+def test_a_column_that_appears_twice_is_refused(original: bytes, tmp_path: Path) -> None:
     path = tmp_path / "twice.ply"
     path.write_bytes(original.replace(b"property float y", b"property float x"))
     with raises_key("no-splats"):
         read_gaussians(path)
 
 
-def test_splats_of_holes(tmp_path: Path) -> None:
+def test_splats_with_missing_values_are_left_out(tmp_path: Path) -> None:
     path = tmp_path / "holes.ply"
     with path.open("wb") as file:
         file.truncate(5 << 30)

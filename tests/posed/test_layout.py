@@ -103,7 +103,7 @@ def test_impossible_focal_lengths_are_refused(tmp_path: Path, focal: float) -> N
 
 
 @pytest.mark.parametrize("metres", [1e-30, 1e6, 1e38])
-def test_depth_beyond_any_sensors_range(tmp_path: Path, metres: float) -> None:
+def test_depth_beyond_any_sensors_range_is_refused(tmp_path: Path, metres: float) -> None:
     with raises_key("depth-far 0001"):
         depth_check("0001", tmp_path)(np.full((12, 16), metres, np.float32))
 

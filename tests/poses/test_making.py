@@ -35,7 +35,7 @@ def find_poses(place: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(find_spec("pycolmap") is not None, reason="pycolmap is there")
-def test_missing_pycolmap_is_named(photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_pycolmap_is_reported(photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = {path.name for path in photos.iterdir()}
     with raises_key("lacks-part") as caught:
         find_poses(photos, tmp_path)

@@ -145,7 +145,7 @@ def test_many_views_are_each_seen_often_enough() -> None:
     assert PRESETS["paper"].for_views(2000) == PRESETS["paper"]
 
 
-def test_options_of_a_request() -> None:
+def test_a_request_keeps_its_changed_options() -> None:
     options = {"steps": 7, "size": [100, 50], "weights.depth": 0, "warm_start": False, "growth.least_visits": None}
     chosen = LiftRequest(scene=Path("/room"), preset="standard", options=options).chosen_preset
     assert (chosen.steps, chosen.size, chosen.weights.depth, chosen.warm_start) == (7, (100, 50), 0.0, False)

@@ -142,7 +142,7 @@ def test_the_expected_error_is_the_gap_between_the_curve_and_the_diagonal() -> N
     assert r.error(r.reliability(probability[:0], right[:0])) == 0
 
 
-def test_the_table_and_the_diagram(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_table_and_the_diagram_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pixels = np.array([[1.0] * 4, [0.75] * 4, [1, 1, 1, 0]], np.float32)
     monkeypatch.setattr(r, "pixels_of", lambda lift: pixels)
     pytest.importorskip("matplotlib")

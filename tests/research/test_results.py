@@ -88,7 +88,7 @@ def test_lifting_seconds_add_up_all_runs() -> None:
     assert results.lifting_seconds([]) is None
 
 
-def test_memory_and_frames_per_second() -> None:
+def test_memory_and_frames_per_second_are_read() -> None:
     first, last = ({"name": "run", "values": values} for values in ({"peak_bytes": 3e9}, {"peak_bytes": 1e9, "fps": 2}))
     events = [Event(1, 0.0, "metric", first), Event(2, 1.0, "metric", {"name": "loss", "values": {}})]
     assert results.run_figures([*events, Event(3, 2.0, "metric", last)]) == {"peak_bytes": 3e9, "fps": 2.0}

@@ -153,7 +153,7 @@ BAD: list[tuple[str, str, Any, str]] = [
 
 
 @pytest.mark.parametrize(("name", "file", "change", "told"), BAD)
-def test_bad_files_are_one_line_errors(sample: Sample, name: str, file: str, change: Any, told: str) -> None:
+def test_bad_files_give_one_line_errors(sample: Sample, name: str, file: str, change: Any, told: str) -> None:
     with changed(sample(name) / file, change):
         with raises_key(told) as caught:
             look_into(sample(name), name)

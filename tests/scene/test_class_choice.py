@@ -65,7 +65,7 @@ def test_one_of_two_unknown_classes_gives_way_however_they_are_numbered() -> Non
     assert both == colours_of(one, other) and both[one] == alone[one] != both[other]
 
 
-def test_colours_of_ones_own(tmp_path: Path) -> None:
+def test_users_may_choose_colours(tmp_path: Path) -> None:
     """In the masks' table, and in classes.toml, which wins; the panel's list keeps them."""
     rows = '[[class]]\nname = "chair"\ncolour = "#0A0b0C"\n[[class]]\nid = 3\ninto = "box"\ncolour = "#ffffff"\n'
     folder = scene_with(tmp_path, rows)
@@ -146,7 +146,7 @@ def test_the_user_decides_between_thing_and_stuff(tmp_path: Path) -> None:
     assert not any(one.is_thing for one in scene.frames[0].mask().segments if one.class_id == 3)
 
 
-def test_the_papers_classes_by_name(tmp_path: Path) -> None:
+def test_the_papers_classes_are_found_by_name(tmp_path: Path) -> None:
     scene = open_scene(scene_with(tmp_path, 'to = "reduced"\n'))
     assert len(scene.classes) == 21 and scene.classes[14].name == "refrigerator"
     assert reduced_by_name("Wall") == 1
@@ -171,7 +171,7 @@ def test_a_list_of_classes_survives_a_round_trip(tmp_path: Path) -> None:
     assert named_classes(labels, again) == rows
 
 
-def test_the_text_keeps_what_was_said(tmp_path: Path) -> None:
+def test_the_written_text_keeps_all_choices(tmp_path: Path) -> None:
     rows = (ClassRow(id=3, name='a "b" \\ ü', thing=True), ClassRow(name="wall", into="floor"))
     choice = ClassChoice(tmp_path / "c.toml", "coco", True, frozenset({255, 7}), rows)
     (tmp_path / "c.toml").write_text(class_choice_text(choice), encoding="utf-8")
@@ -198,7 +198,7 @@ def test_the_text_keeps_what_was_said(tmp_path: Path) -> None:
         ("[[class]]\nname = 'sofa'", "no-such-class sofa"),
     ],
 )
-def test_bad_files_are_one_line_errors(tmp_path: Path, text: str, told: str) -> None:
+def test_bad_files_give_one_line_errors(tmp_path: Path, text: str, told: str) -> None:
     folder = scene_with(tmp_path, text)
     with raises_key(f"{told} classes.toml") as caught:
         open_scene(folder)

@@ -125,7 +125,7 @@ def write_colmap(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("kind", ["npy", "png", "three equal channels"])
-def test_colmap_with_a_networks_maps(tmp_path: Path, kind: str) -> None:
+def test_a_networks_maps_are_fitted_to_colmaps_points(tmp_path: Path, kind: str) -> None:
     """Inverse depth as floats, of another size than the pictures; or depth in steps of its own."""
     write_colmap(tmp_path / "scene")
     (tmp_path / "maps").mkdir()
@@ -147,7 +147,7 @@ def test_colmap_with_a_networks_maps(tmp_path: Path, kind: str) -> None:
         assert (depth > 0.0).mean() > 0.99 and np.median(off) < 0.01 and np.quantile(off, 0.9) < 0.03
 
 
-def test_missing_and_wrong_maps_are_one_line_errors(tmp_path: Path) -> None:
+def test_missing_and_wrong_maps_give_one_line_errors(tmp_path: Path) -> None:
     write_colmap(tmp_path / "scene")
     (tmp_path / "maps").mkdir()
     for i in range(2):

@@ -75,7 +75,7 @@ def test_truth_that_no_table_explains_is_reported(folder: Path) -> None:
         ("", "semantic_scannet", RAW, ""),
     ],
 )
-def test_named_table_is_recognised(folder: Path, text: str, name: str, numbers: dict[int, int], told: str) -> None:
+def test_a_named_table_is_used(folder: Path, text: str, name: str, numbers: dict[int, int], told: str) -> None:
     before = renumber(folder, numbers, 255 if numbers is ADE else 0)
     if text:
         (folder / "gt" / "classes.toml").write_text(text)
@@ -150,7 +150,7 @@ def test_a_file_may_name_the_table(folder: Path) -> None:
         ("cityscapes", "ade20k", {"road": "road", "sky": "sky", "rider": None}),
     ],
 )
-def test_classes_of_another_table_by_name(truth: str, masks: str, expected: dict[str, str | None]) -> None:
+def test_classes_of_another_table_are_matched_by_name(truth: str, masks: str, expected: dict[str, str | None]) -> None:
     classes = class_map(known_table(masks).labels, None, Path(), objects=False).classes
     names = {label.id: label.name for label in known_table(truth).labels}
     found = classes_by_name(names, classes)
@@ -159,7 +159,7 @@ def test_classes_of_another_table_by_name(truth: str, masks: str, expected: dict
     assert told == expected
 
 
-def test_a_true_class_is_that_of_its_very_name(folder: Path) -> None:
+def test_a_true_class_is_matched_by_its_exact_name(folder: Path) -> None:
     wall = open_scene(folder).classes[1]
     classes = ClassTable((wall, replace(wall, id=2, name="Wall")))
     assert classes_by_name({8: "Wall", 9: "wall", 10: "WALL"}, classes) == {8: 2, 9: 1, 10: 1}

@@ -56,7 +56,9 @@ def thinned(scene: Path) -> Path:
         (thinned, lambda n: f"mask_{n + 1}"),
     ],
 )
-def test_renumbered_masks_found(tmp_path: Path, change: Callable[[Path], Path], rename: Callable[[int], str]) -> None:
+def test_renumbered_masks_are_found(
+    tmp_path: Path, change: Callable[[Path], Path], rename: Callable[[int], str]
+) -> None:
     usual = open_scene(write_tiny_scene(tmp_path / "usual", frames=14, size=SIZE, ground_truth=False))
     scene = write_tiny_scene(tmp_path / "other", frames=14, size=SIZE, ground_truth=False)
     opened = open_scene(change(renamed(scene, rename)))
@@ -180,7 +182,7 @@ def test_pictures_of_counting_pixels_are_not_classes(tmp_path: Path, folder: str
         np.testing.assert_array_equal(marked, kept == 0)
 
 
-def test_the_split_and_the_bad_frames_of_a_file(tmp_path: Path) -> None:
+def test_the_split_and_the_bad_frames_come_from_a_file(tmp_path: Path) -> None:
     write_scene(tmp_path)
     table = tmp_path / "transforms.json"
     content = json.loads(table.read_text())

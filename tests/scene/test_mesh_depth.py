@@ -83,7 +83,9 @@ def test_a_mesh_gives_depth(kind: str, surface: open3d.geometry.TriangleMesh, sa
     assert median < (0.012 if kind == "tenth.obj" else 0.006) and near > 0.8 and covered > 0.75
 
 
-def test_a_mesh_turned_inside_out_is_told(surface: open3d.geometry.TriangleMesh, sample: Scene, tmp_path: Path) -> None:
+def test_a_mesh_turned_inside_out_is_reported(
+    surface: open3d.geometry.TriangleMesh, sample: Scene, tmp_path: Path
+) -> None:
     turned = open3d.geometry.TriangleMesh(
         surface.vertices, open3d.utility.Vector3iVector(np.asarray(surface.triangles)[:, ::-1].copy())
     )
@@ -94,7 +96,7 @@ def test_a_mesh_turned_inside_out_is_told(surface: open3d.geometry.TriangleMesh,
 @pytest.mark.parametrize(
     ("turn", "told"), [(1000.0 * POSES, "from millimetres"), (Y_UP, "x, -z, y"), (0.01 * POSES, "to centim")]
 )
-def test_another_frame_of_reference_is_refused_with_what_fits(
+def test_a_mesh_with_other_axes_is_refused_with_those_that_fit(
     turn: np.ndarray, told: str, surface: open3d.geometry.TriangleMesh, tmp_path: Path
 ) -> None:
     small = surface.simplify_vertex_clustering(0.1)
@@ -111,7 +113,7 @@ def test_another_room_is_refused(tmp_path: Path) -> None:
             open_scene(ROOM, depth=path)
 
 
-def test_files_that_are_no_mesh_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_files_that_are_no_mesh_give_a_one_line_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name, content in (("a.glb", b"glTF\2\0\0\0"), ("b.ply", b"ply\n"), ("c.obj", b"v 0 0 0\n"), ("d.ply", b"")):
         (tmp_path / name).write_bytes(content)
         assert main(["inspect", str(ROOM), "--depth", str(tmp_path / name)]) == 2

@@ -60,7 +60,9 @@ def write_labels(folder: Path, numbers: Mapping[int, int], void: int = 255) -> l
         ("scannet", NYU40, "other-numbers nyu40:1-40 scannet --classes scannet:1-1357"),
     ],
 )
-def test_numbers_of_another_table_refused(tmp_path: Path, classes: str, numbers: dict[int, int], told: str) -> None:
+def test_numbers_of_another_table_than_named_are_refused(
+    tmp_path: Path, classes: str, numbers: dict[int, int], told: str
+) -> None:
     write_labels(tmp_path, numbers, void=0)
     assert refuses(f"{told} masks", tmp_path, classes=classes).option == "--classes"
 
@@ -112,7 +114,9 @@ def test_numbering_is_recognised_named_or_assumed_with_a_warning(
         ("scannet200", ADE_DATA | {1: 1, 2: 4, 3: 2}, 0, "ade20k:1-150"),
     ],
 )
-def test_doubtful_table_warns(tmp_path: Path, classes: str, numbers: dict[int, int], void: int, look_like: str) -> None:
+def test_a_doubtful_table_gives_a_warning(
+    tmp_path: Path, classes: str, numbers: dict[int, int], void: int, look_like: str
+) -> None:
     write_labels(tmp_path, numbers, void)
     (told,) = warned(tmp_path, classes)
     assert f", but look like {look_like}" in told and f"if that is right, name --classes {look_like}" in told

@@ -144,7 +144,7 @@ def test_files_left_by_macos_and_windows_are_ignored(name: str, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_opening_says_how_far_it_is_and_stops_when_asked(
+def test_opening_reports_progress_and_stops_when_asked(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(progress, "REPORT_EVERY_S", 0.0)

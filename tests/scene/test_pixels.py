@@ -37,7 +37,7 @@ def test_colour_is_averaged_when_shrunk_and_stays_in_place_when_enlarged() -> No
     assert abs(int(large[6, 20:40].mean()) - 116) <= 2
 
 
-def test_an_image_with_sound_chunks_and_no_pixels_is_refused(tmp_path: Path) -> None:
+def test_an_image_with_valid_chunks_and_no_pixels_is_refused(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "image.png"), np.zeros((4, 4), np.uint8))
     data = (tmp_path / "image.png").read_bytes()
     start = data.index(b"IDAT") - 4

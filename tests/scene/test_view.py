@@ -44,7 +44,7 @@ def undistorted(picture: Picture, bend: float) -> tuple[Picture, Mask]:
 
 
 @pytest.mark.parametrize("bend", [-0.1, 0.1])
-def test_an_undistorted_photo(bend: float) -> None:
+def test_the_border_of_an_undistorted_photo_is_found(bend: float) -> None:
     """Barrel distortion leaves bows along the sides, pincushion distortion wedges in the corners."""
     photo, unseen = undistorted(room(), bend)
     assert 0.02 < unseen.mean() < 0.1
@@ -55,7 +55,7 @@ def test_an_undistorted_photo(bend: float) -> None:
 
 
 @pytest.mark.parametrize("thick", [1, 24])
-def test_a_straight_bar_and_the_seam_beside_it(thick: int) -> None:
+def test_a_straight_bar_and_its_soft_edge_are_border(thick: int) -> None:
     for turns in range(4):
         photo, expected = room(), np.zeros((HEIGHT, WIDTH), bool)
         np.rot90(photo, turns)[:thick] = 0

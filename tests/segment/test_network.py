@@ -36,7 +36,7 @@ def folder(tmp_path: Path) -> Path:
     return write_tiny_scene(tmp_path / "scene", frames=3, size=(64, 48), ground_truth=False, masks="none")
 
 
-def test_a_model_in_a_folder(model: Path) -> None:
+def test_a_model_is_loaded_from_a_folder(model: Path) -> None:
     network = load_model(str(model), download=False)
     assert [label.name for label in network.labels] == NAMES
     assert [label.is_thing for label in network.labels] == [False, False, True, True]
@@ -93,7 +93,7 @@ def test_the_default_network_is_one_revision(monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.parametrize(("name", "told"), [("nowhere", "no-model"), ("tests", "no-model")])
-def test_a_missing_model_is_a_one_line_error(name: str, told: str) -> None:
+def test_a_missing_model_gives_a_one_line_error(name: str, told: str) -> None:
     with raises_key(told):
         load_model(name, download=False)
 
@@ -143,7 +143,9 @@ BROKEN: dict[str, tuple[str, Callable[[Path], object]]] = {
 
 
 @pytest.mark.parametrize(("told", "spoil"), BROKEN.values(), ids=BROKEN)
-def test_broken_network(told: str, spoil: Callable[[Path], object], model: Path, folder: Path, tmp_path: Path) -> None:
+def test_a_broken_network_is_refused(
+    told: str, spoil: Callable[[Path], object], model: Path, folder: Path, tmp_path: Path
+) -> None:
     shutil.copytree(model, tmp_path / "broken")
     spoil(tmp_path / "broken")
     with raises_key(told):
@@ -159,7 +161,9 @@ def test_an_index_of_parts_in_its_folder_is_read(model: Path, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("revision", ["", "@" + 40 * "a"])
-def test_garbled_weights_refused(revision: str, model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_garbled_weights_are_refused(
+    revision: str, model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """As the hub's cache has them: a link in a snapshot to a file that is called by its digest."""
     import huggingface_hub
 

@@ -236,7 +236,7 @@ def test_the_command_says_why_it_ended(tmp_path: Path, root: Path) -> None:
     assert removed.returncode == 0 and "No environment is left" in removed.stdout and not made.exists()
 
 
-def test_a_folder_of_others_is_neither_used_nor_emptied(tmp_path: Path) -> None:
+def test_a_folder_with_other_files_is_neither_used_nor_emptied(tmp_path: Path) -> None:
     """On macOS and Windows, a home has such a folder."""
     film = tmp_path / "home/Downloads/film.mp4"
     film.parent.mkdir(parents=True)

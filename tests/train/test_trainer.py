@@ -90,7 +90,9 @@ def test_label_losses_never_reach_opacity_or_shape(tiny: Input, tmp_path: Path) 
         assert all(p.grad is not None and p.grad.any() for p in taught.parameters())
 
 
-def test_channels_without_target_are_optional(tiny: Input, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_channels_without_a_target_need_not_be_drawn(
+    tiny: Input, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The model is the same, bit for bit, after steps that draw all of them."""
     few = trainer_of(*tiny, TINY, tmp_path)
     drawn = few._columns_to_draw(few.target(0))
@@ -328,7 +330,7 @@ def test_the_same_seed_gives_the_same_decoders(scenes: list[StructuredScene]) ->
 CHANNELS = LabelChannels(CLASS_IDS, (7, SPARE, NO_OBJECT, 3))
 
 
-def test_stuff_is_taught_to_be_no_object_and_the_unknown_nothing() -> None:
+def test_stuff_is_trained_as_no_object_and_unknown_pixels_are_not_trained() -> None:
     view = wall_view("a", 0.0, classes=square(CHAIR, WALL, slice(10, 20)).astype(np.int32))
     projected, matched = view.mask.ids.copy(), np.where(view.mask.ids == CHAIR, 7, 0).astype(np.int32)
     projected[:2] = 0

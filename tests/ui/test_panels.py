@@ -110,7 +110,7 @@ def test_a_bad_scene_shows_what_fixes_it(code: ErrorCode, tmp_path: Path) -> Non
     assert "set-up.log" in shown and ("plgs.show_preferences" in shown) >= (code is ErrorCode.NO_ENGINE)
 
 
-def test_lacking_part_shows_its_button(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lacking_part_shows_its_button(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In an environment that lacks a package of one button: that button is grey, the others are not."""
     bpy.context.scene.plgs.scene_folder = str(tmp_path)
     assert "plgs.add_to_engine" not in drawn()

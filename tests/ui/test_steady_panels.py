@@ -183,7 +183,9 @@ def test_edits_move_no_button(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.parametrize("asked", [True, False])
-def test_export_has_its_bar(form: str, shown_in: str, button: str, bar: str, asked: bool, tmp_path: Path) -> None:
+def test_an_export_shows_its_progress_bar(
+    form: str, shown_in: str, button: str, bar: str, asked: bool, tmp_path: Path
+) -> None:
     """The other buttons stay in sight, and where they are: what the export tells comes below the last one."""
     idle, last = drawn(), f"plgs.export_lift {[*FORMS.values()][-1][0]}"
     follower: Any = Pretended(TaskState.RUNNING)

@@ -60,12 +60,12 @@ def folders(window: Window) -> list[str]:
 @pytest.mark.parametrize(
     "names", [["panoptic.json"], pytest.param(["pose/0000.txt", "pose/0001.txt"], marks=pytest.mark.slow)]
 )
-def test_files_of_a_scene(window: Window, scene: Path, names: list[str]) -> None:
+def test_dropped_files_of_a_scene_open_it(window: Window, scene: Path, names: list[str]) -> None:
     window.drop(*IN_THE_VIEW, *(scene / name for name in names))
     assert folders(window) == [str(scene), ""]
 
 
-def test_a_file_of_a_lift(window: Window, scene: Path) -> None:
+def test_a_dropped_file_of_a_lift_opens_it(window: Window, scene: Path) -> None:
     lift = LiftFolder.create(scene.parent / "my lift", LiftRequest(scene=scene))
     window.drop(*IN_THE_VIEW, lift.path / "request.json")
     assert folders(window) == ["", str(lift.path)]

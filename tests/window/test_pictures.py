@@ -154,14 +154,14 @@ def fitted_psnr(seen: NDArray[np.uint8], photo: NDArray[np.uint8]) -> float:
     return float(-10.0 * np.log10(np.mean(errors)))
 
 
-def test_the_best_view(shown: Window, lift: Path) -> None:
+def test_the_best_view_is_shown(shown: Window, lift: Path) -> None:
     in_view(shown, f"bpy.ops.plgs.select_instance(instance={_SHOWN}.instance_id)")
     in_view(shown, "bpy.ops.plgs.go_to_best_view()")
     shown.screenshot(taken_of(lift, "best-view"))
 
 
 @of_the_sample
-def test_a_running_lift(window: Window, scene: Path) -> None:
+def test_a_running_lift_is_shown(window: Window, scene: Path) -> None:
     window.open_sidebar()
     window.run(f"bpy.ops.plgs.import_scene(scene_folder={str(scene)!r})", timeout=PATIENCE_S)
     window.run(_LOOK_THROUGH)
@@ -176,13 +176,13 @@ def test_a_running_lift(window: Window, scene: Path) -> None:
     window.wait_for(f"not {_RUNNING}", 20)
 
 
-def test_the_compositor(shown: Window, lift: Path) -> None:
+def test_the_compositor_is_shown(shown: Window, lift: Path) -> None:
     in_view(shown, "bpy.ops.plgs.show_passes()")
     shown.screenshot(taken_of(lift, "compositor"))
 
 
 @of_the_sample
-def test_an_import(window: Window, scene: Path) -> None:
+def test_an_import_is_shown(window: Window, scene: Path) -> None:
     window.open_sidebar()
     window.run(f"bpy.ops.plgs.import_scene(scene_folder={str(scene)!r})", timeout=PATIENCE_S)
     window.wait_for(_IS_READ, PATIENCE_S)

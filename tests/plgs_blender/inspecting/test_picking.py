@@ -57,7 +57,7 @@ def middle(root: bpy.types.Collection, number: int) -> Vector:
 
 
 @pytest.mark.parametrize("is_perspective", [True, False])
-def test_the_middle_of_an_object_is_it(root: bpy.types.Collection, is_perspective: bool) -> None:
+def test_a_click_on_the_middle_of_an_object_finds_it(root: bpy.types.Collection, is_perspective: bool) -> None:
     for number, class_id in ((1, CHAIR_ID), (2, CABINET_ID)):
         seen = Seen(middle(root, number) + Vector((0.4, 0.3, 2.0)), middle(root, number), is_perspective)
         found = picking.drawn_under([root], seen.view, seen.pixel(middle(root, number)))
@@ -69,7 +69,9 @@ def test_the_middle_of_an_object_is_it(root: bpy.types.Collection, is_perspectiv
 
 
 @pytest.mark.parametrize("is_perspective", [True, False])
-def test_ray_hits_surface(extension: None, empty_file: None, lift: Path, tmp_path: Path, is_perspective: bool) -> None:
+def test_a_ray_hits_a_surface(
+    extension: None, empty_file: None, lift: Path, tmp_path: Path, is_perspective: bool
+) -> None:
     """Against the plane of the floor and of the square above it, seen from afar; from below, backs are open."""
     mine = Path(shutil.copytree(lift, tmp_path / "mine"))
     write_surface(mesh_folder(mine) / "mesh.ply")
@@ -145,7 +147,7 @@ def test_pixels_of_a_frame_are_what_rays_hit(root: bpy.types.Collection) -> None
     assert total > 1000 and agree > 0.97 * total, f"{agree} of {total}"
 
 
-def test_a_name_is_its_object(root: bpy.types.Collection) -> None:
+def test_a_click_on_a_name_finds_its_object(root: bpy.types.Collection) -> None:
     seen = Seen(middle(root, 1) + Vector((1.5, 1.5, 3.0)), middle(root, 1))
     region = seen.region
     names = label_text_boxes(root.plgs.instances, boxes_of(root), active=0, region=region)

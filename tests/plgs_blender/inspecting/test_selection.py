@@ -69,7 +69,7 @@ def test_several_are_selected_one_after_the_other(root: bpy.types.Collection) ->
     assert selection.selected_instances(root, layer) == [1]
 
 
-def test_hidden_object_is_only_a_row(root: bpy.types.Collection) -> None:
+def test_a_hidden_object_is_selected_only_in_the_list(root: bpy.types.Collection) -> None:
     boxes = boxes_of(root)
     pick(bpy.data.objects["Overview"])
     root.plgs.instances[0].visible = False

@@ -127,7 +127,7 @@ def test_a_picture_that_another_camera_saw_is_not_shown_but_requested_again(grow
     assert fingerprint(growing) == own
 
 
-def test_the_users_own_camera_shows_it_too_and_is_left_alone(growing: LiftFolder) -> None:
+def test_the_users_own_camera_shows_the_preview_and_is_not_changed(growing: LiftFolder) -> None:
     scene = bpy.context.scene
     scene.camera = mine = bpy.data.objects.new("mine", bpy.data.cameras.new("mine"))
     scene.collection.objects.link(mine)

@@ -67,7 +67,7 @@ def test_a_path_that_a_file_names_is_read_only_if_it_is_ones_own(lift: Path, tmp
 
 
 @pytest.mark.parametrize("change", ["nothing", "corrections", "result"])
-def test_a_lift_that_changed_since_the_file_was_saved_is_said(change: str, lift: Path, tmp_path: Path) -> None:
+def test_a_lift_that_changed_since_the_file_was_saved_is_reported(change: str, lift: Path, tmp_path: Path) -> None:
     mine = opened(lift, tmp_path / "mine", "lift.blend", [])
     assert "Show It Anew" not in drawn()
     if change == "corrections":  # as a command does
@@ -85,13 +85,13 @@ def test_a_lift_that_changed_since_the_file_was_saved_is_said(change: str, lift:
         assert {"throne", "bench"} <= names and "Show It Anew" not in drawn()
 
 
-def test_a_link_in_its_place_is_left_alone(lift: Path, tmp_path: Path, read: Read) -> None:
+def test_a_link_in_place_of_the_lift_is_not_followed(lift: Path, tmp_path: Path, read: Read) -> None:
     opened(lift, tmp_path / "mine", "lift.blend", read, linked=True)
     assert looking._read_objects() is None and not read
 
 
 @pytest.mark.parametrize("name", ["a" * 300, "a\0b", "a\ud800b"], ids=["long", "null", "surrogate"])
-def test_paths_that_cannot_be(tmp_path: Path, name: str) -> None:
+def test_impossible_paths_are_reported(tmp_path: Path, name: str) -> None:
     for chosen in (ChosenScene(tmp_path / name, None, "z"), ChosenScene(tmp_path, tmp_path / name, "z")):
         seen = survey.look(chosen, None)
         assert seen.error is not None and seen.error.fix and not seen.is_looking
@@ -108,7 +108,7 @@ def values(shown: bpy.types.PropertyGroup) -> tuple[int, ...]:
     return tuple(getattr(shown, name) for name in estimate.NAMES)
 
 
-def test_without_a_scene_they_are_the_presets(shown: bpy.types.PropertyGroup) -> None:
+def test_without_a_scene_the_presets_options_are_shown(shown: bpy.types.PropertyGroup) -> None:
     for name, preset in PRESETS.items():
         bpy.context.scene.plgs.preset = name
         assert values(shown) == (preset.steps, *preset.size, preset.frames)

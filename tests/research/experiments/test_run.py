@@ -220,7 +220,7 @@ def test_unreadable_scene_is_a_row(experiment: Experiment, behave: Behave, capsy
     assert {one.scene for one in read_results(three.folder / "results.json") if one.failed} == {"cellar"}, "kept"
 
 
-def test_masks_and_depth_by_patterns(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
+def test_masks_and_depth_are_found_by_patterns(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
     office, kitchen = experiment.scenes
     masks = tmp_path / "predictions" / "office"
     masks.mkdir(parents=True)

@@ -91,7 +91,7 @@ def test_depth_of_a_workspace_is_found(tmp_path: Path, place: str) -> None:
     room.check_on_room(scene)
 
 
-def test_broken_dense_depth(tmp_path: Path) -> None:
+def test_broken_dense_depth_is_reported(tmp_path: Path) -> None:
     """Some numbers that are no depth are none; a file of them is broken."""
     write_depth(write_text(tmp_path))
     path = tmp_path / "stereo" / "depth_maps" / f"{image_name(0)}.geometric.bin"

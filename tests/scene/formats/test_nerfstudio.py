@@ -68,7 +68,7 @@ def test_names_relative_to_another_folder_are_found_beside_it(tmp_path: Path) ->
     room.check_on_room(open_scene(tmp_path))
 
 
-def test_splits_of_nerfs_synthetic_scenes(tmp_path: Path) -> None:
+def test_splits_of_nerfs_synthetic_scenes_are_used(tmp_path: Path) -> None:
     """As Blender's script for them writes: an angle of view, no suffix, and equal names in each part."""
     straight = room.Lens(64, 48, 50.0, 50.0, 32.0, 24.0)
     for part, own in (("train", room.views()[:4]), ("test", room.views()[4:]), ("val", room.views()[:2])):
@@ -88,7 +88,7 @@ def test_splits_of_nerfs_synthetic_scenes(tmp_path: Path) -> None:
     room.check_colours(scene)
 
 
-def test_instant_ngps_own_keys(tmp_path: Path) -> None:
+def test_instant_ngps_own_keys_are_read(tmp_path: Path) -> None:
     """Angles instead of focal lengths, images without suffix, depth in steps of its own."""
     angles = {"camera_angle_x": 2 * math.atan(32 / LENS.fx), "camera_angle_y": 2 * math.atan(24 / LENS.fy)}
     write_scene(tmp_path, **angles, fl_x=None, fl_y=None, camera_model=None, integer_depth_scale=1 / 2000)
@@ -102,7 +102,7 @@ def test_instant_ngps_own_keys(tmp_path: Path) -> None:
     room.check_on_room(open_scene(tmp_path))
 
 
-def test_intrinsics_of_larger_pictures_and_npy_depth(tmp_path: Path) -> None:
+def test_intrinsics_of_larger_pictures_and_npy_depth_are_read(tmp_path: Path) -> None:
     write_scene(tmp_path, w=128, h=96, fl_x=2 * LENS.fx, fl_y=2 * LENS.fy, cx=2 * LENS.cx, cy=2 * LENS.cy)
     content = json.loads((tmp_path / "transforms.json").read_text())
     for frame in content["frames"]:

@@ -108,7 +108,7 @@ def write_scanner_app(folder: Path) -> Path:
     return folder
 
 
-def test_a_scan_without_depth_and_a_picture_without_a_pose(tmp_path: Path) -> None:
+def test_a_scan_without_depth_and_a_picture_without_a_pose_are_read(tmp_path: Path) -> None:
     for path in (*write_scanner_app(tmp_path).glob("*.png"), tmp_path / "frame_00004.json"):
         path.unlink()
     scene = open_scene(tmp_path)

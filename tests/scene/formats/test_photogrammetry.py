@@ -150,7 +150,7 @@ def test_metashape_on_the_earth_is_brought_to_the_ground(tmp_path: Path) -> None
         ('<scale>0.5', "<scale>half", "xml-numbers scale"), ("IMG_", "DSC_", "no-pictures DSC"),
     ],
 )  # fmt: skip
-def test_what_is_not_read_of_metashape_is_one_line(tmp_path: Path, was: str, now: str, told: str) -> None:
+def test_unsupported_metashape_files_give_a_one_line_error(tmp_path: Path, was: str, now: str, told: str) -> None:
     path = metashape_xml(tmp_path, NONE) / "cameras.xml"
     path.write_text(path.read_text().replace(was, now))
     with raises_key(told):
@@ -265,7 +265,7 @@ def test_bundlers_points_are_seen_in_their_pictures(tmp_path: Path) -> None:
     refuses("no-list list.txt", tmp_path)
 
 
-def test_a_flat_colmap_export_of_realityscan(tmp_path: Path) -> None:
+def test_a_flat_colmap_export_of_realityscan_is_read(tmp_path: Path) -> None:
     """Its *COLMAP* export may put the model beside the pictures, with the lens that OpenCV calls full."""
     views = photos(tmp_path)
     numbers = (LENS.fx, LENS.fx, LENS.cx, LENS.cy, -0.2, 0.07, 0.002, -0.001, -0.01, 0.0, 0.0, 0.0)

@@ -79,7 +79,7 @@ def test_points_lie_on_the_room(tmp_path: Path) -> None:
         assert not scene.frames[0].depth()[:3].any()
 
 
-def test_an_unpacked_folder_with_lenses_of_its_own(tmp_path: Path) -> None:
+def test_an_unpacked_folder_with_a_lens_for_each_frame_is_read(tmp_path: Path) -> None:
     coefficients = [[LENS.fx, LENS.fy, LENS.cx, LENS.cy]] * 11
     write_r3d(tmp_path / "a.r3d", K=[1.0] * 9, perFrameIntrinsicCoeffs=coefficients, dw=DEPTH.width, dh=DEPTH.height)
     with zipfile.ZipFile(tmp_path / "a.r3d") as archive:
@@ -88,7 +88,7 @@ def test_an_unpacked_folder_with_lenses_of_its_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("place", ["", "EXR_RGBD"])
-def test_pictures_and_exr_files(tmp_path: Path, place: str) -> None:
+def test_the_export_of_pictures_and_exr_files_is_read(tmp_path: Path, place: str) -> None:
     """The export "EXR + JPG sequence", as nerfstudio's guide has it."""
     folder = tmp_path / "EXR_RGBD"
     write_r3d(tmp_path / "a.r3d")

@@ -105,7 +105,7 @@ def test_sens_points_lie_on_the_room(tmp_path: Path, compressed: bool, place: st
     assert abs(np.median(off)) < 0.001 and np.median(np.abs(off)) < 0.008
 
 
-def test_a_depth_camera_beside_the_colour_camera(tmp_path: Path) -> None:
+def test_depth_of_a_camera_beside_the_colour_camera_is_registered(tmp_path: Path) -> None:
     (tmp_path / "a.sens").write_bytes(sens(beside=BESIDE))
     scene = open_scene(tmp_path)
     assert scene.warnings == ()

@@ -79,7 +79,7 @@ def test_points_lie_on_the_room(tmp_path: Path, pack: Callable[[list[np.ndarray]
     np.testing.assert_allclose(scene.frames[0].depth(), depths_with_a_flat_top()[0], atol=6e-4)  # behind: starts again
 
 
-def test_pictures_and_depth_that_were_taken_out(tmp_path: Path) -> None:
+def test_pictures_and_depth_may_be_extracted_from_their_archives(tmp_path: Path) -> None:
     write_table(tmp_path)
     for i, view in enumerate(views()):
         write_colour(tmp_path / "rgb" / f"frame_{i:06d}.jpg", look(view, LENS).colour)

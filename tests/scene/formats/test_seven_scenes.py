@@ -137,7 +137,7 @@ def test_a_bad_info_txt_is_refused(tmp_path: Path, changed: dict[str, str], told
     refuses(told, write_info(tmp_path, **changed))
 
 
-def test_what_else_info_txt_may_be(tmp_path: Path) -> None:
+def test_other_texts_called_info_txt_are_ignored(tmp_path: Path) -> None:
     """Colour and depth that stand apart are told; a text by a person is none."""
     apart = "1 0 0 0.02 0 1 0 0 0 0 1 0 0 0 0 1"
     scene = open_scene(write_info(tmp_path / "apart", m_calibrationColorExtrinsic=apart))
@@ -147,7 +147,7 @@ def test_what_else_info_txt_may_be(tmp_path: Path) -> None:
     assert any("a Kinect's lens is assumed (525 525" in each for each in open_scene(tmp_path / "text").warnings)
 
 
-def test_intrinsic3ds_two_lenses(tmp_path: Path) -> None:
+def test_both_lenses_of_intrinsic3d_are_read(tmp_path: Path) -> None:
     write_info(tmp_path, name="unused.txt")
     for name, lens in (("color", COLOUR), ("depth", DEPTH)):
         K = np.diag([lens.fx, lens.fy, 1.0, 1.0])
@@ -156,7 +156,7 @@ def test_intrinsic3ds_two_lenses(tmp_path: Path) -> None:
     room.check_on_room(open_scene(tmp_path), tolerance=0.06, share=0.97, colour_step=60)
 
 
-def test_lost_frames_as_windows_wrote_them(tmp_path: Path) -> None:
+def test_lost_frames_with_windows_line_ends_are_read(tmp_path: Path) -> None:
     write_info(tmp_path)
     (tmp_path / "frame-000001.pose.txt").write_text("-1.#INF -1.#INF -1.#INF00 1.#INF\n" * 4)
     assert open_scene(tmp_path).warnings[0] == "1 frame without a pose is left out: frame-000001"
@@ -184,7 +184,7 @@ def write_nice(folder: Path, lens: room.Lens = NICE, steps: float = 6553.5) -> P
     return folder
 
 
-def test_nice_slams_camera_file(tmp_path: Path) -> None:
+def test_the_camera_file_of_nice_slam_is_read(tmp_path: Path) -> None:
     lens = room.Lens()
     write_nice(tmp_path / "office0", lens, steps=1000.0)
     camera = {"w": 64, "h": 48, "fx": lens.fx, "fy": lens.fy, "cx": lens.cx - 0.5, "cy": lens.cy - 0.5, "scale": 1000.0}

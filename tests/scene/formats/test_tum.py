@@ -40,7 +40,7 @@ def write_tum(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("by_number", [False, True])
-def test_rtabmaps_poses_with_numbers(tmp_path: Path, by_number: bool) -> None:
+def test_numbered_poses_of_rtabmap_are_read(tmp_path: Path, by_number: bool) -> None:
     lines = "#timestamp x y z qx qy qz qw id\n"
     for i, view in enumerate(views(), start=1):
         at = 1675933810.3 + i / 2
@@ -61,7 +61,7 @@ def test_the_lens_comes_from_the_name_or_a_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("depth_first", [True, False])
-def test_associations_in_either_order(tmp_path: Path, depth_first: bool) -> None:
+def test_associations_are_read_in_either_order(tmp_path: Path, depth_first: bool) -> None:
     write_tum(tmp_path)
     lines = []
     for i in range(6):
@@ -73,7 +73,7 @@ def test_associations_in_either_order(tmp_path: Path, depth_first: bool) -> None
     check_on_room(open_scene(tmp_path))
 
 
-def test_stamps_from_file_names_and_no_depth(tmp_path: Path) -> None:
+def test_time_stamps_come_from_file_names_without_depth(tmp_path: Path) -> None:
     write_tum(tmp_path)
     for name in ("rgb.txt", "depth.txt"):
         (tmp_path / name).unlink()

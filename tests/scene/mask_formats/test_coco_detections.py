@@ -174,7 +174,7 @@ def agreement(scene: Scene, class_name: str = "chair") -> float:
     return float(np.concatenate(inside).mean())
 
 
-def test_numbers_of_another_table_are_told_by_what_they_cover(room: Path) -> None:
+def test_numbers_of_another_table_are_recognised_by_what_they_cover(room: Path) -> None:
     """COCO's own id of a chair is 62, 5 in the room's masks."""
     scene = over_the_tiny_scene(room, chairs(room, category_id=62))
     assert agreement(scene) == 1.0 and any("coco:90" in told for told in scene.warnings)
@@ -182,7 +182,7 @@ def test_numbers_of_another_table_are_told_by_what_they_cover(room: Path) -> Non
     assert any("only 0%" in told for told in over_the_tiny_scene(room, chairs(room, category_id=2)).warnings)
 
 
-def test_ids_of_pictures_are_told_by_what_the_detections_cover(room: Path) -> None:
+def test_ids_of_pictures_are_recognised_by_what_the_detections_cover(room: Path) -> None:
     """The masks' table counts pictures from 1, the detections count as the frames' names do."""
     table = json.loads((room / "panoptic.json").read_text())
     table["images"] = [{"id": n + 1, "file_name": f"{n:04d}.jpg"} for n in range(3)]
@@ -221,14 +221,14 @@ def along_rows(mask: np.ndarray) -> dict[str, Any]:
         (lambda mask: {**compressed(mask), "size": [64, 48]}, "mask-shape"),
     ],
 )
-def test_shapes_that_are_counted_otherwise_are_named(room: Path, change: Any, told: str) -> None:
+def test_shapes_in_other_units_are_reported(room: Path, change: Any, told: str) -> None:
     found = [frame.mask().ids == one.id for frame in open_scene(room).frames for one in frame.mask().segments]
     with raises_key(told):
         over_the_tiny_scene(room, [a_detection(mask, segmentation=change(mask)) for mask in found])
     over_the_tiny_scene(room, [a_detection(mask, segmentation=whole(mask)) for mask in found])
 
 
-def test_pictures_that_are_no_frames_are_told(room: Path) -> None:
+def test_pictures_that_are_not_frames_are_reported(room: Path) -> None:
     upper = np.ones((48, 64), bool)
     scene = over_the_tiny_scene(room, [a_detection(upper), a_detection(upper, image_id=987)])
     assert len(scene.frames[1].layers()) == 1 and any("987" in told for told in scene.warnings)
@@ -261,7 +261,7 @@ BAD: dict[str, tuple[Any, str]] = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_files_are_refused_in_a_line(room: Path, case: str) -> None:
+def test_bad_files_give_a_one_line_error(room: Path, case: str) -> None:
     content, told = BAD[case]
     if isinstance(content, tuple):
         one = a_detection(np.ones((48, 64), bool))

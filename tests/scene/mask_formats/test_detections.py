@@ -70,7 +70,7 @@ def write_pictures(folder: Path) -> list[Truth]:
     return truths
 
 
-def test_one_picture_per_detection(tmp_path: Path) -> None:
+def test_a_picture_for_each_detection_is_read(tmp_path: Path) -> None:
     """The frames' folders have numbers for names, as SAM 2's objects do: the format has to be named."""
     truths = write_pictures(tmp_path)
     scene = open_scene(tmp_path, mask_format="detections")
@@ -110,7 +110,7 @@ def test_the_tracks_of_sam_3_are_one_object_in_all_frames(tmp_path: Path, keys: 
         assert all((of_track[number] == region).all() for number, region in regions.items())
 
 
-def test_tracks_with_the_words_that_they_were_prompted_by(tmp_path: Path) -> None:
+def test_tracks_have_the_words_of_their_prompts_as_classes(tmp_path: Path) -> None:
     truths = write_tracks(tmp_path, SAM_3, names=True)
     scene = open_scene(tmp_path)
     check_on_room(scene, truths, SEEN | {3: "cabinet"}, frozenset({"cabinet", "chair"}))

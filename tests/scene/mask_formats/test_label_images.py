@@ -46,7 +46,7 @@ def write_pairs(folder: Path, kinds: tuple[str, str], deep: type = np.uint8) -> 
     ("kinds", "deep"),
     [(("label-filt", "instance-filt"), np.uint16), (("semantic_class", "semantic_instance"), np.uint8)],
 )
-def test_pairs_of_images(tmp_path: Path, kinds: tuple[str, str], deep: type) -> None:
+def test_pairs_of_images_are_read(tmp_path: Path, kinds: tuple[str, str], deep: type) -> None:
     truths = write_pairs(tmp_path, kinds, deep)
     check_on_room(open_scene(tmp_path, classes="nyu40"), truths, NAMES, THINGS)
     refuses("no-class-names", tmp_path)
@@ -101,7 +101,7 @@ def write_arrays(folder: Path, save: Any) -> list[Truth]:
     return truths
 
 
-def test_arrays_of_classes_and_instances(tmp_path: Path) -> None:
+def test_arrays_of_classes_and_instances_are_read(tmp_path: Path) -> None:
     def save(path: Path, truth: Truth) -> None:
         np.savez_compressed(f"{path}.npz", semantic=in_table(truth, NYU).astype(np.int64), instance=truth.instance)
 
@@ -110,7 +110,7 @@ def test_arrays_of_classes_and_instances(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("is_last", [False, True])
-def test_probabilities(tmp_path: Path, is_last: bool) -> None:
+def test_masks_are_read_from_probabilities(tmp_path: Path, is_last: bool) -> None:
     """Channels 0..40 of NYU40 with 0 for void; the winner has 0.6, one other the rest."""
 
     def save(path: Path, truth: Truth) -> None:

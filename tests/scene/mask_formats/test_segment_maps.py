@@ -81,7 +81,7 @@ def test_transformers_finding_nothing_is_void(tmp_path: Path) -> None:
     assert any("empty mask" in warning for warning in check_scene(scene))
 
 
-def test_transformers_in_pngs_with_a_named_table(tmp_path: Path) -> None:
+def test_transformers_pngs_are_read_with_a_named_table(tmp_path: Path) -> None:
     truths = write_transformers(tmp_path, first=0, void=-1)
     (tmp_path / "masks" / "config.json").unlink()
     for path in sorted((tmp_path / "masks").glob("*.npy")):

@@ -103,7 +103,7 @@ def test_a_palette_may_hold_classes_as_well(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("chair", [7, 0])
-def test_one_folder_per_object(tmp_path: Path, chair: int) -> None:
+def test_a_folder_for_each_object_is_read(tmp_path: Path, chair: int) -> None:
     truths = write_object_folders(tmp_path, chair)
     scene = open_scene(tmp_path)
     check_on_room(scene, truths, OBJECTS, BOTH)
