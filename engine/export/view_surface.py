@@ -84,15 +84,15 @@ def coarsened(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
             share = KEPT_OF_OBJECTS if value % MOST_INSTANCES else KEPT
             mesh = mesh.simplify_quadric_decimation(int(share * len(rows)), boundary_weight=RIM).normalize_normals()
             xyz, normal, rgb = (np.asarray(each) for each in (mesh.vertices, mesh.vertex_normals, mesh.vertex_colors))
-            triangles = np.asarray(mesh.triangles).astype(np.int64)
             colour = np.rint(255 * rgb.clip(0, 1)).astype(np.uint8)
-            part = Surface(xyz.astype(np.float32), colour, normal.astype(np.float32), triangles)
+            corners = np.asarray(mesh.triangles).astype(np.int64)
+            part = Surface(xyz.astype(np.float32), colour, normal.astype(np.float32), corners)
         parts.append(part)
         labels.append(np.full(len(part.xyz), value))
     starts = np.cumsum([0, *(len(part.xyz) for part in parts)])
     triangles = [part.triangles + start for part, start in zip(parts, starts[:-1], strict=True)]
-    joined = (np.concatenate([getattr(part, name) for part in parts]) for name in ("xyz", "rgb", "normal"))
-    return Surface(*joined, np.concatenate(triangles)), np.concatenate(labels)
+    xyz, rgb, normal = (np.concatenate([getattr(part, name) for part in parts]) for name in ("xyz", "rgb", "normal"))
+    return Surface(xyz, rgb, normal, np.concatenate(triangles)), np.concatenate(labels)
 
 
 def _labelled(surface: Surface, views: list[SmallView], largest: float, progress: Progress) -> tuple[Surface, Ints]:

@@ -103,7 +103,7 @@ def completed_labels(known_label: NDArray[np.int32], hole: Mask, seen: Mask) -> 
         if len(x) < 30:
             continue
         corners = cv2.boxPoints(cv2.minAreaRect(np.stack([x, y], 1).astype(np.float32)))
-        box = cv2.fillPoly(np.zeros(own.shape, np.uint8), [np.round(corners).astype(np.int32)], 1) > 0
+        box = cv2.fillPoly(np.zeros(own.shape, np.uint8), [np.round(corners).astype(np.int32)], (1.0,)) > 0
         fits = (known_label[box & seen] == kind).mean() > RECTANGLE
         label[hole & (box if fits else nearest == kind)] = kind
     return label

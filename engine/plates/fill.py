@@ -59,7 +59,7 @@ def gaussians_of(texture: Texture, completed: Completed) -> Fill:
     return Fill(
         NOTHING.cells,
         xyz.astype(np.float32),
-        np.tile(np.float32([SCALE * t, SCALE * t, THICKNESS]), (count, 1)),
+        np.tile(np.array([SCALE * t, SCALE * t, THICKNESS], np.float32), (count, 1)),
         np.tile(quaternion(texture.plane.axes.T), (count, 1)).astype(np.float32),
         completed.colour[drawn],
         completed.label[drawn],
