@@ -30,6 +30,7 @@ from .cameras import seen_by
 from .engine_environment import studio
 from .passes import NOTES, shot_name
 from .shot_notes import Claim, ShotSource, claim, next_version
+from .timeline import is_of_lift
 
 CUTS = "cuts"
 """What a shot is named after whose camera markers switch."""
@@ -139,9 +140,10 @@ def _camera_at_cut(cuts: Sequence[tuple[int, str]], frame: float) -> str:
 
 
 def _cuts_of(scene: bpy.types.Scene) -> tuple[tuple[int, str], ...]:
-    """The frames of the markers that switch the camera, each with the camera's name, in order."""
-    bound = {marker.frame: marker.camera.name for marker in scene.timeline_markers if marker.camera is not None}
-    return tuple(sorted(bound.items()))
+    """The frames of the markers that switch the camera, each with the camera's name, in order. A lift's own markers
+    show its frames, and are no cuts."""
+    bound = [(marker.frame, marker.camera) for marker in scene.timeline_markers if marker.camera is not None]
+    return tuple(sorted({frame: camera.name for frame, camera in bound if not is_of_lift(camera, scene)}.items()))
 
 
 def _cameras_to_choose(scene: bpy.types.Scene, wanted: str) -> str:

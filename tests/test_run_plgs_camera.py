@@ -132,7 +132,8 @@ def test_corrections_are_seen_and_the_lifts_own_file_stays(shot: Path, blend: Pa
     one = int(shown[shown > 0][0])
     correct(lift.path, lambda state, _: making.delete(state, one, around=False))
     command = ["-o", lift.path, "--bake", "camera", "--blend", blend, "--camera", "dolly", "--range", "1-1"]
-    assert exit_code(run_plgs.main, *command) == 0
+    assert exit_code(run_plgs.main, *command) == 2, "what was baked shows no corrections"
+    assert exit_code(run_plgs.main, *command, "--replace") == 0
     assert not (read_exr(baked).instance == one).any() and own.read_bytes() == before
 
 
