@@ -142,7 +142,7 @@ def predict(
 def mesh_bytes(views: int, size: tuple[int, int]) -> int:
     """The most main memory that an export of meshes holds: the programs, the model and the surface, and 16 bytes for
     each pixel of its ``views`` of ``size`` (width, height) pixels. The field of voxels is made in slabs."""
-    return 1_300 * MB + 16 * views * size[0] * size[1]
+    return 1_460 * MB + 16 * views * size[0] * size[1]
 
 
 def step_seconds(megapixels: float, millions_of_gaussians: float) -> float:

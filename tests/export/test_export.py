@@ -310,4 +310,4 @@ def test_an_export_that_needs_more_memory_than_is_free_says_so(
         monkeypatch.setattr(mesh, "main_memory", lambda free=free: MainMemory(10**10, free))
         export(lift, "gltf", tmp_path / f"{free}", ["all"], warn=told.append)
         assert len(told) == expected
-    assert "1.3 GB of memory, but only 1.0 GB" in told[0]
+    assert "1.5 GB of memory, but only 1.0 GB" in told[0]
