@@ -1,4 +1,5 @@
-"""Depth of one network a picture made one room: fitted to a reconstruction's points, then to each other.
+"""Brings the depth maps that a network made of single photos into agreement: with a reconstruction's points, then with
+each other.
 
 A network's map is right up to a scale and a shift of inverse depth, and drifts smoothly over the picture. The scale and
 shift follow from the points (`engine/scene/estimated_depth.py`). What is left is a smooth factor a frame, the values of
@@ -204,10 +205,8 @@ def _solved(fitted: Sequence[_Fitted], pairs: Sequence[tuple[int, int]], same: f
     for i, j in pairs:
         seen = _seen(fitted[i], fitted[j], places)
         near = np.abs(seen.ratio) < same
-        (of_one, one_share), (of_other, other_share) = (
-            fitted[i].terms(seen.one[near]),
-            fitted[j].terms(seen.other[near]),
-        )
+        of_one, one_share = fitted[i].terms(seen.one[near])
+        of_other, other_share = fitted[j].terms(seen.other[near])
         terms = [(i, of_one, -one_share * seen.slope[near, None]), (j, of_other, other_share)]
         add(terms, -seen.ratio[near], _PAIR)
     table = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))

@@ -96,10 +96,8 @@ def _networks(folder: Path, wish: Wish) -> Iterator[str]:
         scene = open_scene(folder)
         has_depth, has_masks = scene.has_depth, scene.has_masks
     else:
-        has_depth, has_masks = (
-            (folder / "depth").is_dir(),
-            (folder / TABLE).is_file() or (folder / MASK_FOLDER).is_dir(),
-        )
+        has_depth = (folder / "depth").is_dir()
+        has_masks = (folder / TABLE).is_file() or (folder / MASK_FOLDER).is_dir()
     if "depth" not in wish.have and not has_depth:
         yield wish.depth
     if "masks" not in wish.have and not has_masks:

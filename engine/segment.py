@@ -171,7 +171,7 @@ def begin_job(folder: Path, model: str, frames: Sequence[Frame], wanted: Collect
         if photos and content.get("photos", "") not in ("", photos):
             raise PlgsError("photos-changed", "the photos have changed since masks of them were made here", folder, fix)
         left_out = _left_out(folder / TABLE)
-        is_finished = left_out is not None and left_out.isdisjoint(left_out if wanted is None else wanted)
+        is_finished = left_out is not None and not (left_out if wanted is None else left_out.intersection(wanted))
         return Job(folder, own, True, is_finished)
     others = [name for name in (TABLE, FOLDER, DETECTIONS, *_OTHER_MASKS) if (folder / name).exists()]
     if others:

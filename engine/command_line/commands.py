@@ -11,7 +11,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..errors import PlgsError
 from ..gates import shortened
@@ -23,6 +23,9 @@ from ..json_file import Json
 from ..presets.options import option_value, parsed_options, preset_options, preset_text, with_options
 from ..presets.preset import PRESETS
 from ..records import to_json
+
+if TYPE_CHECKING:
+    from ..scene import Scene
 
 
 def lift(options: argparse.Namespace) -> int:
@@ -169,7 +172,6 @@ def inspect(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
     from .inspect_scene import inspect_scene
 
     options.masks = filled_in(argparse.Namespace(scene=options.scene, masks=options.masks)).masks
-    options.masks = filled_in(argparse.Namespace(scene=options.scene, masks=options.masks)).masks
     inspect_scene(source_of(options), events, stop, preset=options.preset, findings=options.output, fix=options.fix)
 
 
@@ -219,12 +221,18 @@ def poses(options: argparse.Namespace, events: EventWriter, stop: StopSignal) ->
     events.answer(asdict(made) | {"folder": str(made.folder)}, text)
 
 
+def _scene_of(options: argparse.Namespace) -> Scene:
+    """The scene of a command that changes only what lies beside it. Raises PlgsError."""
+    from ..scene import open_scene
+
+    return open_scene(options.scene, up=options.up or "z", scene_format=options.scene_format)
+
+
 def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
     """Make the masks, or continue where it was stopped."""
     from ..film import Wish, mask_scene, scene_folder
-    from ..scene import open_scene
 
-    scene = open_scene(options.scene, up=options.up or "z", scene_format=options.scene_format)
+    scene = _scene_of(options)
     folder: Path = options.output or scene_folder(options.scene)
     wish = Wish(masks=options.model, download=options.download, merge=options.merge, frames=options.frames)
     made = mask_scene(scene, folder, wish, events, stop)
@@ -238,12 +246,8 @@ def depth(options: argparse.Namespace, events: EventWriter, stop: StopSignal) ->
     """Make depth, or continue where it was stopped."""
     from ..depth_making import is_made
     from ..film import Wish, depth_scene, scene_folder
-    from ..scene import open_scene
 
-    scene, folder = (
-        open_scene(options.scene, up=options.up or "z", scene_format=options.scene_format),
-        scene_folder(options.scene),
-    )
+    scene, folder = _scene_of(options), scene_folder(options.scene)
     if scene.has_depth and not is_made(folder):
         what = "this scene has depth that was measured or given"
         raise PlgsError("has-depth", what, scene.folder, "Lift it as it is.")
@@ -262,10 +266,9 @@ def prepare(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
 
 def scale(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
     from ..film import scene_folder
-    from ..scene import open_scene
     from ..scene.made import set_scale
 
-    scene = open_scene(options.scene, up=options.up or "z", scene_format=options.scene_format)
+    scene = _scene_of(options)
     factor = set_scale(scene, scene_folder(options.scene), options.factor, options.measured)
     events.answer({"scale": factor}, f"Lengths of {options.scene} are multiplied by {factor:.6g}")
 

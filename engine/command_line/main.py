@@ -260,11 +260,7 @@ def _add_segment(parser: argparse.ArgumentParser) -> None:
         "If this is stopped, the same command continues. Known networks:\n" + listing(each.name for each in MASKS)
     )
     parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder or file")
-    parser.add_argument(
-        "--model", default=SEGMENT_MODEL, metavar="NAME|FOLDER",
-        help=f"a folder with such a network, or its name on Hugging Face's hub (default: {SEGMENT_MODEL})",
-    )  # fmt: skip
-    _add_download(parser)
+    _add_model(parser, "such a network", SEGMENT_MODEL)
     parser.add_argument(
         "--merge", choices=("one", "two"), default="one",
         help="two: what is surer than 0.25 fills what the first round, above 0.5, left (default: one)",
@@ -295,6 +291,12 @@ def _add_prepare(parser: argparse.ArgumentParser) -> None:
     _make_task(parser, commands.prepare, "The same command continues.")
 
 
+def _add_model(parser: argparse.ArgumentParser, network: str, default: str) -> None:
+    about = f"a folder with {network}, or its name on Hugging Face's hub (default: {default})"
+    parser.add_argument("--model", default=default, metavar="NAME|FOLDER", help=about)
+    _add_download(parser)
+
+
 def _add_download(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--download", action="store_true",
@@ -310,11 +312,7 @@ def _add_depth(parser: argparse.ArgumentParser) -> None:
         + listing(each.name for each in DEPTH)
     )
     parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder or file")
-    parser.add_argument(
-        "--model", default=DEPTH[0].name, metavar="NAME|FOLDER",
-        help=f"a folder with a network for depth, or its name on Hugging Face's hub (default: {DEPTH[0].name})",
-    )  # fmt: skip
-    _add_download(parser)
+    _add_model(parser, "a network for depth", DEPTH[0].name)
     request.add_options(parser, "up", "scene_format")
     _make_task(parser, commands.depth, "The same command continues.")
 

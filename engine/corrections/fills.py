@@ -97,6 +97,12 @@ def cells_of(xyz: NDArray[np.floating]) -> NDArray[np.int32]:
     return np.floor(np.clip(xyz, -_FARTHEST, _FARTHEST) / np.float32(CELL)).astype(np.int32)
 
 
+def with_neighbours(cells: NDArray[np.int32]) -> NDArray[np.int32]:
+    """The cells [N, 3] and the 26 around each, every one once, int32 [M, 3]."""
+    around = np.stack(np.meshgrid(*[np.arange(-1, 2, dtype=np.int32)] * 3), axis=-1).reshape(-1, 1, 3)
+    return np.unique((np.unique(cells, axis=0)[None] + around).reshape(-1, 3), axis=0)
+
+
 def cell_keys(cells: NDArray[np.integer]) -> NDArray[np.int64]:
     """One number for each cell [N, 3], int64 [N]."""
     x, y, z = cells.astype(np.int64).T + (1 << 20)

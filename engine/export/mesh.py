@@ -74,8 +74,6 @@ class Part:
 
 FLOAT, _WHOLE, VERTICES, _INDICES = 5126, 5125, 34962, 34963  # glTF's codes for float32, uint32, and kinds of buffers
 _MAGIC, _JSON, _BIN = b"glTF", b"JSON", b"BIN\0"
-
-
 GENERATOR = "PLGS for Blender"  # the generator named in each file
 
 

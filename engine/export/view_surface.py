@@ -24,6 +24,7 @@ from .texture import textured
 
 WIDEST, MOST_VIEWS = 320, 60  # maximum width in pixels, and number, of the views that are fused
 ROOM, OBJECTS = Grain(0.05, 15.0, 1, times=3, reaches=GRAZED), Grain(0.025, times=3)
+ANY_ANGLE = -1.0  # the cosine beyond which the room is left out: its floors and walls may be seen from the side only
 HOLE = 0.15  # the largest size in metres, along each axis, of a hole in an object that is closed
 KEPT, KEPT_OF_OBJECTS, FEW, RIM = 0.5, 0.9, 400, 30.0
 """The shares of triangles that are kept of the room and of objects, the most triangles of a mesh of which all are, and
@@ -48,12 +49,12 @@ def export_surface(lift: FinishedLift, output: Path) -> None:
 def surface_to_view(views: list[SmallView], progress: Progress = unwatched) -> tuple[Surface, Ints]:
     """The surface of the views, and the label of each vertex, int64 [V]: coarse except for objects."""
     fusing, labelling, fusing_objects, rest = (part_of(progress, part / 4, (part + 1) / 4, 100) for part in range(4))
-    room = _labelled(fuse(views, ROOM, fusing), views, WINDOW, labelling)
+    room = _labelled(fuse(views, ROOM, fusing), views, WINDOW, ANY_ANGLE, labelling)
     rim, near = np.ones((_RIM, _RIM), np.uint8), []
     for view in views:  # with only its objects' depth
         shown = cv2.dilate((view.label % MOST_INSTANCES > 0).astype(np.uint8), rim) > 0
         near.append(replace(view, depth=np.where(shown, view.depth, np.float32(0))))
-    objects = _labelled(fuse(near, OBJECTS, fusing_objects), views, HOLE, rest)
+    objects = _labelled(fuse(near, OBJECTS, fusing_objects), views, HOLE, STEEPEST, rest)
     coarse, coarse_label = cut_by_label(*_around(*room, ~_is_double(room, objects)))
     fine, fine_label = cut_by_label(*objects)
     fine, used = fine.of(fine.triangles[fine_label[fine.triangles[:, 0]] % MOST_INSTANCES > 0])
@@ -95,12 +96,13 @@ def coarsened(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
     return Surface(xyz, rgb, normal, np.concatenate(triangles)), np.concatenate(labels)
 
 
-def _labelled(surface: Surface, views: list[SmallView], largest: float, progress: Progress) -> tuple[Surface, Ints]:
+def _labelled(
+    surface: Surface, views: list[SmallView], largest: float, steepest: float, progress: Progress
+) -> tuple[Surface, Ints]:
     """The surface mended, its holes up to the ``largest`` closed, and its labels."""
     if not len(surface.triangles):
         return surface, np.zeros(len(surface.xyz), np.int64)
     label = vertex_labels(surface.xyz, watched(views, progress), ROOM.times)
-    steepest = STEEPEST if largest == HOLE else -1.0  # rooms have floors and walls that are seen only from the side
     surface, label = without_flakes(*without_flaps(surface, label, views, steepest))
     if (label > 0).any() and (label == 0).any():
         far, at = cKDTree(surface.xyz[label > 0]).query(surface.xyz[label == 0], distance_upper_bound=_AROUND)

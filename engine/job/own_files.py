@@ -184,14 +184,14 @@ class OwnFiles:
     def _name(self, path: Path) -> str:
         return path.absolute().relative_to(self.folder.absolute()).as_posix()
 
-    def _append(self, *entries: Mapping[str, Any]) -> None:
+    def _append(self, entry: Mapping[str, Any]) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
         with os.fdopen(open_to_append(self.folder / NOTE), "r+b") as note:
             size = note.seek(0, os.SEEK_END)
             note.seek(max(0, size - 1))
             is_cut = note.read(1) not in (b"", b"\n")
-            lines = b"".join(json.dumps(entry).encode() + b"\n" for entry in entries)
-            note.write(b"\n" + lines if is_cut else lines)
+            line = json.dumps(entry).encode() + b"\n"
+            note.write(b"\n" + line if is_cut else line)
 
 
 GUARDS: list[OwnFiles] = []

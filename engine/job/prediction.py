@@ -172,9 +172,9 @@ def _peak_bytes(
     training, and with the pixels of a frame when it is baked at its own size; in the last two with the labels too."""
     own = frame_size[0] * frame_size[1] / 1e6
     trained_on = _megapixels_within(frame_size, preset.size)
-    votes = (
-        16 * classes * preset.most_points / 1e6 if preset.objects not in ("boxes", "none") else 0.0
-    )  # float64, and a copy
+    votes = 0.0
+    if preset.objects not in ("boxes", "none"):
+        votes = 16 * classes * preset.most_points / 1e6  # float64, and a copy
     matching = 800 + 12 * views * trained_on + votes
     training = 880 + 500 * gaussians + (700 + 8 * labels) * trained_on + SEEN_SHARE * gaussians * 12 * labels
     baking = 700 + 400 * gaussians + (1000 + 4 * labels) * own

@@ -229,7 +229,7 @@ def lift_in_terminal(
     python = engine_python()
     if options.poses is not None:  # an engine finds them, unless an earlier one has
         options.scene = Path(str(ask_engine(python, interrupts, "poses", options.scene)["folder"]))
-    elif _is_made_by_us(options.scene):
+    elif _is_film_or_prepared(options.scene):
         _prepare(options, python, interrupts)
     lift = resumable(options)
     is_new, finished_at = lift is None, None
@@ -265,14 +265,14 @@ def lift_in_terminal(
     return lift, code
 
 
-def _is_made_by_us(scene: Path) -> bool:
+def _is_film_or_prepared(scene: Path) -> bool:
     """Whether a scene is a film, or photos whose poses an earlier `prepare` or `poses` found."""
     return (scene.suffix.lower() in FILMS and scene.is_file()) or (scene / MADE_POSES).is_file()
 
 
 def _lacks_poses(error: PlgsError, options: argparse.Namespace) -> bool:
     """Whether a lift failed because its scene is photos, for which `_prepare` was not tried yet."""
-    return error.code is ErrorCode.NO_POSES and options.poses is None and not _is_made_by_us(options.scene)
+    return error.code is ErrorCode.NO_POSES and options.poses is None and not _is_film_or_prepared(options.scene)
 
 
 def _prepare(options: argparse.Namespace, python: Path, interrupts: Interrupts) -> None:

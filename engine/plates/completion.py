@@ -181,8 +181,10 @@ def _within(mask: Mask, y: NDArray[np.int64], x: NDArray[np.int64]) -> Mask:
 
 
 def _best_shift(out: Colours, pattern: Colours, source: Mask, valid: Mask, rest: Mask) -> tuple[int, int] | None:
+    """The shift (rows, columns) whose copy fits best to what surrounds the ``rest`` of a hole and fills much of it."""
     random = np.random.default_rng(0)
-    few = [each[random.permutation(len(each))[:LOOKED_AT]] for each in [np.argwhere(rest)]][0].T
+    inside = np.argwhere(rest)
+    few = inside[random.permutation(len(inside))[:LOOKED_AT]].T
     rim = np.argwhere(cv2.dilate(rest.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool) & valid)
     by, bx = rim[random.permutation(len(rim))[:COMPARED]].T
     step = max(4, max(rest.shape) // 24)

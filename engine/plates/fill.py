@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from ..corrections.fills import NOTHING, Fill, cell_keys, cells_of
+from ..corrections.fills import NOTHING, Fill, cell_keys, cells_of, with_neighbours
 from .completion import Completed
 from .leaving import Leaving
 from .planes import Plane
@@ -77,8 +77,7 @@ def cleared_cells(
     centres: NDArray[np.floating], gone: NDArray[np.bool_], stays: NDArray[np.bool_]
 ) -> NDArray[np.int32]:
     """The cells, int32 [C, 3], in which and beside which more Gaussians are ``gone`` than stay, bool [G] each."""
-    beside = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3), axis=-1).reshape(-1, 1, 3)
-    cells = np.unique((np.unique(cells_of(centres[gone]), axis=0)[None] + beside).reshape(-1, 3), axis=0)
+    cells = with_neighbours(cells_of(centres[gone]))
     keys = cell_keys(cells)
     gone_in, stay_in = (_counted(keys, cell_keys(cells_of(centres[own]))) for own in (gone, stays))
     return cells[(gone_in > stay_in) | (stay_in == 0)].astype(np.int32)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ..corrections.fills import CELL, cell_keys, cells_of
+from ..corrections.fills import CELL, cell_keys, cells_of, with_neighbours
 from ..lift.baking import OWNED
 from .planes import ON_PLANE, Plane
 from .views import GROWN, PlateView, grown
@@ -29,7 +29,7 @@ ON_SURFACE = 0.025
 MOST_POINTS = 40000
 """The most points of the objects that Gaussians are compared with."""
 TOUCHED = 0.1
-"""The same for one NEAR the objects."""
+"""A Gaussian NEAR the objects leaves with more than this share of their labels; others need OWNED."""
 LEGS, BESIDE_LEGS = 0.6, 0.12
 """Metres below an object and around its outline within which legs are sought."""
 ABOVE_SUPPORT = 0.03
@@ -125,8 +125,7 @@ def with_legs(
     if not legs.any():
         return list(views), leaving, others
     own = others.xyz[legs]
-    beside = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3), axis=-1).reshape(-1, 1, 3)
-    cells = np.unique((cells_of(own)[None] + beside).reshape(-1, 3), axis=0)
+    cells = with_neighbours(cells_of(own))
     more = replace(leaving, xyz=np.concatenate([leaving.xyz, own]), low=np.minimum(leaving.low, own.min(axis=0)))
     cells = cells[cells[:, 2] * CELL > (support_of(leaving, planes) or 0.0) + ABOVE_SUPPORT - CELL]
     return [view.also_without(cells) for view in views], more, others.of(~legs)

@@ -113,7 +113,7 @@ def label_text_boxes(
             rank = (row.instance_id != active, row.instance_id != hovered, is_rest(row.class_name), -looks)
             found.append((rank, row, name, (at[0], at[1] + padding)))
     found.sort(key=lambda each: each[0])
-    widths = [_text_width(name, size) + 2.0 * padding for _, _, name, _ in found]
+    widths = [_set_text_size(name, size) + 2.0 * padding for _, _, name, _ in found]
     places = place_labels([at for *_, at in found], widths, height, (region.width, region.height), keep_free)
     text_boxes = []
     for index, (x, y) in places.items():
@@ -178,7 +178,7 @@ def legend_text_boxes(shown: Sequence[tuple[str, Colour | None]], region: ViewRe
         texts[-1] = (f"and {len(shown) - room + 1} more", None)
     if not texts:
         return []
-    width = max(_text_width(text, size) for text, _ in texts) + size + 4.0 * padding
+    width = max(_set_text_size(text, size) for text, _ in texts) + size + 4.0 * padding
     x, y = region.left + 3.0 * padding, 3.0 * padding
     return [
         TextBox(x, y + line * (len(texts) - 1 - place), width, line, text, size, _DARK, 0.72, swatch=swatch)
@@ -191,7 +191,7 @@ def is_rest(class_name: str) -> bool:
     return class_name.casefold().startswith("other")
 
 
-def _text_width(text: str, size: float) -> float:
+def _set_text_size(text: str, size: float) -> float:
     """Set the size in which text is drawn, and return a text's width in it."""
     blf.size(0, size)
     return float(blf.dimensions(0, text)[0])
@@ -302,7 +302,7 @@ def draw_text_boxes(text_boxes: Sequence[TextBox]) -> None:
     gpu.state.blend_set("ALPHA")
     batch_for_shader(shader, "TRIS", {"pos": corners, "color": colours}).draw(shader)
     for text_box in text_boxes:
-        aside = (text_box.width - _text_width(text_box.text, text_box.size)) / 2.0
+        aside = (text_box.width - _set_text_size(text_box.text, text_box.size)) / 2.0
         indent = aside if text_box.swatch is None else 1.15 * text_box.height
         blf.color(0, *text_box.ink, 1.0)
         blf.position(0, text_box.x + indent, text_box.y + (text_box.height - 0.72 * text_box.size) / 2.0, 0.0)

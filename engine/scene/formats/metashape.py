@@ -30,11 +30,8 @@ from .poses import finite_pose
 _FIX = "Choose File > Export > Export Cameras in Metashape once more, with the format Agisoft XML."
 _BEGINNING = 4096  # bytes that are looked at for Metashape's elements
 _ON_EARTH = ("GEOGCS", "PROJCS", "GEOCCS", "COMPD_CS")  # how coordinate systems of the Earth begin in a project
-_MEASURED = (
-    "scalebars/scalebar",
-    "markers/marker/reference",
-    "cameras//camera/reference",
-)  # what gives a project metres
+# What gives a project metres.
+_MEASURED = ("scalebars/scalebar", "markers/marker/reference", "cameras//camera/reference")
 Array = NDArray[np.float64]
 
 

@@ -159,9 +159,9 @@ def _shot(name: str, frame: Mapping[str, Any], path: Path) -> Shot | None:
 
 def _applied_scale(entry: dict[str, Any], path: Path) -> float:
     """What the file's poses and points were multiplied by. Depth was not: it is in metres."""
-    return (
-        take_number(entry, "applied_scale", "the file", path, least=1e-6, most=1e6) if "applied_scale" in entry else 1.0
-    )
+    if "applied_scale" not in entry:
+        return 1.0
+    return take_number(entry, "applied_scale", "the file", path, least=1e-6, most=1e6)
 
 
 def _image_path(path: Path, name: str) -> Path:

@@ -156,10 +156,9 @@ class DetectionTable:
             entry = entry | {"score": entry["score"][0]}
         score = take_score(entry, context, self.path)
         size, runs = compressed(entry.get("segmentation"), size, context, self.path)
-        has_track = entry.get("track") is not None
-        track = (
-            take_whole_number(entry, "track", context, self.path, least=0, most=LARGEST_TRACK) if has_track else None
-        )
+        track = None
+        if entry.get("track") is not None:
+            track = take_whole_number(entry, "track", context, self.path, least=0, most=LARGEST_TRACK)
         return DetectedSegment(label, score, size, runs, track)
 
 
@@ -268,9 +267,8 @@ def _checked(table: DetectionTable) -> DetectionTable:
     numbers = [each for one in polygons if isinstance(one, list) for each in one if type(each) in (int, float)]
     if numbers and max(map(abs, numbers)) <= 1.0:
         what = "the polygons lie within the first pixel, as if their corners were shares of the picture"
-        raise PlgsError(
-            "normalised-polygons", what, table.path, "Multiply x by the picture's width and y by its height."
-        )
+        fix = "Multiply x by the picture's width and y by its height."
+        raise PlgsError("normalised-polygons", what, table.path, fix)
     runs = [runs for entry in found if isinstance(runs := entry.get("segmentation"), dict)][:_LOOKED_AT]
     if _are_along_rows([each for each in runs if isinstance(each.get("counts"), list)]):
         what = "the run lengths look counted along rows, and COCO counts down columns"
