@@ -19,7 +19,7 @@ def own_sample() -> Path:
     if folder.is_dir():
         return folder
     if not SAMPLE.is_dir():
-        raise PlgsError("no-sample", "this PLGS comes without the sample room", SAMPLE, "Install its zip again.")
+        raise PlgsError("no-sample", "the sample room is missing from this PLGS", SAMPLE, "Install its zip again.")
     part = folder.with_name(f"{SAMPLE.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     shutil.copytree(SAMPLE, part, ignore=_ONLY_FOR_RESEARCH)

@@ -115,7 +115,7 @@ def shot_of(
         raise PlgsError("no-camera", what, scene.name, _cameras_to_choose(scene, camera))
     is_files = not only and (first is None or last is None)
     if is_files and scene.frame_end - scene.frame_start >= _MOST_OF_FILE:
-        what = f"has a range of {scene.frame_end - scene.frame_start + 1} frames, which nobody asked for"
+        what = f"has a range of {scene.frame_end - scene.frame_start + 1} frames, too many to bake without --range"
         fix = "Say which frames to bake with --range, or set the range in the Output properties."
         raise PlgsError("long-range", what, scene.name, fix, option="--range")
     shot = Shot(

@@ -105,7 +105,8 @@ def score_lift(source: SceneSource, preset: Preset, lift: Path) -> Scores:
 def bench_masks(
     pairs: Mapping[str, SceneSource], preset: Preset, sizes: Sequence[int], lifts: Path | None
 ) -> Iterator[Run]:
-    """The scores so far, after each pair and size; of lifts in the folder ``lifts``, or else of points."""
+    """Yields the scores so far after each pair of masks and each size: of the lifts in the folder ``lifts``, or else of
+    points."""
     run: Run = {}
     for name, source in pairs.items():
         for size in sizes:

@@ -57,7 +57,7 @@ BEHAVIOURS = {
     "the panel's buttons: lift": "operators/test_lift.py::test_a_script_waits_for_the_lift",
     "the panel's buttons: resume": "operators/test_lift.py::test_a_cancelled_lift_is_resumed_by_the_operator",
     "the panel's buttons: masks": "operators/test_masks.py::test_masks_are_made",
-    "the panel's buttons: corrections": ("operators/test_corrections.py::test_deleted_and_undone_by_blenders_own_undo"),
+    "the panel's buttons: corrections": ("operators/test_corrections.py::test_undo_brings_back_a_deleted_object"),
     "the panel's buttons: passes": (
         "operators/test_passes.py::test_passes_open_in_the_compositor_at_the_active_camera"
     ),

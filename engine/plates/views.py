@@ -41,7 +41,7 @@ class PlateView:
         return grown(self.leaves, GROWN)
 
     def also_without(self, cells: NDArray[np.int32]) -> PlateView:
-        """The same view, in which what lies in these cells leaves, too."""
+        """The same view, in which the pixels that show these cells leave as well."""
         more = np.isin(cell_keys(cells_of(self.camera.unproject(self.depth).reshape(-1, 3))), cell_keys(cells))
         return replace(self, leaves=self.leaves | (more.reshape(self.depth.shape) & (self.depth > 0)))
 

@@ -41,7 +41,7 @@ def read_matrix(path: Path, shapes: tuple[tuple[int, int], ...]) -> Matrix:
         raise PlgsError("not-matrix", f"the matrix is not {wanted}", path, f"Write {wanted} numbers, one row per line.")
     matrix = np.array(rows)
     if np.isnan(matrix).any():
-        raise PlgsError("nan", "there is a NaN", path, "Write numbers that a camera can have.")
+        raise PlgsError("nan", "a number is NaN", path, "Write numbers that a camera can have.")
     return matrix
 
 
@@ -112,7 +112,7 @@ def as_lens(matrix: Matrix, size: Size, path: Path) -> Camera:
     """A camera at the origin, centres at +0.5, from K (integer pixel centres) for a picture of this ``size``, out of
     ``path``. Raises PlgsError for numbers that no camera has."""
     if not np.isfinite(matrix).all():
-        raise PlgsError("inf", "there is an inf", path, "Write the camera's fx, fy, cx and cy in pixels.")
+        raise PlgsError("inf", "a number is infinite", path, "Write the camera's fx, fy, cx and cy in pixels.")
     (fx, skew, cx), (row, fy, cy), last = matrix[0, :3], matrix[1, :3], matrix[2, :3]
     if fx <= 0.0 or fy <= 0.0 or not np.allclose(last, [0.0, 0.0, 1.0]):
         what = "this is not a camera matrix"

@@ -112,7 +112,7 @@ def read_mesh(path: Path) -> Any:
     if not len(triangles) or not len(vertices):
         raise PlgsError("no-mesh", "there are no triangles in this file", path, f"{_FIX} Points alone give no depth.")
     if triangles.min() < 0 or triangles.max() >= len(vertices) or not np.isfinite(vertices).all():
-        raise PlgsError("broken-mesh", "the mesh has vertices that are missing or no numbers", path, _FIX)
+        raise PlgsError("broken-mesh", "vertices of the mesh are missing, or are not numbers", path, _FIX)
     surface = open3d.t.geometry.RaycastingScene()
     parts = (
         open3d.core.Tensor.from_numpy(np.ascontiguousarray(each)) for each in (vertices, triangles.astype(np.uint32))

@@ -170,7 +170,7 @@ def splits_path(place: Path) -> Path:
 def _inferred(
     source: SceneSource, reader: SceneFormat, capture: Capture, beside: Path, turn: NDArray[np.float64]
 ) -> Iterable[Inferred]:
-    """What neither the user nor a file says about the format, the split and the up axis."""
+    """What was inferred about the format, the split and the up axis, because neither the user nor a file says it."""
     if source.scene_format is None:
         looks_for = next(each.looks_for for each in SCENE_FORMAT_NAMES if each.name == reader.name)
         yield Inferred("format", f"the format is {reader.name}", f"it looks for {looks_for}", is_doubtful=False)

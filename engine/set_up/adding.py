@@ -40,8 +40,9 @@ class Addition(UvTask):
         wheels: Path | None = None,
         tools: Path | None = None,
     ) -> None:
-        """``environment``: by default that of the Python that runs this; another environment's has the same version.
-        ``tools`` is the folder for uv; None: the user's cache. ``wheels``: as in `SetUpRequest`. Raises PlgsError."""
+        """``environment`` is by default that of the Python that runs this; any other one must have a Python of the same
+        version. ``tools`` is the folder for uv; None: the user's cache. ``wheels``: as in `SetUpRequest`. Raises
+        PlgsError."""
         if name not in ADDED:
             what = f'nothing called "{name}" can be added to an engine'
             raise PlgsError("not-addable", what, "add", f"Choose {', '.join(ADDED)}.")

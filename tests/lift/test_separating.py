@@ -58,7 +58,7 @@ def test_stuff_and_what_lies_behind_do_not_vote() -> None:
 
 
 @pytest.mark.parametrize("stops_after", [1, 3])
-def test_it_can_be_stopped_between_two_frames_and_after_the_last(stops_after: int) -> None:
+def test_a_split_can_be_stopped_between_two_frames_and_after_the_last(stops_after: int) -> None:
     read: list[str] = []
     frames = [frame(f"{at}", at, 0.4, TWO) for at in (-0.2, 0.0, 0.3)]
     noting = [replace(one, read_mask=lambda size, one=one: read.append(one.name) or one.mask(size)) for one in frames]

@@ -69,7 +69,7 @@ def test_selected_boxes_become_the_active_one(placed: bpy.types.Collection) -> N
     assert [*names(placed)] == [CABINET] == [*boxes_of(placed)] and points_of(placed, CABINET) == total
 
 
-def test_deleted_and_undone_by_blenders_own_undo(placed: bpy.types.Collection, mine: Path) -> None:
+def test_undo_brings_back_a_deleted_object(placed: bpy.types.Collection, mine: Path) -> None:
     count = points_of(placed, CHAIR)
     bpy.ops.ed.undo_push(message="placed")
     bpy.ops.plgs.delete_instance(instance=CHAIR, becomes="NO_OBJECT")

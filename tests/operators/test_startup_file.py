@@ -55,7 +55,7 @@ def test_the_views_look_at_the_room(room: Path) -> None:
         assert min((eye - view.view_location).length for eye in eyes) < view.view_distance
 
 
-def test_undo_takes_it_back_as_one_step(room: Path) -> None:
+def test_undo_takes_back_an_import_as_one_step(room: Path) -> None:
     bpy.ops.ed.undo_push(message="before")
     looks = [repr(view.view_rotation) + view.id_data.name for view in views_3d()], shading()
     import_room(room)

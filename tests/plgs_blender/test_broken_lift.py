@@ -190,7 +190,7 @@ def write_hostile(blend: Path, marker: Path) -> None:
 
 
 @pytest.mark.parametrize("are_scripts_allowed", [False, True])
-def test_nothing_in_it_is_run(lift: Path, tmp_path: Path, are_scripts_allowed: bool) -> None:
+def test_nothing_in_a_broken_lift_is_run(lift: Path, tmp_path: Path, are_scripts_allowed: bool) -> None:
     blend, marker = tmp_path / "lift.blend", tmp_path / "marker"
     write_hostile(blend, marker)
     settings = bpy.context.preferences.filepaths

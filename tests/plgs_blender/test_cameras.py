@@ -139,7 +139,7 @@ def test_camera_path_moves_straight_and_its_lens_jumps(tmp_path: Path) -> None:
     assert all(point.interpolation == "CONSTANT" for curve in lens.values() for point in curve.keyframe_points)
 
 
-def test_placing_it_again_leaves_no_old_keys(tmp_path: Path) -> None:
+def test_placing_the_path_again_leaves_no_old_keys(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path / "room", frames=6)
     place_scene(ChosenScene(folder), bpy.context.scene)
     for name in ("color", "depth", "pose"):

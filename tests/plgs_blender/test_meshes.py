@@ -156,7 +156,7 @@ def test_a_surface_that_nobody_asked_for_is_shown_unless_something_else_was(lift
         assert root.plgs.show_as == "SURFACE"
 
 
-def test_blender_exports_them(lift: Path, tmp_path: Path) -> None:
+def test_blender_exports_the_meshes(lift: Path, tmp_path: Path) -> None:
     objects = placed(lift)
     for ob in bpy.context.scene.objects:
         ob.select_set(ob in objects.values())

@@ -220,7 +220,7 @@ def test_a_hole_in_a_plane_is_filled(
     np.testing.assert_allclose(filled, true, rtol=1e-3)
 
 
-def test_noise_and_a_few_outliers_do_not_move_it() -> None:
+def test_noise_and_a_few_outliers_do_not_move_a_filled_hole() -> None:
     true = plane((0.2, 0.3, 1.0), 3.0)
     depth = measured(true, noise=0.005)
     flying = np.random.default_rng(1).random(depth.shape) < 0.04

@@ -96,7 +96,7 @@ node.matte_id, node.select, tree.nodes.active = '', True, node
 """
 
 
-def test_it_selects_the_instance_under_the_mouse(window: Window, work_folder: Path) -> None:
+def test_a_click_in_a_pass_selects_the_instance_under_the_mouse(window: Window, work_folder: Path) -> None:
     lift = tiny_lift.write_tiny_lift(work_folder / "eyedropper" / "lift")
     window.place(lift.path, then=SHOW)
     window.space = "NODE_EDITOR"

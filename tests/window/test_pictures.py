@@ -119,7 +119,7 @@ def test_the_opening_view_and_its_colours(shown: Window, lift: Path) -> None:
     assert all((one != other).any(axis=2).mean() > 0.05 for one, other in zip(seen, seen[1:], strict=False))
 
 
-def test_how_it_is_shown_in_each_shading(shown: Window, lift: Path) -> None:
+def test_each_shading_shows_the_lift(shown: Window, lift: Path) -> None:
     for kind in ("POINTS", "SPLATS", "SURFACE"):
         in_view(shown, f"bpy.ops.plgs.show_as(kind={kind!r})")
         assert shown.run(_IN_VIEW + "    answer = view.shading.type\n") == "MATERIAL"

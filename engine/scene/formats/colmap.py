@@ -171,7 +171,7 @@ def _read_dense(path: Path) -> NDArray[np.float32]:
     values = np.frombuffer(data, "<f4", offset=start).reshape(height, width)
     is_broken = ~(np.abs(values) < _FARTHEST)  # also where it is NaN
     if is_broken.mean() > _MOST_BROKEN:
-        raise PlgsError("depth-broken", f"{is_broken.mean():.0%} of the depth map is not depth", path, _STEREO)
+        raise PlgsError("depth-broken", f"{is_broken.mean():.0%} of the depth map's values are no depth", path, _STEREO)
     return np.where(is_broken, np.float32(0.0), only_depth(values))
 
 

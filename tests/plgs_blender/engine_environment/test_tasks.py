@@ -180,7 +180,7 @@ def test_after_a_set_up_its_python_is_checked(online: None, python: Python, monk
     assert engine_environment.status().state is EngineState.CHECKING
 
 
-def test_switching_online_access_off_ends_it(online: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_switching_online_access_off_ends_a_set_up(online: None, monkeypatch: pytest.MonkeyPatch) -> None:
     pretend(monkeypatch, "import time; time.sleep(600)")
     set_up = tasks.set_up(SetUpChoice())
     with raises_key("being-set-up"):
