@@ -103,12 +103,14 @@ def agreeing_depth(maps: Mapping[str, Map], progress: Progress = unwatched) -> I
             size = size_within((values.shape[1], values.shape[0]), (_SMALL, _SMALL))
             small = fit.depth(resize_nearest(values, size))
             found[name] = _Fitted(each, fit, each.camera.resized(*size), small, np.zeros(_GRID))
+    yield from ((name, None) for name in maps if name not in found)
+    if not found:
+        return
     names, fitted = [*found], [*found.values()]
     pairs = _neighbours(fitted)
     for done, same in enumerate(_SAME):
         progress(done, len(_SAME) + len(names))
         fitted = _solved(fitted, pairs, same)
-    yield from ((name, None) for name in maps if name not in found)
     beside = {i: [j for one, j in pairs if one == i] for i in range(len(fitted))}
     for i, name in enumerate(names):
         progress(len(_SAME) + i, len(_SAME) + len(names))

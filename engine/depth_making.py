@@ -112,6 +112,9 @@ def make_depth(scene: Scene, folder: Path, network: DepthNetwork, follow: Follow
                 write_atomically(path, partial(_save, network.look(frame.read_colour(None))))
             maps[frame.name] = Map(frame.camera, partial(_read_map, path), places, depths)
             follow(done, 2 * total)
+        if not maps:
+            what = f"none of the {total} frames sees the {LEAST_POINTS} points that fitting depth needs"
+            raise PlgsError("few-points", what, scene.folder, "Take more photos, or give a mesh with --depth.")
         lost = []
         for name, depth in agreeing_depth(maps, lambda done, all_: follow(total + done * total // all_, 2 * total)):
             if depth is None:

@@ -99,6 +99,17 @@ def quiet(done: int, total: int) -> None:
     assert 0 <= done <= total
 
 
+def test_depth_that_fits_no_points_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = write_colmap(tmp_path / "scene")
+    flat = DepthNetwork("tests/flat", lambda colour: np.ones(colour.shape[:2], np.float32))
+    with raises_key("depth-unrelated"):
+        make_depth(open_scene(folder), folder, flat, quiet)
+    monkeypatch.setattr("engine.depth_making.LEAST_POINTS", 10**6)
+    with raises_key("few-points"):
+        make_depth(open_scene(folder), folder, flat, quiet)
+    assert not open_scene(folder).has_depth
+
+
 def test_made_depth_is_found_and_reported(tmp_path: Path) -> None:
     folder = write_colmap(tmp_path / "scene")
     assert not open_scene(folder).has_depth
