@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import gc
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -96,13 +96,7 @@ def _opened(source: SceneSource, progress: Progress) -> Scene:
     scale = 1.0 if reader.name == NAME else scale_of(beside)  # plain folders have metres, and Blender reads them itself
     cameras = {shot.name: scaled(shot.camera.at(turned(shot.camera.camera_to_world, turn)), scale) for shot in shots}
     sizes = {shot.name: shot.camera.size for shot in shots}
-    of_shot = {shot.name: shot for shot in shots} if source.depth is None else {}
-    found = of_most(list(of_shot), lambda name: _readable_depth(of_shot[name]))
-    depths = {name: each for name, each in found.items() if each is not None}
-    made = {} if depths or source.depth is not None else made_depth(beside, {each.name: each.camera for each in shots})
-    depths |= made
-    if scale != 1.0:
-        depths = {name: each.through(lambda values: values * np.float32(scale)) for name, each in depths.items()}
+    depths, has_made_depth = ({}, False) if source.depth is not None else _depths(shots, beside, scale)
     kept = _kept_pixels(shots, beside)
     unmasked, pictured = {}, {}
     for shot in watched(shots, of_frames):
@@ -119,7 +113,7 @@ def _opened(source: SceneSource, progress: Progress) -> Scene:
         replace(one, read_mask=readers.get(name), read_ground_truth=truth.get(name), read_detections=over.get(name))
         for name, one in unmasked.items()
     )
-    told = estimates(beside, Path(source.masks or beside), has_made_depth=bool(made), has_unit=capture.has_unit)
+    told = estimates(beside, Path(source.masks or beside), has_made_depth=has_made_depth, has_unit=capture.has_unit)
     gone = (*left_out("a pose", capture.lost), *left_out("a readable picture", unreadable), *capture.left_out)
     of_parts = (*capture.inferred, *mask_set.inferred, *of_truth, *told)
     inferred = (*_inferred(source, reader, capture, beside, turn), *of_parts)
@@ -134,11 +128,7 @@ def _opened(source: SceneSource, progress: Progress) -> Scene:
     frames, blind, of_blind = complete(frames, "readable depth", lambda frame: frame.read_depth is not None)
     frames, bare, of_bare = complete(frames, "a readable mask", lambda frame: frame.read_mask is not None)
     gone = (*gone, *blind, *bare)
-    middles = {name: (lens.cx / lens.width, lens.cy / lens.height) for name, lens in cameras.items()}
-    aside = [name for name, middle in middles.items() if max(abs(share - 0.5) for share in middle) > _FAR_ASIDE]
-    is_bent = any(shot.distortion.bends for shot in shots)
-    possible = ((f"{_ASIDE}: {listed(aside)}", aside), (_KEPT, kept), (UNDISTORTED, is_bent))
-    of_lenses = [warning for warning, is_so in possible if is_so]
+    of_lenses = _of_lenses(shots, cameras, kept)
     alike = _alike(sizes, mask_set.classes)
     of_files = (*capture.warnings, *of_blind, *of_bare, *mask_set.warnings, *alike, *truth_warnings)
     return Scene(
@@ -202,6 +192,26 @@ def _refuse_repeated_names(shots: Sequence[Shot], place: Path) -> None:
     if twice:
         what = f"frames share a name ({listed(twice)})"
         raise PlgsError("names-clash", what, place, "Give each picture a name of its own.")
+
+
+def _of_lenses(shots: Sequence[Shot], cameras: Mapping[str, Camera], kept: Mapping[str, KeptPixels]) -> list[str]:
+    """Warnings of lenses that look wrong, of pixels that do not count, and of pictures whose distortion is removed."""
+    middles = {name: (lens.cx / lens.width, lens.cy / lens.height) for name, lens in cameras.items()}
+    aside = [name for name, middle in middles.items() if max(abs(share - 0.5) for share in middle) > _FAR_ASIDE]
+    is_bent = any(shot.distortion.bends for shot in shots)
+    possible = ((f"{_ASIDE}: {listed(aside)}", aside), (_KEPT, kept), (UNDISTORTED, is_bent))
+    return [warning for warning, is_so in possible if is_so]
+
+
+def _depths(shots: Sequence[Shot], beside: Path, scale: float) -> tuple[dict[str, DepthMap], bool]:
+    """The depth of the shots, in metres, and whether ``engine depth`` made it: only where no shot has its own."""
+    of_shot = {shot.name: shot for shot in shots}
+    found = of_most(list(of_shot), lambda name: _readable_depth(of_shot[name]))
+    measured = {name: each for name, each in found.items() if each is not None}
+    depths = measured or made_depth(beside, {shot.name: shot.camera for shot in shots})
+    if scale != 1.0:
+        depths = {name: each.through(lambda values: values * np.float32(scale)) for name, each in depths.items()}
+    return depths, bool(depths) and not measured
 
 
 def _readable_depth(shot: Shot) -> DepthMap | None:
