@@ -50,6 +50,7 @@ class Farm:
     there: dict[str, dict[str, Any]]
     status: str = "running"
     address: str = "tcp://here:1"
+    slurm: object | None = None
     asked: list[Future] = field(default_factory=list)
     left: list[str] = field(default_factory=list)
 

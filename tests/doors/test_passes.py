@@ -200,7 +200,8 @@ def test_with_objects_an_export_holds_only_these(terminal: Terminal) -> None:
     terminal.run(EXPORT, **own, more=["--objects", '"chair 1"'])
     boxes = json.loads((terminal.folder / "boxes" / "boxes.json").read_text())
     assert [one["name"] for one in boxes["boxes"]] == [chair.name] == ["chair 1"]
-    assert json.loads((terminal.folder / "boxes" / "export.json").read_text())["form"] == "boxes"
+    begun, *_, ended = (terminal.folder / "boxes" / ".plgs-written.jsonl").read_text().splitlines()
+    assert json.loads(begun)["begins"] == "export" and json.loads(ended) == {"complete": True}
 
 
 def test_usd_is_metres_z_up_and_each_object_a_component(terminal: Terminal) -> None:

@@ -116,7 +116,7 @@ def test_an_existing_lift_keeps_its_options(root: Path, tmp_path: Path, monkeypa
     saved = SimpleNamespace(data=SimpleNamespace(filepath=str(tmp_path / "shot.blend")))
     monkeypatch.setattr("plgs.plgs_blender.shot_bakes.bpy", saved)
     blender_scene = SimpleNamespace(name="Scene", plgs=SimpleNamespace(layers={"normal"}))
-    shot = SimpleNamespace(frames=range(1, 4), step=1, only=(), given="", camera=SimpleNamespace(name="dolly"))
+    shot = SimpleNamespace(frames=range(1, 4), step=1, only=(), given="", cuts=(), camera=SimpleNamespace(name="dolly"))
     job = json.loads(write_farm_job(blender_scene, lift, shot).read_text())
     some = SimpleNamespace(**{**vars(shot), "frames": (1.0, 3.5), "only": (1.0, 3.5)})
     chosen = json.loads(write_farm_job(blender_scene, lift, some).read_text())

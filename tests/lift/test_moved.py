@@ -223,7 +223,8 @@ def test_next_result_has_renamed_classes(home: Path) -> None:
     assert main(own) == ExitCode.FINISHED
     before = (home / "own" / "0001.exr").read_bytes()
     assert main(["lift", str(lift.path), "--resume"]) == ExitCode.FINISHED
-    assert main(own) == ExitCode.FINISHED
+    assert main(own) == ExitCode.BAD_INPUT, "the folder has the earlier state's passes"
+    assert main([*own, "--replace"]) == ExitCode.FINISHED
     assert (home / "own" / "0001.exr").read_bytes() != before
     classes, objects = read_instances(lift.result_path / "instances.json")
     assert "stool" in [each.name for each in classes.categories] and "chair" not in {one.class_name for one in objects}

@@ -1,5 +1,6 @@
 """Inspecting a lift from a script, with the same arguments as from the buttons."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -90,8 +91,7 @@ def test_missing_objects_are_listed(lift: Path) -> None:
 def test_a_file_without_splats_leaves_nothing(root: bpy.types.Collection, tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="gaussians.ply"):
         bpy.ops.plgs.show_as(kind="SPLATS")
-    result = tmp_path / "lift" / "result"
-    result.mkdir(parents=True)
+    result = Path(shutil.copytree(Path(root["plgs_lift_folder"]) / "result", tmp_path / "lift" / "result"))
     head = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
     (result / "gaussians.ply").write_text(head + "0 0 0\n")
     root["plgs_lift_folder"] = str(tmp_path / "lift")

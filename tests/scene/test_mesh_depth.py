@@ -80,7 +80,7 @@ def test_a_mesh_gives_depth(kind: str, surface: open3d.geometry.TriangleMesh, sa
     assert len(scene.frames) == 72 and scene.has_depth and not any("mesh" in each for each in scene.warnings)
     assert any(each.about == "axes" for each in scene.inferred) is (kind == "gltf_of_poses.glb")
     median, near, covered = off(scene, sample)
-    assert median < (0.012 if kind == "tenth.obj" else 0.006) and near > 0.8 and covered > 0.75
+    assert median < (0.015 if kind == "tenth.obj" else 0.006) and near > 0.8 and covered > 0.75
 
 
 def test_a_mesh_turned_inside_out_is_reported(

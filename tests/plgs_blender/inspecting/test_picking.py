@@ -160,7 +160,8 @@ def test_a_click_on_a_name_finds_its_object(root: bpy.types.Collection) -> None:
 def drawn_from(root: bpy.types.Collection, aside: Vector) -> tuple[SimpleNamespace, ViewRegion]:
     """The context of a view that looks at the first object from beside it, and the view's region."""
     seen = Seen(middle(root, 1) + aside, middle(root, 1))
-    view = SimpleNamespace(overlay=SimpleNamespace(show_overlays=True), region_3d=SimpleNamespace(view_perspective=""))
+    region = SimpleNamespace(view_perspective="")
+    view = SimpleNamespace(overlay=SimpleNamespace(show_overlays=True), region_3d=region, local_view=None)
     area = SimpleNamespace(as_pointer=lambda: 1)
     context = SimpleNamespace(space_data=view, region=area, view_layer=bpy.context.view_layer)
     return context, seen.region
