@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import PlgsError
+from ..errors import PlgsError, reading
 from ..gates import read_plain
 from ..job import write_atomically
 from ..posed.array_file import MOST_BYTES, read_npz
@@ -124,7 +124,9 @@ def read_fill(path: Path, digest: str = "") -> Fill:
     """Read a fill, whose file has this SHA-256. Raises PlgsError if it is missing, damaged or another."""
     if not path.is_file():
         raise PlgsError("fill-missing", "the fill of a removed object is not there", path, _MAKE_ANEW)
-    if digest and sha256(read_plain(path, MOST_BYTES)).hexdigest() != digest:
+    with reading(path, _MAKE_ANEW):
+        content = read_plain(path, MOST_BYTES) if digest else b""
+    if digest and sha256(content).hexdigest() != digest:
         raise PlgsError("fill-changed", "the fill of a removed object was changed", path, _MAKE_ANEW)
     arrays = read_npz(path, _MAKE_ANEW, [one.name for one in fields(Fill)])
     for one in fields(Fill):

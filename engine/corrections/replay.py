@@ -162,7 +162,7 @@ class Replay:
         try:
             fill = self.fill_of(edit)
         except PlgsError as error:
-            return f"{error.what} ({error.where})"
+            return f"{error.what} ({error.where}): put it back and remove it again"
         step = Step(dict.fromkeys(ids, GONE), fill=fill)
         step.apply(self.xyz, self.label)
         self.steps.append(step)

@@ -223,9 +223,14 @@ def put_back(lift: Path, objects: Sequence[int | str], listed: Listed | None = N
     them. Raises PlgsError if one of the objects is not removed, and OSError; nothing is then changed."""
     with editing(lift) as edits:
         result = _Result.read(lift, listed)
-        removed, ids = result.replay(edits).removed, set[int]()
+        state, ids = result.replay(edits), set[int]()
+        # Also those that are still shown, as their fill is lost.
+        lost = {mark.id for edit in edits if edit.kind == "remove" and edit.uid in state.not_applied
+                for mark in edit.objects}  # fmt: skip
+        names = {number: state.objects[number].name if number in state.objects else "" for number in lost}
+        names |= {number: one.name for number, one in state.removed.items()}
         for said in objects:
-            found = [number for number, one in removed.items() if str(said) in (str(number), one.name)]
+            found = [number for number, name in names.items() if str(said) in (str(number), name or None)]
             if not found:
                 fix = "List the corrections to see which objects are removed."
                 raise PlgsError("not-removed", f"object {said} is not removed", lift / CORRECTIONS, fix)

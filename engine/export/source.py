@@ -102,7 +102,10 @@ class FinishedLift:
 
     @cached_property
     def corrected(self) -> CorrectedResult:
-        return read_corrected(self.folder.path)
+        corrected = read_corrected(self.folder.path)
+        for line in corrected.warnings if self.warn is not None else ():
+            self.warn(line)
+        return corrected
 
     @cached_property
     def _baker(self) -> FrameBaker:

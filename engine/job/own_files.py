@@ -15,6 +15,7 @@ A file with other content than we wrote is somebody else's. Passes carry their m
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -32,7 +33,9 @@ PART = ".part-"
 """Prefix of names that are still being written. A kill leaves them behind."""
 NOTE = ".plgs-written.jsonl"
 """The note's name in its folder."""
-
+MOST_BYTES = 2**28
+"""A larger note is refused: it takes tens of seconds to read."""
+_LONGEST_PART, _LONGEST_NAME = 255, 2048  # bytes that file systems take
 
 _Run = tuple[str, Mapping[str, Any]]
 """A kind of files, and of what they are."""
@@ -43,7 +46,7 @@ class OwnFiles:
     lists what it writes below the folder, and raises PlgsError for a path that has somebody else's file."""
 
     def __init__(self, folder: Path) -> None:
-        """Read the note; without one, nothing is ours. Raises OSError, also if the note is a link."""
+        """Read the note; without one, nothing is ours. Raises OSError, also if it is a link or too large."""
         self.folder, self.is_complete = folder, False
         self.begun: _Run | None = None
         self._asked: _Run = ("", {})
@@ -52,17 +55,20 @@ class OwnFiles:
         self._kinds: dict[str, str] = {}  # by path as it was written
         self._latest: set[str] = set()  # what the run that began last wrote
         with suppress(FileNotFoundError, NotADirectoryError), open_plain(folder / NOTE, follow_link=False) as file:
+            if os.fstat(file.fileno()).st_size > MOST_BYTES:
+                raise OSError(errno.EINVAL, f"it is larger than {MOST_BYTES / 1e6:.3g} MB", str(folder / NOTE))
             for line in file:
                 self._take(line)
 
     def _take(self, line: bytes) -> None:
         self.is_complete = False
-        with suppress(ValueError, AttributeError, TypeError):  # a line that a power cut left
+        # A line that a power cut left, or one that we did not write.
+        with suppress(ValueError, AttributeError, TypeError, LookupError, RecursionError):
             entry = json.loads(line)
             if "begins" in entry:
                 self.begun, self._latest = (entry["begins"], entry["about"]), set()
             elif self.begun is not None and "file" in entry:
-                self._list(inner_path(entry["file"]).as_posix(), entry.get("sha256"))
+                self._list(_possible(entry["file"]), entry.get("sha256"))
             self.is_complete = entry.get("complete") is True
 
     def _list(self, name: str, digest: str | None) -> None:
@@ -213,6 +219,14 @@ def sha256(path: Path) -> str:
     """The file's SHA-256 in hex. Raises OSError."""
     with open_plain(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _possible(name: str) -> str:
+    """The relative path, if a file below a folder can have it. Raises ValueError."""
+    path = inner_path(name)
+    if max(len(os.fsencode(part)) for part in path.parts) > _LONGEST_PART or len(os.fsencode(path)) > _LONGEST_NAME:
+        raise ValueError("a file's name is too long")
+    return path.as_posix()
 
 
 def _folded(name: str) -> str:

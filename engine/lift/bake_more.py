@@ -158,6 +158,8 @@ def _bake(
     with stages.stage("open"):
         scene = scene_of_lift(folder)
         corrected = options.corrected or read_corrected(folder.path)
+        for line in corrected.warnings:
+            events.warning(line)
         notes = {CORRECTIONS_NOTE: corrected.fingerprint}
         destination = _Result(folder, locks, options) if options.output is None else _OwnFolder(folder, options)
         if options.output is None:

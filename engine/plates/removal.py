@@ -60,6 +60,11 @@ def _removal(folder: LiftFolder, objects: Sequence[str], progress: Progress) -> 
     """The edit, whose fill is in its file, and the edits before it. A fill that was computed before is kept."""
     state, corrected = replayed(folder.path), read_corrected(folder.path)
     ids = sorted({making.object_of(state, each) for each in objects})
+    lost = [edit for edit in corrected.edits if edit.kind == "remove" and edit.uid in corrected.not_applied]
+    for edit in lost:
+        if not {mark.id for mark in edit.objects}.isdisjoint(ids):
+            what = f"they were removed before, but {corrected.not_applied[edit.uid]}"
+            raise PlgsError("removal-lost", what, folder.path / CORRECTIONS, "Put them back, then remove them again.")
     files = {str(file.path): file.sha256 for file in read_manifest(folder.result_path).files}
     name = sha256(repr((ids, corrected.fingerprint, files.get(MODEL), __version__)).encode()).hexdigest()[:16]
     path = path_of(folder.path, name)

@@ -1,5 +1,7 @@
 """Removing objects from a result: what is left of them, what takes their place, and what comes back."""
 
+import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -66,6 +68,22 @@ def test_undo_and_put_back_restore_everything(lift: Path) -> None:
     assert edit.kind == "remove" and now.instances == before.instances
     with raises_key("not-removed"):
         put_back(lift, [DESK])
+
+
+@pytest.mark.parametrize(
+    "spoil", [Path.unlink, lambda path: path.write_bytes(b"PK"), lambda path: os.truncate(path, 2**29)]
+)
+def test_a_removal_whose_fill_is_lost_is_told_and_can_be_put_back(lift: Path, spoil: Callable[[Path], object]) -> None:
+    before = read_corrected(lift)
+    name = next(one.name for one in before.instances if one.id == DESK)
+    removal(lift, DESK, fill=patch(np.ones((4, 3))))
+    spoil(path_of(lift, "a1"))
+    now = read_corrected(lift)
+    assert now.removed == () and now.fingerprint == "" and "put it back and remove it again" in now.warnings[0]
+    edit, now = put_back(lift, [name])
+    assert edit.undone and now.warnings == [] and now.instances == before.instances
+    _, now = removal(lift, DESK, fill=patch(np.ones((4, 3))))
+    assert [one.id for one in now.removed] == [DESK]
 
 
 def test_a_later_removal_takes_what_filled_an_earlier_one(lift: Path) -> None:

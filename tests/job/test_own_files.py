@@ -9,7 +9,9 @@ import pytest
 from engine.command_line.run_engine import run_bake, run_engine
 from engine.export.run import export
 from engine.job import EventReader, EventWriter, LiftFolder, LiftState
+from engine.job.atomic import write_atomically
 from engine.job.lock import FileLock
+from engine.job.own_files import NOTE, OwnFiles
 from tests.job.following import new_lift, tiny_lift, watch
 from tests.raises_key import raises_key
 
@@ -106,3 +108,34 @@ def test_manifests_and_checkpoints_cannot_be_links_either(path: str, tmp_path: P
     state.write_text(state.read_text().replace('"model"', '"' + path.replace("\\", "\\\\") + '"'))
     with raises_key("bad-field"):
         folder.checkpoints.latest()
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"[" * 200_000, b'{"a":' * 5000 + b"1" + b"}" * 5000, b'{"begins": "export"}', b'{"file": "\\ud800/x"}',
+        b'{"file": "%s"}' % (b"x" * 5000), b'{"file": "%sb"}' % (b"a/" * 3000), b'{"file": "../precious"}',
+        b"\0" * 1000, b"\xff\xfe",
+    ],
+)  # fmt: skip
+def test_lines_of_a_note_that_no_command_wrote_are_passed_over(line: bytes, tmp_path: Path) -> None:
+    (tmp_path / "precious").write_text("content")
+    folder = tmp_path / "out"
+    for again in (False, True):
+        if again:
+            with (folder / NOTE).open("ab") as note:
+                note.write(line + b"\n")
+        with OwnFiles(folder).begin("export", {"of": "it"}) as own:
+            for name in ["a"] if again else ["a", "b"]:
+                write_atomically(folder / name, name)
+            own.remove_earlier()
+        own.complete()
+    assert sorted(path.name for path in folder.iterdir()) == [NOTE, "a"] and OwnFiles(folder).is_complete
+    assert (tmp_path / "precious").exists()
+
+
+def test_a_note_larger_than_any_of_ours_is_refused_at_once(tmp_path: Path) -> None:
+    (tmp_path / NOTE).touch()
+    os.truncate(tmp_path / NOTE, 2**40)
+    with pytest.raises(OSError, match="larger"):
+        OwnFiles(tmp_path)

@@ -28,6 +28,7 @@ from .poses import finite_pose, from_opengl
 _FIX = "Export the Bundler file once more, with its list of pictures."
 _TITLE = "# Bundle file"
 _CAMERA, _POINT = 15, 6  # numbers of a camera, and of a point before its views
+_LARGEST = 2.0**53  # beyond it, float64 holds no counts
 _BY_ORDER = Inferred(
     "numbering", "cameras are paired with the photos by their order", "there is no list of pictures beside the .out"
 )
@@ -47,7 +48,7 @@ def _read(place: Path, progress: Progress) -> Capture:
     try:
         values = np.array(rest.split(), np.float64) if title.startswith(_TITLE) else np.zeros(0)
         cameras, points = (int(each) for each in values[:2])
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:  # int() of infinity
         raise PlgsError("not-bundler", "this is not one of Bundler's files", path, _FIX) from error
     check_count(cameras, "cameras", path, _FIX, most=10**6, room=(len(values) - 2) // _CAMERA, made=500)
     named = _names(path, cameras)
@@ -114,6 +115,8 @@ def _shot(name: str, picture: Path, row: NDArray[np.float64], path: Path) -> Sho
 def _points(values: NDArray[np.float64], count: int, names: Sequence[str], path: Path) -> SparsePoints | None:
     """The points, and which of them each picture shows. Raises PlgsError."""
     check_count(count, "points", path, _FIX, most=10**7, room=len(values) // (_POINT + 1), made=200)
+    if not (np.abs(values) < _LARGEST).all():  # False for NaN
+        raise PlgsError("not-numbers", "a point has values that are no numbers", path, _FIX)
     rows, seen_by = np.empty((count, _POINT)), {name: list[int]() for name in names}
     at = 0
     for point in range(count):

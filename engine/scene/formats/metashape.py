@@ -128,7 +128,10 @@ def _world(transform: ElementTree.Element | None, path: Path) -> _World | None:
         return None
     rotation = _numbers(transform.find("rotation"), 9, "a chunk's rotation", path).reshape(3, 3)
     translation = _numbers(transform.find("translation"), 3, "a chunk's translation", path)
-    return _World(rotation, translation, float(_numbers(transform.find("scale"), 1, "a chunk's scale", path)[0]))
+    scale = float(_numbers(transform.find("scale"), 1, "a chunk's scale", path)[0])
+    if scale <= 0.0:
+        raise PlgsError("xml-numbers", "a chunk's scale is not positive", path, _FIX)
+    return _World(rotation, translation, scale)
 
 
 def _shot(

@@ -54,7 +54,10 @@ def _read(place: Path, progress: Progress) -> Capture:
     if path is None:
         raise PlgsError("no-reality", "there is no CSV of internal and external camera parameters", place, _FIX)
     lines = read_text(path, LARGEST_TABLE, _FIX).removeprefix("\ufeff").splitlines()
-    rows = [row for row in csv.DictReader(lines[1:], _titles(lines[0])) if row["name"]]
+    try:
+        rows = [row for row in csv.DictReader(lines[1:], _titles(lines[0])) if row["name"]]
+    except csv.Error as error:
+        raise PlgsError("not-csv", f"the table is damaged ({error})", path, _FIX) from error
     photos, missing = pictures_by_stem(path.parent), []
     found: list[tuple[str, Found]] = []
     for row in watched(sorted(rows, key=lambda row: natural_order(row["name"])), progress):
@@ -71,7 +74,7 @@ def _read(place: Path, progress: Progress) -> Capture:
 def _shot(picture: Path, row: Mapping[str, str | None], path: Path) -> Shot | None:
     def value(name: str) -> float:
         try:
-            return float(row.get(name) or 0.0)
+            return float(row.get(name) or ("" if name in _NEEDED else 0.0))
         except ValueError as error:
             raise PlgsError("not-numbers", f"{name} of {picture.name} is not a number", path, _FIX) from error
 

@@ -148,6 +148,7 @@ def test_metashape_on_the_earth_is_brought_to_the_ground(tmp_path: Path) -> None
         ('type="frame"', 'type="spherical"', "lens-model spherical"), ("<f>", "<fx>", "not-xml damaged"),
         ("</f>", "</f><p3>0.1</p3>", "lens-model P3"), ("<?xml", "<!DOCTYPE a><?xml", "xml-entities"),
         ('<scale>0.5', "<scale>half", "xml-numbers scale"), ("IMG_", "DSC_", "no-pictures DSC"),
+        ("<scale>0.5", "<scale>0", "xml-numbers positive"), ("<scale>0.5", "<scale>-0.5", "xml-numbers positive"),
     ],
 )  # fmt: skip
 def test_unsupported_metashape_files_give_a_one_line_error(tmp_path: Path, was: str, now: str, told: str) -> None:
@@ -213,6 +214,20 @@ def test_realityscans_photos_are_read(tmp_path: Path) -> None:
     assert refuses("not-numbers IMG_3", tmp_path).fix.startswith("Export Registration")
 
 
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("IMG_3.png,,0,1,0,90,0,30", "not-numbers x of IMG_3"), ("IMG_3.png,0,0", "not-numbers IMG_3"),
+        (f"IMG_3.png,{'9' * 140_000}", "not-csv limit"),
+    ],
+)  # fmt: skip
+def test_a_damaged_row_of_realityscans_table_gives_a_one_line_error(tmp_path: Path, line: str, told: str) -> None:
+    table = reality_csv(tmp_path, NONE, views=room.views()) / "registration.csv"
+    rows = table.read_text().splitlines()
+    table.write_text("\n".join(line if row.startswith("IMG_3") else row for row in rows))
+    refuses(told, tmp_path)
+
+
 def bundle(folder: Path, has_list: bool = True) -> Path:
     """Bundler's cameras look along -z with y up; their principal point is the picture's middle."""
     centred = replace(LENS, cx=SIZE[0] / 2, cy=SIZE[1] / 2, fy=LENS.fx)
@@ -263,6 +278,24 @@ def test_bundlers_points_are_seen_in_their_pictures(tmp_path: Path) -> None:
     (tmp_path / "list.txt").unlink()
     (tmp_path / "images" / "IMG_5.png").unlink()
     refuses("no-list list.txt", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("was", "now", "told"),
+    [
+        ("\n6 6\n", "\ninf 6\n", "not-bundler"), ("\n6 6\n", "\n6 inf\n", "not-bundler"),
+        ("\n1 0 0 ", "\nnan 0 0 ", "not-numbers"), ("\n1 0 0 ", "\ninf 0 0 ", "not-numbers"),
+        ("\n1 0 0 ", "\n1 nan 0 ", "not-numbers"), ("\n9 8 7\n1 0 ", "\n9 8 nan\n1 0 ", "not-numbers"),
+    ],
+)  # fmt: skip
+def test_bundlers_counts_and_points_that_are_no_numbers_give_a_one_line_error(
+    tmp_path: Path, was: str, now: str, told: str
+) -> None:
+    path = bundle(tmp_path) / "bundle.out"
+    text = path.read_text()
+    assert was in text
+    path.write_text(text.replace(was, now))
+    refuses(told, tmp_path)
 
 
 def test_a_flat_colmap_export_of_realityscan_is_read(tmp_path: Path) -> None:
