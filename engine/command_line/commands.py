@@ -34,6 +34,9 @@ def lift(options: argparse.Namespace) -> int:
         if options.relink is not None:
             fix = "Give LIFT, --scene and --resume, without -o."
             raise PlgsError("scene-option", "gives the scene of an existing lift folder", "--scene", fix)
+        if options.refine is not None:
+            what = "goes on from a finished lift, but -o makes a new one"
+            raise PlgsError("refine-new", what, "--refine", "Give LIFT without -o, or --preset for a new lift.")
         return _lift_in_terminal(options)
     from .run_engine import run_engine
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PlgsError, reading
-from ..gates import refuse_special
+from ..gates import open_plain, refuse_special
 from ..job.progress import Progress, unwatched
 from ..posed.frames import Camera, size_within
 from ..posed.layout import check_memory
@@ -106,8 +106,13 @@ def read_mesh(path: Path) -> Any:
     with reading(path, _FIX):
         refuse_special(path)
         check_memory(_BYTES * path.stat().st_size, path)
+        if path.suffix.lower() == ".glb":
+            _refuse_cut_off(path)
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)  # it would print what we raise
-    mesh = open3d.io.read_triangle_mesh(path)
+    try:
+        mesh = open3d.io.read_triangle_mesh(path)
+    except MemoryError as error:  # a header that claims more than there is
+        raise PlgsError("broken-mesh", "the mesh claims more vertices than memory holds", path, _FIX) from error
     vertices, triangles = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.triangles, np.int64)
     if not len(triangles) or not len(vertices):
         raise PlgsError("no-mesh", "there are no triangles in this file", path, f"{_FIX} Points alone give no depth.")
@@ -119,6 +124,14 @@ def read_mesh(path: Path) -> Any:
     )
     surface.add_triangles(*parts)
     return surface
+
+
+def _refuse_cut_off(path: Path) -> None:
+    """Raise PlgsError for a GLB whose first chunk is longer than the file, which open3d never ends to read; OSError."""
+    with open_plain(path) as file:
+        head = file.read(16)
+    if len(head) == 16 and int.from_bytes(head[12:], "little") > path.stat().st_size - 20:
+        raise PlgsError("broken-mesh", "the file is cut off", path, _FIX)
 
 
 def outlines(depth: NDArray[np.float32]) -> NDArray[np.bool_]:

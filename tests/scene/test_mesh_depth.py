@@ -120,6 +120,10 @@ def test_files_that_are_no_mesh_give_a_one_line_error(tmp_path: Path, capsys: py
         said = capsys.readouterr().err.splitlines()[-1]
         assert said.startswith("error: there are no triangles in this file") and name in said
     assert main(["inspect", str(ROOM), "--depth", str(tmp_path / "gone.glb")]) == 2
+    endless = tmp_path / "endless.glb"  # open3d never ends to read it
+    endless.write_bytes(b"glTF\2\0\0\0\x14\4\0\0\xff\xff\xff\xffJSON" + b"{" * 1024)
+    with raises_key("broken-mesh cut off"):
+        open_scene(ROOM, depth=endless)
 
 
 def test_a_slanted_floor_has_no_outlines_and_a_box_on_it_has() -> None:
