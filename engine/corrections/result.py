@@ -48,6 +48,14 @@ class CorrectedResult:
         return matte_names({one.id: one.name for one in self.instances})
 
     @property
+    def left_unowned(self) -> frozenset[int]:
+        """The classes that edits gave to points without an object."""
+        applied = [edit for edit in self.edits if edit.uid not in self.not_applied]
+        given = [moved.label for edit in applied for moved in edit.moved]
+        given += [edit.rest or 0 for edit in applied if edit.kind == "delete" and not edit.moved]
+        return frozenset(-label for label in given if label < 0)
+
+    @property
     def warnings(self) -> list[str]:
         """A line for each edit that was not applied."""
         return [

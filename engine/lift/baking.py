@@ -90,7 +90,8 @@ class FrameBaker:
             gaussians += 0 if scene.fill is None else len(scene.fill.means)
             scene, labels = replace(scene, channels=LabelChannels((), ())), SceneLabels(torch.empty(gaussians, 0))
         bands = render_bands(scene, camera, labels, clip=clip, want_surface=not wanted or "depth" in wanted)
-        return joined([decide(band, self.classes, self.instances.class_of, wanted) for band in bands])
+        shown = self.instances
+        return joined([decide(band, self.classes, shown.class_of, wanted, shown.unowned) for band in bands])
 
     def write(
         self, folder: LiftFolder, name: str, view: BakedView, events: EventWriter,

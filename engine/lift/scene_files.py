@@ -142,7 +142,7 @@ def read_shown_instances(folder: LiftFolder, lifted: StructuredScene, corrected:
     one_class = settings["one_class_an_object"] and settings.get("objects") != "none"
     if corrected.changes_labels:
         one_class, class_of = True, lifted.channels.class_of_shown | class_of
-    return ShownInstances(_with_numbers(names, lifted), class_of if one_class else None)
+    return ShownInstances(_with_numbers(names, lifted), class_of if one_class else None, corrected.left_unowned)
 
 
 def instance_names(instances: Sequence[SceneObject], classes: ClassTable) -> dict[int, str]:

@@ -84,7 +84,7 @@ def decided_labels(
     shown: NDArray[np.float32], channels: LabelChannels, thing_ids: frozenset[int]
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Class and instance ids, int32 [N] each, from the result of ``shown_probabilities`` [N, C + U]. They are decided
-    like a pixel of the passes: unowned Gaussians get their own class and instance 0."""
+    like a pixel of the passes: where objects have one class, a thing without an object takes the next class."""
     classes = len(channels.class_ids)
     by_class, owned = shown[:, :classes], shown[:, classes:]
     column, rows = by_class.argmax(axis=1), np.arange(len(shown))
@@ -93,8 +93,16 @@ def decided_labels(
         return class_id, np.zeros(len(class_id), np.int32)
     if channels.class_of_slot:
         own_class = np.array([channels.class_of_slot[slot] for slot in channels.instance_slots])
-        least = LEAST_OF_CLASS * by_class[rows, column]
-        best = objects_of_classes(owned, np.arange(owned.shape[1]), own_class, class_id, least)
+        found = np.full(by_class.shape, -1)  # the object of each class, if it were the Gaussian's
+        for number, one in enumerate(channels.class_ids):
+            least = LEAST_OF_CLASS * by_class[:, number]
+            found[:, number] = objects_of_classes(
+                owned, np.arange(owned.shape[1]), own_class, np.full(len(rows), one, np.int32), least
+            )
+        needs = np.isin(channels.class_ids, sorted(thing_ids)) & (found < 0)
+        rest = np.where(needs, 0, by_class)
+        column = np.where(needs[rows, column] & rest.any(axis=1), rest.argmax(axis=1), column)
+        class_id, best = np.array(channels.class_ids, np.int32)[column], found[rows, column]
         is_owned = best >= 0
     else:
         best = owned.argmax(axis=1)

@@ -172,10 +172,12 @@ class BakedView:
 @dataclass(frozen=True)
 class ShownInstances:
     """The instances that pictures and passes show: their ``names`` by id, and ``class_of``, the one class that each is
-    shown with, by id; None if every pixel decides on its own."""
+    shown with, by id; None if every pixel decides on its own. ``unowned`` are ids of things that a person left without
+    an object."""
 
     names: Mapping[int, str]
     class_of: Mapping[int, int] | None = None
+    unowned: frozenset[int] = frozenset()
 
     @property
     def colours(self) -> dict[int, tuple[int, int, int]]:
@@ -194,7 +196,7 @@ def bake_view(
     guessed: list[NDArray[np.float32]] = []
     row = 0
     for band in bands:
-        layers.append(decide(band, classes, instances.class_of))
+        layers.append(decide(band, classes, instances.class_of, unowned=instances.unowned))
         align_mattes(band, classes, instances.class_of, layers[-1])
         by_class = class_layer(band.class_ids, classes)
         rank_coverage(

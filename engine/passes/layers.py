@@ -37,7 +37,7 @@ class Columns(NamedTuple):
     """The meaning of the channels; ties go to the first. ``of_class`` int64 [C]: the channel of each class but void;
     ``class_ids`` int32 [C]; ``is_thing`` bool [C]; ``of_slot`` int64 [S]: the channel of each slot but spare ones;
     ``slot_ids`` int32 [S]; ``class_of_slot`` int64 [S]: index among the classes, -1 = none; ``one_class``: whether an
-    object has one class throughout."""
+    object has one class throughout; ``needs_object`` bool [C]: whether a pixel shows the class only with an object."""
 
     of_class: NDArray[np.int64]
     class_ids: NDArray[np.int32]
@@ -46,6 +46,7 @@ class Columns(NamedTuple):
     slot_ids: NDArray[np.int32]
     class_of_slot: NDArray[np.int64]
     one_class: bool
+    needs_object: NDArray[np.bool_]
 
 
 class Pixels(NamedTuple):
@@ -120,7 +121,7 @@ def decide_labels(pixels: Any, columns: Any, start: int, end: int, decided: Any)
         total = max(total, LEAST_TOTAL)
         if columns.is_thing[winner]:
             slot = best_slot(pixels.slots[pixel], pixels.alpha[pixel], most, columns, winner)
-            if slot < 0 and columns.one_class:
+            if slot < 0 and columns.needs_object[winner]:
                 winner, most, slot = owned_class(coverage, pixels.slots[pixel], columns, winner, most)
             if slot >= 0:
                 decided.instance[pixel] = columns.slot_ids[slot]
@@ -238,17 +239,19 @@ def decide(
     classes: ClassTable,
     instance_classes: Mapping[int, int] | None = None,
     wanted: Collection[str] = (),
+    unowned: Collection[int] = (),
 ) -> PanopticLayers:
-    """Decide every pixel of a rendering. ``wanted``: the layers to make (none: all); the others are empty.
+    """Decide every pixel of a rendering. ``wanted``: the layers to make (none: all); the others are empty. ``unowned``
+    are ids of things that a person left without an object.
 
     The class is the one with the largest coverage (never void; ties go to the lower id). Its probability is its share
     of the classes' coverage. A pixel of a thing class shows the instance with the largest coverage, unless "no object"
     has more. With ``instance_classes`` (instance id to class id) an object has one class throughout. Its coverage is
     then part of its class's (see ``scene_labels``), and a pixel shows only an instance of its class with LEAST_OF_CLASS
-    of that class's coverage. A thing's class that no such instance owns is left out, unless there is nothing else: such
-    pixels are specks, as what is larger became an object (``unowned_things``).
+    of that class's coverage. A thing's class that no such instance owns is left out, unless it is ``unowned`` or there
+    is nothing else: such pixels are specks, as what is larger became an object (``unowned_things``).
     """
-    columns, made = _columns(rendering, classes, instance_classes or {}), {}
+    columns, made = _columns(rendering, classes, instance_classes or {}, unowned), {}
     needed = {*(wanted or PanopticLayers._fields)}
     if not needed.isdisjoint(FROM_LABELS):
         needed |= {"semantic", "instance"}
@@ -296,7 +299,12 @@ def _pixels(rendering: PanopticRendering) -> Pixels:
     return Pixels(image.reshape(-1, 3), alpha.reshape(-1), depth.reshape(-1), by_class, by_slot)
 
 
-def _columns(rendering: PanopticRendering, classes: ClassTable, instance_classes: Mapping[int, int]) -> Columns:
+def _columns(
+    rendering: PanopticRendering,
+    classes: ClassTable,
+    instance_classes: Mapping[int, int],
+    unowned: Collection[int] = (),
+) -> Columns:
     """The channels to choose from, by ascending id."""
     of_class, of_slot = _by_id(rendering.class_ids), _by_id(rendering.instance_ids)
     class_ids = [rendering.class_ids[column] for column in of_class]
@@ -310,6 +318,7 @@ def _columns(rendering: PanopticRendering, classes: ClassTable, instance_classes
         slot_ids=np.array(slot_ids, np.int32),
         class_of_slot=np.array([index_of.get(instance_classes.get(one, VOID), -1) for one in slot_ids], np.int64),
         one_class=bool(instance_classes),
+        needs_object=np.isin(class_ids, sorted(classes.thing_ids - {*unowned})) & bool(instance_classes),
     )
 
 

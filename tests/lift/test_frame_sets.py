@@ -78,7 +78,7 @@ def test_a_lift_is_refused_if_memory_is_low(
         chosen(scene, events, tmp_path, {"frames": names})
     monkeypatch.setattr(frame_sets, "main_memory", lambda: MainMemory(10**12, 10**7))
     chosen(scene, events, tmp_path, {"frames": names})
-    assert "only 0.0 GB is free" in warnings_in(tmp_path / "events.jsonl")[0]
+    assert "only 10.0 MB is free" in warnings_in(tmp_path / "events.jsonl")[0]
 
 
 MANY = 3000
