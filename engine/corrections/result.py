@@ -51,9 +51,8 @@ class CorrectedResult:
     def left_unowned(self) -> frozenset[int]:
         """The classes that edits gave to points without an object."""
         applied = [edit for edit in self.edits if edit.uid not in self.not_applied]
-        given = [moved.label for edit in applied for moved in edit.moved]
-        given += [edit.rest or 0 for edit in applied if edit.kind == "delete" and not edit.moved]
-        return frozenset(-label for label in given if label < 0)
+        rests = [edit.rest or 0 for edit in applied if edit.kind == "delete" and not edit.moved]
+        return frozenset(-each for each in (*rests, *(one.label for edit in applied for one in edit.moved)) if each < 0)
 
     @property
     def warnings(self) -> list[str]:

@@ -103,8 +103,9 @@ class FinishedLift:
     @cached_property
     def corrected(self) -> CorrectedResult:
         corrected = read_corrected(self.folder.path)
-        for line in corrected.warnings if self.warn is not None else ():
-            self.warn(line)
+        if self.warn is not None:
+            for line in corrected.warnings:
+                self.warn(line)
         return corrected
 
     @cached_property
