@@ -41,6 +41,8 @@ answer = {{
     'rows': [{SIZE[1]} - region.y - pick(each.y for each in spots) for pick in (max, min)],
     'drawn': [[block.mean((0, 1)).tolist() for block in np.array_split(rows, {BLOCKS}, axis=1)]
               for rows in np.array_split(pixels, {BLOCKS}, axis=0)],
+    'opaque': [[float(block.mean()) for block in np.array_split(rows, {BLOCKS}, axis=1)]
+               for rows in np.array_split(picture()[::-1, :, 3], {BLOCKS}, axis=0)],
 }}
 """
 """Where the camera's frame, or the whole view, is on the screen, and the mean colours of the blocks of its picture."""
@@ -69,7 +71,8 @@ def begin(window: Window, scene: Path, name: str, **settings: object) -> LiftFol
 
 def off_by(window: Window, lift: LiftFolder) -> tuple[float, float]:
     """How far (mean) the colours within the camera's frame on the screen are from the live preview's, of 255, and how
-    far from each other. Only its left half: the sidebar covers the right. Nor blocks at the edge, where a line is.
+    far from each other. Only its left half: the sidebar covers the right. Nor blocks at the edge, where a line is, nor
+    those through which the cloud is seen.
     """
     with window.suspended(lift.path):  # there would be a new picture while the screen is looked at
         seen, screen = None, window.picture()
@@ -78,7 +81,10 @@ def off_by(window: Window, lift: LiftFolder) -> tuple[float, float]:
     (left, right), (top, bottom) = ([round(each) for each in seen[side]] for side in ("columns", "rows"))
     shown = block_means(screen[top:bottom, left:right].astype(np.float64))
     inner = np.s_[1:-1, 1 : BLOCKS // 2]
-    return float(np.abs(shown - np.array(seen["drawn"]))[inner].mean()), float(np.ptp(shown[inner], axis=(0, 1)).max())
+    solid = np.array(seen["opaque"])[inner] > 0.9
+    assert solid.any()
+    off = np.abs(shown - np.array(seen["drawn"]))[inner][solid]
+    return float(off.mean()), float(np.ptp(shown[inner], axis=(0, 1)).max())
 
 
 def block_means(picture: NDArray[np.float64]) -> NDArray[np.float64]:

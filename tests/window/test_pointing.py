@@ -130,7 +130,9 @@ def test_the_cutting_plane_is_ready_to_be_moved(window: Window, mine: Path) -> N
 def test_the_keys_are_in_the_preferences(window: Window) -> None:
     keys = "bpy.context.window_manager.keyconfigs.user.keymaps['Object Mode'].keymap_items"
     found = window.ask(f"sorted({{each.idname for each in {keys} if each.idname.startswith('plgs.')}})")
-    assert found == ["plgs.delete_selected", "plgs.pick", "plgs.point_at", "plgs.rename_selected"]
+    assert found == [
+        f"plgs.{name}" for name in ("delete_selected", "isolate_selected", "pick", "point_at", "rename_selected")
+    ]
 
 
 def test_a_double_click_in_the_list_renames(window: Window, work_folder: Path) -> None:
