@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from engine.passes.ply import write_ply_table
 from tests.tiny_scene import CHAIR_ID, FLOOR_ID
@@ -29,7 +30,8 @@ def write_surface(path: Path, shade: int | None = None) -> None:
     uv = np.concatenate([(floor / (4, 3, 1))[:, :2], (chair - (1, 1, 0))[:, :2]])[triangles].astype(np.float32)
     write_ply_table(path, columns, triangles, uv=uv)
     picture = np.full((32, 64, 3), 255, np.uint8)
-    from engine.export.texture import jpeg_bytes  # the next Blender's Python has nothing that encodes pictures
+    pytest.importorskip("scipy")  # the next Blender's Python has nothing that encodes pictures
+    from engine.export.texture import jpeg_bytes
 
     picture[:, :32] = shade
     for name in (f"{FLOOR_ID}_0", f"{CHAIR_ID}_1"):
