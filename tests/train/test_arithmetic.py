@@ -117,7 +117,7 @@ def test_devices_train_the_same(tiny: Input, tmp_path: Path, assigned: bool, mon
         np.testing.assert_allclose(list(two.numbers().values()), list(one.numbers().values()), rtol=1e-5)
         for name, gradient in gradients[0][number].items():
             off = (gradients[1][number][name] - gradient).norm() / gradient.norm()
-            # A few anchors at one depth are still drawn in either order in the step after that.
+            # The second step after growth differs by up to 1e-4; why was not found.
             assert off < (5e-3 if number >= first_after_growth else 1e-5), (number, name)
         for name, tensor in trainer_state(ours)[0].items():
             trainer_state(theirs)[0][name].copy_(tensor)
