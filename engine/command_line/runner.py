@@ -217,8 +217,7 @@ class ShownEvents(EventWriter):
             self._line.say(f"warning: {data['message']}")
         elif event in ("stage", "progress"):
             self._progress.take(Event(0, 0.0, event, data), self._folder)
-            if event == "progress":
-                self._line.show(self._progress)
+            self._line.show(self._progress)
         else:
             self._line.end()
 
