@@ -64,6 +64,9 @@ def make_parser() -> argparse.ArgumentParser:
     correcting = known.add_parser("correct", help="correct a lift by its scene's ground truth, and score it")
     correcting.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift, which is changed")
     correcting.set_defaults(run=run_printing, lines=_corrections)
+    unfinished = known.add_parser("unfinished", help="what a lift that is still in training would score now")
+    unfinished.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a lift; it may go on meanwhile")
+    unfinished.set_defaults(run=run_printing, lines=_unfinished)
     sharpness = known.add_parser("surface", help="how sharp surfaces are, seen from held-out frames")
     sharpness.add_argument("lifts", nargs="+", type=Path, metavar="LIFT", help="finished lifts with their scenes")
     sharpness.add_argument("--pictures", type=Path, metavar="FOLDER", help="save each drawing there, beside its photo")
@@ -166,6 +169,12 @@ def _corrections(options: argparse.Namespace) -> Iterator[str]:
         yield f"{number:3}  {edit}"
     before, after = before_and_after(options.lift)
     yield f"PQ {100 * before:.1f} % -> {100 * after:.1f} %"
+
+
+def _unfinished(options: argparse.Namespace) -> Iterator[str]:
+    from .unfinished import unfinished_scores
+
+    return unfinished_scores(options.lift)
 
 
 def _reliability(options: argparse.Namespace) -> Iterator[str]:

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from engine.job import LiftRequest
+from engine.errors import Cancelled
+from engine.job import LiftFolder, LiftRequest
 from engine.presets.preset import PRESETS
+from engine.train.trainer import StepReport, Trainer
 from research import reliability as r
 from research.bench_step import profile_lift, typical
 from research.command_line import main
@@ -149,3 +152,25 @@ def test_the_table_and_the_diagram_are_written(tmp_path: Path, monkeypatch: pyte
     lines = list(r.reliability_table([tmp_path / "a", tmp_path / "b"], tmp_path / "curve.png"))
     assert lines[2:] == [f"| {name} | 75.0 % | 0.250 | 0.000 |" for name in ("a", "b", "all together")]
     assert (tmp_path / "curve.png").stat().st_size > 1000
+
+
+def test_an_unfinished_lift_is_scored_as_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, stepped = write_tiny_scene(tmp_path / "scene", frames=10, noise=0.1), Trainer.step
+
+    def step(trainer: Trainer, check: Callable[[], object]) -> StepReport:
+        if trainer.step_number == 5:
+            raise Cancelled("asked to")
+        return stepped(trainer, check)
+
+    with presets_as(preview=TINY):
+        with monkeypatch.context() as stopping, pytest.raises(Cancelled):
+            stopping.setattr(Trainer, "step", step)
+            lift_into(tmp_path / "lift", LiftRequest(scene=scene))
+        assert code_of("unfinished", tmp_path / "lift") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "after step 5:" and any(line.split()[:2] == ["lifted", "strict"] for line in lines)
+    newest = LiftFolder.open(tmp_path / "lift").checkpoints.latest()
+    assert newest is not None and newest.state["step"] == 5
+    assert {path.name for path in tmp_path.iterdir()} == {"scene", "lift"}
