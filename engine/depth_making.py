@@ -22,11 +22,12 @@ from .errors import PlgsError
 from .job import write_atomically
 from .job.own_files import OwnFiles
 from .json_file import read_object
-from .known_networks import terms_of
-from .networks import LOADING_FAILS, load_weights, model_folder, not_loaded, quiet_transformers
+from .known_networks import licence_of
+from .networks import ANOTHER, load_weights, loading, model_folder, quiet_transformers
 from .posed.array_file import read_npy
 from .posed.layout import listed
 from .scene import Scene, digests_of_files, size_within
+from .scene.depth import only_depth
 from .scene.estimated_depth import LEAST_POINTS, seen_points
 from .scene.made import DEPTH_FOLDER, MADE_BY, layout_of, scale_of
 
@@ -51,19 +52,18 @@ def load_depth_network(name: str, *, download: bool) -> DepthNetwork:
     AutoModelForDepthEstimation takes). It is fetched only with ``download``. Raises PlgsError."""
     quiet_transformers(name, download, "segment", "depth is made")
     import transformers
-    from safetensors import SafetensorError
 
-    try:
-        folder = model_folder(name, download=download)
-        told = read_object(folder / "preprocessor_config.json", _AGAIN)
-        kind = str(told.get("image_processor_type") or told.get("feature_extractor_type") or "DPTImageProcessor")
-        # Those that need torchvision have a twin with pillow alone.
-        plain = kind.removesuffix("Fast").removesuffix("Pil").replace("FeatureExtractor", "ImageProcessor")
-        made = getattr(transformers, f"{plain}Pil", None) or getattr(transformers, plain)
+    folder = model_folder(name, download=download)
+    told = read_object(folder / "preprocessor_config.json", _AGAIN)
+    kind = str(told.get("image_processor_type") or told.get("feature_extractor_type") or "DPTImageProcessor")
+    # Those that need torchvision have a twin with pillow alone.
+    plain = kind.removesuffix("Fast").removesuffix("Pil").replace("FeatureExtractor", "ImageProcessor")
+    made = getattr(transformers, f"{plain}Pil", None) or getattr(transformers, plain, None)
+    if made is None:
+        raise PlgsError("model-kind", f"its pictures need {kind[:40]!r}, which is not known here", name, ANOTHER)
+    with loading(name):
         processor = made.from_pretrained(folder, local_files_only=True)
-        network = load_weights(transformers.AutoModelForDepthEstimation, folder, name)
-    except (*LOADING_FAILS, ImportError, SafetensorError) as error:
-        raise not_loaded(name, download, error) from error
+    network = load_weights(transformers.AutoModelForDepthEstimation, folder, name)
     return DepthNetwork(name, partial(_map_of, network, processor))
 
 
@@ -85,8 +85,7 @@ def make_depth(scene: Scene, folder: Path, network: DepthNetwork, follow: Follow
     names = [frame.name for frame in scene.frames]
     photos = dict(zip(names, digests_of_files([(frame.colour_path,) for frame in scene.frames]), strict=True))
     about = {
-        "model": network.name, "licence": terms_of(network.name), "frames": len(scene.frames),
-        "photos": photos,
+        "model": network.name, **licence_of(network.name), "frames": len(scene.frames), "photos": photos,
         "layout": layout_of({frame.name: frame.camera for frame in scene.frames}, scale),
     }  # fmt: skip
     if is_made(folder):
@@ -120,7 +119,7 @@ def make_depth(scene: Scene, folder: Path, network: DepthNetwork, follow: Follow
             if depth is None:
                 lost.append(name)
             else:
-                write_atomically(place / f"{name}.npy", partial(_save, (depth / scale).astype(np.float16)))
+                write_atomically(place / f"{name}.npy", partial(_save, only_depth(depth / np.float32(scale))))
         if len(lost) == len(maps):
             what = "no map rises or falls with the depth of the reconstruction's points"
             raise PlgsError("depth-unrelated", what, place, "Name another network with --model.")

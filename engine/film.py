@@ -4,7 +4,6 @@ is missing, beside the film. The same call goes on where an earlier one stopped.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,9 +14,9 @@ from .job.handshake import ADDED, CAPABILITIES
 from .job.prediction import MASK_S, machine_slowness
 from .job.progress import StageProgress
 from .known_networks import DEPTH, KNOWN, MASKS, listing, terms_of
-from .poses import FILM_PICTURES, Made, make_poses
+from .poses import FILM_PICTURES, Made, encoded_depth, make_poses
 from .scene import Scene, open_scene
-from .scene.formats.photos import photos_in, sorted_out
+from .scene.formats.photos import is_film, photos_in, sorted_out
 from .scene.frame_choice import frames_to_mask
 from .scene.masks import MASK_FOLDER
 
@@ -54,12 +53,11 @@ def prepare(source: Path, wish: Wish, events: EventWriter, stop: StopSignal) -> 
         count = FILM_PICTURES if photos is None else len(sorted_out(photos)[0])
         events.stage("plan", 1, 1, f"Finding poses of up to {count} pictures, in {_about(count * _POSE_S)}")
     make_poses(source, events, stop)
-    scene = open_scene(folder)
-    if "depth" not in wish.have and not scene.has_depth:
-        depth_scene(scene, folder, wish, events, stop)
-        scene = open_scene(folder)
-    if "masks" not in wish.have and not scene.has_masks:
-        mask_scene(scene, folder, wish, events, stop)
+    missing = _missing(source, folder, wish)
+    if "depth" in missing:
+        depth_scene(open_scene(folder), folder, wish, events, stop)
+    if "masks" in missing:
+        mask_scene(open_scene(folder), folder, wish, events, stop)
     return folder
 
 
@@ -67,7 +65,7 @@ def _refuse_missing(source: Path, folder: Path, wish: Wish, events: EventWriter)
     """Warn of what is downloaded. Raises PlgsError, with the whole list, for packages that are missing, or networks
     that may not be downloaded."""
     parts = [] if Made.read(folder) is not None else ["colmap"]
-    networks = [*_networks(folder, wish)]
+    networks = [getattr(wish, each) for each in _missing(source, folder, wish)]
     parts += ["segment"] if networks else []
     lacking = [part for part in parts if any(find_spec(each) is None for each in CAPABILITIES[part].packages.values())]
     if lacking:
@@ -88,20 +86,17 @@ def _refuse_missing(source: Path, folder: Path, wish: Wish, events: EventWriter)
         events.warning(f"This is downloaded: {line}")
 
 
-def _networks(folder: Path, wish: Wish) -> Iterator[str]:
-    """The networks that are still needed."""
+def _missing(source: Path, folder: Path, wish: Wish) -> list[str]:
+    """What a network has yet to make, of "depth" and "masks", as far as it can be known before there are poses."""
     from .segment import TABLE
 
     if Made.read(folder) is not None:
         scene = open_scene(folder)
-        has_depth, has_masks = scene.has_depth, scene.has_masks
+        has = {"depth": scene.has_depth, "masks": scene.has_masks}
     else:
-        has_depth = (folder / "depth").is_dir()
-        has_masks = (folder / TABLE).is_file() or (folder / MASK_FOLDER).is_dir()
-    if "depth" not in wish.have and not has_depth:
-        yield wish.depth
-    if "masks" not in wish.have and not has_masks:
-        yield wish.masks
+        measured = (folder / "depth").is_dir() or (is_film(source) and encoded_depth(source) is not None)
+        has = {"depth": measured, "masks": (folder / TABLE).is_file() or (folder / MASK_FOLDER).is_dir()}
+    return [what for what, is_there in has.items() if not is_there and what not in wish.have]
 
 
 def _about(seconds: float) -> str:

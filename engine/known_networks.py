@@ -48,6 +48,13 @@ def terms_of(name: str) -> str:
     return known.terms if known is not None else f"the licence of {name} is not known here: its authors state it"
 
 
+def licence_of(name: str) -> dict[str, str | bool | None]:
+    """What ``made_by.json`` says of a network's licence: its terms, and whether it allows commercial use (None: not
+    known)."""
+    known = KNOWN.get(name.partition("@")[0])
+    return {"licence": terms_of(name), "commercial_use": None if known is None else known.is_commercial}
+
+
 def listing(names: Iterable[str]) -> str:
     """What would be downloaded, a line each, with sizes and licences."""
     sizes = ((name, KNOWN.get(name.partition("@")[0])) for name in names)

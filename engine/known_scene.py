@@ -50,12 +50,13 @@ class StoredFrame:
 @dataclass(frozen=True)
 class StoredScene:
     """Posed frames in recording order. ``layout`` names the format's reader; ``masks`` is the digest of the masks that
-    a lift was made from, empty where nothing was lifted."""
+    a lift was made from, empty where nothing was lifted. ``estimated``: see ``Manifest``."""
 
     frames: tuple[StoredFrame, ...]
     masks: str = ""
     layout: str = ""
     warnings: tuple[str, ...] = ()
+    estimated: tuple[str, ...] = ()
 
     def posed_frames(self, scene: Path) -> tuple[PosedFrame, ...]:
         """The frames with paths below the ``scene``'s folder."""
@@ -64,7 +65,8 @@ class StoredScene:
 
 def stored_scene(scene: PosedScene, frames: Sequence[PosedFrame], masks: str = "") -> StoredScene:
     """``frames`` of a scene as a record."""
-    return StoredScene(tuple(_stored(frame, scene.folder) for frame in frames), masks, scene.format, scene.warnings)
+    known = tuple(_stored(frame, scene.folder) for frame in frames)
+    return StoredScene(known, masks, scene.format, scene.warnings, scene.estimated)
 
 
 def _stored(frame: PosedFrame, scene: Path) -> StoredFrame:

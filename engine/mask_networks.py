@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from .errors import PlgsError
 from .json_file import read_object
-from .networks import ANOTHER, LOADING_FAILS, load_weights, model_folder, not_loaded, quiet_transformers
+from .networks import ANOTHER, load_weights, loading, model_folder, quiet_transformers
 from .scene import ClassLabel, labels_of_config, size_within
 from .segment import Detection, MadeSegment, Rounds, detections_of, merge_queries
 
@@ -59,18 +59,13 @@ def load_model(name: str, *, download: bool, rounds: Rounds = (0.5,)) -> QueryNe
     """Load the network in the folder ``name``, or the one of this name on the hub. Raises PlgsError. It is fetched only
     with ``download``; otherwise it must be on this computer already."""
     quiet_transformers(name, download, "segment", "masks are made")
-    from safetensors import SafetensorError
-
-    try:
-        folder = model_folder(name, download=download)
-        labels = labels_of_config(folder / "config.json")
-        kind = str(read_object(folder / "config.json", ANOTHER).get("model_type"))
-        if kind not in _FAMILIES:
-            what = f"this is a network of the kind {kind[:40]!r}, which makes no masks that are read here"
-            raise PlgsError("model-kind", what, name, f"Name one of the kinds {', '.join(_FAMILIES)}.")
-        return QueryNetwork(name, labels, _FAMILIES[kind](folder, name), rounds)
-    except (*LOADING_FAILS, SafetensorError) as error:
-        raise not_loaded(name, download, error) from error
+    folder = model_folder(name, download=download)
+    labels = labels_of_config(folder / "config.json")
+    kind = str(read_object(folder / "config.json", ANOTHER).get("model_type"))
+    if kind not in _FAMILIES:
+        what = f"this is a network of the kind {kind[:40]!r}, which makes no masks that are read here"
+        raise PlgsError("model-kind", what, name, f"Name one of the kinds {', '.join(_FAMILIES)}.")
+    return QueryNetwork(name, labels, _FAMILIES[kind](folder, name), rounds)
 
 
 def _universal(network_class: str, processor_class: str, folder: Path, name: str) -> Look:
@@ -80,10 +75,12 @@ def _universal(network_class: str, processor_class: str, folder: Path, name: str
     limits: dict[str, Any] = {"local_files_only": True, "trust_remote_code": False}
     task: dict[str, torch.Tensor] = {}
     if network_class.startswith("OneFormer"):
-        words = transformers.CLIPTokenizer.from_pretrained(folder, **limits)
+        with loading(name):
+            words = transformers.CLIPTokenizer.from_pretrained(folder, **limits)
         said = words(_TASK, padding="max_length", max_length=_TASK_WORDS, truncation=True, return_tensors="pt")
         task["task_inputs"] = said["input_ids"] * said["attention_mask"]  # as OneFormer's own processor does
-    processor = getattr(transformers, processor_class).from_pretrained(folder, **limits)
+    with loading(name):
+        processor = getattr(transformers, processor_class).from_pretrained(folder, **limits)
     network = load_weights(getattr(transformers, network_class), folder, name)
     is_eomt = network_class.startswith("Eomt")
 
@@ -113,10 +110,11 @@ def _rf_detr(folder: Path, name: str) -> Look:
     network = load_weights(RfDetrForInstanceSegmentation, folder, name)
     path = folder / "preprocessor_config.json"
     told: dict[str, Any] = read_object(path, ANOTHER) if path.is_file() else {}
-    size = told.get("size") or {}
-    width, height = (int(size.get(side, _RF_DETR_SIDE)) for side in ("width", "height"))
-    mean = np.array(told.get("image_mean", (0.485, 0.456, 0.406)), np.float32)
-    spread = np.array(told.get("image_std", (0.229, 0.224, 0.225)), np.float32)
+    with loading(name):
+        size = dict(told.get("size") or {})
+        width, height = (int(size.get(side, _RF_DETR_SIDE)) for side in ("width", "height"))
+        mean = np.array(told.get("image_mean", (0.485, 0.456, 0.406)), np.float32)
+        spread = np.array(told.get("image_std", (0.229, 0.224, 0.225)), np.float32)
 
     def queries(colour: NDArray[np.uint8]) -> Queries:
         small = (cv2.resize(colour, (width, height), interpolation=cv2.INTER_AREA) / np.float32(255) - mean) / spread

@@ -9,8 +9,8 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +20,6 @@ from .job.atomic import sha256 as digest_of
 from .json_file import read_object
 from .known_networks import KNOWN
 
-LOADING_FAILS = (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError)
-"""What transformers raises for a model that it cannot load."""
 ANOTHER = "Name another one, or fetch it again."
 _IS_COMMIT = re.compile("[0-9a-f]{40}")
 _HUB_S = 15.0
@@ -51,14 +49,26 @@ def is_here(name: str) -> bool:
         return True
     try:
         model_folder(name, download=False)
-    except (*LOADING_FAILS, ImportError, PlgsError):
+    except PlgsError:
         return False
     return True
 
 
+@contextmanager
+def loading(name: str) -> Iterator[None]:
+    """Turn what transformers and its libraries raise for files that they cannot load into PlgsError."""
+    from safetensors import SafetensorError
+
+    try:
+        yield
+    except (OSError, ValueError, KeyError, RuntimeError, TypeError, ImportError, SafetensorError) as error:
+        lines = str(error).splitlines() or [type(error).__name__]
+        raise PlgsError("model-unusable", f"the model cannot be loaded ({lines[0][:200]})", name, ANOTHER) from error
+
+
 def model_folder(name: str, *, download: bool) -> Path:
     """The folder with a model's files: ``name`` itself, or its files of the hub, fetched with ``download`` only. Raises
-    PlgsError and LOADING_FAILS."""
+    PlgsError, OSError."""
     from huggingface_hub import HfApi, constants, snapshot_download
 
     folder, (model, _, revision) = Path(name), name.partition("@")
@@ -71,17 +81,26 @@ def model_folder(name: str, *, download: bool) -> Path:
         wanted = {"revision": pinned, "allow_patterns": ["*.json", "*.txt", "*.safetensors"]}
         if download:
             _ask_hub(HfApi(), model, pinned)
-        folder = Path(snapshot_download(model, local_files_only=not download, **wanted))
+        try:
+            with loading(name):
+                folder = Path(snapshot_download(model, local_files_only=not download, **wanted))
+        except PlgsError as error:
+            if download:
+                raise
+            fix = "Add --download to fetch it from huggingface.co, or name a folder that holds it."
+            what = "the model is not on this computer"
+            raise PlgsError("not-downloaded", what, name, fix, option="--download") from error
         _check_pin(pin, pins, folder)
     _check_weights(folder)
     return folder
 
 
 def load_weights(kind: Any, folder: Path, name: str) -> Any:
-    """The network in a folder, of transformers' class ``kind``, ready to run. Raises PlgsError and LOADING_FAILS."""
+    """The network in a folder, of transformers' class ``kind``, ready to run. Raises PlgsError."""
     limits: dict[str, Any] = {"local_files_only": True, "trust_remote_code": False, "use_safetensors": True}
-    network, loading = kind.from_pretrained(folder, output_loading_info=True, **limits)
-    wrong = {key.partition("_")[0]: keys for key, keys in loading.items() if keys}
+    with loading(name):
+        network, found = kind.from_pretrained(folder, output_loading_info=True, **limits)
+    wrong = {key.partition("_")[0]: keys for key, keys in found.items() if keys}
     import torch
 
     wrong["infinite"] = [key for key, one in network.state_dict().items() if not bool(torch.isfinite(one).all())]
@@ -129,12 +148,3 @@ def _ask_hub(hub: Any, model: str, revision: str | None) -> None:
         fix = "Check the name and the connection, or name a folder that holds the model."
         what = f"huggingface.co does not offer the model ({type(error).__name__})"
         raise PlgsError("hub-silent", what, model, fix) from error
-
-
-def not_loaded(name: str, download: bool, error: Exception) -> PlgsError:
-    if not download and not Path(name).is_dir():
-        fix = "Add --download to fetch it from huggingface.co, or name a folder that holds it."
-        return PlgsError("not-downloaded", "the model is not on this computer", name, fix, option="--download")
-    lines = str(error).splitlines() or [type(error).__name__]
-    what = f"the model cannot be loaded ({lines[0][:200]})"
-    return PlgsError("model-unusable", what, name, ANOTHER)

@@ -13,7 +13,6 @@ import numpy as np
 
 from .errors import ErrorCode, PlgsError
 from .job import LiftFolder, read_manifest, write_atomically
-from .job.manifest import ESTIMATED
 from .job.progress import Progress, part_of, unwatched
 from .known_scene import FIND_SCENE, KNOWN_SCENE, StoredScene, known_scene, read_known, stored_scene, write_known
 from .result_files import INSTANCES, read_instances
@@ -157,11 +156,11 @@ def masks_last_run(folder: LiftFolder) -> str:
     return "" if known is None else known.masks
 
 
-def estimates_of(folder: LiftFolder) -> list[str]:
+def estimates_of(folder: LiftFolder) -> tuple[str, ...]:
     """What was estimated in a lift's scene, and licences of networks, as known when the lift was last run. Raises
     PlgsError."""
     known = read_known(folder)
-    return [] if known is None else [line for line in known.warnings if line.startswith(ESTIMATED)]
+    return () if known is None else known.estimated
 
 
 def digest_of_masks(scene: Scene, progress: Progress = unwatched) -> str:

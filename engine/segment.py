@@ -23,7 +23,7 @@ from .errors import PlgsError
 from .job import write_atomically
 from .job.own_files import OwnFiles
 from .json_file import read_object
-from .known_networks import terms_of
+from .known_networks import licence_of
 from .scene import ClassLabel, Frame, Scene, digests_of_files
 from .scene.pixels import write_image
 
@@ -177,7 +177,7 @@ def begin_job(folder: Path, model: str, frames: Sequence[Frame], wanted: Collect
     if others:
         raise PlgsError("has-masks", f"there are masks already ({others[0]})", folder, fix)
     try:
-        record = {"model": model, "frames": len(frames), "photos": photos, "licence": terms_of(model)}
+        record = {"model": model, "frames": len(frames), "photos": photos, **licence_of(model)}
         with own:
             write_atomically(made_by, json.dumps(record) + "\n")
     except OSError as error:

@@ -17,8 +17,6 @@ _Facts = Mapping[str, Json]
 _Names = Mapping[str, str]
 NAME = "manifest.json"
 _LIFTED = ("model.safetensors", "instances.json")
-ESTIMATED = ("estimated: ", "licence: ")
-"""How the scene's warnings begin that `Manifest` keeps."""
 MAKE_ANEW = "Resume the lift: 'python -m engine lift LIFT --resume' makes the result again."
 """The advice for a result that has changed since it was written."""
 
@@ -32,8 +30,7 @@ def damaged(key: str, what: str, path: Path) -> PlgsError:
 class Manifest:
     """What a finished lift made and how. ``timings``: seconds by stage. ``frames``: the original names of frames whose
     files have other names, by file name. ``masks``: the digest of the masks that were lifted; empty if unknown.
-    ``request``: that of the lift's request.json. ``estimated``: what of the scene was not measured, and licences of
-    networks that made a part of it, as lines."""
+    ``request``: that of the lift's request.json. ``estimated``: what of the scene was not measured, and licences."""
 
     engine_version: str
     versions: _Facts

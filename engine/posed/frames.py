@@ -143,7 +143,7 @@ class PosedFrame:
 class PosedScene:
     """Posed frames in recording order, the classes of their masks, and what a user should know about them. ``folder``
     is what the user named: a folder, or the one file that holds everything; ``format`` is the name of its reader.
-    ``turn``, float64 [3, 3], is the rotation that made z point up, or None."""
+    ``turn``, float64 [3, 3], is the rotation that made z point up, or None. ``estimated``: see ``Manifest``."""
 
     folder: Path
     frames: tuple[PosedFrame, ...]
@@ -152,6 +152,7 @@ class PosedScene:
     format: str = "scannet"
     points: SparsePoints | None = None
     turn: NDArray[np.float64] | None = None
+    estimated: tuple[str, ...] = ()
 
 
 def size_within(size: Size, box: Size) -> Size:

@@ -114,5 +114,5 @@ def estimates(beside: Path, masks: Path, *, has_made_depth: bool, has_unit: bool
 def _licence(record: Mapping[str, Any]) -> Iterator[Inferred]:
     licence = record.get("licence")
     if isinstance(licence, str) and licence:
-        is_doubtful = "forbids commercial use" in licence
+        is_doubtful = record.get("commercial_use") is False
         yield Inferred("licence", f"licence: {licence[:300]}", "its authors state it there", is_doubtful)

@@ -113,7 +113,8 @@ def _opened(source: SceneSource, progress: Progress) -> Scene:
         replace(one, read_mask=readers.get(name), read_ground_truth=truth.get(name), read_detections=over.get(name))
         for name, one in unmasked.items()
     )
-    told = estimates(beside, Path(source.masks or beside), has_made_depth=has_made_depth, has_unit=capture.has_unit)
+    masks = Path(source.masks or beside)
+    told = tuple(estimates(beside, masks, has_made_depth=has_made_depth, has_unit=capture.has_unit))
     gone = (*left_out("a pose", capture.lost), *left_out("a readable picture", unreadable), *capture.left_out)
     of_parts = (*capture.inferred, *mask_set.inferred, *of_truth, *told)
     inferred = (*_inferred(source, reader, capture, beside, turn), *of_parts)
@@ -142,6 +143,7 @@ def _opened(source: SceneSource, progress: Progress) -> Scene:
         points=points,
         turn=None if np.array_equal(turn, np.eye(3)) else turn,
         fps=capture.fps,
+        estimated=doubts(told),
     )
 
 

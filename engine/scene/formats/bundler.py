@@ -18,9 +18,9 @@ from ...errors import PlgsError
 from ...json_file import LARGEST_TABLE
 from ...posed.frames import as_pose, inverse
 from ...posed.image_header import read_image_header
-from ...posed.layout import check_count, file_inside, listed, natural_order, read_text, shown_files
-from ..frame import Inferred, SparsePoints, left_out
-from .capture import Capture, Found, Progress, SceneFormat, Shot, frame_names, watched, with_picture
+from ...posed.layout import check_count, file_inside, natural_order, read_text, shown_files
+from ..frame import Inferred, SparsePoints
+from .capture import Capture, ListedCamera, Progress, SceneFormat, Shot, frame_names, shots_of
 from .lens import Distortion, pinhole
 from .photos import pictures_by_stem
 from .poses import finite_pose, from_opengl
@@ -55,18 +55,13 @@ def _read(place: Path, progress: Progress) -> Capture:
     pictures, inferred = (named, tuple[Inferred, ...]()) if named is not None else _by_order(path, cameras)
     names = frame_names([str(each) for each in pictures])
     numbers = values[2 : 2 + _CAMERA * cameras].reshape(cameras, _CAMERA)
-    missing = [name for name, picture in zip(names, pictures, strict=True) if not picture.is_file()]
-    if len(missing) == cameras:
-        raise PlgsError("no-pictures", f"the pictures are missing ({listed(missing)})", path.parent, "Copy them there.")
-    there = [each for each in zip(names, pictures, numbers, strict=True) if each[1].is_file()]
-    found: list[tuple[str, Found]] = [
-        (name, with_picture(picture, partial(_shot, name, picture, row, path) if row[0] > 0.0 else None))
-        for name, picture, row in watched(there, progress)
+    listed_cameras: list[ListedCamera] = [
+        (name, picture if picture.is_file() else None, partial(_shot, name, row, path) if row[0] > 0.0 else None)
+        for name, picture, row in zip(names, pictures, numbers, strict=True)
     ]
-    found.sort(key=lambda each: natural_order(each[0]))
+    found, missing = shots_of(listed_cameras, path.parent, progress)
     sparse = _points(values[2 + _CAMERA * cameras :], points, names, path)
-    gone = left_out("a picture", missing)
-    return Capture(found, None, points=sparse, left_out=gone, inferred=inferred, has_unit=False)
+    return Capture(found, None, points=sparse, left_out=missing, inferred=inferred, has_unit=False)
 
 
 def _names(path: Path, cameras: int) -> list[Path] | None:
@@ -104,7 +99,7 @@ def _by_order(path: Path, cameras: int) -> tuple[list[Path], tuple[Inferred, ...
     return photos, (_BY_ORDER,)
 
 
-def _shot(name: str, picture: Path, row: NDArray[np.float64], path: Path) -> Shot | None:
+def _shot(name: str, row: NDArray[np.float64], path: Path, picture: Path) -> Shot | None:
     width, height = read_image_header(picture).size
     lens = pinhole(width, height, row[0], row[0], width / 2.0, height / 2.0, path=path, fix=_FIX, whose=picture.name)
     pose = finite_pose(as_pose(row[3:12].reshape(3, 3), row[12:15]), path)

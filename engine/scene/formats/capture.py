@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -12,11 +13,11 @@ from numpy.typing import NDArray
 
 from ...errors import PlgsError
 from ...posed.frames import Camera
-from ...posed.layout import composed, shown_files
+from ...posed.layout import composed, listed, natural_order, shown_files
 from ...posed.plain_folders import Split
 from ...scene_source import UpAxis
 from ..depth import DepthMap, fault_of
-from ..frame import Inferred, LeftOut, SparsePoints
+from ..frame import Inferred, LeftOut, SparsePoints, left_out
 from ..view import Progress as Progress
 from ..view import watched as watched
 from .lens import STRAIGHT, Distortion
@@ -80,6 +81,27 @@ class Capture:
 def with_picture(picture: Path, make: Callable[[], Shot | None] | None) -> Found:
     """What ``make`` (None: no pose) returns for the file ``picture``, or why it cannot be read, by its header."""
     return None if make is None else fault_of(picture) or make()
+
+
+ListedCamera = tuple[str, Path | None, Callable[[Path], Shot | None] | None]
+"""A camera in another program's table: its frame's name, its picture (None: missing), and what makes a shot of that
+(None: it has no pose)."""
+
+
+def shots_of(
+    cameras: Sequence[ListedCamera], place: Path, progress: Progress
+) -> tuple[list[tuple[str, Found]], tuple[LeftOut, ...]]:
+    """What was found for cameras, by their names in natural order, and those left out. Raises PlgsError if all pictures
+    are missing at ``place``."""
+    missing = [name for name, picture, _ in cameras if picture is None]
+    if missing and len(missing) == len(cameras):
+        raise PlgsError("no-pictures", f"the pictures are missing ({listed(missing)})", place, "Copy them there.")
+    found: list[tuple[str, Found]] = [
+        (name, with_picture(picture, None if make is None else partial(make, picture)))
+        for name, picture, make in watched(sorted(cameras, key=lambda each: natural_order(each[0])), progress)
+        if picture is not None
+    ]
+    return found, left_out("a picture", missing)
 
 
 def only_file(place: Path, suffix: str) -> Path | None:

@@ -20,11 +20,11 @@ from ...errors import PlgsError
 from ...gates import open_plain
 from ...json_file import LARGEST_TABLE
 from ...posed.frames import Camera, as_pose
-from ...posed.layout import listed, natural_order, read_text, shown_files
+from ...posed.layout import listed, read_text, shown_files
 from ..frame import left_out
-from .capture import Capture, Found, Progress, SceneFormat, Shot, watched, with_picture
+from .capture import Capture, ListedCamera, Progress, SceneFormat, Shot, shots_of
 from .lens import Distortion, fitted, pinhole
-from .photos import pictures_by_stem
+from .photos import picture_of, pictures_by_stem
 from .poses import finite_pose
 
 _FIX = "Choose File > Export > Export Cameras in Metashape once more, with the format Agisoft XML."
@@ -75,23 +75,18 @@ def _read(place: Path, progress: Progress) -> Capture:
     disabled = [each.get("label", "") for each in cameras if each.get("enabled", "1").lower() in ("0", "false")]
     used = [each for each in cameras if each.get("enabled", "1").lower() not in ("0", "false")]
     photos = pictures_by_stem(path.parent)
-    found: list[tuple[str, Found]] = []
-    missing = []
-    for camera in watched(sorted(used, key=lambda each: natural_order(each.get("label", ""))), progress):
+    listed_cameras = list[ListedCamera]()
+    for camera in used:
         label = camera.get("label", "")
-        picture = photos.get(label) or photos.get(Path(label).stem)
-        if picture is None:
-            missing.append(label)
-            continue
+        picture = picture_of(photos, label)
         world, sensor = worlds.get(camera.get("component_id"), worlds.get(None)), lenses.get(camera.get("sensor_id"))
-        make = None if camera.find("transform") is None else partial(_shot, picture, camera, sensor, world, path)
-        found.append((picture.stem, with_picture(picture, make)))
-    if missing and not found:
-        raise PlgsError("no-pictures", f"the pictures are missing ({listed(missing)})", path.parent, "Copy them there.")
+        make = None if camera.find("transform") is None else partial(_shot, camera, sensor, world, path)
+        listed_cameras.append((label if picture is None else picture.stem, picture, make))
+    found, missing = shots_of(listed_cameras, path.parent, progress)
     is_measured = bool(worlds) and any(chunk.find(each) is not None for each in _MEASURED)
     return Capture(
         found, "z" if is_measured or on_earth else None, tuple(warnings),
-        left_out=(*left_out("a picture", missing), *left_out("being enabled in Metashape", disabled)),
+        left_out=(*missing, *left_out("being enabled in Metashape", disabled)),
         has_unit=is_measured or on_earth, up_is_known=on_earth,
     )  # fmt: skip
 
@@ -135,7 +130,7 @@ def _world(transform: ElementTree.Element | None, path: Path) -> _World | None:
 
 
 def _shot(
-    picture: Path, camera: ElementTree.Element, sensor: ElementTree.Element | None, world: _World | None, path: Path
+    camera: ElementTree.Element, sensor: ElementTree.Element | None, world: _World | None, path: Path, picture: Path
 ) -> Shot | None:
     pose = _numbers(camera.find("transform"), 16, f"the transform of {picture.name}", path).reshape(4, 4)
     if world is not None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
 from threading import Lock
 from typing import Any
 
@@ -39,6 +40,13 @@ def pictures_by_stem(place: Path) -> dict[str, Path]:
     folders = [place / name for name in _FOLDERS if (place / name).is_dir()]
     photos = [folder / name for folder in reversed(folders) for name in sorted_out(folder)[0]]
     return {name: photo for photo in photos for name in (photo.stem, photo.name)}
+
+
+def picture_of(photos: Mapping[str, Path], label: str) -> Path | None:
+    """Which of ``pictures_by_stem`` a label means that another program gives a camera: a name or a path, perhaps of
+    Windows, with or without its suffix."""
+    name = PurePosixPath(label.replace("\\", "/"))
+    return photos.get(name.name) or photos.get(name.stem)
 
 
 def sorted_out(folder: Path) -> tuple[list[str], list[str]]:

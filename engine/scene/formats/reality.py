@@ -20,11 +20,10 @@ from ...gates import open_plain
 from ...json_file import LARGEST_TABLE
 from ...posed.frames import as_pose
 from ...posed.image_header import read_image_header
-from ...posed.layout import listed, natural_order, read_text, shown_files
-from ..frame import left_out
-from .capture import Capture, Found, Progress, SceneFormat, Shot, watched, with_picture
+from ...posed.layout import read_text, shown_files
+from .capture import Capture, ListedCamera, Progress, SceneFormat, Shot, shots_of
 from .lens import Distortion, pinhole
-from .photos import pictures_by_stem
+from .photos import picture_of, pictures_by_stem
 from .poses import finite_pose, from_opengl
 
 _NEEDED = ("x", "y", "alt", "heading", "pitch", "roll", "f")
@@ -58,20 +57,15 @@ def _read(place: Path, progress: Progress) -> Capture:
         rows = [row for row in csv.DictReader(lines[1:], _titles(lines[0])) if row["name"]]
     except csv.Error as error:
         raise PlgsError("not-csv", f"the table is damaged ({error})", path, _FIX) from error
-    photos, missing = pictures_by_stem(path.parent), []
-    found: list[tuple[str, Found]] = []
-    for row in watched(sorted(rows, key=lambda row: natural_order(row["name"])), progress):
-        picture = photos.get(row["name"]) or photos.get(Path(row["name"].replace("\\", "/")).stem)
-        if picture is None:
-            missing.append(row["name"])
-        else:
-            found.append((picture.stem, with_picture(picture, partial(_shot, picture, row, path))))
-    if missing and not found:
-        raise PlgsError("no-pictures", f"the pictures are missing ({listed(missing)})", path.parent, "Copy them there.")
-    return Capture(found, "z", left_out=left_out("a picture", missing), has_unit=False)
+    photos, cameras = pictures_by_stem(path.parent), list[ListedCamera]()
+    for row in rows:
+        picture = picture_of(photos, row["name"])
+        cameras.append((row["name"] if picture is None else picture.stem, picture, partial(_shot, row, path)))
+    found, missing = shots_of(cameras, path.parent, progress)
+    return Capture(found, "z", left_out=missing, has_unit=False)
 
 
-def _shot(picture: Path, row: Mapping[str, str | None], path: Path) -> Shot | None:
+def _shot(row: Mapping[str, str | None], path: Path, picture: Path) -> Shot | None:
     def value(name: str) -> float:
         try:
             return float(row.get(name) or ("" if name in _NEEDED else 0.0))
