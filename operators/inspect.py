@@ -11,7 +11,7 @@ from ..plgs_blender.inspecting import looks, selection, views
 from ..plgs_blender.inspecting.lists import WAYS_TO_SHOW
 from ..plgs_blender.inspecting.selection import chosen_row, class_row_of, find_lift, row_of
 from ..plgs_blender.lift_scene import show_lift_as
-from ..plgs_blender.owned import LIFT, lifts_in
+from ..plgs_blender.owned import lifts_in
 from ..plgs_blender.viewport import show_lift_colours, view_of
 from .base import CANCELLED, FINISHED, Acts, argument, panel_of, reporting, text_argument
 
@@ -125,10 +125,7 @@ class PLGS_OT_choose_lift(OnLift, bpy.types.Operator):
     bl_idname, bl_label, bl_options = "plgs.choose_lift", "Choose Lift", {"UNDO"}
 
     def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> None:
-        active = context.view_layer.objects.active
-        if active is not None and active.get(LIFT, root[LIFT]) != root[LIFT]:
-            context.view_layer.objects.active = None  # else its lift would be shown
-        context.scene[selection.CHOSEN] = root[LIFT]
+        selection.choose_lift(root, context.scene, context.view_layer)
 
 
 class PLGS_OT_show_all(OnLift, bpy.types.Operator):

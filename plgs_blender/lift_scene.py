@@ -1,7 +1,7 @@
 """Puts a finished lift into Blender: `place_lift` into an open scene, `save_lift` into a file.
 
 Only our own data is touched: a collection "PLGS <scene>" with its contents, our data-blocks, the timeline markers bound
-to our cameras, and scenes for the passes. Placing a lift of the same scene again replaces the earlier one.
+to our cameras, and scenes for the passes. Placing a lift again updates it; another lift of its scene hides it.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from .clouds import SurfaceGrid, place_anchors, place_depth_clouds, place_semant
 from .corrections import remember
 from .inspecting import looks
 from .inspecting.lists import fill_lists, fill_masks, fill_not_shown, registered
+from .inspecting.selection import choose_lift
 from .inspecting.views import look_at_room
 from .meshes import ReadMeshes, placing_meshes, reading_meshes
 from .moving import relate
@@ -35,9 +36,11 @@ from .owned import (
     GAUSSIANS,
     KEY,
     LIFT,
+    SCENE,
     OwnedDataBlocks,
     Placed,
     child_collection,
+    hide,
     is_same_place,
     lifts_in,
     overview_of,
@@ -203,7 +206,10 @@ def place_room(read: ReadLift, scene: bpy.types.Scene) -> tuple[Placed, Generato
     """Place cameras, points and the first boxes. Returns where, and the remaining parts, the lists first."""
     result, grid, normals = read.result, read.grid, read.normals
     scene = scene_to_fill(scene)
+    before = lifts_in(scene)
     root = root_collection(result.scene.folder, result.folder, scene)
+    if before and root not in before:
+        _show_instead(root, before, scene)
     owned = OwnedDataBlocks(root[LIFT], scene)
     frames = result.scene.frames
 
@@ -232,6 +238,15 @@ def place_room(read: ReadLift, scene: bpy.types.Scene) -> tuple[Placed, Generato
     remember(root, result)  # at once: an undo before the next part would take its edits back
     placed = Placed(root[LIFT], scene.name)
     return placed, _placing_rest(read, placed)
+
+
+def _show_instead(root: bpy.types.Collection, before: list[bpy.types.Collection], scene: bpy.types.Scene) -> None:
+    """Let the panels show a lift that was added to others, and hide those of the same scene, which fill its room."""
+    for layer in scene.view_layers:
+        choose_lift(root, scene, layer)
+    for other in before:
+        if is_same_place(text_of(other, SCENE), Path(root[SCENE])):
+            hide(other, scene)
 
 
 def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:

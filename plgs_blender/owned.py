@@ -217,14 +217,6 @@ def lifts_in(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
     return [c for c in scene.collection.children_recursive if text_of(c, LIFT) and text_of(c, KEY) == _ROOT]
 
 
-def lift_of_scene(scene_folder: Path, scene: bpy.types.Scene) -> Path | None:
-    """The folder of the lift of `scene_folder` that is placed in a scene, or None."""
-    for root in lifts_in(scene):
-        if root.get(FOLDER) and is_same_place(root.get(SCENE, ""), scene_folder):
-            return Path(bpy.path.abspath(root[FOLDER])).resolve()
-    return None
-
-
 def folder_of(root: bpy.types.Collection) -> Path:
     """The folder of a placed lift."""
     return absolute(text_of(root, FOLDER))
@@ -291,23 +283,27 @@ class Placed:
 
 
 def root_collection(scene_folder: Path, lift_folder: Path | None, scene: bpy.types.Scene) -> bpy.types.Collection:
-    """The collection of this lift, which may have been moved, or an earlier one of its scene, or a new one. Raises
-    OSError, and PlgsError for a bad path."""
+    """The collection of this lift, which may have been moved, or that of its scene if no other lift is in it, or a new
+    one. Without a lift, any of the scene. Raises OSError, and PlgsError for a bad path."""
     _check_name(scene_folder)
-    if lift_folder is not None:
+    ours = [root for root in lifts_in(scene) if root.library is None and root.override_library is None]
+    of_scene = [root for root in ours if is_same_place(text_of(root, SCENE), scene_folder)]
+    if lift_folder is None:
+        found = of_scene
+    else:
         _check_name(lift_folder)
-    for root in lifts_in(scene):
-        folder = text_of(root, FOLDER)
-        is_same_lift = lift_folder is not None and (is_same_place(folder, lift_folder) or shows(root, lift_folder))
-        is_ours = root.library is None and root.override_library is None
-        if is_ours and (is_same_lift or is_same_place(text_of(root, SCENE), scene_folder)):
-            break
+        of_lift = (is_same_place(text_of(root, FOLDER), lift_folder) or shows(root, lift_folder) for root in ours)
+        found = [root for root, is_same in zip(ours, of_lift, strict=True) if is_same]
+        found += [root for root in of_scene if not root[FOLDER]]
+    if found:
+        root = found[0]
     else:
         root = bpy.data.collections.new("PLGS")
         tag(root, uuid4().hex, _ROOT)
         root[FOLDER] = ""
         scene.collection.children.link(root)
-    root.name = f"PLGS {scene_folder.name}"
+    is_alone = lift_folder is None or of_scene in ([], [root])
+    root.name = f"PLGS {scene_folder.name if is_alone else lift_folder.name}"
     root[SCENE] = str(scene_folder.absolute())
     if lift_folder is not None:
         root[FOLDER] = str(lift_folder)
@@ -357,14 +353,19 @@ def child_collection(
     tag(child, root[LIFT], key)
     root.children.link(child)
     if hidden and scene is not None:
-        child.hide_render = True
-        for view_layer in scene.view_layers:
-            if view_layer.layer_collection is None:  # Blender 5 makes it when the scene is shown for the first time
-                view_layer.update()
-            for found in layer_collections(view_layer.layer_collection):
-                if found.collection == child:
-                    found.hide_viewport = True
+        hide(child, scene)
     return child
+
+
+def hide(collection: bpy.types.Collection, scene: bpy.types.Scene) -> None:
+    """Turn the eye and the camera of a collection off in a scene."""
+    collection.hide_render = True
+    for view_layer in scene.view_layers:
+        if view_layer.layer_collection is None:  # Blender 5 makes it when the scene is shown for the first time
+            view_layer.update()
+        for found in layer_collections(view_layer.layer_collection):
+            if found.collection == collection:
+                found.hide_viewport = True
 
 
 def is_child(child: bpy.types.Collection, root: bpy.types.Collection, name: str) -> bool:

@@ -15,7 +15,7 @@ from ..plgs_blender.cameras import SHOWN
 from ..plgs_blender.correction_tools import CUT
 from ..plgs_blender.frame_pictures import MASKS, colour_numbers, colours_shown
 from ..plgs_blender.inspecting import drawing, highlight, picking
-from ..plgs_blender.inspecting.looks import BY_CLASS, POINTS, SURENESS, SURFACE, UNCERTAINTY, is_excluded
+from ..plgs_blender.inspecting.looks import BY_CLASS, POINTS, SURENESS, SURFACE, UNCERTAINTY, lifts_shown
 from ..plgs_blender.inspecting.picking import camera_of, names_to_draw, outline_of, outlined
 from ..plgs_blender.inspecting.selection import objects_by_key, selected_instance
 from ..plgs_blender.owned import lifts_in
@@ -65,9 +65,7 @@ def _draw_on_top() -> None:
     for each in correction_tools.now:
         each.draw(context.region_data, _size(context))
     region = drawing.ViewRegion.of(context)
-    for root in lifts_in(context.scene):
-        if is_excluded(root, context.view_layer):
-            continue
+    for root in lifts_shown(context.scene, context.view_layer):
         row = outlined(context, root)
         for corners in outline_of(context, row, region) if row is not None else ():
             drawing.draw_outline(corners, tuple(row.colour))

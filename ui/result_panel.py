@@ -215,7 +215,7 @@ class PLGS_PT_result(Step, bpy.types.Panel):
 
 
 def _draw_chooser(layout: bpy.types.UILayout, context: bpy.types.Context, chosen: bpy.types.Collection) -> None:
-    """If the scene has several lifts, draw which of them the panels show, and the eye of each."""
+    """If the scene has several lifts, draw which of them the panels show, and the eye and camera of each."""
     roots = [root for root in lifts_in(context.scene) if len(root.plgs.classes)]
     layers = layer_collections(context.view_layer.layer_collection) if len(roots) > 1 else []
     for layer in (layer for layer in layers if layer.collection in roots):
@@ -223,6 +223,7 @@ def _draw_chooser(layout: bpy.types.UILayout, context: bpy.types.Context, chosen
         name, icon = layer.collection.name, "RADIOBUT_ON" if layer.collection == chosen else "RADIOBUT_OFF"
         row.operator("plgs.choose_lift", text=one_line(name), icon=icon, emboss=False).lift = name
         row.prop(layer, "hide_viewport", text="", emboss=False)
+        row.prop(layer.collection, "hide_render", text="", emboss=False)
 
 
 def _draw_heads(layout: bpy.types.UILayout, left: str, right: str) -> None:

@@ -106,7 +106,7 @@ def shows_pictures(root: bpy.types.Collection) -> bool:
 def show_pictures_in(scene: bpy.types.Scene) -> None:
     """Show the pictures of meshes in the 3D views with our Solid shading if lifts show nothing else there; what has no
     picture would be white. Crevices are darkened then, or a user's own object would be a silhouette."""
-    roots = [root for root in lifts_in(scene) if not is_excluded(root, scene.view_layers[0])]
+    roots = lifts_shown(scene, scene.view_layers[0])
     has_all = bool(roots) and all(map(shows_pictures, roots))
     for shading in (area.spaces.active.shading for area in areas_of(scene)):
         is_ours = (shading.type, shading.light, shading.wireframe_color_type) == ("SOLID", "FLAT", "OBJECT")
@@ -115,9 +115,10 @@ def show_pictures_in(scene: bpy.types.Scene) -> None:
             shading.show_cavity, shading.cavity_type = has_all, "WORLD"
 
 
-def is_excluded(root: bpy.types.Collection, layer: bpy.types.ViewLayer) -> bool:
-    """Whether a lift's collection is hidden or excluded in a view layer."""
-    return not any(each.collection == root and each.is_visible for each in layer_collections(layer.layer_collection))
+def lifts_shown(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Collection]:
+    """The scene's lifts whose collections are neither hidden nor excluded in a view layer."""
+    visible = {each.collection for each in layer_collections(layer.layer_collection) if each.is_visible}
+    return [root for root in lifts_in(scene) if root in visible]
 
 
 def has(root: bpy.types.Collection, kind: str) -> bool:

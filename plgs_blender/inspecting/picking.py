@@ -11,11 +11,10 @@ from typing import Any
 
 import bpy
 
-from ..owned import lifts_in
 from . import rays
 from .drawing import Rectangle, TextBox, ViewRegion, label_text_boxes
 from .highlight import outline_in_space
-from .looks import instances_left_out
+from .looks import instances_left_out, lifts_shown
 from .selection import boxes_of, instance_of, objects_by_key, selected_instance
 
 hovered: list[tuple[int, int]] = []
@@ -118,7 +117,8 @@ def forget() -> None:
 
 def what_is_under(context: bpy.types.Context, mouse: tuple[float, float]) -> Picked | None:
     """What a 3D view shows at a pixel, from the lower left: a name's instance, else what a lift draws there or near."""
-    region, roots, space = ViewRegion.of(context), lifts_in(context.scene), context.space_data
+    roots, space = lifts_shown(context.scene, context.view_layer), context.space_data
+    region = ViewRegion.of(context)
     for root in roots:
         number = name_under(shown_names(context, root, region), mouse)
         if number:

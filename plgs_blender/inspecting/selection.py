@@ -48,6 +48,14 @@ def active_lift(scene: bpy.types.Scene, active: bpy.types.Object | None) -> bpy.
     return next(iter((*of_object, *with_result, *roots)), None)
 
 
+def choose_lift(root: bpy.types.Collection, scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
+    """Let the panels show this lift."""
+    active = layer.objects.active
+    if active is not None and active.get(LIFT, root[LIFT]) != root[LIFT]:
+        layer.objects.active = None  # else its lift would be shown
+    scene[CHOSEN] = root[LIFT]
+
+
 def chosen_row(scene: bpy.types.Scene, active: bpy.types.Object | None) -> Any | None:
     """The active row in the list of the lift shown in the panels, or None."""
     root = active_lift(scene, active)

@@ -18,10 +18,10 @@ from ..chosen_scene import absolute, free_folder
 from ..clouds import cloud_folder
 from ..engine_environment import why_no_engine
 from ..errors import one_line, with_field_names
-from ..inspecting.selection import find_lift, objects_by_key
+from ..inspecting.selection import active_lift, find_lift, objects_by_key
 from ..lift_scene import result_of
 from ..moving import bind
-from ..owned import FOLDER, Placed, is_same_place, lift_of_scene, lifts_in, root_of_placed, text_of
+from ..owned import FOLDER, SCENE, Placed, folder_of, is_same_place, lifts_in, root_of_placed, text_of
 from ..registry import Task, start_engine
 from ..settings import PLGS_PG_settings, adopt, chosen_lift, request_of, why_no_options
 from ..shot_bakes import write_farm_job
@@ -66,11 +66,15 @@ def why_no_device(settings: PLGS_PG_settings) -> str | None:
 
 
 def earlier_lift(settings: PLGS_PG_settings) -> Path | None:
-    """The complete lift of the same scene, shown in Blender's scene, whose objects keep their names; or None."""
+    """The complete lift of the same scene, shown in Blender's scene (the chosen one, if several), whose
+    objects keep their names; or None."""
     if not settings.keep_names or not settings.scene_folder:
         return None
-    found = lift_of_scene(absolute(settings.scene_folder), settings.id_data)
-    return found if found is not None and (found / "result" / "manifest.json").is_file() else None
+    scene, folder = settings.id_data, absolute(settings.scene_folder)
+    chosen = active_lift(scene, None)
+    roots = sorted(lifts_in(scene), key=lambda root: root != chosen)
+    found = [folder_of(root) for root in roots if root[FOLDER] and is_same_place(text_of(root, SCENE), folder)]
+    return next((lift for lift in found if (lift / "result" / "manifest.json").is_file()), None)
 
 
 def start_lift(settings: PLGS_PG_settings, *, in_that_folder: bool = False, names_from: str = "") -> Lift:

@@ -14,9 +14,12 @@ from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.cameras import object_matrix
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.import_scene import place_scene
+from plgs.plgs_blender.inspecting.looks import lifts_shown
+from plgs.plgs_blender.inspecting.selection import CHOSEN
 from plgs.plgs_blender.inspecting.views import look_from_frame
 from plgs.plgs_blender.materials import linear_rgba
 from plgs.plgs_blender.owned import LIFT
+from plgs.plgs_blender.timeline import places_of
 from tiny_lift import CABINET_NAME, CHAIR_NAME, FRAMES, mend_manifest, write_tiny_lift
 from tiny_scene import CHAIR, CHAIR_ID
 
@@ -24,7 +27,7 @@ from tests.raises_key import raises_key
 
 
 def child(root: bpy.types.Collection, name: str) -> bpy.types.Collection:
-    return next(each for each in root.children if each.name == name)
+    return next(each for each in root.children if each.name.partition(".")[0] == name)
 
 
 def test_one_collection_with_everything(lift: Path) -> None:
@@ -113,17 +116,24 @@ def test_lifting_again_replaces(lift: Path, tmp_path: Path) -> None:
     assert orphans == []
 
 
-def test_another_lift_of_the_same_scene_replaces_it(lift: Path, tmp_path: Path) -> None:
+def test_two_lifts_of_one_scene_are_two(lift: Path, tmp_path: Path) -> None:
     scene = bpy.context.scene
-    lift_scene.place_lift(lift, scene)
+    first = lift_scene.place_lift(lift, scene)
     camera = bpy.data.objects["0003"]
     other = write_tiny_lift(tmp_path / "other", scene=lift.parent / "tiny room", instances=1, bake=False).path
-    root = lift_scene.place_lift(other, scene)
-    assert lift_scene.lifts_in(scene) == [root]
-    assert [ob.name for ob in child(root, "Instances").objects] == [CHAIR_NAME]
-    assert CABINET_NAME not in bpy.data.meshes
-    assert bpy.data.objects["0003"] == camera  # whatever points at it keeps pointing
-    assert len(bpy.data.scenes) == 1  # no passes, no scene for them
+    second = lift_scene.place_lift(other, scene)
+    assert lift_scene.lifts_in(scene) == [first, second]
+    assert [len(child(root, "Instances").objects) for root in (first, second)] == [2, 1]
+    assert (first.name, second.name) == ("PLGS tiny room", "PLGS other")
+    assert bpy.data.objects["0003"] == camera and places_of(second, scene).keys().isdisjoint(places_of(first, scene))
+    # The later one is shown, and what it hides can be shown again.
+    assert scene[CHOSEN] == second[LIFT] and lifts_shown(scene, bpy.context.view_layer) == [second]
+    assert first.hide_render and not second.hide_render
+    before = counts()
+    for again in (lift, other):
+        lift_scene.place_lift(again, scene)
+    assert lift_scene.lifts_in(scene) == [first, second] and counts() == before
+    assert lifts_shown(scene, bpy.context.view_layer) == [second]
 
 
 def test_renamed_lift_is_found_again(lift: Path) -> None:

@@ -11,6 +11,7 @@ from plgs.plgs_blender import corrections, lift_scene
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.import_scene import place_scene
 from plgs.plgs_blender.inspecting import highlight, selection
+from plgs.plgs_blender.inspecting.looks import lifts_shown
 from plgs.plgs_blender.inspecting.selection import active_lift, boxes_of, find_lift, objects_by_key
 from plgs.plgs_blender.owned import lifts_in
 from tiny_lift import write_tiny_lift
@@ -105,9 +106,10 @@ def test_two_lifts_stay_separate(root: bpy.types.Collection, tmp_path: Path) -> 
     pick(boxes_of(other)[2])
     follow()
     assert (root.plgs.instance_index, other.plgs.instance_index) == (-1, 1)
-    assert find_lift(scene, active=boxes_of(other)[1]) == other and find_lift(scene) == root
+    assert find_lift(scene, active=boxes_of(other)[1]) == other and find_lift(scene) == other
     assert find_lift(scene, other.name) == other and find_lift(scene, str(tmp_path / "lift")) == other
-    assert active_lift(scene, None) == root
+    selection.choose_lift(root, scene, bpy.context.view_layer)
+    assert active_lift(scene, None) == root and lifts_shown(scene, bpy.context.view_layer) == [root, other]
     with raises_key("lift-elsewhere"):
         find_lift(scene, str(tmp_path))
 
