@@ -15,7 +15,7 @@ from pathlib import Path
 from engine.command_line.main import main as run_command
 from engine.command_line.main import make_parser as parser_of_the_engine
 from engine.errors import PlgsError
-from engine.job import ExitCode, LiftFolder
+from engine.job import ExitCode
 from engine.job.request import Parser, add_amount_options, add_options, add_set_option, preset_or_file
 from engine.job.terminal import Interrupted, Interrupts
 from engine.presets.options import parsed_options, with_options
@@ -55,22 +55,9 @@ def make_parser() -> argparse.ArgumentParser:
     known = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_experiments(known.add_parser("experiments", help="lift many scenes and show their figures in one table"))
     _add_bench(known.add_parser("bench", help="measure this machine"))
-    stages = known.add_parser("stages", help="where the paper's method loses panoptic quality, stage by stage")
-    stages.add_argument("scene", metavar="SCENE[:up=AXIS]", help="a scene with the true labels of its training frames")
-    stages.add_argument("--preset", choices=PRESETS, help="as for lift (default: that of --lift, or paper)")
-    add_set_option(stages)
-    stages.add_argument("--lift", type=Path, metavar="LIFT", help="a lift of the scene, with passes of all frames")
-    stages.set_defaults(run=run_printing, lines=_stages)
-    correcting = known.add_parser("correct", help="correct a lift by its scene's ground truth, and score it")
-    correcting.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a finished lift, which is changed")
-    correcting.set_defaults(run=run_printing, lines=_corrections)
     unfinished = known.add_parser("unfinished", help="what a lift that is still in training would score now")
     unfinished.add_argument("lift", type=Path, metavar="LIFT", help="the folder of a lift; it may go on meanwhile")
     unfinished.set_defaults(run=run_printing, lines=_unfinished)
-    sharpness = known.add_parser("surface", help="how sharp surfaces are, seen from held-out frames")
-    sharpness.add_argument("lifts", nargs="+", type=Path, metavar="LIFT", help="finished lifts with their scenes")
-    sharpness.add_argument("--pictures", type=Path, metavar="FOLDER", help="save each drawing there, beside its photo")
-    sharpness.set_defaults(run=run_printing, lines=_sharpness)
     reliability = known.add_parser("reliability", help="how often pixels are right, by their confidence")
     reliability.add_argument("lifts", nargs="+", type=Path, metavar="LIFT", help="finished lifts with ground truth")
     reliability.add_argument("--picture", type=Path, metavar="FILE", help="save the diagram there (needs matplotlib)")
@@ -102,11 +89,6 @@ def _add_experiments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--depth", type=Path, metavar="FOLDER", help="depth maps by a network, as for lift, such as 'depths/{scene}'"
     )
-    parser.add_argument(
-        "--predictions", nargs="+", default=[], metavar="NAME=FOLDER",
-        help="a row NAME with another program's labels, in the formats of evaluate: 'theirs=predictions/{scene}'; "
-        "append :ids=frame if instance ids are valid only within a frame",
-    )  # fmt: skip
     add_options(parser, "mask_format", "classes", "scene_format", "device")
     add_amount_options(parser)
     parser.add_argument("--seeds", type=_seeds, default=[0], metavar="0,1,..", help="random seeds (default: 0)")
@@ -116,7 +98,6 @@ def _add_experiments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--report", type=Path, metavar="FILE.md", help="a Markdown page whose tables are updated")
     parser.add_argument("--finished", action="store_true", help="lift nothing: print tables of the finished lifts")
-    parser.add_argument("--against", type=Path, metavar="FILE.json", help="an earlier results.json to compare with")
     parser.set_defaults(run=run_experiments)
 
 
@@ -149,28 +130,6 @@ def run_printing(options: argparse.Namespace) -> int:
     return ExitCode.FINISHED
 
 
-def _stages(options: argparse.Namespace) -> Iterator[str]:
-    from .experiments.experiment import scenes_from
-    from .stages import stages_table
-
-    with_baseline_options()
-    preset = PRESETS[options.preset or "paper"]
-    if options.lift is not None and options.preset is None:
-        preset = LiftFolder.open(options.lift).request.chosen_preset
-    preset = with_options(preset, parsed_options(options.set or ()))
-    yield from stages_table(scenes_from([options.scene])[0], preset, options.lift)
-
-
-def _corrections(options: argparse.Namespace) -> Iterator[str]:
-    """Makes the edits."""
-    from .correcting import before_and_after, correct_by_truth
-
-    for number, edit in enumerate(correct_by_truth(options.lift), start=1):
-        yield f"{number:3}  {edit}"
-    before, after = before_and_after(options.lift)
-    yield f"PQ {100 * before:.1f} % -> {100 * after:.1f} %"
-
-
 def _unfinished(options: argparse.Namespace) -> Iterator[str]:
     from .unfinished import unfinished_scores
 
@@ -183,23 +142,14 @@ def _reliability(options: argparse.Namespace) -> Iterator[str]:
     return reliability_table(options.lifts, options.picture)
 
 
-def _sharpness(options: argparse.Namespace) -> Iterator[str]:
-    from .surface import sharpness_table
-
-    return sharpness_table(options.lifts, options.pictures)
-
-
 def run_experiments(options: argparse.Namespace) -> int:
     """Run the rows, one process each, and print the tables. Raises PlgsError."""
     from .experiments.experiment import SHARED, Experiment, scenes_from
-    from .experiments.predictions import predictions_from, with_predictions
     from .experiments.rows import read_rows
     from .experiments.run import run_experiment
-    from .results import read_results
 
     with_baseline_options()
-    predictions = [predictions_from(text) for text in options.predictions]
-    rows = with_predictions(read_rows(), predictions)
+    rows = read_rows()
     if options.list:
         print(*rows.listed(), sep="\n")
         return ExitCode.FINISHED
@@ -209,12 +159,11 @@ def run_experiments(options: argparse.Namespace) -> int:
         scenes=scenes_from(options.named_scenes or options.scenes or [SAMPLE], options.names),
         folder=options.output,
         rows=rows,
-        only=(*options.only, *(each.name for each in predictions)) if options.only else (),
+        only=tuple(options.only),
         sets=tuple(options.set or ()),
         masks=options.masks,
         depth=options.depth,
         seeds=tuple(options.seeds),
-        earlier=read_results(options.against) if options.against else (),
         page=options.report,
         only_finished=options.finished,
         **{name: getattr(options, name) for name in SHARED},

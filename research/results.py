@@ -64,11 +64,6 @@ class Result:
     figures: Figures = Figures()
     failed: str = ""
 
-    @property
-    def key(self) -> tuple[str, str, str, int]:
-        """Identifies the result: two results with one key are of the same thing."""
-        return self.scene, self.row, self.preset, self.seed
-
 
 def read_result(scene: str, row: str, preset: str, lift: LiftFolder) -> Result:
     """The figures of a finished lift. Raises PlgsError when its files cannot be read."""

@@ -30,20 +30,10 @@ class Cited:
 
 
 @dataclass(frozen=True)
-class Predicted:
-    """Labels by another program: the ``folder`` of a scene, in which {scene} stands for its name. ``ids_per_frame``: an
-    instance id is valid only within its frame."""
-
-    folder: Path
-    ids_per_frame: bool = False
-
-
-@dataclass(frozen=True)
 class Row:
     """A row of a table: a lift with ``options`` changed, with the scene's file ``masks`` instead of the usual ones, or
     with the depth that the lift of the row ``depth_from`` renders instead of the sensor's. Or ``method``, which needs
-    no lift; or what was ``predicted``; or ``same_as``, the lift of another row; or, if ``is_cited``, the paper's
-    figures."""
+    no lift; or ``same_as``, the lift of another row; or, if ``is_cited``, the paper's figures."""
 
     name: str
     table: str
@@ -54,11 +44,10 @@ class Row:
     depth_from: str | None = None
     paper: Cited | None = None
     is_cited: bool = False
-    predicted: Predicted | None = None
 
     @property
     def is_lift(self) -> bool:
-        return not (self.is_cited or self.method or self.same_as or self.predicted)
+        return not (self.is_cited or self.method or self.same_as)
 
     @property
     def measured_as(self) -> str:

@@ -19,10 +19,7 @@ from engine.scene import open_scene_to_lift
 from ..baselines.without_a_lift import scores_without_a_lift
 from ..results import Result, read_result, read_results, this_engine
 from .experiment import Experiment, SceneToLift, Task, has_files, has_manifest, lift_folder, lift_options, tasks_of
-from .predictions import results_of_predictions
 from .report import refuse_unwritable, write_report
-
-_NO_MATCH = "Compare with results of the same scenes, rows and preset."
 
 
 def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
@@ -39,7 +36,7 @@ def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
     whole = replace(experiment, only=())  # finished lifts of other rows stay in the report
     others = [task for task in tasks_of(whole) if task.name not in {one.name for one in tasks}]
     finished_before = dict(results_before(experiment, others))
-    results = [*results_without_a_lift(experiment, errors), *results_of_predictions(experiment, errors)]
+    results = [*results_without_a_lift(experiment, errors)]
     results += finished_before.values()
     asked = {(each.scene, each.row, each.seed) for each in results}
     asked |= {(task.scene.name, task.row.name, task.seed) for task in tasks}
@@ -179,16 +176,8 @@ def refuse_bad_input(experiment: Experiment, tasks: Sequence[Task]) -> dict[str,
     errors: dict[str, PlgsError] = {}
     for option, path in (("--masks", experiment.masks), ("--depth", experiment.depth)):
         refuse_shared(option, path, len(experiment.scenes))
-    for row in experiment.rows.rows:
-        if row.predicted:
-            refuse_shared("--predictions", row.predicted.folder, len(experiment.scenes))
     if experiment.page:
         refuse_unwritable(experiment.page)
-    if experiment.earlier:
-        known = {result.key[:2] for result in experiment.earlier}
-        if not known & {(task.scene.name, task.row.name) for task in tasks}:
-            held = ", ".join(f"{scene} {row}" for scene, row in sorted(known)[:9])
-            raise PlgsError("no-match", "the earlier results contain none of these scenes and rows", held, _NO_MATCH)
     for task in tasks:
         request = request_from(task.options)
         output = task.options.output

@@ -60,13 +60,12 @@ MEANS = "### Means: over the scenes"
 
 @dataclass(frozen=True)
 class Tables:
-    """Everything in the tables: the ``chosen`` rows of ``rows``, the results so far, and earlier results to compare
-    with, "before -> after". ``version`` of the engine: lifts by other versions are marked. ``columns``: those shown."""
+    """Everything in the tables: the ``chosen`` rows of ``rows``, and the results so far. ``version`` of the
+    engine: lifts by other versions are marked. ``columns``: those shown."""
 
     rows: Rows
     chosen: tuple[Row, ...]
     results: tuple[Result, ...]
-    earlier: tuple[Result, ...] = ()
     version: str = field(default_factory=this_engine)
     columns: tuple[str, ...] = tuple(HEADINGS)
 
@@ -97,7 +96,7 @@ class Tables:
         if all(row.is_cited for row in rows):
             return
         cells = {
-            row.name: dict(_cells(self.measured(scene, row), self._of_row(self.earlier, scene, row)))
+            row.name: {column.figure: _cell(self.measured(scene, row), column) for column in COLUMNS}
             | {"state": self._failures(scene, row)}
             for row in rows
         }
@@ -153,7 +152,8 @@ class Tables:
 
     def _tried(self, scene: str, row: Row) -> list[Result]:
         """The results of a row, and its failures."""
-        return self._of_row(self.results, scene, row)
+        name = self.rows.lift_of(row).measured_as
+        return [result for result in self.results if (result.scene, result.row) == (scene, name)]
 
     def _failures(self, scene: str, row: Row) -> str:
         """Why seeds of a row have no figures; empty if all were measured."""
@@ -164,16 +164,6 @@ class Tables:
         # The default seed is not named.
         named = {why: f" (seed {', '.join(map(str, s))})" if any(s) else "" for why, s in reasons.items()}
         return "; ".join(f"failed{seeds}: {why}" for why, seeds in named.items())
-
-    def _of_row(self, results: Sequence[Result], scene: str, row: Row) -> list[Result]:
-        name = self.rows.lift_of(row).measured_as
-        return [result for result in results if (result.scene, result.row) == (scene, name)]
-
-
-def _cells(now: Sequence[Result], before: Sequence[Result]) -> Iterator[tuple[str, str]]:
-    for column in COLUMNS:
-        text, earlier = _cell(now, column), _cell(before, column)
-        yield column.figure, f"{earlier or '-'} -> {text or '-'}" if earlier or (before and text) else text
 
 
 def _cell(seeds: Sequence[Result], column: Column) -> str:

@@ -1,7 +1,6 @@
 """``python -m research``: its output and exit codes, and its smaller programs."""
 
 import json
-import re
 import signal
 import subprocess
 import sys
@@ -21,10 +20,7 @@ from engine.train.trainer import StepReport, Trainer
 from research import reliability as r
 from research.bench_step import profile_lift, typical
 from research.command_line import main
-from research.experiments.experiment import SceneToLift
-from research.stages import stages_table
 from tests.commands import exit_code, refuse_heavy_help
-from tests.raises_key import raises_key
 from tests.tiny_scene import write_tiny_scene
 from tests.train.tiny_lift import TINY, lift_into, presets_as, views_of
 
@@ -77,30 +73,6 @@ def test_bench_checks_file(capsys: pytest.CaptureFixture[str], tmp_path: Path, m
     assert code_of("bench", "step", "--set", "voxel_size=0.04") == 2
     assert main(["bench", "step", "--preset", "paper", "--set", "voxel_size=0.04"]) == 0
     assert measured[2] == replace(PRESETS["paper"], voxel_size=0.04)
-
-
-PRESET = replace(PRESETS["paper"], voxel_size=0.1)
-
-
-def test_stages_are_scored_on_predicted_and_true_masks(tmp_path: Path) -> None:
-    scene = write_tiny_scene(tmp_path / "room", frames=8, size=(64, 48), noise=0.4)
-    with presets_as(preview=TINY):
-        lift = lift_into(tmp_path / "lift", LiftRequest(scene, bake="all"))
-    rows = {}
-    for line in [*stages_table(SceneToLift("room", scene, "z"), PRESET, lift.path)][2:]:
-        name, *cells = (cell.strip() for cell in line.strip("|").split("|"))
-        rows[name] = [tuple(map(float, re.findall(r"[\d.]+", cell))) for cell in cells]
-    own, by_boxes, true_numbers, learnt, _, _, trained = rows.values()
-    assert true_numbers[1] == (100, 100) and own[1][0] == 100 and own[0][0] < 95
-    assert own[1][1] < by_boxes[1][1] > 95, "Algorithm 1 numbers true masks"
-    assert learnt[0][0] > 50 and learnt[1][0] > 90
-    assert 0 < trained[0][0] <= 100 and trained[1] == ()
-
-
-def test_a_scene_without_truth_is_refused(tmp_path: Path) -> None:
-    scene = write_tiny_scene(tmp_path / "room", frames=4, ground_truth=False)
-    with raises_key("no-truth"):
-        list(stages_table(SceneToLift("room", scene, "z"), PRESET, None))
 
 
 WITHOUT_GROWTH = replace(TINY, steps=1000)

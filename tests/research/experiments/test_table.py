@@ -1,4 +1,4 @@
-"""The page of an experiment: tables with the paper's figures, seeds and earlier results; the contact sheet."""
+"""The page of an experiment: tables with the paper's figures and seeds; the contact sheet."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,7 +6,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pytest
 
 from engine.passes.previews import BACKGROUND, GAP, HEADING, MARGIN, TILE_WIDTH
 from research.experiments.report import SHEET, with_tables, write_sheet
@@ -19,9 +18,9 @@ def cells(table: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines() if line[:1] == "|"]
 
 
-def of_table(name: str, results: Sequence[Result], earlier: Sequence[Result] = ()) -> list[list[str]]:
+def of_table(name: str, results: Sequence[Result]) -> list[list[str]]:
     rows = [row for row in ROWS.rows if row.table == name]
-    return cells("\n".join(Tables(ROWS, ROWS.rows, tuple(results), tuple(earlier)).lines(results[0].scene, rows)))
+    return cells("\n".join(Tables(ROWS, ROWS.rows, tuple(results)).lines(results[0].scene, rows)))
 
 
 def test_table_shows_the_papers_figures() -> None:
@@ -49,16 +48,8 @@ def test_several_seeds_have_a_spread() -> None:
     assert of_table("parts", results)[2][:3] == ["all of it", "60.0 ± 0.0", "55.0 ± 7.1"]
 
 
-def test_earlier_results_are_shown_before_new_ones() -> None:
-    before = replace(OFFICE[0], figures=OFFICE[0].figures._replace(miou=0.6, ssim=None))
-    _, _, ours, masks, theirs, _ = of_table("systems", OFFICE, [before])
-    assert ours[1] == "60.0 -> 80.0" and ours[11] == "- -> 0.875"
-    assert masks[1] == "50.0" and theirs[1] == "60.0"
-
-
-@pytest.mark.parametrize("earlier", [(), OFFICE])
-def test_one_section_per_scene(earlier: Sequence[Result]) -> None:
-    text = Tables(ROWS, ROWS.rows, (*OFFICE, KITCHEN), tuple(earlier)).markdown()
+def test_one_section_per_scene() -> None:
+    text = Tables(ROWS, ROWS.rows, (*OFFICE, KITCHEN)).markdown()
     assert [line for line in text.splitlines() if line[:1] in ("#", "*")] == [
         "### office", "**Systems**", "### kitchen", "**Systems**", "### Means: over the scenes", "**Systems**",
     ]  # fmt: skip
@@ -76,7 +67,7 @@ def test_a_row_that_another_engine_lifted_is_marked() -> None:
     assert [row[0] for row in cells(parts)[2:]] == ["all of it †", "without depth"]
     for table in (systems, parts):
         assert table.rstrip().splitlines()[-1] == f"† Lifted by the engine 0.0.9, not by this one, {this_engine()}."
-    assert "†" not in Tables(ROWS, ROWS.rows, OFFICE, earlier=results).markdown()
+    assert "†" not in Tables(ROWS, ROWS.rows, OFFICE).markdown()
 
 
 def test_means_are_over_the_scenes_that_have_the_figure() -> None:
