@@ -96,17 +96,6 @@ def _targets(cost: NDArray[np.float64], options: Matching) -> list[int | None]:
     return targets
 
 
-def merged(instances: Sequence[SceneObject], group: NDArray[np.int32], voxel_size: float) -> list[SceneObject]:
-    """The instances 1.. of each ``group`` int32 [n] as one, renumbered from 1 in the order of their first."""
-    wholes: dict[int, SceneObject] = {}
-    for one, number in zip(instances, group.tolist(), strict=True):
-        whole = wholes.get(number, replace(one, id=len(wholes) + 1, masks=(), points=one.points[:0]))
-        together, masks = thin(np.concatenate([whole.points, one.points]), voxel_size), (*whole.masks, *one.masks)
-        box = fit_box(together, voxel_size)
-        wholes[number] = replace(whole, points=together, box=box, masks=masks, class_id=class_by_views(masks))
-    return [*wholes.values()]
-
-
 def limit_instances(
     instances: Sequence[SceneObject], instance_of_point: NDArray[np.int32], most: int
 ) -> tuple[list[SceneObject], NDArray[np.int32], int]:

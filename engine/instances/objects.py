@@ -222,21 +222,6 @@ def unowned_pieces(
     return number_of[piece], found
 
 
-def joined_by_views(
-    instance_of_point: NDArray[np.int32], class_ids: Sequence[int], summaries: Sequence[ViewPoints], share: float
-) -> NDArray[np.int32]:
-    """The instances 1.. in groups that the views join, int32 [n], numbered from 0. ``class_ids`` [n] are their classes.
-
-    Two of one class are joined where at least one view, and ``share`` of those that judge both, show them inside one
-    mask (``PieceRules``). ``instance_of_point`` int32 [N], 0 = none; ``summaries``: what each view shows at the points.
-    """
-    piece, kind = instance_of_point.astype(np.int64) - 1, np.asarray(class_ids)
-    joined, judged = _views_on_pairs(piece, len(kind), summaries, PieceRules())
-    together = (joined > 0) & (joined >= share * judged) & (kind[:, None] == kind[None])
-    group: NDArray[np.int32] = connected_components(coo_matrix(together), directed=False)[1]
-    return group
-
-
 def _pieces(
     xyz: NDArray[np.floating], object_of_point: NDArray[np.int32], rules: PieceRules, progress: Progress
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -8,7 +8,6 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NoReturn, get_args
 
@@ -30,9 +29,6 @@ CHANNELS = ("blender", "nuke")
 """Programs whose naming of channels passes can follow."""
 BAKES: tuple[str, ...] = get_args(Bake)
 DEVICES: tuple[str, ...] = get_args(Device)
-_NO_BLOCKS = "A long capture fits without blocks: lift again without them, with fewer --frames if memory is short"
-GONE = {"blocks": _NO_BLOCKS, "block": _NO_BLOCKS}
-"""Options of earlier versions that no longer exist, and what to do instead."""
 _ABOUT_DEVICES = (
     "where to train and draw (default: cpu); cuda is experimental, never run by us on a GPU, and needs gsplat, nvcc, "
     "ninja and a C++ compiler; auto is cpu, and says why"
@@ -109,8 +105,6 @@ class LiftRequest(SceneSource):
         """The request in a file. Raises PlgsError, which names the file and the key that is wrong."""
         content: dict[str, Any] = read_object(path, _FIX)
         refuse_other_format(content, path)
-        for name in sorted(set(GONE) & set(content)):
-            raise PlgsError("option-gone", f"this lift was requested with --{name}", path, f"{GONE[name]}.")
         overrides, relative = content.pop("overrides", None) or {}, content.pop("relative", {})
         if not isinstance(overrides, dict):
             raise PlgsError("bad-overrides", "'overrides' is not a JSON object", path, _FIX)
@@ -199,17 +193,11 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
         help="SCENE is photos or a film: let COLMAP find the poses first, and write them beside the photos",
     )  # fmt: skip
     add_options(parser, "names_from", "device", "anyway")
-    for name, instead in GONE.items():
-        parser.add_argument(f"--{name}", type=partial(_refuse_gone, instead), help=argparse.SUPPRESS)
     parser.add_argument(
         "--bake", choices=(*BAKES, *more_bakes),
         help="which frames to render as passes: the held-out ones, all, or none (default: test, for a draft none)"
         + "".join(f"; {name}: {meaning}" for name, meaning in more_bakes.items()),
     )  # fmt: skip
-
-
-def _refuse_gone(instead: str, _: str) -> None:
-    raise argparse.ArgumentTypeError(instead)
 
 
 def add_amount_options(parser: argparse.ArgumentParser) -> None:

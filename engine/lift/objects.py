@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..instances import objects as by_votes
 from ..instances.agreement import ViewPoints, ViewsOnCloud, shown_classes
 from ..instances.consensus import ConsensusOptions, FoundObjects, find_objects, with_masks_of
-from ..instances.matching import limit_instances, match_views, merged
+from ..instances.matching import limit_instances, match_views
 from ..instances.panoptic_labels import ClassBalance, PanopticLabels
 from ..instances.records import ObjectMask, SceneObject, object_of_mask
 from ..instances.segment_votes import neighbours_on_a_thing, view_labels, vote_panoptic_labels
@@ -75,10 +75,6 @@ def instances_by_boxes(given: ViewsToMatch, preset: Preset, progress: StageProgr
     owner = vote_instances(
         views, lambda view: index.nearest_of_pixels(view.camera, view.depth, reach), len(cloud), object_of_mask(found)
     )
-    if preset.matching.merge is not None:
-        seen = on_cloud(views, cloud, given.scratch, progress).looked_at(progress).seen
-        group = by_votes.joined_by_views(owner, [one.class_id for one in found], seen, preset.matching.merge)
-        found, owner = merged(found, group, preset.voxel_size), np.append(0, group + 1).astype(np.int32)[owner]
     owner[~np.isin(cloud.class_id, sorted(classes.thing_ids))] = 0
     instances, instance_of_point, dropped = limit_instances(found, owner, preset.most_instances)
     return Matching(cloud, instances, instance_of_point, dropped)

@@ -20,11 +20,6 @@ from ..json_file import Json
 from .parts import added_names, is_name
 from .preset import PRESETS, Preset
 
-GONE = {
-    "vote_rounds": "segments vote on Gaussians twice, and points once where masks are weak",
-    "voting.prior": "the label decoders have 0.3 votes",
-}
-"""Removed options, and what happens instead."""
 LISTING = "python -m engine presets"
 _KINDS = {"int": "a whole number", "float": "a number", "ints": "whole numbers", "bool": "true or false"}
 _BOOLEANS = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}
@@ -149,8 +144,6 @@ def known_option(name: str) -> PresetOption:
     options = preset_options()
     if name in options:
         return options[name]
-    if name in GONE:
-        raise PlgsError("option-gone", f"the option {name!r} was removed", "--set", f"Omit it: {GONE[name]}.")
     last = [known for known in options if known.rpartition(".")[2] == name]
     near = last or difflib.get_close_matches(name, options, 1, 0.5)
     hint = f"Did you mean {near[0]}? " if near else ""

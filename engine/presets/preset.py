@@ -36,15 +36,11 @@ def _named(kind: str, default: Names, *known: str) -> Names:
 class Matching:
     """Algorithm 1. ``tau_new``: a segment whose least cost is above it is a new instance. ``rule``: "hybrid" takes the
     Hungarian partner if its cost is at most tau, else the best global instance if its cost is, else a new one;
-    "literal" is the text of Algorithm 1. ``cost``: the terms of O; the paper's table of ablations has each alone.
-    ``merge``: afterwards, global instances of one class are merged if at least one view, and this share of the views
-    that judge both, show them in one mask. None: never, as in the paper: parts that were seen before the whole stay
-    separate."""
+    "literal" is the text of Algorithm 1. ``cost``: the terms of O; the paper's table of ablations has each alone."""
 
     tau_new: float = _ranged(-0.1, -2.0, 0.0)
     rule: Literal["hybrid", "literal"] = "hybrid"
     cost: Literal["IoU+IoM", "IoU", "IoM"] = "IoU+IoM"
-    merge: float | None = _ranged(None, 0.0, 1.0)
 
 
 @dataclass(frozen=True)

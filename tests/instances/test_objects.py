@@ -7,7 +7,6 @@ from engine.instances.agreement import ViewPoints
 from engine.instances.objects import (
     PieceRules,
     held_back_agreement,
-    joined_by_views,
     object_classes,
     regroup_pieces,
     unowned_pieces,
@@ -186,14 +185,6 @@ def test_the_largest_piece_says_which_object_a_group_comes_from() -> None:
     all_of_it = view((3, slice(0, 40)), points=40)
     found, origin = regroup_pieces(xyz, owner, [SOFA, SOFA], [all_of_it] * 2, rules=RULES)
     assert (found == 1).all() and origin == [2]
-
-
-@pytest.mark.parametrize(("share", "groups"), [(0.0, [0, 0, 1]), (0.6, [0, 0, 1]), (0.7, [0, 1, 2])])
-def test_instances_of_one_class_are_joined_by_the_share_of_judging_views(share: float, groups: list[int]) -> None:
-    owner, rows, ones = np.repeat([1, 2, 3], 6).astype(np.int32), np.arange(18, dtype=np.int32), np.ones(18, np.float32)
-    whole, halves = np.full(18, 4, np.int32), np.repeat([4, 5, 6], 6).astype(np.int32)
-    views = [ViewPoints(rows, segment, ones, ones) for segment in (whole, whole, halves)]
-    assert joined_by_views(owner, [CHAIR, CHAIR, SOFA], views, share).tolist() == groups
 
 
 def test_pieces_of_things_without_an_object_become_objects_where_two_views_have_masks_on_them() -> None:

@@ -22,7 +22,6 @@ OF_THE_PAPER = {
     "weights.depth": (0.0, "Reconstruction Loss"),
     "matching.tau_new": (-0.1, DETAILS),
     "matching.cost": ("IoU+IoM", "Algorithm 1"),
-    "matching.merge": (None, "Algorithm 1"),
     "objects": ("boxes", "Algorithm 1"),
     "linear_assignment": (True, "Instance Loss"),
     "teach_no_object": (False, "Consistent Instance Mask Generation"),
