@@ -1,9 +1,15 @@
 """Commands as the tests of `engine` and `research` run them."""
 
+import json
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
+
+import pytest
+
+from engine.command_line.main import main
 
 
 def exit_code(main: Callable[[Sequence[str]], int], *arguments: str | Path) -> int:
@@ -13,6 +19,13 @@ def exit_code(main: Callable[[Sequence[str]], int], *arguments: str | Path) -> i
     except SystemExit as error:
         assert isinstance(error.code, int)
         return error.code
+
+
+def answer_of(capsys: pytest.CaptureFixture[str], *arguments: object) -> Any:
+    """What a command of the engine answers with --json."""
+    capsys.readouterr()
+    assert main([*map(str, arguments), "--json"]) == 0, capsys.readouterr().err
+    return json.loads(capsys.readouterr().out.splitlines()[-1])
 
 
 def refuse_heavy_help(root: Path, module: str, command: Sequence[str]) -> None:

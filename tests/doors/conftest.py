@@ -1,4 +1,4 @@
-"""A terminal in a copy of the clone, with a finished lift of the tiny room as `lifts/demo`."""
+"""Terminals in an empty clone, and in one with a finished lift of the tiny room as `lifts/demo`."""
 
 import shutil
 from pathlib import Path
@@ -27,3 +27,10 @@ def terminal(lifted: Path, tmp_path: Path, quick_python: Path) -> Terminal:
     folder = tmp_path / "clone"
     shutil.copytree(lifted, folder)
     return Terminal.like_a_clone(folder, quick_python)
+
+
+@pytest.fixture
+def shell(tmp_path: Path, quick_python: Path) -> Terminal:
+    """In an empty clone."""
+    (tmp_path / "clone").mkdir()
+    return Terminal.like_a_clone(tmp_path / "clone", quick_python)

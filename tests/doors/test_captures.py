@@ -15,6 +15,7 @@ import pytest
 from engine import poses
 from engine.command_line.main import main
 from engine.scene import open_scene
+from tests.commands import answer_of
 from tests.doors.terminal import ROOT, Terminal
 from tests.poses.test_making import aligned
 from tests.raises_key import worded
@@ -33,20 +34,6 @@ from tests.tiny_scene import write_tiny_scene
 INSPECT = ".venv/bin/python -m engine inspect SCENE"
 FRAMES = ".venv/bin/python -m engine frames SCENE -o FOLDER"
 POSES = ".venv/bin/python -m engine poses PHOTOS"
-
-
-@pytest.fixture
-def shell(tmp_path: Path, quick_python: Path) -> Terminal:
-    """A terminal in an empty clone."""
-    (tmp_path / "clone").mkdir()
-    return Terminal.like_a_clone(tmp_path / "clone", quick_python)
-
-
-def answer_of(capsys: pytest.CaptureFixture[str], *arguments: object) -> Any:
-    """What a command of the engine answers with --json."""
-    capsys.readouterr()
-    assert main([*map(str, arguments), "--json"]) == 0, capsys.readouterr().err
-    return json.loads(capsys.readouterr().out.splitlines()[-1])
 
 
 def write_colmap(folder: Path) -> None:

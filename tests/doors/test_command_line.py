@@ -24,13 +24,6 @@ PRESET = ".venv/bin/python -m engine presets NAME"
 QUICK = ("--steps", "5", "--set", "warm_start=false")
 
 
-@pytest.fixture
-def shell(tmp_path: Path, quick_python: Path) -> Terminal:
-    """A terminal in an empty clone."""
-    (tmp_path / "clone").mkdir()
-    return Terminal.like_a_clone(tmp_path / "clone", quick_python)
-
-
 def test_every_command_has_help(shell: Terminal) -> None:
     page = (ROOT / "docs/command-line.md").read_text(encoding="utf-8")
     table = page[page.index("## Without Blender") : page.index("`.venv/bin/python -m research`")]

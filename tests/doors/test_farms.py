@@ -19,13 +19,6 @@ OF_A_TABLE = ".venv/bin/python -m engine batch --scenes scans.csv -o OUT --prese
 QUICK = ("--steps", "5", "--set", "warm_start=false", "--size", "64x48", "--workers", "1")
 
 
-@pytest.fixture
-def shell(tmp_path: Path, quick_python: Path) -> Terminal:
-    """A terminal in a clone with the folder "scans"."""
-    (tmp_path / "clone/scans").mkdir(parents=True)
-    return Terminal.like_a_clone(tmp_path / "clone", quick_python)
-
-
 def rows_of(folder: Path) -> dict[str, dict[str, str]]:
     with (folder / "table.csv").open(newline="") as file:
         return {row["scene"]: row for row in csv.DictReader(file)}
@@ -35,7 +28,7 @@ def rows_of(folder: Path) -> dict[str, dict[str, str]]:
 def test_a_batch_has_a_row_a_scene_and_continues_with_what_is_missing(shell: Terminal) -> None:
     pytest.importorskip("distributed")
     write_tiny_scene(shell.folder / "scans/room", 6, noise=0.1)
-    (shell.folder / "scans/empty").mkdir()
+    (shell.folder / "scans/empty").mkdir(parents=True)
     told = shell.run(BATCH, code=2, OUT="out", more=QUICK)
     out = shell.folder / "out"
     assert "| room | done |" in told and "Dashboard: http://127.0.0.1:" in told

@@ -12,6 +12,7 @@ import pytest
 
 from engine.command_line.main import main
 from engine.scene import open_scene
+from tests.commands import answer_of
 from tests.doors.terminal import Terminal
 from tests.raises_key import worded
 from tests.scene.mask_formats.labelled_room import COCO_NAMES, COCO_NUMBERS, NAMES, Truth, check_on_room, write_frames
@@ -26,20 +27,6 @@ SEGMENT = (
 QUICK = ("--steps", "5", "--set", "warm_start=false")
 CHAIRS = {1: "", 2: "", 3: "", 5: "chair", 13: ""}
 """What is left of the room's classes where masks show chairs alone."""
-
-
-@pytest.fixture
-def shell(tmp_path: Path, quick_python: Path) -> Terminal:
-    """A terminal in a clone with a scene "room" without masks."""
-    (tmp_path / "clone").mkdir()
-    return Terminal.like_a_clone(tmp_path / "clone", quick_python)
-
-
-def answer_of(capsys: pytest.CaptureFixture[str], *arguments: object) -> Any:
-    """What a command of the engine answers with --json."""
-    capsys.readouterr()
-    assert main([*map(str, arguments), "--json"]) == 0, capsys.readouterr().err
-    return json.loads(capsys.readouterr().out.splitlines()[-1])
 
 
 def runs(mask: np.ndarray) -> dict[str, Any]:

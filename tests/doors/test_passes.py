@@ -14,9 +14,10 @@ from mathutils import Matrix
 
 import engine
 from engine.passes.exr import read_exr
+from tests.commands import answer_of
 from tests.doors.terminal import Terminal
 from tests.passes.agreement import coverage_of
-from tests.tiny_scene import tiny_intrinsics, tiny_pose, trace_view
+from tests.tiny_scene import CATEGORIES, tiny_intrinsics, tiny_pose, trace_view
 
 SIZE = (64, 48)
 FRAME = "0004"  # held out of six
@@ -215,3 +216,16 @@ def test_usd_is_metres_z_up_and_each_object_a_component(terminal: Terminal) -> N
     objects = stage.GetPrimAtPath("/Lift/Objects").GetChildren()
     assert {one.GetDisplayName() for one in objects} == {"chair 1", "cabinet 1"}
     assert all(Usd.ModelAPI(one).GetKind() == Kind.Tokens.component for one in objects)
+
+
+def test_a_lift_has_the_scores_of_its_coco_export(terminal: Terminal, capsys: pytest.CaptureFixture[str]) -> None:
+    terminal.run(EXPORT, LIFT="lifts/demo", FORM="coco", FOLDER="labels", more=["--frames", "test"])
+    truth = terminal.folder / "scans/room/gt"
+    classes = [{"id": each["id"], "name": each["name"], "is_thing": bool(each["isthing"])} for each in CATEGORIES]
+    (truth / "labels.json").write_text(json.dumps({"classes": classes}))
+    of_lift = answer_of(capsys, "evaluate", terminal.folder / "lifts/demo")["tables"]
+    of_export = answer_of(capsys, "evaluate", "--predictions", terminal.folder / "labels", "--truth", truth)["tables"]
+    for table in of_export:
+        (own,) = (each for each in of_lift if (each["name"], each["mode"]) == ("lifted", table["mode"]))
+        assert own["pq"] > 0.3 and all(abs(own[key] - table[key]) < 0.001 for key in ("miou", "miou_true", "pq"))
+    assert len(of_export) == 2

@@ -33,22 +33,17 @@ def in_table(truth: Truth, table: dict[int, int]) -> np.ndarray:
     return np.vectorize(table.__getitem__)(truth.semantic)
 
 
-def write_pairs(folder: Path, kinds: tuple[str, str], deep: type = np.uint8) -> list[Truth]:
+def write_pairs(folder: Path, kinds: tuple[str, str]) -> list[Truth]:
     scene, truths = write_frames(folder)
     for truth in truths:
         for kind, values in zip(kinds, (in_table(truth, NYU), truth.instance), strict=True):
             (scene / "masks" / kind).mkdir(parents=True, exist_ok=True)
-            cv2.imwrite(str(scene / "masks" / kind / f"{truth.name}.png"), values.astype(deep))
+            cv2.imwrite(str(scene / "masks" / kind / f"{truth.name}.png"), values.astype(np.uint8))
     return truths
 
 
-@pytest.mark.parametrize(
-    ("kinds", "deep"),
-    [(("label-filt", "instance-filt"), np.uint16), (("semantic_class", "semantic_instance"), np.uint8)],
-)
-def test_pairs_of_images_are_read(tmp_path: Path, kinds: tuple[str, str], deep: type) -> None:
-    truths = write_pairs(tmp_path, kinds, deep)
-    check_on_room(open_scene(tmp_path, classes="nyu40"), truths, NAMES, THINGS)
+def test_pairs_of_images_need_a_table(tmp_path: Path) -> None:
+    write_pairs(tmp_path, ("semantic_class", "semantic_instance"))
     refuses("no-class-names", tmp_path)
 
 
@@ -163,9 +158,8 @@ def test_segments_are_the_pairs_that_occur(folder: Path) -> None:
     assert mask.ids.min() > 0 and check_scene(open_scene(folder)) == ()
 
 
-@pytest.mark.parametrize("pixel_type", [np.uint8, np.uint16])
-def test_two_chairs_are_two_segments_at_any_bit_depth(folder: Path, pixel_type: type) -> None:
-    semantic, instance = np.full((24, 32), 5, pixel_type), np.zeros((24, 32), pixel_type)
+def test_two_chairs_are_two_segments(folder: Path) -> None:
+    semantic, instance = np.full((24, 32), 5, np.uint16), np.zeros((24, 32), np.uint16)
     semantic[:4] = 0
     instance[4:, :10], instance[4:, 10:20] = 200, 201
     paint(folder / "m2f_semantics" / "0001.png", semantic)
