@@ -39,7 +39,7 @@ CONFUSIONS: dict[str, dict[str, float]] = {
     "appliance": {"cabinet": 1.2, "door": 0.8},
     "object": {"lamp": 0.6, "bin": 0.5, "picture": 0.3, "chair": 0.3},
 }
-"""For each true class, the classes it is mistaken for, with their weights. 1 is the ordinary weight."""
+"""For each true class of the sample, the classes it is mistaken for, with their weights. 1 is the ordinary weight."""
 
 
 @dataclass(frozen=True)
@@ -84,9 +84,16 @@ class Sight:
     direction: tuple[float, float, float]
 
 
-def believe(sight: Sight, noise: BeliefNoise, seed: int, frame: str) -> tuple[str, float]:
-    """The class that the network believes in, and its score in (0, 1)."""
-    others = CONFUSIONS[sight.class_name]
+def confusions(class_name: str, is_thing: dict[str, bool]) -> dict[str, float]:
+    """The classes of a scene that one of them is mistaken for: those of ``CONFUSIONS``, or else three of its kind."""
+    known = {other: weight for other, weight in CONFUSIONS.get(class_name, {}).items() if other in is_thing}
+    alike = [other for other, thing in is_thing.items() if thing == is_thing[class_name] and other != class_name]
+    return known or {str(other): 1.0 for other in stream("confusions", class_name).permutation(sorted(alike))[:3]}
+
+
+def believe(sight: Sight, is_thing: dict[str, bool], noise: BeliefNoise, seed: int, frame: str) -> tuple[str, float]:
+    """The class of those in ``is_thing`` that the network believes in, and its score in (0, 1)."""
+    others = confusions(sight.class_name, is_thing)
     doublings = float(np.log2(max(sight.area, 1e-6) / noise.ordinary_area))
     gain = float(np.clip(noise.size_gain * doublings, -noise.size_gain_limit, noise.size_gain_limit))
     margin = noise.thing_margin if sight.is_thing else noise.stuff_margin
@@ -227,7 +234,7 @@ def _classified(
     random: np.random.Generator,
 ) -> list[Region]:
     """One region, or its two parts, with the class of each."""
-    name, score = believe(region.sight, noise.belief, seed, frame)
+    name, score = believe(region.sight, is_thing, noise.belief, seed, frame)
     halves = random.random() < noise.split
     angle, shift, disagrees = random.random() * np.pi, random.normal() * 0.5, random.random() < noise.split_disagrees
     if not halves:
@@ -239,7 +246,7 @@ def _classified(
     other, other_score = name, round(score * 0.9, 4)
     if disagrees:
         part = replace(region.sight, key=region.sight.key + " part", area=region.sight.area / 2)
-        other, other_score = believe(part, noise.belief, seed, frame)
+        other, other_score = believe(part, is_thing, noise.belief, seed, frame)
     return [
         Region(region.pixels & ~side, name, is_thing[name], score),
         Region(side, other, is_thing[other], other_score),

@@ -1,54 +1,61 @@
-"""Make masks as a network would: ``python sample/network_masks.py SCENE [--seed N] [--out FOLDER] [--name NAME]``.
+"""Make masks as a network would: ``python sample/network_masks.py SCENE [--weak] [--seed N] [--out FOLDER]``.
 
-SCENE holds ``gt/semantic``, ``gt/instance``, ``gt/classes.json``, ``depth``, ``pose`` and ``intrinsic``. It writes
-``panoptic.json`` (COCO panoptic, its own categories, a score per segment) and ``panoptic/*.png`` (segment id = R + 256
-G + 65536 B, 0 = void). All other programs use the ground truth only for evaluation. ``BeliefNoise`` and
-``MaskNoise`` of mask_noise.py say what a network gets wrong, and how often.
+SCENE is a scene with ground truth and depth, in any layout. It writes ``panoptic.json`` (COCO panoptic, a score per
+segment) and ``panoptic/*.png`` (segment id = R + 256 G + 65536 B, 0 = void). All other programs use the ground truth
+only for evaluation. ``BeliefNoise`` and ``MaskNoise`` of mask_noise.py say what a network gets wrong, and how often.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from mask_noise import Ids, MaskNoise, Region, Sight, TrueRegion, detect
+from mask_noise import BeliefNoise, Ids, MaskNoise, Region, Sight, TrueRegion, detect
 from numpy.typing import NDArray
 from shared import write_image
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from engine.scene import Camera, ClassTable, Frame, open_scene
 
 Segments = list[dict[str, Any]]
 """COCO's ``segments_info``."""
 
 SMALLEST_STUFF = 40
 """Pixels. A smaller piece of stuff goes with the largest piece of its class."""
+WEAK = MaskNoise(BeliefNoise(thing_margin=1.5, stuff_margin=1.3))
+"""A network that is about as unsure as small ones are (docs/experiments.md)."""
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("scene", type=Path, help="scene folder with gt/")
+    parser.add_argument("scene", type=Path, help="scene with ground truth")
+    parser.add_argument("--weak", action="store_true", help="as a network that is often wrong")
     parser.add_argument("--seed", type=int, default=0, help="different seeds give different faults (default 0)")
     parser.add_argument("--out", type=Path, help="where panoptic.json and panoptic/ go (default: the scene folder)")
     parser.add_argument("--name", default="panoptic", help="NAME.json and NAME/ are written (default panoptic)")
     options = parser.parse_args()
-    write_masks(options.scene, options.out or options.scene, options.seed, name=options.name)
+    noise = WEAK if options.weak else MaskNoise()
+    write_masks(options.scene, options.out or options.scene, options.seed, noise, options.name)
 
 
-def write_masks(scene: Path, out: Path, seed: int, noise: MaskNoise | None = None, name: str = "panoptic") -> None:
-    categories = json.loads((scene / "gt/classes.json").read_text())["categories"]
+def write_masks(scene: Path, out: Path, seed: int, noise: MaskNoise, name: str = "panoptic") -> None:
+    """Raises PlgsError if the scene cannot be read."""
+    read = open_scene(scene)
     (out / name).mkdir(parents=True, exist_ok=True)
-    masks, images = {}, []
-    for path in sorted((scene / "gt/semantic").glob("*.png")):
-        ids, masks[path.stem] = mask_of_frame(scene, path.stem, categories, seed, noise or MaskNoise())
+    images, annotations = [], []
+    for frame in read.frames:
+        ids, segments = mask_of_frame(frame, read.classes, seed, noise)
         pixels = np.stack([ids >> 16, ids >> 8 & 255, ids & 255], -1).astype(np.uint8)  # B, G, R
-        write_image(out / f"{name}/{path.stem}.png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+        write_image(out / f"{name}/{frame.name}.png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 9])
         height, width = ids.shape
-        images.append({"id": path.stem, "file_name": f"{path.stem}.jpg", "width": width, "height": height})
-    annotations = [
-        {"image_id": frame, "file_name": f"{frame}.png", "segments_info": segments} for frame, segments in masks.items()
-    ]
+        images.append({"id": frame.name, "file_name": frame.colour_path.name, "width": width, "height": height})
+        annotations.append({"image_id": frame.name, "file_name": f"{frame.name}.png", "segments_info": segments})
+    categories = [{"id": one.id, "name": one.name, "isthing": int(one.is_thing)} for one in read.classes.categories]
     blocks = []  # one entry a line
     for key, entries in (("images", images), ("annotations", annotations), ("categories", categories)):
         lines = ",\n".join(" " + json.dumps(entry) for entry in entries)
@@ -56,37 +63,35 @@ def write_masks(scene: Path, out: Path, seed: int, noise: MaskNoise | None = Non
     (out / f"{name}.json").write_text("{\n" + ",\n".join(blocks) + "\n}\n")
 
 
-def mask_of_frame(
-    scene: Path, frame: str, categories: list[dict[str, Any]], seed: int, noise: MaskNoise
-) -> tuple[Ids, Segments]:
-    """The mask of one frame, int32 [H, W], and its segments. Frames do not depend on each other."""
-    regions = true_regions(scene, frame, categories)
-    is_thing = {entry["name"]: bool(entry["isthing"]) for entry in categories}
-    number = {entry["name"]: entry["id"] for entry in categories}
-    ids, seen = detect(regions, is_thing, noise, seed, frame)
+def mask_of_frame(frame: Frame, classes: ClassTable, seed: int, noise: MaskNoise) -> tuple[Ids, Segments]:
+    """The mask of one frame, int32 [H, W], and its segments. Frames do not depend on each other. Raises PlgsError."""
+    regions = true_regions(frame, classes)
+    is_thing = {entry.name: entry.is_thing for entry in classes.categories}
+    number = {entry.name: entry.id for entry in classes.categories}
+    ids, seen = detect(regions, is_thing, noise, seed, frame.name)
     return ids, [_segment_info(index + 1, region, number) for index, region in enumerate(seen)]
 
 
-def true_regions(scene: Path, frame: str, categories: list[dict[str, Any]]) -> list[TrueRegion]:
-    """Every thing and every connected piece of stuff in the view, in a fixed order; void belongs to no region."""
-    semantic = _read_png(scene / f"gt/semantic/{frame}.png")
-    instance = _read_png(scene / f"gt/instance/{frame}.png")
-    depth = _read_png(scene / f"depth/{frame}.png") / 1000.0
-    pose = np.loadtxt(scene / f"pose/{frame}.txt")
-    points = _world_points(depth, np.loadtxt(scene / "intrinsic/intrinsic_color.txt"), pose)
+def true_regions(frame: Frame, classes: ClassTable) -> list[TrueRegion]:
+    """Every thing and every connected piece of stuff in the view, in a fixed order; void belongs to no region. Raises
+    PlgsError, and SystemExit without ground truth."""
+    if frame.read_ground_truth is None:
+        raise SystemExit(f"no ground truth for {frame.colour_path}: made masks need it")
+    truth = frame.read_ground_truth(None)
+    height, width = truth.semantic.shape
+    points = _world_points(np.round(frame.depth((width, height)).astype(np.float64), 3), frame.camera)
     regions = []
-    for entry in categories:
-        of_class = semantic == entry["id"]
-        if entry["isthing"]:
-            pieces = [(f"thing {k}", of_class & (instance == k)) for k in np.unique(instance[of_class])]
+    for entry in classes.categories:
+        of_class = truth.semantic == entry.id
+        if entry.is_thing:
+            pieces = [(f"thing {k}", of_class & (truth.instance == k)) for k in np.unique(truth.instance[of_class])]
         else:
-            pieces = [(entry["name"], piece) for piece in _pieces(of_class)]
+            pieces = [(entry.name, piece) for piece in _pieces(of_class)]
         for key, pixels in pieces:
             x, y, z = np.round(points[pixels].mean(0), 3).tolist()
-            towards = np.array([x, y, z]) - pose[:3, 3]
+            towards = np.array([x, y, z]) - frame.camera.centre
             u, v, w = np.round(towards / np.linalg.norm(towards), 3).tolist()
-            share = float(pixels.mean())
-            sight = Sight(key, entry["name"], bool(entry["isthing"]), share, (x, y, z), (u, v, w))
+            sight = Sight(key, entry.name, entry.is_thing, float(pixels.mean()), (x, y, z), (u, v, w))
             regions.append(TrueRegion(pixels, sight))
     return regions
 
@@ -103,22 +108,14 @@ def _pieces(pixels: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
     return pieces
 
 
-def _world_points(
-    depth: NDArray[np.float64], intrinsic: NDArray[np.float64], pose: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """World points [H, W, 3] of planar depth in metres; pixel centres at integers, as in the scene's files."""
-    y, x = np.mgrid[0 : depth.shape[0], 0 : depth.shape[1]]
-    across = (x - intrinsic[0, 2]) / intrinsic[0, 0] * depth
-    down = (y - intrinsic[1, 2]) / intrinsic[1, 1] * depth
+def _world_points(depth: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:
+    """World points [H, W, 3] of planar depth in metres."""
+    y, x = np.mgrid[0 : depth.shape[0], 0 : depth.shape[1]] + 0.5
+    across = (x - camera.cx) / camera.fx * depth
+    down = (y - camera.cy) / camera.fy * depth
     # A matrix product may round differently on another machine, sums of terms do not.
-    return np.stack([across * row[0] + down * row[1] + depth * row[2] + row[3] for row in pose[:3]], -1)
-
-
-def _read_png(path: Path) -> NDArray[Any]:
-    picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if picture is None:
-        raise SystemExit(f"cannot read {path}: not a scene with ground truth?")
-    return picture
+    pose = camera.camera_to_world[:3]
+    return np.stack([across * row[0] + down * row[1] + depth * row[2] + row[3] for row in pose], -1)
 
 
 def _segment_info(index: int, region: Region, number: dict[str, int]) -> dict[str, Any]:

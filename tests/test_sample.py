@@ -16,7 +16,7 @@ from tests.tiny_scene import write_tiny_scene
 SAMPLE = Path(__file__).resolve().parents[1] / "sample"
 ROOM = SAMPLE / "room"
 sys.path.append(str(SAMPLE))  # its programs import each other as scripts do
-hand_held, network_masks = importlib.import_module("hand_held"), importlib.import_module("network_masks")
+hand_held, mask_noise, network_masks = map(importlib.import_module, ("hand_held", "mask_noise", "network_masks"))
 
 FRAMES = 12
 
@@ -99,10 +99,12 @@ def test_bad_arguments_are_refused_in_one_line(
 def test_committed_masks_are_what_the_program_makes_and_coco_panoptic() -> None:
     table, splits = json.loads((ROOM / "panoptic.json").read_text()), json.loads((ROOM / "splits.json").read_text())
     things = {entry["id"]: entry["isthing"] for entry in table["categories"]}
+    scene = open_scene(ROOM)
+    frames = {frame.name: frame for frame in scene.frames}
     assert [image["id"] for image in table["images"]] == sorted(splits["train"] + splits["test"])
     for annotation in table["annotations"][5::24]:
         frame = annotation["image_id"]
-        ids, segments = network_masks.mask_of_frame(ROOM, frame, table["categories"], 0, network_masks.MaskNoise())
+        ids, segments = network_masks.mask_of_frame(frames[frame], scene.classes, 0, network_masks.MaskNoise())
         picture = cv2.imread(str(ROOM / "panoptic" / annotation["file_name"]), cv2.IMREAD_COLOR).astype(np.int32)
         assert np.array_equal(ids, picture[..., 2] + 256 * picture[..., 1] + 65536 * picture[..., 0])
         assert segments == annotation["segments_info"]
@@ -110,3 +112,18 @@ def test_committed_masks_are_what_the_program_makes_and_coco_panoptic() -> None:
         painted = dict(zip(numbers.tolist(), counts.tolist(), strict=True))
         assert painted == {segment["id"]: segment["area"] for segment in segments}
         assert all(segment["isthing"] == things[segment["category_id"]] for segment in segments)
+
+
+def test_any_scene_gets_masks_and_weak_ones_are_wrong_more_often(
+    exact: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    right = {}
+    for name, more in (("good", ()), ("weak", ("--weak",))):
+        monkeypatch.setattr(sys, "argv", ["network_masks.py", str(exact), *more, "--out", str(tmp_path / name)])
+        network_masks.main()
+        frames = open_scene(exact, tmp_path / name).frames
+        right[name] = np.mean([frame.mask().class_map() == frame.read_ground_truth(None).semantic for frame in frames])
+    assert 0.3 < right["weak"] < right["good"] - 0.02 and right["good"] < 0.99
+    alike = {"a": True, "b": True, "c": True, "d": True, "e": True, "wall": False}
+    chosen = mask_noise.confusions("a", alike)
+    assert len(chosen) == 3 and chosen == mask_noise.confusions("a", alike) and not {"a", "wall"} & set(chosen)
