@@ -39,7 +39,7 @@ def rasterize(
     want_means2d_grad: bool = False,
     backend: Backend | None = None,
 ) -> Rendering:
-    """Draw N Gaussians; differentiable in the first six arguments, which are float32 on one device for ``numba``.
+    """Draw N Gaussians; differentiable in the first six arguments, which are float32 on one device.
 
     OpenCV axes: x right, y down, z forward. ``K`` has any fx, fy, cx, cy, but no skew; the centre of pixel (i, j) is
     (i + 0.5, j + 0.5). No gradient flows to the camera. ``rows``: the first row of
@@ -70,10 +70,6 @@ def rasterize(
 @cache
 def _load(backend: Backend) -> Callable[[GaussianSet, Pinhole, Wanted], Rendering]:
     """The back end's function. Back ends are imported on demand, so that a program never waits for unused ones."""
-    if backend == "reference":
-        from .reference import rasterize_reference
-
-        return rasterize_reference
     if backend == "gsplat":
         from .cuda import rasterize_gsplat
 
@@ -89,11 +85,11 @@ def _pick(backend: Backend | None, means: Tensor) -> Backend:
     name: Backend = backend if backend is not None else by_device
     if name not in BACKENDS:
         raise ValueError(f"unknown back end {name!r}: choose one of {', '.join(BACKENDS)}")
-    wanted, other = ("cuda", "numba") if name == "gsplat" else ("cpu", "reference")
-    if name != "reference" and (means.device.type != wanted or means.dtype != torch.float32):
+    wanted = "cuda" if name == "gsplat" else "cpu"
+    if means.device.type != wanted or means.dtype != torch.float32:
         raise ValueError(
             f"the back end {name} takes float32 tensors on the device {wanted}, these are {means.dtype} on "
-            f"{means.device}; move them or choose the back end {other}"
+            f"{means.device}; move them or choose another back end"
         )
     if name == "gsplat":
         from .cuda import what_is_missing

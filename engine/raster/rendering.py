@@ -7,8 +7,8 @@ from typing import Literal, NamedTuple
 
 from torch import Tensor
 
-Backend = Literal["numba", "gsplat", "reference"]
-BACKENDS: tuple[Backend, ...] = ("numba", "gsplat", "reference")
+Backend = Literal["numba", "gsplat"]
+BACKENDS: tuple[Backend, ...] = ("numba", "gsplat")
 
 
 class GaussianSet(NamedTuple):

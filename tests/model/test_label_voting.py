@@ -25,9 +25,9 @@ from engine.model.render import render_view
 from engine.model.scene_labels import VotedLabels, scene_labels
 from engine.model.structured import NO_OBJECT, SPARE, GaussianLabels, StructuredScene
 from engine.presets.preset import EvidenceKind
-from engine.raster import rasterize
 from engine.scene import Camera
 from tests.model.some_scene import CAMERA, CLASS_IDS, GAUSSIANS, SHAPE, mean_depth, some_scene
+from tests.raster.reference import rasterize
 
 SLOT_IDS, CLASS_OF_SLOT = (4, NO_OBJECT, 9, SPARE, SPARE), (7, 0, 5, 0, 0)
 LABELS = len(CLASS_IDS) + 2

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from engine.raster import cuda, interface
 from engine.raster.conventions import ALPHA_MAX, ALPHA_MIN, BLUR, TRANSMITTANCE_END, Pinhole
-from engine.raster.reference import blending_weights, footprint_visible, project, raw_alphas
+from tests.raster.reference import blending_weights, footprint_visible, project, raw_alphas
 
 
 def rasterization(

@@ -9,10 +9,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from engine.raster import Rendering, rasterize
+from engine.raster import Rendering
 from engine.raster.conventions import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_END
 from engine.raster.interface import _pinhole
-from engine.raster.reference import footprint_visible, project, raw_alphas
+from tests.raster.reference import footprint_visible, project, rasterize, raw_alphas
 
 GROUPS = ("means", "scales", "quats", "opacities", "colours", "labels", "means2d")
 LAYERS = ("image", "labels", "alpha", "depth")

@@ -6,9 +6,10 @@ from importlib import metadata
 import pytest
 import torch
 
-from engine.raster import cuda, rasterize
+from engine.raster import cuda
 from tests.raster import scenes
 from tests.raster.gsplat_in_torch import use_a_stand_in
+from tests.raster.reference import rasterize
 
 SCENES = {
     name: scene

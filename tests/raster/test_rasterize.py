@@ -9,7 +9,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from engine.raster import Rendering, rasterize
+from engine.raster import Rendering
+from tests.raster.reference import rasterize
 from tests.raster.room_workload import room_workload
 from tests.raster.scenes import (
     GROUPS,

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from engine.raster import Rendering, rasterize
+from engine.raster import Rendering
 from engine.raster.conventions import NEAR_MEDIAN
 from tests.raster.gsplat_in_torch import use_a_stand_in
+from tests.raster.reference import rasterize
 from tests.raster.scenes import Scene, hard_scenes, steady_pixels
 
 SCENES = hard_scenes()
@@ -102,6 +103,6 @@ def test_rows_threads_and_a_device_change_nothing(monkeypatch: pytest.MonkeyPatc
     use_a_stand_in(monkeypatch)
     assert torch.equal(draw(scene, backend="gsplat").surface, whole)
     nothing = replace(scene, tensors=tuple(tensor[:0] for tensor in scene.tensors))
-    for backend in ("numba", "gsplat", "reference"):
+    for backend in ("numba", "gsplat"):
         drawn = draw(nothing, backend=backend).surface
         assert drawn is not None and not drawn.any()

@@ -4,11 +4,23 @@ Memory and time grow with N * H * W."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
-from .conventions import ALPHA_MAX, ALPHA_MIN, BLUR, TINY_NORM, TRANSMITTANCE_END, Pinhole
-from .rendering import GaussianSet, Rendering, Wanted
+from engine.raster import Rendering, interface
+from engine.raster.conventions import ALPHA_MAX, ALPHA_MIN, BLUR, NEAR, TINY_NORM, TRANSMITTANCE_END, Pinhole
+from engine.raster.rendering import GaussianSet, Wanted
+
+
+def rasterize(*arguments: Any, backend: str | None = None, **options: Any) -> Rendering:
+    """As the engine's, with one more back end: ``reference``, which finds no surface."""
+    if backend != "reference":
+        return interface.rasterize(*arguments, backend=backend, **options)
+    pinhole = interface._pinhole(*arguments[6:], near=options.get("near", NEAR), rows=options.get("rows"))
+    wanted = Wanted(options.get("top_k", 0), False, options.get("want_means2d_grad", False))
+    return rasterize_reference(GaussianSet(*arguments[:6]), pinhole, wanted)
 
 
 def rasterize_reference(gaussians: GaussianSet, pinhole: Pinhole, wanted: Wanted) -> Rendering:
