@@ -5,21 +5,20 @@ from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..posed.layout import listed, plural
+from ..posed.layout import listed
 from ..scene import VOID
 from ..scene.pixels import values_at
 from .findings import Finding, side_by_side
-from .reprojection import Assumption, Examined, Floats, Gain
+from .reprojection import Assumption, Examined, Floats
 from .up import world_normals
 
 _SAME_SURFACE = 0.5  # minimum depth agreement, 0..1, of two views of one surface: about 2.7 % of the depth
-_FEWEST_POINTS, _FEWEST_OF_PAIR = 100, 30
+_FEWEST_POINTS = 100
 _UNRELATED, _ABOVE_CHANCE = 0.5, 0.1
 """Masks contradict each other below the first fraction of points with the same class, as weak networks' masks do;
 within the second of the chance level they are useless."""
@@ -81,47 +80,8 @@ def measure_labels(examined: Examined, assumed: Assumption) -> LabelAgreement | 
     return LabelAgreement(counts, np.where(total >= _FEWEST_POINTS, same / np.maximum(total, 1.0), np.nan))
 
 
-_LAGS = (-2, -1, 1, 2)
-_LEAST_GAIN, _CERTAIN, _SUSPECT = 0.01, 5.0, 2.0
-"""Minimum gain in points with the same class; then the same in standard errors among the looks, for a finding and for a
-closer look. Correct masks lose by 2.7 or more."""
-
-
-def measure_mask_lag(examined: Examined, assumed: Assumption, certain: float = _CERTAIN) -> tuple[int, Gain] | None:
-    """By how many frames the masks are late, and how much this correction raises the share of points with the same
-    class, beyond ``certain`` standard errors. None if each mask belongs to its own look. Raises PlgsError."""
-    views, maps = examined.views, examined.class_maps
-    if maps is None:
-        return None
-    comparison = views.compare(examined.pairs, assumed)
-    seen = [agrees > _SAME_SURFACE for agrees in comparison.agrees]
-    row_of = {look.number: row for row, look in enumerate(views.looks)}
-
-    def shares(lag: int) -> Floats:
-        found = np.full(len(examined.pairs), np.nan)
-        for row, (one, other) in enumerate(examined.pairs.tolist()):
-            taken = [row_of.get(views.looks[look].number + lag) for look in (one, other)]
-            if taken[0] is None or taken[1] is None or seen[row].sum() < _FEWEST_OF_PAIR:
-                continue
-            ours = values_at(maps[taken[0]], views.places[one][seen[row]])
-            theirs = values_at(maps[taken[1]], comparison.place[row][seen[row]])
-            found[row] = float((ours == theirs).mean())
-        return found
-
-    as_they_are = shares(0)
-    tried = ((lag, examined.gained(as_they_are, shares(lag))) for lag in _LAGS)
-    more = [
-        (gain.after - gain.before, lag, gain) for lag, gain in tried if gain is not None and gain.certainty > certain
-    ]
-    best = max(more, key=lambda each: each[0], default=None)
-    return None if best is None or best[0] <= _LEAST_GAIN else best[1:]
-
-
-def label_findings(examined: Examined, assumed: Assumption, is_quick: bool = False) -> list[Finding]:
-    """Masks that contradict each other; with ``is_quick``, they are looked at again afterwards. Raises PlgsError."""
-    lag = measure_mask_lag(examined, assumed, _SUSPECT if is_quick else _CERTAIN)
-    if lag is not None:
-        return [_masks_of_others(*lag)]
+def label_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
+    """Masks that contradict each other. Raises PlgsError."""
     labels = measure_labels(examined, assumed)
     if labels is None or labels.counts.sum() < 10 * _FEWEST_POINTS:
         return []
@@ -136,19 +96,6 @@ def label_findings(examined: Examined, assumed: Assumption, is_quick: bool = Fal
     kept[~(labels.by_look < labels.middle - _LESS)] = 1.0  # so are nan: too few points say nothing
     odd = np.flatnonzero(kept < _PROBABLY_FOREIGN).tolist() if (kept < _FOREIGN).any() else []  # only if one is certain
     return [_odd_masks(examined, labels, odd)] if odd else []
-
-
-def _masks_of_others(lag: int, found: Gain) -> Finding:
-    way = "earlier" if lag > 0 else "later"
-    return Finding(
-        cause="masks of other frames",
-        text=f"each mask belongs to the frame {plural(abs(lag), 'place')} {way}: of what two views see, "
-        f"{found.after:.1%} then has the same class in both, against {found.before:.1%} "
-        f"({found.certainty:.0f} standard errors)",
-        option="give the masks the names of the frames that they belong to",
-        figures={"frames": float(lag), "share": found.before, "share_then": found.after},
-        stops=True,
-    )
 
 
 def _odd_masks(examined: Examined, labels: LabelAgreement, rows: list[int]) -> Finding:
@@ -187,14 +134,6 @@ _WITHIN = 25.0  # maximum deviation in degrees from level or upright, as clothes
 _FEWEST_OF_KIND = 200
 _CONTRADICTED = 0.05  # below this a table is wrong: 1 % fit tables off by one, 20 % distant and noisy floors
 _SUITS, _DIFFERS = 0.5, 0.25  # fractions of a kind's points that fit its name: minimum if right, maximum if wrong
-_LARGE, _FEW, _LOOKS = 0.05, 0.2, 0.75
-"""Fractions of all points: the minimum of large stuff, and the maximum of walls and ceilings in a room that nearly
-lacks them; and the minimum fraction of a class's points that look like a kind, for the class to count as it."""
-_LEVEL_STUFF = set(
-    "road pavement sidewalk grass earth ground path field sand dirt gravel snow land terrain runway water sea "
-    "platform playingfield stage stairs stairway table counter desk bed cabinet shelf shelves bookshelf".split()
-)
-"""First words of other stuff that is level."""
 _OPTION = (
     "check that ids and names come from the same table, and its numbering: one may count from 0 and another from 1 "
     "(--classes ade20k:1-150, --classes coco:90, --classes nyu40:0-39), and ScanNet's may be --classes scannet or nyu13"
@@ -250,7 +189,7 @@ def table_findings(examined: Examined, assumed: Assumption, up: Floats) -> list[
     wrong = {kind: each for kind, each in found.items() if each.share < _DIFFERS}
     is_enough = sum(each.points for each in wrong.values()) >= 2 * _FEWEST_OF_KIND
     if not is_enough or any(each.share >= _SUITS for each in found.values()):
-        return _nameless(counts, found, {each.id: each.name for each in classes.categories if not each.is_thing})
+        return []
     reasons = "; ".join(f"{each.share:.0%} of what is called {kind} {_WHAT[kind]}" for kind, each in wrong.items())
     finding = Finding(
         cause="class table",
@@ -260,20 +199,3 @@ def table_findings(examined: Examined, assumed: Assumption, up: Floats) -> list[
         stops=all(each.share < _CONTRADICTED for each in wrong.values()),
     )
     return [finding]
-
-
-def _nameless(counts: Counts, found: Mapping[str, Suiting], stuff: Mapping[int, str]) -> list[Finding]:
-    """A room without a floor and almost without walls, in which other stuff is level."""
-    points = sum(each["all"] for each in counts.values())
-    if "floor" in found or sum(each.points for each in found.values()) > _FEW * points:
-        return []
-    reasons = [
-        f"{name} {_WHAT[kind]}"
-        for class_id, name in stuff.items()
-        for kind in ("floor", "ceiling")
-        if re.split("[^a-z]", name.lower())[0] not in _LEVEL_STUFF and _kind(name) is None
-        and counts[class_id]["all"] >= max(_FEWEST_OF_KIND, _LARGE * points)
-        and counts[class_id][kind] >= _LOOKS * counts[class_id]["all"]
-    ]  # fmt: skip
-    text = f"no class is a floor, and {'; '.join(reasons)}"
-    return [Finding(cause="class table", severity="note", text=text, option=_OPTION)] if reasons else []

@@ -12,7 +12,7 @@ from ..scene.depth import DepthMap
 from .findings import FIX, Finding, depth_errors
 from .registration import Shift, measure_registration, registration_findings
 from .reprojection import Assumption, Examined
-from .trials import Agreement, Calibration, FoundCause, agreement, calibrate, find_causes, is_far_better, moved
+from .trials import Agreement, Calibration, FoundCause, agreement, calibrate, find_cause, is_far_better, moved
 
 _OFF_UNIT, _OFF_FOCAL = 0.025, 0.03  # logarithms; sensors' own scales and calibrations differ by one or two per cent
 _OFF_RAY = 0.3  # the fraction of the ray's length contained in depth
@@ -81,9 +81,9 @@ def lens_findings(scene: Scene, findings: list[Finding]) -> list[Finding]:
 def number_findings(examined: Examined, lens_is_doubtful: bool = False) -> tuple[list[Finding], Assumption, Shift]:
     """What is wrong with a scene's numbers, what the numbers mean, and the shift that depth needs, as fractions of the
     picture."""
-    causes, assumed = find_causes(examined.views, examined.pairs, lens_is_doubtful)
-    befores = [Assumption(), *(cause.assumed for cause in causes)]
-    findings = [_cause_finding(examined, cause, before) for cause, before in zip(causes, befores, strict=False)]
+    cause = find_cause(examined.views, examined.pairs, lens_is_doubtful)
+    assumed = Assumption() if cause is None else cause.assumed
+    findings = [] if cause is None else [_cause_finding(examined, cause)]
     calibration = calibrate(examined.views, examined.pairs, assumed, points=200)
     registration = measure_registration(examined.looks, examined.photos)
     more, shift = registration_findings(examined, registration, calibration)
@@ -94,21 +94,21 @@ def number_findings(examined: Examined, lens_is_doubtful: bool = False) -> tuple
     return findings, assumed, shift
 
 
-def are_numbers_off(examined: Examined, assumed: Assumption) -> bool:
+def are_numbers_off(examined: Examined) -> bool:
     """Whether a fit to few points finds a unit, a lens or depth off, which `number_findings` then measures."""
-    found = calibrate(examined.views, examined.pairs, assumed, points=60)
-    return found is not None and bool(_values_off(examined, found, moved(assumed, found.values), may_move=True))
+    found = calibrate(examined.views, examined.pairs, Assumption(), points=60)
+    return found is not None and bool(_values_off(examined, found, moved(Assumption(), found.values), may_move=True))
 
 
-def _cause_finding(examined: Examined, cause: FoundCause, before: Assumption) -> Finding:
+def _cause_finding(examined: Examined, cause: FoundCause) -> Finding:
     words = _WORDS[cause.cause]
-    text, option, figures = _cause_texts(examined, cause, before)
+    text, option, figures = _cause_texts(examined, cause)
     after = _agreement_figures(cause.before, cause.after)
     one, other = examined.telling_pair(cause.assumed)
     is_sure = cause.rival is None and cause.cause not in _ONLY_TOLD
     if cause.rival is not None:
         option = f"{option}, or check whether it is the {_WORDS[cause.rival].name}, which explains the views as well"
-    assumptions = [("as it is", before), (f"with {words.caption}", cause.assumed)]
+    assumptions = [("as it is", Assumption()), (f"with {words.caption}", cause.assumed)]
     return Finding(
         cause=words.name,
         text=f"{text}: of the points projected into other views, {after['agreeing_after']:.0%} then lie on the depth "
@@ -139,16 +139,16 @@ def _round(steps: float) -> str:
     return f"{steps:.0f}" if steps >= 300.0 else f"{steps:.3g}"
 
 
-def _cause_texts(examined: Examined, cause: FoundCause, before: Assumption) -> tuple[str, str, Figures]:
+def _cause_texts(examined: Examined, cause: FoundCause) -> tuple[str, str, Figures]:
     """What is wrong, how to fix it in the user's files, and the numbers."""
     now = cause.assumed
     width, height = examined.scene.frames[0].size
     if cause.cause == "unit":
-        factor = now.unit / before.unit
+        factor = now.unit
         text = f"depth is in another unit, {_off(factor)}{_steps(examined, factor)}"
         return text, f"multiply depth by {factor:.4g}", {"factor": factor}
     if cause.cause == "length":
-        factor = now.length / before.length
+        factor = now.length
         text = f"the poses are in another unit, {_off(factor)}"
         return text, f"multiply the cameras' positions by {factor:.4g}", {"factor": factor}
     if cause.cause == "lag":
@@ -156,11 +156,11 @@ def _cause_texts(examined: Examined, cause: FoundCause, before: Assumption) -> t
         text = f"poses and depth are of different frames: depth fits the pose at an offset of {lag:+d} frames"
         return text, "check which of the two was numbered differently, and rename it", {"frames": float(lag)}
     if cause.cause == "lens size":
-        scale = now.lens_scale / before.lens_scale
+        scale = now.lens_scale
         text = f"the intrinsics belong to pictures of {width / scale:.0f}x{height / scale:.0f}, not {width}x{height}"
         return text, f"multiply fx, fy, cx and cy by {Fraction(scale).limit_denominator(12)}", {"factor": scale}
     if cause.cause == "focal":
-        factor = now.focal / before.focal
+        factor = now.focal
         return f"fx and fy are {_off(factor)}", f"multiply them by {factor:.4f}", {"factor": factor}
     return _WORDS[cause.cause].text, _WORDS[cause.cause].option, {}
 

@@ -42,7 +42,6 @@ _WIDEST = 640  # the width in pixels to which depth and pictures are reduced
 _PHOTO_WIDTH = _MASK_WIDTH = 320
 _POINTS = 400  # the number of points that each look compares with other views
 _SMOOTH_AROUND = 1.05  # largest ratio of the depths around a point; above it, the pixels lie on both sides of an edge
-_DARK, _BRIGHT = 8, 247  # grey levels below and above which a pixel is clipped
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,11 +64,6 @@ class Photo:
     number: int
     name: str
     grey: NDArray[np.uint8]
-
-    @property
-    def clipped(self) -> float:
-        """The share of pixels that are black or white."""
-        return float(((self.grey < _DARK) | (self.grey > _BRIGHT)).mean())
 
 
 def pairs_of(count: int) -> Pairs:

@@ -7,29 +7,27 @@ from dataclasses import replace
 import numpy as np
 
 from ..job.progress import Progress, unwatched
-from ..posed.layout import listed
 from ..posed.matrices import shortest_rotation
 from ..scene import Scene, Size
-from .findings import Diagnosis, Finding, Mending, side_by_side
+from .findings import Diagnosis, Finding, Mending
 from .labels import label_findings, table_findings
 from .numbers import NUMBER_CAUSES, are_numbers_off, lens_findings, number_findings
 from .poses import measure_order, order_findings, pose_findings, repeat_findings
 from .registration import SHIFT, picture_findings
-from .reprojection import FEW, MANY, Assumption, Photo, examine, load_photos
-from .trials import Agreement, agreement, find_causes
+from .reprojection import FEW, Assumption, examine
+from .trials import Agreement, agreement, find_cause
 from .up import measure_tilt, tilt_finding
 
 _Z = np.array([0.0, 0.0, 1.0])
-_CLIPPED = 0.5  # a photo with a larger fraction of black and white pixels shows too little
 
 
 def diagnose(scene: Scene, progress: Progress = unwatched) -> Diagnosis:
     """Measure what is wrong with a scene. At most 120 of its frames are examined. Raises PlgsError for bad files."""
     examined = examine(scene)
     if examined is None:
-        photos, order = load_photos(scene.frames, MANY), measure_order(scene, Assumption())
-        findings = [*order_findings(scene, order), *repeat_findings(scene, progress), *clipped_findings(photos)]
-        return _diagnosis(scene, findings, Mending(dropped=_dropped(findings)), len(photos), None)
+        order = measure_order(scene, Assumption())
+        findings = [*order_findings(scene, order), *repeat_findings(scene, progress)]
+        return _diagnosis(scene, findings, Mending(dropped=_dropped(findings)), 0, None)
     as_it_is = agreement(examined.views, examined.pairs, Assumption())
     findings, assumed, shift = number_findings(examined, lens_is_doubtful=bool(scene.assumed_lens))
     tilt = measure_tilt(examined.views, assumed)
@@ -45,7 +43,6 @@ def diagnose(scene: Scene, progress: Progress = unwatched) -> Diagnosis:
         if pictures:  # depth's edges fit pictures of other frames only by chance
             findings, shift = [each for each in findings if each.cause != SHIFT], (0.0, 0.0)
         findings += pictures
-    findings += clipped_findings(examined.photos)
     findings += label_findings(examined, assumed)
     findings += table_findings(examined, assumed, _Z if tilt is None else tilt.axis)
     turn = None if tilt is None else shortest_rotation(tilt.axis, _Z)
@@ -57,18 +54,19 @@ def diagnose(scene: Scene, progress: Progress = unwatched) -> Diagnosis:
 
 
 def diagnose_quickly(scene: Scene, masks_within: Size | None = None) -> Diagnosis:
-    """A check of a second or two before a lift: order, axes, units, lens, up, pictures and masks of other frames, and
-    the class table. `diagnose` measures again what seems wrong in these few frames. Masks are read at the size that
-    frames have ``masks_within``, or at their own. Raises PlgsError, OSError."""
+    """A check of a second or two before a lift: order, axes, units, lens, up, pictures of other frames, contradicting
+    masks, and the class table. `diagnose` measures again what seems wrong in these few frames. Masks are read at the
+    size that frames have ``masks_within``, or at their own. Raises PlgsError, OSError."""
     examined, order = examine(scene, FEW, masks_within), measure_order(scene, Assumption())
     findings = [*order_findings(scene, order), *repeat_findings(scene)]
     if examined is None:
         return Diagnosis(tuple(findings), Mending(), len(scene.frames), 0, None)
     as_it_is = agreement(examined.views, examined.pairs, Assumption())
-    causes, assumed = find_causes(examined.views, examined.pairs, lens_is_doubtful=bool(scene.assumed_lens))
-    if causes or are_numbers_off(examined, assumed) or measure_tilt(examined.views, assumed) is not None:
+    cause = find_cause(examined.views, examined.pairs, lens_is_doubtful=bool(scene.assumed_lens))
+    assumed = Assumption()
+    if cause or are_numbers_off(examined) or measure_tilt(examined.views, assumed) is not None:
         return diagnose(scene)
-    measured = [*label_findings(examined, assumed, is_quick=True), *table_findings(examined, assumed, _Z)]
+    measured = [*label_findings(examined, assumed), *table_findings(examined, assumed, _Z)]
     if order is None or not order.is_shuffled:
         measured += picture_findings(examined, assumed)
     if any(finding.severity == "wrong" for finding in measured):
@@ -86,22 +84,3 @@ def _diagnosis(
     found = [*lens_findings(scene, findings), *findings]
     worst_first = sorted(found, key=lambda finding: finding.severity != "wrong")  # stable: otherwise as they were found
     return Diagnosis(tuple(worst_first), mending, len(scene.frames), looked, agreeing)
-
-
-def clipped_findings(photos: dict[int, Photo]) -> list[Finding]:
-    """Frames that are mostly black or white."""
-    clipped = [shot for shot in photos.values() if shot.clipped > _CLIPPED]
-    if not clipped:
-        return []
-    names = tuple(shot.name for shot in clipped)
-    finding = Finding(
-        cause="exposure",
-        severity="note",
-        text=f"in {len(clipped)} of {len(photos)} frames most pixels are black or white: {listed(names)}",
-        option="leave them out with a splits.json",
-        figures={"frames": float(len(clipped)), "clipped": max(shot.clipped for shot in clipped)},
-        frames=names,
-        leave_out=names,
-        picture=side_by_side([(shot.name, shot.grey) for shot in clipped[:2]]),
-    )
-    return [finding]

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .reprojection import Assumption, Floats, Pairs, Views, lens_under
+from .reprojection import Assumption, Floats, Pairs, Views
 
 _PARAMETERS = ("unit", "focal", "aspect", "x", "y", "ray")
 _STEPS = np.array([1e-3, 1e-3, 1e-3, 5e-4, 5e-4, 2e-3])
@@ -126,7 +126,6 @@ _FOCALS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.12, 1.25, 1.45, 1.7, 2.0)
 _POINTS = 150
 _BETTER = 1.15  # least factor by which views must agree better under another assumption
 _CERTAIN = 5.0  # least mean gain of the frames, in its standard errors
-_MOST_CAUSES = 4
 _LENS_CAUSES = ("lens size", "focal")
 _ASIDE = 0.1  # of the picture; a principal point farther from the middle may belong to pictures of another size
 _KINDS_COMPARED = 4
@@ -188,20 +187,6 @@ def agreement(views: Views, pairs: Pairs, assumed: Assumption) -> Agreement:
     )
 
 
-def find_causes(views: Views, pairs: Pairs, lens_is_doubtful: bool = False) -> tuple[list[FoundCause], Assumption]:
-    """The causes that explain the numbers of a scene, one after the other, and the assumption with all of them. Of
-    causes that explain it about as well, one of the lens comes first if ``lens_is_doubtful``."""
-    assumed, found = Assumption(), list[FoundCause]()
-    before = agreement(views, pairs, assumed)
-    for _ in range(_MOST_CAUSES):
-        best = _best(views, pairs, assumed, before, done={each.cause for each in found}, lens_first=lens_is_doubtful)
-        if best is None:
-            break
-        found.append(best)
-        assumed, before = best.assumed, best.after
-    return found, assumed
-
-
 def is_far_better(after: Agreement, before: Agreement) -> bool:
     """Whether a scene may be fixed: half of what two views see agrees, and 15 % more of it than before, or no less with
     30 % less error."""
@@ -210,14 +195,13 @@ def is_far_better(after: Agreement, before: Agreement) -> bool:
     return after.share >= _LEAST_SHARE and (more or finer)
 
 
-def _best(
-    views: Views, pairs: Pairs, assumed: Assumption, before: Agreement, *, done: set[str], lens_first: bool = False
-) -> FoundCause | None:
-    tried = [
-        (agreement(views, pairs, trial.assumed), trial) for trial in _trials(views, assumed) if trial.cause not in done
-    ]
+def find_cause(views: Views, pairs: Pairs, lens_is_doubtful: bool = False) -> FoundCause | None:
+    """The cause that explains the numbers of a scene. Of causes that explain it about as well, one of the lens comes
+    first if ``lens_is_doubtful``."""
+    before = agreement(views, pairs, Assumption())
     best_of: dict[str, tuple[Agreement, Trial]] = {}
-    for after, trial in tried:
+    for trial in _trials(views):
+        after = agreement(views, pairs, trial.assumed)
         if trial.cause not in best_of or after.mean > best_of[trial.cause][0].mean:
             best_of[trial.cause] = (after, trial)
     leading = sorted(best_of.values(), key=lambda each: -each[0].mean)[:_KINDS_COMPARED]
@@ -226,7 +210,7 @@ def _best(
         return None
     best = max(after.mean for after, _ in fitted)
 
-    doubted = _LENS_CAUSES if lens_first else ()  # a lens comes first if it explains about as much as the best
+    doubted = _LENS_CAUSES if lens_is_doubtful else ()  # a lens comes first if it explains about as much as the best
     fitted.sort(key=lambda each: (each[1].cause not in doubted or each[0].mean * _RIVAL <= best, -each[0].mean))
     after, trial = fitted[0]
     # Views must agree clearly better: by 15 %, and beyond chance.
@@ -238,19 +222,19 @@ def _best(
         return None
     rival = fitted[1][1].cause if len(fitted) > 1 and fitted[1][0].mean * _RIVAL > after.mean else None
     found = FoundCause(trial.cause, trial.assumed, before, after, rival)
-    return _whose_lengths(views, assumed, found) if trial.cause == "unit" else found
+    return _whose_lengths(views, found) if trial.cause == "unit" else found
 
 
-def _whose_lengths(views: Views, before: Assumption, found: FoundCause) -> FoundCause:
+def _whose_lengths(views: Views, found: FoundCause) -> FoundCause:
     """Decide whether depth or poses have the wrong unit. Views cannot tell, but rooms have sizes."""
-    factor = found.assumed.unit / before.unit
-    depth = float(np.median(views.values[views.values > 0.0])) * before.unit
+    factor = found.assumed.unit
+    depth = float(np.median(views.values[views.values > 0.0]))
     is_room, becomes_room = (_NEAREST <= metres <= _FARTHEST for metres in (depth, depth * factor))
     if becomes_room and is_room and abs(np.log10(factor) - round(np.log10(factor))) < 0.02:
         return found._replace(rival="length")
     if becomes_room or not is_room:
         return found
-    return found._replace(cause="length", assumed=before._replace(length=before.length / factor))
+    return found._replace(cause="length", assumed=Assumption(length=1.0 / factor))
 
 
 def _fitted(views: Views, pairs: Pairs, after: Agreement, trial: Trial) -> tuple[Agreement, Trial]:
@@ -263,19 +247,19 @@ def _fitted(views: Views, pairs: Pairs, after: Agreement, trial: Trial) -> tuple
     return (again, refined) if again.mean * _AS_GOOD > after.mean else (after, trial)
 
 
-def _trials(views: Views, now: Assumption) -> Iterator[Trial]:
-    yield Trial("inverted", now._replace(inverted=not now.inverted))
-    yield Trial("opengl", now._replace(opengl=not now.opengl))
-    yield Trial("inverted opengl", now._replace(inverted=not now.inverted, opengl=not now.opengl))
+def _trials(views: Views) -> Iterator[Trial]:
+    yield Trial("inverted", Assumption(inverted=True))
+    yield Trial("opengl", Assumption(opengl=True))
+    yield Trial("inverted opengl", Assumption(inverted=True, opengl=True))
     for unit in _UNITS:
-        yield Trial("unit", now._replace(unit=now.unit * unit), ("unit",))
-    yield Trial("ray", now._replace(ray=now.ray + 1.0))
+        yield Trial("unit", Assumption(unit=unit), ("unit",))
+    yield Trial("ray", Assumption(ray=1.0))
     for lag in _LAGS:
-        yield Trial("lag", now._replace(lag=lag))
-    yield Trial("mirrored", now._replace(mirrored=not now.mirrored))
-    middle = np.median(lens_under(views.lens, now)[:, 2:], axis=0)
+        yield Trial("lag", Assumption(lag=lag))
+    yield Trial("mirrored", Assumption(mirrored=True))
+    middle = np.median(views.lens[:, 2:], axis=0)
     scales = {*_SCALES, *((0.5 / middle).tolist() if np.abs(middle - 0.5).max() > _ASIDE else ())}
     for scale in sorted(scales):
-        yield Trial("lens size", now._replace(lens_scale=now.lens_scale * scale))
+        yield Trial("lens size", Assumption(lens_scale=scale))
     for focal in _FOCALS:
-        yield Trial("focal", now._replace(focal=now.focal * focal), ("focal",))
+        yield Trial("focal", Assumption(focal=focal), ("focal",))

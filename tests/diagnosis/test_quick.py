@@ -1,7 +1,6 @@
 """What a lift asks of its scene before it begins: the cheap half of the diagnosis, and what it stops."""
 
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -45,17 +44,6 @@ def test_certain_faults_are_found_quickly(good: Path, tmp_path: Path, fault: str
     found = diagnose_quickly(open_scene(spoilt(good, tmp_path, fault)))
     assert {each.cause for each in found.findings} & {*FAULTS[fault].causes}
     assert (found.stopping is not None) == (fault in STOPPED)
-
-
-@pytest.mark.parametrize("by", [-1, 1])
-def test_masks_that_belong_to_neighbouring_frames_are_found(good: Path, by: int) -> None:
-    scene = open_scene(good)
-    masks = [frame.read_mask for frame in scene.frames]
-    last = len(masks) - 1
-    taken = [masks[min(max(number + by, 0), last)] for number in range(len(masks))]
-    frames = tuple(replace(frame, read_mask=mask) for frame, mask in zip(scene.frames, taken, strict=True))
-    found = diagnose_quickly(replace(scene, frames=frames)).stopping
-    assert found is not None and found.cause == "masks of other frames" and found.figures["frames"] == -by
 
 
 @pytest.mark.parametrize(("anyway", "resumed"), [(False, False), (True, False), (False, True)])
