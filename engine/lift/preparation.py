@@ -23,7 +23,6 @@ from ..presets.preset import Preset
 from ..scene import VOID, ClassTable, OnDemand, Progress, View, stored
 from ..scene.hole_filling import fill_holes
 from ..semantics.cloud_index import LabelledPoints
-from ..semantics.clustering import ENLARGED
 from ..semantics.consistency import ConsistencyOptions, consistency_masks, views_are_sparse
 from ..semantics.point_cloud import CloudOptions, SemanticPointCloud, build_point_cloud, label_anchors, voxelise
 from ..train.photos import exposure_gains, sharpness_weights
@@ -32,6 +31,8 @@ from ..train.warm_start import warm_start
 from .objects import MATCHERS, Matching, ViewsToMatch, labels_of, point_of_pixels
 
 log = logging.getLogger("plgs.lift")
+
+_LARGE = 2.0  # the multiple of the wanted spacing of points above which a lift warns
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -110,7 +111,7 @@ def semantic_cloud(
     )
     cloud = build_point_cloud(views, consistency_masks(views, comparison), class_ids, options, progress)
     spacing, got = options.spacing, f"the point cloud has one point every {100 * cloud.spacing:.1f} cm"
-    if cloud.spacing > ENLARGED * spacing:
+    if cloud.spacing > _LARGE * spacing:
         events.warning(f"the scene is large: {got}, not every {100 * spacing:.1f} cm, and small objects may be lost")
     else:
         log.info(got)

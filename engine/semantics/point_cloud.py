@@ -17,7 +17,7 @@ from ..machine.distinct_rows import distinct_rows
 from ..presets.preset import EvidenceKind
 from ..scene import VOID, Progress, View, evidence, resolution_of
 from .cloud_index import CloudIndex
-from .clustering import ENLARGED, ColumnedPoints, adapted_centres, lloyd_step, seed_centres
+from .clustering import lloyd_step, seed_centres
 
 LLOYD_STEPS = 1
 """Steps of K-means after the seeding."""
@@ -26,9 +26,9 @@ LLOYD_STEPS = 1
 @dataclass(frozen=True)
 class CloudOptions:
     """``spacing`` of the clusters in metres (half the anchors' voxel size works well) is enlarged until at most ``cap``
-    clusters remain; in very large scenes, less where labels change (`adapted_centres`). A cluster whose winner has less
-    than ``majority`` of the votes is unknown. ``evidence``: how many votes a view has on a cluster; the paper's choice
-    is its "pixels". ``most_pixels``: about this many pixels of all views are used: every s-th row and column."""
+    clusters remain. A cluster whose winner has less than ``majority`` of the votes is unknown. ``evidence``: how many
+    votes a view has on a cluster; the paper's choice is its "pixels". ``most_pixels``: about this many pixels of all
+    views are used: every s-th row and column."""
 
     spacing: float = 0.025
     cap: int = 200_000
@@ -84,7 +84,6 @@ def build_point_cloud(
     Raises ValueError when no pixel has depth. Streams over the views; only the clusters stay in memory."""
     report = progress or (lambda done, total: None)
     total, done = (2 + LLOYD_STEPS) * len(views), 0
-    columns = np.asarray(class_ids)
     # The step in rows and columns between the pixels that are used.
     stride, pixels = 1, sum(view.camera.width * view.camera.height for view in views)
     while options.most_pixels is not None and pixels / stride**2 > options.most_pixels:
@@ -98,18 +97,12 @@ def build_point_cloud(
             report(done, total)
 
     centres, spacing = seed_centres(batches, options.spacing, options.cap)
-    if spacing > ENLARGED * options.spacing and len(class_ids):
-
-        def labelled() -> Iterable[ColumnedPoints]:
-            return (_labelled_points(view, stride, columns) for view in views)
-
-        centres = adapted_centres(labelled, centres, spacing, len(class_ids), wanted=options.spacing, cap=options.cap)
     for _ in range(LLOYD_STEPS):
         centres = lloyd_step(batches, centres, spacing)
     if not len(centres):
         raise ValueError("no view has a pixel with depth, so there is no point cloud")
 
-    tally = _Tally(centres, spacing, columns, options.evidence)
+    tally = _Tally(centres, spacing, np.asarray(class_ids), options.evidence)
     for view, consistent in zip(views, keep, strict=True):
         tally.add(view, consistent, stride)
         done += 1
@@ -125,13 +118,6 @@ def _points(view: View, stride: int) -> NDArray[np.float64]:
     depth = view.depth[::stride, ::stride]
     points: NDArray[np.float64] = view.camera.unproject(view.depth)[::stride, ::stride][depth > 0]
     return points
-
-
-def _labelled_points(view: View, stride: int, class_ids: NDArray[np.int64]) -> ColumnedPoints:
-    """``_points``, and the column in ``class_ids`` of each one's class, -1 if it has none."""
-    label = view.mask.class_map()[::stride, ::stride][view.depth[::stride, ::stride] > 0]
-    column = np.minimum(np.searchsorted(class_ids, label), len(class_ids) - 1)
-    return _points(view, stride), np.where(class_ids[column] == label, column, -1)
 
 
 class _Tally:
@@ -152,17 +138,17 @@ class _Tally:
 
     def add(self, view: View, consistent: NDArray[np.bool_], stride: int) -> None:
         """Count every ``stride``-th pixel of a view; those ``consistent`` bool [H, W] vote."""
-        points, column = _labelled_points(view, stride, self._class_ids)
-        nearest = self._index.nearest(points, self._spacing)
+        nearest = self._index.nearest(_points(view, stride), self._spacing)
         found = nearest >= 0
-        cluster, column = nearest[found], column[found]
         valid = view.depth[::stride, ::stride] > 0
+        label = view.mask.class_map()[::stride, ::stride][valid][found]
+        cluster, column = nearest[found], np.minimum(np.searchsorted(self._class_ids, label), len(self._class_ids) - 1)
         colour = view.colour[::stride, ::stride][valid][found]
         pixels = np.bincount(cluster, minlength=len(self._members))
         self._members += pixels
         for channel in range(3):
             self._rgb[:, channel] += np.bincount(cluster, colour[:, channel], len(self._members))
-        voting = consistent[::stride, ::stride][valid][found] & (column >= 0)
+        voting = consistent[::stride, ::stride][valid][found] & (self._class_ids[column] == label)
         classes = len(self._class_ids)
         cells, count = np.unique(cluster[voting] * classes + column[voting], return_counts=True)
         resolution = np.bincount(cluster, resolution_of(view)[::stride, ::stride][valid][found], len(pixels))
