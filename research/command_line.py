@@ -94,9 +94,8 @@ def _add_experiments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", type=_seeds, default=[0], metavar="0,1,..", help="random seeds (default: 0)")
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("lifts/experiments"), metavar="FOLDER",
-        help="where lifts, results.json, .csv and .md, and sheets go (default: lifts/experiments)",
+        help="where lifts, results.json, .csv and .md go (default: lifts/experiments)",
     )  # fmt: skip
-    parser.add_argument("--report", type=Path, metavar="FILE.md", help="a Markdown page whose tables are updated")
     parser.add_argument("--finished", action="store_true", help="lift nothing: print tables of the finished lifts")
     parser.set_defaults(run=run_experiments)
 
@@ -164,7 +163,6 @@ def run_experiments(options: argparse.Namespace) -> int:
         masks=options.masks,
         depth=options.depth,
         seeds=tuple(options.seeds),
-        page=options.report,
         only_finished=options.finished,
         **{name: getattr(options, name) for name in SHARED},
     )

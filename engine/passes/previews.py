@@ -219,20 +219,3 @@ def _write(picture: Picture, text: str, at: tuple[int, int], colour: Colour, sca
     # OpenCV draws only ASCII.
     drawn = text.encode("ascii", "replace").decode()
     cv2.putText(picture, drawn, at, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, 1, cv2.LINE_AA)
-
-
-def first_row(sheet: Path, caption: str) -> Picture:
-    """The first frame's row of a written sheet, uint8 [H, W, 3], under a caption. Raises OSError."""
-    import cv2
-
-    stored = cv2.imread(str(sheet))
-    if stored is None:
-        raise OSError(f"{sheet} is not a picture")
-    picture = np.asarray(stored, np.uint8)[..., ::-1]
-    top = MARGIN + HEADING
-    tiles = picture[top:, MARGIN : MARGIN + TILE_WIDTH]
-    gap = (tiles == np.array(BACKGROUND, np.uint8)).all(axis=(1, 2))
-    height = int(gap.argmax()) if gap.any() else len(tiles)
-    band = _blank(HEADING, picture.shape[1])
-    _write(band, caption, (MARGIN + 2, HEADING - 12), TEXT)
-    return np.concatenate([band, picture[top : top + height]])

@@ -99,8 +99,8 @@ class Experiment:
     """Rows of the tables (``only`` some: of these names or tables) on ``scenes``, into ``folder``. All start from
     ``preset`` (a name, or a file) with ``steps`` and the options ``sets`` (name=value); all scenes are read by
     ``scene_format``, ``mask_format`` and ``classes``, from at most ``frames``, with ``fit`` and ``device``, as in a
-    LiftRequest. ``masks`` and ``depth`` are paths in which {scene} stands for the scene's name. ``page``: a
-    Markdown file whose tables are updated; ``only_finished``: nothing more is lifted."""
+    LiftRequest. ``masks`` and ``depth`` are paths in which {scene} stands for the scene's name.
+    ``only_finished``: nothing more is lifted."""
 
     scenes: tuple[SceneToLift, ...]
     folder: Path
@@ -118,7 +118,6 @@ class Experiment:
     fit: bool | None = None
     device: str | None = None
     seeds: tuple[int, ...] = (0,)
-    page: Path | None = None
     only_finished: bool = False
 
     @property

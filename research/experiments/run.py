@@ -19,7 +19,7 @@ from engine.scene import open_scene_to_lift
 from ..baselines.without_a_lift import scores_without_a_lift
 from ..results import Result, read_result, read_results, this_engine
 from .experiment import Experiment, SceneToLift, Task, has_files, has_manifest, lift_folder, lift_options, tasks_of
-from .report import refuse_unwritable, write_report
+from .report import write_report
 
 
 def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
@@ -35,9 +35,7 @@ def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
     errors = refuse_bad_input(experiment, tasks)
     whole = replace(experiment, only=())  # finished lifts of other rows stay in the report
     others = [task for task in tasks_of(whole) if task.name not in {one.name for one in tasks}]
-    finished_before = dict(results_before(experiment, others))
-    results = [*results_without_a_lift(experiment, errors)]
-    results += finished_before.values()
+    results = [*results_without_a_lift(experiment, errors), *results_before(experiment, others)]
     asked = {(each.scene, each.row, each.seed) for each in results}
     asked |= {(task.scene.name, task.row.name, task.seed) for task in tasks}
     kept = [each for each in results_kept(experiment) if (each.scene, each.row, each.seed) not in asked]
@@ -59,10 +57,7 @@ def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
             return ExitCode.CANCELLED
         write_report(experiment.folder, whole.tables((*results, *kept)))
     if results:
-        shown = [task for task in others if task.name in finished_before]
-        shown += [task for task in tasks if task.name not in errors]
-        sheets = {task.name: task.options.output for task in shown}
-        write_report(experiment.folder, whole.tables((*results, *kept)), sheets=sheets, page=experiment.page)
+        write_report(experiment.folder, whole.tables((*results, *kept)))
         print(experiment.tables(tuple(results)).markdown(), end="")
     if errors:
         print(f"Failed: {listed(list(errors))}. The same command tries again.", file=sys.stderr)
@@ -90,12 +85,12 @@ def result_of(experiment: Experiment, task: Task) -> Result:
     return read_result(task.scene.name, task.row.name, experiment.preset_name, lift)
 
 
-def results_before(experiment: Experiment, others: list[Task]) -> Iterator[tuple[str, Result]]:
-    """Name and figures of the lifts that are finished already. Unreadable ones are left out with a warning."""
+def results_before(experiment: Experiment, others: list[Task]) -> Iterator[Result]:
+    """The figures of the lifts that are finished already. Unreadable ones are left out with a warning."""
     for task in others:
         try:
             if is_finished(task):
-                yield task.name, result_of(experiment, task)
+                yield result_of(experiment, task)
         except PlgsError as error:
             print(f"Not in the report: {task.name}: {error}", file=sys.stderr)
 
@@ -176,8 +171,6 @@ def refuse_bad_input(experiment: Experiment, tasks: Sequence[Task]) -> dict[str,
     errors: dict[str, PlgsError] = {}
     for option, path in (("--masks", experiment.masks), ("--depth", experiment.depth)):
         refuse_shared(option, path, len(experiment.scenes))
-    if experiment.page:
-        refuse_unwritable(experiment.page)
     for task in tasks:
         request = request_from(task.options)
         output = task.options.output

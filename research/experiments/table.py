@@ -50,12 +50,10 @@ COLUMNS = (
 )
 
 ON_PAGE = ("scenes", "miou", "pq", "miou_pl_compat", "pq_pl_compat", "psnr", "depth_error_m", "seconds", "state")
-"""The columns of a page for people; results.md has all."""
+"""The columns of results.md; results.csv and what is printed have all."""
 HEADINGS = {"scenes": "scenes", **{column.figure: column.heading for column in COLUMNS}, "state": "state"}
 _WIDEST = 60
 MARK = "†"
-MEANS = "### Means: over the scenes"
-"""Never a scene's heading: no name contains a colon."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +108,7 @@ class Tables:
             yield f"\n{MARK} Lifted by the engine {', '.join(sorted(marked))}, not by this one, {self.version}."
 
     def _means(self, scenes: Sequence[str]) -> Iterator[str]:
-        yield f"{MEANS}\n"
+        yield "### Means: over the scenes\n"
         yield (
             f"Of {len(scenes)} scenes: {', '.join(scenes)}. *scenes* says in how many a row was measured; in brackets "
             "is the number of those that have a figure, if not all have it.\n"

@@ -43,22 +43,6 @@ def test_views_without_depth_are_refused() -> None:
         build_point_cloud(views, everything(views), CLASS_IDS, OPTIONS)
 
 
-def test_large_room_has_dense_points_where_labels_change() -> None:
-    """A wall, its right half of another class, and a fifth of the points that it would have."""
-    views = [wall_view(name, 0.0, classes=square(SOFA, WALL, slice(20, 40), slice(0, 30))) for name in ("a", "b")]
-    even = build_point_cloud(views, everything(views), CLASS_IDS, CloudOptions(spacing=0.075, cap=10_000))
-    cap = len(even) // 5
-    cloud = build_point_cloud(views, everything(views), CLASS_IDS, CloudOptions(spacing=0.075, cap=cap))
-    assert len(cloud) <= cap and cloud.spacing > 2 * 0.075
-    at_edge, elsewhere = np.abs(cloud.xyz[:, 0]) < 0.15, np.abs(cloud.xyz[:, 0]) > 0.6
-    width = float(np.ptp(even.xyz[:, 0]))
-    assert at_edge.sum() / 0.3 > 2 * elsewhere.sum() / (width - 1.2)
-    one_class = [wall_view(name, 0.0) for name in ("a", "b")]
-    flat = build_point_cloud(one_class, everything(one_class), CLASS_IDS, CloudOptions(spacing=0.075, cap=cap)).xyz
-    near, far = np.abs(flat[:, 0]) < 0.15, np.abs(flat[:, 0]) > 0.6
-    assert near.sum() / 0.3 < 1.5 * far.sum() / (width - 1.2), "without an edge the points are even"
-
-
 def cloud_of(xyz: np.ndarray, class_id: list[int]) -> SemanticPointCloud:
     count = len(xyz)
     return SemanticPointCloud(

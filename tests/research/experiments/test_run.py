@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -22,7 +21,6 @@ from research.baselines.voxel_vote import VOXEL_VOTE
 from research.baselines.without_a_lift import VOXELS_ALONE, WITHOUT_A_LIFT
 from research.command_line import main
 from research.experiments.experiment import Experiment, SceneToLift
-from research.experiments.rows import Rows
 from research.experiments.run import run_experiment
 from research.results import Figures, read_results
 from tests.raises_key import raises_key
@@ -186,7 +184,7 @@ def test_failed_lift_is_resumed(experiment: Experiment, behave: Behave, capsys: 
     assert measured(experiment) == [("office", "ours"), ("kitchen", "ours")]
 
 
-def test_bad_input_is_reported_before_any_lift(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
+def test_bad_input_is_reported_before_any_lift(experiment: Experiment, behave: Behave) -> None:
     with raises_key("shared-path --masks"):
         run(replace(experiment, masks="predictions"))
     with raises_key("bad-value steps"):
@@ -195,17 +193,13 @@ def test_bad_input_is_reported_before_any_lift(experiment: Experiment, behave: B
         run(replace(experiment, only=("hours",)))
     with raises_key("no-option weights.depth"):
         run(replace(experiment, sets=("weights.dept=0",)))
-    (file := tmp_path / "file").write_bytes(b"\xff")
-    for page, key in ((tmp_path, "not-text"), (file, "not-text"), (file / "page.md", "unwritable")):
-        with raises_key(key):
-            run(replace(experiment, only=(), page=page))
     assert not experiment.folder.exists()
 
 
 def test_unreadable_scene_is_a_row(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
     missing = SceneToLift("cellar", experiment.folder / "cellar")
-    page = experiment.folder / "page.md"
-    three = replace(experiment, scenes=(missing, *experiment.scenes), only=("ours", "input masks"), page=page)
+    page = experiment.folder / "results.md"
+    three = replace(experiment, scenes=(missing, *experiment.scenes), only=("ours", "input masks"))
     assert run(three) is ExitCode.BAD_INPUT
     results = {(one.scene, one.row): one for one in read_results(three.folder / "results.json")}
     failed = {key for key, one in results.items() if one.failed}
@@ -269,10 +263,10 @@ def test_a_foreign_folder_is_reported_before_any_lift(experiment: Experiment, be
 
 
 def test_earlier_lifts_stay(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
-    page = experiment.folder / "page.md"
-    assert run(replace(experiment, only=("ours", "input masks"), page=page)) is ExitCode.FINISHED
+    page = experiment.folder / "results.md"
+    assert run(replace(experiment, only=("ours", "input masks"))) is ExitCode.FINISHED
     capsys.readouterr()
-    assert run(replace(experiment, scenes=experiment.scenes[:1], only=("theirs",), page=page)) is ExitCode.FINISHED
+    assert run(replace(experiment, scenes=experiment.scenes[:1], only=("theirs",))) is ExitCode.FINISHED
     assert "| ours" not in capsys.readouterr().out, "what is asked for is shown"
     rows = [row for scene, row in measured(experiment) if scene == "office"]
     assert rows == [*WITHOUT_A_LIFT, "ours", "theirs"]
@@ -282,19 +276,6 @@ def test_earlier_lifts_stay(experiment: Experiment, behave: Behave, capsys: pyte
     assert run(others) is ExitCode.FINISHED
     rows = [row for scene, row in measured(others) if scene == "office"]
     assert rows == [*WITHOUT_A_LIFT, "without depth"], "lifts by other options are none of these"
-
-
-def test_a_page_keeps_its_text(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    rows = Rows(tuple(row for row in ROWS.rows if row.name == "ours"), ROWS.tables)
-    with_page = replace(experiment, rows=rows, only=(), page=page)
-    assert run(with_page) is ExitCode.FINISHED
-    text = page.read_text()
-    assert text.count("### office") == 1 and "LPIPS" in text
-    mine = text.replace("# Experiments", "# Mine") + "\nIt holds.\n"
-    page.write_text(mine.replace("| ours", "| hers"))
-    assert run(with_page) is ExitCode.FINISHED
-    assert page.read_text() == mine
 
 
 def test_experiment_runs_with_the_real_engine(
@@ -312,4 +293,3 @@ def test_experiment_runs_with_the_real_engine(
     assert lacking <= {"id_changes", "peak_bytes"}, "one frame is held out; Windows does not report memory"
     assert (ours.steps, masks.figures.psnr) == (3, None) and results["3DGS"].figures.psnr is not None
     assert results[VOXEL_VOTE].figures.miou == results[VOXELS_ALONE].figures.miou
-    assert cv2.imread(str(out / "sheet.png")).shape[1] > 1000
