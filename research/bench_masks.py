@@ -2,14 +2,12 @@
 
 A folder holds the pairs: ``FOLDER/SCENE/scene`` is a scene with ground truth, every other ``FOLDER/SCENE/MASKS`` holds
 masks of it, and perhaps ``detections.json`` to lay over them. Points are read by the held-out frames' own depth, so
-nothing is trained; or every pair is lifted.
+nothing is trained.
 """
 
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
@@ -20,7 +18,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from engine.errors import PlgsError
-from engine.job import EventWriter, LiftFolder, StopSignal
+from engine.job import EventWriter, StopSignal
 from engine.job.progress import StageProgress
 from engine.json_file import read_object
 from engine.lift.objects import MATCHERS, Matching, ViewsToMatch
@@ -31,7 +29,7 @@ from engine.scene import Scene, load_view, open_scene_to_lift, size_within
 from engine.scene_source import SceneSource
 from engine.semantics.cloud_index import LabelledPoints
 
-from .results import number, read_result
+from .results import number
 
 STORED = Path(__file__).with_name("masks_bench.json")
 """The run of points that rules are compared with (docs/experiments.md)."""
@@ -82,37 +80,12 @@ def read_points(matching: Matching, scene: Scene, preset: Preset) -> Scores:
     return 100 * found.miou_true, 100 * found.pq
 
 
-def score_lift(source: SceneSource, preset: Preset, lift: Path) -> Scores:
-    """Lift a pair without passes, unless it is lifted, and read its scores. Raises PlgsError if the lift fails."""
-    over = ["--detections", source.detections] if source.detections else []
-    asked = [
-        source.scene,
-        "--masks",
-        source.masks,
-        *over,
-        "--preset",
-        preset.name,
-        "--size",
-        "{}x{}".format(*preset.size),
-    ]
-    command = [sys.executable, "-m", "engine", "lift", *map(str, asked), "--bake", "none", "-o", str(lift), "--resume"]
-    if subprocess.run(command, stdout=subprocess.DEVNULL).returncode:
-        raise PlgsError("lift-failed", "the lift of a pair failed", lift, "See what it says above.")
-    figures = read_result(lift.name, "ours", preset.name, LiftFolder.open(lift)).figures
-    return 100 * (figures.miou_true or 0.0), 100 * (figures.pq or 0.0)
-
-
-def bench_masks(
-    pairs: Mapping[str, SceneSource], preset: Preset, sizes: Sequence[int], lifts: Path | None
-) -> Iterator[Run]:
-    """Yields the scores so far after each pair of masks and each size: of the lifts in the folder ``lifts``, or else of
-    points."""
+def bench_masks(pairs: Mapping[str, SceneSource], preset: Preset, sizes: Sequence[int]) -> Iterator[Run]:
+    """Yields the scores so far after each pair of masks and each size."""
     run: Run = {}
     for name, source in pairs.items():
         for size in sizes:
-            sized, key = replace(preset, size=(size, size)), f"{name} {size}"
-            lift = None if lifts is None else lifts / f"{key} {preset.name}".replace(" ", "-")
-            run[key] = score_points(source, sized) if lift is None else score_lift(source, sized, lift)
+            run[f"{name} {size}"] = score_points(source, replace(preset, size=(size, size)))
             yield run
 
 

@@ -112,9 +112,6 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
     masks.add_argument("--only", nargs="+", default=[], metavar="TEXT", help="pairs whose names contain one of these")
     masks.add_argument("--preset", choices=PRESETS, default="preview", help="as for lift (default: preview)")
     masks.add_argument("--sizes", type=_seeds, default=[160, 200], metavar="160,200", help="picture sizes in pixels")
-    masks.add_argument(
-        "--lifts", type=Path, metavar="FOLDER", help="lift every pair into this folder (default: read the points alone)"
-    )
     masks.add_argument("--against", type=Path, metavar="FILE", help="a run to compare with (default: the stored one)")
     masks.set_defaults(run=run_masks)
     for each in (step, masks):
@@ -199,7 +196,7 @@ def run_masks(options: argparse.Namespace) -> ExitCode:
         _refuse_unwritable(options.json)
     preset = with_options(PRESETS[options.preset], parsed_options(options.set or ()))
     before, run = read_run(options.against or STORED), {}
-    for run in bench_masks(pairs_in(options.pairs, options.only), preset, options.sizes, options.lifts):
+    for run in bench_masks(pairs_in(options.pairs, options.only), preset, options.sizes):
         print(*("{} {:.1f} / {:.1f}".format(key, *run[key]) for key in list(run)[-1:]), file=sys.stderr)
         if options.json is not None:
             write_run(options.json, run)

@@ -1,4 +1,4 @@
-"""Results of lifts: read from finished lifts, and kept in results.json and results.csv."""
+"""Results of lifts: read from finished lifts, and written to results.json and results.csv."""
 
 from __future__ import annotations
 
@@ -6,22 +6,17 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 from engine import __version__
-from engine.errors import PlgsError
 from engine.gates import table_cell
 from engine.job import Event, EventReader, LiftFolder, read_manifest
 from engine.json_file import Json, read_object, to_text
 from engine.machine.code_digest import code_digest
 from engine.metrics.report import LIFTED
 
-FORMAT = 2
 SOURCES = ("engine", "research/baselines")
 """The folders whose code makes the figures."""
-_FIX = "Give a results.json that this command wrote."
-_TEXTS = ("scene", "row", "preset", "engine_version")
 
 
 class Figures(NamedTuple):
@@ -135,7 +130,7 @@ def number(value: Json) -> float | None:
 def results_text(results: Sequence[Result]) -> str:
     """The text of results.json: shares in [0, 1], decibels, metres, seconds, null if nothing was measured."""
     entries = [{**vars(result), "figures": result.figures._asdict()} for result in results]
-    return to_text({"format": FORMAT, "results": entries})
+    return to_text({"format": 2, "results": entries})
 
 
 def csv_text(results: Sequence[Result]) -> str:
@@ -147,30 +142,3 @@ def csv_text(results: Sequence[Result]) -> str:
         row = [*(value for name, value in vars(result).items() if name != "figures"), *result.figures]
         writer.writerow([table_cell(cell) for cell in row])
     return out.getvalue()
-
-
-def read_results(path: Path) -> tuple[Result, ...]:
-    """Inverse of `results_text`. Raises PlgsError if the file holds something else."""
-    content = read_object(path, _FIX)
-    if content.get("format") != FORMAT:
-        what = f"has format {content.get('format')!r}, but this version reads {FORMAT}"
-        raise PlgsError("other-format", what, path, _FIX)
-    try:
-        results = tuple(_from_json(entry) for entry in cast(list[Json], content["results"]))
-    except (KeyError, TypeError) as error:
-        raise PlgsError("results-damaged", f"is damaged ({error!r})", path, _FIX) from error
-    if not results:
-        raise PlgsError("results-empty", "contains no results", path, _FIX)
-    return results
-
-
-def _from_json(entry: Json) -> Result:
-    """The result in an entry. Raises KeyError or TypeError when something is missing or of another type."""
-    if not isinstance(entry, dict):
-        raise TypeError("a list of objects is missing")
-    steps, seed, figures = entry["steps"], entry["seed"], entry["figures"]
-    if not isinstance(steps, int) or not isinstance(seed, int) or not isinstance(figures, dict):
-        raise TypeError("steps, seed or figures have another type")
-    read = Figures(**{key: number(figures.get(key)) for key in Figures._fields})
-    texts = {key: str(entry[key]) for key in _TEXTS}
-    return Result(**texts, steps=steps, seed=seed, figures=read, failed=str(entry.get("failed", "")))

@@ -17,14 +17,14 @@ from engine.posed.layout import listed
 from engine.scene import open_scene_to_lift
 
 from ..baselines.without_a_lift import scores_without_a_lift
-from ..results import Result, read_result, read_results, this_engine
-from .experiment import Experiment, SceneToLift, Task, has_files, has_manifest, lift_folder, lift_options, tasks_of
+from ..results import Result, read_result, this_engine
+from .experiment import Experiment, Task, has_files, has_manifest, tasks_of
 from .report import write_report
 
 
 def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
-    """Lift what has not been lifted yet, print the tables of the chosen rows, and write a report of everything finished
-    to the folder, which grows lift by lift. Scenes of earlier calls stay in it.
+    """Lift what has not been lifted yet, print the tables of the chosen rows, and write a report of what is finished of
+    these scenes to the folder, which grows lift by lift.
 
     A lift that fails becomes a row with its reason, and the others are still tried; returns the first failure's exit
     code. Raises PlgsError before any lift for errors that concern all; Interrupted on Ctrl-C: the same call continues.
@@ -36,9 +36,6 @@ def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
     whole = replace(experiment, only=())  # finished lifts of other rows stay in the report
     others = [task for task in tasks_of(whole) if task.name not in {one.name for one in tasks}]
     results = [*results_without_a_lift(experiment, errors), *results_before(experiment, others)]
-    asked = {(each.scene, each.row, each.seed) for each in results}
-    asked |= {(task.scene.name, task.row.name, task.seed) for task in tasks}
-    kept = [each for each in results_kept(experiment) if (each.scene, each.row, each.seed) not in asked]
     for number, task in enumerate(tasks, start=1):
         print(f"{task.name}, {experiment.preset_name} ({number} of {len(tasks)})", file=sys.stderr)
         try:
@@ -55,9 +52,9 @@ def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
             results.append(Result(*about, failed=str(error)))
         except Cancelled:
             return ExitCode.CANCELLED
-        write_report(experiment.folder, whole.tables((*results, *kept)))
+        write_report(experiment.folder, whole.tables(tuple(results)))
     if results:
-        write_report(experiment.folder, whole.tables((*results, *kept)))
+        write_report(experiment.folder, whole.tables(tuple(results)))
         print(experiment.tables(tuple(results)).markdown(), end="")
     if errors:
         print(f"Failed: {listed(list(errors))}. The same command tries again.", file=sys.stderr)
@@ -100,34 +97,6 @@ def is_finished(task: Task) -> bool:
     if not has_manifest(task.options.output):
         return False
     return not request_from(task.options).differences(LiftFolder.open(task.options.output).request)
-
-
-def results_kept(experiment: Experiment) -> Iterator[Result]:
-    """The other scenes' results of an earlier report in the folder, if their lifts were made with these options, and
-    its failures."""
-    path = experiment.folder / "results.json"
-    try:
-        before = read_results(path) if path.is_file() else ()
-        named = {scene.name for scene in experiment.scenes}
-        for result in before:
-            is_kept = bool(result.failed) or (result.scene not in named and _still_holds(experiment, result))
-            if is_kept and result.preset in ("-", experiment.preset_name):
-                yield result
-    except PlgsError as error:
-        print(f"Not in the report: {path}: {error}", file=sys.stderr)
-
-
-def _still_holds(experiment: Experiment, result: Result) -> bool:
-    """Whether the lift of a result still exists, made with these options, or none was needed. Raises PlgsError."""
-    row = next((row for row in experiment.rows.rows if row.is_lift and row.name == result.row), None)
-    if row is None:
-        return result.preset == "-"
-    folder = lift_folder(experiment, SceneToLift(result.scene, Path()), row, result.seed)
-    if not has_manifest(folder):
-        return False
-    request = LiftFolder.open(folder).request
-    scene = SceneToLift(result.scene, request.scene, request.up)
-    return not request_from(lift_options(experiment, scene, row, result.seed)).differences(request)
 
 
 def make_depth_maps(lift: Path, maps: Path) -> None:

@@ -1,22 +1,12 @@
-"""Results of lifts: read from a finished one, written to results.json and read again, and results.csv."""
+"""Results of lifts: read from a finished one, and written to results.csv."""
 
 import csv
 from dataclasses import replace
-from pathlib import Path
-
-import pytest
 
 from engine.job import Event
 from engine.metrics.report import INPUT_MASKS, LIFTED
 from research import results
-from tests.raises_key import raises_key
 from tests.research.experiments.made_up import KITCHEN, OFFICE
-
-
-def test_results_round_trip(tmp_path: Path) -> None:
-    file = tmp_path / "results.json"
-    file.write_text(results.results_text([*OFFICE, KITCHEN]))
-    assert results.read_results(file) == (*OFFICE, KITCHEN)
 
 
 def test_other_programs_read_the_csv() -> None:
@@ -28,26 +18,6 @@ def test_other_programs_read_the_csv() -> None:
 def test_no_csv_cell_is_a_formula() -> None:
     text = results.csv_text([replace(KITCHEN, scene='=HYPERLINK("x")')])
     assert next(csv.DictReader(text.splitlines()))["scene"] == '\'=HYPERLINK("x")'
-
-
-@pytest.mark.parametrize(
-    ("content", "key"),
-    [
-        (None, "unreadable"),
-        ("not JSON", "json-broken"),
-        ('{"format": 1, "results": []}', "other-format"),
-        ('{"format": 2, "tables": []}', "results-damaged"),
-        ('{"format": 2, "results": [5]}', "results-damaged"),
-        ('{"format": 2, "results": [{"scene": "a"}]}', "results-damaged"),
-        (results.results_text([]), "results-empty"),
-    ],
-)
-def test_another_file_is_refused(tmp_path: Path, content: str | None, key: str) -> None:
-    file = tmp_path / "results.json"
-    if content is not None:
-        file.write_text(content)
-    with raises_key(key):
-        results.read_results(file)
 
 
 RENDERED = {"psnr": 20.0, "psnr_fitted": 22.0, "ssim": 0.5, "ssim_fitted": 0.6, "depth_error_m": 0.02}
