@@ -73,7 +73,6 @@ def _add_experiments(parser: argparse.ArgumentParser) -> None:
     )
     about = f"a scene's folder; AXIS is one of {', '.join(UP_OPTIONS)}"
     parser.add_argument("scenes", nargs="*", metavar="SCENE[:up=AXIS]", help=f"{about} (default: {SAMPLE})")
-    parser.add_argument("--scenes", nargs="+", dest="named_scenes", metavar="SCENE[:up=AXIS]", help="the same")
     parser.add_argument("--names", type=_names, metavar="A,B,..", help="scene names (default: their folders' names)")
     parser.add_argument("--only", nargs="+", default=[], metavar="ROW|TABLE", help="only these rows or tables")
     parser.add_argument("--list", action="store_true", help="list the tables and rows")
@@ -149,10 +148,8 @@ def run_experiments(options: argparse.Namespace) -> int:
     if options.list:
         print(*rows.listed(), sep="\n")
         return ExitCode.FINISHED
-    if options.named_scenes and options.scenes:
-        raise PlgsError("scene-twice", "scenes are given twice", "--scenes", "Give them in one way only.")
     experiment = Experiment(
-        scenes=scenes_from(options.named_scenes or options.scenes or [SAMPLE], options.names),
+        scenes=scenes_from(options.scenes or [SAMPLE], options.names),
         folder=options.output,
         rows=rows,
         only=tuple(options.only),

@@ -7,7 +7,6 @@ import argparse
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from glob import glob, has_magic
 from pathlib import Path
 
 from engine.batch.plan import of_scene
@@ -45,12 +44,11 @@ class SceneToLift:
 
 def scenes_from(texts: Sequence[str], names: Sequence[str] | None = None) -> tuple[SceneToLift, ...]:
     """The scenes of ``texts``, each ``SCENE`` or ``SCENE:up=AXIS``, called ``names``, or else like their
-    folders. SCENE may be a pattern such as ``scans/scene*``, which stands for all these folders, ordered by name.
+    folders.
 
     Raises PlgsError if an axis or a name is invalid, if two names are the same, or if there are more or fewer names
     than scenes.
     """
-    texts = [each for text in texts for each in _matching(text)]
     if names is not None and len(names) != len(texts):
         what = f"{len(names)} names for {len(texts)} scenes"
         raise PlgsError("unequal-counts", what, ",".join(names), "Give one name per scene.")
@@ -67,19 +65,6 @@ def scenes_from(texts: Sequence[str], names: Sequence[str] | None = None) -> tup
             raise PlgsError("names-clash", what, scene.folder, "Give other names with --names.")
         known.add(scene.name.casefold())
     return tuple(scenes)
-
-
-def _matching(text: str) -> list[str]:
-    """The scenes that a path or a pattern of paths names. Raises PlgsError for a pattern that matches no folder."""
-    match = _SCENE.fullmatch(text)
-    if match is None or not has_magic(match["folder"]) or Path(match["folder"]).exists():
-        return [text]
-    axis = text[len(match["folder"]) :]
-    found = sorted(folder for folder in glob(match["folder"]) if Path(folder).is_dir())
-    if not found:
-        what = "no folder matches the pattern"
-        raise PlgsError("no-match", what, text, "Name scene folders, or give another pattern.")
-    return [folder + axis for folder in found]
 
 
 def _scene(text: str) -> SceneToLift:

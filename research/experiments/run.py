@@ -112,18 +112,15 @@ def make_depth_maps(lift: Path, maps: Path) -> None:
 
 
 def results_without_a_lift(experiment: Experiment, errors: dict[str, PlgsError]) -> Iterator[Result]:
-    """Results that need no lift, if rows ask for them or they were measured before. If this fails, the rows that ask
-    carry the reason, which is also put into ``errors``."""
+    """Results that need no lift, if rows ask for them. If this fails, the rows carry the reason, which is also put into
+    ``errors``."""
     wanted = experiment.rows.chosen(experiment.only)
     for scene in experiment.scenes:
-        rows = [row for row in experiment.rows.rows if row.method and has_files(row, scene)]
+        rows = [row for row in wanted if row.method and has_files(row, scene)]
         for masks in dict.fromkeys(row.masks for row in rows):
-            cache = experiment.folder / f"{scene.name}-{Path(masks or 'own').stem}-masks.json"
-            asking = [row for row in rows if row.masks == masks and row in wanted]
-            if not cache.is_file() and not asking:
-                continue
+            asking = [row for row in rows if row.masks == masks]
             try:
-                found = scores_without_a_lift(experiment.source(scene, masks), cache)
+                found = scores_without_a_lift(experiment.source(scene, masks))
             except PlgsError as error:
                 for row in asking:
                     errors[f"{scene.name}: {row.name}"] = error

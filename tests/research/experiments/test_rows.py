@@ -84,16 +84,6 @@ def test_scene_text_can_name_its_axis() -> None:
     )
 
 
-def test_a_pattern_stands_for_the_folders_it_matches(tmp_path: Path) -> None:
-    for name in ("scene2", "scene1", "other"):
-        (tmp_path / name).mkdir()
-    (tmp_path / "scene3.txt").touch()
-    found = scenes_from([f"{tmp_path}/scene*:up=y", "rooms/office"])
-    assert [(scene.name, scene.up) for scene in found] == [("scene1", "y"), ("scene2", "y"), ("office", "z")]
-    with raises_key("no-match"):
-        scenes_from([f"{tmp_path}/nothing*"])
-
-
 def test_a_colon_may_be_part_of_a_path() -> None:
     (scene,) = scenes_from(["C:rooms:up=y"], ["rooms"])
     assert (scene.folder.name, scene.up) == ("C:rooms", "y")
