@@ -221,6 +221,6 @@ def test_a_dropped_film_is_prepared_and_its_lift_begins(
 def test_a_file_that_is_not_a_film_is_reported(tmp_path: Path) -> None:
     (tmp_path / "room.mp4").write_text("no film")
     if importlib.util.find_spec("pycolmap") is None:
-        with pytest.raises(RuntimeError, match="(?i)engine lacks pycolmap|packages are missing"):
+        with pytest.raises(RuntimeError, match="(?i)engine lacks pycolmap|must be downloaded"):
             bpy.ops.plgs.import_film(filepath=str(tmp_path / "room.mp4"))
     assert not (tmp_path / "room").exists()
