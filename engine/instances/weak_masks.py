@@ -38,10 +38,12 @@ MAJORITY = 0.5
 @dataclass(frozen=True)
 class ViewAgreement:
     """The share of what a view shows that agrees with the votes of all other views: ``by_class`` in the mean over the
-    classes, ``in_all`` in that of all that is shown."""
+    classes, ``in_all`` in that of all that is shown. ``at_least``: the latter if all that no other view sees disagreed.
+    """
 
     by_class: float
     in_all: float
+    at_least: float
 
     @property
     def is_weak(self) -> bool:
@@ -63,8 +65,9 @@ def agreement_of_views(
         asked += np.bincount(column, word * is_asked, len(ids))
         agreed += np.bincount(column, word * (is_asked & (others.argmax(1) == column)), len(ids))
     if not asked.any():
-        return ViewAgreement(1.0, 1.0)  # nothing compared
-    found = ViewAgreement(float(np.mean(agreed[asked > 0] / asked[asked > 0])), float(agreed.sum() / asked.sum()))
+        return ViewAgreement(1.0, 1.0, 0.0)  # nothing compared
+    by_class, all_said = np.mean(agreed[asked > 0] / asked[asked > 0]), sum(word.sum() for _, _, word in said)
+    found = ViewAgreement(float(by_class), float(agreed.sum() / asked.sum()), float(agreed.sum() / all_said))
     log.info(
         "a view that is held back agrees with the others on %.3f of a class and %.3f of all: its masks are %s",
         found.by_class, found.in_all, "weak" if found.is_weak else "good",

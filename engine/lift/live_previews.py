@@ -1,4 +1,4 @@
-"""Pictures of the model during training, from a camera that the user chooses.
+"""Pictures of the points before training, and of the model during it, from a camera that the user chooses.
 
 They take a limited share of the time and do not influence training: they draw no random numbers and change no sums.
 """
@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -24,9 +25,10 @@ from ..model.render import render_view
 from ..model.structured import StructuredScene
 from ..passes.baked_view import ShownInstances
 from ..passes.layers import decide
-from ..passes.previews import panoptic_picture
-from ..scene import Camera, Frame, Scene, size_within
+from ..passes.previews import Picture, colour_picture, panoptic_picture
+from ..scene import Camera, ClassTable, Frame, Scene, size_within
 from ..scene.pixels import image_bytes
+from ..semantics.point_cloud import SemanticPointCloud
 
 log = logging.getLogger("plgs.lift")
 
@@ -41,6 +43,7 @@ OUTSIDE = 1.0
 """Metres from all of the scene's cameras beyond which a camera is taken to be outside the room: it sees no backs."""
 MOST_POINTS, NEIGHBOURS = 30_000, 12
 """The most points whose normals tell front from back, and the neighbours of each that make its plane."""
+NO_INSTANCES = ShownInstances({})
 SIZE_WITHIN = (480, 480)
 """The largest width and height of a preview in pixels."""
 
@@ -53,19 +56,19 @@ class LivePreviews:
         self,
         folder: LiftFolder,
         scene: Scene,
-        instances: ShownInstances,
         events: EventWriter,
+        instances: ShownInstances = NO_INSTANCES,
         clock: Callable[[], float] = time.monotonic,
         surface: NDArray[np.float32] | None = None,
     ) -> None:
-        """``surface``: points [N, 3] of the scene, which tell front from back."""
+        """``surface``: points [N, 3] of the scene, which tell front from back. It and instances can be set later."""
         self.folder, self.scene, self.instances, self.events = folder, scene, instances, events
         self._clock, self._due, self._is_first = clock, clock(), True
         self._last_read: tuple[int, int, int] | None = None  # the stamp of preview.json when it was last read
         self._camera, self._fingerprint = frame_to_show(scene).camera, ""
         self._has_warned = False
         self._eyes = np.array([frame.camera.centre for frame in scene.frames])
-        self._surface = surface
+        self.surface = surface
         self._fronts: tuple[cKDTree, NDArray[np.float64]] | None = None
 
     def __call__(self, lifted: StructuredScene) -> None:
@@ -81,6 +84,12 @@ class LivePreviews:
         self._due = ended + max(EVERY_S, min(pause, max(longest - took, took)))  # at most half of the time
         self._is_first = False
 
+    def show_points(self, cloud: SemanticPointCloud, owner: NDArray[np.int32]) -> None:
+        """Draw the points of the cloud, with the instance of each, int32 [N]. Raises OSError if the disk is full."""
+        camera, self.surface = self._wanted_camera(), cloud.xyz
+        wanted = self._facing(cloud.xyz, camera.centre)
+        self._write(*points_picture(cloud, owner, wanted, camera, self.scene.classes))
+
     def clear_away(self) -> None:
         """Delete the picture, which does not belong to the result. Raises PermissionError if it stays open for 2 s."""
         for pause_s in (0.1, 0.4, 1.5):
@@ -94,9 +103,13 @@ class LivePreviews:
         camera = self._wanted_camera()
         rendering = render_view(self._without_backs(lifted, camera.centre), camera)
         layers = decide(rendering, self.scene.classes, self.instances.class_of)
-        picture = panoptic_picture(layers, self.scene.classes, self.instances.colours)
+        photo, colours = colour_picture(layers), self.instances.colours
+        picture = panoptic_picture(layers.semantic, layers.instance, photo, self.scene.classes, colours)
+        self._write(picture, rendering.alpha)
+
+    def _write(self, picture: Picture, alpha: NDArray[np.floating]) -> None:
         if self._fingerprint:  # drawn over what Blender shows
-            picture = np.dstack([picture, np.rint(255 * np.clip((rendering.alpha - 0.3) / 0.4, 0, 1)).astype(np.uint8)])
+            picture = np.dstack([picture, np.rint(255 * np.clip((alpha - 0.3) / 0.4, 0, 1)).astype(np.uint8)])
         try:
             write_atomically(self.folder.live_preview_path, image_bytes(picture))
         except PermissionError as error:  # on Windows, while a program reads the last one
@@ -105,19 +118,22 @@ class LivePreviews:
             self.events.preview(self.folder.live_preview_path, self._fingerprint)
 
     def _without_backs(self, lifted: StructuredScene, eye: NDArray[np.float64]) -> StructuredScene:
-        """The scene without what faces away from a requested camera outside the room, so that the camera sees into
-        it."""
-        is_outside = np.linalg.norm(self._eyes - eye, axis=1).min() > OUTSIDE
-        if self._surface is None or not self._fingerprint or not is_outside:
+        faces = self._facing(lifted.anchors.position.numpy(force=True), eye)
+        if faces.all():
             return lifted
-        if self._fronts is None:
-            self._fronts = fronts_of(self._surface, self._eyes)
-        tree, normals = self._fronts
-        xyz = lifted.anchors.position.numpy(force=True)
-        faces = np.einsum("ij,ij->i", normals[tree.query(xyz)[1]], eye - xyz) >= 0.0
         rows = torch.from_numpy(np.flatnonzero(faces)).to(lifted.anchors.position.device)
         finest = None if lifted.finest is None else lifted.finest[rows]
         return replace(lifted, anchors=lifted.anchors.select(rows), finest=finest)
+
+    def _facing(self, xyz: NDArray[np.float32], eye: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which points [N, 3] do not face away from a requested camera outside the room, so that it sees into it."""
+        is_outside = np.linalg.norm(self._eyes - eye, axis=1).min() > OUTSIDE
+        if self.surface is None or not self._fingerprint or not is_outside:
+            return np.ones(len(xyz), np.bool_)
+        if self._fronts is None:
+            self._fronts = fronts_of(self.surface, self._eyes)
+        tree, normals = self._fronts
+        return np.asarray(np.einsum("ij,ij->i", normals[tree.query(xyz)[1]], eye - xyz) >= 0.0)
 
     def _wanted_camera(self) -> Camera:
         path = self.folder.preview_request_path
@@ -151,6 +167,23 @@ class LivePreviews:
                 self._has_warned = True
                 self.events.warning(f"the previews show a different camera from the requested one: {error}")
             return default
+
+
+def points_picture(
+    cloud: SemanticPointCloud, owner: NDArray[np.int32], wanted: NDArray[np.bool_], camera: Camera, classes: ClassTable
+) -> tuple[Picture, NDArray[np.bool_]]:
+    """The ``wanted`` points [N] of a cloud as discs that touch, near ones over far ones, with their colours, classes
+    and ``owner`` (instances); and which pixels [H, W] show one."""
+    of_point = np.flatnonzero(wanted)
+    row, pixel, depth = camera.seen(cloud.xyz[of_point])
+    shown = np.zeros((camera.height, camera.width), np.int32)  # 0 = none, else the number of a point from 1
+    radius, order = np.ceil(cloud.spacing * camera.fx / depth), np.argsort(-depth, kind="stable")
+    discs = np.column_stack([pixel, np.minimum(radius, camera.width), of_point[row] + 1]).astype(np.int64)
+    for x, y, size, number in discs[order].tolist():
+        cv2.circle(shown, (x, y), size, number, cv2.FILLED)
+    semantic, instance = (np.append(np.int32(0), ids)[shown] for ids in (cloud.class_id, owner))
+    photo = np.concatenate([np.zeros((1, 3), np.uint8), cloud.rgb])[shown]
+    return panoptic_picture(semantic, instance, photo, classes, {}), shown > 0
 
 
 def fronts_of(surface: NDArray[np.float32], eyes: NDArray[np.float64]) -> tuple[cKDTree, NDArray[np.float64]]:

@@ -24,8 +24,8 @@ from ..instances.panoptic_labels import ClassBalance, PanopticLabels
 from ..instances.records import ObjectMask, SceneObject, object_of_mask
 from ..instances.segment_votes import neighbours_on_a_thing, view_labels, vote_panoptic_labels
 from ..instances.segments import SegmentOptions, vote_instances
-from ..instances.superpoints import RestOfSuperpoint, trusted_superpoints
-from ..instances.weak_masks import agreement_of_views, class_balance
+from ..instances.superpoints import WEAK, RestOfSuperpoint, trusted_superpoints
+from ..instances.weak_masks import ViewAgreement, agreement_of_views, class_balance
 from ..job.progress import StageProgress
 from ..presets.parts import Parts
 from ..presets.preset import Preset, ViewEvidence
@@ -89,12 +89,12 @@ def segment_options(preset: Preset) -> SegmentOptions:
 @dataclass(frozen=True, eq=False)
 class VotedThings:
     """The ``things`` that views agree on. ``training``: the views whose masks were joined; ``everyone``: all that vote,
-    with the detections that do; ``masks_are_weak``: whether the masks contradict each other."""
+    with the detections that do."""
 
     things: list[SceneObject]
     training: ViewsOnCloud
     everyone: ViewsOnCloud
-    masks_are_weak: bool
+    agreement: ViewAgreement
     balance: ClassBalance
 
 
@@ -102,11 +102,11 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     """Our method: the views agree on objects and vote on the class of each; segments and points vote on the label of
     every pixel."""
     found = voted_things(given, preset.evidence, progress)
-    part = None
-    if preset.segment_voting.superpoints:
+    part, are_weak = None, found.agreement.is_weak
+    if preset.segment_voting.superpoints and (are_weak or found.agreement.at_least < WEAK):  # else they are not trusted
         some, kind = given.cloud, preset.evidence.segments
         asked = some.xyz, some.spacing, found.everyone, some.class_ids, kind
-        part = trusted_superpoints(*asked, masks_are_weak=found.masks_are_weak)
+        part = trusted_superpoints(*asked, masks_are_weak=are_weak)
     cloud, object_of_point = voted_points(given.cloud, found, part, preset, progress.part(0.4, 0.85))
     owner, things = regrouped(cloud, object_of_point, found, progress.part(0.85, 0.92))
     # A point that lost its object was on the ragged edge of a few masks, so their class is no evidence for it either.
@@ -120,7 +120,7 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     label = labels.of_points(cloud.class_id, instance_of_point)
     shown = view_labels(seeing.views, seeing.point_of_pixel, label, len(labels))
     maps = stored(watched(shown, progress.part(0.95, 1.0)), given.scratch)
-    masks_agree = part is None and not found.masks_are_weak
+    masks_agree = part is None and not are_weak
     return Matching(cloud, instances, instance_of_point, dropped, maps, seeing.point_of_pixel, masks_agree)
 
 
@@ -141,7 +141,7 @@ def voted_things(given: ViewsToMatch, kinds: ViewEvidence, progress: StageProgre
     balance = class_balance(everyone, *asked, agreement)
     found = with_masks_of(found, voting, CONSENSUS.rules)
     things = thing_objects(found, everyone, cloud, given.classes, kinds=kinds, balance=balance)
-    return VotedThings(things, training, everyone, agreement.is_weak, balance)
+    return VotedThings(things, training, everyone, agreement, balance)
 
 
 def voted_points(
@@ -160,12 +160,12 @@ def voted_points(
         neighbours = neighbours_on_a_thing(cloud.xyz, cloud.spacing, found.training.seen)
     labels = replace(labels_of(cloud, found.things), balance=found.balance)
     members = object_of_mask(found.things)
-    label, confidence = vote_panoptic_labels(
+    voted = vote_panoptic_labels(
         found.everyone, len(cloud), labels, members, options=preset.segment_voting, kind=preset.evidence.segments,
         neighbours=neighbours, progress=progress,
     )  # fmt: skip
-    cloud = replace(cloud, class_id=labels.classes(label), confidence=confidence)
-    return cloud, labels.objects(label)
+    cloud = replace(cloud, class_id=labels.classes(voted.label), confidence=voted.confidence)
+    return cloud, labels.objects(voted.label)
 
 
 def regrouped(

@@ -53,21 +53,22 @@ def objects_in_view(
     xyz, number = points.xyz[number >= 0], number[number >= 0]
     count, first = len(scene.channels.instance_slots), len(scene.channels.class_ids)
     seen, shown = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    hiding = np.zeros((2, 0), np.int64)
+    hiding = np.zeros(0, np.int64)  # two numbers in one, as `unique` of columns is slow
     for view in views:
         row, pixel, depth = view.camera.seen(xyz)
         x, y = pixel.astype(np.int64).T
-        drawn = view.depth[y, x]
+        drawn, pixels = view.depth[y, x], view.depth.size
         near = (drawn > 0) & (np.abs(drawn - depth) <= np.maximum(NEAR, NEAR_SHARE * drawn))
-        pairs = np.unique(np.stack([number[row], y, x])[:, near], axis=1)  # a pixel counts once for an object
-        is_shown = pixel_labels(scene, labels, view)[pairs[1], pairs[2]] == first + pairs[0]
-        seen += np.bincount(pairs[0], minlength=count)
-        shown += np.bincount(pairs[0][is_shown], minlength=count)
-        hidden, y, x = pairs[:, ~is_shown]
-        pixel_of, place = np.nonzero(view.weight[y, x] >= LEAST_WEIGHT)
-        found = np.stack([hidden[pixel_of], view.gaussian[y, x][pixel_of, place].astype(np.int64)])
-        hiding = np.unique(np.concatenate([hiding, found], axis=1), axis=1)
-    return ObjectsInView(seen, shown, hiding)
+        pairs = np.unique((number[row] * pixels + y * view.camera.width + x)[near])  # a pixel counts once for an object
+        one, pixel = np.divmod(pairs, pixels)
+        is_shown = pixel_labels(scene, labels, view).reshape(-1)[pixel] == first + one
+        seen += np.bincount(one, minlength=count)
+        shown += np.bincount(one[is_shown], minlength=count)
+        weight, gaussian = (each.reshape(pixels, -1)[pixel[~is_shown]] for each in (view.weight, view.gaussian))
+        pixel_of, place = np.nonzero(weight >= LEAST_WEIGHT)
+        found = one[~is_shown][pixel_of] << 32 | gaussian[pixel_of, place]
+        hiding = np.unique(np.concatenate([hiding, found]))
+    return ObjectsInView(seen, shown, np.stack([hiding >> 32, hiding & 0xFFFFFFFF]))
 
 
 def with_hidden_objects(scene: StructuredScene, labels: GaussianLabels, found: ObjectsInView) -> GaussianLabels:

@@ -4,7 +4,7 @@ semantic point cloud, Algorithm 1, anchors by voxelisation, and the projected ta
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from ..instances.records import SceneObject
 from ..job import EventWriter
 from ..job.progress import StageProgress, StageReporter
+from ..json_file import Json
 from ..model.anchors import initial_anchors, seeded_features
 from ..model.decoders import DECODERS, DecoderShape
-from ..model.structured import NO_OBJECT, SPARE, LabelChannels, StructuredScene
+from ..model.structured import NO_OBJECT, SPARE, LabelChannels, StructuredScene, to_tensors
 from ..posed.layout import plural
 from ..presets.preset import Preset
 from ..scene import VOID, ClassTable, OnDemand, Progress, View, stored
@@ -49,7 +50,8 @@ class PreparedLift(Matching):
 class ViewsToLift:
     """``views`` to train on, their ``classes``, the ``preset`` and the ``seed``. ``others`` are views that vote, but
     are not trained on. Arrays of every view are stored in temporary files in ``scratch`` (None: in the system's
-    folder for them)."""
+    folder for them). ``trained``: the facts of a model from which training goes on, if it has the same labels. ``show``
+    is called with the points and the instance of each, int32 [N], as soon as they have classes, and with instances."""
 
     views: Sequence[View]
     classes: ClassTable
@@ -57,6 +59,8 @@ class ViewsToLift:
     seed: int = 0
     others: Sequence[View] = ()
     scratch: Path | None = None
+    trained: Json = None
+    show: Callable[[SemanticPointCloud, NDArray[np.int32]], object] = lambda *_: None
 
 
 def prepare(given: ViewsToLift, stages: StageReporter) -> PreparedLift:
@@ -67,7 +71,8 @@ def prepare(given: ViewsToLift, stages: StageReporter) -> PreparedLift:
         channels = label_channels(used_classes(views), matching.instances, preset)
         viewpoints = np.array([view.camera.centre for view in views])
         start = starting_anchors(matching.cloud, matching.instance_of_point, preset)
-        scene = starting_scene(start, channels, viewpoints, preset, seed=given.seed, progress=progress)
+        asked = start, channels, viewpoints, preset
+        scene = starting_scene(*asked, seed=given.seed, trained=given.trained, progress=progress)
         targets = targets_of(given, placed, matching, photos, channels)
     class_of_instance = {one.id: one.class_id for one in matching.instances} if channels.class_of_slot else None
     return PreparedLift(**vars(matching), scene=scene, targets=targets, class_of_instance=class_of_instance)
@@ -79,6 +84,7 @@ def find(given: ViewsToLift, stages: StageReporter) -> tuple[Matching, Photos, S
     with stages.stage("consistency") as progress:
         placed = filled_views(views, scratch) if preset.fill_holes else views
         cloud = semantic_cloud(placed, used_classes(views), preset, stages.events, progress)
+        given.show(cloud, np.zeros(len(cloud), np.int32))
     with stages.stage("match") as progress:
         to_match = ViewsToMatch(placed, cloud, given.classes, given.others, scratch)
         matching = MATCHERS.chosen(preset.objects)(to_match, preset, progress)
@@ -88,6 +94,7 @@ def find(given: ViewsToLift, stages: StageReporter) -> tuple[Matching, Photos, S
                 f"{plural(matching.dropped, 'instance is', 'instances are')} left out, the smallest of {found}: "
                 f"at most {preset.most_instances} are kept, --set most_instances={found} keeps all"
             )
+        given.show(matching.cloud, matching.instance_of_point)
         photos = compared_photos(views, placed, matching, preset, scratch)
     matching = replace(matching, point_of_pixel=None)  # these files are large, and nothing reads them from here on
     return matching, photos, placed
@@ -176,10 +183,11 @@ def starting_scene(
     preset: Preset,
     *,
     seed: int,
+    trained: Json = None,
     progress: Progress = lambda *_: None,
 ) -> StructuredScene:
     """The anchors with features, and decoders drawn from the seed. The preset decides whether the decoders are fitted
-    to the anchors."""
+    to the anchors, unless a model with the facts ``trained`` is to replace the scene."""
     feature = np.zeros((len(start.positions), FEATURES), np.float32)
     if preset.seeded_features:
         feature = seeded_features(start.rgb, start.classes, start.owners, features=FEATURES, seed=seed)
@@ -199,7 +207,7 @@ def starting_scene(
         label_view_input=preset.label_view_input,
     )
     scene = StructuredScene(anchors, DECODERS.chosen(preset.head)(shape, seed), channels, preset.voxel_size)
-    if preset.warm_start:
+    if preset.warm_start and to_tensors(scene)[1] != trained:
         owners = start.owners if preset.objects != "none" else None
         warm_start(scene, start.rgb, owners, viewpoints, seed=seed, progress=progress)
     return scene

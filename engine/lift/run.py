@@ -130,7 +130,10 @@ def run_lift(
 
     preset = preset.for_views(len(views))
     classes = frames.all.classes
-    prepared = preparing(ViewsToLift(views, classes, preset, request.seed, others, folder.path), stages)
+    trained = None if checkpoint is None or masks_changed else checkpoint.state.get("model")
+    previews = LivePreviews(folder, frames.all, events)
+    given = ViewsToLift(views, classes, preset, request.seed, others, folder.path, trained, previews.show_points)
+    prepared = preparing(given, stages)
     if preset.shows_votes and prepared.label_maps is None:
         preset = replace(preset, labels="decoders")
         events.warning(NO_VOTES)
@@ -138,7 +141,7 @@ def run_lift(
     if checkpoint is not None:
         take_up(trainer, checkpoint, events, masks_changed=masks_changed)
     names: Mapping[int, str] = instance_names(prepared.instances, classes)
-    previews = LivePreviews(folder, frames.all, shown_instances(prepared, names), events, surface=prepared.cloud.xyz)
+    previews.instances, previews.surface = shown_instances(prepared, names), prepared.cloud.xyz
     previews(trainer.scene)
     facts: dict[str, Json] = {FRAMES: list(frames.begun_with), CODE: code, MASKS: masks_last_run(folder)}
     facts[TRAINING] = training_options(request.chosen_preset)

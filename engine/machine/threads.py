@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
@@ -16,6 +17,17 @@ MOST_WORKERS = 256
 def worker_count() -> int:
     """The number of torch's threads, at most ``MOST_WORKERS``."""
     return max(1, min(torch.get_num_threads(), MOST_WORKERS))
+
+
+@contextmanager
+def one_torch_thread() -> Iterator[None]:
+    """Let torch use one thread: for arrays of a few thousand rows, to wake others takes longer than the work."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def parallel_for(workers: int, kernel: Callable[..., None], *arguments: Any) -> None:

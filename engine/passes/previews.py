@@ -88,13 +88,15 @@ def instance_picture(instance: NDArray[np.int32], colours: Mapping[int, Colour] 
     return np.array(table, np.uint8).reshape(-1, 3)[index]
 
 
-def panoptic_picture(layers: PanopticLayers, classes: ClassTable, instance_colours: Mapping[int, Colour]) -> Picture:
-    """Classes and instances over the rendered colours: objects in their own colours, the rest in those of its classes;
-    black where nothing was rendered."""
-    labels = semantic_picture(layers.semantic, classes)
-    owned = layers.instance > 0
-    labels[owned] = instance_picture(layers.instance, instance_colours)[owned]
-    photo = colour_picture(layers).astype(np.float32)
+def panoptic_picture(
+    semantic: NDArray[np.int32], instance: NDArray[np.int32], photo: Picture, classes: ClassTable,
+    instance_colours: Mapping[int, Colour],
+) -> Picture:  # fmt: skip
+    """Classes and instances [H, W] over a photo: objects in their own colours, the rest in those of its classes; black
+    where there is no class and the photo is black."""
+    labels, owned = semantic_picture(semantic, classes), instance > 0
+    labels[owned] = instance_picture(instance, instance_colours)[owned]
+    photo = photo.astype(np.float32)
     light = 0.35 + 0.9 * (photo @ LUMA)[..., None] / 255
     return np.clip(0.55 * light * labels + 0.45 * photo, 0, 255).astype(np.uint8)
 

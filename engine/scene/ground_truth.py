@@ -105,6 +105,8 @@ def refuse_other_numbers(joint: Joint, classes: ClassTable, where: Path, fix: st
     own = sum(pixels for (number, class_id), pixels in joint.items() if number == class_id)
     if total < _FEWEST or len(numbers) < 2 or len({class_id for _, class_id in joint}) < 2:
         return ()
+    if own >= max(_REFUTED, _POOR) * total:  # no table could do much better
+        return ()
     found = {}
     for table in (*NUMBERINGS, *(each for each in TABLES if each == numberings_of(each)[0])):
         names = _names(ClassChoice(table=table), where)

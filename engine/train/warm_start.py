@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch.nn import functional
 
+from ..machine.threads import one_torch_thread
 from ..model.anchors import UNKNOWN_CLASS
 from ..model.structured import StructuredScene
 from ..scene import Progress, watched
@@ -27,6 +28,7 @@ OPACITY_BIAS = 0.3
 FITTED = ("colour", "semantic", "instance")
 
 
+@one_torch_thread()
 def warm_start(
     scene: StructuredScene,
     colour: np.ndarray,

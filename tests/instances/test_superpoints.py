@@ -128,6 +128,23 @@ def test_masks_are_weak_where_views_disagree_on_small_classes() -> None:
     assert weak.by_class < WEAK < DOUBTED < weak.in_all and weak.is_weak
 
 
+def test_no_superpoints_raise_doubts_about_masks_that_agree_at_least() -> None:
+    """So they need not be found to know that they are not trusted, also where points are seen only once."""
+    xyz, is_box = box_on_a_floor()
+    random, count = np.random.default_rng(3), len(xyz)
+    for noise in (0.02, 0.2, 0.4):
+        shown = [np.where(random.random(count) < noise, WALL, np.where(is_box, BOX, FLOOR)) for _ in range(3)]
+        views = seeing(xyz, [each.astype(np.int32) for each in shown])
+        parts = [np.sort(random.choice(count, count // 2, replace=False)) for _ in shown]
+        rows = [ViewPoints(row.astype(np.int32), one.segment[row], one.pixels[row], one.resolution[row])
+                for row, one in zip(parts, views.seen, strict=True)]  # fmt: skip
+        some = replace(views, seen=rows)
+        found = agreement_of_views(some, count, CLASS_IDS, "pixels")
+        for part in (superpoints(xyz, SPACING, some), random.integers(0, 9, count), np.arange(count)):
+            by_point = held_back_agreement(part, some, CLASS_IDS, "pixels")[0]
+            assert 0 < found.at_least <= by_point + 1e-9 and found.at_least < found.in_all
+
+
 def test_where_masks_are_weak_a_rare_class_outvotes_a_common_one_without_a_majority() -> None:
     xyz, is_box = box_on_a_floor()
     views = seeing(xyz, [np.where(is_box, shown, FLOOR).astype(np.int32) for shown in (BOX, WALL, FLOOR, FLOOR)])

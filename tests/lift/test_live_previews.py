@@ -11,9 +11,9 @@ from engine.errors import Cancelled
 from engine.job import EventWriter, LiftFolder, LiftRequest, last_run
 from engine.job.cameras import PreviewCamera, write_preview_request
 from engine.lift import live_previews
-from engine.lift.live_previews import LivePreviews
-from engine.lift.scene_files import ShownInstances
-from engine.scene import open_scene
+from engine.lift.live_previews import LivePreviews, points_picture
+from engine.scene import Camera, Category, ClassTable, distinct_colour, open_scene
+from engine.semantics.point_cloud import SemanticPointCloud
 from engine.train.trainer import Trainer
 from tests.lift.test_lift import files_of
 from tests.tiny_scene import ROOM, write_tiny_scene
@@ -42,6 +42,7 @@ def test_watching_keeps_the_model(scene_folder: Path, tmp_path: Path, monkeypatc
     unwatched = LiftFolder.create(tmp_path / "unwatched", LiftRequest(scene=scene_folder))
     with monkeypatch.context() as unseen:
         unseen.setattr(LivePreviews, "__call__", lambda *_: None)
+        unseen.setattr(LivePreviews, "show_points", lambda *_: None)
         run(unwatched)
     assert "result/previews/live.png" not in told(unwatched, "preview")
 
@@ -67,13 +68,33 @@ def test_watching_keeps_the_model(scene_folder: Path, tmp_path: Path, monkeypatc
     monkeypatch.setattr(Trainer, "step", step_and_turn)
     with pytest.raises(Cancelled):
         run(watched)
-    assert told(watched, "preview") == ["result/previews/live.png"] * 8, "the first before the first step"
+    assert told(watched, "preview") == ["result/previews/live.png"] * 10, "two of points, one before the first step"
+    kinds = [event.data.get("name", event.kind) for event in last_run(watched.events_path)]
+    assert kinds.index("consistency") < kinds.index("preview") < kinds.index("match"), "as soon as there are labels"
     cameras = [event.data.get("camera") for event in last_run(watched.events_path) if event.kind == "preview"]
-    assert cameras == [None, None, None, FROM_ABOVE.fingerprint, None, None, FROM_ABOVE.fingerprint, None]
+    assert cameras == [None] * 5 + [FROM_ABOVE.fingerprint, None, None, FROM_ABOVE.fingerprint, None]
     assert len(told(watched, "warning")) == len(told(unwatched, "warning")) + 1  # of two broken ones the first
     run(watched, resume=True)
     assert files_of(watched) == files_of(unwatched) and not watched.live_preview_path.exists()
     assert {(48, 64), (320, 480)} <= set(sizes)
+
+
+def test_points_show_their_class_or_instance_and_near_ones_hide_far_ones() -> None:
+    xyz, owner = (
+        np.array([[0, 0, 1], [0, 0, 4], [0.5, 0, 1], [-0.5, 0, 1]], np.float32),
+        np.array([0, 9, 7, 0], np.int32),
+    )
+    no_votes = np.zeros((4, 2), np.float32)
+    grey = np.full((4, 3), 100, np.uint8)
+    cloud = SemanticPointCloud(xyz, grey, np.array([1, 2, 2, 0], np.int32), no_votes[:, 0], no_votes, (1, 2), 0.05)
+    classes = ClassTable((Category(1, "wall", False, (200, 0, 0)), Category(2, "chair", True, (0, 200, 0))))
+    camera = Camera(64, 48, 50.0, 50.0, 32.0, 24.0, np.eye(4))
+    picture, shown = points_picture(cloud, owner, np.array([True, True, True, False]), camera, classes)
+    red, green, blue = picture[24, 32].astype(int)
+    assert red > green == blue > 0, "the near point of the wall"
+    tint = picture[24, 57].astype(float) - 0.45 * 100
+    assert np.corrcoef(tint, distinct_colour(7))[0, 1] > 0.99, "the chair's own colour"
+    assert not shown[24, 7] and not picture[0, 0].any() and shown.sum() < 100
 
 
 def test_previews_begin_at_once_and_cost_a_twentieth_unless_they_would_stand_still(
@@ -84,7 +105,7 @@ def test_previews_begin_at_once_and_cost_a_twentieth_unless_they_would_stand_sti
     folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene_folder))
     for cost, expected in ((0.02, 2.0), (0.5, 9.5), (3.0, 12.0)):
         now, drawn = [0.0], []
-        previews = LivePreviews(folder, scene, ShownInstances({}, None), EventWriter(tmp_path / "e"), lambda: now[0])  # noqa: B023
+        previews = LivePreviews(folder, scene, EventWriter(tmp_path / "e"), clock=lambda: now[0])  # noqa: B023
 
         def draw(_: object, now: list[float] = now, drawn: list[float] = drawn, cost: float = cost) -> None:
             now[0] += cost if drawn else 40.0  # the first one compiles
@@ -110,7 +131,7 @@ def test_from_outside_one_sees_into_the_room_and_the_rest_is_transparent(scene_f
     for face in range(6):
         at[face, :, face % 3] = ROOM[face // 3, face % 3]
     walls = at.reshape(-1, 3).astype(np.float32)
-    previews = LivePreviews(folder, scene, ShownInstances({}, None), EventWriter(tmp_path / "e"), surface=walls)
+    previews = LivePreviews(folder, scene, EventWriter(tmp_path / "e"), surface=walls)
     drawn = {}
     for name, eye in (("inside", scene.frames[0].camera.centre), ("outside", np.array([2.0, -6.0, 1.2]))):
         pose = ((1.0, 0.0, 0.0, eye[0]), (0.0, 0.0, 1.0, eye[1]), (0.0, -1.0, 0.0, eye[2]), (0.0, 0.0, 0.0, 1.0))

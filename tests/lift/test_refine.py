@@ -8,6 +8,7 @@ import pytest
 from engine.command_line.main import main
 from engine.corrections import correct, making, read_corrected
 from engine.job import LiftFolder, LiftRequest, read_manifest
+from engine.lift import preparation
 from tests.tiny_scene import write_tiny_scene
 from tests.train.tiny_lift import TINY, lift_into, presets_as, warnings_in
 
@@ -38,9 +39,13 @@ def test_a_draft_bakes_nothing_and_does_its_share_of_the_steps(lifts: tuple[Lift
     assert files(draft).keys() == files(preview).keys() and files(draft) != files(preview)
 
 
-def test_refining_ends_in_the_bits_of_a_preview_and_keeps_corrections(lifts: tuple[LiftFolder, LiftFolder]) -> None:
+def test_refining_ends_in_the_bits_of_a_preview_and_keeps_corrections(
+    lifts: tuple[LiftFolder, LiftFolder], monkeypatch: pytest.MonkeyPatch
+) -> None:
     draft, preview = lifts
-    assert main(["lift", str(draft.path), "--refine"]) == 0
+    with monkeypatch.context() as without:
+        without.delattr(preparation, "warm_start")  # what it fits is there
+        assert main(["lift", str(draft.path), "--refine"]) == 0
     assert files(draft) == files(preview) and warnings_in(draft.events_path) == warnings_in(preview.events_path)
     assert LiftFolder.open(draft.path).request == replace(preview.request, scene=draft.request.scene)
     assert "throne" in [one.name for one in read_corrected(draft.path).instances]
