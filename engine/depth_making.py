@@ -23,7 +23,7 @@ from .job import write_atomically
 from .job.own_files import OwnFiles
 from .json_file import read_object
 from .known_networks import licence_of
-from .networks import ANOTHER, load_weights, loading, model_folder, quiet_transformers
+from .networks import load_weights, loading, model_folder, quiet_transformers
 from .posed.array_file import read_npy
 from .posed.layout import listed
 from .scene import Scene, digests_of_files, size_within
@@ -54,15 +54,9 @@ def load_depth_network(name: str, *, download: bool) -> DepthNetwork:
     import transformers
 
     folder = model_folder(name, download=download)
-    told = read_object(folder / "preprocessor_config.json", _AGAIN)
-    kind = str(told.get("image_processor_type") or told.get("feature_extractor_type") or "DPTImageProcessor")
-    # Those that need torchvision have a twin with pillow alone.
-    plain = kind.removesuffix("Fast").removesuffix("Pil").replace("FeatureExtractor", "ImageProcessor")
-    made = getattr(transformers, f"{plain}Pil", None) or getattr(transformers, plain, None)
-    if made is None:
-        raise PlgsError("model-kind", f"its pictures need {kind[:40]!r}, which is not known here", name, ANOTHER)
-    with loading(name):
-        processor = made.from_pretrained(folder, local_files_only=True)
+    with loading(name):  # with pillow, as torchvision is not there
+        limits: dict[str, Any] = {"local_files_only": True, "trust_remote_code": False, "backend": "pil"}
+        processor = transformers.AutoImageProcessor.from_pretrained(folder, **limits)
     network = load_weights(transformers.AutoModelForDepthEstimation, folder, name)
     return DepthNetwork(name, partial(_map_of, network, processor))
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from .errors import ErrorCode, PlgsError
 from .job import EventWriter, StopSignal
-from .job.handshake import ADDED, CAPABILITIES
+from .job.handshake import CAPABILITIES
 from .job.prediction import MASK_S, machine_slowness
 from .job.progress import StageProgress
 from .known_networks import DEPTH, KNOWN, MASKS, listing, terms_of
@@ -62,27 +62,24 @@ def prepare(source: Path, wish: Wish, events: EventWriter, stop: StopSignal) -> 
 
 
 def _refuse_missing(source: Path, folder: Path, wish: Wish, events: EventWriter) -> None:
-    """Warn of what is downloaded. Raises PlgsError, with the whole list, for packages that are missing, or networks
+    """Warn of what is downloaded. Raises PlgsError, with one list of all, for packages that are missing, or networks
     that may not be downloaded."""
-    parts = [] if Made.read(folder) is not None else ["colmap"]
-    networks = [getattr(wish, each) for each in _missing(source, folder, wish)]
-    parts += ["segment"] if networks else []
-    lacking = [part for part in parts if any(find_spec(each) is None for each in CAPABILITIES[part].packages.values())]
-    if lacking:
-        sizes = [f"{CAPABILITIES[part].label} ({CAPABILITIES[part].size / 1e6:.0f} MB)" for part in lacking]
-        fix = " ".join(f"Give python -m engine add {part}." for part in lacking if part in ADDED)
-        what = f"packages are missing for this: {', '.join(sizes)}"
-        raise PlgsError("lacks-parts", what, source, fix, code=ErrorCode.LACKS_PART, option=lacking[0])
     from .networks import is_here
 
-    wanted = [name for name in networks if not is_here(name)]
-    if not wanted:
-        return
-    listed = listing(wanted)
-    if not wish.download:
-        what = f"{len(wanted)} networks must be downloaded from huggingface.co first: {'; '.join(listed.splitlines())}"
-        raise PlgsError("downloads", what, source, "Give --download if you agree to that.", option="--download")
-    for line in listed.splitlines():
+    missing = _missing(source, folder, wish)
+    parts = [*([] if Made.read(folder) is not None else ["colmap"]), *(["segment"] if missing else [])]
+    lacking = [part for part in parts if any(find_spec(each) is None for each in CAPABILITIES[part].packages.values())]
+    packages = [f"packages for {CAPABILITIES[part].label}: {CAPABILITIES[part].size / 1e6:.0f} MB" for part in lacking]
+    networks = listing(name for each in missing if not is_here(name := getattr(wish, each))).splitlines()
+    if lacking or (networks and not wish.download):
+        what = f"this must be downloaded first: {'; '.join([*packages, *networks])}"
+        agree = ["--download"] if networks and not wish.download else []
+        fix = " ".join([*(f"Give python -m engine add {part}." for part in lacking),
+                        *(f"Give {option} if you agree to the licences." for option in agree)])  # fmt: skip
+        if lacking:
+            raise PlgsError("lacks-parts", what, source, fix, code=ErrorCode.LACKS_PART, option=lacking[0])
+        raise PlgsError("downloads", what, source, fix, option="--download")
+    for line in networks:
         events.warning(f"This is downloaded: {line}")
 
 

@@ -25,6 +25,7 @@ _LARGEST_SIDE = 1280
 """Maximum pixels of a mask's longer side; networks work at a lower resolution anyway."""
 _TASK = "the task is panoptic"  # OneFormer's token
 _TASK_WORDS = 77  # and the length that its text encoder takes
+_RF_DETR = "rf_detr"
 _RF_DETR_SIDE = 560  # of its pictures, if no file says
 Queries = tuple[torch.Tensor, torch.Tensor]
 """Class logits, float [Q, C + 1] with no object as the last class, and mask logits, float [Q, h, w], of the picture."""
@@ -62,33 +63,33 @@ def load_model(name: str, *, download: bool, rounds: Rounds = (0.5,)) -> QueryNe
     folder = model_folder(name, download=download)
     labels = labels_of_config(folder / "config.json")
     kind = str(read_object(folder / "config.json", ANOTHER).get("model_type"))
-    if kind not in _FAMILIES:
+    if kind not in (*_PROCESSORS, _RF_DETR):
         what = f"this is a network of the kind {kind[:40]!r}, which makes no masks that are read here"
-        raise PlgsError("model-kind", what, name, f"Name one of the kinds {', '.join(_FAMILIES)}.")
-    return QueryNetwork(name, labels, _FAMILIES[kind](folder, name), rounds)
+        raise PlgsError("model-kind", what, name, f"Name one of the kinds {', '.join((*_PROCESSORS, _RF_DETR))}.")
+    look = _rf_detr(folder, name) if kind == _RF_DETR else _universal(kind, folder, name)
+    return QueryNetwork(name, labels, look, rounds)
 
 
-def _universal(network_class: str, processor_class: str, folder: Path, name: str) -> Look:
+def _universal(kind: str, folder: Path, name: str) -> Look:
     """A network with transformers' "universal" outputs."""
     import transformers
 
     limits: dict[str, Any] = {"local_files_only": True, "trust_remote_code": False}
     task: dict[str, torch.Tensor] = {}
-    if network_class.startswith("OneFormer"):
+    if kind == "oneformer":
         with loading(name):
             words = transformers.CLIPTokenizer.from_pretrained(folder, **limits)
         said = words(_TASK, padding="max_length", max_length=_TASK_WORDS, truncation=True, return_tensors="pt")
         task["task_inputs"] = said["input_ids"] * said["attention_mask"]  # as OneFormer's own processor does
     with loading(name):
-        processor = getattr(transformers, processor_class).from_pretrained(folder, **limits)
-    network = load_weights(getattr(transformers, network_class), folder, name)
-    is_eomt = network_class.startswith("Eomt")
+        processor = getattr(transformers, _PROCESSORS[kind]).from_pretrained(folder, **limits)
+    network = load_weights(transformers.AutoModelForUniversalSegmentation, folder, name)
 
     def queries(colour: NDArray[np.uint8]) -> Queries:
         how: dict[str, Any] = {"images": colour, "return_tensors": "pt", "input_data_format": "channels_last"}
         if task:
             how["task_inputs"] = ["panoptic"]
-        if is_eomt:  # pads without saying where
+        if kind.startswith("eomt"):  # pads without saying where
             height, width = processor(**how, do_pad=False)["pixel_values"].shape[-2:]
             pixels = processor(**how, do_pad=True)["pixel_values"]
         else:
@@ -128,15 +129,10 @@ def _rf_detr(folder: Path, name: str) -> Look:
     return queries
 
 
-def _family(network_class: str, processor_class: str) -> Callable[[Path, str], Look]:
-    return lambda folder, name: _universal(network_class, processor_class, folder, name)
-
-
-_FAMILIES = {
-    "mask2former": _family("Mask2FormerForUniversalSegmentation", "Mask2FormerImageProcessorPil"),
-    "oneformer": _family("OneFormerForUniversalSegmentation", "OneFormerImageProcessorPil"),
-    "eomt": _family("EomtForUniversalSegmentation", "EomtImageProcessorPil"),
-    "eomt_dinov3": _family("EomtDinov3ForUniversalSegmentation", "EomtImageProcessorPil"),
-    "rf_detr": _rf_detr,
+_PROCESSORS = {
+    "mask2former": "Mask2FormerImageProcessorPil",
+    "oneformer": "OneFormerImageProcessorPil",
+    "eomt": "EomtImageProcessorPil",
+    "eomt_dinov3": "EomtImageProcessorPil",
 }
-"""How a network is loaded, by the ``model_type`` of its config.json."""
+"""What prepares pictures for networks with universal outputs, by the ``model_type`` of their config.json."""

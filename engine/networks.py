@@ -11,6 +11,7 @@ import os
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,8 @@ def is_here(name: str) -> bool:
     """Whether a network is on this machine, without asking the hub."""
     if Path(name).is_dir():
         return True
+    if find_spec("huggingface_hub") is None:
+        return False
     try:
         model_folder(name, download=False)
     except PlgsError:

@@ -7,10 +7,12 @@ A reconstruction has no unit of length; measured depth in ``depth``, beside the 
 from __future__ import annotations
 
 import json
+import shutil
+import signal
 import tempfile
-import threading
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from hashlib import sha256
@@ -23,6 +25,7 @@ from numpy.typing import NDArray
 from .errors import PlgsError, lacks_part
 from .gates import open_plain
 from .job import EventWriter, StopSignal, write_atomically
+from .job.lock import FileLock
 from .job.own_files import OwnFiles
 from .json_file import read_object, to_line
 from .posed.layout import listed
@@ -88,6 +91,7 @@ def decoded_depth(shown: NDArray[np.uint8], low: float, high: float) -> NDArray[
 
 
 STAGE = "poses"
+_WORK, _LOCK = ".poses-", "lock"
 _ALL_PAIRS = 200  # up to this many photos, all pairs are compared; of more, each with its neighbours in order
 _NEAR = 20
 _POLL_S = 0.1
@@ -99,6 +103,7 @@ def colmap(photos: Path) -> Any:
         import pycolmap
     except ImportError as error:
         raise lacks_part("poses of photos are made with the package pycolmap", photos, "colmap") from error
+    signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM))  # the package's own handler kills at once
     return pycolmap
 
 
@@ -143,29 +148,18 @@ def map_photos(photos: Path, names: Sequence[str], workplace: Path, events: Even
 
 
 def _followed(work: Callable[[], Any], token: Any, stop: StopSignal) -> Any:
-    """The result of ``work``, in its own thread. Raises what ``work`` raises; Cancelled."""
-    answers: list[Any] = []
-    errors: list[BaseException] = []
-
-    def run() -> None:
+    """The result of ``work``, in its own thread, as COLMAP would block this one, which has to see signals. Raises what
+    ``work`` raises; Cancelled."""
+    with ThreadPoolExecutor(1) as pool:
+        found = pool.submit(work)
         try:
-            answers.append(work())
-        except BaseException as error:  # handed on to the caller below
-            errors.append(error)
-
-    thread = threading.Thread(target=run, daemon=True)
-    thread.start()  # COLMAP would block this thread, which has to see signals
-    try:
-        while thread.is_alive():
-            stop.check()
-            time.sleep(_POLL_S)
-    except BaseException:
-        token.cancel()
-        thread.join()
-        raise
-    if errors:
-        raise errors[0]
-    return answers[0]
+            while not found.done():
+                stop.check()
+                wait([found], _POLL_S)
+        except BaseException:
+            token.cancel()
+            raise
+        return found.result()
 
 
 _LEAST_POINTS = 50
@@ -330,8 +324,8 @@ def _map(
         what = "show depth or confidence by their names or as grey PNGs of 16 bits"
         events.warning(f"{len(others)} pictures are left out, as they {what}: {listed(others)}.")
     files = _digest_of(_photos(photos))
-    with tempfile.TemporaryDirectory(prefix=".poses-", dir=folder) as workplace:  # on one disk, for the rename
-        model = map_photos(photos, names, Path(workplace), events, stop)
+    with _workplace(folder) as workplace:
+        model = map_photos(photos, names, workplace, events, stop)
         if model is None or model.num_reg_images() < max(LEAST, _LEAST_SHARE * len(names)):
             found = 0 if model is None else model.num_reg_images()
             fix = "Take more photos, each showing most of what the one before shows, in good light, without blur."
@@ -342,7 +336,7 @@ def _map(
             scale.apply(model)
         elif depths:
             events.warning("The depth beside the photos does not agree with the reconstruction, and is not used.")
-        out = Path(workplace) / "sparse" / "0"
+        out = workplace / "sparse" / "0"
         out.mkdir(parents=True)
         model.write(out)
         metres = None if scale is None else scale.metres
@@ -358,8 +352,25 @@ def _map(
     return made
 
 
+@contextmanager
+def _workplace(folder: Path) -> Iterator[Path]:
+    """A new folder for COLMAP's files in ``folder``: on one disk, for the rename. Raises PlgsError, OSError."""
+    _remove_killed(folder)
+    with tempfile.TemporaryDirectory(prefix=_WORK, dir=folder) as place, FileLock(Path(place) / _LOCK):
+        yield Path(place)
+
+
+def _remove_killed(folder: Path) -> None:
+    """Remove COLMAP's files of a call that was killed. Raises PlgsError if a call is at work there; OSError."""
+    for lock in folder.glob(f"{_WORK}*/{_LOCK}"):
+        with FileLock(lock, wait_s=0.0):
+            pass
+        shutil.rmtree(lock.parent)
+
+
 def _begun(folder: Path, film: str) -> OwnFiles:
     """The film's folder, without what a killed call left in it. Raises PlgsError if it holds anything else."""
+    _remove_killed(folder)
     own = OwnFiles(folder)
     if own.begun is not None and not own.is_complete:
         own.discard()

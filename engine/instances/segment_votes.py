@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,16 +43,6 @@ LEAST_SHARE = 0.1
 """Minimum fraction of its class's votes for an object (see ``decide_labels``)."""
 
 
-@dataclass(frozen=True, eq=False)
-class VotedLabels:
-    """``label`` int32 [N] of each point, ``confidence`` float32 [N], and ``maps``: the final label of each view's
-    pixels, int16 [H, W] per view (-1 = unknown), computed on demand."""
-
-    label: NDArray[np.int32]
-    confidence: NDArray[np.float32]
-    maps: Sequence[NDArray[np.int16]]
-
-
 def vote_panoptic_labels(
     seeing: ViewsOnCloud,
     points: int,
@@ -64,11 +53,11 @@ def vote_panoptic_labels(
     kind: EvidenceKind,
     neighbours: Any = None,
     progress: Progress = lambda *_: None,
-) -> VotedLabels:
-    """The labels of a cloud of ``points`` points. ``object_of_segment`` maps a frame and segment id to the object 1..U
-    that the mask belongs to; ``kind``: the votes that a view has on a point; ``neighbours``: a matrix [points, points]
-    with the share of another point's votes that a point gets besides its own (sparse, or `RestOfSuperpoint`), or None.
-    Raises what ``progress`` raises."""
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """The label int32 [N] and the confidence float32 [N] of a cloud's N ``points``. ``object_of_segment`` maps a frame
+    and segment id to the object 1..U that the mask belongs to; ``kind``: the votes that a view has on a point;
+    ``neighbours``: a matrix [points, points] with the share of another point's votes that a point gets besides its own
+    (sparse, or `RestOfSuperpoint`), or None. Raises what ``progress`` raises."""
     views, point_of_pixel = seeing.views, seeing.point_of_pixel
     some, done = max(1, CELLS_AT_A_TIME // len(labels)), itertools.count(1)
     chosen = [slice(at, at + some) for at in range(0, points, some)]
@@ -89,12 +78,10 @@ def vote_panoptic_labels(
                 label[rows], share[rows] = nearer[rows], nearer_share[rows]
         return label, share
 
-    maps = OnDemand(len(views), lambda number: member_labels(views[number], labels, object_of_segment))
-    label, confidence = decided(maps)
+    label, share = decided(member_labels(view, labels, object_of_segment) for view in views)
     for _ in range(options.rounds):
-        maps = view_labels(views, point_of_pixel, label, len(labels))
-        label, confidence = decided(maps)
-    return VotedLabels(label, confidence, maps)
+        label, share = decided(view_labels(views, point_of_pixel, label, len(labels)))
+    return label, share
 
 
 def view_labels(

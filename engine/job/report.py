@@ -17,9 +17,7 @@ _OTHERS = (
     ("psnr", "PSNR dB", 1.0, 2),
     ("psnr_fitted", "fitted", 1.0, 2),
     ("ssim", "SSIM", 1.0, 3),
-    ("ssim_fitted", "fitted", 1.0, 3),
     ("depth_error_m", "depth cm", 100.0, 1),
-    ("depth_within_5cm", "in 5 cm %", 100.0, 1),
 )
 _CLASS_SHARES = (("iou", "IoU %"), *_SHARES[2:])
 _COUNTS = ("tp", "fp", "fn")
@@ -32,7 +30,7 @@ _SHOWN = ("semantic_points.npz", "instances.json", "gaussians.ply", "metrics.jso
 def metrics_text(metrics: Mapping[str, Json], *, per_class: bool = False) -> str:
     """The tables of a metrics.json, with a line for each method and mode, and with ``per_class`` also for each class.
     Shares are in per cent, "true %" is mIoU over the classes of the ground truth, "id changes" is how often an object
-    changes its id, PSNR is in dB, the median depth error in cm; "fitted" figures are after a fit of colours."""
+    changes its id, PSNR is in dB, the median depth error in cm; "fitted" is PSNR after a fit of colours."""
     tables = [table for table in _list(metrics.get("tables")) if isinstance(table, dict)]
     rows = [["", "mode", *(heading for _, heading in _SHARES), *(heading for _, heading, _, _ in _OTHERS)]]
     for table in tables:

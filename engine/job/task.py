@@ -7,7 +7,7 @@ import os
 import shutil
 import tempfile
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -101,8 +101,6 @@ class TaskProgress:
     loss: float | None = None
     eta_s: float | None = None
     left_s: float | None = None
-    metrics: dict[str, Mapping[str, Json]] = field(default_factory=dict)
-    artifacts: list[tuple[str, Path]] = field(default_factory=list)
     previews: list[Path] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     live_preview: Path | None = None
@@ -122,11 +120,6 @@ class TaskProgress:
                 self.step, self.steps = _int(data["step"]), _int(data["steps"])
                 self.loss, self.eta_s = _float(data.get("loss")), _float(data.get("eta_s"))
                 self.left_s = _float(data.get("left_s"))
-            case "metric":
-                values = data["values"]
-                self.metrics[str(data["name"])] = values if isinstance(values, dict) else {}
-            case "artifact" if path := _inside(data["path"], folder):
-                self.artifacts.append((str(data["kind"]), path))
             case "preview" if data["path"] == LIVE_PREVIEW:
                 self.live_preview = folder / LIVE_PREVIEW
                 self.live_previews += 1

@@ -160,12 +160,12 @@ def voted_points(
         neighbours = neighbours_on_a_thing(cloud.xyz, cloud.spacing, found.training.seen)
     labels = replace(labels_of(cloud, found.things), balance=found.balance)
     members = object_of_mask(found.things)
-    voted = vote_panoptic_labels(
+    label, confidence = vote_panoptic_labels(
         found.everyone, len(cloud), labels, members, options=preset.segment_voting, kind=preset.evidence.segments,
         neighbours=neighbours, progress=progress,
     )  # fmt: skip
-    cloud = replace(cloud, class_id=labels.classes(voted.label), confidence=voted.confidence)
-    return cloud, labels.objects(voted.label)
+    cloud = replace(cloud, class_id=labels.classes(label), confidence=confidence)
+    return cloud, labels.objects(label)
 
 
 def regrouped(

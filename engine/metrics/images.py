@@ -23,17 +23,15 @@ class PictureScores(NamedTuple):
     psnr: float
     ssim: float
     psnr_fitted: float
-    ssim_fitted: float
 
 
 def score_picture(rendered: NDArray[np.generic], photo: NDArray[np.uint8]) -> PictureScores:
     """Score a picture [H, W, 3], uint8 or floats in [0, 1], against the frame's photo uint8 [H, W, 3]. A camera with
-    auto exposure shows one surface in many colours. The fitted scores ignore what a gain and an offset explain. Black
+    auto exposure shows one surface in many colours. The fitted PSNR ignores what a gain and an offset explain. Black
     borders that undistortion left in the photo count neither in the fit nor in PSNR. SSIM uses the whole picture.
     Raises ValueError if shapes differ."""
     valid, (x, y) = ~border_mask(photo), _unit(rendered, photo)
-    fitted, seen = fit_colours(x, y, valid), _Windows(y)
-    return PictureScores(psnr(x, y, valid), seen.ssim(x), psnr(fitted, y, valid), seen.ssim(fitted))
+    return PictureScores(psnr(x, y, valid), ssim(x, y), psnr(fit_colours(x, y, valid), y, valid))
 
 
 def fit_colours(
@@ -68,39 +66,12 @@ def ssim(a: NDArray[np.generic], b: NDArray[np.generic]) -> float:
     window with sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2, each channel separately: the measure that the
     training loss uses. Raises ValueError if shapes differ."""
     x, y = _unit(a, b)
-    return _Windows(y).ssim(x)
-
-
-class _Windows:
-    """A photo float64 [H, W, 3] with the means of its windows, for the SSIM of several pictures. Arrays of full size
-    are changed in place, as making them takes as long as computing them."""
-
-    def __init__(self, photo: NDArray[np.float64]) -> None:
-        self._photo, self._mean = photo, _window_mean(photo)
-        self._squared = self._mean * self._mean
-        self._variance = _window_mean(photo * photo)
-        self._variance -= self._squared
-
-    def ssim(self, picture: NDArray[np.float64]) -> float:
-        mean = _window_mean(picture)
-        shared = mean * self._mean
-        above = _window_mean(picture * self._photo)  # becomes 2 covariance + C2
-        above -= shared
-        above *= 2
-        above += C2
-        shared *= 2
-        shared += C1
-        above *= shared
-        mean *= mean
-        below = _window_mean(picture * picture)  # becomes the sum of the variances + C2
-        below -= mean
-        below += self._variance
-        below += C2
-        mean += self._squared
-        mean += C1
-        below *= mean
-        above /= below
-        return float(np.mean(above))
+    mean_x, mean_y = _window_mean(x), _window_mean(y)
+    shared, square_x, square_y = mean_x * mean_y, mean_x * mean_x, mean_y * mean_y
+    covariance = _window_mean(x * y) - shared
+    variances = (_window_mean(x * x) - square_x) + (_window_mean(y * y) - square_y)
+    alike = (2 * covariance + C2) * (2 * shared + C1)
+    return float(np.mean(alike / ((variances + C2) * (square_x + square_y + C1))))
 
 
 def _unit(*pictures: NDArray[np.generic]) -> list[NDArray[np.float64]]:
@@ -121,8 +92,6 @@ def _window_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 LEAST_ALPHA = 0.5
 """Least alpha of a pixel that counts. Below it the model draws a hole, which has no depth."""
-CLOSE = 0.05
-"""Metres within which a rendered depth counts as right."""
 BIN, BINS = 1e-4, 100_000
 """The width in metres of the error bins, and their number. Errors above 10 m go into the last bin."""
 
@@ -134,7 +103,6 @@ class DepthErrors:
 
     def __init__(self) -> None:
         self._counts = np.zeros(BINS, np.int64)
-        self._pixels = self._close = 0
 
     def add(self, rendered: NDArray[np.float32], alpha: NDArray[np.float32], measured: NDArray[np.float32]) -> None:
         """Count a view. All [H, W]: planar metres, coverage in [0, 1], planar metres (0 = none). Raises ValueError if
@@ -144,18 +112,12 @@ class DepthErrors:
         counted = (measured > 0) & (alpha >= LEAST_ALPHA)
         errors = np.abs(rendered[counted].astype(np.float64) - measured[counted])
         self._counts += np.bincount(np.minimum(errors / BIN, BINS - 1).astype(np.int64), minlength=BINS)
-        self._pixels += errors.size
-        self._close += int(np.count_nonzero(errors <= CLOSE))
 
     @property
     def median(self) -> float | None:
         """The median in metres, to the width of a bin; None if no pixel was counted."""
-        if not self._pixels:
+        below = np.cumsum(self._counts)
+        if not below[-1]:
             return None
-        middle = int(np.searchsorted(np.cumsum(self._counts), self._pixels / 2))
+        middle = int(np.searchsorted(below, below[-1] / 2))
         return round((middle + 0.5) * BIN, 5)
-
-    @property
-    def close_share(self) -> float | None:
-        """The share of pixels, in [0, 1], with an error within CLOSE; None if no pixel was counted."""
-        return self._close / self._pixels if self._pixels else None

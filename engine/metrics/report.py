@@ -106,7 +106,7 @@ class Report:
     def _tables(self, method: str) -> Iterator[dict[str, object]]:
         """One table per mode, or one without a mode if no labels could be scored."""
         errors = self._depths.get(method, DepthErrors())
-        depth = {"depth_error_m": errors.median, "depth_within_5cm": errors.close_share}
+        depth = {"depth_error_m": errors.median}
         pictures = self._pictures.get(method, [])  # the means over the views
         means = [sum(of_views) / len(pictures) for of_views in zip(*pictures, strict=True)]
         names = PictureScores._fields

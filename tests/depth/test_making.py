@@ -3,25 +3,23 @@
 import json
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
 from engine.command_line.main import main
-from engine.depth_agreement import Map, agreeing_depth
 from engine.depth_making import DepthNetwork, load_depth_network, make_depth
 from engine.job import LiftFolder, LiftRequest, read_manifest, write_manifest
 from engine.job.report import estimated_text
 from engine.scene import open_scene
 from engine.scene.made import scale_of
 from engine.scene_of_lift import estimates_of, remember_scene
+from tests.depth.bent_room import ROOM, bent, fitted
 from tests.raises_key import raises_key
 from tests.scene.formats.room import look, views
 from tests.scene.refusing import refuses
 from tests.scene.test_depth import LENS, write_colmap
 
 transformers = pytest.importorskip("transformers", reason="needs transformers (requirements/segment.txt)")
-ROOM = Path(__file__).resolve().parents[2] / "sample" / "room"
 
 
 def save_tiny_depth_network(folder: Path) -> Path:
@@ -52,41 +50,14 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return save_tiny_depth_network(tmp_path_factory.mktemp("depth"))
 
 
-def bent(depth: np.ndarray, seed: int) -> np.ndarray:
-    """What a network says of true ``depth``: affine in disparity, with a smooth drift of 10 %, blurred jumps, and a
-    mirror in which the room goes on."""
-    random, (height, width) = np.random.default_rng(seed), depth.shape
-    whole = np.where(depth > 0, depth, np.median(depth[depth > 0]))
-    coarse = random.uniform(-0.1, 0.1, (3, 4)).astype(np.float32)
-    drift = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
-    disparity = cv2.GaussianBlur((1.0 / (whole * np.exp(drift))).astype(np.float32), (0, 0), width / 200)
-    x, y = random.integers(0, width * 3 // 4), random.integers(0, height * 3 // 4)
-    disparity[y : y + height // 5, x : x + width // 6] *= 0.5
-    return (disparity * random.uniform(5, 30) + random.uniform(1, 4)).astype(np.float32)
-
-
 def test_distorted_depth_is_corrected_to_four_centimetres() -> None:
-    frames = open_scene(ROOM).frames[::2]
-    maps, truth = {}, {}
-    for frame in frames:
-        random, depth = np.random.default_rng(int(frame.name)), frame.depth(frame.size)
-        rows, columns = np.nonzero(depth > 0)
-        chosen = random.choice(len(rows), 250, replace=False)
-        rows, columns = rows[chosen], columns[chosen]
-        known = depth[rows, columns] * (1 + 0.005 * random.standard_normal(250))
-        known[:12] *= random.uniform(0.5, 2, 12)  # matched wrongly
-        places = np.stack([(columns + 0.5) / depth.shape[1], (rows + 0.5) / depth.shape[0]], axis=-1)
-        values = bent(depth, int(frame.name))
-        maps[frame.name] = Map(frame.camera, lambda values=values: values, places, known)
-        truth[frame.name] = depth
-    errors, covered, wrong = [], [], []
-    for name, depth in agreeing_depth(maps):
-        assert depth is not None
-        both = (depth > 0) & (truth[name] > 0)
-        errors.append(np.abs(depth - truth[name])[both])
-        covered.append(both.sum() / (truth[name] > 0).sum())
+    errors, covered = [], []
+    for _, depth, truth in fitted([*open_scene(ROOM).frames[::2]]):
+        both = (depth > 0) & (truth > 0)
+        errors.append(np.abs(depth - truth)[both])
+        covered.append(both.sum() / (truth > 0).sum())
     found = np.concatenate(errors)
-    assert np.median(found) < 0.04 and (found < 0.1).mean() > 0.8 and np.mean(covered) > 0.75, wrong
+    assert np.median(found) < 0.04 and (found < 0.1).mean() > 0.8 and np.mean(covered) > 0.75
 
 
 def rooms_network(scale: float = 1.0) -> DepthNetwork:
@@ -201,6 +172,8 @@ def test_a_measured_length_scales_the_scene(tmp_path: Path) -> None:
 def test_a_lifts_manifest_and_report_say_what_was_estimated(tmp_path: Path) -> None:
     folder = write_colmap(tmp_path / "scene")
     make_depth(open_scene(folder), folder, rooms_network(), quiet)
+    record = folder / "made_depth" / "made_by.json"
+    record.write_text(json.dumps({**json.loads(record.read_text()), "licence": "mine", "commercial_use": False}))
     lift = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=folder))
     remember_scene(lift, open_scene(folder))
     lift.result_path.mkdir(exist_ok=True)
@@ -208,5 +181,5 @@ def test_a_lifts_manifest_and_report_say_what_was_estimated(tmp_path: Path) -> N
         lift.result_path, versions={}, seed=0, settings={}, timings={}, estimated=estimates_of(lift)
     )  # fmt: skip
     kept = read_manifest(lift.result_path).estimated
-    assert len(kept) == 2 and "tests/room" in kept[0] and "scale, which is unknown" in kept[1]
+    assert len(kept) == 3 and "tests/room" in kept[0] and "mine" in kept[1] and "scale, which is unknown" in kept[2]
     assert estimated_text(lift).startswith("Estimated: depth is made of the photos by tests/room")

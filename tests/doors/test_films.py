@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +18,15 @@ from tests.segment.tiny_mask2former import save_tiny_mask2former
 from tests.tiny_scene import write_tiny_scene
 
 pytest.importorskip("transformers", reason="needs transformers (requirements/segment.txt)")
-from tests.depth.test_making import save_tiny_depth_network  # noqa: E402
+from tests.depth.test_making import ROOM, save_tiny_depth_network  # noqa: E402
 
 
 @pytest.fixture
 def film(tmp_path: Path) -> Path:
+    return write_film(tmp_path)
+
+
+def write_film(tmp_path: Path) -> Path:
     """A film whose poses were found, as `python -m engine poses` leaves it: the folder of its name beside it."""
     import cv2
 
@@ -56,6 +61,29 @@ def test_one_command_makes_what_is_missing_and_goes_on(
     assert exit_code(main, *command, "--have", "masks") == 0 and not (folder / "panoptic.json").exists()
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(find_spec("pycolmap") is None, reason="needs pycolmap (engine add colmap)")
+@pytest.mark.parametrize("name", ["walk.mp4", "photos"])
+def test_a_film_or_photos_of_the_sample_are_lifted_to_their_end(name: str, tmp_path: Path) -> None:
+    """With networks of random weights: what it finds says nothing."""
+    import cv2
+
+    source, lift, pictures = tmp_path / name, tmp_path / "lift", ROOM / "color"
+    if name == "photos":
+        shutil.copytree(pictures, source)
+    else:
+        video = cv2.VideoWriter(str(source), cv2.VideoWriter_fourcc(*"mp4v"), 10, (320, 240))
+        for picture in sorted(pictures.iterdir()):
+            video.write(cv2.imread(str(picture)))
+        video.release()
+    networks = save_tiny_mask2former(tmp_path / "masks_network"), save_tiny_depth_network(tmp_path / "depth_network")
+    assert exit_code(main, "prepare", source, "--masks-model", networks[0], "--depth-model", networks[1]) == 0
+    assert exit_code(main, "lift", source, "-o", lift, "--preset", "draft", "--steps", "20") == 0
+    told = " ".join(json.loads((lift / "result" / "manifest.json").read_text())["estimated"])
+    assert str(networks[1]) in told and "scale, which is unknown" in told
+    assert (lift / "result" / "gaussians.ply").stat().st_size > 10_000
+
+
 def test_a_lift_of_a_film_lists_its_downloads_first(
     film: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -69,8 +97,6 @@ def test_a_lift_of_a_film_lists_its_downloads_first(
 def test_photos_are_taken_too_and_lacking_packages_are_listed(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from importlib.util import find_spec
-
     photos = shutil.copytree(write_tiny_scene(tmp_path / "scene", frames=6) / "color", tmp_path / "photos")
     monkeypatch.setenv("HF_HOME", str(tmp_path / "hub"))
     assert exit_code(main, "lift", photos, "-o", tmp_path / "lift") == 2

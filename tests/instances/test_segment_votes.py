@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from scipy.sparse import csr_matrix
 from engine.instances import segment_votes
 from engine.instances.agreement import ViewPoints, ViewsOnCloud
 from engine.instances.panoptic_labels import UNKNOWN_LABEL, PanopticLabels, decide_labels
-from engine.instances.segment_votes import VotedLabels, neighbours_on_a_thing, segment_labels, vote_panoptic_labels
+from engine.instances.segment_votes import neighbours_on_a_thing, segment_labels, vote_panoptic_labels
 from engine.presets.preset import EvidenceKind, SegmentVoting
 from engine.scene import PanopticMask, Segment, View
 from tests.semantics.plane_views import CHAIR, CLASS_IDS, SIZE, SOFA, WALL, square, wall_view
@@ -46,6 +47,15 @@ def drawn(name: str, columns: slice = COLUMNS, class_id: int = SOFA, rows: slice
     return wall_view(name, 0.0, classes=square(class_id, WALL, columns, rows).astype(np.int32))
 
 
+class VotedLabels(NamedTuple):
+    label: np.ndarray
+    confidence: np.ndarray
+
+
+def vote(*given: Any, **how: Any) -> VotedLabels:
+    return VotedLabels(*vote_panoptic_labels(*given, **how))
+
+
 def voted(views: list[View], members: set[str], rounds: int = ROUNDS) -> VotedLabels:
     """The thing's masks in the views ``members`` are the object's. Each point is the surface of one pixel."""
     width, height = SIZE
@@ -55,11 +65,11 @@ def voted(views: list[View], members: set[str], rounds: int = ROUNDS) -> VotedLa
         if view.name in members and segment.is_thing
     }  # fmt: skip
     seeing = ViewsOnCloud.of(views, [rows] * len(views))
-    return vote_panoptic_labels(seeing, rows.size, LABELS, members_of, options=SegmentVoting(rounds), kind="root")
+    return vote(seeing, rows.size, LABELS, members_of, options=SegmentVoting(rounds), kind="root")
 
 
 def wrong(found: np.ndarray) -> int:
-    """Points, or pixels, that are not labelled as they should be."""
+    """Points that are not labelled as they should be."""
     return int((found.reshape(SIZE[::-1]) != square(OBJECT, WALL_LABEL, COLUMNS, ROWS)).sum())
 
 
@@ -67,12 +77,10 @@ def test_a_view_with_the_wrong_class_is_corrected_by_the_others() -> None:
     views = [drawn("a"), drawn("b"), drawn("c", class_id=CHAIR)]
     found = voted(views, {"a", "b"})
     assert wrong(found.label) == 0
-    assert [wrong(each) for each in found.maps] == [0, 0, 0]
     np.testing.assert_allclose(found.confidence, 1)
     # Without rounds the third view still says what its own mask does.
     alone = voted(views, {"a", "b"}, 0)
     assert wrong(alone.label) == 0 and alone.confidence.reshape(SIZE[::-1])[ROWS, COLUMNS] == pytest.approx(2 / 3)
-    assert wrong(alone.maps[0]) == 0 and (alone.maps[2][ROWS, COLUMNS] == CHAIR_LABEL).all()
 
 
 def test_a_ragged_outline_is_outvoted() -> None:
@@ -81,7 +89,6 @@ def test_a_ragged_outline_is_outvoted() -> None:
     found = voted(views, set("abc"))
     assert wrong(found.label) == 0
     # Labels of pixels keep the outlines of their own mask.
-    assert [wrong(each) for each in found.maps] == [0, 0, 4 * (ROWS.stop - ROWS.start)]
 
 
 def test_a_segment_over_two_things_votes_point_by_point(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -90,14 +97,13 @@ def test_a_segment_over_two_things_votes_point_by_point(monkeypatch: pytest.Monk
     monkeypatch.setattr(segment_votes, "segment_labels", partial(segment_labels, agreement=0.6))
     views = [drawn("a"), drawn("b"), both]
     found = voted(views, set("ab"))
-    assert wrong(found.label) == 0 and [wrong(each) for each in found.maps] == [0, 0, 0]
+    assert wrong(found.label) == 0
 
 
 def test_unlabelled_points_are_unknown() -> None:
     view = drawn("a")
     found = voted([replace(view, mask=PanopticMask(np.zeros_like(view.mask.ids), ()))], set())
     assert (found.label == UNKNOWN_LABEL).all() and not found.confidence.any()
-    assert (found.maps[0] == UNKNOWN_LABEL).all()
 
 
 @pytest.mark.parametrize(("kind", "near_votes"), [("views", 1), ("root", 4), ("pixels", 16), ("density", 1)])
@@ -110,9 +116,7 @@ def test_a_point_has_votes_by_the_evidence(kind: EvidenceKind, near_votes: int) 
         replace(drawn(name), mask=PanopticMask(ids, (Segment(1, class_id, False),)))
         for name, class_id in (("near", CHAIR), *((f"far {i}", WALL) for i in range(5)))
     ]
-    found = vote_panoptic_labels(
-        ViewsOnCloud.of(views, [near, *[far] * 5]), 1, LABELS, {}, options=SegmentVoting(0), kind=kind
-    )
+    found = vote(ViewsOnCloud.of(views, [near, *[far] * 5]), 1, LABELS, {}, options=SegmentVoting(0), kind=kind)
     assert found.label.tolist() == [CHAIR_LABEL if near_votes > 5 else WALL_LABEL]
     assert found.confidence == pytest.approx(max(near_votes, 5) / (near_votes + 5))
 
@@ -131,9 +135,7 @@ def test_a_near_view_overrules_far_ones_on_what_it_shows_as_a_whole(columns: sli
     rows = np.arange(SIZE[0] * SIZE[1], dtype=np.int32).reshape(SIZE[::-1])
     views = [close, *(wall_view(f"far {number}", 0.0) for number in range(5))]
     members, options = {("near", SOFA): 1}, SegmentVoting(0, near=near)
-    found = vote_panoptic_labels(
-        ViewsOnCloud.of(views, [rows] * 6), rows.size, LABELS, members, options=options, kind="resolution"
-    )
+    found = vote(ViewsOnCloud.of(views, [rows] * 6), rows.size, LABELS, members, options=options, kind="resolution")
     assert (found.label.reshape(SIZE[::-1])[ROWS, columns] == expected).all()
     assert (found.label != expected).any() == (expected == OBJECT)
 
@@ -146,7 +148,7 @@ def test_a_point_gets_its_neighbours_votes_besides_its_own() -> None:
         views.append(wall_view(f"{number}", 0.0, classes=class_id))
         shown.append(np.where(np.arange(rows.size).reshape(rows.shape) == 0, point, rows).astype(np.int32))
     neighbours = csr_matrix(np.array([[0, 1, 0], [1, 0, 0], [0, 0, 0]], np.float32))
-    found = vote_panoptic_labels(
+    found = vote(
         ViewsOnCloud.of(views, shown), 3, LABELS, {}, options=SegmentVoting(0), kind="views", neighbours=neighbours
     )
     assert found.label.tolist() == [WALL_LABEL, WALL_LABEL, CHAIR_LABEL]

@@ -63,7 +63,7 @@ def test_report_scores_two_methods_in_two_modes() -> None:
     assert (lifted["miou"], lifted["miou_true"], lifted["pq"], lifted["psnr"]) == (1.0, 1.0, 1.0, 100.0)
     # Ids are new in every view: each true chair spans two views, so no segment covers more than half of it.
     assert masks["per_class"][1]["pq"] == 0.0
-    assert {masks[key] for key in ("psnr", "ssim_fitted", "depth_error_m", "depth_within_5cm")} == {None}
+    assert {masks[key] for key in ("psnr", "psnr_fitted", "depth_error_m")} == {None}
     assert (lifted["psnr_fitted"], lifted["depth_error_m"]) == (100.0, None)
     assert json.loads(json.dumps(metrics, allow_nan=False)) == metrics
 
@@ -82,7 +82,6 @@ def test_rendered_depth_is_scored() -> None:
         report.add(LIFTED, frame, PredictedView(TRUE_CLASS, TRUE_ID, PHOTO, depth, np.ones_like(depth)))
     for table in report.to_json()["tables"]:  # type: ignore[attr-defined]
         assert table["depth_error_m"] == pytest.approx(0.03, abs=1e-4)
-        assert table["depth_within_5cm"] == pytest.approx(0.9)
 
 
 def test_void_ground_truth_gives_no_table() -> None:

@@ -4,6 +4,7 @@ import importlib.util
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import cv2
@@ -185,9 +186,41 @@ def test_depth_is_made_and_a_length_is_set(tmp_path: Path, monkeypatch: pytest.M
     assert json.loads((folder / "scale.json").read_text()) == {"scale": 0.5}
 
 
+@pytest.mark.skipif(not HAS_TRANSFORMERS, reason="needs transformers (requirements/segment.txt)")
+def test_a_dropped_film_is_prepared_and_its_lift_begins(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path
+) -> None:
+    """Its poses and its depth were made before, so that no COLMAP is needed."""
+    from plgs.operators import masks
+    from plgs.plgs_blender.running import lifting
+
+    from engine.depth_making import make_depth
+    from tests.depth.test_making import quiet, rooms_network
+    from tests.doors.test_films import write_film
+    from tests.segment.tiny_mask2former import save_tiny_mask2former
+
+    film, begun = write_film(tmp_path), list[str]()
+    folder, settings = film.with_suffix(""), bpy.context.scene.plgs
+    make_depth(open_scene(folder), folder, rooms_network(), quiet)
+    monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)
+    monkeypatch.setattr(lifting, "start_lift", lambda settings: begun.append(settings.scene_folder))
+    monkeypatch.setattr(masks, "why_lacking", lambda part: f"it lacks {part}")
+    assert not bpy.ops.plgs.import_film.poll() and masks.PLGS_OT_import_film.why_not(bpy.context) == "it lacks colmap"
+    monkeypatch.setattr(masks, "why_lacking", lambda part: None)
+    bpy.context.scene.plgs_masks.model = str(save_tiny_mask2former(tmp_path / "masks"))
+    settings.depth = str(tmp_path / "of another scene")
+    assert bpy.ops.plgs.import_film(filepath=str(film)) == {"FINISHED"}
+    assert begun == [str(folder)] == [settings.scene_folder] and not settings.depth
+    assert open_scene(folder).has_masks
+    handler = bpy.types.PLGS_FH_film
+    assert handler.bl_import_operator == "plgs.import_film" and ".mp4" in handler.bl_file_extensions.split(";")
+    assert handler.poll_drop(SimpleNamespace(area=SimpleNamespace(type="VIEW_3D")))
+    assert not handler.poll_drop(SimpleNamespace(area=None))
+
+
 def test_a_file_that_is_not_a_film_is_reported(tmp_path: Path) -> None:
     (tmp_path / "room.mp4").write_text("no film")
     if importlib.util.find_spec("pycolmap") is None:
-        with pytest.raises(RuntimeError, match="(?i)engine lacks pycolmap|packages are missing"):
+        with pytest.raises(RuntimeError, match="(?i)engine lacks pycolmap|must be downloaded"):
             bpy.ops.plgs.import_film(filepath=str(tmp_path / "room.mp4"))
     assert not (tmp_path / "room").exists()

@@ -80,7 +80,9 @@ def test_a_mesh_gives_depth(kind: str, surface: open3d.geometry.TriangleMesh, sa
     assert len(scene.frames) == 72 and scene.has_depth and not any("mesh" in each for each in scene.warnings)
     assert any(each.about == "axes" for each in scene.inferred) is (kind == "gltf_of_poses.glb")
     median, near, covered = off(scene, sample)
-    assert median < (0.015 if kind == "tenth.obj" else 0.006) and near > 0.8 and covered > 0.75
+    # A tenth of this coarse surface has edges of 14 cm. Without noise it is 2.8 mm off; the noise moves what lies
+    # between three vertices by 0.7 cm, and more along rays at a slant: 12.2 mm. A finer one has 7.8 mm (captures.md).
+    assert median < (0.013 if kind == "tenth.obj" else 0.006) and near > 0.8 and covered > 0.75
 
 
 def test_a_mesh_turned_inside_out_is_reported(
