@@ -217,7 +217,8 @@ class ShownEvents(EventWriter):
             self._line.say(f"warning: {data['message']}")
         elif event in ("stage", "progress"):
             self._progress.take(Event(0, 0.0, event, data), self._folder)
-            self._line.show(self._progress)
+            if event == "progress" or self._progress.stage_index > 1:  # bad input ends in the first, with one line
+                self._line.show(self._progress)
         else:
             self._line.end()
 
