@@ -302,8 +302,8 @@ def root_collection(scene_folder: Path, lift_folder: Path | None, scene: bpy.typ
         tag(root, uuid4().hex, _ROOT)
         root[FOLDER] = ""
         scene.collection.children.link(root)
-    is_alone = lift_folder is None or of_scene in ([], [root])
-    root.name = f"PLGS {scene_folder.name if is_alone else lift_folder.name}"
+    is_alone = of_scene in ([], [root])
+    root.name = f"PLGS {scene_folder.name if is_alone or lift_folder is None else lift_folder.name}"
     root[SCENE] = str(scene_folder.absolute())
     if lift_folder is not None:
         root[FOLDER] = str(lift_folder)
