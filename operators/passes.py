@@ -12,7 +12,7 @@ from ..plgs_blender.compositing import show_compositor, show_room
 from ..plgs_blender.engine_environment import usable_python, why_no_engine
 from ..plgs_blender.errors import PlgsError, one_line
 from ..plgs_blender.owned import KEY
-from ..plgs_blender.passes import open_passes, passes_scene_of
+from ..plgs_blender.passes import next_versions_name, open_passes, passes_scene_of
 from ..plgs_blender.registry import Task
 from ..plgs_blender.running import lifting
 from ..plgs_blender.shots import ShotReader, shot_of
@@ -23,6 +23,10 @@ _FRAMES = [
     ("all", "All Frames", "Bake every frame that has no passes yet"),
     ("test", "Check Frames", "Bake the frames that the lift did not learn from, which check it"),
     ("active", "Active Camera", "Bake the frame whose camera is the scene's active one"),
+]
+_FOR_CHANGED = [
+    ("VERSION", "Next Version", "Keep the earlier files, and number this version"),
+    ("REPLACE", "Replace", "Replace the earlier files"),
 ]
 _READ_S, _READ_EVERY_S = 0.04, 0.06
 """Seconds for which a camera is read before Blender may redraw, and seconds between two such parts."""
@@ -77,6 +81,16 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
             self.report({"WARNING"}, what)
         return bake
 
+    def run(self, context: bpy.types.Context, *, waits: bool) -> set[str]:
+        """As of every task; a button offers what to do with a shot that shows something else."""
+        try:
+            return super().run(context, waits=waits)
+        except PlgsError as error:
+            if waits or error.key != "shot-changed":
+                raise
+            asked = {"shot": self.shot, "lift_folder": self.lift_folder, "what": error.what}
+            return set(bpy.ops.plgs.bake_changed_shot("INVOKE_DEFAULT", **asked))
+
     def _begin_reading(self, context: bpy.types.Context) -> ShotReader:
         # Now, because another scene may be shown by the time the camera is read.
         self.lift_folder = str(lifting.lift_at(context.scene.plgs, self.lift_folder).path)
@@ -127,6 +141,32 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
         if self._timer is not None:
             context.window_manager.event_timer_remove(self._timer)
             self._timer = None
+
+
+class PLGS_OT_bake_changed_shot(base.OnLiftFolder, bpy.types.Operator):
+    """Bake the active camera's shot, of which the lift, its corrections or the camera have changed since: as the next
+    version, or in place of the earlier one"""
+
+    bl_idname, bl_label = "plgs.bake_changed_shot", "The Shot Shows Another State"
+
+    how: base.argument(EnumProperty, "How", "What to do with the earlier one", items=_FOR_CHANGED, default="VERSION")
+    shot: base.text_argument("Shot", "The name of its files; empty: the .blend's and the camera's")
+    what: base.text_argument("What", "What has changed")
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return set(context.window_manager.invoke_props_dialog(self, width=600))
+
+    def draw(self, context: bpy.types.Context) -> None:
+        self.layout.label(text=one_line(self.what))
+        self.layout.prop(self, "how", expand=True)
+
+    @base.reporting
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        replaces = self.how == "REPLACE"
+        if not replaces:
+            context.scene.plgs.shot = self.shot = next_versions_name(self.shot)
+        how = {"shot": self.shot, "replace": replaces, "lift_folder": self.lift_folder}
+        return set(bpy.ops.plgs.bake_camera("INVOKE_DEFAULT", **how))
 
 
 class PLGS_OT_bake_on_farm(base.OnLiftFolder, base.Acts, bpy.types.Operator):

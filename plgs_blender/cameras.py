@@ -12,12 +12,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
+from ..engine.job.cameras import Projection
 from ..engine.posed import Camera
 from ..engine.posed.frames import PosedFrame
 from .compat import add_keys
@@ -74,13 +76,15 @@ def object_matrix(camera: Camera) -> NDArray[np.float64]:
     return camera.camera_to_world @ _TURN
 
 
-def camera_from(lens: Lens, matrix: NDArray[np.float64], width: int, height: int) -> Camera:
+def camera_from(
+    lens: Lens, matrix: NDArray[np.float64], width: int, height: int, projection: Projection = "perspective"
+) -> Camera:
     """The engine's camera for a lens, an object matrix float64 [4, 4], and a picture size: the inverse of `lens_of`."""
     aspect = lens.pixel_aspect[1] / lens.pixel_aspect[0]
     fx = lens.focal_length * width / SENSOR_WIDTH
     cx = width / 2.0 - lens.shift_x * width
     cy = height / 2.0 + lens.shift_y * width / aspect
-    return Camera(width, height, fx, fx / aspect, cx, cy, np.asarray(matrix, np.float64) @ _TURN)
+    return Camera(width, height, fx, fx / aspect, cx, cy, np.asarray(matrix, np.float64) @ _TURN, projection)
 
 
 def overview_camera(xyz: NDArray[np.floating], normals: NDArray[np.floating]) -> Camera:
@@ -195,7 +199,7 @@ def camera_seen(scene: bpy.types.Scene) -> Camera | None:
 
 
 def seen_by(ob: bpy.types.Object, render: bpy.types.RenderSettings) -> Camera:
-    """The view of a perspective camera at the render's resolution."""
+    """The view of a perspective, orthographic or equirectangular camera at the render's resolution."""
     width, height = (
         max(1, side * render.resolution_percentage // 100) for side in (render.resolution_x, render.resolution_y)
     )
@@ -203,9 +207,27 @@ def seen_by(ob: bpy.types.Object, render: bpy.types.RenderSettings) -> Camera:
     fits_width = data.sensor_fit == "HORIZONTAL" or (data.sensor_fit == "AUTO" and width >= height * tall)
     sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width
     fitted = 1.0 if fits_width else height * tall / width  # in picture widths
-    lens = Lens(data.lens * fitted * SENSOR_WIDTH / sensor, data.shift_x * fitted, data.shift_y * fitted, (1.0, tall))
     at, turned, _ = ob.matrix_world.decompose()  # a camera's size does not matter
-    return camera_from(lens, np.array(Matrix.LocRotScale(at, turned, None)), width, height)
+    matrix = np.array(Matrix.LocRotScale(at, turned, None))
+    if data.type == "PANO":
+        limits = panorama_of(ob)
+        fx, fy = (
+            width / (limits.longitude_max - limits.longitude_min),
+            height / (limits.latitude_max - limits.latitude_min),
+        )
+        middle = -limits.longitude_min * fx - data.shift_x * width, limits.latitude_max * fy + data.shift_y * height
+        return Camera(width, height, fx, fy, *middle, matrix @ _TURN, "equirectangular")
+    is_parallel = data.type == "ORTHO"
+    focal_length = (
+        SENSOR_WIDTH * fitted / data.ortho_scale if is_parallel else data.lens * fitted * SENSOR_WIDTH / sensor
+    )
+    lens = Lens(focal_length, data.shift_x * fitted, data.shift_y * fitted, (1.0, tall))
+    return camera_from(lens, matrix, width, height, "orthographic" if is_parallel else "perspective")
+
+
+def panorama_of(ob: bpy.types.Object) -> Any:
+    """The settings of a panoramic camera, None if Blender has none: they moved from Cycles' in Blender 5."""
+    return ob.data if hasattr(ob.data, "panorama_type") else getattr(ob.data, "cycles", None)
 
 
 def place_camera_path(

@@ -334,6 +334,11 @@ def shot_name(camera: str, given: str = "", later: int = 0) -> str:
     return safe_name("_".join(_short(word, most) for word in words if word))
 
 
+def next_versions_name(given: str) -> str:
+    """The given name of a shot (empty: that of the .blend and the camera) with a field for its version."""
+    return given if "{version" in given else f"{given or '{shot}_{camera}'}_v{{version:03d}}"
+
+
 def _short(text: str, most: int) -> str:
     name = safe_name(text)
     return name if len(name) <= most else f"{name[: most - 9]}_{zlib.crc32(text.encode(errors='replace')):08x}"

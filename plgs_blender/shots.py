@@ -26,7 +26,7 @@ from ..engine.job.follower import TaskFollower
 from ..engine.job.task import TaskState
 from ..engine.posed import Camera
 from ..engine.posed.layout import listed
-from .cameras import seen_by
+from .cameras import panorama_of, seen_by
 from .engine_environment import studio
 from .passes import NOTES, shot_name
 from .shot_notes import Claim, ShotSource, claim, next_version
@@ -338,17 +338,22 @@ def _frame_kept(scene: bpy.types.Scene) -> Iterator[None]:
         scene.camera = camera
 
 
-def _check_pinhole(ob: bpy.types.Object, frame: float) -> None:
-    """Raises PlgsError for a camera that no pinhole camera can reproduce."""
+def _check_lens(ob: bpy.types.Object, frame: float) -> None:
+    """Raises PlgsError for a camera whose picture cannot be baked."""
     at = f"{ob.name}, frame {frame}"
     if ob.type != "CAMERA":
         raise PlgsError("not-a-camera", "is not a camera", at, "Make a camera the scene's active one.")
-    if ob.data.type != "PERSP":
-        owner = ob.data if hasattr(ob.data, "panorama_type") else getattr(ob.data, "cycles", None)  # Blender 5, 4.5
-        shown = getattr(owner, "panorama_type", "unknown").lower()
-        kinds = {"ORTHO": "orthographic", "PANO": f"panoramic ({shown})"}
-        what = f"is {kinds.get(ob.data.type, ob.data.type.lower())}; only perspective cameras can be baked"
-        raise PlgsError("not-perspective", what, at, "Set its type to Perspective.")
+    if ob.data.type not in ("PERSP", "ORTHO"):
+        limits = panorama_of(ob)
+        kind = getattr(limits, "panorama_type", "unknown")
+        if ob.data.type != "PANO" or kind != "EQUIRECTANGULAR":
+            shown = f"panoramic ({kind.lower()})" if ob.data.type == "PANO" else ob.data.type.lower()
+            what = f"is {shown}; only perspective, orthographic and equirectangular cameras can be baked"
+            fix = "Set its type to Perspective or Orthographic, or to Panoramic with the type Equirectangular."
+            raise PlgsError("other-lens", what, at, fix)
+        if limits.longitude_min >= limits.longitude_max or limits.latitude_min >= limits.latitude_max:
+            fix = "Set the minimum of its longitude and its latitude below the maximum."
+            raise PlgsError("panorama-limits", "shows no part of the sphere, or mirrors it", at, fix)
     if ob.matrix_world.is_negative:
         raise PlgsError("mirrored", "shows the world mirrored", at, "Give it and its parents a positive scale.")
 
@@ -359,14 +364,14 @@ def _camera_at(scene: bpy.types.Scene, ob: bpy.types.Object, frame: float, name:
 
 
 def _camera_now(scene: bpy.types.Scene, ob: bpy.types.Object, frame: float, name: str) -> BakeCamera:
-    _check_pinhole(ob, frame)
+    _check_lens(ob, frame)
     camera, display = _rendered_part(seen_by(ob, scene.render), scene)
     if max(camera.width, camera.height) > LARGEST_SIDE:
         fix = f"Set its resolution to at most {LARGEST_SIDE} pixels per side."
         raise PlgsError("other-resolution", f"renders {camera.width}x{camera.height} pixels", scene.name, fix)
     near, far, fps = float(ob.data.clip_start), float(ob.data.clip_end), scene.render.fps / scene.render.fps_base
     pose, lens = (tuple(tuple(map(float, row)) for row in matrix) for matrix in (camera.camera_to_world, camera.K))
-    pinhole = PreviewCamera(pose, lens, camera.width, camera.height)
+    pinhole = PreviewCamera(pose, lens, camera.width, camera.height, camera.projection)
     return BakeCamera(name, pinhole, near, far, math.floor(frame), fps, display)
 
 
@@ -384,12 +389,12 @@ def _rendered_part(camera: Camera, scene: bpy.types.Scene) -> tuple[Camera, tupl
             what = "has an empty render region"
             raise PlgsError("region-empty", what, scene.name, "Draw a larger one, or switch it off.")
         part = left, top, right, bottom
-    elif scene.eevee.use_overscan:
+    elif scene.eevee.use_overscan and camera.projection != "equirectangular":
         more = math.ceil(max(width, height) * scene.eevee.overscan_size / 100)
         part, display = (-more, -more, width + more, height + more), (more, more, width, height)
     left, top, right, bottom = part
     middle = camera.cx - left, camera.cy - top
-    return Camera(right - left, bottom - top, camera.fx, camera.fy, *middle, camera.camera_to_world), display
+    return replace(camera, width=right - left, height=bottom - top, cx=middle[0], cy=middle[1]), display
 
 
 def _pixels(share: float, size: int) -> int:

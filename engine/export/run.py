@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
-from ..errors import PlgsError, lacks_part
+from ..errors import ErrorCode, PlgsError, lacks_part
 from ..job import LiftFolder, verify_lifted
-from ..job.own_files import OwnFiles
+from ..job.own_files import OwnFiles, identity
 from ..job.progress import Progress, unwatched
 from .frame_images import export_coco, export_depth, export_label_images, export_scannet
 from .mesh import export_gltf, export_mesh
@@ -44,6 +45,14 @@ def export(
     if kind == "usd" and find_spec("pxr") is None:
         raise lacks_part("OpenUSD files need the package usd-core", output, "usd")
     folder.refuse_foreign()
+    with _of_one_result(folder):
+        _export(folder, kind, output, frames, progress=progress, cameras=cameras, objects=objects, warn=warn)
+
+
+def _export(
+    folder: LiftFolder, kind: str, output: Path, frames: Sequence[str], *, progress: Progress, cameras: Path | None,
+    objects: Sequence[str], warn: Callable[[str], object] | None,
+) -> None:  # fmt: skip
     verify_lifted(folder.result_path)
     lift = FinishedLift(folder, frames, progress, cameras, objects, warn)
     shown = [view.name for view in lift.shots] or [frame.name for frame in lift.frames]
@@ -59,6 +68,18 @@ def export(
         KINDS[kind](lift, output)
         own.remove_earlier()
     own.complete()
+
+
+@contextmanager
+def _of_one_result(folder: LiftFolder) -> Iterator[None]:
+    """Raises a BUSY PlgsError if a new lift's result takes the place of the one that is read."""
+    before = identity(folder.result_path)
+    try:
+        yield
+    finally:
+        if before is not None and before != identity(folder.result_path):
+            what = "got a new result meanwhile, so what is written may mix two"
+            raise PlgsError("result-changed", what, folder.path, "Export it again.", code=ErrorCode.BUSY)
 
 
 def _export_usd(lift: FinishedLift, output: Path) -> None:

@@ -4,13 +4,16 @@ Conventions are the engine's: OpenCV axes (x right, y down, z forward) in the li
 their centres at +0.5. Cameras to bake need not belong to a frame. Their file is a JSON list of
 
     {"name": NAME, "width": W, "height": H, "K": 3x3, "camera_to_world": 4x4, "clip": [NEAR, FAR],
-     "frame": NUMBER, "fps": RATE, "display": [LEFT, TOP, WIDTH, HEIGHT], "previous": CAMERA, "next": CAMERA}
+     "projection": KIND, "frame": NUMBER, "fps": RATE, "display": [LEFT, TOP, WIDTH, HEIGHT], "previous": CAMERA,
+     "next": CAMERA}
 
-"fx", "fy", "cx", "cy" (pixels) may be given instead of "K". The last six may be left out. "clip" holds planar depths
-in metres, FAR perhaps null: what is centred nearer or farther is not drawn. "name" is the name of the file that is
-written. "frame" and "fps" are for its header. "display" is the window of the picture, in its pixels, that viewers show
-(none: all of it). "previous" and "next" are the cameras of the frames beside it, for the layer Vector: "width",
-"height", "K" and "camera_to_world".
+"fx", "fy", "cx", "cy" (pixels) may be given instead of "K". The last seven may be left out. "projection" is
+"perspective" (the default), "orthographic" (fx and fy are pixels per metre) or "equirectangular" (pixels per radian of
+longitude, to the right, and of latitude, down). "clip" holds depths in metres, planar or, in an equirectangular
+picture, along the ray, FAR perhaps null: what is centred nearer or farther is not drawn. "name" is the name of the file
+that is written. "frame" and "fps" are for its header. "display" is the window of the picture, in its pixels, that
+viewers show (none: all of it). "previous" and "next" are the cameras of the frames beside it, for the layer Vector:
+"width", "height", "K", "camera_to_world" and "projection".
 
 preview.json in the lift folder names the camera from which a user wants to see the growing model. The user's program
 writes it by rename, at any time; the engine reads it before each live preview, and it never changes the result. It
@@ -32,6 +35,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from ..errors import PlgsError
 from ..gates import create_plain, shortened
@@ -40,6 +44,7 @@ from ..records import record_of, to_json
 from .atomic import PART
 
 Matrix = tuple[tuple[float, ...], ...]
+Projection = Literal["perspective", "orthographic", "equirectangular"]
 FARTHEST = 10_000.0
 """Metres from the origin; farther away, 32-bit floats no longer resolve millimetres."""
 LARGEST_SIDE = 16384
@@ -60,17 +65,20 @@ _PREVIEW_FIX = "Choose another camera for the preview."
 
 @dataclass(frozen=True)
 class PreviewCamera:
-    """A pinhole camera: ``camera_to_world`` rigid 4x4, ``K`` 3x3 without skew, for a picture of this size in pixels."""
+    """A camera: ``camera_to_world`` rigid 4x4, ``K`` 3x3 without skew, for a picture of this size in pixels. It is a
+    pinhole camera unless its ``projection`` says otherwise."""
 
     camera_to_world: Matrix
     K: Matrix
     width: int = field(metadata=_SIDE)
     height: int = field(metadata=_SIDE)
+    projection: Projection = "perspective"
 
     @property
     def fingerprint(self) -> str:
         """An identifier of the camera, which stays the same when the camera is written and read again."""
-        numbers = ([*map(list, self.camera_to_world)], [*map(list, self.K)], self.width, self.height)
+        numbers = [[*map(list, self.camera_to_world)], [*map(list, self.K)], self.width, self.height]
+        numbers += [] if self.projection == "perspective" else [self.projection]
         return hashlib.sha256(json.dumps(numbers).encode()).hexdigest()[:16]
 
 
@@ -176,7 +184,10 @@ def read_preview_request(path: Path) -> PreviewRequest | None:
     if isinstance(frame, str):
         return frame
     try:
-        return _drawable(record_of(PreviewCamera, content, path, _PREVIEW_FIX))
+        camera = _drawable(record_of(PreviewCamera, content, path, _PREVIEW_FIX))
+        if camera.projection != "perspective":
+            raise ValueError(f"it is {camera.projection}")
+        return camera
     except ValueError as error:
         raise PlgsError("not-a-camera", f"is not a camera ({error})", path, _PREVIEW_FIX) from error
 
@@ -221,6 +232,7 @@ class _Entry:
     width: int = field(metadata=_SIDE)
     height: int = field(metadata=_SIDE)
     camera_to_world: Matrix
+    projection: Projection = "perspective"
     K: Matrix | None = None
     fx: float | None = None
     fy: float | None = None
@@ -247,7 +259,7 @@ class _Entry:
     @property
     def camera(self) -> BakeCamera:
         """The camera. Raises ValueError if it cannot be drawn."""
-        pinhole = _drawable(PreviewCamera(self.camera_to_world, self._lens(), self.width, self.height))
+        pinhole = _drawable(PreviewCamera(self.camera_to_world, self._lens(), self.width, self.height, self.projection))
         near, far = self.clip or (0.0, None)
         far = math.inf if far is None else far
         beside = (each and _drawable(each) for each in (self.previous, self.next))

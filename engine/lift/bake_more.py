@@ -144,7 +144,8 @@ def view_from(camera: BakeCamera) -> WantedView:
 
 def _camera_of(pinhole: PreviewCamera) -> Camera:
     (fx, _, cx), (_, fy, cy), _ = pinhole.K
-    return Camera(pinhole.width, pinhole.height, fx, fy, cx, cy, np.array(pinhole.camera_to_world))
+    pose = np.array(pinhole.camera_to_world)
+    return Camera(pinhole.width, pinhole.height, fx, fy, cx, cy, pose, pinhole.projection)
 
 
 def _bake(

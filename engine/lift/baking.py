@@ -35,6 +35,7 @@ from ..model.structured import GaussianLabels, LabelChannels, SceneFill, Structu
 from ..passes.baked_view import BakedView, ShownInstances, bake_view, joined
 from ..passes.exr import NOTHING_SHOWN, ShownFrame, write_exr
 from ..passes.layers import FROM_LABELS, PanopticLayers, decide
+from ..passes.panorama import panorama
 from ..passes.previews import MOST_ROWS, SheetRow, colour_picture, preview_paths, write_contact_sheet, write_previews
 from ..scene import Camera, ClassTable, Frame, Scene, Size, View, counted, evenly_spread, size_within
 from ..scene_of_lift import another, have_classes_changed, names_of_frames, opened_scene, refuse_other_pictures
@@ -67,6 +68,9 @@ class FrameBaker:
 
     def render(self, camera: Camera, clip: ClipRange | None = None) -> BakedView:
         """The model seen from a camera, at the camera's own size. No part of a frame's mask is used."""
+        if camera.projection == "equirectangular":
+            along = (clip or ClipRange())._replace(along_rays=True)
+            return panorama(camera, lambda face: self.render(face, along))
         bands = render_bands(self.lifted, camera, self.labels, clip=clip)
         view = bake_view(bands, camera, self.classes, self.instances)
         return replace(view, layers=view.layers._replace(confidence=self.calibration(view.layers.confidence)))

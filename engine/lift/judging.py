@@ -147,10 +147,10 @@ def unresolved(layers: PanopticLayers, camera: Camera, photos: Sequence[Camera],
     first = (step - 1) // 2  # so that the margins are alike
     depth, alpha = (each[first::step, first::step] for each in (layers.depth, layers.combined[..., 3]))
     v, u = np.indices(depth.shape) * step + first + 0.5
-    local = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(depth.shape)], axis=-1)
     shown = (depth > 0) & (alpha >= LEAST_ALPHA)
-    points = (local * depth[..., None])[shown] @ camera.camera_to_world[:3, :3].T + camera.centre
-    finest, own = finest_pixels(points, photos), depth[shown] / (reduced * np.sqrt(camera.fx * camera.fy))
+    finest = finest_pixels(camera.points(u[shown], v[shown], depth[shown]), photos)
+    away = np.ones_like(finest) if camera.projection == "orthographic" else depth[shown]
+    own = away / (reduced * np.sqrt(camera.fx * camera.fy))
     coarse = (finest == 0) | (finest > COARSER * own)
     return Unresolved(np.count_nonzero(coarse) / depth.size, 1 - float(shown.mean()))
 

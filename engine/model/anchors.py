@@ -129,6 +129,6 @@ class AnchorsInView(NamedTuple):
 
     anchors: Anchors
     visible: torch.Tensor  # int64 [V], without repetitions
-    centre: torch.Tensor  # [3], metres
+    centre: torch.Tensor  # [3], metres; in torch also [V, 3]
     channels: torch.Tensor | None = None  # int64 [M], -1 = none
     known_labels: torch.Tensor | None = None  # float32 [M * k, L]

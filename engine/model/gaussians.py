@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 
+from ..raster.conventions import USUAL_DISTANCE
 from ..scene import Camera
 from .anchors import Anchors, AnchorsInView
 from .decoders import Decoders
@@ -21,6 +22,8 @@ def visible_anchors(anchors: Anchors, camera: Camera) -> torch.Tensor:
     taken as a sphere of its largest offset scale: offsets are learnt in this unit, and rarely exceed 3."""
     to_camera = torch.from_numpy(camera.world_to_camera).to(anchors.position.device, non_blocking=True)
     right, down, depth = (to_camera[:3, :3] @ anchors.position.double().T + to_camera[:3, 3:]).unbind(0)
+    if camera.projection == "orthographic":  # the rasteriser cuts at the near plane
+        depth = torch.ones_like(depth)
     reach = 3.0 * anchors.log_scale[:, :3].amax(dim=1).double().exp() / depth
     u, v = right / depth * camera.fx + camera.cx, down / depth * camera.fy + camera.cy
     across, along = reach * camera.fx, reach * camera.fy
@@ -45,6 +48,9 @@ def decode(
         visible = torch.arange(len(anchors), device=position.device)
     else:
         visible = visible_anchors(anchors, camera)
+    if camera.projection == "orthographic":  # each is seen from along the axis; no kernel knows that
+        ahead = torch.from_numpy(camera.camera_to_world[:3, 2].copy()).to(position)
+        centre, in_torch = position.index_select(0, visible) - USUAL_DISTANCE * ahead, True
     given = AnchorsInView(anchors, visible, centre, channels, known_labels)
     if not in_torch:
         return decode_rows(given, decoders)

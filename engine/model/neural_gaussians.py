@@ -51,7 +51,8 @@ class NeuralGaussians:
         pose, lens = camera.camera_to_world.astype(np.float32), camera.K.astype(np.float32)
         return rasterize(
             *drawn, pose, lens, camera.width, camera.height, near=near, rows=rows, top_k=top_k,
-            want_surface=want_surface, want_means2d_grad=want_means2d_grad, backend=backend,
+            want_surface=want_surface, want_means2d_grad=want_means2d_grad,
+            is_orthographic=camera.projection == "orthographic", backend=backend,
         )  # fmt: skip
 
 
@@ -59,10 +60,12 @@ class NeuralGaussians:
 
 
 class ClipRange(NamedTuple):
-    """Planar depths in metres: Gaussians centred nearer than ``near`` or farther than ``far`` are not drawn."""
+    """Depths in metres: Gaussians centred nearer than ``near`` or farther than ``far`` are not drawn. They are planar,
+    unless they are ``along_rays``."""
 
     near: float = 0.0
     far: float = math.inf
+    along_rays: bool = False
 
 
 @dataclass(frozen=True, eq=False)

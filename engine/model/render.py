@@ -118,12 +118,16 @@ def _see(
 ) -> _Seen:
     to_camera, near = torch.from_numpy(camera.world_to_camera).to(drawn.means), max(clip.near, NEAR)
     _, down, depth = (drawn.means @ to_camera[:3, :3].T + to_camera[:3, 3]).unbind(1)
-    chosen = ((depth > near) & (depth < clip.far)).nonzero().squeeze(1)
+    clipped = depth
+    if clip.along_rays:
+        clipped, near = (drawn.means - torch.from_numpy(camera.centre).to(drawn.means)).norm(dim=1), NEAR
+    chosen = ((depth > near) & (clipped > clip.near) & (clipped < clip.far)).nonzero().squeeze(1)
+    depth = torch.ones_like(depth) if camera.projection == "orthographic" else depth.clamp_min(near)
     if finest is not None:
         drawn = replace(drawn, scales=blurred_scales(drawn.scales, finest, depth, camera))
-    slope = down / depth.clamp_min(near)
+    slope = down / depth
     # the largest standard deviation, seen at the slant of the ray, bounds the footprint's deviation in rows
-    deviation = drawn.scales.amax(dim=1) * camera.fy / depth.clamp_min(near) * (1 + slope * slope).sqrt()
+    deviation = drawn.scales.amax(dim=1) * camera.fy / depth * (1 + slope * slope).sqrt()
     reach = REACH * (deviation * deviation + BLUR).sqrt() + 1.0
     return _Seen(drawn, rows_of, chosen, slope * camera.fy + camera.cy, reach, near)
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..machine.compiled import Array, compiled, parallel_kernel
 from ..machine.threads import parallel_for, worker_count
 from ..model.neural_gaussians import PanopticRendering
+from ..raster.conventions import USUAL_DISTANCE
 from ..scene import Camera, ClassTable, distinct_colour
 from .cryptomatte import RANKS, MatteLayer, class_layer, instance_layer, rank_coverage
 from .layers import PanopticLayers, align_mattes, decide
@@ -35,26 +36,31 @@ class Surface(NamedTuple):
 
 
 def surface_of(depth: NDArray[np.float32], camera: Camera) -> Surface:
-    """Position and normal of every pixel from its depth float32 [H, W], planar metres, 0 = none.
+    """Position and normal of every pixel of a perspective or orthographic picture from its depth float32 [H, W], planar
+    metres, 0 = none.
 
-    A plane's inverse depth is linear in the pixel coordinates. So a plane is fitted by least squares to the inverse
-    depths of the 25 pixels around a pixel (those on the same surface), and its normal is the pixel's. The median error
-    of these normals is 3 to 8 degrees. That of the Gaussians' own shortest axes is 20 to 30 degrees.
+    A plane's inverse depth is linear in the pixel coordinates, and its depth if rays are parallel. So a plane is fitted
+    by least squares to those of the 25 pixels around a pixel (those on the same surface), and its normal is the
+    pixel's. The median error of these normals is 3 to 8 degrees. That of the Gaussians' own shortest axes is 20 to 30
+    degrees.
     """
-    inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=depth > 0)
+    is_parallel = camera.projection == "orthographic"
+    inverse = depth if is_parallel else np.divide(1.0, depth, out=np.zeros_like(depth), where=depth > 0)
     step = max(1, round(REACH * camera.width / 2))
     surface = Surface(np.empty((3, *depth.shape), np.float32), np.empty((3, *depth.shape), np.float32))
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     pose = np.ascontiguousarray(camera.camera_to_world, np.float64)  # the layout that the kernel is compiled for
-    parallel_for(worker_count(), fit_rows, inverse, step, lens, pose, surface.position, surface.normal)
+    parallel_for(worker_count(), fit_rows, inverse, step, lens, pose, is_parallel, surface.position, surface.normal)
     return surface
 
 
 @parallel_kernel
 def fit_rows(
-    worker: int, workers: int, inverse: Array, step: int, lens: Array, pose: Array, position: Array, normal: Array
-) -> None:
-    """Fit every ``workers``-th row. ``lens`` float64 [4]: fx, fy, cx, cy; ``pose`` float64 [4, 4], camera to world."""
+    worker: int, workers: int, inverse: Array, step: int, lens: Array, pose: Array, is_parallel: bool, position: Array,
+    normal: Array,
+) -> None:  # fmt: skip
+    """Fit every ``workers``-th row. ``lens`` float64 [4]: fx, fy, cx, cy; ``pose`` float64 [4, 4], camera to world. If
+    rays are parallel, ``inverse`` is the depth itself."""
     height, width = inverse.shape
     for row in range(worker, height, workers):
         for column in range(width):
@@ -64,22 +70,29 @@ def fit_rows(
                 normal[:, row, column] = 0.0
                 continue
             x, y = (column + 0.5 - lens[2]) / lens[0], (row + 0.5 - lens[3]) / lens[1]
-            right, down, mean = inverse_slopes(inverse, row, column, step)
+            reach = SAME_SURFACE * (USUAL_DISTANCE if is_parallel else q)
+            right, down, mean = inverse_slopes(inverse, row, column, step, reach)
             # q = (n . (x, y, 1)) / d for the plane n . p = d, so its slopes give n / d
             nx, ny = right * lens[0], down * lens[1]
             nz = mean - nx * x - ny * y
+            if is_parallel:  # q - nx * x - ny * y = d
+                nx, ny, nz = -nx, -ny, 1.0
             to_camera = -1.0 / math.sqrt(nx * nx + ny * ny + nz * nz)
             for axis in range(3):
                 turned = pose[axis, 0] * nx + pose[axis, 1] * ny + pose[axis, 2] * nz
-                ray = pose[axis, 0] * x + pose[axis, 1] * y + pose[axis, 2]
                 normal[axis, row, column] = turned * to_camera
-                position[axis, row, column] = ray / q + pose[axis, 3]
+                beside = pose[axis, 0] * x + pose[axis, 1] * y
+                if is_parallel:
+                    position[axis, row, column] = beside + pose[axis, 2] * q + pose[axis, 3]
+                else:
+                    position[axis, row, column] = (beside + pose[axis, 2]) / q + pose[axis, 3]
 
 
 @compiled
-def inverse_slopes(inverse: Array, row: int, column: int, step: int) -> tuple[float, float, float]:
+def inverse_slopes(inverse: Array, row: int, column: int, step: int, reach: float) -> tuple[float, float, float]:
     """Least squares over 5 x 5 pixels ``step`` apart: the change of the inverse depth from a pixel to the next one
-    right and down, and its value at the pixel. The change is 0 if too few pixels are on the same surface."""
+    right and down, and its value at the pixel. The change is 0 if too few pixels are on the same surface, those within
+    ``reach`` of the pixel's."""
     height, width = inverse.shape
     q = inverse[row, column]
     count = su = sv = sq = suu = suv = svv = suq = svq = 0.0
@@ -92,7 +105,7 @@ def inverse_slopes(inverse: Array, row: int, column: int, step: int) -> tuple[fl
             if x < 0 or x >= width:
                 continue
             other = inverse[y, x] - q
-            if abs(other) > SAME_SURFACE * q:
+            if abs(other) > reach:
                 continue
             count += 1.0
             su += u
@@ -120,15 +133,12 @@ def inverse_slopes(inverse: Array, row: int, column: int, step: int) -> tuple[fl
 def moved(depth: NDArray[np.float32], camera: Camera, other: Camera) -> NDArray[np.float64]:
     """How far each pixel's point of a still room, at ``depth`` [H, W] metres, moves from the picture of ``camera`` to
     that of ``other``, float64 [2, H, W] pixels, x right, y up; 0 without depth, and behind ``other``."""
-    change = other.world_to_camera @ camera.camera_to_world
-    column, row = np.arange(camera.width) + 0.5, (np.arange(camera.height) + 0.5)[:, None]
-    x, y = (column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy
-    right, down, ahead = (depth * (turn[0] * x + (turn[1] * y + turn[2])) + turn[3] for turn in change[:3])
-    seen = (depth > 0) & (ahead > 0)
-    ahead = np.where(seen, ahead, 1.0)  # never 0 / 0
-    to_right = other.fx * right / ahead + other.cx - column
-    to_top = row - other.fy * down / ahead - other.cy
-    return np.where(seen, np.stack([to_right, to_top]), 0.0)
+    pixels, ahead = other.project(camera.unproject(depth))
+    to_right = pixels[..., 0] - (np.arange(camera.width) + 0.5)
+    to_top = (np.arange(camera.height) + 0.5)[:, None] - pixels[..., 1]
+    if other.projection == "equirectangular":  # the shorter way round
+        to_right -= np.round(to_right / (2 * np.pi * other.fx)) * (2 * np.pi * other.fx)
+    return np.where((depth > 0) & (ahead > 0), np.stack([to_right, to_top]), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +153,8 @@ class Matte:
 class BakedView:
     """Everything that is written for a view, as ``camera`` sees it; the cameras of the previous and the next frame, if
     they are known; ``guessed`` float32 [H, W], the share of each pixel that no photo ever saw, where objects were
-    removed from the scene, else None."""
+    removed from the scene, else None; ``normal`` float32 [3, H, W] as in `Surface` if it does not follow from the
+    depth."""
 
     camera: Camera
     layers: PanopticLayers
@@ -151,11 +162,15 @@ class BakedView:
     previous: Camera | None = None
     following: Camera | None = None
     guessed: NDArray[np.float32] | None = None
+    normal: NDArray[np.float32] | None = None
 
     @property
     def surface(self) -> Surface:
         """The surface, computed on demand."""
-        return surface_of(self.layers.depth, self.camera)
+        if self.normal is None:
+            return surface_of(self.layers.depth, self.camera)
+        position = np.moveaxis(self.camera.unproject(self.layers.depth), -1, 0)
+        return Surface(np.where(self.layers.depth > 0, position, 0.0).astype(np.float32), self.normal)
 
     @property
     def vectors(self) -> NDArray[np.float32]:

@@ -28,6 +28,7 @@ from ..job import FURTHER_LAYERS, write_atomically
 from ..job.system import main_memory
 from ..machine.threads import worker_count
 from ..posed.exr_header import ExrHeader, read_exr_header
+from ..posed.frames import as_pose
 from ..scene import Camera
 from . import cryptomatte
 from .baked_view import BakedView
@@ -62,6 +63,8 @@ REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 NOTHING_SHOWN = ShownFrame()
 _SOFTWARE = "PLGS "
 """Start of the header's attribute of this name in each file that is written."""
+PROJECTION_NOTE = "plgs/projection"
+"""Header attribute of a view that is not perspective: how its pixels look into the world."""
 _OWN = {"type", "channels", "compression", "lineOrder", "dataWindow", "displayWindow", "pixelAspectRatio", "software"}
 _OWN |= {"screenWindowWidth", "screenWindowCenter", "chromaticities", "colorInteropID", "worldToCamera", "worldToNDC"}
 _OWN |= {"imageCounter", "timeCode", _RATE}
@@ -78,17 +81,26 @@ def frame_header(camera: Camera, shown: ShownFrame, name: str) -> dict[str, Any]
         "dataWindow": _box(-left, -top, *camera.size),
         "displayWindow": _box(0, 0, width, height),
         "pixelAspectRatio": 1.0 if abs(aspect - 1.0) < _SQUARE else aspect,
-        # The picture on a plane at distance 1, y up.
-        "screenWindowWidth": width / camera.fx,
-        "screenWindowCenter": np.array(
-            [(left + width / 2 - camera.cx) / camera.fx, (camera.cy - top - height / 2) / camera.fy], np.float32
-        ),
         "chromaticities": REC_709,
         "colorInteropID": "lin_rec709_scene",
         "software": _SOFTWARE + __version__,
         "worldToCamera": _in_rows(np.diag([1.0, -1.0, 1.0, 1.0]) @ camera.world_to_camera),
-        "worldToNDC": _in_rows(_to_ndc(camera, left, top, width, height) @ camera.world_to_camera),
     }
+    if camera.projection == "equirectangular":
+        edges = np.degrees([-camera.cx, camera.width - camera.cx] / np.float64(camera.fx))
+        ends = np.degrees([camera.cy - camera.height, camera.cy] / np.float64(camera.fy))
+        spans = [" to ".join(f"{each:.6g}" for each in span) for span in (edges, ends)]
+        header["plgs/depth"] = "metres along the ray, not planar"
+        header[PROJECTION_NOTE] = f"equirectangular, longitude {spans[0]}, latitude {spans[1]} degrees"
+    else:
+        header["worldToNDC"] = _in_rows(_to_ndc(camera, left, top, width, height) @ camera.world_to_camera)
+        # The picture on a plane at distance 1, y up.
+        header["screenWindowWidth"] = width / camera.fx
+        header["screenWindowCenter"] = np.array(
+            [(left + width / 2 - camera.cx) / camera.fx, (camera.cy - top - height / 2) / camera.fy], np.float32
+        )
+    if camera.projection == "orthographic":
+        header[PROJECTION_NOTE] = "orthographic"
     number = number_in(name) if shown.number is None else shown.number
     if number is not None:
         header["imageCounter"] = number
@@ -122,7 +134,13 @@ def _box(left: int, top: int, width: int, height: int) -> tuple[NDArray[np.int32
 
 
 def _to_ndc(camera: Camera, left: int, top: int, width: int, height: int) -> NDArray[np.float64]:
-    """From the engine's camera space to NDC, float64 [4, 4]; z becomes 1 / depth."""
+    """From the engine's camera space to NDC, float64 [4, 4]; z becomes 1 / depth, or stays if rays are parallel."""
+    if camera.projection == "orthographic":
+        scale, middle = (
+            [camera.fx / width, camera.fy / height, 1.0],
+            ((camera.cx - left) / width, (camera.cy - top) / height),
+        )
+        return as_pose(np.diag(scale), [*middle, 0.0])
     matrix = np.zeros((4, 4))
     matrix[0, [0, 2]] = camera.fx / width, (camera.cx - left) / width
     matrix[1, [1, 2]] = camera.fy / height, (camera.cy - top) / height

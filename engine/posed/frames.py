@@ -1,4 +1,4 @@
-"""Posed pinhole cameras, and posed frames: all that Blender needs of a scene.
+"""Posed cameras, and posed frames: all that Blender needs of a scene.
 
 One convention everywhere in the engine: OpenCV axes (x right, y down, z forward), camera-to-world matrices in metres,
 world z up, and pixel (i, j) centred at (i + 0.5, j + 0.5), so that ``cx = width / 2`` is the middle of the picture.
@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..job.cameras import Projection
 from .classes import ClassTable
 
 
@@ -30,7 +31,9 @@ def inverse(pose: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Intrinsics in pixels of a ``width`` x ``height`` picture and the pose, a rigid float64 [4, 4] camera-to-world."""
+    """Intrinsics in pixels of a ``width`` x ``height`` picture and the pose, a rigid float64 [4, 4] camera-to-world.
+    ``fx`` and ``fy`` are pixels per slope in a perspective picture, as all frames are; per metre in an orthographic
+    one; and per radian of longitude and latitude in an equirectangular one, whose depth is the distance, not planar."""
 
     width: int
     height: int
@@ -39,6 +42,7 @@ class Camera:
     cx: float
     cy: float
     camera_to_world: NDArray[np.float64]
+    projection: Projection = "perspective"
 
     @property
     def size(self) -> tuple[int, int]:
@@ -62,7 +66,8 @@ class Camera:
     def resized(self, width: int, height: int) -> Camera:
         """The same camera for a picture of another size (edges stay edges, so no half-pixel shift arises)."""
         x, y = width / self.width, height / self.height
-        return Camera(width, height, self.fx * x, self.fy * y, self.cx * x, self.cy * y, self.camera_to_world)
+        lens = {"fx": self.fx * x, "fy": self.fy * y, "cx": self.cx * x, "cy": self.cy * y}
+        return replace(self, width=width, height=height, **lens)
 
     def at(self, pose: NDArray[np.float64]) -> Camera:
         """The same lens at another pose, float64 [4, 4] camera-to-world."""
@@ -70,27 +75,40 @@ class Camera:
 
     def of_rows(self, first: int, end: int) -> Camera:
         """The camera whose picture is rows ``first`` to ``end`` (exclusive) of this one's."""
-        return Camera(self.width, end - first, self.fx, self.fy, self.cx, self.cy - first, self.camera_to_world)
+        return replace(self, height=end - first, cy=self.cy - first)
 
     def unproject(self, depth: NDArray[np.float32]) -> NDArray[np.float64]:
-        """World points, float64 [height, width, 3], of planar depth, float [height, width] metres: the paper's equation
+        """World points, float64 [height, width, 3], of depth, float [height, width] metres: the paper's equation
         "ProjectionEquation" with the camera centre counted once. Pixels without depth (0) land on that centre."""
         if depth.shape != (self.height, self.width):
             raise ValueError(f"depth is {depth.shape[1]}x{depth.shape[0]}, the camera {self.width}x{self.height}")
-        x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
-        y = (np.arange(self.height) + 0.5 - self.cy) / self.fy
-        d = depth.astype(np.float64)
-        local = np.stack([x[None, :] * d, y[:, None] * d, d], axis=-1)
+        return self.points(np.arange(self.width) + 0.5, np.arange(self.height)[:, None] + 0.5, depth)
+
+    def points(
+        self, u: NDArray[np.floating], v: NDArray[np.floating], depth: NDArray[np.floating]
+    ) -> NDArray[np.float64]:
+        """World points, float64 [..., 3], at continuous pixel coordinates and depths, which are broadcast."""
+        d, x, y = depth.astype(np.float64), (u - self.cx) / self.fx, (v - self.cy) / self.fy
+        if self.projection == "orthographic":
+            x, y = np.broadcast_arrays(x, y, d)[:2]
+            local = np.stack([x, y, d], axis=-1)
+        elif self.projection == "equirectangular":
+            local = np.stack([np.sin(x) * np.cos(y) * d, np.sin(y) * d, np.cos(x) * np.cos(y) * d], axis=-1)
+        else:
+            local = np.stack([x * d, y * d, d], axis=-1)
         return local @ self.camera_to_world[:3, :3].T + self.camera_to_world[:3, 3]
 
     def project(self, points: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """World points [..., 3] to continuous pixel coordinates float64 [..., 2] (x, y) and planar depth [...]. If
+        """World points [..., 3] to continuous pixel coordinates float64 [..., 2] (x, y) and depth [...]. If
         depth <= 0 the coordinates are meaningless (but finite)."""
         local = (points - self.centre) @ self.camera_to_world[:3, :3]
-        z = local[..., 2]
-        safe = np.where(np.abs(z) < 1e-9, 1e-9, z)
-        uv = np.stack([local[..., 0] / safe * self.fx + self.cx, local[..., 1] / safe * self.fy + self.cy], axis=-1)
-        return uv, z
+        x, y, z = local[..., 0], local[..., 1], local[..., 2]
+        if self.projection == "equirectangular":
+            x, y, z = np.arctan2(x, z), np.arctan2(y, np.hypot(x, z)), np.linalg.norm(local, axis=-1)
+        elif self.projection == "perspective":
+            safe = np.where(np.abs(z) < 1e-9, 1e-9, z)
+            x, y = x / safe, y / safe
+        return np.stack([x * self.fx + self.cx, y * self.fy + self.cy], axis=-1), z
 
     def seen(self, points: NDArray[np.floating]) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
         """The rows [n] of the world points [N, 3] that project into the picture, occluded or not; their continuous

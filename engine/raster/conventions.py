@@ -24,6 +24,9 @@ CLAMP_MARGIN = 0.3
 point."""
 NEAR_MEDIAN = 0.05
 """Contributors whose depth differs from a pixel's median by at most this share of it belong to the surface there."""
+USUAL_DISTANCE = 2.0
+"""Metres: an orthographic camera is at no distance from what it shows, so rules that need one take that of photos of a
+room."""
 TINY_NORM = 1e-12
 """Quaternions shorter than this are divided by it instead of by their norm."""
 
@@ -32,7 +35,8 @@ TINY_NORM = 1e-12
 class Pinhole:
     """A pinhole camera. ``rotation`` 3 by 3, row by row, world to camera (OpenCV axes); ``centre`` metres, world;
     ``focal`` and ``principal`` (x, y) in pixels; ``width``, ``height`` in pixels; ``near`` in metres. If only some rows
-    of a picture are drawn, ``height`` counts them, ``above`` counts the rows before them, and ``whole_height`` all."""
+    of a picture are drawn, ``height`` counts them, ``above`` counts the rows before them, and ``whole_height`` all.
+    ``is_orthographic``: it is no pinhole; all rays are parallel, and ``focal`` is in pixels per metre."""
 
     rotation: tuple[float, ...]
     centre: tuple[float, float, float]
@@ -43,10 +47,18 @@ class Pinhole:
     near: float
     above: int = 0
     whole_height: int | None = None
+    is_orthographic: bool = False
+
+    @property
+    def surface_reach(self) -> tuple[float, float]:
+        """How far from a pixel's median depth its surface reaches: a share of that, and metres."""
+        return (0.0, NEAR_MEDIAN * USUAL_DISTANCE) if self.is_orthographic else (NEAR_MEDIAN, 0.0)
 
     def slope_limits(self) -> tuple[float, float, float, float]:
         """(x low, x high, y low, y high): the slopes x/z and y/z to which the Jacobian's point is clamped. These are
-        the limits of the whole picture, so that a Gaussian has the same footprint in all rows."""
+        the limits of the whole picture, so that a Gaussian has the same footprint in all rows. Parallel rays: 0."""
+        if self.is_orthographic:
+            return 0.0, 0.0, 0.0, 0.0
         (fx, fy), (cx, cy) = self.focal, self.principal
         cy, height = cy + self.above, self.whole_height or self.height
         x, y = CLAMP_MARGIN * 0.5 * self.width / fx, CLAMP_MARGIN * 0.5 * height / fy

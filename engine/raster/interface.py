@@ -37,6 +37,7 @@ def rasterize(
     top_k: int = 0,
     want_surface: bool = False,
     want_means2d_grad: bool = False,
+    is_orthographic: bool = False,
     backend: Backend | None = None,
 ) -> Rendering:
     """Draw N Gaussians; differentiable in the first six arguments, which are float32 on one device.
@@ -44,7 +45,8 @@ def rasterize(
     OpenCV axes: x right, y down, z forward. ``K`` has any fx, fy, cx, cy, but no skew; the centre of pixel (i, j) is
     (i + 0.5, j + 0.5). No gradient flows to the camera. ``rows``: the first row of
     the picture to draw, and one past the last. The layers have only these rows, with the same values as in the whole
-    picture. ``top_k`` > 0 requests the largest contributors of every pixel, which ``gsplat`` does not list. ``backend``
+    picture. ``is_orthographic``: all rays are parallel, and ``K`` has pixels per metre; without gradients, and drawn on
+    the CPU. ``top_k`` > 0 requests the largest contributors of every pixel, which ``gsplat`` does not list. ``backend``
     None picks by the tensors' device: ``numba`` on the CPU, ``gsplat`` on CUDA. The surface is always found on the CPU.
 
     Conventions (gsplat's "classic"; ``cuda`` lists where gsplat itself differs): 0.3 px^2 is added to the diagonal of
@@ -53,11 +55,16 @@ def rasterize(
     order is by planar depth rounded to float32, then by index.
 
     Raises ``ValueError`` if shapes, dtypes or devices do not fit, if the image is empty, if rows lie outside it, if K
-    has skew, or if the back end is unknown.
+    has skew, if the back end is unknown, or if an orthographic picture would need gradients.
     """
     gaussians = GaussianSet(means, scales, quats, opacities, colours, labels)
     _check(gaussians)
-    pinhole = _pinhole(camera_to_world, K, width, height, near=near, rows=rows)
+    pinhole = _pinhole(camera_to_world, K, width, height, near=near, rows=rows, is_orthographic=is_orthographic)
+    if is_orthographic:
+        if torch.is_grad_enabled() and any(each is not None and each.requires_grad for each in gaussians):
+            raise ValueError("an orthographic picture has no gradients")
+        gaussians = GaussianSet(*(None if each is None else each.cpu() for each in gaussians))
+        means = gaussians.means
     if top_k < 0:
         raise ValueError(f"top_k is {top_k}; it must be 0 or more")
     drawn = _load(_pick(backend, means))(gaussians, pinhole, Wanted(top_k, want_surface, want_means2d_grad))
@@ -128,6 +135,7 @@ def _pinhole(
     *,
     near: float,
     rows: tuple[int, int] | None = None,
+    is_orthographic: bool = False,
 ) -> Pinhole:
     if width < 1 or height < 1:
         raise ValueError(f"the image is {width}x{height}; both must be at least 1")
@@ -151,6 +159,7 @@ def _pinhole(
         near=float(near),
         above=int(first),
         whole_height=int(height),
+        is_orthographic=is_orthographic,
     )
 
 

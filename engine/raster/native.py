@@ -171,7 +171,8 @@ class _Blend(torch.autograd.Function):
             _for_contributors(list_contributors, state, *(each.numpy() for each in more))
         if wanted.surface:
             more.append(torch.empty(shape, dtype=torch.float32))
-            _for_contributors(find_surface, state, arrays.flat(more[-1].numpy()), pinhole.width)
+            reach = np.array(pinhole.surface_reach, np.float32)
+            _for_contributors(find_surface, state, arrays.flat(more[-1].numpy()), pinhole.width, reach)
         ctx.mark_non_differentiable(*more)
         ctx.save_for_backward(means, scales, quats)
         ctx.state = state

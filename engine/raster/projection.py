@@ -21,14 +21,21 @@ from .isect_tiles import chunk_count, next_chunk
 LOG2_E = math.log2(math.e)
 LOG_ALPHA_MIN = math.log(ALPHA_MIN)
 
-CAMERA = 21
+CAMERA = 22
 """The length of the camera array that the kernels take: rotation (0 to 8, row by row), centre (9 to 11), focal lengths
-(12, 13), principal point (14, 15), near plane (16), slope limits (17 to 20: x low, x high, y low, y high)."""
+(12, 13), principal point (14, 15), near plane (16), slope limits (17 to 20: x low, x high, y low, y high), 1 if it is
+orthographic (21). Gradients are those of a perspective camera."""
 
 
 def camera_array(pinhole: Pinhole) -> NDArray[np.float64]:
     """The camera in the form that the kernels take, float64 [CAMERA]."""
-    numbers = (*pinhole.focal, *pinhole.principal, pinhole.near, *pinhole.slope_limits())
+    numbers = (
+        *pinhole.focal,
+        *pinhole.principal,
+        pinhole.near,
+        *pinhole.slope_limits(),
+        float(pinhole.is_orthographic),
+    )
     return np.array((*pinhole.rotation, *pinhole.centre, *numbers))
 
 
@@ -69,7 +76,7 @@ def clamped(value: float, low: float, high: float) -> Any:
 @device_function
 def image_jacobian(camera: Array, x: float, y: float, z: float) -> Any:
     """The 2x3 matrix J R from world offsets to pixels at camera point (x, y, z), and the clamped slopes x/z and y/z."""
-    over_z = 1.0 / z
+    over_z = 1.0 if camera[21] > 0.0 else 1.0 / z
     u = clamped(x * over_z, camera[17], camera[18])
     v = clamped(y * over_z, camera[19], camera[20])
     jx = camera[12] * over_z
@@ -123,6 +130,8 @@ def footprint_of(i: int, point: tuple[float, float, float], gaussians: Gaussians
     sx, sy, sz = three_of(gaussians.scales, i)
     jacobian = image_jacobian(camera, x, y, z)
     a0, a1, a2, b0, b1, b2 = axes_on_image(jacobian, rotation_of(w, qx, qy, qz), sx, sy, sz)
+    if camera[21] > 0.0:
+        z = 1.0
     return (
         camera[12] * x / z + camera[14],
         camera[13] * y / z + camera[15],

@@ -11,9 +11,11 @@ import OpenEXR
 import OpenImageIO
 import pytest
 from mathutils import Matrix
+from plgs.plgs_blender.cameras import panorama_of
 
 import engine
-from engine.passes.exr import read_exr
+from engine.passes.exr import read_exr, read_note
+from engine.result_files import INSTANCES, read_instances
 from tests.commands import answer_of
 from tests.doors.terminal import Terminal
 from tests.passes.agreement import coverage_of
@@ -185,6 +187,46 @@ def test_bake_takes_cameras_of_any_program(terminal: Terminal) -> None:
     truth = trace_view(pose, K, (80, 60))
     assert np.median(np.abs(shown.depth - truth.depth)) < 0.2
     assert (shown.semantic == truth.semantic).mean() > 0.7
+
+
+@pytest.mark.parametrize("kind", ["orthographic", "equirectangular"])
+def test_orthographic_and_equirectangular_cameras_are_baked_with_all_layers(kind: str, terminal: Terminal) -> None:
+    blend = shot_blend(terminal.folder)
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    camera = bpy.data.objects["dolly"]
+    camera.data.type, camera.data.ortho_scale = ("ORTHO" if kind == "orthographic" else "PANO"), 2.0
+    if kind == "equirectangular":
+        panorama_of(camera).panorama_type = "EQUIRECTANGULAR"
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend), copy=True)
+    more = ["--layers", "normal", "position", "vector"]
+    terminal.run(CAMERA.replace("1-250", "2"), LIFT="lifts/demo", more=more)
+    path = terminal.folder / "lifts/demo/result/passes/shot_dolly.0002.exr"
+    planes, shown, note = planes_of(path), read_exr(path), read_note(path, "plgs/projection") or ""
+    assert note.startswith(kind) and ("along the ray" in (read_note(path, "plgs/depth") or "")) == (
+        kind != "orthographic"
+    )
+    drawn = shown.depth > 0
+    assert drawn.mean() > 0.1 and len(np.unique(shown.semantic)) > 2
+    place = np.stack([planes[f"PLGS.Position.{axis}"] for axis in "XYZ"], axis=-1)
+    pose = tiny_pose(1, 6)
+    local = (place - pose[:3, 3]) @ pose[:3, :3] - [0.0, 0.0, 0.15]
+    if kind == "equirectangular":
+        far = np.linalg.norm(local, axis=-1)
+        right = np.arctan2(local[..., 0], local[..., 2]) * 80 / (2 * np.pi) + 40
+    else:
+        far, right = local[..., 2], local[..., 0] * 80 / 2.0 + 40
+    assert np.abs(far - shown.depth)[drawn].max() < 2e-3
+    assert np.abs(right - np.arange(80) - 0.5)[drawn].max() < 0.02
+    normal = np.stack([planes[f"PLGS.Normal.{axis}"] for axis in "XYZ"], axis=-1).astype(np.float32)
+    assert np.abs(np.linalg.norm(normal[drawn], axis=-1) - 1.0).max() < 2e-3
+    assert np.abs(planes["PLGS.Vector.X"]).max() > 0
+    for one in np.unique(shown.instance[shown.instance > 0]):
+        name = next(
+            each.name for each in read_instances(terminal.folder / "lifts/demo/result" / INSTANCES)[1] if each.id == one
+        )
+        matte = coverage_of(planes, "CryptoInstance", name)
+        whole = planes["A"] > 0.99
+        assert ((matte > 0.5) == (shown.instance == one))[whole].all()
 
 
 def test_a_bake_of_cameras_warns_where_a_tenth_of_a_view_or_more_has_no_surface(terminal: Terminal) -> None:

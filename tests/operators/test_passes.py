@@ -127,6 +127,23 @@ def test_the_active_camera_is_baked_over_the_frame_range(mine: Path, baked: Aske
         bpy.ops.plgs.bake_camera(camera="dolly", frame_start=3, frame_end=-3)
 
 
+def test_a_shot_that_shows_another_state_becomes_a_version_or_is_replaced(mine: Path, baked: Asked) -> None:
+    bpy.ops.plgs.place_lift(lift_folder=str(mine))
+    scene = bpy.context.scene
+    scene.camera = bpy.data.objects.new("dolly", bpy.data.cameras.new("dolly"))
+    scene.collection.objects.link(scene.camera)
+    scene.frame_start = scene.frame_end = 3
+    assert bpy.ops.plgs.bake_camera(shot="night") == {"FINISHED"}
+    scene.camera.location.x += 1.0
+    with pytest.raises(RuntimeError, match="camera or its size has changed"):
+        bpy.ops.plgs.bake_camera(shot="night")
+    baked.cameras.clear()
+    assert bpy.ops.plgs.bake_changed_shot(shot="night", how="VERSION") == {"FINISHED"}
+    assert bpy.ops.plgs.bake_changed_shot(shot="night", how="REPLACE") == {"FINISHED"}
+    assert [each.name for each in baked.cameras] == ["night_v001.0003", "night.0003"]
+    assert scene.plgs.shot == "night_v{version:03d}", "and so the next time"
+
+
 def test_a_job_for_a_farm_is_written_from_a_saved_file(mine: Path, tmp_path: Path) -> None:
     bpy.ops.plgs.place_lift(lift_folder=str(mine))
     scene = bpy.context.scene

@@ -12,6 +12,7 @@ import numpy as np
 import OpenEXR
 import pytest
 from plgs.engine.job import BakeCamera, read_cameras
+from plgs.plgs_blender.cameras import panorama_of
 from plgs.plgs_blender.passes import sequences
 from plgs.plgs_blender.shots import Shot, ShotReader, numbered_name, shot_of
 
@@ -77,9 +78,13 @@ def rendered_positions(scene: bpy.types.Scene, frame: int, folder: Path) -> np.n
 
 def projected(camera: BakeCamera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where the engine draws world points [..., 3], by the file's own conventions: pixels [..., 2], depth [...]."""
-    pose = np.array(camera.pinhole.camera_to_world)
-    seen = (points - pose[:3, 3]) @ pose[:3, :3] @ np.array(camera.pinhole.K).T
-    return seen[..., :2] / seen[..., 2:], seen[..., 2]
+    pose, ((fx, _, cx), (_, fy, cy), _) = np.array(camera.pinhole.camera_to_world), camera.pinhole.K
+    x, y, z = np.moveaxis((points - pose[:3, 3]) @ pose[:3, :3], -1, 0)
+    if camera.pinhole.projection == "equirectangular":
+        x, y, z = np.arctan2(x, z), np.arctan2(y, np.hypot(x, z)), np.sqrt(x * x + y * y + z * z)
+    elif camera.pinhole.projection == "perspective":
+        x, y = x / z, y / z
+    return np.stack([fx * x + cx, fy * y + cy], axis=-1), z
 
 
 @pytest.mark.parametrize(
@@ -100,12 +105,52 @@ def test_render_and_camera_agree(scene: bpy.types.Scene, fit: str, aspect: tuple
     assert [camera.name for camera in cameras] == [f"dolly.{frame:04d}" for frame in range(1, 5)]
     position = rendered_positions(scene, 3, tmp_path)
     assert position.shape[:2] == (72, 96) == (cameras[0].pinhole.height, cameras[0].pinhole.width)
+    assert_pixels_agree(cameras[2], position)
+
+
+def assert_pixels_agree(camera: BakeCamera, position: np.ndarray) -> None:
+    """The engine draws what Cycles hits where Cycles does."""
     hit = np.isfinite(position[..., 0])
     assert hit.mean() > 0.05
-    pixel, depth = projected(cameras[2], position[hit])
+    pixel, depth = projected(camera, position[hit])
     row, column = np.nonzero(hit)
-    assert np.abs(pixel - np.stack([column + 0.5, row + 0.5], axis=-1)).max() < 0.05
+    beside = pixel - np.stack([column + 0.5, row + 0.5], axis=-1)
+    if camera.pinhole.projection == "equirectangular":  # round a whole turn
+        turn = 2.0 * math.pi * camera.pinhole.K[0][0]
+        beside[:, 0] -= np.round(beside[:, 0] / turn) * turn
+    assert np.abs(beside).max() < 0.05
     assert (depth > 0).all()
+
+
+@pytest.mark.parametrize("fit", ["AUTO", "VERTICAL"])
+def test_an_orthographic_camera_is_that_of_the_render(scene: bpy.types.Scene, fit: str, tmp_path: Path) -> None:
+    data = scene.camera.data
+    data.type, data.ortho_scale, data.sensor_fit, data.shift_y = "ORTHO", 3.5, fit, -0.07
+    scene.render.pixel_aspect_y = 1.4
+    cameras = read_cameras(write_shot(tmp_path, scene, shot_of(scene)))
+    assert cameras[2].pinhole.projection == "orthographic"
+    assert_pixels_agree(cameras[2], rendered_positions(scene, 3, tmp_path))
+
+
+@pytest.mark.parametrize(("fit", "limits"), [("AUTO", (-180, 180, -90, 90)), ("VERTICAL", (-100, 140, -80, 35))])
+def test_an_equirectangular_camera_is_that_of_the_render(
+    scene: bpy.types.Scene, fit: str, limits: tuple[float, ...], tmp_path: Path
+) -> None:
+    scene.camera.data.sensor_fit, scene.render.pixel_aspect_y = fit, 1.2
+    scene.camera.data.shift_y = 0.0 if limits[3] == 90 else -0.07
+    bpy.ops.mesh.primitive_cube_add(size=16.0)  # around the camera
+    as_panorama(scene.camera, "EQUIRECTANGULAR", limits)
+    cameras = read_cameras(write_shot(tmp_path, scene, shot_of(scene)))
+    assert cameras[2].pinhole.projection == "equirectangular"
+    assert_pixels_agree(cameras[2], rendered_positions(scene, 3, tmp_path))
+
+
+def as_panorama(ob: bpy.types.Object, kind: str, limits: tuple[float, ...] = ()) -> None:
+    ob.data.type = "PANO"
+    settings = panorama_of(ob)
+    settings.panorama_type = kind
+    for name, degrees in zip(("longitude_min", "longitude_max", "latitude_min", "latitude_max"), limits, strict=False):
+        setattr(settings, name, math.radians(degrees))
 
 
 def test_vectors_are_those_of_cycles(scene: bpy.types.Scene, tmp_path: Path) -> None:
@@ -257,9 +302,10 @@ def test_unfit_camera_is_refused_in_one_line(scene: bpy.types.Scene) -> None:
     scene.render.use_border, scene.render.use_crop_to_border, scene.render.border_max_x = True, True, 0.001
     refused("region-empty")
     scene.render.use_border = False
-    for kind, line in (("ORTHO", "not-perspective orthographic"), ("PANO", "not-perspective panoramic fisheye")):
-        scene.camera.data.type = kind
-        refused(line)
+    as_panorama(scene.camera, "FISHEYE_EQUISOLID")
+    refused("other-lens panoramic fisheye_equisolid")
+    as_panorama(scene.camera, "EQUIRECTANGULAR", (20, -30))
+    refused("panorama-limits")
     scene.camera.data.type = "PERSP"
     scene.camera.scale.x = -1.0
     refused("mirrored")

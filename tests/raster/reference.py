@@ -18,7 +18,8 @@ def rasterize(*arguments: Any, backend: str | None = None, **options: Any) -> Re
     """As the engine's, with one more back end: ``reference``, which finds no surface."""
     if backend != "reference":
         return interface.rasterize(*arguments, backend=backend, **options)
-    pinhole = interface._pinhole(*arguments[6:], near=options.get("near", NEAR), rows=options.get("rows"))
+    camera = {name: options[name] for name in ("rows", "is_orthographic") if name in options}
+    pinhole = interface._pinhole(*arguments[6:], near=options.get("near", NEAR), **camera)
     wanted = Wanted(options.get("top_k", 0), False, options.get("want_means2d_grad", False))
     return rasterize_reference(GaussianSet(*arguments[:6]), pinhole, wanted)
 
@@ -67,6 +68,8 @@ def project(
     centre = torch.as_tensor(pinhole.centre, dtype=means.dtype)
     x, y, z = ((means - centre) @ rotation.T).unbind(-1)
     safe = torch.where(z > pinhole.near, z, torch.ones_like(z))
+    if pinhole.is_orthographic:
+        safe = torch.ones_like(z)
     (fx, fy), (cx, cy) = pinhole.focal, pinhole.principal
     x_low, x_high, y_low, y_high = pinhole.slope_limits()
     u = torch.clamp(x / safe, x_low, x_high)

@@ -1,6 +1,6 @@
 """The back end numba against the float64 reference, and properties of any scene."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from engine.raster import Rendering
-from tests.raster.reference import rasterize
+from engine.raster.interface import _pinhole
+from tests.raster.reference import project, rasterize
 from tests.raster.room_workload import room_workload
 from tests.raster.scenes import (
     GROUPS,
@@ -244,3 +245,34 @@ def test_order_of_the_input_does_not_matter(scene: Scene, random: object) -> Non
 def test_length_of_quaternions_does_not_matter(scene: Scene, factor: float) -> None:
     longer = draw(scene.changed(2, scene.tensors[2] * factor))
     assert (longer.image - draw(scene).image).abs().mean() < 1e-5
+
+
+def test_an_orthographic_picture_is_that_of_a_lens_far_away() -> None:
+    scene, away = random_scene(0, 250, 5, 37, 29), 1e7
+    scene.intrinsics[:] = [[8.0, 0.0, 16.0], [0.0, 9.0, 17.0], [0.0, 0.0, 1.0]]
+    ours = render_parallel(scene, "numba", scene.tensors)
+    theirs = render_parallel(scene, "reference", [each.double() for each in scene.tensors])
+    assert torch.equal(ours.visible, theirs.visible) and ours.visible.sum() > 100
+    for layer in LAYERS:
+        torch.testing.assert_close(getattr(ours, layer), getattr(theirs, layer).float(), rtol=0, atol=1e-5)
+    pose, lens = scene.pose.copy(), np.diag([away, away, 1.0]) @ scene.intrinsics
+    pose[:3, 3] -= away * pose[:3, 2]
+    lens[:2, 2] = scene.intrinsics[:2, 2]
+    geometry = [each.double() for each in scene.tensors[:3]]
+    near, far = (
+        _pinhole(*camera, 37, 29, near=0.01, is_orthographic=is_near)
+        for camera, is_near in (((scene.pose, scene.intrinsics), True), ((pose, lens), False))
+    )
+    for one, other, most in zip(project(*geometry, near), project(*geometry, far), (1e-4, 1e-2, 1e-6), strict=True):
+        seen = project(*geometry, near)[2] > 0.01
+        shift = away if one.ndim == 1 else 0.0
+        assert (one - other + shift)[seen].abs().max() < most
+    drawn = ours.alpha > 0.5
+    assert ours.surface is not None and (ours.surface[drawn] > 0).all()
+    with pytest.raises(ValueError, match="no gradients"):
+        render_parallel(scene, "numba", [each.clone().requires_grad_() for each in scene.tensors])
+
+
+def render_parallel(scene: Scene, backend: str, tensors: Sequence[torch.Tensor]) -> Rendering:
+    at = scene.pose, scene.intrinsics, scene.width, scene.height
+    return rasterize(*tensors, *at, is_orthographic=True, want_surface=backend == "numba", backend=backend)

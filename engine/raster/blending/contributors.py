@@ -10,11 +10,11 @@ import numpy as np
 from ...machine import vectors as v
 from ...machine.compiled import Array, device_function, parallel_kernel
 from ..arrays import Intersections, Tile
-from ..conventions import DEPTH, L11, NEAR_MEDIAN, RECORD, TILE
+from ..conventions import DEPTH, L11, RECORD, TILE
 from .backward import EXPONENTS, S1_LEFT, WHITENED, whiten_tile
 from .forward import ENDED, NEARLY_NOTHING, ONE, ZERO, F, seen_alpha
 
-HALF, NEAR = F(0.5), F(NEAR_MEDIAN)
+HALF = F(0.5)
 
 # a worker's scratch, in floats: the pixels' transmittance, a Gaussian's whitened rows, sums over a pixel's contributors
 # (all weights, those up to the median, and for those near it their weights and w (z - median)), and listed weights
@@ -123,8 +123,9 @@ def list_contributors(
 
 
 @device_function
-def sum_near_median(count: int, records: Array, floats: Array, members: Array) -> None:
+def sum_near_median(count: int, records: Array, floats: Array, members: Array, reach: Array) -> None:
     """Fill the sums of a tile from what ``blend_tile`` listed."""
+    share, metres = v.broadcast(reach[0]), v.broadcast(reach[1])
     for at in range(TOTAL, LISTED, TILE):
         v.store(floats, at, v.broadcast(ZERO))
     for pair in range(count):
@@ -141,7 +142,7 @@ def sum_near_median(count: int, records: Array, floats: Array, members: Array) -
         at = TILE * v.get(members, 2 * pair + 1)
         median = v.load(floats, MEDIAN + at)
         gap = v.broadcast_load(records, RECORD * int(v.get(members, 2 * pair)) + DEPTH) - median
-        is_near = v.maximum(gap, v.broadcast(ZERO) - gap) <= median * v.broadcast(NEAR)
+        is_near = v.maximum(gap, v.broadcast(ZERO) - gap) <= median * share + metres
         weight = v.select(is_near, v.load(floats, LISTED + pair * TILE), v.broadcast(ZERO))
         v.store(floats, WEIGHT + at, v.load(floats, WEIGHT + at) + weight)
         v.store(floats, OFFSET + at, v.fma(weight, gap, v.load(floats, OFFSET + at)))
@@ -149,16 +150,17 @@ def sum_near_median(count: int, records: Array, floats: Array, members: Array) -
 
 @parallel_kernel
 def find_surface(
-    worker: int, workers: int, isects: Intersections, records: Array, scratches: Any, depth: Array, width: int
-) -> None:
-    """Fill every ``workers``-th tile of ``depth`` float32 [H * W], metres, 0 where nothing is drawn. The other
-    arguments are those of ``list_contributors``."""
+    worker: int, workers: int, isects: Intersections, records: Array, scratches: Any, depth: Array, width: int,
+    reach: Array,
+) -> None:  # fmt: skip
+    """Fill every ``workers``-th tile of ``depth`` float32 [H * W], metres, 0 where nothing is drawn. ``reach``
+    float32 [2] is that of the surface. The other arguments are those of ``list_contributors``."""
     size = (width, depth.shape[0] // width)
     floats, members = scratches[0][worker], scratches[1][worker]
     for number in range(worker, isects.isect_offsets.shape[0] - 1, workers):
         tile = tile_of(number, width, isects.isect_offsets)
         count = blend_tile(tile, size, isects.flatten_ids, records, (floats, members))
-        sum_near_median(count, records, floats, members)
+        sum_near_median(count, records, floats, members, reach)
         inside = v.lane_numbers() < v.broadcast(F(width - tile.left))
         for r in range(min(TILE, size[1] - tile.top)):
             weight = v.maximum(v.load(floats, WEIGHT + r * TILE), v.broadcast(NEARLY_NOTHING))  # never 0 / 0
