@@ -30,6 +30,7 @@ def run_engine(
     see EventWriter. Raises PlgsError, before anything is changed, if another engine is at work, or if the folder was
     used and ``resume`` is not given. After that, every error is an event, a line on standard error and an exit code."""
     folder.refuse_foreign()
+    folder.refuse_read_only()
     with folder.lock():
         if not (folder.path / "request.json").exists():
             raise PlgsError("lift-removed", "was removed in the meantime", folder.path, "Lift the scene again.")

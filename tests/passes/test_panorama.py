@@ -57,7 +57,7 @@ def test_a_panorama_is_what_its_rays_hit(turned: int, part: float) -> None:
     assert (cosine > 0.999).mean() > 0.9
     aside = camera.at(pose @ np.block([[np.eye(3), np.array([[0.1], [0.0], [0.0]])], [np.zeros((1, 3)), np.eye(1)]]))
     vectors = moved(exact.layers.depth, camera, aside)
-    assert 1.0 < np.abs(vectors).max() < 30.0, "the shorter way round"
+    assert 1.0 < np.abs(vectors[:, 60:120]).max() < 30.0, "the shorter way round"
     assert (vectors[0, 80:100, 175:185] < 0).all(), "what is ahead goes left"
 
 
