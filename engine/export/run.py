@@ -77,7 +77,7 @@ def _of_one_result(folder: LiftFolder) -> Iterator[None]:
     try:
         yield
     finally:
-        if before is not None and before != identity(folder.result_path):
+        if not folder.result_path.exists() or before != identity(folder.result_path):
             what = "got a new result meanwhile, so what is written may mix two"
             raise PlgsError("result-changed", what, folder.path, "Export it again.", code=ErrorCode.BUSY)
 

@@ -19,29 +19,22 @@ import errno
 import hashlib
 import json
 import os
-import re
 import unicodedata
 from collections.abc import Mapping
 from contextlib import suppress
 from itertools import chain, count
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, Self
 
 from ..errors import PlgsError
-from ..gates import create_plain, inner_path, open_plain, open_to_append
+from ..gates import inner_path, open_plain, open_to_append
 
 PART = ".part-"
 """Prefix of names that are still being written. A kill leaves them behind."""
 NOTE = ".plgs-written.jsonl"
 """The note's name in its folder."""
 MOST_BYTES = 2**28
-"""A larger note is refused. Ours stay far smaller, as a run that has a folder for itself leaves no lines that say
-nothing new."""
-_NOTE_OF_0_1_0 = "export.json"
-_OLD_LINES = 4
-"""Lines per listed file above which a note is written anew."""
-_PLAIN = re.compile(r"\w[\w .()-]*(/\w[\w .()-]*)*", re.ASCII)
-"""Paths whose form needs no closer look."""
+"""A larger note is refused: it takes tens of seconds to read."""
 _LONGEST_PART, _LONGEST_NAME = 255, 2048  # bytes that file systems take
 
 _Run = tuple[str, Mapping[str, Any]]
@@ -54,26 +47,21 @@ class OwnFiles:
 
     def __init__(self, folder: Path) -> None:
         """Read the note; without one, nothing is ours. Raises OSError, also if it is a link or too large."""
-        self.folder, self._among_others = folder, False
-        self._asked: _Run = ("", {})
-        self._read()
-
-    def _read(self) -> None:
+        self.folder, self.is_complete = folder, False
         self.begun: _Run | None = None
-        self.is_complete = self._is_announced = False
-        self._lines = 0
+        self._asked: _Run = ("", {})
+        self._is_announced = False
         self._digests: dict[str, set[str]] = {}  # of each path's contents, by a name that ignores case
         self._kinds: dict[str, str] = {}  # by path as it was written
         self._latest: set[str] = set()  # what the run that began last wrote
-        with suppress(FileNotFoundError, NotADirectoryError), open_plain(self.folder / NOTE, follow_link=False) as file:
+        with suppress(FileNotFoundError, NotADirectoryError), open_plain(folder / NOTE, follow_link=False) as file:
             if os.fstat(file.fileno()).st_size > MOST_BYTES:
-                raise OSError(errno.EINVAL, f"it is larger than {MOST_BYTES / 1e6:.3g} MB", str(self.folder / NOTE))
+                raise OSError(errno.EINVAL, f"it is larger than {MOST_BYTES / 1e6:.3g} MB", str(folder / NOTE))
             for line in file:
                 self._take(line)
 
     def _take(self, line: bytes) -> None:
         self.is_complete = False
-        self._lines += 1
         # A line that a power cut left, or one that we did not write.
         with suppress(ValueError, AttributeError, TypeError, LookupError, RecursionError):
             entry = json.loads(line)
@@ -95,18 +83,14 @@ class OwnFiles:
         """Set what the note will say about this run: the kind of its files, and ``about`` what they are. Unless they
         are written ``among_others``, the folder must be new or empty, or have our note of the same run, or (with
         ``replaces``) of the same kind. Raises PlgsError, OSError."""
-        self._asked, self._among_others = (kind, json.loads(json.dumps(about))), among_others
+        self._asked = kind, json.loads(json.dumps(about))
         if self.folder.exists() and not self.folder.is_dir():
             what = "a folder is needed, but this is a file"
             raise PlgsError("file-not-folder", what, self.folder, "Name another one.")
         is_same = self.begun == self._asked or (replaces and self.begun is not None and self.begun[0] == kind)
         if not (among_others or is_same) and self.folder.exists() and any(self.folder.iterdir()):
             what = "the folder holds other files" if self.begun is None else "the folder holds other results of PLGS"
-            fix = "Name a new or an empty folder."
-            if self.begun is None and (self.folder / _NOTE_OF_0_1_0).is_file():
-                what = f"the folder holds an export of PLGS 0.1.0, whose {_NOTE_OF_0_1_0} does not list its files"
-                fix = "Name a new folder, or delete this one first, as nothing tells its files from yours."
-            raise PlgsError("folder-used", what, self.folder, fix)
+            raise PlgsError("folder-used", what, self.folder, "Name a new or an empty folder.")
         return self
 
     def __enter__(self) -> Self:
@@ -170,59 +154,29 @@ class OwnFiles:
         if not self.is_complete:
             self._append({"complete": True})
             self.is_complete = True
-        if not self._among_others and self._lines > _OLD_LINES * (len(self._kinds) + 1):
-            self._write_anew()
-
-    def _write_anew(self) -> None:
-        """Replace the note by one of the files that are there. Only where nobody else appends to it."""
-        assert self.begun is not None
-        kept = sorted(name for name in self._kinds if os.path.lexists(self.folder / name))
-        groups = dict.fromkeys(self._kinds[name] for name in kept if name not in self._latest)
-        runs = [((kind, {}), [name for name in kept if self._kinds[name] == kind and name not in self._latest])
-                for kind in groups]  # fmt: skip
-        part = self.folder / f"{PART}{NOTE}"
-        part.unlink(missing_ok=True)
-        with create_plain(part) as file:
-            for (kind, about), names in [*runs, (self.begun, [name for name in kept if name in self._latest])]:
-                entries: list[Mapping[str, Any]] = [{"begins": kind, "about": about}]
-                for name in names:
-                    digests = sorted(self._digests[_folded(name)])
-                    entries += [{"file": name, "sha256": digest} for digest in digests] or [{"file": name}]
-                file.writelines(json.dumps(entry).encode() + b"\n" for entry in entries)
-            file.write(b'{"complete": true}\n')
-        os.replace(part, self.folder / NOTE)
 
     def remove_earlier(self) -> None:
         """Delete our files of this kind that this run did not write. Raises OSError."""
-        # Not by names: a disk may list them in other case or Unicode form.
-        kept = {found for name in self._latest if (found := identity(self.folder / name)) is not None}
-        earlier = [name for name, kind in self._kinds.items() if kind == self._asked[0] and name not in self._latest]
-        for name in earlier:
-            path = os.path.join(self.folder, name)
-            if _is_there(path) and identity(path) not in kept:
-                self._unlink(Path(path))
-            if not _is_there(path):
-                del self._kinds[name]
-        self._drop_empty({os.path.dirname(name) for name in earlier})
+        kept = {identity(path) for name in self._latest if (path := self.folder / name).exists()}
+        for name in [name for name, kind in self._kinds.items() if kind == self._asked[0]]:
+            path = self.folder / name
+            is_there = os.path.lexists(path) or os.path.lexists(path.with_name(PART + path.name))
+            # Not by names: a disk may list them in other case or Unicode form.
+            if name not in self._latest and is_there and not (path.exists() and identity(path) in kept):
+                self.remove(path)
 
     def remove(self, path: Path) -> None:
         """Delete a file, and the part of one, if they are ours, and folders that are empty then. Raises OSError."""
-        self._unlink(path)
-        self._drop_empty({os.path.dirname(self._name(path))})
-
-    def _unlink(self, path: Path) -> None:
         if self.owns(path):
             path.unlink()
         part = path.with_name(PART + path.name)
         if _folded(self._name(path)) in self._digests and part.is_file() and not part.is_symlink():
             part.unlink()
-
-    def _drop_empty(self, names: set[str]) -> None:
-        """Delete these folders, and those that they lie in below ours, if they are empty."""
-        every = {str(each) for name in names for each in (PurePosixPath(name), *PurePosixPath(name).parents)} - {"."}
-        for name in sorted(every, key=len, reverse=True):
+        for folder in path.parents:
+            if folder == self.folder:
+                break
             with suppress(OSError):
-                (self.folder / name).rmdir()
+                folder.rmdir()
 
     def discard(self) -> None:
         """Delete what the run that began last wrote, and the folder if it is empty then. Raises OSError."""
@@ -232,14 +186,13 @@ class OwnFiles:
             (self.folder / NOTE).unlink(missing_ok=True)
         with suppress(OSError):
             self.folder.rmdir()
-        self._read()
+        OwnFiles.__init__(self, self.folder)
 
     def _name(self, path: Path) -> str:
         return path.absolute().relative_to(self.folder.absolute()).as_posix()
 
     def _append(self, entry: Mapping[str, Any]) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
-        self._lines += 1
         with os.fdopen(open_to_append(self.folder / NOTE), "r+b") as note:
             size = note.seek(0, os.SEEK_END)
             note.seek(max(0, size - 1))
@@ -271,26 +224,15 @@ def sha256(path: Path) -> str:
 
 def _possible(name: str) -> str:
     """The relative path, if a file below a folder can have it. Raises ValueError."""
-    if len(name) <= _LONGEST_PART and _PLAIN.fullmatch(name):
-        return name
     path = inner_path(name)
     if max(len(os.fsencode(part)) for part in path.parts) > _LONGEST_PART or len(os.fsencode(path)) > _LONGEST_NAME:
         raise ValueError("a file's name is too long")
     return path.as_posix()
 
 
-def _is_there(path: str) -> bool:
-    """Whether a file is there, or the part of one."""
-    folder, name = os.path.split(path)
-    return os.path.lexists(path) or os.path.lexists(os.path.join(folder, PART + name))
-
-
-def identity(path: Path | str) -> tuple[int, int] | None:
-    """What tells a file from all others, by whatever name; None if it is not there."""
-    with suppress(OSError):
-        found = os.stat(path)
-        return found.st_dev, found.st_ino
-    return None
+def identity(path: Path) -> tuple[int, int]:
+    """What tells a file or folder from all others, by whatever name. Raises OSError."""
+    return (found := path.stat()).st_dev, found.st_ino
 
 
 def _folded(name: str) -> str:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from ..machine.compiled import Array, compiled, parallel_kernel
 from ..machine.threads import parallel_for, worker_count
 from ..model.neural_gaussians import PanopticRendering
-from ..raster.conventions import USUAL_DISTANCE
 from ..scene import Camera, ClassTable, distinct_colour
 from .cryptomatte import RANKS, MatteLayer, class_layer, instance_layer, rank_coverage
 from .layers import PanopticLayers, align_mattes, decide
@@ -23,6 +22,8 @@ REACH = 0.01
 """The window of a normal's fit reaches this share of the picture's width to each side."""
 SAME_SURFACE = 0.06
 """Pixels whose inverse depths differ by more than this ratio belong to different surfaces."""
+PARALLEL_REACH = 0.12
+"""Metres: the same for depths where rays are parallel, SAME_SURFACE of a usual 2 m."""
 LEAST_SPREAD = 1e-3
 """Share of the window's own spread below which points lie on a line and define no plane."""
 
@@ -70,7 +71,7 @@ def fit_rows(
                 normal[:, row, column] = 0.0
                 continue
             x, y = (column + 0.5 - lens[2]) / lens[0], (row + 0.5 - lens[3]) / lens[1]
-            reach = SAME_SURFACE * (USUAL_DISTANCE if is_parallel else q)
+            reach = PARALLEL_REACH if is_parallel else SAME_SURFACE * q
             right, down, mean = inverse_slopes(inverse, row, column, step, reach)
             # q = (n . (x, y, 1)) / d for the plane n . p = d, so its slopes give n / d
             nx, ny = right * lens[0], down * lens[1]

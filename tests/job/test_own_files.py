@@ -1,7 +1,6 @@
 """A lift of somebody else's cannot make an engine write, delete or wait outside of it."""
 
 import os
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -139,31 +138,3 @@ def test_a_note_larger_than_any_of_ours_is_refused_at_once(tmp_path: Path) -> No
     os.truncate(tmp_path / NOTE, 2**40)
     with pytest.raises(OSError, match="larger"):
         OwnFiles(tmp_path)
-
-
-def test_a_note_of_many_lines_is_read_and_shortened(tmp_path: Path) -> None:
-    folder, lines = tmp_path / "out", ['{"begins": "export", "about": {}}']
-    (folder / "old").mkdir(parents=True)
-    lines += [f'{{"file": "old/{number}", "sha256": "{"0" * 64}"}}' for number in range(20_000)]
-    (folder / NOTE).write_text("\n".join([*lines, '{"complete": true}\n']))
-    (folder / "old" / "7").write_text("somebody changed it")
-    began = time.process_time()
-    with OwnFiles(folder).begin("export", {"of": "it"}, replaces=True) as own:
-        for name in ("a", "B"):
-            write_atomically(folder / name, name)
-        own.remove_earlier()
-    own.complete()
-    assert time.process_time() - began < 10, "of processor time: each line once"
-    assert len((folder / NOTE).read_text().splitlines()) < 10
-    assert (folder / "old" / "7").exists() and (folder / "a").exists()
-    again = OwnFiles(folder)
-    assert again.is_complete and again.begun == ("export", {"of": "it"}) and again.owns(folder / "B")
-    assert not again.owns(folder / "old" / "7")
-    again.discard()
-    assert sorted(path.name for path in folder.iterdir()) == [NOTE, "old"], "the changed file stays"
-
-
-def test_a_folder_of_version_0_1_0_says_what_to_do(tmp_path: Path) -> None:
-    (tmp_path / "export.json").write_text("{}")
-    with raises_key("folder-used 0.1.0"):
-        OwnFiles(tmp_path).begin("export", {})
