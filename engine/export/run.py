@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -9,7 +10,7 @@ from pathlib import Path
 
 from ..errors import ErrorCode, PlgsError, lacks_part
 from ..job import LiftFolder, verify_lifted
-from ..job.own_files import OwnFiles, identity
+from ..job.own_files import OwnFiles
 from ..job.progress import Progress, unwatched
 from .frame_images import export_coco, export_depth, export_label_images, export_scannet
 from .mesh import export_gltf, export_mesh
@@ -73,11 +74,11 @@ def _export(
 @contextmanager
 def _of_one_result(folder: LiftFolder) -> Iterator[None]:
     """Raises a BUSY PlgsError if a new lift's result takes the place of the one that is read."""
-    before = identity(folder.result_path)
+    before = os.stat(folder.result_path)[1:3]
     try:
         yield
     finally:
-        if not folder.result_path.exists() or before != identity(folder.result_path):
+        if not folder.result_path.exists() or before != os.stat(folder.result_path)[1:3]:
             what = "got a new result meanwhile, so what is written may mix two"
             raise PlgsError("result-changed", what, folder.path, "Export it again.", code=ErrorCode.BUSY)
 

@@ -157,12 +157,12 @@ class OwnFiles:
 
     def remove_earlier(self) -> None:
         """Delete our files of this kind that this run did not write. Raises OSError."""
-        kept = {identity(path) for name in self._latest if (path := self.folder / name).exists()}
+        kept = {path.stat()[1:3] for name in self._latest if (path := self.folder / name).exists()}
         for name in [name for name, kind in self._kinds.items() if kind == self._asked[0]]:
             path = self.folder / name
             is_there = os.path.lexists(path) or os.path.lexists(path.with_name(PART + path.name))
-            # Not by names: a disk may list them in other case or Unicode form.
-            if name not in self._latest and is_there and not (path.exists() and identity(path) in kept):
+            # By inode and device, not by name: a disk may list them in other case or Unicode form.
+            if name not in self._latest and is_there and not (path.exists() and path.stat()[1:3] in kept):
                 self.remove(path)
 
     def remove(self, path: Path) -> None:
@@ -228,11 +228,6 @@ def _possible(name: str) -> str:
     if max(len(os.fsencode(part)) for part in path.parts) > _LONGEST_PART or len(os.fsencode(path)) > _LONGEST_NAME:
         raise ValueError("a file's name is too long")
     return path.as_posix()
-
-
-def identity(path: Path) -> tuple[int, int]:
-    """What tells a file or folder from all others, by whatever name. Raises OSError."""
-    return (found := path.stat()).st_dev, found.st_ino
 
 
 def _folded(name: str) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -84,14 +85,11 @@ class Camera:
             raise ValueError(f"depth is {depth.shape[1]}x{depth.shape[0]}, the camera {self.width}x{self.height}")
         return self.points(np.arange(self.width) + 0.5, np.arange(self.height)[:, None] + 0.5, depth)
 
-    def points(
-        self, u: NDArray[np.floating], v: NDArray[np.floating], depth: NDArray[np.floating]
-    ) -> NDArray[np.float64]:
+    def points(self, u: NDArray[Any], v: NDArray[Any], depth: NDArray[np.floating]) -> NDArray[np.float64]:
         """World points, float64 [..., 3], at continuous pixel coordinates and depths, which are broadcast."""
         d, x, y = depth.astype(np.float64), (u - self.cx) / self.fx, (v - self.cy) / self.fy
         if self.projection == "orthographic":
-            x, y = np.broadcast_arrays(x, y, d)[:2]
-            local = np.stack([x, y, d], axis=-1)
+            local = np.stack(np.broadcast_arrays(x, y, d), axis=-1)
         elif self.projection == "equirectangular":
             local = np.stack([np.sin(x) * np.cos(y) * d, np.sin(y) * d, np.cos(x) * np.cos(y) * d], axis=-1)
         else:
