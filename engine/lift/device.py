@@ -52,5 +52,6 @@ def be_repeatable(device: str = "cpu") -> None:
     and torch's deterministic operators would only be slower."""
     # torch.use_deterministic_algorithms also configures torch's compiler, which takes 3 s to import.
     torch.set_deterministic_debug_mode("default" if device == "cuda" else "error")
-    torch.utils.deterministic.fill_uninitialized_memory = False  # a tenth of the time, for memory that nothing reads
+    # A tenth of the time would go into memory that nothing reads before it is written.
+    torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]  # set by the module's class
     torch.backends.cudnn.allow_tf32 = False  # SSIM's differences of moments would drown in its rounding

@@ -171,9 +171,9 @@ class LivePreviews:
 
 def points_picture(
     cloud: SemanticPointCloud, owner: NDArray[np.int32], wanted: NDArray[np.bool_], camera: Camera, classes: ClassTable
-) -> tuple[Picture, NDArray[np.bool_]]:
+) -> tuple[Picture, NDArray[np.float32]]:
     """The ``wanted`` points [N] of a cloud as discs that touch, near ones over far ones, with their colours, classes
-    and ``owner`` (instances); and which pixels [H, W] show one."""
+    and ``owner`` (instances); and alpha float32 [H, W], 1 where one is shown."""
     of_point = np.flatnonzero(wanted)
     row, pixel, depth = camera.seen(cloud.xyz[of_point])
     shown = np.zeros((camera.height, camera.width), np.int32)  # 0 = none, else the number of a point from 1
@@ -183,7 +183,7 @@ def points_picture(
         cv2.circle(shown, (x, y), size, number, cv2.FILLED)
     semantic, instance = (np.append(np.int32(0), ids)[shown] for ids in (cloud.class_id, owner))
     photo = np.concatenate([np.zeros((1, 3), np.uint8), cloud.rgb])[shown]
-    return panoptic_picture(semantic, instance, photo, classes, {}), shown > 0
+    return panoptic_picture(semantic, instance, photo, classes, {}), (shown > 0).astype(np.float32)
 
 
 def fronts_of(surface: NDArray[np.float32], eyes: NDArray[np.float64]) -> tuple[cKDTree, NDArray[np.float64]]:
