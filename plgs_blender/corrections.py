@@ -33,7 +33,7 @@ from .clouds import SurfaceGrid, place_anchors, place_semantic_points
 from .errors import EXPECTED, with_field_names
 from .inspecting import selection
 from .inspecting.lists import fill_lists, fill_masks
-from .inspecting.looks import SPLATS, has
+from .inspecting.looks import SPLATS, has, removed_objects
 from .meshes import CORRECTIONS, mesh_name
 from .owned import (
     COMPARED,
@@ -112,8 +112,6 @@ EDITS = "plgs_edits"
 
 outdated: set[str] = set()
 """The keys of lifts that differ on disk from what the opened file shows."""
-REMOVED = "plgs_removed"
-"""Property of a lift's collection: the names of the removed objects by id, as JSON."""
 
 _mine: dict[str, set[str]] = {}  # by lift folder: the uids of the edits made by this Blender process
 failed: list[str] = []
@@ -157,15 +155,6 @@ def put_back(root: bpy.types.Collection, instance: int) -> Edit:
     return undone
 
 
-def removed_objects(root: bpy.types.Collection) -> dict[int, str]:
-    """The names of the objects that were taken out of a placed lift, by id."""
-    try:
-        content = json.loads(text_of(root, REMOVED) or "{}")
-        return {int(number): str(name) for number, name in content.items()}
-    except (ValueError, TypeError, AttributeError):  # a file may come from somebody else
-        return {}
-
-
 def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> None:
     """Show a placed lift as corrected; what the user moved or renamed stays. Raises PlgsError."""
     scene, layer = bpy.context.scene, bpy.context.view_layer
@@ -181,14 +170,14 @@ def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> Non
     place_anchors(owned, child_collection(root, "Anchors", scene, hidden=True), result.anchors())
     place_boxes(owned, child_collection(root, "Instances"), result.instances, anew=False)
     owned.sweep_only("class:", INSTANCE, TOGETHER, "anchors")
-    lists = root.plgs
+    lists, before = root.plgs, removed_objects(root)
     rows, at = lists.instances, lists.instance_index
     active = rows[at].instance_id if 0 <= at < len(rows) else 0
     fill_lists(root, result, anew=False)
     fill_masks(root, result.instances, result.classes)
     if active in {row.instance_id for row in lists.instances}:
         selection.select_instance(root, active, layer)
-    if removed_objects(root) != {one.id: one.name for one in result.removed} and has(root, SPLATS):
+    if removed_objects(root) != before and has(root, SPLATS):
         place_gaussians(root, scene)
     remember(root, result)
 
@@ -213,7 +202,6 @@ def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
 def remember(root: bpy.types.Collection, result: LiftResult | CorrectedResult) -> None:
     """Store in the collection which edits the scene shows, and what is proposed now, if proposals were asked for."""
     root[EDITS] = " ".join(each.uid for each in result.edits if not each.undone)
-    root[REMOVED] = json.dumps({one.id: one.name for one in result.removed})
     root[CORRECTIONS] = result.label_fingerprint
     with suppress(OSError):
         root[RESULT] = mark_of(folder_of(root))

@@ -41,7 +41,8 @@ def make_objects(
     """Extract these instances of a placed lift, or extract them again, as collections, and select their objects. With
     ``as_assets`` they become assets with a preview picture; with ``catch_shadows`` they show only the shadows of
     others. Raises PlgsError if one does not exist."""
-    known = {one.id: one for one in read_corrected(folder_of(root)).instances}
+    result = read_corrected(folder_of(root))
+    known = {one.id: one for one in (*result.instances, *result.removed)}  # the removed as their meshes still are
     lost = [number for number in numbers if number not in known]
     if lost:
         ids = ", ".join(map(str, known)) or "none"
@@ -133,6 +134,11 @@ def _fill(root: bpy.types.Collection, top: bpy.types.Collection, one: Instance) 
     # The pivot is the centre of the box's lower face, with the box's axes.
     middle = Matrix.LocRotScale(Vector(one.centre), Quaternion(one.rotation), None)
     placed, pose = middle @ Matrix.Translation((0.0, 0.0, -one.size[2] / 2.0)), None
+    inverse, main = placed.inverted(), None
+    parts = [("surface", _surface(root, one, inverse)), ("points", _points(root, one, inverse))]
+    if not any(data for _, data in parts):
+        fix = "Put it back, make its object, and remove it again."
+        raise PlgsError("object-removed", f"{one.name} was removed before its surface was made", root.name, fix)
     collection = next((each for number, each in _made(root) if number == one.id and each.name in top.children), None)
     if collection is None:
         collection = bpy.data.collections.new(one.name)
@@ -143,8 +149,7 @@ def _fill(root: bpy.types.Collection, top: bpy.types.Collection, one: Instance) 
         bpy.data.objects.remove(ob)
     collection.name, collection[INSTANCE] = one.name, one.id
     collection.instance_offset = placed.translation
-    inverse, main = placed.inverted(), None
-    for part, data in (("surface", _surface(root, one, inverse)), ("points", _points(root, one, inverse))):
+    for part, data in parts:
         if data is None:
             continue
         ob = bpy.data.objects.new(f"{one.name} {part}", data)

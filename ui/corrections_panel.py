@@ -65,6 +65,7 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
         for number, name in corrections.removed_objects(root).items() if root is not None else ():
             row = layout.row(align=True)
             row.label(text=struck_through(one_line(name)), icon="X")
+            row.operator("plgs.make_objects", text="", icon="OUTLINER_COLLECTION").instances = str(number)
             row.operator("plgs.put_back", icon="LOOP_BACK").instance = number
         if root is not None:
             _draw_proposals(self.layout.column(), context, root)

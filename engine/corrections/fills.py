@@ -52,12 +52,7 @@ class Fill:
 
     def clears(self, xyz: NDArray[np.floating]) -> NDArray[np.bool_]:
         """Whether each of ``xyz`` [N, 3] lies in a cell that is cleared, bool [N]."""
-        wanted = np.sort(cell_keys(self.cells))
-        if not len(wanted):
-            return np.zeros(len(xyz), np.bool_)
-        own = cell_keys(cells_of(xyz))
-        at = np.minimum(np.searchsorted(wanted, own), len(wanted) - 1)
-        return np.asarray(wanted[at] == own)
+        return np.isin(cell_keys(cells_of(xyz)), cell_keys(self.cells))
 
     def points(self) -> tuple[SemanticPoints, Labels]:
         """The semantic points, and their labels."""

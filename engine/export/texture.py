@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..job.progress import Progress, part_of, unwatched
 from ..posed.ply import labels_of_triangles
 from ..scene import Frame, photo_detail, read_ahead, watched
+from ..scene.exposure import BRIGHT, exposure_beside
 from ..scene.pixels import image_bytes
 from ..scene.view import border_mask
 from .fusion import Ints, SmallView, Surface
@@ -29,8 +30,7 @@ _FILLED = 0.6  # approximate share of a picture that its charts fill
 _NEAR, _NEAR_SHARE = 0.05, 0.02
 _STEP, _BESIDE_STEP = 1.1, 0.02  # a ratio of depths at which one surface hides another; the weight of views there
 _ROUNDS = 12  # rounds of smoothing of the views' qualities, so that neighbours choose the same view
-DARK, BRIGHT, LARGEST_GAIN = 12, 243, 4.0  # as `engine/train/photos.py` compares photos
-_OVEREXPOSED, _ENOUGH = 0.3, 100  # the weight of an overexposed pixel; least pixels to tell a photo's exposure
+_OVEREXPOSED = 0.3  # the weight of an overexposed pixel
 _ODD = 30.0  # difference of values above which a photo shows something other than the vertex
 _COARSE, _SPREAD = 4, 0.025  # a cell's side in pixels; over what share of a photo's width colours are matched
 _MARGIN = 3  # pixels around a chart that are copied with it
@@ -127,10 +127,7 @@ def _qualities(
         worth *= np.where((colour > BRIGHT).any(axis=1), _OVEREXPOSED, 1.0) * colour.any(axis=1)  # black is a border
         detail[number] = photo_detail(photo)
         own = surface.rgb[seen]
-        usable = (worth > 0) & (np.minimum(colour, own) >= DARK).all(axis=1) & (colour <= BRIGHT).all(axis=1)
-        if usable.sum() > _ENOUGH:
-            ratio = np.exp(np.median(np.log(colour[usable] / own[usable]), axis=0))
-            gains[number] = ratio.clip(1 / LARGEST_GAIN, LARGEST_GAIN)
+        gains[number] = exposure_beside(colour[worth > 0], own[worth > 0])
         odd = np.abs(cv2.blur(photo, (3, 3))[y, x] / gains[number] - own).max(axis=1)
         worth *= np.maximum(np.exp(-((odd / _ODD) ** 2)), 1e-3)
         shows = worth > 0

@@ -57,7 +57,7 @@ def render_bands(
     finest = None if scene.finest is None else scene.finest[rows // k]
     guessed = None
     if scene.fill is not None:
-        drawn, rows, finest, guessed = _filled(scene.fill, drawn, rows, finest)
+        drawn, rows, finest, guessed = _filled(scene.fill, camera, drawn, rows, finest)
     seen = _see(drawn, rows, finest, camera, clip or ClipRange())
     bands = row_bands(camera, len(scene.channels.class_ids) + len(scene.channels.slot_ids), most_bytes)
     for each in bands:
@@ -68,11 +68,12 @@ def render_bands(
 
 
 def _filled(
-    fill: SceneFill, drawn: NeuralGaussians, rows: torch.Tensor, finest: torch.Tensor | None
+    fill: SceneFill, camera: Camera, drawn: NeuralGaussians, rows: torch.Tensor, finest: torch.Tensor | None
 ) -> tuple[NeuralGaussians, torch.Tensor, torch.Tensor | None, torch.Tensor]:
     """The decoded Gaussians without those that are gone and with those of the fill; the rows of all in the scene's
     labels; their finest pixels; and which are guessed, float32 [N, 1]."""
     kept, new = ~fill.gone[rows], len(fill.means)
+    fill = replace(fill, opacities=_opacities_seen(fill, camera))
     names = ("means", "scales", "quats", "opacities", "colours")
     both = {name: torch.cat([getattr(drawn, name)[kept], getattr(fill, name)]) for name in names}
     labels = torch.cat([drawn.labels[kept], drawn.labels.new_zeros(new, drawn.labels.shape[1])])
@@ -80,6 +81,18 @@ def _filled(
     guessed = torch.cat([fill.guessed.new_zeros(int(kept.sum())), fill.guessed])[:, None]
     finest = None if finest is None else torch.cat([finest[kept], finest.new_zeros(new)])
     return replace(drawn, **both, labels=labels), torch.cat([rows[kept], own]), finest, guessed
+
+
+def _opacities_seen(fill: SceneFill, camera: Camera) -> torch.Tensor:
+    """The opacities [P] of a fill's disks for a camera: smaller where they are thinner than the pixel that drawing
+    widens them to (BLUR; as in Mip-Splatting, Yu et al. 2024), or floors at a slant would be drawn a pixel too near."""
+    to_camera = torch.from_numpy(camera.world_to_camera).to(fill.means)
+    ways = fill.means - torch.from_numpy(camera.centre).to(fill.means)
+    w, x, y, z = fill.quats.unbind(1)
+    normal = torch.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], dim=1)
+    wide = fill.scales[:, 0] * camera.fx / (ways @ to_camera[2, :3]).clamp_min(NEAR)
+    thin = wide * (ways * normal).sum(dim=1).abs() / ways.norm(dim=1)
+    return fill.opacities * (wide * thin) / ((wide * wide + BLUR) * (thin * thin + BLUR)).sqrt()
 
 
 def row_bands(camera: Camera, channels: int, most_bytes: int | None) -> list[tuple[int, int]]:

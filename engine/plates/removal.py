@@ -28,6 +28,8 @@ from .planes import ON_PLANE, Plane, find_planes
 from .texture import texture_around
 from .views import PlateView, frames_around, read_views
 
+VERSION = 2
+"""Rises with whatever changes what this package computes: a fill that was computed otherwise is not taken."""
 TOGETHER = 0.5
 """Metres between the boxes of objects that are removed together."""
 READ = 0.7
@@ -58,6 +60,7 @@ def without(folder: LiftFolder, objects: Sequence[str], progress: Progress = unw
 
 def _removal(folder: LiftFolder, objects: Sequence[str], progress: Progress) -> tuple[Edit, tuple[Edit, ...]]:
     """The edit, whose fill is in its file, and the edits before it. A fill that was computed before is kept."""
+    folder.refuse_read_only()
     state, corrected = replayed(folder.path), read_corrected(folder.path)
     ids = sorted({making.object_of(state, each) for each in objects})
     lost = [edit for edit in corrected.edits if edit.kind == "remove" and edit.uid in corrected.not_applied]
@@ -66,7 +69,7 @@ def _removal(folder: LiftFolder, objects: Sequence[str], progress: Progress) -> 
             what = f"they were removed before, but {corrected.not_applied[edit.uid]}"
             raise PlgsError("removal-lost", what, folder.path / CORRECTIONS, "Put them back, then remove them again.")
     files = {str(file.path): file.sha256 for file in read_manifest(folder.result_path).files}
-    name = sha256(repr((ids, corrected.fingerprint, files.get(MODEL), __version__)).encode()).hexdigest()[:16]
+    name = sha256(repr((ids, corrected.fingerprint, files.get(MODEL), __version__, VERSION)).encode()).hexdigest()[:16]
     path = path_of(folder.path, name)
     try:
         read_fill(path)
@@ -147,7 +150,7 @@ class _Room:
             completed = texture and complete(texture, leaving, self.staying)
             if texture is not None and completed:
                 parts.append(gaussians_of(texture, completed))
-                gone |= replaced_gaussians(self.centres, self.label, texture, completed, planes, leaving)
+                gone |= replaced_gaussians(self.centres, self.label, texture, completed)
         stuff = self.label <= 0
         cells = cleared_cells(self.centres, gone & stuff, ~gone & stuff)
         return replace(joined(parts), cells=cells)

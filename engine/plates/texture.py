@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, binary_fill_holes, distance_transform_edt
+from scipy.ndimage import binary_dilation, binary_fill_holes, distance_transform_edt, map_coordinates
 from scipy.ndimage import label as components
 
 from .leaving import Leaving
@@ -151,7 +151,9 @@ class _Sums:
         good &= ~view.beside[row, column] & (steps[row, column] < 4 * slant + 0.03)  # at an edge, colours mix
         rows, pixel = rows[good], pixel[good]
         strength = ((facing[good] / depth[good] ** 2) ** 2).astype(np.float32)
-        self.colour[rows] += strength[:, None] * _sampled(view.colour, pixel)
+        for channel in range(3):
+            sampled = map_coordinates(view.colour[..., channel], pixel.T[::-1] - 0.5, order=1, mode="nearest")
+            self.colour[rows, channel] += strength * sampled
         self.weight[rows] += strength
         kind = view.label[row[good], column[good]]
         for one in np.unique(kind).tolist():
@@ -188,16 +190,6 @@ def _look(
     colour = (sums.colour / np.maximum(sums.weight, 1e-9)[:, None]).reshape(h, w, 3)
     hidden, inside, is_open = (each.reshape(h, w) for each in (hidden, inside, is_open))
     return Texture(plane, start, texel, colour, seen & (label != 0), hidden, label, inside, is_open)
-
-
-def _sampled(picture: NDArray[np.float32], pixel: NDArray[np.float64]) -> NDArray[np.float32]:
-    """The colours [n, 3] at continuous pixel coordinates [n, 2], interpolated."""
-    places = np.zeros((-(-len(pixel) // 1024) * 1024, 2), np.float32)  # OpenCV takes no row longer than 32767
-    places[: len(pixel)] = pixel - 0.5
-    x, y = places.reshape(-1, 1024, 2).transpose(2, 0, 1)
-    found = cv2.remap(picture, np.ascontiguousarray(x), np.ascontiguousarray(y), cv2.INTER_LINEAR,
-                      borderMode=cv2.BORDER_REPLICATE) if len(pixel) else np.zeros((0, 3), np.float32)  # fmt: skip
-    return np.asarray(found.reshape(-1, 3)[: len(pixel)])
 
 
 def _framed(hole: Mask, seen: Mask, inside: Mask) -> Mask:

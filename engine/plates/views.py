@@ -13,14 +13,13 @@ from ..corrections.fills import cell_keys, cells_of
 from ..lift.baking import FrameBaker
 from ..passes.previews import colour_picture
 from ..scene import Camera, Frame, size_within
+from ..scene.exposure import exposure_beside
+from ..scene.view import border_mask
 
 WITHIN = (800, 800)
 """Photos are read at most this large."""
 GROWN = 2
-"""Pixels by which an object's outline in a photo is grown: the rim of its mask is not trusted."""
-DARK, BRIGHT, LEAST_COMPARED = 12, 243, 500
-"""A photo's exposure is compared by at least this many pixels with values between these."""
-LARGEST_GAIN = 4.0
+"""Pixels by which an object's outline and a photo's black border are grown: their rims are not trusted."""
 _STEP = 8  # a frame sees a box if it sees one of this many points along each of its sides
 
 
@@ -69,16 +68,8 @@ def read_views(
         camera, photo = frame.camera.resized(*size), frame.read_colour(size)
         shown = baker.decided(camera, wanted=("combined", "semantic", "instance"))
         label = np.where(shown.instance > 0, shown.instance, -shown.semantic).astype(np.int32)
-        colour = photo / np.float32(255) / _gain(photo, colour_picture(shown))
-        yield PlateView(camera, colour.clip(0, 1), frame.depth(size), label, np.isin(label, sorted(ids)))
+        brightness = 255 * exposure_beside(photo.reshape(-1, 3), colour_picture(shown).reshape(-1, 3))
+        colour = (photo / brightness).clip(0, 1).astype(np.float32)
+        depth = np.where(grown(border_mask(photo), GROWN), np.float32(0), frame.depth(size))
+        yield PlateView(camera, colour, depth, label, np.isin(label, sorted(ids)))
     progress(len(frames), len(frames))
-
-
-def _gain(photo: NDArray[np.uint8], drawn: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """How much brighter a photo is than the lift, by channel, float32 [3]."""
-    usable = (np.minimum(photo, drawn) >= DARK).all(axis=2) & (np.maximum(photo, drawn) <= BRIGHT).all(axis=2)
-    if usable.sum() < LEAST_COMPARED:
-        return np.ones(3, np.float32)
-    log_photo, log_drawn = (np.log(each[usable].astype(np.float32)) for each in (photo, drawn))
-    ratio = np.exp(np.median(log_photo - log_drawn, axis=0))
-    return np.asarray(ratio.clip(1 / LARGEST_GAIN, LARGEST_GAIN), np.float32)

@@ -9,11 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..scene import photo_detail
+from ..scene.exposure import LARGEST_GAIN, is_exposed
 
-LARGEST_GAIN = 4.0
-"""Limit of a photo's exposure relative to the room's, as a factor or its inverse."""
-DARK, BRIGHT = 12, 243
-"""Values (of 255) outside which a pixel says little about its photo's exposure."""
 OUTLIER = 0.4
 """Difference of log colours above which a pixel shows a highlight, or something other than its point."""
 NEIGHBOURS = 4
@@ -70,7 +67,7 @@ def _log_colour_sums(
     shown: list[NDArray[np.int64]] = []
     counts: list[NDArray[np.int64]] = []
     for number, (photo, point) in enumerate(zip(photos, point_of_pixel, strict=True)):
-        usable = (point >= 0) & (photo.min(axis=2) >= DARK) & (photo.max(axis=2) <= BRIGHT)
+        usable = (point >= 0) & is_exposed(photo)
         colour, rows = np.log(photo[usable].astype(np.float64)), point[usable].astype(np.int64)
         if fit is not None:
             fits = (np.abs(colour - fit.gains[number] - fit.colours[rows]) < OUTLIER).all(axis=1)

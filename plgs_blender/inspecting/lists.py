@@ -5,6 +5,7 @@ Rows are copies of the result's instances.json, so panels and overlays never rea
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -204,6 +205,7 @@ def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult,
     unchanged instances keep their rows and stay hidden, because listing thousands takes long."""
     with registered(), looks.apply_colours.at_once(root), looks.apply_visibility.at_once(root):
         lists = root.plgs
+        root[looks.REMOVED] = json.dumps({one.id: one.name for one in result.removed})
         if anew:
             lists.instances.clear()
         lists.instance_index = lists.class_index = -1

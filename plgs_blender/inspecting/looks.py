@@ -7,6 +7,7 @@ an instance are part of its class's cloud; the attribute `plgs_hidden` marks hid
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -302,12 +303,26 @@ def show_all(root: bpy.types.Collection) -> None:
         root.plgs.isolated = 0
 
 
+REMOVED = "plgs_removed"
+"""Property of a lift's collection: the names of the removed objects by id, as JSON."""
+
+
+def removed_objects(root: bpy.types.Collection) -> dict[int, str]:
+    """The names of the objects that were taken out of a placed lift, by id."""
+    try:
+        content = json.loads(text_of(root, REMOVED) or "{}")
+        return {int(number): str(name) for number, name in content.items()}
+    except (ValueError, TypeError, AttributeError):  # a file may come from somebody else
+        return {}
+
+
 def leaving_out(lists: bpy.types.PropertyGroup) -> Callable[[NDArray[np.int32], NDArray[np.int32]], Any]:
     """Maps instances and classes, int32 [N] each, to whether each is hidden, bool [N]."""
     alone = lists.isolated
     if alone:
         return lambda instance_id, class_id: instance_id != alone
-    instances = np.array([row.instance_id for row in lists.instances if not row.visible], np.int32)
+    hidden = [row.instance_id for row in lists.instances if not row.visible]
+    instances = np.array([*hidden, *removed_objects(lists.id_data)], np.int32)  # meshes may still have the removed
     classes = np.array([row.class_id for row in lists.classes if not row.visible], np.int32)
     return lambda instance_id, class_id: np.isin(instance_id, instances) | np.isin(class_id, classes)
 

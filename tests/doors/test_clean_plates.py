@@ -1,7 +1,10 @@
 """What docs/clean-plates.md promises, done as it says, in the tiny room: a cabinet and a chair on the floor."""
 
 import json
+import os
+import re
 import shutil
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +12,17 @@ import OpenEXR
 import pytest
 
 import engine
+from engine import plates
+from engine.corrections import read_corrected, undo
+from engine.corrections.fills import NOTHING
+from engine.job import LiftFolder, LiftRequest
 from engine.passes.exr import PanopticLayers, read_exr, read_note
 from engine.scene import open_scene
-from tests.doors.terminal import Terminal
+from tests import tiny_scene
+from tests.doors.terminal import ROOT, Terminal
+from tests.raises_key import raises_key
 from tests.tiny_scene import CABINET, CHAIR, CHAIR_ID, FLOOR_ID
+from tests.train.tiny_lift import TINY, lift_into, presets_as
 
 LIFT = "lifts/demo"
 REMOVE = ".venv/bin/python -m engine correct lifts/demo remove 7"
@@ -154,3 +164,111 @@ def test_several_objects_are_removed_at_once(terminal: Terminal) -> None:
     terminal.run(BAKE)
     shown = read_exr(passes(terminal.folder / LIFT / "result/passes"))
     assert not shown.instance.any() and (shown.combined[..., 3][before.instance > 0] > 0.5).mean() > 0.8
+
+
+def shows_the_chair(export: Path, form: str) -> bool:
+    """Whether an export has it, in a segment, a picture, a prim, a file's name or its bytes."""
+    if form == "coco":
+        annotations = json.loads((export / "panoptic.json").read_text())["annotations"]
+        return CHAIR_ID in {one["category_id"] for each in annotations for one in each["segments_info"]}
+    if form == "surface":
+        return bool([*export.glob(f"pictures/{CHAIR_ID}_*")])
+    if form == "usd":
+        stage = pytest.importorskip("pxr.Usd").Stage.Open(str(export / "lift.usdc"))
+        return "chair 1" in {prim.GetDisplayName() for prim in stage.Traverse()}
+    files = [path for path in export.rglob("*") if path.is_file()]
+    return any(name in path.name or name.encode() in path.read_bytes() for path in files for name in SPELLED)
+
+
+SPELLED = ("chair 1", "chair_1", "chair-1")
+
+
+@pytest.mark.parametrize("form", ["coco", "surface", "mesh", "gltf", "usd"])
+def test_no_export_keeps_a_removed_object(removed: Terminal, form: str) -> None:
+    for lift, is_shown in (("lifts/before", True), (LIFT, False)):
+        removed.run(f".venv/bin/python -m engine export {lift} --to {form} -o {lift}-{form}")
+        assert shows_the_chair(removed.folder / f"{lift}-{form}", form) == is_shown
+
+
+def test_evaluate_warns_that_the_truth_still_shows_it(removed: Terminal) -> None:
+    said = removed.run(".venv/bin/python -m engine evaluate lifts/demo --classes")
+    assert re.search(r"the ground truth still shows what was removed: chair 1", said)
+    assert re.search(r"^lifted, strict(.*\n)*?chair +0\.0 ", said, re.MULTILINE)
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from engine.job import LiftFolder
+from engine.plates import removal
+def die(*_):
+    os.kill(os.getpid(), signal.SIGKILL)
+def watch(done, of):
+    if moment == "computing" and 2 * done > of:
+        die()
+moment, lift, chair = sys.argv[1:]
+if moment == "writing":
+    removal.correct = die
+removal.remove(LiftFolder.open(Path(lift)), [chair], watch)
+"""
+
+
+@pytest.mark.parametrize("moment", ["computing", "writing"])
+def test_a_removal_that_was_killed_changes_nothing_and_can_be_made_again(
+    terminal: Terminal, quick_python: Path, moment: str
+) -> None:
+    number, lift = chair(terminal), terminal.folder / LIFT
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    ran = subprocess.run([quick_python, "-c", KILLED, moment, lift, str(number)], env=environment)
+    assert ran.returncode and not (lift / "corrections.json").exists() and chair(terminal) == number
+    before = {path: path.stat().st_mtime_ns for path in (lift / "fills").glob("*")}
+    assert len(before) == (moment == "writing"), "no half of a fill"
+    terminal.run(REMOVE, id7=number)
+    assert [one.id for one in read_corrected(lift).removed] == [number]
+    assert all(path.stat().st_mtime_ns == time for path, time in before.items()), "a whole one is taken as it is"
+
+
+def test_a_fill_of_another_state_is_not_taken(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plates.removal, "fill_of", lambda *_: NOTHING)
+    number, folder = str(chair(terminal)), LiftFolder.open(terminal.folder / LIFT)
+    names = {plates.remove(folder, [number])[0].fill}
+    for what, value in (("VERSION", -1), ("__version__", "none")):
+        undo(folder.path)
+        monkeypatch.setattr(plates.removal, what, value)
+        names.add(plates.remove(folder, [number])[0].fill)
+    assert len(names) == 3
+
+
+def test_a_lift_that_cannot_be_written_says_so_before_it_computes(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with raises_key("read-only"):
+        plates.remove(LiftFolder.open(terminal.folder / LIFT), ["chair 1"], pytest.fail)
+
+
+def test_a_later_lift_with_names_from_takes_the_removal_over(terminal: Terminal) -> None:
+    number, scene = chair(terminal), terminal.folder / "scans/room"
+    terminal.run(REMOVE, id7=number)
+    with presets_as(preview=TINY):
+        lift_into(terminal.folder / "lifts/next", LiftRequest(scene=scene, names_from=terminal.folder / LIFT))
+    shutil.rmtree(terminal.folder / LIFT)
+    now = engine.read_lift(terminal.folder / "lifts/next")
+    assert [one.id for one in read_corrected(terminal.folder / "lifts/next").removed] == [number]
+    assert number not in now.points.instance_id and number not in now.gaussians.instance_id
+
+
+def test_objects_that_stand_on_each_other_leave_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    on_it = np.array([[2.4, 1.45, 1.2], [2.9, 1.85, 1.7]])
+    monkeypatch.setattr(tiny_scene, "CHAIR", on_it)
+    scene = tiny_scene.write_tiny_scene(tmp_path / "room", frames=6)
+    with presets_as(preview=TINY):
+        lift = lift_into(tmp_path / "lift", LiftRequest(scene=scene, bake="none"))
+    both = [one.id for one in engine.read_lift(lift.path).instances]
+    assert len(both) == 2
+    plates.remove(lift, [str(number) for number in both])
+    shown = engine.read_lift(lift.path).gaussians
+    assert not np.isin(shown.instance_id, both).any()
+    over = ((shown.xyz > [*CABINET[0, :2], 0.1]) & (shown.xyz < [*CABINET[1, :2], 1.7])).all(axis=1)
+    floor = ((shown.xyz > [*CABINET[0, :2], -0.1]) & (shown.xyz < [*CABINET[1, :2], 0.1])).all(axis=1)
+    assert floor.sum() > 20 and over.sum() < 0.1 * floor.sum()

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import subprocess
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,6 +23,7 @@ from plgs.plgs_blender.correction_tools import Painting
 from plgs.plgs_blender.inspecting.selection import boxes_of, clouds_of, ids_of
 from plgs.plgs_blender.owned import lifts_in
 
+from tests.conftest import ROOT
 from tests.raises_key import raises_key, worded
 
 CHAIR, CABINET = 1, 2
@@ -305,4 +307,21 @@ def test_a_stopped_removal_changes_nothing(lift: Path, tmp_path: Path) -> None:
     stopped = correction_tools.remove_objects(placed, [CHAIR])
     assert bpy.ops.plgs.cancel_removal() == {"FINISHED"} and stopped.was_cancelled and stopped.error is None
     assert not read_edits(mine) and CHAIR in names(again())
+    registry.forget_all()
+
+
+def test_an_object_is_removed_by_an_engine_to_its_end(
+    room: Path, tmp_path: Path, quick_python: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)
+    quick = ["--steps", "5", "--set", "voxel_size=0.2", "--set", "warm_start=false", "--bake", "none"]
+    command = [quick_python, ROOT / "engine/__main__.py", "lift", room, "-o", tmp_path / "lift", *quick]
+    subprocess.run([*map(str, command)], check=True, capture_output=True)
+    placed = lift_scene.place_lift(tmp_path / "lift", bpy.context.scene)
+    number = next(number for number, name in names(placed).items() if name == "chair 1")
+    assert bpy.ops.plgs.remove_instances(instances=str(number), make_objects=True) == {"FINISHED"}
+    assert number not in names(again()) and points_of(again(), number) == 0
+    assert corrections.removed_objects(again()) == {number: "chair 1"}
+    assert (tmp_path / "lift/fills" / f"{read_edits(tmp_path / 'lift')[0].fill}.npz").is_file()
+    assert [ob for ob in bpy.data.objects if ob.get("instance_id") == number], "as a mesh of its own"
     registry.forget_all()

@@ -8,12 +8,16 @@ import pytest
 from blender_helpers import values_of
 from mathutils import Vector
 from plgs.engine.corrections import read_corrected
-from plgs.plgs_blender import lift_scene
+from plgs.plgs_blender import corrections, lift_scene
 from plgs.plgs_blender.inspecting.looks import HIDDEN
-from plgs.plgs_blender.inspecting.selection import boxes_of, clouds_of, ids_of
+from plgs.plgs_blender.inspecting.selection import boxes_of, clouds_of, ids_of, surfaces_of
 from plgs.plgs_blender.materials import image_of
 from plgs.plgs_blender.meshes import mesh_folder
 from surface_file import write_surface
+
+from tests.corrections.test_removal import patch, removal
+from tests.raises_key import worded
+from tests.tiny_scene import FLOOR_ID
 
 CHAIR, CABINET = 1, 2
 
@@ -114,3 +118,26 @@ def test_an_object_is_visible_only_in_frames_that_show_it(placed: bpy.types.Coll
     row.masks.clear()
     with pytest.raises(RuntimeError, match="[Nn]o frame shows instance 1"):
         bpy.ops.plgs.key_visibility(instances=str(CHAIR))
+
+
+def test_a_removed_object_is_made_from_its_surface_and_leaves_a_filled_floor(mine: Path) -> None:
+    write_surface(mesh_folder(mine) / "mesh.ply", 40)
+    placed, floor = lift_scene.place_lift(mine, bpy.context.scene), np.float32([[1.3, 1.1, 0], [1.5, 1.3, 0]])
+    removal(mine, CHAIR, fill=patch(floor, -FLOOR_ID))
+    corrections.show_corrections(placed, read_corrected(mine))
+    own = next(ob for ob in surfaces_of(placed) if ob.get("instance_id") == CHAIR)
+    assert values_of(own.data, HIDDEN).all(), "the lift's own mesh is older than the removal"
+    assert bpy.ops.plgs.make_objects(instances=str(CHAIR)) == {"FINISHED"}
+    surface = bpy.data.objects["chair 1 surface"]
+    assert image_of(surface.data.materials[0]).packed_file is not None and HIDDEN not in surface.data.attributes
+    filled = [np.array([point.co[:] for point in cloud.data.points]) for cloud in clouds_of(placed)]
+    assert min(np.abs(xyz - floor[1]).max(axis=1).min() for xyz in filled) < 1e-4
+    assert bpy.ops.plgs.put_back(instance=CHAIR) == {"FINISHED"}
+    assert any(row.instance_id == CHAIR for row in placed.plgs.instances)
+
+
+def test_a_removed_object_without_a_surface_says_what_to_do(mine: Path) -> None:
+    removal(mine, CABINET, fill=patch(np.float32([[1.3, 1.1, 0]]), -FLOOR_ID))
+    lift_scene.place_lift(mine, bpy.context.scene)
+    with pytest.raises(RuntimeError, match=worded("object-removed")):
+        bpy.ops.plgs.make_objects(instances=str(CABINET))
