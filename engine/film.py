@@ -13,7 +13,7 @@ from .job import EventWriter, StopSignal
 from .job.handshake import CAPABILITIES
 from .job.prediction import MASK_S, machine_slowness
 from .job.progress import StageProgress
-from .known_networks import DEPTH, KNOWN, MASKS, listing, terms_of
+from .known_networks import DEPTH, MASKS, known_network, licence_of, listing
 from .poses import FILM_PICTURES, Made, encoded_depth, make_poses
 from .scene import Scene, open_scene
 from .scene.formats.photos import is_film, photos_in, sorted_out
@@ -102,10 +102,10 @@ def _about(seconds: float) -> str:
 
 def say_terms(name: str, events: EventWriter) -> None:
     """Warn of a network's licence before the network is fetched, if it forbids commercial use or is not known."""
-    known = KNOWN.get(name.partition("@")[0])
-    if known is None or not known.is_commercial:
-        terms = terms_of(name)
-        events.warning(f"{terms[0].upper()}{terms[1:]}")
+    about = licence_of(name)
+    if about["commercial_use"] is not True:
+        said = str(about["licence"])
+        events.warning(f"{said[0].upper()}{said[1:]}")
 
 
 def depth_scene(scene: Scene, folder: Path, wish: Wish, events: EventWriter, stop: StopSignal) -> None:
@@ -117,8 +117,8 @@ def depth_scene(scene: Scene, folder: Path, wish: Wish, events: EventWriter, sto
     events.stage("load", 1, 2, "Loading the network for depth")
     network = load_depth_network(name, download=wish.download)
     stop.check()
-    known = KNOWN.get(name.partition("@")[0], DEPTH[0])
-    told = f"Making depth of {len(scene.frames)} frames, in {_about(len(scene.frames) * known.seconds)}"
+    seconds = len(scene.frames) * (known_network(name) or DEPTH[0]).seconds
+    told = f"Making depth of {len(scene.frames)} frames, in {_about(seconds)}"
     events.stage("depth", 2, 2, told)
     for warning in make_depth(scene, folder, network, StageProgress("depth", events, stop)):
         events.warning(warning)

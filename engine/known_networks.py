@@ -26,12 +26,6 @@ class KnownNetwork:
     is_commercial: bool
     seconds: float
 
-    @property
-    def terms(self) -> str:
-        """The licence in one sentence."""
-        forbids = "" if self.is_commercial else ", which forbids commercial use"
-        return f"the weights of {self.name} have the licence {self.licence}{forbids} ({self.stated})"
-
 
 _TABLE = json.loads(Path(__file__).with_suffix(".json").read_text(encoding="utf-8"))
 MASKS = tuple(KnownNetwork(**each) for each in _TABLE["masks"])
@@ -42,22 +36,25 @@ KNOWN = {each.name: each for each in (*MASKS, *DEPTH)}
 """All of them by their names."""
 
 
-def terms_of(name: str) -> str:
-    """What is known about the licence of the network called ``name``, perhaps with @REVISION, or in a folder."""
-    known = KNOWN.get(name.partition("@")[0])
-    return known.terms if known is not None else f"the licence of {name} is not known here: its authors state it"
+def known_network(name: str) -> KnownNetwork | None:
+    """The network called ``name``, perhaps with @REVISION; None for others, and for folders."""
+    return KNOWN.get(name.partition("@")[0])
 
 
 def licence_of(name: str) -> dict[str, str | bool | None]:
-    """What ``made_by.json`` says of a network's licence: its terms, and whether it allows commercial use (None: not
-    known)."""
-    known = KNOWN.get(name.partition("@")[0])
-    return {"licence": terms_of(name), "commercial_use": None if known is None else known.is_commercial}
+    """What ``made_by.json`` says of a network: its licence in one sentence, and whether that allows commercial use
+    (None: not known)."""
+    known = known_network(name)
+    if known is None:
+        return {"licence": f"the licence of {name} is not known here: its authors state it", "commercial_use": None}
+    forbids = "" if known.is_commercial else ", which forbids commercial use"
+    said = f"the weights of {name} have the licence {known.licence}{forbids} ({known.stated})"
+    return {"licence": said, "commercial_use": known.is_commercial}
 
 
 def listing(names: Iterable[str]) -> str:
     """What would be downloaded, a line each, with sizes and licences."""
-    sizes = ((name, KNOWN.get(name.partition("@")[0])) for name in names)
+    known = ((name, known_network(name)) for name in names)
     return "\n".join(
-        f"{name}: {f'{known.bytes / 1e6:.0f} MB, ' if known else ''}{terms_of(name)}" for name, known in sizes
+        f"{name}: {f'{each.bytes / 1e6:.0f} MB, ' if each else ''}{licence_of(name)['licence']}" for name, each in known
     )

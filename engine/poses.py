@@ -64,6 +64,7 @@ def _save(values: NDArray[np.float32], path: Path) -> None:
 _RECORD3D, _SEARCHED = b'{"intrinsic', 1 << 20
 """The beginning of the metadata in Record3D's films, and how many bytes at the end of a film are searched for it."""
 _COLOURED, _BRIGHT = 96, 96  # least saturation and value of a pixel with depth: others are black, and codecs blur
+_LAST = 248  # of 256 hues: what lies beyond the range may be stored as its end, which codecs blur
 
 
 def encoded_depth(film: Path) -> tuple[float, float] | None:
@@ -87,7 +88,8 @@ def decoded_depth(shown: NDArray[np.uint8], low: float, high: float) -> NDArray[
 
     hue, saturation, value = np.moveaxis(cv2.cvtColor(np.ascontiguousarray(shown), cv2.COLOR_RGB2HSV_FULL), -1, 0)
     depth = low + (high - low) * hue.astype(np.float32) / 256  # HSV_FULL has 256 steps of hue
-    return np.where((saturation >= _COLOURED) & (value >= _BRIGHT) & (depth > 0), depth, np.float32(0))
+    good = (saturation >= _COLOURED) & (value >= _BRIGHT) & (depth > 0) & (hue < _LAST)
+    return np.where(good, depth, np.float32(0))
 
 
 STAGE = "poses"
