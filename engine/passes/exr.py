@@ -87,8 +87,8 @@ def frame_header(camera: Camera, shown: ShownFrame, name: str) -> dict[str, Any]
         "worldToCamera": _in_rows(np.diag([1.0, -1.0, 1.0, 1.0]) @ camera.world_to_camera),
     }
     if camera.projection == "equirectangular":
-        edges = np.degrees([-camera.cx, camera.width - camera.cx] / np.float64(camera.fx))
-        ends = np.degrees([camera.cy - camera.height, camera.cy] / np.float64(camera.fy))
+        edges = np.degrees(np.array([-camera.cx, camera.width - camera.cx]) / camera.fx)
+        ends = np.degrees(np.array([camera.cy - camera.height, camera.cy]) / camera.fy)
         spans = [" to ".join(f"{each:.6g}" for each in span) for span in (edges, ends)]
         header["plgs/depth"] = "metres along the ray, not planar"
         header[PROJECTION_NOTE] = f"equirectangular, longitude {spans[0]}, latitude {spans[1]} degrees"

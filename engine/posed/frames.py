@@ -67,8 +67,8 @@ class Camera:
     def resized(self, width: int, height: int) -> Camera:
         """The same camera for a picture of another size (edges stay edges, so no half-pixel shift arises)."""
         x, y = width / self.width, height / self.height
-        lens = {"fx": self.fx * x, "fy": self.fy * y, "cx": self.cx * x, "cy": self.cy * y}
-        return replace(self, width=width, height=height, **lens)
+        fx, fy, cx, cy = self.fx * x, self.fy * y, self.cx * x, self.cy * y
+        return replace(self, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
 
     def at(self, pose: NDArray[np.float64]) -> Camera:
         """The same lens at another pose, float64 [4, 4] camera-to-world."""

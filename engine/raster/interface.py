@@ -63,7 +63,7 @@ def rasterize(
     if is_orthographic:
         if torch.is_grad_enabled() and any(each is not None and each.requires_grad for each in gaussians):
             raise ValueError("an orthographic picture has no gradients")
-        gaussians = GaussianSet(*(None if each is None else each.cpu() for each in gaussians))
+        gaussians = GaussianSet(*(each.cpu() for each in gaussians[:5]), None if labels is None else labels.cpu())
         means = gaussians.means
     if top_k < 0:
         raise ValueError(f"top_k is {top_k}; it must be 0 or more")
