@@ -27,7 +27,6 @@ from ..instances.segments import SegmentOptions, vote_instances
 from ..instances.superpoints import WEAK, RestOfSuperpoint, trusted_superpoints
 from ..instances.weak_masks import ViewAgreement, agreement_of_views, class_balance
 from ..job.progress import StageProgress
-from ..metrics.unshown import LEAST_VIEWS_OF_OBJECT, JudgedView, find_unshown
 from ..presets.parts import Parts
 from ..presets.preset import Preset, ViewEvidence
 from ..scene import VOID, ClassTable, OnDemand, Progress, View, stored, watched
@@ -36,9 +35,6 @@ from ..semantics.point_cloud import SemanticPointCloud
 CONSENSUS = ConsensusOptions()
 LARGEST_GAP = 0.15
 """Metres between neighbouring points of one object: about the distance between two pixels of a far view."""
-LEAST_NEAR = 5
-"""Near views that must name a thing where the points show stuff. Three things so named on the second floor and ICL were
-right, three that fewer views named were not, nor seven of eight where the points showed another thing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +112,6 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     # A point that lost its object was on the ragged edge of a few masks, so their class is no evidence for it either.
     is_fragment = (object_of_point > 0) & (owner == 0)
     cloud = replace(cloud, class_id=np.where(is_fragment, VOID, cloud.class_id).astype(np.int32))
-    cloud = with_unshown(cloud, owner, found.training, given.classes)
     owner, things = with_unowned(cloud, owner, things, found.training, given.classes)
     watching = watched(things, progress.part(0.92, 0.95))
     placed = by_votes.placed_objects(found.training.views, watching, cloud.xyz, owner, preset.voxel_size)
@@ -186,23 +181,6 @@ def regrouped(
     masks = masks_of_pieces([mask for one in found.things for mask in one.masks], seeing, owner, len(origin))
     pieces = [SceneObject(number, own, classes[number - 1]) for number, own in zip(origin, masks, strict=True)]
     return without_fragments(owner, pieces, seeing.seen)
-
-
-def with_unshown(
-    cloud: SemanticPointCloud, owner: NDArray[np.int32], seeing: ViewsOnCloud, classes: ClassTable
-) -> SemanticPointCloud:
-    """The cloud with the things that near views name (``find_unshown``) where its points show no thing. ``owner`` int32
-    [N]: the object of each point, 0 = none."""
-    class_id, number = cloud.class_id.copy(), {view.name: n for n, view in enumerate(seeing.views)}
-    table, things = np.append(class_id, VOID), {classes[each].name for each in classes.thing_ids}
-    judges = OnDemand(len(number), lambda n: JudgedView(seeing.views[n], table[seeing.point_of_pixel[n]]))
-    for one in find_unshown(judges, classes):
-        is_sure = one.views >= (LEAST_NEAR if one.shown_as else LEAST_VIEWS_OF_OBJECT)
-        if one.class_id in classes.thing_ids and one.shown_as not in things and is_sure:
-            view, rows = seeing.views[number[one.frame]], seeing.point_of_pixel[number[one.frame]]
-            rows = rows[(view.mask.ids == one.segment) & (rows >= 0)]
-            class_id[rows[owner[rows] == 0]] = one.class_id
-    return replace(cloud, class_id=class_id)
 
 
 def with_unowned(

@@ -7,16 +7,14 @@ import numpy as np
 import pytest
 
 from engine.errors import Cancelled
-from engine.instances.agreement import ViewPoints, ViewsOnCloud
+from engine.instances.agreement import ViewPoints
 from engine.instances.records import ObjectMask, SceneObject
 from engine.job import EventWriter, StopSignal, last_run, progress
 from engine.job.progress import StageReporter
-from engine.lift.objects import with_unshown, without_fragments
+from engine.lift.objects import without_fragments
 from engine.lift.preparation import ViewsToLift, find
 from engine.lift.run import STAGES
 from engine.scene import Segment
-from engine.semantics.point_cloud import SemanticPointCloud
-from tests.metrics.test_unshown import CLASSES, ONE, SINK, TOP, flat_view
 from tests.train.tiny_lift import TINY
 from tests.train.tiny_lift import views_of as views_of_a_room
 
@@ -100,22 +98,3 @@ def test_matching_stops_in_each_of_its_parts(tmp_path: Path, monkeypatch: pytest
     shares = match(tmp_path, StopSignal(tmp_path / "cancel"), tmp_path / "scratch")
     assert shares[-1] >= begin and all(each < begin for each in shares[:-1])
     assert not list((tmp_path / "scratch").iterdir())
-
-
-@pytest.mark.parametrize(("near", "shown", "owned", "found"), [
-    (5, TOP, 0, True), (4, TOP, 0, False), (3, 0, 0, True), (2, 0, 0, False), (5, TOP, 1, False),
-])  # fmt: skip
-def test_near_views_name_things_where_points_show_none(near: int, shown: int, owned: int, found: bool) -> None:
-    """Points 5 cm apart on a countertop, in which near views see a sink and as many far ones do not."""
-    views = [flat_view(f"near {k}", 1.0 + 0.02 * k, 0.05 * k, ONE).view for k in range(near)]
-    views += [flat_view(f"far {k}", 4.0, 0.02 * k, ONE, draws=False).view for k in range(near)]
-    across = np.arange(-40, 41) * 0.05
-    xyz = np.stack([*np.meshgrid(across, across), np.zeros((81, 81))], -1).reshape(-1, 3).astype(np.float32)
-    inside = (np.abs(xyz[:, :2]) < 0.14).all(1)
-    class_id = np.where(inside, shown, TOP).astype(np.int32)
-    nothing = np.zeros((len(xyz), 3))
-    cloud = SemanticPointCloud(xyz, nothing.astype(np.uint8), class_id, nothing[:, 0], nothing[:, 1:], (1, 2), 0.05)
-    rows = [cloud.index().nearest_of_pixels(view.camera, view.depth, 0.1) for view in views]
-    owner = np.where(inside, owned, 0).astype(np.int32)
-    told = with_unshown(cloud, owner, ViewsOnCloud.of(views, rows), CLASSES).class_id
-    assert (told[inside] == (SINK if found else shown)).all() and (told[~inside] == TOP).mean() > 0.99
