@@ -14,7 +14,7 @@ from .job.handshake import CAPABILITIES
 from .job.prediction import MASK_S, machine_slowness
 from .job.progress import StageProgress
 from .known_networks import DEPTH, MASKS, known_network, licence_of, listing
-from .poses import FILM_PICTURES, Made, encoded_depth, make_poses
+from .poses import FILM_PICTURES, Made, encoded_depth, make_poses, refuse_unusable
 from .scene import Scene, open_scene
 from .scene.formats.photos import is_film, photos_in, sorted_out
 from .scene.frame_choice import frames_to_mask
@@ -47,6 +47,8 @@ def prepare(source: Path, wish: Wish, events: EventWriter, stop: StopSignal) -> 
     """Make what a lift of a film or of photos lacks; returns the scene's folder. Raises PlgsError, before any work if
     packages or networks are missing; OSError; Cancelled."""
     folder = scene_folder(source)
+    if Made.read(folder) is None:
+        refuse_unusable(source)
     _refuse_missing(source, folder, wish, events)
     if Made.read(folder) is None:
         photos = photos_in(source) if source.is_dir() else None

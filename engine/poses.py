@@ -265,6 +265,7 @@ def make_poses(source: Path, events: EventWriter, stop: StopSignal, pictures: in
             fix = f"move the folder {made.folder.name} away for others"
             events.warning(f"the poses of {made.photos} pictures that were found before are used: {fix}")
         return made
+    refuse_unusable(source)
     colmap(source)  # before minutes of work
     if not is_film(source):
         return _map(source, _photos_in(source), _NO_FILM, asked=0, fps=None, events=events, stop=stop)
@@ -380,6 +381,14 @@ def _begun(folder: Path, film: str) -> OwnFiles:
         fix = "Make the poses of that folder, or move it away."
         raise PlgsError("exists", "the film's pictures would go into a folder that exists already", folder, fix)
     return own.begin("pictures", {"film": film})
+
+
+def refuse_unusable(source: Path) -> None:
+    """Raise PlgsError for what is neither a folder of photos without poses nor a film that can be opened."""
+    if is_film(source):
+        Video(source).count()
+    else:
+        _photos_in(source)
 
 
 def _photos_in(source: Path) -> Path:

@@ -1,6 +1,7 @@
 """What docs/captures.md promises of films and photos, through the commands as printed."""
 
 import json
+import os
 import shutil
 from importlib.util import find_spec
 from pathlib import Path
@@ -103,3 +104,25 @@ def test_photos_are_taken_too_and_lacking_packages_are_listed(
     said = capfd.readouterr().err
     assert ("engine add colmap" if find_spec("pycolmap") is None else "--download") in said
     assert not (tmp_path / "lift").exists()
+
+
+@pytest.mark.parametrize(
+    "kind", ["missing", "missing.mp4", "folder", "fifo", "fifo.mp4", "empty.mp4", "cut.mp4", "text.mp4"]
+)
+def test_what_is_no_film_is_refused_before_anything_is_asked_for(
+    kind: str, film: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    place = tmp_path / kind
+    if kind == "folder":
+        place.mkdir()
+    elif kind.startswith("fifo"):
+        os.mkfifo(place)
+    elif not kind.startswith("missing"):
+        whole = film.read_bytes()
+        place.write_bytes({"empty": b"", "cut": whole[: len(whole) // 3], "text": b"no film\n" * 99}[place.stem])
+    before = sorted(tmp_path.iterdir())
+    assert exit_code(main, "prepare", place) == 2
+    said = capfd.readouterr().err  # FFmpeg may say that the film has no index
+    line = said.splitlines()[-1]
+    assert line.startswith("error: ") and kind in line and "downloaded" not in said and "Traceback" not in said
+    assert sorted(tmp_path.iterdir()) == before
