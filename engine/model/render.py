@@ -86,11 +86,11 @@ def _filled(
 def _opacities_seen(fill: SceneFill, camera: Camera) -> torch.Tensor:
     """The opacities [P] of a fill's disks for a camera: smaller where they are thinner than the pixel that drawing
     widens them to (BLUR; as in Mip-Splatting, Yu et al. 2024), or floors at a slant would be drawn a pixel too near."""
-    to_camera = torch.from_numpy(camera.world_to_camera).to(fill.means)
-    ways = fill.means - torch.from_numpy(camera.centre).to(fill.means)
+    axis, centre = (torch.from_numpy(each).to(fill.means) for each in (camera.world_to_camera[2, :3], camera.centre))
+    ways = axis.expand_as(fill.means) if camera.projection == "orthographic" else fill.means - centre
     w, x, y, z = fill.quats.unbind(1)
     normal = torch.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], dim=1)
-    wide = fill.scales[:, 0] * camera.fx / (ways @ to_camera[2, :3]).clamp_min(NEAR)
+    wide = fill.scales[:, 0] * camera.fx / (ways @ axis).clamp_min(NEAR)
     thin = wide * (ways * normal).sum(dim=1).abs() / ways.norm(dim=1)
     return fill.opacities * (wide * thin) / ((wide * wide + BLUR) * (thin * thin + BLUR)).sqrt()
 

@@ -9,6 +9,7 @@ import torch
 from engine.model.detail import finest_pixels
 from engine.model.neural_gaussians import ClipRange
 from engine.model.render import render_bands, render_view, row_bands
+from engine.model.structured import SceneFill
 from engine.scene import Camera
 from tests.model.some_scene import CAMERA as SMALL
 from tests.model.some_scene import some_scene
@@ -45,6 +46,27 @@ def test_what_is_clipped_is_not_drawn() -> None:
     assert near.depth.max() < 2.0 and (far.depth[far.alpha > 1e-3] > 2.0 - 1e-5).all()
     (nothing,) = render_bands(scene, CAMERA, clip=ClipRange(near=90.0))
     assert not nothing.alpha.any() and not nothing.depth.any()
+
+
+@pytest.mark.parametrize("projection", ["perspective", "orthographic"])
+def test_a_fill_seen_at_a_slant_is_drawn_where_it_is(projection: str) -> None:
+    """Its disks are smaller than a pixel, and many are in a line of sight's way."""
+    scene, camera = some_scene((4, 9, 0, 0, 0)), Camera(64, 48, 60.0, 60.0, 32.0, 0.0, np.eye(4))
+    if projection == "orthographic":
+        turn = np.eye(4)
+        turn[1:3, 1:3] = [[np.cos(0.2), np.sin(0.2)], [-np.sin(0.2), np.cos(0.2)]]
+        camera = Camera(64, 48, 20.0, 20.0, 32.0, 24.0, turn, projection=projection)
+    x, z = np.meshgrid(np.arange(-2, 2, 0.02), np.arange(1.5, 9, 0.02))
+    means = torch.from_numpy(np.stack([x, np.full_like(x, 1.5), z], -1).reshape(-1, 3)).float()
+    one, upright = torch.ones(len(means)), torch.tensor([0.5**0.5, 0.5**0.5, 0.0, 0.0])
+    gone = torch.ones(len(scene.anchors) * scene.anchors.gaussians_per_anchor, dtype=torch.bool)
+    scales, quats = torch.tensor([0.016, 0.016, 0.002]), upright.repeat(len(means), 1)
+    fill = SceneFill(gone, means, scales.repeat(len(means), 1), quats, 0.98 * one, one[:, None].repeat(1, 3), one)
+    shown = render_view(replace(scene, fill=fill), camera)
+    place = camera.unproject(shown.depth)[shown.alpha > 0.9]
+    place = place[(place[:, 2] > 3) & (place[:, 2] < 8)]
+    above = (1.5 - place[:, 1]) * (60.0 / place[:, 2] if projection == "perspective" else 20.0)  # in pixels, about
+    assert len(place) > 200 and np.median(above) < 0.7
 
 
 def test_the_smallest_pixel_that_shows_a_point_is_found() -> None:
