@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -46,15 +45,8 @@ def export(
     if kind == "usd" and find_spec("pxr") is None:
         raise lacks_part("OpenUSD files need the package usd-core", output, "usd")
     folder.refuse_foreign()
-    with _of_one_result(folder):
-        _export(folder, kind, output, frames, progress=progress, cameras=cameras, objects=objects, warn=warn)
-
-
-def _export(
-    folder: LiftFolder, kind: str, output: Path, frames: Sequence[str], *, progress: Progress, cameras: Path | None,
-    objects: Sequence[str], warn: Callable[[str], object] | None,
-) -> None:  # fmt: skip
     verify_lifted(folder.result_path)
+    read = folder.result_path.stat()
     lift = FinishedLift(folder, frames, progress, cameras, objects, warn)
     shown = [view.name for view in lift.shots] or [frame.name for frame in lift.frames]
     facts = {"form": kind, "lift": str(folder.path), "frames": shown}
@@ -67,20 +59,11 @@ def _export(
         raise PlgsError("all-exports", what, output, f"Name a folder in it, such as {output / kind}.", option="-o")
     with OwnFiles(output).begin("export", facts, replaces=output.resolve().is_relative_to(shared)) as own:
         KINDS[kind](lift, output)
+        if not folder.result_path.is_dir() or not os.path.samestat(read, folder.result_path.stat()):
+            what = "got a new result meanwhile, so what was written may mix two"
+            raise PlgsError("result-changed", what, folder.path, "Export it again.", code=ErrorCode.BUSY)
         own.remove_earlier()
     own.complete()
-
-
-@contextmanager
-def _of_one_result(folder: LiftFolder) -> Iterator[None]:
-    """Raises a BUSY PlgsError if a new lift's result takes the place of the one that is read."""
-    before = os.stat(folder.result_path)[1:3]
-    try:
-        yield
-    finally:
-        if not folder.result_path.exists() or before != os.stat(folder.result_path)[1:3]:
-            what = "got a new result meanwhile, so what is written may mix two"
-            raise PlgsError("result-changed", what, folder.path, "Export it again.", code=ErrorCode.BUSY)
 
 
 def _export_usd(lift: FinishedLift, output: Path) -> None:

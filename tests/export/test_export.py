@@ -19,7 +19,7 @@ from engine.job.system import MainMemory
 from engine.result_files import SemanticPoints, read_arrays
 from tests.conftest import HAS_BLENDER
 from tests.export.conftest import run
-from tests.raises_key import worded
+from tests.raises_key import raises_key, worded
 
 
 def test_the_command_knows_every_kind() -> None:
@@ -258,6 +258,23 @@ def test_invalid_output_and_frames_are_refused(
     assert main(["export", str(lift.path), "--to", "coco", "-o", str(tmp_path), "--frames", "9"]) == 2
     told = capsys.readouterr().err
     assert worded("file-not-folder").search(told) and "no frame 9" in told
+
+
+def test_an_export_of_two_results_says_so_and_is_not_complete(
+    lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = LiftFolder.open(shutil.copytree(lift.path, tmp_path / "lift"))
+
+    def adopted(of: object, output: Path) -> None:
+        shutil.copytree(own.result_path, tmp_path / "new")
+        own.result_path.rename(tmp_path / "old")
+        (tmp_path / "new").rename(own.result_path)
+
+    with monkeypatch.context() as other, raises_key("result-changed"):
+        other.setitem(KINDS, "boxes", adopted)
+        export(own, "boxes", tmp_path / "out", ["test"])
+    export(own, "boxes", tmp_path / "out", ["test"])
+    assert (tmp_path / "out" / "boxes.csv").is_file()
 
 
 def test_no_existing_file_is_overwritten(lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
