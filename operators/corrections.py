@@ -16,6 +16,7 @@ from ..plgs_blender.errors import EXPECTED, PlgsError, one_line, plural
 from ..plgs_blender.inspecting import selection, views
 from ..plgs_blender.inspecting.selection import chosen_row, find_lift, row_of
 from ..plgs_blender.owned import folder_of
+from ..plgs_blender.proposals import next_uncertain, proposal_of, propose
 from ..plgs_blender.registry import Task
 from ..plgs_blender.viewport import view_of
 from . import base
@@ -343,7 +344,7 @@ class PLGS_OT_propose_corrections(OnLift, bpy.types.Operator):
     bl_idname, bl_label, bl_options = "plgs.propose_corrections", "What May Be Wrong?", _UNDOABLE
 
     def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str:
-        found = corrections.propose(root)
+        found = propose(root)
         return f"{plural(len(found.open), 'proposal')}, {found.progress}"
 
 
@@ -359,7 +360,7 @@ class PLGS_OT_go_to_proposal(OnProposal, bpy.types.Operator):
     bl_idname, bl_label, bl_options = "plgs.go_to_proposal", "Look at It", _UNDOABLE
 
     def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str:
-        one = corrections.proposal_of(root, self.instance)
+        one = proposal_of(root, self.instance)
         selection.select_instance(root, one.instance, context.view_layer)
         if one.frame:
             views.look_from_frame(root, one.frame, context.scene, view_of(context)[0])
@@ -375,7 +376,7 @@ class PLGS_OT_answer_proposal(base.StartsTask, OnProposal, bpy.types.Operator):
 
     def begin(self, context: bpy.types.Context) -> Task | None:
         root = self.root(context)
-        one = corrections.proposal_of(root, self.instance)
+        one = proposal_of(root, self.instance)
         if one.answer == corrections.BY_VIEWS and not self.keep:
             return split_by_views(root, one.instance)
         corrections.answer(root, one.instance, keep=self.keep)
@@ -388,7 +389,7 @@ class PLGS_OT_next_uncertain_frame(OnLift, bpy.types.Operator):
     bl_idname, bl_label, bl_options = "plgs.next_uncertain_frame", "Next Uncertain Frame", _UNDOABLE
 
     def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str:
-        frame, visited, frames = corrections.next_uncertain(root)
+        frame, visited, frames = next_uncertain(root)
         views.look_from_frame(root, frame, context.scene, view_of(context)[0])
         return f"Frame {one_line(frame)}, {visited} of {frames} visited"
 

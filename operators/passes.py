@@ -12,9 +12,10 @@ from ..plgs_blender.compositing import show_compositor, show_room
 from ..plgs_blender.engine_environment import usable_python, why_no_engine
 from ..plgs_blender.errors import PlgsError, one_line
 from ..plgs_blender.owned import KEY
-from ..plgs_blender.passes import next_versions_name, open_passes, passes_scene_of
+from ..plgs_blender.passes import open_passes, passes_scene_of
 from ..plgs_blender.registry import Task
 from ..plgs_blender.running import lifting
+from ..plgs_blender.shot_names import next_versions_name
 from ..plgs_blender.shots import ShotReader, shot_of
 from . import base
 from .inspect import OnClass, OnInstance

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..engine.result_files import Instance
 from .clouds import set_attributes
 from .materials import clear_material, object_colour
-from .owned import OwnedDataBlocks, numbers_of, text_of
+from .owned import KEY, OwnedDataBlocks, numbers_of, text_of
 
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _FACES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -23,7 +23,10 @@ TOGETHER = "boxes"
 MOST_BOXES = 500
 """With 5 000 objects, Blender takes a second to add one, and ten to hide them all."""
 NAME, SHOWN, PLACED = "plgs_name", "plgs_shown_name", "plgs_placed"
-"""Properties of a box: its instance's name, what Blender made of it, and the centre, size and rotation we gave it."""
+"""Properties of a box: its instance's name, what Blender made of it, and the centre, size and rotation we gave it. A
+mesh has the first two."""
+BOX = " box"
+"""What follows the instance's name in the name of a box: the name itself is the mesh's."""
 
 
 def place_boxes(
@@ -43,31 +46,33 @@ def shared_out(instances: Iterable[Instance]) -> tuple[list[Instance], list[Inst
     return [one for one in given if one.id in most], [one for one in given if one.id not in most]
 
 
-def name_box(box: bpy.types.Object, name: str) -> None:
-    """Give a box its instance's name."""
-    box.name = box[NAME] = name
-    box[SHOWN] = box.name
+def name_object(ob: bpy.types.Object, name: str) -> None:
+    """Give a mesh its instance's name, and a box that name with BOX."""
+    ob[NAME] = name
+    ob.name = ob.data.name = f"{name}{BOX}" if text_of(ob, KEY).startswith(INSTANCE) else name
+    ob[SHOWN] = ob.name
 
 
 def _place(owned: OwnedDataBlocks, parent: bpy.types.Collection, instance: Instance, anew: bool) -> bpy.types.Object:
     key, placed = f"{INSTANCE}{instance.id}", [*instance.centre, *instance.size, *instance.rotation]
-    before, name, where = owned.known(key), instance.name, None
+    before, name, where = owned.known(key), "", None
     if before is not None and text_of(before, NAME) == instance.name and numbers_of(before, PLACED) == placed:
         facts = instance.class_id, instance.points, instance.views
         listed = tuple(before.get(key) for key in ("class_id", "points", "views"))
         if not anew and facts == listed and before in owned.in_scene:
             owned.keep(before)
             return before
-        name, where = before.name, before.matrix_world.copy()
+        where = before.matrix_world.copy()
+        name = "" if before.name == text_of(before, SHOWN) else before.name
     mesh = owned.data(key, lambda: bpy.data.meshes.new(instance.name))
     mesh.clear_geometry()
     mesh.from_pydata((_CORNERS * instance.size).tolist(), [], _FACES)
     mesh.update()
     mesh.materials.clear()
     mesh.materials.append(clear_material(owned))
-    ob = owned.object(key, name, mesh, parent)
-    if where is None:
-        name_box(ob, name)
+    ob = owned.object(key, name or instance.name, mesh, parent)
+    if not name:
+        name_object(ob, instance.name)
     ob[NAME], ob[PLACED] = instance.name, placed
     ob.matrix_world = where or Matrix.LocRotScale(Vector(placed[:3]), Quaternion(placed[6:]), None)
     ob.color = object_colour(instance.colour)

@@ -178,10 +178,11 @@ def place_semantic_points(
     groups = [*zip(ids.tolist(), np.split(order, np.cumsum(counts)), strict=False)]  # split adds an empty part
     of = {one.id: (one.name, one.colour) for one in classes.categories if one.id != VOID}
     looks = [of.get(class_id, ("unknown", UNKNOWN)) for class_id, _ in groups]
-    clouds = new_point_clouds([name for name, _ in looks], [points.xyz[chosen] for _, chosen in groups])
+    clouds = new_point_clouds([f"{name} points" for name, _ in looks], [points.xyz[chosen] for _, chosen in groups])
     for (class_id, chosen), (name, srgb), cloud in zip(groups, looks, clouds, strict=True):
         attributes = _label_attributes(points, chosen) | {"normal": ("FLOAT_VECTOR", normals[chosen])}
-        ob = _place(owned, parent, f"class:{class_id}", name, cloud=cloud, radius=radius[chosen], attributes=attributes)
+        key, shown = f"class:{class_id}", f"{name} points"
+        ob = _place(owned, parent, key, shown, cloud=cloud, radius=radius[chosen], attributes=attributes)
         ob.color = object_colour(srgb)
         ob["class"], ob["class_id"], ob["points"] = name, class_id, len(chosen)
         placed.append(ob)

@@ -1,5 +1,4 @@
-"""Corrections of a placed lift, saved on disk, shown in the scene at once and undone with Blender's own undo; and
-proposals of what to correct.
+"""Corrections of a placed lift, saved on disk, shown in the scene at once and undone with Blender's own undo.
 
 The lift's collection stores which edits the scene shows. Undo and redo change that along with everything else, and
 handlers here update the file to match. They never touch the edits of other programs.
@@ -7,10 +6,8 @@ handlers here update the file to match. They never touch the edits of other prog
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict
 from functools import partial
 
 import bpy
@@ -20,21 +17,18 @@ from numpy.typing import NDArray
 from ..engine.corrections import making
 from ..engine.corrections.edits import CORRECTIONS as FILE
 from ..engine.corrections.edits import Edit, read_edits
-from ..engine.corrections.proposals import BY_VIEWS, Proposal, Proposals, class_of_parts, entropy_of_views, proposals_of
+from ..engine.corrections.proposals import BY_VIEWS, class_of_parts
 from ..engine.corrections.replay import Replay
-from ..engine.corrections.result import CorrectedResult, correct, read_corrected, set_undone, undo
+from ..engine.corrections.result import CorrectedResult, correct, set_undone, undo
 from ..engine.corrections.result import put_back as engine_put_back
 from ..engine.errors import PlgsError
-from ..engine.job import LiftFolder
-from ..engine.job.report import doubt_of_frames, read_metrics
-from ..engine.known_scene import known_scene
-from .boxes import INSTANCE, TOGETHER, name_box, place_boxes
+from .boxes import INSTANCE, TOGETHER, name_object, place_boxes
 from .clouds import SurfaceGrid, place_anchors, place_semantic_points
 from .errors import EXPECTED, with_field_names
 from .inspecting import selection
 from .inspecting.lists import fill_lists, fill_masks
 from .inspecting.looks import SPLATS, has, removed_objects
-from .meshes import CORRECTIONS, mesh_name
+from .meshes import CORRECTIONS
 from .owned import (
     COMPARED,
     FOLDER,
@@ -50,62 +44,9 @@ from .owned import (
     shows,
     text_of,
 )
+from .proposals import PROPOSALS, keep_proposals, proposal_of
 from .results import LiftResult, listed_in
 from .splats import place_gaussians
-
-PROPOSALS = "plgs_proposals"
-"""Property of a lift's collection: the proposed corrections as JSON."""
-VISITED = "plgs_visited"
-"""Property of a lift's collection: the uncertain frames already viewed, one per line."""
-
-
-def propose(root: bpy.types.Collection) -> Proposals:
-    """Find what may be wrong with a placed lift, and store it for the panel. Raises PlgsError."""
-    return keep_proposals(root, read_corrected(folder_of(root)))
-
-
-def keep_proposals(root: bpy.types.Collection, result: CorrectedResult) -> Proposals:
-    """Find and store proposals for a result that was just read."""
-    found = proposals_of(result)
-    root[PROPOSALS] = json.dumps({"open": [asdict(one) for one in found.open], "progress": found.progress})
-    return found
-
-
-def kept_proposals(root: bpy.types.Collection) -> tuple[list[Proposal], str]:
-    """The open proposals, without those answered since `propose`, and the user's progress ("" before `propose`)."""
-    try:
-        content = json.loads(text_of(root, PROPOSALS) or "{}")
-        return [Proposal(**one) for one in content.get("open", ())], str(content.get("progress", ""))
-    except (ValueError, TypeError, AttributeError):  # a file may come from somebody else
-        return [], ""
-
-
-def proposal_of(root: bpy.types.Collection, instance: int) -> Proposal:
-    """The proposal for an object, or the most doubtful one if ``instance`` is 0. Raises PlgsError."""
-    for one in kept_proposals(root)[0]:
-        if instance in (0, one.instance):
-            return one
-    what = "nothing is proposed"
-    raise PlgsError("no-proposal", what, root.name, "Press What May Be Wrong?, or look at another object.")
-
-
-def next_uncertain(root: bpy.types.Collection) -> tuple[str, int, int]:
-    """The most uncertain unvisited frame, the number of frames then visited, and their total. After the last frame it
-    starts again. Raises PlgsError."""
-    folder = LiftFolder.open(folder_of(root))
-    frames = known_scene(folder).frames
-    drawn = doubt_of_frames(read_metrics(folder)) if (folder.result_path / "metrics.json").is_file() else {}
-    points = entropy_of_views(read_corrected(folder.path).points, [frame.camera for frame in frames])
-    # Frames that were not drawn when the lift was scored come last, by the points that they see.
-    order = sorted(range(len(frames)), key=lambda number: (-drawn.get(frames[number].name, -1.0), -points[number]))
-    ranked = [frames[number].name for number in order]
-    visited = set(text_of(root, VISITED).split("\n")).intersection(ranked)
-    if len(visited) == len(ranked):
-        visited = set()
-    chosen = next(name for name in ranked if name not in visited)
-    root[VISITED] = "\n".join(sorted({*visited, chosen}))
-    return chosen, len(visited) + 1, len(ranked)
-
 
 EDITS = "plgs_edits"
 """Property of a lift's collection: the uids of the edits that the scene shows, as one text."""
@@ -261,13 +202,9 @@ def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
     made, result = _correct(root, lambda state, _: making.rename(state, instance, name))
     if root[LIFT] in outdated:  # then there is more to show
         show_corrections(root, result)
-    row, box = selection.row_of(root, instance), selection.boxes_of(root).get(instance)
+    row = selection.row_of(root, instance)
     row.known_name = row.name = made.name  # in this order, or setting `name` would rename again
-    if box is not None:
-        name_box(box, made.name)
-    for ob in selection.surfaces_of(root):
-        if selection.instance_of(ob) == instance:
-            ob.name = ob.data.name = mesh_name(made.name)
+    _name_objects(root, instance, made.name)
     remember(root, result)
     return made
 
@@ -283,10 +220,15 @@ def _rename_by_field(root: bpy.types.Collection, instance: int, name: str) -> No
         if not bpy.app.background and bpy.context.window is not None:  # a field cannot report
             say = f"Not renamed. {failed[-1]}"
             bpy.context.window_manager.popup_menu(lambda menu, _: menu.layout.label(text=say), icon="ERROR")
-        row, box = selection.row_of(root, instance), selection.boxes_of(root).get(instance)
+        row = selection.row_of(root, instance)
         row.name = row.known_name
-        if box is not None:
-            name_box(box, row.known_name)
+        _name_objects(root, instance, row.known_name)
+
+
+def _name_objects(root: bpy.types.Collection, instance: int, name: str) -> None:
+    for ob in selection.objects_by_key(root).values():
+        if selection.instance_of(ob) == instance:
+            name_object(ob, name)
 
 
 def reclass(root: bpy.types.Collection, instances: Sequence[int], class_name: str) -> Edit:

@@ -12,7 +12,7 @@ import bpy
 import numpy as np
 
 from ..engine.posed.ply import LabelledSurface, read_surface
-from .boxes import set_faces
+from .boxes import name_object, set_faces
 from .clouds import set_attributes
 from .compat import forget_selection
 from .materials import object_colour, surface_material
@@ -72,8 +72,7 @@ def placing_meshes(placed: Placed, result: LiftResult, read: ReadMeshes) -> Gene
         owned = OwnedDataBlocks(root[LIFT], scene)
         keys.append(f"mesh:{class_id}:{instance_id}")
         one = instances.get(instance_id, kind)
-        name = mesh_name(one.name)
-        mesh = _fill(owned, keys[-1], name, surface)
+        mesh = _fill(owned, keys[-1], one.name, surface)
         picture = read.pictures / f"{class_id}_{instance_id}.jpg"
         if surface.uv is not None and picture.is_file():
             image = owned.block("images", keys[-1], partial(bpy.data.images.load, str(picture)))
@@ -83,7 +82,8 @@ def placing_meshes(placed: Placed, result: LiftResult, read: ReadMeshes) -> Gene
         else:
             mesh.materials.append(surface_material(owned))
         parent = child_collection(child_collection(root, "Meshes"), f"{kind.name} meshes")
-        ob = owned.object(keys[-1], name, mesh, parent)
+        ob = owned.object(keys[-1], one.name, mesh, parent)
+        name_object(ob, one.name)
         ob.color = object_colour(one.colour)
         ob["class"], ob["class_id"], ob["instance_id"] = kind.name, class_id, instance_id
         yield
@@ -92,11 +92,6 @@ def placing_meshes(placed: Placed, result: LiftResult, read: ReadMeshes) -> Gene
         owned.keep_known(lambda key: key in keys)
         owned.sweep_only("mesh:")
     return len(keys)
-
-
-def mesh_name(name: str) -> str:
-    """The name of an instance's or class's mesh: boxes and points have just its name."""
-    return f"{name} mesh"
 
 
 def are_stale(root: bpy.types.Collection) -> bool:

@@ -7,12 +7,9 @@ numbers, and a keyed offset maps frames to files. If the names are not numbered,
 from __future__ import annotations
 
 import math
-import re
 import tempfile
-import zlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..engine.errors import PlgsError
-from ..engine.job.cameras import LARGEST_SIDE, filled_name, safe_name
+from ..engine.job.cameras import LARGEST_SIDE, safe_name
 from ..engine.job.manifest import MAKE_ANEW
 from ..engine.posed.exr_header import one_pixel_of, read_exr_header
 from ..engine.posed.names import matte_names
@@ -43,18 +40,12 @@ from .pass_nodes import (
     use_image,
 )
 from .results import LiftResult
+from .shot_names import BEFORE_0, NumberedNames, numbered, sequences, shot_name
 
 SHOT = "shot:"
 """Start of the key of a scene with the passes of a user's camera."""
 NOTES = ".plgs"
 """The hidden folder beside a shot's passes for its origin, cameras and locks."""
-VERSION = re.compile(r"(?:^|[._-])v(\d{1,6})(?=$|[._-])", re.IGNORECASE)
-"""The version in a file's name, as in "shot_v012.blend"."""
-_LAST_NUMBER = re.compile(r"(?s)(.*?)(\d+)(\D*)")
-_BEFORE_0 = re.compile(r"(?s)(.*)\.-\d+")
-"""The name of a shot's frame before 0. Blender counts from 0, so these frames are a sequence of their own."""
-_LARGEST_NUMBER = 2**31 - 1  # Blender counts frames in 32 bits
-_LONGEST_NAME = 80  # maximum length of a shot's name, to which each view adds a number
 _NEEDED = {*(f"PLGS.{layer}" for layer in ("Combined.R", "Depth.V", "Semantic.V", "Instance.V"))}
 _NEEDED |= {"CryptoInstance00.r", "CryptoClass00.r"}
 
@@ -104,7 +95,7 @@ def place_shots(owned: OwnedDataBlocks, result: LiftResult, shot_scene: bpy.type
             owned.drop("scenes", key)
     scenes = []
     for camera, names in groups.items():
-        is_before_0 = _BEFORE_0.fullmatch(names[0]) is not None
+        is_before_0 = BEFORE_0.fullmatch(names[0]) is not None
         files = {name: result.shots[name] for name in sorted(names, reverse=is_before_0)}  # -0002 before -0001
         sequence = numbered(list(files))
         numbers = (1,) if sequence is None else sequence.numbers
@@ -318,44 +309,6 @@ def passes_scene_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
     return None
 
 
-def shot_name(camera: str, given: str = "", later: int = 0) -> str:
-    """The name of a camera's views, without their numbers: ``given``, else the names of the .blend and the camera. A
-    long one of these is cut, and ends in a number of the whole, so that other names stay other names. Raises PlgsError
-    for a given name that is too long. ``given`` may have fields: {shot} (the .blend's name
-    without its version), {camera}, {layer} ("passes"), {version} (the .blend's, such as 12 of "_v012", else 1, plus
-    ``later``), and at the end ".{frame:04d}", which all names have. Raises PlgsError for other fields."""
-    if "{" in given or "}" in given:
-        given = _filled(given, camera, later)
-    if len(given) > _LONGEST_NAME:
-        what = f"the shot's name has {len(given)} characters, over {_LONGEST_NAME}"
-        raise PlgsError("long-name", what, given, "Give it a shorter one with --shot.", option="--shot")
-    words = [given] if given else [bpy.path.display_name_from_filepath(bpy.data.filepath), camera]
-    most = _LONGEST_NAME // len(words)
-    return safe_name("_".join(_short(word, most) for word in words if word))
-
-
-def next_versions_name(given: str) -> str:
-    """The given name of a shot (empty: that of the .blend and the camera) with a field for its version."""
-    return given if "{version" in given else f"{given or '{shot}_{camera}'}_v{{version:03d}}"
-
-
-def _short(text: str, most: int) -> str:
-    name = safe_name(text)
-    return name if len(name) <= most else f"{name[: most - 9]}_{zlib.crc32(text.encode(errors='replace')):08x}"
-
-
-def _filled(template: str, camera: str, later: int) -> str:
-    blend = bpy.path.display_name_from_filepath(bpy.data.filepath)
-    version = VERSION.search(blend)
-    number = int(version[1]) if version else 1
-    try:
-        return filled_name(template, VERSION.sub("", blend) or "untitled", camera, number + later)
-    except ValueError as error:
-        fix = "Use {shot}, {camera}, {layer}, {version:03d}, and {frame:04d} only at its end, after a dot."
-        what = f"the shot's name cannot be filled in ({error})"
-        raise PlgsError("bad-template", what, template, fix, option="--shot") from error
-
-
 def show_view(scene: bpy.types.Scene, name: str) -> None:
     """Show the passes of the view `name` in a passes scene. Raises KeyError if there is no such view."""
     frames = {marker.name: marker.frame for marker in scene.timeline_markers}
@@ -368,40 +321,3 @@ def show_view(scene: bpy.types.Scene, name: str) -> None:
     if number is not None and node_of(tree, PASSES).image.source == "SEQUENCE":
         for node in reading_nodes(tree):  # Blender evaluates keys only of the scene that its window shows
             node.frame_offset = number.numbers[0] - frames[name]
-
-
-@dataclass(frozen=True)
-class NumberedNames:
-    """Names that Blender can step through: the `first` one, to open, with `numbers[i]` in it is the i-th name."""
-
-    first: str
-    numbers: tuple[int, ...]
-
-
-def numbered(names: Sequence[str]) -> NumberedNames | None:
-    """The names as one numbered sequence, possibly with gaps, or None. Blender replaces the last number in the opened
-    name, padded to its width: this must give all the others."""
-    parts = [_LAST_NUMBER.fullmatch(name) for name in names]
-    if not parts or any(part is None for part in parts):
-        return None
-    split = [part.groups() for part in parts if part is not None]
-    head, digits, tail = min(split, key=lambda each: len(each[1]))  # the padded width
-    numbers = tuple(int(number) for _, number, _ in split)
-    counted = [f"{head}{number:0{len(digits)}d}{tail}" for number in numbers]
-    if counted != [*names] or max(numbers) > _LARGEST_NUMBER:
-        return None
-    return NumberedNames(head + digits + tail, numbers)
-
-
-def sequences(names: Sequence[str]) -> dict[str, list[str]]:
-    """Names in groups that Blender can step through, by the text before the number: "shot" for "shot.0001", "shot
-    before 0" for "shot.-0001". A name that fits no group is a group of its own."""
-    groups: dict[str, list[str]] = {}
-    for name in names:
-        parts, before = _LAST_NUMBER.fullmatch(name), _BEFORE_0.fullmatch(name)
-        stem = name if parts is None else parts[1].rstrip(" ._-") if before is None else f"{before[1]} before 0"
-        groups.setdefault(stem, []).append(name)
-    found: dict[str, list[str]] = {}
-    for stem, group in groups.items():
-        found |= {stem or group[0]: group} if numbered(group) else {name: [name] for name in group}
-    return found

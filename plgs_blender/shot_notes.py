@@ -17,7 +17,7 @@ from ..engine.job.manifest import NAME as MANIFEST
 from ..engine.job.manifest import lifted_digest
 from ..engine.posed.layout import listed
 from ..engine.records import read_record, record_text
-from .passes import VERSION
+from .shot_names import VERSION
 
 _NOTE_FIX = "Delete it, if no other file bakes a shot of this name."
 _CLAIM_S = 10.0  # seconds to wait while another bake claims a shot

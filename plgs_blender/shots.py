@@ -28,7 +28,8 @@ from ..engine.posed import Camera
 from ..engine.posed.layout import listed
 from .cameras import panorama_of, seen_by
 from .engine_environment import studio
-from .passes import NOTES, shot_name
+from .passes import NOTES
+from .shot_names import shot_name
 from .shot_notes import Claim, ShotSource, claim, next_version
 from .timeline import is_of_lift
 

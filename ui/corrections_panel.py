@@ -10,6 +10,7 @@ from ..plgs_blender.errors import EXPECTED, one_line, plural
 from ..plgs_blender.inspecting.looks import SURFACE, has
 from ..plgs_blender.inspecting.selection import active_lift, chosen_row
 from ..plgs_blender.meshes import are_stale
+from ..plgs_blender.proposals import kept_proposals
 from ..plgs_blender.running.exports import making_meshes
 from .result_panel import OfResult
 from .sidebar import draw_bar, draw_task, draw_text, from_panel
@@ -78,7 +79,7 @@ def struck_through(text: str) -> str:
 
 def _draw_proposals(layout: bpy.types.UILayout, context: bpy.types.Context, root: bpy.types.Collection) -> None:
     """Draw the most doubtful objects, each with its reason and a button for each answer."""
-    found, progress = corrections.kept_proposals(root)
+    found, progress = kept_proposals(root)
     layout.operator("plgs.propose_corrections", text=one_line(progress) or "What May Be Wrong?", icon="VIEWZOOM")
     layout.operator("plgs.next_uncertain_frame", icon="CAMERA_DATA")
     for one in found[:_SHOWN]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...engine.errors import PlgsError
-from ..boxes import INSTANCE, MOST_BOXES, NAME, SHOWN, TOGETHER
+from ..boxes import BOX, INSTANCE, MOST_BOXES, NAME, SHOWN, TOGETHER
 from ..chosen_scene import absolute
 from ..owned import FOLDER, GAUSSIANS, KEY, LIFT, is_same_place, lifts_in, originals, text_of
 
@@ -301,19 +301,21 @@ def follow(*_arguments: object) -> None:
 
 
 def follow_name() -> None:
-    """Rename the active box's instance if the user, not only Blender, changed the box's name, as in the outliner."""
+    """Rename the active box's or mesh's instance if the user, not only Blender, changed its name, as in the
+    outliner."""
     context = bpy.context
-    box = context.view_layer.objects.active if context.view_layer is not None else None
-    if box is None or not is_box(box) or box.name == text_of(box, SHOWN):
+    ob = context.view_layer.objects.active if context.view_layer is not None else None
+    if not instance_of(ob) or ob.name == ob.get(SHOWN, ob.name):
         return
-    without_number = re.sub(r"\.\d{3,}$", "", box.name)  # Blender adds .001 to a name that is taken
-    if without_number == text_of(box, NAME):
+    without_number = re.sub(r"\.\d{3,}$", "", ob.name)  # Blender adds .001 to a name that is taken
+    name = without_number if without_number in bpy.data.objects else ob.name
+    name = name.removesuffix(BOX) if is_box(ob) else name
+    if text_of(ob, NAME) in (name, without_number.removesuffix(BOX)):
         return
-    name = without_number if without_number in bpy.data.objects else box.name
     for root in lifts_in(context.scene):
-        if boxes_of(root).get(instance_of(box)) == box:
+        if objects_by_key(root).get(text_of(ob, KEY)) == ob:
             for rename in renaming:
-                rename(root, instance_of(box), name)
+                rename(root, instance_of(ob), name)
             bpy.ops.ed.undo_push(message="Rename Object")
 
 

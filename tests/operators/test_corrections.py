@@ -22,6 +22,7 @@ from plgs.plgs_blender import correction_tools, corrections, engine_environment,
 from plgs.plgs_blender.correction_tools import Painting
 from plgs.plgs_blender.inspecting.selection import boxes_of, clouds_of, ids_of
 from plgs.plgs_blender.owned import lifts_in
+from plgs.plgs_blender.proposals import kept_proposals
 
 from tests.conftest import ROOT
 from tests.raises_key import raises_key, worded
@@ -45,9 +46,9 @@ def points_of(placed: bpy.types.Collection, instance: int) -> int:
 
 def test_a_new_name_shows_at_once_and_is_kept(placed: bpy.types.Collection, mine: Path) -> None:
     assert bpy.ops.plgs.rename_instance(instance=CHAIR, name="Throne") == {"FINISHED"}
-    assert names(placed)[CHAIR] == "Throne" and boxes_of(placed)[CHAIR].name == "Throne"
+    assert names(placed)[CHAIR] == "Throne" and boxes_of(placed)[CHAIR].name == "Throne box"
     lift_scene.place_lift(mine, bpy.context.scene)
-    assert names(placed)[CHAIR] == "Throne" and boxes_of(placed)[CHAIR].name == "Throne"
+    assert names(placed)[CHAIR] == "Throne" and boxes_of(placed)[CHAIR].name == "Throne box"
 
 
 def test_a_new_class_moves_points_to_its_cloud(placed: bpy.types.Collection, mine: Path) -> None:
@@ -78,7 +79,7 @@ def test_undo_brings_back_a_deleted_object(placed: bpy.types.Collection, mine: P
     bpy.ops.ed.undo_push(message="deleted")
     assert CHAIR not in boxes_of(placed) and points_of(placed, CHAIR) == 0
     bpy.ops.ed.undo()
-    assert boxes_of(again())[CHAIR].name == "chair 1" and points_of(again(), CHAIR) == count
+    assert boxes_of(again())[CHAIR].name == "chair 1 box" and points_of(again(), CHAIR) == count
     assert [edit.undone for edit in read_edits(mine)] == [True] and not read_corrected(mine).fingerprint
     bpy.ops.ed.redo()
     assert CHAIR not in boxes_of(again()) and [edit.undone for edit in read_edits(mine)] == [False]
@@ -191,17 +192,17 @@ def test_proposals_are_answered_one_by_one(placed: bpy.types.Collection, mine: P
     with pytest.raises(RuntimeError, match=worded("no-proposal")):
         bpy.ops.plgs.answer_proposal()
     assert bpy.ops.plgs.propose_corrections() == {"FINISHED"}
-    (one,), progress = corrections.kept_proposals(placed)
+    (one,), progress = kept_proposals(placed)
     assert (one.instance, one.answer, progress) == (CABINET, "reclass", "0 of 2 looked at")
     assert bpy.ops.plgs.go_to_proposal() == {"FINISHED"}
     assert bpy.context.view_layer.objects.active == boxes_of(placed)[CABINET]
     bpy.ops.plgs.answer_proposal(instance=CABINET)
     assert {row.class_name for row in placed.plgs.instances} == {"chair"}
-    assert corrections.kept_proposals(placed) == ([], "1 of 2 looked at")
+    assert kept_proposals(placed) == ([], "1 of 2 looked at")
     bpy.ops.plgs.undo_correction()
     bpy.ops.plgs.answer_proposal(keep=True)
     assert [row.class_name for row in placed.plgs.instances] == ["chair", "cabinet"]
-    assert corrections.kept_proposals(placed) == ([], "1 of 2 looked at")
+    assert kept_proposals(placed) == ([], "1 of 2 looked at")
 
 
 def test_next_uncertain_frame_visits_each_frame_once(placed: bpy.types.Collection, mine: Path) -> None:

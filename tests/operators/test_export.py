@@ -111,14 +111,14 @@ def test_what_is_shown_is_exported_at_once(mine: Path, tmp_path: Path) -> None:
     before = state(root)
     assert bpy.ops.plgs.export_shown(form="gltf", filepath=str(tmp_path / "room")) == {"FINISHED"}
     content = glb(tmp_path / "room.glb")
-    assert {node["name"] for node in content["nodes"]} == {"floor mesh", "chair 1 mesh"}
+    assert {node["name"] for node in content["nodes"]} == {"floor", "chair 1"}
     assert {node["extras"]["class_id"] for node in content["nodes"]} == {FLOOR_ID, CHAIR_ID}
     assert len(content["images"]) == 2 and all(
         "baseColorTexture" in each["pbrMetallicRoughness"] for each in content["materials"]
     )
     root.plgs.instances[0].visible = False
     assert bpy.ops.plgs.export_shown(form="gltf", filepath=str(tmp_path / "hidden.glb")) == {"FINISHED"}
-    assert [node["name"] for node in glb(tmp_path / "hidden.glb")["nodes"]] == ["floor mesh"]
+    assert [node["name"] for node in glb(tmp_path / "hidden.glb")["nodes"]] == ["floor"]
     root.plgs.instances[0].visible = True
     assert state(root) == before and scene.collection.children.get("PLGS export") is None
     if bpy.app.build_options.usd:

@@ -36,7 +36,7 @@ def test_without_a_lift_each_says_why_it_is_grey(name: str) -> None:
 def test_the_lift_may_be_named(root: bpy.types.Collection, lift: Path, argument: str) -> None:
     named = str(lift) if argument == "folder" else argument
     assert bpy.ops.plgs.select_instance(instance=2, lift=named) == {"FINISHED"}
-    assert bpy.context.active_object.name == CABINET_NAME
+    assert bpy.context.active_object.name == f"{CABINET_NAME} box"
     with pytest.raises(RuntimeError, match=worded("lift-elsewhere")):
         bpy.ops.plgs.select_instance(instance=2, lift="another")
 
@@ -54,7 +54,7 @@ def test_zero_means_the_one_selected_in_the_list(root: bpy.types.Collection) -> 
 
 
 def test_boxes_by_class_and_back(root: bpy.types.Collection) -> None:
-    chair, cloud = bpy.data.objects[CHAIR_NAME], bpy.data.objects["chair"]
+    chair, cloud = bpy.data.objects[f"{CHAIR_NAME} box"], bpy.data.objects["chair points"]
     own = tuple(chair.color)
     root.plgs.look = "CLASSES"
     assert tuple(chair.color) == pytest.approx(tuple(cloud.color)) != pytest.approx(own)

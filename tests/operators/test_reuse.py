@@ -112,7 +112,7 @@ def test_an_object_is_visible_only_in_frames_that_show_it(placed: bpy.types.Coll
     assert bpy.ops.plgs.key_visibility(instances=str(CHAIR)) == {"FINISHED"}
     for name, frame in markers.items():
         scene.frame_set(frame)
-        box, mesh = boxes_of(placed)[CHAIR], next(ob for ob in placed.all_objects if ob.name == "chair 1 mesh")
+        box, mesh = boxes_of(placed)[CHAIR], next(ob for ob in placed.all_objects if ob.name == "chair 1")
         assert box.hide_viewport == mesh.hide_viewport == mesh.hide_render == (name not in shown or name == lost)
         assert box.hide_render
     row.masks.clear()

@@ -35,8 +35,8 @@ def test_one_collection_with_everything(lift: Path) -> None:
     assert root.name == "PLGS tiny room"
     assert [each.name for each in root.children] == ["Cameras", "Semantic points", "Anchors", "Instances"]
     assert [ob.name for ob in child(root, "Cameras").objects] == [f"{k:04d}" for k in range(FRAMES)]
-    assert [ob.name for ob in child(root, "Instances").objects] == [CHAIR_NAME, CABINET_NAME]
-    assert {ob.name for ob in child(root, "Semantic points").objects} >= {"wall", "floor", "chair", "cabinet"}
+    assert [ob.name for ob in child(root, "Instances").objects] == [f"{CHAIR_NAME} box", f"{CABINET_NAME} box"]
+    assert {ob.name for ob in child(root, "Semantic points").objects} >= {"wall points", "floor points", "chair points"}
     assert [ob.type for ob in child(root, "Anchors").objects] == ["POINTCLOUD"]
     assert lift_scene.lifts_in(bpy.context.scene) == [root]
 
@@ -59,7 +59,7 @@ def test_points_keep_their_attributes_through_a_file(lift: Path, tmp_path: Path)
     lift_scene.save_lift(lift, blend)
     bpy.ops.wm.open_mainfile(filepath=str(blend))
     stored = np.load(lift / "result" / "semantic_points.npz")
-    chair = bpy.data.objects["chair"]
+    chair = bpy.data.objects["chair points"]
     mine = stored["class_id"] == CHAIR_ID
     assert np.array_equal(values_of(chair.data, "position", "vector", 3), stored["xyz"][mine])
     assert np.array_equal(values_of(chair.data, "class_id"), stored["class_id"][mine])
@@ -152,13 +152,13 @@ def test_users_objects_stay(lift: Path) -> None:
     root = lift_scene.place_lift(lift, scene)
     mine = bpy.data.objects.new("mine", bpy.data.meshes.new("mine"))
     child(root, "Instances").objects.link(mine)
-    copy = bpy.data.objects[CHAIR_NAME].copy()
+    copy = bpy.data.objects[f"{CHAIR_NAME} box"].copy()
     copy.location.x += 5.0
     scene.collection.objects.link(copy)
     scene.timeline_markers.new("cut", frame=3)
     scene.render.resolution_x = 333
     before = (copy.location.x, scene.frame_end, scene.render.engine)
-    other_instances = bpy.data.objects[CABINET_NAME]
+    other_instances = bpy.data.objects[f"{CABINET_NAME} box"]
     lift_scene.place_lift(lift, scene)
     assert mine.name == "mine" and mine.users_collection == (child(root, "Instances"),)
     assert (copy.location.x, scene.frame_end, scene.render.engine) == before
@@ -224,7 +224,7 @@ def test_removed_objects_come_back(lift: Path) -> None:
     child(root, "Cameras").objects.unlink(moved)
     scene.collection.objects.link(moved)
     lift_scene.place_lift(lift, scene)
-    assert [ob.name for ob in child(root, "Instances").objects] == [CHAIR_NAME, CABINET_NAME]
+    assert [ob.name for ob in child(root, "Instances").objects] == [f"{CHAIR_NAME} box", f"{CABINET_NAME} box"]
     assert "0003" in child(root, "Cameras").objects
     assert moved.users_collection == (scene.collection,)
 
@@ -233,7 +233,7 @@ def test_removed_objects_come_back(lift: Path) -> None:
 def test_a_duplicate_never_takes_the_place_of_the_original(lift: Path, copies_mesh: bool) -> None:
     scene = bpy.context.scene
     root = lift_scene.place_lift(lift, scene)
-    box = bpy.data.objects[CHAIR_NAME]
+    box = bpy.data.objects[f"{CHAIR_NAME} box"]
     copy = box.copy()
     if copies_mesh:
         copy.data = box.data.copy()
@@ -241,7 +241,7 @@ def test_a_duplicate_never_takes_the_place_of_the_original(lift: Path, copies_me
     child(root, "Instances").objects.link(copy)
     for _ in range(2):
         lift_scene.place_lift(lift, scene)
-        assert box.name == ("zebra" if copies_mesh else CHAIR_NAME) and LIFT in box and LIFT not in copy
+        assert box.name == ("zebra" if copies_mesh else f"{CHAIR_NAME} box") and LIFT in box and LIFT not in copy
 
 
 def test_the_scene_of_the_passes_is_left_alone(lift: Path, tmp_path: Path) -> None:

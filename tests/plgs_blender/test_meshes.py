@@ -10,6 +10,7 @@ from plgs.engine.corrections import correct, making
 from plgs.engine.posed.ply import read_surface
 from plgs.plgs_blender import lift_scene
 from plgs.plgs_blender.inspecting.lists import registered
+from plgs.plgs_blender.inspecting.selection import boxes_of, follow_name
 from plgs.plgs_blender.materials import PICTURE, image_of, value_node
 from plgs.plgs_blender.meshes import are_stale, mesh_folder
 from plgs.plgs_blender.owned import lifts_in
@@ -62,7 +63,7 @@ def test_one_mesh_per_instance_and_per_stuff_class(lift: Path) -> None:
     ):
         ob = objects[key]
         mesh = ob.data
-        assert ob.name.startswith(name) and (ob["class_id"], ob["instance_id"]) == label
+        assert (ob.name, mesh.name) == (name, name) and (ob["class_id"], ob["instance_id"]) == label
         assert sum(polygon.area for polygon in mesh.polygons) == pytest.approx(area, rel=1e-5)
         assert all(polygon.normal.z > 0.99 for polygon in mesh.polygons)
         assert (len(mesh.vertices), len(mesh.polygons)) == (SIDE**2, 2 * (SIDE - 1) ** 2)
@@ -188,8 +189,11 @@ def test_a_rename_leaves_no_old_name_and_makes_nothing_stale(lift: Path, extensi
     (root,) = lifts_in(bpy.context.scene)
     chair = objects[f"mesh:{CHAIR_ID}:1"]
     assert bpy.ops.plgs.rename_instance(instance=1, name="throne") == {"FINISHED"}
-    assert (chair.name, chair.data.name) == ("throne mesh", "throne mesh") and not are_stale(root)
+    assert (chair.name, chair.data.name) == ("throne", "throne") and not are_stale(root)
     lift_scene.place_lift(lift, bpy.context.scene)
-    assert chair.name == "throne mesh" and not are_stale(root)
+    assert chair.name == "throne" and boxes_of(root)[1].name == "throne box" and not are_stale(root)
+    bpy.context.view_layer.objects.active, chair.name = chair, "stool"  # as the outliner does
+    follow_name()
+    assert root.plgs.instances[0].name == chair.data.name == "stool" and boxes_of(root)[1].name == "stool box"
     assert bpy.ops.plgs.reclass_instances(instances="1", class_name="cabinet") == {"FINISHED"}
     assert are_stale(root)

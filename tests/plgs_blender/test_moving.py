@@ -156,7 +156,7 @@ def test_a_lift_moved_alone_is_asked_for_once(project: Path, tmp_path: Path) -> 
     assert "Find Lift…" in drawn() and "Show It Anew" not in drawn()
     root.plgs.instances[0].name = "throne"
     assert root.plgs.instances[0].name == "chair 1" and "room_lift" in corrections.failed[0]
-    box = bpy.data.objects["chair 1"]
+    box = bpy.data.objects["chair 1 box"]
     box.location.x += 1.0
     at = box.location.x
     assert bpy.ops.plgs.find_lift(directory=str(tmp_path / "lifts of may")) == {"FINISHED"}

@@ -11,7 +11,7 @@ from plgs.engine.scene import open_scene
 from plgs.plgs_blender import compat, compositing, lift_scene, passes
 from plgs.plgs_blender.materials import linear_rgba
 from plgs.plgs_blender.pass_nodes import CRYPTO_CLASSES, CRYPTO_INSTANCES, PANOPTIC, PASSES, node_of, output_of
-from plgs.plgs_blender.passes import numbered, sequences
+from plgs.plgs_blender.shot_names import numbered, sequences
 from tiny_lift import CABINET_NAME, CHAIR_NAME, FRAMES, mend_manifest, write_passes, write_tiny_lift
 from tiny_scene import CHAIR_ID, TinyView, tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
 

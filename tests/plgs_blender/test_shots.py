@@ -13,7 +13,7 @@ import OpenEXR
 import pytest
 from plgs.engine.job import BakeCamera, read_cameras
 from plgs.plgs_blender.cameras import panorama_of
-from plgs.plgs_blender.passes import sequences
+from plgs.plgs_blender.shot_names import sequences
 from plgs.plgs_blender.shots import Shot, ShotReader, numbered_name, shot_of
 
 from tests.raises_key import raises_key

@@ -199,7 +199,7 @@ def test_a_lift_opens_as_splats_in_photo_colours_and_is_recoloured(lift: Path) -
         own = bpy.data.objects[next(ob.name for ob in root.all_objects if ob.get("plgs_key") == "instance:1")].color
         assert colours()[0] == pytest.approx([*own], abs=5e-3) and np.ptp(colours()[1, :3]) < 1e-6
         root.plgs.look = "CLASSES"
-        assert colours()[1] == pytest.approx([*bpy.data.objects["chair"].color], abs=5e-3)
+        assert colours()[1] == pytest.approx([*bpy.data.objects["chair points"].color], abs=5e-3)
         classes = colours()
         root.plgs.look = "UNCERTAINTY"
         assert not np.allclose(colours(), photo) and not np.allclose(colours(), classes)

@@ -11,7 +11,7 @@ import pytest
 import tiny_lift
 from plgs.engine.errors import PlgsError
 from plgs.engine.job.task import BAKE, LIFT, TaskState
-from plgs.plgs_blender import corrections, registry
+from plgs.plgs_blender import proposals, registry
 from plgs.plgs_blender.chosen_scene import ChosenScene
 from plgs.plgs_blender.correction_tools import SplitByViews
 from plgs.plgs_blender.engine_environment import choices, tasks
@@ -166,8 +166,8 @@ def test_edits_move_no_button(tmp_path: Path) -> None:
     split = rows_above("plgs.split_by_views")
     registry.follow(SplitByViews(lift, Pretended(TaskState.RUNNING), ()))  # type: ignore[arg-type]
     assert rows_above("Views 50 %") == split == rows_above("plgs.cancel_split") - 1
-    one = corrections.Proposal(1, "chair 1", 1.0, "few frames saw it", "delete")
-    root[corrections.PROPOSALS] = json.dumps({"open": [asdict(one)], "progress": "0 of 1 looked at"})
+    one = proposals.Proposal(1, "chair 1", 1.0, "few frames saw it", "delete")
+    root[proposals.PROPOSALS] = json.dumps({"open": [asdict(one)], "progress": "0 of 1 looked at"})
     shown = drawn()
     assert "few frames saw it" in shown
     assert rows_above("plgs.undo_correction") == before + 1, "the cross that cancels is beside the bar, in the same row"

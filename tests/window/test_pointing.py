@@ -89,7 +89,7 @@ def test_keys_act_on_what_was_clicked(window: Window, mine: Path) -> None:
     window.type("throne")
     window.key("Return")
     window.settle()
-    assert "throne" in window.ask(NAMES) and window.ask(f"boxes()[{CHAIR}].name") == "throne"
+    assert "throne" in window.ask(NAMES) and window.ask(f"boxes()[{CHAIR}].name") == "throne box"
     assert kinds(mine) == ["rename"]
     window.run(f"boxes()[{CHAIR}].name = 'stool'")  # as the outliner does
     window.wait_for("'stool' in [row.name for row in lift().plgs.instances]")
@@ -150,7 +150,7 @@ def test_a_double_click_in_the_list_renames(window: Window, work_folder: Path) -
         window.key("Return")
         window.settle()
         window.screenshot("pointing-list")
-        assert window.ask(NAMES)[1] == "seat" and window.ask(f"boxes()[{CABINET}].name") == "seat"
+        assert window.ask(NAMES)[1] == "seat" and window.ask(f"boxes()[{CABINET}].name") == "seat box"
         assert kinds(lift) == ["rename"]
         window.move(*over(window, CABINET))
         window.key("ctrl+z")

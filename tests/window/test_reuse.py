@@ -29,7 +29,7 @@ def mine(window: Window, work_folder: Path, request: pytest.FixtureRequest) -> I
 def test_objects_are_made_keyed_and_undone(window: Window, mine: Path) -> None:
     window.run(f"choose({CHAIR})")
     _, height = window.press("plgs.make_objects")
-    made = "sorted(ob.name for ob in bpy.data.objects if ob.name.startswith('chair 1 '))"
+    made = "sorted(ob.name for ob in bpy.data.objects if ob.name.startswith('chair 1 ') and ' box' not in ob.name)"
     assert window.ask(made) == ["chair 1 points"]
     shown = "[row.instance_id for row in lift().plgs.instances if row.visible]"
     assert window.ask(shown) == [CABINET]

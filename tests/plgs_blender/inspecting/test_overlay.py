@@ -60,19 +60,19 @@ def test_labels_stand_at_their_boxes(root: bpy.types.Collection, seen: Seen) -> 
     text_boxes = drawing.label_text_boxes(root.plgs.instances, boxes_of(root), active=1, region=seen.region)
     assert {text_box.text for text_box in text_boxes} == {"chair 1", "cabinet 1"}
     for text_box in text_boxes:
-        box = bpy.data.objects[text_box.text]
+        box = bpy.data.objects[f"{text_box.text} box"]
         at = seen.region.pixel_of(box.matrix_world.translation)
         assert at is not None and text_box.x < at[0] < text_box.x + text_box.width and text_box.y > at[1]
     chair, cabinet = sorted(text_boxes, key=lambda text_box: text_box.text, reverse=True)
     assert max(chair.ground) > max(cabinet.ground), "the selected one in its full colour"
-    bpy.data.objects.remove(bpy.data.objects["chair 1"])
+    bpy.data.objects.remove(bpy.data.objects["chair 1 box"])
     text_boxes = drawing.label_text_boxes(root.plgs.instances, boxes_of(root), active=1, region=seen.region)
     assert [text_box.text for text_box in text_boxes] == ["cabinet 1"]
 
 
 def test_selected_name_says_out_of_view_and_hovered_has_a_name(root: bpy.types.Collection, seen: Seen) -> None:
     boxes, region = boxes_of(root), seen.region
-    at = region.pixel_of(bpy.data.objects["chair 1"].matrix_world.translation)
+    at = region.pixel_of(bpy.data.objects["chair 1 box"].matrix_world.translation)
     free = [(at[0] - 80.0, 0.0, at[0] + 80.0, float(HEIGHT))]
     assert "chair 1" not in {
         each.text

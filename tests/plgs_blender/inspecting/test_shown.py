@@ -147,7 +147,7 @@ def test_an_instance_takes_its_box_points_and_anchors_with_it(root: bpy.types.Co
     before, row = seen(root), row_of(root, 1)
     row.visible = False
     after = seen(root)
-    assert row.name in before and row.name not in after
+    assert f"{row.name} box" in before and f"{row.name} box" not in after
     class_id, instance_id = stored(lift)
     left = sum(count for name, count in after.items())
     assert sum(before.values()) - left == (instance_id == 1).sum()
@@ -164,7 +164,7 @@ def test_a_class_takes_its_instances_with_it(root: bpy.types.Collection) -> None
     root.plgs.show_boxes = True
     before = seen(root)
     class_row_of(root, CHAIR_ID).visible = False
-    assert set(before) - set(seen(root)) == {"chair", "chair 1"}
+    assert set(before) - set(seen(root)) == {"chair points", "chair 1 box"}
     looks.show_all(root)
     assert seen(root) == before and all(row.visible for row in root.plgs.classes)
 
@@ -190,14 +190,14 @@ def test_isolating_one_and_returning_to_what_was_shown(root: bpy.types.Collectio
     before = seen(root)
     looks.isolate(root, 1)
     alone = seen(root)
-    assert set(alone) == {"chair", "chair 1"} and alone["chair"] == (stored(lift)[1] == 1).sum()
+    assert set(alone) == {"chair points", "chair 1 box"} and alone["chair points"] == (stored(lift)[1] == 1).sum()
     looks.isolate(root, 2)
-    assert set(seen(root)) == {"cabinet", "cabinet 1"}, "alone even though its eye is closed"
+    assert set(seen(root)) == {"cabinet points", "cabinet 1 box"}, "alone even though its eye is closed"
     looks.isolate(root, 2)
     assert seen(root) == before and not row_of(root, 2).visible
     looks.isolate(root, 1)
     looks.show_all(root)
-    assert root.plgs.isolated == 0 and {"chair 1", "cabinet 1"} <= set(seen(root))
+    assert root.plgs.isolated == 0 and {"chair 1 box", "cabinet 1 box"} <= set(seen(root))
 
 
 def test_hidden_stays_hidden_in_the_file(root: bpy.types.Collection, tmp_path: Path) -> None:
