@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..job.progress import Progress, part_of, unwatched
-from ..posed.ply import rows_by_label
 from ..scene import watched
 from .fusion import GRAZED, Grain, Ints, SmallView, Surface, fuse
 from .mending import LEAST_PIECE, STEEPEST, cut_by_label, open_edges, without_crumbs, without_flakes, without_flaps
@@ -26,9 +25,6 @@ WIDEST, MOST_VIEWS = 320, 60  # maximum width in pixels, and number, of the view
 ROOM, OBJECTS = Grain(0.05, 15.0, 1, times=3, reaches=GRAZED), Grain(0.025, times=3)
 ANY_ANGLE = -1.0  # the cosine beyond which the room is left out: its floors and walls may be seen from the side only
 HOLE = 0.15  # the largest size in metres, along each axis, of a hole in an object that is closed
-KEPT, KEPT_OF_OBJECTS, FEW, RIM = 0.5, 0.9, 400, 30.0
-"""The shares of triangles that are kept of the room and of objects, the most triangles of a mesh of which all are, and
-the weight of rims, which should stay where they meet."""
 WINDOW = 0.5  # the largest size in metres, along each axis, of a hole in the room that is closed
 _BESIDE = 0.075  # metres from an object's own surface within which the room's surface drops that object's triangles
 _AROUND = 0.3  # metres within which an unlabelled vertex takes a neighbour's label
@@ -65,35 +61,7 @@ def surface_to_view(views: list[SmallView], progress: Progress = unwatched) -> t
         np.concatenate([coarse.triangles, fine.triangles + len(coarse.xyz)]),
     )
     label = np.concatenate([coarse_label, fine_label[used]])
-    return coarsened(both, without_crumbs(both, label, label % MOST_INSTANCES == 0, LEAST_PIECE))
-
-
-def coarsened(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
-    """The surface with fewer triangles where it is flat, by Open3D's quadric decimation of each label's mesh. The
-    pictures show what is lost."""
-    from open3d.geometry import TriangleMesh
-    from open3d.utility import Vector3dVector, Vector3iVector
-
-    if not len(surface.triangles):
-        return surface, label
-    parts, labels = list[Surface](), list[Ints]()
-    for value, rows in rows_by_label(surface.triangles, label).items():
-        part, _ = surface.of(surface.triangles[rows])
-        if len(rows) > FEW:
-            mesh = TriangleMesh(Vector3dVector(part.xyz), Vector3iVector(part.triangles.astype(np.int32)))
-            mesh.vertex_colors, mesh.vertex_normals = Vector3dVector(part.rgb / 255), Vector3dVector(part.normal)
-            share = KEPT_OF_OBJECTS if value % MOST_INSTANCES else KEPT
-            mesh = mesh.simplify_quadric_decimation(int(share * len(rows)), boundary_weight=RIM).normalize_normals()
-            xyz, normal, rgb = (np.asarray(each) for each in (mesh.vertices, mesh.vertex_normals, mesh.vertex_colors))
-            colour = np.rint(255 * rgb.clip(0, 1)).astype(np.uint8)
-            corners = np.asarray(mesh.triangles).astype(np.int64)
-            part = Surface(xyz.astype(np.float32), colour, normal.astype(np.float32), corners)
-        parts.append(part)
-        labels.append(np.full(len(part.xyz), value))
-    starts = np.cumsum([0, *(len(part.xyz) for part in parts)])
-    triangles = [part.triangles + start for part, start in zip(parts, starts[:-1], strict=True)]
-    xyz, rgb, normal = (np.concatenate([getattr(part, name) for part in parts]) for name in ("xyz", "rgb", "normal"))
-    return Surface(xyz, rgb, normal, np.concatenate(triangles)), np.concatenate(labels)
+    return both, without_crumbs(both, label, label % MOST_INSTANCES == 0, LEAST_PIECE)
 
 
 def _labelled(
