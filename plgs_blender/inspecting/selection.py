@@ -305,7 +305,7 @@ def follow_name() -> None:
     outliner."""
     context = bpy.context
     ob = context.view_layer.objects.active if context.view_layer is not None else None
-    if not instance_of(ob) or ob.name == ob.get(SHOWN, ob.name):
+    if ob is None or not instance_of(ob) or ob.name == ob.get(SHOWN, ob.name):
         return
     without_number = re.sub(r"\.\d{3,}$", "", ob.name)  # Blender adds .001 to a name that is taken
     name = without_number if without_number in bpy.data.objects else ob.name
