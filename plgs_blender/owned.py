@@ -294,7 +294,7 @@ def root_collection(scene_folder: Path, lift_folder: Path | None, scene: bpy.typ
         _check_name(lift_folder)
         of_lift = (is_same_place(text_of(root, FOLDER), lift_folder) or shows(root, lift_folder) for root in ours)
         found = [root for root, is_same in zip(ours, of_lift, strict=True) if is_same]
-        found += [root for root in of_scene if not root[FOLDER]]
+        found += [root for root in of_scene if not text_of(root, FOLDER)]
     if found:
         root = found[0]
     else:

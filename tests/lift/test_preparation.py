@@ -12,7 +12,6 @@ from engine.lift import preparation
 from engine.lift.objects import labels_of
 from engine.lift.preparation import PreparedLift, label_channels
 from engine.model.structured import NO_OBJECT, SPARE
-from engine.scene import PanopticMask
 from tests.tiny_scene import CABINET, CABINET_ID, CHAIR, CHAIR_ID, WALL_ID
 from tests.train.tiny_lift import TINY, prepared_for, views_of, warnings_in
 
@@ -141,24 +140,3 @@ def test_holes_of_the_depth_get_points_but_are_no_target(tmp_path: Path) -> None
         sizes[fill] = len(prepared.cloud)
     whole = len(prepared_for(views, classes, TINY, tmp_path).cloud)
     assert sizes[False] < sizes[True] and sizes[True] > 0.97 * whole
-
-
-def test_what_was_split_before_it_was_seen_whole_is_one_object_if_views_may_merge(tmp_path: Path) -> None:
-    views, classes = views_of(tmp_path)
-    for number in range(2):  # each shows the cabinet in two halves, an upper and a lower one
-        mask = views[number].mask
-        whole = next(one for one in mask.segments if one.class_id == CABINET_ID)
-        rows = np.nonzero(mask.ids == whole.id)[0]
-        lower = (mask.ids == whole.id) & (np.arange(len(mask.ids)) > np.median(rows))[:, None]
-        ids = np.where(lower, 9, mask.ids).astype(np.int32)
-        views[number] = replace(views[number], mask=PanopticMask(ids, (*mask.segments, replace(whole, id=9))))
-    by_boxes = replace(TINY, objects="boxes", voxel_size=0.1)
-    found = []
-    for merge in (None, 0.5):
-        matching = replace(by_boxes.matching, merge=merge)
-        prepared = prepared_for(views, classes, replace(by_boxes, matching=matching), tmp_path)
-        found.append(sorted(one.class_id for one in prepared.instances))
-        cabinets = [one for one in prepared.instances if one.class_id == CABINET_ID]
-        assert sum(len(one.masks) for one in cabinets) == 9, "seven views, two with halves"
-        assert {*prepared.instance_of_point.tolist()} == {0, *(one.id for one in prepared.instances)}
-    assert found == [[CABINET_ID, CABINET_ID, CHAIR_ID], [CABINET_ID, CHAIR_ID]]

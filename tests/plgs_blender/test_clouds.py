@@ -156,7 +156,7 @@ def test_solid_shading_shows_classes(lift: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("engine", ["CYCLES", pytest.param(EEVEE, marks=pytest.mark.slow)])
 def test_renders_show_photo_colours(lift: Path, tmp_path: Path, engine: str) -> None:
     root = lift_scene.place_lift(lift, bpy.context.scene)
-    chair = next(ob for ob in root.all_objects if ob.name == "chair")
+    chair = next(ob for ob in root.all_objects if ob.name == "chair points")
     green = np.tile(np.array([0.0, 1.0, 0.0, 1.0], np.float32), (len(chair.data.points), 1))
     chair.data.attributes["Col"].data.foreach_set("color", green.ravel())
     picture = render(engine, tmp_path / "photo.png")

@@ -47,7 +47,7 @@ ELSEWHERE = {
     # beside what they look at, cancel or mend
     "look_at_scene", "refresh_lifts", "watch_lift", "open_log", "show_finding", "go_to_finding", "leave_out",
     "cancel_frames", "cancel_film", "cancel_depth", "cancel_poses", "cancel_masks", "cancel_diagnosis", "cancel_export",
-    "cancel_split", "cancel_removal",
+    "cancel_split", "cancel_removal", "bake_changed_shot",
     # the preferences
     "set_up_engine", "cancel_engine_set_up", "add_to_engine", "cancel_adding", "use_this_python", "check_engine",
     "open_set_up_log", "remove_engine",
