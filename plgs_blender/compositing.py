@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 
 import bpy
 
 from ..engine.errors import PlgsError
+from ..engine.posed.exr_header import mattes_in
 from ..engine.posed.names import matte_names
 from . import compat
 from .inspecting.selection import choosing, class_row_of, row_of
@@ -221,11 +223,13 @@ def matte_class(root: bpy.types.Collection, class_id: int) -> str:
 
 
 def _set(root: bpy.types.Collection, layer: str, name: str, by_class: float) -> None:
-    """Set the matte in all passes scenes of the lift. If no control makes it visible, it gets an outline."""
-    compositors = [tree for _, tree in compositors_of(root)]
+    """Set the matte in all passes scenes of the lift whose files have it. If no control makes it visible, it gets an
+    outline. Raises PlgsError for files of before the name."""
+    compositors = [*compositors_of(root)]
     if not compositors:
         raise PlgsError("no-passes", "has no passes in a compositor", root.name, "Bake some in the Passes panel.")
-    for tree in compositors:
+    without = [scene.name for scene, tree in compositors if not _has_matte(tree, layer, name)]
+    for tree in (tree for scene, tree in compositors if scene.name not in without):
         node_of(tree, layer).matte_id = name
         group = _group_node(tree)
         if group is None:
@@ -234,3 +238,15 @@ def _set(root: bpy.types.Collection, layer: str, name: str, by_class: float) -> 
         controls["By class"].default_value = by_class
         if not any(controls[each].default_value or controls[each].is_linked for each in _SHOWING):
             controls["Outline"].default_value = 1.0
+    if without:
+        fix = "They were baked before it had this name or was there: bake them again."
+        raise PlgsError("no-matte", f"has no matte of {name}", ", ".join(without), fix)
+
+
+def _has_matte(tree: bpy.types.NodeTree, layer: str, name: str) -> bool:
+    """Whether the passes have it, as far as their file can be read: a node shows black for a name that it lacks."""
+    image = node_of(tree, layer).image
+    try:
+        return image is None or name in mattes_in(Path(bpy.path.abspath(image.filepath)), layer)
+    except PlgsError:
+        return True

@@ -15,6 +15,8 @@ from plgs.plgs_blender.pass_nodes import CRYPTO_CLASSES, CRYPTO_INSTANCES, PANOP
 from plgs.plgs_blender.passes import place_shots
 from plgs.plgs_blender.results import read_result
 
+from tests.raises_key import raises_key
+
 CHAIR, CABINET = 1, 2
 
 
@@ -70,3 +72,16 @@ def test_the_matte_follows_the_selection_if_asked(root: bpy.types.Collection) ->
     assert matte(tree)[0] == "cabinet 1"
     root.plgs.instance_index = -1
     assert matte(tree)[0] == "cabinet 1", "nothing is no choice"
+
+
+def test_passes_of_before_a_name_are_not_shown_black(root: bpy.types.Collection, lift: Path, tmp_path: Path) -> None:
+    (_, tree), *_ = compositing.compositors_of(root)
+    compositing.matte_instance(root, CABINET)
+    row = next(each for each in root.plgs.instances if each.instance_id == CHAIR)
+    row.name = "Anna's chair"
+    with raises_key("no-matte"):
+        compositing.matte_instance(root, CHAIR)
+    assert matte(tree)[0] == "cabinet 1", "what is shown stays"
+    row.name = "chair 1"
+    compositing.matte_instance(root, CHAIR)
+    assert matte(tree)[0] == "chair 1"
