@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from pathlib import Path
 import bpy
 
 from ..engine.errors import PlgsError
-from ..engine.posed.exr_header import mattes_in
+from ..engine.posed.exr_header import read_exr_header
 from ..engine.posed.names import matte_names
 from . import compat
 from .inspecting.selection import choosing, class_row_of, row_of
@@ -244,9 +245,14 @@ def _set(root: bpy.types.Collection, layer: str, name: str, by_class: float) -> 
 
 
 def _has_matte(tree: bpy.types.NodeTree, layer: str, name: str) -> bool:
-    """Whether the passes have it, as far as their file can be read: a node shows black for a name that it lacks."""
+    """Whether the manifest of the passes (Cryptomatte 1.2) has the name, as far as their file can be read: a node shows
+    black for a name that it lacks."""
     image = node_of(tree, layer).image
+    if image is None:
+        return True
     try:
-        return image is None or name in mattes_in(Path(bpy.path.abspath(image.filepath)), layer)
-    except PlgsError:
+        attributes = read_exr_header(Path(bpy.path.abspath(image.filepath))).attributes
+        key = next(key for key, (_, value) in attributes.items() if key.endswith(b"/name") and value == layer.encode())
+        return name in json.loads(attributes[key.replace(b"/name", b"/manifest")][1])
+    except (PlgsError, StopIteration, KeyError, ValueError, TypeError):
         return True

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import struct
 from collections.abc import Mapping
@@ -75,17 +74,6 @@ def one_pixel_of(path: Path) -> bytes:
         content += name + b"\0" + kind + b"\0" + struct.pack("<i", len(value)) + value
     width = sum(header.channels.values())  # bytes of a pixel
     return content + b"\0" + struct.pack("<Qii", len(content) + 9, 0, width) + bytes(width)  # the line's place, y, size
-
-
-def mattes_in(path: Path, layer: str) -> frozenset[str]:
-    """The names in the manifest of a Cryptomatte layer (Cryptomatte 1.2); empty if there is none. Raises PlgsError."""
-    attributes = read_exr_header(path).attributes
-    found = (key for key, (_, value) in attributes.items() if key.endswith(b"/name") and value == layer.encode())
-    manifest = attributes.get(next(found, b"").replace(b"/name", b"/manifest"), (b"", b"{}"))[1]
-    with suppress(ValueError):
-        names = json.loads(manifest)
-        return frozenset(names) if isinstance(names, dict) else frozenset()
-    return frozenset()
 
 
 def _attributes_of(path: Path) -> tuple[bytes, dict[bytes, tuple[bytes, bytes]]]:
