@@ -129,16 +129,16 @@ known = lambda: diagnosis.registry.latest(diagnosis.Diagnosis)
 
 
 @pytest.fixture(scope="module")
-def dark(work_folder: Path) -> tuple[Path, str]:
-    """A scene with one black photo, and that frame's name."""
-    scene = write_tiny_scene(work_folder / "dark room", frames=14, size=(96, 72))
-    photo = sorted((scene / "color").iterdir())[6]
-    cv2.imwrite(str(photo), np.zeros((72, 96, 3), np.uint8))
-    return scene, photo.stem
+def odd(work_folder: Path) -> tuple[Path, str]:
+    """A scene with one mask upside down, and that frame's name."""
+    scene = write_tiny_scene(work_folder / "odd room", frames=14, size=(96, 72))
+    mask = sorted((scene / "panoptic").iterdir())[6]
+    cv2.imwrite(str(mask), cv2.imread(str(mask), cv2.IMREAD_UNCHANGED)[::-1, ::-1])
+    return scene, mask.stem
 
 
-def test_a_finding_is_a_picture_and_buttons(window: Window, dark: tuple[Path, str]) -> None:
-    scene, frame = dark
+def test_a_finding_is_a_picture_and_buttons(window: Window, odd: tuple[Path, str]) -> None:
+    scene, frame = odd
     window.open_sidebar()
     window.run(f"bpy.context.scene.plgs.scene_folder = {str(scene)!r}")
     window.press("plgs.import_scene")
