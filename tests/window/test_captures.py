@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import cv2
-import numpy as np
 import pytest
 from blender import SIZE, Window
 from tiny_scene import write_tiny_scene
