@@ -147,7 +147,8 @@ def evaluate(options: argparse.Namespace, events: EventWriter, stop: StopSignal)
         metrics = score_folders(predicted, true, ids_per_frame=options.ids_per_frame)
         if left := unscored(predicted, true):
             events.warning(f"{left} frames with ground truth are not scored, as they have no prediction.")
-    events.answer(metrics, metrics_text(metrics, per_class=options.classes))
+    count = f"{len(metrics['test_frames'])} frames:\n" if options.lift is None else ""
+    events.answer(metrics, count + metrics_text(metrics, per_class=options.classes))
 
 
 def _corrected_metrics(lift: LiftFolder, events: EventWriter, stop: StopSignal) -> dict[str, object] | None:
@@ -334,7 +335,7 @@ def presets(options: argparse.Namespace) -> ExitCode:
     else:
         for preset in PRESETS.values():
             width, height = preset.size
-            text = f"{preset.steps} steps, pictures within {width}x{height}, anchors every {preset.voxel_size} m"
+            text = f"{preset.last_step} steps, pictures within {width}x{height}, anchors every {preset.voxel_size} m"
             print(f"{preset.name:<9} {text}, objects by {preset.objects}, labels by {preset.labels}")
         print("\n'presets NAME' prints all options of one.")
     return ExitCode.FINISHED

@@ -136,12 +136,6 @@ def edit_of(entry: dict[str, Any], path: Path) -> Edit:
     return edit
 
 
-def no_object(what: str, where: Path | str, known: list[int]) -> PlgsError:
-    """The error for an object that does not exist."""
-    ids = ", ".join(map(str, known)) or "none"
-    return PlgsError("no-object", what, where, f"Its objects are {ids}.")
-
-
 FORMAT = 1
 _WAIT_S = 20.0
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from ..errors import PlgsError
 from ..posed.classes import ClassTable, named
-from .edits import CORRECTIONS, Edit, MovedPoints, NewObject, ObjectMark, no_object
+from ..posed.layout import listed
+from .edits import CORRECTIONS, Edit, MovedPoints, NewObject, ObjectMark
 from .relabelling import Labels, nearest
 from .replay import Replay, in_millimetres
 
@@ -54,7 +55,7 @@ def object_of(state: Replay, said: int | str) -> int:
     found = [number for number, name in names.items() if text in (str(number), f"{number} {name}")]
     found = found or named(names, text)
     if not found:
-        raise no_object(f"there is no object {said}", CORRECTIONS, sorted(names))
+        raise _no_object(state, said)
     if len(found) > 1:
         what = f"several objects are named '{said}': {', '.join(map(str, found))}"
         raise PlgsError("several-objects", what, CORRECTIONS, "Give the id of one, as shown by list.")
@@ -210,9 +211,17 @@ def accept(state: Replay, numbers: Sequence[int]) -> Edit:
     return Edit("accept", tuple(_mark(state, number) for number in _some(numbers)))
 
 
+def _no_object(state: Replay, said: int | str) -> PlgsError:
+    gone = [one for number, one in state.removed.items() if str(said).strip() in (str(number), one.name)]
+    if gone:
+        return PlgsError("removed-already", f"{gone[0].name} is removed already", CORRECTIONS, "Put it back first.")
+    known = listed((f"{number} {one.name}" for number, one in sorted(state.objects.items())), 40)
+    return PlgsError("no-object", f"there is no object {said}", CORRECTIONS, f"Its objects are {known or 'none'}.")
+
+
 def _mark(state: Replay, number: int) -> ObjectMark:
     if number not in state.objects:
-        raise no_object(f"there is no object {number}", CORRECTIONS, sorted(state.objects))
+        raise _no_object(state, number)
     return state.mark(number)
 
 

@@ -1,1 +1,1 @@
-"""The options of a lift, and the three presets. Standard library only."""
+"""The options of a lift, and the four presets. Standard library only."""
