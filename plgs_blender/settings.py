@@ -22,7 +22,7 @@ from .engine_environment import studio
 from .errors import with_field_names
 
 _PRESETS = [
-    ("draft", "Draft", "Takes half a minute; shows a first room, which Refine makes better"),
+    ("draft", "Draft", "Under half of Preview's time; a first room, which Refine makes better"),
     ("preview", "Preview", "Takes minutes; shows whether frames, poses and masks fit together"),
     ("standard", "Standard", "The best result; takes a few times as long as Preview"),
     ("paper", "Thorough", "Takes hours; the paper's method and number of steps"),

@@ -179,7 +179,7 @@ def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, s
     ``more_bakes``: other values of --bake, and their meanings; the caller must remove them from the options."""
     parser.add_argument(
         "--preset", type=preset_or_file, metavar="NAME|FILE.toml",
-        help="how much work to spend: draft shows a room in half a minute, preview takes minutes, standard tens of "
+        help="how much work to spend: draft takes half of preview's time, preview takes minutes, standard tens of "
         "minutes, paper follows the paper's own settings; or your own file, like those that 'presets NAME' prints "
         f"(default: {DEFAULTS.preset})",
     )  # fmt: skip
