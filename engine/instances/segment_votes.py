@@ -10,14 +10,16 @@ Points share their votes with their neighbours on the same thing: a point that f
 masks leave it with wrong ones. Two points are on one thing if most views, by what they resolve, show both in one
 segment. So votes do not cross the outline of a picture or a rug in the plane of its wall or floor. OVSeg3R (arXiv
 2509.23541) cuts its superpoints at such outlines. Where views contradict each other, superpoints take the place of
-neighbours (`superpoints`): a point gets all other votes of its piece.
+neighbours (`superpoints`): a point gets all other votes of its piece. And near views may overrule the others
+on what they show as a whole. From far away, a network takes a sink for the countertop; from nearby, a part of a table
+for the floor.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,13 +63,20 @@ def vote_panoptic_labels(
     chosen = [slice(at, at + some) for at in range(0, points, some)]
 
     def step(*_: int) -> None:
-        progress(next(done), (1 + options.rounds) * (len(views) + len(chosen)))
+        progress(next(done), (1 + options.rounds) * (len(views) + len(chosen) * (1 + options.near)))
 
     def decided(maps: Iterable[NDArray[np.int16]]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         votes = _votes(watched(views, step), maps, point_of_pixel, size=(points, len(labels)), kind=kind)
-        shared = votes if neighbours is None else votes + neighbours @ votes
-        parts = [decide_labels(shared[some].toarray(), labels, LEAST_SHARE) for some in watched(chosen, step)]
-        return np.concatenate([label for label, _ in parts]), np.concatenate([share for _, share in parts])
+        shared = votes if neighbours is None else _Votes(*(own + neighbours @ own for own in votes))
+        label, share = _winners(shared.asked, labels, watched(chosen, step))
+        if options.near:  # votes by density decide, where most of them come from segments that are seen as a whole
+            nearer, nearer_share = _winners(shared.near, labels, watched(chosen, step))
+            rows = np.flatnonzero((nearer != label) & (nearer >= 0))
+            if len(rows):
+                whole, all_ = (np.asarray(of[rows, nearer[rows]]).reshape(-1) for of in (shared.whole, shared.near))
+                rows = rows[whole > 0.5 * all_]
+                label[rows], share[rows] = nearer[rows], nearer_share[rows]
+        return label, share
 
     label, share = decided(member_labels(view, labels, object_of_segment) for view in views)
     for _ in range(options.rounds):
@@ -120,6 +129,15 @@ def segment_labels(
     return np.where(mask.ids > 0, kept, UNKNOWN_LABEL).astype(np.int16)
 
 
+class _Votes(NamedTuple):
+    """Votes, sparse float32 [points, labels] each: ``asked`` by the kind of evidence that was asked for, ``near`` by
+    density, and ``whole`` those of ``near`` that come from segments which their views show as a whole."""
+
+    asked: Any
+    near: Any
+    whole: Any
+
+
 def _votes(
     views: Iterable[View],
     maps: Iterable[NDArray[np.int16]],
@@ -127,11 +145,11 @@ def _votes(
     *,
     size: tuple[int, int],
     kind: EvidenceKind,
-) -> Any:
-    """The votes of all views, sparse float32 [points, labels]. ``size``: the numbers of points and of labels. In each
-    view a point's pixels share its votes on the point."""
+) -> _Votes:
+    """The votes of all views. ``size``: the numbers of points and of labels. In each view a point's pixels share its
+    votes on the point."""
     points, count = size
-    total = sparse.csr_matrix((points, count), dtype=np.float32)
+    total = [sparse.csr_matrix((points, count), dtype=np.float32)] * 3
     parts: list[tuple[NDArray[np.int64], NDArray[np.float32]]] = []
     for view, labels, rows in zip(views, maps, point_of_pixel, strict=True):
         seen = rows >= 0
@@ -140,21 +158,40 @@ def _votes(
         resolution = np.bincount(rows[seen], resolution_of(view)[seen], points) / safe
         voting = seen & (labels >= 0)
         pairs, index = np.unique(rows[voting].astype(np.int64) * count + labels[voting], return_inverse=True)
-        shown = np.bincount(index.reshape(-1), view.mask.share_map()[voting], len(pairs))
+        said = view.mask.share_map()
+        shown, whole = (
+            np.bincount(index.reshape(-1), own[voting], len(pairs)) for own in (said, said * is_whole(view.mask))
+        )
         point = pairs // count
-        word = evidence(kind, pixels[point] * view.mask_scale**2, resolution[point]) / safe[point]
-        parts.append((pairs, (shown * word).astype(np.float32)))
+        amount = pixels[point] * view.mask_scale**2, resolution[point]
+        asked, near = (evidence(each, *amount) / safe[point] for each in (kind, "density"))
+        parts.append((pairs, np.stack([shown * asked, shown * near, whole * near]).astype(np.float32)))
         if len(parts) == VIEWS_AT_A_TIME:
             total, parts = _added(total, parts), []
-    return _added(total, parts)
+    return _Votes(*_added(total, parts))
 
 
-def _added(total: Any, parts: list[tuple[NDArray[np.int64], NDArray[np.float32]]]) -> Any:
-    """Add ``parts``, (point * labels + label, int64 [n], and the votes float32 [n]), to the matrix."""
+def _added(total: list[Any], parts: list[tuple[NDArray[np.int64], NDArray[np.float32]]]) -> list[Any]:
+    """Add ``parts``, (point * labels + label, int64 [n], and the votes float32 [3, n]), to the three matrices."""
     if not parts:
         return total
-    cells = np.divmod(np.concatenate([pairs for pairs, _ in parts]), total.shape[1])
-    return total + sparse.csr_matrix((np.concatenate([votes for _, votes in parts]), cells), shape=total.shape)
+    cells = np.divmod(np.concatenate([pairs for pairs, _ in parts]), total[0].shape[1])
+    votes = np.concatenate([votes for _, votes in parts], axis=1)
+    return [all_ + sparse.csr_matrix((own, cells), shape=all_.shape) for all_, own in zip(total, votes, strict=True)]
+
+
+def is_whole(mask: PanopticMask) -> NDArray[np.bool_]:
+    """Which pixels belong to segments that the picture's border does not cut, bool [H, W]."""
+    ids = mask.ids
+    return ~np.isin(ids, np.unique(np.concatenate([ids[0], ids[-1], ids[:, 0], ids[:, -1]])))
+
+
+def _winners(
+    votes: Any, labels: PanopticLabels, slices: Iterable[slice]
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """The label of each point, int32 [N], and its class's share of the votes, float32 [N]."""
+    parts = [decide_labels(votes[some].toarray(), labels, LEAST_SHARE) for some in slices]
+    return np.concatenate([label for label, _ in parts]), np.concatenate([share for _, share in parts])
 
 
 NEIGHBOURS = 6

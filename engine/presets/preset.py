@@ -88,11 +88,12 @@ class Growth:
 @dataclass(frozen=True)
 class SegmentVoting:
     """``rounds``: how often segments take the label of their points and vote again. ``neighbours``: neighbouring points
-    on a thing share votes. ``superpoints``: points share all votes of their superpoint, if held-back views agree with
-    the result."""
+    on a thing share votes. ``near``: near views may overrule the others on what they show as a whole. ``superpoints``:
+    points share all votes of their superpoint, if held-back views agree with the result."""
 
     rounds: int = _ranged(2)
     neighbours: bool = True
+    near: bool = True
     superpoints: bool = True
 
 

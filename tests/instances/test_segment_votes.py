@@ -121,6 +121,25 @@ def test_a_point_has_votes_by_the_evidence(kind: EvidenceKind, near_votes: int) 
     assert found.confidence == pytest.approx(max(near_votes, 5) / (near_votes + 5))
 
 
+SINK, TABLE = slice(18, 22), slice(0, 28)
+
+
+@pytest.mark.parametrize(
+    ("columns", "near", "expected"),
+    [(SINK, True, OBJECT), (SINK, False, WALL_LABEL), (TABLE, True, WALL_LABEL), (TABLE, False, WALL_LABEL)],
+)
+def test_a_near_view_overrules_far_ones_on_what_it_shows_as_a_whole(columns: slice, near: bool, expected: int) -> None:
+    """It has three times the resolution of five views that draw no thing there. The picture's border cuts the table."""
+    close = drawn("near", columns)
+    close = replace(close, depth=close.depth / 3)
+    rows = np.arange(SIZE[0] * SIZE[1], dtype=np.int32).reshape(SIZE[::-1])
+    views = [close, *(wall_view(f"far {number}", 0.0) for number in range(5))]
+    members, options = {("near", SOFA): 1}, SegmentVoting(0, near=near)
+    found = vote(ViewsOnCloud.of(views, [rows] * 6), rows.size, LABELS, members, options=options, kind="resolution")
+    assert (found.label.reshape(SIZE[::-1])[ROWS, columns] == expected).all()
+    assert (found.label != expected).any() == (expected == OBJECT)
+
+
 def test_a_point_gets_its_neighbours_votes_besides_its_own() -> None:
     """Three points: the first is seen as a chair, its neighbour by two views as a wall, the third has no neighbour."""
     rows = np.full(SIZE[::-1], -1, np.int32)
