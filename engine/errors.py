@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import re
+import shlex
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -121,7 +122,7 @@ def problem_of(what: str, where: str) -> str:
 
 def lacks_part(what: str, where: Path | str, name: str) -> PlgsError:
     """The error for an engine that lacks the packages of ``name``, a part that `python -m engine add` knows."""
-    fix = f"Add it to the engine: {sys.executable} -m engine add {name}."
+    fix = f"Add it to the engine: {shlex.quote(sys.executable)} -m engine add {name}."
     return PlgsError("lacks-part", what, where, fix, code=ErrorCode.LACKS_PART, option=name)
 
 

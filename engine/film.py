@@ -76,7 +76,7 @@ def _refuse_missing(source: Path, folder: Path, wish: Wish, events: EventWriter)
     if lacking or (networks and not wish.download):
         what = f"this must be downloaded first: {'; '.join([*packages, *networks])}"
         agree = ["--download"] if networks and not wish.download else []
-        fix = " ".join([*(f"Give python -m engine add {part}." for part in lacking),
+        fix = " ".join([*(f"Add to the engine: python -m engine add {part}." for part in lacking),
                         *(f"Give {option} if you agree to the licences." for option in agree)])  # fmt: skip
         if lacking:
             raise PlgsError("lacks-parts", what, source, fix, code=ErrorCode.LACKS_PART, option=lacking[0])

@@ -145,9 +145,14 @@ def _check_pin(pin: Path, pins: Mapping[str, Any], folder: Path) -> None:
 
 def _ask_hub(hub: Any, model: str, revision: str | None) -> None:
     """Raise PlgsError if the hub does not answer or lacks the model, as a download would wait for a silent hub."""
+    from huggingface_hub.errors import RepositoryNotFoundError, RevisionNotFoundError
+
     try:
         hub.model_info(model, revision=revision, timeout=_HUB_S)
-    except Exception as error:  # of httpx, or of whatever the hub's library uses in its place
-        fix = "Check the name and the connection, or name a folder that holds the model."
+    except (RepositoryNotFoundError, RevisionNotFoundError) as error:
         what = f"huggingface.co does not offer the model ({type(error).__name__})"
+        raise PlgsError("no-model", what, model, "Check the name, or name a folder that holds it.") from error
+    except Exception as error:  # of httpx, or of whatever the hub's library uses in its place
+        what = f"huggingface.co does not answer ({type(error).__name__})"
+        fix = "Check the connection, or name a folder that holds the model."
         raise PlgsError("hub-silent", what, model, fix) from error

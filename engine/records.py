@@ -23,6 +23,7 @@ from .json_file import read_object, shown_json, to_text
 
 Record = TypeVar("Record")
 _NAMES = {str: "a text", Path: "a path", PurePosixPath: "a path", bool: "true or false", NoneType: "null"}
+_MOST_LISTED = 8  # keys that a message lists
 
 
 def to_json(record: Any, folder: Path | None = None) -> dict[str, Any]:
@@ -68,7 +69,9 @@ def record_of(
     if unknown := sorted(content.keys() - declared.keys()):
         where = f" in {context}" if context else ""
         what = f"the file has {', '.join(map(repr, unknown))}{where}, which this version does not know"
-        raise PlgsError("unknown-field", what, path, "Remove it, or use the version of PLGS that wrote it.")
+        known = f" This one knows {', '.join(declared)}." if len(declared) <= _MOST_LISTED else ""
+        fix = f"Remove it, or use the version of PLGS that wrote it.{known}"
+        raise PlgsError("unknown-field", what, path, fix)
     values = dict(apart)
     for name, each in declared.items():
         key = f"{context}.{name}" if context else name

@@ -21,14 +21,19 @@ class OnLift(Acts):
 
     lift: text_argument("Lift", "Folder or collection of the lift; empty: the active object's, else the scene's first")
 
+    @staticmethod
+    def room(scene: bpy.types.Scene) -> bpy.types.Scene:
+        """The scene whose lifts it works on."""
+        return scene
+
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        has_result = any(len(root.plgs.classes) for root in lifts_in(context.scene))
+        has_result = any(len(root.plgs.classes) for root in lifts_in(cls.room(context.scene)))
         return None if has_result else "This scene has no lift result yet"
 
     def root(self, context: bpy.types.Context) -> bpy.types.Collection:
         """The lift's collection. Raises PlgsError."""
-        return find_lift(context.scene, self.lift, context.active_object)
+        return find_lift(self.room(context.scene), self.lift, context.active_object)
 
     def act(self, context: bpy.types.Context) -> str | None:
         return self.act_on(context, self.root(context))
@@ -43,7 +48,7 @@ class OnInstance(OnLift):
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        if panel_of(context) is not None and chosen_row(context.scene, context.active_object) is None:
+        if panel_of(context) is not None and chosen_row(cls.room(context.scene), context.active_object) is None:
             return "Choose an instance: click it in the view, or its row in the list"
         return super().why_not(context)
 

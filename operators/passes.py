@@ -11,7 +11,7 @@ from ..plgs_blender import compositing
 from ..plgs_blender.compositing import show_compositor, show_room
 from ..plgs_blender.engine_environment import usable_python, why_no_engine
 from ..plgs_blender.errors import PlgsError, one_line
-from ..plgs_blender.owned import KEY
+from ..plgs_blender.owned import KEY, scene_to_fill
 from ..plgs_blender.passes import open_passes, passes_scene_of
 from ..plgs_blender.registry import Task
 from ..plgs_blender.running import lifting
@@ -228,6 +228,7 @@ class PLGS_OT_matte_instance(OnInstance, bpy.types.Operator):
     """Use this instance as the matte in the compositor"""
 
     bl_idname, bl_label, bl_options = "plgs.matte_instance", "Matte", {"REGISTER", "UNDO"}
+    room = staticmethod(scene_to_fill)  # from the scene of the passes, too
 
     def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str:
         return one_line(f"The compositor's matte is {compositing.matte_instance(root, self.instance)}")
@@ -237,6 +238,7 @@ class PLGS_OT_matte_class(OnClass, bpy.types.Operator):
     """Use everything of this class as the matte in the compositor"""
 
     bl_idname, bl_label, bl_options = "plgs.matte_class", "Matte", {"REGISTER", "UNDO"}
+    room = staticmethod(scene_to_fill)  # from the scene of the passes, too
 
     def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str:
         return one_line(f"The compositor's matte is {compositing.matte_class(root, self.class_id)}")

@@ -28,6 +28,18 @@ _OTHER_NAMES = {
 }
 """Blender's names of options that match no field, or more than one."""
 _OPTION = re.compile(r"(?<![\w-])--([a-z-]+)(?: [A-Z]+\b| colmap\b)?")
+_COMMAND = re.compile(
+    r"'?(?:(?:'[^']*'|\S+) -m engine|the command) (add|segment|poses|depth|lift)\b(?: [A-Z]+\b| --resume| \w+(?=\.))*'?"
+)
+"""A command of the engine, as messages name it for a terminal."""
+_BUTTONS = {
+    "add": "Add to Engine",
+    "segment": "Make Masks",
+    "poses": "Find Poses",
+    "depth": "Make Depth",
+    "lift": "Resume",
+}
+"""The button that does what a command does."""
 _PLAIN_WORD = re.compile(r"[a-z]+(?=[ ,:;.]?( |$))")
 
 
@@ -35,13 +47,18 @@ def with_field_names(said: PlgsError | OSError | str) -> str:
     """The engine's message in one printable line, with the panel's field names in place of command-line options. Paths
     stay as they are. An option's placeholder, such as OUT, is removed with it."""
     if not isinstance(said, PlgsError):
-        return one_line(_OPTION.sub(_name_in_panel, str(said)))
-    what, fix = (_OPTION.sub(_name_in_panel, text) for text in (said.what, said.fix))
+        return one_line(_for_panel(str(said)))
+    what, fix = _for_panel(said.what), _for_panel(said.fix)
     where = sentence(said.where) if said.where.startswith("the ") else said.where
     problem = problem_of(what, where)
     if not where or not problem.startswith(where):  # a name keeps its first letter
         problem = sentence(problem)
     return one_line(f"{problem}. {fix}" if fix else problem)
+
+
+def _for_panel(text: str) -> str:
+    """The text with buttons in place of commands, and fields in place of options."""
+    return _OPTION.sub(_name_in_panel, _COMMAND.sub(lambda found: _BUTTONS[found[1]], text))
 
 
 def sentence(text: str) -> str:

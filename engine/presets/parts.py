@@ -51,7 +51,7 @@ class Parts(dict[str, Part]):
             near = difflib.get_close_matches(name, self, 1)
             hint = f"Did you mean {near[0]}? " if near else ""
             fix = f"{hint}Choose one of {', '.join(self)}, or run the script that registers it."
-            raise PlgsError("no-part", f"{name!r} is not a {self.kind} of this process", "--set", fix)
+            raise PlgsError("no-part", f"there is no {self.kind} {name!r}", "", fix)
         return self[name]
 
     def sources(self, names: Iterable[str]) -> dict[str, str]:

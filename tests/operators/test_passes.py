@@ -65,6 +65,9 @@ def test_passes_open_in_the_compositor_at_the_active_camera(lift: Path) -> None:
     scene.camera = next(ob for ob in scene.objects if ob.get("frame") == baked[-1])
     assert bpy.ops.plgs.show_passes() == {"FINISHED"}
     assert {marker.name: marker.frame for marker in passes.timeline_markers}[baked[-1]] == passes.frame_current
+    assert bpy.context.scene == passes
+    assert bpy.ops.plgs.matte_instance(instance=1) == {"FINISHED"}, "from the passes' scene, too"
+    assert bpy.ops.plgs.isolate_instance.poll() is False, "what acts on the view needs the room"
 
 
 def test_the_frame_of_the_active_camera_is_baked(mine: Path, baked: Asked) -> None:
