@@ -1,6 +1,5 @@
 """Edits of a result: what they change, what survives, and what is told."""
 
-import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +8,6 @@ import numpy as np
 import pytest
 
 from engine.corrections import (
-    BY_VIEWS,
     CORRECTIONS,
     CorrectedResult,
     class_of_parts,
@@ -17,7 +15,6 @@ from engine.corrections import (
     editing,
     proposals_of,
     read_corrected,
-    read_edits,
     replayed,
     undo,
 )
@@ -27,7 +24,7 @@ from engine.corrections.relabelling import nearest
 from engine.corrections.replay import Replay
 from engine.posed.classes import Category, ClassTable
 from engine.result_files import Instance, MatchedSegment
-from tests.corrections.two_rooms import CHAIR, CHAIRS, CRUMB, DESK, FLOOR, SOFA, TABLE, write_result
+from tests.corrections.two_rooms import CHAIR, CHAIRS, CRUMB, DESK, SOFA, TABLE, write_result
 from tests.raises_key import raises_key
 
 
@@ -76,21 +73,6 @@ def test_edits_cost_the_same_however_many_there_are(lift: Path, monkeypatch: pyt
     assert objects(lift)[DESK].name == "name 299" and sorted(looks) == [CHAIRS, DESK]
 
 
-def test_rename_and_reclass_change_name_and_class(lift: Path) -> None:
-    before = {path: path.read_bytes() for path in (lift / "result").iterdir()}
-    correct(lift, lambda state, _: m.rename(state, DESK, " Anna's desk "))
-    correct(lift, lambda state, _: m.reclass(state, [CHAIRS], SOFA))
-    result = read_corrected(lift)
-    found = objects(lift)
-    assert found[DESK].name == "Anna's desk" and found[CHAIRS].class_name == "sofa"
-    assert {one: found[one].centre for one in found} == {one.id: one.centre for one in result.made}  # no box moved
-    own = result.points.instance_id == CHAIRS
-    assert (result.points.class_id[own] == SOFA).all() and (result.points.class_id == CHAIR).sum() == 0
-    anchors = result.anchors()
-    assert (anchors.class_id[anchors.instance_id == CHAIRS] == SOFA).all()
-    assert {path: path.read_bytes() for path in (lift / "result").iterdir()} == before  # as the engine made it
-
-
 def test_two_chairs_in_one_box_are_separated(lift: Path) -> None:
     edit, _ = correct(lift, split_chairs)
     found = objects(lift)
@@ -126,27 +108,6 @@ def test_points_get_an_object_or_a_class(lift: Path) -> None:
     correct(lift, lambda state, _: m.assign(state, ground, 0, class_id=CHAIR))
     result = read_corrected(lift)
     assert counts(result)[CHAIR, 0] == ground.sum() and not result.warnings
-
-
-def test_split_by_plane_relabels_points_elsewhere(lift: Path) -> None:
-    correct(
-        lift, lambda state, free: m.split(state, DESK, m.sides_of(state.points_of(DESK), (2.6, 0, 0), (1, 0, 0)), free)
-    )
-    result = read_corrected(lift)
-    places = np.array([[2.1, 0.5, 0.9], [3.1, 0.5, 0.5], [0.0, 0.0, 0.0]])
-    class_id, instance_id = result.ids(places, np.array([TABLE, TABLE, FLOOR]), np.array([DESK, DESK, 0]))
-    assert instance_id.tolist() == [DESK, 4, 0] and class_id.tolist() == [TABLE, TABLE, FLOOR]
-
-
-def test_undo_works_after_rereading(lift: Path) -> None:
-    correct(lift, lambda state, _: m.rename(state, DESK, "desk"))
-    first = read_corrected(lift).fingerprint
-    correct(lift, merge(DESK, CRUMB))
-    assert undo(lift)[0].kind == "merge" and read_corrected(lift).fingerprint == first
-    assert undo(lift)[0].kind == "rename" and objects(lift)[DESK].name == "table 1"
-    assert [edit.undone for edit in read_edits(lift)] == [True, True]  # kept, and told as undone
-    with raises_key("nothing-to-undo"):
-        undo(lift)
 
 
 @pytest.mark.parametrize(
@@ -200,22 +161,6 @@ def test_another_lift_of_the_scene_keeps_the_edits_that_still_apply(tmp_path: Pa
     assert sorted(round(found[one].centre[0], 1) for one in (CHAIRS, 4)) == [0.2, 1.2]
 
 
-def test_later_versions_are_refused_or_kept(lift: Path) -> None:
-    correct(lift, lambda state, _: m.rename(state, DESK, "desk"))
-    path = lift / CORRECTIONS
-    content = json.loads(path.read_text())
-    content["edits"].append({"uid": "a", "time": "2030", "kind": "paint", "brush": 3})
-    path.write_text(json.dumps(content))
-    assert "does not know the edit 'paint'" in read_corrected(lift).warnings[0] and objects(lift)[DESK].name == "desk"
-    correct(lift, merge(DESK, CRUMB))
-    assert json.loads(path.read_text())["edits"][1]["brush"] == 3  # nothing of it is lost
-    content["format"] = 2
-    path.write_text(json.dumps(content))
-    with raises_key("other-format"):
-        correct(lift, merge(DESK, CRUMB))
-    assert json.loads(path.read_text()) == content
-
-
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"format": 1, "edits": [{"kind": "rename"}]}', '{"format": 1}'])
 def test_a_damaged_file_gives_a_one_line_error_and_is_kept(lift: Path, text: str) -> None:
     (lift / CORRECTIONS).write_text(text)
@@ -223,24 +168,6 @@ def test_a_damaged_file_gives_a_one_line_error_and_is_kept(lift: Path, text: str
         with raises_key("* corrections.json"):
             act(lift)
     assert (lift / CORRECTIONS).read_text() == text
-
-
-def test_masks_that_separate_an_object_are_proposed(lift: Path) -> None:
-    result = read_corrected(lift)
-
-    def segment(frame: int, pixels: int) -> MatchedSegment:
-        return MatchedSegment(str(frame), 1, TABLE, 1.0, None, 1.0, pixels, 0.1, (0.0, 0.0, 1.0, 1.0))
-
-    def proposed(*pairs: tuple[int, int]) -> list[tuple[str, str, str]]:
-        segments = tuple(segment(*pair) for pair in pairs)
-        instances = tuple(replace(one, segments=segments if one.id == DESK else ()) for one in result.made)
-        found = proposals_of(replace(result, instances=instances)).open
-        return [(one.reason, one.answer, one.frame) for one in found if one.answer == BY_VIEWS]
-
-    whole = [(frame, 100) for frame in range(6)]
-    assert proposed(*whole, (1, 60), (3, 90)) == [("the masks of 2 of 6 frames separate it", BY_VIEWS, "3")]
-    assert proposed(*whole, (1, 5), (3, 90)) == []  # a crumb, and a single frame
-    assert proposed(*((frame, 100) for frame in range(12)), (1, 60), (3, 90)) == []  # cut by something in front
 
 
 def test_a_class_that_is_likely_wrong_is_proposed_before_one_that_is_not(lift: Path) -> None:
