@@ -15,7 +15,6 @@ from engine.scene import Camera, open_scene
 from engine.scene_source import SceneSource
 from tests.raises_key import raises_key
 from tests.scene.formats.room import distance_to_room
-from tests.scene.formats.test_nerfstudio import write_scene
 from tests.scene.formats.test_scannet import COLOUR, sens
 from tests.tiny_scene import write_tiny_scene
 
@@ -59,15 +58,6 @@ def test_the_cloud_lies_on_the_room(archive: Path, tmp_path: Path) -> None:
     assert (distance_to_room(xyz) < 0.06).mean() > 0.97
     floor = rgb[(xyz[:, 2] < 0.02) & (distance_to_room(xyz) < 0.02)]
     assert np.abs(np.median(floor, axis=0) - [120, 80, 50]).max() < 4
-
-
-def test_pictures_that_are_files_already_stay_where_they_are(tmp_path: Path) -> None:
-    room = write_tiny_scene(tmp_path / "room", frames=3)
-    made = make_frames(open_scene(room), SceneSource(room), tmp_path / "out")
-    assert all(each.colour is None and each.depth is not None for each in made.frames.values())
-    drawn = image(made.frames["0000"].masks)
-    colours = {tuple(each.colour) for each in open_scene(room).classes.categories}
-    assert colours & {tuple(colour) for colour in drawn.reshape(-1, 3).tolist()}
 
 
 def test_second_run_continues(archive: Path, tmp_path: Path) -> None:
@@ -139,15 +129,6 @@ def test_bad_depth_only_prevents_the_cloud(archive: Path, tmp_path: Path) -> Non
         make_frames(open_scene(archive), SceneSource(archive), tmp_path / "out", kinds=["colour", "cloud"])
     made = MadeFrames.read(tmp_path / "out")
     assert made.cloud is None and all(each.colour is not None for each in made.frames.values())
-
-
-def test_lens_distortion_is_removed_from_the_files(tmp_path: Path) -> None:
-    folder = write_scene(tmp_path / "bent", k1=-0.1)
-    scene = open_scene(folder)
-    made = make_frames(scene, SceneSource(folder), tmp_path / "out", kinds=["colour"])
-    frame = scene.frames[0]
-    straight = frame.read_colour(None).astype(int)
-    assert np.abs(image(made.frames[frame.name].colour) - straight).mean() < 5.0
 
 
 def test_a_cloud_stays_within_its_cap_and_keeps_its_mean() -> None:

@@ -117,16 +117,6 @@ def test_panoptic_liftings_folders_come_first(folder: Path) -> None:
     assert (semantic(open_scene(folder)) == 2).all(), "floor is 2 in both tables"
 
 
-def test_a_folder_may_name_its_table(folder: Path) -> None:
-    before = semantic(open_scene(folder))
-    cv2.imwrite(str(folder / "gt" / "semantic" / "0001.png"), np.where(before == 2, 13, before).astype(np.uint8))
-    assert (semantic(open_scene(folder))[before == 2] == 13).all(), "a ceiling, as in the masks"
-    (folder / "gt" / "semantic").rename(folder / "gt" / "semantic_nyu40")
-    scene = open_scene(folder)
-    np.testing.assert_array_equal(semantic(scene), np.where(before == 2, 0, before))
-    assert check_scene(scene)[-1] == "classes blinds of the ground truth are not in the masks' table and count as void"
-
-
 def test_a_file_may_name_the_table(folder: Path) -> None:
     numbers = np.full(14, 255, np.uint8)
     numbers[[1, 2, 3, 5]] = 131, 122, 120, 56  # COCO's

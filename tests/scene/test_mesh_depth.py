@@ -1,8 +1,5 @@
 """Depth cast from the sample's own mesh: fused of its depth, decimated with noise, in other axes and units."""
 
-import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -135,12 +132,3 @@ def test_a_slanted_floor_has_no_outlines_and_a_box_on_it_has() -> None:
     floor[20:40, 30:50] = 0.8
     found = outlines(floor)
     assert found[20:40, 30].mean() > 0.8 and not found[:, :25].any()
-
-
-def test_the_command_reads_a_mesh(surface: open3d.geometry.TriangleMesh, tmp_path: Path) -> None:
-    path = write(surface, tmp_path / "room.glb", Y_UP)
-    command = [sys.executable, "-m", "engine", "inspect", str(ROOM), "--depth", str(path), "--json"]
-    done = subprocess.run(command, cwd=ROOM.parents[1], capture_output=True, text=True, timeout=600)
-    answer = json.loads(done.stdout)
-    assert done.returncode == 0 and answer["depth_range"][0] > 0.1
-    assert not [each for each in answer["diagnosis"]["findings"] if each["severity"] == "wrong"]

@@ -128,13 +128,6 @@ def test_metashape_is_opencv_with_p1_and_p2_swapped(tmp_path: Path) -> None:
     assert near.sum() >= 20 and np.abs(pixels - expected[:, 0])[near].max() < 0.01
 
 
-def test_metashapes_photos_are_read_and_its_unit_is_doubted(tmp_path: Path) -> None:
-    scene = open_scene(metashape_xml(tmp_path, NONE, whole=True))
-    assert scene.format == "metashape" and any("scale, which is unknown" in each for each in scene.warnings)
-    room.check_colours(scene)
-    assert open_scene(tmp_path / "cameras.xml").format == "metashape"
-
-
 def test_metashape_on_the_earth_is_brought_to_the_ground(tmp_path: Path) -> None:
     capture = metashape.FORMAT.read(metashape_xml(tmp_path, NONE, reference='GEOGCS["WGS 84"]'), unwatched)
     centres = np.array([shot.camera.centre for shot in capture.shots])

@@ -22,6 +22,7 @@ from tests.scene.refusing import refuses
 
 LENS = Lens(144, 192, 150.0, 150.0, 74.0, 93.0)
 DEPTH = Lens(192, 256, 200.0, 200.0, 74.0 * 4 / 3, 93.0 * 4 / 3)
+HEADER = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
 
 
 def stored(data: bytes) -> bytes:
@@ -87,30 +88,28 @@ def test_an_unpacked_folder_with_a_lens_for_each_frame_is_read(tmp_path: Path) -
     check_on_room(open_scene(tmp_path / "scan"), tolerance=0.002, colour_step=60)
 
 
-@pytest.mark.parametrize("place", ["", "EXR_RGBD"])
-def test_the_export_of_pictures_and_exr_files_is_read(tmp_path: Path, place: str) -> None:
+def write_exr_rgbd(folder: Path) -> Path:
     """The export "EXR + JPG sequence", as nerfstudio's guide has it."""
-    folder = tmp_path / "EXR_RGBD"
-    write_r3d(tmp_path / "a.r3d")
-    with zipfile.ZipFile(tmp_path / "a.r3d") as archive:
-        (folder / "depth").mkdir(parents=True)
+    (folder / "depth").mkdir(parents=True)
+    with zipfile.ZipFile(write_r3d(folder / "a.r3d")) as archive:
         (folder / "metadata.json").write_bytes(archive.read("metadata"))
-    (tmp_path / "a.r3d").unlink()
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    (folder / "a.r3d").unlink()
     for i, view in enumerate(views(11)):
         write_colour(folder / "rgb" / f"{i}.jpg", look(view, LENS).colour)
-        with OpenEXR.File(header, {"R": look(view, DEPTH).depth.astype(np.float32)}) as file:
+        with OpenEXR.File(HEADER, {"R": look(view, DEPTH).depth.astype(np.float32)}) as file:
             file.write(str(folder / "depth" / f"{i}.exr"))
-    scene = open_scene(tmp_path / place)
-    assert scene.format == "record3d" and [frame.name for frame in scene.frames] == [str(i) for i in range(11)]
-    check_on_room(scene, tolerance=0.002, colour_step=60)
+    return folder
+
+
+def test_damaged_files_of_the_export_of_pictures_and_exr_files_are_refused(tmp_path: Path) -> None:
+    folder = write_exr_rgbd(tmp_path)
     window = np.zeros(2, np.int32), np.array([192, 256], np.int32)  # one pixel more each way
-    with OpenEXR.File(header | {"displayWindow": window}, {"R": np.ones((256, 192), np.float32)}) as file:
+    with OpenEXR.File(HEADER | {"displayWindow": window}, {"R": np.ones((256, 192), np.float32)}) as file:
         file.write(str(folder / "depth" / "0.exr"))
     with raises_key("exr-part 0.exr"):
-        open_scene(tmp_path / place).frames[0].depth()
+        open_scene(folder).frames[0].depth()
     (folder / "metadata.json").write_text("{}")
-    refuses("lacks-field metadata", tmp_path / place)
+    refuses("lacks-field metadata", folder)
 
 
 def test_without_the_package_the_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
