@@ -248,14 +248,18 @@ class OfShownLift(base.OnLiftFolder):
 class Exports(OfShownLift, base.StartsTask):
     """An operator that exports a lift."""
 
-    frames: base.argument(EnumProperty, "Frames", "Which frames to export", items=_FRAMES, default="all")
-
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
         return "An export is already running" if exports.is_busy() else why_no_engine()
 
 
-class PLGS_OT_export_lift(Exports, base.ChoosesFile, bpy.types.Operator):
+class ExportsFrames(Exports):
+    """An operator that exports a lift as some of its frames see it."""
+
+    frames: base.argument(EnumProperty, "Frames", "Which frames to export", items=_FRAMES, default="all")
+
+
+class PLGS_OT_export_lift(ExportsFrames, base.ChoosesFile, bpy.types.Operator):
     """Write a finished lift to a folder, in a format that other programs read"""
 
     bl_idname, bl_label = "plgs.export_lift", "Export"
@@ -324,7 +328,7 @@ class PLGS_OT_export_shown(OfShownLift, base.Acts, bpy.types.Operator):
         return f"{plural(count, 'mesh is', 'meshes are')} in {self.filepath}"
 
 
-class PLGS_OT_make_meshes(Exports, bpy.types.Operator):
+class PLGS_OT_make_meshes(ExportsFrames, bpy.types.Operator):
     """Make one mesh for each instance and each stuff class from the lifted model, and put them into the scene, for
     shadows, holdouts, collisions and measuring"""
 

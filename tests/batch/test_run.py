@@ -14,13 +14,10 @@ from engine.batch.cluster import FarmOptions
 from engine.batch.piece import Ended, Kind, Outcome, Piece, do, engine_tag
 from engine.batch.plan import RECORDS, BatchPlan, SceneJob
 from engine.errors import ErrorCode, PlgsError
-from engine.job import LiftFolder, LiftRequest
+from engine.job import LiftRequest
 from engine.job.terminal import Interrupts
-from engine.scene import open_scene
-from engine.scene_of_lift import remember_scene
 from tests.job.following import FAKE, command_after_another
 from tests.raises_key import raises_key, worded
-from tests.tiny_scene import write_tiny_scene
 
 
 @dataclass(eq=False)
@@ -205,23 +202,6 @@ def test_lift_cancelled_while_starting_ends_as_cancelled(tmp_path: Path, monkeyp
     lift = Piece(Kind.LIFT, "room", tmp_path / "lift", LiftRequest(scene=tmp_path / "room"), engine_tag())
     outcome = do(lift, lambda progress: None)
     assert outcome.ended is Ended.CANCELLED, outcome.reason
-
-
-def test_changed_masks_are_lifted_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    started = []
-
-    def command(python: Path, lift: Path, *, resume: bool) -> list[str | Path]:
-        started.append(lift)
-        return [python, FAKE, "short", lift, *(["--resume"] if resume else [])]
-
-    monkeypatch.setattr(piece, "engine_command", command)
-    scene = write_tiny_scene(tmp_path / "room", frames=2)
-    work = Piece(Kind.LIFT, "room", tmp_path / "lift", LiftRequest(scene=scene), engine_tag())
-    assert do(work, lambda progress: None).ended is Ended.DONE
-    remember_scene(LiftFolder.open(work.lift), open_scene(scene))
-    assert do(work, lambda progress: None).ended is Ended.DONE and len(started) == 1
-    write_tiny_scene(scene, frames=2, noise=0.5)
-    assert do(work, lambda progress: None).ended is Ended.DONE and len(started) == 2
 
 
 def test_an_error_can_be_sent_between_processes() -> None:

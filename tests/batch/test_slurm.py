@@ -16,12 +16,9 @@ pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed: pyt
 from engine.batch import cluster as cluster_module
 from engine.batch import run as run_module
 from engine.batch.cluster import FarmOptions, Tls, slurm_cluster
-from engine.batch.piece import engine_tag
 from engine.errors import ExitCode
-from engine.job import EventWriter, LiftFolder, StopSignal
 from tests.batch.farm import plan_of, rows_of, run
 from tests.batch.test_cluster import certificates
-from tests.job.following import tiny_lift
 from tests.raises_key import raises_key
 
 SBATCH = """#!/bin/sh
@@ -55,33 +52,10 @@ def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
             os.killpg(int(job), signal.SIGKILL)
 
 
-def test_job_script_holds_options(slurm: Path, root: Path) -> None:
-    options = FarmOptions(2, "", {"queue": "gpu", "account": "", "walltime": "02:00:00"}, gigabytes=16.0, threads=8)
-    with slurm_cluster(options) as cluster:
-        script = cluster.job_script()
-    for line in ("#SBATCH -p gpu", "#SBATCH -t 02:00:00", "#SBATCH --cpus-per-task=8", "#SBATCH --mem=15G"):
-        assert line in script.splitlines(), script
-    assert "#SBATCH -A" not in script and f"PYTHONPATH={root}" in script
-    offered = re.search(r"--resources (\S+)", script)
-    assert offered is not None and set(offered[1].split(",")) == {f"{engine_tag()}=1", "PLGS_GB=16", "PLGS_THREADS=8"}
-
-
 def test_missing_slurm_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     with raises_key("no-slurm"):
         slurm_cluster(FarmOptions(2, "", {}))
-
-
-def test_slurm_job_does_a_batch(slurm: Path) -> None:
-    """It finds a lift that is finished, and scores it."""
-    plan = plan_of(slurm, "a")
-    lift = LiftFolder.create(plan.jobs[0].lift, plan.jobs[0].request)
-    events = EventWriter(lift.events_path)
-    tiny_lift(lift, events, StopSignal(lift.cancel_path), resume=False)
-    events.close()
-    assert run(plan, FarmOptions(1, "", {}, 1.0, 1)) is ExitCode.FINISHED, (slurm / "job.log").read_text()
-    assert rows_of(plan)["a"]["state"] == "done"
-    assert "distributed.cli.dask_worker" in (slurm / "job.sh").read_text()
 
 
 @pytest.mark.parametrize("refuses", [True, False])

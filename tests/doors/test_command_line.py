@@ -1,9 +1,15 @@
 """What docs/command-line.md promises."""
 
+import hashlib
 import json
+import platform
 import re
 import shutil
+import signal
 import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +23,11 @@ from tests.conftest import HAS_BLENDER
 from tests.doors.terminal import ROOT, Terminal
 from tests.raises_key import worded
 from tests.tiny_scene import CATEGORIES, write_tiny_scene
+from tests.waiting import PATIENCE_S, wait_until
 
 RUN = ".venv/bin/python run_plgs.py SCENE -o OUT"
 COMMAND = ".venv/bin/python -m engine COMMAND"
+ENGINE = ".venv/bin/python -m engine "
 PRESET = ".venv/bin/python -m engine presets NAME"
 QUICK = ("--steps", "5", "--set", "warm_start=false")
 
@@ -32,6 +40,10 @@ def test_every_command_has_help(shell: Terminal) -> None:
     assert len(names) > 15
     for name in sorted(names):
         assert f"engine {name}" in shell.run(COMMAND, more=["--help"], COMMAND=name)
+    added = re.findall(r"`(\w+)`", table[table.index("| `add NAME` |") :].splitlines()[0].split("|")[2])
+    assert len(added) == 6 and f"one of {', '.join(added)}" in " ".join(shell.run(ENGINE + "add --help").split())
+    research = shell.run(".venv/bin/python -m research --help")
+    assert {"reliability", "experiments", "bench", "unfinished"} <= {*re.findall(r"\w+", research)}
 
 
 def test_presets_lists_all_options_as_a_file_for_preset(shell: Terminal) -> None:
@@ -43,6 +55,10 @@ def test_presets_lists_all_options_as_a_file_for_preset(shell: Terminal) -> None
     assert shell.run(PRESET, NAME="mine.toml") == printed
     values = json.loads(shell.run(PRESET, more=["--json", "--set", "voxel_size=0.5"], NAME="mine.toml"))
     assert (values["weights.depth"], values["steps"], values["voxel_size"]) == (0.0, 7, 0.5) and values["objects"]
+    for name in PRESETS:  # the most frames to train on, and whether the masks of the others vote
+        values = json.loads(shell.run(PRESET, more=["--json"], NAME=name))
+        assert values["frames"] == (400 if name in ("draft", "preview") else 900)
+        assert values["all_frames_vote"] == (name != "paper")
 
 
 def test_bad_input_is_one_line_and_exit_code_2(shell: Terminal) -> None:
@@ -103,6 +119,111 @@ def test_inspect_predicts_what_a_lift_would_take(tmp_path: Path, capsys: pytest.
     room = write_tiny_scene(tmp_path / "room", 9)
     assert main(["inspect", str(room), "--preset", "standard"]) == 0
     assert re.search(r"\nstandard  about \d+ min and \d+\.\d GB of memory\n$", capsys.readouterr().out)
+
+
+def test_frames_of_a_bake_are_counted_by_the_last_numbers_in_their_names(terminal: Terminal) -> None:
+    terminal.run(ENGINE + "bake lifts/demo --frames 1-5:2")
+    assert [path.stem for path in sorted((terminal.folder / "lifts/demo/result/passes").glob("*.exr"))] == [
+        "0001", "0003", "0004", "0005"
+    ]  # fmt: skip
+
+
+def test_find_scene_updates_a_lift_after_its_scene_was_moved(terminal: Terminal) -> None:
+    (terminal.folder / "scans/room").rename(terminal.folder / "kitchen")
+    said = terminal.run(ENGINE + "find-scene LIFT SCENE", LIFT="lifts/demo", SCENE="kitchen")
+    assert said.strip() == f"The lift reads {terminal.folder / 'kitchen'}"
+    request = json.loads((terminal.folder / "lifts/demo/request.json").read_text())
+    assert (request["scene"], request["relative"]["scene"]) == (str(terminal.folder / "kitchen"), "../../kitchen")
+    write_tiny_scene(terminal.folder / "other", 6, size=(80, 60))
+    told = terminal.run(ENGINE + "find-scene LIFT SCENE", LIFT="lifts/demo", SCENE="other", code=2)
+    assert worded("other-scene").search(told)
+
+
+def test_the_edited_list_becomes_classes_toml_and_yours_is_renamed_first(shell: Terminal) -> None:
+    room = write_tiny_scene(shell.folder / "room", 2)
+    (room / "classes.toml").write_text("# mine\n")
+    listed = json.loads(shell.run(ENGINE + "classes SCENE --json", SCENE="room"))
+    [chair] = [row for row in listed["rows"] if row["name"] == "chair"]
+    chair["name"] = chair["into"] = "seat"
+    (shell.folder / "edited.json").write_text(json.dumps(listed))
+    for _ in range(2):  # the second time it is a file of ours
+        shell.run(ENGINE + "classes room --write FILE.json", **{"FILE.json": "edited.json"})
+        assert (room / "classes.before.toml").read_text() == "# mine\n"
+        assert [path.name for path in sorted(room.glob("classes*"))] == ["classes.before.toml", "classes.toml"]
+    assert "     5  seat" in shell.run(ENGINE + "classes SCENE", SCENE="room").splitlines()
+
+
+def test_what_a_command_wrote_is_listed_last_whether_all_is_written(terminal: Terminal) -> None:
+    terminal.run(ENGINE + "export LIFT --to FORM -o FOLDER", LIFT="lifts/demo", FORM="boxes", FOLDER="boxes")
+    out = terminal.folder / "boxes"
+    lines = [json.loads(line) for line in (out / ".plgs-written.jsonl").read_text().splitlines()]
+    listed = {line["file"]: line["sha256"] for line in lines if "sha256" in line}
+    assert listed == {
+        path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in out.iterdir() if path.suffix != ".jsonl"
+    }
+    assert lines[-1] == {"complete": True}
+    (out / "boxes.csv").write_text("mine")
+    told = terminal.run(ENGINE + "export lifts/demo --to boxes -o boxes", code=2)
+    assert worded("foreign-file").search(told) and "boxes.csv" in told and (out / "boxes.csv").read_text() == "mine"
+
+
+@contextmanager
+def lifting(shell: Terminal, arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """A lift that trains, in a Python of its own."""
+    command, events = [sys.executable, "-m", "engine", "lift", *arguments.split()], shell.folder / "out/events.jsonl"
+    before = events.read_text().count('"train"') if events.exists() else 0
+    with subprocess.Popen(command, cwd=shell.folder, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            wait_until(lambda: process.poll() is not None or (
+                events.exists() and events.read_text().count('"train"') > before + 2
+            ))  # fmt: skip
+            yield process
+        finally:
+            process.kill()
+
+
+@pytest.mark.slow
+def test_a_stopped_lift_ends_with_its_code_and_resume_goes_on(shell: Terminal) -> None:
+    """Until the last run is stopped, it is one lift; meanwhile a second command is told to try again."""
+    write_tiny_scene(shell.folder / "room", 6)
+    new = "room -o out --set warm_start=false --set voxel_size=0.2 --steps 100000"
+    stops: list[tuple[Callable[[subprocess.Popen[str]], object], int]] = [
+        (lambda process: process.send_signal(signal.SIGHUP), 129),
+        (lambda process: process.send_signal(signal.SIGINT), 130),
+        (lambda process: process.send_signal(signal.SIGTERM), 143),
+        (lambda _: (shell.folder / "out/cancel").touch(), 3),
+    ]
+    for number, (stop, code) in enumerate(stops):
+        with lifting(shell, f"{new} --resume" if number else new) as process:
+            if code == 3:
+                told = shell.run(ENGINE + "lift out --resume", code=75)
+                [engine] = [
+                    line for line in (shell.folder / "out/events.jsonl").read_text().splitlines() if '"hello"' in line
+                ][-1:]
+                assert worded("at-work").search(told) and "since 20" in told
+                assert f"(process {json.loads(engine)['pid']} on {platform.node()}" in told
+            stop(process)
+            assert process.wait(PATIENCE_S) == code
+            assert "--resume" in process.stderr.read()  # type: ignore[union-attr]
+    steps = [json.loads(line)["step"] for line in (shell.folder / "out/events.jsonl").read_text().splitlines()
+             if '"progress"' in line and '"train"' in line]  # fmt: skip
+    assert steps == sorted(steps) and len(steps) > 8, "each went on"
+
+
+@pytest.mark.slow
+def test_resume_repairs_a_damaged_result_bit_for_bit(shell: Terminal) -> None:
+    write_tiny_scene(shell.folder / "room", 6)
+    new = ENGINE + "lift room -o out --set voxel_size=0.2 --device auto --bake all"
+    assert "Lifting on the CPU" in shell.run(new, more=QUICK)
+    result = shell.folder / "out/result"
+    before = {path.relative_to(result): path.read_bytes() for path in result.rglob("*") if path.is_file()}
+    (result / "gaussians.ply").write_bytes(b"cut")
+    (result / "passes/0002.exr").unlink()
+    assert "lift LIFT --resume" in shell.run(ENGINE + "bake out", code=2)
+    shell.run(ENGINE + "lift out --resume")
+    after = {path.relative_to(result): path.read_bytes() for path in result.rglob("*") if path.is_file()}
+    assert before.keys() == after.keys()
+    assert {name for name in before if before[name] != after[name]} <= {Path("manifest.json"), Path("metrics.json")}
 
 
 @pytest.mark.slow

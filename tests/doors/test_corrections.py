@@ -238,6 +238,8 @@ def test_a_lift_with_names_from_takes_over_the_corrections(terminal: Terminal) -
         ("Anna's sofa", "chair"),
         ("cabinet 1", "cabinet"),
     }
+    names = json.loads((terminal.folder / "lifts/next/result/names.json").read_text())
+    assert {one["id"] for one in names["kept"]} == {chair, cabinet} and not names["new"] + names["gone"]
     passes = terminal.folder / "lifts/next/result/passes/0004.exr"
     assert b"Anna s sofa" not in passes.read_bytes(), "as the engine made them"
     terminal.run(BAKE.replace("demo", "next"))

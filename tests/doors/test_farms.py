@@ -3,19 +3,33 @@
 import csv
 import json
 import os
+import random
+import shutil
+import signal
 import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+import cv2
 import pytest
 
 from engine.job import verify
 from engine.machine.code_digest import code_digest
-from tests.doors.terminal import Terminal
+from tests.batch.farm import PORTS, answers
+from tests.batch.test_cluster import certificates
+from tests.batch.test_slurm import SBATCH, SCANCEL
+from tests.doors.terminal import ROOT, Terminal
 from tests.raises_key import worded
 from tests.tiny_scene import write_tiny_scene
+from tests.waiting import wait_until
 
 BATCH = ".venv/bin/python -m engine batch scans/* -o OUT --preset standard --bake all --export coco"
 OF_A_TABLE = ".venv/bin/python -m engine batch --scenes scans.csv -o OUT --preset standard"
+OF_TLS = ".venv/bin/python -m engine batch scans/* -o OUT --scheduler tls://machine:8786 --tls-ca ca.pem --tls-certificate own.pem"  # noqa: E501
+WORKER = ".venv/bin/python -m engine worker tls://machine:8786 --tls-ca ca.pem --tls-certificate own.pem"
+SCHEDULER = "dask scheduler --protocol tls:// --tls-ca-file ca.pem --tls-cert own.pem --tls-key own.pem"
 QUICK = ("--steps", "5", "--set", "warm_start=false", "--size", "64x48", "--workers", "1")
 
 
@@ -51,6 +65,105 @@ def test_a_batch_has_a_row_a_scene_and_continues_with_what_is_missing(shell: Ter
     request = json.loads((out / "old-room/request.json").read_text())
     assert request["overrides"]["voxel_size"] == 0.3 and request["up"] == "y"
     assert rows_of(out)["old-room"]["state"] == "done" and "room" in rows_of(out), "the earlier scene's row stays"
+    assert (out / "table.md").read_text().count("| done |") == 2
+    # Changed photos make a row failed; where masks have changed it lifts again.
+    photo = shell.folder / "scans/room/color/0004.png"
+    before = photo.read_bytes()
+    cv2.imwrite(str(photo), cv2.imread(str(photo)) // 2)
+    assert "the photo or the depth of 0004 differs" in shell.run(BATCH, code=2, OUT="out", more=QUICK)
+    assert rows_of(out)["room"]["state"] == "failed"
+    photo.write_bytes(before)
+    table = shell.folder / "scans/room/panoptic.json"
+    table.write_text(table.read_text().replace('"chair"', '"seat"'))
+    shell.run(BATCH, code=2, OUT="out", more=QUICK)
+    assert rows_of(out)["room"]["state"] == "done" and "seat 1" in (out / "room/result/instances.json").read_text()
+
+
+@contextmanager
+def running(shell: Terminal, printed: str, log: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """A command that does not end by itself, in a Python of its own."""
+    words = printed.replace(".venv/bin/python", sys.executable).split()
+    if words[0] == "dask":
+        words[0] = str(Path(sys.executable).with_name("dask"))
+    with log.open("wb") as out:
+        process = subprocess.Popen(
+            words, cwd=shell.folder, stdout=out, stderr=out, env={**os.environ, "PYTHONPATH": str(ROOT)}
+        )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl to make certificates")
+def test_scheduler_worker_and_batch_meet_by_tls_and_a_batch_tells_its_rows_as_events(
+    shell: Terminal, tmp_path: Path
+) -> None:
+    """Of a table in TOML, which lies in another folder than the batch is started in."""
+    pytest.importorskip("distributed")
+    certificates(shell.folder)
+    write_tiny_scene(shell.folder / "scans/room", 6, masks="none")
+    write_tiny_scene(shell.folder / "scans/masks/here", 6)
+    table = '[[scene]]\nscene = "room"\nname = "here"\nset = ["voxel_size=0.2"]\n'
+    (shell.folder / "scans/scans.toml").write_text(table)
+    port = next(each for each in random.sample(PORTS, 100) if not answers(each))
+    at = f"tls://127.0.0.1:{port}"
+    listen = f" --host 127.0.0.1 --port {port} --no-dashboard"
+    with ExitStack() as both:
+        scheduler = both.enter_context(running(shell, SCHEDULER + listen, tmp_path / "scheduler.txt"))
+        wait_until(lambda: answers(port) or scheduler.poll() is not None)
+        worker = WORKER.replace("tls://machine:8786", at) + " --memory 4 --threads 1"
+        both.enter_context(running(shell, worker, tmp_path / "worker.txt"))
+        command = OF_TLS.replace("tls://machine:8786", at).replace("scans/*", "--scenes scans/scans.toml")
+        more = [*QUICK[:-2], "--masks", "'scans/masks/{scene}/panoptic.json'", "--progress", "json"]
+        command = " ".join([command.replace("OUT", "out"), *more])
+        ran = subprocess.run(command, shell=True, cwd=shell.folder, capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stderr + (tmp_path / "worker.txt").read_text()
+    events = [json.loads(line) for line in ran.stdout.splitlines()]
+    [row] = [each for each in events if each["event"] == "metric" and each["name"] == "scene"]
+    [answer] = [each for each in events if each["event"] == "answer"]
+    assert row["values"]["scene"] == "here" and row["values"]["state"] == "done" and events[-1]["state"] == "finished"
+    assert [each["scene"] for each in answer["answer"]["rows"]] == ["here"]
+    assert json.loads((shell.folder / "out/here/request.json").read_text())["overrides"]["voxel_size"] == 0.2
+    assert "chair 1" in (shell.folder / "out/here/result/instances.json").read_text()
+
+
+@pytest.mark.slow
+def test_after_ctrl_c_unfinished_scenes_are_rows_stopped(shell: Terminal, tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    for name in ("a", "b"):
+        write_tiny_scene(shell.folder / "scans" / name, 6)
+    command = ".venv/bin/python -m engine batch scans/a scans/b -o out --workers 1 --steps 20000"
+    with running(shell, command, tmp_path / "said.txt") as batch:
+        events = shell.folder / "out/a/events.jsonl"
+        wait_until(lambda: batch.poll() is not None or (events.exists() and '"train"' in events.read_text()))
+        batch.send_signal(signal.SIGINT)
+        assert batch.wait(60) == 130
+    assert "Stopped. The same command continues: out" in (tmp_path / "said.txt").read_text()
+    assert [row["state"] for row in rows_of(shell.folder / "out").values()] == ["stopped", "stopped", ""]
+
+
+@pytest.mark.slow
+def test_on_slurm_dask_jobqueue_starts_a_worker_a_job(shell: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By an sbatch of the test's own, which runs the job at once."""
+    pytest.importorskip("dask_jobqueue")
+    for name, text in (("sbatch", SBATCH), ("scancel", SCANCEL)):
+        (shell.folder / name).write_text(text.format(folder=shell.folder))
+        (shell.folder / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{shell.folder}{os.pathsep}{os.environ['PATH']}")
+    write_tiny_scene(shell.folder / "scans/room", 6)
+    options = "--slurm --workers 1 --memory 4 --threads 2 --queue gpu --account film --walltime 12:00:00"
+    try:
+        shell.run(BATCH.replace(" --bake all --export coco", ""), OUT="out", more=[*QUICK[:-2], options])
+    finally:
+        for job in (shell.folder / "jobs").read_text().split():
+            subprocess.run(["kill", "-9", f"-{job}"], capture_output=True)
+    script = (shell.folder / "job.sh").read_text().splitlines()
+    for option in ("-p gpu", "-A film", "-t 12:00:00", "--cpus-per-task=2", "--mem=4G"):
+        assert f"#SBATCH {option}" in script
+    assert rows_of(shell.folder / "out")["room"]["state"] == "done"
 
 
 def test_a_studios_defaults_come_from_its_file_and_the_first_line_says_so(shell: Terminal) -> None:
@@ -64,9 +177,25 @@ def test_a_studios_defaults_come_from_its_file_and_the_first_line_says_so(shell:
     ran = subprocess.run(command, cwd=shell.folder, env=variables, capture_output=True, text=True)
     assert ran.stderr.startswith(f"From {shell.folder / 'studio.toml'}: ") and "masks" in ran.stderr.splitlines()[0]
     assert ran.returncode == 2 and "0.5 GB" in ran.stderr, "less memory than a lift needs"
+    first = subprocess.run(
+        [*command, "--preset", "draft"], cwd=shell.folder, env=variables, capture_output=True, text=True
+    ).stderr.splitlines()[0]
+    assert "masks" in first and "preset" not in first, "an option that is given comes first"
     (shell.folder / "studio.toml").write_text('presets = "preview"\n')
     ran = subprocess.run(command, cwd=shell.folder, env=variables, capture_output=True, text=True)
     assert ran.returncode == 2 and "presets" in ran.stderr, "other keys are refused"
+
+
+def test_a_lift_that_is_resumed_stays_as_it_was(
+    terminal: Terminal, lifted: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (terminal.folder / "studio.toml").write_text('preset = "paper"\ndevice = "auto"\nmemory = 64\n')
+    monkeypatch.setenv("PLGS_DEFAULTS", str(terminal.folder / "studio.toml"))
+    before = (terminal.folder / "lifts/demo/request.json").read_bytes()
+    for command in ("lift lifts/demo --resume", f"lift {lifted}/scans/room -o lifts/demo --resume --bake test"):
+        assert "finished already" in terminal.run(f".venv/bin/python -m engine {command}")
+    assert worded("lift-begun").search(terminal.run(".venv/bin/python -m engine lift lifts/demo", code=2))
+    assert (terminal.folder / "lifts/demo/request.json").read_bytes() == before
 
 
 def test_the_same_scene_twice_is_refused(shell: Terminal) -> None:

@@ -11,14 +11,11 @@ FOLDER = Path(__file__).parent
 UNTRIED = {
     "blender": "needs a Blender on PATH: tests/window runs its own",
     "sbatch": "needs a cluster: tests/batch runs its Slurm against a stand-in",
-    "dask": "is Dask's own: tests/batch starts a scheduler with TLS",
     "deadlinecommand": "needs Deadline, which nobody here has",
     ".venv/bin/python -m engine segment SCENE --download": "needs the hub: the tests run it with a network in a folder",
     "python3 -m engine set-up": "downloads 600 MB: tests/set_up runs it with an index of its own",
     "PYTHON -m engine add": "downloads packages: tests/set_up runs it with an index of its own",
     ".venv/bin/python -m engine add": "downloads packages: tests/set_up runs it with an index of its own",
-    ".venv/bin/python -m engine batch scans/* -o OUT --scheduler": "tests/batch has a scheduler with TLS",
-    ".venv/bin/python -m engine worker": "does not end: tests/batch starts workers",
     "curl": "needs Flamenco's manager: tests/farm runs the job type in a JavaScript engine",
 }
 """The beginnings of commands that no test runs, and why."""

@@ -1,7 +1,5 @@
 """Matchers, losses and heads that a script adds."""
 
-import csv
-import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +20,6 @@ from engine.lift.objects import (
     register_matcher,
 )
 from engine.lift.run import NO_VOTES
-from engine.model.decoders import DECODERS, Decoders, register_head
 from engine.presets import parts
 from engine.presets.options import checked_options, parsed_options
 from engine.presets.preset import Preset
@@ -30,16 +27,6 @@ from engine.train.trainer import LOSSES, Step, register_loss
 from tests.raises_key import raises_key
 from tests.tiny_scene import write_tiny_scene
 from tests.train.tiny_lift import TINY, lift_into, presets_as, warnings_in
-
-
-class OneLabel(Decoders):
-    """All Gaussians show the first class."""
-
-    kind = "one_label"
-
-    def label_logits(self, feature: torch.Tensor, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        classes, slots = super().label_logits(feature, seen)
-        return classes * 0 + 99.0 * (torch.arange(classes.shape[2]) == 0), slots
 
 
 def transparent(step: Step) -> torch.Tensor:
@@ -50,9 +37,8 @@ def transparent(step: Step) -> torch.Tensor:
 def own_parts() -> Iterator[None]:
     register_matcher("mine", no_objects)
     register_loss("transparent", transparent)
-    register_head(OneLabel)
     yield
-    for known, name in ((MATCHERS, "mine"), (LOSSES, "transparent"), (DECODERS, "one_label")):
+    for known, name in ((MATCHERS, "mine"), (LOSSES, "transparent")):
         del known[name]
     parts._ADDED.clear()
 
@@ -61,21 +47,6 @@ def lifted(folder: Path, **options: object) -> LiftFolder:
     scene = folder / "scene" if (folder / "scene").exists() else write_tiny_scene(folder / "scene", 4, (32, 24))
     with presets_as(preview=TINY):
         return lift_into(folder / f"lift{len(options)}", LiftRequest(scene, options={"steps": 6, **options}))
-
-
-def steps_of(lift: LiftFolder) -> list[dict[str, str]]:
-    return list(csv.DictReader(lift.training_path.open()))
-
-
-def test_registered_parts_are_used_and_recorded(tmp_path: Path) -> None:
-    plain = lifted(tmp_path)
-    own = lifted(tmp_path, losses=["depth", "transparent"], head="one_label", labels="decoders")
-    steps, before = steps_of(own), steps_of(plain)
-    assert [int(row["step"]) for row in steps] == [1, 2, 3, 4, 5, 6]
-    assert float(before[0]["depth"]) > 0 and "transparent" not in before[0]
-    assert float(steps[0]["loss"]) > float(before[0]["loss"]) + 0.5 * float(steps[0]["transparent"]) > 1.0
-    versions, old = (json.loads((each.manifest_path).read_text())["versions"] for each in (own, plain))
-    assert {"loss transparent", "head one_label"} <= {*versions} and versions["code"] != old["code"]
 
 
 @pytest.mark.parametrize("keeps", [True, False])
