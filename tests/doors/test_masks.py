@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,23 @@ import pytest
 from engine.command_line.main import main
 from engine.scene import open_scene
 from tests.commands import answer_of
-from tests.doors.terminal import Terminal
+from tests.doors.terminal import ROOT, Terminal
 from tests.raises_key import worded
-from tests.scene.mask_formats.labelled_room import COCO_NAMES, COCO_NUMBERS, NAMES, Truth, check_on_room, write_frames
+from tests.scene.mask_formats import test_detections as detections
+from tests.scene.mask_formats import test_label_images as label_images
+from tests.scene.mask_formats import test_tracks as sam_2
+from tests.scene.mask_formats.labelled_room import (
+    COCO_NAMES,
+    COCO_NUMBERS,
+    NAMES,
+    THINGS,
+    Truth,
+    check_on_room,
+    tracks,
+    write_frames,
+)
+from tests.scene.mask_formats.test_segment_maps import write_detectron2
+from tests.scene.test_numbering import TRAFFIC, in_table, write_labels
 from tests.segment.tiny_mask2former import save_tiny_mask2former
 from tests.tiny_scene import CATEGORIES, write_tiny_scene
 
@@ -135,18 +150,60 @@ def scannet_filt(masks: Path, truths: list[Truth]) -> None:
             cv2.imwrite(str(masks / name / f"{truth.name}.png"), values)
 
 
-Writer = Callable[[Path, list[Truth]], None]
-ADE_NAMES = {1: "wall", 2: "floor", 3: "cabinet", 5: "chair", 13: "ceiling"}
+def sav_masklets(masks: Path, truths: list[Truth]) -> None:
+    """SA-V: for each frame of a video the runs of its objects, always in one order."""
+    masklets = [[runs(truth.instance == number) for number in (1, 2)] for truth in truths]
+    (masks / "video.json").write_text(json.dumps({"masklet": masklets}))
+
+
+def panoptic_lifting(folder: Path) -> list[Truth]:
+    write_tiny_scene(folder, 3, masks="panoptic_lifting", ground_truth=False)
+    return write_frames(folder)[1]
+
+
+Writer = Callable[[Path], list[Truth]]
+
+
+def of_masks(write: Callable[[Path, list[Truth]], None]) -> Writer:
+    """``write`` writes what it knows of the frames into the folder `masks` of the room."""
+
+    def room(folder: Path) -> list[Truth]:
+        _, truths = write_frames(folder)
+        (folder / "masks").mkdir()
+        write(folder / "masks", truths)
+        return truths
+
+    return room
+
+
+NAMED = detections.SEEN | {3: "cabinet"}
+SEEN_THINGS, DETECTRON2 = {"refrigerator", "chair"}, ("pred_masks", "pred_classes", "scores")
+OBJECTS, GROUNDED = sam_2.OBJECTS, sam_2.OBJECTS | {3: "cabinet", 5: "kitchen chair."}
 KINDS: list[tuple[str, Writer, str | None, dict[int, str], set[str]]] = [
-    ("coco", panoptic_api, None, NAMES, {"cabinet", "chair"}),
-    ("coco-detections", detectron2_results, "coco:90", CHAIRS, {"chair"}),
-    ("coco-detections", ultralytics_predictions, "coco:90", CHAIRS, {"chair"}),
-    ("coco-detections", coco_instances, None, CHAIRS, {"chair"}),
-    ("transformers", transformers_panoptic, None, COCO_NAMES, {"chair"}),
-    ("pairs", opencv_label_images, "ade20k:0-149", ADE_NAMES, {"cabinet", "chair"}),
-    ("pairs", scannet_filt, "scannet", NAMES, {"cabinet", "chair"}),
+    ("coco", of_masks(panoptic_api), None, NAMES, THINGS),
+    ("coco-detections", of_masks(detectron2_results), "coco:90", CHAIRS, {"chair"}),
+    ("coco-detections", of_masks(ultralytics_predictions), "coco:90", CHAIRS, {"chair"}),
+    ("coco-detections", of_masks(coco_instances), None, CHAIRS, {"chair"}),
+    ("coco-detections", of_masks(sav_masklets), None, OBJECTS, {"object"}),
+    ("panoptic-lifting", panoptic_lifting, None, NAMES, {"chair"}),
+    ("transformers", of_masks(transformers_panoptic), None, COCO_NAMES, {"chair"}),
+    ("detectron2", lambda at: write_detectron2(at, COCO_NUMBERS, {5}), "coco", COCO_NAMES | {0: ""}, {"chair"}),
+    ("sam2", sam_2.write_object_folders, None, OBJECTS, {"object"}),
+    ("sam2 named", sam_2.write_palettes, None, OBJECTS, {"object"}),
+    ("grounded-sam2", sam_2.write_grounded, None, GROUNDED, {"cabinet", "kitchen chair."}),
+    ("pairs", of_masks(opencv_label_images), "ade20k:0-149", NAMES, THINGS),
+    ("pairs", of_masks(scannet_filt), "scannet", NAMES, THINGS),
+    ("palette named", label_images.write_palettes, "ade20k", NAMES | {0: ""}, set()),
+    ("detections", detections.write_stacks, "coco", detections.SEEN, SEEN_THINGS),
+    ("detections", lambda at: detections.write_stacks(at, keys=DETECTRON2), "coco", detections.SEEN, SEEN_THINGS),
+    ("detections", lambda at: detections.write_stacks(at, as_names=True), None, NAMED, THINGS),
+    ("detections named", detections.write_pictures, None, NAMED, THINGS),
+    ("detections", lambda at: detections.write_tracks(at, detections.SAM_3, names=True), None, NAMED, THINGS),
+    ("arrays", label_images.write_classes, "nyu40", NAMES, THINGS),
+    ("arrays", label_images.write_probabilities, "nyu40", NAMES, set()),
 ]
-"""A kind of masks, its writer, the class table that the user names, the names of the room's classes, and its things."""
+"""A kind of masks ("named" where its files could be those of another kind), its writer, the class table that the user
+names, the names of the room's classes, and its things."""
 
 
 @pytest.mark.parametrize(("kind", "write", "table", "names", "things"), KINDS)
@@ -154,19 +211,21 @@ def test_each_kind_of_masks_shows_the_rooms_classes_and_objects(
     kind: str, write: Writer, table: str | None, names: dict[int, str], things: set[str], tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    room, truths = write_frames(tmp_path / "room")
-    (tmp_path / "masks").mkdir()
-    write(tmp_path / "masks", truths)
-    options = ["--masks", tmp_path / "masks", *(["--classes", table] if table else [])]
-    told = answer_of(capsys, "inspect", room, *options)
+    kind, _, is_named = kind.partition(" ")
+    truths = write(tmp_path)
+    options = [*(["--classes", table] if table else []), *(["--mask-format", kind] if is_named else [])]
+    told = answer_of(capsys, "inspect", tmp_path, *options)
     shares = {each["name"]: each["share"] for each in told["classes"]}
     pixels = np.stack([truth.semantic for truth in truths])
-    for number, name in names.items():
-        if name and (pixels == number).any():
-            assert shares[name] == pytest.approx((pixels == number).mean(), abs=0.02)
-    if write is not coco_instances:  # polygons do not keep every pixel
-        named = open_scene(room, tmp_path / "masks", classes=table, mask_format=kind)
+    for name in {*names.values()} - {""}:
+        wanted = np.isin(pixels, [number for number, each in names.items() if each == name]).mean()
+        assert shares.get(name, 0.0) == pytest.approx(wanted, abs=0.02)
+    place = tmp_path if kind == "panoptic-lifting" else tmp_path / "masks"
+    named = open_scene(tmp_path, place, classes=table, mask_format=kind)
+    if not (place / "instances.json").exists():  # polygons do not keep every pixel
         check_on_room(named, truths, names, frozenset(things))
+    if kind in ("sam2", "grounded-sam2") or (place / "video.json").exists():
+        assert sorted(len(each - {None}) for each in tracks(named, truths).values()) == [1, 1], "one in all frames"
 
 
 def test_sams_folders_number_objects_and_a_warning_says_that_they_have_no_classes(
@@ -204,7 +263,7 @@ def test_a_number_of_sam_2_is_one_object_in_all_frames(tmp_path: Path, capsys: p
     told = answer_of(capsys, "inspect", room, *options)
     shares = {each["name"]: each["share"] for each in told["classes"]}
     wanted = np.stack([truth.instance for truth in truths]) == 1
-    assert shares["chair"] == pytest.approx(wanted.mean(), abs=1e-6)
+    assert shares["chair"] == pytest.approx(wanted.mean(), abs=1e-6), "rows with id name single objects"
 
 
 @pytest.mark.parametrize("name", ["0000.pkl", "0000.pt", "0000.ptz"])
@@ -230,6 +289,55 @@ def test_classes_toml_names_merges_and_drops_classes(tmp_path: Path, capsys: pyt
     shares = {each["name"]: each["share"] for each in told["classes"]}
     assert {"furniture", "wall", "floor"} == names
     assert shares["furniture"] == pytest.approx(np.isin(pixels, [3, 5]).mean(), abs=1e-3)
+    for frame, truth in zip(open_scene(room, tmp_path / "masks").frames, truths, strict=True):
+        things = [one for one in frame.mask().segments if one.is_thing]
+        assert len(things) == len(np.unique(truth.instance[truth.instance > 0])), "two objects stay two"
+
+
+def test_the_pages_classes_toml_does_what_it_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = (ROOT / "docs/masks.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```toml\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    truths = write_labels(tmp_path, COCO_NUMBERS, void=255)
+    (tmp_path / "masks/classes.toml").write_text(block)
+    told = answer_of(capsys, "inspect", tmp_path)
+    shares = {each["name"]: each["share"] for each in told["classes"]}
+    pixels = np.stack([truth.semantic for truth in truths])
+    wanted = {name: (pixels == number).mean() for number, name in (NAMES | {5: "sofa"}).items()}
+    assert shares == pytest.approx({name: share for name, share in wanted.items() if share}, abs=1e-4)
+    assert told["void_share"] == pytest.approx((pixels == 0).mean(), abs=1e-4)
+    (sofa,) = (each for each in open_scene(tmp_path).classes.categories if each.name == "sofa")
+    assert sofa.is_thing and tuple(sofa.colour) == (0xC8, 0xA0, 0x64)
+
+
+OF_TABLES = {
+    "coco": COCO_NAMES,
+    "cityscapes": TRAFFIC,
+    "nyu13": NAMES | {3: "furniture"},
+    "replica": NAMES,
+}
+"""The room's classes by a table's names, where they are not its own."""
+
+
+def named_on_the_page() -> list[str]:
+    """All that the page says that ``--classes`` takes."""
+    page = (ROOT / "docs/masks.md").read_text(encoding="utf-8")
+    found = re.findall(r"^\| `([a-z0-9]+:[\d-]+)`(?:, `([a-z0-9]+:[\d-]+)`)? \|", page, re.MULTILINE)
+    tables = re.findall(r"--classes ([a-z0-9|]+)`", page)[0].split("|")
+    return sorted({*tables, *(each for both in found for each in both if each)})
+
+
+@pytest.mark.parametrize("table", named_on_the_page())
+def test_naming_a_table_or_its_numbering_settles_what_numbers_mean(
+    table: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = OF_TABLES.get(table.partition(":")[0], NAMES)
+    truths = write_labels(tmp_path, in_table(table, names), void=255)
+    told = answer_of(capsys, "inspect", tmp_path, "--classes", table)
+    pixels = np.stack([truth.semantic for truth in truths])
+    wanted = {name: (pixels == number).mean() for number, name in names.items() if (pixels == number).any()}
+    assert {each["name"]: each["share"] for each in told["classes"]} == pytest.approx(wanted, abs=1e-4)
+    doubts = [each for each in told["inferred"] if each["is_doubtful"] and each["about"] == "numbering"]
+    assert not doubts or ":" not in table
 
 
 @pytest.mark.slow
@@ -261,3 +369,29 @@ def test_segment_writes_coco_panoptic_masks_and_never_overwrites_others(
     command = ".venv/bin/python -m engine segment SCENE --model FOLDER"
     assert worded("other-masks").search(shell.run(command, code=2, SCENE="room", FOLDER=other))
     assert {path: path.read_bytes() for path in (shell.folder / "room/panoptic").iterdir()} == before
+
+
+def test_segment_makes_masks_of_the_frames_that_see_every_surface_and_later_of_all(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("transformers")
+    room = write_tiny_scene(tmp_path / "room", 40, (32, 24), masks="none", ground_truth=False)
+    network, masks = save_tiny_mask2former(tmp_path / "network", sure=20.0), tmp_path / "made"
+    segment = ["segment", str(room), "--model", str(network), "-o", str(masks)]
+    assert main([*segment, "--frames", "auto"]) == 0
+    said = capsys.readouterr().err
+    chosen = int(re.findall(r"Making masks of (\d+) of 40 frames, in about", said)[0])
+    assert 5 < chosen < 40 and "licence" in said, "the others see what these see"
+    made = json.loads((masks / "panoptic/made_by.json").read_text())
+    assert made["model"] == str(network) and "licence" in made
+
+    def shown() -> dict[str, bytes]:
+        return {
+            frame.name: (masks / f"panoptic/{frame.name}.png").read_bytes()
+            for frame in open_scene(room, masks).frames if frame.mask().segments
+        }  # fmt: skip
+
+    before = shown()
+    assert len(before) == chosen, "the others have empty masks"
+    assert main([*segment, "--frames", "all"]) == 0
+    assert len(shown()) == 40 and before.items() <= shown().items()

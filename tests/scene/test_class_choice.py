@@ -90,23 +90,6 @@ def scene_with(tmp_path: Path, text: str) -> Path:
     return folder
 
 
-def test_classes_are_merged_renamed_and_dropped(tmp_path: Path) -> None:
-    """The tiny scene's: 1 wall, 2 floor, 3 cabinet, 5 chair, 13 ceiling."""
-    before = open_scene(write_tiny_scene(tmp_path / "plain", frames=3, size=(32, 24))).frames[0].mask()
-    rows = '[[class]]\nid = 3\ninto = "furniture"\n[[class]]\nname = "chair"\ninto = "furniture"\n'
-    rows += '[[class]]\nid = 13\ninto = "void"\n[[class]]\nid = 1\ninto = "floor"\n[[class]]\nid = 2\nname = "ground"\n'
-    scene = open_scene(scene_with(tmp_path / "merged", rows.replace('into = "floor"', 'into = "ground"')))
-    assert [(each.id, each.name, each.is_thing) for each in scene.classes.categories] == [
-        (2, "ground", False), (3, "furniture", True)
-    ]  # fmt: skip
-    mask = scene.frames[0].mask()
-    was, now = before.class_map(), mask.class_map()
-    for old, new in {1: 2, 2: 2, 3: 3, 5: 3, 13: 0}.items():
-        assert (now[was == old] == new).all()
-    assert sum(one.class_id == 2 for one in mask.segments) == 1, "wall and floor are one region now"
-    assert sum(one.class_id == 3 for one in mask.segments) == 2, "two objects stay two"
-
-
 def classes_of(first: str, *rows: ClassRow, to_reduced: bool = False) -> list[int]:
     """Of three labels, which are called as the first one is, chair and stool."""
     labels = tuple(ClassLabel(number, name, True) for number, name in ((3, first), (7, "chair"), (8, "stool")))

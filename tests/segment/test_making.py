@@ -84,27 +84,6 @@ def test_stopped_job_continues(folder: Path) -> None:
     assert open_scene(folder).has_masks
 
 
-def test_frames_that_are_left_out_have_empty_masks_until_they_are_wanted(folder: Path) -> None:
-    scene, network = open_scene(folder), Halves()
-    names = [frame.name for frame in scene.frames]
-    told: list[tuple[int, int, int]] = []
-    make_masks(
-        scene, begin_job(folder, "halves", scene.frames, names[::2]), network, lambda *n: told.append(n), names[::2]
-    )
-    assert told == [(1, 2, 1), (2, 2, 2)] and len(network.seen) == 2
-    assert begin_job(folder, "halves", scene.frames, names[:1]).is_finished and not begun(folder).is_finished
-    found = open_scene(folder)
-    assert check_scene(found) == ("2 frames have an empty mask: 0001, 0003",)
-    assert [bool(frame.mask().segments) for frame in found.frames] == [True, False] * 2
-    assert not found.frames[1].mask().ids.any()
-    before = (folder / "panoptic" / f"{names[0]}.png").read_bytes()
-    make_masks(scene, begun(folder), network, silent)
-    assert len(network.seen) == 4 and begun(folder).is_finished
-    assert (folder / "panoptic" / f"{names[0]}.png").read_bytes() == before
-    assert all(frame.mask().segments for frame in open_scene(folder).frames)
-    assert [path.name for path in (folder / "panoptic").glob("*.json")] == ["made_by.json"]
-
-
 def test_other_masks_are_never_overwritten(folder: Path) -> None:
     make_masks(open_scene(folder), begun(folder), Halves(), silent)
     with raises_key("other-masks halves"):

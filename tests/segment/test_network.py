@@ -13,9 +13,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from engine.command_line.main import SEGMENT_MODEL, main
-from engine.scene import open_scene
 from tests.commands import exit_code
-from tests.scene.refusing import check_scene
 from tests.tiny_scene import write_tiny_scene
 
 pytest.importorskip("transformers", reason="needs transformers (requirements/segment.txt)")
@@ -51,18 +49,6 @@ def test_a_model_is_loaded_from_a_folder(model: Path) -> None:
 def test_large_pictures_have_smaller_masks_of_the_same_shape(model: Path) -> None:
     ids, *_ = load_model(str(model), download=False).segment(np.zeros((1000, 2000, 3), np.uint8))
     assert ids.shape == (640, 1280)
-
-
-def test_the_command_makes_masks_that_open(model: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert exit_code(main, "segment", folder, "--model", model) == 0
-    told = capsys.readouterr()
-    assert "3/3" in told.err and told.out == f"Masks of 3 of 3 frames: {folder}\n"
-    scene = open_scene(folder)
-    check_scene(scene)
-    assert [one.name for one in scene.classes.categories] == NAMES
-    assert any(frame.mask().segments for frame in scene.frames)
-    assert exit_code(main, "segment", folder, "--model", model) == 0
-    assert "finished already" in capsys.readouterr().out
 
 
 def test_nothing_is_downloaded_without_consent() -> None:

@@ -11,8 +11,6 @@ from engine.scene import open_scene
 from tests.scene.mask_formats.labelled_room import (
     NAMES,
     Truth,
-    check_on_room,
-    mask_of,
     write_frames,
     write_masked_frames,
 )
@@ -47,19 +45,6 @@ def write_stacks(folder: Path, as_names: bool = False, keys: tuple[str, str, str
     return truths
 
 
-@pytest.mark.parametrize("keys", [KEYS, ("pred_masks", "pred_classes", "scores")])
-def test_the_highest_score_is_on_top(tmp_path: Path, keys: tuple[str, str, str]) -> None:
-    truths = write_stacks(tmp_path, keys=keys)
-    scene = open_scene(tmp_path, classes="coco")
-    check_on_room(scene, truths, SEEN, frozenset({"refrigerator", "chair"}))
-    assert {round(one.score, 4) for one in mask_of(scene).segments} == {0.9}
-
-
-def test_names_need_no_table(tmp_path: Path) -> None:
-    truths = write_stacks(tmp_path, as_names=True)
-    check_on_room(open_scene(tmp_path), truths, SEEN | {3: "cabinet"}, frozenset({"cabinet", "chair"}))
-
-
 def write_pictures(folder: Path) -> list[Truth]:
     scene, truths = write_frames(folder)
     for truth in truths:
@@ -68,13 +53,6 @@ def write_pictures(folder: Path) -> list[Truth]:
             path = scene / "masks" / truth.name / f"{k}_{NAMES[class_id]}_{score}.png"
             cv2.imwrite(str(path), mask.astype(np.uint8) * 255)
     return truths
-
-
-def test_a_picture_for_each_detection_is_read(tmp_path: Path) -> None:
-    """The frames' folders have numbers for names, as SAM 2's objects do: the format has to be named."""
-    truths = write_pictures(tmp_path)
-    scene = open_scene(tmp_path, mask_format="detections")
-    check_on_room(scene, truths, SEEN | {3: "cabinet"}, frozenset({"cabinet", "chair"}))
 
 
 def write_tracks(folder: Path, keys: Mapping[str, str], names: bool) -> list[Truth]:
@@ -108,11 +86,3 @@ def test_the_tracks_of_sam_3_are_one_object_in_all_frames(tmp_path: Path, keys: 
         regions = {number: region for _, number, region in truth.regions() if number}
         assert of_track.keys() == regions.keys()
         assert all((of_track[number] == region).all() for number, region in regions.items())
-
-
-def test_tracks_have_the_words_of_their_prompts_as_classes(tmp_path: Path) -> None:
-    truths = write_tracks(tmp_path, SAM_3, names=True)
-    scene = open_scene(tmp_path)
-    check_on_room(scene, truths, SEEN | {3: "cabinet"}, frozenset({"cabinet", "chair"}))
-    seen = {one.track for frame in scene.frames for one in frame.read_mask(None).segments}
-    assert seen == {number for truth in truths for _, number, _ in truth.regions() if number}

@@ -79,14 +79,14 @@ def test_things_without_an_instance_are_groups(tmp_path: Path) -> None:
     assert not any(one.is_thing for one in segments)
 
 
-def test_a_palettes_indices_are_classes(tmp_path: Path) -> None:
+def write_palettes(folder: Path) -> list[Truth]:
     """255 is void, as in Pascal VOC; ADE20K's 0 is a wall."""
-    masks, truths = write_masked_frames(tmp_path)
+    masks, truths = write_masked_frames(folder)
     for truth in truths:
         values = in_table(truth, ADE)
         values[:4], truth.semantic[:4], truth.instance[:4] = 255, 0, 0
         (masks / f"{truth.name}.png").write_bytes(palette_png(values))
-    check_on_room(open_scene(tmp_path, mask_format="palette", classes="ade20k"), truths, NAMES | {0: ""}, frozenset())
+    return truths
 
 
 def write_arrays(folder: Path, save: Any) -> list[Truth]:
@@ -96,16 +96,14 @@ def write_arrays(folder: Path, save: Any) -> list[Truth]:
     return truths
 
 
-def test_arrays_of_classes_and_instances_are_read(tmp_path: Path) -> None:
+def write_classes(folder: Path) -> list[Truth]:
     def save(path: Path, truth: Truth) -> None:
         np.savez_compressed(f"{path}.npz", semantic=in_table(truth, NYU).astype(np.int64), instance=truth.instance)
 
-    truths = write_arrays(tmp_path, save)
-    check_on_room(open_scene(tmp_path, classes="nyu40"), truths, NAMES, THINGS)
+    return write_arrays(folder, save)
 
 
-@pytest.mark.parametrize("is_last", [False, True])
-def test_masks_are_read_from_probabilities(tmp_path: Path, is_last: bool) -> None:
+def write_probabilities(folder: Path, is_last: bool = False) -> list[Truth]:
     """Channels 0..40 of NYU40 with 0 for void; the winner has 0.6, one other the rest."""
 
     def save(path: Path, truth: Truth) -> None:
@@ -114,7 +112,11 @@ def test_masks_are_read_from_probabilities(tmp_path: Path, is_last: bool) -> Non
         shares[40] += 0.4
         np.save(f"{path}.npy", np.moveaxis(shares, 0, -1) if is_last else shares)
 
-    truths = write_arrays(tmp_path, save)
+    return write_arrays(folder, save)
+
+
+def test_classes_of_probabilities_may_be_the_last_axis_and_have_scores(tmp_path: Path) -> None:
+    truths = write_probabilities(tmp_path, is_last=True)
     scene = open_scene(tmp_path, classes="nyu40")
     check_on_room(scene, truths, NAMES, frozenset())
     assert [one.score for one in mask_of(scene).segments] == pytest.approx([0.6] * len(mask_of(scene).segments))

@@ -88,23 +88,9 @@ def write_grounded(folder: Path) -> list[Truth]:
     return truths
 
 
-def test_a_palettes_indices_are_objects(tmp_path: Path) -> None:
-    truths = write_palettes(tmp_path)
-    scene = open_scene(tmp_path, mask_format="sam2")
-    check_on_room(scene, truths, OBJECTS, BOTH)
-    assert tracks(scene, truths) == TRACKS
-
-
 def test_a_palette_may_hold_classes_as_well(tmp_path: Path) -> None:
     write_palettes(tmp_path)
     refuses("several-formats sam2 palette --mask-format", tmp_path)
-
-
-def test_a_folder_for_each_object_is_read(tmp_path: Path) -> None:
-    truths = write_object_folders(tmp_path)
-    scene = open_scene(tmp_path)
-    check_on_room(scene, truths, OBJECTS, BOTH)
-    assert tracks(scene, truths) == TRACKS | {1: {0}}
 
 
 def test_folders_of_objects_may_have_any_names(tmp_path: Path) -> None:
@@ -135,17 +121,3 @@ def test_a_table_gives_objects_no_classes(tmp_path: Path) -> None:
     assert any("the table coco is left out" in one and "no classes" in one for one in scene.warnings)
     with raises_key("masks-classless classes.toml"):
         list_classes(SceneSource(tmp_path), "coco")
-
-
-def test_a_toml_gives_objects_their_classes(tmp_path: Path) -> None:
-    truths = write_object_folders(tmp_path)
-    (tmp_path / "masks" / "classes.toml").write_text('[[class]]\nid = 0\nname = "chair"\n')
-    check_on_room(open_scene(tmp_path), truths, OBJECTS | {5: "chair"}, BOTH | {"chair"})
-
-
-def test_grounded_sam2_names_classes(tmp_path: Path) -> None:
-    truths = write_grounded(tmp_path)
-    scene = open_scene(tmp_path)
-    names = OBJECTS | {3: "cabinet", 5: "kitchen chair."}
-    check_on_room(scene, truths, names, frozenset({"cabinet", "kitchen chair."}))
-    assert tracks(scene, truths) == TRACKS
