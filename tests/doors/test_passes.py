@@ -1,7 +1,9 @@
 """What docs/passes.md promises, done as it says on a lift of the tiny room, whose geometry is known exactly."""
 
 import json
+import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
@@ -19,10 +21,12 @@ from engine.result_files import INSTANCES, read_instances
 from tests.commands import answer_of
 from tests.doors.terminal import Terminal
 from tests.passes.agreement import coverage_of
+from tests.raises_key import worded
 from tests.tiny_scene import CATEGORIES, tiny_intrinsics, tiny_pose, trace_view
 
 SIZE = (64, 48)
 FRAME = "0004"  # held out of six
+HALF = ("R", "G", "B", "A", "PLGS.Combined", "PLGS.Confidence", "PLGS.Entropy", "PLGS.Normal")
 CAMERA = ".venv/bin/python run_plgs.py -o LIFT --bake camera --blend shot.blend --camera dolly --range 1-250"
 EXPORT = ".venv/bin/python -m engine export LIFT --to FORM -o FOLDER"
 
@@ -65,10 +69,21 @@ def test_a_pass_file_is_one_multilayer_exr_at_the_frames_own_size(baked: Termina
     assert [path.stem for path in files] == [f"{number:04d}" for number in range(6)]
     planes = planes_of(files[0])
     assert {plane.shape for plane in planes.values()} == {SIZE[::-1]}
-    exact = [name for name in planes if name.startswith(("PLGS.Depth", "PLGS.Semantic", "PLGS.Instance", "Crypto"))]
+    exact = [name for name in planes if not name.startswith(HALF)]
     assert len(exact) > 20 and {planes[name].dtype for name in exact} == {np.dtype(np.float32)}
+    assert {planes[name].dtype for name in {*planes} - {*exact}} == {np.dtype(np.float16)}
     for channel in "RGBA":
         np.testing.assert_array_equal(planes[channel], planes[f"PLGS.Combined.{channel}"])
+    instances = {one.id: one.class_id for one in engine.read_lift(baked.folder / "lifts/demo").instances}
+    pairs = np.stack([planes["PLGS.Instance.V"], planes["PLGS.Semantic.V"]], axis=-1).reshape(-1, 2)
+    for instance, semantic in np.unique(pairs, axis=0).tolist():
+        assert instances[int(instance)] == semantic if instance else semantic in {0, 1, 2, 3, 5, 13}
+    truth = trace_view(tiny_pose(0, 6), tiny_intrinsics(SIZE), SIZE).semantic
+    right, confidence, entropy = (
+        planes["PLGS.Semantic.V"] == truth, planes["PLGS.Confidence.V"], planes["PLGS.Entropy.V"]
+    )  # fmt: skip
+    assert 0 <= confidence.min() < confidence.max() <= 1 and 0 <= entropy.min() < entropy.max() <= 1
+    assert confidence[right].mean() > confidence[~right].mean() and entropy[right].mean() < entropy[~right].mean()
 
 
 def test_depth_is_metres_along_the_viewing_axis(baked: Terminal) -> None:
@@ -99,18 +114,46 @@ def test_normals_are_of_length_one_and_face_the_camera(baked: Terminal) -> None:
     np.testing.assert_allclose(np.linalg.norm(normal[shown], axis=-1), 1.0, atol=0.01)
 
 
-def test_vectors_say_where_a_pixel_was_in_the_previous_frame(baked: Terminal) -> None:
-    """By the true cameras: X and Y, y up, as Cycles has them."""
+def test_vectors_say_where_a_pixel_was_in_the_previous_frame_and_will_be_in_the_next_one(baked: Terminal) -> None:
+    """By the true cameras, y up, as Cycles has them; 0 where the other camera is unknown."""
     planes = planes_of(baked.folder / "shot" / f"{FRAME}.exr")
     frames = {one.name: one.camera for one in engine.read_lift(baked.folder / "lifts/demo").frames}
-    here, before = frames[FRAME], frames["0003"]
     rows, columns = np.nonzero(planes["PLGS.Depth.V"] > 0)
     position = np.stack([planes[f"PLGS.Position.{axis}"] for axis in "XYZ"], axis=-1).astype(np.float64)
-    then, _ = before.project(position[rows, columns])
-    moved = np.stack([then[:, 0] - (columns + 0.5), -(then[:, 1] - (rows + 0.5))], axis=-1)
-    shown = np.stack([planes["PLGS.Vector.X"], planes["PLGS.Vector.Y"]], axis=-1)[rows, columns]
-    assert np.median(np.abs(moved)) > 1 and np.median(np.abs(shown - moved)) < 0.1
-    assert here.K.shape == (3, 3)
+    for other, axes, sign in (("0003", "XY", 1), ("0005", "ZW", -1)):
+        then, _ = frames[other].project(position[rows, columns])
+        moved = sign * np.stack([then[:, 0] - (columns + 0.5), -(then[:, 1] - (rows + 0.5))], axis=-1)
+        shown = np.stack([planes[f"PLGS.Vector.{axis}"] for axis in axes], axis=-1)[rows, columns]
+        assert np.median(np.abs(moved)) > 1 and np.median(np.abs(shown - moved)) < 0.1
+    for unknown, axes, known in (("0000", "XY", "ZW"), ("0005", "ZW", "XY")):
+        planes = planes_of(baked.folder / "shot" / f"{unknown}.exr")
+        assert not any(planes[f"PLGS.Vector.{axis}"].any() for axis in axes)
+        assert all(planes[f"PLGS.Vector.{axis}"].any() for axis in known)
+
+
+def test_with_channels_nuke_and_a_folder_depth_and_motion_have_nukes_names(baked: Terminal, tmp_path: Path) -> None:
+    """Motion forward has the opposite sign."""
+    printed = ".venv/bin/python -m engine bake LIFT --frames all -o FOLDER".replace("all", FRAME)
+    layers = ["--layers", "normal", "vector", "--channels", "nuke"]
+    baked.run(printed, LIFT="lifts/demo", FOLDER=tmp_path / "nuke", more=layers)
+    nuke, ours = planes_of(tmp_path / "nuke" / f"{FRAME}.exr"), planes_of(baked.folder / "shot" / f"{FRAME}.exr")
+    named = {"depth.Z": "Depth.V", "normal.X": "Normal.X", "semantic.V": "Semantic.V", "backward.u": "Vector.X",
+             "backward.v": "Vector.Y", "forward.u": "Vector.Z", "forward.v": "Vector.W"}  # fmt: skip
+    for name, own in named.items():
+        assert nuke[name].any()
+        np.testing.assert_array_equal(nuke[name], (-1 if "forward" in name else 1) * ours[f"PLGS.{own}"])
+    assert not any("PLGS" in name for name in nuke)
+
+
+def test_optional_layers_are_chosen_and_added_to_those_that_a_file_has(terminal: Terminal) -> None:
+    bake, path = ".venv/bin/python -m engine bake lifts/demo --frames 1-3:2 -o shot", terminal.folder / "shot/0003.exr"
+    has = []
+    for layers in ((), ("normal",), ("position",)):
+        terminal.run(bake, more=["--layers", *layers] if layers else [])
+        has.append({name.split(".")[1] for name in planes_of(path) if name.startswith("PLGS.")})
+    usual = {"Combined", "Depth", "Semantic", "Instance", "Confidence", "Entropy"}
+    assert has == [usual, usual | {"Normal"}, usual | {"Normal", "Position"}]
+    assert sorted(each.stem for each in path.parent.glob("*.exr")) == ["0001", "0003"], "every second of 1 to 3"
 
 
 def test_a_whole_pixel_has_the_id_of_an_object_exactly_where_its_matte_is_above_one_half(baked: Terminal) -> None:
@@ -168,13 +211,73 @@ def test_a_camera_of_your_own_is_baked_under_the_shots_name(
     depths = [np.median(read_exr(passes / name).depth) for name in names]
     assert depths[0] > depths[1] > depths[2], "it goes into the room"
     header = OpenEXR.File(str(passes / names[1]), header_only=True).header()
-    assert header["imageCounter"] == 2 and "worldToCamera" in header and "PLGS" in header["software"]
+    assert header["imageCounter"] == 2 and header["framesPerSecond"] == 24 and "PLGS" in header["software"]
+    assert header["colorInteropID"] == "lin_rec709_scene" and (
+        header["pixelAspectRatio"],
+        header["timeCode"].frame,
+    ) == (1, 2)
+    assert {"chromaticities", "screenWindowWidth", "worldToNDC"} <= {*header}
+    point = np.append(tiny_pose(1, 6)[:3, :3] @ [0, 0, 1.15] + tiny_pose(1, 6)[:3, 3], 1)  # a metre ahead in frame 2
+    np.testing.assert_allclose(point @ header["worldToCamera"], [0, 0, 1, 1], atol=1e-4)
     named = "'{shot}_{camera}_{layer}.{frame:04d}'"
     terminal.run(printed, LIFT="lifts/demo", more=["--passes", "mine", "--shot", named])
     assert {path.name for path in (terminal.folder / "mine").iterdir() if path.suffix} == {
         f"shot_dolly_passes.{frame:04d}.exr" for frame in (1, 2, 3)
     }
     assert (terminal.folder / "mine" / ".plgs").is_dir(), "its notes lie in the hidden folder"
+
+
+@pytest.fixture
+def blend(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("PLGS_ENGINE_PYTHON", str(terminal.folder / ".venv/bin/python"))
+    return shot_blend(terminal.folder)
+
+
+def changed(blend: Path, change: Callable[[bpy.types.Scene], object]) -> None:
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    change(bpy.context.scene)
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend), copy=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+
+
+def baked_names(terminal: Terminal, *more: str) -> list[str]:
+    """What is new in the lift after a bake of a camera with these options."""
+    passes = terminal.folder / "lifts/demo/result/passes"
+    before = {*passes.iterdir()}
+    terminal.run(".venv/bin/python run_plgs.py -o lifts/demo --bake camera --blend shot.blend", more=more)
+    return sorted(path.name for path in {*passes.iterdir()} - before)
+
+
+def test_the_defaults_are_the_files_active_camera_and_range_and_between_frames_have_a_sequence_of_their_own(
+    terminal: Terminal, blend: Path
+) -> None:
+    passes = terminal.folder / "lifts/demo/result/passes"
+    assert baked_names(terminal) == [f"shot_dolly.{frame:04d}.exr" for frame in (1, 2, 3)]
+    between = ["shot_dolly.-0001.exr", "shot_dolly.sub500.0001.exr"]
+    assert baked_names(terminal, "--range", "-1,1-2:0.5") == between
+    depths = [np.median(read_exr(passes / f"shot_dolly.{each}.exr").depth) for each in ("0001", "sub500.0001", "0002")]
+    assert depths[0] > depths[1] > depths[2], "half a frame after frame 1"
+
+
+def test_a_still_camera_is_baked_once_and_markers_make_one_shot_of_all_cuts(terminal: Terminal, blend: Path) -> None:
+    def cut(scene: bpy.types.Scene) -> None:
+        still = bpy.data.objects.new("still", bpy.data.cameras.new("still"))
+        scene.collection.objects.link(still)
+        still.matrix_world = Matrix((tiny_pose(3, 6) @ np.diag([1.0, -1.0, -1.0, 1.0])).tolist())
+        for frame, camera in ((1, bpy.data.objects["dolly"]), (3, still)):
+            scene.timeline_markers.new(camera.name, frame=frame).camera = camera
+        scene.render.use_motion_blur = still.data.dof.use_dof = scene.render.use_border = True
+
+    changed(blend, cut)
+    assert baked_names(terminal, "--camera", "still", "--range", "1-3") == ["shot_still.0001.exr"]
+    assert baked_names(terminal) == [f"shot_cuts.{frame:04d}.exr" for frame in (1, 2, 3)]
+    passes = terminal.folder / "lifts/demo/result/passes"
+    cuts, still = (planes_of(passes / name)["PLGS.Depth.V"] for name in ("shot_cuts.0003.exr", "shot_still.0001.exr"))
+    np.testing.assert_array_equal(cuts, still)
+    told = terminal.run(CAMERA.replace("1-250", "1"), LIFT="lifts/demo", more=["--camera", "still", "--shot", "a:b"])
+    assert all(word in told for word in ("motion blur", "depth of field", "region")), told
+    assert (passes / "a_b.0001.exr").is_file(), "characters that some system refuses become _"
+    assert "--shot" in terminal.run(CAMERA, code=2, LIFT="lifts/demo", more=["--shot", "n" * 81])
 
 
 def test_bake_takes_cameras_of_any_program(terminal: Terminal) -> None:
@@ -189,15 +292,23 @@ def test_bake_takes_cameras_of_any_program(terminal: Terminal) -> None:
     assert (shown.semantic == truth.semantic).mean() > 0.7
 
 
-@pytest.mark.parametrize("kind", ["orthographic", "equirectangular"])
-def test_orthographic_and_equirectangular_cameras_are_baked_with_all_layers(kind: str, terminal: Terminal) -> None:
-    blend = shot_blend(terminal.folder)
-    bpy.ops.wm.open_mainfile(filepath=str(blend))
+def as_kind(scene: bpy.types.Scene, kind: str) -> None:
     camera = bpy.data.objects["dolly"]
     camera.data.type, camera.data.ortho_scale = ("ORTHO" if kind == "orthographic" else "PANO"), 2.0
-    if kind == "equirectangular":
-        panorama_of(camera).panorama_type = "EQUIRECTANGULAR"
-    bpy.ops.wm.save_as_mainfile(filepath=str(blend), copy=True)
+    if kind != "orthographic":
+        panorama_of(camera).panorama_type = kind.upper()
+
+
+def test_other_panoramas_are_refused(terminal: Terminal, blend: Path) -> None:
+    changed(blend, lambda scene: as_kind(scene, "mirrorball"))
+    assert worded("other-lens").search(terminal.run(CAMERA, code=2, LIFT="lifts/demo"))
+
+
+@pytest.mark.parametrize("kind", ["orthographic", "equirectangular"])
+def test_orthographic_and_equirectangular_cameras_are_baked_with_all_layers(
+    kind: str, terminal: Terminal, blend: Path
+) -> None:
+    changed(blend, lambda scene: as_kind(scene, kind))
     more = ["--layers", "normal", "position", "vector"]
     terminal.run(CAMERA.replace("1-250", "2"), LIFT="lifts/demo", more=more)
     path = terminal.folder / "lifts/demo/result/passes/shot_dolly.0002.exr"
@@ -229,12 +340,17 @@ def test_orthographic_and_equirectangular_cameras_are_baked_with_all_layers(kind
         assert ((matte > 0.5) == (shown.instance == one))[whole].all()
 
 
-def test_a_bake_of_cameras_warns_where_a_tenth_of_a_view_or_more_has_no_surface(terminal: Terminal) -> None:
-    outside = tiny_pose(0, 6)
-    outside[:3, 3] += 30 * outside[:3, 2]
-    entry = {"name": "far.0001", "width": 64, "height": 48, "K": tiny_intrinsics(SIZE).tolist()}
-    (terminal.folder / "cameras.json").write_text(json.dumps([{**entry, "camera_to_world": outside.tolist()}]))
-    assert "warning" in terminal.run(".venv/bin/python -m engine bake lifts/demo --cameras cameras.json")
+@pytest.mark.parametrize(("metres", "told"), [(30.0, "no surface"), (-1.0, "no surface"), (1.3, "times as large")])
+def test_a_bake_of_cameras_warns_of_what_no_photo_resolves(metres: float, told: str, terminal: Terminal) -> None:
+    """From far outside, from behind, and from so near that it is shown over twice as large as in any photo."""
+    pose = tiny_pose(0, 6)
+    pose[:3, 3] += metres * pose[:3, 2]
+    entry = {"name": "any.0001", "width": 256, "height": 192, "K": tiny_intrinsics((256, 192)).tolist()}
+    (terminal.folder / "cameras.json").write_text(json.dumps([{**entry, "camera_to_world": pose.tolist()}]))
+    said = terminal.run(".venv/bin/python -m engine bake lifts/demo --cameras cameras.json")
+    shares = re.search(r"(\d+)% is shown more than 2 times as large as in any photo, (\d+)% has no surface", said)
+    assert shares is not None, said
+    assert int(shares[1 if "large" in told else 2]) >= 10
 
 
 def test_with_objects_an_export_holds_only_these(terminal: Terminal) -> None:

@@ -54,21 +54,6 @@ def test_exr_is_single_part_zip_with_float_ids(tmp_path: Path) -> None:
     assert len(names) == 4 + 9 + 6 + 4 + 12 + 12
 
 
-def test_channels_have_the_names_that_nuke_expects(tmp_path: Path) -> None:
-    view, folder = _baked(), tmp_path
-    view = replace(view, previous=view.camera, following=view.camera.resized(2 * view.camera.width, view.camera.height))
-    write_exr(folder / "ours.exr", view, layers=FURTHER_LAYERS)
-    write_exr(folder / "nuke.exr", view, layers=FURTHER_LAYERS, named_for="nuke")
-    ours, nuke = (channels_of(folder / name) for name in ("ours.exr", "nuke.exr"))
-    assert np.array_equal(nuke["depth.Z"], ours["PLGS.Depth.V"]) and np.array_equal(nuke["R"], ours["R"])
-    assert np.array_equal(nuke["normal.X"], ours["PLGS.Normal.X"])
-    assert np.array_equal(nuke["CryptoClass00.r"], ours["CryptoClass00.r"])
-    assert np.array_equal(nuke["backward.v"], ours["PLGS.Vector.Y"]) and nuke["forward.u"].max() > 1
-    assert np.array_equal(nuke["forward.u"], -ours["PLGS.Vector.Z"])
-    assert not any("PLGS" in name for name in nuke) and len(nuke) == len(ours) - 4
-    assert further_layers(folder / "nuke.exr") == {*FURTHER_LAYERS}
-
-
 def channels_of(path: Path) -> dict[str, np.ndarray]:
     """By OpenImageIO if it is there, else by OpenEXR."""
     try:
@@ -85,14 +70,6 @@ def test_an_error_of_the_system_names_the_file() -> None:
     with pytest.raises(OSError) as refused:
         write_exr(Path("/proc/0001.exr"), _baked())
     assert refused.value.filename == "/proc/0001.exr"
-
-
-def test_further_layers_are_written_on_request(tmp_path: Path) -> None:
-    path = tmp_path / "a.exr"
-    for chosen in ((), ("normal",), ("position",), ("vector",)):
-        write_exr(path, _baked(), layers=chosen)
-        assert further_layers(path) == set(chosen)
-    assert further_layers(write_layers(path)) == set(FURTHER_LAYERS)
 
 
 def test_invalid_exr_is_refused(tmp_path: Path) -> None:

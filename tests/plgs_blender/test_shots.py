@@ -171,15 +171,6 @@ def test_vectors_are_those_of_cycles(scene: bpy.types.Scene, tmp_path: Path) -> 
     assert np.abs(ours - theirs)[:, depth > 0].max() < 0.05
 
 
-def test_frames_between_whole_frames_are_baked(scene: bpy.types.Scene, tmp_path: Path) -> None:
-    cameras = cameras_of(scene, shot_of(scene, only=(2, 2.5, 3)))
-    assert [camera.name for camera in cameras] == ["dolly.0002", "dolly.sub500.0002", "dolly.0003"]
-    poses = [np.array(camera.pinhole.camera_to_world)[0, 3] for camera in cameras]
-    assert poses[0] < poses[1] < poses[2] and cameras[1].frame == 2
-    assert [*sequences([camera.name for camera in cameras])] == ["dolly", "dolly.sub500"]
-    assert numbered_name("dolly", -0.25) == "dolly.sub750.-0001"
-
-
 def test_a_cropped_render_region_is_baked(scene: bpy.types.Scene, tmp_path: Path) -> None:
     render = scene.render
     render.use_border, render.use_crop_to_border = True, True
@@ -213,6 +204,7 @@ def test_frames_before_0_are_baked(scene: bpy.types.Scene, tmp_path: Path) -> No
     ]
     scene.render.filepath = str(tmp_path / "dolly.")
     assert Path(scene.render.frame_path(frame=-2)).stem == cameras[0].name, "as Blender names its own"
+    assert [*sequences(["dolly.0002", numbered_name("dolly", -0.25)])] == ["dolly", "dolly.sub750 before 0"]
     scene.frame_end = 12000
     assert cameras_of(scene, shot_of(scene, first=1, last=2))[0].name == "dolly.00001", "as long as the longest"
 
