@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
@@ -10,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import run_plgs
 from engine import poses
 from engine.command_line.main import main
 from engine.errors import ErrorCode, PlgsError
@@ -17,6 +19,7 @@ from engine.job import EventWriter, StopSignal
 from engine.poses import Made, _digest_of, _median, make_poses, write_pictures
 from engine.records import to_json
 from engine.scene import open_scene
+from tests.commands import exit_code
 from tests.raises_key import raises_key
 from tests.scene.formats.room import write_grey
 from tests.scene.formats.test_colmap import write_text
@@ -35,14 +38,19 @@ def find_poses(place: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(find_spec("pycolmap") is not None, reason="pycolmap is there")
-def test_a_missing_pycolmap_is_reported(photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_pycolmap_is_reported(
+    photos: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A lift asks for poses first, by either command."""
+    monkeypatch.setenv("PLGS_ENGINE_PYTHON", sys.executable)
     before = {path.name for path in photos.iterdir()}
     with raises_key("lacks-part") as caught:
         find_poses(photos, tmp_path)
     assert caught.value.code is ErrorCode.LACKS_PART and caught.value.option == "colmap"
     assert {path.name for path in photos.iterdir()} == before
-    assert main(["lift", str(photos), "--poses", "colmap", "-o", str(tmp_path / "lift")]) == 2
-    assert "engine add colmap" in capsys.readouterr().err and not (tmp_path / "lift").exists()
+    for program, *first in ((main, "lift"), (run_plgs.main,)):
+        assert exit_code(program, *first, photos, "--poses", "colmap", "-o", tmp_path / "lift") == 2
+        assert "engine add colmap" in capfd.readouterr().err and not (tmp_path / "lift").exists()
 
 
 def test_refusal_of_plain_photos_says_how_to_get_poses(photos: Path, tmp_path: Path) -> None:
