@@ -4,7 +4,6 @@ import errno
 import io
 import json
 import os
-import signal
 import sys
 from pathlib import Path
 from unittest.mock import Mock
@@ -21,7 +20,6 @@ from engine.job.follower import TaskFollower
 from engine.job.lock import FileLock
 from engine.job.process import engine_call
 from engine.job.task import TaskFiles, TaskState
-from engine.job.terminal import STOP_SIGNALS
 from tests.job.following import follow, new_lift, tiny_lift
 from tests.raises_key import raises_key, worded
 from tests.tiny_scene import write_tiny_scene
@@ -240,17 +238,3 @@ def test_a_corrupt_result_is_made_again(tmp_path: Path) -> None:
     assert run_engine(folder, resume=True, lift=tiny_lift) is ExitCode.FINISHED
     assert folder.is_whole() and kept.exists()
     assert not later.exists(), "it is not listed as it is, but baked again when it is asked for"
-
-
-@pytest.mark.parametrize(("number", "code"), STOP_SIGNALS.items())
-def test_each_signal_stops_a_task_with_its_own_code(tmp_path: Path, number: signal.Signals, code: ExitCode) -> None:
-    def interrupted(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
-        os.kill(os.getpid(), number)
-        stop.check()
-
-    folder, before = new_lift(tmp_path), signal.signal(number, signal.SIG_DFL)
-    try:
-        assert run_engine(folder, lift=interrupted) is code
-    finally:
-        signal.signal(number, before)
-    assert folder.state() is LiftState.CANCELLED

@@ -1,6 +1,5 @@
 """Edits of a result: what they change, what survives, and what is told."""
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,7 +23,7 @@ from engine.corrections.relabelling import nearest
 from engine.corrections.replay import Replay
 from engine.posed.classes import Category, ClassTable
 from engine.result_files import Instance, MatchedSegment
-from tests.corrections.two_rooms import CHAIR, CHAIRS, CRUMB, DESK, SOFA, TABLE, write_result
+from tests.corrections.two_rooms import CHAIR, CHAIRS, CRUMB, DESK, TABLE, write_result
 from tests.raises_key import raises_key
 
 
@@ -97,19 +96,6 @@ def test_a_crumb_takes_the_label_of_what_surrounds_it(lift: Path) -> None:
     assert counts(result)[TABLE, 0] == crumb and counts(result)[TABLE, DESK] == desk
 
 
-def test_points_get_an_object_or_a_class(lift: Path) -> None:
-    at = read_corrected(lift).points.xyz
-    right = (at[:, 0] > 0.9) & (at[:, 0] < 1.5) & (at[:, 2] > 0.05)
-    edit, _ = correct(lift, lambda state, free: m.assign(state, right, 0, class_id=SOFA, name="armchair", new_id=free))
-    assert objects(lift)[edit.made[0].id].points == right.sum()
-    correct(lift, lambda state, _: m.assign(state, right, DESK))
-    assert edit.made[0].id not in objects(lift)  # none of its points is left
-    ground = (at[:, 2] < 0.05) & (at[:, 0] < 0)
-    correct(lift, lambda state, _: m.assign(state, ground, 0, class_id=CHAIR))
-    result = read_corrected(lift)
-    assert counts(result)[CHAIR, 0] == ground.sum() and not result.warnings
-
-
 @pytest.mark.parametrize(
     ("make", "line"),
     [
@@ -146,19 +132,6 @@ def test_an_object_without_points_has_no_parts(lift: Path) -> None:
     assert class_of_parts(lift, state, DESK, part) == {}
     with raises_key("split-one-part"):
         m.split(state, DESK, part, 99)
-
-
-def test_another_lift_of_the_scene_keeps_the_edits_that_still_apply(tmp_path: Path, lift: Path) -> None:
-    correct(lift, split_chairs)
-    correct(lift, lambda state, _: m.delete(state, CRUMB))
-    correct(lift, lambda state, _: m.rename(state, DESK, "desk"))
-    again = write_result(tmp_path / "again", shift=0.013, without=CRUMB)
-    shutil.copy(lift / CORRECTIONS, again)
-    result = read_corrected(again)
-    assert result.warnings == [f"delete of {result.edits[1].time} was not applied: there is no object {CRUMB}"]
-    found = objects(again)
-    assert found[DESK].name == "desk"
-    assert sorted(round(found[one].centre[0], 1) for one in (CHAIRS, 4)) == [0.2, 1.2]
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"format": 1, "edits": [{"kind": "rename"}]}', '{"format": 1}'])

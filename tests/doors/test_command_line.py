@@ -128,7 +128,7 @@ def test_frames_of_a_bake_are_counted_by_the_last_numbers_in_their_names(termina
     ]  # fmt: skip
 
 
-def test_find_scene_updates_a_lift_after_its_scene_was_moved(terminal: Terminal) -> None:
+def test_find_scene_updates_a_lift(terminal: Terminal) -> None:
     (terminal.folder / "scans/room").rename(terminal.folder / "kitchen")
     said = terminal.run(ENGINE + "find-scene LIFT SCENE", LIFT="lifts/demo", SCENE="kitchen")
     assert said.strip() == f"The lift reads {terminal.folder / 'kitchen'}"

@@ -113,16 +113,7 @@ def test_training_csv_has_a_line_for_each_step_of_numbers(terminal: Terminal) ->
     assert all(np.isfinite([float(value) for value in row.values()]).all() for row in rows)
 
 
-BY_FOLDER = (
-    "watch_lift",
-    "place_lift",
-    "open_log",
-    "cancel_lift",
-    "resume_lift",
-    "bake_passes",
-    "bake_camera",
-    "export_lift",
-)
+BY_FOLDER = "watch_lift place_lift open_log cancel_lift resume_lift bake_passes bake_camera export_lift".split()
 ON_RESULT = ("select_instance", "select_class", "go_to_mask", "show_as", "rename_instance", "make_objects", "put_back")
 UNSAID = {"rna_type", "lift", "lift_folder", "filter_glob", "check_existing", "what"}
 """What the text before the table says; and what Blender's file browser and a dialog give."""

@@ -64,18 +64,6 @@ def test_lift_moved_without_its_scene_works(home: Path) -> None:
         scene.frames[0].read_colour(None)
 
 
-def test_the_scene_is_found(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    lift, found = home / "lift", home.parent / "found"
-    before = (lift / "request.json").read_bytes()
-    other = write_tiny_scene(home.parent / "other", frames=6, size=(80, 60))
-    assert main(["bake", str(lift), "--scene", str(other)]) == ExitCode.BAD_INPUT
-    assert worded("other-scene").search(capsys.readouterr().err)
-    assert (lift / "request.json").read_bytes() == before
-    assert relink(LiftFolder.open(lift), found).request.scene == found
-    assert LiftFolder.open(lift).request.scene == found
-    assert json.loads((lift / "request.json").read_text())["relative"]["scene"] == "../../found"
-
-
 def test_edited_masks_are_used(home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setitem(PRESETS, "preview", TINY)
     lift = relink(LiftFolder.open(home / "lift"), home.parent / "found").path
