@@ -309,12 +309,7 @@ def test_the_pages_classes_toml_does_what_it_says(tmp_path: Path, capsys: pytest
     assert sofa.is_thing and tuple(sofa.colour) == (0xC8, 0xA0, 0x64)
 
 
-OF_TABLES = {
-    "coco": COCO_NAMES,
-    "cityscapes": TRAFFIC,
-    "nyu13": NAMES | {3: "furniture"},
-    "replica": NAMES,
-}
+OF_TABLES = {"coco": COCO_NAMES, "cityscapes": TRAFFIC, "nyu13": NAMES | {3: "furniture"}}
 """The room's classes by a table's names, where they are not its own."""
 
 
