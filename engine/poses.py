@@ -220,8 +220,8 @@ FILM_PICTURES = 150  # the largest number of pictures that are taken from a film
 _LEAST_SHARE = 0.5
 _NO_FILM = "none"
 _WITHOUT_DEPTH = (
-    "Lengths have no unit, and there is no depth: engine depth (Make Depth) makes it, fitted to the reconstruction's "
-    "points; metres are then the reconstruction's lengths, until engine scale (Set Scale) sets them"
+    "Lengths have no unit, as no measured depth gives it: depth that engine depth (Make Depth) makes is fitted to the "
+    "reconstruction's points, whose lengths count as metres until engine scale (Set Scale) sets them"
 )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 from blender import SIZE, Window
 from tiny_scene import write_tiny_scene
@@ -68,6 +69,29 @@ def test_a_dropped_file_of_a_lift_opens_it(window: Window, scene: Path) -> None:
     lift = LiftFolder.create(scene.parent / "my lift", LiftRequest(scene=scene))
     window.drop(*IN_THE_VIEW, lift.path / "request.json")
     assert folders(window) == ["", str(lift.path)]
+
+
+PREPARED = """
+import sys
+registry = sys.modules[EXTENSION + '.plgs_blender.registry']
+film = lambda: registry.latest(sys.modules[EXTENSION + '.plgs_blender.running.preparation'].FilmMaking)
+"""
+
+
+def test_a_dropped_film_is_prepared_or_says_what_must_be_downloaded(window: Window, work_folder: Path) -> None:
+    path = work_folder / "dropped" / "my film.mp4"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 10, (64, 48))
+    for shade in range(0, 200, 10):
+        writer.write(np.full((48, 64, 3), shade, np.uint8))
+    writer.release()
+    window.run(PREPARED)
+    window.drop(*IN_THE_VIEW, path)
+    window.wait_for("film() is not None and not film().is_running")
+    assert folders(window)[0] == str(path)
+    told = window.ask("str(film().error)")
+    assert "this must be downloaded first" in told and "MB" in told and "Apache-2.0" in told
+    window.open_sidebar()
+    window.screenshot("dropped_film")
 
 
 MODULES = """
