@@ -79,7 +79,7 @@ class PLGS_OT_import_film(base.ChoosesFile, bpy.types.Operator):
     def why_not(cls, context: bpy.types.Context) -> str | None:
         if registry.running(FilmMaking):
             return "The engine is already preparing a film"
-        return why_no_engine() or why_lacking("colmap") or why_lacking("segment")
+        return why_no_engine()  # what else it lacks is listed with sizes and licences, before any work
 
     def ask(self, manager: bpy.types.WindowManager, event: bpy.types.Event) -> set[str]:
         """Open the file browser, unless a film was dropped."""

@@ -15,7 +15,7 @@ from ..plgs_blender.frame_pictures import DEPTH, MASKS, range_shown, why_no_pict
 from ..plgs_blender.owned import LIFT, lifts_in
 from ..plgs_blender.running.diagnosis import Diagnosis, diagnosis_of
 from ..plgs_blender.running.importing import FrameMaking
-from ..plgs_blender.running.preparation import DepthMaking, MaskMaking, PoseMaking, ScaleSetting
+from ..plgs_blender.running.preparation import DepthMaking, FilmMaking, MaskMaking, PoseMaking, ScaleSetting
 from ..plgs_blender.running.survey import SceneLook, Survey, obstacles_to, survey_of_panel
 from ..plgs_blender.settings import chosen_scene
 from . import sidebar
@@ -39,6 +39,10 @@ class PLGS_PT_scene(sidebar.StepBefore, bpy.types.Panel):
         row, making = sidebar.from_panel(layout.row(align=True), context), registry.latest(FrameMaking)
         if making is None or not _is_import(making, context) or not sidebar.draw_bar(row, making, "Images"):
             row.operator("plgs.import_scene", icon="OUTLINER_OB_CAMERA")
+        film = registry.latest(FilmMaking)
+        if film is not None and (film.is_running or (settings.scene_folder and film.error_for(chosen_scene(settings)))):
+            sidebar.draw_task(layout, context, film)  # what it reports is of the film, which is no scene yet
+            return
         survey = survey_of_panel(settings)
         if not settings.scene_folder:
             what_to_do = "Choose a capture's folder or file, or drop one of its files here"

@@ -193,7 +193,6 @@ def test_a_dropped_film_is_prepared_and_its_lift_begins(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path
 ) -> None:
     """Its poses and its depth were made before, so that no COLMAP is needed."""
-    from plgs.operators import masks
     from plgs.plgs_blender.running import lifting
 
     from engine.depth_making import make_depth
@@ -206,9 +205,6 @@ def test_a_dropped_film_is_prepared_and_its_lift_begins(
     make_depth(open_scene(folder), folder, rooms_network(), quiet)
     monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)
     monkeypatch.setattr(lifting, "start_lift", lambda settings: begun.append(settings.scene_folder))
-    monkeypatch.setattr(masks, "why_lacking", lambda part: f"it lacks {part}")
-    assert not bpy.ops.plgs.import_film.poll() and masks.PLGS_OT_import_film.why_not(bpy.context) == "it lacks colmap"
-    monkeypatch.setattr(masks, "why_lacking", lambda part: None)
     bpy.context.scene.plgs_masks.model = str(save_tiny_mask2former(tmp_path / "masks"))
     settings.depth = str(tmp_path / "of another scene")
     assert bpy.ops.plgs.import_film(filepath=str(film)) == {"FINISHED"}

@@ -20,7 +20,7 @@ from plgs.plgs_blender.inspecting import drawing
 from plgs.plgs_blender.lift_scene import place_lift
 from plgs.plgs_blender.owned import lifts_in
 from plgs.plgs_blender.running import adding, lifts, survey
-from plgs.plgs_blender.running.preparation import PoseMaking
+from plgs.plgs_blender.running.preparation import FilmMaking, PoseMaking
 from plgs.plgs_blender.settings import chosen_scene
 from plgs.ui import lift_panel, result_panel, sidebar
 from pretended_python import pretended_python
@@ -140,6 +140,20 @@ def test_an_error_of_the_engine_that_lacks_a_part_shows_its_button(tmp_path: Pat
     task.is_taken = True
     registry.follow(task)
     assert "Add to Engine (1 MB)" in drawn()
+
+
+def test_a_film_shows_its_progress_then_what_must_be_downloaded(tmp_path: Path) -> None:
+    bpy.context.scene.plgs.scene_folder = str(tmp_path / "film.mp4")
+    follower: Any = Pretended(TaskState.RUNNING)
+    registry.follow(FilmMaking(chosen_scene(bpy.context.scene.plgs), follower))
+    shown = drawn()
+    assert "Half of it" in shown and "plgs.cancel_film" in shown and "plgs.make_poses" not in shown
+    what = "this must be downloaded first: packages: 134 MB"
+    follower.error = PlgsError("lacks-parts", what, "film.mp4", "", code=ErrorCode.LACKS_PART, option="colmap")
+    follower.state, follower.is_running = TaskState.FAILED, False
+    registry.latest(FilmMaking).is_taken = True  # type: ignore[union-attr]
+    shown = drawn()
+    assert "downloaded first: packages: 134 MB" in shown and "Add to Engine (" in shown
 
 
 def test_photos_without_poses_show_the_button_that_finds_them(tmp_path: Path) -> None:

@@ -116,7 +116,8 @@ def test_keys_act_on_what_was_clicked(window: Window, mine: Path) -> None:
 
 @pytest.mark.slow
 def test_the_cutting_plane_is_ready_to_be_moved(window: Window, mine: Path) -> None:
-    window.click(*over(window, CABINET))
+    window.click(*upon(window, CABINET))
+    window.settle()
     window.press("plgs.place_cut")
     window.settle()
     window.screenshot("pointing-cut")
@@ -124,6 +125,7 @@ def test_the_cutting_plane_is_ready_to_be_moved(window: Window, mine: Path) -> N
     shown = "next(a for a in bpy.context.window.screen.areas if a.type == 'VIEW_3D').spaces.active"
     assert window.ask(f"{shown}.show_gizmo_object_translate")
     window.press("plgs.split_instance", contains="CUT")
+    window.settle()
     assert kinds(mine) == ["split"] and not window.ask(f"{shown}.show_gizmo_object_translate")
 
 
