@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from .errors import PlgsError
 from .json_file import read_object
-from .networks import ANOTHER, load_weights, loading, model_folder, quiet_transformers
+from .networks import ANOTHER, load_weights, loading, model_folder, quiet_transformers, refuse_nan
 from .scene import ClassLabel, labels_of_config, size_within
 from .segment import Detection, MadeSegment, Rounds, detections_of, merge_queries
 
@@ -47,7 +47,10 @@ class QueryNetwork:
         """The mask of a picture uint8 [H, W, 3] RGB (``merge_queries``), and what it left out (``detections_of``)."""
         width, height = size_within((colour.shape[1], colour.shape[0]), (_LARGEST_SIDE, _LARGEST_SIDE))
         stuff = frozenset(label.id for label in self.labels if not label.is_thing)
-        classes, masks = self.queries(colour)
+        with loading(self.name):
+            classes, masks = self.queries(colour)
+        for values in (classes, masks):
+            refuse_nan(values, self.name)
         inside = _resized(masks[None], (height, width))[0].sigmoid()
         return *merge_queries(classes, inside, stuff, self.rounds), detections_of(classes, inside)
 

@@ -25,6 +25,10 @@ ANOTHER = "Name another one, or fetch it again."
 _IS_COMMIT = re.compile("[0-9a-f]{40}")
 _HUB_S = 15.0
 """Seconds within which huggingface.co must answer."""
+_LAYERS = re.compile("layer|depth|block|stage")
+_MOST_LAYERS = 1000
+_MOST_IN = {"config.json": 2**20, "preprocessor_config.json": 2**13}
+"""The largest number in a model's settings: of features, words and the like, and of pixels."""
 
 
 def quiet_transformers(name: str, download: bool, part: str, purpose: str) -> None:
@@ -59,14 +63,14 @@ def is_here(name: str) -> bool:
 
 @contextmanager
 def loading(name: str) -> Iterator[None]:
-    """Turn what transformers and its libraries raise for files that they cannot load into PlgsError."""
-    from safetensors import SafetensorError
-
+    """Turn what transformers and its libraries raise for files that they cannot load or run into PlgsError."""
     try:
         yield
-    except (OSError, ValueError, KeyError, RuntimeError, TypeError, ImportError, SafetensorError) as error:
+    except Exception as error:  # they have dozens of kinds, some of their own
         lines = str(error).splitlines() or [type(error).__name__]
-        raise PlgsError("model-unusable", f"the model cannot be loaded ({lines[0][:200]})", name, ANOTHER) from error
+        if isinstance(error, PlgsError | MemoryError) or "allocate memory" in lines[0]:
+            raise
+        raise PlgsError("model-unusable", f"the model cannot be used ({lines[0][:200]})", name, ANOTHER) from error
 
 
 def model_folder(name: str, *, download: bool) -> Path:
@@ -114,12 +118,32 @@ def load_weights(kind: Any, folder: Path, name: str) -> Any:
     return network.eval()
 
 
+def refuse_nan(values: Any, name: str) -> None:
+    """Raise PlgsError if a tensor that a network gives holds NaN, of which nothing would be made in silence."""
+    if bool(values.isnan().any()):
+        raise PlgsError("model-broken", "the model gives values that are not numbers", name, ANOTHER)
+
+
+def _refuse_vast(content: object, path: Path, key: str = "") -> None:
+    """Raise PlgsError for a number in a model's settings that would make it grow without end."""
+    if isinstance(content, dict | list):
+        for inner, each in content.items() if isinstance(content, dict) else ((key, each) for each in content):
+            _refuse_vast(each, path, str(inner))
+    elif isinstance(content, int):
+        most = _MOST_LAYERS if _LAYERS.search(key) else _MOST_IN[path.name]
+        if content > most:
+            raise PlgsError("model-vast", f"{key[:40]!r} is {content}, but at most {most} is read", path, ANOTHER)
+
+
 def _check_weights(folder: Path) -> None:
-    """Raise PlgsError unless the weights are safetensors in the model's folder, unchanged since their download."""
+    """Raise PlgsError unless the weights are safetensors in the model's folder, unchanged since their download, and
+    its settings have no vast numbers."""
     config, index = folder / "config.json", folder / "model.safetensors.index.json"
     if not config.is_file() or not any(folder.glob("*.safetensors")):
         fix = "Name a folder that transformers' save_pretrained wrote, with config.json and safetensors."
         raise PlgsError("no-model", "there is no model in this folder", folder, fix)
+    for path in (folder / name for name in _MOST_IN if (folder / name).exists()):
+        _refuse_vast(read_object(path, ANOTHER), path)
     parts = read_object(index, ANOTHER).get("weight_map") if index.exists() else {}
     files = [*parts.values()] if isinstance(parts, dict) else [parts]
     for file in (*files, read_object(config, ANOTHER).get("transformers_weights") or "model.safetensors"):
