@@ -18,7 +18,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, TextIO
 
-from ..errors import STOPPED, Cancelled, ErrorCode, ExitCode, PlgsError
+from ..errors import NO_ROOM, STOPPED, Cancelled, ErrorCode, ExitCode, PlgsError
 from ..gates import open_to_append, printable
 from ..job import Event, EventWriter, StopSignal, Watchdog
 from ..job.lock import FileLock
@@ -29,7 +29,6 @@ from ..json_file import to_line
 
 Work = Callable[[EventWriter, StopSignal], object]
 
-_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _NO_MEMORY = ("DefaultCPUAllocator: can't allocate memory", "DefaultCPUAllocator: not enough memory", "std::bad_alloc")
 
 
@@ -143,9 +142,10 @@ def failure_of(error: Exception, command: Command, files: TaskFiles | None = Non
     lacks_memory = isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
     if lacks_memory or any(words in str(error) for words in _NO_MEMORY):
         return PlgsError("no-memory", "memory ran out", where.parent, command.with_less_memory, code=ErrorCode.INTERNAL)
-    at = str(getattr(error, "filename", None) or ("" if files is None else where.parent))
+    named = re.search(r'"(/[^"]+)"', str(error))  # of C++ libraries
+    at = str(getattr(error, "filename", None) or (named and named[1]) or ("" if files is None else where.parent))
     number = _number_of(error)
-    if number in _NO_ROOM:
+    if number in NO_ROOM:
         what, fix = "the disk is full", f"Make room there, then {command.again}."
         if number == errno.EFBIG:
             what = "a file is larger than the disk or the limit on files allows"
@@ -168,7 +168,7 @@ def _number_of(error: Exception) -> int | None:
     found = re.search(r"\(os error (\d+)\)", str(error))
     if found is not None:
         return int(found[1])
-    return next((number for number in _NO_ROOM if os.strerror(number) in str(error)), None)
+    return next((number for number in NO_ROOM if os.strerror(number) in str(error)), None)
 
 
 @contextmanager

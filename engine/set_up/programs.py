@@ -9,7 +9,7 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ..errors import PlgsError
+from ..errors import ErrorCode, PlgsError
 from ..gates import without_credentials
 from ..job import EventWriter, StopSignal
 from ..job.lock import FileLock
@@ -67,7 +67,7 @@ class UvTask:
             output, code = self._run([sys.executable, "-I", Path(uv_program.__file__), tools], self._variables)
             if code != 0:
                 fix = f"Check the connection and the package index, then {self._again}"
-                raise PlgsError("uv-download", complaint(output), "the package index", fix)
+                raise PlgsError("uv-download", complaint(output), tools, fix)
         return uv
 
     def _install(self, what: str, command: Sequence[str | Path], *, for_pip: bool = False) -> None:
@@ -81,7 +81,7 @@ class UvTask:
         free = shutil.disk_usage(folder).free
         if free < needed:
             what = f"the disk has {free / 1e9:.1f} GB free, but this needs {needed / 1e9:.1f} GB"
-            raise PlgsError("disk-full", what, folder, f"Make room, then {self._again}")
+            raise PlgsError("disk-full", what, folder, f"Make room, then {self._again}", code=ErrorCode.DISK_FULL)
 
     def _run(
         self,
