@@ -167,6 +167,8 @@ def _do_in(folder: LiftFolder, events: EventWriter, stop: StopSignal, work: Work
     try:
         work(events, stop)
         if not folder.has_result():
+            if folder.manifest_path.is_file():
+                verify_lifted(folder.result_path)  # somebody removed files of it in the meantime
             raise RuntimeError("the lift ended without a manifest")  # a bug, which `failure_of` reports as one
     finally:
         _remember(folder)

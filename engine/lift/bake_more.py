@@ -25,7 +25,7 @@ from ..job.own_files import foreign
 from ..job.progress import StageReporter
 from ..model.neural_gaussians import ClipRange
 from ..passes.baked_view import BakedView
-from ..passes.exr import ShownFrame, further_layers, is_frame, is_own, number_in, read_note, write_exr
+from ..passes.exr import ShownFrame, further_layers, is_cut, is_frame, is_own, number_in, read_note, write_exr
 from ..posed.layout import listed, plural
 from ..scene import Camera, Frame, Scene, size_within
 from ..scene_of_lift import complete_known_scene, names_of_frames, scene_of_lift
@@ -214,9 +214,10 @@ def look_ahead(baker: FrameBaker, wanted: Sequence[WantedView], photos: Sequence
 
 def is_whole(passes: Path, notes: Mapping[str, str], layers: tuple[str, ...], shown: ShownFrame) -> bool:
     """Whether a file of passes has these notes in its header (a missing note counts as empty), the number and rate of
-    its frame, and at least these FURTHER_LAYERS. False for a damaged file. Raises OSError."""
+    its frame, and at least these FURTHER_LAYERS. False for one that is damaged or cut off. Raises OSError."""
     try:
         same = all((read_note(passes, name) or "") == text for name, text in notes.items())
+        same = same and not is_cut(passes)
         return same and is_frame(passes, shown) and further_layers(passes).issuperset(layers)
     except (ValueError, PlgsError):
         return False
@@ -273,7 +274,7 @@ class _OwnFolder:
         another program's file of its name, also one of ours that it saved again, and for a view that shows something
         else, unless they may be replaced, and OSError."""
         path = self.path_of(view)
-        if not path.exists():
+        if not os.path.lexists(path):
             return False
         if not (is_own(path) and read_note(path, MODEL_NOTE)):
             if self._replace:

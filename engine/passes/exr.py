@@ -10,6 +10,7 @@ to (1, 1) in its NDC is the display window, from the upper left corner to the lo
 from __future__ import annotations
 
 import mmap
+import os
 import re
 import struct
 from collections.abc import Collection, Mapping, Sequence
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 
 from .. import __version__
 from ..errors import PlgsError
-from ..gates import create_plain, refuse_special
+from ..gates import create_plain, open_plain, refuse_special
 from ..job import FURTHER_LAYERS, write_atomically
 from ..job.system import main_memory
 from ..machine.threads import worker_count
@@ -61,6 +62,8 @@ class ShownFrame:
 REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 """Red, green, blue and white of the colours, which are linear, in CIE x and y."""
 NOTHING_SHOWN = ShownFrame()
+_LINES = 16
+"""Lines of the picture in a chunk of ZIP_COMPRESSION."""
 _SOFTWARE = "PLGS "
 """Start of the header's attribute of this name in each file that is written."""
 PROJECTION_NOTE = "plgs/projection"
@@ -263,6 +266,22 @@ def is_own(path: Path) -> bool:
         return not others and "type" in names and (read_note(path, "software") or "").startswith(_SOFTWARE)
     except ValueError:
         return False
+
+
+def is_cut(path: Path) -> bool:
+    """Whether a file of ours ends before its pixels do, as after a copy that was interrupted. Raises ValueError if its
+    header is damaged, OSError."""
+    header = _header(path)
+    chunks = -(-header.size[1] // _LINES)
+    with open_plain(path) as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(9 + sum(6 + len(name + kind + value) for name, (kind, value) in header.attributes.items()))
+        places = np.frombuffer(file.read(8 * chunks), "<u8")
+        last = int(places.max(initial=0))
+        if len(places) < chunks or not places.all() or last >= size:
+            return True
+        file.seek(last + 4)
+        return file.tell() + 4 + int.from_bytes(file.read(4), "little") > size
 
 
 def _header(path: Path) -> ExrHeader:

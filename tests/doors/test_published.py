@@ -63,7 +63,14 @@ def test_other_frames_of_the_capture_and_files_saved_again_are_refused(room: Ter
     before = files_in(path.parent)
     assert "0002.exr" in room.run(printed, code=2, LIFT="lifts/demo", FOLDER="plate")
     path.unlink()
+    path.symlink_to("nowhere")
+    assert "0002.exr" in room.run(printed, code=2, LIFT="lifts/demo", FOLDER="plate") and path.is_symlink()
+    path.unlink()
     room.run(printed, LIFT="lifts/demo", FOLDER="plate")
+    whole = path.read_bytes()
+    for size in (len(whole) - 1, len(whole) // 2):  # as an interrupted copy leaves it
+        path.write_bytes(whole[:size])
+        assert "Baked 1 view" in room.run(printed, LIFT="lifts/demo", FOLDER="plate")
     before |= {path.name: path.read_bytes()}
     one = next(one.id for one in read_corrected(room.folder / "lifts/demo").instances)
     room.run(CORRECT, LIFT="lifts/demo", more=["delete", str(one), "--no-object"])
