@@ -80,13 +80,13 @@ class OwnFiles:
             known.add(digest)
 
     def begin(self, kind: str, about: Mapping[str, Any], *, replaces: bool = False, among_others: bool = False) -> Self:
-        """Set what the note will say about this run: the kind of its files, and ``about`` what they are. Unless they
-        are written ``among_others``, the folder must be new or empty, or have our note of the same run, or (with
-        ``replaces``) of the same kind. Raises PlgsError, OSError."""
+        """Set the kind of files, and ``about`` what they are, for the note. Unless written ``among_others``, the folder
+        must be new, empty, or of the same run, or (with ``replaces``) the same kind. Raises PlgsError, OSError."""
         self._asked = kind, json.loads(json.dumps(about))
-        if self.folder.exists() and not self.folder.is_dir():
-            what = "a folder is needed, but this is a file"
-            raise PlgsError("file-not-folder", what, self.folder, "Name another one.")
+        place = next(each for each in (self.folder, *self.folder.absolute().parents) if os.path.lexists(each))
+        if not place.is_dir() or not os.access(place, os.W_OK):  # told before any work
+            what = "this folder cannot be written to" if place.is_dir() else "a folder is needed, but this is a file"
+            raise PlgsError("file-not-folder", what, place, "Name another one.")
         is_same = self.begun == self._asked or (replaces and self.begun is not None and self.begun[0] == kind)
         if not (among_others or is_same) and self.folder.exists() and any(self.folder.iterdir()):
             what = "the folder holds other files" if self.begun is None else "the folder holds other results of PLGS"

@@ -133,6 +133,17 @@ def test_lines_of_a_note_that_no_command_wrote_are_passed_over(line: bytes, tmp_
     assert (tmp_path / "precious").exists()
 
 
+def test_a_folder_that_cannot_be_written_to_is_refused_before_any_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "link").symlink_to("nowhere")
+    with raises_key("file-not-folder link"):
+        OwnFiles(tmp_path / "link" / "out").begin("export", {})
+    monkeypatch.setattr(os, "access", lambda path, mode: path != tmp_path)  # root may write anywhere
+    with raises_key("file-not-folder"):
+        OwnFiles(tmp_path / "new" / "out").begin("export", {})
+
+
 def test_a_note_larger_than_any_of_ours_is_refused_at_once(tmp_path: Path) -> None:
     (tmp_path / NOTE).touch()
     os.truncate(tmp_path / NOTE, 2**40)
