@@ -21,15 +21,14 @@ from .depth_agreement import Map, agreeing_depth
 from .errors import PlgsError
 from .job import write_atomically
 from .job.own_files import OwnFiles
-from .json_file import read_object
 from .known_networks import licence_of
-from .networks import load_weights, loading, model_folder, quiet_transformers
+from .networks import load_weights, loading, model_folder, quiet_transformers, refuse_nan
 from .posed.array_file import read_npy
 from .posed.layout import listed
 from .scene import Scene, digests_of_files, size_within
 from .scene.depth import only_depth
 from .scene.estimated_depth import LEAST_POINTS, seen_points
-from .scene.made import DEPTH_FOLDER, MADE_BY, layout_of, scale_of
+from .scene.made import DEPTH_FOLDER, MADE_BY, MadeDepth, layout_of, scale_of
 
 _RAW = "raw"  # the folder of the network's own maps, until all are made
 _LONGEST = 640  # pixels of the longer side of a map
@@ -58,17 +57,18 @@ def load_depth_network(name: str, *, download: bool) -> DepthNetwork:
         limits: dict[str, Any] = {"local_files_only": True, "trust_remote_code": False, "backend": "pil"}
         processor = transformers.AutoImageProcessor.from_pretrained(folder, **limits)
     network = load_weights(transformers.AutoModelForDepthEstimation, folder, name)
-    return DepthNetwork(name, partial(_map_of, network, processor))
+    return DepthNetwork(name, partial(_map_of, name, network, processor))
 
 
-def _map_of(network: Any, processor: Any, colour: NDArray[np.uint8]) -> NDArray[np.float32]:
+def _map_of(name: str, network: Any, processor: Any, colour: NDArray[np.uint8]) -> NDArray[np.float32]:
     import torch
 
-    with torch.inference_mode():
+    with torch.inference_mode(), loading(name):
         inputs = processor(images=colour, return_tensors="pt", input_data_format="channels_last")
         found = network(pixel_values=inputs["pixel_values"]).predicted_depth
         width, height = size_within((colour.shape[1], colour.shape[0]), (_LONGEST, _LONGEST))
         whole = torch.nn.functional.interpolate(found[:, None].float(), size=(height, width), mode="bilinear")
+    refuse_nan(whole, name)
     return np.asarray(whole[0, 0].numpy(), np.float32)
 
 
@@ -82,9 +82,8 @@ def make_depth(scene: Scene, folder: Path, network: DepthNetwork, follow: Follow
         "model": network.name, **licence_of(network.name), "frames": len(scene.frames), "photos": photos,
         "layout": layout_of({frame.name: frame.camera for frame in scene.frames}, scale),
     }  # fmt: skip
-    if is_made(folder):
-        known: dict[str, Any] = read_object(place / MADE_BY, _AGAIN)
-        if known.get("model") != network.name or not photos.items() <= dict(known.get("photos") or {}).items():
+    if (known := MadeDepth.read(folder)) is not None:
+        if known.model != network.name or not photos.items() <= known.photos.items():
             raise PlgsError("other-depth", "there is depth by another network, or of other photos", place, _AGAIN)
         return []
     points = scene.points
@@ -115,6 +114,7 @@ def make_depth(scene: Scene, folder: Path, network: DepthNetwork, follow: Follow
             else:
                 write_atomically(place / f"{name}.npy", partial(_save, only_depth(depth / np.float32(scale))))
         if len(lost) == len(maps):
+            own.discard()  # for another network
             what = "no map rises or falls with the depth of the reconstruction's points"
             raise PlgsError("depth-unrelated", what, place, "Name another network with --model.")
         write_atomically(place / MADE_BY, json.dumps(about) + "\n")

@@ -27,7 +27,7 @@ from .gates import open_plain
 from .job import EventWriter, StopSignal, write_atomically
 from .job.lock import FileLock
 from .job.own_files import OwnFiles
-from .json_file import read_object, to_line
+from .json_file import to_line
 from .posed.layout import listed
 from .records import record_of, to_json
 from .scene.depth import in_metres, read_depth_array
@@ -36,6 +36,7 @@ from .scene.formats import FORMATS
 from .scene.formats.colmap_model import MADE_BY, read_model
 from .scene.formats.photos import LEAST, Video, is_film, photos_in, sorted_out
 from .scene.frame_choice import CANDIDATES, photo_detail
+from .scene.made import read_note
 from .scene.pixels import decode, write_image
 
 
@@ -247,10 +248,9 @@ class Made:
     def read(cls, folder: Path) -> Made | None:
         """The record of an earlier call in a folder, or None. Raises PlgsError."""
         path = folder / "sparse" / "0" / MADE_BY
-        if not path.is_file():
-            return None
         fix = "Move the folder sparse away, then make the poses again."
-        return record_of(cls, read_object(path, fix), path, fix, folder=folder)
+        content = read_note(path, fix)
+        return None if content is None else record_of(cls, content, path, fix, folder=folder)
 
 
 def make_poses(source: Path, events: EventWriter, stop: StopSignal, pictures: int | None = None) -> Made:

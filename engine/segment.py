@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 from .errors import PlgsError
 from .job import write_atomically
 from .job.own_files import OwnFiles
-from .json_file import read_object
+from .json_file import read_object, take_objects
 from .known_networks import licence_of
 from .scene import ClassLabel, Frame, Scene, digests_of_files
+from .scene.made import read_note
 from .scene.pixels import write_image
 
 Rounds = tuple[float, ...]
@@ -163,8 +164,7 @@ def begin_job(folder: Path, model: str, frames: Sequence[Frame], wanted: Collect
     photos = sha256(repr(named).encode()).hexdigest() if all(of_files) else ""  # not known
     fix = "Remove these, or write into another folder."
     own = OwnFiles(folder).begin("masks", {"model": model}, among_others=True)
-    if made_by.is_file():
-        content = read_object(made_by, fix)
+    if (content := read_note(made_by, fix)) is not None:
         if content.get("model") != model or content.get("frames") != len(frames):
             what = f"there are already masks of {content.get('frames')} frames by {content.get('model')}"
             raise PlgsError("other-masks", what, folder, fix)
@@ -188,10 +188,11 @@ def begin_job(folder: Path, model: str, frames: Sequence[Frame], wanted: Collect
 
 def _left_out(table: Path) -> set[str] | None:
     """The frames to which a finished run gave empty masks; None without a table."""
-    if not table.is_file():
+    content = read_note(table, "Delete this file, then start again.")
+    if content is None:
         return None
-    entries: Any = read_object(table, "Delete this file, then start again.")["annotations"]
-    return {str(entry["image_id"]) for entry in entries if entry.get(LEFT_OUT)}
+    entries = take_objects(content, "annotations", "the file", table)
+    return {str(entry.get("image_id")) for entry in entries if entry.get(LEFT_OUT)}
 
 
 def make_masks(

@@ -59,7 +59,7 @@ ENGINE_MAY_IMPORT = {
         "mask_networks": "errors json_file networks scene segment",
         "depth_agreement": "job posed scene",
         "film": "depth_making errors job known_networks mask_networks networks poses scene segment",
-        "depth_making": "depth_agreement errors job json_file known_networks networks posed scene",
+        "depth_making": "depth_agreement errors job known_networks networks posed scene",
         "set_up": "gates errors job",
         "batch": "gates errors json_file job scene_of_lift machine",
         "command_line": (

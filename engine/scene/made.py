@@ -5,6 +5,7 @@ of networks, as the files that our own commands leave say it. All of it is told 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from ..job.own_files import OwnFiles
 from ..json_file import read_object, to_text
 from ..posed.frames import Camera
 from ..posed.plain_folders import NAME
+from ..records import record_of
 from .depth import DepthMap, npy_depth
 from .frame import Inferred, Scene
 
@@ -27,6 +29,42 @@ SCALE = "scale.json"
 _AGAIN = "Delete it, then give the same command again."
 _ALIKE = 1e-3  # relative difference of focal lengths and of the cameras' distances from their middle
 _SCALES = (1e-4, 1e4)
+
+
+@dataclass(frozen=True)
+class MadeDepth:
+    """What ``made_by.json`` says of made depth: the network ``model`` and its ``licence``, how many ``frames``, the
+    digests of their ``photos``, and their `layout_of`, by name."""
+
+    model: str = field(metadata={"longest": 5000})
+    frames: int
+    photos: Mapping[str, str]
+    layout: Mapping[str, tuple[float, float]]
+    licence: str = field(default="", metadata={"shown": True})
+    commercial_use: bool | None = None
+
+    @classmethod
+    def read(cls, beside: Path) -> MadeDepth | None:
+        """The record in a scene's folder; None if no depth was made, or not all. Raises PlgsError."""
+        path = beside / DEPTH_FOLDER / MADE_BY
+        content = read_note(path, _AGAIN)
+        return None if content is None else record_of(cls, content, path, _AGAIN)
+
+
+@dataclass(frozen=True)
+class _Scale:
+    scale: float = field(metadata={"least": _SCALES[0], "most": _SCALES[1]})
+
+
+def read_note(path: Path, fix: str) -> dict[str, Any] | None:
+    """The JSON object in a file of ours, or None where nothing has this name. Raises PlgsError, with ``fix`` as the
+    advice, also for a folder, a FIFO, or a link that leads nowhere: none of them may count as no note."""
+    try:
+        return read_object(path, fix)
+    except PlgsError as error:
+        if isinstance(error.__cause__, FileNotFoundError | NotADirectoryError) and not path.is_symlink():
+            return None
+        raise
 
 
 def layout_of(cameras: Mapping[str, Camera], scale: float = 1.0) -> dict[str, list[float]]:
@@ -44,18 +82,11 @@ def layout_of(cameras: Mapping[str, Camera], scale: float = 1.0) -> dict[str, li
 def made_depth(beside: Path, cameras: Mapping[str, Camera]) -> dict[str, DepthMap]:
     """The depth that ``engine depth`` made for these frames; empty if there is none. Raises PlgsError if it was made
     for other poses."""
-    folder = beside / DEPTH_FOLDER
-    if not (folder / MADE_BY).is_file():
+    folder, made = beside / DEPTH_FOLDER, MadeDepth.read(beside)
+    if made is None:
         return {}
-    record: dict[str, Any] = read_object(folder / MADE_BY, _AGAIN)
-    known, now = record.get("layout"), layout_of(cameras)
-    try:
-        same = isinstance(known, dict) and all(
-            name in known and np.allclose(known[name], values, rtol=_ALIKE, atol=_ALIKE) for name, values in now.items()
-        )
-    except (TypeError, ValueError):
-        same = False
-    if not same:
+    known, now = made.layout, layout_of(cameras).items()
+    if not all(name in known and np.allclose(known[name], at, rtol=_ALIKE, atol=_ALIKE) for name, at in now):
         what, fix = "the poses have changed since depth was made for them", "Move this folder away, then make it again."
         raise PlgsError("other-poses", what, folder, fix)
     files = {name: folder / f"{name}.npy" for name in cameras}
@@ -64,14 +95,8 @@ def made_depth(beside: Path, cameras: Mapping[str, Camera]) -> dict[str, DepthMa
 
 def scale_of(beside: Path) -> float:
     """The factor of a scene's lengths, as ``engine scale`` wrote it; 1 without the file. Raises PlgsError."""
-    path = beside / SCALE
-    if not path.is_file():
-        return 1.0
-    content: dict[str, Any] = read_object(path, _AGAIN)
-    scale = content.get("scale")
-    if not isinstance(scale, int | float) or not _SCALES[0] <= scale <= _SCALES[1]:
-        raise PlgsError("bad-scale", "this is not a scale from 0.0001 to 10000", path, "Set it with engine scale.")
-    return float(scale)
+    content = read_note(beside / SCALE, _AGAIN)
+    return 1.0 if content is None else record_of(_Scale, content, beside / SCALE, _AGAIN).scale
 
 
 def set_scale(scene: Scene, beside: Path, factor: float | None, measured: Sequence[float] | None) -> float:
@@ -94,11 +119,10 @@ def set_scale(scene: Scene, beside: Path, factor: float | None, measured: Sequen
 
 def estimates(beside: Path, masks: Path, *, has_made_depth: bool, has_unit: bool) -> Iterator[Inferred]:
     """Yields what the notes in the folders say about depth, lengths and masks that were not measured."""
-    if has_made_depth:
-        record = read_object(beside / DEPTH_FOLDER / MADE_BY, _AGAIN)
-        taken = f"estimated: depth is made of the photos by {record.get('model')}"
+    if has_made_depth and (made := MadeDepth.read(beside)) is not None:
+        taken = f"estimated: depth is made of the photos by {made.model}"
         yield Inferred("depth", taken, "it is fitted to the reconstruction's points; what disagrees has none")
-        yield from _licence(record)
+        yield from _licence(made.licence, made.commercial_use)
     if scale_of(beside) != 1.0:
         said = f"lengths are multiplied by {scale_of(beside):.6g}"
         yield Inferred("units", said, f"{SCALE} says so", is_doubtful=False)
@@ -106,13 +130,11 @@ def estimates(beside: Path, masks: Path, *, has_made_depth: bool, has_unit: bool
         said = "estimated: lengths are by the reconstruction's scale, which is unknown"
         yield Inferred("units", said, "measure one distance, and give it to engine scale or Set Scale")
     for path in (masks / "panoptic" / MADE_BY, masks / MADE_BY):
-        if path.is_file():
-            yield from _licence(read_object(path, _AGAIN))
+        if (record := read_note(path, _AGAIN)) is not None:
+            yield from _licence(record.get("licence"), record.get("commercial_use"))
             break
 
 
-def _licence(record: Mapping[str, Any]) -> Iterator[Inferred]:
-    licence = record.get("licence")
+def _licence(licence: object, is_commercial: object) -> Iterator[Inferred]:
     if isinstance(licence, str) and licence:
-        is_doubtful = record.get("commercial_use") is False
-        yield Inferred("licence", f"licence: {licence[:300]}", "its authors state it there", is_doubtful)
+        yield Inferred("licence", f"licence: {licence[:300]}", "its authors state it there", is_commercial is False)

@@ -1,6 +1,8 @@
 """Depth made by a network: its code path with random weights, its values with the sample's depth, bent as they do."""
 
 import json
+import os
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +77,7 @@ def test_depth_that_fits_no_points_is_refused(tmp_path: Path, monkeypatch: pytes
     flat = DepthNetwork("tests/flat", lambda colour: np.ones(colour.shape[:2], np.float32))
     with raises_key("depth-unrelated"):
         make_depth(open_scene(folder), folder, flat, quiet)
+    assert not (folder / "made_depth").exists()  # where another network may follow
     monkeypatch.setattr("engine.depth_making.LEAST_POINTS", 10**6)
     with raises_key("few-points"):
         make_depth(open_scene(folder), folder, flat, quiet)
@@ -167,6 +170,79 @@ def test_a_measured_length_scales_the_scene(tmp_path: Path) -> None:
     assert main(["scale", str(folder), "--factor", "-1"]) == 2
     assert main(["scale", str(ROOM), "--factor", "2"]) == 2, "it has metres"
     assert main(["scale", str(folder), "--factor", "1"]) == 0 and scale_of(folder) == 1.0
+
+
+NOTES = ("scale.json", "sparse/0/made_by.json", "made_depth/made_by.json", "panoptic/made_by.json")
+WRONG_SCALES = (
+    "", "{", "[2]", "{}", *(f'{{"scale": {each}}}' for each in (
+        "true", "null", "0", "-2", '"2"', "[2]", "NaN", "1e999", "1e5", "9" * 400)),
+    '{"scale": 2, "unit": "m"}', '{"format": 2, "scale": 2}',
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("content", WRONG_SCALES)
+def test_a_wrong_scale_is_refused_and_its_advice_helps(content: str, tmp_path: Path) -> None:
+    folder = write_colmap(tmp_path / "scene")
+    (folder / "scale.json").write_text(content)
+    assert refuses("* scale.json", folder).fix
+    assert main(["scale", str(folder), "--factor", "2"]) == 2
+    (folder / "scale.json").unlink()  # as each says
+    assert main(["scale", str(folder), "--factor", "2"]) == 0
+
+
+@pytest.mark.parametrize("note", NOTES)
+@pytest.mark.parametrize("kind", ["link", "fifo", "folder"])
+def test_a_note_that_cannot_be_read_does_not_count_as_none(note: str, kind: str, tmp_path: Path) -> None:
+    path = write_colmap(tmp_path / "scene") / note
+    path.parent.mkdir(exist_ok=True)
+    {"link": lambda: path.symlink_to("nowhere"), "fifo": lambda: os.mkfifo(path), "folder": path.mkdir}[kind]()
+    refuses(f"unreadable {note}", tmp_path / "scene")
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"photos": [1, 2]}, {"photos": {"1": [1]}}, {"layout": {"1": ["a", "b"]}}, {"layout": {"1": [1.0]}}, {"model": 3},
+     {"frames": "all"}, {"unit": "m"}],
+)  # fmt: skip
+def test_a_spoilt_note_of_made_depth_is_refused(changes: dict[str, object], tmp_path: Path) -> None:
+    folder = write_colmap(tmp_path / "scene")
+    make_depth(open_scene(folder), folder, rooms_network(), quiet)
+    note = folder / "made_depth" / "made_by.json"
+    note.write_text(json.dumps(json.loads(note.read_text()) | changes))
+    refuses("wrong-type|unknown-field made_by.json", folder)
+
+
+SETTINGS: dict[str, tuple[str, str, object]] = {
+    "another type": ("config.json", "patch_size", "x"),
+    "endless layers": ("config.json", "backbone_config", {"model_type": "dinov2", "num_hidden_layers": 10**8}),
+    "endless features": ("config.json", "fusion_hidden_size", 10**9),
+    "a vast picture": ("preprocessor_config.json", "size", {"height": 10**6, "width": 10**6}),
+    "no picture": ("preprocessor_config.json", "size", {"height": 0, "width": 0}),
+    "a picture below none": ("preprocessor_config.json", "size", {"height": -56, "width": -56}),
+    "two colours": ("preprocessor_config.json", "image_mean", [0.5, 0.5]),
+    "no number": ("preprocessor_config.json", "rescale_factor", 1e300),
+}
+"""Settings of a network that it cannot be loaded or run with."""
+
+
+@pytest.mark.parametrize("name", [*SETTINGS, "a list", "half of the weights"])
+def test_a_network_that_cannot_run_is_one_line(
+    name: str, model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, network = write_colmap(tmp_path / "scene"), tmp_path / "network"
+    shutil.copytree(model, network)
+    if name == "half of the weights":
+        (network / "model.safetensors").write_bytes((network / "model.safetensors").read_bytes()[:5000])
+    elif name == "a list":
+        (network / "preprocessor_config.json").write_text("[]")
+    else:
+        file, key, value = SETTINGS[name]
+        content = json.loads((network / file).read_text()) | {key: value}
+        (network / file).write_text(json.dumps(content))
+    assert main(["depth", str(folder), "--model", str(network)]) == 2
+    told = capsys.readouterr().err
+    assert "Traceback" not in told and "error: " in told.splitlines()[-1]
+    assert main(["depth", str(folder), "--model", str(model)]) == 0, "another one can be named"
 
 
 def test_a_lifts_manifest_and_report_say_what_was_estimated(tmp_path: Path) -> None:

@@ -16,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import PlgsError
-from ...json_file import LARGEST_TABLE, read_object
+from ...json_file import LARGEST_TABLE, take_number
 from ...posed.frames import Camera, inverse
 from ...posed.layout import file_inside, listed, natural_order, read_file, read_text, shown_files
 from ...posed.plain_folders import Split
 from ..depth import DepthMap, fault_of, npy_depth, only_depth, png_depth
 from ..files_of_frames import files_if_any
 from ..frame import SparsePoints, left_out
+from ..made import read_note
 from .capture import Capture, Progress, SceneFormat, Shot, frame_names, watched, with_picture
 from .colmap_model import EXPORT_AGAIN, MADE_BY, UNDISTORT, ColmapImage, ColmapModel, has_model, read_model
 from .lens import Distortion, fitted, of_colmap, pinhole
@@ -58,7 +59,7 @@ def _read(place: Path, progress: Progress) -> Capture:
     if folder is None:
         raise PlgsError("no-colmap-model", "the COLMAP model is missing", place, f"Give {_LOOKS_FOR}, or {LET_COLMAP}.")
     depths, warnings, path = dict[str, Path](), list[str](), folder / MADE_BY
-    made_by = read_object(path, "Make the poses again.") if path.is_file() else {}
+    made_by = read_note(path, "Make the poses again.") or {}
     # Depth beside the photos is read if it gave the model its unit, metres.
     if made_by.get("scale") is not None:
         depths = files_if_any(place / "depth", {".png", ".npy"}, "Give one map per photo.")
@@ -96,8 +97,8 @@ def _read(place: Path, progress: Progress) -> Capture:
     split = Split(*(tuple(name for name in posed if (name in held_out) is is_test) for is_test in (False, True)))
     own_split = split if split.train and split.test else None
     points = _points(model, names, images)
-    fps = made_by.get("fps")  # of the film that the pictures are from
-    fps = fps if isinstance(fps, int | float) else None
+    has_rate = made_by.get("fps") is not None  # of the film that the pictures are from
+    fps = take_number(made_by, "fps", "the file", folder / MADE_BY, least=0.001, most=1e5) if has_rate else None
     return Capture(found, None, tuple(warnings), points, own_split, left_out=lost, fps=fps, has_unit=bool(depths))
 
 
