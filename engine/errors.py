@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import os
 import re
 import shlex
 import sys
@@ -23,8 +22,6 @@ _LACKS_SUBJECT = re.compile(
     r"(already|applies|cannot|contains|does|finds|gives|has|holds|is|lists|names|needs|renders|shows|was) "
 )
 """Beginnings of what is wrong whose subject is the thing named in ``where``."""
-NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""The system's numbers of errors on a full disk."""
 _SILENT = (errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.EINTR, errno.ENOMEM)
 
 
@@ -99,8 +96,6 @@ class PlgsError(Exception):
         self.what = shortened(what, _LONGEST)
         if MEMORY_IS_GONE in self.what:  # whatever it was read for: the file may be sound
             fix, option = "Close other programs, or use a computer with more memory.", ""
-        if any(os.strerror(each) in self.what for each in NO_ROOM):
-            fix, option, code = "Make room there, then try again.", "", ErrorCode.DISK_FULL
         self.key, self.where, self.fix, self.code, self.option = key, str(where), fix, code, option
         super().__init__(one_line(f"{self.problem}. {fix}" if fix else self.problem))
 

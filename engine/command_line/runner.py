@@ -18,7 +18,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, TextIO
 
-from ..errors import NO_ROOM, STOPPED, Cancelled, ErrorCode, ExitCode, PlgsError
+from ..errors import STOPPED, Cancelled, ErrorCode, ExitCode, PlgsError
 from ..gates import open_to_append, printable
 from ..job import Event, EventWriter, StopSignal, Watchdog
 from ..job.lock import FileLock
@@ -29,6 +29,7 @@ from ..json_file import to_line
 
 Work = Callable[[EventWriter, StopSignal], object]
 
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _NO_MEMORY = ("DefaultCPUAllocator: can't allocate memory", "DefaultCPUAllocator: not enough memory", "std::bad_alloc")
 
 
@@ -113,6 +114,9 @@ def _do(command: Command, events: EventWriter, stop: StopSignal, terminal: TextI
         raise
     except PlgsError as error:
         failure = error
+        if any(os.strerror(number) in error.what for number in _NO_ROOM):  # whatever could not be written
+            fix = f"Make room there, then {command.again}."
+            failure = PlgsError(error.key, error.what, error.where, fix, code=ErrorCode.DISK_FULL)
         if files is not None and "\n" in str(error.__cause__ or "").strip():
             traceback.print_exc()  # into the log, as the line is only a short form
     except Exception as error:  # the process's outermost frame: the log gets the traceback, the user a line
@@ -145,7 +149,7 @@ def failure_of(error: Exception, command: Command, files: TaskFiles | None = Non
     named = re.search(r'"(/[^"]+)"', str(error))  # of C++ libraries
     at = str(getattr(error, "filename", None) or (named and named[1]) or ("" if files is None else where.parent))
     number = _number_of(error)
-    if number in NO_ROOM:
+    if number in _NO_ROOM:
         what, fix = "the disk is full", f"Make room there, then {command.again}."
         if number == errno.EFBIG:
             what = "a file is larger than the disk or the limit on files allows"
@@ -168,7 +172,7 @@ def _number_of(error: Exception) -> int | None:
     found = re.search(r"\(os error (\d+)\)", str(error))
     if found is not None:
         return int(found[1])
-    return next((number for number in NO_ROOM if os.strerror(number) in str(error)), None)
+    return next((number for number in _NO_ROOM if os.strerror(number) in str(error)), None)
 
 
 @contextmanager
