@@ -47,8 +47,7 @@ def licence_of(name: str) -> dict[str, str | bool | None]:
     known = known_network(name)
     if known is None:
         return {"licence": f"the licence of {name} is not known here: its authors state it", "commercial_use": None}
-    forbids = "" if known.is_commercial else ", which forbids commercial use"
-    said = f"the weights of {name} have the licence {known.licence}{forbids} ({known.stated})"
+    said = f"the weights of {name} have the licence {_terms(known)}"
     return {"licence": said, "commercial_use": known.is_commercial}
 
 
@@ -56,5 +55,13 @@ def listing(names: Iterable[str]) -> str:
     """What would be downloaded, a line each, with sizes and licences."""
     known = ((name, known_network(name)) for name in names)
     return "\n".join(
-        f"{name}: {f'{each.bytes / 1e6:.0f} MB, ' if each else ''}{licence_of(name)['licence']}" for name, each in known
+        f"{name}, of a licence that is not known here"
+        if each is None
+        else f"{name}: {each.bytes / 1e6:.0f} MB, {_terms(each)}"
+        for name, each in known
     )
+
+
+def _terms(network: KnownNetwork) -> str:
+    forbids = "" if network.is_commercial else ", which forbids commercial use"
+    return f"{network.licence}{forbids} ({network.stated})"

@@ -7,12 +7,11 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty
 
-from ..plgs_blender.correction_tools import CUT
 from ..plgs_blender.corrections import delete_around
 from ..plgs_blender.errors import EXPECTED, one_line, plural, with_field_names
 from ..plgs_blender.inspecting import looks, picking, selection
 from ..plgs_blender.inspecting.picking import hovered
-from ..plgs_blender.inspecting.selection import objects_by_key
+from ..plgs_blender.inspecting.selection import CUT, objects_by_key
 from ..plgs_blender.owned import KEY, LIFT, lifts_in, text_of
 from .base import CANCELLED, FINISHED, PASSED_ON, argument, reporting
 

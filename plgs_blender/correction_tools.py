@@ -20,13 +20,11 @@ from .corrections import split_plane
 from .errors import plural
 from .inspecting.drawing import draw_mark, draw_outline
 from .inspecting.highlight import Highlight, mark_of
-from .inspecting.selection import box_of, deselect_all, objects_by_key
+from .inspecting.selection import CUT, box_of, deselect_all, objects_by_key
 from .owned import FOLDER, LIFT, OwnedDataBlocks, folder_of, is_same_place, lifts_in, text_of
 from .registry import Task, start_engine
 from .viewport import show_gizmos
 
-CUT = "cut"
-"""Key of the plane that splits an object."""
 _GIZMOS = "plgs_gizmos"
 """Property of the plane: whether its move arrows were switched on in the views only for it."""
 _LARGER = 1.2  # size of the plane relative to the object

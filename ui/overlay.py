@@ -12,12 +12,11 @@ import numpy as np
 
 from ..plgs_blender import correction_tools
 from ..plgs_blender.cameras import SHOWN
-from ..plgs_blender.correction_tools import CUT
 from ..plgs_blender.frame_pictures import MASKS, colour_numbers, colours_shown
 from ..plgs_blender.inspecting import drawing, highlight, picking
 from ..plgs_blender.inspecting.looks import BY_CLASS, POINTS, SURENESS, SURFACE, UNCERTAINTY, lifts_shown
 from ..plgs_blender.inspecting.picking import camera_of, names_to_draw, outline_of, outlined
-from ..plgs_blender.inspecting.selection import objects_by_key, selected_instance
+from ..plgs_blender.inspecting.selection import CUT, objects_by_key, selected_instance
 from ..plgs_blender.owned import lifts_in
 from ..plgs_blender.running import lifts
 from ..plgs_blender.running.survey import survey_of_panel

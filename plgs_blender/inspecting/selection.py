@@ -20,6 +20,8 @@ from ..boxes import BOX, INSTANCE, MOST_BOXES, NAME, SHOWN, TOGETHER
 from ..chosen_scene import absolute
 from ..owned import FOLDER, GAUSSIANS, KEY, LIFT, is_same_place, lifts_in, originals, text_of
 
+CUT = "cut"
+"""Key of the plane that splits an object."""
 CHOSEN = "plgs_chosen"
 """Property of a scene: the lift that the panels show, if it has several."""
 
@@ -228,13 +230,15 @@ def select_row(root: bpy.types.Collection, layer: bpy.types.ViewLayer) -> None:
 
 def follow_selected(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
     """Make the selected object's row active in its lift's list. If nothing of a lift is selected, no row is active,
-    except that of a hidden object, whose box cannot be selected."""
+    except that of a hidden object, whose box cannot be selected, and that of the object which is about to be cut."""
     for root in lifts_in(scene):
         lists = root.plgs
         number = next(iter(selected_instances(root, layer)), 0)
         rows = {row.instance_id: index for index, row in enumerate(lists.instances)}
         row = lists.instances[lists.instance_index] if 0 <= lists.instance_index < len(rows) else None
-        box = boxes_of(root).get(row.instance_id) if row is not None and not number else None
+        plane = objects_by_key(root).get(CUT)
+        keeps = number or (plane is not None and plane.select_get(view_layer=layer))
+        box = boxes_of(root).get(row.instance_id) if row is not None and not keeps else None
         if number in rows and lists.instance_index != rows[number]:
             lists.instance_index = rows[number]
         elif box is not None and not _is_left_out(root, row):

@@ -20,7 +20,7 @@ from plgs.engine.result_files import write_arrays
 from plgs.engine.scene_of_lift import scene_of_lift
 from plgs.plgs_blender import correction_tools, corrections, engine_environment, lift_scene, registry
 from plgs.plgs_blender.correction_tools import Painting
-from plgs.plgs_blender.inspecting.selection import boxes_of, clouds_of, ids_of
+from plgs.plgs_blender.inspecting.selection import boxes_of, clouds_of, follow_selected, ids_of
 from plgs.plgs_blender.owned import lifts_in
 from plgs.plgs_blender.proposals import kept_proposals
 
@@ -109,9 +109,11 @@ def test_undo_after_the_file_was_saved_and_opened(placed: bpy.types.Collection, 
 
 
 def test_a_dragged_plane_splits(placed: bpy.types.Collection) -> None:
-    bpy.ops.plgs.place_cut(instance=CABINET)
+    bpy.ops.plgs.select_instance(instance=CABINET)
+    bpy.ops.plgs.place_cut()
+    follow_selected(bpy.context.scene, bpy.context.view_layer)  # as a window does: the plane is selected now
     count = points_of(placed, CABINET)
-    bpy.ops.plgs.split_instance(instance=CABINET, by="CUT")
+    bpy.ops.plgs.split_instance(by="CUT")
     parts = [number for number in names(placed) if number not in (CHAIR, CABINET)]
     assert len(parts) == 1 and points_of(placed, CABINET) + points_of(placed, parts[0]) == count
     assert 0.2 < points_of(placed, parts[0]) / count < 0.8 and "Cut" not in bpy.data.objects
