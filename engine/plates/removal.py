@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Collection, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from hashlib import sha256
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import __version__
 from ..corrections import CorrectedResult, Edit, correct, making, read_corrected, replayed
 from ..corrections.edits import CORRECTIONS, read_edits
-from ..corrections.fills import Fill, path_of, read_fill, write_fill
+from ..corrections.fills import FILLS, Fill, path_of, read_fill, write_fill
 from ..corrections.replay import Replay
 from ..errors import ErrorCode, PlgsError
 from ..job import LiftFolder, read_manifest
 from ..job.progress import Progress, part_of, unwatched
 from ..lift.baking import FrameBaker, read_baker, voted_labels
 from ..lift.scene_files import MODEL
+from ..machine.code_digest import code_digest
 from ..model.settling import gaussian_centres
 from ..scene_of_lift import scene_of_lift
 from .completion import complete
@@ -28,8 +31,8 @@ from .planes import ON_PLANE, Plane, find_planes
 from .texture import texture_around
 from .views import PlateView, frames_around, read_views
 
-VERSION = 2
-"""Rises with whatever changes what this package computes: a fill that was computed otherwise is not taken."""
+UNUSED = 4
+"""The most fills that stay though no correction needs them: those of the newest plates, for more of their frames."""
 TOGETHER = 0.5
 """Metres between the boxes of objects that are removed together."""
 READ = 0.7
@@ -69,14 +72,24 @@ def _removal(folder: LiftFolder, objects: Sequence[str], progress: Progress) -> 
             what = f"they were removed before, but {corrected.not_applied[edit.uid]}"
             raise PlgsError("removal-lost", what, folder.path / CORRECTIONS, "Put them back, then remove them again.")
     files = {str(file.path): file.sha256 for file in read_manifest(folder.result_path).files}
-    name = sha256(repr((ids, corrected.fingerprint, files.get(MODEL), __version__, VERSION)).encode()).hexdigest()[:16]
+    decides = ids, corrected.fingerprint, files.get(MODEL), code_digest("engine")
+    name = sha256(repr(decides).encode()).hexdigest()[:16]
     path = path_of(folder.path, name)
     try:
         read_fill(path)
         digest = sha256(path.read_bytes()).hexdigest()
     except PlgsError:  # there is none, or a damaged one
         digest = write_fill(path, fill_of(folder, corrected, ids, progress))
+        _drop_unused(folder.path, {edit.fill for edit in corrected.edits})
     return making.remove(state, ids, name, digest), corrected.edits
+
+
+def _drop_unused(lift: Path, used: Collection[str]) -> None:
+    """Delete the fills that no correction needs, also no undone one, but for the UNUSED newest."""
+    unused = [path for path in (lift / FILLS).glob("*.npz") if path.stem.isalnum() and path.stem not in used]
+    with suppress(FileNotFoundError):  # another process does the same
+        for path in sorted(unused, key=os.path.getmtime)[:-UNUSED]:
+            path.unlink()
 
 
 def fill_of(folder: LiftFolder, corrected: CorrectedResult, ids: Sequence[int], progress: Progress) -> Fill:
