@@ -11,12 +11,14 @@ from scipy.spatial.transform import Rotation
 
 from ..corrections.fills import NOTHING, Fill, cell_keys, cells_of, with_neighbours
 from .completion import Completed
+from .leaving import Others
 from .texture import Texture
 
 SEAM = 0.04
 """Metres at the rim of what is drawn in which the lift's Gaussians stay, too, as they are larger than texels."""
-FLAT = 0.05
-"""Metres from a plane within which the lift's Gaussians are replaced by it."""
+FLAT, BEHIND = 0.05, 0.3
+"""Metres from a plane within which the lift's Gaussians are replaced by it, and metres behind it within which those are
+that no surface of anything else supports: they are wide, and would shine through."""
 SCALE, THICKNESS = 0.8, 0.002
 """Standard deviations of new Gaussians: in texels along the plane, where 0.8 lets 1 % through (0.6: 7 %), in metres
 across it."""
@@ -25,15 +27,16 @@ POINTS_APART = 0.03
 
 
 def replaced_gaussians(
-    centres: NDArray[np.floating], label: NDArray[np.int32], texture: Texture, completed: Completed
+    centres: NDArray[np.floating], label: NDArray[np.int32], texture: Texture, completed: Completed, others: Others
 ) -> NDArray[np.bool_]:
     """Which of the lift's Gaussians, with their likeliest ``label`` [G], a texture replaces, bool [G]: those on the
-    plane where it is drawn."""
+    plane where it is drawn, and those behind it that belong to nothing else."""
     gone = np.zeros(len(centres), np.bool_)
     local = texture.plane.local(centres)
     cell = np.floor((local[:, :2] - texture.low) / texture.texel).astype(int)
     inside = ((cell >= 0) & (cell < texture.seen.shape[::-1])).all(axis=1)
-    rows = np.flatnonzero(inside & (np.abs(local[:, 2]) < FLAT))
+    rows = np.flatnonzero(inside & (local[:, 2] < FLAT) & (local[:, 2] > -BEHIND))
+    rows = rows[(local[rows, 2] > -FLAT) | others.are_far_from(centres[rows])]
     x, y = cell[rows].T
     inner = distance_transform_edt(np.pad(completed.fill, 1, mode="edge"))[1:-1, 1:-1] * texture.texel > SEAM
     drawn = ((completed.hole | inner) & completed.fill)[y, x]

@@ -48,6 +48,11 @@ class Others:
     def of(self, rows: NDArray[np.bool_]) -> Others:
         return Others(self.xyz[rows], self.label[rows], self.towards[rows])
 
+    def are_far_from(self, xyz: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """Which of the positions [M, 3] lie on no surface of theirs, bool [M]."""
+        on, _ = cKDTree(self.xyz).query(xyz, distance_upper_bound=ON_SURFACE, workers=-1)
+        return np.isinf(on)
+
 
 @dataclass(frozen=True, eq=False)
 class Leaving:
@@ -144,6 +149,5 @@ def leaving_gaussians(
     own = cKDTree(leaving.xyz[:: max(1, len(leaving.xyz) // MOST_POINTS)])
     near, _ = own.query(some, distance_upper_bound=NEAR, workers=-1)
     is_near = np.isfinite(near) | ((some > low) & (some < high)).all(axis=1)
-    on, _ = cKDTree(others.xyz).query(some, distance_upper_bound=ON_SURFACE, workers=-1)
-    gone[rows] |= is_near & ((np.isinf(on) & (label[rows] <= 0)) | (share[rows] > TOUCHED))
+    gone[rows] |= is_near & ((others.are_far_from(some) & (label[rows] <= 0)) | (share[rows] > TOUCHED))
     return gone

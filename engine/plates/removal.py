@@ -163,7 +163,7 @@ class _Room:
             completed = texture and complete(texture, leaving, self.staying)
             if texture is not None and completed:
                 parts.append(gaussians_of(texture, completed))
-                gone |= replaced_gaussians(self.centres, self.label, texture, completed)
+                gone |= replaced_gaussians(self.centres, self.label, texture, completed, others)
         stuff = self.label <= 0
         cells = cleared_cells(self.centres, gone & stuff, ~gone & stuff)
         return replace(joined(parts), cells=cells)
