@@ -76,7 +76,7 @@ class PanopticRendering:
     sum_i w_i * p_i(class) for the blending weights w_i of the pixel's Gaussians: it sums to alpha over the classes.
     ``instance_coverage`` float32 [H, W, S] is the same for instances; the rest of alpha belongs to no object. Column c
     belongs to ``class_ids[c]``, column s to ``instance_ids[s]``. ``guessed`` float32 [H, W]: the share of the pixel
-    that no photo ever saw; None if nothing was removed from the scene."""
+    that no photo ever saw or nothing covers; None if nothing was removed from the scene."""
 
     camera: Camera
     image: NDArray[np.float32]

@@ -166,7 +166,7 @@ def _draw_rows(
     classes, shown = len(channels.class_ids), rendering.labels
     share = None
     if guessed is not None:
-        share, shown = shown[..., -1].numpy(force=True), shown[..., :-1]
+        share, shown = shown[..., -1].numpy(force=True) + 1 - alpha, shown[..., :-1]
     if labels is None:
         shown = shown_probabilities(shown[..., :classes], shown[..., classes:], channels)
     coverage = shown.numpy() if shown.device.type == "cpu" else likeliest(shown)

@@ -153,9 +153,9 @@ class Matte:
 @dataclass(frozen=True, eq=False)
 class BakedView:
     """Everything that is written for a view, as ``camera`` sees it; the cameras of the previous and the next frame, if
-    they are known; ``guessed`` float32 [H, W], the share of each pixel that no photo ever saw, where objects were
-    removed from the scene, else None; ``normal`` float32 [3, H, W] as in `Surface` if it does not follow from the
-    depth."""
+    they are known; ``guessed`` float32 [H, W], the share of each pixel that no photo ever saw or nothing covers, if
+    objects were removed from the scene, else None; ``normal`` float32 [3, H, W] as in `Surface` if it does not follow
+    from the depth."""
 
     camera: Camera
     layers: PanopticLayers

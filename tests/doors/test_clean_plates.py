@@ -105,6 +105,7 @@ def test_guessed_is_1_where_no_photo_ever_saw_what_is_shown(removed: Terminal) -
     assert never.sum() > 100
     assert never[guessed < 0.1].mean() < 0.03, "nothing is invented in silence"
     assert never[guessed > 0.9].mean() > 0.4, "the rim of the object's mask is not trusted, either"
+    assert (np.abs(guessed - 1)[channels["PLGS.Combined.A"] < 0.1] < 0.1).all(), "nor is anything empty in silence"
     before = planes(passes(removed.folder / "lifts/before/result/passes"))
     assert "PLGS.Guessed.V" not in before
 
@@ -232,11 +233,26 @@ def test_a_fill_of_another_state_is_not_taken(terminal: Terminal, monkeypatch: p
     monkeypatch.setattr(plates.removal, "fill_of", lambda *_: NOTHING)
     number, folder = str(chair(terminal)), LiftFolder.open(terminal.folder / LIFT)
     names = {plates.remove(folder, [number])[0].fill}
-    for what, value in (("VERSION", -1), ("__version__", "none")):
-        undo(folder.path)
-        monkeypatch.setattr(plates.removal, what, value)
-        names.add(plates.remove(folder, [number])[0].fill)
-    assert len(names) == 3
+    undo(folder.path)
+    monkeypatch.setattr(plates.removal, "code_digest", lambda *_: "of another engine")
+    names.add(plates.remove(folder, [number])[0].fill)
+    assert len(names) == 2
+
+
+def test_only_the_newest_plates_stay_beside_what_corrections_need(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plates.removal, "fill_of", lambda *_: NOTHING)
+    monkeypatch.setattr(plates.removal, "UNUSED", 1)
+    folder = LiftFolder.open(terminal.folder / LIFT)
+    one, other = (str(each.id) for each in engine.read_lift(folder.path).instances)
+    for chosen in ([one], [other], [one, other]):
+        plates.without(folder, chosen)
+    edit, _ = plates.remove(folder, [one])
+    undo(folder.path)
+    plates.without(folder, [other])
+    kept = {path.stem for path in (folder.path / "fills").iterdir()}
+    assert len(kept) == 2 and edit.fill in kept
 
 
 def test_a_lift_that_cannot_be_written_says_so_before_it_computes(
