@@ -21,7 +21,7 @@ log = logging.getLogger("plgs.lift")
 
 WEAK = 0.6
 """Masks whose views agree with the others on less than this share of a class, in the mean over classes, are weak.
-Networks' masks had 0.37 to 0.53, made ones 0.44 to 0.72 (docs/experiments.md)."""
+Networks' masks had 0.27 to 0.53, made ones 0.29 to 0.70 (docs/experiments.md)."""
 DOUBTED = 0.78
 """If they agree on less than this share of all that they show, common classes are doubtful, too. Networks' masks of
 several classes had 0.72 to 0.77, others 0.82 and more."""
