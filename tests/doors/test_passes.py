@@ -378,6 +378,9 @@ def test_usd_is_metres_z_up_and_each_object_a_component(terminal: Terminal) -> N
 
 def test_a_lift_has_the_scores_of_its_coco_export(terminal: Terminal, capsys: pytest.CaptureFixture[str]) -> None:
     terminal.run(EXPORT, LIFT="lifts/demo", FORM="coco", FOLDER="labels", more=["--frames", "test"])
+    made = json.loads((terminal.folder / "labels" / "instances.json").read_text())
+    assert "PLGS" in made["info"]["description"]
+    assert {each["file_name"] for each in made["images"]} <= {path.name for path in terminal.folder.rglob("color/*")}
     truth = terminal.folder / "scans/room/gt"
     classes = [{"id": each["id"], "name": each["name"], "is_thing": bool(each["isthing"])} for each in CATEGORIES]
     (truth / "labels.json").write_text(json.dumps({"classes": classes}))
