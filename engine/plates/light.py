@@ -11,7 +11,7 @@ from scipy.optimize import lsq_linear
 
 from .texture import Mask, Texture
 
-# These values were chosen with the prototype, on six objects of the sample. What varying one changes is said beside it.
+# Chosen with the prototype, on six objects of the sample. Where varying a value was measured, its comment says so.
 DARK = 0.02
 """Added to colours before the logarithm."""
 DIRECTIONS, PLACES_APART = 64, 0.06
