@@ -64,13 +64,16 @@ def trusted_superpoints(
 
 
 class RestOfSuperpoint:
-    """As a matrix [N, N]: the votes that a point gets besides its own are those of all others of its superpoint."""
+    """As a matrix [N, N]: the votes that a point gets besides its own are those of all others of its superpoint. With
+    ``mean`` they are the superpoint's mean: as much as its own, so that a picture can keep these against its wall."""
 
-    def __init__(self, part: NDArray[np.int64]) -> None:
+    def __init__(self, part: NDArray[np.int64], mean: bool = False) -> None:
         self._member = sparse.csr_matrix((np.ones(len(part), np.float32), (part, np.arange(len(part)))))
+        self._mean = sparse.diags((1 / np.bincount(part)).astype(np.float32)) if mean else None
 
     def __matmul__(self, own: Any) -> Any:
-        return self._member.T @ (self._member @ own) - own
+        votes = self._member @ own
+        return self._member.T @ votes - own if self._mean is None else self._member.T @ (self._mean @ votes)
 
 
 def superpoints(xyz: NDArray[np.floating], spacing: float, seeing: ViewsOnCloud) -> NDArray[np.int64]:

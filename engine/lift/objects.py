@@ -155,7 +155,7 @@ def voted_points(
     ``superpoint`` int [N]: the superpoint of each point, if superpoints share their votes; else neighbours may."""
     neighbours: Any = None
     if superpoint is not None:
-        neighbours = RestOfSuperpoint(superpoint)
+        neighbours = RestOfSuperpoint(superpoint, mean=found.agreement.in_all >= WEAK)
     elif preset.segment_voting.neighbours:
         neighbours = neighbours_on_a_thing(cloud.xyz, cloud.spacing, found.training.seen)
     labels = replace(labels_of(cloud, found.things), balance=found.balance)

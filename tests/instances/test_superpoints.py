@@ -92,6 +92,15 @@ def test_a_point_gets_the_votes_of_the_rest_of_its_superpoint() -> None:
     own = sparse.csr_matrix(np.array([[1, 0], [2, 0], [0, 4]], np.float32))
     rest = RestOfSuperpoint(np.array([0, 0, 1])) @ own
     assert rest.toarray().tolist() == [[2, 0], [1, 0], [0, 0]]
+    mean = RestOfSuperpoint(np.array([0, 0, 1]), mean=True) @ own
+    assert mean.toarray().tolist() == [[1.5, 0], [1.5, 0], [0, 4]]
+
+
+def test_where_views_agree_in_all_a_picture_keeps_its_own_votes_against_its_wall() -> None:
+    wall = sparse.csr_matrix(np.array([[0, 3]] * 2 + [[3, 0]] * 18, np.float32))  # two points of a picture
+    part = np.zeros(20, np.int64)
+    shown = [(wall + RestOfSuperpoint(part, mean) @ wall).toarray().argmax(1)[:2].tolist() for mean in (False, True)]
+    assert shown == [[0, 0], [1, 1]]
 
 
 def test_points_that_only_one_view_sees_do_not_count() -> None:
