@@ -28,10 +28,12 @@ _OTHER_NAMES = {
 }
 """Blender's names of options that match no field, or more than one."""
 _OPTION = re.compile(r"(?<![\w-])--([a-z-]+)(?: [A-Z]+\b| colmap\b)?")
-_COMMAND = re.compile(
+_COMMAND = (
     r"'?(?:(?:'[^']*'|\S+) -m engine|the command) (add|segment|poses|depth|lift)\b(?: [A-Z]+\b| --resume| \w+(?=\.))*'?"
 )
 """A command of the engine, as messages name it for a terminal."""
+_ADVISED = re.compile(rf"[A-Z][^.:]*: {_COMMAND}(?=\.|$)")
+"""A sentence that ends in such a command."""
 _BUTTONS = {
     "add": "Add to Engine",
     "segment": "Make Masks",
@@ -58,7 +60,8 @@ def with_field_names(said: PlgsError | OSError | str) -> str:
 
 def _for_panel(text: str) -> str:
     """The text with buttons in place of commands, and fields in place of options."""
-    return _OPTION.sub(_name_in_panel, _COMMAND.sub(lambda found: _BUTTONS[found[1]], text))
+    text = _ADVISED.sub(lambda found: f"Press {_BUTTONS[found[1]]}", text)
+    return _OPTION.sub(_name_in_panel, re.sub(_COMMAND, lambda found: _BUTTONS[found[1]], text))
 
 
 def sentence(text: str) -> str:

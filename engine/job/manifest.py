@@ -17,7 +17,7 @@ _Facts = Mapping[str, Json]
 _Names = Mapping[str, str]
 NAME = "manifest.json"
 _LIFTED = ("model.safetensors", "instances.json")
-MAKE_ANEW = "Resume the lift: 'python -m engine lift LIFT --resume' makes the result again."
+MAKE_ANEW = "Make the result again: 'python -m engine lift LIFT --resume'."
 """The advice for a result that has changed since it was written."""
 
 

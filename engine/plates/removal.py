@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Sequence
+import re
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from hashlib import sha256
@@ -80,15 +81,16 @@ def _removal(folder: LiftFolder, objects: Sequence[str], progress: Progress) -> 
         digest = sha256(path.read_bytes()).hexdigest()
     except PlgsError:  # there is none, or a damaged one
         digest = write_fill(path, fill_of(folder, corrected, ids, progress))
-        _drop_unused(folder.path, {edit.fill for edit in corrected.edits})
+        _drop_unused(folder.path)
     return making.remove(state, ids, name, digest), corrected.edits
 
 
-def _drop_unused(lift: Path, used: Collection[str]) -> None:
+def _drop_unused(lift: Path) -> None:
     """Delete the fills that no correction needs, also no undone one, but for the UNUSED newest."""
-    unused = [path for path in (lift / FILLS).glob("*.npz") if path.stem.isalnum() and path.stem not in used]
-    with suppress(FileNotFoundError):  # another process does the same
-        for path in sorted(unused, key=os.path.getmtime)[:-UNUSED]:
+    fills = [path for path in (lift / FILLS).glob("*.npz") if re.fullmatch("[0-9a-f]{16}", path.stem)]
+    used = {edit.fill for edit in read_edits(lift)}  # as they are now: another process may have made one meanwhile
+    with suppress(OSError):  # another process does the same, or has one open: the removal is made all the same
+        for path in sorted((path for path in fills if path.stem not in used), key=os.path.getmtime)[:-UNUSED]:
             path.unlink()
 
 
