@@ -4,6 +4,8 @@ is missing, beside the film. The same call goes on where an earlier one stopped.
 
 from __future__ import annotations
 
+import shlex
+import sys
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -76,7 +78,8 @@ def _refuse_missing(source: Path, folder: Path, wish: Wish, events: EventWriter)
     if lacking or (networks and not wish.download):
         what = f"this must be downloaded first: {'; '.join([*packages, *networks])}"
         agree = ["--download"] if networks and not wish.download else []
-        fix = " ".join([*(f"Add to the engine: python -m engine add {part}." for part in lacking),
+        add = f"{shlex.quote(sys.executable)} -m engine add"
+        fix = " ".join([*(f"Add to the engine: {add} {part}." for part in lacking),
                         *(f"Give {option} if you agree to the licences." for option in agree)])  # fmt: skip
         if lacking:
             raise PlgsError("lacks-parts", what, source, fix, code=ErrorCode.LACKS_PART, option=lacking[0])

@@ -27,9 +27,10 @@ _OTHER_NAMES = {
     "download": "online access in Preferences > System",
 }
 """Blender's names of options that match no field, or more than one."""
-_OPTION = re.compile(r"(?<![\w-])--([a-z-]+)(?: [A-Z]+\b| colmap\b)?")
+_OPTION = re.compile(r"(?:lift (?=--poses))?(?<![\w-])--([a-z-]+)(?: [A-Z]+\b| colmap\b)?")
 _COMMAND = (
-    r"'?(?:(?:'[^']*'|\S+) -m engine|the command) (add|segment|poses|depth|lift)\b(?: [A-Z]+\b| --resume| \w+(?=\.))*'?"
+    r"'?(?:(?:'[^']*'|\S+) -m engine|the command) (add|segment|poses|depth|lift(?= \S+ --resume))\b"
+    r"(?: [A-Z]+\b| --resume| \w+(?=\.))*'?"
 )
 """A command of the engine, as messages name it for a terminal."""
 _ADVISED = re.compile(rf"[A-Z][^.:]*: {_COMMAND}(?=\.|$)")

@@ -85,7 +85,7 @@ def read_split(path: Path, names: Sequence[str], dropped: Sequence[str]) -> Spli
 
 AnyFrame = TypeVar("AnyFrame", bound=PosedFrame)
 NAME = "scannet"  # the name of this format
-FOLDERS_FIX = "Give the folders color, depth, pose and intrinsic, or let COLMAP find the poses with --poses colmap."
+FOLDERS_FIX = "Give folders color, depth, pose and intrinsic, or let COLMAP find the poses with lift --poses colmap."
 
 
 @dataclass(frozen=True, eq=False)

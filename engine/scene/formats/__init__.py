@@ -58,6 +58,7 @@ _RTABMAP = (
     "Export with rtabmap-export --images --poses_camera --poses_format 11, rename the poses to groundtruth.txt, and "
     "write fx fy cx cy of calib into calibration.txt."
 )
+_OTHER_PHOTOS = {".heic", ".heif", ".avif", ".webp", ".tif", ".tiff", ".dng", ".cr2", ".cr3", ".nef", ".arw"}
 _LOOKED_INTO = 100  # maximum number of subfolders searched for scenes if a folder holds none itself
 _UNPACK = "python -m zipfile -e FILE FOLDER"
 
@@ -96,6 +97,10 @@ def _unknown(place: Path, known: Iterable[str]) -> PlgsError:
     if place.is_dir() and (place / "rgb").is_dir() and any(shown_files(place, "*poses.txt")):
         return PlgsError("rtabmap", "these are RTAB-Map's poses, but not in a layout that PLGS reads", place, _RTABMAP)
     entries = sorted(shown_files(place)) if place.is_dir() else []
+    if photos := [each.name for each in entries if each.suffix.lower() in _OTHER_PHOTOS]:
+        what = f"these photos are no JPEGs or PNGs ({listed(photos)})"
+        fix = "Convert them (phones: Settings > Camera > Most Compatible)."
+        return PlgsError("photos-of-another-kind", what, place, fix)
     folders = [each for each in entries if each.is_dir() and os.access(each, os.R_OK | os.X_OK)][:_LOOKED_INTO]
     if inner := [each for each in folders if any(known.recognises(each) for known in FORMATS)]:
         fix = f"Name one of them, such as {inner[0]}, or lift all: python -m engine batch {place}/* -o OUT."

@@ -71,6 +71,11 @@ def test_file_without_scene_is_refused(tmp_path: Path, name: str, told: str) -> 
     refuses(told, tmp_path / name)
 
 
+def test_photos_that_cannot_be_read_say_so(tmp_path: Path) -> None:
+    (tmp_path / "IMG_1.HEIC").touch()
+    refuses("photos-of-another-kind IMG_1.HEIC", tmp_path)
+
+
 @pytest.mark.parametrize("name", [each.name for each in FORMATS])
 @pytest.mark.parametrize("place", ["empty", "file.txt"])
 def test_a_named_format_that_is_not_there_is_a_one_line_error(tmp_path: Path, name: str, place: str) -> None:
