@@ -34,8 +34,8 @@ REACH = 1.8
 PATCH = 12
 """The number of points that a normal is fitted to."""
 WEAK = 0.78
-"""Views that agree with the others on less than this fraction of what they show are weak evidence. Scenes with a
-network's masks had 0.52 to 0.77, those with good masks 0.81 to 0.89 (docs/experiments.md)."""
+"""Views that agree with the others on less than this fraction of what they show are weak evidence. Two small
+networks' masks had 0.66 to 0.77, ICL's network 0.84, and good masks 0.81 to 0.86 (docs/experiments.md)."""
 TOLERANCE = 0.02
 """The loss of agreement at which superpoints are still trusted: about what voxels and ragged masks cost."""
 
@@ -65,7 +65,7 @@ def trusted_superpoints(
 
 class RestOfSuperpoint:
     """As a matrix [N, N]: the votes that a point gets besides its own are those of all others of its superpoint. With
-    ``mean`` they are the superpoint's mean: as much as its own, so that a picture can keep these against its wall."""
+    ``mean`` they are those of the superpoint's average point, so that a picture can keep its own against its wall."""
 
     def __init__(self, part: NDArray[np.int64], mean: bool = False) -> None:
         self._member = sparse.csr_matrix((np.ones(len(part), np.float32), (part, np.arange(len(part)))))

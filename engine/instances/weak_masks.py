@@ -21,10 +21,11 @@ log = logging.getLogger("plgs.lift")
 
 WEAK = 0.6
 """Masks whose views agree with the others on less than this share of a class, in the mean over classes, are weak.
-Networks' masks had 0.27 to 0.53, made ones 0.29 to 0.70 (docs/experiments.md)."""
+This parts good masks (0.66, 0.69) from bad ones (0.52, 0.53) on the sample and its twin only: elsewhere made masks had
+0.29 to 0.35 and networks' 0.27 to 0.53, so all are weak (docs/experiments.md)."""
 DOUBTED = 0.78
-"""If they agree on less than this share of all that they show, common classes are doubtful, too. Networks' masks of
-several classes had 0.72 to 0.77, others 0.82 and more."""
+"""If they agree on less than this share of all that they show, common classes are doubtful, too. Two small
+networks' masks had 0.66 to 0.77, ICL's network 0.84, and good masks 0.81 to 0.86 (docs/experiments.md)."""
 EVENING = 0.35
 """How much rare classes are favoured: 0 not at all, 1 until all classes have as many votes."""
 RAREST = 0.02
