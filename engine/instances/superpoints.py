@@ -33,7 +33,7 @@ REACH = 1.8
 """Points nearer than this times the cloud's spacing are neighbours."""
 PATCH = 12
 """The number of points that a normal is fitted to."""
-WEAK = 0.78
+AGREEING = 0.78
 """Views that agree with the others on less than this fraction of what they show are weak evidence. Two small
 networks' masks had 0.66 to 0.77, ICL's network 0.84, and good masks 0.81 to 0.86 (docs/experiments.md)."""
 TOLERANCE = 0.02
@@ -55,7 +55,7 @@ def trusted_superpoints(
         return None
     part = superpoints(xyz, spacing, seeing)
     by_point, by_part = held_back_agreement(part, seeing, class_ids, kind)
-    are_trusted = by_point < WEAK or (masks_are_weak and by_part >= by_point - TOLERANCE)
+    are_trusted = by_point < AGREEING or (masks_are_weak and by_part >= by_point - TOLERANCE)
     log.info(
         "a view that is held back agrees with the others by %.3f, and by %.3f with %d superpoints, which are%s used",
         by_point, by_part, part.max() + 1, "" if are_trusted else " not",
@@ -74,6 +74,12 @@ class RestOfSuperpoint:
     def __matmul__(self, own: Any) -> Any:
         votes = self._member @ own
         return self._member.T @ votes - own if self._mean is None else self._member.T @ (self._mean @ votes)
+
+
+def rest_of_superpoints(part: NDArray[np.int64], in_all: float) -> RestOfSuperpoint:
+    """What superpoints add to the votes of views that agree with the others on the fraction ``in_all``: where it is
+    AGREEING, no more than their average point has."""
+    return RestOfSuperpoint(part, mean=in_all >= AGREEING)
 
 
 def superpoints(xyz: NDArray[np.floating], spacing: float, seeing: ViewsOnCloud) -> NDArray[np.int64]:

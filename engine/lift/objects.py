@@ -24,7 +24,7 @@ from ..instances.panoptic_labels import ClassBalance, PanopticLabels
 from ..instances.records import ObjectMask, SceneObject, object_of_mask
 from ..instances.segment_votes import neighbours_on_a_thing, view_labels, vote_panoptic_labels
 from ..instances.segments import SegmentOptions, vote_instances
-from ..instances.superpoints import WEAK, RestOfSuperpoint, trusted_superpoints
+from ..instances.superpoints import AGREEING, rest_of_superpoints, trusted_superpoints
 from ..instances.weak_masks import ViewAgreement, agreement_of_views, class_balance
 from ..job.progress import StageProgress
 from ..presets.parts import Parts
@@ -103,7 +103,8 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
     every pixel."""
     found = voted_things(given, preset.evidence, progress)
     part, are_weak = None, found.agreement.is_weak
-    if preset.segment_voting.superpoints and (are_weak or found.agreement.at_least < WEAK):  # else they are not trusted
+    may_be_trusted = are_weak or found.agreement.at_least < AGREEING
+    if preset.segment_voting.superpoints and may_be_trusted:
         some, kind = given.cloud, preset.evidence.segments
         asked = some.xyz, some.spacing, found.everyone, some.class_ids, kind
         part = trusted_superpoints(*asked, masks_are_weak=are_weak)
@@ -155,7 +156,7 @@ def voted_points(
     ``superpoint`` int [N]: the superpoint of each point, if superpoints share their votes; else neighbours may."""
     neighbours: Any = None
     if superpoint is not None:
-        neighbours = RestOfSuperpoint(superpoint, mean=found.agreement.in_all >= WEAK)
+        neighbours = rest_of_superpoints(superpoint, found.agreement.in_all)
     elif preset.segment_voting.neighbours:
         neighbours = neighbours_on_a_thing(cloud.xyz, cloud.spacing, found.training.seen)
     labels = replace(labels_of(cloud, found.things), balance=found.balance)

@@ -11,7 +11,14 @@ from engine.instances import superpoints as module
 from engine.instances.agreement import ViewPoints, ViewsOnCloud, shown_classes, view_points, words_of_views
 from engine.instances.objects import vote_classes
 from engine.instances.segment_votes import _votes
-from engine.instances.superpoints import RestOfSuperpoint, held_back_agreement, superpoints, trusted_superpoints
+from engine.instances.superpoints import (
+    AGREEING,
+    RestOfSuperpoint,
+    held_back_agreement,
+    rest_of_superpoints,
+    superpoints,
+    trusted_superpoints,
+)
 from engine.instances.weak_masks import DOUBTED, WEAK, agreement_of_views, class_balance
 from engine.scene import Camera, Evidence, PanopticMask, Segment, View
 
@@ -99,8 +106,8 @@ def test_a_point_gets_the_votes_of_the_rest_of_its_superpoint() -> None:
 def test_where_views_agree_in_all_a_picture_keeps_its_own_votes_against_its_wall() -> None:
     wall = sparse.csr_matrix(np.array([[0, 3]] * 2 + [[3, 0]] * 18, np.float32))  # two points of a picture
     part = np.zeros(20, np.int64)
-    shown = [(wall + RestOfSuperpoint(part, mean) @ wall).toarray().argmax(1)[:2].tolist() for mean in (False, True)]
-    assert shown == [[0, 0], [1, 1]]
+    for in_all, shown in ((AGREEING - 0.01, [0, 0]), (AGREEING, [1, 1])):
+        assert (wall + rest_of_superpoints(part, in_all) @ wall).toarray().argmax(1)[:2].tolist() == shown
 
 
 def test_points_that_only_one_view_sees_do_not_count() -> None:
