@@ -22,15 +22,14 @@ _LACKS_SUBJECT = re.compile(
     r"(already|applies|cannot|contains|does|finds|gives|has|holds|is|lists|names|needs|renders|shows|was) "
 )
 """Beginnings of what is wrong whose subject is the thing named in ``where``."""
+_NO_MEMORY = ("allocate memory", "DefaultCPUAllocator: not enough memory", "std::bad_alloc")  # in libraries' own errors
 _SILENT = (errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.EINTR, errno.ENOMEM)
 
 
 class ExitCode(IntEnum):
-    """The exit status of the engine and of run_plgs.py.
-
-    75 is EX_TEMPFAIL of sysexits.h, which farms take as "try again". From 129 on they are the shell's own numbers for
-    processes that a signal ended: a closed terminal, Ctrl-C, SIGTERM.
-    """
+    """The exit status of the engine and of run_plgs.py. 75 is EX_TEMPFAIL of sysexits.h, which farms take as "try
+    again". From 129 on they are the shell's own numbers for processes that a signal ended: a closed terminal, Ctrl-C,
+    SIGTERM."""
 
     FINISHED = 0
     INTERNAL_ERROR = 1
@@ -82,13 +81,11 @@ MEMORY_IS_GONE = "no memory is left"
 
 class PlgsError(Exception):
     """Input, a lift folder or a computer that cannot be used: what is wrong, where, and what to do.
-
     ``key`` names the kind of fault, such as "no-frame", and stays the same when its sentence is reworded; a kind that
     occurs in several places has one key.
     ``option`` is the command-line option that ``fix`` means, spelt as in ``fix``, such as "--masks"; several are
     separated by blanks, and an empty text means none. The panel shows its own fields' names instead. With LACKS_PART it
-    is the name of the part. ``what`` may quote a library's long text: it is shortened to one line.
-    """
+    is the name of the part. ``what`` may quote a library's long text: it is shortened to one line."""
 
     def __init__(
         self, key: str, what: str, where: Path | str, fix: str, *, code: ErrorCode = _USUAL, option: str = ""
@@ -138,6 +135,12 @@ def reading(path: Path, fix: str = "Check that it exists.") -> Iterator[None]:
 
 class Cancelled(Exception):
     """The engine was asked to stop. The last checkpoint is kept and can be resumed (exit code 3)."""
+
+
+def lacks_memory(error: BaseException) -> bool:
+    """Whether memory ran out. Libraries in C++ have their own errors: torch on the CPU and the GPU, OpenCV."""
+    is_kind = isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
+    return is_kind or any(words in str(error) for words in _NO_MEMORY)
 
 
 def is_silence(error: BaseException | None) -> bool:

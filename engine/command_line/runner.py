@@ -18,7 +18,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, TextIO
 
-from ..errors import STOPPED, Cancelled, ErrorCode, ExitCode, PlgsError
+from ..errors import STOPPED, Cancelled, ErrorCode, ExitCode, PlgsError, lacks_memory
 from ..gates import open_to_append, printable
 from ..job import Event, EventWriter, StopSignal, Watchdog
 from ..job.lock import FileLock
@@ -29,8 +29,8 @@ from ..json_file import to_line
 
 Work = Callable[[EventWriter, StopSignal], object]
 
-_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-_NO_MEMORY = ("DefaultCPUAllocator: can't allocate memory", "DefaultCPUAllocator: not enough memory", "std::bad_alloc")
+_FULL = "Make room there"
+_NO_ROOM = {errno.ENOSPC: _FULL, errno.EDQUOT: _FULL, errno.EFBIG: "Raise the limit (ulimit -f)"}  # and what mends it
 
 
 @dataclass(frozen=True)
@@ -114,9 +114,9 @@ def _do(command: Command, events: EventWriter, stop: StopSignal, terminal: TextI
         raise
     except PlgsError as error:
         failure = error
-        if any(os.strerror(number) in error.what for number in _NO_ROOM):  # whatever could not be written
-            fix = f"Make room there, then {command.again}."
-            failure = PlgsError(error.key, error.what, error.where, fix, code=ErrorCode.DISK_FULL)
+        if (number := _number_without_room(error.what)) is not None:  # whatever could not be written
+            fix = f"{_NO_ROOM[number]}, then {command.again}." + (f" Or: {error.fix}" if error.option else "")
+            failure = PlgsError(error.key, error.what, error.where, fix, code=ErrorCode.DISK_FULL, option=error.option)
         if files is not None and "\n" in str(error.__cause__ or "").strip():
             traceback.print_exc()  # into the log, as the line is only a short form
     except Exception as error:  # the process's outermost frame: the log gets the traceback, the user a line
@@ -142,18 +142,15 @@ def failure_of(error: Exception, command: Command, files: TaskFiles | None = Non
     if isinstance(error, ModuleNotFoundError):
         fix = f"Set the environment up again with 'make set-up', then {command.again}."
         return PlgsError("engine-unusable", str(error), sys.executable, fix, code=ErrorCode.INTERNAL)
-    # Libraries in C++ have their own errors: torch on the CPU and the GPU, OpenCV.
-    lacks_memory = isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
-    if lacks_memory or any(words in str(error) for words in _NO_MEMORY):
+    if lacks_memory(error):
         return PlgsError("no-memory", "memory ran out", where.parent, command.with_less_memory, code=ErrorCode.INTERNAL)
     named = re.search(r'"(/[^"]+)"', str(error))  # of C++ libraries
     at = str(getattr(error, "filename", None) or (named and named[1]) or ("" if files is None else where.parent))
     number = _number_of(error)
     if number in _NO_ROOM:
-        what, fix = "the disk is full", f"Make room there, then {command.again}."
-        if number == errno.EFBIG:
-            what = "a file is larger than the disk or the limit on files allows"
-            fix = f"Raise the limit (ulimit -f), then {command.again}."
+        too_large = "a file is larger than the disk or the limit on files allows"
+        what = too_large if number == errno.EFBIG else "the disk is full"
+        fix = f"{_NO_ROOM[number]}, then {command.again}."
         return PlgsError("disk-full", what, at, fix, code=ErrorCode.DISK_FULL)
     if number is not None:
         why = getattr(error, "strerror", None) or os.strerror(number)
@@ -172,7 +169,11 @@ def _number_of(error: Exception) -> int | None:
     found = re.search(r"\(os error (\d+)\)", str(error))
     if found is not None:
         return int(found[1])
-    return next((number for number in _NO_ROOM if os.strerror(number) in str(error)), None)
+    return _number_without_room(str(error))
+
+
+def _number_without_room(text: str) -> int | None:
+    return next((number for number in _NO_ROOM if os.strerror(number) in text), None)
 
 
 @contextmanager

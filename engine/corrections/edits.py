@@ -141,10 +141,8 @@ _WAIT_S = 20.0
 
 
 def read_edits(lift: Path) -> tuple[Edit, ...]:
-    """The edits of the lift in this folder, including undone ones; none where there is no file.
-
-    Raises PlgsError when the file is damaged or from a later version; its edits are then neither shown nor changed.
-    """
+    """The edits of the lift in this folder, including undone ones; none where there is no file. Raises PlgsError when
+    the file is damaged or from a later version; its edits are then neither shown nor changed."""
     path = lift / CORRECTIONS
     if not path.exists():
         return ()
@@ -168,9 +166,7 @@ def read_edits(lift: Path) -> tuple[Edit, ...]:
 @contextmanager
 def editing(lift: Path) -> Iterator[list[Edit]]:
     """The edits, to be changed inside the ``with`` block and written at its end. Other writers wait until then.
-
-    Raises PlgsError when the file cannot be read or is busy, and OSError. Nothing is then written.
-    """
+    Raises PlgsError when the file cannot be read or is busy, and OSError. Nothing is then written."""
     folder = lift / "bake"
     folder.mkdir(exist_ok=True)
     try:

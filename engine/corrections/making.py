@@ -102,9 +102,7 @@ def split(
 ) -> Edit:
     """Split an object. ``part`` int [n] is the part of each of its points in their order, 0 for what stays. The other
     parts become new objects with ids from ``first_id`` on. ``class_of`` gives a part's class, by default the object's.
-
-    Raises PlgsError if only one part would result.
-    """
+    Raises PlgsError if only one part would result."""
     mark, one = _mark(state, number), state.objects[number]
     parts = [int(each) for each in np.unique(part)]
     class_of = {each: kind for each, kind in (class_of or {}).items() if kind != one.class_id}

@@ -137,9 +137,7 @@ FITS = 0.5
 def class_of_parts(lift: Path, state: Replay, number: int, part: NDArray[np.integer]) -> dict[int, int]:
     """The class that most masks of an object give each ``part``, int [n] of its points in their order. A mask votes for
     the part whose points fill its rectangle, weighted by its pixels; parts without votes are left out.
-
-    Raises PlgsError if the list of the lift's frames is damaged.
-    """
+    Raises PlgsError if the list of the lift's frames is damaged."""
     if number not in state.objects or not len(part):
         return {}
     folder = LiftFolder.open(lift)

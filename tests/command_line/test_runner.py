@@ -177,6 +177,18 @@ def test_successful_lift_is_recorded(tmp_path: Path, capfd: pytest.CaptureFixtur
         (PlgsError("made-up", "cannot be written (No space left on device)", "/a", "Use another."), 1, "Make room"),
         (OSError(27, "File too large", "a.npz"), 1, "a file is larger than the disk or the limit on files allows: a"),
         (RuntimeError('Failed to write to "a.exr". File too large.'), 1, "Raise the limit (ulimit -f), then "),
+        (
+            PlgsError("made-up", "cannot be written (File too large)", "/a", ""),
+            1,
+            "/a cannot be written (File too large). Raise the limit (ulimit -f), then ",
+        ),
+        (
+            PlgsError("made-up", "cannot be written (File too large)", "/a", "Name another with -o.", option="-o"),
+            1,
+            "Or: Name another with -o.",
+        ),
+        (OSError(12, "Cannot allocate memory"), 1, "memory ran out"),
+        (RuntimeError("DefaultCPUAllocator: not enough memory: you tried to allocate 9 bytes."), 1, "memory ran out"),
         (RuntimeError("I/O error: File name too long (os error 36)"), 2, "this cannot be used (File name too long)"),
     ],
 )
@@ -189,6 +201,17 @@ def test_failed_lift_is_reported(
     assert told in said and said.startswith("error: ") and said.count("\n") == 1
     assert folder.state() is LiftState.FAILED and folder.last_exit_code() == code
     assert ("Traceback" in folder.log_path.read_text()) != isinstance(error, PlgsError)
+
+
+def test_what_names_an_option_still_does_on_a_full_disk(tmp_path: Path) -> None:
+    files = TaskFiles.at(tmp_path / "events.jsonl")
+    error = PlgsError(
+        "made-up", "cannot be written (No space left on device)", "/a", "Name another with -o.", option="-o"
+    )
+    with FileLock(files.events):
+        run_at(Command("frames", raising(error)), files, io.StringIO())  # type: ignore[arg-type]
+    (told,) = (event.data for event in last_run(files.events) if event.kind == "error")
+    assert (told["code"], told["option"]) == (ErrorCode.DISK_FULL, "-o") and "-o" in str(told["fix"])
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
