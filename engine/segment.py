@@ -163,7 +163,7 @@ def begin_job(folder: Path, model: str, frames: Sequence[Frame], wanted: Collect
     named = [*zip((frame.name for frame in frames), of_files, strict=True)]
     photos = sha256(repr(named).encode()).hexdigest() if all(of_files) else ""  # not known
     fix = "Remove these, or write into another folder."
-    own = OwnFiles(folder).begin("masks", {"model": model}, among_others=True)
+    own = OwnFiles(folder)
     if (content := read_note(made_by, fix)) is not None:
         if content.get("model") != model or content.get("frames") != len(frames):
             what = f"there are already masks of {content.get('frames')} frames by {content.get('model')}"
@@ -172,13 +172,15 @@ def begin_job(folder: Path, model: str, frames: Sequence[Frame], wanted: Collect
             raise PlgsError("photos-changed", "the photos have changed since masks of them were made here", folder, fix)
         left_out = _left_out(folder / TABLE)
         is_finished = left_out is not None and not (left_out if wanted is None else left_out.intersection(wanted))
+        if not is_finished:  # which needs no folder that can be written to
+            own.begin("masks", {"model": model}, among_others=True)
         return Job(folder, own, True, is_finished)
     others = [name for name in (TABLE, FOLDER, DETECTIONS, *_OTHER_MASKS) if (folder / name).exists()]
     if others:
         raise PlgsError("has-masks", f"there are masks already ({others[0]})", folder, fix)
     try:
         record = {"model": model, "frames": len(frames), "photos": photos, **licence_of(model)}
-        with own:
+        with own.begin("masks", {"model": model}, among_others=True):
             write_atomically(made_by, json.dumps(record) + "\n")
     except OSError as error:
         what = f"this cannot be written ({error.strerror})"

@@ -84,9 +84,11 @@ class OwnFiles:
         must be new, empty, or of the same run, or (with ``replaces``) the same kind. Raises PlgsError, OSError."""
         self._asked = kind, json.loads(json.dumps(about))
         place = next(each for each in (self.folder, *self.folder.absolute().parents) if os.path.lexists(each))
-        if not place.is_dir() or not os.access(place, os.W_OK):  # told before any work
-            what = "this folder cannot be written to" if place.is_dir() else "a folder is needed, but this is a file"
+        if not place.is_dir():
+            what = "a folder is needed, but this is a file" if place.exists() else "this link leads nowhere"
             raise PlgsError("file-not-folder", what, place, "Name another one.")
+        if not os.access(place, os.W_OK):  # told before any work
+            raise PlgsError("not-writable", "this folder cannot be written to", place, "Name another one.")
         is_same = self.begun == self._asked or (replaces and self.begun is not None and self.begun[0] == kind)
         if not (among_others or is_same) and self.folder.exists() and any(self.folder.iterdir()):
             what = "the folder holds other files" if self.begun is None else "the folder holds other results of PLGS"

@@ -1,6 +1,7 @@
 """Masks made of a network's queries, frame by frame."""
 
 import json
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -107,6 +108,17 @@ def test_masks_of_other_photos_are_not_finished_already(folder: Path) -> None:
     made_by = job.pictures / "made_by.json"
     made_by.write_text('{"model": "halves", "frames": 4}')  # by an earlier version
     assert begun(folder).is_finished
+
+
+def test_finished_masks_in_a_folder_that_cannot_be_written_to_are_finished(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_masks(open_scene(folder), begun(folder), Halves(), silent)
+    monkeypatch.setattr(os, "access", lambda path, mode: False)  # as on a read-only share; root may write anywhere
+    assert begun(folder).is_finished
+    (folder / "panoptic.json").unlink()
+    with raises_key("not-writable scene"):
+        begun(folder)
 
 
 def test_a_damaged_frame_is_named(folder: Path) -> None:
