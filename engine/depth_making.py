@@ -63,7 +63,7 @@ def load_depth_network(name: str, *, download: bool) -> DepthNetwork:
 def _map_of(name: str, network: Any, processor: Any, colour: NDArray[np.uint8]) -> NDArray[np.float32]:
     import torch
 
-    with torch.inference_mode(), loading(name):
+    with torch.inference_mode(), loading(name, runs=True):
         inputs = processor(images=colour, return_tensors="pt", input_data_format="channels_last")
         found = network(pixel_values=inputs["pixel_values"]).predicted_depth
         width, height = size_within((colour.shape[1], colour.shape[0]), (_LONGEST, _LONGEST))

@@ -47,7 +47,7 @@ class QueryNetwork:
         """The mask of a picture uint8 [H, W, 3] RGB (``merge_queries``), and what it left out (``detections_of``)."""
         width, height = size_within((colour.shape[1], colour.shape[0]), (_LARGEST_SIDE, _LARGEST_SIDE))
         stuff = frozenset(label.id for label in self.labels if not label.is_thing)
-        with loading(self.name):
+        with loading(self.name, runs=True):
             classes, masks = self.queries(colour)
         for values in (classes, masks):
             refuse_nan(values, self.name)
@@ -117,8 +117,9 @@ def _rf_detr(folder: Path, name: str) -> Look:
     with loading(name):
         size = dict(told.get("size") or {})
         width, height = (int(size.get(side, _RF_DETR_SIDE)) for side in ("width", "height"))
-        mean = np.array(told.get("image_mean", (0.485, 0.456, 0.406)), np.float32)
-        spread = np.array(told.get("image_std", (0.229, 0.224, 0.225)), np.float32)
+        cv2.resize(np.zeros((1, 1, 3), np.uint8), (width, height))  # refuses a picture that is none
+        mean = np.array(told.get("image_mean", (0.485, 0.456, 0.406)), np.float32).reshape(3)
+        spread = np.array(told.get("image_std", (0.229, 0.224, 0.225)), np.float32).reshape(3)
 
     def queries(colour: NDArray[np.uint8]) -> Queries:
         small = (cv2.resize(colour, (width, height), interpolation=cv2.INTER_AREA) / np.float32(255) - mean) / spread

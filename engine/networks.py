@@ -13,9 +13,10 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
+from traceback import walk_tb
 from typing import Any
 
-from .errors import PlgsError, lacks_part
+from .errors import PlgsError, lacks_memory, lacks_part
 from .job import write_atomically
 from .job.atomic import sha256 as digest_of
 from .json_file import read_object
@@ -25,8 +26,9 @@ ANOTHER = "Name another one, or fetch it again."
 _IS_COMMIT = re.compile("[0-9a-f]{40}")
 _HUB_S = 15.0
 """Seconds within which huggingface.co must answer."""
-_LAYERS = re.compile("layer|depth|block|stage")
-_MOST_LAYERS = 1000
+_REPEATS = re.compile("layers?$|blocks$|^depths?$|^num_stages$")  # counts of parts, also in a list of one per stage
+_CLASSES = ("id2label", "label2id")
+_MOST_REPEATS = 1000
 _MOST_IN = {"config.json": 2**20, "preprocessor_config.json": 2**13}
 """The largest number in a model's settings: of features, words and the like, and of pixels."""
 
@@ -62,13 +64,16 @@ def is_here(name: str) -> bool:
 
 
 @contextmanager
-def loading(name: str) -> Iterator[None]:
-    """Turn what transformers and its libraries raise for files that they cannot load or run into PlgsError."""
+def loading(name: str, *, runs: bool = False) -> Iterator[None]:
+    """Turn what transformers and its libraries raise for files that they cannot load into PlgsError, or (``runs``) for
+    a network that they cannot run: then what a line of the engine raises is a defect of ours, and passes."""
     try:
         yield
     except Exception as error:  # they have dozens of kinds, some of their own
         lines = str(error).splitlines() or [type(error).__name__]
-        if isinstance(error, PlgsError | MemoryError) or "allocate memory" in lines[0]:
+        *_, (innermost, _) = walk_tb(error.__traceback__)
+        is_ours = runs and Path(innermost.f_code.co_filename).is_relative_to(Path(__file__).parent)
+        if isinstance(error, PlgsError) or lacks_memory(error) or is_ours:
             raise
         raise PlgsError("model-unusable", f"the model cannot be used ({lines[0][:200]})", name, ANOTHER) from error
 
@@ -128,9 +133,10 @@ def _refuse_vast(content: object, path: Path, key: str = "") -> None:
     """Raise PlgsError for a number in a model's settings that would make it grow without end."""
     if isinstance(content, dict | list):
         for inner, each in content.items() if isinstance(content, dict) else ((key, each) for each in content):
-            _refuse_vast(each, path, str(inner))
+            if inner not in _CLASSES:  # whose names are anything
+                _refuse_vast(each, path, str(inner))
     elif isinstance(content, int):
-        most = _MOST_LAYERS if _LAYERS.search(key) else _MOST_IN[path.name]
+        most = _MOST_REPEATS if _REPEATS.search(key) else _MOST_IN[path.name]
         if content > most:
             raise PlgsError("model-vast", f"{key[:40]!r} is {content}, but at most {most} is read", path, ANOTHER)
 

@@ -104,6 +104,22 @@ def test_a_family_sees_the_whole_picture_and_only_it(model: Path) -> None:
         assert ids.shape == shape[:2] and all(one.pixels.shape == shape[:2] for one in detections)
 
 
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"size": {"width": 0, "height": 64}}, {"size": {"width": 64, "height": -56}}, {"image_mean": [0.5, 0.5]},
+        {"image_std": None},
+    ],
+)  # fmt: skip
+def test_settings_that_no_picture_can_be_prepared_with_are_the_models(
+    settings: dict[str, object], tmp_path: Path
+) -> None:
+    save_rf_detr(tmp_path)
+    (tmp_path / "preprocessor_config.json").write_text(json.dumps(settings))
+    with raises_key("model-unusable"):
+        load_model(str(tmp_path), download=False)
+
+
 def test_another_kind_of_network_is_refused(tmp_path: Path) -> None:
     from safetensors.torch import save_file
 

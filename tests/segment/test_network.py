@@ -3,6 +3,8 @@
 import json
 import shutil
 from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import replace
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
@@ -20,6 +22,7 @@ pytest.importorskip("transformers", reason="needs transformers (requirements/seg
 
 from engine.known_networks import KNOWN
 from engine.mask_networks import load_model  # noqa: E402
+from engine.networks import loading, model_folder  # noqa: E402
 from tests.raises_key import raises_key
 from tests.segment.tiny_mask2former import NAMES, save_tiny_mask2former  # noqa: E402
 
@@ -139,6 +142,56 @@ def test_a_broken_network_is_refused(
         load_model(str(tmp_path / "broken"), download=False)
     assert exit_code(main, "segment", folder, "--model", tmp_path / "broken") == 2
     assert not (folder / "panoptic").exists()
+
+
+@pytest.mark.parametrize(
+    ("settings", "is_vast"),
+    [
+        ({"stage_out_channels": [128, 512, 1024, 2048], "stage_numb_of_layers": [6, 6, 6, 6]}, False),
+        ({"label2id": {"backstage pass": 1203, "layers": 1204}, "max_depth": 10_000}, False),
+        ({"num_hidden_layers": 1001}, True),
+        ({"encoder_layers": 1001}, True),
+        ({"num_stages": 1001}, True),
+        ({"depths": [2, 2, 1001, 2]}, True),
+        ({"stage_num_blocks": [1, 1001]}, True),
+        ({"num_labels": 2**20 + 1}, True),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("inside", [False, True])
+def test_settings_that_make_endless_work_are_refused_and_others_not(
+    settings: dict[str, object], is_vast: bool, inside: bool, tmp_path: Path
+) -> None:
+    (tmp_path / "config.json").write_text(json.dumps({"backbone_config": settings} if inside else settings))
+    (tmp_path / "model.safetensors").touch()
+    with raises_key("model-vast config.json") if is_vast else nullcontext():
+        model_folder(str(tmp_path), download=False)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        torch.OutOfMemoryError("CUDA out of memory."),
+        RuntimeError("[enforce fail at alloc_cpu.cpp] DefaultCPUAllocator: not enough memory: you tried to allocate 9"),
+        RuntimeError("unable to mmap 9 bytes from file <w>: Cannot allocate memory (12)"),
+    ],
+    ids=repr,
+)
+@pytest.mark.parametrize("runs", [False, True])
+def test_lack_of_memory_is_not_laid_on_the_model(error: Exception, runs: bool) -> None:
+    with pytest.raises(type(error)) as raised, loading("tiny", runs=runs):
+        raise error
+    assert raised.value is error
+
+
+def test_a_defect_of_ours_is_not_laid_on_the_model(model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    network = load_model(str(model), download=False)
+    picture = np.zeros((48, 80, 3), np.uint8)
+    with raises_key("model-unusable"):  # by torch's own line
+        replace(network, queries=lambda colour: torch.nn.Linear(3, 2)(torch.zeros(5))).segment(picture)
+    monkeypatch.setattr("engine.mask_networks._resized", None)
+    with pytest.raises(TypeError, match="not callable"):
+        network.segment(picture)
 
 
 def test_an_index_of_parts_in_its_folder_is_read(model: Path, tmp_path: Path) -> None:
