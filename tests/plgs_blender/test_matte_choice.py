@@ -1,5 +1,6 @@
 """What is the matte in new nodes, and the switch that lets it follow the selection."""
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -21,8 +22,9 @@ CHAIR, CABINET = 1, 2
 
 
 @pytest.fixture
-def root(lift: Path, extension: None) -> Iterator[bpy.types.Collection]:
-    yield lift_scene.place_lift(lift, bpy.context.scene)
+def root(lift: Path, tmp_path: Path, extension: None) -> Iterator[bpy.types.Collection]:
+    mine = Path(shutil.copytree(lift, tmp_path / "mine"))  # a new name is a correction
+    yield lift_scene.place_lift(mine, bpy.context.scene)
 
 
 def bake(root: bpy.types.Collection, lift: Path, name: str, tmp_path: Path) -> bpy.types.NodeTree:
