@@ -4,7 +4,9 @@ import json
 import os
 import re
 import shutil
+import socket
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +15,17 @@ import pytest
 
 import engine
 from engine import plates
-from engine.corrections import read_corrected, undo
-from engine.corrections.fills import NOTHING
+from engine.corrections import correct, making, read_corrected, undo
+from engine.corrections.fills import NOTHING, path_of, read_fill
 from engine.job import LiftFolder, LiftRequest
+from engine.lift_arrays import Gaussians
 from engine.passes.exr import PanopticLayers, read_exr, read_note
+from engine.plates.completion import completed_labels
 from engine.scene import open_scene
 from tests import tiny_scene
 from tests.doors.terminal import ROOT, Terminal
 from tests.raises_key import raises_key
-from tests.tiny_scene import CABINET, CHAIR, CHAIR_ID, FLOOR_ID
+from tests.tiny_scene import CABINET, CHAIR, CHAIR_ID, FLOOR_ID, PAINT, TinyView, tiny_intrinsics, tiny_pose, trace_view
 from tests.train.tiny_lift import TINY, lift_into, presets_as
 
 LIFT = "lifts/demo"
@@ -91,6 +95,106 @@ def test_all_passes_show_the_same_room(removed: Terminal) -> None:
     assert np.abs(after.combined[~was] - before.combined[~was]).mean() < 0.01, "elsewhere little changes"
 
 
+def test_the_hole_has_the_colours_of_the_room_without_the_object(
+    removed: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, after, was = before_and_after(removed)
+    [frame] = open_scene(removed.folder / "scans/room").test_frames
+    height, width = was.shape
+    monkeypatch.setattr(tiny_scene, "CHAIR", CHAIR + 50)
+    truth = trace_view(frame.camera.camera_to_world, tiny_intrinsics((width, height)), (width, height)).colour / 255.0
+    shown = np.clip(after.combined[..., :3], 0, None) ** (1 / 2.2)
+    channels = planes(passes(removed.folder / LIFT / "result/passes"))
+    guessed = channels["PLGS.Guessed.V"].astype(float)
+    for what in (was & (guessed < 0.1), was & (guessed > 0.9)):
+        assert what.sum() > 100 and np.abs(shown - truth)[what].mean() < 0.08
+        assert np.abs(shown[what].mean(axis=0) - truth[what].mean(axis=0)).max() < 0.04, "as bright"
+
+
+def test_what_is_guessed_has_the_light_of_the_plane_without_its_pattern(removed: Terminal) -> None:
+    [edit] = json.loads((removed.folder / LIFT / "corrections.json").read_text())["edits"]
+    fill = read_fill(path_of(removed.folder / LIFT, edit["fill"]))
+    floor = fill.label == -FLOOR_ID
+    seen, guessed = (fill.rgb[floor & where] for where in (fill.guessed == 0, fill.guessed > 0))
+    assert len(seen) > 100 and len(guessed) > 100 and np.abs(seen.mean(axis=0) - guessed.mean(axis=0)).max() < 0.03
+    assert (guessed.std(axis=0) < 0.5 * seen.std(axis=0)).all(), "the floor is a chessboard"
+
+
+def test_a_rug_keeps_its_straight_edges() -> None:
+    rug, floor, hole = 9, 2, np.zeros((60, 80), bool)
+    truth = np.full(hole.shape, -floor, np.int32)
+    truth[15:45, 10:50] = -rug
+    hole[30:55, 35:65] = True  # which has one of the rug's corners
+    seen = np.where(hole, 0, truth).astype(np.int32)
+    assert np.array_equal(completed_labels(seen, hole, ~hole), truth)
+
+
+FRAMES, LEG_HEIGHT = 8, 0.3
+
+
+def places(view: TinyView, pose: np.ndarray) -> np.ndarray:
+    """What each pixel of a view shows, in the world [H, W, 3]."""
+    height, width = view.depth.shape
+    focal, _, x, _, _, y = tiny_intrinsics((width, height))[:2].ravel()
+    row, column = np.mgrid[:height, :width] + 0.5
+    rays = np.stack([(column - x) / focal, (row - y) / focal, np.ones_like(row)], axis=-1)
+    return (rays * view.depth[..., None]) @ pose[:3, :3].T + pose[:3, 3]
+
+
+def from_chair(xyz: np.ndarray) -> np.ndarray:
+    """Metres along the floor from the chair [...]."""
+    return np.linalg.norm(np.maximum(np.maximum(CHAIR[0] - xyz, xyz - CHAIR[1]), 0)[..., :2], axis=-1)
+
+
+def light(xyz: np.ndarray) -> np.ndarray:
+    """The share of the light that the chair lets through to the floor [...]."""
+    return 1 - 0.6 * np.exp(-from_chair(xyz) / 0.2)
+
+
+def with_shadow(view: TinyView, pose: np.ndarray) -> TinyView:
+    left = np.where(view.semantic == FLOOR_ID, light(places(view, pose)), 1)
+    return replace(view, colour=(view.colour * left[..., None]).astype(np.uint8))
+
+
+def without_legs(view: TinyView, number: int) -> TinyView:
+    """As masks that call the chair's lower part floor."""
+    legs = (view.instance == 1) & (places(view, tiny_pose(number, FRAMES))[..., 2] < LEG_HEIGHT)
+    semantic, instance = np.where(legs, FLOOR_ID, view.semantic), np.where(legs, 0, view.instance)
+    return replace(view, semantic=semantic.astype(np.int32), instance=instance.astype(np.int32))
+
+
+@pytest.fixture(scope="module")
+def shadowed(tmp_path_factory: pytest.TempPathFactory) -> list[Gaussians]:
+    """The Gaussians before and after the removal, without a network, of a chair with a shadow and without legs."""
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("a removal asked the network")
+
+    folder = tmp_path_factory.mktemp("shadowed")
+    scene = tiny_scene.write_tiny_scene(folder / "room", frames=FRAMES, shown=with_shadow, seen=without_legs)
+    with presets_as(preview=TINY):
+        lift = lift_into(folder / "lift", LiftRequest(scene=scene, bake="none"))
+    before = engine.read_lift(lift.path).gaussians
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(socket.socket, "connect", refuse)
+        patch.setattr(socket, "getaddrinfo", refuse)
+        plates.remove(lift, ["chair 1"])
+    return [before, engine.read_lift(lift.path).gaussians]
+
+
+def test_the_objects_shadow_goes_too(shadowed: list[Gaussians]) -> None:
+    after, lit = shadowed[1], 0.875 * PAINT[FLOOR_ID].mean() / 255  # the chessboard's mean
+    near = (np.abs(after.xyz[:, 2]) < 0.05) & (after.class_id == FLOOR_ID) & (from_chair(after.xyz) < 0.1)
+    assert near.sum() > 100 and light(after.xyz[near]).mean() < 0.6, "in the photos"
+    assert after.rgb[near].mean() > 0.8 * lit  # with the shadow that is beside it: 0.74
+
+
+def test_legs_that_masks_missed_go_too(shadowed: list[Gaussians]) -> None:
+    low, high = [*CHAIR[0, :2] - 0.05, 0.1], [*CHAIR[1, :2] + 0.05, LEG_HEIGHT]
+    before, after = (((one.xyz > low) & (one.xyz < high)).all(axis=1) for one in shadowed)
+    assert before.sum() > 10 and (shadowed[0].class_id[before] == FLOOR_ID).mean() > 0.5 and not after.any()
+
+
 def test_guessed_is_1_where_no_photo_ever_saw_what_is_shown(removed: Terminal) -> None:
     guessed = planes(passes(removed.folder / LIFT / "result/passes"))["PLGS.Guessed.V"].astype(float)
     _, after, was = before_and_after(removed)
@@ -147,7 +251,7 @@ def test_without_bakes_one_plate_and_keeps_no_correction(terminal: Terminal) -> 
 
 
 def test_put_back_undoes_and_list_says_what_is_removed(terminal: Terminal) -> None:
-    number = chair(terminal)
+    number, baked = chair(terminal), planes(passes(terminal.folder / LIFT / "result/passes"))
     terminal.run(REMOVE, id7=number)
     assert "(removed)" in terminal.run(LIST)
     terminal.run(PUT_BACK, id7=number)
@@ -156,6 +260,10 @@ def test_put_back_undoes_and_list_says_what_is_removed(terminal: Terminal) -> No
     shutil.rmtree(terminal.folder / "scans")
     terminal.run(BAKE)
     assert number not in read_exr(passes(terminal.folder / LIFT / "result/passes")).instance, "photos may be gone"
+    terminal.run(PUT_BACK, id7=number)
+    terminal.run(BAKE)
+    now = planes(passes(terminal.folder / LIFT / "result/passes"))
+    assert all(np.array_equal(now[name], plane) for name, plane in baked.items()), "passes show what they showed"
 
 
 def test_several_objects_are_removed_at_once(terminal: Terminal) -> None:
@@ -240,21 +348,21 @@ def test_a_fill_of_another_state_is_not_taken(terminal: Terminal, monkeypatch: p
     assert len(names) == 2
 
 
-def test_only_the_newest_plates_stay_beside_what_corrections_need(
+def test_the_last_four_plates_stay_beside_what_corrections_need(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(plates.removal, "fill_of", lambda *_: NOTHING)
-    monkeypatch.setattr(plates.removal, "UNUSED", 1)
     folder = LiftFolder.open(terminal.folder / LIFT)
     one, other = (str(each.id) for each in engine.read_lift(folder.path).instances)
-    for chosen in ([one], [other], [one, other]):
-        plates.without(folder, chosen)
+    for number in range(5):  # names decide about a plate, too
+        correct(folder.path, lambda state, _, number=number: making.rename(state, int(other), f"name {number}"))
+        plates.without(folder, [one])
     edit, _ = plates.remove(folder, [one])
     undo(folder.path)
     (folder.path / "fills" / "backup.npz").touch()
     plates.without(folder, [other])
     kept = {path.stem for path in (folder.path / "fills").iterdir()}
-    assert len(kept) == 3 and {edit.fill, "backup"} < kept
+    assert len(kept) == 6 and {edit.fill, "backup"} < kept
 
 
 def test_a_lift_that_cannot_be_written_says_so_before_it_computes(

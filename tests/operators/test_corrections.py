@@ -26,6 +26,7 @@ from plgs.plgs_blender.proposals import kept_proposals
 
 from tests.conftest import ROOT
 from tests.raises_key import raises_key, worded
+from tests.ui.drawn_panels import drawn
 
 CHAIR, CABINET = 1, 2
 
@@ -292,6 +293,9 @@ def test_a_removed_object_leaves_a_filled_floor_and_is_put_back(mine: Path) -> N
     bpy.ops.ed.undo_push(message="removed")
     assert CHAIR not in names(again()) and points_of(again(), CHAIR) == 0 < count
     assert [*corrections.removed_objects(again())] == [CHAIR]
+    listed = drawn().partition("plgs.undo_correction")[2].splitlines()
+    row = listed.index("".join(f"{letter}\u0336" for letter in "chair 1"))
+    assert listed[row + 1].startswith("plgs.make_objects") and "plgs.put_back" in listed[row + 1 : row + 4]
     assert [ob for ob in bpy.data.objects if ob.get("instance_id") == CHAIR], "the object itself, which can be moved"
     assert sum(len(cloud.data.points) for cloud in clouds_of(again()) if "class_id" in cloud) == (
         len(before.points.xyz) - count + len(at)
@@ -302,12 +306,15 @@ def test_a_removed_object_leaves_a_filled_floor_and_is_put_back(mine: Path) -> N
     assert CHAIR not in names(again()) and [edit.undone for edit in read_edits(mine)] == [False]
     assert bpy.ops.plgs.put_back(instance=CHAIR) == {"FINISHED"}
     assert CHAIR in names(again()) and points_of(again(), CHAIR) == count and not corrections.removed_objects(again())
+    assert "plgs.put_back" not in drawn()
 
 
 def test_a_stopped_removal_changes_nothing(lift: Path, tmp_path: Path) -> None:
     mine = Path(shutil.copytree(lift.parent, tmp_path / "both")) / lift.name
     placed = lift_scene.place_lift(mine, bpy.context.scene)
+    assert "plgs.remove_instances" in drawn() and "plgs.cancel_removal" not in drawn()
     stopped = correction_tools.remove_objects(placed, [CHAIR])
+    assert "plgs.cancel_removal" in drawn()
     assert bpy.ops.plgs.cancel_removal() == {"FINISHED"} and stopped.was_cancelled and stopped.error is None
     assert not read_edits(mine) and CHAIR in names(again())
     registry.forget_all()

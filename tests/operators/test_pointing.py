@@ -6,6 +6,7 @@ import bpy
 import pytest
 from plgs.engine.corrections import read_edits
 from plgs.engine.errors import PlgsError
+from plgs.operators import corrections as correcting
 from plgs.operators import pointing
 from plgs.plgs_blender import corrections
 from plgs.plgs_blender.inspecting.selection import boxes_of, clouds_of
@@ -54,6 +55,16 @@ def test_x_hides_what_is_selected_and_all_can_be_shown_again(placed: bpy.types.C
     assert [row.visible for row in placed.plgs.instances] == [False, True]
     bpy.ops.plgs.show_all()
     assert all(row.visible for row in placed.plgs.instances)
+
+
+def test_x_lets_an_engine_take_what_is_selected_out_of_the_room(
+    placed: bpy.types.Collection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That the engine does it to its end, is shown in test_corrections."""
+    asked: list[tuple[str, list[int]]] = []
+    monkeypatch.setattr(correcting, "remove_objects", lambda root, chosen: asked.append((root.name, chosen)))
+    choose(boxes_of(placed)[CHAIR], boxes_of(placed)[CHAIR])
+    assert bpy.ops.plgs.delete_selected(way="REMOVE") == {"FINISHED"} and asked == [(placed.name, [CHAIR])]
 
 
 @pytest.mark.parametrize("shows_boxes", [True, False])

@@ -1,6 +1,7 @@
 """The compositor's group "PLGS Panoptic", rendered without a window, against the same sums in numpy."""
 
 import colorsys
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,13 +10,15 @@ import cv2
 import numpy as np
 import pytest
 from blender_helpers import rendered
+from plgs.engine.job import write_manifest
+from plgs.engine.scene import open_scene
 from plgs.plgs_blender import compat, compositing, lift_scene
 from plgs.plgs_blender.inspecting.lists import registered
 from plgs.plgs_blender.materials import linear_rgba
 from plgs.plgs_blender.owned import lifts_in
 from plgs.plgs_blender.pass_nodes import LINE_PIXELS, NAME, PANOPTIC, node_of
 from plgs.plgs_blender.passes import show_view
-from tiny_lift import FRAMES
+from tiny_lift import FRAMES, write_passes
 from tiny_scene import CABINET_ID, TinyView, tiny_intrinsics, tiny_pose, trace_view
 
 from tests.raises_key import raises_key
@@ -113,14 +116,34 @@ def test_a_recoloured_object_keeps_its_shading(
     assert np.allclose(seen[matte][:, :3], expected, atol=1e-4)
 
 
-def test_a_plate_is_switched_to_and_subtracted(scene: bpy.types.Scene, view: TinyView, tmp_path: Path) -> None:
-    before, plate, pink = picture(view)[..., :3], (0.2, 0.4, 0.1, 1.0), (0.9, 0.1, 0.7, 1.0)
-    seen = shown(scene, "Overlay", tmp_path, Plate=plate, Clean_plate=1.0)
-    assert np.allclose(seen[..., :3], plate[:3], atol=1e-5)
+def test_a_plate_is_switched_to_and_subtracted(
+    lift: Path, scene: bpy.types.Scene, view: TinyView, tmp_path: Path
+) -> None:
+    """The other view's picture stands in for that of a plate."""
+    tree, other = compat.compositor_tree(scene), scene.timeline_markers[0].name
+    node = compat.new_node(tree, "CompositorNodeImage")
+    node.image = bpy.data.images.load(str(lift / "result/passes" / f"{other}.exr"))
+    _ = node.image.size[:]  # Blender must read a file before a node can name one of its layers
+    node.layer = "PLGS"
+    tree.links.new(node.outputs["Combined"], node_of(tree, PANOPTIC).inputs["Plate"])
+    before = picture(view)[..., :3]
+    plate = picture(trace_view(tiny_pose(int(other), FRAMES), tiny_intrinsics((64, 48)), (64, 48)))[..., :3]
+    assert np.allclose(shown(scene, "Overlay", tmp_path)[..., :3], before, atol=1e-5)
+    assert np.allclose(shown(scene, "Overlay", tmp_path, Clean_plate=1.0)[..., :3], plate, atol=1e-5)
     seen = shown(scene, "Overlay", tmp_path, Clean_plate=0.0, Difference=1.0)
-    assert np.allclose(seen[..., :3], np.abs(before - plate[:3]), atol=1e-5)
-    seen = shown(scene, "Overlay", tmp_path, Difference=0.0, Guessed=0.5, Guessed_matte=1.0, Guessed_colour=pink)
-    assert np.allclose(seen[..., :3], 0.5 * before + 0.5 * np.array(pink[:3]), atol=1e-5)
+    assert np.allclose(seen[..., :3], np.abs(before - plate), atol=1e-5)
+
+
+def test_a_colour_is_laid_over_what_is_guessed(lift: Path, view: TinyView, tmp_path: Path) -> None:
+    mine = Path(shutil.copytree(lift, tmp_path / "mine"))
+    for frame in open_scene(lift.parent / "tiny room").test_frames:
+        write_passes(mine / "result/passes" / f"{frame.name}.exr", frame, frame.size, guessed=CHAIR)
+    write_manifest(mine / "result", versions={}, seed=0, settings={}, timings={})
+    scene, _ = next(compositing.compositors_of(lift_scene.place_lift(mine, bpy.context.scene)))
+    show_view(scene, scene.timeline_markers[1].name)
+    pink, chair = (0.9, 0.1, 0.7, 1.0), (view.instance == CHAIR)[..., None]
+    seen = shown(scene, "Overlay", tmp_path, Overlay=0.0, Guessed=0.5, Guessed_colour=pink)
+    assert np.allclose(seen, picture(view) * np.where(chair, 0.5, 1.0) + chair * 0.5 * np.array(pink), atol=1e-5)
 
 
 def test_the_overlay_is_mixed_over_the_picture(

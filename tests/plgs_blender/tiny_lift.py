@@ -54,8 +54,9 @@ def write_tiny_lift(
     return lift
 
 
-def write_passes(path: Path, frame: Frame, size: tuple[int, int], overscan: int = 0) -> None:
-    """The passes of one view as `engine.passes` names its layers, with so many pixels around the picture."""
+def write_passes(path: Path, frame: Frame, size: tuple[int, int], overscan: int = 0, guessed: int = 0) -> None:
+    """The passes of one view as `engine.passes` names its layers, with so many pixels around the picture. Where the
+    instance ``guessed`` is, what is shown counts as guessed."""
     view = trace_view(frame.camera.camera_to_world, tiny_intrinsics(size), size)
     colour = (view.colour / 255.0) ** 2.2
     channels = {f"PLGS.Combined.{c}": colour[..., i] for i, c in enumerate("RGB")}
@@ -65,6 +66,8 @@ def write_passes(path: Path, frame: Frame, size: tuple[int, int], overscan: int 
     position = frame.camera.resized(*size).unproject(view.depth)
     channels |= {f"PLGS.Position.{axis}": position[..., i] for i, axis in enumerate("XYZ")}
     channels |= {f"PLGS.Normal.{axis}": np.full(view.depth.shape, i == 2) for i, axis in enumerate("XYZ")}
+    if guessed:
+        channels["PLGS.Guessed.V"] = view.instance == guessed
     header: dict[str, object] = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     first, last = np.array([-overscan] * 2, np.int32), np.array(size, np.int32) - 1 - overscan
     header |= {"dataWindow": (first, last), "displayWindow": (np.zeros(2, np.int32), last - overscan)}
