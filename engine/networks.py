@@ -124,7 +124,7 @@ def load_weights(kind: Any, folder: Path, name: str) -> Any:
 
 
 def refuse_nan(values: Any, name: str) -> None:
-    """Raise PlgsError if a tensor that a network gives holds NaN, of which nothing would be made in silence."""
+    """Raise PlgsError if a tensor of a network holds NaN."""
     if bool(values.isnan().any()):
         raise PlgsError("model-broken", "the model gives values that are not numbers", name, ANOTHER)
 

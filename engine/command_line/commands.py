@@ -45,7 +45,7 @@ def lift(options: argparse.Namespace) -> int:
     given = given_lift_options(options)
     if given:
         fix = "Leave them out, or lift a scene into a new folder with -o."
-        raise PlgsError("request-fixed", "a lift's request never changes", ", ".join(given), fix)
+        raise PlgsError("request-fixed", "an existing lift keeps its options", ", ".join(given), fix)
     folder = LiftFolder.open(options.scene)
     if options.refine is not None:
         folder = folder.refined(options.refine)

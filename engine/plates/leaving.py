@@ -125,7 +125,7 @@ def support_of(leaving: Leaving, planes: Sequence[Plane]) -> float | None:
 def with_legs(
     views: Sequence[PlateView], leaving: Leaving, others: Others, planes: Sequence[Plane]
 ) -> tuple[list[PlateView], Leaving, Others]:
-    """The views, what leaves and the others, after the legs were counted among what leaves."""
+    """Count the legs of what leaves as leaving, too. Returns the views, what leaves, and the others."""
     legs = legs_of(leaving, others, planes)
     if not legs.any():
         return list(views), leaving, others

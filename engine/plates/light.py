@@ -24,8 +24,8 @@ the sample's sofa and coffee table change by at most 0.1 dB."""
 SAMPLES, ROUNDS, USUAL = 6000, 4, 0.08
 """Texels that the light is fitted to, rounds of the fit, and residuals (log) beyond which a texel counts less."""
 STRONGEST = 1.0
-"""The largest effect (exponent) of light that is kept away on encoded colours, where all of it would be 1 / 2.2. It
-bounds the fit to planes of which little was seen; the sample's sofa and coffee table do not reach it."""
+"""The largest effect (exponent) of light that is kept away on encoded colours; all of it would be 1 / 2.2. It
+bounds the fit where little of a plane was seen. The sample's sofa and coffee table do not reach it."""
 
 Colours = NDArray[np.float32]
 

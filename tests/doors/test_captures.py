@@ -209,7 +209,7 @@ def test_ground_truth_may_be_smaller_lack_frames_and_be_of_another_table(
             cv2.imwrite(str(path), np.where(pixels == was, now, pixels).astype(np.uint8))
 
     assert main(["find-scene", str(lift), str(tmp_path / "scans/room")]) == 0
-    assert main(["correct", str(lift), "rename", "1", "seat"]) == 0  # without corrections, metrics.json is told
+    assert main(["correct", str(lift), "rename", "1", "seat"]) == 0  # else evaluate repeats metrics.json
     before = scores()
     for path in truth.rglob("*.png"):
         cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[1::2, 1::2])

@@ -184,7 +184,7 @@ def lifting(shell: Terminal, arguments: str) -> Iterator[subprocess.Popen[str]]:
 
 @pytest.mark.slow
 def test_a_stopped_lift_ends_with_its_code_and_resume_goes_on(shell: Terminal) -> None:
-    """Until the last run is stopped, it is one lift; meanwhile a second command is told to try again."""
+    """The runs are of one lift. While one works, a second command is told to try again."""
     write_tiny_scene(shell.folder / "room", 6)
     new = "room -o out --set warm_start=false --set voxel_size=0.2 --steps 100000"
     stops: list[tuple[Callable[[subprocess.Popen[str]], object], int]] = [

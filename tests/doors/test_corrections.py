@@ -131,7 +131,7 @@ def test_an_object_is_split_into_what_two_frames_show_apart(terminal: Terminal) 
 
 
 def segments(*seen: tuple[int, int, int]) -> tuple[MatchedSegment, ...]:
-    """Masks: of which frame, how many pixels, and which class."""
+    """Masks, each with its frame, its pixels and its class."""
     return tuple(MatchedSegment(str(at), 1, kind, 1, None, 1, pixels, 0.1, (0, 0, 1, 1)) for at, pixels, kind in seen)
 
 

@@ -144,7 +144,7 @@ def test_a_strong_gradient_grows_an_anchor_in_a_free_cell_with_the_greatest_feat
     assert statistics.gradient[0, 0] == 0
 
 
-def test_occupied_cells_grow_nothing() -> None:
+def test_no_anchors_are_added_in_occupied_cells() -> None:
     anchors = grid()
     statistics = watched(anchors)
     statistics.gradient += 100 * 1e-2

@@ -166,7 +166,7 @@ def test_labels_with_many_votes_are_never_lost_among_many(seed: int) -> None:
     assert kept[true > 300 / LABELS_HELD].all() and (everything[kept] >= true[kept]).all()
 
 
-def test_labels_that_depend_on_the_view_do_not_vote_first() -> None:
+def test_view_dependent_labels_skip_the_first_vote() -> None:
     """There is no one label that such a decoder would give a Gaussian."""
     dependent = some_scene(SLOT_IDS, replace(SHAPE, label_view_input=True), CLASS_OF_SLOT)
     assert not LabelVotes(dependent, "pixels").result().share.any()
