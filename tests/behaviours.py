@@ -19,7 +19,7 @@ BEHAVIOURS = {
         "test_kill_and_resume.py::test_a_lift_that_is_killed_and_resumed_has_the_same_bytes"
     ),
     "a lift keeps the names of an earlier one": "lift/test_lasting_names.py::test_every_file_has_the_lasting_ids",
-    "a lift finds a scene that was moved": "doors/test_command_line.py::test_find_scene_updates_a_lift",
+    "a lift finds a scene that was moved": "doors/test_command_line.py::test_find_scene_tells_a_lift_where_its_scene_is_now",
     "frames are baked later with the same bytes": "lift/test_bake_more.py::test_later_bakes_write_the_same_bytes",
     "any camera is baked": "lift/test_bake_more.py::test_any_camera_can_be_baked",
     "several commands bake side by side": "lift/test_bake_more.py::test_two_commands_share_the_frames",
@@ -34,7 +34,7 @@ BEHAVIOURS = {
     "frames of ScanNet++": "scene/formats/test_scannetpp.py::test_points_lie_on_the_room",
     "frames of 7-Scenes": "scene/formats/test_seven_scenes.py::test_raw_depth_is_registered_to_colour",
     "bad scenes and masks are one line": "scene/test_bad_input.py",
-    "files of others stay": "doors/test_files_of_others.py::test_files_of_others_stay",
+    "files of others stay": "doors/test_files_of_others.py::test_no_command_deletes_files_of_other_people",
     "a scene is diagnosed and mended": (
         "doors/test_captures.py::test_inspect_writes_a_mended_scene_and_your_files_stay_as_they_are"
     ),

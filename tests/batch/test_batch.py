@@ -34,7 +34,7 @@ def test_workers_share_the_scenes(tmp_path: Path, farm: Farm, address: str, caps
     assert {name for name in began if again[name] != began[name]} == {"dark"}
 
 
-def test_a_killed_worker_loses_little_and_its_work_goes_elsewhere(tmp_path: Path, farm: Farm, address: str) -> None:
+def test_another_worker_resumes_the_lift_of_a_killed_worker(tmp_path: Path, farm: Farm, address: str) -> None:
     plan = plan_of(tmp_path, "a", "b")
     farm.workers(address, "usual", "usual")
     pause(plan.jobs[0])
@@ -47,7 +47,7 @@ def test_a_killed_worker_loses_little_and_its_work_goes_elsewhere(tmp_path: Path
 
 
 @pytest.mark.parametrize(("number", "kind"), [(signal.SIGTERM, "usual"), (signal.SIGSTOP, "impatient")])
-def test_ended_engine_resumes(number: signal.Signals, kind: str, tmp_path: Path, farm: Farm, address: str) -> None:
+def test_killed_engine_is_resumed(number: signal.Signals, kind: str, tmp_path: Path, farm: Farm, address: str) -> None:
     plan = plan_of(tmp_path, "a")
     farm.workers(address, kind)
     pause(plan.jobs[0])
@@ -62,7 +62,7 @@ def test_ended_engine_resumes(number: signal.Signals, kind: str, tmp_path: Path,
     assert [each["resumed"] for each in hellos(plan.output / "a")] == [False, True]
 
 
-def test_two_batches_share_one_folder(tmp_path: Path, farm: Farm, address: str) -> None:
+def test_two_batches_can_run_in_one_output_folder(tmp_path: Path, farm: Farm, address: str) -> None:
     """One waits for the lifts of the other, and the table has the scenes of both."""
     plan = plan_of(tmp_path, "a", "b", "c")
     farm.workers(address, *["usual"] * 3)
@@ -77,7 +77,7 @@ def test_two_batches_share_one_folder(tmp_path: Path, farm: Farm, address: str) 
 
 
 @pytest.mark.slow
-def test_hanging_worker_is_given_up(tmp_path: Path, farm: Farm) -> None:
+def test_a_batch_finishes_when_one_of_its_workers_hangs(tmp_path: Path, farm: Farm) -> None:
     """The scheduler gives it up. Its engine lives, so the other worker waits for that, and finds the lift finished."""
     address = f"tcp://127.0.0.1:{farm.scheduler(ttl_s=5.0)[1]}"
     plan = plan_of(tmp_path, "a")
@@ -110,7 +110,7 @@ def test_batch_survives_scheduler_restart(tmp_path: Path, farm: Farm) -> None:
     assert {row["state"] for row in rows_of(plan).values()} == {"done", ""}
 
 
-def test_ctrl_c_leaves_everything_resumable(tmp_path: Path, farm: Farm, address: str) -> None:
+def test_ctrl_c_leaves_every_scene_of_a_batch_resumable(tmp_path: Path, farm: Farm, address: str) -> None:
     plan = plan_of(tmp_path, "a", "b")
     farm.workers(address, "usual")
     pause(plan.jobs[0])
@@ -126,7 +126,7 @@ def test_ctrl_c_leaves_everything_resumable(tmp_path: Path, farm: Farm, address:
 
 
 @pytest.mark.parametrize("unfit", ["unmounted", pytest.param("full", marks=pytest.mark.slow)])
-def test_unfit_worker_passes_piece_to_another(
+def test_a_scene_that_one_worker_cannot_do_goes_to_another_worker(
     unfit: str, tmp_path: Path, farm: Farm, address: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plan = plan_of(tmp_path, "a", "b")

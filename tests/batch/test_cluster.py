@@ -22,7 +22,7 @@ distributed = pytest.importorskip("distributed", reason="distributed is not inst
 USUAL_WAIT_S = cluster.NO_WORKER_S
 
 
-def test_a_batch_on_this_machine_is_not_reached_from_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_local_batch_accepts_no_connection_from_other_machines(monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither its scheduler, nor the dashboard, nor its workers; and with a worker less it goes on."""
     monkeypatch.setattr(cluster, "NO_WORKER_S", PATIENCE_S)
     with cluster.opened(FarmOptions(workers=2)) as farm:
@@ -64,7 +64,7 @@ def certificates(folder: Path) -> tuple[Path, Path]:
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl to make certificates")
-def test_tls_is_required_on_both_sides(tmp_path: Path, farm: Farm) -> None:
+def test_a_batch_without_tls_cannot_use_a_scheduler_with_tls(tmp_path: Path, farm: Farm) -> None:
     """With certificates of the same authority it works; without them, nobody gets in."""
     ca, own = certificates(tmp_path)
     options = f"--protocol tls:// --tls-ca-file {ca} --tls-cert {own} --tls-key {own}".split()
@@ -81,7 +81,7 @@ def test_tls_is_required_on_both_sides(tmp_path: Path, farm: Farm) -> None:
     assert run(plan, FarmOptions(scheduler=address, tls=tls)) is ExitCode.FINISHED
 
 
-def test_a_scheduler_without_workers_says_so(tmp_path: Path, address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scheduler_without_workers_is_reported(tmp_path: Path, address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """By the seconds that it allows; here workers get half a second, and the machine as long as it takes."""
     assert cluster.CONNECT_S + USUAL_WAIT_S <= 10.0
     monkeypatch.setattr(cluster, "NO_WORKER_S", 0.5)
@@ -89,7 +89,7 @@ def test_a_scheduler_without_workers_says_so(tmp_path: Path, address: str, monke
         run(plan_of(tmp_path, "a"), FarmOptions(scheduler=address))
 
 
-def test_other_engine_gets_nothing(tmp_path: Path, farm: Farm, address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_engine_version_unused(tmp_path: Path, farm: Farm, address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     farm.workers(address, "another-engine")
     with distributed.Client(address) as client:
         client.wait_for_workers(1, timeout=PATIENCE_S)
@@ -100,14 +100,14 @@ def test_other_engine_gets_nothing(tmp_path: Path, farm: Farm, address: str, mon
     assert not (plan.output / "a").exists()
 
 
-def test_missing_scheduler_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scheduler_that_does_not_answer_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
     with raises_key("no-scheduler"):
         run(plan_of(tmp_path, "a"), FarmOptions(scheduler="tcp://127.0.0.1:9"))
 
 
 @pytest.mark.parametrize("address", ["nonsense", "machine:8786", "tcp://machine", "tcp://a b:1"])
-def test_invalid_address_is_refused(address: str, tmp_path: Path) -> None:
+def test_an_invalid_scheduler_address_is_refused(address: str, tmp_path: Path) -> None:
     with raises_key("scheduler-address"):
         run(plan_of(tmp_path, "a"), FarmOptions(scheduler=address))
     with raises_key("scheduler-address"):
@@ -115,12 +115,12 @@ def test_invalid_address_is_refused(address: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("options", ["--slurm --scheduler tcp://a:1", "--workers 2 --scheduler tcp://a:1", "--queue q"])
-def test_conflicting_options_are_refused(options: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_conflicting_batch_options_refused(options: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["batch", str(tmp_path / "a"), "-o", str(tmp_path / "out"), *options.split()]) == ExitCode.BAD_INPUT
     assert capsys.readouterr().err.count("\n") == 1 and not (tmp_path / "out").exists()
 
 
-def test_lift_too_large_for_all_workers_fails(tmp_path: Path, farm: Farm, address: str) -> None:
+def test_a_lift_that_needs_more_memory_than_any_worker_has_fails(tmp_path: Path, farm: Farm, address: str) -> None:
     plan = plan_of(tmp_path, "a")
     job = SceneJob("a", plan.jobs[0].lift, plan.jobs[0].request, gigabytes=1e6)
     farm.workers(address, "usual")

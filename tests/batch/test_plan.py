@@ -28,7 +28,7 @@ from tests.raises_key import raises_key
 
 
 @pytest.mark.parametrize("name", ["...zip", "..zip", ".batch.zip", "table.md.zip", "Table.CSV.zip"])
-def test_a_name_that_leads_to_another_folder_is_refused(name: str, tmp_path: Path) -> None:
+def test_a_scene_name_that_would_leave_the_output_folder_is_refused(name: str, tmp_path: Path) -> None:
     (tmp_path / name).touch()
     with raises_key("names-clash|scene-unnamable"):
         names_of([tmp_path / name])
@@ -43,13 +43,13 @@ def test_two_scenes_with_same_name_are_refused(other: str, tmp_path: Path) -> No
     assert names_of([tmp_path / "x" / "room", tmp_path / other], ["", "room-y"]) == ["room", "room-y"]
 
 
-def test_a_folder_is_named_after_where_it_is(tmp_path: Path) -> None:
+def test_scenes_given_as_dot_dot_paths_are_named_after_their_real_folders(tmp_path: Path) -> None:
     (tmp_path / "a" / "-o").mkdir(parents=True)
     assert names_of([tmp_path / "a" / "-o" / ".." / "-o", tmp_path / "a" / "-o" / ".."]) == ["-o", "a"]
 
 
 @pytest.mark.parametrize("lost", ["result/passes/0001.exr", "exports/ply", f"exports/ply/{NOTE}"])
-def test_missing_results_are_not_counted_as_done(lost: str, tmp_path: Path) -> None:
+def test_a_scene_without_its_result_files_does_not_count_as_done(lost: str, tmp_path: Path) -> None:
     job = SceneJob("room", tmp_path / "room", LiftRequest(scene=tmp_path / "scene"))
     plan = BatchPlan(tmp_path, (job,), exports=("ply",))
     passes = job.lift / "result/passes/0001.exr"
@@ -70,7 +70,7 @@ def test_missing_results_are_not_counted_as_done(lost: str, tmp_path: Path) -> N
 @pytest.mark.parametrize(
     "touched", ["scene/panoptic.json", "scene/linked/0001.png", "masks/table/0001.png", "names.toml"]
 )
-def test_a_scene_is_looked_at_again_when_a_file_of_it_has_changed(touched: str, tmp_path: Path) -> None:
+def test_a_changed_file_makes_the_batch_check_its_scene_again(touched: str, tmp_path: Path) -> None:
     """What an earlier batch noted as done counted, whatever had become of the masks."""
     for name in ("scene/panoptic.json", "elsewhere/0001.png", "masks/table/0001.png", "masks/table.json", "names.toml"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
@@ -109,7 +109,7 @@ def _changes_its_state(touched: str, request: LiftRequest, folder: Path) -> bool
         ("coco/a.png", False),
     ],
 )
-def test_only_mask_files_count(touched: str, is_read: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_changed_masks_redo_scene(touched: str, is_read: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The whole folder around the mask file, or a folder named like the class table, does not count."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "scene").mkdir()
@@ -127,7 +127,7 @@ def test_only_mask_files_count(touched: str, is_read: bool, tmp_path: Path, monk
         ("room.sens", "room/splits.json", True),
     ],
 )
-def test_photos_beside_a_scene_in_a_file_count(scene: str, touched: str, is_read: bool, tmp_path: Path) -> None:
+def test_changed_photos_make_a_batch_redo_a_scene(scene: str, touched: str, is_read: bool, tmp_path: Path) -> None:
     """Of a transforms.json neither its photos nor its depth were seen. Other scans lie beside one in an archive."""
     (tmp_path / "scene").mkdir()
     (tmp_path / "scene" / scene).write_text("{}")
@@ -136,7 +136,7 @@ def test_photos_beside_a_scene_in_a_file_count(scene: str, touched: str, is_read
 
 
 @pytest.mark.parametrize("touched", ["Thumbs.db", ".DS_Store", ".git/index", "lift/result/a.exr", "OUT/room/log.txt"])
-def test_files_that_no_reader_opens_do_not_count(touched: str, tmp_path: Path) -> None:
+def test_files_that_no_scene_reader_opens_do_not_make_a_batch_redo_a_scene(touched: str, tmp_path: Path) -> None:
     """A file that a system wrote, or the results of a lift or of the batch, had exports and scores written again."""
     for lift in ("scene", "scene/lift"):  # the scene itself counts, whatever is in it
         (tmp_path / lift).mkdir()
@@ -146,7 +146,7 @@ def test_files_that_no_reader_opens_do_not_count(touched: str, tmp_path: Path) -
     assert _changes_its_state("scene/rgb/0001.png", request, tmp_path)
 
 
-def test_a_link_to_a_scene_has_its_own_name(tmp_path: Path) -> None:
+def test_a_scene_given_as_a_link_is_named_after_the_link(tmp_path: Path) -> None:
     """Data sets are often links to folders that are all called alike."""
     links = []
     for name in ("one", "two"):
@@ -162,13 +162,13 @@ def test_a_link_to_a_scene_has_its_own_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["two\nlines", "\x1b[31mred", 300 * "x", "a/b", "..", "C:x", "\udcff"])
-def test_unusable_folder_name_is_refused(name: str) -> None:
+def test_a_scene_name_that_cannot_be_a_folder_name_is_refused(name: str) -> None:
     with raises_key("scene-unnamable") as error:
         names_of([Path("scene")], [name])
     assert "\n" not in str(error.value)
 
 
-def test_shared_path_for_several_scenes_is_refused() -> None:
+def test_one_masks_path_for_several_scenes_is_refused() -> None:
     refuse_shared("--masks", Path("masks"), 1)
     refuse_shared("--masks", Path("masks/{scene}"), 2)
     with raises_key("shared-path --masks masks {scene}"):
@@ -176,7 +176,7 @@ def test_shared_path_for_several_scenes_is_refused() -> None:
     assert of_scene(Path("masks/{scene}.json"), "room") == Path("masks/room.json")
 
 
-def test_rows_of_other_scenes_are_kept_while_their_results_exist(tmp_path: Path) -> None:
+def test_the_batch_table_keeps_rows_of_earlier_scenes_that_still_exist(tmp_path: Path) -> None:
     jobs = {}
     for name in ("corrected", "deleted", "done", "failed", "failed and gone"):
         (tmp_path / f"{name}.scene").touch()
@@ -245,7 +245,7 @@ def test_each_scene_has_its_own_options(name: str, text: str, tmp_path: Path) ->
         ("t.toml", "[[scene]\n", "not-scene-table"),
     ],
 )
-def test_a_bad_table_gives_a_one_line_error(name: str, text: str, said: str, tmp_path: Path) -> None:
+def test_a_bad_table_of_scenes_gives_a_one_line_error(name: str, text: str, said: str, tmp_path: Path) -> None:
     with raises_key(said) as error:
         options_of(tmp_path, name, text)
     assert "\n" not in str(error.value)

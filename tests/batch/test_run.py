@@ -109,7 +109,7 @@ class Batch:
         self.batch._look_at_workers()
 
 
-def test_failed_scene_cancels_its_other_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_bake_cancels_the_other_bakes_of_its_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     batch = Batch(tmp_path, monkeypatch, "one")
     batch.end(batch.farm.asked[0], Ended.DONE, frames=["1", "2", "3"])
     bakes = batch.farm.asked[1:]
@@ -119,7 +119,7 @@ def test_failed_scene_cancels_its_other_pieces(tmp_path: Path, monkeypatch: pyte
     assert [each.status for each in bakes] == ["cancelled", "pending", "cancelled"]
 
 
-def test_a_piece_follows_its_worker_to_a_new_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_with_a_new_address_keeps_its_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     batch = Batch(tmp_path, monkeypatch, "one", "two")
     batch.end(batch.farm.asked[0], Ended.ELSEWHERE, "host one")
     assert batch.farm.asked[1].workers == ["two"]
@@ -135,7 +135,7 @@ def test_a_piece_follows_its_worker_to_a_new_address(tmp_path: Path, monkeypatch
     assert worded("no-fit-worker").search(batch.rows["a"].reason)
 
 
-def test_missing_worker_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_batch_without_workers_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     batch = Batch(tmp_path, monkeypatch, "one")
     gone, batch.farm.there = batch.farm.there, {}
     batch.look()
@@ -151,7 +151,9 @@ def test_missing_worker_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.parametrize("lacked", [False, True])
-def test_killed_piece_is_resumed_once(lacked: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_killed_lift_in_a_batch_is_resumed_once(
+    lacked: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Where memory was short, with a worker less."""
     batch = Batch(tmp_path, monkeypatch, "one", "two")
     batch.end(batch.farm.asked[0], Ended.KILLED, "host one", lacked)
@@ -164,7 +166,7 @@ def test_killed_piece_is_resumed_once(lacked: bool, tmp_path: Path, monkeypatch:
 
 
 @pytest.mark.parametrize("name", [RECORDS, f"{RECORDS}/table.lock", f"{RECORDS}/row.json"])
-def test_records_that_lead_elsewhere_are_refused(name: str, tmp_path: Path) -> None:
+def test_links_in_place_of_the_batch_records_are_refused(name: str, tmp_path: Path) -> None:
     outside, path = tmp_path / "outside", tmp_path / "out" / name
     outside.mkdir()
     path.parent.mkdir(parents=True)
@@ -181,7 +183,7 @@ def test_a_scene_that_is_not_mounted_goes_to_another_worker(kind: Kind, tmp_path
     assert outcome.ended is Ended.ELSEWHERE and "unmounted" in outcome.reason
 
 
-def test_lift_done_meanwhile_by_another_batch_is_accepted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lift_finished_by_another_batch_counts_as_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(piece, "engine_command", command_after_another)
     (tmp_path / "room").mkdir()
     lift = Piece(Kind.LIFT, "room", tmp_path / "lift", LiftRequest(scene=tmp_path / "room"), engine_tag())
@@ -189,7 +191,7 @@ def test_lift_done_meanwhile_by_another_batch_is_accepted(tmp_path: Path, monkey
     assert outcome.ended is Ended.DONE, outcome.reason
 
 
-def test_lift_cancelled_while_starting_ends_as_cancelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lift_cancelled_while_it_starts_ends_as_cancelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By another batch: the engine deletes the cancel file, as it takes it for an earlier run's."""
     cancel = "import sys, runpy, pathlib; pathlib.Path(sys.argv[3], 'cancel').touch(); sys.argv = sys.argv[1:]"
     begin = f"{cancel}; runpy.run_path(sys.argv[0], run_name='__main__')"

@@ -52,14 +52,14 @@ def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
             os.killpg(int(job), signal.SIGKILL)
 
 
-def test_missing_slurm_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_slurm_batch_is_refused_without_slurm_installed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     with raises_key("no-slurm"):
         slurm_cluster(FarmOptions(2, "", {}))
 
 
 @pytest.mark.parametrize("refuses", [True, False])
-def test_failed_jobs_are_rows_of_the_table(refuses: bool, slurm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_slurm_job_makes_its_scene_fail(refuses: bool, slurm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """sbatch refuses the job, or the job ends before its worker begins: the batch does not wait for ever."""
     monkeypatch.setattr(run_module, "_JOBS_S", 0.5)
     squeue = slurm / "bin" / "squeue"
@@ -81,7 +81,7 @@ def test_failed_jobs_are_rows_of_the_table(refuses: bool, slurm: Path, monkeypat
 
 @pytest.mark.parametrize("name", ["queue", "account", "walltime"])
 @pytest.mark.parametrize("value", ["gpu\nrm -rf /", "a b", "a\tb", "a\rb", "\u2028"])
-def test_options_with_blanks_are_refused(name: str, value: str, slurm: Path) -> None:
+def test_slurm_options_with_blanks_are_refused(name: str, value: str, slurm: Path) -> None:
     with raises_key(f"slurm-option --{name}"):
         slurm_cluster(FarmOptions(1, "", {name: value}))
 
@@ -90,7 +90,7 @@ ODD = 'it\'s $(touch oops) "a" `touch oops` b;touch oops #%s'
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl to make certificates")
-def test_paths_are_quoted_for_the_shell(slurm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_paths_in_slurm_job_scripts_are_quoted_for_the_shell(slurm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The job runs this Python with these files whatever their folders are called, and nothing of its start folder."""
     odd = slurm / ODD
     odd.mkdir()
@@ -109,7 +109,9 @@ def test_paths_are_quoted_for_the_shell(slurm: Path, monkeypatch: pytest.MonkeyP
     assert {str(ca), str(own), f"PYTHONPATH={odd}"} < {*said} and "PYTHONHOME=/nowhere" not in said
 
 
-def test_a_job_imports_nothing_from_its_folder(slurm: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_slurm_job_imports_nothing_from_its_folder(
+    slurm: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     for name in ("dask", "distributed", "engine"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text("open('oops', 'w')\nraise SystemExit(9)\n")

@@ -31,7 +31,7 @@ COMMANDS = ("lift", "evaluate", "inspect", "frames", "presets", "warm-up")
 
 
 @pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS)])
-def test_help_imports_nothing_heavy(root: Path, command: list[str]) -> None:
+def test_engine_help_imports_no_large_package(root: Path, command: list[str]) -> None:
     refuse_heavy_help(root, "engine.command_line.main", command)
 
 
@@ -51,7 +51,7 @@ def test_missing_input_is_reported_before_torch_loads(root: Path, tmp_path: Path
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a broken pipe is another error there")
 @pytest.mark.parametrize("arguments", [["presets"], ["presets", "--json"]])
-def test_a_reader_that_stops_early_is_not_an_error(root: Path, arguments: list[str]) -> None:
+def test_closing_the_pipe_that_reads_the_output_gives_no_traceback(root: Path, arguments: list[str]) -> None:
     reads, writes = os.pipe()
     os.close(reads)
     with os.fdopen(writes, "wb") as nobody:
@@ -59,7 +59,7 @@ def test_a_reader_that_stops_early_is_not_an_error(root: Path, arguments: list[s
     assert (said.returncode, said.stderr) == (141, b"")
 
 
-def test_wrong_arguments_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_wrong_command_line_arguments_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     for arguments in ([], ["dance"], ["lift"], ["lift", tmp_path, "--size", "big"], ["inspect", tmp_path, "--up", "x"]):
         assert code_of(*arguments) == 2
         told = capsys.readouterr().err
@@ -117,7 +117,7 @@ def stopping(request: pytest.FixtureRequest) -> Iterator[tuple[Callable[..., Non
 
 
 @pytest.mark.parametrize(("what", "arguments", "told"), INTERRUPTED)
-def test_after_a_signal_the_command_says_what_is_left(
+def test_a_command_stopped_by_a_signal_says_how_to_continue(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, stopping: tuple[Callable[..., None], int],
     what: str, arguments: list[str], told: str,
 ) -> None:  # fmt: skip
@@ -130,7 +130,7 @@ KNOWN = next(each for each in make_parser()._actions if isinstance(each, argpars
 
 
 @pytest.mark.parametrize("command", KNOWN)
-def test_every_command_ends_in_the_same_ways(
+def test_every_stopped_command_prints_one_line_and_has_the_same_exit_codes(
     capsys: pytest.CaptureFixture[str], stopping: tuple[Callable[..., None], int], command: str
 ) -> None:
     defaults = {each.dest: each.default for each in KNOWN[command]._actions} | KNOWN[command]._defaults
@@ -142,7 +142,7 @@ def test_every_command_ends_in_the_same_ways(
     assert len(said) == 1 and said[0].startswith("Stopped.")
 
 
-def test_inspect_takes_the_masks_of_the_studio(
+def test_inspect_uses_the_masks_named_in_the_studio_defaults(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     room = write_tiny_scene(tmp_path / "scene", frames=6)
@@ -157,13 +157,13 @@ def test_inspect_takes_the_masks_of_the_studio(
 
 
 @pytest.mark.parametrize("form", [["--up", "-y"], ["--up=-y"]])
-def test_up_may_point_down(capsys: pytest.CaptureFixture[str], tmp_path: Path, form: list[str]) -> None:
+def test_up_axis_may_be_negative(capsys: pytest.CaptureFixture[str], tmp_path: Path, form: list[str]) -> None:
     assert code_of("inspect", *form, write_tiny_scene(tmp_path / "scene", frames=6)) == 0
     assert "not -y" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("said", "meant"), [("z", "+z"), ("auto", "z"), ("y", "y")])
-def test_a_given_axis_is_respected(said: str, meant: UpAxis) -> None:
+def test_the_option_up_sets_the_up_axis_of_the_scene(said: str, meant: UpAxis) -> None:
     parser = argparse.ArgumentParser()
     add_options(parser, "up", "scene_format")
     assert parser.parse_args(["--up", said]).up == meant
@@ -206,7 +206,9 @@ def test_evaluate_prints_the_scores(capsys: pytest.CaptureFixture[str], tmp_path
 
 @pytest.mark.parametrize("name", ["model.safetensors", "instances.json"])
 @pytest.mark.parametrize("change", [None, b"cut", b"as long, but rotten"])
-def test_damage_is_named(capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, change: bytes | None) -> None:
+def test_export_names_damaged_file(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, change: bytes | None
+) -> None:
     lift = new_lift(tmp_path)
     for each in ("model.safetensors", "instances.json"):
         write_atomically(lift.result_path / each, b"as long, yet whole.")
@@ -224,7 +226,7 @@ def test_damage_is_named(capsys: pytest.CaptureFixture[str], tmp_path: Path, nam
     assert not (tmp_path / "out").exists()
 
 
-def test_a_camera_of_a_blend_is_not_a_camera_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_bake_with_a_blender_camera_name_points_to_run_plgs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert code_of("bake", new_lift(tmp_path).path, "--camera", "dolly") == 2
     said = capsys.readouterr().err
     assert (
@@ -233,7 +235,7 @@ def test_a_camera_of_a_blend_is_not_a_camera_file(capsys: pytest.CaptureFixture[
 
 
 @pytest.mark.parametrize("command", [["frames"], ["inspect"]])
-def test_command_ends_with_its_parent(root: Path, tmp_path: Path, command: list[str]) -> None:
+def test_a_command_ends_when_its_parent_process_ends(root: Path, tmp_path: Path, command: list[str]) -> None:
     room = write_tiny_scene(tmp_path / "room", frames=30)
     asked = [sys.executable, "-m", "engine", *command, room, "-o", tmp_path / "out", "--stay-with-parent"]
     ended = subprocess.run(asked, cwd=root, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=120)
@@ -241,7 +243,7 @@ def test_command_ends_with_its_parent(root: Path, tmp_path: Path, command: list[
 
 
 @pytest.mark.parametrize("command", ["lift", "inspect", "batch"])
-def test_a_looping_link_gives_a_one_line_error(
+def test_a_link_to_itself_gives_a_one_line_error(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "loop").symlink_to(tmp_path / "loop")

@@ -45,7 +45,7 @@ def said_by(
 
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 @pytest.mark.parametrize("call", ["presets", "presets --json", "handshake", "lift --help"])
-def test_a_full_disk_for_standard_output_gives_a_one_line_error(
+def test_writing_standard_output_to_a_full_disk_gives_a_one_line_error(
     call: str, unbuffered: str, root: Path, tmp_path: Path
 ) -> None:
     if unbuffered and "--help" in call:
@@ -55,19 +55,19 @@ def test_a_full_disk_for_standard_output_gives_a_one_line_error(
 
 
 @pytest.mark.parametrize("odd", [*VARIABLES, *SHELLS])
-def test_an_unusual_environment_changes_no_answer(odd: str, root: Path, tmp_path: Path, scene: Path) -> None:
+def test_inspect_works_in_unusual_shell_environments(odd: str, root: Path, tmp_path: Path, scene: Path) -> None:
     code, out, told = said_by(root, tmp_path, "inspect", scene, shell=SHELLS.get(odd, ""), **VARIABLES.get(odd, {}))
     assert code == 0 and b"Traceback" not in told
     assert b"frames    2 for training" in out or odd == "no streams"
 
 
-def test_too_small_a_limit_of_memory_is_refused_before_anything_starts(root: Path, tmp_path: Path) -> None:
+def test_a_memory_limit_that_is_too_small_is_refused_before_a_lift_starts(root: Path, tmp_path: Path) -> None:
     code, _, told = said_by(root, tmp_path, "lift", "nowhere", shell="ulimit -v 1000000")
     assert code == 2 and told.startswith(b"error: the memory limit (ulimit -v) is 1.0 GB") and told.count(b"\n") == 1
 
 
 @pytest.mark.parametrize("odd", NAMES)
-def test_an_unusual_name_is_read(odd: str, root: Path, tmp_path: Path) -> None:
+def test_scenes_with_unusual_folder_names_are_read(odd: str, root: Path, tmp_path: Path) -> None:
     place = Path(os.fsdecode(os.fsencode(tmp_path) + b"/" + NAMES[odd]))
     write_tiny_scene(tmp_path / "scene", frames=2)
     place.parent.mkdir(parents=True, exist_ok=True)
@@ -77,7 +77,7 @@ def test_an_unusual_name_is_read(odd: str, root: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("command", ["inspect", "frames"])
-def test_a_name_that_a_lift_refuses_is_refused_by_all(command: str, root: Path, tmp_path: Path, scene: Path) -> None:
+def test_every_command_refuses_paths_that_are_not_utf8(command: str, root: Path, tmp_path: Path, scene: Path) -> None:
     place = os.fsencode(tmp_path) + b"/b\xff"
     shutil.copytree(os.fsencode(scene), place)
     code, _, told = said_by(root, tmp_path, command, place, *(("-o", "made") if command == "frames" else ()))

@@ -33,7 +33,7 @@ def followed(files: TaskFiles, *arguments: str | Path) -> TaskFollower:
     return follower
 
 
-def test_any_command_is_followed_to_its_answer(tmp_path: Path) -> None:
+def test_events_of_any_command_end_with_its_answer(tmp_path: Path) -> None:
     room, files = write_tiny_scene(tmp_path / "room", frames=9), TaskFiles.temporary(tmp_path)
     inspected = followed(files, "inspect", room)
     assert inspected.state is TaskState.FINISHED and inspected.kind == "inspect" and inspected.error is None
@@ -75,7 +75,7 @@ def test_an_error_of_several_lines_is_cut_to_one_and_the_log_has_the_rest(tmp_pa
     assert "\tsize mismatch for two" in files.log.read_text() and "Traceback" in files.log.read_text()
 
 
-def test_a_cancelled_command_says_so(tmp_path: Path) -> None:
+def test_a_cancelled_command_ends_in_the_state_cancelled(tmp_path: Path) -> None:
     room, files = write_tiny_scene(tmp_path / "room", frames=40), TaskFiles.temporary(tmp_path)
     command = [*engine_call(Path(sys.executable)), "frames", room, "-o", tmp_path / "out"]
     follower = TaskFollower.start(command, files, kind="frames")
@@ -84,7 +84,7 @@ def test_a_cancelled_command_says_so(tmp_path: Path) -> None:
     assert follower.state is TaskState.CANCELLED and follower.error is None
 
 
-def test_task_files_are_used_by_one_process_at_a_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_processes_cannot_write_the_same_events_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = TaskFiles.at(tmp_path / "events.jsonl")
     with FileLock(files.events):
         assert main(["handshake", "--events", str(files.events)]) == ExitCode.BUSY
@@ -96,13 +96,15 @@ def test_task_files_are_used_by_one_process_at_a_time(tmp_path: Path, capsys: py
 
 
 @pytest.mark.parametrize("name", ["events.json", "missing/events.jsonl"])
-def test_events_are_written_only_to_valid_places(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_events_file_in_a_bad_place_is_refused(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["handshake", "--events", str(tmp_path / name)]) == 2
     assert "--events" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
-def test_without_events_the_answer_is_printed(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_command_without_an_events_file_prints_its_answer(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     room = write_tiny_scene(tmp_path / "room", frames=3)
     call = ["frames", str(room), "-o", str(tmp_path / "out"), "--make", "depth"]
     assert main(call) == 0
@@ -119,7 +121,7 @@ def test_without_events_the_answer_is_printed(tmp_path: Path, capfd: pytest.Capt
         (errno.EDQUOT, ExitCode.INTERNAL_ERROR, "error: the disk is full: {file}. Make room there, "),
     ],
 )
-def test_flush_failure_is_a_line_that_names_the_file(
+def test_a_disk_error_while_writing_gives_one_line_with_the_file_name(
     tmp_path: Path,
     capfd: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -140,7 +142,7 @@ def raising(error: BaseException) -> object:
     return Mock(side_effect=error)
 
 
-def test_successful_lift_is_recorded(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_finished_lift_writes_its_events_log_and_manifest(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     folder = new_lift(tmp_path)
 
     def talkative(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
@@ -192,7 +194,7 @@ def test_successful_lift_is_recorded(tmp_path: Path, capfd: pytest.CaptureFixtur
         (RuntimeError("I/O error: File name too long (os error 36)"), 2, "this cannot be used (File name too long)"),
     ],
 )
-def test_failed_lift_is_reported(
+def test_a_failed_lift_writes_its_error_to_the_events(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], error: Exception, code: int, told: str
 ) -> None:
     folder = new_lift(tmp_path)
@@ -203,7 +205,7 @@ def test_failed_lift_is_reported(
     assert ("Traceback" in folder.log_path.read_text()) != isinstance(error, PlgsError)
 
 
-def test_what_names_an_option_still_does_on_a_full_disk(tmp_path: Path) -> None:
+def test_an_error_on_a_full_disk_still_names_the_option_that_helps(tmp_path: Path) -> None:
     files = TaskFiles.at(tmp_path / "events.jsonl")
     error = PlgsError(
         "made-up", "cannot be written (No space left on device)", "/a", "Name another with -o.", option="-o"
@@ -215,7 +217,7 @@ def test_what_names_an_option_still_does_on_a_full_disk(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
-def test_a_full_log_gives_a_one_line_error(
+def test_a_log_on_a_full_disk_gives_a_one_line_error(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = new_lift(tmp_path)
@@ -238,7 +240,7 @@ def test_lift_cancelled_before_start_can_be_resumed(tmp_path: Path) -> None:
     assert run_engine(folder, resume=True, lift=tiny_lift) is ExitCode.FINISHED
 
 
-def test_resume_starts_a_new_lift_and_leaves_a_finished_one(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_resume_starts_unstarted_lifts_and_keeps_finished(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     folder = new_lift(tmp_path)
     assert run_engine(folder, resume=True, lift=tiny_lift) is ExitCode.FINISHED  # nothing to go on with: it starts
     before = folder.events_path.read_bytes()
@@ -249,7 +251,7 @@ def test_resume_starts_a_new_lift_and_leaves_a_finished_one(tmp_path: Path, capf
     assert folder.events_path.read_bytes() == before
 
 
-def test_a_corrupt_result_is_made_again(tmp_path: Path) -> None:
+def test_resume_makes_a_corrupt_result_again(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     run_engine(folder, lift=tiny_lift)
     later, kept = folder.passes_path / "dolly.0001.exr", folder.passes_path / "dolly.0002.exr"

@@ -52,7 +52,7 @@ def counts(result: CorrectedResult) -> dict[tuple[int, int], int]:
     return found
 
 
-def test_nothing_changes_without_corrections(lift: Path) -> None:
+def test_a_lift_without_corrections_is_read_as_it_was_made(lift: Path) -> None:
     result = read_corrected(lift)
     assert result.instances == result.made and not result.changes_labels and result.fingerprint == ""
     with editing(lift):
@@ -60,7 +60,7 @@ def test_nothing_changes_without_corrections(lift: Path) -> None:
     assert not (lift / CORRECTIONS).exists()
 
 
-def test_edits_cost_the_same_however_many_there_are(lift: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_three_hundred_edits_look_up_each_objects_points_only_once(lift: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     looks: list[int] = []
     points_of = Replay.points_of
     monkeypatch.setattr(Replay, "points_of", lambda state, number: looks.append(number) or points_of(state, number))
@@ -85,7 +85,7 @@ def test_two_chairs_in_one_box_are_separated(lift: Path) -> None:
     assert found[DESK] == result.made[1]  # an untouched box never moves
 
 
-def test_a_crumb_takes_the_label_of_what_surrounds_it(lift: Path) -> None:
+def test_points_of_a_deleted_object_take_the_label_around_them(lift: Path) -> None:
     crumb, desk = objects(lift)[CRUMB].points, objects(lift)[DESK].points
     correct(lift, lambda state, _: m.delete(state, CRUMB))
     found = objects(lift)
@@ -107,13 +107,13 @@ def test_a_crumb_takes_the_label_of_what_surrounds_it(lift: Path) -> None:
         (lambda s, _: m.assign(s, np.zeros(len(s.xyz), bool), DESK), "no-points"),
     ],
 )  # fmt: skip
-def test_an_impossible_edit_gives_a_one_line_error(lift: Path, make: object, line: str) -> None:
+def test_an_impossible_correction_gives_a_one_line_error(lift: Path, make: object, line: str) -> None:
     with raises_key(line):
         correct(lift, make)  # type: ignore[arg-type]
     assert not (lift / CORRECTIONS).exists()
 
 
-def test_objects_are_named_by_id_or_name(lift: Path) -> None:
+def test_corrections_find_objects_by_id_or_by_name(lift: Path) -> None:
     state = replayed(lift)
     name = state.objects[DESK].name
     assert {m.object_of(state, said) for said in (DESK, str(DESK), name.upper(), f"{DESK} {name}")} == {DESK}
@@ -125,7 +125,7 @@ def test_objects_are_named_by_id_or_name(lift: Path) -> None:
         m.object_of(replayed(lift), name)
 
 
-def test_an_object_without_points_has_no_parts(lift: Path) -> None:
+def test_an_object_without_points_cannot_be_split(lift: Path) -> None:
     state = replayed(lift)
     state.label[state.label == DESK] = 0
     part = m.parts_of(state.points_of(DESK))
@@ -135,7 +135,7 @@ def test_an_object_without_points_has_no_parts(lift: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"format": 1, "edits": [{"kind": "rename"}]}', '{"format": 1}'])
-def test_a_damaged_file_gives_a_one_line_error_and_is_kept(lift: Path, text: str) -> None:
+def test_a_damaged_corrections_file_gives_a_one_line_error_and_is_kept(lift: Path, text: str) -> None:
     (lift / CORRECTIONS).write_text(text)
     for act in (read_corrected, undo, lambda folder: correct(folder, merge(DESK, CRUMB))):
         with raises_key("* corrections.json"):
@@ -143,7 +143,7 @@ def test_a_damaged_file_gives_a_one_line_error_and_is_kept(lift: Path, text: str
     assert (lift / CORRECTIONS).read_text() == text
 
 
-def test_a_class_that_is_likely_wrong_is_proposed_before_one_that_is_not(lift: Path) -> None:
+def test_objects_whose_class_is_likely_wrong_are_proposed_first(lift: Path) -> None:
     result = read_corrected(lift)
     segments = tuple(MatchedSegment(str(k), 1, kind, 1.0, None, 1.0, 9, 0.1, (0.0, 0.0, 1.0, 1.0))
                      for k, kind in enumerate([CHAIR] * 4 + [TABLE] * 6))  # fmt: skip
@@ -154,7 +154,7 @@ def test_a_class_that_is_likely_wrong_is_proposed_before_one_that_is_not(lift: P
         assert [one.doubt for one in found if one.answer == "reclass"] == [pytest.approx(doubt)]
 
 
-def test_nearest_matches_brute_force() -> None:
+def test_nearest_neighbour_search_matches_brute_force() -> None:
     rng = np.random.default_rng(3)
     points, queries = rng.random((300, 3)).astype(np.float32) + 50, rng.random((200, 3)).astype(np.float32) + 50
     index, distance = nearest(queries, points)
@@ -171,7 +171,7 @@ ALIKE = ClassTable(tuple(Category(number, name, True, (1, 2, 3)) for number, nam
     [("chair", 7), ("Chair", 3), (" desk ", 8), ("DESK", 8), ("7", 7), ("lamp", 9), ("10", 10), ("11", 12), ("12", 13),
      ("12 11", 12), ("14", 14), ("15 mat", 15), (12, 12), (np.int64(3), 3)],
 )  # fmt: skip
-def test_class_is_found_by_name_or_number(text: int | str, found: int) -> None:
+def test_corrections_find_a_class_by_name_or_number(text: int | str, found: int) -> None:
     assert class_of(ALIKE, text) == found
 
 

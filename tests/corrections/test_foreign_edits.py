@@ -22,14 +22,14 @@ def original(lift: Path) -> bytes:
     return (lift / CORRECTIONS).read_bytes()
 
 
-def test_the_report_of_an_unknown_edit_is_printable(lift: Path, original: bytes) -> None:
+def test_unprintable_text_of_an_unknown_edit_stays_out_of_its_warning(lift: Path, original: bytes) -> None:
     content = json.loads(original)
     content["edits"][1]["kind"], content["edits"][2]["time"] = "\ud7fc", "\u202e"
     (lift / CORRECTIONS).write_text(json.dumps(content))
     read_corrections(lift.parent)
 
 
-def test_work_grows_with_objects_and_not_with_edits(
+def test_six_hundred_edits_that_fit_no_object_compare_points_only_a_few_times(
     lift: Path, original: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     content = json.loads(original)

@@ -25,11 +25,11 @@ def editors(lift: Path, *attack: str) -> dict[str, list[str]]:
     return told
 
 
-def test_four_editors_are_killed_while_their_clocks_go_back(tmp_path: Path) -> None:
+def test_no_edit_is_lost_when_four_editors_are_killed_and_clocks_go_back(tmp_path: Path) -> None:
     told = editors(tmp_path / "lift", "kills", EDITS)
     assert len(told["answered"]) >= int(EDITS) and not told["lost"], told["lost"]
 
 
-def test_an_editor_sleeps_at_any_call(tmp_path: Path) -> None:
+def test_no_edit_is_lost_when_an_editor_pauses_at_any_system_call(tmp_path: Path) -> None:
     told = editors(tmp_path / "lift", "sleeps")
     assert len(told["slept"]) > 10 and not told["lost"], told["lost"]

@@ -48,7 +48,7 @@ def test_a_removed_object_has_no_points_and_is_listed_as_removed(lift: Path) -> 
     assert read_corrected(lift).fingerprint == now.fingerprint != ""
 
 
-def test_stuff_in_cleared_cells_is_removed_and_things_stay(lift: Path) -> None:
+def test_removing_an_object_clears_stuff_in_its_cells_and_keeps_other_objects(lift: Path) -> None:
     before = read_corrected(lift).points
     is_stuff = before.instance_id == 0
     everything = cells_of(before.xyz)
@@ -58,7 +58,7 @@ def test_stuff_in_cleared_cells_is_removed_and_things_stay(lift: Path) -> None:
     assert len(kept) and np.array_equal(now.points.xyz, kept)
 
 
-def test_undo_and_put_back_restore_everything(lift: Path) -> None:
+def test_undo_and_put_back_restore_a_removed_object_exactly(lift: Path) -> None:
     before = read_corrected(lift)
     removal(lift, DESK, fill=patch(np.ones((4, 3))))
     _, now = undo(lift)
@@ -73,7 +73,7 @@ def test_undo_and_put_back_restore_everything(lift: Path) -> None:
 @pytest.mark.parametrize(
     "spoil", [Path.unlink, lambda path: path.write_bytes(b"PK"), lambda path: os.truncate(path, 2**29)]
 )
-def test_a_removal_whose_fill_is_lost_is_told_and_can_be_put_back(lift: Path, spoil: Callable[[Path], object]) -> None:
+def test_a_removal_without_its_fill_warns_and_can_be_put_back(lift: Path, spoil: Callable[[Path], object]) -> None:
     before = read_corrected(lift)
     name = next(one.name for one in before.instances if one.id == DESK)
     removal(lift, DESK, fill=patch(np.ones((4, 3))))
@@ -86,7 +86,7 @@ def test_a_removal_whose_fill_is_lost_is_told_and_can_be_put_back(lift: Path, sp
     assert [one.id for one in now.removed] == [DESK]
 
 
-def test_a_later_removal_takes_what_filled_an_earlier_one(lift: Path) -> None:
+def test_a_removal_also_clears_the_fill_of_an_earlier_removal(lift: Path) -> None:
     place = np.array([[0.5, 0.5, 0.011], [0.53, 0.5, 0.011]])
     removal(lift, DESK, fill=patch(place))
     cells = cells_of(place)
@@ -95,7 +95,7 @@ def test_a_later_removal_takes_what_filled_an_earlier_one(lift: Path) -> None:
     assert not (np.abs(now.points.xyz - place[1].astype(np.float32)).max(axis=1) < CELL).any()
 
 
-def test_what_fills_a_hole_can_be_corrected_like_anything_else(lift: Path) -> None:
+def test_points_that_fill_a_hole_can_be_assigned_to_a_new_object(lift: Path) -> None:
     place = np.array([[0.5, 0.5, 0.0], [0.53, 0.5, 0.0]])
     removal(lift, DESK, fill=patch(place))
     near = place[1].astype(np.float32)
@@ -108,7 +108,7 @@ def test_what_fills_a_hole_can_be_corrected_like_anything_else(lift: Path) -> No
 
 
 @pytest.mark.parametrize("damage", ["missing", "changed", "cut off"])
-def test_a_missing_fill_is_reported_and_the_object_stays(lift: Path, damage: str) -> None:
+def test_a_removal_without_its_fill_file_is_reported_and_the_object_stays(lift: Path, damage: str) -> None:
     removal(lift, DESK, fill=patch(np.ones((4, 3))))
     path = path_of(lift, "a1")
     if damage == "missing":
@@ -121,7 +121,7 @@ def test_a_missing_fill_is_reported_and_the_object_stays(lift: Path, damage: str
     assert DESK in now.points.instance_id and "was not applied" in now.warnings[0]
 
 
-def test_a_fill_with_odd_numbers_is_refused(tmp_path: Path) -> None:
+def test_a_fill_file_with_impossible_numbers_is_refused(tmp_path: Path) -> None:
     good = patch(np.ones((4, 3)))
     for name, value in (("scale", -good.scale), ("xyz", good.xyz * np.float32("nan")), ("label", good.label[:2])):
         write_fill(tmp_path / "one.npz", replace(good, **{name: value}))

@@ -13,7 +13,7 @@ MEASURED = {"miou": 0.807, "pq": 0.767}
 
 
 @pytest.mark.slow
-def test_a_preview_loses_at_most_six_miou_and_eight_pq(tmp_path: Path) -> None:
+def test_estimated_depth_costs_a_preview_at_most_6_points_of_miou_and_8_of_pq(tmp_path: Path) -> None:
     scene, lift = write_bent_room(tmp_path / "room"), tmp_path / "lift"
     assert main(["lift", str(scene), "-o", str(lift), "--preset", "preview", "--bake", "none"]) == 0
     tables = json.loads((lift / "result" / "metrics.json").read_text())["tables"]

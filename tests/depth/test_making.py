@@ -52,7 +52,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return save_tiny_depth_network(tmp_path_factory.mktemp("depth"))
 
 
-def test_distorted_depth_is_corrected_to_four_centimetres() -> None:
+def test_distorted_depth_maps_are_fitted_to_within_four_centimetres() -> None:
     errors, covered = [], []
     for _, depth, truth in fitted([*open_scene(ROOM).frames[::2]]):
         both = (depth > 0) & (truth > 0)
@@ -72,7 +72,7 @@ def quiet(done: int, total: int) -> None:
     assert 0 <= done <= total
 
 
-def test_depth_that_fits_no_points_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_estimated_depth_that_fits_no_sparse_points_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = write_colmap(tmp_path / "scene")
     flat = DepthNetwork("tests/flat", lambda colour: np.ones(colour.shape[:2], np.float32))
     with raises_key("depth-unrelated"):
@@ -84,7 +84,7 @@ def test_depth_that_fits_no_points_is_refused(tmp_path: Path, monkeypatch: pytes
     assert not open_scene(folder).has_depth
 
 
-def test_made_depth_is_found_and_reported(tmp_path: Path) -> None:
+def test_estimated_depth_is_found_and_reported_when_the_scene_opens(tmp_path: Path) -> None:
     folder = write_colmap(tmp_path / "scene")
     assert not open_scene(folder).has_depth
     warnings = make_depth(open_scene(folder), folder, rooms_network(), quiet)
@@ -110,7 +110,7 @@ def test_made_depth_is_found_and_reported(tmp_path: Path) -> None:
     refuses("other-poses made_depth", folder)
 
 
-def test_a_stopped_run_goes_on_and_leaves_other_files_alone(tmp_path: Path) -> None:
+def test_stopped_depth_estimation_continues_and_leaves_other_files_alone(tmp_path: Path) -> None:
     folder, network, seen = write_colmap(tmp_path / "scene"), rooms_network(), list[int]()
 
     def counted(colour: np.ndarray) -> np.ndarray:
@@ -133,7 +133,7 @@ def test_a_stopped_run_goes_on_and_leaves_other_files_alone(tmp_path: Path) -> N
         make_depth(open_scene(other), other, network, quiet)
 
 
-def test_the_command_runs_a_network_of_random_weights(
+def test_engine_depth_runs_a_depth_network_with_random_weights(
     model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     network = load_depth_network(str(model), download=False)
@@ -154,7 +154,7 @@ def test_the_command_runs_a_network_of_random_weights(
         load_depth_network("nobody/no-such-network", download=False)
 
 
-def test_a_measured_length_scales_the_scene(tmp_path: Path) -> None:
+def test_a_length_measured_in_metres_sets_the_scale_of_the_scene(tmp_path: Path) -> None:
     folder = write_colmap(tmp_path / "scene")
     make_depth(open_scene(folder), folder, rooms_network(), quiet)
     before = open_scene(folder)
@@ -181,7 +181,7 @@ WRONG_SCALES = (
 
 
 @pytest.mark.parametrize("content", WRONG_SCALES)
-def test_a_wrong_scale_is_refused_and_its_advice_helps(content: str, tmp_path: Path) -> None:
+def test_a_wrong_scale_json_is_refused_and_following_the_advice_mends_it(content: str, tmp_path: Path) -> None:
     folder = write_colmap(tmp_path / "scene")
     (folder / "scale.json").write_text(content)
     assert refuses("* scale.json", folder).fix
@@ -192,7 +192,7 @@ def test_a_wrong_scale_is_refused_and_its_advice_helps(content: str, tmp_path: P
 
 @pytest.mark.parametrize("note", NOTES)
 @pytest.mark.parametrize("kind", ["link", "fifo", "folder"])
-def test_a_note_that_cannot_be_read_does_not_count_as_none(note: str, kind: str, tmp_path: Path) -> None:
+def test_a_depth_or_scale_note_that_cannot_be_read_is_an_error(note: str, kind: str, tmp_path: Path) -> None:
     path = write_colmap(tmp_path / "scene") / note
     path.parent.mkdir(exist_ok=True)
     {"link": lambda: path.symlink_to("nowhere"), "fifo": lambda: os.mkfifo(path), "folder": path.mkdir}[kind]()
@@ -204,7 +204,7 @@ def test_a_note_that_cannot_be_read_does_not_count_as_none(note: str, kind: str,
     [{"photos": [1, 2]}, {"photos": {"1": [1]}}, {"layout": {"1": ["a", "b"]}}, {"layout": {"1": [1.0]}}, {"model": 3},
      {"frames": "all"}, {"unit": "m"}],
 )  # fmt: skip
-def test_a_spoilt_note_of_made_depth_is_refused(changes: dict[str, object], tmp_path: Path) -> None:
+def test_a_damaged_made_by_json_of_estimated_depth_is_refused(changes: dict[str, object], tmp_path: Path) -> None:
     folder = write_colmap(tmp_path / "scene")
     make_depth(open_scene(folder), folder, rooms_network(), quiet)
     note = folder / "made_depth" / "made_by.json"
@@ -226,7 +226,7 @@ SETTINGS: dict[str, tuple[str, str, object]] = {
 
 
 @pytest.mark.parametrize("name", [*SETTINGS, "a list", "half of the weights"])
-def test_a_network_that_cannot_run_is_one_line(
+def test_a_depth_network_that_cannot_run_gives_a_one_line_error(
     name: str, model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder, network = write_colmap(tmp_path / "scene"), tmp_path / "network"
@@ -245,7 +245,7 @@ def test_a_network_that_cannot_run_is_one_line(
     assert main(["depth", str(folder), "--model", str(model)]) == 0, "another one can be named"
 
 
-def test_a_lifts_manifest_and_report_say_what_was_estimated(tmp_path: Path) -> None:
+def test_a_lifts_manifest_and_report_say_that_depth_was_estimated(tmp_path: Path) -> None:
     folder = write_colmap(tmp_path / "scene")
     make_depth(open_scene(folder), folder, rooms_network(), quiet)
     record = folder / "made_depth" / "made_by.json"

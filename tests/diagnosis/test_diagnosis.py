@@ -54,7 +54,7 @@ def added(x: float, y: float) -> Callable[[np.ndarray], np.ndarray]:
 
 
 @pytest.mark.parametrize(("factor", "severity"), [(1.0, "note"), (1.25, "wrong")])
-def test_an_assumed_lens_is_the_first_hypothesis(scene: Path, factor: float, severity: str) -> None:
+def test_an_assumed_lens_is_the_first_finding_when_the_lens_is_wrong(scene: Path, factor: float, severity: str) -> None:
     spoiling.intrinsics(scene, scaled(factor, factor, 1, 1))
     guess = Inferred("lens", "a Kinect's lens is assumed", "no file says it")
     found = diagnose(replace(open_scene(scene), inferred=(guess,))).findings
@@ -79,7 +79,7 @@ QUICKLY = ("world-to-camera poses", "poses in centimetres", "half a pixel")
 
 
 @pytest.mark.parametrize("name", [n if n in QUICKLY else pytest.param(n, marks=pytest.mark.slow) for n in SAFE])
-def test_planted_faults_are_found_named_and_fixed(scene: Path, tmp_path: Path, name: str) -> None:
+def test_diagnosis_finds_names_and_fixes_planted_faults(scene: Path, tmp_path: Path, name: str) -> None:
     plant, cause = SAFE[name]
     plant(scene)
     before = {path: path.read_bytes() for path in scene.rglob("*") if path.is_file()}
@@ -92,13 +92,13 @@ def test_planted_faults_are_found_named_and_fixed(scene: Path, tmp_path: Path, n
     assert before == {path: path.read_bytes() for path in scene.rglob("*") if path.is_file()}
 
 
-def test_nothing_is_found_in_a_good_scene(good: Path) -> None:
+def test_diagnosis_finds_nothing_in_a_good_scene(good: Path) -> None:
     diagnosis = diagnose(open_scene(good))
     assert diagnosis.findings == () and not diagnosis.mending.is_needed
     assert diagnosis.agreement is not None and diagnosis.agreement.error < 1e-3
 
 
-def test_another_axis_up_is_found_and_the_option_named(tmp_path: Path) -> None:
+def test_diagnosis_finds_a_wrong_up_axis_and_names_the_option_up(tmp_path: Path) -> None:
     scene = open_scene(write_tiny_scene(tmp_path / "scene", FRAMES, SIZE, up="y"))
     diagnosis = diagnose(scene)
     assert wrong_in(diagnosis) == ["up direction"]
@@ -108,14 +108,14 @@ def test_another_axis_up_is_found_and_the_option_named(tmp_path: Path) -> None:
     assert diagnose(open_scene(tmp_path / "mended")).findings == ()
 
 
-def test_shuffled_frames_are_reported_not_renamed(tmp_path: Path) -> None:
+def test_diagnosis_reports_shuffled_frames_but_does_not_rename_them(tmp_path: Path) -> None:
     scene = write_tiny_scene(tmp_path / "scene", *LARGE)
     spoiling.rename(scene, np.random.default_rng(1).permutation(LARGE[0]).tolist())
     diagnosis = diagnose(open_scene(scene))
     assert wrong_in(diagnosis) == ["unsorted frames"] and not diagnosis.mending.is_needed
 
 
-def test_drift_is_reported(scene: Path) -> None:
+def test_diagnosis_reports_poses_that_drift(scene: Path) -> None:
     def drifted(number: int, pose: np.ndarray) -> np.ndarray:
         moved = pose.copy()
         moved[:3, 3] += np.array([0.25, 0.1, 0.05]) * number / FRAMES
@@ -129,7 +129,7 @@ def test_drift_is_reported(scene: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("hand_held", [False, True])
-def test_every_planted_fault_is_found_in_every_scene(root: Path, tmp_path: Path, hand_held: bool) -> None:
+def test_diagnosis_finds_every_planted_fault_in_every_scene(root: Path, tmp_path: Path, hand_held: bool) -> None:
     """All but one in twenty are noticed, nine in ten rightly, and no mend harms. docs/captures.md sums the rows up."""
     scene = root / "sample/room"
     if hand_held:
@@ -146,7 +146,7 @@ def test_every_planted_fault_is_found_in_every_scene(root: Path, tmp_path: Path,
     assert sum(outcome.is_right(matrix.FAULTS[name]) for name, outcome in outcomes.items()) >= 0.9 * len(outcomes)
 
 
-def test_pictures_of_another_lens_than_depth_are_reported(scene: Path) -> None:
+def test_diagnosis_reports_pictures_and_depth_of_different_lenses(scene: Path) -> None:
     """As an unregistered sensor has them: depth fits the intrinsics, the pictures do not."""
     width, height = SIZE
     zoomed = cv2.getRotationMatrix2D((width / 2 - 0.5, height / 2 - 0.5), 0.0, 1.12)
@@ -157,7 +157,7 @@ def test_pictures_of_another_lens_than_depth_are_reported(scene: Path) -> None:
 
 
 @pytest.mark.parametrize(("kept", "frames"), [(["chair"], 10), (["wall"], 10), (["wall", "chair"], 4)])
-def test_true_masks_of_few_classes_or_frames_contradict_nothing(tmp_path: Path, kept: list[str], frames: int) -> None:
+def test_diagnosis_does_not_doubt_masks_of_few_classes_or_frames(tmp_path: Path, kept: list[str], frames: int) -> None:
     folder = write_tiny_scene(tmp_path / "scene", frames, SIZE)
     dropped = [str(each["name"]) for each in CATEGORIES if each["name"] not in kept]
     rows = (f'[[class]]\nname = "{name}"\ninto = "void"\n' for name in dropped)
@@ -167,14 +167,14 @@ def test_true_masks_of_few_classes_or_frames_contradict_nothing(tmp_path: Path, 
     assert [each.cause for each in diagnose(scene).findings if "contradicting" in each.cause] == []
 
 
-def test_without_depth_order_and_pictures_are_still_looked_at(scene: Path) -> None:
+def test_diagnosis_finds_repeated_frames_in_a_scene_without_depth(scene: Path) -> None:
     shutil.rmtree(scene / "depth")
     spoiling.repeat(scene, "0003", instead_of="0004", kinds=("color",))
     diagnosis = diagnose(open_scene(scene))
     assert diagnosis.agreement is None and wrong_in(diagnosis) == ["repeated frames"]
 
 
-def test_two_parts_that_do_not_fit_are_found() -> None:
+def test_diagnosis_finds_where_two_parts_of_a_recording_do_not_fit_together() -> None:
     numbers = np.array([(k, k + step) for step in (1, 2, 3) for k in range(40 - step)])
     apart = (numbers[:, 0] < 23) & (numbers[:, 1] >= 23)
     pairs = np.concatenate([numbers] * 4)

@@ -32,7 +32,7 @@ def treated(scene: Scene, mending: Mending) -> Diagnosis:
 
 
 @pytest.mark.usefixtures("unproven")
-def test_only_what_was_fixed_changes(scene: Scene, tmp_path: Path) -> None:
+def test_a_mended_scene_differs_only_in_what_was_fixed(scene: Scene, tmp_path: Path) -> None:
     write_mended(scene, treated(scene, Mending(Assumption(unit=2.0), dropped=frozenset({"0002"}))), tmp_path / "out")
     mended = open_scene(tmp_path / "out")
     kept = [frame for frame in scene.frames if frame.name != "0002"]
@@ -50,7 +50,7 @@ def test_only_what_was_fixed_changes(scene: Scene, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("unproven")
-def test_depth_moves_by_whole_pixels(scene: Scene, tmp_path: Path) -> None:
+def test_a_mended_depth_shift_moves_depth_by_whole_pixels(scene: Scene, tmp_path: Path) -> None:
     write_mended(scene, treated(scene, Mending(depth_shift=(2 / 64, -1 / 48))), tmp_path / "out")
     old, new = scene.frames[0].depth(), open_scene(tmp_path / "out").frames[0].depth()
     np.testing.assert_array_equal(new[:-1, 2:], old[1:, :-2])
@@ -58,7 +58,7 @@ def test_depth_moves_by_whole_pixels(scene: Scene, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("unproven")
-def test_segments_that_may_be_several_objects_are_kept_as_groups(tmp_path: Path) -> None:
+def test_a_mended_scene_keeps_segments_that_may_be_several_objects(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path / "scene", 6, (64, 48), masks="panoptic_lifting")
     for path in (folder / "m2f_instance").iterdir():
         path.write_bytes((folder / "m2f_instance" / "0000.png").read_bytes())
@@ -69,21 +69,21 @@ def test_segments_that_may_be_several_objects_are_kept_as_groups(tmp_path: Path)
     assert [(s.class_id, s.is_group) for s in new.segments] == [(s.class_id, s.is_group) for s in old.segments]
 
 
-def test_a_folder_that_exists_is_refused(scene: Scene, tmp_path: Path) -> None:
+def test_mending_into_an_existing_folder_is_refused(scene: Scene, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     with raises_key("exists"):
         write_mended(scene, treated(scene, Mending(Assumption(unit=2.0))), tmp_path / "out")
     assert main(["inspect", str(scene.folder), "--fix", str(tmp_path / "out")]) == 2
 
 
-def test_a_failure_leaves_no_folder(scene: Scene, tmp_path: Path) -> None:
+def test_a_mending_that_fails_leaves_no_folder(scene: Scene, tmp_path: Path) -> None:
     scene.frames[4].colour_path.unlink()
     with pytest.raises(PlgsError):
         write_mended(scene, treated(scene, Mending(Assumption(unit=2.0))), tmp_path / "out")
     assert [path.name for path in tmp_path.iterdir()] == ["scene"]
 
 
-def test_refused_scene_is_explained_and_mended(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_inspect_explains_and_mends_a_refused_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Poses so wrong that no two frames see the same surface."""
     folder = write_tiny_scene(tmp_path / "scene", 14, (96, 72))
     for path in (folder / "pose").iterdir():
@@ -97,7 +97,7 @@ def test_refused_scene_is_explained_and_mended(tmp_path: Path, capsys: pytest.Ca
     assert main(["inspect", str(tmp_path / "out")]) == 0
 
 
-def test_a_scene_that_mending_would_spoil_is_not_written(scene: Scene, tmp_path: Path) -> None:
+def test_a_mended_scene_that_would_be_unusable_is_not_written(scene: Scene, tmp_path: Path) -> None:
     """Depth past 16 bits is lost, and two numbers for a good one make views disagree."""
     known = diagnose(scene)
     for unit, why in ((100.0, "of the depth would be lost"), (1.5, "views would agree")):

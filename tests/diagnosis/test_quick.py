@@ -34,20 +34,20 @@ def spoilt(good: Path, folder: Path, fault: str) -> Path:
     return scene
 
 
-def test_a_clean_scene_is_not_measured_twice(good: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_full_diagnosis_is_skipped_for_a_clean_scene(good: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(diagnosis_run, "diagnose", None)
     assert not diagnose_quickly(open_scene(good)).findings
 
 
 @pytest.mark.parametrize("fault", [*STOPPED, *TOLD])
-def test_certain_faults_are_found_quickly(good: Path, tmp_path: Path, fault: str) -> None:
+def test_the_quick_check_before_a_lift_finds_certain_faults(good: Path, tmp_path: Path, fault: str) -> None:
     found = diagnose_quickly(open_scene(spoilt(good, tmp_path, fault)))
     assert {each.cause for each in found.findings} & {*FAULTS[fault].causes}
     assert (found.stopping is not None) == (fault in STOPPED)
 
 
 @pytest.mark.parametrize(("anyway", "resumed"), [(False, False), (True, False), (False, True)])
-def test_a_lift_stops_unless_it_is_asked_for_anyway(good: Path, tmp_path: Path, anyway: bool, resumed: bool) -> None:
+def test_a_faulty_scene_is_lifted_only_with_anyway(good: Path, tmp_path: Path, anyway: bool, resumed: bool) -> None:
     scene = spoilt(good, tmp_path, "world-to-camera poses")
     folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene, anyway=anyway))
     events = EventWriter(folder.events_path)
@@ -63,7 +63,7 @@ def test_a_lift_stops_unless_it_is_asked_for_anyway(good: Path, tmp_path: Path, 
     events.close()
 
 
-def test_the_same_command_may_add_anyway(tmp_path: Path) -> None:
+def test_a_stopped_lift_is_resumed_with_the_option_anyway(tmp_path: Path) -> None:
     """A lift that was stopped, of a batch or with --resume, is not another lift for that."""
     plain = LiftRequest(scene=tmp_path)
     folder = LiftFolder.create(tmp_path / "lift", plain)

@@ -38,7 +38,7 @@ def test_an_open_file_shows_edits_from_the_command_line_after_open_lift(terminal
     assert row_of("chair").name == "Anna's sofa" and [*boxes_of(lifts_in(bpy.context.scene)[0])] == [chair]
 
 
-def test_what_the_lift_shows_of_a_made_object_is_hidden_and_the_eye_shows_it_again(shown: Path) -> None:
+def test_making_an_object_hides_it_in_the_lift_and_its_eye_shows_it_again(shown: Path) -> None:
     chair = row_of("chair").instance_id
     assert bpy.ops.plgs.make_objects(instances=str(chair)) == {"FINISHED"}
     assert not row_of("chair").visible and row_of("cabinet").visible
@@ -46,7 +46,7 @@ def test_what_the_lift_shows_of_a_made_object_is_hidden_and_the_eye_shows_it_aga
     assert row_of("chair").visible and "chair 1" in bpy.data.collections
 
 
-def test_points_of_a_class_belong_to_no_object(shown: Path) -> None:
+def test_points_assigned_to_a_class_belong_to_no_object(shown: Path) -> None:
     chair, before = row_of("chair").instance_id, engine.read_lift(shown).points
     box = boxes_of(lifts_in(bpy.context.scene)[0])[chair]
     region = bpy.data.objects.new("region", box.data)
@@ -60,7 +60,7 @@ def test_points_of_a_class_belong_to_no_object(shown: Path) -> None:
     assert {*after.class_id[lost].tolist()} == {1}
 
 
-def test_frames_that_the_lift_did_not_draw_to_score_itself_come_last(shown: Path) -> None:
+def test_frames_that_were_not_held_out_come_last_in_the_list(shown: Path) -> None:
     path = shown / "result/metrics.json"
     metrics = json.loads(path.read_text())
     drawn = {"0001": 0.2, "0005": 0.7, "0003": 0.4}
@@ -73,7 +73,7 @@ def test_frames_that_the_lift_did_not_draw_to_score_itself_come_last(shown: Path
     assert visited[:3] == ["0005", "0003", "0001"] and sorted(visited) == [f"{number:04d}" for number in range(6)]
 
 
-def test_boxes_names_and_cameras_are_never_rendered(shown: Path) -> None:
+def test_boxes_names_and_cameras_do_not_appear_in_renders(shown: Path) -> None:
     objects = [*lifts_in(bpy.context.scene)[0].all_objects]
     boxes = [ob for ob in objects if ob.type in ("MESH", "EMPTY", "FONT") and ob.name.endswith(" box")]
     assert len(boxes) == 2 and all(ob.hide_render for ob in boxes)
@@ -89,9 +89,7 @@ def brightness(picture: Path) -> float:
     return float(cv2.imread(str(picture)).mean())
 
 
-def test_points_splats_and_surface_need_no_light_and_lit_gives_the_surface_to_your_lights(
-    terminal: Terminal, extension: None
-) -> None:
+def test_lights_change_the_surface_only_in_the_mode_lit(terminal: Terminal, extension: None) -> None:
     lift, picture = terminal.folder / LIFT, terminal.folder / "render.png"
     terminal.run(f".venv/bin/python -m engine export {LIFT} --to surface -o {LIFT}/exports/surface")
     bpy.ops.plgs.open_lift(directory=str(lift))

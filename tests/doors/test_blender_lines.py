@@ -47,13 +47,13 @@ def blend(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_all_lines_are_found() -> None:
+def test_every_blender_command_line_printed_in_the_docs_is_found() -> None:
     assert {name for name, _ in LINES} >= {"README.md", "run_plgs.py", "passes.md", "command-line.md", "farms.md"}
 
 
 @pytest.mark.parametrize(("page", "line"), LINES)
 @pytest.mark.parametrize("is_broken", [True, False], ids=["broken clone", "no lift"])
-def test_a_line_fails_when_the_script_fails(page: str, line: str, is_broken: bool, blend: Path, tmp_path: Path) -> None:
+def test_printed_lines_fail_if_script_fails(page: str, line: str, is_broken: bool, blend: Path, tmp_path: Path) -> None:
     for name in ("engine", "plgs_blender", "operators", "ui", "run_plgs.py", "__init__.py"):
         if not (is_broken and name == "plgs_blender"):
             (tmp_path / name).symlink_to(ROOT / name)

@@ -192,7 +192,7 @@ def test_without_a_split_at_most_40_frames_are_held_out(tmp_path: Path, capsys: 
     assert told["train_frames"] + told["test_frames"] == 330 and 30 < told["test_frames"] <= 40
 
 
-def test_ground_truth_may_be_smaller_lack_frames_and_be_of_another_table(
+def test_ground_truth_may_be_smaller_lack_frames_and_use_another_class_table(
     lifted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Only the metrics read it, and they stay as they were."""
@@ -242,9 +242,7 @@ def write_room_mesh(path: Path) -> None:
     path.write_text("\n".join(lines) + "\n")
 
 
-def test_depth_of_a_mesh_is_that_of_the_room_where_the_photo_shows_its_outlines(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_depth_from_a_mesh_is_the_true_depth_of_the_room(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A frame that contradicts the mesh is left out."""
     size = (160, 120)
 
@@ -280,7 +278,7 @@ def test_depth_of_a_mesh_is_that_of_the_room_where_the_photo_shows_its_outlines(
 
 
 @pytest.mark.slow
-def test_a_batch_gives_the_reason_and_its_table_may_say_anyway(inverted: Path, shell: Terminal) -> None:
+def test_a_batch_reports_a_faulty_scene_and_lifts_it_if_its_row_says_anyway(inverted: Path, shell: Terminal) -> None:
     pytest.importorskip("distributed")
     (shell.folder / "scans.csv").write_text(f"scene,name,anyway\n{inverted},kept,\n")
     batch = ".venv/bin/python -m engine batch --scenes scans.csv -o OUT --workers 1 --steps 5 --set warm_start=false"
@@ -313,7 +311,7 @@ def test_frames_writes_undistorted_pictures_and_masks_in_their_classes_colours(
         assert tuple(found[count.argmax()]) == tuple(classes[int(number)].colour)
 
 
-def test_frames_writes_pictures_that_no_image_file_shows_and_needs_no_masks(tmp_path: Path, shell: Terminal) -> None:
+def test_frames_extracts_pictures_of_a_video_and_needs_no_masks(tmp_path: Path, shell: Terminal) -> None:
     """Those of Stray Scanner's video, with depth in colours and a cloud."""
     write_stray(tmp_path / "scan")
     assert "6 frames in" in shell.run(FRAMES, SCENE=tmp_path / "scan", FOLDER="plain")
@@ -330,7 +328,7 @@ def test_frames_writes_pictures_that_no_image_file_shows_and_needs_no_masks(tmp_
     assert depth.std(axis=(0, 1)).min() > 10 and len(np.load(shell.folder / "plain/cloud.npz")["rgb"]) > 500
 
 
-def test_finished_models_are_refused_with_the_export_to_choose(
+def test_a_finished_3d_model_is_refused_with_advice_which_export_to_choose(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "Scaniverse 2026-01-02.spz").write_bytes(b"")
@@ -390,7 +388,7 @@ def stand_in_for_colmap(monkeypatch: pytest.MonkeyPatch, depth: np.ndarray) -> N
 
 
 @pytest.mark.parametrize("metadata", [METADATA, "{}", '{"intrinsic": '])
-def test_record3ds_rgbd_video_gives_pictures_and_depth_with_the_unit(
+def test_depth_of_a_record3d_rgbd_video_is_in_metres(
     tmp_path: Path, metadata: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """COLMAP alone is stood in for. Other films are whole pictures."""
@@ -417,7 +415,7 @@ def test_record3ds_rgbd_video_gives_pictures_and_depth_with_the_unit(
 
 
 @pytest.mark.parametrize("kind", ["png", "npy"])
-def test_measured_depth_beside_the_photos_gives_the_unit(
+def test_measured_depth_beside_photos_puts_their_poses_in_metres(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """PNG in millimetres, or NumPy's in metres. COLMAP alone is stood in for."""
@@ -458,7 +456,7 @@ def test_a_rgbd_video_of_the_sample_gets_its_poses_in_metres(
 @pytest.mark.slow
 @pytest.mark.skipif(find_spec("pycolmap") is None, reason="needs pycolmap (engine add colmap)")
 @pytest.mark.parametrize("has_depth", [True, False])
-def test_poses_of_photos_are_written_beside_them_as_sparse_0(
+def test_poses_found_for_photos_are_written_to_sparse_0_beside_them(
     has_depth: bool, shell: Terminal, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Those of the sample, to some centimetres; measured depth beside them gives the unit."""

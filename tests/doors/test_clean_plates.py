@@ -74,7 +74,7 @@ def before_and_after(terminal: Terminal) -> tuple[PanopticLayers, PanopticLayers
     return both[0], both[1], both[0].instance == chair(terminal, "lifts/before")
 
 
-def test_no_pixel_keeps_a_removed_object(removed: Terminal) -> None:
+def test_no_pixel_of_a_bake_shows_a_removed_object(removed: Terminal) -> None:
     before, after, was = before_and_after(removed)
     number = chair(removed, "lifts/before")
     assert was.any() and number not in after.instance and CHAIR_ID not in after.semantic
@@ -83,7 +83,7 @@ def test_no_pixel_keeps_a_removed_object(removed: Terminal) -> None:
     assert not {name for name, plane in channels.items() if not np.isfinite(plane).all()}
 
 
-def test_all_passes_show_the_same_room(removed: Terminal) -> None:
+def test_all_passes_show_the_floor_behind_a_removed_object(removed: Terminal) -> None:
     before, after, was = before_and_after(removed)
     assert (after.combined[..., 3][was] > 0.8).mean() > 0.9, "the hole is filled"
     assert (after.semantic[was] == FLOOR_ID).mean() > 0.4 and (after.semantic[was] > 0).all()
@@ -95,9 +95,7 @@ def test_all_passes_show_the_same_room(removed: Terminal) -> None:
     assert np.abs(after.combined[~was] - before.combined[~was]).mean() < 0.01, "elsewhere little changes"
 
 
-def test_the_hole_has_the_colours_of_the_room_without_the_object(
-    removed: Terminal, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_filled_hole_has_the_colours_of_the_empty_room(removed: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     _, after, was = before_and_after(removed)
     [frame] = open_scene(removed.folder / "scans/room").test_frames
     height, width = was.shape
@@ -111,7 +109,7 @@ def test_the_hole_has_the_colours_of_the_room_without_the_object(
         assert np.abs(shown[what].mean(axis=0) - truth[what].mean(axis=0)).max() < 0.04, "as bright"
 
 
-def test_what_is_guessed_has_the_light_of_the_plane_without_its_pattern(removed: Terminal) -> None:
+def test_guessed_pixels_have_the_mean_colour_of_the_floor_without_its_pattern(removed: Terminal) -> None:
     [edit] = json.loads((removed.folder / LIFT / "corrections.json").read_text())["edits"]
     fill = read_fill(path_of(removed.folder / LIFT, edit["fill"]))
     floor = fill.label == -FLOOR_ID
@@ -120,7 +118,7 @@ def test_what_is_guessed_has_the_light_of_the_plane_without_its_pattern(removed:
     assert (guessed.std(axis=0) < 0.5 * seen.std(axis=0)).all(), "the floor is a chessboard"
 
 
-def test_a_rug_keeps_its_straight_edges() -> None:
+def test_a_rug_keeps_its_straight_edges_under_a_filled_hole() -> None:
     rug, floor, hole = 9, 2, np.zeros((60, 80), bool)
     truth = np.full(hole.shape, -floor, np.int32)
     truth[15:45, 10:50] = -rug
@@ -182,20 +180,20 @@ def shadowed(tmp_path_factory: pytest.TempPathFactory) -> list[Gaussians]:
     return [before, engine.read_lift(lift.path).gaussians]
 
 
-def test_the_objects_shadow_goes_too(shadowed: list[Gaussians]) -> None:
+def test_removing_an_object_removes_its_shadow(shadowed: list[Gaussians]) -> None:
     after, lit = shadowed[1], 0.875 * PAINT[FLOOR_ID].mean() / 255  # the chessboard's mean
     near = (np.abs(after.xyz[:, 2]) < 0.05) & (after.class_id == FLOOR_ID) & (from_chair(after.xyz) < 0.1)
     assert near.sum() > 100 and light(after.xyz[near]).mean() < 0.6, "in the photos"
     assert after.rgb[near].mean() > 0.8 * lit  # with the shadow that is beside it: 0.74
 
 
-def test_legs_that_masks_missed_go_too(shadowed: list[Gaussians]) -> None:
+def test_removing_a_chair_removes_legs_that_the_masks_missed(shadowed: list[Gaussians]) -> None:
     low, high = [*CHAIR[0, :2] - 0.05, 0.1], [*CHAIR[1, :2] + 0.05, LEG_HEIGHT]
     before, after = (((one.xyz > low) & (one.xyz < high)).all(axis=1) for one in shadowed)
     assert before.sum() > 10 and (shadowed[0].class_id[before] == FLOOR_ID).mean() > 0.5 and not after.any()
 
 
-def test_guessed_is_1_where_no_photo_ever_saw_what_is_shown(removed: Terminal) -> None:
+def test_the_pass_guessed_is_1_where_no_photo_saw_the_surface(removed: Terminal) -> None:
     guessed = planes(passes(removed.folder / LIFT / "result/passes"))["PLGS.Guessed.V"].astype(float)
     _, after, was = before_and_after(removed)
     assert guessed.min() >= 0 and guessed.max() <= 1 and guessed[was].max() > 0.9
@@ -219,13 +217,13 @@ def test_the_header_names_what_was_removed(removed: Terminal) -> None:
     assert read_note(passes(removed.folder / LIFT / "result/passes"), "plgs/removed") == "chair 1"
 
 
-def test_what_fills_the_hole_is_stored_in_the_lift(removed: Terminal) -> None:
+def test_the_points_that_fill_a_hole_are_stored_in_the_lift(removed: Terminal) -> None:
     [fill] = (removed.folder / LIFT / "fills").iterdir()
     [edit] = json.loads((removed.folder / LIFT / "corrections.json").read_text())["edits"]
     assert edit["kind"] == "remove" and edit["fill"] == fill.stem
 
 
-def test_points_and_splats_show_the_removal_too(removed: Terminal) -> None:
+def test_points_and_splats_in_blender_lack_a_removed_object(removed: Terminal) -> None:
     lift, number = engine.read_lift(removed.folder / LIFT), chair(removed, "lifts/before")
     for found in (lift.points, lift.gaussians):
         assert number not in found.instance_id
@@ -239,7 +237,7 @@ def test_points_and_splats_show_the_removal_too(removed: Terminal) -> None:
     ]
 
 
-def test_without_bakes_one_plate_and_keeps_no_correction(terminal: Terminal) -> None:
+def test_bake_without_an_object_writes_one_plate_and_no_correction(terminal: Terminal) -> None:
     number, lift = chair(terminal), terminal.folder / LIFT
     shown = passes(lift / "result/passes").read_bytes()
     terminal.run(PLATE, id7=number)
@@ -250,7 +248,7 @@ def test_without_bakes_one_plate_and_keeps_no_correction(terminal: Terminal) -> 
     assert "Give a folder" in said
 
 
-def test_put_back_undoes_and_list_says_what_is_removed(terminal: Terminal) -> None:
+def test_put_back_restores_an_object_and_list_names_removed_ones(terminal: Terminal) -> None:
     number, baked = chair(terminal), planes(passes(terminal.folder / LIFT / "result/passes"))
     terminal.run(REMOVE, id7=number)
     assert "(removed)" in terminal.run(LIST)
@@ -266,7 +264,7 @@ def test_put_back_undoes_and_list_says_what_is_removed(terminal: Terminal) -> No
     assert all(np.array_equal(now[name], plane) for name, plane in baked.items()), "passes show what they showed"
 
 
-def test_several_objects_are_removed_at_once(terminal: Terminal) -> None:
+def test_one_command_removes_several_objects(terminal: Terminal) -> None:
     before = read_exr(passes(terminal.folder / LIFT / "result/passes"))
     numbers = [one.id for one in engine.read_lift(terminal.folder / LIFT).instances]
     assert len(numbers) > 1
@@ -294,13 +292,13 @@ SPELLED = ("chair 1", "chair_1", "chair-1")
 
 
 @pytest.mark.parametrize("form", ["coco", "surface", "mesh", "gltf", "usd"])
-def test_no_export_keeps_a_removed_object(removed: Terminal, form: str) -> None:
+def test_no_export_contains_a_removed_object(removed: Terminal, form: str) -> None:
     for lift, is_shown in (("lifts/before", True), (LIFT, False)):
         removed.run(f".venv/bin/python -m engine export {lift} --to {form} -o {lift}-{form}")
         assert shows_the_chair(removed.folder / f"{lift}-{form}", form) == is_shown
 
 
-def test_evaluate_warns_that_the_truth_still_shows_it(removed: Terminal) -> None:
+def test_evaluate_warns_that_the_ground_truth_shows_a_removed_object(removed: Terminal) -> None:
     said = removed.run(".venv/bin/python -m engine evaluate lifts/demo --classes")
     assert re.search(r"the ground truth still shows what was removed: chair 1", said)
     assert re.search(r"^lifted, strict(.*\n)*?chair +0\.0 ", said, re.MULTILINE)
@@ -338,7 +336,7 @@ def test_a_removal_that_was_killed_changes_nothing_and_can_be_made_again(
     assert all(path.stat().st_mtime_ns == time for path, time in before.items()), "a whole one is taken as it is"
 
 
-def test_a_fill_of_another_state_is_not_taken(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fill_is_not_reused_after_the_engine_changed(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plates.removal, "fill_of", lambda *_: NOTHING)
     number, folder = str(chair(terminal)), LiftFolder.open(terminal.folder / LIFT)
     names = {plates.remove(folder, [number])[0].fill}
@@ -348,7 +346,7 @@ def test_a_fill_of_another_state_is_not_taken(terminal: Terminal, monkeypatch: p
     assert len(names) == 2
 
 
-def test_the_last_four_plates_stay_beside_what_corrections_need(
+def test_only_the_last_four_plates_and_the_fills_in_use_are_kept(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(plates.removal, "fill_of", lambda *_: NOTHING)
@@ -365,7 +363,7 @@ def test_the_last_four_plates_stay_beside_what_corrections_need(
     assert len(kept) == 6 and {edit.fill, "backup"} < kept
 
 
-def test_a_lift_that_cannot_be_written_says_so_before_it_computes(
+def test_removing_from_a_read_only_lift_fails_before_it_computes(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(os, "access", lambda *_: False)
@@ -373,7 +371,7 @@ def test_a_lift_that_cannot_be_written_says_so_before_it_computes(
         plates.remove(LiftFolder.open(terminal.folder / LIFT), ["chair 1"], pytest.fail)
 
 
-def test_a_later_lift_with_names_from_takes_the_removal_over(terminal: Terminal) -> None:
+def test_a_new_lift_with_names_from_keeps_the_removal(terminal: Terminal) -> None:
     number, scene = chair(terminal), terminal.folder / "scans/room"
     terminal.run(REMOVE, id7=number)
     with presets_as(preview=TINY):
@@ -384,7 +382,7 @@ def test_a_later_lift_with_names_from_takes_the_removal_over(terminal: Terminal)
     assert number not in now.points.instance_id and number not in now.gaussians.instance_id
 
 
-def test_objects_that_stand_on_each_other_leave_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stacked_objects_can_be_removed_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     on_it = np.array([[2.4, 1.45, 1.2], [2.9, 1.85, 1.7]])
     monkeypatch.setattr(tiny_scene, "CHAIR", on_it)
     scene = tiny_scene.write_tiny_scene(tmp_path / "room", frames=6)

@@ -61,13 +61,13 @@ def test_presets_lists_all_options_as_a_file_for_preset(shell: Terminal) -> None
         assert values["all_frames_vote"] == (name != "paper")
 
 
-def test_bad_input_is_one_line_and_exit_code_2(shell: Terminal) -> None:
+def test_bad_input_gives_a_one_line_error_and_exit_code_2(shell: Terminal) -> None:
     """The line says what, where, and what to do."""
     told = shell.run(COMMAND, code=2, more=["nowhere"], COMMAND="inspect")
     assert told.startswith("error: ") and told.count("\n") == 1 and "nowhere" in told
 
 
-def test_an_existing_folder_is_refused_never_overwritten(shell: Terminal, tmp_path: Path) -> None:
+def test_lifting_into_a_folder_with_other_files_is_refused(shell: Terminal, tmp_path: Path) -> None:
     write_tiny_scene(shell.folder / "room", 6)
     (shell.folder / "out").mkdir()
     (shell.folder / "out/notes.txt").write_text("mine")
@@ -77,7 +77,7 @@ def test_an_existing_folder_is_refused_never_overwritten(shell: Terminal, tmp_pa
     assert [path.name for path in (shell.folder / "out").iterdir()] == ["notes.txt"]
 
 
-def test_with_progress_json_standard_output_has_nothing_but_events(shell: Terminal) -> None:
+def test_progress_json_prints_nothing_but_events_to_standard_output(shell: Terminal) -> None:
     write_tiny_scene(shell.folder / "room", 6)
     for scene, code, last in (("room", 0, "done"), ("nowhere", 2, "error")):
         command = [".venv/bin/python", "-m", "engine", "inspect", scene, "--progress", "json"]
@@ -90,7 +90,7 @@ def test_with_progress_json_standard_output_has_nothing_but_events(shell: Termin
         assert (shell.folder / f"{scene}.jsonl").read_text() == ran.stdout
 
 
-def test_evaluate_scores_anybodys_masks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_evaluate_scores_masks_of_other_programs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """PNGs of class and instance ids, written by OpenCV: the truth itself, and with one of two objects unseen."""
     room = write_tiny_scene(tmp_path / "room", 4)
     classes = [{"id": each["id"], "name": each["name"], "is_thing": bool(each["isthing"])} for each in CATEGORIES]
@@ -115,20 +115,20 @@ def test_evaluate_scores_anybodys_masks(tmp_path: Path, capsys: pytest.CaptureFi
     assert found["without chairs"]["pq"] < 0.9 and found["without chairs"]["miou"] < 0.9
 
 
-def test_inspect_predicts_what_a_lift_would_take(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_inspect_predicts_the_time_and_memory_of_a_lift(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     room = write_tiny_scene(tmp_path / "room", 9)
     assert main(["inspect", str(room), "--preset", "standard"]) == 0
     assert re.search(r"\nstandard  about \d+ min and \d+\.\d GB of memory\n$", capsys.readouterr().out)
 
 
-def test_frames_of_a_bake_are_counted_by_the_last_numbers_in_their_names(terminal: Terminal) -> None:
+def test_bake_selects_frames_by_the_last_number_in_their_names(terminal: Terminal) -> None:
     terminal.run(ENGINE + "bake lifts/demo --frames 1-5:2")
     assert [path.stem for path in sorted((terminal.folder / "lifts/demo/result/passes").glob("*.exr"))] == [
         "0001", "0003", "0004", "0005"
     ]  # fmt: skip
 
 
-def test_find_scene_updates_a_lift(terminal: Terminal) -> None:
+def test_find_scene_tells_a_lift_where_its_scene_is_now(terminal: Terminal) -> None:
     (terminal.folder / "scans/room").rename(terminal.folder / "kitchen")
     said = terminal.run(ENGINE + "find-scene LIFT SCENE", LIFT="lifts/demo", SCENE="kitchen")
     assert said.strip() == f"The lift reads {terminal.folder / 'kitchen'}"
@@ -139,7 +139,7 @@ def test_find_scene_updates_a_lift(terminal: Terminal) -> None:
     assert worded("other-scene").search(told)
 
 
-def test_the_edited_list_becomes_classes_toml_and_yours_is_renamed_first(shell: Terminal) -> None:
+def test_writing_classes_toml_renames_the_users_own_classes_toml_first(shell: Terminal) -> None:
     room = write_tiny_scene(shell.folder / "room", 2)
     (room / "classes.toml").write_text("# mine\n")
     listed = json.loads(shell.run(ENGINE + "classes SCENE --json", SCENE="room"))
@@ -153,7 +153,7 @@ def test_the_edited_list_becomes_classes_toml_and_yours_is_renamed_first(shell: 
     assert "     5  seat" in shell.run(ENGINE + "classes SCENE", SCENE="room").splitlines()
 
 
-def test_what_a_command_wrote_is_listed_last_whether_all_is_written(terminal: Terminal) -> None:
+def test_an_export_lists_every_file_it_wrote_with_its_digest(terminal: Terminal) -> None:
     terminal.run(ENGINE + "export LIFT --to FORM -o FOLDER", LIFT="lifts/demo", FORM="boxes", FOLDER="boxes")
     out = terminal.folder / "boxes"
     lines = [json.loads(line) for line in (out / ".plgs-written.jsonl").read_text().splitlines()]

@@ -51,7 +51,7 @@ def digests(folder: Path) -> dict[str, str]:
     }  # fmt: skip
 
 
-def test_what_you_mend_is_kept_in_corrections_json_and_result_stays(terminal: Terminal) -> None:
+def test_corrections_are_kept_in_corrections_json_and_result_is_unchanged(terminal: Terminal) -> None:
     before = digests(terminal.folder / LIFT / "result")
     terminal.run(RENAME, id6=ids(terminal)["chair"])
     assert digests(terminal.folder / LIFT / "result") == before
@@ -71,7 +71,7 @@ def test_frames_that_show_other_corrections_are_baked_again(terminal: Terminal) 
     assert b"Anna s sofa" in passes.read_bytes() and b"Anna s sofa" not in before, "in its manifest, without the quote"
 
 
-def test_with_a_class_of_stuff_the_object_becomes_points_of_it(terminal: Terminal) -> None:
+def test_an_object_given_a_stuff_class_becomes_plain_points_of_that_class(terminal: Terminal) -> None:
     cabinet = ids(terminal)["cabinet"]
     terminal.run(".venv/bin/python -m engine correct lifts/demo reclass 16 cabinet", id16=cabinet, cabinet="wall")
     terminal.run(BAKE)
@@ -80,7 +80,7 @@ def test_with_a_class_of_stuff_the_object_becomes_points_of_it(terminal: Termina
     assert (shown.semantic == WALL_ID).any()
 
 
-def test_merged_objects_become_the_first(terminal: Terminal) -> None:
+def test_merged_objects_get_the_id_of_the_first_one(terminal: Terminal) -> None:
     chair, cabinet = ids(terminal)["chair"], ids(terminal)["cabinet"]
     printed = ".venv/bin/python -m engine correct lifts/demo merge ONE OTHER ..."
     terminal.run(printed.removesuffix(" ..."), ONE=chair, OTHER=cabinet)
@@ -90,7 +90,7 @@ def test_merged_objects_become_the_first(terminal: Terminal) -> None:
     assert cabinet not in lift.points.instance_id
 
 
-def test_the_points_of_a_deleted_object_become_what_surrounds_it(terminal: Terminal) -> None:
+def test_points_of_a_deleted_object_take_the_class_around_them(terminal: Terminal) -> None:
     chair = ids(terminal)["chair"]
     terminal.run(".venv/bin/python -m engine correct lifts/demo delete 22", id22=chair)
     lift = engine.read_lift(terminal.folder / LIFT)
@@ -121,7 +121,7 @@ def test_an_object_is_split_by_a_plane(terminal: Terminal) -> None:
     assert len(cut) == 3 and sum(bool(z.min() > 0.59) for z in cut) == 1, "one part lies above the plane"
 
 
-def test_an_object_is_split_into_what_two_frames_show_apart(terminal: Terminal) -> None:
+def test_split_by_views_separates_objects_that_two_frames_show_apart(terminal: Terminal) -> None:
     chair, cabinet = ids(terminal)["chair"], ids(terminal)["cabinet"]
     terminal.run(".venv/bin/python -m engine correct lifts/demo merge ONE OTHER", ONE=chair, OTHER=cabinet)
     terminal.run(".venv/bin/python -m engine correct lifts/demo split 15 --views", id15=chair)
@@ -173,7 +173,7 @@ def test_propose_lists_doubtful_objects_the_worst_first_until_they_are_accepted(
     assert not any("chair 1" in line for line in proposed()) and proposed()[-1] == "1 of 3 looked at"
 
 
-def test_undo_takes_back_the_last_edit(terminal: Terminal) -> None:
+def test_undo_reverts_the_last_edit(terminal: Terminal) -> None:
     terminal.run(RENAME, id6=ids(terminal)["chair"])
     terminal.run(".venv/bin/python -m engine correct lifts/demo undo")
     assert "Anna's sofa" not in [one.name for one in engine.read_lift(terminal.folder / LIFT).instances]
@@ -191,7 +191,7 @@ def test_list_says_why_an_edit_of_a_missing_object_is_not_applied(terminal: Term
     assert json.loads(file.read_text()) == kept, "the edit stays in the file"
 
 
-def test_undone_edits_and_those_of_later_versions_stay_in_the_file(terminal: Terminal) -> None:
+def test_undone_edits_and_edits_of_newer_versions_stay_in_the_file(terminal: Terminal) -> None:
     terminal.run(RENAME, id6=ids(terminal)["chair"])
     terminal.run(".venv/bin/python -m engine correct lifts/demo undo")
     file = terminal.folder / LIFT / "corrections.json"
@@ -205,7 +205,7 @@ def test_undone_edits_and_those_of_later_versions_stay_in_the_file(terminal: Ter
     assert [one.name for one in engine.read_lift(terminal.folder / LIFT).instances] == ["Anna's sofa", "chair 1"]
 
 
-def test_several_programs_may_edit_one_lift_at_once_and_no_edit_is_lost(terminal: Terminal) -> None:
+def test_two_programs_that_edit_one_lift_at_once_lose_no_edit(terminal: Terminal) -> None:
     both = ids(terminal)
     shell = [
         subprocess.Popen(
@@ -218,7 +218,7 @@ def test_several_programs_may_edit_one_lift_at_once_and_no_edit_is_lost(terminal
 
 
 @pytest.mark.slow
-def test_a_lift_with_names_from_takes_over_the_corrections(terminal: Terminal) -> None:
+def test_a_new_lift_with_names_from_keeps_the_corrections(terminal: Terminal) -> None:
     """Of fewer frames, by another preset."""
     chair, cabinet = ids(terminal)["chair"], ids(terminal)["cabinet"]
     terminal.run(RENAME, id6=chair)
@@ -247,7 +247,7 @@ def test_a_lift_with_names_from_takes_over_the_corrections(terminal: Terminal) -
 
 
 @pytest.mark.slow
-def test_with_corrections_of_labels_an_object_has_one_class_also_with_the_preset_paper(terminal: Terminal) -> None:
+def test_a_correction_gives_objects_of_preset_paper_one_class_each(terminal: Terminal) -> None:
     more = ["--preset", "paper", "--steps", "200", "--set", "voxel_size=0.1", "--bake", "test"]
     terminal.run(".venv/bin/python -m engine lift scans/room -o lifts/paper", more=more)
     passes = terminal.folder / "lifts/paper/result/passes/0004.exr"

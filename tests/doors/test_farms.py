@@ -39,7 +39,7 @@ def rows_of(folder: Path) -> dict[str, dict[str, str]]:
 
 
 @pytest.mark.slow
-def test_a_batch_has_a_row_a_scene_and_continues_with_what_is_missing(shell: Terminal) -> None:
+def test_a_batch_table_has_a_row_for_each_scene_and_a_second_run_continues(shell: Terminal) -> None:
     pytest.importorskip("distributed")
     write_tiny_scene(shell.folder / "scans/room", 6, noise=0.1)
     (shell.folder / "scans/empty").mkdir(parents=True)
@@ -98,9 +98,7 @@ def running(shell: Terminal, printed: str, log: Path) -> Iterator[subprocess.Pop
 
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl to make certificates")
-def test_scheduler_worker_and_batch_meet_by_tls_and_a_batch_tells_its_rows_as_events(
-    shell: Terminal, tmp_path: Path
-) -> None:
+def test_a_batch_over_tls_reports_its_rows_as_events(shell: Terminal, tmp_path: Path) -> None:
     """Of a table in TOML, which lies in another folder than the batch is started in."""
     pytest.importorskip("distributed")
     certificates(shell.folder)
@@ -131,7 +129,7 @@ def test_scheduler_worker_and_batch_meet_by_tls_and_a_batch_tells_its_rows_as_ev
 
 
 @pytest.mark.slow
-def test_after_ctrl_c_unfinished_scenes_are_rows_stopped(shell: Terminal, tmp_path: Path) -> None:
+def test_after_ctrl_c_unfinished_scenes_are_marked_stopped_in_the_table(shell: Terminal, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     for name in ("a", "b"):
         write_tiny_scene(shell.folder / "scans" / name, 6)
@@ -146,7 +144,7 @@ def test_after_ctrl_c_unfinished_scenes_are_rows_stopped(shell: Terminal, tmp_pa
 
 
 @pytest.mark.slow
-def test_on_slurm_dask_jobqueue_starts_a_worker_a_job(shell: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_on_slurm_dask_jobqueue_starts_one_worker_per_job(shell: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     """By an sbatch of the test's own, which runs the job at once."""
     pytest.importorskip("dask_jobqueue")
     for name, text in (("sbatch", SBATCH), ("scancel", SCANCEL)):
@@ -166,7 +164,7 @@ def test_on_slurm_dask_jobqueue_starts_a_worker_a_job(shell: Terminal, monkeypat
     assert rows_of(shell.folder / "out")["room"]["state"] == "done"
 
 
-def test_a_studios_defaults_come_from_its_file_and_the_first_line_says_so(shell: Terminal) -> None:
+def test_studio_defaults_are_used_and_the_first_line_names_their_file(shell: Terminal) -> None:
     """A scene that has its masks elsewhere: without the defaults it would be refused for want of masks."""
     write_tiny_scene(shell.folder / "scans/room", 6, masks="none")
     write_tiny_scene(shell.folder / "masks/room", 6)
@@ -186,7 +184,7 @@ def test_a_studios_defaults_come_from_its_file_and_the_first_line_says_so(shell:
     assert ran.returncode == 2 and "presets" in ran.stderr, "other keys are refused"
 
 
-def test_a_lift_that_is_resumed_stays_as_it_was(
+def test_a_resumed_lift_ignores_new_studio_defaults(
     terminal: Terminal, lifted: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (terminal.folder / "studio.toml").write_text('preset = "paper"\ndevice = "auto"\nmemory = 64\n')
@@ -198,7 +196,7 @@ def test_a_lift_that_is_resumed_stays_as_it_was(
     assert (terminal.folder / "lifts/demo/request.json").read_bytes() == before
 
 
-def test_the_same_scene_twice_is_refused(shell: Terminal) -> None:
+def test_a_batch_with_the_same_scene_twice_is_refused(shell: Terminal) -> None:
     pytest.importorskip("distributed")
     write_tiny_scene(shell.folder / "scans/room", 2)
     (shell.folder / "scans.csv").write_text("scene,name\nscans/room,a\nscans/room,b\n")

@@ -110,7 +110,7 @@ def refuse_loss(strangers: dict[Path, bytes]) -> None:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_files_of_others_stay(name: str, place: tuple[Path, Path], engine: Engine) -> None:
+def test_no_command_deletes_files_of_other_people(name: str, place: tuple[Path, Path], engine: Engine) -> None:
     at, lift = place
     prepared(name, at, engine)
     arguments = COMMANDS[name](at, lift)
@@ -137,7 +137,7 @@ CLASHES = {
 
 
 @pytest.mark.parametrize("name", CLASHES)
-def test_somebody_elses_file_with_our_name_is_refused(name: str, place: tuple[Path, Path], engine: Engine) -> None:
+def test_a_strangers_file_in_place_of_output_is_refused(name: str, place: tuple[Path, Path], engine: Engine) -> None:
     """Before the first run, while it was stopped, or in place of what we wrote."""
     at, lift = place
     prepared(name, at, engine)
@@ -150,7 +150,7 @@ def test_somebody_elses_file_with_our_name_is_refused(name: str, place: tuple[Pa
     assert worded("foreign-file").search(told) and path.name in told and path.read_bytes() == b"mine"
 
 
-def test_a_stopped_export_does_not_count_as_whole(place: tuple[Path, Path], engine: Engine) -> None:
+def test_a_stopped_export_is_not_marked_complete(place: tuple[Path, Path], engine: Engine) -> None:
     at, lift = place
     arguments = COMMANDS["export to the lift's exports"](at, lift)
     engine(*arguments, killed=2)
@@ -159,7 +159,7 @@ def test_a_stopped_export_does_not_count_as_whole(place: tuple[Path, Path], engi
     assert OwnFiles(lift / "exports/boxes").is_complete
 
 
-def test_the_folder_of_all_exports_is_refused_as_an_export(place: tuple[Path, Path], engine: Engine) -> None:
+def test_exporting_into_the_folder_of_all_exports_is_refused(place: tuple[Path, Path], engine: Engine) -> None:
     _, lift = place
     engine("export", lift, "--to", "boxes", "-o", lift / "exports/boxes")
     before = {path: path.read_bytes() for path in (lift / "exports").rglob("*") if path.is_file()}
@@ -168,9 +168,7 @@ def test_the_folder_of_all_exports_is_refused_as_an_export(place: tuple[Path, Pa
 
 
 @pytest.mark.slow
-def test_a_file_that_was_put_into_a_result_while_it_was_made_outlives_the_next_one(
-    place: tuple[Path, Path], engine: Engine
-) -> None:
+def test_a_strangers_file_in_a_result_folder_survives_the_next_lift(place: tuple[Path, Path], engine: Engine) -> None:
     at, _ = place
     arguments = COMMANDS["lift"](at, at)
     engine(*arguments, killed=20)

@@ -42,7 +42,7 @@ def write_film(tmp_path: Path) -> Path:
     return path
 
 
-def test_one_command_makes_what_is_missing_and_goes_on(
+def test_prepare_makes_missing_poses_depth_and_masks_of_a_film(
     film: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     depth_model = save_tiny_depth_network(tmp_path / "depth_network")
@@ -65,7 +65,7 @@ def test_one_command_makes_what_is_missing_and_goes_on(
 @pytest.mark.slow
 @pytest.mark.skipif(find_spec("pycolmap") is None, reason="needs pycolmap (engine add colmap)")
 @pytest.mark.parametrize("name", ["walk.mp4", "photos"])
-def test_a_film_or_photos_of_the_sample_are_lifted_to_their_end(name: str, tmp_path: Path) -> None:
+def test_a_film_or_a_folder_of_photos_is_lifted_by_one_command(name: str, tmp_path: Path) -> None:
     """With networks of random weights: what they find contradicts itself, so the lift must be told to go on."""
     import cv2
 
@@ -85,7 +85,7 @@ def test_a_film_or_photos_of_the_sample_are_lifted_to_their_end(name: str, tmp_p
     assert (lift / "result" / "gaussians.ply").stat().st_size > 10_000
 
 
-def test_a_lift_of_a_film_lists_its_downloads_first(
+def test_lifting_a_film_first_lists_what_must_be_downloaded(
     film: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("HF_HOME", str(tmp_path / "hub"))
@@ -95,7 +95,7 @@ def test_a_lift_of_a_film_lists_its_downloads_first(
     assert "forbids commercial use" in said and "--download" in said and not (tmp_path / "lift").exists()
 
 
-def test_photos_are_taken_too_and_lacking_packages_are_listed(
+def test_lifting_plain_photos_lists_the_packages_that_are_missing(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     photos = shutil.copytree(write_tiny_scene(tmp_path / "scene", frames=6) / "color", tmp_path / "photos")
@@ -109,7 +109,7 @@ def test_photos_are_taken_too_and_lacking_packages_are_listed(
 @pytest.mark.parametrize(
     "kind", ["missing", "missing.mp4", "folder", "fifo", "fifo.mp4", "empty.mp4", "cut.mp4", "text.mp4"]
 )
-def test_what_is_no_film_is_refused_before_anything_is_asked_for(
+def test_a_file_that_is_no_film_is_refused_before_any_download_is_proposed(
     kind: str, film: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     place = tmp_path / kind

@@ -207,7 +207,7 @@ names, the names of the room's classes, and its things."""
 
 
 @pytest.mark.parametrize(("kind", "write", "table", "names", "things"), KINDS)
-def test_each_kind_of_masks_shows_the_rooms_classes_and_objects(
+def test_every_mask_format_shows_the_classes_and_objects_of_the_room(
     kind: str, write: Writer, table: str | None, names: dict[int, str], things: set[str], tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
@@ -228,7 +228,7 @@ def test_each_kind_of_masks_shows_the_rooms_classes_and_objects(
         assert sorted(len(each - {None}) for each in tracks(named, truths).values()) == [1, 1], "one in all frames"
 
 
-def test_sams_folders_number_objects_and_a_warning_says_that_they_have_no_classes(
+def test_folders_of_sam_masks_give_objects_and_warn_that_classes_are_missing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As segment-anything's scripts/amg.py writes them: a folder per picture, <k>.png and metadata.csv."""
@@ -249,7 +249,7 @@ def test_sams_folders_number_objects_and_a_warning_says_that_they_have_no_classe
     assert any("number objects and have no classes" in reason for reason in doubtful), told["inferred"]
 
 
-def test_a_number_of_sam_2_is_one_object_in_all_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_sam_2_object_number_is_one_object_in_all_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """As sam2's vos_inference.py writes them: Pillow's palette pictures."""
     image = pytest.importorskip("PIL.Image")
     room, truths = write_frames(tmp_path / "room")
@@ -294,7 +294,7 @@ def test_classes_toml_names_merges_and_drops_classes(tmp_path: Path, capsys: pyt
         assert len(things) == len(np.unique(truth.instance[truth.instance > 0])), "two objects stay two"
 
 
-def test_the_pages_classes_toml_does_what_it_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_classes_toml_printed_in_the_docs_works(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = (ROOT / "docs/masks.md").read_text(encoding="utf-8")
     (block,) = re.findall(r"^```toml\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
     truths = write_labels(tmp_path, COCO_NUMBERS, void=255)
@@ -322,7 +322,7 @@ def named_on_the_page() -> list[str]:
 
 
 @pytest.mark.parametrize("table", named_on_the_page())
-def test_naming_a_table_or_its_numbering_settles_what_numbers_mean(
+def test_naming_a_class_table_decides_what_mask_numbers_mean(
     table: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     names = OF_TABLES.get(table.partition(":")[0], NAMES)
@@ -336,7 +336,7 @@ def test_naming_a_table_or_its_numbering_settles_what_numbers_mean(
 
 
 @pytest.mark.slow
-def test_a_lift_takes_detections_over_masks(shell: Terminal, tmp_path: Path) -> None:
+def test_a_lift_accepts_detections_together_with_masks(shell: Terminal, tmp_path: Path) -> None:
     """pycocotools' runs in detectron2's file; the log says whether they voted."""
     room = write_tiny_scene(shell.folder / "room", 6, masks="none")
     with_masks = write_tiny_scene(tmp_path / "masked", 6)
@@ -348,7 +348,7 @@ def test_a_lift_takes_detections_over_masks(shell: Terminal, tmp_path: Path) -> 
     assert "detections" in log and (shell.folder / "out/result/manifest.json").is_file()
 
 
-def test_segment_writes_coco_panoptic_masks_and_never_overwrites_others(
+def test_segment_writes_coco_panoptic_masks_and_never_overwrites_masks_of_others(
     shell: Terminal, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """With a network in a folder, as transformers saves one."""
@@ -366,7 +366,7 @@ def test_segment_writes_coco_panoptic_masks_and_never_overwrites_others(
     assert {path: path.read_bytes() for path in (shell.folder / "room/panoptic").iterdir()} == before
 
 
-def test_segment_makes_masks_of_the_frames_that_see_every_surface_and_later_of_all(
+def test_segment_first_makes_masks_of_a_few_frames_and_later_of_all(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("transformers")

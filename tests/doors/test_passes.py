@@ -64,7 +64,7 @@ def shot_blend(folder: Path) -> Path:
     return folder / "shot.blend"
 
 
-def test_a_pass_file_is_one_multilayer_exr_at_the_frames_own_size(baked: Terminal) -> None:
+def test_each_frame_is_one_multilayer_exr_of_the_frames_size(baked: Terminal) -> None:
     files = sorted((baked.folder / "shot").glob("*.exr"))
     assert [path.stem for path in files] == [f"{number:04d}" for number in range(6)]
     planes = planes_of(files[0])
@@ -95,7 +95,7 @@ def test_depth_is_metres_along_the_viewing_axis(baked: Terminal) -> None:
     assert np.abs(steps - np.round(steps)).max() < 1e-2, "in steps of a quarter of a millimetre, 1/4096 m"
 
 
-def test_position_is_the_surfaces_place_in_the_world(baked: Terminal) -> None:
+def test_the_position_pass_holds_world_coordinates_of_the_surface(baked: Terminal) -> None:
     planes = planes_of(baked.folder / "shot" / f"{FRAME}.exr")
     camera = next(f.camera for f in engine.read_lift(baked.folder / "lifts/demo").frames if f.name == FRAME)
     position = np.stack([planes[f"PLGS.Position.{axis}"] for axis in "XYZ"], axis=-1).astype(np.float64)
@@ -114,7 +114,7 @@ def test_normals_are_of_length_one_and_face_the_camera(baked: Terminal) -> None:
     np.testing.assert_allclose(np.linalg.norm(normal[shown], axis=-1), 1.0, atol=0.01)
 
 
-def test_vectors_say_where_a_pixel_was_in_the_previous_frame_and_will_be_in_the_next_one(baked: Terminal) -> None:
+def test_the_vector_pass_points_to_the_previous_and_the_next_frame(baked: Terminal) -> None:
     """By the true cameras, y up, as Cycles has them; 0 where the other camera is unknown."""
     planes = planes_of(baked.folder / "shot" / f"{FRAME}.exr")
     frames = {one.name: one.camera for one in engine.read_lift(baked.folder / "lifts/demo").frames}
@@ -131,7 +131,7 @@ def test_vectors_say_where_a_pixel_was_in_the_previous_frame_and_will_be_in_the_
         assert all(planes[f"PLGS.Vector.{axis}"].any() for axis in known)
 
 
-def test_with_channels_nuke_and_a_folder_depth_and_motion_have_nukes_names(baked: Terminal, tmp_path: Path) -> None:
+def test_channels_nuke_names_depth_and_motion_as_nuke_does(baked: Terminal, tmp_path: Path) -> None:
     """Motion forward has the opposite sign."""
     printed = ".venv/bin/python -m engine bake LIFT --frames all -o FOLDER".replace("all", FRAME)
     layers = ["--layers", "normal", "vector", "--channels", "nuke"]
@@ -145,7 +145,7 @@ def test_with_channels_nuke_and_a_folder_depth_and_motion_have_nukes_names(baked
     assert not any("PLGS" in name for name in nuke)
 
 
-def test_optional_layers_are_chosen_and_added_to_those_that_a_file_has(terminal: Terminal) -> None:
+def test_optional_layers_are_added_to_a_baked_file(terminal: Terminal) -> None:
     bake, path = ".venv/bin/python -m engine bake lifts/demo --frames 1-3:2 -o shot", terminal.folder / "shot/0003.exr"
     has = []
     for layers in ((), ("normal",), ("position",)):
@@ -156,7 +156,7 @@ def test_optional_layers_are_chosen_and_added_to_those_that_a_file_has(terminal:
     assert sorted(each.stem for each in path.parent.glob("*.exr")) == ["0001", "0003"], "every second of 1 to 3"
 
 
-def test_a_whole_pixel_has_the_id_of_an_object_exactly_where_its_matte_is_above_one_half(baked: Terminal) -> None:
+def test_a_pixels_id_is_the_object_whose_matte_is_above_one_half(baked: Terminal) -> None:
     lift = engine.read_lift(baked.folder / "lifts/demo")
     for path in sorted((baked.folder / "shot").glob("*.exr")):
         planes = planes_of(path)
@@ -178,7 +178,7 @@ def test_opencv_and_openimageio_read_the_picture(baked: Terminal, monkeypatch: p
     file.close()
 
 
-def test_frames_that_are_baked_already_are_kept(terminal: Terminal) -> None:
+def test_baking_again_keeps_frames_that_are_baked_already(terminal: Terminal) -> None:
     bake = ".venv/bin/python -m engine bake LIFT --frames all -o FOLDER"
     terminal.run(bake.replace("all", "0001"), LIFT="lifts/demo", FOLDER="shot")
     before = (terminal.folder / "shot" / "0001.exr").stat().st_mtime_ns
@@ -187,7 +187,7 @@ def test_frames_that_are_baked_already_are_kept(terminal: Terminal) -> None:
     assert (terminal.folder / "shot" / "0002.exr").is_file()
 
 
-def test_in_a_folder_of_your_own_a_file_is_refused_unless_plgs_wrote_it(terminal: Terminal) -> None:
+def test_baking_into_your_own_folder_replaces_only_files_that_plgs_wrote(terminal: Terminal) -> None:
     bake = ".venv/bin/python -m engine bake lifts/demo --frames 0001 -o shot"
     theirs = terminal.folder / "shot" / "0001.exr"
     theirs.parent.mkdir()
@@ -197,7 +197,7 @@ def test_in_a_folder_of_your_own_a_file_is_refused_unless_plgs_wrote_it(terminal
     assert read_exr(theirs).depth.shape == SIZE[::-1]
 
 
-def test_a_camera_of_your_own_is_baked_under_the_shots_name(
+def test_a_camera_of_your_blend_file_is_baked_under_the_shots_name(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     blend = shot_blend(terminal.folder)
@@ -248,9 +248,7 @@ def baked_names(terminal: Terminal, *more: str) -> list[str]:
     return sorted(path.name for path in {*passes.iterdir()} - before)
 
 
-def test_the_defaults_are_the_files_active_camera_and_range_and_between_frames_have_a_sequence_of_their_own(
-    terminal: Terminal, blend: Path
-) -> None:
+def test_baking_a_blend_uses_its_active_camera_and_range_and_names_subframes(terminal: Terminal, blend: Path) -> None:
     passes = terminal.folder / "lifts/demo/result/passes"
     assert baked_names(terminal) == [f"shot_dolly.{frame:04d}.exr" for frame in (1, 2, 3)]
     between = ["shot_dolly.-0001.exr", "shot_dolly.sub500.0001.exr"]
@@ -259,7 +257,7 @@ def test_the_defaults_are_the_files_active_camera_and_range_and_between_frames_h
     assert depths[0] > depths[1] > depths[2], "half a frame after frame 1"
 
 
-def test_a_still_camera_is_baked_once_and_markers_make_one_shot_of_all_cuts(terminal: Terminal, blend: Path) -> None:
+def test_a_still_camera_is_baked_once_and_camera_markers_make_one_shot(terminal: Terminal, blend: Path) -> None:
     def cut(scene: bpy.types.Scene) -> None:
         still = bpy.data.objects.new("still", bpy.data.cameras.new("still"))
         scene.collection.objects.link(still)
@@ -299,7 +297,7 @@ def as_kind(scene: bpy.types.Scene, kind: str) -> None:
         panorama_of(camera).panorama_type = kind.upper()
 
 
-def test_other_panoramas_are_refused(terminal: Terminal, blend: Path) -> None:
+def test_panoramic_cameras_other_than_equirectangular_are_refused(terminal: Terminal, blend: Path) -> None:
     changed(blend, lambda scene: as_kind(scene, "mirrorball"))
     assert worded("other-lens").search(terminal.run(CAMERA, code=2, LIFT="lifts/demo"))
 
@@ -341,7 +339,7 @@ def test_orthographic_and_equirectangular_cameras_are_baked_with_all_layers(
 
 
 @pytest.mark.parametrize(("metres", "told"), [(30.0, "no surface"), (-1.0, "no surface"), (1.3, "times as large")])
-def test_a_bake_of_cameras_warns_of_what_no_photo_resolves(metres: float, told: str, terminal: Terminal) -> None:
+def test_a_bake_warns_of_surface_that_no_photo_shows_sharply(metres: float, told: str, terminal: Terminal) -> None:
     """From far outside, from behind, and from so near that it is shown over twice as large as in any photo."""
     pose = tiny_pose(0, 6)
     pose[:3, 3] += metres * pose[:3, 2]
@@ -353,7 +351,7 @@ def test_a_bake_of_cameras_warns_of_what_no_photo_resolves(metres: float, told: 
     assert int(shares[1 if "large" in told else 2]) >= 10
 
 
-def test_with_objects_an_export_holds_only_these(terminal: Terminal) -> None:
+def test_the_option_objects_limits_an_export_to_these_objects(terminal: Terminal) -> None:
     chair = next(one for one in engine.read_lift(terminal.folder / "lifts/demo").instances if one.class_name == "chair")
     own = {"LIFT": "lifts/demo", "FORM": "boxes", "FOLDER": "boxes"}
     terminal.run(EXPORT, **own, more=["--objects", '"chair 1"'])
@@ -363,7 +361,7 @@ def test_with_objects_an_export_holds_only_these(terminal: Terminal) -> None:
     assert json.loads(begun)["begins"] == "export" and json.loads(ended) == {"complete": True}
 
 
-def test_usd_is_metres_z_up_and_each_object_a_component(terminal: Terminal) -> None:
+def test_usd_exports_are_in_metres_z_up_with_a_component_for_each_object(terminal: Terminal) -> None:
     pxr = pytest.importorskip("pxr")
     from pxr import Kind, Usd, UsdGeom
 
@@ -376,7 +374,7 @@ def test_usd_is_metres_z_up_and_each_object_a_component(terminal: Terminal) -> N
     assert all(Usd.ModelAPI(one).GetKind() == Kind.Tokens.component for one in objects)
 
 
-def test_a_lift_has_the_scores_of_its_coco_export(terminal: Terminal, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_lift_and_its_coco_export_score_the_same(terminal: Terminal, capsys: pytest.CaptureFixture[str]) -> None:
     terminal.run(EXPORT, LIFT="lifts/demo", FORM="coco", FOLDER="labels", more=["--frames", "test"])
     made = json.loads((terminal.folder / "labels" / "instances.json").read_text())
     assert "PLGS" in made["info"]["description"]

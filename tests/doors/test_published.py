@@ -25,7 +25,7 @@ def files_in(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(folder.glob("*.exr"))}
 
 
-def test_another_state_is_the_next_version_or_is_refused(room: Terminal) -> None:
+def test_baking_a_changed_lift_makes_the_next_version_or_is_refused(room: Terminal) -> None:
     folder, lift = room.folder / "shots", "lifts/demo"
     by_version, fixed = (["--passes", "shots", "--shot", f"'{name}'"] for name in ("room_v{version:03d}", "night"))
     for name in (by_version, fixed):
@@ -51,7 +51,7 @@ def test_another_state_is_the_next_version_or_is_refused(room: Terminal) -> None
     assert files_in(folder)["room_v001.0001.exr"] == before["room_v001.0001.exr"]
 
 
-def test_other_frames_of_the_capture_and_files_saved_again_are_refused(room: Terminal) -> None:
+def test_bake_refuses_to_replace_frames_that_another_program_saved_again(room: Terminal) -> None:
     printed = ".venv/bin/python -m engine bake LIFT --frames all -o FOLDER"
     assert re.search(r"Baked 6 views in \d+ s: plate", room.run(printed, LIFT="lifts/demo", FOLDER="plate"))
     assert "Baked 0 views in 0 s; 6 were there: plate" in room.run(printed, LIFT="lifts/demo", FOLDER="plate")

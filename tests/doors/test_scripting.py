@@ -67,7 +67,7 @@ def test_a_script_prints_statistics_of_each_object(terminal: Terminal) -> None:
     assert float(chair["height"]) == pytest.approx(0.9, abs=0.15) and float(chair["above_floor"]) < 0.1
 
 
-def test_a_matcher_of_ones_own_is_named_in_the_manifest_with_the_digest_of_its_file(terminal: Terminal) -> None:
+def test_a_users_own_matcher_is_named_in_the_manifest_with_its_digest(terminal: Terminal) -> None:
     save(terminal, "matcher.py", '"""Lift with a matcher')
     terminal.run(".venv/bin/python matcher.py scans/room lifts/own 3")
     manifest = json.loads((terminal.folder / "lifts/own/result/manifest.json").read_text())
@@ -79,7 +79,7 @@ def test_a_matcher_of_ones_own_is_named_in_the_manifest_with_the_digest_of_its_f
     assert "error:" in terminal.run(".venv/bin/python matcher.py scans/room lifts/own 3", code=1), "the folder is used"
 
 
-def test_a_loss_and_a_head_of_ones_own_are_lifted_with_and_needed_afterwards(terminal: Terminal) -> None:
+def test_a_users_own_loss_and_head_are_used_and_needed_to_read_the_lift(terminal: Terminal) -> None:
     (terminal.folder / "own.py").write_text(OWN)
     terminal.run(".venv/bin/python own.py scans/room lifts/mine")
     rows = list(csv.DictReader((terminal.folder / "lifts/mine/training.csv").open()))
@@ -92,7 +92,7 @@ def test_a_loss_and_a_head_of_ones_own_are_lifted_with_and_needed_afterwards(ter
     assert worded("model-unreadable").search(told) and "only the script" in told and "Traceback" not in told
 
 
-def test_a_lift_is_read_as_arrays(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_read_lift_gives_a_lift_as_arrays(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(terminal.folder)
     names: dict[str, object] = {}
     exec(script("import engine").replace("lifts/room", "lifts/demo"), names)

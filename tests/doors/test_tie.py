@@ -22,7 +22,7 @@ UNTRIED = {
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_every_command_of_a_page_is_run_by_its_tests(page: str) -> None:
+def test_every_command_printed_on_a_page_of_the_docs_is_run_by_its_tests(page: str) -> None:
     printed = [line for line in commands_of(page) if not line.startswith((*UNTRIED,))]
     tests = FOLDER / f"test_{page.replace('-', '_')}.py"
     if not printed:
