@@ -19,7 +19,7 @@ BEHAVIOURS = {
         "test_kill_and_resume.py::test_a_lift_that_is_killed_and_resumed_has_the_same_bytes"
     ),
     "a lift keeps the names of an earlier one": "lift/test_lasting_names.py::test_every_file_has_the_lasting_ids",
-    "a lift finds a scene that was moved": "doors/test_command_line.py::test_find_scene_tells_a_lift_where_its_scene_is_now",
+    "a lift finds a scene that was moved": "doors/test_command_line.py::test_find_scene_mends_a_lift_whose_scene_moved",
     "frames are baked later with the same bytes": "lift/test_bake_more.py::test_later_bakes_write_the_same_bytes",
     "any camera is baked": "lift/test_bake_more.py::test_any_camera_can_be_baked",
     "several commands bake side by side": "lift/test_bake_more.py::test_two_commands_share_the_frames",

@@ -128,7 +128,7 @@ def test_bake_selects_frames_by_the_last_number_in_their_names(terminal: Termina
     ]  # fmt: skip
 
 
-def test_find_scene_tells_a_lift_where_its_scene_is_now(terminal: Terminal) -> None:
+def test_find_scene_mends_a_lift_whose_scene_moved(terminal: Terminal) -> None:
     (terminal.folder / "scans/room").rename(terminal.folder / "kitchen")
     said = terminal.run(ENGINE + "find-scene LIFT SCENE", LIFT="lifts/demo", SCENE="kitchen")
     assert said.strip() == f"The lift reads {terminal.folder / 'kitchen'}"
