@@ -1,4 +1,4 @@
-"""The lift from end to end: what the engine does with a lift folder."""
+"""The lift from end to end: reads a lift folder's request, and writes its result."""
 
 from __future__ import annotations
 

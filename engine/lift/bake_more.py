@@ -1,8 +1,7 @@
-"""Bake passes of more views of a finished lift: of its frames, bit for bit as the lift itself writes them, and of any
-camera. Several processes may bake one lift at once; each view is baked by one of them.
+"""Bakes (renders to EXR passes) further views of a finished lift: its own frames, bit for bit as the lift writes them,
+and views from any camera. Several processes may bake the same lift at once; each view is then baked by only one.
 
-The passes become part of the result, or go into a folder of their own, where no manifest lists them.
-"""
+The passes become part of the lift's result, or go into another folder, where no manifest lists them."""
 
 from __future__ import annotations
 
@@ -60,9 +59,9 @@ MOST_LOOKS, LOOK_WITHIN = 8, (96, 96)
 
 @dataclass(frozen=True)
 class BakeOptions:
-    """``layers`` are those wanted from FURTHER_LAYERS; ``output`` is the folder for the passes (None: the result),
-    where other programs' files are overwritten only with ``replace``; ``channels`` is one of CHANNELS, "blender" for
-    the result; ``corrected`` is shown instead of the lift with its corrections."""
+    """``layers``: names from FURTHER_LAYERS to write besides the usual ones. ``output``: the folder for the passes
+    (None: the lift's result); other programs' files there are overwritten only with ``replace``. ``channels``: one of
+    CHANNELS; for the result always "blender". ``corrected``: what to show, by default the lift with its corrections."""
 
     layers: tuple[str, ...] = ()
     output: Path | None = None
@@ -73,9 +72,9 @@ class BakeOptions:
 
 @dataclass(frozen=True, eq=False)
 class WantedView:
-    """A view to bake, and the ``name`` of its files. ``fingerprint`` is the camera's, empty for a frame; ``frame`` is
-    the frame's name in the capture. The header lists what is ``shown``. ``previous`` and ``following`` are the cameras
-    of the frames beside it, for the layer Vector, and ``motion`` is their fingerprint, empty for a frame."""
+    """A view to bake. ``name``: of its files. ``fingerprint``: of its camera; empty if the view is a frame, whose name
+    in the capture is then ``frame``. ``shown``: frame number and rate for the EXR header. ``previous``, ``following``:
+    cameras of the frames before and after, for the layer Vector; ``motion``: their fingerprint, empty for a frame."""
 
     name: str
     camera: Camera
@@ -95,9 +94,9 @@ def bake_frames(
     stop: StopSignal,
     options: BakeOptions = BakeOptions(),
 ) -> str:
-    """Bake frames that are not baked yet: "test", "all", or names, and return what was baked, in words. The result is
-    complete at every moment. Raises PlgsError if the scene can no longer be read or lacks a frame, and Cancelled if
-    stopped. Baked views are kept."""
+    """Bake the ``frames`` ("test", "all", names or ranges) that are not baked yet; return a summary to show to the
+    user. A bake that is stopped keeps its finished views. Raises PlgsError if the scene can no longer be read or lacks
+    a frame, and Cancelled if stopped."""
 
     def views_in(scene: Scene) -> list[WantedView]:
         lost = {*names_of_frames(folder)} - {frame.name for frame in scene.frames}
@@ -120,9 +119,9 @@ def bake_frames(
 def bake_cameras(
     folder: LiftFolder, cameras: Path, events: EventWriter, stop: StopSignal, options: BakeOptions = BakeOptions()
 ) -> str:
-    """Bake the views in a file of cameras (see `job.cameras`) that are not baked yet, as `bake_frames` does. A view
-    that was baked from a different camera with the same name is baked again. Raises PlgsError for a bad camera, or one
-    with the name of a frame; otherwise it raises what `bake_frames` raises."""
+    """Bake the views in the file ``cameras`` (see `job.cameras`) that are not baked yet; return a summary, as
+    `bake_frames`. A view that was baked from another camera of the same name is baked again. Raises PlgsError for a bad
+    camera or one that has the name of a frame, and whatever `bake_frames` raises."""
 
     def views_in(scene: Scene) -> list[WantedView]:
         wanted = read_cameras(cameras)
@@ -135,7 +134,7 @@ def bake_cameras(
 
 
 def view_from(camera: BakeCamera) -> WantedView:
-    """The view of a camera, as the engine renders it."""
+    """Convert a camera as read from a file of cameras to a view that can be baked."""
     shown, clip = ShownFrame(camera.frame, camera.fps, camera.display), ClipRange(camera.near, camera.far)
     previous, following = (None if each is None else _camera_of(each) for each in (camera.previous, camera.next))
     seen = _camera_of(camera.pinhole)
@@ -203,7 +202,7 @@ def _bake(
 
 
 def look_ahead(baker: FrameBaker, wanted: Sequence[WantedView], photos: Sequence[Camera], events: EventWriter) -> None:
-    """Report how much of the views without a frame the capture does not resolve, from small pictures of some."""
+    """Before a bake, warn if the photos resolve too little of the views, judged by a few small renderings."""
     free, found = [view for view in wanted if view.fingerprint], []
     for view in free[:: -(-len(free) // MOST_LOOKS) or 1]:
         small = view.camera.resized(*size_within(view.camera.size, LOOK_WITHIN))
@@ -213,8 +212,8 @@ def look_ahead(baker: FrameBaker, wanted: Sequence[WantedView], photos: Sequence
 
 
 def is_whole(passes: Path, notes: Mapping[str, str], layers: tuple[str, ...], shown: ShownFrame) -> bool:
-    """Whether a file of passes has these notes in its header (a missing note counts as empty), the number and rate of
-    its frame, and at least these FURTHER_LAYERS. False for one that is damaged or cut off. Raises OSError."""
+    """Whether the EXR file ``passes`` is undamaged, has these ``notes`` in its header (a missing note counts as ""),
+    the frame number and rate of ``shown``, and at least these FURTHER_LAYERS. Raises OSError."""
     try:
         same = all((read_note(passes, name) or "") == text for name, text in notes.items())
         same = same and not is_cut(passes)
@@ -224,9 +223,9 @@ def is_whole(passes: Path, notes: Mapping[str, str], layers: tuple[str, ...], sh
 
 
 def frames_named(scene: Scene, names: Sequence[str]) -> list[Frame]:
-    """The named frames in recording order, each once. "10-200:2" and the like (see `frame_numbers`) refer to the last
-    numbers in the frames' names (0010 and frame_0010.colour have the number 10). The group "test" includes a frame
-    of that name. Raises PlgsError for a name or a range that matches no frame."""
+    """Return the frames that ``names`` select, in recording order, each once. A name is a frame's, "all", "test" (the
+    held-out frames, and a frame of that name), or a range such as "10-200:2" (see `frame_numbers`) of the last number
+    in frames' names (10 for frame_0010.colour). Raises PlgsError for a name or a range that matches no frame."""
     groups: dict[str, tuple[Frame, ...]] = {frame.name: (frame,) for frame in scene.frames}
     for name, group in (("all", scene.frames), ("test", scene.test_frames)):
         groups[name] = group + groups.get(name, ())
@@ -251,7 +250,7 @@ def _notes_of(view: WantedView, layers: Collection[str]) -> dict[str, str]:
 
 
 class _OwnFolder:
-    """Passes in a folder beside the lift."""
+    """Where a bake goes if the user chose a folder outside the lift's result."""
 
     def __init__(self, folder: LiftFolder, options: BakeOptions) -> None:
         assert options.output is not None
@@ -263,16 +262,16 @@ class _OwnFolder:
         self._model = {MODEL_NOTE: lifted_digest(read_manifest(folder.result_path))} | named
 
     def claim_of(self, view: WantedView) -> str:
-        """The name of the claim that keeps other processes from writing this view."""
+        """Return the name of the lock that keeps other processes from baking this view at the same time."""
         return str(self.path_of(view).resolve())
 
     def path_of(self, view: WantedView) -> Path:
         return self._output / f"{view.name}.exr"
 
     def has(self, view: WantedView, notes: Mapping[str, str]) -> bool:
-        """Whether the folder has this view, from this camera and this model, with these notes. Raises PlgsError for
-        another program's file of its name, also one of ours that it saved again, and for a view that shows something
-        else, unless they may be replaced, and OSError."""
+        """Whether the folder already has this view, from the same camera and model, with these notes. Unless files may
+        be replaced, raises PlgsError if a file of the view's name was written or saved by another program, or shows
+        something else. Raises OSError."""
         path = self.path_of(view)
         if not os.path.lexists(path):
             return False
@@ -288,7 +287,7 @@ class _OwnFolder:
         return False
 
     def _other(self, view: WantedView, notes: Mapping[str, str]) -> str:
-        """What an earlier file of the view shows that this bake would not; empty if only layers differ."""
+        """Return how an earlier file of the view differs in what it shows; "" if it differs only in layers."""
         path = self.path_of(view)
         wanted = {**self._model, **notes, CAMERA_NOTE: view.fingerprint}
         differing = [name for name, text in wanted.items() if (read_note(path, name) or "") != text]
@@ -297,7 +296,7 @@ class _OwnFolder:
         return " and ".join(other) or ("" if is_frame(path, view.shown) else "another number or rate of its frame")
 
     def write(self, view: WantedView, rendered: BakedView, baker: FrameBaker, events: EventWriter) -> None:
-        """Write a view. Raises OSError."""
+        """Write the passes of a view. Raises OSError."""
         self._output.mkdir(parents=True, exist_ok=True)
         path, layers = self.path_of(view), {*self._layers}
         if path.exists() and is_own(path) and not self._other(view, {CORRECTIONS_NOTE: ""} | baker.notes):
@@ -307,11 +306,11 @@ class _OwnFolder:
         write_exr(path, rendered, notes=notes, layers=layers, shown=view.shown, named_for=self._channels)
 
     def keep(self) -> None:
-        """Do nothing, as there is no manifest."""
+        """Do nothing: such a folder has no manifest. (`_Result.keep` updates the lift's.)"""
 
 
 class _Result:
-    """Passes in the lift's result. Baked views are added to the manifest every KEEP_EVERY_S seconds."""
+    """Where a bake goes by default: the lift's result. Every KEEP_EVERY_S seconds its manifest is updated."""
 
     def __init__(self, folder: LiftFolder, locks: BakeLocks, options: BakeOptions) -> None:
         self._folder, self._locks, self._layers = folder, locks, options.layers
@@ -326,12 +325,12 @@ class _Result:
         return baked_files(self._folder, view.name)[0]
 
     def has(self, view: WantedView, notes: Mapping[str, str]) -> bool:
-        """Whether the result has this view, from this camera, with these notes. Raises PlgsError, OSError."""
+        """Whether the result already has this view, from its camera and with these notes. Raises PlgsError, OSError."""
         files, wanted = baked_files(self._folder, view.name), {**notes, **_notes_of(view, self._layers)}
         return self._listed().issuperset(files) and is_whole(files[0], wanted, self._layers, view.shown)
 
     def write(self, view: WantedView, rendered: BakedView, baker: FrameBaker, events: EventWriter) -> None:
-        """Write a view, replacing one from another camera. Raises PlgsError for files of other programs, OSError."""
+        """Write the view, replacing one of its name. Raises PlgsError if another program's file is there, OSError."""
         files = baked_files(self._folder, view.name)
         for path in files:  # a killed bake's are not listed; without passes, previews are not of a bake
             if os.path.lexists(path) and path not in self._listed() and not (files[0].exists() and is_own(files[0])):
@@ -348,7 +347,7 @@ class _Result:
             self.keep()  # before another process looks for views that are left to bake
 
     def _listed(self) -> frozenset[Path]:
-        """The manifest's files. Reading thousands takes a large part of a second, so it is done only after a change."""
+        """Return the manifest's files. They are cached, as reading a manifest of thousands takes part of a second."""
         result = self._folder.result_path
         if not self._folder.manifest_path.is_file():
             read_manifest(result)  # which says what is wrong
@@ -359,7 +358,7 @@ class _Result:
         return self._read[1]
 
     def keep(self) -> None:
-        """Add the new views to the manifest. Raises OSError."""
+        """Add the views baked since the last call to the manifest. Raises OSError."""
         files = [path for view in self._views for path in baked_files(self._folder, view.name)]
         if files:
             with self._locks.manifest():

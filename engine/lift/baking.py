@@ -1,4 +1,4 @@
-"""Rendering of the frames: passes and previews of the requested ones with corrections, scores of the held-out ones."""
+"""Renders a lift's frames: writes passes and previews of the requested ones, and scores the held-out ones."""
 
 from __future__ import annotations
 
@@ -54,20 +54,20 @@ _NUMBERED = re.compile(r"(?s)((?:.*[_-]|.*\D\.)?)(\d{1,9})")
 
 
 class FrameBaker:
-    """Renders views of a lifted scene and turns them into layers."""
+    """Renders views of a lifted scene and writes their passes (the layers of an EXR file)."""
 
     def __init__(
         self, classes: ClassTable, lifted: StructuredScene, instances: ShownInstances, corrections: str = "",
         calibration: Calibration = UNCALIBRATED, removed: Sequence[str] = (),
     ) -> None:  # fmt: skip
         """``corrections``: the fingerprint of the corrections that ``lifted`` and ``instances`` include; ``removed``:
-        the names of the objects that they took away. ``calibration`` makes probabilities of the classes' shares."""
+        the names of objects that they removed. ``calibration`` turns blended class shares into probabilities."""
         self.corrections, self.calibration, self.removed = corrections, calibration, removed
         self.classes, self.lifted, self.labels = classes, lifted, shown_labels(lifted)
         self.instances, self.colours = instances, instances.colours
 
     def render(self, camera: Camera, clip: ClipRange | None = None) -> BakedView:
-        """The model seen from a camera, at the camera's own size. No part of a frame's mask is used."""
+        """Render the model from ``camera``, at the camera's size. Nothing is taken from a frame's input mask."""
         if camera.projection == "equirectangular":
             along = (clip or ClipRange())._replace(along_rays=True)
             return panorama(camera, lambda face: self.render(face, along))
@@ -77,17 +77,17 @@ class FrameBaker:
 
     @property
     def notes(self) -> dict[str, str]:
-        """The header's notes on corrections; empty without corrections."""
+        """Return the header entries that tell of corrections, text by name; empty if there are no corrections."""
         notes = {CORRECTIONS_NOTE: self.corrections, REMOVED_NOTE: ", ".join(self.removed)}
         return {name: text for name, text in notes.items() if text}
 
     def layers(self, camera: Camera, clip: ClipRange | None = None, wanted: Collection[str] = ()) -> PanopticLayers:
-        """The ``wanted`` layers of ``render`` (see `decide`), without its mattes. Labels are drawn only if needed."""
+        """Render only the ``wanted`` layers (see `decide`) and no Cryptomatte. Faster if no label layer is wanted."""
         layers = self.decided(camera, clip, wanted)
         return layers._replace(confidence=self.calibration(layers.confidence))
 
     def decided(self, camera: Camera, clip: ClipRange | None = None, wanted: Collection[str] = ()) -> PanopticLayers:
-        """``layers`` before the classes' shares are calibrated."""
+        """Return the same as ``layers``, but with the classes' blended shares in place of calibrated probabilities."""
         scene, labels = self.lifted, self.labels
         if wanted and FROM_LABELS.isdisjoint(wanted):
             gaussians = len(scene.anchors) * scene.anchors.gaussians_per_anchor
@@ -101,8 +101,8 @@ class FrameBaker:
         self, folder: LiftFolder, name: str, view: BakedView, events: EventWriter,
         *, notes: Mapping[str, str] | None = None, layers: Collection[str] = (), shown: ShownFrame = NOTHING_SHOWN,
     ) -> None:  # fmt: skip
-        """Write passes/<name>.exr, with ``notes`` and what is ``shown`` in its header and these FURTHER_LAYERS,
-        write the three previews (`baked_files`), and report the files."""
+        """Write passes/<name>.exr with ``notes`` and ``shown`` (frame number, rate) in its header and ``layers`` from
+        FURTHER_LAYERS, write three preview pictures (see `baked_files`), and report all files as events."""
         passes, _, semantic, _ = baked_files(folder, name)
         write_exr(passes, view, notes={**(notes or {}), **self.notes}, layers=layers, shown=shown)
         write_previews(folder.previews_path, name, view.layers, self.classes, self.colours)
@@ -111,7 +111,7 @@ class FrameBaker:
 
 
 def read_baker(folder: LiftFolder, classes: ClassTable, corrected: CorrectedResult) -> FrameBaker:
-    """The baker of a finished lift with its corrections. Raises PlgsError if its files cannot be read, and OSError."""
+    """Return a FrameBaker for a finished, corrected lift. Raises PlgsError if files cannot be read, and OSError."""
     lifted = corrected_scene(read_model(folder), corrected)
     shown = read_shown_instances(folder, lifted, corrected)
     path = folder.result_path / "metrics.json"
@@ -126,14 +126,14 @@ def read_baker(folder: LiftFolder, classes: ClassTable, corrected: CorrectedResu
 
 
 def baked_files(folder: LiftFolder, frame: str) -> tuple[Path, Path, Path, Path]:
-    """The files of a baked frame: the passes, and the previews of colour, classes and instances."""
+    """Return the paths of a baked frame's files: the EXR passes, and the previews of colour, classes and instances."""
     colour, semantic, instance = preview_paths(folder.previews_path, frame)
     return folder.passes_path / f"{frame}.exr", colour, semantic, instance
 
 
 def names_of_files(folder: LiftFolder) -> dict[str, str]:
-    """The name of each frame's files: numbers are padded to the longest, with at least DIGITS digits ("3" becomes
-    "0003"). Frames keep their names if two files would clash. Empty if the frames are not known. Raises PlgsError."""
+    """Return file names by frame name. Numbers are padded with zeros to the longest, at least DIGITS digits ("3":
+    "0003"); all frames keep their names if two files would clash. Empty if the frames are unknown. Raises PlgsError."""
     found = {name: _NUMBERED.fullmatch(name) for name in names_of_frames(folder)}
     digits = max([DIGITS, *(len(match[2]) for match in found.values() if match)])
     padded = {name: match[1] + match[2].zfill(digits) if match else name for name, match in found.items()}
@@ -142,7 +142,7 @@ def names_of_files(folder: LiftFolder) -> dict[str, str]:
 
 
 def predicted(layers: PanopticLayers) -> PredictedView:
-    """A lifted view in the form that the report scores."""
+    """Convert a rendered view to the form that metrics take."""
     return PredictedView(
         layers.semantic, layers.instance, colour_picture(layers), layers.depth, alpha=layers.combined[..., 3]
     )
@@ -161,9 +161,9 @@ def bake_and_evaluate(
     findings: Sequence[Finding] = (),
     scored: Size | None = None,
 ) -> None:
-    """Evaluate the lift with the masks of the training ``views`` and of those ``held_back``, which calibrates
-    ``baker``; bake ``wanted``, score the held-out frames (within the box ``scored`` if they are not baked), and write
-    the contact sheet and metrics.json, with the ``findings``. Ground truth is used for metrics.json only. Raises
+    """Compare the lift with the masks of the training ``views`` and of those ``held_back``, which also calibrates
+    ``baker``; bake the frames ``wanted``; score the held-out frames (reduced to fit ``scored`` if they are not baked);
+    write the contact sheet and metrics.json, ``findings`` included. Ground truth is used for metrics.json only. Raises
     Cancelled, PlgsError, OSError."""
     baked_names = {frame.name for frame in wanted}
     frames = wanted or scene.test_frames  # wanted frames include the held-out ones, or are empty
@@ -205,7 +205,7 @@ def bake_and_evaluate(
 def score_corrected(
     folder: LiftFolder, corrected: CorrectedResult, progress: Callable[[int, int], object]
 ) -> dict[str, object]:
-    """The figures of a finished lift with its corrections, in the form of metrics.json. Raises PlgsError, OSError."""
+    """Return the metrics of a finished lift with its corrections, as in metrics.json. Raises PlgsError, OSError."""
     be_repeatable()
     scene, metrics = opened_scene(folder), read_metrics(folder)
     names = metrics.get("test_frames")
@@ -232,8 +232,8 @@ CHUNK = 16384
 
 @torch.no_grad()
 def corrected_scene(scene: StructuredScene, corrected: CorrectedResult) -> StructuredScene:
-    """The scene with the classes and objects of ``corrected``. Its Gaussians keep only their likeliest labels, as if
-    the views had voted, and each object has one class. If no edit changes labels, returns the same scene."""
+    """Return the scene with the classes and objects of ``corrected``, or the same scene if no edit changes labels. Each
+    Gaussian keeps only its likeliest labels, as after voting, and each object has one class."""
     if not corrected.changes_labels:
         return scene
     channels = scene.channels
@@ -261,7 +261,7 @@ def corrected_scene(scene: StructuredScene, corrected: CorrectedResult) -> Struc
 
 
 def voted_labels(scene: StructuredScene, corrected: CorrectedResult) -> GaussianLabels:
-    """The labels of the Gaussians: the voted ones, or else those that the decoders find likeliest."""
+    """Return the Gaussians' labels: those voted by the views or, without votes, the decoders' likeliest."""
     if scene.voted is not None:
         return scene.voted
     labels, shares = zip(*_likeliest_of_chunks(scene, corrected), strict=True)
@@ -275,8 +275,8 @@ OWNED = 0.3
 def _fill_of_scene(
     after: NDArray[np.int32], share: NDArray[np.float32], corrected: CorrectedResult
 ) -> tuple[SceneFill, NDArray[np.int32]]:
-    """What replaces the removed objects, and its labels [P, K], of which only the first counts. ``after`` and ``share``
-    [G, K] are the labels of the scene's Gaussians."""
+    """Return the Gaussians that replace the removed objects, and their labels [P, K], of which only the first counts.
+    ``after`` and ``share`` [G, K] are the corrected labels of the scene's own Gaussians and their shares."""
     parts, labels = [], []
     for first, fill in corrected.relabelling.fills:
         label = corrected.relabelling.of(fill.xyz, fill.label, first)
@@ -292,7 +292,7 @@ def _fill_of_scene(
 
 
 def _without_gone(after: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Labels [G, K] in which each that is gone is replaced by the likeliest one of its Gaussian that is not."""
+    """Return the labels [G, K], where each removed label is replaced by the Gaussian's likeliest remaining one."""
     first = np.take_along_axis(after, (after != GONE).argmax(axis=1)[:, None], axis=1)
     other = after[after != GONE][:1] if (after != GONE).any() else np.zeros(1, np.int32)
     return np.where(after != GONE, after, np.where(first != GONE, first, other))
@@ -301,9 +301,9 @@ def _without_gone(after: NDArray[np.int32]) -> NDArray[np.int32]:
 def _likeliest_of_chunks(
     scene: StructuredScene, corrected: CorrectedResult
 ) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
-    """The likeliest labels that the decoders give each Gaussian, and their shares, CHUNK anchors at a time. If each
-    pixel decides on its own, it shows an object only where it shows a thing. There the objects get no more than the
-    things' share. Labels that depend on the view are those seen from the middle of the scene."""
+    """Yield the likeliest labels of each Gaussian by the decoders, and their shares, for CHUNK anchors at a time. If
+    classes and objects are decided per pixel, an object can show only where a thing does, so objects get at most the
+    share of the things. Labels that depend on the viewpoint are evaluated from the middle of the scene."""
     anchors, decoders, channels = scene.anchors, scene.decoders, scene.channels
     centre, things = anchors.position.mean(dim=0), corrected.classes.thing_ids
     is_thing = torch.tensor([one in things for one in channels.class_ids])

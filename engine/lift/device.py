@@ -12,10 +12,10 @@ from ..raster.cuda import what_fails, what_is_missing
 
 
 def usable_device(device: str, stages: StageReporter) -> str:
-    """The device for a lift: "cuda" if it was requested and works, otherwise "cpu". "auto" never takes "cuda", since no
-    version of ours has run on a GPU yet; the stage "check" says so. For "cuda" that stage tries to draw before any
-    work. If gsplat compiles its code for that, *Cancel* ends the process, and the next try starts over. Raises
-    PlgsError if a requested "cuda" does not work."""
+    """Return the device for a lift: "cuda" if requested and working, otherwise "cpu". "auto" also gives "cpu", since no
+    version of ours has run on a GPU yet; the stage "check" says so. For "cuda" that stage draws a test picture. gsplat
+    may compile its code for it; *Cancel* then ends the process, and the next try starts over. Raises PlgsError if a
+    requested "cuda" does not work."""
     if device == "auto":
         found = torch.cuda.is_available()
         why = "--device cuda is experimental, never run by us on a GPU" if found else "torch finds no CUDA device here"
@@ -27,7 +27,7 @@ def usable_device(device: str, stages: StageReporter) -> str:
 
 
 def _refuse_missing(where: str, stages: StageReporter) -> None:
-    """Raise PlgsError if nothing can be drawn on a CUDA device."""
+    """Raise PlgsError unless a test picture can be drawn on the CUDA device."""
     on_cpu = "or lift with --device cpu."
     if not torch.backends.cuda.is_built():
         fix = f"Make an engine with set-up FOLDER --torch cuda (Torch in the preferences' Set-Up Options), {on_cpu}"
@@ -48,8 +48,8 @@ def _refuse_missing(where: str, stages: StageReporter) -> None:
 
 
 def be_repeatable(device: str = "cpu") -> None:
-    """Make the same input give the same bits on the CPU. On a CUDA device gsplat's sums differ from run to run anyway,
-    and torch's deterministic operators would only be slower."""
+    """Make torch give the same bits for the same input on the CPU. On a CUDA device its deterministic operators stay
+    off: they are slower, and gsplat's sums differ from run to run anyway."""
     # torch.use_deterministic_algorithms also configures torch's compiler, which takes 3 s to import.
     torch.set_deterministic_debug_mode("default" if device == "cuda" else "error")
     # A tenth of the time would go into memory that nothing reads before it is written.

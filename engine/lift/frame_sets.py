@@ -1,5 +1,5 @@
-"""Divides a scene's frames by purpose, as many as fit into memory. The choice is made when a lift begins, and stays the
-same on whichever machine it is resumed."""
+"""Divides a scene's frames into those to train on, to hold out and to vote, within the memory there is. The division is
+made when a lift begins, and stays the same on whichever machine it is resumed."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ FRAMES = "frames"
 
 @dataclass(frozen=True, eq=False)
 class FrameSets:
-    """``all``: the scene with every frame. ``chosen``: the scene with the frames for training or held out. ``voting``:
-    the remaining frames, which only vote; empty if the preset does not use them. ``unreadable`` names frames that were
-    chosen for training, but left out of ``all`` and ``chosen`` as their files cannot be read."""
+    """``all``: the scene with every frame. ``chosen``: the scene with only the frames for training and the held-out
+    ones. ``voting``: the other frames, which only vote on labels; empty if the preset does not use them.
+    ``unreadable``: names of frames chosen for training, but left out of ``all`` and ``chosen``, since a file cannot be
+    read."""
 
     all: Scene
     chosen: Scene
@@ -41,11 +42,11 @@ class FrameSets:
 
     @property
     def begun_with(self) -> list[str]:
-        """The checkpoint's note that makes a resumed lift choose, check and leave out the same frames."""
+        """Return the names that a checkpoint stores, so that a resumed lift uses and leaves out the same frames."""
         return [*(frame.name for frame in self.training), *self.unreadable]
 
     def only(self, readable: Scene) -> FrameSets:
-        """The sets without the chosen frames that the scene ``readable`` lacks."""
+        """Return these sets without the chosen frames that are missing in the scene ``readable``."""
         names = {frame.name for frame in readable.frames}
         gone = [frame for frame in self.chosen.frames if frame.name not in names]
         kept = tuple(frame for frame in self.all.frames if frame not in gone)
@@ -56,8 +57,8 @@ class FrameSets:
 def sets_of_frames(
     scene: Scene, request: LiftRequest, checkpoint: Checkpoint | None, progress: StageProgress, events: EventWriter
 ) -> FrameSets:
-    """The frames of a scene by their purpose. A ``checkpoint`` names those that the lift was begun with. Raises
-    PlgsError if they need too much memory, are no longer in the scene, or a file is bad."""
+    """Divide the frames of a scene by purpose, the same way as the lift to resume if there is a ``checkpoint``. Raises
+    PlgsError if the frames need too much memory, are no longer in the scene, or have a bad file."""
     if checkpoint is not None and FRAMES in checkpoint.state:
         begun = begun_with(scene, checkpoint)
         check_memory(scene, request, len(begun), main_memory(), events)
@@ -76,12 +77,12 @@ def sets_of_frames(
 
 
 def frames_to_bake(scene: Scene, bake: str) -> tuple[Frame, ...]:
-    """The frames whose passes were requested: "test", "all" or "none"."""
+    """Return the frames whose passes are wanted: with "test" the held-out ones, with "all" every one, or "none"."""
     return {"test": scene.test_frames, "all": scene.frames, "none": ()}[bake]
 
 
 def frames_to_vote(scene: Scene, chosen: Scene, preset: Preset) -> tuple[Frame, ...]:
-    """The frames of a scene that are neither held out nor among the ``chosen``."""
+    """Return the frames that only vote: neither held out nor in ``chosen``; none if the preset does not vote."""
     if preset.objects in ("boxes", "none") or not preset.all_frames_vote:
         return ()
     training = {frame.name for frame in chosen.train_frames}
@@ -89,8 +90,8 @@ def frames_to_vote(scene: Scene, chosen: Scene, preset: Preset) -> tuple[Frame, 
 
 
 def begun_with(scene: Scene, checkpoint: Checkpoint) -> frozenset[str]:
-    """The names of the frames that the lift was begun with. Raises PlgsError if the checkpoint has none, or the scene
-    lacks one of them."""
+    """Return the names of the frames that the lift to resume began with. Raises PlgsError if the checkpoint has none,
+    or if the scene lacks one of them."""
     names = checkpoint.state[FRAMES]
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
         fix = "Delete the folders there whose names begin with 'checkpoint'; resume then starts from the beginning."
@@ -112,9 +113,9 @@ LEAST_PIXEL = 5.0
 
 
 def frames_that_fit(scene: Scene, request: LiftRequest, memory: MainMemory | None, events: EventWriter) -> int:
-    """The most frames to train on (0: all): as many as the request or its preset asks for. If these need too much
-    memory and the request allows it, as many as fit. Warns if other programs hold the memory that is needed. Raises
-    PlgsError, which names the options that would make the lift fit, or a bad mask."""
+    """Return the number of frames to train on at most (0: all): as many as the request or its preset asks for or, if
+    the request allows fewer, as fit into memory. Warns if other programs hold the memory needed. Raises PlgsError if
+    the frames do not fit, with the options that would make them fit, or if a mask is bad."""
     preset = request.chosen_preset
     if memory is None:
         return preset.frames
@@ -141,8 +142,8 @@ def frames_that_fit(scene: Scene, request: LiftRequest, memory: MainMemory | Non
 def check_memory(
     scene: Scene, request: LiftRequest, frames: int, memory: MainMemory | None, events: EventWriter
 ) -> None:
-    """Check the memory for a lift that was begun with ``frames`` frames, whose number cannot change. Raises PlgsError
-    if they need more memory than there is, or if a mask is bad."""
+    """Check the memory for a resumed lift, whose number of ``frames`` is fixed; may warn. Raises PlgsError if they need
+    more memory than there is, or if a mask is bad."""
     if memory is None:
         return
     needed = _peak(scene, replace(request.chosen_preset, frames=frames), masks_a_frame(scene))
@@ -154,8 +155,8 @@ def check_memory(
 
 
 def check_disk(folder: Path, sizes: Iterable[tuple[int, int]], events: EventWriter) -> None:
-    """Check the room for passes of these sizes (width, height) in a folder. Warns if they are likely not to fit. Raises
-    PlgsError if they cannot fit."""
+    """Check that ``folder`` has room for passes of these sizes (width, height) in pixels. Warns if they may not fit.
+    Raises PlgsError if they cannot fit."""
     there = next(each for each in (folder, *folder.absolute().parents) if each.exists())
     pixels, free = sum(width * height for width, height in sizes), shutil.disk_usage(there).free
     if free < pixels * LEAST_PIXEL:
@@ -175,26 +176,26 @@ def _too_much(needed: int, memory: MainMemory) -> str:
 
 
 def masks_a_frame(scene: Scene) -> float:
-    """The mean number of segments in LOOKED_AT frames' readable masks. Raises PlgsError if most cannot be read."""
+    """Return the mean number of segments in LOOKED_AT frames' masks. Raises PlgsError if most are unreadable."""
     looked_at = {frame.name: frame for frame in evenly_spread(scene.train_frames, LOOKED_AT)}
     masks = of_most(list(looked_at), lambda name: looked_at[name].mask(size_within(looked_at[name].size, (64, 64))))
     return float(np.mean([len(mask.segments) for mask in masks.values()]))
 
 
 def predicted_lift(scene: Scene, preset: Preset, masks: float, bake: str = "test") -> Prediction:
-    """The prediction for a scene with ``masks`` masks per frame, as if all frames were as large as the largest."""
+    """Predict a lift's memory and time for ``masks`` segments per frame, as if all frames were of the largest size."""
     size = max((frame.size for frame in scene.frames), key=lambda size: size[0] * size[1])
     counts = len(scene.train_frames), len(scene.test_frames)
     return predict(*counts, size, preset, bake=bake, masks_a_frame=masks, classes=len(scene.classes.categories))
 
 
 def _peak(scene: Scene, preset: Preset, masks: float) -> int:
-    """The most bytes that a lift needs."""
+    """Return the predicted peak of a lift's memory, in bytes."""
     return predicted_lift(scene, preset, masks).peak_bytes
 
 
 def _advice(scene: Scene, request: LiftRequest, preset: Preset, *, masks: float, most: int, fewer: int | None) -> str:
-    """Advice that names the options with which the lift would fit, in addition to those of the request."""
+    """Return the text of an error's fix: the options, besides those of the request, with which the lift would fit."""
     found = [] if fewer is None else [f"--frames {fewer} (--fit finds such a number)"]
     sides = [(width, width * 3 // 4) for width in (640, 320, 200) if width < preset.size[0]]
     size = next((size for size in sides if _peak(scene, replace(preset, size=size), masks) <= most), None)

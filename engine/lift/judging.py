@@ -1,5 +1,5 @@
-"""Evaluates a finished lift with the masks, as there may be no ground truth: how well the two agree, which objects the
-lift misses, and how likely its classes are right."""
+"""Evaluates a finished lift by the input masks, since there may be no ground truth: how well the lift and the masks
+agree, which objects the lift misses, and how probable it is that a pixel's class is right."""
 
 from __future__ import annotations
 
@@ -30,9 +30,10 @@ MOST_NAMED = 5
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """The result of the evaluation. ``trained`` and ``held_back``: the mean IoU with the masks over the masks' own
-    classes, for training views and for held-out views; None without such views. ``calibration``: how likely a class
-    with a share is right. ``doubt``: for each evaluated frame, the mean probability that a pixel's class is wrong."""
+    """How the lift compares with the masks. ``trained``, ``held_back``: mean IoU over the masks' classes, for training
+    and for held-out views; None without such views. ``not_shown``: objects in masks that the lift lacks.
+    ``calibration``: from a class's share to the probability that it is right. ``doubt``: by view, the mean probability
+    of a wrong class."""
 
     trained: float | None
     held_back: float | None
@@ -41,14 +42,14 @@ class Judgement:
     doubt: Mapping[str, float]
 
     def to_json(self) -> dict[str, Json]:
-        """The value under "masks_as_judges" in metrics.json."""
+        """Return the value of "masks_as_judges" in metrics.json."""
         agreement: dict[str, Json] = {"trained": self.trained, "held_back": self.held_back}
         missed: list[Json] = [asdict(one) for one in self.not_shown]
         calibration: Json = asdict(self.calibration)
         return {"agreement": agreement, "not_shown": missed, "calibration": calibration, "doubt": dict(self.doubt)}
 
     def report(self, events: EventWriter) -> None:
-        """Log the calibration and all missing objects, and warn of the first few."""
+        """Log the calibration and all missing objects, and warn of the first few objects."""
         log.info("confidence: %s", self.calibration)
         if self.held_back is None:
             log.info("no masks were held back: those that were trained on say how likely a class is right")
@@ -70,14 +71,14 @@ def judge(
     progress: Callable[[int, int], object],
     scratch: Path | None = None,
 ) -> Judgement:
-    """Evaluate the finished lift with the ``trained`` views and those that were ``held_back``. ``draw`` returns what a
-    camera sees of it, with the classes' shares as its confidence. Raises PlgsError, OSError, Cancelled."""
+    """Compare the finished lift with the masks of the views it was ``trained`` on and of those ``held_back``. ``draw``
+    renders it from a camera, with uncalibrated class shares as the confidence. Raises PlgsError, OSError, Cancelled."""
     every = chained(trained, held_back)
     samples: list[Samples] = []
     most = MOST_SAMPLES // (len(held_back) or len(trained))
 
     def drawn() -> Iterator[NDArray[np.int32]]:
-        """The classes that each view shows; at most ``most`` of its pixels go into ``samples``."""
+        """Yield the rendered class map of each view, int32 [H, W]; add up to ``most`` pixels to ``samples``."""
         for number in range(len(every)):
             view = every[number]
             seen = draw(view.camera)
@@ -99,18 +100,18 @@ def judge(
 
 
 def evenly(views: Sequence[View], most: int) -> Sequence[View]:
-    """At most ``most`` of them, evenly chosen. Each is drawn once, at the size of training."""
+    """Return at most ``most`` of the views, evenly spaced, as each view to compare must be rendered."""
     return views[:: -(-len(views) // most) or 1]  # without views the step would be 0
 
 
 def read_held_back(scene: Scene, size: Size, scratch: Path | None = None) -> StoredViews:
-    """The held-out frames with masks and depth, within ``size``. Raises PlgsError, OSError."""
+    """Load the held-out frames that have masks and depth, reduced to fit ``size``. Raises PlgsError, OSError."""
     masked = [frame for frame in scene.test_frames if frame.read_mask is not None and frame.read_depth is not None]
     return StoredViews(read_ahead(masked, lambda frame: load_view(frame, size_within(frame.size, size))), scratch)
 
 
 def _agreement(judges: Sequence[JudgedView], classes: ClassTable) -> float | None:
-    """The mean IoU over the classes of the masks; None if no pixel is labelled."""
+    """Return the mean IoU over the classes that the masks contain; None if no pixel is labelled."""
     evaluation = PanopticEvaluation(classes, "strict")
     for judged in judges:
         nothing = np.zeros_like(judged.shown)
@@ -130,7 +131,7 @@ LEAST_UNRESOLVED = 0.1
 
 @dataclass(frozen=True)
 class Unresolved:
-    """Shares of a picture's pixels: ``coarse`` ones that no photo resolves, ``empty`` ones without a surface."""
+    """Shares of a picture's pixels, 0 to 1: ``coarse``, whose surface no photo resolves; ``empty``, without one."""
 
     coarse: float
     empty: float
@@ -141,8 +142,8 @@ class Unresolved:
 
 
 def unresolved(layers: PanopticLayers, camera: Camera, photos: Sequence[Camera], reduced: float = 1.0) -> Unresolved:
-    """How much of a ``camera``'s picture the ``photos`` do not resolve, ignoring occlusion. The real picture may be
-    ``reduced`` times larger than that of the ``layers``."""
+    """Return the share of ``camera``'s picture that no photo resolves, ignoring occlusion. ``layers`` is its rendering;
+    ``reduced`` is how many times larger the final picture will be. ``photos`` are the cameras of the capture."""
     step = -int(-((camera.width * camera.height / SAMPLES) ** 0.5) // 1)
     first = (step - 1) // 2  # so that the margins are alike
     depth, alpha = (each[first::step, first::step] for each in (layers.depth, layers.combined[..., 3]))
@@ -156,7 +157,7 @@ def unresolved(layers: PanopticLayers, camera: Camera, photos: Sequence[Camera],
 
 
 def report_unresolved(found: Sequence[tuple[str, Unresolved]], events: EventWriter, *, before: bool) -> None:
-    """Report the shares of the named views: warn if much of one is unresolved, and log the figures after a bake."""
+    """Warn if a large share of one of the views ``found`` (name and shares) is unresolved; after a bake also log it."""
     if not found:
         return
     mean = {name: float(np.mean([getattr(each, name) for _, each in found])) for name in ("coarse", "empty")}

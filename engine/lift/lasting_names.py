@@ -1,7 +1,6 @@
-"""Carries ids and names over from an earlier lift of the same scene, for objects that are still there.
+"""Keeps ids and names of an earlier lift of the same scene for objects that are still there.
 
-result/names.json lists the changes, and the ids and numbers that later lifts must not reuse.
-"""
+result/names.json lists what changed, and the ids and numbers that later lifts must not use again."""
 
 from __future__ import annotations
 
@@ -43,9 +42,9 @@ _FIX = "Name another finished lift with --names-from, or none."
 
 @dataclass(frozen=True, eq=False)
 class EarlierLift:
-    """``names`` and ``class_names`` by instance id; points ``xyz`` float32 [N, 3] in metres with ``instance_id`` int32
-    [N] (0 = none). ``largest_id`` and ``last_numbers`` (by class name) also include the lifts before it. ``edits`` are
-    its corrections."""
+    """What the earlier lift found. ``names``, ``class_names``: by instance id. ``xyz`` float32 [N, 3]: points in
+    metres, with ``instance_id`` int32 [N], 0 = none. ``largest_id``, ``last_numbers`` (by class name): the largest used
+    so far, lifts before it included. ``edits``: its corrections."""
 
     folder: Path
     names: Mapping[int, str]
@@ -58,7 +57,7 @@ class EarlierLift:
 
 
 def refuse_names_of_no_objects(request: LiftRequest, preset: Preset) -> None:
-    """Raise PlgsError if an earlier lift's names are requested, but the lift has no objects."""
+    """Raise PlgsError if the request asks for an earlier lift's names, but the preset makes no objects."""
     if request.names_from is not None and preset.objects == "none":
         fix = 'Leave out --names-from, or set objects to "agreement" or "boxes".'
         what = 'with objects = "none" there are no objects whose names could be kept'
@@ -66,7 +65,7 @@ def refuse_names_of_no_objects(request: LiftRequest, preset: Preset) -> None:
 
 
 def read_earlier(folder: Path) -> EarlierLift:
-    """The objects of a finished lift. Raises PlgsError if the folder is not one, or cannot be read."""
+    """Read the objects of the finished lift in ``folder``. Raises PlgsError if it is not one, or cannot be read."""
     lift = LiftFolder.open(folder)
     result = lift.result_path
     read_manifest(result)
@@ -100,8 +99,7 @@ def read_earlier(folder: Path) -> EarlierLift:
 
 @dataclass(frozen=True)
 class LastingNames:
-    """``id_of`` maps the ids of the matching to those in the result; ``names`` has the latter as keys. ``changes`` is
-    the content of names.json."""
+    """``id_of``: the final id for each id that matching gave. ``names``: by final id. ``changes``: for names.json."""
 
     id_of: dict[int, int]
     names: dict[int, str]
@@ -115,8 +113,8 @@ def lasting_names(
     instance_of_point: NDArray[np.int32],
     classes: ClassTable,
 ) -> LastingNames:
-    """Objects that are still there keep their ids, and their names if their class is the same. New ones get numbers
-    that were never used before."""
+    """Match ``instances`` with the earlier lift's objects by their points ``xyz`` [N, 3], metres, whose object
+    ``instance_of_point`` gives ([N], 0 = none). Matches keep their ids and, if of the same class, their names."""
     overlap = object_overlap(earlier.xyz, earlier.instance_id, xyz, instance_of_point)
     found = lasting_objects(overlap)
     id_of, names, numbers, next_id = {}, {}, dict(earlier.last_numbers), earlier.largest_id
@@ -162,8 +160,9 @@ def _changes(
 def keep_names(
     earlier: EarlierLift, prepared: PreparedLift, seen: NDArray[np.bool_], lifted: StructuredScene, classes: ClassTable
 ) -> tuple[PreparedLift, LastingNames]:
-    """The lift with lasting ids, also in ``lifted``, and the names of its objects. Only the points ``seen`` bool [N]
-    are compared, as the earlier lift has only those. Training knows ids only by index, so it is the same."""
+    """Return the lift with the earlier lift's ids, and its objects' names. ``lifted`` is renumbered as well. Only
+    points in ``seen`` bool [N] are compared, since the earlier lift stored only such. Training does not depend on
+    ids."""
     points = prepared.instance_of_point
     lasting = lasting_names(earlier, prepared.instances, prepared.cloud.xyz[seen], points[seen], classes)
     id_of = lasting.id_of
@@ -183,7 +182,7 @@ def keep_names(
 
 
 def write_names(folder: LiftFolder, lasting: LastingNames, events: EventWriter) -> None:
-    """Write result/names.json, and report the counts. Raises OSError."""
+    """Write result/names.json and report how many objects kept, changed or lost their names. Raises OSError."""
     write_atomically(folder.result_path / NAMES, json.dumps(lasting.changes, indent=1, ensure_ascii=False) + "\n")
     counts = {kind: len(lasting.changes[kind]) for kind in ("kept", "renamed", "new", "gone")}
     events.metric("names", counts)
@@ -197,8 +196,8 @@ def write_names(folder: LiftFolder, lasting: LastingNames, events: EventWriter) 
 
 
 def take_over_edits(folder: LiftFolder, earlier: EarlierLift) -> None:
-    """Add the earlier lift's corrections to this one's, whose objects now have the ids of the earlier ones. Those that
-    cannot be applied are kept. Raises PlgsError if corrections cannot be read, and OSError."""
+    """Add the earlier lift's corrections to this lift's, which has the same ids for the same objects. Corrections that
+    no longer apply are kept, too. Raises PlgsError if corrections cannot be read, and OSError."""
     if not earlier.edits:
         return
     with editing(folder.path) as edits:
@@ -211,7 +210,7 @@ def take_over_edits(folder: LiftFolder, earlier: EarlierLift) -> None:
 
 
 def report_edits(folder: LiftFolder, earlier: EarlierLift, events: EventWriter) -> None:
-    """Warn of the earlier lift's corrections, applied or not, in a finished lift. Raises PlgsError."""
+    """Warn which of the earlier lift's corrections apply to this finished lift, and which do not. Raises PlgsError."""
     if not earlier.edits:
         return
     corrected = read_corrected(folder.path)

@@ -1,7 +1,6 @@
-"""Pictures of the points before training, and of the model during it, from a camera that the user chooses.
+"""Draws pictures of the points before training, and of the model during it, from a camera that the user chooses.
 
-They take a limited share of the time and do not influence training: they draw no random numbers and change no sums.
-"""
+They take a limited share of the time, draw no random numbers and do not influence training."""
 
 from __future__ import annotations
 
@@ -49,8 +48,8 @@ SIZE_WITHIN = (480, 480)
 
 
 class LivePreviews:
-    """Writes result/previews/live.png (``folder.live_preview_path``) every few seconds, by rename, and reports it. The
-    first problem with preview.json gives a warning, and a held-out frame is shown instead."""
+    """Replaces result/previews/live.png (``folder.live_preview_path``) every few seconds, and reports it. If
+    preview.json, where the user names a camera, cannot be used, it warns once and shows a held-out frame."""
 
     def __init__(
         self,
@@ -61,7 +60,7 @@ class LivePreviews:
         clock: Callable[[], float] = time.monotonic,
         surface: NDArray[np.float32] | None = None,
     ) -> None:
-        """``surface``: points [N, 3] of the scene, which tell front from back. It and instances can be set later."""
+        """``surface``: points float32 [N, 3], metres, which tell front from back. ``instances`` may be set later."""
         self.folder, self.scene, self.instances, self.events = folder, scene, instances, events
         self._clock, self._due, self._is_first = clock, clock(), True
         self._last_read: tuple[int, int, int] | None = None  # the stamp of preview.json when it was last read
@@ -72,7 +71,7 @@ class LivePreviews:
         self._fronts: tuple[cKDTree, NDArray[np.float64]] | None = None
 
     def __call__(self, lifted: StructuredScene) -> None:
-        """Draw the model if a preview is due. Raises OSError if the disk is full."""
+        """Render the model to the preview file if a preview is due. Raises OSError if the disk is full."""
         began = self._clock()
         if began < self._due:
             return
@@ -85,13 +84,13 @@ class LivePreviews:
         self._is_first = False
 
     def show_points(self, cloud: SemanticPointCloud, owner: NDArray[np.int32]) -> None:
-        """Draw the points of the cloud, with the instance of each, int32 [N]. Raises OSError if the disk is full."""
+        """Draw the cloud's points; ``owner`` int32 [N]: each point's instance. Raises OSError if the disk is full."""
         camera, self.surface = self._wanted_camera(), cloud.xyz
         wanted = self._facing(cloud.xyz, camera.centre)
         self._write(*points_picture(cloud, owner, wanted, camera, self.scene.classes))
 
     def clear_away(self) -> None:
-        """Delete the picture, which does not belong to the result. Raises PermissionError if it stays open for 2 s."""
+        """Delete the preview, which is not part of the result. Raises PermissionError if it stays open for 2 s."""
         for pause_s in (0.1, 0.4, 1.5):
             try:
                 return self.folder.live_preview_path.unlink(missing_ok=True)
@@ -126,7 +125,8 @@ class LivePreviews:
         return replace(lifted, anchors=lifted.anchors.select(rows), finest=finest)
 
     def _facing(self, xyz: NDArray[np.float32], eye: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which points [N, 3] do not face away from a requested camera outside the room, so that it sees into it."""
+        """Return which points ``xyz`` [N, 3] to draw, bool [N]: not those facing away from an ``eye`` outside the room.
+        If no such camera was requested, all."""
         is_outside = np.linalg.norm(self._eyes - eye, axis=1).min() > OUTSIDE
         if self.surface is None or not self._fingerprint or not is_outside:
             return np.ones(len(xyz), np.bool_)
@@ -148,7 +148,7 @@ class LivePreviews:
         return self._camera.resized(width, height)
 
     def _read_camera(self, path: Path) -> tuple[Camera, str]:
-        """The camera to draw, and the fingerprint of a requested camera ("" for a frame)."""
+        """Return the camera to draw from and its fingerprint: that of a requested camera, "" for a frame."""
         default = frame_to_show(self.scene).camera, ""
         try:
             wanted = read_preview_request(path)
@@ -172,8 +172,8 @@ class LivePreviews:
 def points_picture(
     cloud: SemanticPointCloud, owner: NDArray[np.int32], wanted: NDArray[np.bool_], camera: Camera, classes: ClassTable
 ) -> tuple[Picture, NDArray[np.float32]]:
-    """The ``wanted`` points [N] of a cloud as discs that touch, near ones over far ones, with their colours, classes
-    and ``owner`` (instances); and alpha float32 [H, W], 1 where one is shown."""
+    """Draw the points where ``wanted`` bool [N] as discs that touch, near over far; ``owner`` int32 [N]: their
+    instances. Return the picture of colours, classes and instances, and alpha float32 [H, W], 1 on a disc, else 0."""
     of_point = np.flatnonzero(wanted)
     row, pixel, depth = camera.seen(cloud.xyz[of_point])
     shown = np.zeros((camera.height, camera.width), np.int32)  # 0 = none, else the number of a point from 1
@@ -187,8 +187,8 @@ def points_picture(
 
 
 def fronts_of(surface: NDArray[np.float32], eyes: NDArray[np.float64]) -> tuple[cKDTree, NDArray[np.float64]]:
-    """A tree of at most MOST_POINTS of a surface's points [N, 3], and their normals, float64 [n, 3]. A normal is that
-    of the plane through a point's neighbours, on the side of the nearest of the cameras' centres ``eyes`` [V, 3]."""
+    """Return a tree of up to MOST_POINTS points of a surface [N, 3], and their normals, float64 [n, 3]. A normal is
+    that of the plane through a point's neighbours, towards the nearest of the camera centres ``eyes`` [V, 3]."""
     xyz = surface[:: 1 + len(surface) // MOST_POINTS].astype(np.float64)
     tree = cKDTree(xyz)
     around = xyz[tree.query(xyz, min(NEIGHBOURS, len(xyz)))[1]].reshape(len(xyz), -1, 3)
@@ -199,6 +199,6 @@ def fronts_of(surface: NDArray[np.float32], eyes: NDArray[np.float64]) -> tuple[
 
 
 def frame_to_show(scene: Scene) -> Frame:
-    """The middle one of the held-out frames, which are not trained on, or of all frames if none is held out."""
+    """Return the frame to preview by default: the middle one of the held-out frames or, if there are none, of all."""
     frames = scene.test_frames or scene.frames
     return frames[len(frames) // 2]

@@ -1,9 +1,8 @@
-"""Which masks are one object, and which points and pixels belong to it.
+"""Finds which masks show the same object, and which points and pixels belong to it.
 
-The paper's method is Algorithm 1 on oriented boxes. In ours, the views agree on objects, whatever their classes. Then
-they vote on each object's class, and segments and points vote on what every pixel shows. Finally, the views decide
-again about the connected pieces of each object.
-"""
+The paper's method is Algorithm 1 on oriented boxes. In ours, masks of several views are joined to objects whatever
+their classes; then the views vote on each object's class, segments and points vote on the label of every pixel, and
+finally the views vote again on the connected pieces of each object."""
 
 from __future__ import annotations
 
@@ -39,9 +38,9 @@ LARGEST_GAP = 0.15
 
 @dataclass(frozen=True, eq=False)
 class ViewsToMatch:
-    """The input of the matching: the ``views``, their semantic ``cloud`` and the ``classes``. ``others`` are views
-    that vote, but do not decide which masks are one object; the paper's method does not use them. ``scratch`` is the
-    folder for temporary files."""
+    """The input of the matching: the ``views``, their semantic point ``cloud`` and the ``classes``. ``others``: views
+    that vote on labels, but whose masks are not joined to objects (the paper has none). ``scratch``: folder for big
+    arrays."""
 
     views: Sequence[View]
     cloud: SemanticPointCloud
@@ -52,11 +51,11 @@ class ViewsToMatch:
 
 @dataclass(frozen=True, eq=False)
 class Matching:
-    """The ``cloud`` with its final classes, the ``instances`` with ids 1.., the instance of each point int32 [N] (0 =
-    none), and the number of instances ``dropped``. ``label_maps``: the panoptic label of each view's pixels, int16
-    [H, W] (-1 = unknown), if segments and points voted on them. ``point_of_pixel``: the point of the cloud that each
-    pixel of the views shows, int32 [H, W] (-1 = none), if it was looked up. ``masks_agree``: the views' masks are good
-    enough to say where things end; where they contradict each other, points alone do."""
+    """The result of the matching. ``cloud``: with final classes. ``instances``: ids from 1. ``instance_of_point`` int32
+    [N], 0 = none. ``dropped``: how many instances were left out. ``label_maps``: each view's panoptic labels, int16 [H,
+    W], -1 = unknown; None without votes on pixels. ``point_of_pixel``: index of the cloud's point that each view's
+    pixel shows, int32 [H, W], -1 = none; None if not computed. ``masks_agree``: whether the views' masks agree well
+    enough to decide where objects end; if not, only points do."""
 
     cloud: SemanticPointCloud
     instances: list[SceneObject]
@@ -68,7 +67,7 @@ class Matching:
 
 
 def instances_by_boxes(given: ViewsToMatch, preset: Preset, progress: StageProgress) -> Matching:
-    """The paper's method: Algorithm 1 on the thing segments of all views."""
+    """Find instances by the paper's method: Algorithm 1 on the thing segments of all views."""
     views, cloud, classes = given.views, given.cloud, given.classes
     found = match_views(views, classes.thing_ids, segment_options(preset), preset.matching, progress)
     index, reach = cloud.index(), 2 * preset.voxel_size
@@ -81,15 +80,15 @@ def instances_by_boxes(given: ViewsToMatch, preset: Preset, progress: StageProgr
 
 
 def segment_options(preset: Preset) -> SegmentOptions:
-    """How the preset turns segments into points before Algorithm 1."""
+    """Return the preset's options for turning segments into points before Algorithm 1."""
     shape = preset.segments
     return SegmentOptions(preset.voxel_size, erosion_share=shape.erosion, min_points=shape.least_points)
 
 
 @dataclass(frozen=True, eq=False)
 class VotedThings:
-    """The ``things`` that views agree on. ``training``: the views whose masks were joined; ``everyone``: all that vote,
-    with the detections that do."""
+    """The ``things`` that several views agree on. ``training``: the views whose masks were joined to objects;
+    ``everyone``: all views that vote, their detections included."""
 
     things: list[SceneObject]
     training: ViewsOnCloud
@@ -99,8 +98,8 @@ class VotedThings:
 
 
 def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StageProgress) -> Matching:
-    """Our method: the views agree on objects and vote on the class of each; segments and points vote on the label of
-    every pixel."""
+    """Find instances by our method: join masks on which views agree, vote on each object's class, then let segments and
+    points vote on the label of every pixel."""
     found = voted_things(given, preset.evidence, progress)
     part, are_weak = None, found.agreement.is_weak
     may_be_trusted = are_weak or found.agreement.at_least < AGREEING
@@ -126,8 +125,7 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
 
 
 def voted_things(given: ViewsToMatch, kinds: ViewEvidence, progress: StageProgress) -> VotedThings:
-    """The objects that the views agree on, if the views vote that they are things. This is the first 40 % of the
-    stage's ``progress``."""
+    """Return the objects that views agree on and vote to be things. Takes ``progress`` from 0 to 40 %."""
     cloud = given.cloud
     training = on_cloud(given.views, cloud, given.scratch, progress.part(0.0, 0.1))
     training = training.looked_at(progress.part(0.1, 0.15))
@@ -152,8 +150,9 @@ def voted_points(
     preset: Preset,
     progress: Progress,
 ) -> tuple[SemanticPointCloud, NDArray[np.int32]]:
-    """The cloud with the classes that segments and points vote on, and the object of each point, int32 [N] (0 = none).
-    ``superpoint`` int [N]: the superpoint of each point, if superpoints share their votes; else neighbours may."""
+    """Return the cloud with the classes that segments and points vote for, and each point's object, int32 [N], 0 =
+    none. Votes are shared within superpoints (``superpoint`` int64 [N]); if None, among neighbours if the preset says
+    so."""
     neighbours: Any = None
     if superpoint is not None:
         neighbours = rest_of_superpoints(superpoint, found.agreement.in_all)
@@ -172,8 +171,8 @@ def voted_points(
 def regrouped(
     cloud: SemanticPointCloud, object_of_point: NDArray[np.int32], found: VotedThings, progress: Progress
 ) -> tuple[NDArray[np.int32], list[SceneObject]]:
-    """The object of each point, int32 [N] (0 = none), and the objects, after the views decided on connected pieces.
-    ``object_of_point`` int32 [N]: which of the things ``found`` each point showed before."""
+    """Let the views vote on each connected piece of the objects. ``object_of_point`` int32 [N] is the number of the
+    thing in ``found`` that each point belongs to (0 = none). Return the same for the new objects, and those objects."""
     rules, seeing = by_votes.PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing)), found.training
     classes = [one.class_id for one in found.things]
     owner, origin = by_votes.regroup_pieces(
@@ -191,8 +190,8 @@ def with_unowned(
     seeing: ViewsOnCloud,
     classes: ClassTable,
 ) -> tuple[NDArray[np.int32], list[SceneObject]]:
-    """The object of each point, int32 [N] (0 = none), and the objects, with those that points of a thing's class found
-    where no object owned them (``unowned_pieces``)."""
+    """Add objects for connected points of a thing's class that belong to none (see ``unowned_pieces``). ``owner`` int32
+    [N] is each point's object among ``things``, 0 = none. Return the new owners and the longer list of objects."""
     is_alone = (owner == 0) & np.isin(cloud.class_id, sorted(classes.thing_ids))
     class_of_point = np.where(is_alone, cloud.class_id, VOID).astype(np.int32)
     rules = by_votes.PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing), fragment=0.0)
@@ -205,28 +204,28 @@ def with_unowned(
 
 
 def labels_of(cloud: SemanticPointCloud, objects: Sequence[SceneObject]) -> PanopticLabels:
-    """The labels of a cloud's classes, and of these objects."""
+    """Return the panoptic labels there are for the cloud's classes and these objects."""
     return PanopticLabels(cloud.class_ids, tuple(one.class_id for one in objects))
 
 
 def on_cloud(
     views: Sequence[View], cloud: SemanticPointCloud, scratch: Path | None, progress: Progress
 ) -> ViewsOnCloud:
-    """The views, and what they see of the cloud."""
+    """Find what each view sees of the cloud; ``scratch`` is a folder for temporary files."""
     return ViewsOnCloud.of(views, point_of_pixels(watched(views, progress), cloud, scratch))
 
 
 def point_of_pixels(
     views: Sequence[View], cloud: SemanticPointCloud, scratch: Path | None
 ) -> OnDemand[NDArray[np.int32]]:
-    """The point of the cloud that each pixel of the views shows, int32 [H, W] per view, -1 = none. The arrays are
-    stored in temporary files in ``scratch``."""
+    """Return, for each view, the index of the cloud's point that every pixel shows, int32 [H, W], -1 = none. The arrays
+    are stored in temporary files in ``scratch``."""
     index, reach = cloud.index(), 2 * cloud.spacing
     return stored((index.nearest_of_pixels(view.camera, view.depth, reach) for view in views), scratch)
 
 
 def no_objects(given: ViewsToMatch, preset: Preset, progress: StageProgress) -> Matching:
-    """Match nothing. The linear assignment decides during training what an instance is."""
+    """Return no instances at all: linear assignment then learns instances during training."""
     return Matching(given.cloud, [], np.zeros(len(given.cloud), np.int32), 0)
 
 
@@ -238,7 +237,7 @@ MATCHERS: Parts[Matcher] = Parts(
 
 
 def register_matcher(name: str, matcher: Matcher) -> None:
-    """Let presets name this matcher as their ``objects``, in lifts by this process."""
+    """Make a matcher available, in this process, to presets that give this name in ``objects``."""
     MATCHERS.register(name, matcher)
 
 
@@ -251,7 +250,7 @@ def thing_objects(
     kinds: ViewEvidence,
     balance: ClassBalance,
 ) -> list[SceneObject]:
-    """The objects that the views vote to be things, renumbered from 1."""
+    """Return those of the ``found`` objects that the views vote to be things, with new ids from 1."""
     shown = [(seen, shown_classes(view, seen)) for view, seen in zip(seeing.views, seeing.seen, strict=True)]
     asked = found.object_of_point, len(found.objects), cloud.class_ids
     votes = by_votes.vote_classes(shown, *asked, kinds.objects)
@@ -264,8 +263,9 @@ def thing_objects(
 def masks_of_pieces(
     masks: Sequence[ObjectMask], seeing: ViewsOnCloud, owner: NDArray[np.int32], count: int
 ) -> list[tuple[ObjectMask, ...]]:
-    """The masks of each of ``count`` pieces, in the order of the views. A mask is evidence for the piece that owns most
-    of its points. Masks of views that only vote are not evidence. ``owner`` int32 [N]: each point's piece, 0 = none."""
+    """Return the masks of each of ``count`` pieces, in the order of the views. A mask counts for the piece with most of
+    its points; masks of views that only vote do not count. ``owner`` int32 [N]: each point's piece, from 1, 0 =
+    none."""
     number_of = {view.name: number for number, view in enumerate(seeing.views)}
     members: list[list[ObjectMask]] = [[] for _ in range(count)]
     own = (mask for mask in masks if mask.frame in number_of)
@@ -281,10 +281,10 @@ def masks_of_pieces(
 def without_fragments(
     owner: NDArray[np.int32], pieces: Sequence[SceneObject], seen: Sequence[ViewPoints]
 ) -> tuple[NDArray[np.int32], list[SceneObject]]:
-    """The pieces with enough masks, as objects renumbered from 1, and each point's object, int32 [N]. A piece needs as
-    many masks as an object seen by the same views. A piece of a split object needs as many as an object that all views
-    see; otherwise it is the ragged edge of a few masks. ``owner`` int32 [N]: the number of each point's piece, from 1;
-    the ``id`` of a piece is that of the object it belongs to."""
+    """Keep the pieces that enough masks show; return each point's object, int32 [N], 0 = none, and the kept pieces,
+    with ids from 1. A piece needs as many masks as an object that the same views see. Pieces of a split object need as
+    many as one that all views see, since else they are the ragged edges of a few masks. ``owner`` int32 [N]: each
+    point's piece, from 1, 0 = none; a piece's ``id`` is that of the object it was part of."""
     parts, size = Counter(one.id for one in pieces), np.bincount(owner, minlength=len(pieces) + 1)
     shares = (np.bincount(owner[one.row], minlength=len(size)) / np.maximum(size, 1) for one in seen)
     seeing = sum((share >= 0.5 for share in shares), np.zeros(len(size), np.int64))[1:]

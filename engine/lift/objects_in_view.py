@@ -1,8 +1,7 @@
-"""Whether the finished scene shows every object where its points are, and what is done for those that it does not.
+"""Checks that the finished scene shows every object where its points are, and relabels Gaussians where it does not.
 
-A Gaussian is about as large as a wall plug, and is blended of the votes of all that it covers. So small objects may own
-points and no Gaussian.
-"""
+A Gaussian is about as large as a wall plug, and its label is blended from the votes of all pixels that it covers. So a
+small object may have points, but no Gaussian with its label."""
 
 from __future__ import annotations
 
@@ -25,9 +24,9 @@ LEAST_WEIGHT = 0.2
 
 
 class ObjectsInView(NamedTuple):
-    """Of the views' pixels in which an object's own points lie at the drawn depth, those that show it. ``seen`` and
-    ``shown`` int64 [U], for the objects in the order of the channels' ``instance_slots``. ``hiding`` int64 [2, n]: the
-    number of an object, and a Gaussian that much of one of the other pixels is blended from."""
+    """Counts, over all views, of pixels where an object's own points lie at the rendered depth: all (``seen``) and
+    those that show the object (``shown``); int64 [U], in the order of the channels' ``instance_slots``. ``hiding``
+    int64 [2, n]: an object's index, and a Gaussian with a large weight in one of the pixels that do not show it."""
 
     seen: NDArray[np.int64]
     shown: NDArray[np.int64]
@@ -35,11 +34,11 @@ class ObjectsInView(NamedTuple):
 
     @property
     def share(self) -> NDArray[np.float64]:
-        """The share of the pixels that show the object, float64 [U]; 0 for one that is never seen."""
+        """The share of each object's pixels that show it, float64 [U]; 0 for an object that is never seen."""
         return self.shown / np.maximum(self.seen, 1)
 
     def numbers(self) -> dict[str, float]:
-        """Figures for the log: over the objects that own points."""
+        """Return figures for the log: the number of objects, their mean share, and how many are shown too little."""
         share = self.share
         mean = float(share.mean()) if len(share) else 1.0
         return {"objects": len(share), "mean": mean, "below": int((share < LEAST_SHOWN).sum())}
@@ -48,7 +47,7 @@ class ObjectsInView(NamedTuple):
 def objects_in_view(
     scene: StructuredScene, labels: GaussianLabels, views: Iterable[Contributors], points: OwnedPoints
 ) -> ObjectsInView:
-    """What the ``views`` show of the objects if the Gaussians have these ``labels``."""
+    """Count how often the rendered ``views`` show each object, if the Gaussians have these ``labels``."""
     number = _numbers(scene.channels, points.instance)
     xyz, number = points.xyz[number >= 0], number[number >= 0]
     count, first = len(scene.channels.instance_slots), len(scene.channels.class_ids)
@@ -72,7 +71,7 @@ def objects_in_view(
 
 
 def with_hidden_objects(scene: StructuredScene, labels: GaussianLabels, found: ObjectsInView) -> GaussianLabels:
-    """The labels, where each object that is shown too little takes the Gaussians that hide its own points."""
+    """Return the labels, in which objects shown too little take over the Gaussians that hide their points."""
     label, share = labels.label.numpy().copy(), labels.share.numpy().copy()
     numbers, rows = found.hiding[:, found.share[found.hiding[0]] < LEAST_SHOWN]
     share[rows] = 0
@@ -81,7 +80,7 @@ def with_hidden_objects(scene: StructuredScene, labels: GaussianLabels, found: O
 
 
 def _numbers(channels: LabelChannels, instance: NDArray[np.int32]) -> NDArray[np.int64]:
-    """The place of each instance [N] among the channels' ``instance_slots``, int64 [N], -1 for none."""
+    """Return the index of each instance id [N] in the channels' ``instance_slots``, int64 [N], -1 if absent."""
     ids = [channels.slot_ids[slot] for slot in channels.instance_slots]
     table = np.full(max([*ids, int(instance.max(initial=0))], default=0) + 1, -1, np.int64)
     table[ids] = np.arange(len(ids))

@@ -1,5 +1,5 @@
-"""From views to a scene that can be trained, as in the paper before the first step: consistency-enhanced masks, the
-semantic point cloud, Algorithm 1, anchors by voxelisation, and the projected targets."""
+"""Turns views into a scene to train, as the paper does before the first step: consistency-enhanced masks, the semantic
+point cloud, Algorithm 1, anchors by voxelisation, and the projected targets."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ _LARGE = 2.0  # the multiple of the wanted spacing of points above which a lift 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PreparedLift(Matching):
-    """What training starts from: a matching, which also goes into the result, with the scene that is trained and its
-    targets. ``class_of_instance`` maps an instance id to the one class that it is shown with, None if pixels decide."""
+    """What training starts from: the matching, the ``scene`` to train and its ``targets``. ``class_of_instance``: the
+    one class that each instance is shown with; None if every pixel decides its class on its own."""
 
     scene: StructuredScene
     targets: Sequence[ViewTargets]
@@ -48,10 +48,10 @@ class PreparedLift(Matching):
 
 @dataclass(frozen=True, eq=False)
 class ViewsToLift:
-    """``views`` to train on, their ``classes``, the ``preset`` and the ``seed``. ``others`` are views that vote, but
-    are not trained on. Arrays of every view are stored in temporary files in ``scratch`` (None: in the system's
-    folder for them). ``trained``: the facts of a model from which training goes on, if it has the same labels. ``show``
-    is called with the points and the instance of each, int32 [N], as soon as they have classes, and with instances."""
+    """``views`` to train on, their ``classes``, the ``preset`` and the random ``seed``. ``others``: views that only
+    vote. ``scratch``: the folder for temporary files with each view's arrays (None: the system's). ``trained``: facts
+    (from `to_tensors`) of a model that is restored after, if it has the same labels. ``show`` is called twice: with the
+    cloud and each point's instance int32 [N], first all 0, then as matched."""
 
     views: Sequence[View]
     classes: ClassTable
@@ -64,7 +64,7 @@ class ViewsToLift:
 
 
 def prepare(given: ViewsToLift, stages: StageReporter) -> PreparedLift:
-    """Do everything before the first step. Raises Cancelled, and OSError if the disk is full."""
+    """Do everything that comes before the first training step. Raises Cancelled, and OSError if the disk is full."""
     views, preset = given.views, given.preset
     matching, photos, placed = find(given, stages)
     with stages.stage("prepare") as progress:
@@ -79,7 +79,7 @@ def prepare(given: ViewsToLift, stages: StageReporter) -> PreparedLift:
 
 
 def find(given: ViewsToLift, stages: StageReporter) -> tuple[Matching, Photos, Sequence[View]]:
-    """The objects of the views, how their photos compare, and the views with the depth that places pixels in space."""
+    """Match the views' objects. Return the matching, the photos compared, and the views with holes in depth filled."""
     views, preset, scratch = given.views, given.preset, given.scratch
     with stages.stage("consistency") as progress:
         placed = filled_views(views, scratch) if preset.fill_holes else views
@@ -103,7 +103,7 @@ def find(given: ViewsToLift, stages: StageReporter) -> tuple[Matching, Photos, S
 def semantic_cloud(
     views: Sequence[View], class_ids: tuple[int, ...], preset: Preset, events: EventWriter, progress: StageProgress
 ) -> SemanticPointCloud:
-    """The semantic point cloud. The labels of the consistency-enhanced masks vote on its classes."""
+    """Fuse the views' depth to a point cloud, whose classes the labels of the consistency-enhanced masks vote on."""
     comparison = ConsistencyOptions(neighbours=preset.neighbours, agreement=preset.agreement)
     if preset.neighbours and views_are_sparse(views, comparison):  # none, as in the paper on HyperSim
         comparison = ConsistencyOptions(neighbours=0)
@@ -126,13 +126,13 @@ def semantic_cloud(
 
 
 def filled_views(views: Sequence[View], scratch: Path | None = None) -> OnDemand[View]:
-    """The views with the planar holes of their depth filled."""
+    """Return the views with planar holes in their depth filled, computed now and kept in ``scratch``."""
     depths = stored((fill_holes(view.depth, view.mask.ids) for view in views), scratch)
     return OnDemand(len(views), lambda number: replace(views[number], depth=depths[number]))
 
 
 def used_classes(views: Sequence[View]) -> tuple[int, ...]:
-    """The ids of the classes that masks and detections use, ascending: the semantic channels."""
+    """Return the ids of classes that masks and detections use, ascending. Each gets a semantic channel."""
     masks = (mask for view in views for mask in (view.mask, *view.layers))
     return tuple(sorted({segment.class_id for mask in masks for segment in mask.segments} - {0}))
 
@@ -142,8 +142,8 @@ FEATURES = 32
 
 
 def label_channels(class_ids: tuple[int, ...], instances: Sequence[SceneObject], preset: Preset) -> LabelChannels:
-    """A channel for every class, a slot for every instance and one for "no object", and spare slots up to the preset's
-    minimum. If nothing was matched, all slots except that for "no object" may be shown."""
+    """Return a channel for each class, a slot for each instance, one for "no object", and spare slots up to the
+    preset's minimum. Without matching, every slot but "no object" may be shown, as training decides what it means."""
     if preset.objects == "none":
         return LabelChannels(class_ids, (*range(1, preset.instance_slots + 1), NO_OBJECT))
     ids = [instance.id for instance in instances]
@@ -156,8 +156,8 @@ def label_channels(class_ids: tuple[int, ...], instances: Sequence[SceneObject],
 
 
 class StartingAnchors(NamedTuple):
-    """The anchors before the first step: ``positions`` float32 [M, 3] metres, and, from the semantic point cloud,
-    ``classes`` and ``owners`` (instance ids) int32 [M], 0 = unknown, and ``rgb`` uint8 [M, 3]."""
+    """The anchors before training. ``positions`` float32 [M, 3], metres. From the semantic point cloud: ``classes`` and
+    ``owners`` (instance ids), int32 [M], 0 = unknown, and ``rgb`` uint8 [M, 3]."""
 
     positions: NDArray[np.float32]
     classes: NDArray[np.int32]
@@ -168,7 +168,7 @@ class StartingAnchors(NamedTuple):
 def starting_anchors(
     cloud: SemanticPointCloud, instance_of_point: NDArray[np.int32], preset: Preset
 ) -> StartingAnchors:
-    """An anchor in each voxel of the semantic point cloud."""
+    """Place an anchor in each occupied voxel of the point cloud, with the labels and colour there."""
     positions = voxelise(cloud.xyz, preset.voxel_size)
     classes, owners = label_anchors(cloud, instance_of_point, positions, preset.voxel_size)
     nearest = cloud.index().nearest(positions.astype(np.float64), 2 * preset.voxel_size)
@@ -186,8 +186,9 @@ def starting_scene(
     trained: Json = None,
     progress: Progress = lambda *_: None,
 ) -> StructuredScene:
-    """The anchors with features, and decoders drawn from the seed. The preset decides whether the decoders are fitted
-    to the anchors, unless a model with the facts ``trained`` is to replace the scene."""
+    """Return a scene of these anchors, with features, and with decoders drawn at random from ``seed``. If the preset
+    says so, they are fitted to the anchors, as seen from ``viewpoints`` [N, 3] (camera centres, metres), unless a model
+    with the facts ``trained`` will replace them."""
     feature = np.zeros((len(start.positions), FEATURES), np.float32)
     if preset.seeded_features:
         feature = seeded_features(start.rgb, start.classes, start.owners, features=FEATURES, seed=seed)
@@ -215,7 +216,8 @@ def starting_scene(
 
 @dataclass(frozen=True, eq=False)
 class Photos:
-    """How much each photo counts, ``weights`` float64 [N], and how bright it is, ``gains`` float64 [N, 3] or None."""
+    """The photos compared with each other. ``weights`` float64 [N]: how much each counts; ``gains`` float64 [N, 3] or
+    None: its exposure by channel."""
 
     weights: NDArray[np.float64]
     gains: NDArray[np.float64] | None = None
@@ -224,7 +226,7 @@ class Photos:
 def compared_photos(
     views: Sequence[View], placed: Sequence[View], matching: Matching, preset: Preset, scratch: Path | None = None
 ) -> Photos:
-    """The photos of the views, compared as the preset asks. ``placed`` is as in `targets_of`."""
+    """Compare the views' photos by sharpness and exposure, as far as the preset asks. ``placed`` as in `targets_of`."""
     weights = sharpness_weights(view.colour for view in views) if preset.weigh_sharpness else np.ones(len(views))
     if not preset.fit_exposure:
         return Photos(weights)
@@ -238,8 +240,8 @@ def compared_photos(
 def targets_of(
     given: ViewsToLift, placed: Sequence[View], matching: Matching, photos: Photos, channels: LabelChannels
 ) -> OnDemand[ViewTargets]:
-    """The targets of each view, computed on demand: the labels voted for its segments, or else the projected cloud's
-    semantic mask and M_match. ``placed`` are the views with the depth that places pixels in space."""
+    """Return each view's training targets, computed when read: the labels voted on pixels or, without votes, the point
+    cloud projected to the view (classes, and M_match for instances). ``placed``: the views with their depth filled."""
     views, preset = given.views, given.preset
     weights, gains, maps = photos.weights, photos.gains, matching.label_maps
     labels = labels_of(matching.cloud, matching.instances)
@@ -268,7 +270,7 @@ def targets_of(
 def projected_masks(
     placed: Sequence[View], matching: Matching, classes: ClassTable, preset: Preset, scratch: Path | None
 ) -> OnDemand[NDArray[np.int32]]:
-    """The projected semantic mask and M_match of each view: class ids and instance ids, int32 [2, H, W]."""
+    """Return the point cloud's class ids and instance ids (M_match) projected to each view, int32 [2, H, W]."""
     cloud, reach = matching.cloud, 2 * preset.voxel_size
     classed = LabelledPoints(cloud.xyz, cloud.class_id)
     owned = LabelledPoints(cloud.xyz, matching.instance_of_point)

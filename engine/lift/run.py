@@ -1,8 +1,7 @@
 """A lift from end to end: frames and input masks in, one consistent 3D panoptic scene out.
 
 The stages follow the paper's order: read the frames, check label consistency, match the instances, train the structured
-Gaussians, write the result, bake the passes, evaluate.
-"""
+Gaussians, write the result, bake the passes, evaluate."""
 
 from __future__ import annotations
 
@@ -100,10 +99,10 @@ def run_lift(
     training: Callable[..., Trainer] = Trainer,
     sources: Sequence[str] = ("engine",),
 ) -> None:
-    """Do the lift that ``folder`` asks for, or what is left of it. Methods other than PLGS pass their own
-    ``preparing``, with the arguments of `prepare`, their own ``training``, with those of `Trainer`, and ``sources``,
-    the folders of the repository whose digest the manifest holds. Raises PlgsError for input that cannot be lifted, and
-    Cancelled if stopped. The folder can then be resumed."""
+    """Do the lift that ``folder`` asks for or, with ``resume``, the rest of it. Methods other than PLGS replace
+    `prepare` by ``preparing`` and `Trainer` by ``training``, which take the same arguments, and name in ``sources`` the
+    folders whose code's digest goes into the manifest. Raises PlgsError if the input cannot be lifted, and Cancelled if
+    stopped; either way ``folder`` can be resumed."""
     request, stages = folder.request, StageReporter(events, stop, STAGES)
     preset = request.chosen_preset
     lasting_names.refuse_names_of_no_objects(request, preset)
@@ -191,16 +190,16 @@ def run_lift(
 
 
 def own_parts(preset: Preset) -> dict[str, str]:
-    """The digests of the sources of the matcher, losses and head that a script added and the preset names. Raises
-    PlgsError for a name that this process does not have."""
+    """Return, by name, the source digests of the matcher, losses and decoders that a script registered and the preset
+    uses. Raises PlgsError for a name that is not registered in this process."""
     return {
         **MATCHERS.sources([preset.objects]), **LOSSES.sources(preset.losses), **DECODERS.sources([preset.head])
     }  # fmt: skip
 
 
 def finish(folder: LiftFolder, preset: Preset, stages: StageReporter, code: str, parts: Mapping[str, str]) -> None:
-    """Write the manifest, with the digests of the ``code`` and of its added ``parts``, with which the lift is finished.
-    Raises OSError."""
+    """Write the manifest, which completes the lift, with digests of ``code`` and registered ``parts``. Raises
+    OSError."""
     write_manifest(
         folder.result_path,
         versions={**library_versions(code), **parts},
@@ -217,8 +216,8 @@ def finish(folder: LiftFolder, preset: Preset, stages: StageReporter, code: str,
 def checked_frames(
     folder: LiftFolder, preset: Preset, checkpoint: Checkpoint | None, progress: StageProgress, events: EventWriter
 ) -> tuple[FrameSets, bool, tuple[Finding, ...]]:
-    """The frames of the requested scene by their purpose, whether its masks have changed since the lift began, and the
-    problems found. Raises PlgsError."""
+    """Open and check the requested scene. Return its frames by purpose, whether the masks have changed since the lift
+    began, and the problems found. Raises PlgsError."""
     request = folder.request
     if preset.labels == "votes" and not preset.can_vote:
         events.warning(NO_VOTES)
@@ -240,8 +239,8 @@ def checked_frames(
 def ask_what_is_wrong(
     folder: LiftFolder, scene: Scene, size: Size, events: EventWriter, *, stops: bool
 ) -> tuple[Finding, ...]:
-    """Warn of problems with the scene. If one makes a lift pointless, raises PlgsError if it ``stops`` the lift and the
-    request does not insist."""
+    """Diagnose the scene, warn of each problem and return them all. Raises PlgsError if one makes a lift pointless,
+    ``stops`` is set and the request does not say to go on anyway."""
     asked = diagnose_quickly(scene, size)
     log.info("diagnosed: %d of %d frames compared, %d findings", asked.looked, asked.frames, len(asked.findings))
     for finding in asked.findings:
@@ -256,8 +255,8 @@ def ask_what_is_wrong(
 def read_views(
     frames: FrameSets, preset: Preset, scratch: Path, progress: StageProgress, events: EventWriter
 ) -> tuple[StoredViews, StoredViews]:
-    """The views to train on, and those that only vote, on disk in ``scratch``. Raises PlgsError if nothing is left
-    of them, and OSError if the disk is full."""
+    """Read the frames, at training size, into ``scratch``. Return the views to train on and those that only vote.
+    Raises PlgsError if they have no depth or no masks, and OSError if the disk is full."""
     training, voting = frames.training, frames.voting
     total = len(training) + len(voting)
     read = read_ahead(training, lambda frame: load_view(frame, size_within(frame.size, preset.size)))
@@ -267,7 +266,7 @@ def read_views(
 
 
 def warn_if_long(course: Course, events: EventWriter) -> None:
-    """Warn of a lift that takes more than LONG_S."""
+    """Warn if the lift is predicted to take longer than LONG_S seconds."""
     seconds = sum(course.seconds.values())
     if seconds > LONG_S:
         hours = f"{seconds / 3600:.1f} h"
@@ -278,13 +277,13 @@ NO_EFFECT_ON_TRAINING = {"name", "trained", "judged", "scored", "vote_size"}
 
 
 def training_options(preset: Preset) -> dict[str, Json]:
-    """The options that training depends on, as a JSON value."""
+    """Return the preset's options that influence training, by name, as JSON values."""
     found: dict[str, Json] = json.loads(json.dumps(asdict(preset)))
     return {name: value for name, value in found.items() if name not in NO_EFFECT_ON_TRAINING}
 
 
 def begun_alike(checkpoint: Checkpoint | None, preset: Preset, events: EventWriter) -> Checkpoint | None:
-    """The checkpoint, or None, with a warning, if it was trained by a preset from which this one cannot go on."""
+    """Return the checkpoint, if this preset can go on training from it; otherwise None, and warn."""
     wanted = training_options(preset)
     before = {} if checkpoint is None else checkpoint.state.get(TRAINING, wanted)  # earlier versions refined nothing
     if checkpoint is None or before == wanted:
@@ -295,8 +294,8 @@ def begun_alike(checkpoint: Checkpoint | None, preset: Preset, events: EventWrit
 
 
 def names_before(folder: LiftFolder, made: LiftFolder, checkpoint: Checkpoint | None) -> Path | None:
-    """The folder of the lift whose names the objects keep. If another preset refines a lift from the first step, its
-    objects may be other ones: those that are still there keep their names."""
+    """Return the folder of the lift whose object names to keep, or None: the requested one or, if this folder is lifted
+    again with another preset, this folder itself, since training may then give other objects."""
     if made == folder or checkpoint is not None:
         return folder.request.names_from
     name = folder.request.chosen_preset.name
@@ -305,7 +304,7 @@ def names_before(folder: LiftFolder, made: LiftFolder, checkpoint: Checkpoint | 
 
 
 def code_of(code: str, checkpoint: Checkpoint | None, events: EventWriter) -> str:
-    """The digest of the ``code`` that does the lift. If other code began it, warn, and return both."""
+    """Return the sources' digest ``code``. If other code began the lift, warn, and return both digests: "old+new"."""
     begun_by = "" if checkpoint is None else str(checkpoint.state.get(CODE, "unknown"))
     if not begun_by or code in begun_by.split("+"):
         return begun_by or code
@@ -314,8 +313,8 @@ def code_of(code: str, checkpoint: Checkpoint | None, events: EventWriter) -> st
 
 
 def take_up(trainer: Trainer, checkpoint: Checkpoint, events: EventWriter, *, masks_changed: bool) -> None:
-    """Continue from a checkpoint, or start over if the masks now give other objects or classes. Raises PlgsError if the
-    checkpoint is damaged or belongs to another lift."""
+    """Restore the trainer from a checkpoint, or leave it at the start if changed masks now give other objects or
+    classes. Raises PlgsError if the checkpoint is damaged or belongs to another lift."""
     if masks_changed and not trainer.preset.shows_votes:
         events.warning(f"the masks have changed, and the finished scene depends on them by training: {TRAINED_ANEW}")
         return
@@ -331,7 +330,7 @@ def take_up(trainer: Trainer, checkpoint: Checkpoint, events: EventWriter, *, ma
 
 
 def refuse_empty(views: Sequence[View], scene: Scene) -> None:
-    """Raise PlgsError if no depth, or no mask, is left at the training size."""
+    """Raise PlgsError if the views, at training size, have no depth or no masks at all."""
     if not any((view.depth > 0).any() for view in views):
         fix = "Lift at a larger --size, or provide denser depth."
         raise PlgsError("no-depth-left", "no depth is left at the training size", scene.folder, fix, option="--size")
@@ -348,10 +347,9 @@ def train(
     stages: StageReporter,
     show: Callable[[StructuredScene], object],
 ) -> list[float]:
-    """Do all remaining steps, and return the seconds that each took. Checkpoints also hold ``facts`` about the run;
-    ``show`` is called with the model after each step. A checkpoint is written every CHECKPOINT_EVERY_S seconds or more,
-    when stopped, and at the end, but not if a step fails: half a step's changes would replace the last complete
-    state."""
+    """Do all remaining steps; return the seconds that each took. ``show`` gets the model after each step. A checkpoint,
+    with ``facts`` about the run, is written at least CHECKPOINT_EVERY_S seconds after the last one, when stopped and at
+    the end, but not if a step fails, since a half-done step would then replace the last complete state."""
     steps, paces = trainer.preset.last_step, []
     with stages.stage("train") as progress, closing(TrainingLog(folder.training_path, trainer.step_number)) as losses:
         saved_at, pause = time.monotonic(), CHECKPOINT_EVERY_S
@@ -385,7 +383,7 @@ def train(
 
 
 def remember_pace(paces: Sequence[float], trainer: Trainer) -> None:
-    """Remember the median step for predictions on this computer. That step neither compiled nor made pseudo labels."""
+    """Store the median time of a step, to predict later lifts here. The few steps that compile hardly matter."""
     if len(paces) < LEAST_STEPS:
         return
     megapixels = np.mean([view.camera.width * view.camera.height for view in trainer.views]) / 1e6
@@ -403,7 +401,7 @@ def save_checkpoint(trainer: Trainer, folder: LiftFolder, facts: Mapping[str, Js
 
 
 def library_versions(code: str) -> dict[str, str]:
-    """The versions of PLGS, its ``code`` and the libraries that computed the result."""
+    """Return the versions of PLGS and of the libraries that compute the result, and the digest ``code``, by name."""
     import platform
 
     import cv2

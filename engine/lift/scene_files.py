@@ -1,4 +1,4 @@
-"""The lifted scene as files: the semantic points, the instances, the anchors, the Gaussians, the model."""
+"""Writes and reads the files of a lifted scene: semantic points, instances, anchors, Gaussians and the model."""
 
 from __future__ import annotations
 
@@ -53,9 +53,9 @@ def write_scene_files(
     names: Mapping[int, str],
     progress: Progress,
 ) -> None:
-    """Write every part of the result that needs no rendering. ``views`` were lifted. The views ``held_back`` judge the
-    points; ``seen`` bool [N] says which points are written. ``names`` are the instances'. Gaussians and anchors far
-    from all points are written only to the model. Raises OSError if the disk is full, and what ``progress`` raises."""
+    """Write the parts of the result that need no rendering. ``views`` were trained on; masks of views ``held_back``
+    calibrate the points' confidence. Only points with ``seen`` bool [N] are written; Gaussians and anchors far from all
+    points go only into the model. ``names``: by id. Raises OSError if the disk is full, or what ``progress`` raises."""
     cloud, owner = prepared.cloud, prepared.instance_of_point
     judged, listed, baked = (part_of(progress, part / 3, (part + 1) / 3, 100) for part in range(3))
     judging = watched(evenly(views, MOST_JUDGES), judged)
@@ -81,21 +81,22 @@ def write_scene_files(
 def is_near_measured(
     cloud: SemanticPointCloud, owner: NDArray[np.int32], measured: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Which points [N] lie near ``measured`` ones, and all of an object that has no such point. The others belong to
-    planes that were extended far beyond anything measured, and are not written."""
+    """Return which points to write, bool [N]: those near a ``measured`` one (bool [N]), and all of an object without
+    any. The others lie on planes that hole filling extended far. ``owner`` int32 [N]: each point's object, 0 if
+    none."""
     near = is_within(max(FILLED, 2 * cloud.spacing), cloud.xyz, cloud.xyz[measured])
     return near | np.isin(owner, np.setdiff1d(owner, [0, *np.unique(owner[near])]))
 
 
 def is_within(reach: float, xyz: NDArray[np.floating], others: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Which points ``xyz`` [N, 3] lie within ``reach`` metres of one of the ``others`` [M, 3]."""
+    """Return which points ``xyz`` [N, 3] have one of ``others`` [M, 3] within ``reach`` metres, bool [N]."""
     distance, _ = cKDTree(others).query(xyz, distance_upper_bound=reach, workers=-1)
     return np.isfinite(distance)
 
 
 def shown_by_depth(cloud: SemanticPointCloud, views: Sequence[View], progress: Progress) -> NDArray[np.bool_]:
-    """Which points of the cloud the measured depth of at least one view shows, bool [N]. The others lie in holes that
-    were filled with planes. Raises what ``progress`` raises."""
+    """Return which points of the cloud are confirmed by the measured depth of some view, bool [N]. The others come from
+    hole filling. Raises what ``progress`` raises."""
     left = np.arange(len(cloud))
     for view in watched(views, progress):
         left = np.delete(left, view.seen_of(cloud.xyz[left], max(NEAR, cloud.spacing))[0])
@@ -106,7 +107,7 @@ def shown_by_depth(cloud: SemanticPointCloud, views: Sequence[View], progress: P
 
 
 def write_model(folder: LiftFolder, lifted: StructuredScene) -> None:
-    """Write model.safetensors: the tensors and, under "plgs" in its header, the facts that make them a scene (JSON)."""
+    """Write model.safetensors: tensors and, in its header under "plgs", the JSON facts that make them a scene."""
     tensors, facts = to_tensors(lifted)
     contiguous: dict[str, torch.Tensor] = {name: tensor.contiguous() for name, tensor in tensors.items()}
     content = save(contiguous, metadata={"plgs": json.dumps(facts, sort_keys=True)})
@@ -114,7 +115,7 @@ def write_model(folder: LiftFolder, lifted: StructuredScene) -> None:
 
 
 def read_model(folder: LiftFolder) -> StructuredScene:
-    """Read what `write_model` wrote, bit for bit. Raises PlgsError if the file is damaged or of an unknown format."""
+    """Read the model that `write_model` wrote, bit for bit. Raises PlgsError if the file is damaged or not known."""
     path = folder.result_path / MODEL
     try:
         tensors, notes = read_tensors(path)
@@ -124,17 +125,17 @@ def read_model(folder: LiftFolder) -> StructuredScene:
 
 
 def shown_instances(prepared: PreparedLift, names: Mapping[int, str]) -> ShownInstances:
-    """The instances of a running lift."""
+    """Return the names and classes with which a lift that is still running shows its instances."""
     return ShownInstances(_with_numbers(names, prepared.scene), prepared.class_of_instance)
 
 
 def _with_numbers(names: Mapping[int, str], lifted: StructuredScene) -> dict[int, str]:
-    """The names, with numbers for slots whose meaning is decided only by the linear assignment or by clusters."""
+    """Add names such as "object 3" for shown slots without one, whose meaning training or clustering decides."""
     return {**names, **{one: f"object {one}" for one in lifted.channels.shown_ids if one not in names}}
 
 
 def read_shown_instances(folder: LiftFolder, lifted: StructuredScene, corrected: CorrectedResult) -> ShownInstances:
-    """The instances of a finished lift, whose model is ``lifted``. Raises PlgsError for a bad manifest, OSError."""
+    """Return names and classes as a finished lift shows them, corrections included. Raises PlgsError, OSError."""
     settings = read_manifest(folder.result_path).settings
     if "one_class_an_object" not in settings:
         raise PlgsError("kind-missing", "does not say whether an object has one class", folder.manifest_path, LIFT_ANEW)
@@ -146,7 +147,7 @@ def read_shown_instances(folder: LiftFolder, lifted: StructuredScene, corrected:
 
 
 def instance_names(instances: Sequence[SceneObject], classes: ClassTable) -> dict[int, str]:
-    """The names "chair 1", "chair 2", ... in ascending order of id."""
+    """Return names by id: "chair 1", "chair 2", ... numbered within each class in ascending order of id."""
     names: dict[int, str] = {}
     count: dict[int, int] = {}
     for instance in sorted(instances, key=lambda instance: instance.id):
@@ -162,8 +163,8 @@ def listed_instances(
     classes: ClassTable,
     names: Mapping[int, str],
 ) -> list[result_files.Instance]:
-    """The matched objects as instances.json lists them, with the masks that they were made from, and the number of
-    points of each. Each view is read once."""
+    """Return the objects as instances.json lists them, each with its masks and its number of points.
+    ``instance_of_point`` int32 [N], 0 = none. Reads each view once."""
     used = {mask.key for instance in prepared.instances for mask in instance.masks}
     extents = {
         (view.name, one): (*extent, outline_of(view.mask, one, extent[1]))

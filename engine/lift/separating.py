@@ -1,4 +1,4 @@
-"""Splits an object into the parts that the views' masks show separately, even if all its points touch."""
+"""Splits an object into parts that the views' masks show as separate things, even if the parts touch."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ LEAST_FRAMES = 2
 
 @dataclass(frozen=True, eq=False)
 class PartsSeen:
-    """``part`` int64 [n]: the part of each point ``xyz`` float32 [n, 3], 0 = the largest. ``class_of``: the class that
-    the masks give each part most often. ``frames``: the number of frames that show parts apart."""
+    """The parts found. ``part`` int64 [n]: the part of each of the object's points ``xyz`` float32 [n, 3], metres; 0 is
+    the largest. ``class_of``: by part, the class that masks give most often. ``frames``: how many separate parts."""
 
     part: NDArray[np.int64]
     class_of: dict[int, int]
@@ -41,8 +41,8 @@ class PartsSeen:
     xyz: NDArray[np.floating]
 
     def split(self, state: Replay, number: int, first_id: int) -> Edit:
-        """Split the object into these parts, each with the class that its masks give it. Raises PlgsError if they show
-        one thing, or if somebody edited the object meanwhile."""
+        """Return the edit that splits object ``number`` into these parts, with their classes; new parts get ids from
+        ``first_id``. Raises PlgsError if there is only one part, or if the object was edited meanwhile."""
         if not np.array_equal(self.xyz, state.points_of(number)):
             what = f"object {number} was edited while its masks were read"
             raise PlgsError("edited-meanwhile", what, CORRECTIONS, "Split it again.", code=ErrorCode.BUSY)
@@ -51,8 +51,8 @@ class PartsSeen:
 
 @dataclass(frozen=True, eq=False)
 class _Segment:
-    """A frame's segment on the object. ``holds``, ``seen`` float32 [n]: the weight of the frame's evidence on each
-    point in the segment, and on each point in any of the frame's segments."""
+    """A frame's segment that covers part of the object. ``holds``, ``seen`` float32 [n]: for each point, the weight of
+    the frame's vote if the point lies in this segment, and if it lies in any segment of a thing (0 otherwise)."""
 
     frame: int
     class_id: int
@@ -67,15 +67,15 @@ Progress = Callable[[int, int], object]
 def parts_seen(
     folder: LiftFolder, state: Replay, number: int, progress: Progress = lambda done, count: None
 ) -> PartsSeen:
-    """The parts of an object that the lift's masks show apart. Raises PlgsError if the scene is gone."""
+    """Return the parts of object ``number`` that the lift's masks show apart. Raises PlgsError if the scene is gone."""
     return parts_by_views(scene_of_lift(folder).train_frames, state.points_of(number), progress)
 
 
 def parts_by_views(
     frames: Sequence[Frame], xyz: NDArray[np.floating], progress: Progress = lambda done, count: None
 ) -> PartsSeen:
-    """The parts of an object with the points ``xyz`` [n, 3] that the masks of at least `LEAST_FRAMES` frames show as
-    different things. Points that none sees go to the nearest part. Raises PlgsError for bad files."""
+    """Return the parts of an object with points ``xyz`` [n, 3], metres, that the masks of at least `LEAST_FRAMES`
+    frames show as different things. Points in no mask go to the nearest part. Raises PlgsError for bad files."""
     segments = _segments(frames, xyz, progress)
     if not segments:
         return PartsSeen(np.zeros(len(xyz), np.int64), {}, 0, xyz)
@@ -104,7 +104,7 @@ def parts_by_views(
 
 
 def _class_of(segments: Sequence[_Segment]) -> int:
-    """The class that most of the segments' points have."""
+    """Return the class id with the most votes by the segments' points."""
     votes: dict[int, float] = {}
     for segment in segments:
         votes[segment.class_id] = votes.get(segment.class_id, 0.0) + float(segment.holds.sum())
@@ -112,7 +112,7 @@ def _class_of(segments: Sequence[_Segment]) -> int:
 
 
 def _segments(frames: Sequence[Frame], xyz: NDArray[np.floating], progress: Progress) -> list[_Segment]:
-    """The segments of things that hold the object's points, from the frames that see most of them."""
+    """Return the thing segments that contain the object's points, from the frames that see the most of these."""
     inside = []
     for number, frame in enumerate(frames):
         inside.append((-len(frame.camera.seen(xyz)[0]), number))
@@ -146,8 +146,8 @@ def _of_frame(number: int, frame: Frame, xyz: NDArray[np.floating]) -> list[_Seg
 
 
 def _voted(votes: NDArray[np.float32], xyz: NDArray[np.floating]) -> NDArray[np.int64]:
-    """The winner of ``votes`` [P, n] at each point, int64 [n]; points without one, or of small parts, follow the
-    nearest."""
+    """Return the part with the most ``votes`` [P, n] at each point, int64 [n]. Points without votes, or of a part that
+    is too small, get the part of the nearest other point."""
     part = votes.argmax(axis=0)
     known = votes.any(axis=0)
     large = np.bincount(part[known], minlength=len(votes)) >= LEAST_SHARE * len(xyz)

@@ -1,5 +1,4 @@
-"""Assigns the views' labels to the finished Gaussians by a vote, at the masks' own resolution. Also reads the extra
-frames that only vote."""
+"""Labels the finished Gaussians by a vote of the views at their masks' resolution; reads frames that only vote."""
 
 from __future__ import annotations
 
@@ -42,12 +41,11 @@ def vote_labels(
     progress: Progress,
     scratch: Path | None = None,
 ) -> tuple[GaussianLabels, ObjectsInView]:
-    """The labels of every Gaussian, and how far they show every object, by a vote of the training frames within
-    ``vote_size``. Where masks agree, they outline objects better than points do. In the first round, the segments of
-    each mask take the labels that its pixels got before training; in the second, those that the Gaussians of the first
-    show. Where masks contradict each other, a second round would undo what the points gained: each pixel votes once,
-    with the label of its point. Data that both rounds need is stored in temporary files in ``scratch``. Raises
-    PlgsError if a file is bad, and what ``progress`` raises."""
+    """Let the training frames, reduced to fit ``vote_size``, vote on each Gaussian's labels. Return the labels, and how
+    well they show every object. If the masks agree, which outlines objects better than points do, there are two rounds:
+    first a mask's segments vote for the labels that matching gave them, then for those that the Gaussians of the first
+    round show there. Otherwise each pixel votes once, for the label of its point. What both rounds need is kept in
+    temporary files in ``scratch``. Raises PlgsError if a file is bad, and what ``progress`` raises."""
     cloud, maps = prepared.cloud, prepared.label_maps
     assert maps is not None  # objects by agreement come with them
     labels = labels_of(cloud, prepared.instances)
@@ -90,7 +88,7 @@ def vote_labels(
 
 @dataclass(frozen=True, eq=False)
 class _VotingFrame:
-    """What a frame needs to vote: the Gaussians that its pixels show, its mask, and its filled depth."""
+    """What a frame needs to vote: the Gaussians that make up each pixel, the mask, and the depth with holes filled."""
 
     seen: Contributors
     mask: PanopticMask
@@ -103,7 +101,7 @@ class _VotingFrame:
 
 
 class _VotingFrames:
-    """The frames that vote. Up to ``most_bytes`` of them are rendered once, and then read back from disk."""
+    """The frames that vote. Each is rendered once and kept on disk, as long as all take at most ``most_bytes``."""
 
     def __init__(
         self, scene: StructuredScene, frames: Sequence[Frame], preset: Preset, scratch: Path | None, most_bytes: int
@@ -113,7 +111,7 @@ class _VotingFrames:
         self._stored: dict[int, tuple[list[int], tuple[Segment, ...]]] = {}
 
     def at(self, index: int) -> _VotingFrame:
-        """The frame with this index. Raises PlgsError, and OSError if the disk is full."""
+        """Return the frame at ``index``. Raises PlgsError if it cannot be read, and OSError if the disk is full."""
         if index in self._stored:
             numbers, segments = self._stored[index]
             gaussian, weight, drawn, ids, depth = (self._arrays[number] for number in numbers)
@@ -137,8 +135,8 @@ SMALLER = 2
 def read_voters(
     frames: Sequence[Frame], preset: Preset, progress: Callable[[int], object], events: EventWriter, scratch: Path
 ) -> StoredViews:
-    """The depth and masks of ``frames``, on disk. Frames that cannot be read do not vote; a warning says so.
-    ``progress`` is called with the number of frames read. Raises OSError if the disk is full."""
+    """Read depth and masks of ``frames`` into files in ``scratch``. Warns of frames that cannot be read; they do not
+    vote. ``progress`` is called with the number of frames read. Raises OSError if the disk is full."""
     problems: list[PlgsError] = []
 
     def good() -> Iterator[View]:

@@ -35,9 +35,9 @@ class _Trainer(Trainer):
 
 
 def warm_up() -> None:
-    """Run every compiled path of a lift once: consistency, matching, projection, rendering and gradients, baking. Numba
-    compiles one function at a time. Meanwhile a second process compiles the rasteriser, which is half of the work, and
-    leaves it in the cache."""
+    """Run every compiled function of a lift once: consistency, matching, projection, rendering with gradients, and
+    baking. Numba compiles one function at a time, so a second process compiles the rasteriser, which is half of the
+    work, and leaves it in the cache."""
     rasteriser = get_context("spawn").Process(target=compile_rasteriser)
     rasteriser.start()
     try:
@@ -47,7 +47,7 @@ def warm_up() -> None:
 
 
 def compile_rasteriser() -> None:
-    """Draw with and without labels, and compute the gradients."""
+    """Compile the rasteriser: render with and without labels, and backpropagate."""
     random = np.random.default_rng(0)
     widths = {"means": 3, "scales": 3, "quats": 4, "colours": 3, "labels": 4}
     drawn = {name: random.uniform(0.05, 0.3, (200, width)).astype(np.float32) for name, width in widths.items()}
@@ -108,7 +108,7 @@ def _nothing_rendered(camera: Camera, channels: LabelChannels) -> PanopticRender
 
 
 def _view_of_a_wall(number: int) -> View:
-    """A wall a metre away, with a picture on its right half."""
+    """Return an invented view of a wall a metre away, with a picture hanging on its right half."""
     width, height = 48, 32
     pose = np.eye(4)
     pose[0, 3] = 0.05 * number
