@@ -42,7 +42,7 @@ BEHAVIOURS = {
     "exports: COCO panoptic": "export/test_export.py::test_coco_is_exported",
     "exports: label images": "export/test_export.py::test_labels_are_exported",
     "exports: ScanNet": "export/test_export.py::test_scannet_is_exported",
-    "exports: boxes": "export/test_export.py::test_boxes_are_exported",
+    "exports: boxes": "export/test_export.py::test_bounding_boxes_are_exported",
     "exports: depth maps": "export/test_export.py::test_depth_maps_are_exported",
     "exports: meshes": "export/test_export.py::test_meshes_are_exported",
     "run_plgs.py lifts a scene into a .blend": (

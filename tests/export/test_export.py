@@ -22,7 +22,7 @@ from tests.export.conftest import run
 from tests.raises_key import raises_key, worded
 
 
-def test_the_command_knows_every_kind() -> None:
+def test_engine_export_offers_every_format() -> None:
     assert tuple(KINDS) == EXPORTS
 
 
@@ -41,7 +41,7 @@ def test_depth_clouds_hold_a_point_for_each_pixel(
     assert np.allclose(depth, layers.depth[row, column], atol=1e-4)
 
 
-def test_layers_drawn_alone_are_those_of_a_bake(lift: LiftFolder) -> None:
+def test_layers_drawn_alone_equal_those_of_a_full_bake(lift: LiftFolder) -> None:
     baker = FinishedLift(lift, ["test"])._baker
     camera = FinishedLift(lift, ["test"]).frames[0].camera
     whole = baker.render(camera).layers
@@ -50,7 +50,7 @@ def test_layers_drawn_alone_are_those_of_a_bake(lift: LiftFolder) -> None:
         assert all((getattr(drawn, name) == getattr(whole, name)).all() for name in wanted)
 
 
-def test_clouds_are_exported_for_any_camera(lift: LiftFolder, tmp_path: Path) -> None:
+def test_point_clouds_are_exported_for_any_camera(lift: LiftFolder, tmp_path: Path) -> None:
     frame, layers = next(iter(FinishedLift(lift, ["test"]).views()))
     (width, height), pose = frame.size, frame.camera.camera_to_world
     entry = {"name": "shot.0007", "width": width // 2, "height": height // 2, "camera_to_world": pose.tolist()}
@@ -134,7 +134,7 @@ def test_scannet_is_exported(lift: LiftFolder, truth: dict[str, tuple[np.ndarray
     assert rows[0] == ["id", "raw_category", "category"] and ["5", "chair", "chair"] in rows
 
 
-def test_points_are_read_by_open3d(lift: LiftFolder, tmp_path: Path) -> None:
+def test_open3d_reads_exported_points(lift: LiftFolder, tmp_path: Path) -> None:
     open3d = pytest.importorskip("open3d")
     run(lift, "points", tmp_path)
     with np.load(lift.result_path / "semantic_points.npz") as points:
@@ -149,7 +149,7 @@ def test_points_are_read_by_open3d(lift: LiftFolder, tmp_path: Path) -> None:
     assert floor.any() and np.median(normals[floor, 2]) > 0.9  # up, towards the cameras
 
 
-def test_boxes_are_exported(lift: LiftFolder, tmp_path: Path) -> None:
+def test_bounding_boxes_are_exported(lift: LiftFolder, tmp_path: Path) -> None:
     run(lift, "boxes", tmp_path)
     records = json.loads((lift.result_path / "instances.json").read_text())["instances"]
     boxes = json.loads((tmp_path / "boxes.json").read_text())["boxes"]
@@ -185,7 +185,9 @@ def test_all_objects_with_a_name_are_exported(lift: LiftFolder, tmp_path: Path) 
     assert len(ids) > 1 and [one.id for one in FinishedLift(own, ["all"], objects=["seat"]).listed] == ids
 
 
-def test_unknown_objects_are_refused(lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_exporting_unknown_objects_refused(
+    lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     common = ["export", str(lift.path), "-o", str(tmp_path / "out"), "--objects"]
     assert main([*common, "throne", "--to", "splats"]) == 2 and main([*common, "floor", "--to", "coco"]) == 2
     told = capsys.readouterr().err
@@ -226,7 +228,7 @@ def test_meshes_are_exported(lift: LiftFolder, tmp_path: Path) -> None:
     assert np.asarray(read.textures[0]).max() > 100
 
 
-def test_meshes_of_objects_that_are_gone_do_not_stay(lift: LiftFolder, tmp_path: Path) -> None:
+def test_exporting_again_deletes_meshes_of_deleted_objects(lift: LiftFolder, tmp_path: Path) -> None:
     own = LiftFolder.open(shutil.copytree(lift.path, tmp_path / "lift"))
     meshes = tmp_path / "out" / "meshes"
     run(own, "mesh", tmp_path / "out")
@@ -240,7 +242,7 @@ def test_meshes_of_objects_that_are_gone_do_not_stay(lift: LiftFolder, tmp_path:
 
 @pytest.mark.parametrize("setting", ["mesh.LEAST_ALPHA", "mending.FLAKE"])
 @pytest.mark.parametrize("kind", ["mesh", "gltf", "usd", "surface"])
-def test_a_lift_of_which_no_surface_is_left_is_refused(
+def test_exporting_meshes_of_a_lift_without_surface_is_refused(
     lift: LiftFolder, tmp_path: Path, kind: str, setting: str, capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
@@ -250,7 +252,7 @@ def test_a_lift_of_which_no_surface_is_left_is_refused(
     assert "show no s" in error and "Export more frames" in error and "Traceback" not in error
 
 
-def test_invalid_output_and_frames_are_refused(
+def test_an_export_to_an_invalid_folder_is_refused(
     lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").touch()
@@ -260,7 +262,7 @@ def test_invalid_output_and_frames_are_refused(
     assert worded("file-not-folder").search(told) and "no frame 9" in told
 
 
-def test_an_export_of_two_results_says_so_and_is_not_complete(
+def test_an_export_during_which_the_result_changed_is_not_complete(
     lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     own = LiftFolder.open(shutil.copytree(lift.path, tmp_path / "lift"))
@@ -277,7 +279,7 @@ def test_an_export_of_two_results_says_so_and_is_not_complete(
     assert (tmp_path / "out" / "boxes.csv").is_file()
 
 
-def test_no_existing_file_is_overwritten(lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_exports_overwrite_no_other_file(lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     masks = lift.request.scene / "panoptic.json"
     before = masks.read_bytes()
     assert main(["export", str(lift.path), "--to", "coco", "-o", str(lift.request.scene)]) == 2
@@ -290,7 +292,7 @@ def test_no_existing_file_is_overwritten(lift: LiftFolder, tmp_path: Path, capsy
 
 
 @pytest.mark.parametrize("kind", EXPORTS)
-def test_an_unknown_frame_is_refused(
+def test_an_export_of_an_unknown_frame_is_refused(
     kind: str, lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Also where all of the lift is exported, whatever frames are named."""

@@ -33,7 +33,7 @@ def view_of_ball(number: int) -> SmallView:
     return SmallView(camera, depth, rgb, np.zeros((160, 160), np.int64))
 
 
-def test_a_ball_is_round_closed_and_turned_outwards() -> None:
+def test_a_fused_ball_is_round_and_closed_with_outward_normals() -> None:
     surface = fuse([view_of_ball(number) for number in range(6)] * 2)
     radius = np.linalg.norm(surface.xyz, axis=1)
     assert abs(np.median(radius) - RADIUS) < 0.1 * VOXEL and abs(radius - RADIUS).max() < 0.6 * VOXEL
@@ -52,7 +52,7 @@ def test_a_ball_is_round_closed_and_turned_outwards() -> None:
 
 
 @pytest.mark.parametrize("most", [1, 20, 60])
-def test_slabs_give_the_surface_of_the_whole(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fusing_in_slabs_gives_the_same_surface_as_fusing_at_once(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
     views = [view_of_ball(number) for number in range(6)] * 2
     whole = fuse(views)
     monkeypatch.setattr(fusion, "MOST_BLOCKS", most)
@@ -63,14 +63,14 @@ def test_slabs_give_the_surface_of_the_whole(most: int, monkeypatch: pytest.Monk
     assert told == sorted(told) and len(told) > 3 * len(views)
 
 
-def test_the_same_views_give_the_same_bytes() -> None:
+def test_fusing_the_same_views_twice_gives_the_same_bytes() -> None:
     one, other = (fuse([view_of_ball(number) for number in range(6)] * 2) for _ in range(2))
     assert (one.xyz.tobytes(), one.triangles.tobytes()) == (other.xyz.tobytes(), other.triangles.tobytes())
     assert len(np.unique(one.xyz, axis=0)) == len(one.xyz)
 
 
 @pytest.mark.parametrize("reaches", [STRAIGHT, GRAZED])
-def test_views_without_depth_change_nothing(reaches: tuple[tuple[float, float], ...]) -> None:
+def test_views_without_depth_do_not_change_a_fused_surface(reaches: tuple[tuple[float, float], ...]) -> None:
     views = [view_of_ball(0)] * 2
     empty = replace(views[0], depth=np.zeros_like(views[0].depth))
     grain = Grain(reaches=reaches)
@@ -78,7 +78,7 @@ def test_views_without_depth_change_nothing(reaches: tuple[tuple[float, float], 
     assert not len(fuse([empty], grain).triangles)
 
 
-def test_normals_of_points_are_those_of_their_plane() -> None:
+def test_normals_of_points_on_a_plane_are_the_planes() -> None:
     random = np.random.default_rng(0)
     xyz = np.c_[random.uniform(-1, 1, (500, 2)), random.normal(0, 1e-4, 500)].astype(np.float32)
     normals = point_normals(xyz, np.array([[0.0, 0.0, 2.0]]))

@@ -53,7 +53,7 @@ def read_by_blender(*paths: Path) -> dict[str, Any]:
     return json.loads(said.rpartition("FOUND")[2])
 
 
-def test_one_file_holds_all_meshes(lift: LiftFolder, tmp_path: Path) -> None:
+def test_gltf_and_usd_exports_hold_all_meshes_in_one_file(lift: LiftFolder, tmp_path: Path) -> None:
     """glTF and OpenUSD, read back by Open3D, by OpenUSD and by Blender."""
     open3d, usd = pytest.importorskip("open3d"), pytest.importorskip("pxr.Usd")
     from pxr import UsdGeom, UsdSemantics, UsdShade
@@ -134,7 +134,7 @@ def check_in_blender(lifted: FinishedLift, meshes: Mapping[str, Any], folder: Pa
         assert shift_y * camera.width == pytest.approx(camera.cy - camera.height / 2, abs=1e-2)
 
 
-def test_usd_holds_gaussians_and_cameras(lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_usd_has_gaussians_and_cameras(lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usd = pytest.importorskip("pxr.Usd")
     from pxr import Gf, UsdGeom, UsdSemantics, UsdVol
 
@@ -182,7 +182,7 @@ def test_usd_holds_gaussians_and_cameras(lift: LiftFolder, tmp_path: Path, monke
     assert ((x + 1) / 2 * camera.width, (1 - y) / 2 * camera.height) == pytest.approx(tuple(pixel), abs=1e-3)
 
 
-def test_fractions_of_seconds_are_not_frame_numbers() -> None:
+def test_time_stamps_in_frame_names_are_not_taken_for_frame_numbers() -> None:
     pytest.importorskip("pxr")
     from engine.export.usd import ascending_numbers
 
@@ -199,7 +199,7 @@ def test_usd_export_names_the_missing_package(
 
 
 @pytest.mark.parametrize("letter", ["a", "\N{PILE OF POO}", "/"])
-def test_a_long_name_is_shortened_for_the_disk(letter: str) -> None:
+def test_an_object_name_too_long_for_a_file_name_is_shortened(letter: str) -> None:
     classes = ClassTable((Category(1, "chair", True, (1, 2, 3)),))
     labels = np.array([MOST_INSTANCES + 1, MOST_INSTANCES + 2])
     names = [*label_names(labels, classes, {1: 300 * letter, 2: 300 * letter + "b"}).values()]

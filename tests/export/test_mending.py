@@ -46,7 +46,7 @@ def area(surface: Surface) -> NDArray[np.float64]:
     return np.cross(b - a, c - a)[:, 2] / 2
 
 
-def test_a_hole_as_large_as_a_hand_is_closed_facing_as_its_surroundings() -> None:
+def test_a_small_hole_in_a_mesh_is_closed_and_faces_as_its_surroundings() -> None:
     whole = sheet(30, 30)
     torn = with_hole(whole, 0.2, 0.28)
     label = np.where(torn.xyz[:, 0] < 0.25, 7, 9)
@@ -59,14 +59,14 @@ def test_a_hole_as_large_as_a_hand_is_closed_facing_as_its_surroundings() -> Non
     assert labels[-1] == 7 and (closed.rgb == 100).all()
 
 
-def test_larger_holes_and_rims_stay_open() -> None:
+def test_large_holes_and_outer_rims_of_a_mesh_stay_open() -> None:
     torn = joined(with_hole(sheet(30, 30), 0.2, 0.36), sheet(4, 4, x=1.0))  # a hole of 0.16 m, a scrap of 0.06 m
     label = np.zeros(len(torn.xyz), np.int64)
     closed, labels = mending.close_holes(torn, label)
     assert len(closed.triangles) == len(torn.triangles) and len(labels) == len(label)
 
 
-def test_far_small_pieces_take_a_neighbours_label_or_none() -> None:
+def test_small_mesh_pieces_far_from_their_object_take_a_neighbours_label() -> None:
     surface = joined(sheet(60, 20), sheet(4, 4, x=3.0), sheet(5, 5, x=0.6 + 0.64))
     label = np.full(len(surface.xyz), 5, np.int64)
     on_sheet = surface.xyz[:, 0] < 1.19
@@ -81,7 +81,7 @@ def test_far_small_pieces_take_a_neighbours_label_or_none() -> None:
     np.testing.assert_array_equal(mended[others], label[others])
 
 
-def test_a_large_piece_of_stuff_is_not_given_to_a_neighbour() -> None:
+def test_a_large_mesh_piece_of_stuff_keeps_its_label() -> None:
     surface = sheet(120, 20)
     x = surface.xyz[:, 0]
     label = np.where(x < 1.8, 3, np.where(x < 2.29, 5, 3))  # wall, a picture, and the wall behind it
@@ -89,14 +89,14 @@ def test_a_large_piece_of_stuff_is_not_given_to_a_neighbour() -> None:
     assert (mending.without_crumbs(surface, label, label == 0)[x > 2.29] == 5).all()
 
 
-def test_flakes_that_float_are_left_out() -> None:
+def test_small_floating_flakes_are_left_out_of_a_mesh() -> None:
     surface = joined(sheet(20, 20), sheet(6, 6, x=2.0), sheet(12, 12, x=4.0))
     kept, label = mending.without_flakes(surface, np.repeat([1, 2, 3], [400, 36, 144]))
     assert np.bincount(label).tolist() == [0, 400, 0, 144]
     assert np.isclose(area(kept).sum(), (19 * STEP) ** 2 + (11 * STEP) ** 2)
 
 
-def test_a_rim_is_smoothed_and_its_inside_does_not_move() -> None:
+def test_smoothing_a_mesh_rim_moves_no_inner_vertex() -> None:
     whole = sheet(20, 20)
     row = np.arange(len(whole.xyz)) // 20
     teeth = (row[whole.triangles] >= 10).sum(axis=1) >= 2  # as labels cut a surface
@@ -110,7 +110,7 @@ def test_a_rim_is_smoothed_and_its_inside_does_not_move() -> None:
     np.testing.assert_array_equal(even[within], whole.xyz[within])
 
 
-def test_near_scraps_of_an_object_are_removed_but_its_legs_stay() -> None:
+def test_small_mesh_scraps_near_an_object_go_but_its_legs_stay() -> None:
     surface = joined(sheet(30, 30), sheet(4, 4, x=0.62), sheet(6, 6, x=0.72))  # 1.1 % and 3 % of the sheet
     label = np.full(len(surface.xyz), 3, np.int64)
     mended = mending.without_crumbs(surface, label, np.zeros(len(label), np.bool_))
@@ -118,7 +118,7 @@ def test_near_scraps_of_an_object_are_removed_but_its_legs_stay() -> None:
     assert (mending.without_crumbs(surface, label, np.ones(len(label), np.bool_)) == 3).all()
 
 
-def test_narrow_strips_between_open_edges_are_removed_and_holes_do_not_grow() -> None:
+def test_removing_narrow_strips_of_a_mesh_does_not_enlarge_holes() -> None:
     whole = with_hole(sheet(40, 40), 0.3, 0.48)
     torn = with_tongue(whole)
     kept, label = mending.without_fringe(torn, np.full(len(torn.xyz), 3))
@@ -135,7 +135,7 @@ def with_tongue(whole: Surface) -> Surface:
     return Surface(both.xyz[first], both.rgb[first], both.normal[first], number.ravel()[both.triangles])
 
 
-def test_a_thin_object_stays_alone_or_beside_others_and_with_lone_labels_in_it() -> None:
+def test_removing_mesh_fringes_keeps_thin_objects() -> None:
     for surface in (sheet(200, 3), joined(sheet(30, 30), sheet(20, 3, x=2.0)), with_tongue(sheet(40, 40))):
         label = np.where(surface.xyz[:, 0] > 0.785, 7, 5)
         label[np.abs(surface.xyz[:, 0] - surface.xyz[:, 0].max() + 0.1).argmin()] = 0
@@ -167,7 +167,7 @@ def jagged(surface: Surface, towards: tuple[float, float]) -> Ints:
     return np.where(beyond + np.random.default_rng(0).normal(0, 0.4 * STEP, len(beyond)) < 0, 7, 3)
 
 
-def test_parts_meet_without_teeth_gaps_or_overlap() -> None:
+def test_mesh_parts_cut_by_label_meet_without_gaps_or_overlap() -> None:
     whole = sheet(30, 30)
     label = mending.even_labels(whole.triangles, jagged(whole, (0.8, 0.6)))
     cut, labels = mending.cut_by_label(whole, label)
@@ -181,7 +181,7 @@ def test_parts_meet_without_teeth_gaps_or_overlap() -> None:
         assert far[labels == value].max() < STEP
 
 
-def test_three_labels_meet_in_a_point() -> None:
+def test_mesh_parts_of_three_labels_meet_in_one_point() -> None:
     whole = sheet(21, 21)
     x, y = whole.xyz[:, 0] - 0.2, whole.xyz[:, 1] - 0.2
     label = np.where(y < 0, 1, np.where(x < 0, 2, 3))
@@ -194,7 +194,7 @@ def test_three_labels_meet_in_a_point() -> None:
     np.testing.assert_allclose(shares, [0.475, 0.2375, 0.2875], atol=0.03)
 
 
-def test_normals_have_unit_length_and_colours_end_at_the_cut() -> None:
+def test_cut_mesh_parts_have_unit_normals_and_unmixed_colours() -> None:
     whole = sheet(20, 20)
     label = np.where(whole.xyz[:, 0] > 0.2, 7, 3)  # on the two sides of a box's edge
     normal = np.where(label[:, None] == 7, np.float32([-1, 0, 0]), np.float32([0, 0, 1]))
@@ -212,7 +212,7 @@ def seen_from(x: float, height: float, depth: np.ndarray | float) -> SmallView:
     return SmallView(camera, shown, np.zeros((100, 100, 3), np.uint8), np.ones((100, 100), np.int64))
 
 
-def test_surfaces_that_views_see_through_or_only_from_behind_are_removed() -> None:
+def test_mesh_surface_seen_through_or_only_from_behind_is_removed() -> None:
     floor = sheet(20, 20)
     flap = replace(sheet(20, 20), xyz=sheet(20, 20).xyz + np.float32([0, 0, 0.5]))  # above it: all see the floor
     below = replace(sheet(20, 20), normal=-sheet(20, 20).normal)  # the floor's own place, facing away
@@ -227,7 +227,7 @@ def test_surfaces_that_views_see_through_or_only_from_behind_are_removed() -> No
     assert len(unseen.triangles) == len(floor.triangles), "something is in the way: nothing is known of it"
 
 
-def test_pieces_of_few_triangles_are_crumbs_unless_they_are_all_there_is() -> None:
+def test_mesh_pieces_of_few_triangles_go_unless_nothing_else_is_left() -> None:
     large, small = sheet(20, 20), sheet(6, 6, x=0.5)
     both = joined(large, small)
     label = np.ones(len(both.xyz), np.int64)

@@ -50,7 +50,7 @@ def rotations(wxyz: NDArray[np.floating]) -> NDArray[np.float64]:
     )  # fmt: skip
 
 
-def test_splats_in_ply_are_floats_that_others_read(rows: NDArray[np.void], tmp_path: Path) -> None:
+def test_splats_in_ply_are_floats_that_other_programs_read(rows: NDArray[np.void], tmp_path: Path) -> None:
     """nianticlabs/spz and others refuse a file with any other column. Ours come back as they were."""
     path = tmp_path / "splats.ply"
     write_ply_table(path, {name: rows[name].astype(np.float32) for name in rows.dtype.names or ()})
@@ -64,7 +64,7 @@ def test_splats_in_ply_are_floats_that_others_read(rows: NDArray[np.void], tmp_p
 
 
 @pytest.mark.parametrize("value", [np.nan, 3e9, -3e9])
-def test_gaussians_with_impossible_ids_are_left_out(rows: NDArray[np.void], tmp_path: Path, value: float) -> None:
+def test_exports_leave_out_gaussians_with_impossible_ids(rows: NDArray[np.void], tmp_path: Path, value: float) -> None:
     columns = {name: rows[name].astype(np.float32) for name in rows.dtype.names or ()}
     columns["instance_id"][3] = value
     write_ply_table(tmp_path / "splats.ply", columns)
@@ -75,7 +75,7 @@ def test_gaussians_with_impossible_ids_are_left_out(rows: NDArray[np.void], tmp_
     ("change", "told"),
     [("x", "1 Gaussian with impossible"), ("far", "1 Gaussian beyond 2048 m"), ("none", "splats.glb is not written")],
 )
-def test_what_a_file_cannot_hold_is_told(
+def test_a_splat_export_warns_of_splats_that_the_file_cannot_hold(
     rows: NDArray[np.void], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: str, told: str
 ) -> None:
     rows["x"][0] = {"x": np.nan, "far": 3000.0}.get(change, 0.0)
@@ -90,7 +90,7 @@ def test_what_a_file_cannot_hold_is_told(
     assert (tmp_path / "out" / "splats.glb").exists() == (change != "none")
 
 
-def test_another_reader_opens_spz(rows: NDArray[np.void], tmp_path: Path) -> None:
+def test_an_exported_spz_is_read_by_another_library(rows: NDArray[np.void], tmp_path: Path) -> None:
     """Within the steps of the format: 1/4096 m, 1/16 of a logarithm, 1/255 of opacity, half of 1/(255 * 0.15)."""
     (tmp_path / "splats.spz").write_bytes(spz_bytes(rows))
     told = gsply.read_spz(str(tmp_path / "splats.spz"))
@@ -103,7 +103,7 @@ def test_another_reader_opens_spz(rows: NDArray[np.void], tmp_path: Path) -> Non
     np.testing.assert_allclose(rotations(told.quats), turned, atol=0.006)
 
 
-def test_gltf_holds_what_the_extension_asks(rows: NDArray[np.void]) -> None:
+def test_gltf_splats_follow_khr_gaussian_splatting(rows: NDArray[np.void]) -> None:
     """Read by the rules of KHR_gaussian_splatting: linear scales and opacities, quaternions xyzw, y up."""
     content = splats_glb(rows)
     magic, version, size, length, kind = struct.unpack_from("<4sII I4s", content)

@@ -60,7 +60,7 @@ def drawn(surface: Surface, label: np.ndarray, texture: Texture) -> tuple[np.nda
     return xy, colours
 
 
-def test_triangles_show_the_pixels_of_photos_that_are_exposed_alike() -> None:
+def test_mesh_textures_show_photo_pixels_at_one_exposure() -> None:
     surface, label = wall()
     texture = textured(surface, label, [view(0, 0.0), view(1, -0.8), view(2, 0.8)])
     assert texture.pictures.keys() == {WALL, OTHER} and 0 <= texture.uv.min() <= texture.uv.max() <= 1
@@ -73,7 +73,7 @@ def test_triangles_show_the_pixels_of_photos_that_are_exposed_alike() -> None:
     assert (again.uv == texture.uv).all()
 
 
-def test_unseen_triangles_have_the_colours_of_vertices() -> None:
+def test_mesh_triangles_that_no_photo_sees_take_vertex_colours() -> None:
     surface, label = wall()
     texture = textured(surface, label, [view(1, 0.6)])  # which does not see the left
     xy, colours = drawn(surface, label, texture)
@@ -82,7 +82,7 @@ def test_unseen_triangles_have_the_colours_of_vertices() -> None:
     assert np.abs(colours[xy[:, 0] > 0] - surface.rgb[0]).mean() > 10
 
 
-def test_large_photos_are_made_smaller(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_photos_are_shrunk_for_mesh_textures(monkeypatch: pytest.MonkeyPatch) -> None:
     surface, label = wall()
     monkeypatch.setattr("engine.export.texture.LARGEST", 100)
     texture = textured(surface, label, [view(0, 0.0)])
@@ -92,7 +92,7 @@ def test_large_photos_are_made_smaller(monkeypatch: pytest.MonkeyPatch) -> None:
     assert jpeg_bytes(texture.pictures[WALL])[:2] == b"\xff\xd8"
 
 
-def test_outlines_are_where_depth_was_measured() -> None:
+def test_sharpened_depth_has_its_edges_where_depth_was_measured() -> None:
     rendered = np.repeat(np.float32([[1, 1, 1, 1.6, 2.4, 3, 3, 3]]), 8, axis=0)  # a mixture in the middle
     measured = np.repeat(np.float32([[1, 1, 1, 1, 3, 3, 0, 9]]), 8, axis=0)  # none, and one that is wrong
     np.testing.assert_array_equal(sharpened(rendered, measured)[0], np.float32([1, 1, 1, 1, 3, 3, 3, 3]))

@@ -63,7 +63,7 @@ def areas(surface: Surface) -> np.ndarray:
     return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
 
 
-def test_a_far_floor_that_one_view_saw_is_whole() -> None:
+def test_the_mesh_of_a_far_floor_seen_by_one_view_has_no_holes() -> None:
     surface, label = floor()
     nearest = HEIGHT * FOCAL / (SIZE[1] - MIDDLE)
     # A voxel and more is missing along each rim.
@@ -71,7 +71,7 @@ def test_a_far_floor_that_one_view_saw_is_whole() -> None:
     assert np.abs(surface.xyz[:, 2]).max() < 0.1 and (label > 0).all()
 
 
-def test_views_may_lack_objects_labels_or_depth() -> None:
+def test_meshes_are_made_of_views_without_objects_labels_or_depth() -> None:
     views = of_a_pole(0.3)
     bare = [replace(view, label=np.full_like(view.label, FLOOR)) for view in views]
     void = [replace(view, label=np.zeros_like(view.label)) for view in views]
@@ -92,7 +92,7 @@ def test_views_may_lack_objects_labels_or_depth() -> None:
 
 
 @pytest.mark.parametrize("width", [0.02, 0.04, 0.06])
-def test_thin_objects_alone_are_no_fringe(width: float) -> None:
+def test_a_thin_pole_is_in_the_mesh(width: float) -> None:
     surface, label = pole(width)
     of_pole = (label[surface.triangles] == RUG).all(axis=1)
     assert areas(surface).sum() == pytest.approx(areas(pole(0.0)[0]).sum(), rel=0.05)
@@ -100,25 +100,25 @@ def test_thin_objects_alone_are_no_fringe(width: float) -> None:
         assert 0.4 < areas(surface)[of_pole].sum() / (width * 1.4) < 1.5
 
 
-def test_a_hole_in_the_room_is_closed() -> None:
+def test_a_hole_in_the_mesh_of_a_room_is_closed() -> None:
     holed, _ = surface_to_view([look_over_the_floor(hole=True)])
     assert areas(holed).sum() == pytest.approx(areas(floor()[0]).sum(), rel=0.01)
 
 
-def test_objects_are_finer_than_the_room() -> None:
+def test_meshes_of_objects_are_finer_than_that_of_the_room() -> None:
     surface, label = floor(OBJECTS.least_views)
     size = {value: np.median(areas(surface)[(label[surface.triangles] == value).all(axis=1)]) for value in (FLOOR, RUG)}
     assert size[FLOOR] / size[RUG] == pytest.approx((ROOM.voxel / OBJECTS.voxel) ** 2, rel=0.4)
     assert areas(surface).sum() == pytest.approx(areas(floor()[0]).sum(), rel=0.05)
 
 
-def test_the_coarse_triangles_at_the_rim_of_an_object_are_the_rooms() -> None:
+def test_coarse_triangles_at_an_objects_rim_belong_to_the_room() -> None:
     surface, label = floor(OBJECTS.least_views)
     of_rug = (label[surface.triangles] == RUG).sum(axis=1) >= 2
     assert (areas(surface)[of_rug] > 0.7 * ROOM.voxel**2 / 2).sum() < 0.005 * of_rug.sum()
 
 
-def test_no_gap_where_the_surface_of_an_object_ends_before_the_object_does() -> None:
+def test_the_mesh_has_no_gap_where_an_objects_depth_ends_early() -> None:
     whole = look_over_the_floor()
     partly = replace(whole, depth=np.where((whole.label == RUG) & (whole.depth > 2.5), np.float32(0), whole.depth))
     surface, _ = surface_to_view([whole] + [partly] * (OBJECTS.least_views - 1))
@@ -129,7 +129,7 @@ def test_no_gap_where_the_surface_of_an_object_ends_before_the_object_does() -> 
     assert (scene.cast_rays(rays)["t_hit"].numpy() < 1.1).all()
 
 
-def test_depth_between_pixels_is_that_of_planes_and_edges_stay() -> None:
+def test_enlarged_depth_follows_planes_and_keeps_edges() -> None:
     view = look_over_the_floor()
     large = view.large_depth(3)
     row = (np.arange(large.shape[0]) + 0.5) / 3

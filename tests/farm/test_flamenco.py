@@ -65,7 +65,7 @@ def lines_of(task: dict[str, Any]) -> list[list[str]]:
     return [[each["parameters"]["exe"], *each["parameters"]["args"]] for each in task["commands"]]
 
 
-def test_a_camera_is_baked_in_parallel_and_collected(root: Path) -> None:
+def test_a_flamenco_job_bakes_a_camera_in_parallel_tasks(root: Path) -> None:
     tasks = compiled(root, {"scene": "{shared}/a room", "output": "{shared}/lift", "blend": "{shared}/shot.blend",
                             "camera": "dolly", "shot": "s",
                             "frames": "1-4,9", "chunk_size": 2, "layers": "normal"})  # fmt: skip
@@ -88,7 +88,7 @@ def test_a_camera_is_baked_in_parallel_and_collected(root: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["a b", "it's", 'say "x"', "$(touch x)", "`touch x`", "a\nb", "--force", "; rm -r ."])
-def test_any_name_is_passed_as_one_argument(name: str, root: Path) -> None:
+def test_flamenco_passes_odd_names_as_one_argument(name: str, root: Path) -> None:
     """exec runs no shell. A camera is the only name that may begin with a dash: the others are paths."""
     folder = f"/shared/{name}"
     given = {"scene": folder, "output": folder, "blend": f"{folder}.blend", "camera": name, "frames": "1"}
@@ -98,13 +98,13 @@ def test_any_name_is_passed_as_one_argument(name: str, root: Path) -> None:
                         "--range", "1-1"]  # fmt: skip
 
 
-def test_frames_that_are_not_consecutive_are_commands_of_one_task(root: Path) -> None:
+def test_flamenco_bakes_scattered_frames_in_one_task(root: Path) -> None:
     settings = {"scene": "/room", "output": "/lift", "bake": "frames", "frames": "1-3,7,9", "chunk_size": 9}
     (bake,) = compiled(root, settings)[1:-1]
     assert [line[-1] for line in lines_of(bake)] == ["1-3", "7-7", "9-9"]
 
 
-def test_an_existing_lift_keeps_its_options(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_flamenco_job_keeps_an_old_lifts_options(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The job that the button writes, for a lift with changed options: its commands go on with that lift."""
     pytest.importorskip("bpy")
     from plgs.plgs_blender.shot_bakes import write_farm_job
@@ -130,7 +130,7 @@ def test_an_existing_lift_keeps_its_options(root: Path, tmp_path: Path, monkeypa
 
 @pytest.mark.slow
 @pytest.mark.parametrize("bake", ["camera", "frames"])
-def test_the_jobs_commands_run(bake: str, root: Path, tmp_path: Path) -> None:
+def test_the_commands_of_a_flamenco_job_run(bake: str, root: Path, tmp_path: Path) -> None:
     """In order, two at a time; paths come by a variable, as on a worker of another system."""
     pytest.importorskip("bpy")
     write_tiny_scene(tmp_path / "room", frames=8, noise=0.1)

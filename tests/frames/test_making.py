@@ -34,7 +34,7 @@ def image(path: Path | None) -> np.ndarray:
     return pixels[..., ::-1]
 
 
-def test_frames_in_an_archive_are_written(archive: Path, tmp_path: Path) -> None:
+def test_frames_of_an_archive_are_extracted(archive: Path, tmp_path: Path) -> None:
     scene, source = open_scene(archive), SceneSource(archive)
     done = []
     made = make_frames(scene, source, tmp_path / "out", progress=lambda *step: done.append(step))
@@ -49,7 +49,7 @@ def test_frames_in_an_archive_are_written(archive: Path, tmp_path: Path) -> None
         assert depth.min() <= files.depth_range[0] < files.depth_range[1] <= depth.max()
 
 
-def test_the_cloud_lies_on_the_room(archive: Path, tmp_path: Path) -> None:
+def test_the_extracted_point_cloud_lies_on_the_walls_of_the_room(archive: Path, tmp_path: Path) -> None:
     made = make_frames(open_scene(archive), SceneSource(archive), tmp_path / "out", kinds=["cloud"])
     assert made.cloud is not None and made.frames["0"].colour is None
     with np.load(made.cloud) as stored:
@@ -60,7 +60,7 @@ def test_the_cloud_lies_on_the_room(archive: Path, tmp_path: Path) -> None:
     assert np.abs(np.median(floor, axis=0) - [120, 80, 50]).max() < 4
 
 
-def test_second_run_continues(archive: Path, tmp_path: Path) -> None:
+def test_extracting_frames_again_makes_only_missing_ones(archive: Path, tmp_path: Path) -> None:
     scene, source, out = open_scene(archive), SceneSource(archive), tmp_path / "out"
     make_frames(scene, source, out, kinds=["colour"], names=["0", "1"])
     (out / "color" / "1.jpg").unlink()
@@ -73,7 +73,7 @@ def test_second_run_continues(archive: Path, tmp_path: Path) -> None:
     assert (out / "color" / "0.jpg").stat().st_ino != before.st_ino, "the scene is newer"
 
 
-def test_pictures_of_a_replaced_scene_are_not_reused(tmp_path: Path) -> None:
+def test_extracted_pictures_are_made_again_when_the_scene_is_replaced(tmp_path: Path) -> None:
     """Its files may be older, as those that come out of an archive: then pictures and cloud of the first one stayed."""
     place, out = tmp_path / "scan.sens", tmp_path / "out"
     room = write_tiny_scene(tmp_path / "room", frames=6)
@@ -92,7 +92,7 @@ def test_pictures_of_a_replaced_scene_are_not_reused(tmp_path: Path) -> None:
     assert image(made.frames["0000"].depth).size and (out / "depth" / "0000.png").stat().st_ino != before
 
 
-def test_folders_of_others_and_strange_names_are_refused(archive: Path, tmp_path: Path) -> None:
+def test_extracting_unknown_frames_or_into_other_folders_is_refused(archive: Path, tmp_path: Path) -> None:
     scene, out = open_scene(archive), tmp_path / "out"
     with raises_key("not-a-frame 17"):
         make_frames(scene, SceneSource(archive), out, names=["17"])
@@ -111,7 +111,7 @@ def test_folders_of_others_and_strange_names_are_refused(archive: Path, tmp_path
 @pytest.mark.parametrize(
     ("kinds", "told"), [(["masks"], "nothing-to-write"), (["cloud", "depth", "masks"], "nothing-to-write")]
 )
-def test_missing_kinds_are_refused(kinds: list[str], told: str, tmp_path: Path) -> None:
+def test_extracting_pictures_that_a_scene_lacks_is_refused(kinds: list[str], told: str, tmp_path: Path) -> None:
     room = write_tiny_scene(tmp_path / "room", frames=2)
     scene = open_scene(room)
     bare = replace(scene, frames=tuple(replace(frame, read_mask=None, read_depth=None) for frame in scene.frames))
@@ -123,7 +123,7 @@ def test_missing_kinds_are_refused(kinds: list[str], told: str, tmp_path: Path) 
     assert [each.name for each in made.scene.posed_frames(room)] == [each.name for each in scene.frames]
 
 
-def test_bad_depth_only_prevents_the_cloud(archive: Path, tmp_path: Path) -> None:
+def test_bad_depth_prevents_the_cloud_but_not_the_pictures(archive: Path, tmp_path: Path) -> None:
     archive.write_bytes(archive.read_bytes()[:-1000] + bytes(1000))
     with raises_key("other-size"):
         make_frames(open_scene(archive), SceneSource(archive), tmp_path / "out", kinds=["colour", "cloud"])
@@ -131,7 +131,7 @@ def test_bad_depth_only_prevents_the_cloud(archive: Path, tmp_path: Path) -> Non
     assert made.cloud is None and all(each.colour is not None for each in made.frames.values())
 
 
-def test_a_cloud_stays_within_its_cap_and_keeps_its_mean() -> None:
+def test_a_point_cloud_is_thinned_to_its_limit_and_keeps_its_mean() -> None:
     camera = Camera(40, 30, 30.0, 30.0, 20.0, 15.0, np.eye(4))
     depth = np.random.default_rng(0).uniform(1.0, 4.0, (30, 40)).astype(np.float32)
     colour = np.full((30, 40, 3), (10, 20, 30), np.uint8)

@@ -27,7 +27,7 @@ SPECIAL: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("make", SPECIAL.values(), ids=SPECIAL)
-def test_special_files_are_refused(
+def test_fifos_and_devices_are_not_read_as_files(
     make: Callable[[Path], object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)  # a socket's path is short
@@ -38,7 +38,7 @@ def test_special_files_are_refused(
             open_it(path)
 
 
-def test_links_are_followed_only_where_they_may_be(tmp_path: Path) -> None:
+def test_links_are_followed_only_where_it_is_allowed(tmp_path: Path) -> None:
     target, link = tmp_path / "target", tmp_path / "link"
     target.write_bytes(b"theirs")
     link.symlink_to(target)
@@ -54,7 +54,7 @@ def test_links_are_followed_only_where_they_may_be(tmp_path: Path) -> None:
     assert target.read_bytes() == b"theirs" and link.read_bytes() == b"ours" and not link.is_symlink()
 
 
-def test_size_limit_is_kept(tmp_path: Path) -> None:
+def test_files_above_the_size_limit_are_not_read(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"12345")
     assert gates.read_plain(path, 5) == b"12345"
@@ -75,11 +75,11 @@ def test_paths_that_leave_their_folder_are_refused(text: str) -> None:
         gates.inner_path(text)
 
 
-def test_inner_paths_are_accepted() -> None:
+def test_paths_inside_the_folder_are_accepted() -> None:
     assert str(gates.inner_path("passes/12:30 ü.exr")) == "passes/12:30 ü.exr"
 
 
-def test_passwords_stay_out_of_texts() -> None:
+def test_passwords_in_addresses_are_hidden_in_messages() -> None:
     told = gates.without_credentials("at https://me:secret@host/simple, http://host")
     assert told == "at https://****@host/simple, http://host"
 
@@ -89,7 +89,7 @@ MARKS = [*range(0x00, 0x09), *range(0x0B, 0x20), 0x7F, *range(0x80, 0xA0), 0x200
 
 
 @pytest.mark.parametrize("code", MARKS, ids=hex)
-def test_terminal_control_characters_are_removed(code: int) -> None:
+def test_terminal_control_characters_are_removed_from_messages(code: int) -> None:
     assert gates.printable(f"a{chr(code)}b") == gates.one_line(f"a{chr(code)}b") == "a?b"
 
 
@@ -107,13 +107,13 @@ def test_terminal_control_characters_are_removed(code: int) -> None:
         (gates.markdown_cell, "a|b\\|<img src=x>", "a\\|b\\\\\\|&lt;img src=x>"),
     ],
 )
-def test_texts_are_cleaned_for_where_they_are_shown(
+def test_texts_are_cleaned_for_terminals_files_and_panels(
     fit: Callable[[object], object], text: object, fitted: object
 ) -> None:
     assert fit(text) == fitted
 
 
-def test_a_plot_label_is_not_a_formula(tmp_path: Path) -> None:
+def test_dollar_signs_in_plot_labels_are_not_read_as_formulas(tmp_path: Path) -> None:
     pyplot = pytest.importorskip("matplotlib.pyplot", reason="matplotlib is not installed: requirements/test.txt")
     figure, axes = pyplot.subplots()
     axes.set_title(gates.plot_label(r"a $\nothing{$ b"))
@@ -121,7 +121,7 @@ def test_a_plot_label_is_not_a_formula(tmp_path: Path) -> None:
     pyplot.close(figure)
 
 
-def test_an_error_of_many_lines_is_shortened() -> None:
+def test_an_error_message_of_many_lines_is_shortened() -> None:
     said = "Error(s) in loading:\n\t" + "\n\t".join(f"size mismatch for layer.{i}" for i in range(100))
     error = PlgsError("made-up", f"the model cannot be read ({said})", "model", "Lift again.")
     assert error.what.isprintable() and len(error.what) == 600 and "Error(s) in loading: size mismatch" in error.what

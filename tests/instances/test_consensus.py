@@ -88,7 +88,7 @@ def frames_of(objects: consensus.FoundObjects, number: int) -> set[str]:
     return {mask.frame for mask in objects.objects[number - 1].masks}
 
 
-def test_merging_splitting_and_misnaming_views_are_outvoted() -> None:
+def test_views_that_merge_split_or_misname_objects_are_outvoted() -> None:
     views = [good("a"), merged("b"), good("c", left=SOFA), split("d"), good("e"), good("f", left=WALL)]
     objects = objects_in(views)
     left, right, back = owners(objects, LEFT, RIGHT, BACK)
@@ -96,7 +96,7 @@ def test_merging_splitting_and_misnaming_views_are_outvoted() -> None:
     assert frames_of(objects, left) == {"a", "c", "d", "e", "f"}
 
 
-def test_views_that_draw_two_chairs_as_one_abstain() -> None:
+def test_views_with_one_mask_for_two_chairs_do_not_vote_on_them() -> None:
     views = [*(good(name) for name in "abcdef"), *(merged(name) for name in "ghij")]
     objects = objects_in(views)
     left, right, back = owners(objects, LEFT, RIGHT, BACK)
@@ -119,7 +119,7 @@ def inventing(*names: str) -> list[View]:
     [(SWALLOWED, "abcdef"), (inventing("a"), "abcdefghij"), (inventing(*"adg"), "abcdefghij")],
     ids=["some draw a chair as wall", "one sees a chair in the wall", "three see a chair in the wall"],
 )
-def test_walls_swallow_no_chair_and_few_views_invent_none(views: list[View], showing_left: str) -> None:
+def test_chairs_are_kept_apart_from_the_wall_and_none_is_invented(views: list[View], showing_left: str) -> None:
     objects = objects_in(views)
     left, right, back = owners(objects, LEFT, RIGHT, BACK)
     assert len({left, right, back}) == len(objects.objects) == 3
@@ -127,7 +127,7 @@ def test_walls_swallow_no_chair_and_few_views_invent_none(views: list[View], sho
     assert all(mask.segment.class_id == CHAIR for mask in objects.objects[left - 1].masks)
 
 
-def test_agreement_says_how_many_views_assign_a_mask_to_its_object() -> None:
+def test_a_masks_agreement_is_the_share_of_views_that_confirm_its_object() -> None:
     # Of the six views d splits the left chair; b, which merges it with the right one, abstains.
     views = [good("a"), merged("b"), good("c"), split("d"), good("e"), good("f")]
     objects = objects_in(views)
@@ -138,7 +138,7 @@ def test_agreement_says_how_many_views_assign_a_mask_to_its_object() -> None:
 
 
 @pytest.mark.parametrize(("cutting", "found"), [("c", 1), ("cd", 0)])
-def test_two_masks_are_an_object_only_if_other_views_agree(cutting: str, found: int) -> None:
+def test_two_masks_become_an_object_only_if_most_other_views_agree(cutting: str, found: int) -> None:
     """Two views draw a thing. Each of the others sees seven of its 16 points, and draws them as parts of two others."""
     whole, cut = np.full(POINTS, 7), np.full(POINTS, 7)
     whole[40:56], cut[34:44], cut[44:60] = 5, 5, 6
@@ -152,7 +152,7 @@ def test_two_masks_are_an_object_only_if_other_views_agree(cutting: str, found: 
     assert names.count([("a", 5), ("b", 5)]) == found, "two of three views agree, but two of four do not"
 
 
-def test_a_view_that_missed_an_object_says_nothing_about_it() -> None:
+def test_a_view_without_masks_of_an_object_does_not_vote_against_it() -> None:
     missing = good("b")
     ids = missing.mask.ids.copy()
     ids[:, LEFT] = 0
@@ -161,7 +161,7 @@ def test_a_view_that_missed_an_object_says_nothing_about_it() -> None:
     assert len(objects.objects) == 3 and (objects.object_of_point[LEFT] > 0).all()
 
 
-def test_region_of_several_objects_founds_no_object() -> None:
+def test_a_mask_that_may_be_several_objects_starts_no_object() -> None:
     ids = np.full(POINTS, 7)
     ids[LEFT], ids[RIGHT] = 3, 3
     views = [strip(name, ids, {3: CHAIR, 7: WALL}, groups=[3]) for name in "abcd"]
@@ -181,13 +181,13 @@ def test_region_of_several_objects_founds_no_object() -> None:
         (1, 0, 3, False), (1, 0, 1, True), (0, 1, 3, False),
     ],
 )  # fmt: skip
-def test_object_needs_masks_in_enough_views(showing: int, blinded: int, least: int, is_found: bool) -> None:
+def test_an_object_needs_masks_in_enough_views(showing: int, blinded: int, least: int, is_found: bool) -> None:
     views = [*(good(f"good {i}") for i in range(showing)), *(blind(f"blind {i}") for i in range(blinded))]
     objects = objects_in(views, replace(OPTIONS, min_masks=least))
     assert len(objects.objects) == (3 if is_found else 0) and bool(objects.object_of_point.any()) is is_found
 
 
-def test_points_show_the_segment_of_most_of_their_inner_pixels() -> None:
+def test_a_points_segment_is_that_of_most_of_its_inner_pixels() -> None:
     ids = np.array([[5, 5, 5, 5, 9, 9, 9, 9]] * 4, np.int32)
     camera = Camera(8, 4, 1.0, 1.0, 0.0, 0.0, np.eye(4))
     mask = PanopticMask(ids, (Segment(5, CHAIR, True), Segment(9, WALL, False)))
@@ -205,7 +205,7 @@ def test_points_show_the_segment_of_most_of_their_inner_pixels() -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 12))
-def test_joining_matches_the_greedy_algorithm(seed: int, count: int) -> None:
+def test_fast_clustering_of_masks_matches_a_plain_greedy_algorithm(seed: int, count: int) -> None:
     half = np.random.default_rng(seed).integers(-4, 5, (count, count)).astype(np.float64)
     weight = half + half.T
     groups = [[i] for i in range(count)]
@@ -229,7 +229,7 @@ def with_tracks(view: View, tracks: dict[int, int]) -> View:
     return replace(view, mask=replace(view.mask, segments=segments))
 
 
-def test_a_track_joins_what_no_view_sees_together() -> None:
+def test_a_tracker_joins_two_ends_of_a_sofa_that_no_view_shows_together() -> None:
     """The two ends of a sofa, each seen by three views of their own: only the tracker knows that they are one."""
 
     def end(name: str, part: slice) -> View:
@@ -242,7 +242,7 @@ def test_a_track_joins_what_no_view_sees_together() -> None:
     assert owners(objects_in([with_tracks(view, {3: 8}) for view in ends]), LEFT, RIGHT) == [1, 1]
 
 
-def test_a_track_does_not_outvote_the_views() -> None:
+def test_views_outvote_a_tracker_that_jumps_between_chairs() -> None:
     """The tracker jumps from one chair to the other, and five views see two chairs."""
     views = [with_tracks(good(f"{i}"), {3: 1, 4: 2} if i < 3 else {3: 2, 4: 1}) for i in range(5)]
     left, right = owners(objects_in(views), LEFT, RIGHT)
@@ -251,7 +251,7 @@ def test_a_track_does_not_outvote_the_views() -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000), st.booleans())
-def test_linked_parts_are_joined_as_all_masks_at_once_would_be(seed: int, has_tracks: bool) -> None:
+def test_clustering_masks_in_parts_matches_clustering_all_at_once(seed: int, has_tracks: bool) -> None:
     """Every mask lies inside few others; the whole array of masks by masks is what a short scan could afford."""
     random = np.random.default_rng(seed)
     masks, views = 40, 9
@@ -267,7 +267,7 @@ def test_linked_parts_are_joined_as_all_masks_at_once_would_be(seed: int, has_tr
     assert 1 < len(np.unique(at_once)) < len(rows)
 
 
-def test_a_small_thing_that_only_near_views_resolve_is_not_part_of_a_large_one() -> None:
+def test_a_small_object_seen_only_from_near_is_not_joined_to_a_large_one() -> None:
     """Four near views draw a sink in a countertop, twelve far ones draw both as one."""
 
     def countertop(name: str, *, sink: bool) -> View:
@@ -288,7 +288,7 @@ def test_a_small_thing_that_only_near_views_resolve_is_not_part_of_a_large_one()
     assert len(set(owners(joined, slice(20, 45), slice(10, 20)))) == 1
 
 
-def test_masks_of_more_views_join_the_object_that_holds_them() -> None:
+def test_masks_of_further_views_join_the_object_that_contains_them() -> None:
     """They join whatever their class is; what lies half in an object, may be several or is too small joins none."""
     objects = objects_in([good(name) for name in "abcd"])
     half = np.full(POINTS, 7)
@@ -309,7 +309,7 @@ def test_masks_of_more_views_join_the_object_that_holds_them() -> None:
     assert all(own.masks == more.masks[:4] for own, more in zip(objects.objects, joined.objects, strict=True))
 
 
-def test_many_objects_and_points_need_no_table_of_both() -> None:
+def test_memory_for_many_objects_stays_below_a_table_of_objects_by_points() -> None:
     chairs, wide = 200, 50
     points = chairs * wide
     ids = 1 + np.arange(points) // wide
@@ -364,7 +364,7 @@ def sightings(space: MasksInSpace, views: np.ndarray) -> np.ndarray:
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 40))
-def test_no_view_is_left_out_that_shows_much_that_others_do_not(seed: int, most_masks: int) -> None:
+def test_every_view_that_shows_new_surface_is_chosen_as_a_keyframe(seed: int, most_masks: int) -> None:
     random = np.random.default_rng(seed)
     views, points = 25, 80
     seen = [np.flatnonzero(random.random(points) < random.choice([0.0, 0.05, 0.3])) for _ in range(views)]
@@ -380,7 +380,7 @@ def test_no_view_is_left_out_that_shows_much_that_others_do_not(seed: int, most_
 
 
 @pytest.mark.parametrize(("views", "sight"), [(2000, 18), (600, 120)])
-def test_an_object_in_few_or_many_views_is_found(views: int, sight: int) -> None:
+def test_objects_seen_in_few_or_in_many_views_are_found(views: int, sight: int) -> None:
     """Evenly chosen views of so few masks would see one of 18 twice at most; one of 120 has masks in few of them."""
     space = corridor(views, sight)
     options = consensus.ConsensusOptions(most_masks=views // 4)

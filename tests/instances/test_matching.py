@@ -37,19 +37,19 @@ def only(view: View, keep: int) -> View:
     return replace(view, mask=PanopticMask(ids, tuple(s for s in view.mask.segments if s.id in (1, keep))))
 
 
-def test_two_chairs_12_cm_apart_stay_two() -> None:
+def test_two_chairs_12_cm_apart_stay_two_objects() -> None:
     found = match_views(orbit(CHAIRS), THINGS, SEGMENTS, Matching())
     assert len(found) == 2 and [len(item.masks) > 6 for item in found] == [True, True]
     for item, (low, high) in zip(sorted(found, key=lambda i: i.box.centre[0]), CHAIRS, strict=True):
         np.testing.assert_allclose(item.box.centre, np.add(low, high) / 2, atol=0.06)
 
 
-def test_two_chairs_seen_one_per_view_stay_two() -> None:
+def test_two_chairs_never_seen_in_one_view_stay_two_objects() -> None:
     views = [only(view, 2 + i % 2) for i, view in enumerate(orbit(CHAIRS))]
     assert len(match_views(views, THINGS, SEGMENTS, Matching())) == 2
 
 
-def test_one_chair_from_two_sides_becomes_one() -> None:
+def test_one_chair_seen_from_two_sides_becomes_one_object() -> None:
     views = [view_of("front", around(0), [LEFT]), view_of("side", around(80), [LEFT])]
     first, second = (local_instances(view, THINGS, SEGMENTS)[0] for view in views)
     # The two visible halves overlap in a corner only: it is IoM that finds them.
@@ -61,7 +61,7 @@ def test_one_chair_from_two_sides_becomes_one() -> None:
     assert found[0].masks[0].cost is None and found[0].masks[1].cost is not None
 
 
-def test_a_split_segment_leaves_no_duplicate() -> None:
+def test_a_chair_split_into_two_segments_becomes_one_object() -> None:
     views = orbit([LEFT])
     for at in (3, 6):
         ids = views[at].mask.ids.copy()
@@ -82,13 +82,13 @@ def unit_box(x: float) -> OrientedBox:
 @pytest.mark.parametrize(
     ("terms", "same", "half"), [("IoU+IoM", -1.5, -0.25 - 0.5), ("IoU", -0.5, -0.25), ("IoM", -1.0, -0.5)]
 )
-def test_costs_match_their_formulas(terms: str, same: float, half: float) -> None:
+def test_matching_costs_of_boxes_match_their_formulas(terms: str, same: float, half: float) -> None:
     assert pair_cost(unit_box(0), unit_box(0), terms) == pytest.approx(same)
     assert pair_cost(unit_box(0), unit_box(0.5), terms) == pytest.approx(half)
     assert pair_cost(unit_box(0), unit_box(2), terms) == 0.0
 
 
-def test_the_matching_rules_differ_if_the_best_partner_is_taken() -> None:
+def test_matching_rules_hybrid_and_literal_differ_when_the_best_match_is_taken() -> None:
     view = view_of("a", around(0), [LEFT, ((0.5, 0.0, 0.0), (1.0, 0.5, 0.8))])
     known = match_views([view], THINGS, SEGMENTS, Matching())
     half = local_instances(view, THINGS, SEGMENTS)[0]
@@ -100,7 +100,7 @@ def test_the_matching_rules_differ_if_the_best_partner_is_taken() -> None:
     assert [len(item.masks) for item in literal] == [2, 2]
 
 
-def test_near_views_count_more_but_do_not_outvote() -> None:
+def test_one_near_view_outvotes_three_far_ones_but_not_five() -> None:
     def seen(frame: str, class_id: int, pixels: int, segment: int = 1) -> ObjectMask:
         return ObjectMask(frame, Segment(segment, class_id, True, 0.9), pixels)
 
@@ -132,7 +132,7 @@ boxes = st.builds(
 
 @settings(max_examples=40, deadline=None)
 @given(boxes, boxes)
-def test_the_intersection_agrees_with_monte_carlo(first: OrientedBox, second: OrientedBox) -> None:
+def test_the_intersection_volume_of_boxes_agrees_with_monte_carlo(first: OrientedBox, second: OrientedBox) -> None:
     half = first.size / 2
     local = np.random.default_rng(0).uniform(-half, half, (20000, 3))
     cos, sin = math.cos(first.yaw), math.sin(first.yaw)
@@ -148,7 +148,7 @@ def test_the_intersection_agrees_with_monte_carlo(first: OrientedBox, second: Or
 
 @settings(max_examples=40, deadline=None)
 @given(boxes, st.integers(0, 1000))
-def test_a_box_is_found_again_from_its_points(original: OrientedBox, seed: int) -> None:
+def test_fitting_a_box_to_points_of_a_box_gives_that_box(original: OrientedBox, seed: int) -> None:
     points = np.concatenate([original.corners, original.centre[None]]) + [100.0, -50.0, 7.0]
     found = fit_box(np.random.default_rng(seed).permutation(points), 0.01)
     assert found.volume == pytest.approx(original.volume, rel=1e-3)
@@ -158,7 +158,7 @@ def test_a_box_is_found_again_from_its_points(original: OrientedBox, seed: int) 
     assert inside(moved, points).all()
 
 
-def test_thin_things_have_a_least_thickness() -> None:
+def test_boxes_of_flat_objects_have_a_minimum_thickness() -> None:
     flat = fit_box(np.array([[0.0, 0.0, 1.0], [2.0, 0.0, 1.0]]), 0.05)
     np.testing.assert_allclose(flat.size, [2.0, 0.05, 0.05])
     assert flat.yaw == pytest.approx(0.0)

@@ -27,7 +27,7 @@ def showing(
 OWNER = np.array([1, 1, 1, 2, 0], np.int32)
 
 
-def test_each_view_has_the_square_root_of_its_pixels() -> None:
+def test_a_views_vote_on_an_objects_class_grows_with_root_of_pixels() -> None:
     near = showing([0, 1, 2, 3], [SOFA, SOFA, CHAIR, WALL], [60, 60, 40, 9])
     far = showing([0, 4], [CHAIR, CHAIR], [25, 999])
     votes = vote_classes([near, far], OWNER, 2, CLASS_IDS, "root")
@@ -36,7 +36,7 @@ def test_each_view_has_the_square_root_of_its_pixels() -> None:
     np.testing.assert_allclose(votes[2], [3, 0, 0, 0])
 
 
-def test_a_view_that_resolves_the_object_outvotes_many_that_do_not() -> None:
+def test_one_sharp_view_outvotes_many_views_that_barely_resolve_the_object() -> None:
     near = showing([0, 1], [SOFA, SOFA], [60, 60], resolution=4.0)
     far = [showing([0, 1], [CHAIR, CHAIR], [4, 4], resolution=1.0)] * 12
     for kind, expected in (("views", CHAIR), ("pixels", SOFA), ("density", SOFA)):
@@ -44,7 +44,7 @@ def test_a_view_that_resolves_the_object_outvotes_many_that_do_not() -> None:
         assert object_classes(votes, CLASS_IDS, np.zeros(len(votes), bool))[1] == expected, kind
 
 
-def test_void_and_unknown_classes_do_not_vote() -> None:
+def test_pixels_of_void_or_unknown_class_do_not_vote_on_an_objects_class() -> None:
     votes = vote_classes([showing([0, 1], [0, 99], [10, 10])], OWNER, 2, CLASS_IDS, "root")
     assert not votes.any()
 
@@ -55,13 +55,13 @@ def test_an_object_has_the_class_with_most_votes() -> None:
     assert classes.tolist() == [0, SOFA, WALL, 0], "ties go to the lower class, without votes there is none"
 
 
-def test_an_object_whose_views_name_many_classes_has_none_unless_they_agree_on_it() -> None:
+def test_an_object_on_whose_class_views_disagree_has_no_class() -> None:
     votes = np.array([[0, 0, 0, 0], [3, 2, 2, 3.2], [2, 2, 2, 4]], np.float64)
     assert object_classes(votes, CLASS_IDS, np.array([False, False, False])).tolist() == [0, 0, SOFA]
     assert object_classes(votes, CLASS_IDS, np.array([False, True, False])).tolist() == [0, SOFA, SOFA]
 
 
-def test_views_that_are_held_back_tell_one_object_from_two() -> None:
+def test_held_out_views_tell_one_object_from_two_joined_ones() -> None:
     """Points 0 to 3 are object 1. Where each view calls all of it one thing, a view agrees with the others' class as
     often as with their points; where its halves are two things in every view, it agrees with their points alone."""
     one = [showing([0, 1, 2, 3], [kind] * 4, [10] * 4) for kind in (SOFA, SOFA, CHAIR, WALL, SOFA)]
@@ -136,12 +136,12 @@ VOID = view((0, slice(0, 2 * SIZE)), points=2 * SIZE)
     ],
     ids=["no view joins them", "most views tell them apart", "the legs of a table"],
 )
-def test_an_object_is_cut_where_no_view_or_few_join_its_pieces(views: list[ViewPoints], is_one: bool) -> None:
+def test_an_object_is_cut_where_too_few_views_join_its_pieces(views: list[ViewPoints], is_one: bool) -> None:
     expected = ([1, 1], [1]) if is_one else ([1, 2], [1, 1])
     assert regrouped(two_blocks(FAR), [1, 1], [CHAIR], views) == expected
 
 
-def test_a_piece_in_between_joins_two_others() -> None:
+def test_two_pieces_are_one_object_if_views_join_both_to_a_third() -> None:
     xyz = np.concatenate([block(0.0), block(FAR), block(2 * FAR)])
     points = 3 * SIZE
     left = view((3, slice(0, 2 * SIZE)), points=points)
@@ -167,7 +167,7 @@ def test_only_a_majority_joins_two_objects(x: float, classes: list[int], views: 
     assert regrouped(two_blocks(x), [1, 2], classes, views) == expected
 
 
-def test_fragments_vanish() -> None:
+def test_small_fragments_far_from_an_object_are_dropped() -> None:
     chair = np.random.default_rng(0).uniform(0, 0.4, (400, 3))
     fragment = chair[:10] + [3.0, 0.0, 0.0]  # enough points for a piece, but little of the chair
     few = chair[:4] + [0.0, 3.0, 0.0]
@@ -179,7 +179,7 @@ def test_fragments_vanish() -> None:
     assert found[414] == 0 and origin == [1], "a lone point is not an object"
 
 
-def test_the_largest_piece_says_which_object_a_group_comes_from() -> None:
+def test_regrouped_pieces_take_the_object_of_their_largest_piece() -> None:
     xyz = np.concatenate([block(0.0, 10), block(NEAR, 30)])
     owner = np.repeat(np.array([1, 2], np.int32), [10, 30])
     all_of_it = view((3, slice(0, 40)), points=40)
@@ -187,7 +187,7 @@ def test_the_largest_piece_says_which_object_a_group_comes_from() -> None:
     assert (found == 1).all() and origin == [2]
 
 
-def test_pieces_of_things_without_an_object_become_objects_where_two_views_have_masks_on_them() -> None:
+def test_unassigned_pieces_with_masks_in_two_views_become_objects() -> None:
     xyz = np.concatenate([block(0.0), block(2.0), block(4.0), block(6.0)])
     class_of_point = np.repeat(np.array([CHAIR, CHAIR, SOFA, CHAIR], np.int32), SIZE)
     ids = np.repeat(np.arange(1, 5), SIZE)

@@ -21,7 +21,7 @@ from tests.semantics.plane_views import CHAIR, CLASS_IDS, SIZE, SOFA, WALL, squa
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10_000), st.sampled_from([0.3, 0.5, 0.8]))
-def test_every_segment_gets_the_specified_label(seed: int, agreement: float) -> None:
+def test_segment_labels_match_a_plain_majority_vote(seed: int, agreement: float) -> None:
     random = np.random.default_rng(seed)
     mask = PanopticMask(random.integers(0, 6, (4, 7)).astype(np.int32) * 1000, ())
     shown = random.integers(-1, 3, (4, 7))
@@ -73,7 +73,7 @@ def wrong(found: np.ndarray) -> int:
     return int((found.reshape(SIZE[::-1]) != square(OBJECT, WALL_LABEL, COLUMNS, ROWS)).sum())
 
 
-def test_a_view_with_the_wrong_class_is_corrected_by_the_others() -> None:
+def test_a_view_that_shows_the_wrong_class_is_outvoted_by_the_others() -> None:
     views = [drawn("a"), drawn("b"), drawn("c", class_id=CHAIR)]
     found = voted(views, {"a", "b"})
     assert wrong(found.label) == 0
@@ -83,7 +83,7 @@ def test_a_view_with_the_wrong_class_is_corrected_by_the_others() -> None:
     assert wrong(alone.label) == 0 and alone.confidence.reshape(SIZE[::-1])[ROWS, COLUMNS] == pytest.approx(2 / 3)
 
 
-def test_a_ragged_outline_is_outvoted() -> None:
+def test_a_ragged_mask_outline_is_outvoted_by_other_views() -> None:
     ragged = drawn("c", columns=slice(COLUMNS.start - 2, COLUMNS.stop - 2))
     views = [drawn("a"), drawn("b"), ragged]
     found = voted(views, set("abc"))
@@ -91,7 +91,7 @@ def test_a_ragged_outline_is_outvoted() -> None:
     # Labels of pixels keep the outlines of their own mask.
 
 
-def test_a_segment_over_two_things_votes_point_by_point(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_segment_that_covers_two_objects_does_not_spoil_their_labels(monkeypatch: pytest.MonkeyPatch) -> None:
     """One view draws the thing and as much of the wall as one segment: it has no say, but does no harm."""
     both = drawn("c", columns=slice(COLUMNS.start, COLUMNS.stop + 14))
     monkeypatch.setattr(segment_votes, "segment_labels", partial(segment_labels, agreement=0.6))
@@ -100,14 +100,14 @@ def test_a_segment_over_two_things_votes_point_by_point(monkeypatch: pytest.Monk
     assert wrong(found.label) == 0
 
 
-def test_unlabelled_points_are_unknown() -> None:
+def test_points_without_any_vote_are_unknown() -> None:
     view = drawn("a")
     found = voted([replace(view, mask=PanopticMask(np.zeros_like(view.mask.ids), ()))], set())
     assert (found.label == UNKNOWN_LABEL).all() and not found.confidence.any()
 
 
 @pytest.mark.parametrize(("kind", "near_votes"), [("views", 1), ("root", 4), ("pixels", 16), ("density", 1)])
-def test_a_point_has_votes_by_the_evidence(kind: EvidenceKind, near_votes: int) -> None:
+def test_a_points_votes_are_weighted_by_the_number_of_its_pixels(kind: EvidenceKind, near_votes: int) -> None:
     """One view shows a point with 16 pixels, five views at the same distance with one each."""
     near, far = np.full(SIZE[::-1], -1, np.int32), np.full(SIZE[::-1], -1, np.int32)
     near[:4, :4], far[0, 0] = 0, 0
@@ -128,7 +128,7 @@ SINK, TABLE = slice(18, 22), slice(0, 28)
     ("columns", "near", "expected"),
     [(SINK, True, OBJECT), (SINK, False, WALL_LABEL), (TABLE, True, WALL_LABEL), (TABLE, False, WALL_LABEL)],
 )
-def test_a_near_view_overrules_far_ones_on_what_it_shows_as_a_whole(columns: slice, near: bool, expected: int) -> None:
+def test_a_near_view_outvotes_far_views_on_objects_it_shows_whole(columns: slice, near: bool, expected: int) -> None:
     """It has three times the resolution of five views that draw no thing there. The picture's border cuts the table."""
     close = drawn("near", columns)
     close = replace(close, depth=close.depth / 3)
@@ -140,7 +140,7 @@ def test_a_near_view_overrules_far_ones_on_what_it_shows_as_a_whole(columns: sli
     assert (found.label != expected).any() == (expected == OBJECT)
 
 
-def test_a_point_gets_its_neighbours_votes_besides_its_own() -> None:
+def test_a_point_also_counts_the_votes_of_its_neighbours() -> None:
     """Three points: the first is seen as a chair, its neighbour by two views as a wall, the third has no neighbour."""
     rows = np.full(SIZE[::-1], -1, np.int32)
     views, shown = [], []
@@ -155,7 +155,7 @@ def test_a_point_gets_its_neighbours_votes_besides_its_own() -> None:
     np.testing.assert_allclose(found.confidence, [2 / 3, 2 / 3, 1])
 
 
-def test_many_points_are_decided_a_few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_deciding_labels_in_parts_gives_the_same_labels(monkeypatch: pytest.MonkeyPatch) -> None:
     views = [drawn("a"), drawn("b"), drawn("c", class_id=CHAIR)]
     whole = voted(views, {"a", "b"})
     monkeypatch.setattr(segment_votes, "CELLS_AT_A_TIME", 37 * len(LABELS))
@@ -189,14 +189,14 @@ def crosses(views: list[ViewPoints]) -> bool:
     return bool(neighbours_on_a_thing(XYZ, SPACING, views)[LEFT][:, ~LEFT].nnz)
 
 
-def test_an_outline_parts_neighbours_where_most_views_draw_it_by_what_they_resolve() -> None:
+def test_points_across_a_mask_outline_of_most_views_share_no_votes() -> None:
     assert crosses([seen_as(SURFACE, 1.0)]) and not crosses([seen_as(WITH_PICTURE, 1.0)])
     assert not crosses([seen_as(WITH_PICTURE, 3.0), seen_as(SURFACE, 1.0), seen_as(SURFACE, 1.0)])
     assert crosses([seen_as(WITH_PICTURE, 1.0), seen_as(SURFACE, 1.0), seen_as(SURFACE, 1.0)])
     assert not crosses([seen_as(WITH_PICTURE, 1.0), seen_as(np.where(LEFT, 0, 1), 9.0)]), "void says nothing"
 
 
-def test_the_weights_of_a_points_neighbours_are_one_together() -> None:
+def test_the_vote_weights_of_a_points_neighbours_sum_to_one() -> None:
     weights = neighbours_on_a_thing(XYZ, SPACING, [seen_as(SURFACE, 1.0)])
     np.testing.assert_allclose(np.asarray(weights.sum(1)).reshape(-1), 1.0, rtol=1e-6)
     assert weights.diagonal().max() == 0.0 and (weights.getnnz(1) <= 6).all()
@@ -204,7 +204,7 @@ def test_the_weights_of_a_points_neighbours_are_one_together() -> None:
     assert np.linalg.norm(there, axis=1).max() <= 2 * SPACING + 1e-6
 
 
-def test_points_that_no_view_shows_together_have_no_neighbours() -> None:
+def test_points_that_no_view_shows_together_share_no_votes() -> None:
     half = seen_as(SURFACE, 1.0, np.flatnonzero(LEFT)), seen_as(SURFACE, 1.0, np.flatnonzero(~LEFT))
     assert not crosses([*half])
     assert neighbours_on_a_thing(XYZ, SPACING, []).nnz == 0
@@ -215,7 +215,7 @@ def test_points_that_no_view_shows_together_have_no_neighbours() -> None:
 TWO_SOFAS_AND_A_CHAIR = PanopticLabels(CLASS_IDS, (SOFA, CHAIR, SOFA))
 
 
-def test_points_are_restored_exactly() -> None:
+def test_classes_and_objects_survive_the_conversion_to_panoptic_labels() -> None:
     class_id = np.array([WALL, SOFA, CHAIR, SOFA, SOFA, 0, 99], np.int32)
     number = np.array([0, 0, 2, 1, 3, 0, 0], np.int32)
     labels = TWO_SOFAS_AND_A_CHAIR.of_points(class_id, number)
@@ -243,7 +243,7 @@ def plainly(row: np.ndarray, labels: PanopticLabels, least_share: float) -> tupl
 
 @settings(max_examples=60, deadline=None)
 @given(st.data(), st.integers(0, 10_000), st.sampled_from([0.0, 0.1, 0.25, 0.5]))
-def test_every_row_gets_the_specified_label(data: st.DataObject, seed: int, least_share: float) -> None:
+def test_decided_labels_match_a_plain_implementation(data: st.DataObject, seed: int, least_share: float) -> None:
     objects = data.draw(st.lists(st.sampled_from(CLASS_IDS), max_size=6))
     labels = PanopticLabels(CLASS_IDS, tuple(objects))
     random = np.random.default_rng(seed)

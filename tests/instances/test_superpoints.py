@@ -59,7 +59,7 @@ def seeing(xyz: NDArray[np.float32], shown: list[NDArray[np.int32]]) -> ViewsOnC
     return ViewsOnCloud(views, [np.arange(len(xyz), dtype=np.int32)[None]] * len(views), seen)
 
 
-def test_a_box_is_not_the_floor_that_it_stands_on() -> None:
+def test_superpoints_separate_a_box_from_the_floor_below_it() -> None:
     xyz, is_box = box_on_a_floor()
     part = superpoints(xyz, SPACING, seeing(xyz, [np.full(len(xyz), FLOOR, np.int32)] * 4))
     assert np.array_equal(np.unique(part), np.arange(part.max() + 1))
@@ -68,7 +68,7 @@ def test_a_box_is_not_the_floor_that_it_stands_on() -> None:
     assert (np.where(is_box, owner, 1 - owner)).mean() > 0.97, "pieces lie on one side or on the other"
 
 
-def test_views_that_contradict_each_other_trust_superpoints_and_views_that_agree_do_not() -> None:
+def test_superpoints_are_used_only_where_views_contradict_each_other() -> None:
     xyz, is_box = box_on_a_floor()
     true = np.where(is_box, BOX, FLOOR).astype(np.int32)
     random = np.random.default_rng(0)
@@ -82,7 +82,7 @@ def test_views_that_contradict_each_other_trust_superpoints_and_views_that_agree
     assert by_point == pytest.approx(1) and by_part < 0.95
 
 
-def test_superpoints_that_lose_a_little_are_for_weak_masks_alone() -> None:
+def test_slightly_worse_superpoints_are_used_only_with_weak_masks() -> None:
     xyz, is_box = box_on_a_floor()
     picture = np.where(is_box, BOX, FLOOR).astype(np.int32)
     picture[np.argsort(np.linalg.norm(xyz - [0.5, 0.5, 0], axis=1))[:3]] = WALL  # small, and in the plane of the floor
@@ -95,7 +95,7 @@ def test_superpoints_that_lose_a_little_are_for_weak_masks_alone() -> None:
         ) == are_weak
 
 
-def test_a_point_gets_the_votes_of_the_rest_of_its_superpoint() -> None:
+def test_a_point_also_counts_the_votes_of_its_superpoint() -> None:
     own = sparse.csr_matrix(np.array([[1, 0], [2, 0], [0, 4]], np.float32))
     rest = RestOfSuperpoint(np.array([0, 0, 1])) @ own
     assert rest.toarray().tolist() == [[2, 0], [1, 0], [0, 0]]
@@ -103,14 +103,14 @@ def test_a_point_gets_the_votes_of_the_rest_of_its_superpoint() -> None:
     assert mean.toarray().tolist() == [[1.5, 0], [1.5, 0], [0, 4]]
 
 
-def test_where_views_agree_in_all_a_picture_keeps_its_own_votes_against_its_wall() -> None:
+def test_a_picture_on_a_wall_is_not_outvoted_by_the_wall_where_views_agree() -> None:
     wall = sparse.csr_matrix(np.array([[0, 3]] * 2 + [[3, 0]] * 18, np.float32))  # two points of a picture
     part = np.zeros(20, np.int64)
     for in_all, shown in ((AGREEING - 0.01, [0, 0]), (AGREEING, [1, 1])):
         assert (wall + rest_of_superpoints(part, in_all) @ wall).toarray().argmax(1)[:2].tolist() == shown
 
 
-def test_points_that_only_one_view_sees_do_not_count() -> None:
+def test_agreement_between_views_ignores_points_seen_by_only_one_view() -> None:
     """Two views that share no point and no piece, each of many: rounding leaves no votes of anybody else."""
     points, random = 20_000, np.random.default_rng(0)
     rows = np.arange(2 * points, dtype=np.int32).reshape(2, points)
@@ -134,7 +134,7 @@ def with_layers(views: ViewsOnCloud, shown: list[NDArray[np.int32]]) -> ViewsOnC
     return ViewsOnCloud(layered, views.point_of_pixel, views.seen)
 
 
-def test_masks_are_weak_where_views_disagree_on_small_classes() -> None:
+def test_masks_count_as_weak_where_views_disagree_on_small_classes() -> None:
     """Most of what is seen is floor, on which all agree; what the box is, they do not."""
     xyz, is_box = box_on_a_floor()
     true, random = np.where(is_box, BOX, FLOOR).astype(np.int32), np.random.default_rng(0)
@@ -144,7 +144,7 @@ def test_masks_are_weak_where_views_disagree_on_small_classes() -> None:
     assert weak.by_class < WEAK < DOUBTED < weak.in_all and weak.is_weak
 
 
-def test_no_superpoints_raise_doubts_about_masks_that_agree_at_least() -> None:
+def test_the_lower_bound_of_agreement_holds_for_any_superpoints() -> None:
     """So they need not be found to know that they are not trusted, also where points are seen only once."""
     xyz, is_box = box_on_a_floor()
     random, count = np.random.default_rng(3), len(xyz)
@@ -161,7 +161,7 @@ def test_no_superpoints_raise_doubts_about_masks_that_agree_at_least() -> None:
             assert 0 < found.at_least <= by_point + 1e-9 and found.at_least < found.in_all
 
 
-def test_where_masks_are_weak_a_rare_class_outvotes_a_common_one_without_a_majority() -> None:
+def test_with_weak_masks_a_rare_class_can_outvote_a_common_one() -> None:
     xyz, is_box = box_on_a_floor()
     views = seeing(xyz, [np.where(is_box, shown, FLOOR).astype(np.int32) for shown in (BOX, WALL, FLOOR, FLOOR)])
     asked = views, len(xyz), CLASS_IDS, "pixels"
@@ -175,7 +175,7 @@ def test_where_masks_are_weak_a_rare_class_outvotes_a_common_one_without_a_major
     assert class_balance(*asked, replace(agreement, by_class=WEAK)).of(votes) is votes
 
 
-def test_detections_become_views_of_their_own() -> None:
+def test_overlapping_detections_vote_as_views_of_their_own() -> None:
     xyz, is_box = box_on_a_floor()
     views = with_layers(seeing(xyz, [np.full(len(xyz), FLOOR, np.int32)] * 3), [np.where(is_box, BOX, FLOOR)] * 3)
     layers = views.layers()
@@ -185,7 +185,7 @@ def test_detections_become_views_of_their_own() -> None:
         assert np.array_equal(seen.segment > 0, is_box[seen.row])
 
 
-def test_classes_of_one_detection_share_its_vote() -> None:
+def test_several_classes_of_one_detection_share_its_vote() -> None:
     """Everywhere that views vote on classes: points, segments and objects."""
     (views,) = [seeing(np.zeros((30, 3), np.float32), [np.full(30, FLOOR, np.int32)])]
     inside = np.ones((2, *views.views[0].mask.ids.shape), bool)
@@ -203,7 +203,7 @@ def test_classes_of_one_detection_share_its_vote() -> None:
     np.testing.assert_allclose(asked[:, columns], [[0.75, 0.25]] * 30)
 
 
-def test_each_class_counts_alike() -> None:
+def test_agreement_by_class_weights_every_class_equally() -> None:
     random = np.random.default_rng(1)
     shown = [random.choice([0, FLOOR, FLOOR, BOX, WALL], 50).astype(np.int32) for _ in range(5)]
     views = seeing(np.zeros((50, 3), np.float32), shown)
@@ -219,7 +219,7 @@ def test_each_class_counts_alike() -> None:
     assert found.in_all == pytest.approx(np.mean(np.concatenate([*share.values()])))
 
 
-def test_a_frame_is_held_back_with_its_layers() -> None:
+def test_a_held_out_frame_is_held_out_with_its_detections() -> None:
     """Two frames that contradict each other, each confirmed by its own detections: nobody agrees."""
     shown = [np.full(30, each, np.int32) for each in (BOX, WALL)]
     views = with_layers(seeing(np.zeros((30, 3), np.float32), shown), [shown[0]] * 2)

@@ -30,7 +30,7 @@ def write(path: Path, content: object) -> Path:
     return path
 
 
-def test_cameras_file_is_read(tmp_path: Path) -> None:
+def test_a_file_of_cameras_is_read(tmp_path: Path) -> None:
     k = [[50, 0, 40], [0, 51.5, 22.5], [0, 0, 1]]
     with_k = {key: value for key, value in GOOD.items() if key not in LENS} | {"K": k, "name": "b", "clip": [0.1, 9]}
     first, second = read_cameras(write(tmp_path / "cameras.json", [GOOD, with_k]))
@@ -68,13 +68,13 @@ def test_cameras_file_is_read(tmp_path: Path) -> None:
         ([GOOD, {**GOOD, "name": "SHOT.0001"}], "same-name SHOT.0001"),
     ],
 )
-def test_invalid_camera_is_refused(tmp_path: Path, content: object, says: str) -> None:
+def test_an_invalid_camera_in_a_camera_file_is_refused(tmp_path: Path, content: object, says: str) -> None:
     path = write(tmp_path / "cameras.json", content)
     with raises_key(f"{says} cameras.json"):
         read_cameras(path)
 
 
-def test_frame_name_is_refused_for_camera() -> None:
+def test_a_camera_named_like_a_frame_is_refused() -> None:
     with raises_key("camera-is-frame"):
         refuse_equal_names(["b", "A"], Path("cameras.json"), taken=["a"])
 
@@ -84,7 +84,7 @@ PINHOLE = ((300.0, 0.0, 160.0), (0.0, 310.0, 120.0), (0.0, 0.0, 1.0))
 CAMERA = PreviewCamera(SEEN_FROM, PINHOLE, 320, 240)
 
 
-def test_cameras_survive_round_trip(tmp_path: Path) -> None:
+def test_a_preview_request_is_read_back_as_written(tmp_path: Path) -> None:
     path = tmp_path / "preview.json"
     assert read_preview_request(path) is None
     for wanted in ("0004", CAMERA):
@@ -110,7 +110,7 @@ def test_cameras_survive_round_trip(tmp_path: Path) -> None:
         {"frame": 4, "width": None},
     ],
 )
-def test_invalid_preview_request_is_refused(tmp_path: Path, change: dict[str, object]) -> None:
+def test_an_invalid_camera_for_the_preview_is_refused(tmp_path: Path, change: dict[str, object]) -> None:
     path = tmp_path / "preview.json"
     whole = {"camera_to_world": SEEN_FROM, "K": PINHOLE, "width": 320, "height": 240}
     path.write_text(json.dumps(whole | change))
@@ -131,11 +131,11 @@ def test_invalid_preview_request_is_refused(tmp_path: Path, change: dict[str, ob
         ("1001-1002:0.5, 7.25", [1001, 1001.5, 1002, 7.25]),
     ],
 )
-def test_frame_lists_and_ranges_are_parsed(text: str, frames: list[float]) -> None:
+def test_lists_and_ranges_of_frames_are_parsed(text: str, frames: list[float]) -> None:
     assert [frame / 1000 for each in frame_numbers(text) for frame in each] == frames
 
 
 @pytest.mark.parametrize("text", ["", "1-", "5-1", "1-5:0", "1-5:0.0001", "a", "1;2", "-3--5", "--3", "1,,2"])
-def test_invalid_frame_list_is_refused(text: str) -> None:
+def test_an_invalid_list_of_frames_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="such as|looks like"):
         frame_numbers(text)

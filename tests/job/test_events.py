@@ -53,7 +53,7 @@ def test_events_match_the_documented_format(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("torn", [b'{"seq": 3, "time": 1.0, "ev', b"\0\0\0\0", b'{"seq":3,"time":1.0,"event":"done"}'])
-def test_writer_continues_after_torn_line(tmp_path: Path, torn: bytes) -> None:
+def test_events_continue_after_a_line_that_was_cut_off(tmp_path: Path, torn: bytes) -> None:
     path = tmp_path / "events.jsonl"
     first = EventWriter(path)
     first.warning("one")
@@ -69,7 +69,7 @@ def test_writer_continues_after_torn_line(tmp_path: Path, torn: bytes) -> None:
     assert [event.seq for event in reader.poll()] == [3]
 
 
-def test_reader_yields_each_line_once(tmp_path: Path) -> None:
+def test_each_line_of_the_events_is_read_once(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     source = tmp_path / "source.jsonl"
     writer = EventWriter(source)
@@ -84,7 +84,7 @@ def test_reader_yields_each_line_once(tmp_path: Path) -> None:
     assert seen == [1, 2, 3, 4, 5]
 
 
-def test_reader_skips_unknown_events(tmp_path: Path) -> None:
+def test_unknown_events_are_skipped(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     path.write_text(
         '{"seq":1,"time":0,"event":"warning","message":"a"}\nnonsense\n[1]\n{"seq":2}\n'
@@ -96,7 +96,7 @@ def test_reader_skips_unknown_events(tmp_path: Path) -> None:
     assert json.loads(path.read_text().splitlines()[-1])["seq"] == 5
 
 
-def test_writer_drops_events_after_done(tmp_path: Path) -> None:
+def test_no_event_is_written_after_the_event_done(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     writer = EventWriter(path)
     writer.done("cancelled")
@@ -105,7 +105,7 @@ def test_writer_drops_events_after_done(tmp_path: Path) -> None:
     assert [entry.get("state") for entry in lines(path)] == ["cancelled"]
 
 
-def test_two_threads_never_mix_their_lines(tmp_path: Path) -> None:
+def test_two_threads_never_mix_their_lines_in_the_events(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     writer = EventWriter(path)
     threads = [
@@ -118,7 +118,7 @@ def test_two_threads_never_mix_their_lines(tmp_path: Path) -> None:
     assert [entry["seq"] for entry in lines(path)] == list(range(1, 801))
 
 
-def test_the_last_run_begins_with_the_last_hello(tmp_path: Path) -> None:
+def test_events_of_the_last_run_begin_with_its_hello(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     writer = EventWriter(path)
     writer.hello(threads=1, resumed=False)
@@ -141,7 +141,7 @@ def a_long_run(path: Path) -> EventWriter:
     return writer
 
 
-def test_hurried_reader_reads_in_parts_and_gets_newest_progress(tmp_path: Path) -> None:
+def test_a_reader_in_a_hurry_gets_the_newest_progress_first(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     writer = a_long_run(path)
     reader, polls, seen = EventReader(path, hurried=True), 0, []
@@ -157,7 +157,7 @@ def test_hurried_reader_reads_in_parts_and_gets_newest_progress(tmp_path: Path) 
     assert [event.data["step"] for event in reader.poll()] == [4000]
 
 
-def test_last_events_read_only_the_tail(tmp_path: Path) -> None:
+def test_reading_the_last_events_reads_only_the_end_of_the_file(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     assert last_events(path) == []
     writer = a_long_run(path)
@@ -185,7 +185,7 @@ def test_last_events_read_only_the_tail(tmp_path: Path) -> None:
     ],
     ids=["no label", "no words", "infinite", "huge", "deep"],
 )
-def test_bad_events_are_dropped(tmp_path: Path, line: str) -> None:
+def test_malformed_events_are_dropped(tmp_path: Path, line: str) -> None:
     path = tmp_path / "events.jsonl"
     path.write_text(line + '\n{"seq": 2, "time": 0, "event": "warning", "message": "good"}\n')
     assert [event.data["message"] for event in EventReader(path).poll()] == ["good"]
@@ -193,7 +193,7 @@ def test_bad_events_are_dropped(tmp_path: Path, line: str) -> None:
     EventWriter(path).warning("goes on")
 
 
-def test_huge_file_without_lines_is_left_alone(tmp_path: Path) -> None:
+def test_a_huge_events_file_without_lines_is_not_read_whole(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     with path.open("wb") as file:
         file.truncate(1 << 32)
@@ -207,7 +207,7 @@ def test_huge_file_without_lines_is_left_alone(tmp_path: Path) -> None:
     assert bytes_read() - before < 100 << 20
 
 
-def test_texts_that_are_not_utf8_are_escaped(tmp_path: Path) -> None:
+def test_events_with_text_that_is_not_utf8_are_written_and_read(tmp_path: Path) -> None:
     writer = EventWriter(tmp_path / "events.jsonl")
     writer.warning("b\udce9d")
     assert [event.data["message"] for event in EventReader(tmp_path / "events.jsonl").poll()] == ["b\udce9d"]
@@ -217,7 +217,7 @@ def test_texts_that_are_not_utf8_are_escaped(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("said", "state"), [("finished", TaskState.FINISHED), ("cancelled", TaskState.CANCELLED), (None, TaskState.FAILED)]
 )
-def test_the_end_of_a_bake_keeps_the_lifts_state(
+def test_a_failed_bake_leaves_the_lift_in_the_state_finished(
     folder: LiftFolder, start: Start, said: str | None, state: TaskState
 ) -> None:
     follow(start("short"))
@@ -235,7 +235,7 @@ def test_the_end_of_a_bake_keeps_the_lifts_state(
 
 @posix
 @pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999", "1" + "0" * 400, '"x"', "null"])
-def test_invalid_numbers_are_skipped(folder: LiftFolder, number: str) -> None:
+def test_events_with_invalid_numbers_are_skipped(folder: LiftFolder, number: str) -> None:
     line = f'{{"seq": 1, "time": 0, "event": "progress", "step": {number}, "steps": 9, "loss": 1, "eta_s": {number}}}'
     folder.events_path.write_text(line + "\n")
     watcher = watch(folder)
@@ -269,7 +269,7 @@ def test_lift_survives_a_disk_that_hangs_briefly(tmp_path: Path, monkeypatch: py
         assert watcher.error.key == "unfollowed"
 
 
-def test_last_lines_skip_blank_lines(tmp_path: Path) -> None:
+def test_the_last_lines_of_a_log_skip_blank_lines(tmp_path: Path) -> None:
     log = tmp_path / "log.txt"
     log.write_bytes(b"one\n\ntwo \r\n  three\n\xff four\n\n")
     assert last_lines(log, 3) == ("two", "  three", "\N{REPLACEMENT CHARACTER} four")
@@ -277,7 +277,7 @@ def test_last_lines_skip_blank_lines(tmp_path: Path) -> None:
     assert last_lines(tmp_path / "missing") == ()
 
 
-def test_last_lines_read_only_the_tail_of_huge_log(tmp_path: Path) -> None:
+def test_reading_the_last_lines_of_a_log_reads_only_its_end(tmp_path: Path) -> None:
     log = tmp_path / "log.txt"
     with log.open("wb") as file:
         file.truncate(1 << 30)  # sparse: takes no room

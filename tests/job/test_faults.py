@@ -87,7 +87,7 @@ def rounds(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.M
     return made
 
 
-def test_unsynced_writes_are_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_simulated_disk_loses_writes_without_fsync(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The harness itself: a file that is replaced without fsync may be empty."""
 
     def replace(folder: Path) -> None:
@@ -99,7 +99,7 @@ def test_unsynced_writes_are_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert {"old", "new", ""} <= {(folder / "file").read_text() for folder in left}
 
 
-def test_events_survive_every_fault(rounds: Rounds, request: pytest.FixtureRequest) -> None:
+def test_events_survive_every_disk_fault(rounds: Rounds, request: pytest.FixtureRequest) -> None:
     told: list[int] = []
     loses_nothing = request.node.callspec.params["rounds"][0] is fault_rounds
 
@@ -128,7 +128,9 @@ def test_events_survive_every_fault(rounds: Rounds, request: pytest.FixtureReque
 
 
 @pytest.mark.parametrize("content", ["new", lambda part: part.write_text("new")], ids=["text", "function"])
-def test_a_file_survives_every_fault(rounds: Rounds, content: str | Callable[[Path], object]) -> None:
+def test_an_atomically_written_file_survives_disk_fault(
+    rounds: Rounds, content: str | Callable[[Path], object]
+) -> None:
     def replace(folder: Path) -> None:
         job.write_atomically(folder / "file", content)
 
@@ -153,7 +155,7 @@ def names_in(result: Path) -> set[str]:
     return {str(file.path) for file in job.verify(result).files}
 
 
-def test_first_manifest_survives_every_fault(rounds: Rounds) -> None:
+def test_a_new_manifest_survives_every_disk_fault(rounds: Rounds) -> None:
     for result in rounds(lambda result: lay(result, "a", "b"), finish):
         if (result / "manifest.json").exists():
             assert names_in(result) == {"a", "b"}
@@ -161,7 +163,7 @@ def test_first_manifest_survives_every_fault(rounds: Rounds) -> None:
         assert names_in(result) == {"a", "b"}
 
 
-def test_files_are_added_to_a_manifest(rounds: Rounds) -> None:
+def test_files_added_to_a_manifest_survive_every_disk_fault(rounds: Rounds) -> None:
     def prepare(result: Path) -> None:
         lay(result, "a", "b")
         finish(result)
@@ -191,7 +193,7 @@ def saved(folder: Path) -> int:
     return step
 
 
-def test_a_checkpoint_survives_every_fault(rounds: Rounds) -> None:
+def test_a_checkpoint_survives_every_disk_fault(rounds: Rounds) -> None:
     found = set()
     for folder in rounds(lambda folder: save(folder, 1), lambda folder: save(folder, 2)):
         found.add(saved(folder))
@@ -200,7 +202,7 @@ def test_a_checkpoint_survives_every_fault(rounds: Rounds) -> None:
     assert found == {1, 2}
 
 
-def test_first_checkpoint_survives_every_fault(rounds: Rounds) -> None:
+def test_the_first_checkpoint_survives_every_disk_fault(rounds: Rounds) -> None:
     for folder in rounds(lambda folder: None, lambda folder: save(folder, 1)):
         if job.CheckpointStore(folder).latest() is None:
             save(folder, 1)
@@ -208,7 +210,7 @@ def test_first_checkpoint_survives_every_fault(rounds: Rounds) -> None:
 
 
 @pytest.mark.parametrize("rounds", FAULTS, indirect=True)
-def test_checkpoint_reading_survives_every_fault(rounds: Rounds) -> None:
+def test_reading_a_checkpoint_survives_every_disk_fault(rounds: Rounds) -> None:
     """What the disk does not give now is no reason to advise that it be deleted."""
 
     def read(folder: Path) -> None:
@@ -222,14 +224,14 @@ def test_checkpoint_reading_survives_every_fault(rounds: Rounds) -> None:
         assert saved(folder) == 1
 
 
-def test_recent_lifts_survive_every_fault(rounds: Rounds) -> None:
+def test_the_list_of_recent_lifts_survives_every_disk_fault(rounds: Rounds) -> None:
     for cache in rounds(lambda cache: remember_lift(Path("/a"), cache), lambda cache: remember_lift(Path("/b"), cache)):
         assert remembered_lifts(cache) in (["/a"], ["/b", "/a"])
         remember_lift(Path("/c"), cache)
         assert remembered_lifts(cache)[0] == "/c"
 
 
-def test_new_folder_survives_every_fault(rounds: Rounds) -> None:
+def test_a_new_lift_folder_survives_every_disk_fault(rounds: Rounds) -> None:
     request = job.LiftRequest(scene=Path("/scene"))
 
     def create(folder: Path) -> None:
@@ -255,7 +257,7 @@ def bake(folder: Path, views: tuple[str, ...]) -> None:
                         job.add_files(result, [result / view])
 
 
-def test_bake_survives_every_fault(rounds: Rounds) -> None:
+def test_a_bake_survives_every_disk_fault(rounds: Rounds) -> None:
     def prepare(folder: Path) -> None:
         (folder / "result").mkdir()
         lay(folder / "result", "a")
@@ -268,7 +270,9 @@ def test_bake_survives_every_fault(rounds: Rounds) -> None:
 
 
 @pytest.mark.parametrize("rounds", FAULTS, indirect=True)
-def test_run_survives_fault(rounds: Rounds, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lift_survives_fault(
+    rounds: Rounds, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("PLGS_CACHE_DIR", os.devnull + "/nowhere")
 
     def run(folder: Path) -> None:

@@ -24,14 +24,14 @@ def run_tiny(folder: job.LiftFolder) -> None:
     events.close()
 
 
-def test_created_folder_is_opened(tmp_path: Path) -> None:
+def test_a_created_lift_folder_can_be_opened(tmp_path: Path) -> None:
     folder = new_lift(tmp_path / "deep")
     again = job.LiftFolder.open(folder.path)
     assert again == folder and again.state() is job.LiftState.NOT_STARTED
     assert [path.name for path in folder.path.iterdir()] == ["request.json"]
 
 
-def test_used_folder_is_refused(tmp_path: Path) -> None:
+def test_a_folder_with_other_files_is_refused_for_a_lift(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     before = (folder.path / "request.json").read_bytes()
     with raises_key("holds-lift --resume"):
@@ -49,13 +49,13 @@ def test_used_folder_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root may write everywhere")
-def test_read_only_folder_is_reported(tmp_path: Path) -> None:
+def test_a_read_only_lift_folder_is_reported(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
     with raises_key("unwritable"):
         new_lift(tmp_path)
 
 
-def test_state_follows_events_and_result(tmp_path: Path) -> None:
+def test_the_state_of_a_lift_follows_its_events_and_result(tmp_path: Path) -> None:
     """A quick look finds the same, without reading the files."""
     folder = new_lift(tmp_path)
     events = job.EventWriter(folder.events_path)
@@ -82,7 +82,7 @@ def test_state_follows_events_and_result(tmp_path: Path) -> None:
     assert state() is job.LiftState.FINISHED
 
 
-def test_events_alone_never_make_it_finished(tmp_path: Path) -> None:
+def test_a_lift_without_a_complete_result_is_never_finished(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     run_tiny(folder)
     (folder.result_path / "metrics.json").write_text("{")
@@ -91,7 +91,7 @@ def test_events_alone_never_make_it_finished(tmp_path: Path) -> None:
     assert folder.state() is job.LiftState.INTERRUPTED
 
 
-def test_prepare_run_clears_leftovers_of_earlier_run(tmp_path: Path) -> None:
+def test_a_new_run_deletes_leftovers_of_an_earlier_run(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     run_tiny(folder)
     folder.checkpoints.save({"step": 1}, lambda path: (path / "m").write_bytes(b""))
@@ -107,7 +107,7 @@ def test_prepare_run_clears_leftovers_of_earlier_run(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kept", ["nothing else", "passes", "a file of others"])
-def test_result_stays_until_there_is_a_new_one(kept: str, tmp_path: Path) -> None:
+def test_lifting_again_keeps_the_old_result_until_the_new_one_is_ready(kept: str, tmp_path: Path) -> None:
     """It can be baked and exported until then, and its passes and others' files are never deleted."""
     folder = new_lift(tmp_path)
     run_tiny(folder)
@@ -136,7 +136,7 @@ def test_result_stays_until_there_is_a_new_one(kept: str, tmp_path: Path) -> Non
         assert earlier is not None and (earlier / added.relative_to(folder.result_path)).read_bytes() == b"work"
 
 
-def test_lift_is_not_repeated_while_it_is_baked(tmp_path: Path) -> None:
+def test_a_lift_cannot_run_again_while_its_passes_are_baked(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     run_tiny(folder)
     with job.BakeLocks(folder.path), raises_key("being-baked"):
@@ -174,7 +174,7 @@ def failing(*_: object, **__: object) -> None:
     raise PlgsError("no-depth", "has no depth", "room", "Give depth.")
 
 
-def test_a_kill_between_two_results_loses_none(tmp_path: Path) -> None:
+def test_a_kill_while_results_are_swapped_loses_no_result(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     run_tiny(folder)
     folder.prepare_run()
@@ -186,7 +186,7 @@ def test_a_kill_between_two_results_loses_none(tmp_path: Path) -> None:
     assert folder.state() is job.LiftState.FINISHED and job.read_manifest(folder.result_path).seed == 1
 
 
-def test_a_file_that_cannot_be_read_now_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_result_file_on_a_silent_disk_is_not_deleted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = new_lift(tmp_path)
     run_tiny(folder)
 
@@ -199,7 +199,7 @@ def test_a_file_that_cannot_be_read_now_is_kept(tmp_path: Path, monkeypatch: pyt
     assert (folder.result_path / "metrics.json").exists() and folder.manifest_path.exists()
 
 
-def test_discard_refuses_started_lift(tmp_path: Path) -> None:
+def test_discarding_a_lift_folder_deletes_only_lifts_that_never_ran(tmp_path: Path) -> None:
     empty = new_lift(tmp_path, "empty")
     empty.log_path.write_text("bad input")
     empty.discard()
@@ -220,7 +220,7 @@ def test_discard_refuses_started_lift(tmp_path: Path) -> None:
     assert [path.name for path in kept.path.iterdir()] == ["lift.blend"]
 
 
-def test_impossible_paths_are_refused(tmp_path: Path) -> None:
+def test_impossible_paths_of_lift_folders_are_refused(tmp_path: Path) -> None:
     request = job.LiftRequest(scene=tmp_path)
     for name in ("a" * 300, "a\0b"):
         with pytest.raises(PlgsError):

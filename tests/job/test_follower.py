@@ -21,7 +21,7 @@ from tests.waiting import wait_until
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 
 
-def test_follower_follows_to_the_end(folder: LiftFolder, start: Start) -> None:
+def test_an_engine_process_is_followed_to_its_end(folder: LiftFolder, start: Start) -> None:
     follower = start("short")
     follow(follower)
     assert follower.error is None
@@ -31,7 +31,7 @@ def test_follower_follows_to_the_end(folder: LiftFolder, start: Start) -> None:
     assert "python talks\n" in log and "native code talks\n" in log
 
 
-def test_cancel_stops_it_and_resume_continues_it(folder: LiftFolder, start: Start) -> None:
+def test_a_cancelled_lift_resumes_without_repeating_steps(folder: LiftFolder, start: Start) -> None:
     follower = start("patient")
     follow(follower, step_reached(follower, 3))
     follower.cancel()
@@ -67,7 +67,7 @@ class DeafEngine:
 
 
 @pytest.mark.parametrize("asked_by", ["us", "somebody else"])
-def test_a_hanging_engine_gets_between_half_a_second_and_one_second(folder: LiftFolder, asked_by: str) -> None:
+def test_a_hanging_engine_is_ended_after_half_to_one_second(folder: LiftFolder, asked_by: str) -> None:
     now, engine = [100.0], DeafEngine()
     follower = TaskFollower(folder.task_files, engine, lift=folder, clock=lambda: now[0])
     follower.poll()
@@ -94,7 +94,7 @@ def test_cancel_ends_a_hanging_engine(folder: LiftFolder, start: Start, behaviou
     assert folder.checkpoints.latest() is not None and not folder.is_running
 
 
-def test_cancel_needs_no_room_on_the_disk(folder: LiftFolder, start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cancelling_works_on_a_full_disk(folder: LiftFolder, start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
     follower = start("patient")
     follow(follower, step_reached(follower, 2))
     monkeypatch.setattr(TaskFiles, "ask_to_cancel", Mock(side_effect=OSError(28, "No space left on device")))
@@ -103,7 +103,7 @@ def test_cancel_needs_no_room_on_the_disk(folder: LiftFolder, start: Start, monk
     assert follower.state is TaskState.CANCELLED and not folder.cancel_path.exists()
 
 
-def test_cancel_follows_no_link(folder: LiftFolder, start: Start, tmp_path: Path) -> None:
+def test_cancelling_does_not_write_through_a_link(folder: LiftFolder, start: Start, tmp_path: Path) -> None:
     follower = start("patient")
     follow(follower, step_reached(follower, 2))
     folder.cancel_path.symlink_to(tmp_path / "elsewhere")
@@ -136,7 +136,7 @@ def test_a_killed_engine_is_reported_and_can_be_resumed(folder: LiftFolder, star
         ("exits", ErrorCode.INTERNAL, "{log}", "python talks"),
     ],
 )
-def test_every_ending_is_reported(
+def test_every_way_an_engine_can_end_is_reported(
     folder: LiftFolder, start: Start, behaviour: str, code: ErrorCode, told: str, logged: str
 ) -> None:
     if behaviour == "memory of torch":
@@ -152,7 +152,7 @@ def test_every_ending_is_reported(
     assert folder.state() in (LiftState.FAILED, LiftState.INTERRUPTED)
 
 
-def test_failure_before_start_is_reported(folder: LiftFolder, start: Start) -> None:
+def test_an_engine_that_fails_to_start_is_reported(folder: LiftFolder, start: Start) -> None:
     with folder.lock():
         follower = start("short")
         follow(follower)
@@ -185,7 +185,7 @@ def start_parent(root: Path, folder: LiftFolder, behaviour: str) -> subprocess.P
     return subprocess.Popen([sys.executable, "-c", code, behaviour, folder.path], cwd=root)
 
 
-def test_engine_can_outlive_its_parent(folder: LiftFolder, root: Path) -> None:
+def test_an_engine_can_outlive_its_parent_process(folder: LiftFolder, root: Path) -> None:
     with start_parent(root, folder, "patient") as parent:
         wait_until(lambda: folder.is_running, folder.path)
         watcher = watch(folder)
@@ -201,7 +201,7 @@ def test_engine_can_outlive_its_parent(folder: LiftFolder, root: Path) -> None:
     assert later.state is TaskState.CANCELLED and folder.state() is LiftState.CANCELLED
 
 
-def test_the_engine_ends_when_its_parent_is_killed(folder: LiftFolder, root: Path) -> None:
+def test_an_engine_ends_when_its_parent_process_is_killed(folder: LiftFolder, root: Path) -> None:
     code = (
         "import sys, time; from pathlib import Path; from engine.job.process import EngineProcess\n"
         "process = EngineProcess(sys.argv[1:]); time.sleep(600)"
@@ -223,7 +223,7 @@ def test_the_engine_ends_when_its_parent_is_killed(folder: LiftFolder, root: Pat
     assert folder.state() is LiftState.CANCELLED
 
 
-def test_a_crash_is_reported_to_later_followers(folder: LiftFolder, start: Start) -> None:
+def test_an_engines_crash_is_reported_to_programs_that_look_later(folder: LiftFolder, start: Start) -> None:
     failed = start("broken")
     follow(failed)
     follow(start("segfault", resume=True))
@@ -234,7 +234,7 @@ def test_a_crash_is_reported_to_later_followers(folder: LiftFolder, start: Start
     assert any("Segmentation fault" in line for line in watcher.log_lines)
 
 
-def test_a_kill_is_reported_to_later_followers(folder: LiftFolder, start: Start) -> None:
+def test_an_engines_kill_is_reported_to_programs_that_look_later(folder: LiftFolder, start: Start) -> None:
     own = start("patient")
     follow(own, step_reached(own, 3))
     watcher = watch(folder)
@@ -245,7 +245,7 @@ def test_a_kill_is_reported_to_later_followers(folder: LiftFolder, start: Start)
     assert any("python talks" in line for line in watcher.log_lines)
 
 
-def test_closed_follower_leaves_untied_engine_running(folder: LiftFolder) -> None:
+def test_an_engine_may_run_on_after_its_follower_is_closed(folder: LiftFolder) -> None:
     first = start_fake(folder, "patient", stays_with_parent=False)
     follow(first, step_reached(first, 3))
     first.close()

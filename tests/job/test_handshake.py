@@ -15,7 +15,7 @@ NO_SITE = [sys.executable, "-S", "-m", "engine", "handshake"]
 """The same Python without its packages."""
 
 
-def test_the_engine_says_what_it_is(root: Path) -> None:
+def test_the_handshake_prints_one_line_about_the_engine(root: Path) -> None:
     said = subprocess.run(
         [sys.executable, "-m", "engine", "handshake"], cwd=root, capture_output=True, text=True, timeout=120
     )
@@ -26,7 +26,7 @@ def test_the_engine_says_what_it_is(root: Path) -> None:
     assert bool(found.fix) is bool(found.missing)
 
 
-def test_missing_packages_are_reported_with_a_fix(root: Path) -> None:
+def test_the_handshake_reports_missing_packages_with_a_fix(root: Path) -> None:
     said = subprocess.run(NO_SITE, cwd=root, capture_output=True, text=True, timeout=120)
     assert said.returncode == 0
     facts = json.loads(said.stdout)
@@ -35,7 +35,7 @@ def test_missing_packages_are_reported_with_a_fix(root: Path) -> None:
     assert f"uv pip install --python {sys.executable} torch=={facts['wanted']['torch']} " in facts["fix"]
 
 
-def test_the_cuda_build_and_other_versions_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_handshake_reports_cuda_and_package_versions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, version in (("torch", "9.0+cu130"), ("safetensors", "0.0.1")):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").touch()
@@ -51,7 +51,7 @@ def test_the_cuda_build_and_other_versions_are_reported(tmp_path: Path, monkeypa
     assert any(line.startswith("safetensors 0.0.1 instead of ") for line in found.others)
 
 
-def test_an_answer_survives_a_round_trip() -> None:
+def test_a_handshake_answer_is_read_back_as_written() -> None:
     sent = answer()
     data = json.loads(to_line(sent.to_json()))
     assert EngineAnswer.from_json(data) == sent
@@ -59,7 +59,7 @@ def test_an_answer_survives_a_round_trip() -> None:
         assert EngineAnswer.from_json(other) is None
 
 
-def test_a_python_that_is_too_old_is_reported_as_the_extension_expects(root: Path) -> None:
+def test_a_python_too_old_for_the_engine_is_reported(root: Path) -> None:
     code = "import runpy, sys; sys.version_info = (3, 9, 1); runpy.run_module('engine', run_name='__main__')"
     said = subprocess.run(
         [sys.executable, "-c", code, "handshake"], cwd=root, capture_output=True, text=True, timeout=120

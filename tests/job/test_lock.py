@@ -42,7 +42,7 @@ def holder(root: Path, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
 
 
 @posix
-def test_a_suspended_holder_keeps_its_lock(holder: subprocess.Popen[str], tmp_path: Path) -> None:
+def test_a_suspended_process_keeps_its_lock(holder: subprocess.Popen[str], tmp_path: Path) -> None:
     holder.send_signal(signal.SIGSTOP)
     for wait_s in (0.0, 0.2):
         with pytest.raises(PlgsError) as refused, FileLock(tmp_path / "work", wait_s):
@@ -52,7 +52,7 @@ def test_a_suspended_holder_keeps_its_lock(holder: subprocess.Popen[str], tmp_pa
 
 
 @posix
-def test_only_one_of_many_takes_over_after_a_kill(holder: subprocess.Popen[str], tmp_path: Path) -> None:
+def test_after_a_kill_only_one_waiting_process_gets_the_lock(holder: subprocess.Popen[str], tmp_path: Path) -> None:
     holder.kill()
     holder.wait()
     assert not is_locked(tmp_path / "work")
@@ -75,7 +75,7 @@ def test_only_one_of_many_takes_over_after_a_kill(holder: subprocess.Popen[str],
 
 
 @pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS])
-def test_disk_without_locks_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+def test_a_disk_without_file_locks_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int) -> None:
     """Such as NFS 3 without lockd. Nothing is begun there."""
     lift = new_lift(tmp_path / "lift")
     lift.events_path.touch()
@@ -86,7 +86,7 @@ def test_disk_without_locks_is_refused(tmp_path: Path, monkeypatch: pytest.Monke
         assert "NFS 4" in refused.value.fix and "\n" not in str(refused.value)
 
 
-def test_a_lift_that_is_locked_is_running_and_a_view_belongs_to_one_process(tmp_path: Path) -> None:
+def test_a_locked_lift_counts_as_running(tmp_path: Path) -> None:
     lift = new_lift(tmp_path)
     with lift.lock():
         assert lift.state() is LiftState.RUNNING

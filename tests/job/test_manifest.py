@@ -23,7 +23,7 @@ def result(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_manifest_lists_every_file(result: Path) -> None:
+def test_a_manifest_lists_every_file_of_a_result(result: Path) -> None:
     manifest = verify(result)
     assert [(str(file.path), file.bytes) for file in manifest.files] == [("anchors.npz", 7), ("passes/0001.exr", 6)]
     assert manifest.seed == 7 and manifest.settings == {"steps": 3}
@@ -31,13 +31,13 @@ def test_manifest_lists_every_file(result: Path) -> None:
     assert not (result / ".part-anchors.npz").exists()
 
 
-def test_writing_it_again_changes_nothing(result: Path) -> None:
+def test_writing_a_manifest_again_gives_the_same_bytes(result: Path) -> None:
     before = (result / "manifest.json").read_bytes()
     write_manifest(result, versions={"torch": "2"}, seed=7, settings={"steps": 3}, timings={"train": 1.5})
     assert (result / "manifest.json").read_bytes() == before
 
 
-def test_verify_finds_changed_files(result: Path) -> None:
+def test_verifying_a_manifest_finds_changed_files(result: Path) -> None:
     (result / "anchors.npz").write_bytes(b"ANCHORS")
     check_sizes(result)
     with raises_key("file-changed anchors.npz"):
@@ -50,7 +50,7 @@ def test_verify_finds_changed_files(result: Path) -> None:
         check_sizes(result)
 
 
-def test_damaged_manifest_is_refused(result: Path) -> None:
+def test_a_damaged_manifest_is_refused(result: Path) -> None:
     path = result / "manifest.json"
     whole = json.loads(path.read_text())
     for change in (
@@ -80,7 +80,7 @@ def test_damaged_manifest_is_refused(result: Path) -> None:
         read_manifest(result)
 
 
-def test_write_atomically_takes_bytes_text_and_function(tmp_path: Path) -> None:
+def test_a_file_is_written_atomically_from_bytes_text_or_a_function(tmp_path: Path) -> None:
     write_atomically(tmp_path / "deep" / "a.bin", b"\0\1")
     write_atomically(tmp_path / "b.txt", "für")
     write_atomically(tmp_path / "c.png", lambda path: path.write_bytes(path.suffix.encode()))
@@ -89,7 +89,7 @@ def test_write_atomically_takes_bytes_text_and_function(tmp_path: Path) -> None:
     assert (tmp_path / "c.png").read_bytes() == b".png"
 
 
-def test_a_failing_writer_leaves_the_old_content(tmp_path: Path) -> None:
+def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "a.bin"
     write_atomically(path, b"old")
 
@@ -103,7 +103,7 @@ def test_a_failing_writer_leaves_the_old_content(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_remove_parts_deletes_leftovers(tmp_path: Path) -> None:
+def test_unfinished_part_files_are_deleted(tmp_path: Path) -> None:
     (tmp_path / "deep" / (PART + "folder")).mkdir(parents=True)
     for path in (tmp_path / (PART + "x"), tmp_path / "deep" / (PART + "folder") / "y", tmp_path / "deep" / "kept"):
         path.write_bytes(b"")
@@ -112,7 +112,7 @@ def test_remove_parts_deletes_leftovers(tmp_path: Path) -> None:
     assert not (tmp_path / "deep" / (PART + "folder")).exists()
 
 
-def test_part_removed_by_other_process_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_part_file_removed_by_another_process_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "file"
     path.write_text("old")
     monkeypatch.setattr(atomic, "flush_to_disk", Path.unlink)
@@ -135,7 +135,7 @@ def _no_waiting_for_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
-def test_latest_falls_back_to_older_complete_checkpoint(tmp_path: Path) -> None:
+def test_an_incomplete_checkpoint_falls_back_to_the_one_before(tmp_path: Path) -> None:
     store = CheckpointStore(tmp_path)
     save(store, 1)
     shutil.copytree(tmp_path / "checkpoint", tmp_path / "checkpoint.old")

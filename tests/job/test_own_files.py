@@ -40,7 +40,7 @@ def fifo(path: Path, outside: Path) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("make", [link, fifo])
-def test_nothing_outside_is_touched(name: str, make: Callable[[Path, Path], None], tmp_path: Path) -> None:
+def test_links_in_a_lift_change_no_files_outside(name: str, make: Callable[[Path, Path], None], tmp_path: Path) -> None:
     folder, outside = new_lift(tmp_path), folder_of_theirs(tmp_path)
     path = folder.path / name
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -75,7 +75,7 @@ WAYS_IN: list[Callable[[Path], object]] = [
 
 
 @pytest.mark.parametrize("open_it", WAYS_IN)
-def test_links_and_fifos_that_appear_later_are_also_refused(open_it: Callable[[Path], object], tmp_path: Path) -> None:
+def test_links_and_fifos_that_appear_later_are_not_opened(open_it: Callable[[Path], object], tmp_path: Path) -> None:
     outside = folder_of_theirs(tmp_path)
     for name, make in (("link", link), ("fifo", fifo)):
         make(tmp_path / name, outside)
@@ -117,7 +117,7 @@ def test_manifests_and_checkpoints_cannot_be_links_either(path: str, tmp_path: P
         b"\0" * 1000, b"\xff\xfe",
     ],
 )  # fmt: skip
-def test_lines_of_a_note_that_no_command_wrote_are_passed_over(line: bytes, tmp_path: Path) -> None:
+def test_forged_lines_in_the_list_of_written_files_delete_nothing(line: bytes, tmp_path: Path) -> None:
     (tmp_path / "precious").write_text("content")
     folder = tmp_path / "out"
     for again in (False, True):
@@ -144,7 +144,7 @@ def test_a_folder_that_cannot_be_written_to_is_refused_before_any_work(
         OwnFiles(tmp_path / "new" / "out").begin("export", {})
 
 
-def test_a_note_larger_than_any_of_ours_is_refused_at_once(tmp_path: Path) -> None:
+def test_a_huge_list_of_written_files_is_refused(tmp_path: Path) -> None:
     (tmp_path / NOTE).touch()
     os.truncate(tmp_path / NOTE, 2**40)
     with pytest.raises(OSError, match="larger"):

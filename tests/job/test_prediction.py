@@ -11,7 +11,7 @@ from engine.presets.preset import PRESETS
 SAMPLE = {"train_frames": 63, "test_frames": 9, "frame_size": (320, 240)}
 
 
-def test_more_work_takes_longer_and_more_memory() -> None:
+def test_better_presets_are_predicted_to_take_more_time_and_memory() -> None:
     least = predict(**SAMPLE, preset=PRESETS["preview"])  # type: ignore[arg-type]
     for name in ("standard", "paper"):
         more = predict(**SAMPLE, preset=PRESETS[name])  # type: ignore[arg-type]
@@ -44,7 +44,7 @@ def test_the_speed_of_the_machine_is_learnt_from_its_lifts(tmp_path: Path) -> No
     ["{", "[]", '{"format": 1}', '{"format": 1, "slowness": ["x", -1, 0, 1e99]}', "\0", "[" * 100_000],
     ids=range(6),
 )
-def test_a_broken_file_is_skipped(tmp_path: Path, content: str) -> None:
+def test_a_broken_file_of_measured_speed_is_ignored(tmp_path: Path, content: str) -> None:
     (tmp_path / "speed.json").write_text(content)
     assert machine_slowness(tmp_path) == 1.0
     learn_slowness(0.8, 0.0768, 0.6, tmp_path)
@@ -75,7 +75,7 @@ LIFTS = (
 
 
 @pytest.mark.parametrize("lift", LIFTS, ids=lambda lift: f"{lift.frames[0]} in {lift.seconds:.0f} s")
-def test_prediction_is_close_to_measured_lifts(lift: Measured) -> None:
+def test_predictions_are_close_to_measured_lifts(lift: Measured) -> None:
     """Within a factor of 1.5, once it is known how fast the machine was, which the training steps tell."""
     about = {"bake": "none", "masks_a_frame": lift.masks, "classes": 18}
     usual = predict(*lift.frames, lift.size, PRESETS["preview"], **about)  # type: ignore[arg-type]
@@ -85,7 +85,7 @@ def test_prediction_is_close_to_measured_lifts(lift: Measured) -> None:
     assert lift.peak_mb is None or lift.peak_mb / 1.5 < predicted.peak_bytes / 1e6 < 1.5 * lift.peak_mb
 
 
-def test_frames_that_are_not_chosen_cost_at_most_a_look_and_a_vote() -> None:
+def test_prediction_counts_unused_frames_at_most_for_reading_and_voting() -> None:
     voting = replace(PRESETS["preview"], frames=100)
     preset = replace(voting, all_frames_vote=False)
     size = (640, 480)
@@ -98,7 +98,7 @@ def test_frames_that_are_not_chosen_cost_at_most_a_look_and_a_vote() -> None:
     assert predict(100, 10, size, voting) == few, "where all are trained on nobody else votes"
 
 
-def test_the_cost_of_a_bake_grows_with_its_pixels() -> None:
+def test_the_predicted_time_of_a_bake_grows_with_its_pixels() -> None:
     one, many = predict_bake(1, (1920, 1080)), predict_bake(2000, (1920, 1080), slowness=2.0)
     more = predict_bake(1, (1920, 1080), layers=("normal", "position"))
     assert 2.3 < more.bytes / one.bytes < 2.7, "docs/passes.md: 52 and 21 MB"

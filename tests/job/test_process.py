@@ -47,7 +47,7 @@ def environ(tmp_path: Path) -> dict[str, str]:
 
 
 @pytest.mark.skipif(sys.platform == "darwin", reason="the cache folder cannot be chosen there")
-def test_pythons_are_tried_in_order(
+def test_pythons_for_the_engine_are_tried_in_order(
     code: Path, environ: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
@@ -69,9 +69,7 @@ def test_pythons_are_tried_in_order(
     assert pythons == [Path(sys.executable), beside, made, tmp_path / "mine", Path("/theirs").absolute()]
 
 
-def test_an_environment_of_other_requirements_or_without_a_python_does_not_count(
-    code: Path, environ: dict[str, str]
-) -> None:
+def test_an_environment_with_other_requirements_is_not_used(code: Path, environ: dict[str, str]) -> None:
     for name, counts in (("engine-3.11-000000000000", False), (environment.environment_name(code, (3, 11)), True)):
         folder = environment.environments_folder(environ) / name
         python = add_environment(folder)
@@ -84,14 +82,14 @@ def test_an_environment_of_other_requirements_or_without_a_python_does_not_count
     assert environment.made_environment(code, environ) is None
 
 
-def test_without_a_home_there_is_no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_home_folder_no_cache_folder_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     # A container's user, whose number no table of users has.
     monkeypatch.setattr(Path, "home", Mock(side_effect=RuntimeError("Could not determine home directory.")))
     assert not user_cache_folder().exists()
 
 
-def test_a_chosen_python_is_refused_when_it_lacks_something(code: Path, tmp_path: Path) -> None:
+def test_a_chosen_python_that_lacks_packages_is_refused(code: Path, tmp_path: Path) -> None:
     script = tmp_path / "python"
     script.write_text(f'#!/bin/sh\nexec {sys.executable} -I -S "$@"\n')  # without its packages
     script.chmod(0o755)
@@ -101,7 +99,7 @@ def test_a_chosen_python_is_refused_when_it_lacks_something(code: Path, tmp_path
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX process groups")
-def test_a_program_ends_with_its_children(tmp_path: Path) -> None:
+def test_ending_a_program_ends_its_child_processes(tmp_path: Path) -> None:
     pid_file = tmp_path / "pid"
     code = (
         "import subprocess, sys, time\n"
@@ -130,7 +128,7 @@ def _lives(pid: int) -> bool:
 @pytest.mark.parametrize(
     ("body", "told"), [("true", "not-a-python"), ('echo "$@"', "not-a-python"), ("sleep 9", "silent")]
 )
-def test_other_program_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, told: str) -> None:
+def test_a_program_not_python_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, told: str) -> None:
     script = tmp_path / "python"
     script.write_text(f"#!/bin/sh\nexec {body}\n" if told == "silent" else f"#!/bin/sh\n{body}\n")
     script.chmod(0o755)
@@ -140,14 +138,14 @@ def test_other_program_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         missing_modules(script, ["torch"])
 
 
-def test_output_at_startup_is_not_taken_as_an_answer(tmp_path: Path) -> None:
+def test_text_that_a_python_prints_at_startup_is_ignored(tmp_path: Path) -> None:
     script = tmp_path / "python"
     script.write_text(f'#!/bin/sh\necho hello\nexec {sys.executable} "$@"\n')
     script.chmod(0o755)
     assert missing_modules(script, ["json", "no_such_module"]) == ["no_such_module"]
 
 
-def test_a_path_that_cannot_be_passed_on_is_refused(tmp_path: Path) -> None:
+def test_a_path_that_cannot_be_an_argument_is_refused(tmp_path: Path) -> None:
     with (tmp_path / "log").open("wb") as log, raises_key("bad-path"):
         ChildProcess([sys.executable, "a\0b"], cwd=tmp_path, environment={}, output=log)
 
@@ -168,7 +166,7 @@ def test_modules_in_current_folder_are_never_run(root: Path, tmp_path: Path, mon
     assert not (tmp_path / "run").exists()
 
 
-def test_everything_that_a_lift_imports_is_pinned(root: Path) -> None:
+def test_every_package_that_a_lift_imports_is_pinned(root: Path) -> None:
     assert environment.pinned_versions(root) == ((3, 11), (3, 13))
     for version in environment.pinned_versions(root):
         needed = environment.needed_packages(root, version)
@@ -180,13 +178,13 @@ def test_everything_that_a_lift_imports_is_pinned(root: Path) -> None:
     assert environment.needed_packages(root, (3, 12))["numpy"] is None
 
 
-def test_every_system_needs_the_same_packages(root: Path) -> None:
+def test_linux_windows_and_macos_pin_the_same_packages(root: Path) -> None:
     needs = [environment.needed_packages(root, (3, 11), platform) for platform in ("linux", "win32", "darwin")]
     pins = [{environment.module_of(name): pin for name, pin in need.items()} for need in needs]
     assert pins[0] == pins[1] == pins[2] and environment.needed_packages(root, (3, 11)) in needs
 
 
-def test_a_different_text_means_a_different_environment(root: Path, tmp_path: Path) -> None:
+def test_changed_requirements_mean_a_new_environment(root: Path, tmp_path: Path) -> None:
     shutil.copytree(root / "requirements", tmp_path / "requirements")
     before = environment.digest(tmp_path, (3, 11))
     assert before == environment.digest(root, (3, 11)) != environment.digest(root, (3, 13))
@@ -195,7 +193,7 @@ def test_a_different_text_means_a_different_environment(root: Path, tmp_path: Pa
     assert environment.digest(tmp_path, (3, 11)) != before
 
 
-def test_unreadable_requirements_are_reported(root: Path, tmp_path: Path) -> None:
+def test_unreadable_requirements_files_are_reported(root: Path, tmp_path: Path) -> None:
     with raises_key("unreadable torch.txt"):
         environment.needed_packages(tmp_path, (3, 11))
     shutil.copytree(root / "requirements", tmp_path / "requirements")
@@ -219,7 +217,7 @@ INFO = "MemTotal:       1000 kB\nMemFree:         100 kB\nMemAvailable:    600 k
         ("", 0, "5", (1_024_000, 614_400)),
     ],
 )
-def test_memory_is_limited_by_container_and_share(
+def test_free_memory_respects_the_limit_of_a_container(
     limit: str, held: int, share: str, memory: tuple[int, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "meminfo").write_text(INFO)
@@ -238,7 +236,7 @@ def test_memory_is_limited_by_container_and_share(
         ("5:cpu,memory:/slurm/job_7/step_0\n", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
     ],
 )
-def test_memory_is_limited_by_the_job_of_a_farm(group: str, limit: str, held: str, cached: str, tmp_path: Path) -> None:
+def test_free_memory_respects_a_farm_jobs_limit(group: str, limit: str, held: str, cached: str, tmp_path: Path) -> None:
     """The limit of the job's cgroup holds for the processes of its steps, as sbatch and systemd-run make them."""
     (tmp_path / "self").mkdir()
     (tmp_path / "self/cgroup").write_text(group)
@@ -253,6 +251,6 @@ def test_memory_is_limited_by_the_job_of_a_farm(group: str, limit: str, held: st
 
 
 @pytest.mark.parametrize("text", ["", "MemTotal: 5 kB", "MemTotal: x\n", "MemTotal:\nMemAvailable:\n"])
-def test_unreadable_memory_is_unknown(tmp_path: Path, text: str) -> None:
+def test_an_unreadable_meminfo_means_unknown_memory(tmp_path: Path, text: str) -> None:
     (tmp_path / "meminfo").write_text(text)
     assert main_memory(tmp_path, tmp_path) is None

@@ -47,7 +47,7 @@ for order in orders:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_two_racing_commands_leave_a_resumable_lift(root: Path, tmp_path: Path, seed: int) -> None:
+def test_two_commands_that_race_for_a_lift_leave_it_resumable(root: Path, tmp_path: Path, seed: int) -> None:
     chance, path = random.Random(seed), tmp_path / "lift"
     racers = []
     for _ in range(2):

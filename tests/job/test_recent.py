@@ -15,7 +15,7 @@ from engine.job.recent import MOST, recent_lifts, remember_lift
 from tests.job.following import new_lift, tiny_lift
 
 
-def test_the_newest_comes_first_and_once(tmp_path: Path) -> None:
+def test_recent_lifts_are_listed_newest_first_without_repeats(tmp_path: Path) -> None:
     cache = tmp_path / "cache"
     assert recent_lifts(cache) == []
     one, two = new_lift(tmp_path, "one"), new_lift(tmp_path, "two")
@@ -53,7 +53,7 @@ def test_the_state_of_recent_lifts_is_known(tmp_path: Path) -> None:
     ],
     ids=range(7),
 )
-def test_a_broken_list_is_started_again(tmp_path: Path, content: str) -> None:
+def test_a_broken_list_of_recent_lifts_is_started_again(tmp_path: Path, content: str) -> None:
     (tmp_path / "recent_lifts.json").write_text(content)
     assert recent_lifts(tmp_path) == []
     folder = new_lift(tmp_path)
@@ -61,7 +61,7 @@ def test_a_broken_list_is_started_again(tmp_path: Path, content: str) -> None:
     assert [lift.folder for lift in recent_lifts(tmp_path)] == [folder]
 
 
-def test_a_damaged_entry_does_not_remove_any_other_lift(tmp_path: Path) -> None:
+def test_a_damaged_entry_of_the_recent_lifts_loses_no_other(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     remember_lift(folder.path, tmp_path)
     path = tmp_path / "recent_lifts.json"
@@ -71,7 +71,7 @@ def test_a_damaged_entry_does_not_remove_any_other_lift(tmp_path: Path) -> None:
     assert [lift.folder for lift in recent_lifts(tmp_path)] == [folder]
 
 
-def test_the_list_does_not_grow_forever(tmp_path: Path) -> None:
+def test_the_list_of_recent_lifts_has_a_maximum_length(tmp_path: Path) -> None:
     cache = tmp_path / "cache"
     for number in range(MOST + 3):
         remember_lift(new_lift(tmp_path, f"lift {number}").path, cache)
@@ -79,7 +79,7 @@ def test_the_list_does_not_grow_forever(tmp_path: Path) -> None:
     assert [lift.folder.path.name for lift in lifts] == [f"lift {number}" for number in range(MOST + 2, 2, -1)]
 
 
-def test_engines_that_end_together_lose_no_entry(tmp_path: Path, root: Path) -> None:
+def test_engines_that_end_together_lose_no_recent_lift(tmp_path: Path, root: Path) -> None:
     """On a slow disk, too."""
     code = (
         "import os, sys, time; from pathlib import Path; from engine.job.recent import remember_lift\n"
@@ -92,7 +92,7 @@ def test_engines_that_end_together_lose_no_entry(tmp_path: Path, root: Path) -> 
     assert {lift.folder.path for lift in recent_lifts(tmp_path)} == {path for each in paths for path in each}
 
 
-def test_cache_folder_is_found(tmp_path: Path) -> None:
+def test_the_users_cache_folder_is_found(tmp_path: Path) -> None:
     assert notes_folder({"PLGS_CACHE_DIR": str(tmp_path)}) == tmp_path
     if sys.platform == "linux":
         assert notes_folder({"XDG_CACHE_HOME": str(tmp_path)}) == tmp_path / "plgs"

@@ -28,13 +28,13 @@ FULL = LiftRequest(
 )
 
 
-def test_request_survives_round_trip(tmp_path: Path) -> None:
+def test_a_lift_request_is_read_back_as_written(tmp_path: Path) -> None:
     for request in (FULL, LiftRequest(scene=Path("/scenes/Zimmer für zwei"))):
         (tmp_path / "request.json").write_text(request.to_json(), encoding="utf-8")
         assert LiftRequest.read(tmp_path / "request.json") == request
 
 
-def test_request_has_documented_form() -> None:
+def test_request_json_has_the_documented_form() -> None:
     content = json.loads(LiftRequest(scene=Path("/s")).to_json())
     assert content == {
         "format": 1,
@@ -88,7 +88,7 @@ def test_request_has_documented_form() -> None:
         ({"engine_version": 1}, "wrong-type engine_version"),
     ],
 )
-def test_bad_values_are_refused(tmp_path: Path, change: dict[str, Any], told: str) -> None:
+def test_bad_values_in_request_json_are_refused(tmp_path: Path, change: dict[str, Any], told: str) -> None:
     path = tmp_path / "request.json"
     path.write_text(json.dumps(json.loads(FULL.to_json()) | change))
     with raises_key(f"{told} {path}") as caught:
@@ -99,14 +99,14 @@ def test_bad_values_are_refused(tmp_path: Path, change: dict[str, Any], told: st
 @pytest.mark.parametrize(
     "content", [b"", b"{", b"[]", b"\xff\xfe{}", b"null", b"[" * 100_000, b" " * ((1 << 26) + 1)], ids=range(7)
 )
-def test_other_files_are_refused(tmp_path: Path, content: bytes) -> None:
+def test_a_request_json_that_is_not_one_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "request.json"
     path.write_bytes(content)
     with raises_key("* request.json"):
         LiftRequest.read(path)
 
 
-def test_differences_are_named() -> None:
+def test_the_differing_options_of_two_lift_requests_are_named() -> None:
     plain = LiftRequest(scene=FULL.scene, masks=FULL.masks, preset="paper", seed=3)
     reading = ["up", "scene_format", "depth", "mask_format", "classes"]
     assert FULL.differences(plain) == [*reading, "fit", "bake", "device", "steps", "size", "frames"]
@@ -115,7 +115,7 @@ def test_differences_are_named() -> None:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="such names exist elsewhere only")
-def test_names_that_are_not_utf8_are_refused_at_once(tmp_path: Path) -> None:
+def test_paths_that_are_not_utf8_are_refused_in_a_lift_request(tmp_path: Path) -> None:
     broken = Path(os.fsdecode(b"/tmp/r\xf6om"))
     for asked in ({"scene": broken}, {"scene": tmp_path, "masks": broken}, {"scene": tmp_path, "depth": broken}):
         with raises_key("name-not-utf8 /tmp/r?om") as refused:

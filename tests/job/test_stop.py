@@ -45,7 +45,7 @@ def test_a_full_disk_does_not_keep_a_hanging_engine_alive(tmp_path: Path, monkey
     events.close()
 
 
-def test_watchdog_spares_engine_that_stops_itself(tmp_path: Path, events: EventWriter) -> None:
+def test_the_watchdog_spares_an_engine_that_stops_by_itself(tmp_path: Path, events: EventWriter) -> None:
     ended, stop = Ended(), StopSignal(tmp_path / "cancel")
     with Watchdog(stop, events, end_process=ended, grace_s=PATIENCE_S):
         (tmp_path / "cancel").touch()
@@ -58,7 +58,7 @@ def test_watchdog_spares_engine_that_stops_itself(tmp_path: Path, events: EventW
     assert not ended.when.is_set()
 
 
-def test_watchdog_keeps_exit_code_of_signal(tmp_path: Path, events: EventWriter) -> None:
+def test_the_watchdog_keeps_the_exit_code_of_a_signal(tmp_path: Path, events: EventWriter) -> None:
     ended, stop = Ended(), StopSignal(tmp_path / "cancel")
     with Watchdog(stop, events, end_process=ended, grace_s=0.1):
         stop.ask("Ctrl-C", ExitCode.INTERRUPTED)
@@ -67,7 +67,7 @@ def test_watchdog_keeps_exit_code_of_signal(tmp_path: Path, events: EventWriter)
 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.ESTALE])
-def test_slow_disk_ends_nothing(
+def test_a_slow_disk_does_not_make_the_watchdog_end_the_engine(
     tmp_path: Path, events: EventWriter, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
     looked = threading.Event()

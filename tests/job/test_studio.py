@@ -12,7 +12,7 @@ from tests.raises_key import raises_key
 TEXT = 'preset = "own.toml"\nmasks = "masks/{scene}"\nnames = "{shot}_{camera}"\ndevice = "auto"\nmemory = 12\n'
 
 
-def test_defaults_fill_in_what_is_not_given(
+def test_studio_defaults_fill_in_options_that_are_not_given(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "plgs.toml").write_text(TEXT)
@@ -50,7 +50,7 @@ def test_defaults_fill_in_what_is_not_given(
         (None, "unreadable"),
     ],
 )
-def test_a_wrong_file_is_refused(text: str | None, key: str, tmp_path: Path) -> None:
+def test_a_wrong_file_of_studio_defaults_is_refused(text: str | None, key: str, tmp_path: Path) -> None:
     if text is not None:
         (tmp_path / "plgs.toml").write_text(text)
     with raises_key(f"{key} plgs.toml"):

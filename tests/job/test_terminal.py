@@ -34,11 +34,11 @@ class Terminal(io.StringIO):
         (replace(TRAINING, left_s=90.4), "[2/3] Training  5/10  loss 0.2500  1:01 left  1:30 to the end"),
     ],
 )
-def test_describe_shows_progress(progress: TaskProgress, text: str) -> None:
+def test_progress_is_described_in_one_line(progress: TaskProgress, text: str) -> None:
     assert describe(progress) == text
 
 
-def test_a_terminal_gets_one_line_that_changes() -> None:
+def test_progress_in_a_terminal_is_one_line_that_changes() -> None:
     line = LiveLine(stream := Terminal())
     line.show(TaskProgress("train", "Training with a long label", 1, 2))
     line.show(TRAINING)
@@ -51,7 +51,7 @@ def test_a_terminal_gets_one_line_that_changes() -> None:
     assert said == ["[1/2] Training with a long label", describe(TRAINING), "", "warning: dark", describe(TRAINING)]
 
 
-def test_a_file_gets_few_and_whole_lines() -> None:
+def test_progress_written_to_a_file_is_few_whole_lines() -> None:
     line = LiveLine(stream := io.StringIO())
     line.show(TaskProgress())
     for step in range(1000):
@@ -71,7 +71,7 @@ def handled(number: signal.Signals, handler: Any) -> Iterator[None]:
         signal.signal(number, before)
 
 
-def test_deferred_code_is_not_interrupted() -> None:
+def test_a_signal_waits_until_protected_code_has_ended() -> None:
     steps = []
     with handled(signal.SIGTERM, signal.SIG_DFL):
         with pytest.raises(Interrupted) as caught, Interrupts() as interrupts, interrupts.deferred():
@@ -80,7 +80,7 @@ def test_deferred_code_is_not_interrupted() -> None:
     assert steps == [signal.SIGTERM] and caught.value.exit_code == 143
 
 
-def test_an_import_that_a_signal_cut_off_is_an_interruption() -> None:
+def test_a_signal_during_an_import_counts_as_an_interruption() -> None:
     with handled(signal.SIGINT, signal.default_int_handler):
         with pytest.raises(Interrupted) as caught, Interrupts():
             try:
@@ -93,12 +93,12 @@ def test_an_import_that_a_signal_cut_off_is_an_interruption() -> None:
             raise ImportError
 
 
-def test_ignored_signal_stays_ignored() -> None:
+def test_a_signal_that_was_ignored_stays_ignored() -> None:
     with handled(signal.SIGHUP, signal.SIG_IGN), Interrupts():
         os.kill(os.getpid(), signal.SIGHUP)
 
 
-def test_missing_numbers_become_a_dash() -> None:
+def test_impossible_numbers_in_metrics_are_shown_as_a_dash() -> None:
     """JSON's integers have no end: one of them ended the engine and Blender's script with a traceback."""
     for number in (10**400, -(10**400), 1e308, float("nan"), float("inf"), "7", None, []):
         table = {"name": "lifted", "mode": "strict", "miou": number, "psnr": number, "pq": 0.5}
@@ -108,7 +108,7 @@ def test_missing_numbers_become_a_dash() -> None:
         assert lines[-1].split() == ["wall", "-", "-", "-", "-", "-", "3", "-"]
 
 
-def test_missing_objects_are_reported() -> None:
+def test_objects_that_a_lift_does_not_show_are_reported() -> None:
     sink = {"name": "sink", "whole_class": True, "views": 4, "shown_as": "countertop", "frame": "0012"}
     chair = {"name": "chair", "whole_class": False, "views": 3, "shown_as": "", "frame": "0031"}
     metrics = {"tables": [{"name": "lifted"}], "masks_as_judges": {"not_shown": [sink, chair, "no entry"]}}
