@@ -1,1 +1,1 @@
-"""Losses, presets, schedule, the trainer and its state."""
+"""Training of the structured Gaussians: losses, targets, optimiser, schedule, and the trainer with its state."""

@@ -1,9 +1,7 @@
-"""Interchangeable sets of the functions for which a training step has CPU kernels: the kernels, or torch for any
-device.
+"""Two implementations of the parts of a training step that have CPU kernels: these kernels, or torch on any device.
 
-The rest of a step is torch in both. Tensors stay on their device: only the losses come back, and one matrix [instances,
-slots] for the linear assignment.
-"""
+The rest of a step is torch in both. On a device, tensors stay there: only the losses are copied back, and one matrix
+[instances, slots] for the linear assignment."""
 
 from __future__ import annotations
 
@@ -27,7 +25,7 @@ from .targets import ViewTargets
 
 
 class Arithmetic(NamedTuple):
-    """A set of functions, and the back end that draws. ``place`` moves a view's targets to where steps need them."""
+    """One implementation: its functions and its rasteriser. ``place`` moves a view's targets to the device in use."""
 
     decode: Callable[..., NeuralGaussians]
     backend: Backend
@@ -42,7 +40,7 @@ def compare_in_torch(
     l1_weight: float,
     ssim_weight: float,
 ) -> torch.Tensor:
-    """``compare`` with a photo whose moments are not kept: those of all views may not fit."""
+    """Return what `similarity.compare` returns, for a photo without stored moments, which may not fit for all views."""
     assert isinstance(photo, torch.Tensor)  # as `place_in_torch` makes it
     y = photo.float() / 255.0
     planes = torch.cat([image, image * image, image * y, y, y * y], dim=2).permute(2, 0, 1)[:, None]
@@ -59,7 +57,7 @@ def compare_in_torch(
 
 @torch.no_grad()
 def move_rows_in_torch(parameter: torch.Tensor, moments: Moments, rows: torch.Tensor, count: int, rate: float) -> None:
-    """The same as ``move_rows``."""
+    """Do in torch, on any device, what ``move_rows`` does on the CPU."""
     if parameter.grad is None:
         return
     step, root = rate / (1 - BETA_1 ** (count + 1)), math.sqrt(1 - BETA_2 ** (count + 1))
@@ -73,7 +71,7 @@ def move_rows_in_torch(parameter: torch.Tensor, moments: Moments, rows: torch.Te
 
 
 def place_in_torch(target: ViewTargets, device: torch.device) -> ViewTargets:
-    """The targets in the form that the functions in torch take, small enough to keep those of all views on a device."""
+    """Return a view's targets on ``device``, in types so small (uint8, int16) that those of all views can stay."""
     assert isinstance(target.photo, PhotoMoments)  # they were made on the CPU
     photo = torch.from_numpy(np.rint(target.photo.values * 255.0).astype(np.uint8)).to(device)
     row = torch.as_tensor(target.things.row).to(torch.int16).to(device)

@@ -1,4 +1,4 @@
-"""The two losses of a rendered label picture: L_sem and L_ins (see the paper's section "Loss Functions")."""
+"""The losses of rendered labels, L_sem and L_ins (the paper's section "Loss Functions"), and the linear assignment."""
 
 from __future__ import annotations
 
@@ -25,16 +25,17 @@ def label_losses(
     semantic: torch.Tensor,  # int16 [H, W], -1 = unknown
     instance: tuple[torch.Tensor, torch.Tensor],  # int16 [H, W] each, -1 = unknown
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """L_sem without L_cluster, and L_ins: -log of the rendered probability of the target label, as the mean over the
-    pixels with a target. The losses of a pixel's two instance targets (linear assignment and M_match) are added.
-    ``coverage`` holds those of ``classes`` C classes, then of S slots. ``alpha`` is only a divisor: no gradient reaches
-    it, since only the reconstruction loss may reach opacity. Without a target a loss is 0."""
+    """Return L_sem without L_cluster, and L_ins, as scalars: the mean of -log of the rendered probability of the target
+    label over the pixels with a target, 0 if there is none. ``coverage`` has channels for ``classes`` (C), then S
+    slots; ``semantic`` and ``instance`` hold target channels. L_ins adds a pixel's two instance targets, from linear
+    assignment and M_match. ``alpha``, a mere divisor, gets no gradient: only the reconstruction loss may change
+    opacity."""
     losses: tuple[torch.Tensor, torch.Tensor] = _LabelLosses.apply(coverage, alpha, classes, semantic, *instance)
     return losses
 
 
 class _LabelLosses(torch.autograd.Function):
-    """Writes one dense gradient for all three targets, where autograd would write one for each."""
+    """Computes the gradient of all three targets in one dense array; autograd would make an array for each."""
 
     @staticmethod
     def forward(
@@ -74,15 +75,15 @@ NO_SLOT = -1
 
 @dataclass(frozen=True, eq=False)
 class ThingSegments:
-    """The thing segments of a view's input mask: ``row`` int32 [H, W] is the number of a pixel's segment, -1 = none (on
-    a device it is int16); ``pixels`` int64 [I] is the number of pixels of each segment."""
+    """The thing segments of a view's input mask, numbered from 0. ``row`` int32 [H, W] (int16 on a device): the number
+    of each pixel's segment, -1 = none; ``pixels`` int64 [I]: how many pixels each segment has."""
 
     row: NDArray[np.int32] | torch.Tensor
     pixels: NDArray[np.int64]
 
     @classmethod
     def of(cls, ids: NDArray[np.integer]) -> ThingSegments:
-        """The segments with these ids [H, W], 0 = none."""
+        """Number the segments of a mask whose ids are given for each pixel, [H, W], 0 = none."""
         present, pixels = distinct_ids(np.asarray(ids, np.int32))
         row = np.searchsorted(present, ids).astype(np.int32)
         if len(present) and present[0] == 0:  # the smallest id, so it is first
@@ -97,9 +98,10 @@ def assigned_slots(
     things: ThingSegments,
     no_object: int | None = None,
 ) -> torch.Tensor:
-    """The target slot of each pixel, int16 [H, W], -1 where there is none. Slots begin at channel ``first``; divided by
-    ``alpha`` their coverage is a probability. No thing is assigned to the slot ``no_object``. From a device, only the
-    matrix of the mean probabilities is copied."""
+    """Assign each thing segment to the slot that is rendered in it most probably, one to one (Hungarian algorithm).
+    Return each pixel's slot, int16 [H, W], -1 = none. Slots are ``coverage``'s channels from ``first`` on; ``coverage``
+    divided by ``alpha`` is a probability. The slot ``no_object`` is left out. A device only returns the mean
+    probabilities."""
     slots, segments = coverage.shape[-1] - first, len(things.pixels)
     row, slot_of_segment = torch.as_tensor(things.row).long(), np.full(segments + 1, NO_SLOT, np.int16)
     if slots and segments:

@@ -1,9 +1,7 @@
-"""Adam over anchors and decoders, with log-linear learning rates. It survives growth and pruning.
+"""Adam for anchors and decoders, with log-linear learning rates; continues when anchors are added or pruned.
 
-A step moves only the anchors that its view decodes, and only their moments decay. Scaffold-GS moves all of them: an
-anchor that its view does not show then coasts on the moments of the views before. Where a view sees every anchor, the
-two are equal.
-"""
+A step moves only the anchors that its view decodes, and only their moments decay. Scaffold-GS moves all: an anchor that
+the view does not show then drifts on with the moments of earlier views. If a view sees every anchor, both are equal."""
 
 from __future__ import annotations
 
@@ -36,7 +34,7 @@ RATES: Rates = {
 
 
 def learning_rate(ends: tuple[float, float], progress: float) -> float:
-    """The learning rate for ``progress`` in [0, 1], log-linear between the two ends."""
+    """Return the learning rate at ``progress`` in [0, 1], log-linear between the ``ends`` (first and last rate)."""
     start, end = ends
     return math.exp(math.log(start) * (1 - progress) + math.log(end) * progress)
 
@@ -51,9 +49,9 @@ Moments = tuple[torch.Tensor, torch.Tensor]
 def adam_step(
     parameters: Sequence[torch.Tensor], moments: Sequence[Moments], count: int, rate: float, *, eps: float, fused: bool
 ) -> None:
-    """Move ``parameters`` along their gradients, update ``moments`` in place and drop the gradients. ``count`` steps
-    came before. The moments of a parameter without a gradient decay. torch's own class Adam imports torch's compiler,
-    which takes 3 s."""
+    """Move ``parameters`` by one Adam step, update ``moments`` in place and clear the gradients. ``count``: earlier
+    steps. If a parameter has no gradient, its moments only decay. Used in place of torch's own class Adam, which
+    imports torch's compiler and takes 3 s for it."""
     gradients = [torch.zeros_like(each) if each.grad is None else each.grad for each in parameters]
     means, squares = [mean for mean, _ in moments], [square for _, square in moments]
     counts = [each.new_full((), float(count)) for each in parameters]
@@ -73,8 +71,8 @@ def move_rows(
     count: int,
     rate: float,
 ) -> None:
-    """``adam_step`` for ``rows`` of one parameter, float32 on the CPU; the others stay as they are, and so do their
-    moments. It drops the gradient."""
+    """Do what ``adam_step`` does, but only for these ``rows`` of one parameter, float32 on the CPU. Other rows and
+    their moments do not change. Clears the gradient."""
     if parameter.grad is None:
         return
     tensors = (*moments, parameter.grad.contiguous(), parameter.detach())
@@ -91,7 +89,7 @@ def _move_rows(
     worker: int, workers: int, rows: Array, columns: int, factors: Array, moments: tuple[Array, Array],
     gradient: Array, values: Array,
 ) -> None:  # fmt: skip
-    """The loop behind ``move_rows``; arrays [M * columns]."""
+    """The compiled loop of ``move_rows``, for one of several threads. Arrays are flat, [M * columns]."""
     mean, square = moments
     keep_mean, add_mean, keep_square, add_square = factors[0], factors[1], factors[2], factors[3]
     rate, over_root, epsilon = broadcast(factors[4]), broadcast(factors[5]), broadcast(factors[6])
@@ -108,13 +106,13 @@ def _move_rows(
 
 
 def no_moments(parameter: torch.Tensor) -> Moments:
-    """The moments of a parameter before its first step."""
+    """Return a parameter's moments before its first step: zeros."""
     return torch.zeros_like(parameter), torch.zeros_like(parameter)
 
 
 class Optimiser:
-    """Adam for anchors and decoders. Moments are kept by parameter name, so that they can be stored, restored and
-    cut."""
+    """Adam for anchors and decoders. Moments are kept by parameter name, so they can be saved, restored, cut and
+    added."""
 
     def __init__(self, anchors: Anchors, decoders: Decoders, rates: Rates, extent: float) -> None:
         self.decoders, self.rates, self.extent, self.count = decoders, rates, extent, 0
@@ -133,8 +131,8 @@ class Optimiser:
         rows: torch.Tensor,  # int64 [V]
         move: Callable[..., None] = move_rows,
     ) -> None:
-        """Do one Adam step with the current gradients, on the anchors in ``rows``; ``progress`` is the share
-        of all steps done, ``move`` is ``move_rows`` or its counterpart on a device."""
+        """Do one Adam step with the current gradients, for the decoders and the anchors ``rows``. ``progress``: the
+        share of all steps done, 0 to 1. ``move``: ``move_rows`` or `move_rows_in_torch`."""
         for name, each in self._named():
             if name not in self.moments and each.requires_grad:
                 self.moments[name] = no_moments(each)
@@ -149,7 +147,7 @@ class Optimiser:
         self.count += 1
 
     def move_to(self, anchors: Anchors, device: torch.device) -> None:
-        """Continue with the same ``anchors`` on another ``device``, where the decoders already are."""
+        """Continue on another ``device``, where ``anchors``, the same as before, and the decoders already are."""
         self.anchors = anchors
         for name in Anchors.LEARNT:
             getattr(anchors, name).requires_grad_()
@@ -160,7 +158,7 @@ class Optimiser:
         anchors: Anchors,
         keep: torch.Tensor,  # bool [M], of the old anchors
     ) -> None:
-        """Continue with ``anchors``: rows ``keep``, then new ones with moments of 0."""
+        """Continue with ``anchors``: first the old rows where ``keep``, then new ones, whose moments start at 0."""
         self.anchors = anchors
         for name in Anchors.LEARNT:
             parameter, moments = getattr(anchors, name).requires_grad_(), self.moments.get(f"anchors.{name}")
@@ -171,14 +169,14 @@ class Optimiser:
                 self.moments[f"anchors.{name}"] = grown
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """First and second moments by parameter name."""
+        """Return the first and second moments of all parameters by name, for a checkpoint."""
         tensors = {}
         for name, (mean, square) in self.moments.items():
             tensors[f"{name}.mean"], tensors[f"{name}.square"] = mean, square
         return tensors
 
     def restore(self, tensors: dict[str, torch.Tensor], count: int) -> None:
-        """Restore the moments that ``tensors()`` returned after ``count`` steps."""
+        """Restore the moments that ``tensors()`` returned when ``count`` steps had been done."""
         self.count = count
         self.moments = {
             name: (tensors[f"{name}.mean"].clone(), tensors[f"{name}.square"].clone())  # steps change them in place

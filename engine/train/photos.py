@@ -1,4 +1,4 @@
-"""The exposure and the sharpness of each photo."""
+"""Compares the photos of a capture: the exposure and the sharpness of each."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ LEAST_WEIGHT = 0.1
 def exposure_gains(
     photos: Sequence[NDArray[np.uint8]], point_of_pixel: Sequence[NDArray[np.int32]], points: int
 ) -> NDArray[np.float64]:
-    """How much brighter each photo shows the room than the photos do on average, by channel: float64 [N, 3]. ``photos``
-    uint8 [H, W, 3]; ``point_of_pixel`` int32 [H, W] per photo: the point of the cloud (of ``points`` points) that each
-    pixel shows, -1 = none.
+    """Return how bright each photo shows the room compared with the mean photo, by channel: float64 [N, 3], with a
+    geometric mean of 1. ``photos`` uint8 [H, W, 3]; ``point_of_pixel`` int32 [H, W] each: the point, of ``points`` in
+    the cloud, that each pixel shows, -1 = none.
 
-    Auto exposure and white balance multiply light, which is nearly a gain of encoded values too: the logarithm of a
-    pixel is its photo's gain plus its point's colour. Least squares separate the two over all pixels, twice, the second
-    time without outliers. The gains' geometric mean is 1. Photos are read one at a time, and only sums are held."""
+    Auto exposure and white balance multiply light, which nearly multiplies encoded values, too. So the logarithm of a
+    pixel is modelled as its photo's gain plus its point's colour, and least squares separate the two over all pixels,
+    then once more without outliers. Photos are read one at a time, and only sums are kept."""
     fit: _Fit | None = None
     for _ in range(2):
         fit = _least_squares(*_log_colour_sums(photos, point_of_pixel, points, fit))
@@ -36,14 +36,14 @@ def exposure_gains(
 
 
 class _Fit(NamedTuple):
-    """Log gains of the photos [photos, 3], with mean 0, and log colours of the points [points, 3]."""
+    """The result of least squares: photos' log gains [photos, 3], of mean 0, and points' log colours [points, 3]."""
 
     gains: NDArray[np.float64]
     colours: NDArray[np.float64]
 
 
 def _least_squares(seen: Any, by_point: NDArray[np.float64], by_photo: NDArray[np.float64]) -> _Fit:
-    """The least-squares fit to all pixels, from their sums. The points are eliminated first."""
+    """Return the least-squares fit, given the sums that `_log_colour_sums` returns. Eliminates the points first."""
     from scipy import sparse
 
     pixels = np.maximum(np.asarray(seen.sum(0)).reshape(-1), 1)
@@ -58,9 +58,9 @@ def _least_squares(seen: Any, by_point: NDArray[np.float64], by_photo: NDArray[n
 def _log_colour_sums(
     photos: Sequence[NDArray[np.uint8]], point_of_pixel: Sequence[NDArray[np.int32]], points: int, fit: _Fit | None
 ) -> tuple[Any, NDArray[np.float64], NDArray[np.float64]]:
-    """How many pixels of a photo show a point, sparse float64 [photos, points], and the sums of their log colours by
-    point, float64 [points, 3], and by photo [photos, 3]: of all pixels neither too dark nor too bright; with a
-    ``fit``, only of those that it fits."""
+    """Return how many pixels of each photo show each point, sparse float64 [photos, points], and the sums of their log
+    colours by point, float64 [points, 3], and by photo [photos, 3]. Very dark or bright pixels are left out, as are
+    those far from a ``fit``."""
     from scipy import sparse
 
     by_point, by_photo = np.zeros((3, points)), np.zeros((len(photos), 3))
@@ -84,8 +84,8 @@ def _log_colour_sums(
 
 
 def sharpness_weights(photos: Iterable[NDArray[np.uint8]]) -> NDArray[np.float64]:
-    """The weight of each photo uint8 [H, W, 3], in recording order, in the picture loss: float64 [N] in (0, 1]. A photo
-    blurred by motion has less detail than its neighbours, which show about the same."""
+    """Return the weight of each photo in the picture loss, float64 [N] in (0, 1]; ``photos`` uint8 [H, W, 3] in
+    recording order. A photo blurred by motion has less detail than its neighbours, which show nearly the same."""
     details = np.array([photo_detail(photo) for photo in photos])
     weights = np.ones(len(details))
     for index, own in enumerate(details):

@@ -1,5 +1,5 @@
-"""Self-training: each region of the input masks takes the label that most of its pixels are rendered with (see the
-paper's section "Self-training with Consistency-enhanced Segments")."""
+"""Self-training: makes pseudo labels, for which each region of an input mask takes the label rendered in most of its
+pixels (the paper's section "Self-training with Consistency-enhanced Segments")."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ from .targets import ViewTargets, columns_of, slots_of
 
 
 def pseudo_label_steps(every: float, steps: int) -> frozenset[int]:
-    """The steps after which pseudo labels are made: at ``every``, 2 ``every``, ... of all ``steps``, not at the end."""
+    """Return the steps after which to make pseudo labels: the multiples of the share ``every`` of ``steps`` but the
+    last."""
     points = (round(number * every * steps) for number in range(1, math.ceil(1 / every)))
     return frozenset(point for point in points if 0 < point < steps)
 
 
 @dataclass(frozen=True)
 class PseudoLabels:
-    """The pseudo labels of one view, packed: regions of one label compress to a hundredth. ``classes``: bytes of
-    semantic channels int16 [H, W], -1 = nothing; ``slots``: the same of instance slots, or None if segments were given
-    no objects."""
+    """The pseudo labels of one view, compressed by zlib to about a hundredth. ``classes``: the semantic channel of each
+    pixel, int16 of ``shape`` (H, W), -1 = none; ``slots``: the instance slot, or None if the regions got only
+    classes."""
 
     shape: tuple[int, int]
     classes: bytes
@@ -42,12 +43,12 @@ class PseudoLabels:
         classes: torch.Tensor,  # [H, W]
         slots: torch.Tensor | None,  # [H, W]
     ) -> PseudoLabels:
-        """Pack channel numbers and slots."""
+        """Compress the semantic channels and instance slots of one view's pixels, both integers [H, W], -1 = none."""
         height, width = classes.shape
         return cls((height, width), _packed(classes), None if slots is None else _packed(slots))
 
     def teach(self, target: ViewTargets) -> ViewTargets:
-        """The view's targets with these labels, int16 [H, W] each."""
+        """Return ``target`` with these pseudo labels, decompressed to int16 [H, W], as its labels to train on."""
         classes, slots = (
             # frombuffer warns about bytes, which are read-only
             None if packed is None else torch.frombuffer(bytearray(zlib.decompress(packed)), dtype=torch.int16)
@@ -65,8 +66,9 @@ def _packed(labels: torch.Tensor) -> bytes:
 def rendered_labels(
     mask: PanopticMask, rendering: PanopticRendering, channels: LabelChannels, least_region: int
 ) -> PseudoLabels:
-    """The pseudo labels of a view. The paper's regions of at least ``least_region`` pixels take a class; if an object
-    has one class throughout, segments take class and object together. Pixels where nothing is rendered do not vote."""
+    """Make a view's pseudo labels. As in the paper, regions of at least ``least_region`` pixels take the class rendered
+    in most of these; if each object has a single class, segments take class and object. Pixels without a rendering do
+    not vote."""
     if not channels.class_of_slot:
         class_ids = np.array(channels.class_ids, np.int32)
         coverage = rendering.class_coverage

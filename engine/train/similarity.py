@@ -1,5 +1,5 @@
-"""Structural similarity as a loss (11x11 Gaussian window, sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2), and L1,
-which is computed along with it."""
+"""The structural similarity index (SSIM) as a loss, and L1, computed together. SSIM's window is a Gaussian of 11x11
+pixels and sigma 1.5, with zeros around the picture; C1 = 0.01^2, C2 = 0.03^2."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ WINDOW_WEIGHTS = cv2.getGaussianKernel(WINDOW, SIGMA, cv2.CV_32F)
 
 
 def _blur(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    """A picture [H, W, 3] blurred by the window, with zeros around it."""
+    """Return a picture [H, W, 3] convolved with the window, with zeros around it."""
     blurred = cv2.sepFilter2D(picture, -1, WINDOW_WEIGHTS, WINDOW_WEIGHTS, borderType=cv2.BORDER_CONSTANT)
     return blurred.astype(np.float32, copy=False)
 
 
 def photo_values(photo: PhotoMoments | torch.Tensor) -> torch.Tensor:
-    """A photo's colours float32 [H, W, 3] in [0, 1], where they are. On a device it is uint8."""
+    """Return a photo's colours, float32 [H, W, 3] in [0, 1], on the photo's device, also if stored as uint8."""
     return torch.from_numpy(photo.values) if isinstance(photo, PhotoMoments) else photo.float() / 255.0
 
 
 @dataclass(frozen=True)
 class PhotoMoments:
-    """A photo and what SSIM needs from it, computed once: its blurred mean and variance; each float32 [H, W, 3]."""
+    """A photo and what SSIM needs of it in every step: blurred mean and variance; all float32 [H, W, 3]."""
 
     values: NDArray[np.float32]
     mean: NDArray[np.float32]
@@ -48,14 +48,14 @@ class PhotoMoments:
 
     @classmethod
     def of(cls, photo: torch.Tensor) -> PhotoMoments:
-        """Moments of a photo float32 [H, W, 3] in [0, 1]."""
+        """Compute the moments of a photo, float32 [H, W, 3] in [0, 1]."""
         values = np.ascontiguousarray(photo.numpy())
         mean = _blur(values)
         return cls(values, mean, _blur(values * values) - mean**2)
 
 
 class _Comparison(torch.autograd.Function):
-    """l1_weight * L1 + ssim_weight * SSIM of a picture and a photo. The gradient is computed along with it."""
+    """Autograd's function behind ``compare``. It computes the gradient with the value, as both share the blurring."""
 
     @staticmethod
     def forward(
@@ -87,8 +87,8 @@ def _compare_strips(
     gradient: NDArray[np.float32],
     sums: NDArray[np.float64],
 ) -> None:
-    """Fill the gradient [H, W, 3] by ``image`` and ``sums`` [strips, 2] of |image - photo| and of SSIM, for every
-    ``workers``-th strip of rows. ``weights``: those of L1 and SSIM of one value."""
+    """Compare ``image`` with ``photo`` in every ``workers``-th strip of rows. Fills ``gradient`` [H, W, 3] and ``sums``
+    [strips, 2], of |image - photo| and of SSIM. ``weights``: of L1 and of SSIM, for one value."""
     for strip in range(worker, len(sums), workers):
         first, end = strip * STRIP_ROWS, min((strip + 1) * STRIP_ROWS, len(image))
         # the gradient depends on SSIM's slopes within the window's reach, and these on pixels as far again
@@ -111,7 +111,8 @@ def _compare_strips(
 def _similarity(
     mean: Array, square: Array, product: Array, photo_mean: Array, photo_variance: Array, ssim: Array
 ) -> None:
-    """SSIM of blurred moments float32 [n]. Its slopes by mean, square and product with the photo replace these."""
+    """Compute ``ssim`` from blurred moments, all float32 [n]; replace ``mean``, ``square`` and ``product`` by
+    derivatives."""
     for i in range(len(ssim)):
         x, y = mean[i], photo_mean[i]
         luminance, structure = TWO * x * y + C1, TWO * (product[i] - x * y) + C2
@@ -128,8 +129,8 @@ def _similarity(
 def _gradient(
     image: Array, photo: Array, by_mean: Array, by_square: Array, by_product: Array, weights: Array, gradient: Array
 ) -> float:
-    """Fill the gradient from SSIM's blurred slopes and from L1; returns the sum of |image - photo|. All are float32
-    [n]; ``weights`` [2] are those of ``_compare_strips``."""
+    """Fill ``gradient`` from SSIM's blurred derivatives and from L1; return the sum of |image - photo|. Arrays are
+    float32 [n]; ``weights`` [2] as in ``_compare_strips``."""
     total, l1, similarity = 0.0, weights[0], weights[1]
     for i in range(len(image)):
         off = image[i] - photo[i]
@@ -145,7 +146,7 @@ def compare(
     l1_weight: float,
     ssim_weight: float,
 ) -> torch.Tensor:
-    """``l1_weight`` * mean |difference| + ``ssim_weight`` * mean SSIM of an image and a
-    photo. Differentiable once in ``image``. Raises ValueError if sizes differ."""
+    """Return ``l1_weight`` * mean |image - photo| + ``ssim_weight`` * mean SSIM, a scalar, differentiable once in
+    ``image``. Raises ValueError if the sizes differ."""
     result: torch.Tensor = _Comparison.apply(image, photo, l1_weight, ssim_weight)
     return result

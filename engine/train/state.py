@@ -1,4 +1,4 @@
-"""The complete state of a trainer as named tensors and JSON-ready facts: the content of a checkpoint."""
+"""Saves and restores the complete state of a trainer, as named tensors and JSON values: the content of a checkpoint."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from .trainer import Trainer
 
 
 class OtherLabels(ValueError):
-    """Raised for a state whose labels differ from those of the masks."""
+    """Raised by ``restore`` if the state has other classes or objects than the masks give now."""
 
 
 def trainer_state(trainer: Trainer) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
-    """Everything that ``restore`` needs to continue bit for bit."""
+    """Return the tensors by name, and other facts (JSON), from which ``restore`` continues bit for bit."""
     model, facts = to_tensors(trainer.scene)
     tensors = {f"model.{name}": tensor for name, tensor in model.items()}
     if trainer.step_number < trainer.preset.steps:  # else no step follows; the moments are two thirds of a checkpoint
@@ -37,8 +37,8 @@ def trainer_state(trainer: Trainer) -> tuple[dict[str, torch.Tensor], dict[str, 
 
 
 def restore(trainer: Trainer, tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -> None:
-    """Put ``trainer`` (made for the same input, preset and seed) into a stored state. Raises ValueError, KeyError or
-    TypeError if it is damaged or belongs to another lift; the trainer is then unchanged."""
+    """Restore a state into ``trainer``, which was made for the same input, preset and seed. If the state is damaged or
+    of another lift, raises ValueError, KeyError or TypeError, and leaves the trainer unchanged."""
     scene = from_tensors(_under("model.", tensors), facts["model"])
     _check(trainer, scene, tensors, facts)
     trainer.scene = scene
@@ -59,7 +59,7 @@ def restore(trainer: Trainer, tensors: Mapping[str, torch.Tensor], facts: Mappin
 def _check(
     trainer: Trainer, scene: StructuredScene, tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]
 ) -> None:
-    """Raise ValueError unless everything except the model fits too."""
+    """Raise ValueError unless the state's other parts (all but the model ``scene``) fit the trainer as well."""
     if (scene.channels, scene.decoders.shape) != (trainer.scene.channels, trainer.scene.decoders.shape):
         raise OtherLabels("it belongs to a lift with other labels")
     if type(facts["step"]) is not int or not 0 <= facts["step"] <= trainer.preset.steps:  # isinstance would take True

@@ -1,4 +1,4 @@
-"""The targets of each training view."""
+"""What each training view is compared with: its photo, depth and labels."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from .similarity import PhotoMoments
 
 @dataclass
 class ViewTargets:
-    """Targets of one training view at lift size. ``photo`` is sRGB-encoded, in [0, 1], with its moments for SSIM; on a
-    device it is uint8 [H, W, 3]. ``projected`` int16 [H, W]: semantic channel of the projected point cloud, -1 = none.
-    ``matched`` int16 [H, W]: instance slot of M_match, -1 = none. ``things`` are the thing segments of the input mask.
-    ``pseudo`` int16 [H, W]: semantic channel of the pseudo labels, None before the self-training stage; ``pseudo_slot``
-    int16 [H, W]: the slots, if segments were given objects as well; they then replace ``matched``. ``depth`` float32
-    [H, W] is the sensor's, metres (0 = none); ``border`` bool [H, W], or None, where the photo shows only a black
-    border; ``weight`` how much the photo counts compared with sharper ones; ``gain`` float32 [3], or None, its exposure
-    relative to the room's. ``columns``: the label channels in which the view is compared, if they are kept."""
+    """What the rendering of one training view is compared with; arrays are [H, W] unless said otherwise. ``photo``:
+    sRGB in [0, 1] with its moments for SSIM, on a device uint8 [H, W, 3]. ``projected`` int16: the semantic channel of
+    the projected point cloud, -1 = none. ``matched`` int16: the instance slot of M_match, -1 = none. ``things``: the
+    thing segments of the input mask. ``depth`` float32: the sensor's, metres, 0 = none. ``border`` bool or None: where
+    the photo has only a black border. ``weight``: how much the photo counts, less if blurred. ``gain`` float32 [3] or
+    None: its exposure relative to the other photos'. ``pseudo`` int16: the semantic channel of the pseudo labels, None
+    before self-training; ``pseudo_slot`` int16: their slots, if they have any, which then replace ``matched``.
+    ``columns``: the label channels that are compared in this view, cached."""
 
     name: str
     camera: Camera
@@ -49,8 +49,8 @@ class ViewTargets:
 
 
 def columns_of(labels: NDArray[np.integer], ids: tuple[int, ...], dtype: DTypeLike = np.int64) -> torch.Tensor:
-    """Labels of any shape as channel numbers of this ``dtype``: the index of each in ``ids`` (all >= 0), -1 for 0 and
-    for labels that are not in ``ids``."""
+    """Return the index of each label in ``ids`` (all >= 0), as a tensor of the labels' shape, with this ``dtype``: -1
+    for label 0 and for labels that are not in ``ids``."""
     table = np.full(max(int(labels.max(initial=0)), max(ids, default=0)) + 1, -1, dtype)
     for column, label in enumerate(ids):
         if label:
@@ -59,7 +59,7 @@ def columns_of(labels: NDArray[np.integer], ids: tuple[int, ...], dtype: DTypeLi
 
 
 def slots_of(instances: NDArray[np.integer], known: NDArray[np.bool_], channels: LabelChannels) -> torch.Tensor:
-    """Instance ids (0 = none) as slots, int16: "no object" for 0 where objects are ``known``, otherwise -1."""
+    """Return the slot of each instance id, int16; for id 0 that of "no object" where ``known``, otherwise -1."""
     slots = columns_of(instances, tuple(max(slot, 0) for slot in channels.slot_ids), np.int16)
     return slots.masked_fill_(torch.from_numpy(known & (instances == 0)), channels.slot_ids.index(NO_OBJECT))
 
@@ -74,8 +74,9 @@ def view_targets(
     weight: float = 1.0,
     gain: NDArray[np.float64] | None = None,
 ) -> ViewTargets:
-    """Targets of ``view`` from class ids and instance ids, int32 [H, W] each. Where there is a class, instance 0 means
-    no object, which is a target if ``teach_no_object``. Without instance ids, objects are unknown."""
+    """Make the targets of ``view`` from the class and instance ids of its pixels, int32 [H, W]. Instance 0 means "no
+    object" where there is a class, and is trained if ``teach_no_object``. ``matched_instance`` None: no instance is
+    known."""
     matched = torch.full(projected_class.shape, -1, dtype=torch.int16)
     if matched_instance is not None:
         matched = slots_of(matched_instance, (projected_class != 0) & teach_no_object, channels)

@@ -1,4 +1,4 @@
-"""The training loop's parts: one step, a round of growth, a round of pseudo labels, and the complete state."""
+"""The training loop: steps, growing and pruning of anchors, pseudo labels, and the losses that a step adds up."""
 
 from __future__ import annotations
 
@@ -37,16 +37,17 @@ NOISY = 4.0
 
 
 class StepClock:
-    """Called at the end of each part of a training step. This one does nothing; ``research/bench_step.py`` measures."""
+    """A profiler, called after each part of a training step. This one does nothing; ``research/bench_step.py``
+    measures."""
 
     def start(self) -> None:
         """Called when a step begins."""
 
     def lap(self, part: str) -> None:
-        """Called at the end of ``part``, which began at the last call."""
+        """Called at the end of ``part``, a name; the part began at the previous call."""
 
     def lap_on_way_back(self, tensors: Sequence[torch.Tensor], part: str) -> None:
-        """Call ``lap`` when the backward pass first reaches one of ``tensors``."""
+        """Call ``lap`` as soon as the backward pass reaches one of ``tensors``."""
 
 
 def reconstruction_loss(
@@ -59,8 +60,8 @@ def reconstruction_loss(
     volume_weight: float,
     compare: Callable[..., torch.Tensor] = compare,
 ) -> torch.Tensor:
-    """L_recon: L1 + lambda_ssim (1 - SSIM) + lambda_vol sum of prod(scales). ``photo_weight`` (1 in the paper) is the
-    weight of the first two terms. ``compare`` is ``similarity.compare`` or its counterpart on a device."""
+    """Return L_recon: ``photo_weight`` (1 in the paper) * (L1 + ``ssim_weight`` (1 - SSIM)) + ``volume_weight`` * the
+    sum of the Gaussians' volumes, prod(scales). ``compare`` is `similarity.compare` or `compare_in_torch`."""
     volume = (scales[:, 0] * scales[:, 1] * scales[:, 2]).sum()
     picture = compare(image, photo, 1.0, -ssim_weight) + ssim_weight
     return photo_weight * picture + volume_weight * volume
@@ -71,10 +72,10 @@ def depth_loss(
     alpha: torch.Tensor,  # [H, W], coverage
     sensor: torch.Tensor,  # [H, W], metres, 0 = none
 ) -> torch.Tensor:
-    """The depth loss. It is ours: the paper supervises the geometry by pictures alone. Mean over the pixels with depth
-    of min(1, (|D - alpha d| + (1 - alpha) d / 2) / max(d, NEAR)), weighted by the sensor's noise; 0 where no pixel has
-    depth. ``depth`` D is rendered, ``sensor`` d measured. The limit of 1 makes it robust: an error as large as the
-    depth counts once."""
+    """Return the depth loss, which is ours: the paper supervises geometry by photos alone. It is the mean, over pixels
+    with sensor depth, of min(1, (|D - alpha d| + (1 - alpha) d / 2) / max(d, NEAR)), weighted by the sensor's noise; 0
+    without such pixels. D is the rendered ``depth``, d that of the ``sensor``. The limit of 1 makes it robust against
+    outliers."""
     known = sensor > 0
     gap = (depth - alpha * sensor).abs() + 0.5 * (1.0 - alpha) * sensor
     weight = known / (1.0 + (sensor / NOISY) ** 2)
@@ -89,9 +90,9 @@ LARGEST_SCALE = 1.0
 
 @dataclass(frozen=True)
 class GrowthSchedule:
-    """When anchors grow, in shares of all steps. As in Scaffold-GS: statistics from 500/30000 on, a round every
-    100/30000 from 1500/30000 to 15000/30000. In short lifts there are at least ``at_least_steps`` between two rounds,
-    since a round judges an anchor by how often it was seen."""
+    """When anchors are added and pruned, as shares of all steps, as in Scaffold-GS: statistics from 500/30000 on, a
+    round of growth every 100/30000 from 1500/30000 to 15000/30000. In short lifts rounds are at least
+    ``at_least_steps`` apart, since a round judges an anchor by how often it was seen."""
 
     statistics_from: float = 500 / 30000
     grow_from: float = 1500 / 30000
@@ -102,8 +103,8 @@ class GrowthSchedule:
 
 @dataclass(frozen=True)
 class StepReport:
-    """The loss of one step, its parts (labels have none in a step that does not train them), the number of Gaussians
-    drawn, and the ``further`` terms by name, as they are added to the loss."""
+    """What a step reports: its loss, the parts of it (no label losses in a step that does not train labels), the number
+    of Gaussians drawn, and ``further`` terms of the loss by name, weights included."""
 
     step: int
     loss: float
@@ -114,12 +115,13 @@ class StepReport:
     further: Mapping[str, float] = field(default_factory=dict)
 
     def numbers(self) -> dict[str, float]:
-        """All of it by name."""
+        """Return all these numbers by name, for the log."""
         return {**{name: value for name, value in vars(self).items() if name != "further"}, **self.further}
 
 
 class Losses(NamedTuple):
-    """``total`` is what a step minimises: the weighted sum of the others and of the ``further`` terms."""
+    """The losses of a step. ``total``, which is minimised, is the weighted sum of the others and of ``further``
+    terms."""
 
     total: torch.Tensor
     reconstruction: torch.Tensor
@@ -129,8 +131,8 @@ class Losses(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What a further loss is computed from: the Gaussians that the view's camera sees, what was drawn of them (labels
-    are None in a step that does not train them), the view's targets, and the weights of the preset."""
+    """What a registered further loss may use: the Gaussians seen by the view's camera, their rendering (its labels are
+    None in a step that does not train labels), the view's targets, and the preset's weights."""
 
     gaussians: NeuralGaussians
     rendering: Rendering
@@ -139,7 +141,7 @@ class Step(NamedTuple):
 
 
 def weighted_depth_loss(step: Step) -> torch.Tensor:
-    """``depth_loss`` with its weight."""
+    """Return ``depth_loss`` of the step, multiplied by the preset's weight."""
     return step.weights.depth * depth_loss(step.rendering.depth, step.rendering.alpha, step.target.depth)
 
 
@@ -148,14 +150,14 @@ LOSSES: Parts[Callable[[Step], torch.Tensor]] = Parts("loss", {"depth": weighted
 
 
 def register_loss(name: str, loss: Callable[[Step], torch.Tensor]) -> None:
-    """Let presets name this function among their ``losses``, in lifts by this process. It returns a scalar that
-    includes its weight."""
+    """Make ``loss`` available, in this process, to presets that list ``name`` in their ``losses``. It returns a scalar,
+    already multiplied by its weight."""
     LOSSES.register(name, loss)
 
 
 class Trainer:
-    """Trains ``scene`` on ``targets``. Everything random is drawn from (seed, purpose, number), so that a trainer
-    restored at step n continues bit for bit like one that never stopped. ``clock`` measures the parts of a step."""
+    """Trains ``scene`` on ``targets``. Random numbers are drawn from (seed, purpose, number) each time, so a trainer
+    restored at step n continues bit for bit as one that never stopped. ``clock`` may measure the parts of a step."""
 
     growth_schedule: ClassVar[GrowthSchedule] = GrowthSchedule()
     growth_rules: ClassVar[GrowthRules] = GrowthRules()
@@ -185,7 +187,7 @@ class Trainer:
         self.follow_anchors()
 
     def move_to(self, device: torch.device | str) -> None:
-        """Do the following steps on this device. A view's targets stay there once they have been used."""
+        """Do further steps on this device. The targets of a view are copied there when first used, and stay."""
         self.device = torch.device(device)
         self.arithmetic = KERNELS if self.device.type == "cpu" else IN_TORCH
         self._placed.clear()  # they are on the last device
@@ -202,13 +204,13 @@ class Trainer:
         return self.step_number >= self.preset.last_step
 
     def follow_anchors(self) -> None:
-        """Update what is derived from the anchors after they were replaced."""
+        """Recompute what is derived from the anchors, after some were added or removed."""
         anchors = self.scene.anchors
         channels = columns_of(anchors.initial_class.numpy(force=True), self.scene.channels.class_ids)
         self.initial_channels = channels.to(anchors.position.device)
 
     def target(self, number: int) -> ViewTargets:
-        """The targets of view ``number``, with its pseudo labels if it has any."""
+        """Return the targets of view ``number``, with pseudo labels as soon as they are made."""
         if number in self._placed:
             return self._placed[number]
         pseudo = self.pseudo[number]
@@ -220,9 +222,10 @@ class Trainer:
         return self._placed[number]
 
     def step(self, check: Callable[[], None] = lambda: None) -> StepReport:
-        """Make pseudo labels if they are due, do one optimisation step on one view, then grow if it is due. Between
-        steps, and when ``check`` raises, the state is complete: a checkpoint of it continues bit for bit. Raises what
-        ``check`` raises, and FloatingPointError, before anything is changed, if the loss is not finite."""
+        """Make pseudo labels if they are due, do one optimisation step on one view, then add and prune anchors if due.
+        Between steps, and when ``check`` raises, the state is complete: training continues bit for bit from a
+        checkpoint. Raises what ``check`` raises and, before it changes anything, FloatingPointError if the loss is not
+        finite."""
         if self.step_number in self.pseudo_label_steps:
             self.refresh_pseudo_labels(check)
         epoch, position = divmod(self.step_number, len(self.targets))  # each epoch has a new random order of all views
@@ -267,7 +270,7 @@ class Trainer:
         return report
 
     def _decode(self, target: ViewTargets, with_labels: bool = True) -> NeuralGaussians:
-        """The Gaussians that the view's camera sees, with their L_cluster if labels are wanted."""
+        """Return the Gaussians that the view's camera sees; with labels, also L_cluster of them."""
         anchors, decoders = self.scene.anchors, self.scene.decoders
         if with_labels:
             channels = self.initial_channels if self.preset.weights.cluster else None
@@ -275,8 +278,8 @@ class Trainer:
         return self.arithmetic.decode(anchors, decoders, target.camera, known_labels=no_labels(anchors))
 
     def _columns_to_draw(self, target: ViewTargets) -> NDArray[np.int64]:
-        """The label channels in which the view is compared, ascending: those of its targets, as the losses need no
-        others; all channels if segments are assigned to slots by the rendering."""
+        """Return the label channels to render, ascending: those that the view's targets use, since the losses need no
+        others; all channels if linear assignment chooses slots by what is rendered."""
         if target.columns is not None:
             return target.columns
         classes, total = self._channel_counts()
@@ -289,15 +292,15 @@ class Trainer:
         return used[:-1].numpy().nonzero()[0]
 
     def _channel_counts(self) -> tuple[int, int]:
-        """The number of label channels that belong to classes, and the number of all label channels."""
+        """Return the number of class channels, and that of all label channels (classes and slots)."""
         classes = len(self.scene.channels.class_ids)
         return classes, classes + self.scene.decoders.shape.instance_slots
 
     def _losses(
         self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, columns: NDArray[np.int64] | None
     ) -> Losses:
-        """L_total: what was drawn compared with the view's targets. If labels were drawn, ``columns`` are their
-        channels; otherwise there are no label losses."""
+        """Compare the rendering with the view's targets: L_total and its parts. ``columns``: the label channels that
+        were rendered, None if labels were not."""
         weights = self.preset.weights
         reconstruction = reconstruction_loss(
             self._as_photographed(rendering.image, target),
@@ -322,7 +325,7 @@ class Trainer:
         return Losses(total, reconstruction, semantic, instance, further)
 
     def _as_photographed(self, image: torch.Tensor, target: ViewTargets) -> torch.Tensor:
-        """The rendered picture with the photo's exposure, and with its black border, which then has no gradient."""
+        """Return the rendered image with the photo's exposure, and with its black border, where no gradient flows."""
         if target.gain is None and target.border is None:
             return image
         photo = photo_values(target.photo)
@@ -336,10 +339,10 @@ class Trainer:
     def _compare_labels(
         self, gaussians: NeuralGaussians, rendering: Rendering, target: ViewTargets, columns: NDArray[np.int64]
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """L_sem without L_cluster, and L_ins (linear assignment and M_match). Their gradients stop at the blending
-        weights, so they do not reach opacity, shape or colour decoders. They do reach the anchors' features, which all
-        decoders share: this is what makes labels follow what the picture shows. ``columns``: the channels that were
-        drawn."""
+        """Return L_sem without L_cluster, and L_ins (linear assignment and M_match). ``columns``: the label channels
+        that were rendered. Gradients stop at the blending weights, so labels do not change opacity, shape or colour
+        decoders. They do change the anchors' features, which all decoders share, so that labels follow what photos
+        show."""
         of_classes, total = self._channel_counts()
         classes = int(np.searchsorted(columns, of_classes))
         drawn_column = torch.full((total + 1,), -1, dtype=torch.int16)  # the last means no target
@@ -358,7 +361,7 @@ class Trainer:
         return losses
 
     def _after_step(self, with_labels: bool) -> None:
-        """Grow if it is due. ``with_labels``: whether the step has trained labels."""
+        """Add and prune anchors if it is due. ``with_labels``: whether the step trained labels."""
         schedule, steps = self.growth_schedule, self.preset.steps
         growing = schedule.grow_from * steps < self.step_number < schedule.grow_until * steps
         if not growing or self.step_number % self.growth_steps:
@@ -385,7 +388,7 @@ class Trainer:
         )
 
     def refresh_pseudo_labels(self, check: Callable[[], None] = lambda: None) -> None:
-        """Self-training: make new pseudo labels for all views or, if ``check`` raises, for none."""
+        """Make new pseudo labels for all views (self-training), or for none if ``check`` raises."""
         shown, channels = scene_labels(self.scene), self.scene.channels
         fresh: list[PseudoLabels | None] = []
         least = self.preset.segments.least_region

@@ -1,9 +1,8 @@
-"""Fits the decoders to the initial anchors before the first picture is rendered.
+"""Fits the decoders to the initial anchors before any picture is rendered.
 
-The semantic point cloud already gives the colour, class and instance of each anchor. Fitting the decoders to these
-takes a second, since nothing is rendered; learning them through pictures takes thousands of steps. This is ours, not
-the paper's: the preset "paper" starts from random decoders.
-"""
+The semantic point cloud already tells the colour, class and instance of each anchor. Fitting decoders to these takes a
+second, as nothing is rendered; learning them from pictures takes thousands of steps. This is ours, not the paper's: the
+preset "paper" starts from random decoders."""
 
 from __future__ import annotations
 
@@ -38,10 +37,10 @@ def warm_start(
     seed: int,
     progress: Progress = lambda *_: None,
 ) -> None:
-    """Fit the colour, semantic and instance decoders in place to the initial anchors; raise the opacities a little.
-    ``colour`` uint8 [M, 3] and ``instance_id`` int32 [M] (0 = none) are the anchors', the latter None if nothing is
-    known about objects; ``viewpoints`` float64 [N, 3] metres: the camera centres, from which colours are seen.
-    Deterministic for a seed."""
+    """Fit the colour, semantic and instance decoders, in place, to the initial anchors, and raise opacities a little.
+    ``colour`` uint8 [M, 3] and ``instance_id`` int32 [M] (0 = none) are the anchors'; the latter is None if no objects
+    are known. ``viewpoints`` float64 [N, 3]: camera centres, metres, from which colours are seen. Deterministic for a
+    ``seed``."""
     anchors, decoders = scene.anchors, scene.decoders
     random = np.random.default_rng([seed, 3])
     initial = anchors.initial_class.numpy()
