@@ -1,8 +1,7 @@
-"""The inputs and outputs of the kernels, as named tuples of arrays.
+"""The inputs and outputs of the compiled kernels, as named tuples of arrays.
 
-N Gaussians, T intersections (pairs of a Gaussian and a tile that it may touch), P pixels, C channels of labels. Arrays
-of the blending kernels are flat: a picture of P pixels with C channels has shape [P * C].
-"""
+Sizes: N Gaussians, T intersections (pairs of a Gaussian and a tile that it may touch), P pixels, C label channels. The
+blending kernels take flat arrays: a picture of P pixels with C channels has shape [P * C]."""
 
 from __future__ import annotations
 
@@ -15,7 +14,7 @@ from ..machine.compiled import Array
 
 
 class Size(NamedTuple):
-    """A picture's ``width`` and ``height`` in pixels, and the ``channels`` of its labels."""
+    """A picture's ``width`` and ``height`` in pixels, and its number of label ``channels``."""
 
     width: int
     height: int
@@ -34,7 +33,7 @@ class Gaussians(NamedTuple):
 
 
 class Shapes(NamedTuple):
-    """The parts of ``Gaussians`` that the backward pass of the projection needs."""
+    """The arrays of ``Gaussians`` that the projection's backward pass needs again."""
 
     means: Array
     scales: Array
@@ -42,10 +41,10 @@ class Shapes(NamedTuple):
 
 
 class Projected(NamedTuple):
-    """The projection of each Gaussian: ``records`` float32 [N, RECORD]; ``boxes`` int32 [N, 4], the first and one past
-    the last column of tiles, then the same for rows; ``depths`` float32 [N], metres; ``means2d`` float32 [N, 2],
-    pixels; ``visible`` bool [N]. A Gaussian that is not visible has an empty box and a ``means2d`` of 0; its record and
-    depth are meaningless."""
+    """The Gaussians projected to the image. ``records`` float32 [N, RECORD]: see `conventions`. ``boxes`` int32 [N, 4]:
+    the tiles each may touch, as first column, last column + 1, first row, last row + 1. ``depths`` float32 [N], metres.
+    ``means2d`` float32 [N, 2], pixels. ``visible`` bool [N]: where False, the box is empty, ``means2d`` is 0, and
+    record and depth are undefined."""
 
     records: Array
     boxes: Array
@@ -55,11 +54,10 @@ class Projected(NamedTuple):
 
 
 class Intersections(NamedTuple):
-    """The Gaussians that each tile draws, front to back (gsplat's ``isect_offsets`` and ``flatten_ids``), and where
-    their gradients in that tile go. ``isect_offsets`` int64 [tiles + 1]: tile t has the Gaussians
-    flatten_ids[isect_offsets[t] : isect_offsets[t + 1]], int32 [T]. ``isect_ids`` int32 [T], in the same order: the
-    number of the intersection if they are counted Gaussian by Gaussian; Gaussian i has those from gaussian_offsets[i]
-    to before gaussian_offsets[i + 1], int64 [N + 1]."""
+    """The list of Gaussians that each tile draws, front to back (gsplat's ``isect_offsets`` and ``flatten_ids``): tile
+    t has flatten_ids[isect_offsets[t] : isect_offsets[t + 1]]; int32 [T], int64 [tiles + 1]. ``isect_ids`` int32 [T]
+    gives each entry a slot for its gradients. Gaussian i has the slots from gaussian_offsets[i] to before
+    gaussian_offsets[i + 1], int64 [N + 1], so that its gradients from all tiles lie together."""
 
     gaussian_offsets: Array
     isect_offsets: Array
@@ -68,16 +66,16 @@ class Intersections(NamedTuple):
 
 
 class Splats(NamedTuple):
-    """What is blended: ``records`` [N * RECORD] and ``labels`` [N * C], float32."""
+    """What the forward pass blends: ``records`` [N * RECORD] (see `conventions`) and ``labels`` [N * C], float32."""
 
     records: Array
     labels: Array
 
 
 class Blended(NamedTuple):
-    """The blended pixels, float32: ``image`` [P * 3], ``labels`` [P * C], ``alpha``, ``depth`` and the ``final``
-    transmittance [P]. ``last`` [P] is the last Gaussian blended, as its index in the tile's list; -1 means none. For
-    the backward pass, the gradients of the first four, and ``final`` and ``last`` as the forward pass left them."""
+    """The blended pixels, float32: ``image`` [P * 3], ``labels`` [P * C], ``alpha`` [P], ``depth`` [P], ``final`` [P]
+    (the transmittance left) and ``last`` [P] (the index, in the tile's list, of the last Gaussian blended, -1 = none).
+    In the backward pass the first four hold gradients instead; ``final`` and ``last`` are those of the forward pass."""
 
     image: Array
     labels: Array
@@ -88,8 +86,8 @@ class Blended(NamedTuple):
 
 
 class TileChannels(NamedTuple):
-    """The label channels that have a gradient in each tile: usually few of all. ``counts`` int64 [tiles]; those of tile
-    t are ``channels`` int32 [tiles * C] from t * C on, ascending. ``padded``: the largest count, in whole vectors."""
+    """The label channels with a gradient in each tile, usually few. ``counts`` int64 [tiles]: how many. ``channels``
+    int32 [tiles * C]: those of tile t, ascending, from t * C on. ``padded``: the largest count, in whole vectors."""
 
     counts: Array
     channels: Array
@@ -97,8 +95,8 @@ class TileChannels(NamedTuple):
 
 
 class IsectGradients(NamedTuple):
-    """The gradients of each intersection, by its number: ``values`` float32 [T * GRADIENT_WIDTH] and ``labels`` [T *
-    ``used.padded``]. ``tiles`` int32 [T] is the tile, -1 where nothing was blended: the others are then meaningless."""
+    """The gradients of each intersection, in its slot: ``values`` float32 [T * GRADIENT_WIDTH], and ``labels`` float32
+    [T * ``used.padded``]. ``tiles`` int32 [T]: its tile, or -1 if nothing was blended and they are undefined."""
 
     used: TileChannels
     tiles: Array
@@ -107,7 +105,7 @@ class IsectGradients(NamedTuple):
 
 
 class GaussianGradients(NamedTuple):
-    """The gradients of ``rasterize``'s arguments, with their order and shapes, and of ``means2d`` [N, 2], float32."""
+    """The gradients of ``rasterize``'s tensor arguments, in their order and shapes, and of ``means2d``; float32."""
 
     means: Array
     scales: Array
@@ -119,8 +117,9 @@ class GaussianGradients(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Working memory. ``next_one`` int64 [1] is the next tile to take. Each worker has ``floats`` float32 [workers,
-    n], ``members`` int32 [workers, MEMBERS] and, for the backward pass, ``counts`` int64 [workers, PATCHES]."""
+    """The workers' working memory. ``next_one`` int64 [1]: the next tile to take, shared. Per worker: ``floats``
+    float32 [workers, n], ``members`` int32 [workers, MEMBERS]; ``counts`` int64 [workers, PATCHES] for the backward
+    pass."""
 
     next_one: Array
     floats: Array
@@ -129,7 +128,8 @@ class Scratch(NamedTuple):
 
 
 class Tile(NamedTuple):
-    """The pixel ``left``, ``top`` at a tile's corner, and the tile's ``length`` intersections from ``first`` on."""
+    """A tile of the image: the pixel ``left``, ``top`` at its corner, its ``length`` intersections from ``first``
+    on."""
 
     left: int
     top: int
@@ -138,5 +138,5 @@ class Tile(NamedTuple):
 
 
 def flat(array: Array) -> NDArray[np.float32]:
-    """The array as a view of the same memory in one row."""
+    """Return a one-dimensional view of the array, without copying it."""
     return array.reshape(-1)

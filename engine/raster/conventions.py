@@ -1,4 +1,4 @@
-"""The constants and the camera that all back ends share."""
+"""The camera, the constants and the layout of arrays that the back ends share."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ TINY_NORM = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Pinhole:
-    """A pinhole camera. ``rotation`` 3 by 3, row by row, world to camera (OpenCV axes); ``centre`` metres, world;
-    ``focal`` and ``principal`` (x, y) in pixels; ``width``, ``height`` in pixels; ``near`` in metres. If only some rows
-    of a picture are drawn, ``height`` counts them, ``above`` counts the rows before them, and ``whole_height`` all.
-    ``is_orthographic``: it is no pinhole; all rays are parallel, and ``focal`` is in pixels per metre."""
+    """A camera. ``rotation``: 3 x 3, row by row, world to camera (OpenCV axes); ``centre``: world, metres; ``focal``,
+    ``principal`` (x, y), ``width``, ``height``: pixels; ``near``: metres. To draw only some rows of a picture,
+    ``height`` is their number, ``above`` the number of rows before them, ``whole_height`` that of all. With
+    ``is_orthographic`` all rays are parallel, and ``focal`` is in pixels per metre."""
 
     rotation: tuple[float, ...]
     centre: tuple[float, float, float]
@@ -51,12 +51,13 @@ class Pinhole:
 
     @property
     def surface_reach(self) -> tuple[float, float]:
-        """How far from a pixel's median depth its surface reaches: a share of that, and metres."""
+        """How far around a pixel's median depth its surface extends: a share of that depth, plus metres."""
         return (0.0, NEAR_MEDIAN * USUAL_DISTANCE) if self.is_orthographic else (NEAR_MEDIAN, 0.0)
 
     def slope_limits(self) -> tuple[float, float, float, float]:
-        """(x low, x high, y low, y high): the slopes x/z and y/z to which the Jacobian's point is clamped. These are
-        the limits of the whole picture, so that a Gaussian has the same footprint in all rows. Parallel rays: 0."""
+        """(x low, x high, y low, y high): the range to which the slopes x/z and y/z are clamped before the Jacobian is
+        taken, the same for the whole picture, so that a Gaussian has the same footprint in all rows. 0 for parallel
+        rays."""
         if self.is_orthographic:
             return 0.0, 0.0, 0.0, 0.0
         (fx, fy), (cx, cy) = self.focal, self.principal
@@ -114,5 +115,5 @@ less than a pixel."""
 
 @device_function
 def padded_channels(channels: int) -> int:
-    """The number of channels, rounded up to whole vectors."""
+    """Return the number of channels rounded up to a multiple of TILE, so that they fill whole vectors."""
     return (channels + TILE - 1) // TILE * TILE

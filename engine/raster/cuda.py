@@ -38,7 +38,7 @@ log = logging.getLogger("plgs.raster")
 
 
 def what_is_missing() -> str | None:
-    """What to do before this back end can be used, or None."""
+    """Return what the user must do before this back end can be used, or None if nothing is missing."""
     package = "gsplat>={}.{},<{}.{}".format(*OLDEST, *TOO_NEW)
     wanted = f"install it with: uv pip install --python {sys.executable} '{package}'"
     try:
@@ -53,9 +53,9 @@ def what_is_missing() -> str | None:
 
 
 def what_fails(device: str) -> str | None:
-    """Draw one Gaussian on ``device``, and return the error's first line, or None. `what_is_missing` must return None.
-    At the first use gsplat compiles its CUDA code, which takes minutes and can fail for many reasons. So call this
-    before a lift's work begins."""
+    """Draw one Gaussian on ``device``; return the first line of the error, or None if it works. Call it before a lift's
+    work begins: at first use gsplat compiles its CUDA code, which takes minutes and can fail in many ways.
+    `what_is_missing` must return None."""
     one = torch.ones(1, 4, device=device)
     gaussians = GaussianSet(one[:, :3], one[:, :3], one, one[:, 0], one[:, :3], None)
     camera = Pinhole((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (1.0, 1.0), (0.5, 0.5), 1, 1, NEAR)
@@ -68,7 +68,7 @@ def what_fails(device: str) -> str | None:
 
 
 def rasterize_gsplat(gaussians: GaussianSet, pinhole: Pinhole, wanted: Wanted) -> Rendering:
-    """``rasterize`` without ``top_k`` and surface, for float32 tensors. `what_is_missing` must return None."""
+    """``rasterize`` by gsplat, without ``top_k`` and surface; float32 tensors. `what_is_missing` must return None."""
     assert wanted.top_k == 0, "the back end numba lists contributors"
     if not len(gaussians.means):
         return _nothing_drawn(gaussians, pinhole, wanted.means2d_grad)
@@ -87,7 +87,7 @@ def rasterize_gsplat(gaussians: GaussianSet, pinhole: Pinhole, wanted: Wanted) -
 
 
 def _blended_labels(labels: Tensor, pinhole: Pinhole, about: dict[str, Any]) -> Tensor:
-    """``labels`` [N, C] blended as [H, W, C], with the projection and the sorted lists that a call returned."""
+    """Blend ``labels`` [N, C] to a picture [H, W, C], by the projection and lists ``about`` that gsplat returned."""
     gaussian, starts, weights = _contributions(pinhole, about)
     first, pixels = pinhole.above * pinhole.width, pinhole.height * pinhole.width
     if pixels < len(starts):  # some rows of the picture
@@ -100,8 +100,8 @@ def _blended_labels(labels: Tensor, pinhole: Pinhole, about: dict[str, Any]) -> 
 
 @torch.no_grad()
 def _contributions(pinhole: Pinhole, about: dict[str, Any]) -> tuple[Tensor, Tensor, Tensor]:
-    """The Gaussians that each pixel of the whole picture shows, front to back: their numbers int64 [A], where each
-    pixel's begin int64 [P], and their blending weights float32 [A]."""
+    """Return the Gaussians that each pixel of the whole picture shows, front to back: indices int64 [A], where those of
+    each pixel begin int64 [P], and blending weights float32 [A]."""
     from gsplat import rasterize_to_indices_in_range
 
     width, height = pinhole.width, pinhole.whole_height or pinhole.height
@@ -123,12 +123,12 @@ def _contributions(pinhole: Pinhole, about: dict[str, Any]) -> tuple[Tensor, Ten
 
 @cache
 def alpha_cap() -> float:
-    """The largest alpha of the installed version of gsplat."""
+    """Return the installed gsplat's largest alpha: 0.999 before version 1.6, then 0.99."""
     return 0.999 if metadata.version("gsplat").startswith("1.5.") else 0.99
 
 
 def _nothing_drawn(gaussians: GaussianSet, pinhole: Pinhole, want_means2d_grad: bool) -> Rendering:
-    """The rendering of no Gaussians. gsplat 1.5 would divide by their number, and the process would crash."""
+    """Return a black rendering, for an empty set: gsplat 1.5 would divide by zero there and crash the process."""
     height, width, labels = pinhole.height, pinhole.width, gaussians.labels
 
     def blank(depends_on: Iterable[Tensor], *shape: int) -> Tensor:
@@ -143,8 +143,8 @@ def _nothing_drawn(gaussians: GaussianSet, pinhole: Pinhole, want_means2d_grad: 
 
 
 def _call(gaussians: GaussianSet, pinhole: Pinhole) -> tuple[Tensor, Tensor, dict[str, Any]]:
-    """Colour and depth [H, W, 4], alpha [H, W, 1], and what gsplat returns about the Gaussians, in pixels of the whole
-    picture, which is drawn even if only some rows are wanted: gsplat derives the Jacobian's clamp margins from the
+    """Call gsplat; return colour and depth [H, W, 4], alpha [H, W, 1], and its facts about the Gaussians. Always draws
+    the whole picture, even if only some rows are wanted, since gsplat derives the Jacobian's clamp margins from the
     height."""
     from gsplat import rasterization
 

@@ -1,4 +1,4 @@
-"""The entry point: it checks its arguments, picks a back end, and returns a ``Rendering``."""
+"""The entry point to rasterisation: checks the arguments, picks a back end, and returns a ``Rendering``."""
 
 from __future__ import annotations
 
@@ -40,23 +40,23 @@ def rasterize(
     is_orthographic: bool = False,
     backend: Backend | None = None,
 ) -> Rendering:
-    """Draw N Gaussians; differentiable in the first six arguments, which are float32 on one device.
+    """Draw N Gaussians; differentiable in the first six arguments, float32 tensors on one device. Returns a
+    ``Rendering``.
 
-    OpenCV axes: x right, y down, z forward. ``K`` has any fx, fy, cx, cy, but no skew; the centre of pixel (i, j) is
-    (i + 0.5, j + 0.5). No gradient flows to the camera. ``rows``: the first row of
-    the picture to draw, and one past the last. The layers have only these rows, with the same values as in the whole
-    picture. ``is_orthographic``: all rays are parallel, and ``K`` has pixels per metre; without gradients, and drawn on
-    the CPU. ``top_k`` > 0 requests the largest contributors of every pixel, which ``gsplat`` does not list. ``backend``
-    None picks by the tensors' device: ``numba`` on the CPU, ``gsplat`` on CUDA. The surface is always found on the CPU.
+    ``K`` has any fx, fy, cx, cy, but no skew; the centre of pixel (i, j) is (i + 0.5, j + 0.5). OpenCV axes: x right, y
+    down, z forward. No gradient flows to the camera. ``rows`` draws only part of the picture, from the first row to
+    before the second, with the same values as in the whole. ``is_orthographic``: rays are parallel, and ``K`` is in
+    pixels per metre; drawn on the CPU, without gradients. ``top_k`` > 0: also return each pixel's largest contributors
+    (not with ``gsplat``). ``want_surface``: also find the depth of the surface, always on the CPU. ``backend`` None:
+    ``numba`` on the CPU, ``gsplat`` on CUDA.
 
     Conventions (gsplat's "classic"; ``cuda`` lists where gsplat itself differs): 0.3 px^2 is added to the diagonal of
     the 2D covariance; Gaussians with z <= ``near`` (metres) are not drawn; alpha = min(0.99, opacity * exp(-d^2/2)),
-    skipped below 1/255 and nowhere else; a pixel ends before the Gaussian that would leave a transmittance <= 1e-4; the
-    order is by planar depth rounded to float32, then by index.
+    skipped if below 1/255; a pixel ends before the Gaussian that would leave a transmittance <= 1e-4; the order is by
+    planar depth rounded to float32, then by index.
 
     Raises ``ValueError`` if shapes, dtypes or devices do not fit, if the image is empty, if rows lie outside it, if K
-    has skew, if the back end is unknown, or if an orthographic picture would need gradients.
-    """
+    has skew, if the back end is unknown, or if an orthographic picture would need gradients."""
     gaussians = GaussianSet(means, scales, quats, opacities, colours, labels)
     _check(gaussians)
     pinhole = _pinhole(camera_to_world, K, width, height, near=near, rows=rows, is_orthographic=is_orthographic)
@@ -76,7 +76,7 @@ def rasterize(
 
 @cache
 def _load(backend: Backend) -> Callable[[GaussianSet, Pinhole, Wanted], Rendering]:
-    """The back end's function. Back ends are imported on demand, so that a program never waits for unused ones."""
+    """Return the back end's function. It is imported only now, so that a program never waits for unused back ends."""
     if backend == "gsplat":
         from .cuda import rasterize_gsplat
 
@@ -87,7 +87,7 @@ def _load(backend: Backend) -> Callable[[GaussianSet, Pinhole, Wanted], Renderin
 
 
 def _pick(backend: Backend | None, means: Tensor) -> Backend:
-    """The back end's name, which is logged once."""
+    """Return the name of the back end to use, by default according to the tensors' device. Logs the choice once."""
     by_device: Backend = "numba" if means.device.type == "cpu" else "gsplat"
     name: Backend = backend if backend is not None else by_device
     if name not in BACKENDS:
@@ -164,7 +164,7 @@ def _pinhole(
 
 
 def _rows(values: Tensor | NDArray[Any], name: str, shape: tuple[int, int]) -> list[list[float]]:
-    """The numbers of a matrix, row by row, in double precision."""
+    """Return a matrix as lists of Python floats, row by row. ``name`` is for the error if its shape is wrong."""
     if isinstance(values, Tensor):
         values = values.detach().cpu().numpy()
     values = np.asarray(values, dtype=np.float64)

@@ -1,8 +1,7 @@
-"""The Gaussians that each tile of the picture draws, front to back.
+"""Lists the Gaussians that each tile of the picture draws, front to back.
 
-Visible Gaussians are sorted by depth. Then each worker takes a part of that order and scatters it to the tiles'
-lists. The result does not depend on the number of workers.
-"""
+Visible Gaussians are sorted by depth. Then each worker takes a part of that order and writes it into the tiles' lists.
+The result does not depend on the number of workers."""
 
 from __future__ import annotations
 
@@ -29,19 +28,19 @@ MOST_CHUNKS = 256
 
 @device_function
 def chunk_count(count: int) -> int:
-    """The number of chunks of ``count`` Gaussians, which is at least one."""
+    """Return into how many chunks ``count`` Gaussians are divided, at least 1."""
     return max(1, min(MOST_CHUNKS, (count + CHUNK - 1) // CHUNK))
 
 
 @device_function
 def chunk_range(chunk: int, chunks: int, count: int) -> Any:
-    """The first of ``count`` Gaussians that belongs to a chunk, and the first of the next chunk."""
+    """Return the first Gaussian of a chunk and the first after it, for ``count`` Gaussians in ``chunks`` chunks."""
     return count * chunk // chunks, count * (chunk + 1) // chunks
 
 
 @device_function
 def next_chunk(next_one: Array, chunks: int, count: int) -> Any:
-    """Take the next chunk, and return its ``chunk_range``. The range is empty if all have been taken."""
+    """Take the next chunk, atomically, and return its ``chunk_range``, which is empty if all have been taken."""
     first, end = chunk_range(fetch_add(next_one), chunks, count)
     return first, min(end, count)
 
@@ -53,8 +52,8 @@ WORTH_SHARING = 1000
 def isect_tiles(
     workers: int, boxes: NDArray[np.int32], depths: NDArray[np.float32], width: int, height: int
 ) -> tuple[Intersections, int]:
-    """The intersections of a picture of ``width`` times ``height`` pixels, and the length of the longest tile's list.
-    ``boxes`` [N, 4] and ``depths`` [N] as in ``Projected``."""
+    """Return the tiles' lists for a picture of ``width`` x ``height`` pixels, and the length of the longest list.
+    ``boxes`` int32 [N, 4] and ``depths`` float32 [N] as in ``Projected``."""
     columns, rows = -(-width // TILE), -(-height // TILE)
     offsets, keys = memory.several((len(boxes) + 1, np.int64), (len(boxes), np.uint64))
     keys = keys[: list_visible(boxes, depths.view(np.uint32), keys, offsets)]
@@ -74,15 +73,15 @@ def isect_tiles(
 
 
 def blending_workers(workers: int, isects: Intersections, longest: int) -> int:
-    """The number of workers that blend: at most as many as lists of the longest length fit into all intersections, as
-    each worker has space for one such list."""
+    """Return how many workers should blend. Each has memory for a list as long as the ``longest``; all together should
+    not have more of it than there are intersections."""
     return min(workers, max(1, -(-len(isects.flatten_ids) // max(1, longest))))
 
 
 @compiled
 def list_visible(boxes: Array, depth_bits: Array, keys: Array, gaussian_offsets: Array) -> int:
-    """Fill in the sort keys of visible Gaussians (depth, then index), and the running sum of the tiles that each
-    touches. Returns the number of visible ones."""
+    """Write each visible Gaussian's sort key (depth, then index) to ``keys``, and the running sum of how many tiles
+    Gaussians touch to ``gaussian_offsets`` [N + 1]. Return the number of visible ones."""
     shown, isect = 0, 0
     for i in range(boxes.shape[0]):
         gaussian_offsets[i] = isect
@@ -98,7 +97,7 @@ def list_visible(boxes: Array, depth_bits: Array, keys: Array, gaussian_offsets:
 
 @parallel_kernel
 def count_tiles(worker: int, workers: int, order: Array, boxes: Array, columns: int, counts: Array) -> None:
-    """Count the Gaussians on each tile in the worker's part: added to ``counts`` int64 [workers, tiles]."""
+    """Count how often each tile occurs in the worker's part of ``order``, in ``counts`` int64 [workers, tiles]."""
     first, end = chunk_range(worker, workers, order.shape[0])
     for k in range(first, end):
         i = order[k]
@@ -109,8 +108,8 @@ def count_tiles(worker: int, workers: int, order: Array, boxes: Array, columns: 
 
 @compiled
 def running_starts(counts: Array, starts: Array) -> Any:
-    """Turn counts [workers, tiles] into the index at which each worker begins in each tile, and fill ``starts`` [tiles
-    + 1] with the tiles' first indices. Returns the largest tile's count."""
+    """Replace ``counts`` [workers, tiles] by the index where each worker begins to write in each tile's list, and fill
+    ``starts`` [tiles + 1] with where the lists begin. Return the length of the longest list."""
     workers, tiles = counts.shape
     total, largest = 0, 0
     for tile in range(tiles):
@@ -128,7 +127,7 @@ def running_starts(counts: Array, starts: Array) -> Any:
 def scatter_tiles(
     worker: int, workers: int, order: Array, boxes: Array, columns: int, cursors: Array, out: Intersections
 ) -> None:
-    """Fill ``flatten_ids`` and ``isect_ids`` from the worker's part."""
+    """Write the worker's part of ``order`` to the tiles' lists, ``flatten_ids`` and ``isect_ids`` of ``out``."""
     first, end = chunk_range(worker, workers, order.shape[0])
     for k in range(first, end):
         i = order[k]

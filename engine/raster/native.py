@@ -29,8 +29,8 @@ from .rendering import GaussianSet, Rendering, Wanted
 
 @dataclass(frozen=True, eq=False)
 class ForwardState:
-    """What the forward pass keeps for the backward one. ``camera`` float64 [CAMERA]; ``records`` float32 [N, RECORD];
-    ``final`` and ``last`` float32 [H * W] as in ``Blended``."""
+    """What the forward pass keeps for the backward pass. ``camera`` float64 [CAMERA]; ``records`` float32 [N, RECORD];
+    ``final`` and ``last`` float32 [H * W], as in ``Blended``."""
 
     camera: Array
     records: Array
@@ -40,7 +40,7 @@ class ForwardState:
 
 
 class Layers(NamedTuple):
-    """Image [H, W, 3], labels [H, W, C], alpha and depth [H, W], float32."""
+    """The layers of a rendering: image [H, W, 3], labels [H, W, C], alpha and depth [H, W]; float32."""
 
     image: Array
     labels: Array
@@ -54,15 +54,15 @@ class Layers(NamedTuple):
 
 
 def as_array(tensor: Tensor) -> Array:
-    """The tensor's numbers as a contiguous array, detached from autograd."""
+    """Return the tensor's values as a contiguous array, detached from autograd."""
     return np.ascontiguousarray(tensor.numpy(force=True))
 
 
 def rasterize_forward(
     gaussians: arrays.Gaussians, labels: Array, pinhole: Pinhole, on_image: tuple[Array, Array]
 ) -> tuple[Layers, ForwardState]:
-    """Draw the Gaussians with ``labels`` float32 [N, C], and fill ``on_image``: where each is, float32 [N, 2], and
-    whether it is visible, bool [N]."""
+    """Draw the Gaussians with ``labels`` float32 [N, C]. Return the layers, and the state for the backward pass. Fills
+    the two arrays ``on_image``: projected centres float32 [N, 2], pixels, and visibility bool [N]."""
     count, channels = labels.shape
     size, camera = arrays.Size(pinhole.width, pinhole.height, channels), camera_array(pinhole)
     layers = Layers.empty(size.height, size.width, channels)
@@ -82,15 +82,15 @@ def rasterize_forward(
 
 
 def new_scratch(workers: int, floats: int) -> arrays.Scratch:
-    """Scratch for ``workers``, with ``floats`` for each. Each worker has whole cache lines, as workers that write to
-    the same line would wait for each other."""
+    """Allocate ``floats`` of working memory for each worker, rounded up to whole cache lines: workers that write to the
+    same line would wait for each other."""
     floats = -(-floats // TILE) * TILE
     wanted = ((workers, floats), np.float32), ((workers, MEMBERS), np.int32), ((workers, PATCHES), np.int64)
     return arrays.Scratch(np.zeros(1, np.int64), *memory.several(*wanted))
 
 
 def _for_contributors(kernel: Any, state: ForwardState, *out: Any) -> None:
-    """Run one of the kernels of ``blending/contributors.py``."""
+    """Run ``kernel`` of ``blending/contributors.py`` on a forward pass; it fills the arrays ``out``."""
     longest = int(np.diff(state.isects.isect_offsets).max(initial=0))
     workers = blending_workers(worker_count(), state.isects, longest)
     floats, integers = scratch_sizes(longest)
@@ -102,8 +102,8 @@ def _for_contributors(kernel: Any, state: ForwardState, *out: Any) -> None:
 
 
 def rasterize_backward(state: ForwardState, shapes: arrays.Shapes, d_layers: Layers) -> arrays.GaussianGradients:
-    """The gradients of everything that was blended. ``shapes`` are those of the forward pass; ``d_layers``: the layers'
-    gradients, whose labels have no channels if none are wanted."""
+    """Return the gradients of the Gaussians, given those of the layers, ``d_layers`` (its labels have no channels if
+    none have a gradient). ``state`` and ``shapes`` are of the forward pass."""
     height, width, channels = d_layers.labels.shape
     size, workers = arrays.Size(width, height, channels), worker_count()
     tiles, count, n = len(state.isects.isect_offsets) - 1, len(state.isects.flatten_ids), len(state.records)
@@ -133,7 +133,7 @@ COMPILATION = "10 s"
 
 
 def rasterize_native(gaussians: GaussianSet, pinhole: Pinhole, wanted: Wanted) -> Rendering:
-    """``rasterize`` for float32 tensors on the CPU. It uses ``torch.get_num_threads()`` threads."""
+    """Do what ``rasterize`` does, for float32 tensors on the CPU, with ``torch.get_num_threads()`` threads."""
     count = gaussians.means.shape[0]
     on_image = memory.several(((count, 2), np.float32), (count, np.bool_))
     # the kernels write to the array; the tensor is an input so that a gradient can reach it
@@ -199,5 +199,5 @@ class _Blend(torch.autograd.Function):
 
 @lru_cache(maxsize=2)
 def _zeros(shape: tuple[int, ...]) -> Array:
-    """Shared zeros, which are only read. (Marked as read-only, they would make Numba compile the kernels again.)"""
+    """Return zeros that calls share and only read. (Marked as read-only, they would make Numba compile again.)"""
     return np.zeros(shape, np.float32)

@@ -1,8 +1,6 @@
-"""Projects 3D Gaussians to records on the image plane (EWA splatting), and takes a Gaussian's gradients there back to
-its 3D parameters.
+"""Projects 3D Gaussians to the image (EWA splatting), and takes gradients on the image back to their 3D parameters.
 
-Everything is in double: this is cheap compared with the blending, and thin Gaussians need it.
-"""
+Everything is in double precision: it is cheap compared with the blending, and thin Gaussians need it."""
 
 from __future__ import annotations
 
@@ -28,7 +26,7 @@ orthographic (21). Gradients are those of a perspective camera."""
 
 
 def camera_array(pinhole: Pinhole) -> NDArray[np.float64]:
-    """The camera in the form that the kernels take, float64 [CAMERA]."""
+    """Return the camera as the array that kernels take, float64 [CAMERA]."""
     numbers = (
         *pinhole.focal,
         *pinhole.principal,
@@ -41,7 +39,7 @@ def camera_array(pinhole: Pinhole) -> NDArray[np.float64]:
 
 @device_function
 def camera_point(camera: Array, x: float, y: float, z: float) -> Any:
-    """A point from world to camera coordinates, in metres."""
+    """Transform a point from world to camera coordinates, metres."""
     x -= camera[9]
     y -= camera[10]
     z -= camera[11]
@@ -54,7 +52,7 @@ def camera_point(camera: Array, x: float, y: float, z: float) -> Any:
 
 @device_function
 def rotation_of(w: float, x: float, y: float, z: float) -> Any:
-    """The nine entries, row by row, of a unit quaternion's matrix."""
+    """Return the rotation matrix of a unit quaternion, nine numbers row by row."""
     return (
         1.0 - 2.0 * (y * y + z * z),
         2.0 * (x * y - w * z),
@@ -75,7 +73,7 @@ def clamped(value: float, low: float, high: float) -> Any:
 
 @device_function
 def image_jacobian(camera: Array, x: float, y: float, z: float) -> Any:
-    """The 2x3 matrix J R from world offsets to pixels at camera point (x, y, z), and the clamped slopes x/z and y/z."""
+    """Return J R, 2x3, from small world offsets to pixels at camera point (x, y, z), and the clamped x/z and y/z."""
     over_z = 1.0 if camera[21] > 0.0 else 1.0 / z
     u = clamped(x * over_z, camera[17], camera[18])
     v = clamped(y * over_z, camera[19], camera[20])
@@ -95,7 +93,7 @@ def image_jacobian(camera: Array, x: float, y: float, z: float) -> Any:
 
 @device_function
 def axes_on_image(jacobian: tuple[float, ...], rotation: tuple[float, ...], sx: float, sy: float, sz: float) -> Any:
-    """The 2x3 matrix J R Q diag(s): the Gaussian's axes, scaled, in pixels."""
+    """Return the 2x3 matrix J R Q diag(s), a Gaussian's scaled axes in pixels; ``rotation`` is Q, (sx, sy, sz) is s."""
     j0, j1, j2, j3, j4, j5, _, _ = jacobian
     q0, q1, q2, q3, q4, q5, q6, q7, q8 = rotation
     return (
@@ -110,13 +108,13 @@ def axes_on_image(jacobian: tuple[float, ...], rotation: tuple[float, ...], sx: 
 
 @device_function
 def three_of(rows: Array, i: int) -> Any:
-    """The first three numbers of row i, in double."""
+    """Return the first three numbers of row i as doubles."""
     return np.float64(rows[i, 0]), np.float64(rows[i, 1]), np.float64(rows[i, 2])
 
 
 @device_function
 def quaternion_of(quats: Array, i: int) -> Any:
-    """Row i normalised, and one over its norm."""
+    """Return quaternion i, normalised, and 1 / its norm."""
     w, x, y, z = np.float64(quats[i, 0]), np.float64(quats[i, 1]), np.float64(quats[i, 2]), np.float64(quats[i, 3])
     over = 1.0 / max(math.sqrt(w * w + x * x + y * y + z * z), conventions.TINY_NORM)
     return w * over, x * over, y * over, z * over, over
@@ -124,7 +122,7 @@ def quaternion_of(quats: Array, i: int) -> Any:
 
 @device_function
 def footprint_of(i: int, point: tuple[float, float, float], gaussians: Gaussians, camera: Array) -> Any:
-    """Centre (x, y) in pixels and covariance (xx, xy, yy) in pixels squared of a Gaussian at a camera point."""
+    """Return the image centre (x, y), pixels, and covariance (xx, xy, yy), px^2, of Gaussian i at camera ``point``."""
     x, y, z = point
     w, qx, qy, qz, _ = quaternion_of(gaussians.quats, i)
     sx, sy, sz = three_of(gaussians.scales, i)
@@ -151,7 +149,7 @@ def clear(i: int, out: Projected) -> None:
 
 @device_function
 def project_gaussian(i: int, gaussians: Gaussians, camera: Array, size: Size, out: Projected) -> None:
-    """Project one Gaussian."""
+    """Project Gaussian i, and write its record, box, depth and 2D mean to ``out``."""
     clear(i, out)
     opacity = np.float64(gaussians.opacities[i])
     x, y, z = camera_point(camera, *three_of(gaussians.means, i))
@@ -183,7 +181,7 @@ def project_gaussian(i: int, gaussians: Gaussians, camera: Array, size: Size, ou
 def write_record(
     i: int, centre: tuple[float, float], whitened: tuple[float, float, float], gaussians: Gaussians, records: Array
 ) -> None:
-    """Write all of a record except ``LOG_OPACITY`` and ``DEPTH``."""
+    """Write record i without ``LOG_OPACITY`` and ``DEPTH``. ``whitened``: L11, L12, L22 (see `conventions`)."""
     for c in range(2):
         records[i, conventions.CENTRE_X + 2 * c] = centre[c]
         records[i, conventions.CENTRE_X_LOW + 2 * c] = centre[c] - np.float64(records[i, conventions.CENTRE_X + 2 * c])
@@ -198,8 +196,8 @@ def write_record(
 def project(
     worker: int, workers: int, gaussians: Gaussians, camera: Array, size: Size, out: Projected, next_one: Array
 ) -> None:
-    """Project one chunk after another until none is left. ``camera`` float64 [CAMERA]; ``next_one`` int64 [1] is the
-    next chunk to take."""
+    """Project all Gaussians. Each worker takes one chunk after another (``next_one`` int64 [1]) until none is left.
+    ``camera`` float64 [CAMERA]."""
     count = gaussians.means.shape[0]
     chunks = chunk_count(count)
     first, end = next_chunk(next_one, chunks, count)
@@ -211,9 +209,9 @@ def project(
 
 @device_function
 def gradient_on_image(record: Array, total: Array) -> Any:
-    """dL/d(centre x, y) and dL/d(covariance xx, xy = yx, yy) from the moments of the whitened offsets. With A =
-    WHITENING * L, s = A d and g = dL/d(ln alpha): ln alpha = -|s|^2 / log2(e), so dL/dcentre = 2 / log2(e) * A^T sum(g
-    s) and dL/dcov = A^T sum(g s s^T) A / (log2(e) * WHITENING^2)."""
+    """Return dL/d(centre x, y) and dL/d(covariance xx, xy = yx, yy), from the sums ``total`` over pixels of g = dL/d(ln
+    alpha) times powers of s. With A = WHITENING * L, s = A d and ln alpha = -|s|^2 / log2(e), dL/dcentre = 2 / log2(e)
+    * A^T sum(g s) and dL/dcov = A^T sum(g s s^T) A / (log2(e) * WHITENING^2)."""
     a = np.float64(record[conventions.L11]) + np.float64(record[conventions.L11_LOW])
     b = np.float64(record[conventions.L12]) + np.float64(record[conventions.L12_LOW])
     c = np.float64(record[conventions.L22]) + np.float64(record[conventions.L22_LOW])
@@ -238,8 +236,8 @@ def through_clamp(value: float, low: float, high: float, d_clamped: float) -> An
 def project_backward(
     i: int, total: Array, record: Array, shapes: Shapes, camera: Array, out: GaussianGradients
 ) -> None:
-    """Apply the chain rule to ``project_gaussian``: from the gradients ``total`` [GRADIENT] of Gaussian i, summed over
-    its tiles, to those of its mean, scales, quaternion and 2D mean."""
+    """Take the gradients ``total`` [GRADIENT] of Gaussian i on the image, summed over its tiles, through the
+    projection, and write those of its mean, scales, quaternion and 2D mean to ``out``."""
     d_x2, d_y2, d_xx, d_xy, d_yy = gradient_on_image(record, total)
     out.means2d[i, 0], out.means2d[i, 1] = d_x2, d_y2
     x, y, z = camera_point(camera, *three_of(shapes.means, i))

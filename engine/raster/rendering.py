@@ -1,4 +1,4 @@
-"""The arguments and results of all back ends."""
+"""The arguments and results that all back ends share."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class GaussianSet(NamedTuple):
 
 
 class Wanted(NamedTuple):
-    """What ``rasterize`` returns besides layers: ``top_k`` contributors, the ``surface``, a gradient of ``means2d``."""
+    """What to return besides layers: ``top_k`` contributors per pixel, the ``surface``, ``means2d``'s gradient."""
 
     top_k: int
     surface: bool

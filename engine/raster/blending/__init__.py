@@ -1,1 +1,1 @@
-"""Blending of Gaussians on pixels front to back, and of their gradients back to front, sixteen pixels at a time."""
+"""Kernels that blend Gaussians on pixels front to back, and their gradients back to front, sixteen pixels at a time."""

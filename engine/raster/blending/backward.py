@@ -1,14 +1,13 @@
-"""Back-to-front gradients of the blending, a patch of sixteen pixels at a time.
+"""The backward pass of the blending, back to front, a patch of 8 x 2 pixels at a time.
 
-Walking back, T_i = T_{i+1} / (1 - alpha_i), so one running value per pixel is enough. Let v_i = colour_i . dL/dimage +
-z_i * dL/ddepth. Behind Gaussian i lies B_i = alpha_{i+1} v_{i+1} + (1 - alpha_{i+1}) B_{i+1}, and dL/d(ln alpha_i) =
-alpha_i T_i (v_i - B_i). At the far end B = -dL/dalpha, as if a last Gaussian closed the pixel: this stays exact where
-the final transmittance is tiny.
+Going back, T_i = T_{i+1} / (1 - alpha_i), so each pixel keeps only its current transmittance. With v_i = colour_i .
+dL/dimage + z_i * dL/ddepth, what lies behind Gaussian i is B_i = alpha_{i+1} v_{i+1} + (1 - alpha_{i+1}) B_{i+1}, and
+dL/d(ln alpha_i) = alpha_i T_i (v_i - B_i). It starts with B = -dL/dalpha, as if a last Gaussian closed the pixel, which
+stays exact where the final transmittance is tiny.
 
-The Gaussians are processed one after another, each on all its patches of the tile, so that its sums stay in registers;
-the patches' state is in the first-level cache. Each pair of Gaussian and tile has its own gradient slot; ``gather``
-adds them in order.
-"""
+One Gaussian after another is processed on all its patches of a tile, so that its sums stay in registers; the patches'
+state stays in the first-level cache. Each pair of Gaussian and tile has its own slot for gradients; ``gather`` adds the
+slots in a fixed order."""
 
 from __future__ import annotations
 
@@ -34,8 +33,8 @@ PAD_INDEX = BACKWARD_BATCH
 
 @device_function
 def copy_label_gradients(tile: Tile, size: Size, d_labels: Array, channels: Array, count: int, scratch: Array) -> None:
-    """Copy the gradients of a tile's ``count`` channels side by side, patch by patch, zeros outside the image.
-    ``channels`` int32 lists these channels."""
+    """Copy the gradients of a tile's labels to the scratch, patch by patch, with 0 outside the image. ``channels``
+    int32 [count] lists the channels to copy, out of those in ``d_labels`` [P * C]."""
     padded = padded_channels(count)
     for patch in range(PATCHES):
         top, left = tile.top + (patch & -2), tile.left + (patch & 1) * PATCH_WIDTH
@@ -55,7 +54,7 @@ def copy_label_gradients(tile: Tile, size: Size, d_labels: Array, channels: Arra
 
 @device_function
 def add_label_gradients(padded: int, scratch: Array, lists: PatchLists) -> None:
-    """The batch's label gradients += the weights of each patch times the label gradients of its pixels."""
+    """Add each patch's sums over pixels of weight * label gradient to the label gradients of its Gaussians."""
     for patch in range(PATCHES):
         count, listed = v.get(lists.counts, patch), patch * LISTED
         if count == 0:
@@ -97,9 +96,9 @@ EVEN = 0x5555
 
 
 class PatchLists(NamedTuple):
-    """The Gaussians of a batch that were blended on each patch: ``counts`` int64 [PATCHES] is their number, ``members``
-    int32 [PATCHES * LISTED] lists them; their weights are in the scratch. Where no label has a gradient (not
-    ``wanted``) nothing is listed."""
+    """Which Gaussians of a batch were blended on each patch of the tile: ``counts`` int64 [PATCHES] how many,
+    ``members`` int32 [PATCHES * LISTED] their indices in the batch; their weights are in the scratch. Nothing is listed
+    unless ``wanted``, which is False in a tile where no label has a gradient."""
 
     counts: Array
     members: Array
@@ -107,14 +106,14 @@ class PatchLists(NamedTuple):
 
 
 def backward_scratch_size(channels: int) -> int:
-    """The number of floats of scratch that a worker needs. ``channels``: the most that have a gradient in one tile."""
+    """Return the floats of scratch per worker; ``channels`` is the largest number with a gradient in any tile."""
     floats: int = BATCH_LABELS + (BACKWARD_BATCH + 1 + TILE * TILE) * padded_channels(channels)
     return floats
 
 
 @device_function
 def start_worker(scratch: Array, counts: Array) -> None:
-    """Initialise NO_PATCH, and lists without members."""
+    """Initialise a worker's scratch: empty lists, and the dummy patch NO_PATCH."""
     for at in range(PATCH_STATE):
         v.put(scratch, at, ZERO)
     left, right = interleave2(v.lane_numbers(), v.lane_numbers())
@@ -130,7 +129,7 @@ def start_worker(scratch: Array, counts: Array) -> None:
 
 @inlined
 def store_strip(upper: Any, lower: Any, at: int, scratch: Array) -> None:
-    """Store two rows of a tile as a field of their two patches."""
+    """Store values of two rows of a tile in the layout of the two patches side by side that the rows make up."""
     left, right = interleave2(upper, lower)
     v.store(scratch, at, left)
     v.store(scratch, at + PATCH_STRIDE, right)
@@ -138,7 +137,7 @@ def store_strip(upper: Any, lower: Any, at: int, scratch: Array) -> None:
 
 @device_function
 def load_tile(tile: Tile, size: Size, pixels: Blended, scratch: Array) -> Any:
-    """Load the tile's state at its far end; zeros outside the image. Returns the largest index blended in the tile."""
+    """Load the pixels' state behind the last Gaussian. Return the largest index blended in the tile, -1 = none."""
     left, top, width, height = tile.left, tile.top, size.width, size.height
     far = -1
     columns = min(TILE, width - left)
@@ -175,7 +174,7 @@ def load_tile(tile: Tile, size: Size, pixels: Blended, scratch: Array) -> Any:
 
 @inlined
 def colours_of(source: int, floats: int, d_image: Array) -> Any:
-    """d_image[source : source + floats], which is stored pixel by pixel, as planes."""
+    """Load ``floats`` values (r, g, b, r, ...) from index ``source`` on as three vectors: red, green, blue."""
     return deinterleave3(
         v.masked_load(d_image, source, v.lane_numbers() < v.broadcast(F(floats))),
         v.masked_load(d_image, source + TILE, v.lane_numbers() < v.broadcast(F(floats - TILE))),
@@ -185,8 +184,8 @@ def colours_of(source: int, floats: int, d_image: Array) -> Any:
 
 @device_function
 def whiten_tile(records: Array, at: int, tile: Tile, scratch: Array, own: int) -> Any:
-    """Fill S1_LEFT, S2, S2_SQUARED and EXPONENTS of scratch[own:], with the same bits as each row in the forward pass.
-    Returns the mask of the patches that are touched."""
+    """Compute the whitened coordinates of one Gaussian on a tile's rows, the same bits as in the forward pass, into the
+    fields S1_LEFT, S2, S2_SQUARED and EXPONENTS of scratch[own:]. Return a bit mask of the patches that it touches."""
     origin_s1, origin_s2 = origin_of(records, at, tile)
     s1 = v.fma(v.broadcast_load(records, at + conventions.L12), v.lane_numbers(), v.broadcast(origin_s1))
     s2 = v.fma(v.broadcast_load(records, at + conventions.L22), v.lane_numbers(), v.broadcast(origin_s2))
@@ -203,27 +202,27 @@ def whiten_tile(records: Array, at: int, tile: Tile, scratch: Array, own: int) -
 
 @inlined
 def strips_of(mask: int) -> int:
-    """The even bits of a mask of rows, set for strips that have a row in the mask."""
+    """From a bit mask of rows, return one in which bit 2 p is set if row 2 p or 2 p + 1 was, which are a strip."""
     return (mask | (mask >> 1)) & EVEN
 
 
 @inlined
 def whitened(patch: int, slope: Any, scratch: Array, own: int) -> Any:
-    """The whitened coordinate s1 of a patch's pixels."""
+    """Return the whitened coordinate s1 (see `conventions`) of the sixteen pixels of a patch."""
     row, side = patch & -2, patch & 1
     return v.fma(slope, v.load(scratch, COLUMNS + side * TILE), v.load_pairs(scratch, own + S1_LEFT + row))
 
 
 @inlined
 def exponent_of(patch: int, slope: Any, scratch: Array, own: int) -> Any:
-    """log2 of the Gaussian's alpha on a patch."""
+    """Return log2 of the current Gaussian's alpha at the sixteen pixels of a patch."""
     s1 = whitened(patch, slope, scratch, own)
     return v.fnmadd(s1, s1, v.load_pairs(scratch, own + EXPONENTS + (patch & -2)))
 
 
 @inlined
 def blended_alpha(patch: int, raw: Any, here: Any, scratch: Array) -> Any:
-    """The alpha before the cap if the forward pass blended it, otherwise 0."""
+    """Return alpha, not yet capped at 0.99, where the forward pass blended Gaussian ``here``, otherwise 0."""
     blended = (raw >= v.broadcast(ALPHA_LEAST)) & (v.load(scratch, LAST + patch * PATCH_STRIDE) >= here)
     return v.select(blended, raw, v.broadcast(ZERO))
 
@@ -237,8 +236,8 @@ def keep_alpha(patch: int, raw: Any, scratch: Array) -> None:
 
 @device_function
 def fill_alphas(slope: float, index: float, patches: int, scratch: Array, own: int) -> None:
-    """Fill RAW_ALPHAS and OVERS on the patches of a mask, with the same bits as in the forward pass; four at a time, so
-    that none waits for another."""
+    """Compute alpha (RAW_ALPHAS) and 1 / (1 - alpha) (OVERS) on the patches in the bit mask, the same bits as in the
+    forward pass. Patches are taken in fours, whose instructions do not wait for each other."""
     slopes, here = v.broadcast(slope), v.broadcast(index)
     while patches != 0:
         (p0, p1, p2, p3), patches = take_four(patches, NO_PATCH)
@@ -257,7 +256,7 @@ def fill_alphas(slope: float, index: float, patches: int, scratch: Array, own: i
 def blend_gaussian_backward(
     records: Array, at: int, member: int, patches: int, scratch: Array, own: int, lists: PatchLists
 ) -> Any:
-    """Step back over one Gaussian on the patches of a mask. Returns its gradients, as columns of lanes."""
+    """Undo the blending of one Gaussian on the patches in the bit mask. Return its gradients as one vector."""
     slope = v.broadcast_load(records, at + conventions.L11)
     red, green = v.broadcast_load(records, at + conventions.RED), v.broadcast_load(records, at + conventions.GREEN)
     blue, depth = v.broadcast_load(records, at + conventions.BLUE), v.broadcast_load(records, at + conventions.DEPTH)
@@ -308,7 +307,7 @@ def blend_backward(
     worker: int, workers: int, isects: Intersections, records: Array, pixels: Blended, size: Size,
     out: IsectGradients, scratches: Scratch,
 ) -> None:  # fmt: skip
-    """Process one tile after another until none is left."""
+    """Compute all intersections' gradients into ``out``. Each worker takes tile after tile until none is left."""
     scratch, counts = scratches.floats[worker], scratches.counts[worker]
     used, starts, flatten_ids, isect_ids = out.used, isects.isect_offsets, isects.flatten_ids, isects.isect_ids
     columns, tiles = (size.width + TILE - 1) // TILE, starts.shape[0] - 1

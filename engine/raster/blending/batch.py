@@ -1,9 +1,8 @@
-"""A batch of a tile's Gaussians, side by side, and the patches of the tile that each one touches.
+"""Holds a batch of a tile's Gaussians (members), field by field, and finds which patches of the tile each one touches.
 
-A patch is eight columns of two rows. A small Gaussian covers more of these sixteen pixels than of sixteen in a row. Two
-patches side by side are a strip of the tile. In a vector, the pixels of a patch's two rows alternate.
-Sixteen Gaussians are whitened at once for a strip, which takes a few cycles each and no branch.
-"""
+A patch is 8 x 2 pixels, and two patches side by side are a strip of the tile. A small Gaussian covers more of a patch
+than of sixteen pixels in a row. In a vector, the pixels of a patch's two rows alternate. For each strip, sixteen
+Gaussians are whitened at once (see `conventions`), which takes a few cycles each and no branch."""
 
 from __future__ import annotations
 
@@ -49,7 +48,7 @@ STRIP_FIELDS = 4 * BATCH + TILE
 
 @device_function
 def origin_of(records: Array, at: int, tile: Tile) -> Any:
-    """s at the centre of a tile's first pixel: in double, once per tile; all after is within a few deviations."""
+    """Return the whitened offset s of a tile's first pixel from a Gaussian; in double, unlike all within the tile."""
     dx = tile.left + 0.5 - np.float64(get(records, at + conventions.CENTRE_X))
     dx -= np.float64(get(records, at + conventions.CENTRE_X_LOW))
     dy = tile.top + 0.5 - np.float64(get(records, at + conventions.CENTRE_Y))
@@ -64,8 +63,8 @@ def origin_of(records: Array, at: int, tile: Tile) -> Any:
 def load_batch(
     flatten_ids: Array, records: Array, tile: Tile, start: int, count: int, fields: Array, base: int
 ) -> None:
-    """Put ``count`` Gaussians of a tile, from index ``start`` of its list on, into fields[base:]. The members that fill
-    up the last sixteen reach no pixel."""
+    """Copy the fields of ``count`` Gaussians, from index ``start`` of a tile's list on, to fields[base:]. The batch is
+    filled up to a multiple of sixteen with members that reach no pixel."""
     first = tile.first + start
     for m in range(count):
         at = int(get(flatten_ids, first + m)) * RECORD
@@ -85,7 +84,7 @@ def load_batch(
 
 @inlined
 def row_of(r: int, fields: Array, at: int) -> Any:
-    """s1 at the first pixel of a tile's row and s2^2 on it, for sixteen members whose fields are at ``at``."""
+    """Return s1 at the first pixel of a tile's row ``r``, and s2^2, for the sixteen members with fields at ``at``."""
     row = broadcast(F(r))
     s1 = fma(load(fields, at + SHEAR), row, load(fields, at + ORIGIN_S1))
     s2 = fma(load(fields, at + DROP), row, load(fields, at + ORIGIN_S2))
@@ -94,14 +93,14 @@ def row_of(r: int, fields: Array, at: int) -> Any:
 
 @inlined
 def touched(first: Any, last: Any, square: Any, reach: Any) -> Any:
-    """Whether a part of a row, from s1 = ``first`` to ``last`` with s2^2 = ``square``, has a pixel within reach."""
+    """Whether |s|^2 <= ``reach`` at a pixel of a part of a row: s1 from ``first`` to ``last``, ``square`` = s2^2."""
     nearest = maximum(maximum(first, broadcast(ZERO) - last), broadcast(ZERO))  # least |s1|: s1 grows along a row
     return fma(nearest, nearest, square) <= reach
 
 
 @inlined
 def halves_touched(s1: Any, slope: Any, square: Any, reach: Any) -> Any:
-    """The bits of the members that touch a row's left half, and its right one; ``s1`` is at the row's first pixel."""
+    """Return two bit masks, of the members that touch a row's left and right half. ``s1``: at the row's first pixel."""
     left = touched(s1, fma(slope, broadcast(LEFT_END), s1), square, reach)
     right = touched(fma(slope, broadcast(MIDDLE), s1), fma(slope, broadcast(RIGHT_END), s1), square, reach)
     return movemask(left), movemask(right)
@@ -109,8 +108,8 @@ def halves_touched(s1: Any, slope: Any, square: Any, reach: Any) -> Any:
 
 @device_function
 def whiten_strip(r: int, count: int, fields: Array, base: int, strip: int) -> Any:
-    """Fill the fields of the strip that begins in row ``r`` from those of a batch. Returns the masks of the members
-    that touch its left patch, and its right one."""
+    """Compute the batch's whitened coordinates on the strip that begins in row ``r``, into the fields at ``strip``.
+    Return two bit masks, of the members that touch its left and its right patch."""
     on_left, on_right = 0, 0
     for m in range(0, count, TILE):
         at = base + m
@@ -138,7 +137,7 @@ def whiten_strip(r: int, count: int, fields: Array, base: int, strip: int) -> An
 
 @parallel_kernel
 def list_channels(worker: int, workers: int, d_labels: Array, size: Size, counts: Array, channels: Array) -> None:
-    """Fill ``TileChannels`` for every ``workers``-th tile. ``d_labels`` int32 [P * C]: the bits of the gradients."""
+    """Fill the arrays of ``TileChannels`` for every ``workers``-th tile. ``d_labels`` [P * C]: gradients, as int32."""
     columns, all_channels = (size.width + TILE - 1) // TILE, size.channels
     bits = np.empty(all_channels, np.int32)
     for tile in range(worker, counts.shape[0], workers):
@@ -158,7 +157,7 @@ def list_channels(worker: int, workers: int, d_labels: Array, size: Size, counts
 
 @device_function
 def clear(i: int, out: GaussianGradients) -> None:
-    """Zero the gradients of Gaussian i, but not those of its labels."""
+    """Set the gradients of Gaussian i to 0, except those of its labels."""
     out.opacities[i] = F(0.0)
     for c in range(2):
         out.means2d[i, c] = F(0.0)
@@ -175,8 +174,8 @@ def gather_geometry(
     chunk: tuple[int, int], offsets: Array, isects: IsectGradients, scene: tuple[Shapes, Array, Array],
     out: GaussianGradients, total: Array,
 ) -> None:  # fmt: skip
-    """Write the gradients of the Gaussians of a chunk (the first, and one past the last) except labels, including
-    zeros. ``scene``: shapes, records, camera; ``total`` float64 [GRADIENT] is scratch."""
+    """Sum the gradients of each Gaussian of a chunk (first, last + 1) over its tiles, and write them to ``out``, except
+    those of labels. ``scene``: shapes, records and camera; ``total`` float64 [GRADIENT]: working memory."""
     shapes, records, camera = scene
     tiles, values = isects.tiles, isects.values
     for i in range(chunk[0], chunk[1]):
@@ -203,7 +202,7 @@ def gather_geometry(
 def gather_labels(
     chunk: tuple[int, int], offsets: Array, isects: IsectGradients, channels: int, d_labels: Array
 ) -> None:
-    """Write the label gradients of the Gaussians of a chunk, including zeros, to d_labels [N * C]."""
+    """Sum the label gradients of each Gaussian of a chunk (first, last + 1) over its tiles, into d_labels [N * C]."""
     used, tiles, labels = isects.used, isects.tiles, isects.labels
     for i in range(chunk[0], chunk[1]):
         at = i * channels
@@ -227,9 +226,9 @@ def gather(
     worker: int, workers: int, offsets: Array, isects: IsectGradients, channels: int,
     scene: tuple[Shapes, Array, Array], out: GaussianGradients, next_one: Array,
 ) -> None:  # fmt: skip
-    """Gather the gradients of all N Gaussians, chunk after chunk until none is left. Labels are [N * C].
-    ``offsets`` int64 [N + 1] is ``Intersections.gaussian_offsets``. ``scene``: the shapes, the records [N, RECORD] and
-    the camera of the forward pass. ``next_one`` int64 [1] is the next chunk to take."""
+    """Sum the gradients of all N Gaussians over their tiles; a worker takes one chunk after another, ``next_one`` int64
+    [1]. ``offsets`` int64 [N + 1]: ``Intersections.gaussian_offsets``. ``scene``: shapes, records [N, RECORD] and
+    camera of the forward pass. Labels in ``out`` are [N * ``channels``]."""
     count, total = offsets.shape[0] - 1, np.empty(GRADIENT, np.float64)
     chunks = chunk_count(count)
     first, end = next_chunk(next_one, chunks, count)

@@ -1,5 +1,5 @@
-"""The largest contributors to each pixel, and the depth of its surface, with exactly the blending weights of the
-forward pass."""
+"""Finds the Gaussians with the largest weights in each pixel, and the depth of the surface there, with exactly the
+blending weights of the forward pass."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ OFFSET, LISTED = TOTAL + 4 * TILE * TILE, TOTAL + 5 * TILE * TILE
 
 
 def scratch_sizes(longest: int) -> tuple[int, int]:
-    """The floats and the integers of scratch that a worker needs if a tile has at most ``longest`` Gaussians."""
+    """Return how many floats and integers of scratch a worker needs, if tiles have at most ``longest`` Gaussians."""
     return LISTED + (longest * TILE + 1) * TILE, 2 * (longest * TILE + 1)
 
 
 @device_function
 def any_alive(floats: Array) -> bool:
-    """Whether any pixel of the tile still lets light through."""
+    """Whether any pixel of the tile is still open, so that Gaussians further back can contribute."""
     for at in range(0, TILE * TILE, TILE):
         if v.movemask(v.load(floats, TRANSMITTANCE + at) > v.broadcast(ENDED)) != 0:
             return True
@@ -40,7 +40,7 @@ def any_alive(floats: Array) -> bool:
 
 @device_function
 def blend_row(records: Array, at: int, r: int, floats: Array, to: int) -> bool:
-    """Blend one Gaussian on one row of a tile, and put its weights at ``to``. Returns whether any pixel shows it."""
+    """Blend one Gaussian on row ``r`` of a tile; write its weights at ``to``. Return whether any weight is above 0."""
     s1 = v.fma(v.broadcast_load(records, at + L11), v.lane_numbers(), v.broadcast_load(floats, OWN + S1_LEFT + r))
     alpha = seen_alpha(v.exp2(v.fnmadd(s1, s1, v.broadcast_load(floats, OWN + EXPONENTS + r))))
     before = v.load(floats, TRANSMITTANCE + r * TILE)
@@ -53,8 +53,8 @@ def blend_row(records: Array, at: int, r: int, floats: Array, to: int) -> bool:
 
 @device_function
 def blend_tile(tile: Tile, size: tuple[int, int], flatten_ids: Array, records: Array, scratch: Any) -> int:
-    """Blend a tile's Gaussians on its rows, front to back, until all pixels are closed. Lists in ``scratch`` each pair
-    of Gaussian and row, with its weights, and returns the number of pairs."""
+    """Blend a tile's Gaussians row by row, front to back, until all pixels are closed. Write each pair of Gaussian and
+    row that contributes, with its weights, to ``scratch``, and return the number of pairs."""
     floats, members = scratch
     rows, count = min(TILE, size[1] - tile.top), 0
     for r in range(TILE):
@@ -84,7 +84,7 @@ def tile_of(number: int, width: int, starts: Array) -> Tile:
 
 @device_function
 def keep_largest(gaussian: int, weight: float, indices: Array, weights: Array) -> None:
-    """Insert one contributor into a pixel's lists, largest first. Of two equal ones, the one in front stays first."""
+    """Insert a Gaussian into a pixel's lists, largest weight first. Of equal weights the nearer Gaussian is first."""
     rank = weights.shape[0] - 1
     if weight <= weights[rank]:
         return
@@ -100,9 +100,9 @@ def keep_largest(gaussian: int, weight: float, indices: Array, weights: Array) -
 def list_contributors(
     worker: int, workers: int, isects: Intersections, records: Array, scratches: Any, indices: Array, weights: Array
 ) -> None:
-    """Fill every ``workers``-th tile of indices int32 [H, W, k] and weights [H, W, k]. They are initialised to -1 and
-    0, which remain where there are fewer than k. ``records`` float32 [N * RECORD]; ``scratches``: rows of
-    ``scratch_sizes``."""
+    """Fill ``indices`` int32 [H, W, k] and ``weights`` [H, W, k] in every ``workers``-th tile. The caller initialises
+    them to -1 and 0, which stay where a pixel has fewer than k. ``records`` float32 [N * RECORD]; ``scratches``: arrays
+    of `scratch_sizes` per worker."""
     size = (weights.shape[1], weights.shape[0])
     floats, members = scratches[0][worker], scratches[1][worker]
     for number in range(worker, isects.isect_offsets.shape[0] - 1, workers):
@@ -124,7 +124,7 @@ def list_contributors(
 
 @device_function
 def sum_near_median(count: int, records: Array, floats: Array, members: Array, reach: Array) -> None:
-    """Fill the sums of a tile from what ``blend_tile`` listed."""
+    """Compute each pixel's median depth, and the sums for the mean depth near it, from what ``blend_tile`` wrote."""
     share, metres = v.broadcast(reach[0]), v.broadcast(reach[1])
     for at in range(TOTAL, LISTED, TILE):
         v.store(floats, at, v.broadcast(ZERO))
@@ -153,8 +153,8 @@ def find_surface(
     worker: int, workers: int, isects: Intersections, records: Array, scratches: Any, depth: Array, width: int,
     reach: Array,
 ) -> None:  # fmt: skip
-    """Fill every ``workers``-th tile of ``depth`` float32 [H * W], metres, 0 where nothing is drawn. ``reach``
-    float32 [2] is that of the surface. The other arguments are those of ``list_contributors``."""
+    """Fill ``depth`` float32 [H * W], metres, 0 where nothing is drawn, in every ``workers``-th tile. ``reach`` float32
+    [2]: as of `Pinhole.surface_reach`. Other arguments as in `list_contributors`."""
     size = (width, depth.shape[0] // width)
     floats, members = scratches[0][worker], scratches[1][worker]
     for number in range(worker, isects.isect_offsets.shape[0] - 1, workers):

@@ -1,9 +1,8 @@
-"""Front-to-back blending, a patch of sixteen pixels at a time.
+"""The forward pass of the blending, front to back, a patch of 8 x 2 pixels at a time.
 
-A patch takes all members of a batch one after another, keeps its state in registers, and lists the members it shows
-with their weights; the labels of a whole list are added up at once, also in registers. Two patches side by side make a
-strip of a tile, which is written row by row.
-"""
+A patch takes the Gaussians of a batch (its members) in turn, keeps its state in registers, and lists those it blends,
+with their weights; the labels of the whole list are then added up at once, also in registers. Two patches side by side
+are a strip of the tile, which is written to the image row by row."""
 
 from __future__ import annotations
 
@@ -42,7 +41,7 @@ def strip_floats(channels: int) -> int:
 
 @device_function
 def start_strip(columns: int, rows: int, channels: int, scratch: Array) -> None:
-    """Begin a strip of ``columns`` and ``rows`` of the image: nothing is blended, and no light passes outside."""
+    """Initialise a strip with ``columns`` and ``rows`` inside the image: nothing blended, pixels outside closed."""
     left, right = interleave2(v.lane_numbers(), v.lane_numbers())
     row, _ = interleave2(v.broadcast(ZERO), v.broadcast(ONE))
     in_rows = row < v.broadcast(F(rows))
@@ -60,13 +59,13 @@ def start_strip(columns: int, rows: int, channels: int, scratch: Array) -> None:
 
 @inlined
 def rows_of(field: int, scratch: Array) -> Any:
-    """A field of the strip's two patches, as its two rows."""
+    """Return one field of the strip's pixels as two vectors, the upper and the lower row."""
     return deinterleave2(v.load(scratch, STATE + field), v.load(scratch, STATE + PATCH_STRIDE + field))
 
 
 @device_function
 def write_strip(pixel: int, columns: int, rows: int, width: int, scratch: Array, out: Blended) -> None:
-    """Write the ``columns`` and ``rows`` of a strip without labels. Its first pixel has the number ``pixel``."""
+    """Write a strip, without labels, to ``out``; its first pixel has index ``pixel``, ``width`` is the image's."""
     final, last, red = rows_of(FINAL, scratch), rows_of(LAST, scratch), rows_of(PLANES, scratch)
     green, blue = rows_of(PLANES + TILE, scratch), rows_of(PLANES + 2 * TILE, scratch)
     depth = rows_of(PLANES + 3 * TILE, scratch)
@@ -77,7 +76,7 @@ def write_strip(pixel: int, columns: int, rows: int, width: int, scratch: Array,
 
 @inlined
 def write_row(pixel: int, columns: int, state: Any, out: Blended) -> None:
-    """Write one row of a strip."""
+    """Write one row of a strip, ``columns`` pixels, to ``out``."""
     final, last, red, green, blue, own_depth = state
     inside = v.lane_numbers() < v.broadcast(F(columns))
     v.masked_store(out.final, pixel, final, inside)
@@ -89,7 +88,7 @@ def write_row(pixel: int, columns: int, state: Any, out: Blended) -> None:
 
 @inlined
 def write_colours(target: int, floats: int, colours: Any, image: Array) -> None:
-    """Write a row's colours, pixel by pixel, to image[target : target + floats]."""
+    """Interleave a row's red, green and blue vectors, and write them to image[target : target + floats]."""
     first, second, third = colours
     v.masked_store(image, target, first, v.lane_numbers() < v.broadcast(F(floats)))
     v.masked_store(image, target + TILE, second, v.lane_numbers() < v.broadcast(F(floats - TILE)))
@@ -103,7 +102,7 @@ def write_colours(target: int, floats: int, colours: Any, image: Array) -> None:
 
 @device_function
 def copy_labels(gaussian: int, labels: Array, channels: int, scratch: Array, at: int) -> None:
-    """Copy one Gaussian's labels, padded with zeros to whole vectors."""
+    """Copy one Gaussian's labels to scratch[at:], padded with zeros to whole vectors."""
     source = gaussian * channels
     for c in range(0, channels - TILE + 1, TILE):
         v.store(scratch, at + c, v.load(labels, source + c))
@@ -117,7 +116,7 @@ def copy_labels(gaussian: int, labels: Array, channels: int, scratch: Array, at:
 def load_labels(
     first: int, count: int, flatten_ids: Array, labels: Array, channels: int, scratch: Array, at: int
 ) -> None:
-    """Copy the labels of a batch's members side by side to scratch[at:]. The batch begins at flatten_ids[first:]."""
+    """Copy the labels of the ``count`` Gaussians flatten_ids[first:], padded to whole vectors, to scratch[at:]."""
     for m in range(count):
         ahead = int(v.get(flatten_ids, first + min(m + batch.AHEAD, count - 1))) * channels
         for c in range(0, channels, TILE):
@@ -127,8 +126,8 @@ def load_labels(
 
 @device_function
 def add_listed_labels(patch: int, end: int, scratch: Array, members: Array, batches: int, padded: int) -> int:
-    """The labels of a patch's pixels += the sum of weight times label over the patch's list. The list ends before
-    ``end``; ``members`` holds the offsets of its labels, in vectors from scratch[batches:]. Returns the new end."""
+    """Add weight * label to a patch's pixels for each Gaussian in its list, which ends before ``end``. ``members``
+    holds the offset of each one's labels, in vectors from scratch[batches:]. Return the end of the emptied list."""
     listed = patch * LISTED
     out = Rows(scratch, STRIP_LABELS + patch * TILE * padded, padded)
     weights = Factors(scratch, WEIGHTS + listed * TILE, 1, TILE)
@@ -138,8 +137,8 @@ def add_listed_labels(patch: int, end: int, scratch: Array, members: Array, batc
 
 @device_function
 def write_labels(pixel: int, columns: int, rows: int, size: Size, scratch: Array, labels_out: Array) -> None:
-    """Write the labels of a strip of ``columns`` and ``rows`` without their padding. Its first pixel has the number
-    ``pixel``."""
+    """Write the labels of a strip's pixels inside the image, without padding, to ``labels_out`` [P * C]. The strip's
+    first pixel has index ``pixel``."""
     channels, padded = size.channels, padded_channels(size.channels)
     in_tail = v.lane_numbers() < v.broadcast(F(channels - padded + TILE))
     for y in range(rows):
@@ -164,14 +163,14 @@ def batch_floats(channels: int) -> int:
 
 
 def scratch_size(channels: int, longest: int) -> int:
-    """The floats of scratch that a worker needs if the longest list of a tile has ``longest`` Gaussians."""
+    """Return how many floats of scratch a worker needs, if tiles have at most ``longest`` Gaussians."""
     floats: int = STRIP_LABELS + strip_floats(channels) + -(-longest // BATCH) * batch_floats(channels)
     return floats
 
 
 @inlined
 def exponent_of(m: int, columns: Any, scratch: Array, fields: int) -> Any:
-    """log2 of a member's alpha on the patch."""
+    """Return log2 of the alpha of the batch's Gaussian ``m`` at the sixteen pixels of a patch."""
     first = v.load_pairs(scratch, STRIP + batch.STRIP_S1 + 2 * m)
     s1 = v.fma(v.broadcast_load(scratch, fields + batch.SLOPE + m), columns, first)
     return v.fnmadd(s1, s1, v.load_pairs(scratch, STRIP + batch.STRIP_EXPONENTS + 2 * m))
@@ -179,7 +178,7 @@ def exponent_of(m: int, columns: Any, scratch: Array, fields: int) -> Any:
 
 @inlined
 def seen_alpha(raw: Any) -> Any:
-    """The effective alpha: at most 0.99, and 0 if it is too small."""
+    """Return alpha as it is blended: at most 0.99, and 0 if below 1/255."""
     return v.select(raw >= v.broadcast(ALPHA_LEAST), v.minimum(raw, v.broadcast(ALPHA_CAP)), v.broadcast(ZERO))
 
 
@@ -187,8 +186,8 @@ def seen_alpha(raw: Any) -> Any:
 def blend_member(
     m: int, alpha: Any, state: Any, end: int, scratch: Array, fields: int, members: Array, labels: Any
 ) -> Any:
-    """Blend one member. Returns the patch's new state, and the new end of its list of blended members. A pixel ends
-    once its transmittance is too small. The product continues, so it stays ended for all that follow."""
+    """Blend Gaussian ``m`` of the batch on a patch, given its ``alpha`` at the pixels. Return the patch's state, and
+    the end of its list of blended Gaussians. A pixel whose transmittance becomes too small is closed, and stays so."""
     transmittance, final, last, red, green, blue, depth = state
     after = v.fnmadd(alpha, transmittance, transmittance)
     blended = (alpha > v.broadcast(ZERO)) & (after > v.broadcast(ENDED))
@@ -208,7 +207,8 @@ def blend_member(
 
 @inlined
 def take_four(mask: int, missing: int) -> Any:
-    """The indices of the four lowest set bits of a mask (``missing`` if it has fewer), and the mask without them."""
+    """Return the indices of ``mask``'s four lowest set bits (``missing`` if it has fewer), and the mask without
+    them."""
     first = v.trailing_zeros(mask)  # callers have at least one bit
     mask &= mask - 1
     second = min(v.trailing_zeros(mask), missing)  # an empty mask has 64 zeros
@@ -222,7 +222,7 @@ def take_four(mask: int, missing: int) -> Any:
 
 @inlined
 def alphas_of(four: Any, columns: Any, scratch: Array, fields: int) -> Any:
-    """The effective alphas of four members, side by side."""
+    """Return the alphas, as they are blended, of four Gaussians of the batch at a patch's pixels."""
     m0, m1, m2, m3 = four
     e0, e1 = exponent_of(m0, columns, scratch, fields), exponent_of(m1, columns, scratch, fields)
     e2, e3 = exponent_of(m2, columns, scratch, fields), exponent_of(m3, columns, scratch, fields)
@@ -234,7 +234,7 @@ def alphas_of(four: Any, columns: Any, scratch: Array, fields: int) -> Any:
 def blend_four(
     four: Any, alphas: Any, state: Any, end: int, scratch: Array, fields: int, members: Array, labels: Any
 ) -> Any:
-    """Blend four members in turn, like ``blend_member``. Also returns whether the patch is still open."""
+    """Blend four Gaussians as ``blend_member``. Return state, list end, and whether any pixel is still open."""
     m0, m1, m2, m3 = four
     alpha0, alpha1, alpha2, alpha3 = alphas
     state, end = blend_member(m0, alpha0, state, end, scratch, fields, members, labels)
@@ -250,10 +250,11 @@ def blend_four(
 def blend_patch(
     touching: int, at: int, scratch: Array, fields: int, members: Array, end: int, labels: tuple[int, int]
 ) -> Any:
-    """Blend the members of a mask on the patch whose state is at scratch[at:], four at a time, so that none waits for
-    another's alpha. Members blended on any pixel are appended, in order, to the list that ends before ``end``: their
-    weights and, in ``members``, the offsets of their labels. ``labels``: the first member's offset, and the labels'
-    length in vectors. Returns the list's new end, and whether the patch is still open."""
+    """Blend those Gaussians of a batch that touch a patch, by the bit mask ``touching``. The patch's state is at
+    scratch[at:], the batch's fields at ``fields``. Gaussians that show on a pixel are appended to the patch's list at
+    ``end``, for their labels: weights to the scratch, offsets of labels to ``members``. ``labels``: the offset of the
+    first Gaussian's labels, and the length of one's, in vectors. Return the list's new end, and whether any pixel is
+    open."""
     columns = v.load(scratch, at + COLUMNS)
     state = (
         v.load(scratch, at + TRANSMITTANCE),
@@ -291,7 +292,7 @@ def blend_patch(
 def blend_forward(
     worker: int, workers: int, isects: Intersections, splats: Splats, out: Blended, size: Size, scratches: Scratch
 ) -> None:
-    """Process one tile after another until none is left."""
+    """Blend all pixels into ``out``. Each worker takes one tile after another until none is left."""
     scratch, members = scratches.floats[worker], scratches.members[worker]
     starts, flatten_ids, records, labels = isects.isect_offsets, isects.flatten_ids, splats.records, splats.labels
     width, height, channels = size.width, size.height, size.channels
