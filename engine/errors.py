@@ -27,8 +27,8 @@ _SILENT = (errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.EINTR, 
 
 
 class ExitCode(IntEnum):
-    """The exit status of the engine and of run_plgs.py. 75 is EX_TEMPFAIL of sysexits.h, which farms take as "try
-    again". From 129 on they are the shell's own numbers for processes that a signal ended: a closed terminal, Ctrl-C,
+    """The exit status of the engine and of run_plgs.py. 75 is EX_TEMPFAIL of sysexits.h, at which render farms try
+    again. Those from 129 on are the shell's numbers for processes ended by a signal: closed terminal, Ctrl-C,
     SIGTERM."""
 
     FINISHED = 0
@@ -80,12 +80,12 @@ MEMORY_IS_GONE = "no memory is left"
 
 
 class PlgsError(Exception):
-    """Input, a lift folder or a computer that cannot be used: what is wrong, where, and what to do.
-    ``key`` names the kind of fault, such as "no-frame", and stays the same when its sentence is reworded; a kind that
-    occurs in several places has one key.
-    ``option`` is the command-line option that ``fix`` means, spelt as in ``fix``, such as "--masks"; several are
-    separated by blanks, and an empty text means none. The panel shows its own fields' names instead. With LACKS_PART it
-    is the name of the part. ``what`` may quote a library's long text: it is shortened to one line."""
+    """An error that a user can mend, in the input, a lift folder or the computer: what is wrong, where, and what to do.
+    ``key`` names the kind of fault, such as "no-frame", and stays when its sentence is reworded; all places with the
+    same fault share one key. ``option`` is the command-line option that ``fix`` advises, spelt as there, such as
+    "--masks" (several are separated by blanks, "" means none); the panel shows the name of its own field instead. With
+    LACKS_PART, ``option`` is the name of the part. ``what`` may quote a library's long text: it is shortened to one
+    line."""
 
     def __init__(
         self, key: str, what: str, where: Path | str, fix: str, *, code: ErrorCode = _USUAL, option: str = ""
@@ -97,7 +97,7 @@ class PlgsError(Exception):
         super().__init__(one_line(f"{self.problem}. {fix}" if fix else self.problem))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """How pickle rebuilds it, for example in another process."""
+        """Tell pickle how to rebuild the error, for example in another process."""
         return partial(type(self), code=self.code, option=self.option), (self.key, self.what, self.where, self.fix)
 
     @property
@@ -111,14 +111,14 @@ class PlgsError(Exception):
 
 
 def problem_of(what: str, where: str) -> str:
-    """One sentence with a subject: "room has no poses", or "no scheduler answers: HOST"."""
+    """Return one sentence with a subject: "room has no poses", or "no scheduler answers: HOST"."""
     if not where:
         return what
     return f"{where} {what}" if _LACKS_SUBJECT.match(what) else f"{what}: {where}"
 
 
 def lacks_part(what: str, where: Path | str, name: str) -> PlgsError:
-    """The error for an engine that lacks the packages of ``name``, a part that `python -m engine add` knows."""
+    """Return the error for an engine without the packages of the part ``name``, which `engine add` can install."""
     fix = f"Add it to the engine: {shlex.quote(sys.executable)} -m engine add {name}."
     return PlgsError("lacks-part", what, where, fix, code=ErrorCode.LACKS_PART, option=name)
 
@@ -138,12 +138,12 @@ class Cancelled(Exception):
 
 
 def lacks_memory(error: BaseException) -> bool:
-    """Whether memory ran out. Libraries in C++ have their own errors: torch on the CPU and the GPU, OpenCV."""
+    """Whether memory ran out. Libraries in C++ raise errors of their own: torch (CPU and GPU), OpenCV."""
     is_kind = isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
     return is_kind or any(words in str(error) for words in _NO_MEMORY)
 
 
 def is_silence(error: BaseException | None) -> bool:
-    """Whether ``error`` or its cause is a disk or share that did not answer, which tells nothing about its content."""
+    """Whether an error, or its cause, is a disk or network share that did not answer. The file may still be good."""
     causes = (error, error.__cause__ if error is not None else None)
     return any(isinstance(one, OSError) and one.errno in _SILENT for one in causes)

@@ -1,6 +1,5 @@
-"""One press from a film or from photos: what a lift needs and they lack (poses, depth, masks), each made only where it
-is missing, beside the film. The same call goes on where an earlier one stopped.
-"""
+"""Make what a lift needs and a film or a folder of photos lacks: poses, depth and masks. Only what is missing is made,
+beside the film. After an interruption, the same call continues the work."""
 
 from __future__ import annotations
 
@@ -28,9 +27,9 @@ _MINUTE = 60.0
 
 @dataclass(frozen=True)
 class Wish:
-    """What a user wants to be made. ``masks`` and ``depth`` are networks, folders or names on the hub, which may be
-    downloaded with ``download``. ``merge`` is a name of ``segment.MERGES``, and ``frames`` ("all" or "auto") says which
-    get masks. What is in ``have`` is not made, as the user has it."""
+    """What `prepare` makes. ``masks`` and ``depth`` each name a network: a folder, or a name on the Hugging Face hub,
+    from which it is fetched only with ``download``. ``merge`` is a name of ``segment.MERGES``, ``frames`` says which
+    frames get masks ("all" or "auto"), and ``have`` lists what the user has already, which is not made."""
 
     masks: str = MASKS[0].name
     depth: str = DEPTH[0].name
@@ -41,7 +40,7 @@ class Wish:
 
 
 def scene_folder(source: Path) -> Path:
-    """Where the files that are made for a scene go: its folder, or one named like its file."""
+    """The folder for files that are made for a scene: the scene's own, or for a film its path without the suffix."""
     return source if source.is_dir() else source.with_suffix("")
 
 
@@ -66,8 +65,8 @@ def prepare(source: Path, wish: Wish, events: EventWriter, stop: StopSignal) -> 
 
 
 def _refuse_missing(source: Path, folder: Path, wish: Wish, events: EventWriter) -> None:
-    """Warn of what is downloaded. Raises PlgsError, with one list of all, for packages that are missing, or networks
-    that may not be downloaded."""
+    """Warn of networks that will be downloaded. Raises one PlgsError that lists all missing packages, and all networks
+    that are not on this computer and may not be downloaded."""
     from .networks import is_here
 
     missing = _missing(source, folder, wish)
@@ -89,7 +88,7 @@ def _refuse_missing(source: Path, folder: Path, wish: Wish, events: EventWriter)
 
 
 def _missing(source: Path, folder: Path, wish: Wish) -> list[str]:
-    """What a network has yet to make, of "depth" and "masks", as far as it can be known before there are poses."""
+    """What must still be made by a network, of "depth" and "masks", as far as this is known before there are poses."""
     from .segment import TABLE
 
     if Made.read(folder) is not None:
@@ -106,7 +105,7 @@ def _about(seconds: float) -> str:
 
 
 def say_terms(name: str, events: EventWriter) -> None:
-    """Warn of a network's licence before the network is fetched, if it forbids commercial use or is not known."""
+    """Before a network is downloaded, warn of a licence that forbids commercial use or is not known."""
     about = licence_of(name)
     if about["commercial_use"] is not True:
         said = str(about["licence"])
@@ -114,7 +113,7 @@ def say_terms(name: str, events: EventWriter) -> None:
 
 
 def depth_scene(scene: Scene, folder: Path, wish: Wish, events: EventWriter, stop: StopSignal) -> None:
-    """Make a scene's depth in ``folder``, or continue an earlier run. Raises PlgsError, OSError, Cancelled."""
+    """Make a scene's depth maps in ``folder``, or continue an earlier run. Raises PlgsError, OSError, Cancelled."""
     from .depth_making import load_depth_network, make_depth
 
     name = _resolved(wish.depth)
@@ -130,8 +129,8 @@ def depth_scene(scene: Scene, folder: Path, wish: Wish, events: EventWriter, sto
 
 
 def mask_scene(scene: Scene, folder: Path, wish: Wish, events: EventWriter, stop: StopSignal) -> int | None:
-    """Make a scene's masks in ``folder``, or continue an earlier run. Returns their number, None if they were finished
-    before. Raises PlgsError, OSError, Cancelled."""
+    """Make a scene's masks in ``folder``, or continue an earlier run. Returns how many masks were made, or None if all
+    existed already. Raises PlgsError, OSError, Cancelled."""
     from .mask_networks import load_model
     from .segment import MERGES, begin_job, make_masks
 

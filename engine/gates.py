@@ -1,9 +1,8 @@
-"""Everything from other people passes through here first: files, paths, texts, addresses. Standard library only.
+"""Checks for everything that comes from other people: files, paths, texts, addresses. Standard library only.
 
-Only plain (regular) files are opened, and they are read only up to a given size. A FIFO would block whoever opens it, a
-device may do anything, a link leads elsewhere. A refusal is an OSError with its own message, so it is reported like
-errors of the system.
-"""
+Only plain (regular) files are opened, and they are read only up to a given size: a FIFO would block the program that
+opens it, reading a device may have side effects, and a link may lead out of the folder. A file is refused by an OSError
+with its own message, which is reported like errors of the system."""
 
 from __future__ import annotations
 
@@ -22,7 +21,7 @@ _NO_LINK: int = getattr(os, "O_NOFOLLOW", 0)
 
 
 def open_plain(path: Path, *, follow_link: bool = True) -> BufferedReader:
-    """A plain file, open for reading. Raises OSError, also if it is not a plain file or (on request) is a link."""
+    """Open a plain file for reading. Raises OSError, also for other kinds and, unless ``follow_link``, for links."""
     descriptor = _open(path, os.O_RDONLY, follow_link)
     return os.fdopen(descriptor, "rb")
 
@@ -47,8 +46,8 @@ def refuse_special(path: Path) -> None:
 
 
 def open_to_append(path: Path) -> int:
-    """A descriptor to read a plain file and append to it; it is made if missing. Raises OSError, also for a link and
-    for a file that has a second name elsewhere: its content would change there."""
+    """Open a plain file for reading and appending, and create it if it is missing. Returns its descriptor. Raises
+    OSError, also for a link, and for a file with hard links elsewhere, where its content would change too."""
     descriptor = _open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, follow_link=False)
     if os.fstat(descriptor).st_nlink > 1:
         os.close(descriptor)
@@ -57,7 +56,7 @@ def open_to_append(path: Path) -> int:
 
 
 def create_plain(path: Path) -> BinaryIO:
-    """A new file, open for writing, which replaces whatever had its name. Raises OSError."""
+    """Open a new file for writing; a file that had its name is replaced. Raises OSError."""
     path.unlink(missing_ok=True)
     return os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NO_LINK | _SAFE, 0o666), "wb")
 
@@ -82,8 +81,8 @@ def _special(path: Path) -> OSError:
 
 
 def inner_path(text: str) -> PurePosixPath:
-    """A relative path of plain names. Raises ValueError for one that leaves its folder. Windows' rules decide, which
-    are the stricter ones: drives, shares (looking at one sends the user's credentials there), both kinds of slashes."""
+    """Return ``text`` as a relative path. Raises ValueError if it leads out of its folder by the rules of Windows, the
+    strictest: drives, shares (opening one sends the user's credentials there), both kinds of slashes."""
     parts = PureWindowsPath(text)
     if parts.anchor or ".." in parts.parts or not parts.parts or "\0" in text:
         raise ValueError(f"{text!r} leaves the folder")
@@ -91,41 +90,41 @@ def inner_path(text: str) -> PurePosixPath:
 
 
 def printable(text: object) -> str:
-    """The text with "?" for what a terminal takes as a command (colours, cursor moves) or cannot show (half surrogate
-    pairs, of paths that are not UTF-8). Line breaks and tabs stay."""
+    """Return the text with "?" for each character that a terminal takes as a command (colours, cursor moves) or cannot
+    show (half surrogate pairs, from paths that are not UTF-8). Line breaks and tabs stay."""
     line = str(text)
     return line if line.isprintable() else "".join(one if one.isprintable() or one in "\n\t" else "?" for one in line)
 
 
 def one_line(text: object) -> str:
-    """``printable`` on one line."""
+    """Return ``printable(text)`` on one line."""
     return " ".join(printable(text).split("\n"))
 
 
 def shortened(text: object, longest: int) -> str:
-    """``one_line`` without runs of blanks, at most ``longest`` characters."""
+    """Return ``one_line(text)`` with runs of blanks reduced to one, cut to at most ``longest`` characters."""
     line = " ".join(one_line(text).split())
     return line if len(line) <= longest else f"{line[: longest - 1]}…"
 
 
 def table_cell(value: object) -> object:
-    """A value of a CSV table. A text is ``one_line``; one that a spreadsheet would take for a formula gets an
-    apostrophe before it."""
+    """Return a value for a CSV table. Text becomes ``one_line``, with an apostrophe before what a spreadsheet would
+    take for a formula; other values stay."""
     if not isinstance(value, str):
         return value
     return f"'{one_line(value)}" if value.startswith(("=", "+", "-", "@", "\t", "\r")) else one_line(value)
 
 
 def markdown_cell(text: object) -> str:
-    """``one_line`` for a Markdown table: it neither ends a column nor begins an HTML tag."""
+    """Return ``one_line(text)`` for a cell of a Markdown table: it cannot end a column or begin an HTML tag."""
     return one_line(text).replace("\\", "\\\\").replace("|", "\\|").replace("<", "&lt;")
 
 
 def plot_label(text: object) -> str:
-    """``one_line`` for a plot: matplotlib takes what is between two dollar signs as a formula."""
+    """Return ``one_line(text)`` for a plot: matplotlib would take text between two dollar signs as a formula."""
     return one_line(text).replace("$", r"\$")
 
 
 def without_credentials(text: str) -> str:
-    """The text with ``****`` where an address names a user or a password."""
+    """Return the text with ``****`` in place of the user name and password in any address."""
     return _USER.sub("****@", text)

@@ -1,8 +1,6 @@
-"""transformers' networks that make masks: Mask2Former, OneFormer, EoMT (queries with a class and a mask) and RF-DETR.
+"""Networks of transformers that make masks: Mask2Former, OneFormer, EoMT (each query has a class and a mask), RF-DETR.
 
-transformers' own post-processing is not used: it works at 384x384 for any aspect ratio, and its stuff fusion gives one
-id to several segments.
-"""
+transformers' own post-processing works at 384x384 for any aspect ratio, and gives one id to several stuff segments."""
 
 from __future__ import annotations
 
@@ -34,8 +32,8 @@ Look = Callable[[NDArray[np.uint8]], Queries]
 
 @dataclass(frozen=True)
 class QueryNetwork:
-    """A loaded network: its ``name`` on loading, its classes as ``labels``, and ``queries``, which looks at a picture
-    uint8 [H, W, 3] RGB. ``rounds``: see ``merge_queries``."""
+    """A loaded segmentation network. ``name`` is the one that was given to `load_model`, ``labels`` are its classes,
+    and ``queries`` runs it on a picture, uint8 [H, W, 3] RGB. ``rounds``: see ``merge_queries``."""
 
     name: str
     labels: tuple[ClassLabel, ...]
@@ -44,7 +42,8 @@ class QueryNetwork:
 
     @torch.inference_mode()
     def segment(self, colour: NDArray[np.uint8]) -> tuple[NDArray[np.int32], list[MadeSegment], list[Detection]]:
-        """The mask of a picture uint8 [H, W, 3] RGB (``merge_queries``), and what it left out (``detections_of``)."""
+        """Segment a picture, uint8 [H, W, 3] RGB. Returns ids int32 [H, W] and their segments (``merge_queries``), and
+        the detections that found no place in them (``detections_of``)."""
         width, height = size_within((colour.shape[1], colour.shape[0]), (_LARGEST_SIDE, _LARGEST_SIDE))
         stuff = frozenset(label.id for label in self.labels if not label.is_thing)
         with loading(self.name, runs=True):
@@ -60,8 +59,8 @@ def _resized(masks: torch.Tensor, size: tuple[int, ...]) -> torch.Tensor:
 
 
 def load_model(name: str, *, download: bool, rounds: Rounds = (0.5,)) -> QueryNetwork:
-    """Load the network in the folder ``name``, or the one of this name on the hub. Raises PlgsError. It is fetched only
-    with ``download``; otherwise it must be on this computer already."""
+    """Load the network in the folder ``name``, or of this name on the Hugging Face hub. It is fetched only with
+    ``download``; otherwise it must be on this computer already. Raises PlgsError."""
     quiet_transformers(name, download, "segment", "masks are made")
     folder = model_folder(name, download=download)
     labels = labels_of_config(folder / "config.json")
@@ -74,7 +73,7 @@ def load_model(name: str, *, download: bool, rounds: Rounds = (0.5,)) -> QueryNe
 
 
 def _universal(kind: str, folder: Path, name: str) -> Look:
-    """A network with transformers' "universal" outputs."""
+    """Load a network with transformers' "universal segmentation" outputs, and return the function that runs it."""
     import transformers
 
     limits: dict[str, Any] = {"local_files_only": True, "trust_remote_code": False}
@@ -107,7 +106,8 @@ def _universal(kind: str, folder: Path, name: str) -> Look:
 
 
 def _rf_detr(folder: Path, name: str) -> Look:
-    """RF-DETR with masks. It scores each class by a sigmoid: only the best class is kept, against that of no object."""
+    """Load RF-DETR with masks, and return the function that runs it. The network scores each class by a sigmoid; only
+    the best class is kept, beside the score of "no object"."""
     import cv2
     from transformers import RfDetrForInstanceSegmentation
 

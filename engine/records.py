@@ -1,10 +1,9 @@
-"""Records: dataclasses whose annotations say what their JSON holds.
+"""Read and write dataclasses ("records") as JSON files, checked against their annotations.
 
 A field is a text, a number, true or false, a path, a Literal, a tuple, a mapping from texts, another record, Json, or a
 union of these. A field with a default may be absent, and is left out when both it and the default are empty. Its
 metadata says more: ``least`` and ``most`` bound its numbers, ``longest`` its text, ``shown`` makes its text fit for one
-line, ``inside`` says that its path leads into the folder of the file, and ``apart`` that it is not in the file.
-"""
+line, ``inside`` says that its path leads into the folder of the file, and ``apart`` that it is not in the file."""
 
 from __future__ import annotations
 
@@ -27,7 +26,7 @@ _MOST_LISTED = 8  # keys that a message lists
 
 
 def to_json(record: Any, folder: Path | None = None) -> dict[str, Any]:
-    """The fields of a record, for JSON. ``folder`` is where the file will lie, for paths ``inside`` it."""
+    """Return a record's fields as a JSON object. Paths with ``inside`` become relative to ``folder``, the file's."""
     content: dict[str, Any] = {}
     for each in fields(record):
         value = getattr(record, each.name)
@@ -41,12 +40,13 @@ def to_json(record: Any, folder: Path | None = None) -> dict[str, Any]:
 
 
 def record_text(record: Any, folder: Path | None = None, version: int = 1) -> str:
-    """The text of a file that `read_record` reads."""
+    """Return the JSON text of a record, for a file that `read_record` reads. ``folder`` is as in `to_json`."""
     return to_text({"format": version, **to_json(record, folder)})
 
 
 def read_record(kind: type[Record], path: Path, fix: str, version: int = 1, **apart: Any) -> Record:
-    """The record in a file of ours. ``apart`` are the values of fields that are not in the file. Raises PlgsError."""
+    """Read a record of the class ``kind`` from a file of ours. ``apart`` gives the fields that are not in the file.
+    ``fix`` is the advice in the PlgsError that is raised for other content."""
     content: dict[str, Any] = read_object(path, fix)
     refuse_other_format(content, path, version)
     return record_of(kind, content, path, fix, **apart)
@@ -63,8 +63,8 @@ def refuse_other_format(content: dict[str, Any], path: Path | str, version: int 
 def record_of(
     kind: type[Record], content: Mapping[str, Any], path: Path | str, fix: str, context: str = "", **apart: Any
 ) -> Record:
-    """The record of a JSON object from the file ``path``. ``context`` is its position there, such as "files[3]". Raises
-    a PlgsError that names the file, the key and the expected value."""
+    """Return the record of the class ``kind`` that a JSON object of the file ``path`` holds. ``context`` is its
+    position there, such as "files[3]". Raises a PlgsError that names the file, the key and the expected value."""
     declared, hints = _declared(cast(Any, kind)), _hints(cast(Any, kind))
     if unknown := sorted(content.keys() - declared.keys()):
         where = f" in {context}" if context else ""
@@ -88,7 +88,7 @@ def record_of(
 
 
 def check_record(record: Any, fix: str) -> None:
-    """Raise PlgsError for a field whose value `read_record` would refuse."""
+    """Raise PlgsError, with ``fix`` as the advice, if a field has a value that `read_record` would refuse."""
     hints = _hints(cast(Any, type(record)))
     for each in _declared(cast(Any, type(record))).values():
         value = getattr(record, each.name)
@@ -97,7 +97,7 @@ def check_record(record: Any, fix: str) -> None:
 
 
 class _Reader:
-    """Reads the values of one field."""
+    """Converts JSON values of one file to the types that a record's annotations name."""
 
     def __init__(self, path: Path | str, fix: str, more: Mapping[str, Any]) -> None:
         self._path, self._fix, self._more = path, fix, more
@@ -121,7 +121,7 @@ class _Reader:
         return found
 
     def _one_of(self, kinds: tuple[Any, ...], given: Any, key: str) -> Any:
-        """The first kind that fits; the last one's error says what is wrong."""
+        """Convert ``given`` to the first of ``kinds`` that fits. If none fits, the last one's error is raised."""
         kinds = tuple(each for each in kinds if (each is NoneType) == (given is None))
         for each in kinds[:-1]:
             try:
@@ -145,7 +145,7 @@ class _Reader:
         )
 
     def _simple(self, kind: Any, given: Any, key: str) -> Any:
-        """A value of a simple kind; None if it is of another."""
+        """Convert ``given`` to a simple type; None if ``kind`` is not a simple type."""
         if get_origin(kind) is Literal:
             return given if isinstance(given, str) and given in get_args(kind) else None
         if kind in (int, float):
@@ -177,7 +177,7 @@ class _Reader:
         return float(given) if abs(given) < 1e300 else None
 
     def wrong(self, kind: Any, given: Any, key: str) -> PlgsError:
-        """The error for a value of a kind other than ``kind``."""
+        """Return the error for a value that is not of the type ``kind``."""
         what = f"'{key}' must be {self._words(kind)}, not {shown_json(given)}"
         return PlgsError("wrong-type", what, self._path, self._fix)
 
@@ -212,7 +212,7 @@ _RECORD = "record"
 
 @cache
 def _parts(kind: Any) -> tuple[Any, tuple[Any, ...]]:
-    """What kind of annotation it is (Any for Json, too) and the annotations inside it."""
+    """Return the origin of an annotation, such as tuple or Union (Any for Json, too), and the annotations inside it."""
     origin, inner = get_origin(kind), get_args(kind)
     if kind is Any or {list, dict} <= {get_origin(each) for each in inner}:
         return Any, ()

@@ -1,4 +1,4 @@
-"""Reads NumPy's .npy and .npz: never pickled, never larger than a limit, whatever their bytes claim."""
+"""Reads NumPy's .npy and .npz files. Pickles are refused, and so are arrays with more bytes than a given limit."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def read_npy(path: Path, fix: str, most_bytes: int = MOST_BYTES) -> NDArray[Any]
 
 
 def _array(file: IO[bytes]) -> NDArray[Any]:
-    """The array in a .npy. Memory is only touched for numbers that exist. Raises many kinds of errors."""
+    """Read the array of a .npy. Memory is taken only for data that the file really has. Raises many kinds of errors."""
     values: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
     if not values.dtype.itemsize:  # V0 or U0: a header of few bytes could claim any number of rows
         raise ValueError("its numbers have no size")
@@ -75,14 +75,14 @@ def _reason(error: Exception) -> str:
 
 @dataclass(frozen=True)
 class ArrayHeader:
-    """An array's properties, without its numbers. ``kind`` is numpy's letter: b, i, u, f, U."""
+    """The shape and type of a stored array, without its data. ``kind`` is numpy's letter: b, i, u, f, U."""
 
     shape: tuple[int, ...]
     kind: str
 
 
 def array_headers(path: Path) -> dict[str, ArrayHeader]:
-    """The arrays of an .npz by name; the one of an .npy is called "". Raises PlgsError, including for pickles."""
+    """Return the headers of an .npz's arrays by name; "" is that of a .npy. Raises PlgsError, also for pickles."""
     try:
         with reading(path), open_plain(path) as file:
             if path.suffix.lower() == ".npy":
@@ -99,7 +99,7 @@ def array_headers(path: Path) -> dict[str, ArrayHeader]:
 
 
 def read_array(path: Path, name: str = "") -> NDArray[Any]:
-    """The array ``name`` of an .npz, or that of an .npy, with a frame's masks. Raises PlgsError."""
+    """Return the array ``name`` of an .npz, or the one of an .npy, that holds a frame's masks. Raises PlgsError."""
     headers = array_headers(path)
     if name not in headers:
         what = f'there is no array called "{name}"'

@@ -33,8 +33,8 @@ class ClassLabel:
 
 @dataclass(frozen=True)
 class Category:
-    """One class: ``id`` >= 1 as in the masks' own table, an sRGB ``colour`` of three bytes, and a ``name`` as in
-    ClassLabel."""
+    """One class of a scene. ``id`` is at least 1, as in the masks' own table; ``colour`` is sRGB, three bytes; ``name``
+    is as in ClassLabel."""
 
     id: int
     name: str
@@ -79,11 +79,11 @@ class ClassTable:
 
 
 def distinct_colour(instance: int) -> tuple[int, int, int]:
-    """The colour of an instance. It differs from the first 40, which the commonest classes beside it use."""
+    """Return an instance's colour in PALETTE, from the 40th on, as the commonest classes have the first 40."""
     return PALETTE[(39 + instance) % len(PALETTE)]
 
 
 def named(names: Mapping[int, str], text: str) -> list[int]:
-    """The ids whose name is ``text``, or, if there are none, whose name differs from it only in case."""
+    """Return the ids of the names equal to ``text`` or, if none is, equal to it but for upper and lower case."""
     exact = [key for key, name in names.items() if name == text]
     return exact or [key for key, name in names.items() if name.casefold() == text.casefold()]

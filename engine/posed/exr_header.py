@@ -24,8 +24,9 @@ _FIX = "Write this file again."
 
 @dataclass(frozen=True)
 class ExrHeader:
-    """``size`` is (width, height) of what is stored: the picture, a part of it, or more than it. ``channels``: bytes
-    per number of each. ``start`` has the first eight bytes, ``attributes`` the kind and value of each as stored."""
+    """The header of an OpenEXR file. ``size`` is the (width, height) of the stored pixels, which may be only a part of
+    the picture or more than it. ``channels`` gives the bytes per value of each; ``start`` is the first eight bytes;
+    ``attributes`` maps a name to its type and value as stored."""
 
     size: Size
     channels: Mapping[str, int]
@@ -34,17 +35,17 @@ class ExrHeader:
 
     @property
     def numbers(self) -> int:
-        """The number of values in all channels."""
+        """The number of stored values: pixels times channels."""
         return self.size[0] * self.size[1] * len(self.channels)
 
     @property
     def is_whole(self) -> bool:
-        """Whether exactly the picture is stored, without overscan."""
+        """Whether the stored pixels are exactly the picture, without crop or overscan."""
         return self.attributes[b"dataWindow"] == self.attributes[b"displayWindow"]
 
 
 def read_exr_header(path: Path) -> ExrHeader:
-    """The header of a file. Raises PlgsError, including for a multi-part file."""
+    """Read the header of an OpenEXR file. Raises PlgsError, also for a multi-part file."""
     start, attributes = _attributes_of(path)
     try:
         (left, top, right, bottom), _ = (
@@ -63,7 +64,7 @@ def read_exr_header(path: Path) -> ExrHeader:
 
 
 def one_pixel_of(path: Path) -> bytes:
-    """A file with one black pixel and another one's channels and texts. Raises PlgsError, for a tiled file too."""
+    """Return an EXR of one black pixel with the channels and attributes of the one at ``path``. Raises PlgsError."""
     header = read_exr_header(path)
     if int.from_bytes(header.start[4:], "little") & _TILED:
         raise PlgsError("exr-tiles", "the passes have tiles", path, _FIX)
@@ -96,7 +97,7 @@ def _attributes_of(path: Path) -> tuple[bytes, dict[bytes, tuple[bytes, bytes]]]
 
 
 def _attributes(data: bytes) -> dict[bytes, tuple[bytes, bytes]]:
-    """Raises ValueError, IndexError or struct.error if the header is truncated."""
+    """Parse the attributes of an EXR. Raises ValueError, IndexError or struct.error if the header is truncated."""
     found, position = {}, 0
     while data[position] != 0:
         name_end = data.index(b"\0", position)
@@ -111,7 +112,7 @@ def _attributes(data: bytes) -> dict[bytes, tuple[bytes, bytes]]:
 
 
 def _channels(data: bytes) -> dict[str, int]:
-    """Each channel's bytes per number. Raises ValueError, IndexError."""
+    """Parse the channel list: the bytes per value of each channel, by name. Raises ValueError, IndexError."""
     found, position = {}, 0
     while data[position] != 0:
         end = data.index(b"\0", position)

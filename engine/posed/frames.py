@@ -19,22 +19,23 @@ from .classes import ClassTable
 
 
 def as_pose(rotation: ArrayLike, position: ArrayLike) -> NDArray[np.float64]:
-    """The rigid float64 [4, 4] of a rotation [3, 3] and a position [3]."""
+    """Build a rigid camera-to-world float64 [4, 4] from a rotation [3, 3] and a position [3]."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, position
     return pose
 
 
 def inverse(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The inverse of a rigid float64 [4, 4]."""
+    """Return the inverse of a rigid transform, float64 [4, 4]."""
     return as_pose(pose[:3, :3].T, -pose[:3, :3].T @ pose[:3, 3])
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Intrinsics in pixels of a ``width`` x ``height`` picture and the pose, a rigid float64 [4, 4] camera-to-world.
-    ``fx`` and ``fy`` are pixels per slope in a perspective picture, as all frames are; per metre in an orthographic
-    one; and per radian of longitude and latitude in an equirectangular one, whose depth is the distance, not planar."""
+    """A camera: intrinsics in pixels of a ``width`` x ``height`` picture, and the pose, a rigid float64 [4, 4] from
+    camera to world. ``fx`` and ``fy`` are focal lengths in pixels in a perspective picture, as all frames are; pixels
+    per metre in an orthographic one; pixels per radian of longitude and latitude in an equirectangular one, whose depth
+    is the distance from the camera, not planar."""
 
     width: int
     height: int
@@ -51,7 +52,7 @@ class Camera:
 
     @property
     def K(self) -> NDArray[np.float64]:
-        """The intrinsic matrix, float64 [3, 3], pixel centres at +0.5."""
+        """The intrinsic matrix, float64 [3, 3], in pixels, where the centre of a pixel is at +0.5."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     @property
@@ -65,28 +66,30 @@ class Camera:
         return self.camera_to_world[:3, 3]
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same camera for a picture of another size (edges stay edges, so no half-pixel shift arises)."""
+        """Return the same camera for a picture of another size (edges stay edges, so no half-pixel shift arises)."""
         x, y = width / self.width, height / self.height
         fx, fy, cx, cy = self.fx * x, self.fy * y, self.cx * x, self.cy * y
         return replace(self, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
 
     def at(self, pose: NDArray[np.float64]) -> Camera:
-        """The same lens at another pose, float64 [4, 4] camera-to-world."""
+        """Return the same intrinsics with another pose, float64 [4, 4] camera-to-world."""
         return replace(self, camera_to_world=pose)
 
     def of_rows(self, first: int, end: int) -> Camera:
-        """The camera whose picture is rows ``first`` to ``end`` (exclusive) of this one's."""
+        """Return the camera of a crop of this one's picture: the rows from ``first`` to ``end`` (exclusive)."""
         return replace(self, height=end - first, cy=self.cy - first)
 
     def unproject(self, depth: NDArray[np.float32]) -> NDArray[np.float64]:
-        """World points, float64 [height, width, 3], of depth, float [height, width] metres: the paper's equation
-        "ProjectionEquation" with the camera centre counted once. Pixels without depth (0) land on that centre."""
+        """Return the world point of each pixel, float64 [height, width, 3] in metres, from planar ``depth``, float
+        [height, width] in metres: the paper's "ProjectionEquation", with the camera centre added only once. A pixel
+        without depth (0) gets the camera centre."""
         if depth.shape != (self.height, self.width):
             raise ValueError(f"depth is {depth.shape[1]}x{depth.shape[0]}, the camera {self.width}x{self.height}")
         return self.points(np.arange(self.width) + 0.5, np.arange(self.height)[:, None] + 0.5, depth)
 
     def points(self, u: NDArray[Any], v: NDArray[Any], depth: NDArray[np.floating]) -> NDArray[np.float64]:
-        """World points, float64 [..., 3], at continuous pixel coordinates and depths, which are broadcast."""
+        """Return world points, float64 [..., 3] in metres, at pixel coordinates ``u``, ``v`` and ``depth`` (metres),
+        which are floats and are broadcast."""
         d, x, y = depth.astype(np.float64), (u - self.cx) / self.fx, (v - self.cy) / self.fy
         if self.projection == "orthographic":
             local = np.stack(np.broadcast_arrays(x, y, d), axis=-1)
@@ -97,8 +100,8 @@ class Camera:
         return local @ self.camera_to_world[:3, :3].T + self.camera_to_world[:3, 3]
 
     def project(self, points: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """World points [..., 3] to continuous pixel coordinates float64 [..., 2] (x, y) and depth [...]. If
-        depth <= 0 the coordinates are meaningless (but finite)."""
+        """Project world points [..., 3] into the picture. Returns pixel coordinates (x, y), float64 [..., 2], and depth
+        in metres, float64 [...]. Where depth <= 0 the coordinates are finite but meaningless."""
         local = (points - self.centre) @ self.camera_to_world[:3, :3]
         x, y, z = local[..., 0], local[..., 1], local[..., 2]
         if self.projection == "equirectangular":
@@ -109,8 +112,8 @@ class Camera:
         return np.stack([x * self.fx + self.cx, y * self.fy + self.cy], axis=-1), z
 
     def seen(self, points: NDArray[np.floating]) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-        """The rows [n] of the world points [N, 3] that project into the picture, occluded or not; their continuous
-        pixel coordinates (x, y), float64 [n, 2], and their planar depth [n]."""
+        """Return which of the world points [N, 3] project into the picture, hidden ones included: their rows, int64
+        [n], their pixel coordinates (x, y), float64 [n, 2], and their planar depth in metres, float64 [n]."""
         pixel, depth = self.project(points)
         rows = np.flatnonzero((depth > 0) & ((pixel >= 0) & (pixel < np.array(self.size))).all(axis=1))
         return rows, pixel[rows], depth[rows]
@@ -121,9 +124,9 @@ Size = tuple[int, int]  # (width, height) in pixels
 
 @dataclass(frozen=True, eq=False)
 class SparsePoints:
-    """The points of the reconstruction that a scene's poses come from: ``xyz`` floats [N, 3] in the poses' world,
-    ``rgb`` uint8 [N, 3] sRGB. ``seen_by`` maps a frame's name to the indices int64 [K] of the points found in its
-    picture; it is empty in formats without tracks."""
+    """The sparse points of the reconstruction (such as COLMAP's) that found a scene's poses. ``xyz`` floats [N, 3] in
+    the same world as the poses, ``rgb`` uint8 [N, 3] sRGB. ``seen_by`` maps a frame's name to the indices, int64 [K],
+    of the points found in its picture; it is empty in formats without tracks."""
 
     xyz: NDArray[np.floating]
     rgb: NDArray[np.uint8]
@@ -133,15 +136,15 @@ class SparsePoints:
         return len(self.xyz)
 
     def turned(self, turn: NDArray[np.float64]) -> SparsePoints:
-        """The same points in a world rotated by ``turn``, float64 [3, 3]."""
+        """Return the points in a world rotated by ``turn``, float64 [3, 3]."""
         return SparsePoints(self.xyz @ turn.T, self.rgb, self.seen_by)
 
 
 @dataclass(frozen=True, eq=False)
 class PosedFrame:
-    """One picture and the camera that took it. ``colour_path`` and ``depth_path`` are the files that hold the pixels.
-    ``file_shows_colour``: the file at ``colour_path`` is an image that shows the frame unmodified, not a video, an
-    archive, or a picture that is undistorted on reading."""
+    """One picture and the camera that took it. ``colour_path`` and ``depth_path`` are the files of its pixels.
+    ``file_shows_colour`` says that ``colour_path`` is an image of the frame as it is, not a video, an archive, or a
+    picture that must be undistorted."""
 
     name: str
     camera: Camera
@@ -157,9 +160,9 @@ class PosedFrame:
 
 @dataclass(frozen=True, eq=False)
 class PosedScene:
-    """Posed frames in recording order, the classes of their masks, and what a user should know about them. ``folder``
-    is what the user named: a folder, or the one file that holds everything; ``format`` is the name of its reader.
-    ``turn``, float64 [3, 3], is the rotation that made z point up, or None. ``estimated``: see ``Manifest``."""
+    """A scene's posed frames in recording order, the classes of its masks, and warnings for the user. ``folder`` is the
+    folder or single file that the user named; ``format`` is the name of its reader. ``turn``, float64 [3, 3], is the
+    rotation that was applied to make z point up, or None. ``estimated``: see ``Manifest``."""
 
     folder: Path
     frames: tuple[PosedFrame, ...]
@@ -172,7 +175,7 @@ class PosedScene:
 
 
 def size_within(size: Size, box: Size) -> Size:
-    """``size`` (width, height) reduced to fit into ``box`` at the same aspect ratio; never enlarged."""
+    """Return ``size`` (width, height) reduced to fit into ``box`` with its aspect ratio kept; it is never enlarged."""
     width, height = size
     scale = min(1.0, box[0] / width, box[1] / height)
     return max(1, round(width * scale)), max(1, round(height * scale))

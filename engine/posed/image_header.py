@@ -78,7 +78,7 @@ def _read(path: Path) -> bytes:
 
 
 def check_image_bytes(data: bytes, path: Path) -> None:
-    """``check_image_file`` for bytes from the file ``path``. No decoder may read kinds other than PNG and JPEG."""
+    """Check an image's bytes as ``check_image_file`` does; ``path`` is its file. Only PNG and JPEG are accepted."""
     if data.startswith(_PNG_SIGNATURE):
         _png_header(data[:33], path)
         _check_png_chunks(data, path)
@@ -117,7 +117,7 @@ def _png_header(start: bytes, path: Path) -> ImageHeader:
 
 
 def _jpeg_header(file: BinaryIO, path: Path) -> ImageHeader:
-    """Walk the marker segments up to the frame header (SOF)."""
+    """Read a JPEG's header: walk its marker segments up to the frame header (SOF)."""
     file.seek(2)
     orientation = 1
     while True:
@@ -161,7 +161,7 @@ def _orientation(segment: bytes) -> int:
 
 
 def _jpeg_is_whole(data: bytes) -> bool:
-    """Whether the end marker follows the start of the scan (a thumbnail in the metadata has one of its own)."""
+    """Whether the end marker comes after the start of the scan (a thumbnail in the metadata has end markers too)."""
     position = 2
     while position + 4 <= len(data) and data[position] == 0xFF:
         if data[position + 1] == 0xFF:
@@ -183,7 +183,7 @@ def _check_png_chunks(data: bytes, path: Path) -> None:
 
 
 def png_chunks(data: bytes) -> Iterator[bytes]:
-    """The whole chunks of a PNG: length, kind, body and checksum."""
+    """The complete chunks of a PNG, each with its length, type, body and checksum."""
     start = len(_PNG_SIGNATURE)
     while (end := start + 12 + int.from_bytes(data[start : start + 4], "big")) <= len(data):
         yield data[start:end]

@@ -1,5 +1,5 @@
-"""Files of a scene: reading them, matching them to frames, and limits on what they may claim. Every format's frames are
-checked here when a scene is opened, so readers need no limits of their own."""
+"""Find and read a scene's files, match them to frames, and limit what they may claim. The frames of every format are
+checked here when a scene is opened, so the readers need no limits of their own."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def read_text(path: Path, most_bytes: int, fix: str) -> str:
 
 
 def composed(name: str) -> str:
-    """A name with composed letters (NFC): macOS writes ü as u and two dots, other systems as one letter."""
+    """Return the name with composed letters (Unicode NFC): macOS writes ü as two characters, others as one."""
     return unicodedata.normalize("NFC", name)
 
 
@@ -49,19 +49,20 @@ def natural_order(name: str) -> tuple[tuple[int, int, str], ...]:
 
 
 def is_note(path: Path) -> bool:
-    """Whether the system created this file: ._0001.png and .DS_Store of macOS, Thumbs.db of Windows."""
+    """Whether the operating system made this file: ._0001.png and .DS_Store (macOS), Thumbs.db (Windows)."""
     return path.name.startswith(".") or path.name.lower() in ("thumbs.db", "desktop.ini")
 
 
 def shown_files(folder: Path, pattern: str = "*") -> Iterator[Path]:
-    """The entries of ``folder`` that match, unordered, without the system's (``is_note``). Only "*" raises OSError."""
+    """Yield the entries of ``folder`` that match, unordered, without system files. Raises OSError only for "*"."""
     found = folder.iterdir() if pattern == "*" else folder.glob(pattern)
     return (path for path in found if not is_note(path))
 
 
 def files_by_stem(folder: Path, suffixes: Collection[str], fix: str) -> dict[str, Path]:
-    """Files of ``folder`` with one of ``suffixes`` (lower case, with the dot), by ``composed`` stem, in natural order.
-    Raises PlgsError, with ``fix`` as the advice, if there is no such folder or file, or if a stem occurs twice."""
+    """Return the files of ``folder`` with one of ``suffixes`` (lower case, with the dot), in natural order, by stem
+    (`composed`). Raises PlgsError, with ``fix`` as the advice, if the folder or such files are missing, or a stem
+    repeats."""
     if not folder.is_dir():
         raise PlgsError("no-folder", "a folder is missing", folder, fix)
     with reading(folder, "Check its permissions."):
@@ -85,7 +86,8 @@ def files_by_stem(folder: Path, suffixes: Collection[str], fix: str) -> dict[str
 
 
 def require_all(names: Sequence[str], present: Collection[str], what: str, where: Path, fix: str) -> None:
-    """Raise PlgsError unless every frame of ``names`` is ``present``. ``what`` names the missing thing."""
+    """Raise PlgsError unless all frames' ``names`` are ``present``. ``what`` says which files, ``where`` their
+    folder."""
     lacking = [name for name in names if name not in present]
     if lacking:
         count = f"{len(lacking)} of {len(names)} frames have" if len(lacking) > 1 else "a frame has"
@@ -93,7 +95,7 @@ def require_all(names: Sequence[str], present: Collection[str], what: str, where
 
 
 def require_most(names: Sequence[str], present: Collection[str], what: str, where: Path, fix: str) -> list[str]:
-    """The frames of ``names`` that are ``present``. Raises as ``require_all`` if more than half of them are missing."""
+    """Return the ``names`` of frames that are in ``present``. Raises like ``require_all`` if over half are missing."""
     there = [name for name in names if name in present]
     if 2 * len(there) < len(names):
         require_all(names, present, what, where, fix)
@@ -101,7 +103,8 @@ def require_most(names: Sequence[str], present: Collection[str], what: str, wher
 
 
 def of_most(names: Sequence[str], read: Callable[[str], Read], progress: Progress = unwatched) -> dict[str, Read]:
-    """``read`` of each of ``names``, without those for which it raises PlgsError, unless more than half do."""
+    """Call ``read`` with each name and return the results by name. Names for which it raises PlgsError are left out,
+    but if they are more than half, the error is raised."""
     found: dict[str, Read] = {}
     errors: list[PlgsError] = []
     for number, name in enumerate(names):
@@ -118,7 +121,7 @@ def of_most(names: Sequence[str], read: Callable[[str], Read], progress: Progres
 
 
 def file_inside(folder: Path, name: str, path: Path) -> Path:
-    """The file in ``folder`` that the file ``path`` calls ``name``. Raises PlgsError if it is outside."""
+    """Return the path of the file in ``folder`` that the file ``path`` names. Raises PlgsError if it leads out."""
     # Windows' rules are the stricter ones: drives, both kinds of slashes.
     parts = PureWindowsPath(name)
     if parts.anchor or ".." in parts.parts or "\0" in name or not parts.parts:
@@ -134,19 +137,19 @@ def file_inside(folder: Path, name: str, path: Path) -> Path:
 
 
 def plural(number: int, one: str, many: str = "") -> str:
-    """A count of things, such as "1 frame is" or "3 frames are"; ``many`` defaults to ``one`` with an s."""
+    """Return a count with its noun, such as "1 frame is" or "3 frames are"; ``many`` defaults to ``one`` with an s."""
     return f"{number} {one if number == 1 else many or one + 's'}"
 
 
 def listed(names: Iterable[object], most: int = 5) -> str:
-    """A few names for a message: "0001, 0002, … and 7 more"."""
+    """Return up to ``most`` names as text for a message, such as "0001, 0002, … and 7 more"."""
     texts = [shown(name) for name in names]
     more = f" and {len(texts) - most} more" if len(texts) > most else ""
     return ", ".join(texts[:most]) + more
 
 
 def shown(name: object) -> str:
-    """A name from a foreign file, made fit for one line of a terminal."""
+    """Return a name that comes from someone else's file, made fit for one line of a terminal."""
     text = "".join(character if character.isprintable() else "?" for character in str(name))
     return text if len(text) <= 60 else f"{text[:59]}…"
 
@@ -157,12 +160,12 @@ def same_shape(one: Size, other: Size) -> bool:
 
 
 def fits_picture(size: Size, picture: Size) -> bool:
-    """Whether a mask of this ``size`` can belong to a ``picture``: its shape fits, and it is not far larger."""
+    """Whether a mask of this ``size`` can belong to a ``picture``: same aspect ratio, and not far larger."""
     return same_shape(size, picture) and size[0] <= _LARGEST_SCALE * picture[0]
 
 
 def shown_size(size: Size) -> str:
-    """ "640x480" """
+    """Return the size as text, such as "640x480"."""
     return f"{size[0]}x{size[1]}"
 
 
@@ -171,8 +174,9 @@ _SMALL = 1 << 25  # bytes; files smaller than this skip the free-memory check
 
 
 def check_count(count: int, things: str, path: Path, fix: str, *, most: int, room: int, made: int) -> None:
-    """Raise PlgsError for a ``count`` of ``things`` in the file ``path`` that is impossible, or too large: ``room`` fit
-    into the rest of the file, ``most`` can be read within ten seconds, and each takes ``made`` bytes of memory."""
+    """Raise PlgsError for a ``count`` of ``things`` in the file ``path`` that is larger than ``room``, the most that
+    fit into the rest of the file, or than ``most``, the number that is read in ten seconds, or that needs too much
+    memory at ``made`` bytes each."""
     if count > room:
         raise PlgsError("cut-off", "the file is cut off", path, fix)
     check_most(count, things, path, fix, most)
@@ -180,7 +184,7 @@ def check_count(count: int, things: str, path: Path, fix: str, *, most: int, roo
 
 
 def check_most(count: int, things: str, path: Path | str, fix: str, most: int) -> None:
-    """Raise PlgsError for more than ``most`` things, counted as they are found."""
+    """Raise PlgsError if ``count``, the number of ``things`` found so far in the file ``path``, exceeds ``most``."""
     if count > most:
         raise PlgsError("too-many", f"the file has more than {most} {things}", path, fix)
 
@@ -200,8 +204,8 @@ _FOCAL_LENGTHS = (0.001, 1000.0)  # relative to the picture's longer side: angle
 
 
 def check_camera(name: str, camera: Camera, path: Path) -> None:
-    """Raise PlgsError, with the frame's ``name``, for a lens or picture that no camera has, or a name that cannot be
-    shown, as panels, tables and logs show it unmodified. ``path`` is its picture."""
+    """Raise PlgsError for intrinsics or a picture's size that no camera has, and for a frame's ``name`` that cannot be
+    shown in panels, tables and logs. ``path`` is the picture."""
     if not name.isprintable():
         what = f"the name of frame {shown(name)} cannot be shown as text"
         raise PlgsError("frame-name", what, path.parent, "Rename it.")
@@ -214,7 +218,7 @@ def check_camera(name: str, camera: Camera, path: Path) -> None:
 
 
 def check_size(what: str, size: Size, path: Path) -> None:
-    """Raise PlgsError, which begins with ``what``, for a size that no camera makes."""
+    """Raise PlgsError for a picture's size that no camera makes. ``what`` is the subject of the message."""
     if min(size) < _SMALLEST_SIDE or max(size) > _LONGEST_SHAPE * min(size):
         fix = f"Use at least {_SMALLEST_SIDE} pixels per side, and no side more than {_LONGEST_SHAPE} times the other."
         raise PlgsError("impossible-size", f"{what} is {shown_size(size)}, which no camera produces", path, fix)

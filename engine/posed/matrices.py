@@ -46,7 +46,7 @@ def read_matrix(path: Path, shapes: tuple[tuple[int, int], ...]) -> Matrix:
 
 
 def take_array(entry: dict[str, Any], key: str, context: str, path: Path, *shapes: tuple[int, ...]) -> Matrix:
-    """``entry[key]`` of JSON, a list of numbers or of rows, in one of ``shapes``; it may hold inf. Raises PlgsError."""
+    """Return ``entry[key]``, a JSON list of numbers or rows, as an array of one of ``shapes``. Raises PlgsError."""
     value = take_list(entry, key, context, path)
     try:
         numbers = np.array(value, np.float64)
@@ -59,8 +59,9 @@ def take_array(entry: dict[str, Any], key: str, context: str, path: Path, *shape
 
 
 def read_poses(files: Mapping[str, Path], progress: Progress = unwatched) -> dict[str, NDArray[np.float64] | None]:
-    """The camera-to-world pose, float64 [4, 4], in each frame's file; None if it holds no matrix, or inf, which is how
-    scanners mark lost tracking. Raises PlgsError as ``rigid`` does, and if most existing files hold none."""
+    """Read the camera-to-world pose, float64 [4, 4], in each frame's file. A pose is None if the file holds no matrix
+    or one with inf, which scanners write when tracking is lost. Raises PlgsError as ``rigid`` does, and if most of the
+    files that exist hold no pose."""
     there = [name for name, path in files.items() if path.is_file()]
     found = of_most(there, lambda name: read_matrix(files[name], ((4, 4),)), part_of(progress, 0.0, 0.5))
     lost = {name for name, pose in found.items() if np.isinf(pose).any()}
@@ -73,8 +74,8 @@ def read_poses(files: Mapping[str, Path], progress: Progress = unwatched) -> dic
 
 
 def rigid(pose: Matrix, path: Path) -> Matrix:
-    """A camera-to-world pose, float64 [4, 4], from the file ``path``. Raises PlgsError for a matrix that is not rigid.
-    The rounding of text is corrected, so that the inverse is exact."""
+    """Return the camera-to-world pose, float64 [4, 4], that was read from ``path``, as an exactly rigid matrix: the
+    rounding of its text is corrected. Raises PlgsError if it is not nearly rigid."""
     if not np.allclose(pose[3], [0.0, 0.0, 0.0, 1.0], atol=1e-4):
         what = "the last row of the pose is not 0 0 0 1"
         raise PlgsError("pose-last-row", what, path, "Write camera-to-world, one row per line.")
@@ -104,13 +105,13 @@ def _is_orthogonal(rotation: Matrix) -> bool:
 
 
 def read_intrinsics(path: Path, size: Size) -> Camera:
-    """Read K (3x3 or 4x4) of a picture of this ``size``, see ``as_lens``. Raises PlgsError."""
+    """Read the intrinsic matrix (3x3 or 4x4) of a picture of this ``size`` from a text file. See ``as_lens``."""
     return as_lens(read_matrix(path, ((3, 3), (4, 4), (3, 4))), size, path)
 
 
 def as_lens(matrix: Matrix, size: Size, path: Path) -> Camera:
-    """A camera at the origin, centres at +0.5, from K (integer pixel centres) for a picture of this ``size``, out of
-    ``path``. Raises PlgsError for numbers that no camera has."""
+    """Return a camera at the origin from an intrinsic matrix whose pixel centres are integers (the camera's are at
+    +0.5), for a picture of this ``size``. ``path`` is the matrix's file. Raises PlgsError for impossible numbers."""
     if not np.isfinite(matrix).all():
         raise PlgsError("inf", "a number is infinite", path, "Write the camera's fx, fy, cx and cy in pixels.")
     (fx, skew, cx), (row, fy, cy), last = matrix[0, :3], matrix[1, :3], matrix[2, :3]
@@ -140,9 +141,9 @@ _SPREAD = 0.3  # second over first singular value of the cameras' right axes; be
 def upright_turn(
     poses: Sequence[Matrix], asked: UpAxis, own: UpAxis | None, *, is_known: bool
 ) -> tuple[Matrix, list[str]]:
-    """The rotation, float64 [3, 3], from a capture's world into one with z up, and warnings. ``poses`` are the
-    cameras', float64 [4, 4] camera-to-world. ``own`` is the format's up axis, None if unknown, and ``is_known`` says
-    that it was measured."""
+    """Return the rotation, float64 [3, 3], from a capture's world into one with z up, and warnings. ``poses`` are the
+    cameras', float64 [4, 4] camera-to-world. ``asked`` is the up axis that the user chose, ``own`` the format's (None
+    if unknown), and ``is_known`` says that the latter was measured."""
     axis: UpAxis | None = "z" if asked == "+z" else own if asked == "z" else asked
     if axis is None:
         return upright_rotation(poses), []
@@ -154,13 +155,13 @@ def upright_turn(
 
 
 def turned(pose: Matrix, turn: Matrix) -> Matrix:
-    """A camera-to-world pose, float64 [4, 4], in a world rotated by ``turn``, float64 [3, 3]."""
+    """Return a camera-to-world pose, float64 [4, 4], in a world that is rotated by ``turn``, float64 [3, 3]."""
     return as_pose(turn @ pose[:3, :3], turn @ pose[:3, 3])
 
 
 def up_axis_warning(poses: Sequence[Matrix], up: UpAxis) -> str | None:
-    """A warning if cameras, float64 [4, 4] camera-to-world each, are upright about an axis other than z, by the mean of
-    their own up axes; None if all look steeply up or down, or lie on their side."""
+    """Return a warning if cameras, float64 [4, 4] camera-to-world each, seem to stand upright about an axis other than
+    z. This is judged by the mean of their up axes; None if all look steeply up or down, or lie on their side."""
     mean = -np.mean([pose[:3, 1] for pose in poses], axis=0)
     axis = int(np.abs(mean).argmax())
     if abs(mean[axis]) < _CLEARLY_UP or (axis == 2 and mean[2] > 0.0):
@@ -175,9 +176,9 @@ def up_axis_warning(poses: Sequence[Matrix], up: UpAxis) -> str | None:
 
 
 def upright_rotation(poses: Sequence[Matrix]) -> Matrix:
-    """The rotation, float64 [3, 3], into a world in which cameras, float64 [4, 4] camera-to-world each, stand upright;
-    the identity if z is roughly up. The right axis of an upright camera is level, wherever it looks. If all cameras
-    look the same way, that leaves their pitch open, and their mean up axis is used."""
+    """Return the rotation, float64 [3, 3], into a world in which cameras, float64 [4, 4] camera-to-world each, stand
+    upright; the identity if z is nearly up. An upright camera's right axis is level, so "up" is perpendicular to all of
+    these. If all cameras look the same way, that leaves their pitch open, and their mean up axis is used."""
     rights = np.array([pose[:3, 0] for pose in poses])
     mean_up = -np.mean([pose[:3, 1] for pose in poses], axis=0)
     _, strengths, axes = np.linalg.svd(rights, full_matrices=True)
@@ -193,7 +194,7 @@ def upright_rotation(poses: Sequence[Matrix]) -> Matrix:
 
 
 def shortest_rotation(one: Matrix, other: Matrix) -> Matrix:
-    """The rotation, float64 [3, 3], by the smallest angle from the unit vector ``one`` to ``other``."""
+    """Return the rotation by the smallest angle, float64 [3, 3], that takes the unit vector ``one`` to ``other``."""
     cosine = float(one @ other)
     if cosine < -1.0 + 1e-12:
         return np.diag([1.0, -1.0, -1.0])  # ``other`` is z in all calls

@@ -1,4 +1,4 @@
-"""Unique names for mattes, files and prims."""
+"""Unique names of objects and classes, for Cryptomatte, files and USD prims."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ _NOT_IN_MATTES = str.maketrans(dict.fromkeys(",\"'\\", " "))
 
 
 def unique_names(names: Mapping[int, str], mark: str = " #") -> dict[int, str]:
-    """The names, with ``mark`` and the key added to those that are not unique. Two names are the same if they differ
-    only in case, as for some disks, or have the same number in a matte."""
+    """Return the names by key, with ``mark`` and the key added to those that are not unique. Names that differ only in
+    case count as equal, as some file systems do not tell them apart, and so do names with equal Cryptomatte hashes."""
     seen = Counter(form for name in names.values() for form in _forms(name))
     unique = {key: name for key, name in names.items() if all(seen[form] == 1 for form in _forms(name))}
     taken = {form for name in unique.values() for form in _forms(name)}
@@ -35,13 +35,13 @@ def matte_names(names: Mapping[int, str]) -> dict[int, str]:
 
 
 def name_bits(name: str) -> int:
-    """MurmurHash3_32 of the name in UTF-8, with one exponent bit flipped if it would not be a normal float."""
+    """Return a name's Cryptomatte hash: MurmurHash3_32 of its UTF-8, one bit changed if it were no normal float."""
     hashed = murmur3(name.encode())
     return hashed ^ (1 << 23) if (hashed >> 23 & 255) in (0, 255) else hashed
 
 
 def murmur3(data: bytes, seed: int = 0) -> int:
-    """MurmurHash3, x86, 32 bits (the algorithm is in the public domain)."""
+    """Return MurmurHash3 (x86, 32 bits) of ``data``. The algorithm is in the public domain."""
     whole = len(data) // 4 * 4
     state = seed
     for start in range(0, whole, 4):

@@ -1,5 +1,5 @@
-"""Plain folders (``formats/scannet.py`` describes them), whose cameras and pictures Blender can read without an engine,
-and the split of any scene. The engine's reader adds depth and masks."""
+"""Plain folders of frames, as ``formats/scannet.py`` describes them, and the split of any scene into frames for
+training and for testing. Blender reads cameras and pictures with this; the engine's reader adds depth and masks."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _MOST = 40  # maximum number of held-out frames; more improve no measurement, an
 
 @dataclass(frozen=True)
 class Split:
-    """Frame names of each part, in recording order, and warnings."""
+    """The names of the frames to train on and to test on, each in recording order, and warnings for the user."""
 
     train: tuple[str, ...]
     test: tuple[str, ...]
@@ -34,8 +34,8 @@ class Split:
 
 
 def find_split(folder: Path, names: Sequence[str], lost: Sequence[str]) -> Split:
-    """The split of the frames ``names`` by ``splits.json`` in ``folder``, or the default without that file. ``lost``
-    names frames without a pose. Raises PlgsError as ``read_split`` does, or when no frame is left to train on."""
+    """Return the split of the frames ``names`` by ``splits.json`` in ``folder``, or the default one without that file.
+    ``lost`` names frames without a pose. Raises PlgsError as ``read_split`` does, or if none is left to train on."""
     table = folder / "splits.json"
     split = read_split(table, names, lost) if table.is_file() else default_split(names)
     if not split.train:
@@ -44,8 +44,8 @@ def find_split(folder: Path, names: Sequence[str], lost: Sequence[str]) -> Split
 
 
 def default_split(names: Sequence[str]) -> Split:
-    """Hold out every 8th frame: the 5th, the 13th, ..., at most 40. Fewer than five frames are all trained on. The
-    first frame, and often the last, shows the most that no other does, so they are trained on."""
+    """Hold out every 8th frame for testing: the 5th, the 13th, ..., at most 40. With fewer than five frames none is
+    held out. The first and last frames see surfaces that no other frame sees, so training keeps them."""
     every = max(_EVERY, -(-len(names) // _MOST))
     test = names[_FIRST::every]
     train = tuple(name for index, name in enumerate(names) if index % every != _FIRST)
@@ -90,8 +90,8 @@ FOLDERS_FIX = "Give folders color, depth, pose and intrinsic, or let COLMAP find
 
 @dataclass(frozen=True, eq=False)
 class PlainFolders:
-    """What the folders hold, in recording order: cameras and pictures of the ``split``'s frames, by name; only
-    unreadable pictures have no camera. ``lost`` lists readable frames without a pose, ``names`` all frames."""
+    """What plain folders hold: the cameras and pictures of all frames of ``split``, by name. A frame whose picture is
+    unreadable has no camera. ``names`` are all frames in recording order; ``lost`` are readable ones without a pose."""
 
     names: tuple[str, ...]
     cameras: Mapping[str, Camera]
@@ -101,14 +101,14 @@ class PlainFolders:
 
 
 def recognises(place: Path) -> bool:
-    """Whether a folder has at least two of the folders: then an error can name the missing ones."""
+    """Whether at least two of the expected folders exist; then an error can name those that are missing."""
     return sum((place / name).is_dir() for name in ("color", "pose", "intrinsic")) >= 2
 
 
 def read_folders(
     folder: Path, lens_of: Callable[[Path], Camera] | None = None, progress: Progress = unwatched
 ) -> PlainFolders:
-    """Read poses, headers of pictures, and lenses unless ``lens_of`` supplies them. Raises PlgsError."""
+    """Read poses and pictures' headers, and lenses unless ``lens_of`` returns that of a picture. Raises PlgsError."""
     pictures = files_by_stem(folder / "color", {".jpg", ".jpeg", ".png"}, FOLDERS_FIX)
     pose_files = files_by_stem(folder / "pose", {".txt"}, FOLDERS_FIX)
     fix = "Add pose/<name>.txt, or remove their colour images."
@@ -152,7 +152,7 @@ def open_plain_folders(source: SceneSource) -> PosedScene:
 def complete_frames(
     frames: tuple[AnyFrame, ...], what: str, has: Callable[[AnyFrame], bool]
 ) -> tuple[tuple[AnyFrame, ...], tuple[str, ...]]:
-    """The frames that have ``what``, and warnings about the others; all if most, or all to train on, lack it."""
+    """Return the frames that have ``what``, and warnings about the rest; all if most, or all to train on, lack it."""
     kept = tuple(frame for frame in frames if has(frame))
     lacking = [frame.name for frame in frames if not has(frame)]
     if not kept or not lacking:

@@ -1,4 +1,4 @@
-"""PLY files that lifts write: Gaussians, in the format that other programs use, and the surface in mesh.ply."""
+"""Read PLY files that lifts write: Gaussians in the format of 3D Gaussian splatting, and the surface mesh.ply."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ _NEEDED = {"x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "s
 
 @dataclass(frozen=True, eq=False)
 class LabelledSurface:
-    """``xyz`` float32 [V, 3] metres, ``rgb`` uint8 [V, 3] sRGB, ``class_id`` and ``instance_id`` int32 [V],
-    ``triangles`` int32 [T, 3]; with textures, ``uv`` float32 [T, 3, 2] is each corner's position in the picture of its
-    (class, instance), as fractions of its sides from the lower left."""
+    """A triangle mesh: ``xyz`` float32 [V, 3] metres, ``rgb`` uint8 [V, 3] sRGB, ``class_id`` and ``instance_id`` int32
+    [V], ``triangles`` int32 [T, 3]. With textures, ``uv`` float32 [T, 3, 2] is where each corner lies in the picture of
+    its (class, instance), as fractions from the lower left."""
 
     xyz: NDArray[np.float32]
     rgb: NDArray[np.uint8]
@@ -45,7 +45,7 @@ class LabelledSurface:
     uv: NDArray[np.float32] | None = None
 
     def parts(self) -> dict[tuple[int, int], NDArray[np.int64]]:
-        """The rows [T] of each (class, instance)'s triangles, as `rows_by_label`. Void and fragments are left out."""
+        """Return the rows [T] of each (class, instance)'s triangles (`rows_by_label`), without void and fragments."""
         found = rows_by_label(self.triangles, self.class_id.astype(np.int64) << 32 | self.instance_id)
         return {
             (label >> 32, label & 0xFFFFFFFF): rows
@@ -54,7 +54,7 @@ class LabelledSurface:
         }
 
     def cut(self, rows: NDArray[np.int64]) -> LabelledSurface:
-        """The triangles of these rows [T], and their vertices."""
+        """Return a mesh of the triangles in ``rows`` [T] and only their vertices."""
         used, corners = np.unique(self.triangles[rows], return_inverse=True)
         renumbered, uv = corners.reshape(-1, 3).astype(np.int32), None if self.uv is None else self.uv[rows]
         vertices = (self.xyz[used], self.rgb[used], self.class_id[used], self.instance_id[used])
@@ -62,13 +62,13 @@ class LabelledSurface:
 
 
 def labels_of_triangles(triangles: NDArray[np.integer], label: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The labels [T] of triangles [T, 3] from the vertices' [V]: what two corners share, else the first corner's."""
+    """Return the triangles' labels [T] from the vertices' [V]: what two corners share, else the first corner's."""
     corners = label[triangles]
     return np.where(corners[:, 1] == corners[:, 2], corners[:, 1], corners[:, 0])
 
 
 def rows_by_label(triangles: NDArray[np.integer], label: NDArray[np.int64]) -> dict[int, NDArray[np.int64]]:
-    """The rows [T] of the triangles [T, 3] of each label, as `labels_of_triangles`."""
+    """Return the rows of the triangles [T, 3] of each label, from vertices' labels [V]; see `labels_of_triangles`."""
     own = labels_of_triangles(triangles, label)
     order = np.argsort(own, kind="stable")
     values, starts = np.unique(own[order], return_index=True)
@@ -101,8 +101,8 @@ def read_surface(path: Path) -> LabelledSurface:
 
 
 def read_gaussians(path: Path) -> NDArray[np.void]:
-    """The rows of a splat file, a structured array [N] by its columns' names. Raises PlgsError for other files. Rows
-    with non-finite numbers or absurdly distant positions are left out. Ids are int32, colours uint8."""
+    """Read a splat file as a structured array [N] with a field per column. Rows with positions that are not finite or
+    absurdly far away are left out. Ids are int32, colours uint8. Raises PlgsError for other files."""
     content, end, columns, (count, _) = _read(path, _MOST_OF_SPLATS, _SPLATS_FIX)
     if not _NEEDED <= {*columns}:
         raise PlgsError("no-splats", "the file holds no splats", path, _SPLATS_FIX)
@@ -119,13 +119,13 @@ def read_gaussians(path: Path) -> NDArray[np.void]:
 
 
 def left_out(path: Path) -> int:
-    """The number of rows of a splat file that `read_gaussians` leaves out. Raises PlgsError."""
+    """Return how many rows of a splat file `read_gaussians` leaves out. Raises PlgsError."""
     return _read(path, _MOST_OF_SPLATS, _SPLATS_FIX)[3][0] - len(read_gaussians(path))
 
 
 def _read(path: Path, most_bytes: int, fix: str) -> tuple[bytes, int, dict[str, str], tuple[int, int]]:
-    """A file's bytes, the end of its header, the vertices' columns, and the numbers of vertices and faces. There are no
-    columns in other kinds of files, nor if a name occurs twice. Raises PlgsError, with ``fix`` as the advice."""
+    """Read a PLY: its bytes, where its header ends, the types of the vertices' columns by name (none if the file is of
+    another kind or repeats a name), and the numbers of vertices and faces. Raises PlgsError with ``fix`` as advice."""
     with reading(path, fix):
         content = read_plain(path, most_bytes)
     header = ply_header(content, _LONGEST_HEADER)
@@ -138,8 +138,8 @@ def _read(path: Path, most_bytes: int, fix: str) -> tuple[bytes, int, dict[str, 
 
 @dataclass(frozen=True)
 class PlyHeader:
-    """``end`` is where the numbers begin, 0 in other files. ``elements`` are counts and the numpy types of properties,
-    by name, "" for a list, an unknown type, and a name that occurs twice."""
+    """The header of a PLY. ``end`` is where the data begins, 0 if the file is no PLY. ``elements`` holds for each kind
+    of element the count and the numpy types of properties by name, "" for lists, unknown types and repeated names."""
 
     form: str
     end: int
@@ -147,7 +147,7 @@ class PlyHeader:
 
 
 def ply_header(data: bytes, longest: int | None = None) -> PlyHeader:
-    """The header of a PLY, searched in its first ``longest`` bytes."""
+    """Parse a PLY's header, which is searched for in the first ``longest`` bytes of ``data``."""
     form, elements, columns = "", dict[str, tuple[int, dict[str, str]]](), dict[str, str]()
     last = data.find(b"end_header", 0, longest) if data.startswith(b"ply") else -1
     end = data.find(b"\n", last) + 1 if last >= 0 else 0
