@@ -1,4 +1,4 @@
-"""Files that are written completely or not at all."""
+"""Write files completely or not at all."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def write_atomically(path: Path, content: bytes | str | Callable[[Path], object]
     """Write a file so that readers, even after a kill at any point, see the old content or the new, never a mixture.
     ``content`` is the bytes, a text (written as UTF-8), or a function that writes the file at the path it is given.
     That path is in the same folder and ends like ``path``, so libraries that choose a format by suffix choose the right
-    one. One process at a time may write a given path. Raises what the function or the file system raises, and PlgsError
-    if another process removed the part, or if the folder's note is kept and the path has somebody else's file (see
-    `OwnFiles`); ``path`` is then as it was. An OSError names the file."""
+    one. Only one process at a time may write a given path. Raises what the function or the file system raises, and
+    PlgsError if another process removed the unfinished file or, while an `OwnFiles` keeps the folder's note, if
+    somebody else's file is there; ``path`` is then as it was. An OSError names the file."""
     guard = guard_of(path)
     if guard is not None:
         guard.claim(path)
@@ -59,7 +59,7 @@ def write_atomically(path: Path, content: bytes | str | Callable[[Path], object]
 
 
 def flush_to_disk(path: Path) -> None:
-    """Wait until a file's content (or a folder's list of names) would survive a power cut. Raises OSError."""
+    """Flush a file's content, or a folder's list of names, to the disk, to survive a power cut. Raises OSError."""
     if path.is_dir():
         return flush_folder(path)
     descriptor = os.open(path, os.O_RDWR)  # Windows flushes only files that are open for writing
@@ -70,7 +70,7 @@ def flush_to_disk(path: Path) -> None:
 
 
 def remove_parts(folder: Path) -> None:
-    """Delete what killed writers left under ``folder``. Only the holder of the folder's lock may call this."""
+    """Delete unfinished files of killed writers under ``folder``. Only the holder of the folder's lock may do so."""
     for part in sorted(folder.rglob(PART + "*")):  # a list, as deleting changes what rglob walks
         if part.is_dir():
             shutil.rmtree(part)
@@ -80,7 +80,7 @@ def remove_parts(folder: Path) -> None:
 
 @dataclass(frozen=True)
 class ListedFile:
-    """An entry in a list of a folder's files: the path relative to the folder, the size, and the SHA-256 in hex."""
+    """A listed file: the path relative to the folder, the size in bytes, and the SHA-256 in hex."""
 
     path: PurePosixPath
     bytes: int
@@ -88,12 +88,12 @@ class ListedFile:
 
     @classmethod
     def of(cls, path: Path, folder: Path) -> ListedFile:
-        """The file as it is now. Raises OSError."""
+        """Describe the file as it is now. Raises OSError."""
         return cls(PurePosixPath(path.relative_to(folder)), path.stat().st_size, sha256(path))
 
 
 def files_below(folder: Path) -> Iterator[Path]:
-    """Every completely written file under ``folder``, in a fixed order."""
+    """Yield every completely written file under ``folder``, in a fixed order."""
     for path in sorted(folder.rglob("*")):
         if path.is_file() and not path.name.startswith(PART):
             yield path

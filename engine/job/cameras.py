@@ -65,8 +65,8 @@ _PREVIEW_FIX = "Choose another camera for the preview."
 
 @dataclass(frozen=True)
 class PreviewCamera:
-    """A camera: ``camera_to_world`` rigid 4x4, ``K`` 3x3 without skew, for a picture of this size in pixels. It is a
-    pinhole camera unless its ``projection`` says otherwise."""
+    """A camera: ``camera_to_world`` rigid 4x4, ``K`` 3x3 without skew, for a picture of ``width`` x ``height`` pixels.
+    It is a pinhole camera unless its ``projection`` says otherwise."""
 
     camera_to_world: Matrix
     K: Matrix
@@ -76,7 +76,7 @@ class PreviewCamera:
 
     @property
     def fingerprint(self) -> str:
-        """An identifier of the camera, which stays the same when the camera is written and read again."""
+        """A text that identifies the camera, and stays the same when the camera is written and read again."""
         numbers = [[*map(list, self.camera_to_world)], [*map(list, self.K)], self.width, self.height]
         numbers += [] if self.projection == "perspective" else [self.projection]
         return hashlib.sha256(json.dumps(numbers).encode()).hexdigest()[:16]
@@ -88,9 +88,9 @@ PreviewRequest = str | PreviewCamera
 
 @dataclass(frozen=True)
 class BakeCamera:
-    """A camera to bake from: ``name`` of the file, ``pinhole``, the planar depths in metres that are drawn, the number
-    of the ``frame`` and the rate, the ``display`` window in the picture (left, top, width, height), and the cameras of
-    the ``previous`` and the ``next`` frame."""
+    """A camera to bake from: ``name`` of the file, ``pinhole``, the range of planar depths in metres that is drawn, the
+    number of the ``frame`` and the rate, the ``display`` window in the picture (left, top, width, height), and the
+    cameras of the ``previous`` and the ``next`` frame."""
 
     name: str
     pinhole: PreviewCamera
@@ -104,12 +104,12 @@ class BakeCamera:
 
     @property
     def motion(self) -> str:
-        """An identifier of the cameras before and after it, empty if they are not known."""
+        """A text that identifies the cameras of the frames before and after, for the layer Vector; "" without them."""
         return " ".join(each.fingerprint for each in (self.previous, self.next) if each is not None)
 
     @property
     def fingerprint(self) -> str:
-        """An identifier of the view. Cameras that show the same have the same fingerprint."""
+        """A text that identifies the view: cameras that show the same have the same fingerprint."""
         shows = f"{self.pinhole.fingerprint} {self.near!r} {self.far!r}" + (f" {self.display}" if self.display else "")
         return hashlib.sha256(shows.encode()).hexdigest()[:16]
 
@@ -137,14 +137,14 @@ def write_cameras(path: Path, cameras: Sequence[BakeCamera]) -> None:
 
 
 def safe_name(text: str) -> str:
-    """A valid file name on every system, as similar to ``text`` as possible."""
+    """Return a file name that is valid on every system, as similar to ``text`` as possible."""
     name = _FORBIDDEN.sub("_", text).strip(". ")[:LONGEST_NAME].rstrip(". ") or "camera"
     return f"_{name}" if _RESERVED.fullmatch(name) else name
 
 
 def filled_name(template: str, shot: str, camera: str, version: int) -> str:
-    """The name that a template gives a shot, without the number of the frame. The layer is "passes", as one file holds
-    all layers. Raises ValueError for a template with other fields."""
+    """Fill in a template for the names of a shot's files, without the number of the frame. Its field "layer" becomes
+    "passes", as one file holds all layers. Raises ValueError for a template with unknown fields."""
     words = {"shot": shot, "camera": camera, "layer": "passes"}
     template = _FRAME.sub("", template)
     rest = _FIELD.sub("", template)
@@ -154,7 +154,7 @@ def filled_name(template: str, shot: str, camera: str, version: int) -> str:
 
 
 def refuse_equal_names(names: Sequence[str], path: Path, taken: Sequence[str] = ()) -> None:
-    """Raise PlgsError for a name that occurs twice or belongs to a frame. Case is ignored, as on Windows."""
+    """Raise PlgsError for a name that occurs twice or is ``taken`` by a frame. Case is ignored, as on Windows."""
     frames = {name.casefold() for name in taken}
     seen: set[str] = set()
     for name in names:
@@ -167,7 +167,7 @@ def refuse_equal_names(names: Sequence[str], path: Path, taken: Sequence[str] = 
 
 
 def write_preview_request(path: Path, wanted: PreviewRequest) -> None:
-    """Replace preview.json. This is fast, as a power cut may lose the file. Raises OSError."""
+    """Replace preview.json. To be fast it is not flushed: a power cut may lose the file. Raises OSError."""
     content = {"frame": wanted} if isinstance(wanted, str) else to_json(wanted)
     part = path.with_name(f"{PART}{os.getpid()}-{path.name}")  # two Blenders may watch one lift
     with create_plain(part) as file:
@@ -193,7 +193,7 @@ def read_preview_request(path: Path) -> PreviewRequest | None:
 
 
 def _drawable(camera: PreviewCamera) -> PreviewCamera:
-    """The camera itself. Raises ValueError if it cannot be drawn."""
+    """Return the camera itself. Raises ValueError if it cannot be drawn."""
     pose, lens = camera.camera_to_world, camera.K
     for matrix, size in ((pose, 4), (lens, 3)):
         if [len(row) for row in matrix] != [size] * size:
@@ -226,7 +226,7 @@ def _entry(camera: BakeCamera) -> dict[str, object]:
 
 @dataclass(frozen=True)
 class _Entry:
-    """A camera in the form of a file of cameras."""
+    """A camera as a file of cameras holds it."""
 
     name: str
     width: int = field(metadata=_SIDE)
@@ -282,7 +282,7 @@ _PART = re.compile(r"(-?N)(?:-(-?N)(?:[:x](N))?)?".replace("N", r"\d{1,9}(?:\.\d
 
 
 def frame_numbers(text: str) -> tuple[range, ...]:
-    """The frames in order of the text, in thousandths of a frame. Raises ValueError, which says what is wrong."""
+    """Parse frames such as "1-250:2,300" into ranges, in thousandths of a frame. Raises ValueError with the reason."""
     found = []
     for part in text.split(","):
         match = _PART.fullmatch(part.strip())

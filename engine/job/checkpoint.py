@@ -1,4 +1,4 @@
-"""checkpoint/: the latest complete state. After the first one, there is a complete one at every moment."""
+"""The folder checkpoint/ with the latest complete state of a lift. Once there was one, there is one at every moment."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Checkpoint:
 
 @dataclass(frozen=True)
 class _Index:
-    """state.json."""
+    """The content of state.json."""
 
     state: Mapping[str, Any]
     files: tuple[ListedFile, ...]
@@ -45,8 +45,8 @@ class CheckpointStore:
         self._current, self._old = folder / name, folder / f"{name}.old"
 
     def save(self, state: Mapping[str, object], write: Callable[[Path], object]) -> None:
-        """Make a checkpoint: ``write`` puts its files into the folder it is given; ``state`` must fit in JSON. Raises
-        what ``write`` raises, and OSError; the previous checkpoint is then still there."""
+        """Save a checkpoint: ``write`` puts its files into the folder that it is given; ``state`` must fit in JSON.
+        Raises what ``write`` raises, and OSError; the previous checkpoint is then still there."""
         self._settle()
         self._part.mkdir()
         write(self._part)
@@ -61,8 +61,8 @@ class CheckpointStore:
         self._advance()
 
     def latest(self) -> Checkpoint | None:
-        """The newest complete checkpoint, checked against its checksums; None if none was saved. Raises PlgsError if
-        there are checkpoints, but no complete one (a failing disk)."""
+        """Return the newest complete checkpoint, checked against its checksums; None if none was saved. Raises
+        PlgsError if there are checkpoints but no complete one, as on a failing disk."""
         damage: PlgsError | None = None
         for folder in (self._next, self._current, self._old):
             if folder.is_dir():
@@ -89,7 +89,7 @@ class CheckpointStore:
         _delete(self._old)
 
     def _advance(self) -> None:
-        """Make ``checkpoint.next`` the ``checkpoint``."""
+        """Rename ``checkpoint.next`` to ``checkpoint``, and the one before to ``checkpoint.old``."""
         if self._current.is_dir():
             _delete(self._old)
             self._current.rename(self._old)

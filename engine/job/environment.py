@@ -1,5 +1,5 @@
-"""The packages that the engine needs, as pinned in ``requirements/``, and what PLGS keeps in the user's cache, also
-after the extension is uninstalled: environments and notes."""
+"""The packages that the engine needs, as pinned in ``requirements/``, and the folders in the user's cache that hold
+environments and notes, which remain when the extension is uninstalled."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ COMPLETE = "complete"
 
 
 def notes_folder(environ: Mapping[str, str] = os.environ) -> Path:
-    """The folder for notes that may be lost: recent lifts, and how fast this computer is. It may be missing. It is
-    PLGS_CACHE_DIR, or else ``plgs`` in the user's cache."""
+    """Return the folder for notes that may be lost: recent lifts, and how fast this computer is. It may not exist. It
+    is the variable PLGS_CACHE_DIR, or else ``plgs`` in the user's cache."""
     chosen = environ.get("PLGS_CACHE_DIR")
     return Path(chosen).absolute() if chosen else user_cache_folder(environ) / "plgs"
 
 
 def environments_folder(environ: Mapping[str, str] = os.environ) -> Path:
-    """The folder that holds the environments, their log and their lock; it may be missing."""
+    """Return the folder that holds the environments, their log and their lock; it may not exist."""
     return user_cache_folder(environ) / "plgs"
 
 
 def environment_name(root: Path, version: Version) -> str:
-    """The name of the environment for these requirements and this Python. Raises PlgsError if they are missing."""
+    """The name of the environment for these requirements and this Python. Raises PlgsError if those are missing."""
     return f"engine-{version[0]}.{version[1]}-{digest(root, version)}"
 
 
 def python_in(environment: Path) -> Path:
-    """The Python of a virtual environment."""
+    """Return the path of Python in a virtual environment."""
     return environment / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 
 
@@ -45,7 +45,7 @@ def is_complete(environment: Path) -> bool:
 
 
 def made_environment(root: Path, environ: Mapping[str, str] = os.environ) -> Path | None:
-    """The complete environment for these requirements; the one for this Python if there are several."""
+    """Return the complete environment for these requirements, or None; that of this Python if there are several."""
     folder = environments_folder(environ)
     if not folder.is_dir():
         return None
@@ -66,26 +66,26 @@ Version = tuple[int, int]
 
 
 def module_of(package: str) -> str:
-    """The name under which a package is imported."""
+    """Return the name under which a package is imported."""
     return _MODULES.get(package, package)
 
 
 def pinned_versions(root: Path) -> tuple[Version, ...]:
-    """The versions of Python for which the packages are pinned, the oldest first."""
+    """Return the versions of Python for which packages are pinned, the oldest first."""
     names = (path.stem.partition("-")[2] for path in (root / "requirements").glob("constraints-*.txt"))
     return tuple(sorted((int(major), int(minor)) for major, _, minor in (name.partition(".") for name in names)))
 
 
 def requirement_file(root: Path, name: str, version: Version | None = None) -> Path:
-    """A file in requirements/, which may be missing. "constraints" of a version pins dependencies. "hashes" of a
-    version has the SHA-256 of all packages but torch, "hashes-torch" those of torch, and "hashes-NAME" those of what is
-    added for NAME."""
+    """Return the path of a file in requirements/, which may be missing. "constraints" of a version pins dependencies.
+    "hashes" of a version has the SHA-256 of all packages but torch, "hashes-torch" those of torch, and "hashes-NAME"
+    those of the packages that `engine add NAME` installs."""
     ending = "" if version is None else f"-{version[0]}.{version[1]}"
     return root / "requirements" / f"{name}{ending}.txt"
 
 
 def needed_packages(root: Path, version: Version, platform: str = sys.platform) -> dict[str, str | None]:
-    """The packages with their pinned versions, torch first; None for one that is not pinned here. Raises PlgsError."""
+    """The needed packages with their pinned versions, torch first; None for an unpinned one. Raises PlgsError."""
     needed: dict[str, str | None] = {}
     for name in _FILES:
         needed |= _pins(root / "requirements" / name, version, platform)
@@ -95,7 +95,7 @@ def needed_packages(root: Path, version: Version, platform: str = sys.platform) 
 
 
 def pinned_hashes(path: Path) -> Iterator[tuple[str, str | None, str]]:
-    """The name, version and SHA-256 of each wheel in a file of hashes. Raises PlgsError."""
+    """Yield the name, version and SHA-256 of each wheel in a file of hashes. Raises PlgsError."""
     name = version = ""
     for line in _text(path).splitlines():
         if pin := re.match(r"([\w.-]+)==([^\s;]+)", line):
@@ -105,7 +105,7 @@ def pinned_hashes(path: Path) -> Iterator[tuple[str, str | None, str]]:
 
 
 def digest(root: Path, version: Version) -> str:
-    """An identifier of an environment, which changes with the text of the requirements. Raises PlgsError."""
+    """Return a text that identifies an environment and changes with the requirements' text. Raises PlgsError."""
     paths = [root / "requirements" / name for name in _FILES] + [requirement_file(root, "constraints", version)]
     return hashlib.sha256("\n".join(_text(path) for path in paths).encode()).hexdigest()[:12]
 
@@ -121,7 +121,7 @@ def _pins(path: Path, version: Version, platform: str) -> dict[str, str]:
 
 
 def _holds(marker: str, version: Version, platform: str, path: Path) -> bool:
-    """Whether a marker in our requirement files applies: only the kinds that we use, as pip may not be installed."""
+    """Whether an environment marker (PEP 508) applies. Only those in our files are known, as pip may be missing."""
     match = _MARKER.fullmatch(marker)
     if match is None:
         what = f"has an unknown condition ({marker})"

@@ -1,4 +1,4 @@
-"""The typed events that every command of the engine writes: one JSON object per line, written at once."""
+"""The typed events that every command of the engine writes: one JSON object per line, appended in one write."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _PROGRESS = b'"event": "progress"'
 
 @dataclass(frozen=True)
 class Event:
-    """One line: ``seq`` increases by one, ``time`` is in Unix seconds, ``data`` is the rest (see EventWriter)."""
+    """One event. ``seq`` rises by one, ``time`` is in Unix seconds, ``data`` has the other keys (see EventWriter)."""
 
     seq: int
     time: float
@@ -63,8 +63,8 @@ class Event:
 
 class EventWriter:
     """Appends events. Only the process that holds the lock on the file may do so. It is thread-safe. ``seq`` continues
-    where an earlier run ended; a line that a kill left incomplete is removed first. Raises OSError if the disk is full.
-    ``echo`` is a descriptor to which each line is also written, as long as someone reads it."""
+    where an earlier run ended; a line that a kill left incomplete is removed first. ``echo`` is a descriptor to which
+    each line is also written, as long as someone reads it. Raises OSError if the disk is full."""
 
     def __init__(self, path: Path, echo: int | None = None) -> None:
         self.path, self._echo = path, echo
@@ -76,7 +76,7 @@ class EventWriter:
         self._seq = self._repair(path)
 
     def _repair(self, path: Path) -> int:
-        """Remove an incomplete last line, and return the highest ``seq`` at the end. An end without lines stays."""
+        """Remove an incomplete last line, and return the highest ``seq`` near the end. A tail without lines stays."""
         start, content = _tail(path, LONGEST_TAIL)
         whole = content.rfind(b"\n") + 1
         self._torn = start > 0 and not whole
@@ -85,13 +85,13 @@ class EventWriter:
         return max((event.seq for event in _parsed(content[:whole].splitlines())), default=0)
 
     def hello(self, *, threads: int, resumed: bool, task: str = "lift") -> None:
-        """A run of ``task`` ("lift", "bake", "inspect" …) begins. It may use this many compute threads."""
+        """Report that a run of ``task`` ("lift", "bake", "inspect" …) begins, with this many compute threads."""
         about = {"engine_version": __version__, "pid": os.getpid(), "machine": platform.node()}
         about["python"] = platform.python_version()
         self._write("hello", task=task, **about, threads=threads, resumed=resumed)
 
     def stage(self, name: str, index: int, count: int, label: str) -> None:
-        """Stage ``index`` (from 1) of ``count`` begins; ``label`` is shown to the user."""
+        """Report that stage ``index`` (from 1) of ``count`` begins; ``label`` is shown to the user."""
         self._write("stage", name=name, index=index, count=count, label=label)
 
     def progress(
@@ -104,19 +104,20 @@ class EventWriter:
         eta_s: float | None = None,
         left_s: float | None = None,
     ) -> None:
-        """``step`` of ``steps`` of a stage is done; ``eta_s`` seconds of it remain, and ``left_s`` of the whole run."""
+        """Report that ``step`` of ``steps`` of a stage is done. ``eta_s`` seconds of it and ``left_s`` of the run
+        remain."""
         self._write("progress", stage=stage, step=step, steps=steps, loss=loss, eta_s=eta_s, left_s=left_s)
 
     def metric(self, name: str, values: Mapping[str, float | int | str | None]) -> None:
-        """Figures that belong together, such as one row of the end table."""
+        """Report figures that belong together, such as one row of the final table."""
         self._write("metric", name=name, values=values)
 
     def preview(self, path: Path, camera: str = "") -> None:
-        """A picture worth showing was written; ``camera`` is the fingerprint of the camera that the user requested."""
+        """Report that a picture was written to look at. ``camera`` is the fingerprint of the requested camera."""
         self._write("preview", path=self._relative(path), **({"camera": camera} if camera else {}))
 
     def artifact(self, path: Path, kind: str) -> None:
-        """A file of the result was written."""
+        """Report that a file of the result was written."""
         self._write("artifact", path=self._relative(path), kind=kind)
 
     def warning(self, message: str) -> None:
@@ -124,16 +125,16 @@ class EventWriter:
         self._write("warning", message=" ".join(message.splitlines()))
 
     def answer(self, answer: Mapping[str, object], text: str = "") -> None:
-        """Give the answer of the command, at most once per run. ``text`` says the same for users of a terminal."""
+        """Report the command's answer, at most once per run. ``text`` says the same for users of a terminal."""
         self._write("answer", answer=answer)
 
     def error(self, error: PlgsError) -> None:
-        """The run ends because of this."""
+        """Report the error that ends the run."""
         about = {"key": error.key, "what": error.what, "where": error.where, "fix": error.fix}
         self._write("error", **about, code=error.code, option=error.option, exit_code=error.exit_code)
 
     def done(self, state: str) -> None:
-        """The run is over: "finished" or "cancelled". Later events are dropped."""
+        """Report that the run is over: "finished" or "cancelled". Later events are dropped."""
         self._write("done", state=state, seconds=round(time.monotonic() - self._began, 3))
 
     def close(self) -> None:
@@ -170,16 +171,16 @@ class EventWriter:
         self._torn = False
 
     def _relative(self, path: Path) -> str:
-        """A path inside the events' folder is written relative to it, so that the folder can be moved."""
+        """Return the path relative to the events' folder if it is inside, so that the folder can be moved."""
         inside = path.is_relative_to(self.path.parent)
         return (path.relative_to(self.path.parent) if inside else path).as_posix()
 
 
 class EventReader:
     """Follows an events file that another process appends to. Its position is always the end of a complete line: a line
-    that is still being written is read again later, and one that a later run removes was never read. ``from_end`` skips
-    what is there already. ``hurried`` is for a window's loop: a call reads at most MOST_BYTES (``is_behind`` says
-    whether there is more) and keeps only the last of consecutive progress events. Raises OSError."""
+    that is still being written is read again later. ``from_end`` skips the lines that exist already. ``hurried`` is for
+    a window's loop: a call reads at most MOST_BYTES (``is_behind`` says whether there is more) and keeps only the last
+    of consecutive progress events. Raises OSError."""
 
     def __init__(self, path: Path, *, from_end: bool = False, hurried: bool = False) -> None:
         self._path, self._offset, self._hurried = path, 0, hurried
@@ -193,7 +194,7 @@ class EventReader:
             self._offset = start + (whole if whole or not start else len(tail))  # a line longer than that is skipped
 
     def poll(self) -> list[Event]:
-        """The events since the last call, without unknown kinds and lines that are not complete events."""
+        """Return the events since the last call. Unknown kinds and incomplete events are left out."""
         self.is_behind = False
         try:
             with open_plain(self._path, follow_link=False) as file:
@@ -219,12 +220,12 @@ class EventReader:
 
 
 def last_run(path: Path) -> list[Event]:
-    """The events of the latest run, from the last hello on. Empty if no run began."""
+    """Return the events of the latest run, from its hello on; none if no run began."""
     return _since_hello(EventReader(path).poll())
 
 
 def echoed(line: bytes, descriptor: int) -> bool:
-    """Whether the whole line was written to the descriptor: False if no one reads it any more."""
+    """Write the line to the descriptor and return whether all of it was written: False if nobody reads it any more."""
     try:
         while line:
             line = line[os.write(descriptor, line) :]
@@ -234,7 +235,7 @@ def echoed(line: bytes, descriptor: int) -> bool:
 
 
 def at_work(path: Path) -> PlgsError:
-    """The error for a locked events file. It names the process that holds it, its machine and its start, if known."""
+    """The error for an events file that a process has locked. It names the process, its machine and its start."""
     try:
         hello = next((event for event in last_run(path) if event.kind == "hello"), None)
     except (OSError, PlgsError):  # a lock is valid even if its events cannot be read
@@ -248,8 +249,8 @@ def at_work(path: Path) -> PlgsError:
 
 
 def last_events(path: Path) -> list[Event]:
-    """The last events of the latest run, enough to see how it ended. Only the end of the file is read. An error is a
-    run's last event, or its second to last if the engine was cancelled in the meantime."""
+    """Return the last events of the latest run, enough to see how it ended. Only the end of the file is read. An error
+    is the last event of a run, or the second to last if the engine was cancelled meanwhile."""
     try:
         start, tail = _tail(path, TAIL_BYTES)
     except FileNotFoundError:
@@ -266,7 +267,7 @@ def _since_hello(events: list[Event]) -> list[Event]:
 
 
 def _tail(path: Path, size: int) -> tuple[int, bytes]:
-    """The last ``size`` bytes of a file, and where they begin. Raises OSError."""
+    """Return the last ``size`` bytes of a file, and at which byte they begin. Raises OSError."""
     with open_plain(path, follow_link=False) as file:
         start = max(0, os.fstat(file.fileno()).st_size - size)
         file.seek(start)
@@ -274,7 +275,7 @@ def _tail(path: Path, size: int) -> tuple[int, bytes]:
 
 
 def _parsed(lines: Iterable[bytes]) -> list[Event]:
-    """The events of known kinds that have all their keys. A power cut may have left other lines, which are ignored."""
+    """Parse the events of known kinds with all their keys. Other lines, as a power cut leaves, are ignored."""
     events = []
     for line in lines:
         try:

@@ -1,7 +1,5 @@
-"""The lift folder: the only thing that the engine and Blender share. Everything in it belongs to it alone: no links, no
-FIFOs, no devices. A lift may come from someone else: if its log were a link, resuming it would append to the link's
-target.
-"""
+"""The lift folder: the only thing that the engine and Blender share. It may contain no links, FIFOs or devices, as a
+lift may come from someone else: if its log were a link, resuming it would append to the link's target."""
 
 from __future__ import annotations
 
@@ -28,7 +26,7 @@ from .task import LIVE_PREVIEW, TaskFiles
 
 
 class LiftState(Enum):
-    """The state of a lift. In all states except RUNNING and FINISHED it can be resumed."""
+    """The state of a lift. It can be resumed in every state except RUNNING and FINISHED."""
 
     NOT_STARTED = "not started"
     RUNNING = "running"
@@ -43,7 +41,7 @@ NEXT = "result.next"
 
 
 class _Inside:
-    """A path of a lift folder: ``name`` below its attribute ``where``."""
+    """A property: the path ``name`` inside the folder that the LiftFolder's attribute ``where`` holds."""
 
     def __init__(self, where: str, name: str) -> None:
         self._where, self._name = where, name
@@ -55,7 +53,7 @@ class _Inside:
 
 @dataclass(frozen=True)
 class LiftFolder:
-    """A folder with a readable request.json and the result ``result_name``. Make one with `create` or `open`."""
+    """A folder with a readable request.json, and the name of its result's folder. Get one from `create` or `open`."""
 
     path: Path
     request: LiftRequest
@@ -84,7 +82,7 @@ class LiftFolder:
 
     @classmethod
     def open(cls, path: Path) -> LiftFolder:
-        """Open a lift folder. Raises PlgsError if it is none, links replace its files, or its request is unreadable."""
+        """Open a lift folder. Raises PlgsError if it is none, has links instead of files, or an unreadable request."""
         path = path.absolute()
         refuse_unwritable_name(path)
         try:
@@ -101,8 +99,8 @@ class LiftFolder:
         return cls(path, LiftRequest.read(path / "request.json"))
 
     def asked_again(self, request: LiftRequest) -> LiftFolder:
-        """This lift, for a command that requests it again, perhaps now ``anyway``. Raises PlgsError if the request
-        differs in anything else, and OSError."""
+        """Return this lift for a command that requests it again, perhaps now with ``anyway``. Raises PlgsError if the
+        request differs in anything else, and OSError."""
         differing = request.differences(self.request)
         if differing:
             fix = "Leave these options as they were, or choose another output folder."
@@ -114,8 +112,8 @@ class LiftFolder:
         return LiftFolder(self.path, asked)
 
     def refined(self, preset: PresetName) -> LiftFolder:
-        """Replace the lift's preset by a better one, with which the next run goes on. Its result stays until there is a
-        new one. Raises PlgsError if the lift's preset is better than that, or an engine is at work here; OSError."""
+        """Replace the lift's preset by a better one, with which the next run continues. Its result stays until there is
+        a new one. Raises PlgsError if the lift's preset is better already, or an engine is at work here; OSError."""
         with self.lock():
             order, request = list(PRESETS), LiftRequest.read(self.path / "request.json")
             if order.index(preset) < order.index(request.preset):
@@ -128,7 +126,7 @@ class LiftFolder:
 
     @property
     def task_files(self) -> TaskFiles:
-        """The files that the lift's engine and its followers share."""
+        """The files that the lift's engine shares with processes that follow it."""
         return TaskFiles.of_lift(self.path)
 
     @property
@@ -155,11 +153,12 @@ class LiftFolder:
         return is_locked(self.events_path)
 
     def lock(self) -> FileLock:
-        """The engine's exclusive right to write here; for ``with``. Raises PlgsError if another has it, and OSError."""
+        """The engine's lock, held while it writes here; for ``with``. Raises PlgsError if another has it, and
+        OSError."""
         return FileLock(self.events_path)
 
     def refuse_foreign(self) -> None:
-        """Raise PlgsError if one of the lift's files is a link or of a kind no lift has. Call it before writing."""
+        """Raise PlgsError if a lift's file is a link or of a kind that no lift has. Call it before writing."""
         refuse_foreign_below(self.path)
 
     def refuse_read_only(self) -> None:
@@ -169,25 +168,25 @@ class LiftFolder:
             raise PlgsError("read-only", "this lift is read-only", self.path, fix)
 
     def state(self) -> LiftState:
-        """The state of the lift. Raises PlgsError if the file system does not support locks."""
+        """Return the lift's state. Raises PlgsError if the file system does not support locks."""
         return LiftState.RUNNING if self.is_running else self.state_at_rest()
 
     def state_at_a_glance(self) -> LiftState:
-        """The state of the lift, for a list or a timer: a manifest is a result, and its files are not checked. It takes
-        a millisecond, however large the lift. Raises PlgsError if the file system does not support locks."""
+        """The lift's state for a list or a timer: a result counts if it has a manifest, and its files are not checked.
+        Takes a millisecond, however large the lift. Raises PlgsError if the file system does not support locks."""
         if self.is_running:
             return LiftState.RUNNING
         is_finished = self.manifest_path.is_file() and not self.is_lifted_again
         return LiftState.FINISHED if is_finished else self._how_it_ended()
 
     def state_at_rest(self) -> LiftState:
-        """The state of the lift, for a caller that knows that no other engine is at work. A result without a complete
-        manifest is not a result, whatever the events say. A lift that is lifted again, and has only its earlier result,
-        is not finished."""
+        """Return the lift's state for a caller that knows that no other engine is at work. A result without a complete
+        manifest does not count, whatever the events say. A lift that is being lifted again, and has only its earlier
+        result, is not finished."""
         return LiftState.FINISHED if self.has_result() and not self.is_lifted_again else self._how_it_ended()
 
     def _how_it_ended(self) -> LiftState:
-        """The state of a lift that is neither running nor finished."""
+        """Return the state of a lift that is neither running nor finished."""
         events = last_events(self.events_path)
         if not events:
             return LiftState.NOT_STARTED
@@ -205,15 +204,15 @@ class LiftFolder:
         return codes[-1] if codes and isinstance(codes[-1], int) else None
 
     def is_whole(self) -> bool:
-        """Whether the result of a finished lift is exactly as it was written. This reads every byte of it."""
+        """Whether the result of a finished lift is exactly as it was written. It reads every byte."""
         return self._passes(verify)
 
     def prepare_run(self) -> None:
-        """Delete what must not outlive an earlier run: its cancel file, incomplete files, a new result that it began,
-        and of a damaged result the manifest and the files that differ from it. Those of a lift are made again; passes
-        that were baked later are not. A complete result stays until there is a new one (see `with_next_result`). Only
-        the engine that holds the lock may call this. Raises PlgsError, and deletes nothing, while passes are being
-        baked, and OSError if a file cannot be read: the file stays."""
+        """Delete what an earlier run left: its cancel file, incomplete files, an unfinished new result, and of a
+        damaged result the manifest and the files that differ from it. The lift's own files are made again; passes that
+        were baked later are not. A complete result stays until there is a new one (see `with_next_result`). Only the
+        engine that holds the lock may call this. Raises PlgsError while passes are being baked, before anything is
+        deleted, and OSError if a file cannot be read: it stays."""
         was_begun = self.is_lifted_again
         if self.has_result():
             (self.path / NEXT).mkdir(exist_ok=True)  # before the check, so that a bake that begins now sees it
@@ -235,11 +234,11 @@ class LiftFolder:
 
     @property
     def is_lifted_again(self) -> bool:
-        """Whether an engine began a new result of a lift that has one, and did not finish it."""
+        """Whether the lift has a result and an engine began a new one that is not finished."""
         return (self.path / NEXT).is_dir()
 
     def with_next_result(self) -> LiftFolder:
-        """This folder, for an engine that writes the result: as `prepare_run` left it, a new one or the only one."""
+        """This folder for an engine that writes the result: as a new one beside the old or as the only one."""
         return replace(self, result_name=NEXT) if self.is_lifted_again else self
 
     def drop_next_result(self) -> None:
@@ -248,9 +247,10 @@ class LiftFolder:
             shutil.rmtree(self.path / NEXT)
 
     def adopt_next_result(self) -> Path | None:
-        """Replace the result by a finished new one, also if a kill interrupted that. It must be whole by its manifest,
-        and of this lift's request. Returns where the earlier result is now; None if it is gone, or nothing is new. Only
-        the engine with the lock may call this. Raises OSError, and PlgsError if the disk does not answer."""
+        """Replace the result by a finished new one, also if a kill interrupted this before. The new one must be
+        complete by its manifest, and of this lift's request. Returns where the earlier result is; None if it was
+        deleted, or nothing is new. Only the engine with the lock may call this. Raises OSError, and PlgsError if the
+        disk does not answer."""
         new = self.with_next_result()
         if new is self or not new._passes(lambda result: verify_of(result, self.path)):
             return None
@@ -259,8 +259,8 @@ class LiftFolder:
         return earlier
 
     def set_result_aside(self) -> Path | None:
-        """Move the result into `EARLIER`, as the next one has other objects, and return where it is now; or delete it
-        if it has neither passes nor files of others, and return None. Raises OSError."""
+        """Move the result into `EARLIER`, as the next one has other objects, and return where it is now. A result
+        without passes and without other people's files is deleted instead, and None returned. Raises OSError."""
         if not self.result_path.is_dir():
             return None
         listed = check_sizes(self.result_path).files if self.has_result() else ()
@@ -275,15 +275,15 @@ class LiftFolder:
         return earlier
 
     def prepare_bake(self) -> None:
-        """Delete an earlier run's cancel file and incomplete files; the result stays. Nothing is deleted while another
-        process is baking, as that may own them. Only the engine that holds the lock may call this."""
+        """Delete an earlier run's cancel file and incomplete files; the result stays. While another process is baking,
+        nothing is deleted, as the files may be its own. Only the engine that holds the lock may call this."""
         if BakeLocks(self.path).others_at_work():
             return
         self.cancel_path.unlink(missing_ok=True)
         remove_parts(self.path)
 
     def came_to_nothing(self) -> bool:
-        """Whether no engine reached a checkpoint: it never started, or it refused the input."""
+        """Whether no engine got as far as a checkpoint: it never started, or it refused the input."""
         if not self.path.is_dir():  # someone deleted it during the lift, as the error says
             return False
         if self.is_running or self.checkpoints.exists:
@@ -329,7 +329,7 @@ class LiftFolder:
 
 
 def refuse_used(path: Path) -> None:
-    """Raise PlgsError if a path is taken, so that no lift folder can be made there, or OSError if it is not known."""
+    """Raise PlgsError if something is at a path, so that no lift can be made there; OSError if that is unknown."""
     if not path.exists():
         return
     if not path.is_dir():
@@ -344,7 +344,7 @@ def refuse_used(path: Path) -> None:
 
 
 def _write_new(path: Path, text: str) -> None:
-    """Write a complete file under an unused name, even if two processes try to. Raises FileExistsError."""
+    """Write a complete file under a new name; only one of two processes succeeds. Raises FileExistsError."""
     part = path.with_name(f"{PART}{os.getpid()}-{path.name}")
     try:
         with create_plain(part) as file:
@@ -370,7 +370,7 @@ FOLDERS = ("result", NEXT, "bake", "checkpoint", "checkpoint.next", "checkpoint.
 
 
 def refuse_foreign(lift: Path, *more: str) -> None:
-    """Raise PlgsError if one of a lift's own files or folders, or of ``more`` files in it, is something else."""
+    """Raise PlgsError if one of a lift's files or folders, or of ``more`` files in it, is a link or the like."""
     for name in (*FILES, *more):
         _refuse(lift / name, S_ISREG)
     for name in FOLDERS:
@@ -378,7 +378,7 @@ def refuse_foreign(lift: Path, *more: str) -> None:
 
 
 def refuse_foreign_below(lift: Path, folders: Sequence[str] = FOLDERS) -> None:
-    """`refuse_foreign` for all that is in the lift's or other ``folders``; for before anything changes there."""
+    """Do the same as `refuse_foreign` for everything in the lift's ``folders``, before anything changes there."""
     if folders is FOLDERS:
         refuse_foreign(lift)
     tops = [lift / name for name in folders]
@@ -390,7 +390,7 @@ def refuse_foreign_below(lift: Path, folders: Sequence[str] = FOLDERS) -> None:
 
 
 def _entries(folder: Path) -> list[Path]:
-    """The entries of a folder; none if it is not a folder, or no longer exists."""
+    """Return the entries of a folder; none if it is not a folder, or no longer exists."""
     with reading(folder, "Check its permissions and its disk."), suppress(FileNotFoundError, NotADirectoryError):
         return [*folder.iterdir()]
     return []

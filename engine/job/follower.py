@@ -1,4 +1,4 @@
-"""Follow a task of an engine: a state machine that a terminal's loop or Blender's timer polls."""
+"""Follow an engine's task with a state machine that a terminal's loop or Blender's timer polls."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ CANCEL_WAIT_S = 0.65
 
 class TaskFollower:
     """Follows one task: `poll` it often, then read its attributes. It starts no threads. ``kind`` names the task,
-    ``progress`` tells how far it is. When ``state`` is no longer RUNNING, ``answer`` is the command's answer (None if
-    it gave none), ``error`` is why it failed, and ``log_lines`` the end of its log if the cause is not the user's
-    input. ``on_event`` is called with each event. ``kill_at`` is None until asked to stop."""
+    ``progress`` is its progress. When ``state`` is no longer RUNNING, ``answer`` is the command's answer (None if it
+    gave none), ``error`` is why it failed, and ``log_lines`` the end of its log if the cause is not the user's input.
+    ``on_event`` is called with each event. ``kill_at`` is when it will be killed, None until it is asked to stop."""
 
     def __init__(
         self,
@@ -37,8 +37,8 @@ class TaskFollower:
         reader: EventReader | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """With ``process`` the follower owns the engine; without one it watches an engine that another process started,
-        on this computer or another. ``lift`` is the lift folder that the task works in."""
+        """Own the engine ``process`` or, without one, watch an engine that another process started, on this computer or
+        another. ``lift`` is the lift folder that the task works in."""
         self.files, self.lift, self.kind = files, lift, kind
         self.state = TaskState.RUNNING
         self.progress = TaskProgress()
@@ -96,8 +96,8 @@ class TaskFollower:
         return ExitCode.FINISHED if self.error is None else self.error.exit_code
 
     def poll(self) -> bool:
-        """Take in what happened, and return whether anything changed. Older events are read in parts, without outdated
-        progress, so that a poll takes at most a few milliseconds."""
+        """Read what happened, and return whether anything changed. Older events are read in parts, and outdated
+        progress is skipped, so that a poll takes at most a few milliseconds."""
         if not self.is_running:
             return False
         try:
@@ -130,7 +130,7 @@ class TaskFollower:
             self._process.kill()
 
     def close(self) -> None:
-        """Stop following. The follower's own engine ends within a second, unless it was started to continue."""
+        """Stop following. The follower's own engine ends within a second, unless it was started to continue alone."""
         if self._process is None:
             return
         self._process.close()
@@ -140,7 +140,7 @@ class TaskFollower:
         self._process = None
 
     def _poll(self) -> bool:
-        """Do one poll. Raises OSError or PlgsError if the folder cannot be read."""
+        """Poll once. Raises OSError or PlgsError if the folder cannot be read."""
         code = None if self._process is None else self._process.exit_code()
         has_ended = not is_locked(self.files.events) if self._process is None else code is not None
         events = self._reader.poll()  # read after the check of the process, so that the last events are included
@@ -174,7 +174,7 @@ class TaskFollower:
             self.kill_at = self._clock() + CANCEL_WAIT_S
 
     def _kill_if_deaf(self, process: EngineProcess) -> None:
-        """Kill an engine that does not stop: any process may ask it to, and native code can block its watchdog."""
+        """Kill an engine that was asked to stop, by any process, and did not: native code can block its watchdog."""
         is_asked = self.files.cancel.exists() or (self.lift is not None and self.lift.task_files.cancel.exists())
         if is_asked:
             self._begin_waiting()
@@ -182,7 +182,7 @@ class TaskFollower:
             process.kill()
 
     def _end(self, code: int | None) -> None:
-        """The task has ended. ``code`` is the exit code of the engine's process; None if another process started it."""
+        """Note that the task has ended. ``code`` is the engine's exit code; None if another process started it."""
         if not self.files.events.parent.is_dir():  # then the engine's own message does not tell what happened
             fix = "Restore it, or start again."
             where = self.files.events.parent
@@ -212,7 +212,7 @@ class TaskFollower:
             self.log_lines = last_lines(self.files.log)
 
     def _error_of_output(self, code: int | None) -> PlgsError:
-        """The last message of an engine that ended without an event."""
+        """Return the error of an engine that ended without an event, from the last message in its output."""
         output = "" if self._process is None else self._process.output_tail()
         kinds: dict[int | None, ErrorCode] = {ExitCode.BAD_INPUT: ErrorCode.BAD_INPUT, ExitCode.BUSY: ErrorCode.BUSY}
         kind = kinds.get(code, ErrorCode.INTERNAL)
@@ -238,9 +238,9 @@ def start_bake(
     stays_with_parent: bool = True,
 ) -> TaskFollower:
     """Start an engine that bakes more of a finished lift: frames ("test", "all", or names), or the ``cameras`` in a
-    file, with these FURTHER_LAYERS, and with ``channels`` named for one of CHANNELS. With ``replace`` it overwrites
-    other programs' files in ``output``. If another process is baking already, it bakes at the same time, with its own
-    events. Raises PlgsError, OSError."""
+    file, with these FURTHER_LAYERS. ``channels`` is one of CHANNELS, and names the channels for another program. With
+    ``replace`` it overwrites other programs' files in ``output``. If another process is baking already, both bake, each
+    with its own events. Raises PlgsError, OSError."""
     command: list[str | Path] = [*engine_call(python), "bake", lift.path]
     given = {"--cameras": [cameras], "-o": [output], "--frames": frames, "--layers": layers, "--channels": [channels]}
     for option, values in given.items():
@@ -254,7 +254,7 @@ def start_bake(
 
 
 def _error(data: Mapping[str, Json]) -> PlgsError:
-    """The error in an event. A later version may know more codes."""
+    """Return the error that an event holds. Codes of later versions may be unknown."""
     said = str(data.get("code"))
     code = ErrorCode(said) if said in list(ErrorCode) else ErrorCode.INTERNAL
     what, where, fix = (str(data[key]) for key in ("what", "where", "fix"))

@@ -1,4 +1,4 @@
-"""What an engine is, what it can do, and what it lacks: the question and the answer. It imports nothing heavy."""
+"""What an engine is, can do and lacks: how Blender asks this and gets the answer. It imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -29,10 +29,11 @@ TOO_OLD = "the engine needs Python 3.11 or newer"
 
 @dataclass(frozen=True)
 class EngineAnswer:
-    """An engine that answered. It works when nothing is missing. ``engine`` is its version. ``packages``: the names and
-    versions of what it needs, with None if missing, and "unknown" if the version is not known. ``wanted``: the pinned
-    versions, None if nothing is pinned for this Python. ``cuda``: the CUDA version that torch was built for, None for a
-    CPU build or without torch. ``capabilities``: what each of `CAPABILITIES` lacks."""
+    """What an engine answered about itself. It works when nothing is missing. ``engine`` is its version. ``packages``
+    gives the version of each package that it needs, None if missing, "unknown" if the version cannot be found.
+    ``wanted`` gives the pinned versions, None if nothing is pinned for this Python. ``cuda`` is the CUDA version that
+    torch was built for, None for a CPU build or without torch. ``capabilities`` gives for each of `CAPABILITIES` what
+    it lacks."""
 
     engine: str
     python: str
@@ -50,7 +51,7 @@ class EngineAnswer:
 
     @property
     def others(self) -> tuple[str, ...]:
-        """Packages whose version is not the pinned one, as "name 1.0 instead of 2.0". They may work nevertheless."""
+        """Packages whose version is not the pinned one, as "name 1.0 instead of 2.0". They may work all the same."""
         return tuple(
             f"{name} {version} instead of {wanted}"
             for name, version in self.packages.items()
@@ -65,13 +66,13 @@ class EngineAnswer:
         return f"uv pip install --python {self.executable} {' '.join(pins)}" if pins else ""
 
     def to_json(self) -> dict[str, object]:
-        """The answer as the engine gives it. Further values for the user are derived from the others."""
+        """Return the answer as JSON, with further values for the user that are derived from the fields."""
         derived = {"missing": list(self.missing), "others": list(self.others), "fix": self.fix}
         return {"format": FORMAT, **to_json(self), **derived}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> EngineAnswer | None:
-        """The answer that `to_json` gave; None if it is something else, or an answer in another format."""
+        """Return the answer that `to_json` gave; None if ``data`` is something else, or of another format."""
         known = {each.name for each in fields(cls)}
         try:
             refuse_other_format(dict(data), "", FORMAT)
@@ -82,7 +83,7 @@ class EngineAnswer:
 
     @classmethod
     def from_line(cls, line: str) -> EngineAnswer | None:
-        """The answer in a printed line; None if it is something else, or an answer in another format."""
+        """Return the answer in a printed line; None if it is something else, or of another format."""
         try:
             data = json.loads(line)
         except ValueError:
@@ -92,8 +93,9 @@ class EngineAnswer:
 
 @dataclass(frozen=True)
 class Capability:
-    """One ability of the engine, which needs ``packages`` besides those of every engine, by the module to import. With
-    a ``size``, in bytes on the disk, `python -m engine add` can add them by ``requirements/hashes-NAME.txt``."""
+    """An optional ability of the engine. ``packages`` are the modules that it needs besides those of every engine. If
+    it has a ``size``, in bytes on disk, `python -m engine add` can install them from
+    ``requirements/hashes-NAME.txt``."""
 
     label: str
     packages: Mapping[str, str]
@@ -129,7 +131,7 @@ _CUDA = re.compile(r"^cuda\b[^=]*= *['\"]([^'\"]+)['\"]", re.MULTILINE)
 
 
 def answer(root: Path = ROOT) -> EngineAnswer:
-    """The answer about this Python. Raises PlgsError if the requirements cannot be read."""
+    """Return what this Python is and can do as an engine. Raises PlgsError if the requirements cannot be read."""
     wanted = needed_packages(root, sys.version_info[:2])
     packages, cuda = {name: _version(name) for name in wanted}, _cuda_of_torch()
     missing = [name for name, version in packages.items() if version is None]
@@ -146,7 +148,7 @@ def answer(root: Path = ROOT) -> EngineAnswer:
 
 
 def _lacking(capability: Capability, cuda: str | None) -> list[str]:
-    """What an otherwise complete engine lacks for an ability."""
+    """Return what an engine that has all required packages still lacks for an ability."""
     modules = capability.packages.items()
     lacking = [package for package, module in modules if importlib.util.find_spec(module) is None]
     return [*lacking, *(["torch for CUDA"] if capability.needs_cuda and cuda is None else [])]
@@ -162,7 +164,7 @@ def _version(package: str) -> str | None:
 
 
 def _cuda_of_torch() -> str | None:
-    """The version of CUDA, from the text of torch's version.py, as importing torch takes a second."""
+    """Return the CUDA version in torch's version.py, which is read as text because importing torch takes a second."""
     torch = importlib.util.find_spec("torch")
     if torch is None or torch.origin is None:
         return None

@@ -1,9 +1,8 @@
 """Advisory locks of the operating system: they end with the process that holds them, however it ends. A disk that
-machines share must have locks between them, as NFS has.
+several machines share must lock for all of them, as NFS does.
 
-Several processes may bake one lift at once. Their locks are empty files in bake/ in the lift folder. They tell who is
-at work, who bakes which view, and whose turn it is to change the manifest.
-"""
+Several processes may bake one lift at once. Their locks are empty files in bake/ in the lift folder. They show which
+processes are at work, which view each one bakes, and which may change the manifest now."""
 
 from __future__ import annotations
 
@@ -25,9 +24,9 @@ MANIFEST_S = 60.0
 
 
 class FileLock:
-    """Exclusive lock on a file, held within a ``with`` block. A missing file is created; content is untouched. Children
-    that are started with ``subprocess`` do not inherit it. Raises PlgsError if another process holds it, or if the file
-    system does not support locks; OSError if it cannot be opened, or is not a plain file."""
+    """An exclusive lock on a file, held within a ``with`` block. A missing file is created; content is untouched.
+    Children that are started with ``subprocess`` do not inherit it. Raises PlgsError if another process holds it, or if
+    the file system does not support locks; OSError if it cannot be opened, or is not a plain file."""
 
     def __init__(self, path: Path, wait_s: float = 1.0) -> None:
         self._path, self._wait_s, self._descriptor = path, wait_s, -1
@@ -92,7 +91,7 @@ def _try_lock(descriptor: int, path: Path, shared: bool = False) -> bool:
 
 
 class BakeLocks:
-    """The locks of one baking process; for ``with``, around all of its work. Raises OSError."""
+    """The locks of one process that bakes; use it in a ``with`` statement around all of its work. Raises OSError."""
 
     def __init__(self, lift: Path) -> None:
         self._folder = lift / "bake"
@@ -112,8 +111,8 @@ class BakeLocks:
             self._own.unlink()
 
     def others_at_work(self) -> bool:
-        """Whether another process is baking this lift. What killed ones left behind is deleted: one that is about to
-        lock its file makes it again (`FileLock`)."""
+        """Whether another process is baking this lift. Lock files of killed processes are deleted. A process that is
+        about to lock such a file creates it again (`FileLock`)."""
         others = [path for path in self._folder.glob("process-*.lock") if path != self._own]
         left_behind = [path for path in others if not is_locked(path)]
         for path in left_behind:
@@ -141,5 +140,5 @@ class BakeLocks:
             lock.__exit__()
 
     def manifest(self) -> FileLock:
-        """The right to change the manifest; for ``with``."""
+        """The lock that a process holds while it changes the manifest; use it in a ``with`` statement."""
         return FileLock(self._folder / "manifest.lock", MANIFEST_S)

@@ -1,4 +1,4 @@
-"""result/manifest.json: written last, so a result that has one is complete."""
+"""The list of a result's files, result/manifest.json. It is written last, so a result that has one is complete."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ MAKE_ANEW = "Make the result again: 'python -m engine lift LIFT --resume'."
 
 
 def damaged(key: str, what: str, path: Path) -> PlgsError:
-    """The error for a file of the result that has changed since it was written."""
+    """Return the error for a file of the result that has changed since it was written."""
     return PlgsError(key, what, path, MAKE_ANEW, code=ErrorCode.DAMAGED, option="--resume")
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a finished lift made and how. ``timings``: seconds by stage. ``frames``: the original names of frames whose
-    files have other names, by file name. ``masks``: the digest of the masks that were lifted; empty if unknown.
-    ``request``: that of the lift's request.json. ``estimated``: what of the scene was not measured, and licences."""
+    """What a finished lift made, and how. ``timings`` are seconds by stage. ``frames`` gives the original names of
+    frames whose files are named otherwise, by file name. ``masks`` is the digest of the masks that were lifted; "" if
+    unknown. ``request`` is that of the lift's request.json. ``estimated`` says what was not measured, and licences."""
 
     engine_version: str
     versions: _Facts
@@ -48,9 +48,9 @@ def write_manifest(
     result: Path, *, versions: _Facts, seed: int, settings: _Facts, timings: _Facts,
     frames: _Names | None = None, masks: str = "", only: Collection[Path] | None = None, estimated: Sequence[str] = (),
 ) -> None:  # fmt: skip
-    """List every file of the result with its size and SHA-256, or ``only`` these, as others may be somebody else's. The
-    lift is finished when this returns. ``versions`` are those of libraries, ``settings`` the final values of all
-    options. The rest is as in `Manifest`."""
+    """Write the manifest with every file of the result, its size and SHA-256, or with ``only`` these, as others may be
+    somebody else's. This finishes the lift. ``versions`` are those of libraries, ``settings`` the final values of all
+    options; the other arguments are as in `Manifest`."""
     remove_parts(result)
     listed = (path for path in files_below(result) if path != result / NAME and (only is None or path in only))
     files = tuple(ListedFile.of(path, result) for path in listed)
@@ -59,15 +59,15 @@ def write_manifest(
 
 
 def request_digest(lift: Path) -> str:
-    """The SHA-256 of a lift's request.json; empty without one. Raises OSError."""
+    """Return the SHA-256 of a lift's request.json; "" without one. Raises OSError."""
     path = lift / "request.json"
     return sha256(path) if path.is_file() else ""
 
 
 def add_files(result: Path, paths: Sequence[Path], frames: _Names | None = None) -> None:
-    """List more files, or changed ones, in the manifest of a finished lift. Its other entries stay. The result is
-    complete before and after, even if the process is killed in between. ``frames`` is as in `Manifest`. Raises
-    PlgsError if there is no manifest, and OSError."""
+    """Add new or changed files to the manifest of a finished lift. Its other entries stay. The result is complete
+    before and after, even if the process is killed in between. ``frames`` is as in `Manifest`. Raises PlgsError if
+    there is no manifest, and OSError."""
     manifest = read_manifest(result)
     files = {file.path: file for file in (*manifest.files, *(ListedFile.of(path, result) for path in paths))}
     names = {**manifest.frames, **(frames or {})}
@@ -75,7 +75,7 @@ def add_files(result: Path, paths: Sequence[Path], frames: _Names | None = None)
 
 
 def drop_files(result: Path, paths: Sequence[Path]) -> None:
-    """Remove files that are about to be made again from the list. Otherwise like ``add_files``."""
+    """Take files that are about to be made again out of the manifest. Otherwise like ``add_files``."""
     manifest = read_manifest(result)
     dropped = {PurePosixPath(path.relative_to(result)) for path in paths}
     _write(result, replace(manifest, files=tuple(file for file in manifest.files if file.path not in dropped)))
@@ -86,7 +86,8 @@ def _write(result: Path, manifest: Manifest) -> None:
 
 
 def read_manifest(result: Path) -> Manifest:
-    """The manifest of a result folder; files are not checked. Raises PlgsError if there is no complete one."""
+    """Read the manifest of a result folder, without checking its files. Raises PlgsError if there is no complete
+    one."""
     path = result / NAME
     if not path.is_file():
         what = "does not exist, so this lift is not finished"
@@ -100,7 +101,7 @@ def read_manifest(result: Path) -> Manifest:
 
 
 def check_sizes(result: Path) -> Manifest:
-    """The manifest, after a check that every listed file exists with the right size. Raises PlgsError."""
+    """Return the manifest after checking that every listed file exists with the right size. Raises PlgsError."""
     manifest = read_manifest(result)
     for file in manifest.files:
         path = result / file.path
@@ -125,26 +126,26 @@ def verify(result: Path) -> Manifest:
 
 
 def lifted_digest(manifest: Manifest) -> str:
-    """The SHA-256 of a result's model, and of its objects, which say what its passes show; empty without a model."""
+    """The SHA-256 of a result's model and its objects, which determine its passes; "" without a model."""
     digests = {str(file.path): file.sha256 for file in manifest.files}
     return " ".join(digests[name] for name in _LIFTED) if digests.keys() >= {*_LIFTED} else ""
 
 
 def verify_of(result: Path, lift: Path) -> None:
-    """`verify`, and check that the result was made from the lift's request. Raises PlgsError."""
+    """Check the files by the manifest, and that the result is of the lift's request. Raises PlgsError."""
     if verify(result).request != request_digest(lift):
         raise damaged("other-request", "is the result of another request", result / NAME)
 
 
 def verify_lifted(result: Path) -> Manifest:
-    """The manifest, after `check_sizes` and a check of the SHA-256 of all but passes and previews. Raises PlgsError."""
+    """The manifest after `check_sizes` and a check of the SHA-256 of all but passes and previews. Raises PlgsError."""
     manifest = check_sizes(result)
     verify_files(result, (file for file in manifest.files if len(file.path.parts) == 1))  # others are in folders
     return manifest
 
 
 def changed_files(result: Path) -> list[Path]:
-    """The files that differ from the manifest; none without a complete one. Raises OSError if one cannot be read."""
+    """The files that differ from the manifest; none without a complete one. Raises OSError if one is unreadable."""
     try:
         listed = read_manifest(result).files
     except PlgsError:
@@ -153,7 +154,7 @@ def changed_files(result: Path) -> list[Path]:
 
 
 def verify_files(result: Path, files: Iterable[ListedFile]) -> None:
-    """Compare files with their SHA-256 in the manifest. Raises PlgsError."""
+    """Compare files with the SHA-256 listed for them. Raises PlgsError."""
     for file in files:
         path = result / file.path
         try:

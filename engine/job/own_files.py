@@ -1,5 +1,5 @@
-"""Which files of a folder are ours: what a command writes into a folder that a user names is listed in that folder's
-note. Nothing else in it is ever replaced or deleted.
+"""Keep track of which files in a folder are ours: every file that a command writes into a folder that a user names is
+listed in the folder's note. No other file there is ever replaced or deleted.
 
 Each line of the note is a JSON object, appended before the file is put in place, so that the note also holds after a
 kill:
@@ -10,8 +10,7 @@ kill:
     {"complete": true}                                 last: all of it is written
 
 A file with other content than we wrote is somebody else's. Passes carry their mark in their own header instead
-(`passes.exr.is_own`), as several machines write them into one folder.
-"""
+(`passes.exr.is_own`), as several machines write them into one folder."""
 
 from __future__ import annotations
 
@@ -46,7 +45,7 @@ class OwnFiles:
     lists what it writes below the folder, and raises PlgsError for a path that has somebody else's file."""
 
     def __init__(self, folder: Path) -> None:
-        """Read the note; without one, nothing is ours. Raises OSError, also if it is a link or too large."""
+        """Read the note; without one, no file is ours. Raises OSError, also if the note is a link or too large."""
         self.folder, self.is_complete = folder, False
         self.begun: _Run | None = None
         self._asked: _Run = ("", {})
@@ -80,8 +79,9 @@ class OwnFiles:
             known.add(digest)
 
     def begin(self, kind: str, about: Mapping[str, Any], *, replaces: bool = False, among_others: bool = False) -> Self:
-        """Set the kind of files, and ``about`` what they are, for the note. Unless written ``among_others``, the folder
-        must be new, empty, or of the same run, or (with ``replaces``) the same kind. Raises PlgsError, OSError."""
+        """Set what the next run will write: a ``kind``, and ``about`` with the details, for the note. Unless it is
+        written ``among_others``, the folder must be new, empty, or of an equal run; with ``replaces`` the same kind is
+        enough. Raises PlgsError, OSError."""
         self._asked = kind, json.loads(json.dumps(about))
         place = next(each for each in (self.folder, *self.folder.absolute().parents) if os.path.lexists(each))
         if not place.is_dir():
@@ -103,7 +103,7 @@ class OwnFiles:
         GUARDS.remove(self)
 
     def owns(self, path: Path) -> bool:
-        """Whether the file is there as we wrote it. Raises OSError."""
+        """Whether a file exists and is as we wrote it. Raises OSError."""
         name = _folded(self._name(path))
         digests = self._digests.get(name)
         with suppress(FileNotFoundError, ValueError):  # not there, or behind a link that leads out of the folder
@@ -112,7 +112,8 @@ class OwnFiles:
         return False
 
     def claim(self, path: Path) -> None:
-        """List a file that is about to be written, and its part. Raises PlgsError if it is somebody else's, OSError."""
+        """List a file that is about to be written, and its unfinished form. Raises PlgsError if it is not ours,
+        OSError."""
         name, part = self._name(path), path.with_name(PART + path.name)
         self.refuse_foreign(path)
         if os.path.lexists(part) and _folded(name) not in self._digests:
@@ -123,7 +124,7 @@ class OwnFiles:
         self._list(name, None)
 
     def announce(self) -> None:
-        """Make the folder ours, before the first file. Raises OSError."""
+        """Write the run's begin into the note, which makes the folder ours, before the first file. Raises OSError."""
         kind, about = self.begun = self._asked
         self._is_announced, self.is_complete, self._latest = True, False, set()
         self._append({"begins": kind, "about": about})
@@ -134,7 +135,8 @@ class OwnFiles:
             raise foreign(path)
 
     def set_aside(self, path: Path) -> Path | None:
-        """Rename somebody else's file to "NAME.before.json" or the like, and return that. Raises OSError."""
+        """Rename a file that is not ours to "NAME.before.json" or the like. Returns its new path, or None if nothing is
+        there to rename. Raises OSError."""
         if not os.path.lexists(path) or self.owns(path):
             return None
         numbers = chain([""], (f"_{number}" for number in count(2)))
@@ -144,13 +146,13 @@ class OwnFiles:
         return kept
 
     def record(self, path: Path, written: Path) -> None:
-        """List the content of a claimed file, which is at ``written`` by now. Raises OSError."""
+        """List the content of a claimed file, which is now complete at ``written``. Raises OSError."""
         name, digest = self._name(path), sha256(written)
         self._append({"file": name, "sha256": digest})
         self._list(name, digest)
 
     def complete(self) -> None:
-        """Mark that all is written. Raises OSError."""
+        """Mark in the note that the run wrote all its files. Raises OSError."""
         if not self._is_announced and (self.begun != self._asked or not self.is_complete):
             self.announce()
         if not self.is_complete:
@@ -168,7 +170,7 @@ class OwnFiles:
                 self.remove(path)
 
     def remove(self, path: Path) -> None:
-        """Delete a file, and the part of one, if they are ours, and folders that are empty then. Raises OSError."""
+        """Delete a file and its unfinished form if they are ours, and folders that become empty. Raises OSError."""
         if self.owns(path):
             path.unlink()
         part = path.with_name(PART + path.name)
@@ -181,7 +183,7 @@ class OwnFiles:
                 folder.rmdir()
 
     def discard(self) -> None:
-        """Delete what the run that began last wrote, and the folder if it is empty then. Raises OSError."""
+        """Delete what the latest run wrote, and the folder if it becomes empty. Raises OSError."""
         for name in [*self._latest]:
             self.remove(self.folder / name)
         if {*self._kinds} <= self._latest:
@@ -208,13 +210,13 @@ GUARDS: list[OwnFiles] = []
 
 
 def guard_of(path: Path) -> OwnFiles | None:
-    """The note that a path belongs to, if it is kept at this moment."""
+    """Return the note of the folder that contains ``path``, if a ``with`` block keeps one now."""
     whole = path.absolute()
     return next((each for each in reversed(GUARDS) if whole.is_relative_to(each.folder.absolute())), None)
 
 
 def foreign(path: Path, fix: str = "Move it away, or write into another folder.", option: str = "") -> PlgsError:
-    """The error for somebody else's file where one of ours belongs."""
+    """Return the error for somebody else's file at a path where we would write."""
     return PlgsError("foreign-file", "was not written by PLGS, or was changed since", path, fix, option=option)
 
 
@@ -225,7 +227,7 @@ def sha256(path: Path) -> str:
 
 
 def _possible(name: str) -> str:
-    """The relative path, if a file below a folder can have it. Raises ValueError."""
+    """Return the relative path if a file in a folder can have it. Raises ValueError if it cannot."""
     path = inner_path(name)
     if max(len(os.fsencode(part)) for part in path.parts) > _LONGEST_PART or len(os.fsencode(path)) > _LONGEST_NAME:
         raise ValueError("a file's name is too long")

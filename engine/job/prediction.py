@@ -1,10 +1,8 @@
-"""How long a lift will take and how much memory it needs, before it is begun.
+"""Predict how long a lift will take and how much memory it needs, before it is begun.
 
 The constants were measured on lifts of the bundled sample (72 frames of 320x240) and of long captures made from it (100
-to 2000 frames of 1296x968) on two cores, relative to a training step. Finished lifts tell
-how much slower or faster this machine is. How much surface the cameras see is not known in advance, so the sample's is
-assumed.
-"""
+to 2000 frames of 1296x968) on two cores, relative to a training step. Finished lifts tell how much slower or faster
+this machine is. How much surface the cameras see is unknown in advance: the sample's is assumed."""
 
 from __future__ import annotations
 
@@ -50,8 +48,8 @@ _MORE = {"normal": 0.34, "position": 1.15, "vector": 1.5}
 
 @dataclass(frozen=True)
 class Prediction:
-    """``stages``: seconds by stage name, in order, including "start" and "prepare" (before training);
-    ``peak_bytes``: the most main memory that the engine holds at once."""
+    """The predicted cost of a lift. ``stages`` are seconds by stage, in order, with "start" and "prepare" (before
+    training); ``peak_bytes`` is the most main memory that the engine holds at once."""
 
     stages: Mapping[str, float]
     peak_bytes: int
@@ -63,20 +61,21 @@ class Prediction:
 
 @dataclass(frozen=True)
 class _Speed:
-    """speed.json: how many times slower than the machine of the constants this one was in recent lifts."""
+    """The content of speed.json: how many times slower this machine was, in each recent lift, than the one where the
+    constants were measured."""
 
     slowness: tuple[float, ...] = field(metadata={"least": 0.001, "most": 1000})
 
 
 class BakeCost(NamedTuple):
-    """The cost in seconds and in bytes on the disk."""
+    """The predicted cost of baking, in seconds and in bytes on disk."""
 
     seconds: float
     bytes: float
 
 
 def predict_bake(frames: int, size: tuple[int, int], slowness: float = 1.0, layers: Collection[str] = ()) -> BakeCost:
-    """The cost of baking these frames of ``size`` (width, height) pixels, with these FURTHER_LAYERS."""
+    """Predict the cost of baking this many frames of ``size`` (width, height) pixels, with these FURTHER_LAYERS."""
     megapixels = size[0] * size[1] / 1e6
     pixel = PIXEL * (1.0 + sum(_MORE[layer] for layer in layers))
     seconds = slowness * frames * (_render_s(megapixels) + WRITE_S * megapixels)
@@ -98,8 +97,8 @@ def predict(
     masks_a_frame: float = USUAL_MASKS,
     classes: int = USUAL_CLASSES,
 ) -> Prediction:
-    """The prediction for ``train_frames`` + ``test_frames`` pictures of ``frame_size`` (width, height) pixels. ``bake``
-    is as in a request; ``slowness``: see `machine_slowness`; ``masks_a_frame`` and ``classes`` are the masks'."""
+    """Predict a lift of ``train_frames`` + ``test_frames`` pictures of ``frame_size`` (width, height) pixels. ``bake``
+    is as in a request; ``slowness``: see `machine_slowness`; ``masks_a_frame`` and ``classes`` describe the masks."""
     frames = train_frames + test_frames
     views = preset.views_of(train_frames)
     own = frame_size[0] * frame_size[1] / 1e6
@@ -140,24 +139,24 @@ def predict(
 
 
 def mesh_bytes(views: int, size: tuple[int, int]) -> int:
-    """The most main memory that an export of meshes holds: the programs, the model and the surface, and 16 bytes for
-    each pixel of its ``views`` of ``size`` (width, height) pixels. The field of voxels is made in slabs."""
+    """Return the peak memory, in bytes, of an export of meshes: the libraries, the model and the surface, and 16 bytes
+    for each pixel of its ``views`` of ``size`` (width, height). The voxels add little, as they are made in slabs."""
     return 1_460 * MB + 16 * views * size[0] * size[1]
 
 
 def step_seconds(megapixels: float, millions_of_gaussians: float) -> float:
-    """Seconds of a training step on the machine of the constants, for this size of picture and number of Gaussians."""
+    """Return the seconds of a training step on the machine where the constants were measured."""
     return 0.03 + 0.55 * megapixels + 0.3625 * millions_of_gaussians
 
 
 def machine_slowness(cache: Path | None = None) -> float:
-    """How many times slower this machine is, according to its recent lifts; 1 before the first. Never raises."""
+    """Return how many times slower this machine is by its recent lifts; 1 before the first. Never raises."""
     measured = _measured(_speed_path(cache))
     return median(measured) if measured else 1.0
 
 
 def learn_slowness(seconds: float, megapixels: float, millions_of_gaussians: float, cache: Path | None = None) -> None:
-    """Remember how long a step of a finished lift took here. Raises OSError, PlgsError."""
+    """Remember how long a training step of a finished lift took here, in seconds. Raises OSError, PlgsError."""
     path = _speed_path(cache)
     path.parent.mkdir(parents=True, exist_ok=True)
     with FileLock(path.with_suffix(".lock"), wait_s=20.0):  # as for the list of recent lifts
@@ -168,8 +167,8 @@ def learn_slowness(seconds: float, megapixels: float, millions_of_gaussians: flo
 def _peak_bytes(
     frame_size: tuple[int, int], preset: Preset, views: int, gaussians: float, *, labels: float, classes: int
 ) -> int:
-    """The most bytes held at once: they grow with the views and the points' votes in matching, with the Gaussians in
-    training, and with the pixels of a frame when it is baked at its own size; in the last two with the labels too."""
+    """Return the peak memory of a lift in bytes. Matching needs more with the views and the points' votes, training
+    with the Gaussians and labels, and baking with the labels and the pixels of a full-size frame."""
     own = frame_size[0] * frame_size[1] / 1e6
     trained_on = _megapixels_within(frame_size, preset.size)
     votes = 0.0
@@ -191,7 +190,7 @@ def _speed_path(cache: Path | None) -> Path:
 
 
 def _measured(path: Path) -> list[float]:
-    """The measured values; empty if there are none or they are implausible."""
+    """Return the measured values; none if the file is missing or they are implausible."""
     try:
         return [*read_record(_Speed, path, "Delete it.").slowness]
     except PlgsError:

@@ -1,4 +1,4 @@
-"""The engine as a separate process: which Python runs it, with what environment, and how it is ended."""
+"""The engine as a separate process: which Python runs it, in what environment, and how it is ended."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _FOREIGN = (
 
 
 class Origin(StrEnum):
-    """Why a Python runs the engine, in the order in which the choices are tried."""
+    """Where the engine's Python was found, in the order in which the places are tried."""
 
     VARIABLE = "the variable PLGS_ENGINE_PYTHON"
     CHOSEN = "the preferences"
@@ -56,9 +56,9 @@ class ChosenPython:
 def choose_python(
     root: Path = ROOT, environ: Mapping[str, str] = os.environ, chosen: Path | None = None
 ) -> ChosenPython:
-    """The first that exists of: PLGS_ENGINE_PYTHON, the ``chosen`` one from the preferences, the environment that "Set
-    up engine" made, ``.venv`` beside the code, and this Python if it has torch. Its packages are not checked. Raises
-    PlgsError if there is none. Takes milliseconds."""
+    """Return the first Python that exists of: PLGS_ENGINE_PYTHON, the ``chosen`` one from the preferences, the
+    environment that "Set up engine" made, ``.venv`` beside the code, and this Python if it has torch. Its packages are
+    not checked, so this takes milliseconds. Raises PlgsError if there is none."""
     variable = environ.get("PLGS_ENGINE_PYTHON")
     if variable:  # not resolved, as a venv's Python finds its venv by the link
         fix = "Correct the variable PLGS_ENGINE_PYTHON, or unset it."
@@ -80,7 +80,7 @@ def choose_python(
 
 
 def engine_python(root: Path = ROOT, environ: Mapping[str, str] = os.environ, chosen: Path | None = None) -> Path:
-    """The Python from `choose_python`. Raises PlgsError if there is none, or it lacks packages. Takes about 0.1 s."""
+    """Return the Python from `choose_python`, within 0.1 s. Raises PlgsError if there is none, or it lacks packages."""
     choice = choose_python(root, environ, chosen)
     what = "the engine's Python does not exist"
     if choice.python.exists():
@@ -92,7 +92,7 @@ def engine_python(root: Path = ROOT, environ: Mapping[str, str] = os.environ, ch
 
 
 def missing_modules(python: Path, names: Sequence[str]) -> list[str]:
-    """The modules that another Python cannot find. Imports nothing. Raises PlgsError if it does not work."""
+    """Return which modules another Python cannot find, without importing them. Raises PlgsError if it does not run."""
     find = "(n for n in sys.argv[1:] if not importlib.util.find_spec(n))"
     code = f"import importlib.util, sys; print({_MISSING!r}, *{find})"
     try:
@@ -111,7 +111,7 @@ def missing_modules(python: Path, names: Sequence[str]) -> list[str]:
 
 
 def clean_environment(root: Path | None = None) -> dict[str, str]:
-    """This process's environment without the variables for its own Python. ``root`` becomes importable."""
+    """This process's environment variables without those for its own Python. ``root`` becomes importable."""
     environment = {name: value for name, value in os.environ.items() if name not in _FOREIGN}
     environment |= {"PYTHONNOUSERSITE": "1", "PYTHONUNBUFFERED": "1"}
     if root is not None:
@@ -120,7 +120,7 @@ def clean_environment(root: Path | None = None) -> dict[str, str]:
 
 
 class ChildProcess:
-    """A program without a window that writes to a file and can be ended together with its own children."""
+    """A program without a window whose output goes to a file, and which can be killed together with its children."""
 
     def __init__(
         self,
@@ -155,12 +155,12 @@ class ChildProcess:
         return self._process.pid
 
     def exit_code(self) -> int | None:
-        """The exit code. None while it runs; if negative, the signal that ended it."""
+        """Return the exit code: None while it runs, negative if a signal ended it."""
         return self._process.poll()
 
     def kill(self) -> None:
-        """End it and its children at once, if it still runs. Returns when it has ended, or after a few seconds if it
-        waits for a disk that does not answer; it then ends when the disk answers."""
+        """Kill the process and its children, if it still runs, and wait for its end. If it hangs on a disk that does
+        not answer, return after a few seconds; it ends when the disk answers."""
         if self._process.poll() is None:
             kill_with_children(self._process)
             with suppress(subprocess.TimeoutExpired):
@@ -168,7 +168,7 @@ class ChildProcess:
 
 
 class EngineProcess(ChildProcess):
-    """A started engine. If it ``is_tied``, it ends when this process does, as it watches the pipe `Popen.stdin`.
+    """A started engine. If it ``is_tied``, it ends when this process does, as it watches its standard input, a pipe.
     Otherwise it continues when this process ends."""
 
     def __init__(
@@ -187,27 +187,25 @@ class EngineProcess(ChildProcess):
             raise
 
     def output_tail(self) -> str:
-        """The end of its output outside the log: empty, or why it could not start."""
+        """Return the end of its output outside the log: "", or why it could not start."""
         length = self._output.seek(0, os.SEEK_END)
         self._output.seek(max(0, length - _OUTPUT_TAIL))
         return self._output.read().decode(errors="replace").strip()
 
     def close(self) -> None:
-        """Release the engine. If it is tied and still running, it takes this as the parent's end, and stops."""
+        """Close the pipe to the engine. A tied engine that still runs stops, as it does when its parent ends."""
         if self._process.stdin is not None:
             self._process.stdin.close()
         self._output.close()
 
 
 def engine_call(python: Path, root: Path = ROOT, program: str = "engine") -> list[str | Path]:
-    """The first arguments of every command of the engine. ``program`` is the folder of a program with the engine's
-    commands.
-
-    With -I, Python imports nothing from the current folder, which may be someone else's scene, nor from what a variable
-    adds."""
+    """Return the first arguments of every command of the engine. ``program`` is the module to run, one that has the
+    engine's commands. With -I, Python imports nothing from the current folder, which may be someone else's scene, nor
+    from folders that environment variables add."""
     return [python, "-I", "-u", root / program / "__main__.py"]  # -u, as -I ignores PYTHONUNBUFFERED
 
 
 def engine_command(python: Path, lift: Path, *, resume: bool, program: str = "engine") -> list[str | Path]:
-    """The command that works on a lift folder."""
+    """Return the command that starts or resumes a lift in the folder ``lift``."""
     return [*engine_call(python, program=program), "lift", lift, *(["--resume"] if resume else [])]

@@ -1,4 +1,4 @@
-"""Progress, and a lift's stages as events, with an estimate of the time left."""
+"""Report progress and a lift's stages as events, with an estimate of the time left."""
 
 from __future__ import annotations
 
@@ -23,28 +23,28 @@ _SURE = 0.2
 
 
 def unwatched(done: int, total: int) -> None:
-    """The progress of work that no one follows."""
+    """Take progress and do nothing: the default where nobody follows the work."""
 
 
 def part_of(whole: Progress, begin: float, end: float, steps: int = 0) -> Progress:
-    """The progress of a part, from one fraction of ``whole`` to another. ``whole`` is called with ``steps`` as the
-    total; 0 means the part's own."""
+    """Return a progress callback for a part of the work, which lies between the fractions ``begin`` and ``end`` of
+    ``whole``. ``whole`` is called with ``steps`` as the total; 0 means the part's own total."""
     size = end - begin
     return lambda done, total: whole(round((steps or total) * (begin + size * done / (total or 1))), steps or total)
 
 
 class Course:
-    """Estimates how long a run still takes. ``seconds``: the predicted time of each stage from now on, in order."""
+    """Estimates how long a run still takes. ``seconds`` are the predicted times of its stages from now on, in order."""
 
     def __init__(self, seconds: Mapping[str, float]) -> None:
         self.began, self.seconds = time.monotonic(), dict(seconds)
 
     def leave_out(self, seconds: float) -> None:
-        """Exclude these seconds from the pace, as kernels were compiled."""
+        """Leave these seconds out of the measured pace, as compiling kernels says nothing about later steps."""
         self.began += seconds
 
     def skip(self, stage: str, share: float) -> None:
-        """Count this share of a stage as done before the run, as a lift was resumed."""
+        """Count this share of a stage as done already, because the lift was resumed."""
         self.began -= share * self.seconds[stage]
 
     def left(self, stage: str, share: float, eta: float | None, now: float) -> float | None:
@@ -63,8 +63,8 @@ class Course:
 
 
 class StageProgress:
-    """Called with (done, total, loss) inside a stage; raises Cancelled when the lift should stop. If less is done than
-    before, another part of the stage began, with a pace of its own. ``course`` knows how long the later stages take."""
+    """The progress callback (done, total, loss) of a stage. It raises Cancelled when the lift should stop. If ``done``
+    falls, a new part of the stage has begun, with a pace of its own. ``course`` knows the time of the later stages."""
 
     def __init__(self, name: str, events: EventWriter, stop: StopSignal, course: Course | None = None) -> None:
         self.name, self.events, self.stop, self.course = name, events, stop, course
@@ -86,14 +86,14 @@ class StageProgress:
         self.events.progress(self.name, done, total, loss=loss, eta_s=eta, left_s=whole)
 
     def part(self, begin: float, end: float) -> Progress:
-        """A progress callback (done, total) for the part of the stage between the shares ``begin`` and ``end``, which
-        reports whole percentages."""
+        """Return a progress callback (done, total) for the part of the stage between the shares ``begin`` and ``end``.
+        It reports whole percentages."""
         return part_of(self, begin, end, 100)
 
 
 class StageReporter:
-    """Announces the stages in order, records how long each took (``timings``, seconds), and logs its processor time.
-    Once it has a ``course``, stages report how long the whole run still takes."""
+    """Announces the stages in order, records their seconds in ``timings``, and logs their processor time. Once it has a
+    ``course``, events also tell how long the whole run still takes."""
 
     def __init__(self, events: EventWriter, stop: StopSignal, labels: Mapping[str, str]) -> None:
         self.events, self.stop, self.labels = events, stop, labels

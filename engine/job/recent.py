@@ -1,7 +1,5 @@
-"""The list of recent lifts, in which a new Blender finds running and finished ones.
-
-It is in the user's cache folder. It is only a convenience: nothing else is lost with it, and a broken list is replaced.
-"""
+"""The list of recent lifts, by which a newly started Blender finds running and finished ones. It lies in the user's
+cache folder and is only a convenience: a broken list is replaced."""
 
 from __future__ import annotations
 
@@ -26,7 +24,7 @@ _LATEST = 1 << 40
 
 @dataclass(frozen=True)
 class RecentLift:
-    """A lift that an engine worked on. ``touched``: when an engine last began or ended there, in Unix seconds."""
+    """A lift in the list. ``touched`` is when an engine last began or ended there, in Unix seconds."""
 
     folder: LiftFolder
     state: LiftState
@@ -40,7 +38,7 @@ class _Entry:
 
 
 def recent_lifts(cache: Path | None = None, most: int = MOST) -> list[RecentLift]:
-    """The lifts in the list that still exist, the newest first, with their `state_at_a_glance`. It takes a few
+    """Return the listed lifts that still exist, newest first, with their `state_at_a_glance`. It takes a few
     milliseconds and never raises: what cannot be read is left out."""
     lifts = []
     for path, touched in _entries(_list_path(cache))[:most]:
@@ -53,7 +51,7 @@ def recent_lifts(cache: Path | None = None, most: int = MOST) -> list[RecentLift
 
 
 def remembered_lifts(cache: Path | None = None) -> list[str]:
-    """The paths in the list, the newest first. They are not checked."""
+    """Return the listed paths, newest first, without checking them."""
     return [path for path, _ in _entries(_list_path(cache))]
 
 
@@ -74,8 +72,8 @@ def _list_path(cache: Path | None) -> Path:
 
 
 def _entries(list_path: Path, is_to_be_replaced: bool = False) -> list[tuple[str, float]]:
-    """The path and time of each entry; none if the list is missing, broken or from another version. Raises PlgsError if
-    the disk cannot read a list that ``is_to_be_replaced``, as this would lose it."""
+    """Return the path and time of each entry; none if the list is missing, broken or from another version. Raises
+    PlgsError if the disk cannot read a list that ``is_to_be_replaced``, as its entries would be lost."""
     try:
         content = read_object(list_path, _FIX)
         refuse_other_format(content, list_path)

@@ -1,4 +1,4 @@
-"""The figures of a finished lift and the paths of its files, as text for a terminal."""
+"""Format the figures of a finished lift and the paths of its files as text for a terminal."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ _SHOWN = ("semantic_points.npz", "instances.json", "gaussians.ply", "metrics.jso
 
 
 def metrics_text(metrics: Mapping[str, Json], *, per_class: bool = False) -> str:
-    """The tables of a metrics.json, with a line for each method and mode, and with ``per_class`` also for each class.
-    Shares are in per cent, "true %" is mIoU over the classes of the ground truth, "id changes" is how often an object
-    changes its id, PSNR is in dB, the median depth error in cm; "fitted" is PSNR after a fit of colours."""
+    """Return the tables of a metrics.json as text, with a line for each method and mode and, if ``per_class``, for each
+    class. Shares are in per cent, "true %" is mIoU over the classes of the ground truth, "id changes" is how often an
+    object changes its id, PSNR is in dB, the median depth error in cm; "fitted" is PSNR after a fit of colours."""
     tables = [table for table in _list(metrics.get("tables")) if isinstance(table, dict)]
     rows = [["", "mode", *(heading for _, heading in _SHARES), *(heading for _, heading, _, _ in _OTHERS)]]
     for table in tables:
@@ -45,13 +45,13 @@ def metrics_text(metrics: Mapping[str, Json], *, per_class: bool = False) -> str
 
 
 def wrong_with_scene(metrics: Mapping[str, Json]) -> list[str]:
-    """Problems that were found in the scene before it was lifted."""
+    """Return the texts about problems that were found in the scene before it was lifted."""
     entries = [entry for entry in _list(metrics.get("findings")) if isinstance(entry, dict)]
     return [f"{entry.get('cause')}: {entry.get('text')}" for entry in entries if entry.get("severity") == "wrong"]
 
 
 def not_shown(metrics: Mapping[str, Json]) -> list[tuple[str, str]]:
-    """Objects that the masks show clearly in close-ups and the lift lacks, as texts, with the frames that show them."""
+    """The objects that the masks show clearly in close-ups and the lift lacks: for each, its text and the frames."""
     judges = metrics.get("masks_as_judges")
     entries = _list(judges.get("not_shown")) if isinstance(judges, dict) else []
     found = []
@@ -64,7 +64,7 @@ def not_shown(metrics: Mapping[str, Json]) -> list[tuple[str, str]]:
 
 
 def doubt_of_frames(metrics: Mapping[str, Json]) -> dict[str, float]:
-    """The probability of wrong classes in each frame that was rendered to score the lift."""
+    """Return, for each frame that was rendered to score the lift, the probability that its classes are wrong."""
     judges = metrics.get("masks_as_judges")
     entries = judges.get("doubt") if isinstance(judges, dict) else None
     known = entries.items() if isinstance(entries, dict) else ()
@@ -90,7 +90,7 @@ def made_files(lift: LiftFolder) -> list[Path]:
 
 
 def estimated_text(lift: LiftFolder) -> str:
-    """What of a finished lift's scene was not measured, a line each; empty if all was. Raises PlgsError."""
+    """What of a finished lift's scene was estimated, not measured, a line each; "" if nothing. Raises PlgsError."""
     return "\n".join(printable(f"{line[:1].upper()}{line[1:]}") for line in read_manifest(lift.result_path).estimated)
 
 
@@ -104,7 +104,7 @@ def _list(value: Json) -> list[Json]:
 
 
 def _number(value: Json, factor: float, digits: int) -> str:
-    """The number as text; a dash if it is not a number, or is impossibly large, as JSON's integers may be."""
+    """``value * factor`` as text; a dash if it is no number, or too large for a float, as JSON's integers may be."""
     if not isinstance(value, int | float) or not abs(value) <= _LARGEST:  # "not <=" is true of NaN
         return "-"
     return f"{value * factor:.{digits}f}"

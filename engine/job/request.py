@@ -1,4 +1,4 @@
-"""The request for a lift: the content of request.json, and the options of a command line that make one."""
+"""The request for a lift: the content of request.json, and the command-line options that make one."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ def _switch(about: str) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class LiftRequest(SceneSource):
-    """One lift of a scene. Relative paths are taken from the working directory, and become absolute. ``options`` are
-    the changed options of the preset, by name (see ``engine/presets``). ``fit`` uses fewer frames if memory is limited.
-    ``bake`` None: what is usual for the preset (``bakes``). ``device`` trains and draws the Gaussians. ``names_from``
-    is the folder of an earlier lift whose objects keep their names and ids. ``anyway`` lifts a scene whose numbers or
-    masks are wrong for certain. Raises PlgsError if a value is out of range. Files are not checked, as this is the
-    scene's task."""
+    """The request for one lift of a scene. Relative paths are taken from the working directory, and become absolute.
+    ``options`` are the changed options of the preset, by name (see ``engine/presets``). ``fit`` uses fewer frames if
+    memory is limited. ``bake`` None: what is usual for the preset (``bakes``). ``device`` trains and renders the
+    Gaussians. ``names_from`` is the folder of an earlier lift whose objects keep their names and ids. ``anyway`` lifts
+    even if the scene's numbers or masks are certainly wrong. Raises PlgsError if a value is out of range. Files are
+    checked later, when the scene is opened."""
 
     preset: PresetName = "preview"
     options: Mapping[str, Json] = field(default_factory=dict)
@@ -78,7 +78,7 @@ class LiftRequest(SceneSource):
 
     @property
     def chosen_preset(self) -> Preset:
-        """The preset with the options of the request."""
+        """The preset, changed by the request's options."""
         return presets.with_options(PRESETS[self.preset], self.options)
 
     @property
@@ -87,7 +87,7 @@ class LiftRequest(SceneSource):
         return self.bake or usual_bake(self.preset)
 
     def to_json(self, lift: Path | None = None) -> str:
-        """The text of request.json, with paths relative to a ``lift``, which can be moved together with its scene."""
+        """Return the text of request.json. Paths are relative to ``lift``, if given, so that both can be moved."""
         content = to_json(self)
         options, fit = content.pop("options", {}), content.pop("fit", False)
         content["overrides"] = {**options, **({"fit": True} if fit else {})}
@@ -126,7 +126,7 @@ class LiftRequest(SceneSource):
             raise PlgsError(error.key, error.problem, path, error.fix) from error
 
     def differences(self, other: LiftRequest) -> list[str]:
-        """The names of what differs, also of the preset's options, but not ``anyway`` and the engine's version."""
+        """The names of all fields and preset options that differ, except ``anyway`` and the engine's version."""
         mine, theirs = self.chosen_preset, other.chosen_preset
         value = presets.option_value
         options = [name for name in presets.preset_options() if value(mine, name) != value(theirs, name)]
@@ -137,7 +137,7 @@ class LiftRequest(SceneSource):
 
 
 def refuse_unwritable_name(path: Path) -> None:
-    """Raise PlgsError for a path that is not UTF-8, which no file of a lift can hold and no terminal can show."""
+    """Raise PlgsError for a path that is not UTF-8, as no file of a lift can hold it and no terminal show it."""
     try:
         str(path).encode()
     except UnicodeEncodeError as error:
@@ -153,7 +153,7 @@ _FIELDS = {each.name: each.metadata["option"] for each in fields(LiftRequest) if
 
 
 def usual_bake(preset: str) -> Bake:
-    """The frames that a lift by this preset bakes if none are chosen."""
+    """Return which frames a lift by this preset bakes if nothing is chosen."""
     return "none" if preset == "draft" else "test"
 
 
@@ -176,7 +176,7 @@ def _flag(name: str) -> str:
 
 def add_lift_options(parser: argparse.ArgumentParser, more_bakes: Mapping[str, str] = _NONE) -> None:
     """Add all options that end up in the request, and --poses. Those not given are None, so that --resume can tell.
-    ``more_bakes``: other values of --bake, and their meanings; the caller must remove them from the options."""
+    ``more_bakes`` are further values of --bake and their meanings, which the caller must handle and remove."""
     parser.add_argument(
         "--preset", type=preset_or_file, metavar="NAME|FILE.toml",
         help="how much work to spend: draft takes half of preview's time, preview takes minutes, standard tens of "
@@ -211,7 +211,7 @@ def add_amount_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_progress_option(parser: argparse.ArgumentParser) -> None:
-    """Add --progress."""
+    """Add --progress, which chooses between text and JSON."""
     parser.add_argument(
         "--progress", choices=("text", "json"), default="text",
         help="json: write the run's events to standard output, one JSON line each, and all else to standard error",
@@ -247,13 +247,13 @@ def source_of(options: argparse.Namespace) -> SceneSource:
 
 
 def given_lift_options(options: argparse.Namespace) -> list[str]:
-    """The options of `add_lift_options` that were given, as on a command line."""
+    """Return those options of `add_lift_options` that were given, spelt as on a command line."""
     names = ("preset", "bake", *_FIELDS, *_OF_PRESET, "poses")
     return [_flag(name) for name in names if getattr(options, name) is not None]
 
 
 def readable(arguments: Sequence[str]) -> list[str]:
-    """The arguments with "--up -y" as "--up=-y", and so for "--range -5-10": argparse takes a dash for an option."""
+    """The arguments with values that begin with a dash joined, as in "--up=-y": argparse takes them for options."""
     joined: list[str] = []
     for argument in arguments:
         option = joined[-1] if joined else ""
@@ -282,7 +282,8 @@ def number_of_frames(text: str) -> int:
 
 
 def request_from(options: argparse.Namespace, base: LiftRequest | None = None) -> LiftRequest:
-    """The request that the options of `add_lift_options` and ``scene`` ask for, else ``base``. Raises PlgsError."""
+    """Return the request that ``scene`` and the options of `add_lift_options` ask for; what is not given comes from
+    ``base``. Raises PlgsError."""
     asked = {name: value for name in (*_FIELDS, "bake") if (value := getattr(options, name)) is not None}
     given: dict[str, Any] = {name: each.resolve() if isinstance(each, Path) else each for name, each in asked.items()}
     own = {name: value for name in ("steps", "size", "frames") if (value := getattr(options, name)) is not None}
@@ -294,8 +295,8 @@ def request_from(options: argparse.Namespace, base: LiftRequest | None = None) -
 def chosen_options(
     preset: str | None, changed: Mapping[str, Json], base: LiftRequest = DEFAULTS
 ) -> tuple[Any, dict[str, Json]]:
-    """The name of a preset and its changed options: those of ``preset``, a name or a preset file, or of ``base`` if it
-    is None; then the options ``changed``. Raises PlgsError."""
+    """Return the name of a preset and its changed options: first those of ``preset`` (a name or a preset file), or of
+    ``base`` if it is None, then those in ``changed``. Raises PlgsError."""
     name, options = (base.preset, dict(base.options)) if preset is None else (preset, {})
     if name.endswith(".toml"):
         name, options = presets.read_preset_file(Path(name))

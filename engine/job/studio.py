@@ -1,4 +1,4 @@
-"""A studio's defaults: one TOML file for the command line, batches and Blender. Standard library only."""
+"""A studio's defaults: one TOML file that the command line, batches and Blender read. Standard library only."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ _FIX = "Correct it, or let PLGS_DEFAULTS and the preferences name another file."
 
 @dataclass(frozen=True)
 class StudioDefaults:
-    """The values in the ``file``. ``preset`` is a name or a preset file; ``masks`` a path, with {scene} for the scene's
-    name; ``names`` what --shot takes. ``memory`` is the GB that a lift, or a worker of a batch, may use."""
+    """Defaults from a studio's ``file``. ``preset`` is a name or a preset file; ``masks`` a path, with {scene} for the
+    scene's name; ``names`` a template, as for --shot; ``memory`` the GB that a lift, or a worker of a batch, may
+    use."""
 
     preset: str | None = None
     masks: str | None = None
@@ -52,7 +53,7 @@ class StudioDefaults:
         return ", ".join(f"{name} {value}" for name, value in given.items() if value is not None)
 
     def masks_of(self, scene: Path | None) -> Path | None:
-        """The masks of a scene; None without a default. Without a scene {scene} stays."""
+        """Return the masks' path for a scene; None without a default. If ``scene`` is None, {scene} stays in it."""
         if self.masks is None or self.file is None:
             return None
         name = "{scene}" if scene is None else scene.name if scene.is_dir() else scene.stem
@@ -60,7 +61,7 @@ class StudioDefaults:
 
 
 def studio_defaults(environ: Mapping[str, str] = os.environ) -> StudioDefaults:
-    """The defaults in the file that the variable names; without one all are None. Raises PlgsError."""
+    """Read the defaults from the file that an environment variable names; without it all are None. Raises PlgsError."""
     if not (named := environ.get(VARIABLE)):
         return StudioDefaults()
     file = Path(named).absolute()
@@ -68,7 +69,7 @@ def studio_defaults(environ: Mapping[str, str] = os.environ) -> StudioDefaults:
 
 
 def filled_in(options: argparse.Namespace) -> argparse.Namespace:
-    """The options of a command, with defaults for those not given. Standard error names these. Raises PlgsError."""
+    """A command's options with the studio's defaults for those not given, which stderr lists. Raises PlgsError."""
     studio, given = studio_defaults(), vars(options)
     masks = studio.masks_of(given.get("scene"))
     defaults = {"preset": studio.preset, "masks": masks, "device": studio.device, "memory": studio.memory}

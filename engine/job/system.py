@@ -1,7 +1,5 @@
-"""What differs between POSIX and Windows: locks, processes, folders on disk, memory. The rest of the engine uses this.
-
-Modules that the other system lacks are imported where they are needed.
-"""
+"""Whatever differs between POSIX and Windows: locks, processes, folders on disk, memory. Modules that only one of them
+has are imported where they are needed."""
 
 from __future__ import annotations
 
@@ -45,7 +43,7 @@ def try_lock(descriptor: int, shared: bool = False) -> bool:
 
 
 def flush_folder(path: Path) -> None:
-    """Wait until a folder's list of names would survive a power cut; NTFS itself journals it. Raises OSError."""
+    """Flush a folder's list of names to the disk, to survive a power cut; NTFS does so itself. Raises OSError."""
     if WINDOWS:
         return
     descriptor = os.open(path, os.O_RDONLY)
@@ -56,16 +54,17 @@ def flush_folder(path: Path) -> None:
 
 
 def start_options(keep_open: Sequence[int] = ()) -> dict[str, Any]:
-    """Options of `Popen` for a program in its own group, without a window: Ctrl-C in the terminal reaches only its
-    parent, which then asks it to stop. Descriptors in ``keep_open`` stay open in it, but not on Windows."""
+    """Return options of `Popen` for a program in its own process group, without a window: Ctrl-C in the terminal
+    reaches only the parent, which then stops the program. Descriptors in ``keep_open`` stay open in it, but not on
+    Windows."""
     if WINDOWS:
         return {"creationflags": _NEW_GROUP | _NO_WINDOW}
     return {"start_new_session": True, "pass_fds": tuple(keep_open)}
 
 
 def kill_with_children(process: subprocess.Popen[bytes]) -> None:
-    """End a process that was started with `start_options`, and what it started, at once. On Windows, processes whose
-    parent has ended already are left."""
+    """Kill a process that was started with `start_options`, and its children. On Windows, grandchildren whose own
+    parent has ended already survive."""
     if not WINDOWS:
         os.killpg(process.pid, signal.SIGKILL)  # as `start_new_session` made it the leader of its group
         return
@@ -78,7 +77,7 @@ def kill_with_children(process: subprocess.Popen[bytes]) -> None:
 
 
 def refuse_small_memory() -> None:
-    """Raise PlgsError for a limit of the address space (ulimit -v) with which OpenBLAS and torch fail, or never end."""
+    """Raise PlgsError for a limit of the address space (ulimit -v) with which OpenBLAS and torch fail, or hang."""
     if WINDOWS:
         return
     resource: Any = importlib.import_module("resource")
@@ -95,7 +94,7 @@ def usable_cpus() -> int:
 
 
 def peak_bytes() -> int | None:
-    """The most bytes of memory that this process has held; None on Windows, where this is not measured."""
+    """Return the peak memory of this process in bytes; None on Windows, where it is not measured."""
     if WINDOWS:
         return None
     resource: Any = importlib.import_module("resource")
@@ -109,14 +108,14 @@ SHARE = "PLGS_MEMORY_GB"
 
 
 class MainMemory(NamedTuple):
-    """The total and the free bytes, within the limits of a container or a farm's job and of the variable SHARE."""
+    """The total and free memory in bytes, within the limits of a container, a farm's job and the variable SHARE."""
 
     total: int
     free: int
 
 
 def main_memory(proc: Path = Path("/proc"), cgroup: Path = CGROUP) -> MainMemory | None:
-    """The current memory; None if the system does not report it. Never raises."""
+    """Return the memory now; None if the system does not report it. Never raises."""
     try:
         if sys.platform == "win32":
             return _share(_of_windows())
@@ -139,8 +138,8 @@ def _share(memory: MainMemory) -> MainMemory:
 
 
 def _groups(own: Path, cgroup: Path) -> list[Path]:
-    """The cgroups whose limits apply to this process: its own, which Slurm and systemd make for a job, and all around
-    it. Version 1 of cgroups has those of memory in a folder of their own."""
+    """Return the cgroups whose limits apply to this process: its own, which Slurm and systemd make for a job, and all
+    that contain it. In version 1 of cgroups, those of memory are in a folder of their own."""
     try:
         lines = [line.split(":", 2) for line in own.read_text().splitlines()]
     except OSError:
@@ -152,7 +151,7 @@ def _groups(own: Path, cgroup: Path) -> list[Path]:
 
 
 def _within(memory: MainMemory, group: Path) -> MainMemory:
-    """The memory, reduced to a cgroup's limit if there is one."""
+    """Return the memory, reduced to a cgroup's limit if it has one."""
     for limit_in, held_in, cached in (
         ("memory.max", "memory.current", "inactive_file"),
         ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),  # version 1
@@ -165,7 +164,7 @@ def _within(memory: MainMemory, group: Path) -> MainMemory:
 
 
 def _given_back(stat: Path, cached: str) -> int:
-    """Bytes of cached files in a cgroup's memory, which the system frees when needed."""
+    """Return how many bytes of a cgroup's memory are cached files, which the system frees when memory is needed."""
     try:
         lines = (line.split() for line in stat.read_text().splitlines())
         return next((int(line[1]) for line in lines if line[:1] == [cached]), 0)
@@ -174,7 +173,7 @@ def _given_back(stat: Path, cached: str) -> int:
 
 
 def _of_windows() -> MainMemory:
-    """The memory on Windows. Raises OSError."""
+    """Return the memory on Windows. Raises OSError."""
     import ctypes
 
     class Status(ctypes.Structure):

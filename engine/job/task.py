@@ -1,5 +1,5 @@
-"""A task is one run of an engine's command that another process follows: where its files are, how far it is, and how it
-is stopped."""
+"""A task is one run of an engine's command, followed by another process: its files, its progress, and how it is
+stopped."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ class TaskState(StrEnum):
 @dataclass(frozen=True)
 class TaskFiles:
     """The three files that a task shares with its follower: its ``events``, the ``cancel`` file that stops it, and its
-    ``log``. ``arguments`` pass them to a command (none for a lift, whose folder implies them). ``folder`` is a
-    temporary one that is deleted with the task."""
+    ``log``. ``arguments`` are the command-line arguments that name them (none for a lift, whose folder implies them).
+    ``folder`` is a temporary folder that is deleted with the task, or None."""
 
     events: Path
     cancel: Path
@@ -87,10 +87,10 @@ class TaskFiles:
 
 @dataclass
 class TaskProgress:
-    """How far a run is. ``stage_index`` counts from 1; ``step`` of ``steps`` of this stage are done, ``eta_s`` seconds
-    of it remain, and ``left_s`` of the whole run, if known. ``began`` is when the run began, in Unix seconds.
-    ``live_preview`` is a picture of the growing model. Its content was replaced ``live_previews`` times, the last time
-    as seen by the camera with the fingerprint ``live_preview_camera``. ``previews`` are the pictures that stay."""
+    """The state of a run. Stages count from 1 (``stage_index``); ``step`` of ``steps`` of this one are done, ``eta_s``
+    seconds of it remain, and ``left_s`` of the whole run, if known. ``began`` is the start in Unix seconds.
+    ``live_preview`` is a picture of the growing model; it was replaced ``live_previews`` times, lastly as seen by the
+    camera with the fingerprint ``live_preview_camera``. ``previews`` are the pictures that stay."""
 
     stage: str = ""
     label: str = "Starting"
@@ -109,7 +109,7 @@ class TaskProgress:
     began: float | None = None
 
     def take(self, event: Event, folder: Path) -> None:
-        """Update the progress with an event. ``folder`` holds the events; the paths in them are relative to it."""
+        """Update the progress with an event. Paths in events are relative to ``folder``, where the events' file is."""
         data = event.data
         match event.kind:
             case "stage":
@@ -131,8 +131,8 @@ class TaskProgress:
 
 
 def last_lines(log: Path, count: int = LOG_LINES) -> tuple[str, ...]:
-    """The last ``count`` lines of a log's last 64 KB that are not blank, cut at 500 characters; none without a log.
-    Each version of a line that was overwritten repeatedly, such as a progress bar, counts."""
+    """Return the last ``count`` lines of a log that are not blank, cut at 500 characters; none without a log. Only its
+    last 64 KB are read. Each version of a line that was overwritten, such as a progress bar, counts as a line."""
     try:
         with open_plain(log, follow_link=False) as file:
             start = max(0, os.fstat(file.fileno()).st_size - LOG_BYTES)
@@ -146,7 +146,7 @@ def last_lines(log: Path, count: int = LOG_LINES) -> tuple[str, ...]:
 
 
 def _inside(path: Json, folder: Path) -> Path | None:
-    """The path, or None if it leads out of the folder, as someone else may have written the event."""
+    """Return the path, or None if it leads out of the folder: someone else may have written the event."""
     try:
         return folder / inner_path(str(path))
     except ValueError:
@@ -154,12 +154,12 @@ def _inside(path: Json, folder: Path) -> Path | None:
 
 
 def _int(value: Json) -> int:
-    """The number, or 0 for anything that is not a valid count."""
+    """Return the number, or 0 for anything that is not a valid count."""
     return value if isinstance(value, int) and 0 <= value <= _MOST else 0
 
 
 def _float(value: Json) -> float | None:
-    """The number, or None for NaN, infinity, anything that is not a number, and anything too large."""
+    """Return the number; None for NaN, infinity, numbers too large for a float, and anything else."""
     if not isinstance(value, int | float) or not -_MOST <= value <= _MOST:
         return None
     return float(value)
@@ -172,16 +172,16 @@ GRACE_S = 0.5
 
 
 class StopSignal:
-    """The engine's loops call ``stop.check()`` in every step."""
+    """Tells the engine's loops when to stop: they call ``stop.check()`` in every step."""
 
     def __init__(self, *cancel_paths: Path) -> None:
-        """Any of the files ``cancel_paths`` stops the task."""
+        """Take the files whose existence stops the task."""
         self._cancel_paths = cancel_paths
         self._reason: str | None = None
         self.exit_code = ExitCode.CANCELLED
 
     def check(self) -> None:
-        """Raise Cancelled if the task should stop. This takes a few microseconds."""
+        """Raise Cancelled if the task should stop. It takes a few microseconds."""
         reason = self.reason
         if reason is not None:
             raise Cancelled(reason)
@@ -197,7 +197,7 @@ class StopSignal:
         return self._reason
 
     def ask(self, reason: str, exit_code: ExitCode = ExitCode.CANCELLED) -> None:
-        """Make the next check raise, and the process end with this code."""
+        """Ask the task to stop: the next check raises Cancelled, and the process ends with this code."""
         self.exit_code = exit_code
         self._reason = reason
 
@@ -206,9 +206,9 @@ class Watchdog:
     """Ends the engine if its main thread does not stop in time; for ``with``, around the whole work. Threads are
     allowed here: this is the engine's own process, not Blender's Python, and the two threads never touch the task's
     data. One polls the cancel file. The other waits for the end of the pipe ``parent_pipe``, a descriptor whose write
-    end only the parent holds: on every system the pipe ends when the parent does. The forced end is safe because all
-    files are put in place by rename. It is impossible while the main thread is inside native code that holds Python's
-    lock; then the parent kills the process (`follower`)."""
+    end only the parent holds: on every system the pipe ends when the parent does. To end it by force is safe because
+    all files are put in place by rename. It is impossible while native code in the main thread holds Python's lock;
+    then the parent kills the process (`follower`)."""
 
     def __init__(
         self,

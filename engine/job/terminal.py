@@ -1,4 +1,4 @@
-"""Tasks and whole lifts in a terminal: one live line, and Ctrl-C that ends both processes within a second."""
+"""Run tasks and whole lifts in a terminal: one live line, and Ctrl-C that ends both processes within a second."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ class Interrupted(KeyboardInterrupt):  # no `except Exception` on the way catche
 
 
 def stop_signals_call(handler: Callable[[int, FrameType | None], object]) -> dict[signal.Signals, Any]:
-    """Let ``handler`` take the signals that stop a command, and return their handlers until now. One that was ignored,
-    as with nohup, stays so. Python allows handlers only in the main thread: elsewhere nothing changes."""
+    """Let ``handler`` take the signals that stop a command, and return their earlier handlers. A signal that was
+    ignored, as with nohup, stays so. Outside the main thread, where Python allows no handlers, nothing changes."""
     if threading.current_thread() is not threading.main_thread():
         return {}
     taken = [number for number in STOP_SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
@@ -51,9 +51,9 @@ def stop_signals_call(handler: Callable[[int, FrameType | None], object]) -> dic
 
 
 class Interrupts:
-    """Takes over `STOP_SIGNALS`, even from Blender's own handlers; for ``with``. They raise Interrupted at once or,
-    inside `deferred`, only at its end, as code there must not be interrupted. During an import, native code may turn
-    Interrupted into another error; if the block ends with one, Interrupted is raised again."""
+    """Handles `STOP_SIGNALS` in a ``with`` block, instead of Blender's own handlers. A signal raises Interrupted at
+    once or, inside `deferred`, at its end, for code that must not be interrupted. During an import, native code may
+    turn Interrupted into another error; if the block ends with one, Interrupted is raised again."""
 
     def __init__(self) -> None:
         self.pending: int | None = None
@@ -78,7 +78,8 @@ class Interrupts:
 
     @contextmanager
     def deferred(self) -> Iterator[None]:
-        """Check ``pending`` inside; Interrupted is raised at the end if it is set and nothing else is raised."""
+        """Hold signals back in a ``with`` block. Interrupted is raised at its end if one came and nothing else is
+        raised."""
         self._deferred = True
         try:
             yield
@@ -119,8 +120,8 @@ def follow(follower: TaskFollower, interrupts: Interrupts, line: LiveLine, echo:
 
 
 def stdout_for_events(progress: str) -> int | None:
-    """With --progress json: a descriptor of standard output, which from now on is only for events. What is printed goes
-    to standard error instead. Without it: None."""
+    """With --progress json, reserve standard output for events and return a new descriptor of it; what is printed goes
+    to standard error instead. Otherwise return None."""
     if progress != "json":
         return None
     sys.stdout.flush()
@@ -130,9 +131,9 @@ def stdout_for_events(progress: str) -> int | None:
 
 
 class LiveLine:
-    """Progress on one line that is overwritten repeatedly or, if that is impossible, on a new line every few seconds.
-    ``is_lost`` says that no one reads the stream any more: a closed terminal, or ``| head``. All output there is then
-    discarded, so that it does not end hours of work."""
+    """Shows progress on one line that is overwritten repeatedly or, if that is impossible, on a new line every few
+    seconds. ``is_lost`` says that nobody reads the stream any more (a closed terminal, or ``| head``): output is then
+    discarded, so that hours of work don't end with an error."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -144,7 +145,7 @@ class LiveLine:
         self._next = 0.0
 
     def show(self, progress: TaskProgress) -> None:
-        """Show the newest state; this takes almost no time if nothing changed."""
+        """Show the current state; this takes almost no time if nothing changed."""
         text = printable(describe(progress))
         if self._live:
             if text != self._shown:
@@ -158,7 +159,7 @@ class LiveLine:
             self._print_newest()
 
     def say(self, text: str) -> None:
-        """Print a separate line above the live one."""
+        """Print a line of text above the live one."""
         if self._live and self._shown:
             self._overwrite("")
         self._write(printable(text) + "\n")
@@ -193,7 +194,7 @@ class LiveLine:
 
 
 def describe(progress: TaskProgress) -> str:
-    """A text such as "[3/6] Training  1200/3000  loss 0.0123  2:31 left  3:20 to the end"."""
+    """Return a text such as "[3/6] Training 1200/3000 loss 0.0123 2:31 left 3:20 to the end"."""
     stage = f"[{progress.stage_index}/{progress.stage_count}] " if progress.stage_count > 1 else ""
     parts = [stage + progress.label]
     if progress.steps:
@@ -221,11 +222,11 @@ def lift_in_terminal(
     interrupts: Interrupts,
     on_error: Callable[[PlgsError], object] = lambda error: print(f"error: {error}", file=sys.stderr),
 ) -> tuple[LiftFolder, ExitCode]:
-    """Lift as the options of `add_lift_options`, ``scene``, ``output`` and ``resume`` ask. Progress goes to stderr, and
-    events to the descriptor ``echo`` if the options have one. ``on_error`` is called with why the engine failed. The
-    engine checks the scene, and tells whether anything is left to do in a finished lift. A folder that was made here
-    for nothing is removed, so that the corrected command works. If the options have a ``program``, that program does
-    the lift (see `engine_call`). Raises PlgsError, and Interrupted on Ctrl-C after the engine has ended."""
+    """Lift a scene as ``options`` ask: those of `add_lift_options`, ``scene``, ``output`` and ``resume``. Progress goes
+    to stderr, and events to the descriptor ``echo`` if the options have one. ``on_error`` is called with the error of a
+    failed engine. The engine itself checks the scene and whether a finished lift has anything left to do. A folder made
+    for a lift that never began is removed, so that the corrected command works. If the options have a ``program``, that
+    does the lift (see `engine_call`). Raises PlgsError, and Interrupted on Ctrl-C after the engine has ended."""
     python = engine_python()
     if options.poses is not None:  # an engine finds them, unless an earlier one has
         options.scene = Path(str(ask_engine(python, interrupts, "poses", options.scene)["folder"]))
@@ -266,25 +267,25 @@ def lift_in_terminal(
 
 
 def _is_film_or_prepared(scene: Path) -> bool:
-    """Whether a scene is a film, or photos whose poses an earlier `prepare` or `poses` found."""
+    """Whether a scene is a film, or photos whose poses `prepare` or `poses` found earlier."""
     return (scene.suffix.lower() in FILMS and scene.is_file()) or (scene / MADE_POSES).is_file()
 
 
 def _lacks_poses(error: PlgsError, options: argparse.Namespace) -> bool:
-    """Whether a lift failed because its scene is photos, for which `_prepare` was not tried yet."""
+    """Whether a lift failed because its scene consists of photos without poses, which `_prepare` could still find."""
     return error.code is ErrorCode.NO_POSES and options.poses is None and not _is_film_or_prepared(options.scene)
 
 
 def _prepare(options: argparse.Namespace, python: Path, interrupts: Interrupts) -> None:
-    """Let an engine make what photos or a film lack for a lift; the scene is then the folder with it."""
+    """Let an engine make what photos or a film lack for a lift. ``options.scene`` becomes the folder with that."""
     have = [name for name in ("depth", "masks") if getattr(options, name) is not None]
     more = [*(["--have", *have] if have else []), *(["--download"] if getattr(options, "download", False) else [])]
     options.scene = Path(str(ask_engine(python, interrupts, "prepare", options.scene, *more)["folder"]))
 
 
 def resumable(options: argparse.Namespace) -> LiftFolder | None:
-    """The lift in ``options.output`` that --resume continues; None if there is nothing to continue. Raises PlgsError if
-    the options ask for a lift that differs from the one there."""
+    """Return the lift in ``options.output`` that --resume continues; None if there is nothing to continue. Raises
+    PlgsError if the options ask for another lift than the one there."""
     folder: Path = options.output
     if not options.resume or not (folder / "request.json").exists():
         return None
@@ -293,7 +294,7 @@ def resumable(options: argparse.Namespace) -> LiftFolder | None:
 
 
 def ask_engine(python: Path, interrupts: Interrupts, kind: str, *arguments: str | Path) -> Mapping[str, Json]:
-    """Run the engine's command ``kind``, with progress on stderr, for its answer. Raises PlgsError, Interrupted."""
+    """Run the engine's command ``kind``, with progress on stderr. Returns its answer. Raises PlgsError, Interrupted."""
     with interrupts.deferred():
         follower = TaskFollower.start([*engine_call(python), kind, *arguments], TaskFiles.temporary(), kind=kind)
         follow(follower, interrupts, LiveLine(sys.stderr))
@@ -303,8 +304,8 @@ def ask_engine(python: Path, interrupts: Interrupts, kind: str, *arguments: str 
 
 
 def _state_when_left_alone(lift: LiftFolder) -> LiftState:
-    """The state of a lift that no engine works on. Raises PlgsError if one still does after two seconds. This is done
-    before an engine is started for nothing: on Ctrl-C its cancel file would stop the other engine."""
+    """Return a lift's state once no engine works on it. Raises PlgsError if one still does after two seconds. Without
+    this check, Ctrl-C here would write a cancel file that stops the other engine."""
     give_up = time.monotonic() + _ENDING_S
     while (state := lift.state()) is LiftState.RUNNING:
         if time.monotonic() > give_up:

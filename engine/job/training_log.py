@@ -1,4 +1,4 @@
-"""training.csv in the lift folder: the losses of every step."""
+"""Write training.csv in the lift folder: the losses of every step."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOST_BYTES = 1 << 30
 
 
 class TrainingLog:
-    """Adds a line for each step. A run that goes on after step ``done`` keeps the lines up to it. Raises OSError."""
+    """Adds a line for each step. A resumed run keeps the lines up to step ``done``. Raises OSError."""
 
     def __init__(self, path: Path, done: int) -> None:
         kept: list[str] = []

@@ -1,9 +1,8 @@
-"""Depth of frames cast from a mesh of the same room, as photogrammetry and scanning apps export it.
+"""Cast the depth of frames from a mesh of the same room, as photogrammetry and scanning apps export it.
 
-A mesh says nothing about its axes and its unit. Whether it stands where the cameras are is judged by the photos: the
-outlines that a camera sees of it lie on the photo's edges. Where they don't, something was moved or was not
-reconstructed, and the frame gets no depth there.
-"""
+A mesh file does not say its axes and unit. Whether it stands where the cameras are is judged by the photos: the
+outlines of the mesh, seen by a camera, should lie on the photo's edges. Where they don't, something was moved or was
+not reconstructed, and the frame gets no depth there."""
 
 from __future__ import annotations
 
@@ -52,8 +51,8 @@ _EXPORT = "Export mesh and cameras from one program in one coordinate system, in
 
 
 class Seen(NamedTuple):
-    """``depth`` float32 [H, W], 0 = none, and how many of the rays that met a surface met it from ``behind``, as a
-    share. Surfaces seen from behind have no depth, unless both sides of the mesh count."""
+    """What a camera sees of a mesh: ``depth`` float32 [H, W] in metres, 0 = none, and ``behind``, the share of the rays
+    meeting a surface that met its back. Backs have no depth, unless both sides of the mesh count."""
 
     depth: NDArray[np.float32]
     behind: float
@@ -61,8 +60,8 @@ class Seen(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """The surface in the file ``path``. ``to_world``, float64 [3, 3], takes its vertices to the scene's world;
-    ``both``: surfaces count from behind, too, as the file's triangles are turned inside out."""
+    """The surface in the file ``path``. ``to_world``, float64 [3, 3], takes its vertices to the scene's world. ``both``
+    means that the backs of triangles count as well, as the file's triangles are turned inside out."""
 
     path: Path
     surface: Any
@@ -70,7 +69,7 @@ class Mesh:
     both: bool = False
 
     def seen(self, camera: Camera, size: Size) -> Seen:
-        """What ``camera`` sees of it in a picture of ``size``."""
+        """Cast rays from ``camera`` at the mesh, for a picture of ``size`` (width, height)."""
         lens = camera.resized(*size)
         across = (np.arange(lens.width) + 0.5 - lens.cx) / lens.fx
         down = (np.arange(lens.height) + 0.5 - lens.cy) / lens.fy
@@ -88,7 +87,8 @@ class Mesh:
         return Seen(np.where(kept, depth, np.float32(0.0)), float(from_behind.sum() / max(1, hit.sum())))
 
     def depth(self, frame: Frame) -> NDArray[np.float32]:
-        """Planar depth of a frame, float32 [H, W], 0 = none, also around outlines that its photo does not show."""
+        """Return the planar depth of a frame, float32 [H, W] in metres. It is 0 where there is none, and around
+        outlines of the mesh that the photo does not show."""
         size = size_within(frame.size, (_LONGEST, _LONGEST))
         depth = self.seen(frame.camera, size).depth
         return np.where(_unshown(depth, edge_ranks(frame.read_colour(size))), np.float32(0.0), depth)
@@ -100,7 +100,7 @@ def is_mesh(path: Path) -> bool:
 
 
 def read_mesh(path: Path) -> Any:
-    """open3d's RaycastingScene of the mesh in a file. Raises PlgsError."""
+    """Read a mesh's file as Open3D's RaycastingScene. Raises PlgsError."""
     import open3d
 
     with reading(path, _FIX):
@@ -127,7 +127,7 @@ def read_mesh(path: Path) -> Any:
 
 
 def _refuse_cut_off(path: Path) -> None:
-    """Raise PlgsError for a GLB whose first chunk is longer than the file, which open3d never ends to read; OSError."""
+    """Raise PlgsError for a GLB whose first chunk is longer than the file, as Open3D would read it forever; OSError."""
     with open_plain(path) as file:
         head = file.read(16)
     if len(head) == 16 and int.from_bytes(head[12:], "little") > path.stat().st_size - 20:
@@ -135,8 +135,8 @@ def _refuse_cut_off(path: Path) -> None:
 
 
 def outlines(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Where depth float [H, W] (0 = none) jumps: bool [H, W], on the nearer side. A slanted plane has none, as its
-    inverse depth is a straight line in the picture."""
+    """Return where depth, float [H, W] (0 = none), jumps: bool [H, W], true on the nearer side. A slanted plane has no
+    jumps, as its inverse depth is linear in the picture."""
     inverse = np.divide(1.0, depth, out=np.zeros(depth.shape, np.float64), where=depth > 0.0)
     found = np.zeros(depth.shape, bool)
     for axis in (0, 1):
@@ -149,7 +149,8 @@ def outlines(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
 
 
 def _unshown(depth: NDArray[np.float32], ranks: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """The pixels around outlines of ``depth`` [H, W] that lie on no edge of the photo, bool [H, W]."""
+    """Return the pixels around outlines of ``depth`` [H, W] without an edge in the photo, bool [H, W]. ``ranks`` [H, W]
+    are the strengths of edges."""
     import cv2
 
     width = max(depth.shape)
@@ -163,7 +164,7 @@ def _unshown(depth: NDArray[np.float32], ranks: NDArray[np.float32]) -> NDArray[
 
 
 class Look(NamedTuple):
-    """A frame's photo, and how strong its edges are, at the size at which they are compared."""
+    """A frame's photo and the strength of its edges (as ranks), at the size at which meshes are compared with it."""
 
     frame: Frame
     size: Size
@@ -171,8 +172,8 @@ class Look(NamedTuple):
 
 
 def _agreement(mesh: Mesh, look: Look) -> float:
-    """How much stronger the photo's edges are on the mesh's outlines than elsewhere on the mesh, as a difference of
-    mean ranks: 0 by chance, NaN if the frame shows too little of either."""
+    """Return how much stronger the photo's edges are on the mesh's outlines than on the rest of the mesh, as a
+    difference of mean ranks: 0 by chance, NaN if the frame shows too little of either."""
     depth = mesh.seen(look.frame.camera, look.size).depth
     outline = outlines(depth) & np.isfinite(look.ranks)
     if (depth > 0.0).mean() < _LEAST_SEEN or outline.sum() < _LEAST_OUTLINE:
@@ -182,8 +183,8 @@ def _agreement(mesh: Mesh, look: Look) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A mesh tried with some ``axes`` and unit: how much of the frames it fills, the share seen from behind, and the
-    agreement of each frame that was looked at, NaN where there was too little to see."""
+    """A mesh, tried with some ``axes`` and unit: the share of the frames' pixels that it fills (``covered``), the share
+    seen from ``behind``, and each compared frame's agreement (`_agreement`), NaN where too little can be seen."""
 
     mesh: Mesh
     axes: str
@@ -193,7 +194,7 @@ class Fit:
 
     @property
     def sureness(self) -> float:
-        """By how many standard errors outlines lie on edges more than by chance; 0 if unknown."""
+        """The mean agreement in standard errors: how surely outlines lie on edges more than by chance; 0 if unknown."""
         return _sureness(self.agreements)
 
     @property
@@ -220,9 +221,9 @@ def _tried(mesh: Mesh, axes: str, looks: Sequence[Look], longest: int = _COARSE)
 def with_mesh_depth(
     frames: Sequence[Frame], path: Path, turn: NDArray[np.float64], progress: Progress = unwatched
 ) -> tuple[tuple[Frame, ...], tuple[LeftOut, ...], tuple[Inferred, ...]]:
-    """The frames with depth cast from the mesh in the file ``path``, those left out because their outlines disagree,
-    and what was inferred. ``turn``, float64 [3, 3], takes the poses' world to the scene's. Depth is cast on demand.
-    Raises PlgsError, also for a mesh that stands elsewhere than the cameras, and says how it would fit."""
+    """The frames with depth cast from the mesh in the file ``path``, those left out because outlines and photo
+    disagree, and what was inferred. ``turn``, float64 [3, 3], takes the poses' world to the scene's. Depth is cast when
+    it is read. Raises PlgsError, also for a mesh that stands elsewhere than the cameras, with a hint on how it fits."""
     mesh, inferred = _standing(read_mesh(path), path, frames, turn)
     kept, off = [], []
     for frame in watched(frames, progress):
@@ -241,7 +242,7 @@ def with_mesh_depth(
 
 
 def _within(frame: Frame) -> Callable[[NDArray[np.float32]], NDArray[np.float32]]:
-    """Drops depth of pixels that do not count."""
+    """Return a function that sets a frame's depth map to 0 where its pixels do not count."""
     kept = frame.read_kept
     return (lambda depth: depth) if kept is None else lambda depth: depth * kept((depth.shape[1], depth.shape[0]))
 
@@ -252,7 +253,7 @@ def _look(frame: Frame) -> Look:
 
 
 def _contradicts(mesh: Mesh, look: Look) -> bool:
-    """Whether a frame sees nothing of the mesh, or its outlines where the photo is rather smooth."""
+    """Whether a frame sees nothing of the mesh, or its photo is smooth where the mesh has outlines."""
     if (mesh.seen(look.frame.camera, size_within(look.size, (_COARSE, _COARSE))).depth > 0.0).mean() < _LEAST_SEEN:
         return True
     return bool(_agreement(mesh, look) < 0.0)  # False for NaN: nothing contradicts it
@@ -261,7 +262,7 @@ def _contradicts(mesh: Mesh, look: Look) -> bool:
 def _standing(
     surface: Any, path: Path, frames: Sequence[Frame], turn: NDArray[np.float64]
 ) -> tuple[Mesh, tuple[Inferred, ...]]:
-    """The mesh in the world of the scene, and what was inferred. Raises PlgsError if it stands elsewhere."""
+    """Return the mesh, placed in the scene's world, and what was inferred. Raises PlgsError if it stands elsewhere."""
     looks = [_look(frame) for frame in evenly_spread([*frames], _LOOKED_AT)]
     worlds = [(turn, "in the poses' world"), (np.eye(3), "in the world of the scene, with z up")]
     if path.suffix.lower() == ".glb":
@@ -291,21 +292,21 @@ def _elsewhere(path: Path, what: str, fix: str) -> PlgsError:
 
 
 def _inside_out(fit: Fit, looks: Sequence[Look]) -> Fit:
-    """The same mesh with surfaces that count from both sides, as if its triangles were turned inside out."""
+    """Return the same fit with the backs of surfaces counted too, as if the mesh's triangles were turned inside out."""
     tried = _tried(replace(fit.mesh, both=True), f"{fit.axes}, with its surfaces turned inside out", looks)
     return replace(tried, behind=0.0)
 
 
 def _is_better(one: Fit, other: Fit) -> bool:
-    """Whether a mesh stands clearly better in one place than in another, in the frames that see it in both."""
+    """Whether the mesh stands clearly better in one place than in another, judged by the frames that see it in both."""
     if not one.stands or not other.stands:
         return one.stands
     return _sureness(one.agreements - other.agreements) >= _SURE
 
 
 def _others(surface: Any, path: Path, turn: NDArray[np.float64], looks: Sequence[Look]) -> Iterable[Fit]:
-    """The mesh with other axes and units, as programs confuse them, the best agreement first. Only those that fill the
-    frames most are compared with the photos."""
+    """Return fits of the mesh with other axes and units that programs may confuse, the best agreement first. Only those
+    that fill the frames most are compared with the photos."""
     rough = []
     for (axes, how), (unit, scale) in product(_axes(), _UNITS.items()):
         mesh = Mesh(path, surface, scale * turn @ axes)
@@ -321,7 +322,7 @@ def _others(surface: Any, path: Path, turn: NDArray[np.float64], looks: Sequence
 
 
 def _axes() -> list[tuple[NDArray[np.float64], str]]:
-    """The 24 ways to turn axes onto axes, each with its name."""
+    """Return the 24 rotations that map axes onto axes, float64 [3, 3], each with its name."""
     found = []
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         turned = np.zeros((3, 3))
