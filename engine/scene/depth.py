@@ -37,10 +37,11 @@ _NEARLY_ALIGNED = 0.15  # maximum difference between a sensor's colour and depth
 
 @dataclass(frozen=True, eq=False)
 class DepthMap:
-    """One frame's depth from the file ``path``. ``read`` returns planar depth, float32 [H, W] metres with 0 = none, at
-    its own size. ``alignment`` maps colour pixels to depth pixels. ``fault`` says why the file cannot be read, judging
-    by its header. ``step`` is one step in metres, None for files that store lengths. ``confidence`` is the file that
-    says which pixels to trust. ``beside`` is the depth camera's pose in the colour camera's axes, if they differ."""
+    """One frame's depth, in the file ``path``. ``read`` returns planar depth, float32 [H, W] metres with 0 = none, at
+    its own size. ``alignment`` maps colour pixels to depth pixels. ``fault`` is the error if the header shows that the
+    file is unreadable. ``step`` is a value's unit in metres, None for files that store lengths. ``confidence`` is the
+    file that says which pixels to trust. ``beside`` is the depth camera's pose in the colour camera's axes, if they
+    differ."""
 
     path: Path
     read: Callable[[], NDArray[np.float32]]
@@ -51,24 +52,24 @@ class DepthMap:
     beside: tuple[float, ...] = ()
 
     def __call__(self, size: Size | None = None) -> NDArray[np.float32]:
-        """Depth in the colour picture at ``size`` (width, height), or at its own size. Raises PlgsError."""
+        """Read depth at ``size`` (width, height), in the colour picture's pixels, or at its own. Raises PlgsError."""
         depth = self.read()
         return resize_aligned(depth, size or (depth.shape[1], depth.shape[0]), self.alignment)
 
     @property
     def unusual(self) -> tuple[float, ...]:
-        """The unit, alignment and pose, unless they are millimetres and those of the colour camera."""
+        """The unit, alignment and pose; empty if these are millimetres and those of the colour camera."""
         is_usual = self.step in (None, MILLIMETRES) and self.alignment == Alignment()
         usual = () if is_usual else (float(self.step or 0.0), *map(float, astuple(self.alignment)))
         return (*usual, *self.beside)
 
     def through(self, change: Callable[[NDArray[np.float32]], NDArray[np.float32]]) -> DepthMap:
-        """The same map with ``change`` applied after reading."""
+        """Return the same map with ``change`` applied after reading."""
         return replace(self, read=lambda: change(self.read()))
 
 
 def png_depth(path: Path, lens: Camera, unit: float = MILLIMETRES) -> DepthMap:
-    """The depth map in a 16-bit grey PNG for the colour camera ``lens``, in steps of ``unit`` metres; only its header
+    """Open the depth in a 16-bit grey PNG for the colour camera ``lens``, in steps of ``unit`` metres; only its header
     is read. Raises PlgsError for other kinds of images. The largest value means no depth, as 0 does: sensors write it
     where they measured nothing, and where a surface is beyond the PNG's range."""
     fault = fault_of(path)
@@ -87,7 +88,7 @@ def png_depth(path: Path, lens: Camera, unit: float = MILLIMETRES) -> DepthMap:
 
 
 def fault_of(path: Path) -> PlgsError | None:
-    """Why a file cannot be read, as found by ``whole_file``. Raises PlgsError if memory runs out."""
+    """Return why a file cannot be read, by ``whole_file``, or None. Raises PlgsError if memory runs out."""
     try:
         whole_file(path)
     except PlgsError as error:
@@ -106,8 +107,8 @@ def _read_png(path: Path, unit: float) -> NDArray[np.float32]:
 
 
 def npy_depth(path: Path, step: float | None = None) -> DepthMap:
-    """The depth map in a .npy file: numbers of a ``step`` in metres; None: metres as floats, or millimetres as whole
-    numbers."""
+    """Open the depth in a .npy file. Numbers count ``step`` metres; None: floats are metres, whole numbers
+    millimetres."""
 
     def read() -> NDArray[np.float32]:
         values = read_depth_array(path)
@@ -117,7 +118,7 @@ def npy_depth(path: Path, step: float | None = None) -> DepthMap:
 
 
 def read_depth_array(path: Path) -> NDArray[Any]:
-    """The numbers [H, W] in a .npy, or in the array "depth" (or the only one) of an .npz. Raises PlgsError."""
+    """Read the numbers [H, W] in a .npy, or in an .npz's array "depth" (or its only one). Raises PlgsError."""
     if path.suffix.lower() == ".npz":
         arrays = list(array_headers(path))
         values = read_array(path, "depth" if len(arrays) != 1 else arrays[0])
@@ -131,17 +132,17 @@ def read_depth_array(path: Path) -> NDArray[Any]:
 
 
 def in_metres(values: NDArray[Any]) -> NDArray[np.float32]:
-    """Depth, float32 [H, W], from metres as floats or millimetres as whole numbers. See ``only_depth``."""
+    """Return depth, float32 [H, W] metres (``only_depth``), from metres as floats or millimetres as integers."""
     return only_depth(values.astype(np.float32) * np.float32(1.0 if values.dtype.kind == "f" else MILLIMETRES))
 
 
 def only_depth(depth: NDArray[np.float32]) -> NDArray[np.float32]:
-    """``depth`` with 0 for all values that are not finite and positive."""
+    """Return ``depth`` with 0 in place of all values that are not finite and positive."""
     return np.where(np.isfinite(depth) & (depth > 0.0), depth, np.float32(0.0))
 
 
 def trusted(depth: DepthMap, confidence: Path | None) -> DepthMap:
-    """``depth`` without the pixels whose ``confidence`` is 0, the lowest of ARKit's levels."""
+    """Return ``depth`` without the pixels whose ``confidence`` is 0, the lowest of ARKit's levels."""
     if confidence is None:
         return depth
     shown = depth.through(lambda values: drop_untrusted(values, read_indices(confidence), confidence))
@@ -149,7 +150,7 @@ def trusted(depth: DepthMap, confidence: Path | None) -> DepthMap:
 
 
 def drop_untrusted(depth: NDArray[np.float32], level: NDArray[np.integer], path: Path) -> NDArray[np.float32]:
-    """``depth`` [H, W] where ``level`` [H, W] is above 0, else 0. Raises PlgsError when they differ in size."""
+    """Return ``depth`` [H, W] with 0 wherever ``level`` [H, W] is 0. Raises PlgsError if their sizes differ."""
     if depth.shape != level.shape:
         what = "confidence and depth differ in size"
         raise PlgsError("other-size", what, path, "Remove the confidence, or copy it again.")
@@ -157,7 +158,7 @@ def drop_untrusted(depth: NDArray[np.float32], level: NDArray[np.integer], path:
 
 
 def depth_check(name: str, path: Path) -> Callable[[NDArray[np.float32]], NDArray[np.float32]]:
-    """Returns a function that checks planar depth, float32 [H, W] metres with 0 = none, and returns it unchanged. It
+    """Return a function that checks planar depth, float32 [H, W] metres with 0 = none, and returns it unchanged. It
     raises PlgsError, with the frame's ``name`` and the file ``path``, for a size or lengths that no sensor gives."""
 
     def check(depth: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -173,7 +174,7 @@ def depth_check(name: str, path: Path) -> Callable[[NDArray[np.float32]], NDArra
 
 
 def registered(depth: NDArray[np.float32], camera: Camera, colour: Camera) -> NDArray[np.float32]:
-    """Depth [H, W] measured by ``camera``, as the ``colour`` camera beside it sees it, 0 = none."""
+    """Reproject depth [H, W], measured by ``camera``, into the ``colour`` camera beside it; metres, 0 = none."""
     height, width = depth.shape
     points = camera.resized(width, height).unproject(depth)[depth > 0.0]
     _, pixels, z = colour.resized(width, height).seen(points)
@@ -188,8 +189,8 @@ def registered(depth: NDArray[np.float32], camera: Camera, colour: Camera) -> ND
 def open_depth(
     scene: Path, lenses: Mapping[str, Camera], progress: Progress
 ) -> tuple[dict[str, DepthMap], tuple[Inferred, ...]]:
-    """Depth maps of the frames in the folder ``depth``, and what was inferred about their lens; only headers are read.
-    Raises PlgsError. ``lenses`` are the colour cameras by frame."""
+    """Open the depth maps in a scene's folder ``depth``; only headers are read. ``lenses`` are the colour cameras by
+    frame. Returns the maps by frame, and what was inferred about their lens. Raises PlgsError."""
     folder = scene / "depth"
     files = files_by_stem(folder, {".png"}, "Give 16-bit PNGs in millimetres, named like the colour images.")
     fix = "Add depth/<name>.png, or remove their colour images."
@@ -226,8 +227,9 @@ def open_depth(
 def between_cameras(
     depth: NDArray[np.float64], colour: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """The transform from depth-camera points to colour-camera points, float64 [4, 4], from both extrinsics as ScanNet's
-    tools use them (``depthToColor`` of its calibration), and warnings if no sensor is built that way."""
+    """Return the transform from points of the depth camera to points of the colour camera, float64 [4, 4], from both
+    extrinsics as ScanNet's tools use them (``depthToColor`` of its calibration), and warnings if no sensor is built
+    so."""
     is_rigid = np.isfinite(depth).all() and np.abs(depth[:3, :3] @ depth[:3, :3].T - np.eye(3)).max() < 0.01
     if np.abs(colour - depth).max() < _ONE_PLACE:
         return np.eye(4), ()
@@ -237,8 +239,8 @@ def between_cameras(
 
 
 def seen_by_colour(depth: DepthMap, lens: Camera, colour: Camera, beside: NDArray[np.float64]) -> DepthMap | None:
-    """Depth measured by a camera with ``lens``, as the ``colour`` camera sees it; None if no sensor is built that way.
-    ``beside`` maps points of the first camera to points of the second, see ``between_cameras``."""
+    """Return depth that a camera with ``lens`` measured as the ``colour`` camera sees it; None if no sensor is built
+    that way. ``beside`` maps points of the first camera to points of the second, see ``between_cameras``."""
     alignment = fitting_alignment(colour, lens)
     if alignment is None or np.abs(beside - np.eye(4)).max() < _ONE_PLACE:
         return None if alignment is None else replace(depth, alignment=alignment)
@@ -247,8 +249,8 @@ def seen_by_colour(depth: DepthMap, lens: Camera, colour: Camera, beside: NDArra
 
 
 def fitting_alignment(colour: Camera, depth: Camera) -> Alignment | None:
-    """The alignment of a colour camera with a depth camera at the same centre; None if no sensor is built
-    that way. Both see the ray (x, y, 1): u = f x + c in either, so depth's u is a linear function of colour's."""
+    """Return the alignment of a colour camera with a depth camera at the same centre; None if no sensor is built that
+    way. Both see the ray (x, y, 1) at u = f x + c, so depth's u is a linear function of colour's."""
     x_scale = (depth.fx / depth.width) / (colour.fx / colour.width)
     y_scale = (depth.fy / depth.height) / (colour.fy / colour.height)
     x_shift = depth.cx / depth.width - x_scale * colour.cx / colour.width
@@ -269,7 +271,7 @@ _LOOKED_AT = 0.2
 
 @dataclass(frozen=True, eq=False)
 class Thumbnail:
-    """A frame's name, camera and depth, float32 [H, W] metres (0 = none), at a small size."""
+    """A frame's name, camera and depth, float32 [H, W] metres (0 = none), at a small size, for comparing frames."""
 
     name: str
     camera: Camera
@@ -277,7 +279,7 @@ class Thumbnail:
 
     @classmethod
     def of(cls, name: str, camera: Camera, depth: NDArray[np.float32]) -> Thumbnail:
-        """A frame's whole depth, made small."""
+        """Reduce a frame's depth to a thumbnail."""
         size = (_THUMBNAIL_WIDTH, max(1, round(_THUMBNAIL_WIDTH * camera.height / camera.width)))  # not 0 for panoramas
         return cls(name, camera.resized(*size), resize_nearest(depth, size))
 
@@ -287,8 +289,8 @@ class Overlap:
     """How well frames fit together: the cheapest test that poses, intrinsics and depth belong together (equation
     "ProjectionEquation" of the paper, with a depth test). ``lonely`` names frames that share less than 5 % of their
     pixels with every frame they were compared with; ``overlaps`` says whether any two frames share more. ``agreement``
-    is the median fraction of points with the depth expected, over pairs in which at least a fifth of one frame's points
-    projects into the other."""
+    is the median over pairs of frames of the fraction of points that have the expected depth; pairs count if at least a
+    fifth of one frame's points project into the other."""
 
     lonely: tuple[str, ...]
     overlaps: bool
@@ -296,7 +298,7 @@ class Overlap:
 
 
 def compared(count: int) -> list[tuple[int, int]]:
-    """The pairs of frames to compare, of ``count``: each with the next three, and 24 spread ones with each other."""
+    """Return the pairs of ``count`` frames to compare: each with the next three, and 24 spread ones with each other."""
     spread = np.unique(np.linspace(0, count - 1, min(count, _SPREAD)).round().astype(int)).tolist()
     pairs = {(i, j) for i in range(count) for j in range(i + 1, min(i + 1 + _NEXT, count))}
     return sorted(pairs | {*combinations(spread, 2)})
@@ -323,7 +325,7 @@ def measure_overlap(
 
 
 def _share_seen(one: Thumbnail, other: Thumbnail, tolerance: float) -> tuple[float, float]:
-    """The fraction of one frame's points that projects onto depth of the other, and the fraction that agrees."""
+    """The fraction of one frame's points that project onto depth of the other, and the fraction that agrees with it."""
     valid = one.depth > 0.0
     points = one.camera.unproject(one.depth)[valid]
     if not len(points):

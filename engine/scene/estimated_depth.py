@@ -1,5 +1,5 @@
-"""Monocular depth maps fitted to a reconstruction's sparse points: the paper's estimated-depth path. A network's map of
-one picture is correct up to a scale and a shift, of depth or of its inverse; both follow from the points' depth."""
+"""Fit monocular depth maps to a reconstruction's sparse points: the paper's path for estimated depth. A network's map
+of one picture is correct up to a scale and a shift, of depth or of its inverse; both follow from the points' depth."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DepthFit:
-    """Depth is ``scale`` * value + ``shift``, or 1 / that if ``is_inverse``, up to ``farthest``. ``error`` is the
-    points' median error relative to their depth."""
+    """How a map's values become depth: ``scale`` * value + ``shift``, or 1 / that if ``is_inverse``, up to
+    ``farthest``. ``error`` is the points' median error relative to their depth."""
 
     scale: float
     shift: float
@@ -59,7 +59,7 @@ class DepthFit:
     error: float
 
     def depth(self, values: NDArray[Any]) -> NDArray[np.float32]:
-        """Depth of a map's values, float32, 0 = none."""
+        """Return the depth of a map's values, float32, 0 = none."""
         line = self.scale * values.astype(np.float64) + self.shift
         depth = np.divide(1.0, line, out=np.zeros_like(line), where=line > 1e-9) if self.is_inverse else line
         good = np.isfinite(depth) & (depth > 0.0) & (depth <= self.farthest)
@@ -67,9 +67,9 @@ class DepthFit:
 
 
 def fit_depth(values: Values, depths: Values) -> DepthFit | None:
-    """The scale and shift that turn a map's ``values`` [N] into the known ``depths`` [N] (> 0) or their inverse. Up to
-    half of the points may be wrong: of the lines through two points, the one with the least median error is refined on
-    the points that agree with it. None if no line rises."""
+    """Find the scale and shift that turn a map's ``values`` [N] into the known ``depths`` [N] (> 0) or their inverse.
+    Up to half of the points may be wrong: of the lines through two points, the one with the smallest median error is
+    refined on the points that agree with it. Returns None if no line rises."""
     good = np.isfinite(values) & np.isfinite(depths) & (depths > 0.0)
     values, depths = values[good], depths[good]
     if len(values) < LEAST_POINTS:
@@ -102,7 +102,7 @@ def _fit_line(values: Values, depths: Values, inverse: bool) -> DepthFit | None:
 
 
 def _relative_errors(values: Values, depths: Values, scale: Any, shift: Any, inverse: bool) -> Values:
-    """Errors relative to the depth, inf without a depth."""
+    """Return errors relative to the depth; inf where there is none."""
     line = scale * values + shift
     with np.errstate(divide="ignore", invalid="ignore"):
         found = 1.0 / line if inverse else line
@@ -110,7 +110,7 @@ def _relative_errors(values: Values, depths: Values, scale: Any, shift: Any, inv
 
 
 def _refined(values: Values, depths: Values, scale: float, shift: float, inverse: bool) -> tuple[float, float]:
-    """Least squares of the relative errors over the points that agree with the line."""
+    """Refine scale and shift by least squares of the relative errors over the points that agree with the line."""
     errors = _relative_errors(values, depths, scale, shift, inverse)
     near = errors <= max(_CLOSE, 3.0 * float(np.median(errors)))
     weight = depths[near] if inverse else 1.0 / depths[near]  # makes all targets 1, so that errors are relative
@@ -122,8 +122,8 @@ def _refined(values: Values, depths: Values, scale: float, shift: float, inverse
 def fitted_map(
     path: Path, placement: Placement, pixels: NDArray[np.float64], depths: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """Depth, float32 [H, W] in the world's unit, 0 = none: a map fitted to points of known ``depths`` [N]. ``pixels``
-    [N, 2] are the points' x and y as fractions of the picture. Raises PlgsError if nothing fits."""
+    """Fit a map to points of known ``depths`` [N], and return its depth, float32 [H, W] in the world's unit, 0 = none.
+    ``pixels`` [N, 2] are the points' x and y as fractions of the picture. Raises PlgsError if nothing fits."""
     values = _placed(path, placement)
     fit = fit_depth(values_at(values, pixels).astype(np.float64), depths)
     if fit is None:
@@ -137,14 +137,14 @@ def _metric_map(path: Path, placement: Placement) -> NDArray[np.float32]:
 
 
 def _placed(path: Path, placement: Placement) -> NDArray[np.float32]:
-    """The values of a map in the picture, float32 [H, W], NaN beyond the photo's edges. Raises PlgsError."""
+    """Read a map's values placed in the picture, float32 [H, W], NaN beyond the photo's edges. Raises PlgsError."""
     values = read_map(path).astype(np.float32)
     shows = placement(np.ones(values.shape, np.int32))  # 0 may be a value of the map, so it cannot tell
     return np.where(shows > 0, placement(values), np.float32(np.nan))
 
 
 def read_map(path: Path) -> NDArray[Any]:
-    """A map as it is stored, [H, W] of numbers. Raises PlgsError."""
+    """Read a map as it is stored, numbers [H, W]. Raises PlgsError."""
     if path.suffix.lower() in _ARRAYS:
         return read_depth_array(path)
     return decode_depth(path, _FIX)
@@ -154,9 +154,9 @@ def with_estimated_depth(
     frames: Sequence[Frame], folder: Path, points: SparsePoints | None, pictured: Mapping[str, Pictured],
     progress: Progress = unwatched,
 ) -> tuple[tuple[Frame, ...], tuple[LeftOut, ...], tuple[Inferred, ...]]:  # fmt: skip
-    """The frames with depth from the maps in ``folder``, those left out because they see too few points, and what was
-    inferred. ``pictured``: see ``mask_fit``. Maps are read on demand, a few of them right away to inspect them. Raises
-    PlgsError if a map is missing, or no frame is left."""
+    """Return the frames with depth from the maps in ``folder``, those left out because they see too few points, and
+    what was inferred. ``pictured``: see ``mask_fit``. Maps are read on demand, except a few that are inspected at once.
+    Raises PlgsError if a map is missing, or no frame is left."""
     names = [frame.name for frame in frames]
     # Networks write pictures to look at beside their arrays; a few arrays beside maps are something else.
     arrays = mask_files(folder, *_ARRAYS)
@@ -204,8 +204,8 @@ def with_estimated_depth(
 
 
 def _as_metres(frames: Sequence[Frame], files: Mapping[str, Path], placements: Mapping[str, Placement]) -> Inferred:
-    """A note that maps are read as metres. Float maps with values up to 1 may be of a tabletop, or relative depth
-    without a unit (Marigold): the latter, on which frames disagree, are refused."""
+    """Return a note that the maps are read as metres. Float maps with values up to 1 may show a tabletop, or be
+    relative depth without a unit (Marigold); the frames then disagree, and PlgsError is raised."""
     thumbnails = []
     for frame in evenly_spread([frame for frame in frames if frame.name in files], _COMPARED):
         values = read_map(files[frame.name])
@@ -228,7 +228,8 @@ def _fitting(
     pictured: Mapping[str, Pictured],
     seen: Mapping[str, tuple[Values, Values]],
 ) -> tuple[Mapping[str, Path], dict[str, Placement], tuple[Inferred, ...]]:
-    """The way to pair, turn and undistort maps that fits the points ``seen`` by the frames best."""
+    """Return the pairing of frames and maps, with turns and lenses, that fits the points ``seen`` best, and what was
+    inferred."""
     ways: list[tuple[Mapping[str, Path], dict[str, Placement], tuple[Inferred, ...]]] = []
     bent = any(each.lens for each in usual.values())
     straight = {name: Placement() for name in usual}
@@ -258,7 +259,7 @@ def _fitting(
 def _error(
     files: Mapping[str, Path], placements: Mapping[str, Placement], seen: Mapping[str, tuple[Values, Values]]
 ) -> float:
-    """The median relative depth error of points in some frames' maps; 1 if nothing fits."""
+    """Return the median relative depth error of points in some frames' maps; 1 if nothing fits."""
     errors = []
     for name in evenly_spread([name for name in files if len(seen[name][1]) >= LEAST_POINTS], _LOOKED_AT):
         pixels, depths = seen[name]
@@ -275,7 +276,8 @@ def _with_depth(frame: Frame, path: Path, read: Callable[[Path], NDArray[np.floa
 
 
 def seen_points(frame: Frame, points: SparsePoints) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The (x, y) of a frame's points (without tracks: all in view) as fractions of the picture, and their depth."""
+    """Return the pixels [N, 2] of the points that a frame sees, x and y as fractions of the picture, and their depths
+    [N]. In formats without tracks, all points in view count."""
     xyz = points.xyz[points.seen_by.get(frame.name, np.zeros(0, np.int64))] if points.seen_by else points.xyz
     _, pixels, depths = frame.camera.seen(xyz)
     return pixels / frame.camera.size, depths

@@ -1,9 +1,8 @@
-"""How much a view's vote counts: by how well it resolves what it votes on (ours, beyond the paper).
+"""How much a view's vote counts, by how well the view resolves what it votes on (ours, beyond the paper).
 
 A network recognises a sink from 1 m away and calls it a countertop from 4 m, and far views outnumber near ones. Pixels
-and resolution are counted at the size of the frame's own mask, whatever size the frame is read at. When masks judge a
-finished lift, a view names only what it ``resolves``, and only near views answer.
-"""
+and resolution are counted at the size of the frame's own mask, whatever size the frame is read at. When a finished lift
+is compared with its masks, only near views that resolve an object (``resolves``) have a vote on it."""
 
 from __future__ import annotations
 
@@ -32,35 +31,36 @@ Amounts = TypeVar("Amounts", float, NDArray[np.floating])
 
 
 def evidence_of_pixels(kind: EvidenceKind) -> float:
-    """The exponent of the pixel count in a view's votes."""
+    """Return the exponent by which the number of pixels enters the weight of a view's vote."""
     return _POWERS[kind][0]
 
 
 def evidence_of_resolution(kind: EvidenceKind, resolution: Amounts) -> Amounts:
-    """The factor that ``resolution`` [...], in pixels per centimetre, applies to a view's votes."""
+    """Return the factor of a view's votes by its ``resolution`` [...] in pixels per centimetre."""
     return resolution ** _POWERS[kind][1]
 
 
 def evidence(kind: EvidenceKind, pixels: NDArray[np.floating], resolution: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Weights of a view's votes, float64 [n], on things of ``pixels`` [n] at a ``resolution`` [n] in pixels per cm."""
+    """Weights of a view's votes, float64 [n], by the segments' ``pixels`` [n] and ``resolution`` [n] in pixels per
+    cm."""
     of_pixels = np.power(np.asarray(pixels, np.float64), evidence_of_pixels(kind))
     return of_pixels * evidence_of_resolution(kind, np.asarray(resolution, np.float64))
 
 
 def resolution_on(camera: Camera, depth: NDArray[np.floating], mask_scale: float) -> NDArray[np.float32]:
-    """Pixels per centimetre of the frame's own mask on surfaces at ``depth`` float32 [...] metres, float32 [...]; 0
-    where there is no depth. ``mask_scale`` is that of ``View``."""
+    """Return how many pixels of the frame's own mask lie on a centimetre of a surface at ``depth``, float32 [...] in
+    metres: float32 [...], 0 where there is no depth. ``mask_scale`` is that of ``View``."""
     focal = mask_scale * np.sqrt(camera.fx * camera.fy)  # the geometric mean keeps a pixel's area
     return np.divide(0.01 * focal, depth, out=np.zeros_like(depth), where=depth > 0).astype(np.float32)
 
 
 def resolution_of(view: View) -> NDArray[np.float32]:
-    """The resolution of a view on the surfaces that it sees, see ``resolution_on``."""
+    """Return the resolution of a view on each pixel's surface, float32 [H, W], as ``resolution_on``."""
     return resolution_on(view.camera, view.depth, view.mask_scale)
 
 
 def resolves(pixels: float, mask_scale: float) -> bool:
-    """Whether a view resolves a segment with this many of its own ``pixels``."""
+    """Whether a view resolves a segment with this many ``pixels``, counted in the view."""
     return pixels * mask_scale**2 >= LEAST_PIXELS
 
 

@@ -1,4 +1,4 @@
-"""Matches files to frames, in folders of a capture or of masks with one file per frame. A folder's content is known by
+"""Match files to frames, in folders of a capture or of masks with one file per frame. What a folder holds is judged by
 its files, never by its name."""
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ _MASK_WORDS = frozenset(
 
 
 def files_if_any(folder: Path, suffixes: Collection[str], fix: str) -> dict[str, Path]:
-    """Like ``files_by_stem``, but empty if there is no such folder."""
+    """Return what ``files_by_stem`` finds, or an empty dict if there is no such folder."""
     return files_by_stem(folder, suffixes, fix) if folder.is_dir() else {}
 
 
 def mask_files(folder: Path, *suffixes: str) -> list[Path]:
-    """The files of a folder with one of ``suffixes``; if it has none, those in its subfolders, one per camera of a rig.
-    Subfolders for one object or one picture each do not count. Raises OSError."""
+    """Return the files of a folder with one of ``suffixes``. If there are none, return those in its subfolders, one for
+    each camera of a rig; subfolders for a single object or picture do not count. Raises OSError."""
     if not folder.is_dir():
         return []
     shown = sorted(shown_files(folder))
@@ -48,7 +48,7 @@ def mask_files(folder: Path, *suffixes: str) -> list[Path]:
 
 
 def is_camera(folder: Path) -> bool:
-    """Whether another folder beside the masks' has photos in a subfolder of the same name, as for a rig's camera."""
+    """Whether a folder of masks belongs to a camera of a rig: a folder of photos has a subfolder of that name."""
     beside = (path / folder.name for path in folder.parent.parent.iterdir() if path.name != folder.parent.name)
     firsts = (min(shown_files(path), default=None) for path in beside if path.is_dir())
     return any(first is not None and first.suffix.lower() in IMAGES and not shows_one_object(first) for first in firsts)
@@ -62,19 +62,19 @@ def _is_of_one(folder: Path) -> bool:
 
 
 def says_what_counts(folder: Path) -> bool:
-    """Whether a folder's PNGs are black and white: then they say which pixels count, and name no classes."""
+    """Whether a folder's PNGs are black and white. If so, they mark the pixels that count, and are not class masks."""
     pictures = mask_files(folder, ".png") if folder.is_dir() and not mask_files(folder, ".json") else []
     looked = [pictures[i * len(pictures) // _FILES_LOOKED_AT] for i in range(min(len(pictures), _FILES_LOOKED_AT))]
     return bool(looked) and all(is_black_and_white(path) for path in looked)
 
 
 def kept_pixels(folder: Path, names: Sequence[str]) -> dict[str, Path]:
-    """For each frame that has one, the picture that says which of its pixels count. Raises PlgsError."""
+    """The black-and-white picture of each frame that has one; white marks pixels that count. Raises PlgsError."""
     return {name: path for name, path in of_same_name(names, _files(folder, {".png"}, "")).items() if name in {*names}}
 
 
 def _files(folder: Path, suffixes: Collection[str], fix: str) -> dict[str, Path]:
-    """``files_by_stem``, or a rig's ``mask_files`` by camera and stem."""
+    """Return the folder's ``files_by_stem`` or, for a rig, its ``mask_files`` by camera and stem."""
     inside = [path for path in mask_files(folder, *suffixes) if path.parent != folder]
     if not inside:
         return files_by_stem(folder, suffixes, fix)
@@ -85,8 +85,9 @@ def _files(folder: Path, suffixes: Collection[str], fix: str) -> dict[str, Path]
 def files_of_frames(
     folder: Path, names: Sequence[str], suffixes: Collection[str], *, what: str, fix: str, progress: Progress
 ) -> dict[str, Path]:
-    """The file in ``folder`` of each frame in ``names``, without frames whose file is missing, empty, or a truncated
-    image. Raises as ``files_by_stem`` does and, if these are more than half, as ``require_most`` and ``of_most`` do."""
+    """Return the file in ``folder`` of each frame in ``names``. Frames whose file is missing, empty, or a truncated
+    image are left out. Raises PlgsError as ``files_by_stem`` does and, if these are over half, as ``require_most`` and
+    ``of_most``."""
     files = of_same_name(names, _files(folder, suffixes, fix))
     return of_most(require_most(names, files, what, folder, fix), lambda name: whole_file(files[name]), progress)
 
@@ -94,14 +95,14 @@ def files_of_frames(
 def files_of_both(
     one: Path, other: Path, names: Sequence[str], *, suffixes: Collection[str], fix: str, progress: Progress
 ) -> tuple[dict[str, Path], dict[str, Path]]:
-    """The mask files of frames that have one in both folders, as found by ``files_of_frames``."""
+    """Return the files from both folders, by frame, of the frames that have one in each (``files_of_frames``)."""
     first = files_of_frames(one, names, suffixes, what="mask", fix=fix, progress=part_of(progress, 0.0, 0.5))
     second = files_of_frames(other, list(first), suffixes, what="mask", fix=fix, progress=part_of(progress, 0.5, 1.0))
     return {name: first[name] for name in second}, second
 
 
 def whole_file(path: Path) -> Path:
-    """``path``. Raises PlgsError for an empty file or a truncated image."""
+    """Return ``path`` unchanged. Raises PlgsError for an empty file or a truncated image."""
     if path.suffix.lower() in IMAGES:
         read_image_header(path)
     elif not path.is_file() or not path.stat().st_size:
@@ -110,7 +111,7 @@ def whole_file(path: Path) -> Path:
 
 
 def digests_of_files(groups: Sequence[tuple[Path | None, ...]], progress: Progress = unwatched) -> list[str]:
-    """The start of the SHA-256 of each group of files (None: no file); empty if one is unreadable or a folder."""
+    """Return the start of the SHA-256 of each group of files (None: no file), "" if one is a folder or unreadable."""
     found = []
     for number, group in enumerate(groups):
         progress(number, len(groups))
@@ -127,7 +128,7 @@ _digests: dict[tuple[object, ...], bytes] = {}
 
 
 def _digest(path: Path) -> bytes:
-    """The SHA-256 of a file. A changed one is read again, links to one file only once. Raises OSError."""
+    """Return the SHA-256 of a file. Digests are cached: a file is read again if it changed. Raises OSError."""
     state = path.stat()
     key = (state.st_dev, state.st_ino or path, state.st_size, state.st_mtime_ns)  # some shares number no files
     if key not in _digests:
@@ -137,9 +138,10 @@ def _digest(path: Path) -> bytes:
 
 
 def of_same_name(names: Sequence[str], files: Mapping[str, Value]) -> Mapping[str, Value]:
-    """The ``files``, by stem, of the frames ``names``: files with these names; else files whose stems have the same
-    addition in all frames (``0001_pred``), or lack the same beginning (``front_0001`` for ``images_front_0001``); else
-    the only one whose name differs only in words for kinds of pictures (``rgb_0`` and ``semantic_class_0``)."""
+    """Return the file of each frame in ``names``, out of ``files`` by stem. Files have the frames' names; or else their
+    stems have the same addition in all frames (``0001_pred``), or lack the same beginning (``front_0001`` for
+    ``images_front_0001``); or else a frame has a single file whose name differs only in words for kinds of pictures
+    (``rgb_0`` and ``semantic_class_0``)."""
     if any(name in files for name in names):
         return files
     if found := _with_addition(names, files):
@@ -154,7 +156,7 @@ def of_same_name(names: Sequence[str], files: Mapping[str, Value]) -> Mapping[st
 
 
 def _with_addition(names: Sequence[str], files: Mapping[str, Value]) -> dict[str, Value]:
-    """The files of most frames whose stems are the names plus the shortest addition, or minus one beginning."""
+    """The files whose stems are the names plus one addition, or minus one beginning: the one that fits most frames."""
     ways: set[tuple[str, str, str]] = set()
     for name in names[:: max(1, len(names) // _NAMES_TRIED)]:
         for stem in files:
@@ -177,6 +179,6 @@ def _with_addition(names: Sequence[str], files: Mapping[str, Value]) -> dict[str
 
 
 def _without(words: Collection[str], stem: str) -> tuple[int | str, ...]:
-    """A name's numbers and remaining words; a name without numbers as it is."""
+    """Return a name's numbers and its words other than ``words``, for comparison; a name without numbers unchanged."""
     parts = [part for part in re.findall(r"\d+|[^\W\d_]+", stem.casefold()) if part not in words]
     return tuple(int(part) if part.isdecimal() else part for part in parts) if re.search(r"\d", stem) else (stem,)

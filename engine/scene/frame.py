@@ -18,7 +18,8 @@ from ..posed.plain_folders import left_out_warning
 
 @dataclass(frozen=True)
 class Inferred:
-    """What was ``taken`` where no file says, and the ``reason``. If it ``is_doubtful``, it is a warning, too."""
+    """Something that was inferred because no file says it: what was ``taken``, and the ``reason``. If it
+    ``is_doubtful``, users get it as a warning, too."""
 
     about: Literal[
         "format", "lens", "principal point", "depth's lens", "units", "axes", "numbering", "split", "up axis",
@@ -35,7 +36,7 @@ class Inferred:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """The ``names`` of frames that are left out, and what they lack."""
+    """The ``names`` of frames that are left out of a scene, and what they lack."""
 
     lacks: str
     names: tuple[str, ...]
@@ -45,17 +46,17 @@ class LeftOut:
 
 
 def counted(left_out: Iterable[LeftOut]) -> list[dict[str, object]]:
-    """The numbers of frames left out, for JSON."""
+    """Return how many frames were left out for each reason, for JSON."""
     return [{"lacks": each.lacks, "count": len(each.names), "names": list(each.names)} for each in left_out]
 
 
 def doubts(inferred: Iterable[Inferred]) -> tuple[str, ...]:
-    """The warnings about what was inferred."""
+    """Return the doubtful ones of what was inferred, as warnings."""
     return tuple(str(each) for each in inferred if each.is_doubtful)
 
 
 def left_out(lacks: str, names: Iterable[str]) -> tuple[LeftOut, ...]:
-    """A note that frames are left out; empty without ``names``."""
+    """Return a note of the frames left out because of what they lack; empty without ``names``."""
     found = tuple(names)
     return (LeftOut(lacks, found),) if found else ()
 
@@ -63,9 +64,9 @@ def left_out(lacks: str, names: Iterable[str]) -> tuple[LeftOut, ...]:
 @dataclass(frozen=True)
 class Segment:
     """One region of a panoptic mask: its value ``id`` in the pixels, its class, and the detector's score in [0, 1].
-    ``is_group`` marks a region of a thing's class without an instance. It may show several objects, so it gives its
-    pixels a class but founds no object. ``track`` is the object's id in all frames, None without a tracker. A detection
-    with several classes is a segment for each; ``share`` is the part of its vote that this class gets."""
+    ``is_group`` marks a region of a thing's class without an instance: it may be several objects, so it gives its
+    pixels a class but creates no object. ``track`` is the object's id in all frames, None without a tracker. A
+    detection with several classes is a segment for each; ``share`` is the part of its vote that this class gets."""
 
     id: int
     class_id: int
@@ -77,7 +78,8 @@ class Segment:
 
 
 def mapped(ids: NDArray[np.integer], values: Mapping[int, float], other: NDArray[Any]) -> NDArray[Any]:
-    """The ``values`` of ids [H, W] (>= 0), with the type of ``other`` [1], the value of ids that have none."""
+    """Look up the value of each id [H, W] (>= 0) in ``values``. The result [H, W] has the type of ``other`` [1], which
+    holds the value of ids that are not listed."""
     table = np.repeat(other, int(ids.max(initial=0)) + 1)
     for number, value in values.items():
         if number < len(table):  # else no pixel has it
@@ -87,17 +89,18 @@ def mapped(ids: NDArray[np.integer], values: Mapping[int, float], other: NDArray
 
 @dataclass(frozen=True, eq=False)
 class PanopticMask:
-    """Segment ids, int32 [H, W] with 0 = void, and what each id means. Ids differ between views; tracks do not."""
+    """A panoptic mask: segment ids, int32 [H, W] with 0 = void, and segments. Ids differ between views; tracks
+    don't."""
 
     ids: NDArray[np.int32]
     segments: tuple[Segment, ...]
 
     def class_map(self) -> NDArray[np.int32]:
-        """Class id of every pixel, int32 [H, W], 0 = void."""
+        """Return the class id of every pixel, int32 [H, W], 0 = void."""
         return mapped(self.ids, {segment.id: segment.class_id for segment in self.segments}, np.zeros(1, np.int32))
 
     def share_map(self) -> NDArray[np.float32]:
-        """The ``share`` of every pixel's segment, float32 [H, W], 1 where there is none."""
+        """Return the ``share`` of every pixel's segment, float32 [H, W]; 1 where there is no segment."""
         return mapped(self.ids, {segment.id: segment.share for segment in self.segments}, np.ones(1, np.float32))
 
 
@@ -111,13 +114,13 @@ class Evidence:
 
     @classmethod
     def of(cls, mask: PanopticMask) -> Evidence:
-        """The segments of a panoptic picture."""
+        """Return the segments of a panoptic picture, which do not overlap."""
         segments = tuple(one for one in mask.segments if (mask.ids == one.id).any())
         return cls(segments, np.array([mask.ids == one.id for one in segments]).reshape(-1, *mask.ids.shape))
 
     def layers(self) -> tuple[PanopticMask, ...]:
-        """The segments as panoptic pictures. In descending order of score, each goes into the first picture in which it
-        overlaps none; its id there counts from 1."""
+        """Distribute the segments to panoptic pictures without overlaps. In descending order of score, each goes into
+        the first picture that is free at its pixels; its id there counts from 1."""
         layers: list[tuple[NDArray[np.int32], list[Segment]]] = []
         for place in sorted(range(len(self.segments)), key=lambda place: -self.segments[place].score):
             inside = self.inside[place]
@@ -133,7 +136,7 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """True class ids and instance ids (0 = stuff or none), int32 [H, W] each. Used by metrics only."""
+    """True class ids and instance ids (0 = stuff or none), int32 [H, W] each. Only metrics use it."""
 
     semantic: NDArray[np.int32]
     instance: NDArray[np.int32]
@@ -158,26 +161,26 @@ class Frame(PosedFrame):
     read_kept: Callable[[Size], NDArray[np.bool_]] | None = None
 
     def depth(self, size: Size | None = None) -> NDArray[np.float32]:
-        """``read_depth`` of a frame that must have it. Raises PlgsError."""
+        """Read the depth of a frame that must have it, as ``read_depth``. Raises PlgsError."""
         if self.read_depth is None:
             raise PlgsError("no-depth", "a frame has no depth", self.colour_path, "Give depth for every frame.")
         return self.read_depth(size)
 
     def mask(self, size: Size | None = None) -> PanopticMask:
-        """``read_mask`` of a frame that must have it. Raises PlgsError."""
+        """Read the mask of a frame that must have it, as ``read_mask``. Raises PlgsError."""
         if self.read_mask is None:
             raise PlgsError("no-mask", "a frame has no mask", self.colour_path, "Give a panoptic mask for every frame.")
         return self.read_mask(size)
 
     def layers(self, size: Size | None = None) -> tuple[PanopticMask, ...]:
-        """The layers of the detections over the mask; none without any. Raises PlgsError."""
+        """Read the detections over the mask as ``Evidence.layers``; none if there are none. Raises PlgsError."""
         return () if self.read_detections is None else self.read_detections(size).layers()
 
 
 @dataclass(frozen=True, eq=False)
 class Scene(PosedScene):
-    """Frames with their pixels, in recording order. ``warnings`` name what is ``left_out``, and the doubtful part of
-    what was ``inferred``. ``fps`` is the rate by which the numbers in the names count, None if it is not known."""
+    """Posed frames with their pixels, in recording order. ``warnings`` name what was ``left_out``, and the doubtful
+    part of what was ``inferred``. ``fps`` is the frame rate if the numbers in names count at one, else None."""
 
     frames: tuple[Frame, ...]
     left_out: tuple[LeftOut, ...] = ()
@@ -186,7 +189,7 @@ class Scene(PosedScene):
 
     @property
     def assumed_lens(self) -> str:
-        """The warning that the lens is assumed; empty if a file describes it."""
+        """The warning that the lens is assumed; "" if a file describes it."""
         return next((str(each) for each in self.inferred if each.about == "lens" and each.is_doubtful), "")
 
     @property

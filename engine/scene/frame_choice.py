@@ -1,9 +1,8 @@
-"""Which frames of a long capture are lifted: enough of them, evenly along the camera's path, and the sharpest.
+"""Choose which frames of a long capture to lift: enough of them, evenly along the camera's path, and the sharpest.
 
 As in Panoptic Lifting, the recording is cut into windows, and the sharpest frame of each is kept. Windows are equal in
 time and motion combined: a camera that stands still needs few frames, and one that turns quickly needs all. The masks
-of the other frames still vote (``engine/lift/voting.py``).
-"""
+of the other frames still vote (``engine/lift/voting.py``)."""
 
 from __future__ import annotations
 
@@ -29,7 +28,7 @@ LOOKED_AT_WITHIN = (480, 480)  # maximum (width, height) in pixels at which shar
 
 
 def choose_frames(scene: Scene, most: int, progress: Progress = unwatched) -> Scene:
-    """The scene with at most ``most`` training frames; those held out stay. ``progress`` counts windows."""
+    """Return the scene with at most ``most`` training frames; those held out stay. ``progress`` counts windows."""
     frames = scene.train_frames
     if len(frames) <= most:
         return scene
@@ -45,7 +44,7 @@ def choose_frames(scene: Scene, most: int, progress: Progress = unwatched) -> Sc
 
 
 def windows(frames: Sequence[Frame], most: int) -> list[NDArray[np.intp]]:
-    """The numbers of the frames in each of at most ``most`` windows, equal in time and motion."""
+    """Cut the frames into at most ``most`` windows, equal in time and motion. Returns each one's frame indices."""
     poses = np.array([frame.camera.camera_to_world for frame in frames])
     gone = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     cosine = np.einsum("nij,nij->n", poses[1:, :3, :3], poses[:-1, :3, :3]) / 2.0 - 0.5  # (trace - 1) / 2
@@ -60,7 +59,7 @@ def windows(frames: Sequence[Frame], most: int) -> list[NDArray[np.intp]]:
 
 
 def evenly_spread(listed: Sequence[Listed], most: int) -> list[Listed]:
-    """At most ``most`` of the items, including the first and the last."""
+    """Return at most ``most`` of the items, evenly spaced, including the first and the last."""
     places = np.unique(np.linspace(0, len(listed) - 1, min(most, len(listed))).round().astype(int))
     return [listed[place] for place in places]
 

@@ -1,4 +1,4 @@
-"""Depth and masks of a frame as pictures for people. Plain numpy, so that Blender draws them as the engine does."""
+"""Draw a frame's depth and masks as pictures to look at. It uses only numpy, as Blender draws them, too."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _NONE = (60, 60, 60)  # sRGB of pixels without depth or without a class
 
 
 class DepthColours(NamedTuple):
-    """``rgb`` uint8 [H, W, 3] from light (``near``) to dark (``far``), in metres; both 0 without depth. A line marks
-    each whole metre."""
+    """A picture of depth: ``rgb`` uint8 [H, W, 3], light at ``near`` and dark at ``far`` (metres, both 0 without any
+    depth). A line marks each whole metre."""
 
     rgb: NDArray[np.uint8]
     near: float
@@ -29,7 +29,7 @@ class DepthColours(NamedTuple):
 
 
 def depth_colours(depth: NDArray[np.float32]) -> DepthColours:
-    """Draw depth, float32 [H, W] metres with 0 = none."""
+    """Draw depth, float32 [H, W] in metres with 0 = none."""
     has = depth > 0.0
     rgb = np.full((*depth.shape, 3), _NONE, np.float64)
     if not has.any():
@@ -55,7 +55,7 @@ def mask_colours(mask: PanopticMask, classes: ClassTable) -> NDArray[np.uint8]:
 
 
 def borders(values: NDArray[np.integer]) -> NDArray[np.bool_]:
-    """Pixels whose right or lower neighbour has a different value, bool [H, W]."""
+    """Return the pixels whose right or lower neighbour has a different value, bool [H, W]."""
     found = np.zeros(values.shape, np.bool_)
     found[:, :-1] |= values[:, 1:] != values[:, :-1]
     found[:-1] |= values[1:] != values[:-1]

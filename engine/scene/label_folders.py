@@ -1,4 +1,4 @@
-"""Folders of label images by any program: classes and instances of each frame, for comparison with others."""
+"""Read folders of label images by any program: classes and instances of each frame, for comparison with others."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _TABLE_FIX = 'Put COCO\'s panoptic.json, or a labels.json with its "classes", in
 
 @dataclass(frozen=True, eq=False)
 class LabelFolder:
-    """``readers`` read each frame's labels at their own size. ``classes`` is None without a table."""
+    """A folder of label images. ``readers`` read a frame's labels at their own size. ``classes`` may be None."""
 
     folder: Path
     classes: ClassTable | None
@@ -49,15 +49,15 @@ class LabelFolder:
 
 
 def _as_labels(read: Callable[[], PanopticMask]) -> GroundTruth:
-    """Classes and instances of a mask: a thing's instance is its segment, stuff has none."""
+    """Return the classes and instances of a mask: a thing's instance is its segment, stuff has none."""
     mask = read()
     things = [segment.id for segment in mask.segments if segment.is_thing]
     return GroundTruth(mask.class_map(), np.where(np.isin(mask.ids, things), mask.ids, 0).astype(np.int32))
 
 
 def open_label_folder(folder: Path, *, is_truth: bool) -> LabelFolder:
-    """Find the labels in a folder; headers only. A scene's folder may hold both predictions and truth: ``is_truth``
-    chooses. Raises PlgsError if there are none, or a file is bad."""
+    """Open the labels in a folder; only headers are read. If it is a scene's folder with both predictions and ground
+    truth, ``is_truth`` chooses. Raises PlgsError if there are none, or a file is bad."""
     if not folder.is_dir():
         raise PlgsError("not-folder", "is not a folder", folder, _FIX)
     table = folder / "panoptic.json"
@@ -97,9 +97,9 @@ def _classes(folder: Path, semantics: Path) -> ClassTable | None:
 
 
 def in_one_table(predictions: LabelFolder, truth: LabelFolder) -> tuple[ClassTable, LabelFolder]:
-    """One class table for both, in which ids mean the same, and the predictions in it. If an id has two names, the
-    truth's table wins: predicted classes become those of the same name there, and others are appended. Raises PlgsError
-    if there is no table, if the two share no class name, or if numbers look like another table."""
+    """One class table for predictions and ground truth, in which ids mean the same, and the predictions in it. If an id
+    has two names, the ground truth's counts: predicted classes become those of the same name there, and others are
+    appended. Raises PlgsError without a table, without a common class name, or if numbers look like another table."""
     tables = [each.classes for each in (predictions, truth) if each.classes is not None]
     if not tables:
         raise PlgsError("no-table", "no class table says which classes are things", truth.folder, _TABLE_FIX)

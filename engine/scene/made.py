@@ -1,6 +1,5 @@
-"""What of a scene was not measured: depth that a network made (``made_depth``), poses and their unit, and the licences
-of networks, as the files that our own commands leave say it. All of it is told wherever warnings are.
-"""
+"""Read notes of our own commands that say what of a scene was not measured: depth that a network made (``made_depth``),
+poses and their unit, and the licences of networks. All of it is shown wherever warnings are."""
 
 from __future__ import annotations
 
@@ -33,8 +32,8 @@ _SCALES = (1e-4, 1e4)
 
 @dataclass(frozen=True)
 class MadeDepth:
-    """What ``made_by.json`` says of made depth: the network ``model`` and its ``licence``, how many ``frames``, the
-    digests of their ``photos``, and their `layout_of`, by name."""
+    """The note ``made_by.json`` about depth that a network made: the network's name (``model``) and ``licence``, the
+    number of ``frames``, and by name the digests of their ``photos`` and their `layout_of`."""
 
     model: str = field(metadata={"longest": 5000})
     frames: int
@@ -45,7 +44,7 @@ class MadeDepth:
 
     @classmethod
     def read(cls, beside: Path) -> MadeDepth | None:
-        """The record in a scene's folder; None if no depth was made, or not all. Raises PlgsError."""
+        """Read the note in a scene's folder; None if no depth was made, or not all of it. Raises PlgsError."""
         path = beside / DEPTH_FOLDER / MADE_BY
         content = read_note(path, _AGAIN)
         return None if content is None else record_of(cls, content, path, _AGAIN)
@@ -57,8 +56,8 @@ class _Scale:
 
 
 def read_note(path: Path, fix: str) -> dict[str, Any] | None:
-    """The JSON object in a file of ours, or None where nothing has this name. Raises PlgsError, with ``fix`` as the
-    advice, also for a folder, a FIFO, or a link that leads nowhere: none of them may count as no note."""
+    """Return the JSON object in a file of ours, or None if nothing has this name. Raises PlgsError, with ``fix`` as the
+    advice, if it is damaged, and for a folder, a FIFO, or a broken link, which must not count as a missing note."""
     try:
         return read_object(path, fix)
     except PlgsError as error:
@@ -68,8 +67,8 @@ def read_note(path: Path, fix: str) -> dict[str, Any] | None:
 
 
 def layout_of(cameras: Mapping[str, Camera], scale: float = 1.0) -> dict[str, list[float]]:
-    """What depth depends on: each frame's focal length as a fraction of its width, and its distance from the mean of
-    all cameras, which no rotation of the world changes. ``scale`` is the factor of the cameras' lengths."""
+    """Return by frame what made depth depends on: the focal length as a fraction of the picture's width, and the
+    distance from the mean of all cameras, divided by ``scale``. No rotation of the world changes them."""
     if not cameras:
         return {}
     middle = np.mean([camera.centre for camera in cameras.values()], axis=0)
@@ -80,8 +79,8 @@ def layout_of(cameras: Mapping[str, Camera], scale: float = 1.0) -> dict[str, li
 
 
 def made_depth(beside: Path, cameras: Mapping[str, Camera]) -> dict[str, DepthMap]:
-    """The depth that ``engine depth`` made for these frames; empty if there is none. Raises PlgsError if it was made
-    for other poses."""
+    """Return the depth that ``engine depth`` made for these frames, by name; none if there is none. Raises PlgsError if
+    it was made for other poses."""
     folder, made = beside / DEPTH_FOLDER, MadeDepth.read(beside)
     if made is None:
         return {}
@@ -94,14 +93,15 @@ def made_depth(beside: Path, cameras: Mapping[str, Camera]) -> dict[str, DepthMa
 
 
 def scale_of(beside: Path) -> float:
-    """The factor of a scene's lengths, as ``engine scale`` wrote it; 1 without the file. Raises PlgsError."""
+    """The factor that multiplies a scene's lengths, as `engine scale` wrote it; 1 without. Raises PlgsError."""
     content = read_note(beside / SCALE, _AGAIN)
     return 1.0 if content is None else record_of(_Scale, content, beside / SCALE, _AGAIN).scale
 
 
 def set_scale(scene: Scene, beside: Path, factor: float | None, measured: Sequence[float] | None) -> float:
-    """Write ``beside`` a scene by what its lengths are multiplied: ``factor``, or so that of the two ``measured``
-    lengths the first, as it is now, becomes the second. Raises PlgsError for a factor beyond all use, OSError."""
+    """Write the factor that multiplies a scene's lengths into the folder ``beside`` it, and return it. It is
+    ``factor``, or follows from ``measured``: a length in the scene as it is now, and the true length in metres. Raises
+    PlgsError for a factor beyond all use, OSError."""
     if scene.format == NAME:
         raise PlgsError("has-unit", "the lengths of this layout are metres", scene.folder, "Correct its files.")
     if measured is not None and measured[0] > 0.0:
@@ -118,7 +118,7 @@ def set_scale(scene: Scene, beside: Path, factor: float | None, measured: Sequen
 
 
 def estimates(beside: Path, masks: Path, *, has_made_depth: bool, has_unit: bool) -> Iterator[Inferred]:
-    """Yields what the notes in the folders say about depth, lengths and masks that were not measured."""
+    """Yield what the notes in the folders say about depth, lengths and masks that were not measured."""
     if has_made_depth and (made := MadeDepth.read(beside)) is not None:
         taken = f"estimated: depth is made of the photos by {made.model}"
         yield Inferred("depth", taken, "it is fitted to the reconstruction's points; what disagrees has none")

@@ -1,8 +1,7 @@
-"""Whether masks fit their pictures: paired with the right frames, upright as stored, undistorted, without borders.
+"""Check that masks fit their pictures: paired with the right frames, upright as stored, undistorted, without borders.
 
 Programs renumber masks, rotate photos by their EXIF tag, keep the photo's distortion, or pad to a network's input size.
-Names and sizes do not show it. The pictures do: a mask's outlines lie on their edges.
-"""
+Names and sizes do not show it, but pixels do: the outlines of a mask should lie on edges of its picture."""
 
 from __future__ import annotations
 
@@ -44,8 +43,8 @@ _BY_NAMES = "rename the masks after their pictures if that is wrong"
 
 @dataclass(frozen=True)
 class Placement:
-    """How a mask is mapped into the stored, undistorted picture: the ``box`` (x, y, width, height) that it fills, its
-    quarter ``turns``, the lens that distorted it, and the picture that is black where pixels do not count."""
+    """How a mask is mapped into the stored, undistorted picture: the ``box`` (x, y, width, height) of it that is used,
+    its ``turns`` by 90 degrees, the ``lens`` whose distortion is removed, and ``kept``, the pixels that count."""
 
     box: tuple[int, int, int, int] | None = None
     turns: int = 0
@@ -53,7 +52,7 @@ class Placement:
     kept: KeptPixels | None = None
 
     def __call__(self, ids: NDArray[Any]) -> NDArray[Any]:
-        """Maps stored ids, or other values [H, W], into the picture. Raises PlgsError."""
+        """Map stored ids, or other values [H, W], into the picture. Raises PlgsError."""
         if self.box is not None:
             x, y, width, height = self.box
             ids = ids[y : y + height, x : x + width]
@@ -65,22 +64,22 @@ class Placement:
         return np.ascontiguousarray(ids)
 
     def __repr__(self) -> str:
-        """A text for digests of masks."""
+        """Return a text for digests of masks."""
         lens = None if self.lens is None else (self.lens[0].K.tolist(), self.lens[1])
         return f"{self.box} {self.turns} {lens} {self.kept}"
 
 
 @dataclass(frozen=True)
 class KeptPixels:
-    """The pixels of a frame that count: a picture like the photo as taken, black elsewhere, and the photo's lens; with
-    ``is_photo``, the photo itself, transparent elsewhere."""
+    """The pixels of a frame that count, from a picture like the photo as taken that is black elsewhere, and the photo's
+    lens. With ``is_photo`` it is the photo itself, transparent elsewhere."""
 
     path: Path
     lens: tuple[Camera, Distortion] | None = None
     is_photo: bool = False
 
     def __call__(self, size: Size) -> NDArray[np.bool_]:
-        """Bool [H, W] at ``size`` (width, height). Raises PlgsError."""
+        """Return the pixels that count, bool [H, W], at ``size`` (width, height). Raises PlgsError."""
         kept = opaque(self.path) if self.is_photo else inside(read_indices(self.path), self.path)
         if self.lens is not None:
             kept = undistorted(kept.astype(np.uint8), *self.lens, self.path, smooth=False) > 0
@@ -91,8 +90,8 @@ class KeptPixels:
 
 
 def edge_ranks(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """The fraction of a picture's pixels with a weaker edge than each pixel, float32 [H, W]; NaN in and around black
-    areas, as beyond the edges of an undistorted photo."""
+    """Rank the pixels of a picture by the strength of their edge: the fraction of pixels with a weaker one, float32 [H,
+    W]; NaN in and around black areas, such as those beyond the edges of an undistorted photo."""
     import cv2
 
     grey = cv2.GaussianBlur(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 1.0)
@@ -104,7 +103,7 @@ def edge_ranks(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def on_edges(ids: Ids, ranks: NDArray[np.float32]) -> float:
-    """The mean of ``edge_ranks`` [H, W] on the outlines of a mask's ids; 0.5 by chance, NaN with hardly any outline."""
+    """Return the mean of ``edge_ranks`` [H, W] on a mask's outlines: 0.5 by chance, NaN with hardly any outline."""
     height, width = ranks.shape
     ids = resize_nearest(ids, (width, height))
     outline = borders(ids)
@@ -114,8 +113,8 @@ def on_edges(ids: Ids, ranks: NDArray[np.float32]) -> float:
 
 
 def fits_better(pairs: Iterable[tuple[Ids, Ids, Read, Size]]) -> bool | None:
-    """Which of two readings of ids fits the pictures better: True for the first, False for the second, None if unsure.
-    Each pair comes with its frame's picture and size."""
+    """Whether the first of two readings of ids fits the pictures better: True, False for the second, None if unsure.
+    Each pair of ids [H, W] comes with a function that reads the frame's picture, and a size."""
     differences = []
     for one, other, read, size in pairs:
         if one.shape == other.shape and np.array_equal(one, other):
@@ -131,7 +130,7 @@ def fits_better(pairs: Iterable[tuple[Ids, Ids, Read, Size]]) -> bool | None:
 
 
 def _ids(source: MaskSource, name: str) -> Ids | None:
-    """A mask's ids; None if it cannot be read, which later readers report."""
+    """Return a mask's ids, or None if it cannot be read, which later readers report."""
     try:
         return source.masks[name].read().ids
     except PlgsError:
@@ -141,8 +140,8 @@ def _ids(source: MaskSource, name: str) -> Ids | None:
 def paired(
     names: Sequence[str], open_source: Callable[[Sequence[str]], MaskSource], pictured: Mapping[str, Pictured]
 ) -> tuple[MaskSource, tuple[Inferred, ...]]:
-    """The masks of the frames ``names``: by name, or by a different count of their numbers if more frames then have a
-    mask and these fit the pictures better; and what was inferred. Raises what ``open_source`` raises."""
+    """Pair masks with the frames ``names``: by name, or by numbers counted otherwise if more frames then have a mask
+    and these fit the pictures better. Returns the masks, and what was inferred. Raises what ``open_source`` raises."""
     try:
         usual, error = open_source(names), None
     except PlgsError as raised:
@@ -183,7 +182,7 @@ def paired(
 
 
 def other_numbers(names: Sequence[str]) -> list[tuple[str, dict[str, str]]]:
-    """Other ways to number the frames, and the name of each frame's mask by them."""
+    """Return other ways to number the frames' masks: for each, a description, and the mask's name by frame."""
     last = [re.search(r"\d+(?=\D*$)", name) for name in names]
     found = [(name, match) for name, match in zip(names, last, strict=True) if match is not None]
     if len(found) < len(names):
@@ -209,8 +208,8 @@ def other_numbers(names: Sequence[str]) -> list[tuple[str, dict[str, str]]]:
 
 @dataclass(frozen=True)
 class Pictured:
-    """What masks are aligned by: how to read a frame's picture, its size, the photo's EXIF orientation (1: upright),
-    the lens that distorted it, if any, and the pixels that count, if not all."""
+    """What a frame's masks are aligned by: how to read its picture, the picture's size, the photo's EXIF orientation (1
+    is upright), the lens that distorted it, if any, and the pixels that count, if not all do."""
 
     read: Read
     size: Size
@@ -220,15 +219,15 @@ class Pictured:
 
 
 def turns_of(orientation: int) -> int:
-    """The quarter turns from a photo turned upright to its stored pixels."""
+    """Return the turns by 90 degrees from an upright photo to its pixels as stored, for an EXIF orientation."""
     return _TURNS.get(orientation, 0)
 
 
 def placements(
     source: MaskSource, pictured: Mapping[str, Pictured]
 ) -> tuple[dict[str, Placement], tuple[Inferred, ...]]:
-    """How to map each frame's mask into its picture, and what was inferred. Raises PlgsError if a mask has another
-    shape than its picture."""
+    """Return how to map each frame's mask into its picture, and what was inferred. Raises PlgsError if a mask's aspect
+    ratio differs from its picture's."""
     found = {name: Placement(kept=pictured[name].kept) for name in source.masks}
     inferred: list[Inferred] = []
     turned = {name for name in found if turns_of(pictured[name].orientation)}
@@ -270,7 +269,7 @@ def placements(
 def _fits(
     source: MaskSource, ones: Mapping[str, Placement], others: Mapping[str, Placement], pictured: Mapping[str, Pictured]
 ) -> bool | None:
-    """``fits_better`` for two placements of the same masks."""
+    """Return ``fits_better`` for two placements of the same masks."""
     names = evenly_spread([*ones], _LOOKED_AT)
     read = ((name, ids) for name in names if (ids := _ids(source, name)) is not None)
     ways = [{name: replace(way[name], kept=None) for name in names} for way in (ones, others)]
@@ -282,7 +281,7 @@ def _fits(
 def _boxes(
     source: MaskSource, found: Mapping[str, Placement], pictured: Mapping[str, Pictured]
 ) -> dict[str, tuple[int, int, int, int]]:
-    """The part of each mask that shows its picture, if it is padded for a network with empty borders."""
+    """The part of each mask that shows its picture, as (x, y, width, height), for masks padded with empty borders."""
     ways: list[dict[str, tuple[int, int, int, int]]] = [{}, {}]
     for name, mask in source.masks.items():
         (width, height), (across, down) = mask.size, pictured[name].size

@@ -1,4 +1,4 @@
-"""Finds a scene's panoptic masks: a format's reader gives numbered segments, the class table gives their classes."""
+"""Find and read a scene's panoptic masks: readers of formats return numbered segments, the class table classes."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ def no_masks(scene: Path) -> PlgsError:
 
 
 class OtherClasses(PlgsError):
-    """A mask can be read, but has classes that its table lacks: the table is wrong, not this file."""
+    """The error for a readable mask with classes that its table lacks: the table is wrong, not this file."""
 
 
 @dataclass(frozen=True)
 class MaskReader:
-    """Reads one frame's mask and gives its segments the classes of ``known``. Labels in ``void`` mean nothing unless
-    the table has them. ``fuses`` joins stuff of one class into one segment. ``table`` is what messages call the
-    classes' table, ``others`` what else they suggest. ``placement`` maps the mask into the picture."""
+    """Reads one frame's mask and gives its segments the classes of ``known``. Labels in ``void`` are ignored unless the
+    table has them. ``fuses`` joins stuff of one class into one segment. ``table`` is what messages call the class
+    table, ``others`` what else they suggest. ``placement`` maps the mask into the picture."""
 
     stored: StoredMask
     known: ClassMap
@@ -54,7 +54,7 @@ class MaskReader:
     placement: Placement | None = None
 
     def __call__(self, size: Size | None = None) -> PanopticMask:
-        """The mask at ``size`` (width, height) or its own. Raises OtherClasses, and PlgsError for its file."""
+        """Read the mask at ``size`` (width, height) or its own. Raises OtherClasses, and PlgsError for a bad file."""
         found = self.stored.read()
         unknown = sorted({one.label for one in found.segments if self._class_of(one) is None})
         if unknown:
@@ -71,7 +71,7 @@ class MaskReader:
         return PanopticMask(resize_nearest(ids, size) if size else ids, tuple(segments))
 
     def digest(self) -> str:
-        """The start of the SHA-256 of the mask's files and of how they are read, without decoding them."""
+        """Return the start of the SHA-256 of the mask's files and of how they are read, without decoding them."""
         classes = [(each.id, each.is_thing) for each in self.known.classes.categories]
         read_as = (sorted(self.known.class_of.items()), self.known.others, classes, sorted(self.void), self.fuses)
         kept = None if self.placement is None or self.placement.kept is None else self.placement.kept.path
@@ -80,7 +80,7 @@ class MaskReader:
         return sha256(f"{files} {self.stored.about} {read_as}{placed}".encode()).hexdigest()[:16]
 
     def _class_of(self, one: FoundSegment) -> int | None:
-        """The class id of a segment, 0 = void, None if it is unknown."""
+        """Return the class id of a segment: 0 for void, None if its label is unknown."""
         known = self.known.class_of.get(one.label, self.known.others)
         return VOID if known is None and one.label in self.void else known
 
@@ -96,7 +96,7 @@ class MaskReader:
 
 @dataclass(frozen=True, eq=False)
 class KeptMask:
-    """A decoded mask kept in memory, ``packed``, at one ``size``; ``read`` reads it at others."""
+    """A decoded mask that is kept in memory, ``packed``, at one ``size``; ``read`` reads it again for other sizes."""
 
     size: Size
     packed: bytes
@@ -105,18 +105,19 @@ class KeptMask:
 
     @classmethod
     def of(cls, mask: PanopticMask, size: Size, read: Callable[[Size | None], PanopticMask]) -> KeptMask:
-        """Keeps the full-size ``mask`` reduced to ``size``."""
+        """Reduce the full-size ``mask`` to ``size`` and keep it."""
         return cls(size, compress(resize_nearest(mask.ids, size).tobytes(), 1), mask.segments, read)
 
     def __call__(self, size: Size | None = None) -> PanopticMask:
-        """The mask at ``size`` (width, height) or its own. Raises what ``read`` raises."""
+        """Return the mask at ``size`` (width, height) or its own. Raises what ``read`` raises."""
         if size != self.size:
             return self.read(size)
         return PanopticMask(np.frombuffer(decompress(self.packed), np.int32).reshape(size[::-1]), self.segments)
 
 
 def fused(segments: Sequence[Segment]) -> tuple[list[Segment], dict[int, int]]:
-    """Stuff and groups of a class as one segment, with the first's id and score; and each segment's new id."""
+    """Join the stuff segments, and the groups, of each class into one with the id and score of the first. Returns the
+    segments, and the new id of each old one."""
     first: dict[int, int] = {}
     new_id, kept = {}, []
     for one in segments:
@@ -128,8 +129,8 @@ def fused(segments: Sequence[Segment]) -> tuple[list[Segment], dict[int, int]]:
 
 @dataclass(frozen=True)
 class MaskSet:
-    """The masks of a scene's frames: the class table, one reader per frame, warnings, and what no file says. ``over``
-    reads the detections that lie over the masks, for frames that have some."""
+    """The masks of a scene's frames: the class table, a reader by frame, warnings, and what was ``inferred`` because no
+    file says it. ``over`` are the readers of detections that lie over the masks, by frame."""
 
     classes: ClassTable = ClassTable(())
     readers: Mapping[str, MaskReader] = field(default_factory=dict)
@@ -139,7 +140,7 @@ class MaskSet:
 
 
 def find_masks(source: SceneSource, scene: Path, pictured: Mapping[str, Pictured], progress: Progress) -> MaskSet:
-    """The masks of the frames and the detections over them; empty if there are none. Raises PlgsError."""
+    """Find the masks of the frames, and the detections over them; an empty set if there are none. Raises PlgsError."""
     place = mask_place(scene, None if source.masks is None else Path(source.masks))
     kept = [each.kept.path for each in pictured.values() if each.kept is not None]
     are_kept = source.masks is None and place is not None and any(path.is_relative_to(place) for path in kept)
@@ -157,8 +158,8 @@ def find_masks(source: SceneSource, scene: Path, pictured: Mapping[str, Pictured
 
 
 def mask_place(scene: Path, masks: Path | None) -> Path | None:
-    """Where a scene's masks are: the named path, else the scene's own folder or its subfolder ``masks``. The table of
-    COCO panoptic stands for the folder of its PNGs, which mean nothing without it."""
+    """Return where a scene's masks are: the named path, else the scene's own folder or its subfolder ``masks``. A
+    folder of COCO panoptic PNGs is replaced by its JSON table, without which they mean nothing."""
     if masks is not None:
         table = masks.with_name(f"{masks.name}.json")
         return table if masks.name.startswith("panoptic") and masks.is_dir() and table.is_file() else masks
@@ -178,9 +179,9 @@ def open_masks(
     detections: Detections | None = None,
     progress: Progress = unwatched,
 ) -> MaskSet:
-    """Open the masks at ``place`` of the frames ``names``; headers and tables only. Raises PlgsError. ``mask_format``
-    names their format; None recognises it. ``classes``: see ``find_class_choice``. With ``pictured``, some masks and
-    pictures are compared if names, sizes or lenses leave a doubt. ``detections`` lie over the masks."""
+    """Open the masks at ``place`` of the frames ``names``, reading only headers and tables. ``mask_format`` names their
+    format; None recognises it. ``classes``: see ``find_class_choice``. With ``pictured``, some masks and pictures are
+    compared if names, sizes or lenses leave a doubt. ``detections`` lie over the masks. Raises PlgsError."""
     inferred: tuple[Inferred, ...] = ()
     placed: dict[str, Placement] = {}
     if pictured is None:
@@ -231,7 +232,7 @@ def open_masks(
 
 
 def open_mask_source(place: Path, names: Sequence[str], mask_format: str | None, progress: Progress) -> MaskSource:
-    """The masks as stored, without the user's table. Raises PlgsError."""
+    """Open the masks as they are stored, without the user's class table. Raises PlgsError."""
     reader = find_mask_format(place, mask_format)
     with reading(place, "Check that it exists, and its permissions."):
         return reader.read(place, names, progress)

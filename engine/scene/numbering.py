@@ -1,10 +1,9 @@
-"""Finds the numbering that masks or ground truth use: by their content, otherwise the networks' own, with a warning.
-Warns if the numbers look far more like those of another table than of the named one.
+"""Find the numbering of classes that masks or ground truth use: by their content, otherwise that which networks use,
+with a warning. Also warn if the numbers look far more like those of another table than of the named one.
 
 ADE20K counts from 0 in networks and from 1 in its own files; COCO's 80 things are 0 to 79, or 1 to 90 with gaps;
 detectron2 may number COCO's stuff apart from its things. ScanNet's files have its raw ids, NYU40's or NYU13's numbers:
-masks that look like one of these other than the named one are refused.
-"""
+masks that look like one of these other than the named one are refused."""
 
 from __future__ import annotations
 
@@ -62,7 +61,7 @@ _CONTRADICTED = f"Name the network's table with --classes, or write {FILE_NAME} 
 
 @dataclass(frozen=True)
 class Asking:
-    """Words for a message: ``whose`` numbers they are, and ``how`` a user names a ``table``."""
+    """The words of messages about a numbering: ``whose`` numbers they are, and how a user names a ``table``."""
 
     whose: str = "the masks'"
     table: str = "--classes {}"
@@ -70,19 +69,19 @@ class Asking:
     option: str = "--classes"
 
     def advice(self, *tables: str) -> str:
-        """How to name one of the tables."""
+        """Return the advice to name one of the tables, such as "name --classes coco"."""
         return self.how.format(" or ".join(map(self.table.format, tables)))
 
 
 @dataclass(frozen=True)
 class _Shown:
-    """What some frames show: each number's fraction of their pixels, and how much of it lies in the upper halves."""
+    """Statistics of frames: each class number's share of the pixels, and which part of these is in upper halves."""
 
     shares: Mapping[int, float]
     upper: Mapping[int, float]
 
     def share(self, reading: _Reading, names: set[str], *, anywhere: bool = False) -> float:
-        """The fraction of pixels with a class of these ``names``, at a height where that class is usually seen."""
+        """The fraction of pixels whose class is among ``names`` and, unless ``anywhere``, is at its usual height."""
         labels = (label for label in known_table(reading.table).labels if label.name in names)
         heights = ((label.id, *_HEIGHTS.get(label.name, (0.0, 1.0))) for label in labels if label.id in self.shares)
         seen = ((self.shares[n], anywhere or least <= self.upper[n] <= most) for n, least, most in heights)
@@ -91,7 +90,7 @@ class _Shown:
 
 @dataclass(frozen=True)
 class _Reading:
-    """One way to read the masks: their ``source`` and a ``table``'s name; ``what`` describes it in a message."""
+    """One way to read the masks: their ``source``, and a class ``table``; ``what`` describes it in messages."""
 
     source: MaskSource
     table: str
@@ -112,8 +111,9 @@ Numbered = tuple[MaskSource, ClassChoice | None, tuple[Inferred, ...]]
 
 
 def numbered(source: MaskSource, choice: ClassChoice | None, where: Path, asking: Asking | None = None) -> Numbered:
-    """The masks and the choice of classes with the numbering of the choice's table, and what was inferred. No table
-    applies to masks of objects. Raises PlgsError if all numberings make things stuff, or if another table's fits."""
+    """Return the masks, and the choice of classes with the numbering that they use of the choice's table, and what was
+    inferred. A table is not applied to masks that number objects. Raises PlgsError if every numbering would make things
+    stuff, or if another table fits."""
     if choice is None and source.tells_no_class:
         return source, None, (Inferred("numbering", "all are of the class object", _OBJECTS.format(FILE_NAME)),)
     if choice is None:
@@ -131,7 +131,8 @@ def numbered(source: MaskSource, choice: ClassChoice | None, where: Path, asking
 
 
 def _as_listed(source: MaskSource, choice: ClassChoice) -> MaskSource:
-    """The masks read so that their things match the choice's numbered rows best, as in an edited class list."""
+    """Return the masks in that way of reading their numbers in which things and stuff agree best with the rows of the
+    choice, which come from an edited class list."""
     rows = {row.id: row.thing for row in choice.rows}
     ways = [source] if source.apart is None else [source, source.apart]
     wrong_kinds = [sum(rows.get(n) != is_thing for n, is_thing in (way.kinds or {}).items()) for way in ways]
@@ -139,8 +140,8 @@ def _as_listed(source: MaskSource, choice: ClassChoice) -> MaskSource:
 
 
 def _agreeing_readings(source: MaskSource, choice: ClassChoice, where: Path) -> list[_Reading]:
-    """The readings that agree with what the files call things, the usual one first; all if the files say nothing.
-    Raises PlgsError if none agrees."""
+    """Return the readings that agree with what the files call things, the usual one first; all if the files say
+    nothing. Raises PlgsError if none agrees."""
     readings = _readings(source, choice.table or "")
     agreeing = [each for each in readings if not _disagreements(each, choice)]
     wrong = [] if agreeing or source.kinds is None else _disagreements(readings[0], choice, is_known=True)
@@ -152,9 +153,9 @@ def _agreeing_readings(source: MaskSource, choice: ClassChoice, where: Path) -> 
 
 @dataclass(frozen=True)
 class _Found:
-    """The ``chosen`` one of the ``agreeing`` readings, or of other tables' ``alike``; all that are ``fitting``;
-    ``every`` reading of the named table, the usual one first; and what frames ``shown``. ``reason`` is None if the
-    masks are ambiguous."""
+    """The outcome of the search. ``chosen`` is one of the ``agreeing`` readings (those of the named table that agree
+    with the files), or of ``alike`` (those of other tables). ``fitting`` are all that fit, ``every`` all of the named
+    table, the usual one first. ``shown`` are the frames' statistics. ``reason`` is None if the masks are ambiguous."""
 
     chosen: _Reading
     reason: str | None
@@ -185,7 +186,7 @@ def _refuse_other_table(found: _Found, choice: ClassChoice, asking: Asking, wher
 
 
 def _doubts(found: _Found, asking: Asking) -> tuple[Inferred, ...]:
-    """Why this numbering was chosen, if there was a choice."""
+    """Return a note why this numbering was chosen; none if there was no choice."""
     chosen, reason = found.chosen, found.reason
     is_doubtful = chosen != found.every[0] or reason is None
     if not (is_doubtful or len(found.every) > 1 or found.alike):
@@ -198,7 +199,7 @@ def _doubts(found: _Found, asking: Asking) -> tuple[Inferred, ...]:
 
 
 def _doubts_of_table(found: _Found, choice: ClassChoice, asking: Asking) -> tuple[Inferred, ...]:
-    """A doubt if the masks look more like another table than like the named one."""
+    """Return a doubt if the masks look more like another table than like the named one."""
     chosen, shown = found.chosen, found.shown
     likelier = _other_tables(chosen, choice, shown) if chosen.source is found.every[0].source else []
     if not likelier:
@@ -210,7 +211,7 @@ def _doubts_of_table(found: _Found, choice: ClassChoice, asking: Asking) -> tupl
 
 
 def other_numberings(choice: ClassChoice) -> str:
-    """Alternatives for a message to suggest, such as " or name --classes coco:90"."""
+    """Return alternatives for a message to suggest, such as " or name --classes coco:90"."""
     table, base = choice.table or "", base_of(choice.table or "")
     others = [each for each in (*numberings_of(base), *_tables_like(base)) if each != table]
     return f", or name --classes {' or '.join(others)}" if others and table else ""
@@ -221,7 +222,7 @@ def _tables_like(table: str) -> tuple[str, ...]:
 
 
 def _readings(source: MaskSource, table: str) -> list[_Reading]:
-    """All ways to read the masks with a table, the usual one first."""
+    """Return all ways to read the masks with a table, the usual one first."""
     ways = [_Reading(source, each, each) for each in numberings_of(table)]
     has_stuff = source.kinds is not None and not all(source.kinds.values())
     if source.apart is not None and has_stuff and ways[0].table == numberings_of("coco")[0]:
@@ -230,7 +231,8 @@ def _readings(source: MaskSource, table: str) -> list[_Reading]:
 
 
 def _disagreements(reading: _Reading, choice: ClassChoice, is_known: bool = False) -> list[str]:
-    """How the files' things and stuff differ from the table's (``is_known``: of numbers in it) and the user's rows."""
+    """Return how things and stuff in the files differ from those in the table, a text each. Classes of the user's own
+    rows don't count, nor, if ``is_known``, numbers that the table lacks."""
     labels = {label.id: label for label in known_table(reading.table).labels}
     own = {row.name.casefold() if row.id is None and row.name else row.id for row in choice.rows}
     wrong, kinds = [], reading.source.kinds or {}
@@ -246,7 +248,7 @@ def _disagreements(reading: _Reading, choice: ClassChoice, is_known: bool = Fals
 
 
 def _other_tables(chosen: _Reading, choice: ClassChoice, shown: _Shown) -> list[str]:
-    """The other tables or numberings that indoor masks resemble most, despite the named one."""
+    """Return the other tables or numberings that indoor masks resemble most; none if the named one is as likely."""
     if shown.share(chosen, _SKIES) >= _SKY:
         return []
     likeness: dict[str, float] = {}
@@ -263,7 +265,7 @@ def _other_tables(chosen: _Reading, choice: ClassChoice, shown: _Shown) -> list[
 
 
 def _told(readings: list[_Reading], choice: ClassChoice, shown: _Shown) -> tuple[_Reading, str | None, list[_Reading]]:
-    """The reading that the masks point to, the reason, and all that fit; the reason is None if they are ambiguous."""
+    """The reading that the masks point to, the reason, and all that fit. The reason is None if they are ambiguous."""
     if len(readings) == 1:
         return readings[0], "this alone fits what is a thing in the files", readings
     fitting = [each for each in readings if not _unknown(each, shown, choice)]
@@ -287,7 +289,7 @@ def _compared(best: _Reading, others: list[_Reading], shown: _Shown) -> str:
 
 
 def _is_likelier(one: _Reading, other: _Reading, shown: _Shown) -> bool:
-    """Whether the numbers whose classes differ between the two readings favour the first."""
+    """Whether the pixels whose class differs between two readings make the first likelier."""
     same = {number for number in shown.shares if one.names.get(number) == other.names.get(number)}
     telling = replace(shown, shares={n: share for n, share in shown.shares.items() if n not in same})
     own = _usual(one, telling)
@@ -295,17 +297,17 @@ def _is_likelier(one: _Reading, other: _Reading, shown: _Shown) -> bool:
 
 
 def _usual(reading: _Reading, shown: _Shown) -> float:
-    """The fraction of the pixels with a class that frames of this table nearly always show."""
+    """Return the fraction of the pixels with a class that frames of this table nearly always show."""
     return shown.share(reading, reading.usual)
 
 
 def _seen(reading: _Reading, shown: _Shown) -> int:
-    """How many of these classes occur."""
+    """Return how many of the classes occur that frames of this table nearly always show."""
     return sum(shown.share(reading, {name}) >= _SEEN for name in reading.usual)
 
 
 def _shown(source: MaskSource, choice: ClassChoice) -> _Shown:
-    """What some frames show, without numbers that may mean nothing; 0 counts as such only if no other number does."""
+    """The statistics of some frames without void numbers. 0 counts as void only if no other void number occurs."""
     names, counts, upper = list(source.masks), Counter[int](), Counter[int]()
     for name in evenly_spread(names, _LOOKED_AT):
         try:
@@ -325,7 +327,7 @@ def _shown(source: MaskSource, choice: ClassChoice) -> _Shown:
 
 
 def _unknown(reading: _Reading, shown: _Shown, choice: ClassChoice) -> set[int]:
-    """The numbers without a meaning in this reading."""
+    """Return the numbers in the masks that have no meaning in this reading."""
     table = known_table(reading.table)
     known = {label.id for label in table.labels} | table.void | reading.source.void
     return {*shown.shares} - known - {row.id for row in choice.rows if row.id is not None}

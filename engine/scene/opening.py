@@ -1,5 +1,5 @@
-"""Opens a scene: a format's reader gives posed pictures, to which masks, ground truth and ``splits.json`` are added.
-For a scene that is one file, these are in a folder of the same name beside it."""
+"""Open a scene: a format's reader returns posed pictures, to which masks, ground truth and ``splits.json`` are added.
+If the scene is one file, these lie in a folder of the same name beside it."""
 
 from __future__ import annotations
 
@@ -53,13 +53,13 @@ def open_scene(
     depth: Path | None = None, mask_format: str | None = None, classes: str | None = None,
     detections: Path | None = None,
 ) -> Scene:  # fmt: skip
-    """``open_asked`` for the scene in a folder or file; the arguments are the fields of a SceneSource."""
+    """Open the scene in a folder or file as ``open_asked`` does; the arguments are the fields of a SceneSource."""
     return open_asked(SceneSource(folder, masks, up, scene_format, depth, mask_format, classes, detections))
 
 
 def open_asked(source: SceneSource, progress: Progress = unwatched) -> Scene:
-    """Open a scene; images are decoded only to settle doubts about masks and depth maps, which may be missing (see
-    ``require_liftable``). Raises PlgsError for the first problem; ``survey_scene`` also inspects the pixels."""
+    """Open a scene. Images are decoded only to settle doubts about masks and depth maps, either of which may be missing
+    (see ``require_liftable``). Raises PlgsError for the first problem; ``survey_scene`` also inspects the pixels."""
     is_on = gc.isenabled()
     gc.disable()  # it would look at all frames so far again and again: a quarter of the time, and in long pauses
     try:
@@ -148,21 +148,21 @@ def _opened(source: SceneSource, progress: Progress) -> Scene:
 
 
 def scaled(camera: Camera, scale: float) -> Camera:
-    """The same camera in a world whose lengths are ``scale`` times as long."""
+    """Return the same camera in a world whose lengths are ``scale`` times as long."""
     pose = camera.camera_to_world.copy()
     pose[:3, 3] *= scale
     return camera.at(pose)
 
 
 def splits_path(place: Path) -> Path:
-    """Where a scene's splits.json belongs: in its folder, or in one named like its file."""
+    """Return where a scene's splits.json belongs: in its folder, or in one named like its file."""
     return (place if place.is_dir() else place.with_suffix("")) / "splits.json"
 
 
 def _inferred(
     source: SceneSource, reader: SceneFormat, capture: Capture, beside: Path, turn: NDArray[np.float64]
 ) -> Iterable[Inferred]:
-    """What was inferred about the format, the split and the up axis, because neither the user nor a file says it."""
+    """Yield what was inferred about format, split and up axis because neither the user nor a file says it."""
     if source.scene_format is None:
         looks_for = next(each.looks_for for each in SCENE_FORMAT_NAMES if each.name == reader.name)
         yield Inferred("format", f"the format is {reader.name}", f"it looks for {looks_for}", is_doubtful=False)
@@ -177,7 +177,7 @@ def _inferred(
 def complete(
     frames: tuple[Frame, ...], lacks: str, has: Callable[[Frame], bool]
 ) -> tuple[tuple[Frame, ...], tuple[LeftOut, ...], tuple[str, ...]]:
-    """``complete_frames`` with a note of those left out, and the other warnings."""
+    """Return what `complete_frames` keeps, which frames it left out, and its other warnings."""
     kept, warnings = complete_frames(frames, lacks, has)
     names = {frame.name for frame in kept}
     gone = left_out(lacks, (frame.name for frame in frames if frame.name not in names))
@@ -197,7 +197,7 @@ def _refuse_repeated_names(shots: Sequence[Shot], place: Path) -> None:
 
 
 def _of_lenses(shots: Sequence[Shot], cameras: Mapping[str, Camera], kept: Mapping[str, KeptPixels]) -> list[str]:
-    """Warnings of lenses that look wrong, of pixels that do not count, and of pictures whose distortion is removed."""
+    """Return warnings of lenses that look wrong, of pixels that do not count, and of distortion that is removed."""
     middles = {name: (lens.cx / lens.width, lens.cy / lens.height) for name, lens in cameras.items()}
     aside = [name for name, middle in middles.items() if max(abs(share - 0.5) for share in middle) > _FAR_ASIDE]
     is_bent = any(shot.distortion.bends for shot in shots)
@@ -206,7 +206,7 @@ def _of_lenses(shots: Sequence[Shot], cameras: Mapping[str, Camera], kept: Mappi
 
 
 def _depths(shots: Sequence[Shot], beside: Path, scale: float) -> tuple[dict[str, DepthMap], bool]:
-    """The depth of the shots, in metres, and whether ``engine depth`` made it: only where no shot has its own."""
+    """The shots' depth in metres, and whether `engine depth` made it, which is used only if no shot has its own."""
     of_shot = {shot.name: shot for shot in shots}
     found = of_most(list(of_shot), lambda name: _readable_depth(of_shot[name]))
     measured = {name: each for name, each in found.items() if each is not None}
@@ -223,7 +223,7 @@ def _readable_depth(shot: Shot) -> DepthMap | None:
 
 
 def _kept_pixels(shots: Sequence[Shot], beside: Path) -> dict[str, KeptPixels]:
-    """Which pixels of a shot count, if its own file or black-and-white pictures in the folder of masks say so."""
+    """Return which pixels of each shot count, if its own file or black-and-white pictures beside the masks say so."""
     folder = beside / MASK_FOLDER
     paths = {shot.name: shot.kept_pixels for shot in shots if shot.kept_pixels is not None}
     if not paths and folder.is_dir() and says_what_counts(folder):
@@ -244,7 +244,7 @@ def _bent_lens(shot: Shot) -> tuple[Camera, Distortion] | None:
 
 
 def _frame(shot: Shot, camera: Camera, held_out: bool, depth: DepthMap | None, kept: KeptPixels | None) -> Frame:
-    """A shot's frame, with ``depth`` limited to the pixels that are ``kept``, without mask and ground truth."""
+    """Return a shot's frame, still without mask and ground truth. ``depth`` becomes 0 outside the pixels ``kept``."""
     path, bend = shot.colour_path, shot.distortion
     read = shot.read_colour or partial(decode, path, as_colour=True)
     if bend.bends:
@@ -274,7 +274,7 @@ def _frame(shot: Shot, camera: Camera, held_out: bool, depth: DepthMap | None, k
 
 
 def _alike(frames: Iterable[str], classes: ClassTable) -> Iterable[str]:
-    """Warnings about names that are equal, or differ only in case."""
+    """Yield warnings about names that are equal, or differ only in case."""
     for found in _alike_names((name, name) for name in frames):
         what = f"frames {listed(found)} have names that differ only in capitals"
         yield f"{what}: on a disk of Windows or macOS the passes of one take the place of the other's"
@@ -288,7 +288,7 @@ def _alike(frames: Iterable[str], classes: ClassTable) -> Iterable[str]:
 
 
 def _alike_names(named: Iterable[tuple[str, str]]) -> list[list[str]]:
-    """Groups of equal names, ignoring case, each by its second text."""
+    """Group pairs of (name, label) whose names are equal but for case. Returns the labels of each group of several."""
     found: dict[str, list[str]] = {}
     for name, text in named:
         found.setdefault(name.casefold(), []).append(text)
@@ -308,7 +308,7 @@ def require_liftable(scene: Scene) -> None:
 
 
 def open_scene_to_lift(source: SceneSource, progress: Progress = unwatched) -> Scene:
-    """``open_asked`` for a lift. Raises PlgsError, including if masks or depth are missing."""
+    """Open a scene as ``open_asked`` does, for a lift. Raises PlgsError, also if masks or depth are missing."""
     scene = open_asked(source, progress)
     require_liftable(scene)
     return scene

@@ -28,8 +28,8 @@ _FIX = "Name their classes under categories, or name the table of their numbers 
 
 @dataclass(frozen=True)
 class EvidenceReader:
-    """Reads one frame's detections ``found`` in the file ``path``; the frame's own size is ``own`` (width, height).
-    ``number_of`` maps their labels to numbers in ``known``."""
+    """Reads one frame's detections ``found`` from the file ``path``. ``own`` is the frame's size (width, height), and
+    ``number_of`` maps their labels to class numbers in ``known``."""
 
     path: Path
     own: Size
@@ -38,7 +38,7 @@ class EvidenceReader:
     known: ClassMap
 
     def __call__(self, size: Size | None = None) -> Evidence:
-        """The evidence at ``size`` or the frame's own. Detections of the same pixels share one vote by their scores."""
+        """Read the detections at ``size`` or the frame's own. Those of the same pixels share a vote by their scores."""
         width, height = size or self.own
         total: dict[bytes, float] = {}
         for one in self.found:
@@ -63,9 +63,9 @@ class EvidenceReader:
 
 @dataclass(frozen=True)
 class Detections:
-    """Detections of a scene's frames, the frames' ``sizes`` (width, height), and the ``labels``, None if unnamed. If
-    the pictures' ids can be read in two ways, ``by_table`` says whether they are read as those of the masks' table, and
-    ``otherwise`` are the detections as read in the other way."""
+    """The detections of a scene's frames, the frames' ``sizes`` (width, height), and the ``labels``, None if unnamed.
+    Their pictures' ids may be readable in two ways: ``by_table`` says whether those of the masks' table were assumed,
+    and ``otherwise`` are the detections as read the other way."""
 
     path: Path
     sizes: Mapping[str, Size]
@@ -76,8 +76,8 @@ class Detections:
     otherwise: Detections | None = None
 
     def joined(self, labels: Sequence[ClassLabel]) -> tuple[dict[int, int], tuple[ClassLabel, ...]]:
-        """Maps each label of the detections to the masks' ``labels`` of the same name, and lists the classes that these
-        lack, with free numbers. Raises PlgsError if a number's meaning is unknown."""
+        """Map each label of the detections to the masks' label of the same name. Returns this, and the classes that the
+        masks' ``labels`` lack, with free numbers. Raises PlgsError if a number's meaning is unknown."""
         used = sorted({one.label for each in self.found.values() for one in each if one.label is not None})
         if not used and any(self.found.values()):
             raise PlgsError("no-class-names", "the detections have no classes", self.path, _FIX, option="--detections")
@@ -101,7 +101,7 @@ class Detections:
 
 
 def open_detections(path: Path, masks: Path, sizes: Mapping[str, Size], progress: Progress = unwatched) -> Detections:
-    """The detections in ``path``, over ``masks``, for frames of these ``sizes``. Raises PlgsError."""
+    """Open the detections in ``path``, which lie over ``masks``, for frames of these ``sizes``. Raises PlgsError."""
     folder = masks if masks.is_dir() else masks.parent
     if not path.exists():
         raise PlgsError("no-detections", "there are no detections", path, "Name a JSON file.", option="--detections")
@@ -115,7 +115,7 @@ def open_detections(path: Path, masks: Path, sizes: Mapping[str, Size], progress
 
 
 def _labels(table: DetectionTable, masks: Path) -> tuple[ClassLabel, ...] | None:
-    """The classes of the file, or of a classes.toml beside it, unless that is the masks'."""
+    """Return the classes that the file names, or a classes.toml beside it, unless that is the masks'."""
     path, labels = table.path, table.labels
     choice = find_class_choice(None, path.parent) if path.parent != masks else None
     if labels is None and choice is not None:

@@ -1,4 +1,4 @@
-"""The contents of a scene and the classes of its masks, for ``python -m engine inspect``, ``classes`` and the panel."""
+"""Summarise a scene and the classes of its masks, for ``python -m engine inspect``, ``classes`` and the panel."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from .opening import open_asked
 
 @dataclass(frozen=True)
 class ClassReport:
-    """One class of the masks, its ``colour`` in sRGB bytes, and its share of all mask pixels (0..1)."""
+    """A class of the masks: ``colour`` in sRGB bytes, and ``share`` of all mask pixels (0..1)."""
 
     id: int
     name: str
@@ -68,7 +68,7 @@ class SceneReport:
 
 
 def report_of(survey: Survey) -> SceneReport:
-    """A survey's summary."""
+    """Summarise a survey of a scene."""
     scene = survey.scene
     depths = [fact.depth for fact in survey.frames if fact.depth is not None]
     masks = [fact.mask for fact in survey.frames if fact.mask is not None]
@@ -111,7 +111,8 @@ _AGAIN = "Read the classes again."
 
 @dataclass(frozen=True)
 class ClassList:
-    """``rows`` by the masks' numbers, ``void`` numbers, and the ``path`` of classes.toml, which may not exist yet."""
+    """The classes of a scene's masks as an editable list: ``rows`` by the masks' numbers, the numbers that mean
+    ``void``, and the ``path`` of classes.toml, which may not exist yet."""
 
     path: Path
     rows: tuple[NamedClass, ...]
@@ -119,8 +120,8 @@ class ClassList:
 
 
 def list_classes(source: SceneSource, table: str | None = None) -> ClassList:
-    """The classes in the masks' files and in a classes.toml beside them. Opens the scene; raises PlgsError. ``table``
-    starts over with a table's classes (see ``TABLES``), for masks whose files name none."""
+    """The classes in the masks' files and in a classes.toml beside them. With ``table`` (see ``TABLES``), the list
+    starts over with that table's classes, for masks whose files name none. The scene is opened. Raises PlgsError."""
     path = class_list_path(source.scene, source.masks)
     scene = open_asked(replace(source, up="z", classes=table))
     place, names = _place_of_masks(source.scene, source.masks), [frame.name for frame in scene.frames]
@@ -138,9 +139,9 @@ def list_classes(source: SceneSource, table: str | None = None) -> ClassList:
 
 
 def write_class_list(source: SceneSource, edited: Path) -> Path:
-    """Write the classes.toml beside a scene's masks from an edited ClassList in a JSON file; its path. Colours in an
-    existing one are kept, and one that we did not write stays as "classes.before.toml". Raises PlgsError for a list of
-    another scene, and for a class without a name."""
+    """Write the classes.toml beside a scene's masks from an edited ClassList, which is in a JSON file, and return its
+    path. Colours of an existing one are kept, and one that we did not write is renamed to "classes.before.toml". Raises
+    PlgsError for a list of another scene, and for a class without a name."""
     content: dict[str, Any] = read_object(edited, _AGAIN)
     listed, path = record_of(ClassList, content, edited, _AGAIN), class_list_path(source.scene, source.masks)
     if not listed.rows:
@@ -161,7 +162,7 @@ def write_class_list(source: SceneSource, edited: Path) -> Path:
 
 
 def class_list_path(folder: Path, masks: Path | None = None) -> Path:
-    """The classes.toml beside a scene's masks, which may not exist yet. Raises PlgsError without masks."""
+    """The path of the classes.toml beside a scene's masks; it may not exist yet. Raises PlgsError without masks."""
     place = _place_of_masks(folder, masks)
     beside = place if place.is_dir() else place.parent
     path = beside / FILE_NAME

@@ -1,8 +1,7 @@
-"""Inspects a picture's values before they become masks or ids, to detect what programs do when they save it again.
+"""Inspect a picture's values before they become masks or ids, to detect what other programs did when they saved it.
 
 A mask of one object may have soft edges, JPEG noise, or a network's probabilities instead of two values. A picture of
-ids may have been resized with a filter, which averages neighbouring ids. Palettes may differ between frames.
-"""
+ids may have been resized with a filter, which averages neighbouring ids. Palettes may differ between frames."""
 
 from __future__ import annotations
 
@@ -37,8 +36,9 @@ def are_mixed(values: NDArray[Any], every: int = 1) -> bool | None:
 
 
 def inside(values: NDArray[Any], path: Path) -> NDArray[np.bool_]:
-    """The pixels of the one object in a mask [H, W], bool [H, W]: those that are not 0 if there are two values, else
-    those above half of the range, whether of probabilities, logits, 8 or 16 bits. Raises PlgsError for several ids."""
+    """Return the pixels of the object in a mask [H, W] of one object, bool [H, W]. These are the values other than 0 if
+    there are only two, else those above half of the range, whether of probabilities, logits, 8 or 16 bits. Raises
+    PlgsError if the values look like several ids."""
     if values.dtype.kind == "b" or not values.size:
         return values.astype(np.bool_)
     if values.dtype.kind == "f":
@@ -56,7 +56,7 @@ def inside(values: NDArray[Any], path: Path) -> NDArray[np.bool_]:
 
 
 def checked_ids(ids: NDArray[Any], path: Path) -> NDArray[Any]:
-    """``ids`` [H, W]. Raises PlgsError if a filter has mixed them."""
+    """Return ``ids`` [H, W] unchanged. Raises PlgsError if a filter has mixed them."""
     if are_mixed(ids, every=4):
         fix = "Resize ids with nearest neighbour, and save them as PNG."
         raise PlgsError("mixed-ids", "ids are mixed at edges, as after a resize with a filter, or in a JPEG", path, fix)
@@ -64,8 +64,8 @@ def checked_ids(ids: NDArray[Any], path: Path) -> NDArray[Any]:
 
 
 def numbers_of_colours(paths: Sequence[Path], is_class: bool = False) -> dict[bytes, int] | None:
-    """A number for each colour in the palettes of PNGs, 0 for black; None if all have the same palette, or none. Raises
-    PlgsError if colours cannot serve as numbers, as with ``is_class``: then an index is a class."""
+    """Number the colours of PNGs' palettes, 0 for black, if the palettes differ; else return None. Raises PlgsError if
+    colours cannot be ids: with ``is_class``, where an index is a class, or without black, or if some are grey."""
     palettes = {path: palette for path in paths if (palette := palette_of(path))}
     longest = max(palettes.values(), key=len, default=b"")
     if all(longest.startswith(each) for each in palettes.values()):
@@ -78,14 +78,14 @@ def numbers_of_colours(paths: Sequence[Path], is_class: bool = False) -> dict[by
 
 
 def by_colour(indices: NDArray[np.int32], path: Path, numbers: Mapping[bytes, int]) -> NDArray[np.int32]:
-    """The ``numbers`` for the colours of ``indices`` [H, W] in a PNG's own palette."""
+    """Return the ``numbers`` of the colours that ``indices`` [H, W] have in a PNG's own palette, int32 [H, W]."""
     palette = palette_of(path)
     table = [numbers[palette[i : i + 3]] for i in range(0, len(palette), 3)]
     return np.array(table + [0] * (256 - len(table)), np.int32)[indices]  # indices beyond the palette are void
 
 
 def palette_of(path: Path) -> bytes:
-    """The colours of a PNG's palette, 3 bytes each; empty without one. Raises PlgsError."""
+    """Return the colours of a PNG's palette, 3 bytes each; b"" without one. Raises PlgsError."""
     with reading(path), open_plain(path) as file:
         file.seek(8)
         while len(head := file.read(8)) == 8 and head[4:] not in (b"IDAT", b"IEND"):

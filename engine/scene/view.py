@@ -1,5 +1,5 @@
-"""Views: a frame's pixels at one common size, for the lift, without the black borders that undistortion leaves; threads
-that read frames ahead; and sequences whose items are made on demand, or read back from disk."""
+"""Views: a frame's pixels at one common size, for the lift, without black borders from undistortion; threads that read
+frames ahead; and sequences whose items are made on demand, or read back from disk."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ SEAM = 2  # pixels beside a border that resampling and JPEG have blended with it
 
 
 def border_mask(colour: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """The pixels of a picture uint8 [H, W, 3] at full size that show only a black border: thin, black, smooth, along a
-    side; bool [H, W]. Dark things at the edge reach too far in, have ragged outlines or are not quite black."""
+    """Return the pixels of a full-size picture, uint8 [H, W, 3], that belong to a black border, bool [H, W]. A border
+    is thin, black, smooth and along a side; dark things there reach farther in, are ragged or are not quite black."""
     import cv2
 
     sides = (colour[0], colour[-1], colour[:, 0], colour[:, -1])
@@ -50,7 +50,7 @@ def border_mask(colour: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def _add_upper(border: NDArray[np.bool_], dark: NDArray[np.bool_], brightest: NDArray[np.uint8]) -> None:
-    """Mark the border along the upper side, all [H, W], in ``border``."""
+    """Mark the border along the upper side in ``border``; all arrays are [H, W]."""
     height, width = dark.shape
     thickness = np.where(dark.all(axis=0), height, dark.argmin(axis=0))  # argmin is 0 where all are dark
     is_thin = (thickness > 0) & (thickness <= THICKEST * height)
@@ -71,10 +71,10 @@ Rows = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Colour uint8 [H, W, 3], depth float32 [H, W] metres (0 = none) and mask of a frame at the size of ``camera``.
-    ``border`` bool [H, W] marks pixels of a black border and those that do not count; None if there are none.
-    ``mask_scale`` is how many pixels of the frame's own mask the side of a pixel spans. ``layers`` are the detections
-    over the mask, in pictures in which none overlap (see ``Evidence``). ``frame`` names the frame of a layer."""
+    """A frame's pixels at the size of ``camera``: colour uint8 [H, W, 3], depth float32 [H, W] metres (0 = none) and
+    mask. ``border`` bool [H, W] marks pixels of a black border and those that do not count; None if there are none.
+    ``mask_scale`` is the side of a pixel in pixels of the frame's own mask. ``layers`` are the detections over the
+    mask, as pictures without overlaps (see ``Evidence``). ``frame`` names the frame of a layer."""
 
     name: str
     camera: Camera
@@ -87,20 +87,20 @@ class View:
     frame: str = ""
 
     def layer(self, number: int) -> View:
-        """One of the layers as a view of the same frame."""
+        """Return one of the layers as a view of the same frame."""
         name = f"{self.name}#{number}"
         return replace(self, name=name, mask=self.layers[number], layers=(), frame=self.name)
 
     def places_in(self, xyz: NDArray[np.floating]) -> tuple[Rows, Rows, Rows, NDArray[np.float64]]:
-        """The rows [n] of the world points ``xyz`` [N, 3] that project into the picture, occluded or not; the row and
-        column of each one's pixel, and its planar depth, float64 [n]."""
+        """Return which of the world points ``xyz`` [N, 3] project into the picture, hidden ones included: their rows
+        [n], the row and column [n] of each one's pixel, and its planar depth in metres, float64 [n]."""
         number, pixel, depth = self.camera.seen(xyz)
         x, y = pixel.astype(np.int64).T
         return number, y, x, depth
 
     def seen_of(self, xyz: NDArray[np.floating], near: float = NEAR) -> tuple[Rows, Rows, Rows]:
-        """The rows [n] of the points ``xyz`` [N, 3] that the view's own depth shows, within ``near`` metres or
-        NEAR_SHARE of it, and the row and column of each one's pixel."""
+        """Return which of the points ``xyz`` [N, 3] the view sees: those within ``near`` metres, or NEAR_SHARE, of its
+        own depth. Returns their rows [n], and the row and column [n] of each one's pixel."""
         number, y, x, depth = self.places_in(xyz)
         measured = self.depth[y, x]
         shows = (measured > 0) & (np.abs(measured - depth) <= np.maximum(near, NEAR_SHARE * measured))
@@ -108,7 +108,7 @@ class View:
 
 
 def load_view(frame: Frame, size: Size | None = None) -> View:
-    """Read a frame at ``size`` (width, height), or at its own. Raises PlgsError, including without depth or mask."""
+    """Read a frame at ``size`` (width, height), or at its own. Raises PlgsError, also if it lacks depth or mask."""
     width, height = size or frame.size
     colour = frame.read_colour(None)
     border = border_mask(colour)
@@ -127,8 +127,9 @@ def load_view(frame: Frame, size: Size | None = None) -> View:
 
 
 def read_ahead(frames: Sequence[Frame], read: Callable[[Frame], Read]) -> Iterator[Read]:
-    """``read`` of each frame in order, a few frames ahead. Decoding a picture releases Python's lock. Frames of one
-    file, such as a video, are read one after another. Errors of ``read`` are raised at the frame's turn."""
+    """Yield ``read(frame)`` of each frame in order, reading a few frames ahead in threads, as decoding a picture
+    releases Python's lock. Frames of one file, such as a video, are read one by one. An error is raised at its frame's
+    turn."""
     if not all(frame.file_shows_colour for frame in frames):
         yield from map(read, frames)
         return
@@ -149,7 +150,7 @@ Item = TypeVar("Item", covariant=True)
 
 
 class OnDemand(Sequence[Item]):
-    """``count`` items, each made by ``make`` from its index (0..) at every access."""
+    """A sequence of ``count`` items, each made by ``make`` from its index (0..) at every access."""
 
     def __init__(self, count: int, make: Callable[[int], Item]) -> None:
         self._count, self._make = count, make
@@ -171,19 +172,19 @@ class OnDemand(Sequence[Item]):
 
 
 def chained(first: Sequence[Item], second: Sequence[Item]) -> OnDemand[Item]:
-    """The items of ``first``, then those of ``second``, each fetched on demand."""
+    """Return the items of ``first``, then those of ``second``, each fetched on demand."""
     start = len(first)
     return OnDemand(start + len(second), lambda index: first[index] if index < start else second[index - start])
 
 
 def watched(items: Sequence[Item], progress: Progress) -> OnDemand[Item]:
-    """The items; ``progress`` is called with (number, count) before each is fetched."""
+    """Return the items as a sequence that calls ``progress`` with (number, count) before it fetches one."""
     return OnDemand(len(items), lambda index: (progress(index, len(items)), items[index])[1])
 
 
 class StoredArrays:
-    """Arrays on disk, read back by number, for one thread. The file is in ``folder`` (None: the system's for temporary
-    files) and is deleted with this object or at the end of the process. Raises OSError if the disk is full."""
+    """Arrays on disk, which one thread reads back by number. The file is in ``folder`` (None: the system's for
+    temporary files) and is deleted with this object or at the process's end. Raises OSError if the disk is full."""
 
     def __init__(self, folder: Path | None = None) -> None:
         self._file = TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 - open until this object is gone
@@ -194,11 +195,11 @@ class StoredArrays:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all arrays together."""
+        """The number of bytes of all arrays together."""
         return self._file.seek(0, SEEK_END)
 
     def append(self, array: NDArray[Any]) -> int:
-        """Store an array; returns its number."""
+        """Store an array and return its number."""
         whole = np.ascontiguousarray(array)
         self._places.append((self.nbytes, whole.dtype, whole.shape))
         rest = whole.reshape(-1).view(np.uint8).data  # numpy's tofile raises an OSError without its number
@@ -207,14 +208,14 @@ class StoredArrays:
         return len(self) - 1
 
     def __getitem__(self, number: int) -> NDArray[Any]:
-        """The array, bit for bit as it was."""
+        """Return the array, bit for bit as it was."""
         start, dtype, shape = self._places[number]
         self._file.seek(start)
         return np.fromfile(self._file, dtype, prod(shape)).reshape(shape)
 
 
 def stored(arrays: Iterable[NDArray[Any]], folder: Path | None = None) -> OnDemand[NDArray[Any]]:
-    """The arrays, read back from disk on demand (see StoredArrays)."""
+    """Store the arrays on disk. Returns a sequence that reads each back on demand (see StoredArrays)."""
     on_disk = StoredArrays(folder)
     for array in arrays:
         on_disk.append(array)
@@ -222,7 +223,7 @@ def stored(arrays: Iterable[NDArray[Any]], folder: Path | None = None) -> OnDema
 
 
 class StoredViews(OnDemand[View]):
-    """Views on disk, in order, each read back on demand, bit for bit: a long scan does not fit into memory. They are
+    """Views on disk, in order, each read back on demand, bit for bit, as a long scan does not fit into memory. They are
     stored one after another in ``folder`` (see StoredArrays). ``stored`` is called with their number so far."""
 
     def __init__(

@@ -37,7 +37,7 @@ _GAP = 0.25  # maximum seconds between two poses to interpolate between them
 
 
 def _folder(place: Path) -> Path | None:
-    """The folder with the trajectory: the given one, or its subfolder of frames."""
+    """Return the folder with the trajectory: the given one, or its subfolder of frames."""
     inside = [each for each in shown_files(place, "*_frames")] if place.is_dir() else []
     return next((each for each in (place, *inside) if (each / _TRAJECTORY).is_file()), None)
 
@@ -62,7 +62,7 @@ def _read(place: Path, progress: Progress) -> Capture:
 
 
 def _by_time(files: Mapping[str, Path]) -> dict[float, Path]:
-    """Files by the seconds at the end of their names. Raises PlgsError."""
+    """Return the files by the seconds at the end of their names. Raises PlgsError."""
     found = {}
     for stem, path in files.items():
         try:
@@ -79,7 +79,7 @@ def _nearest(of_times: Mapping[float, Value], seconds: float) -> Value | None:
 
 
 def _read_trajectory(path: Path) -> dict[float, NDArray[np.float64]]:
-    """Camera-to-world poses, float64 [4, 4], by ascending seconds. Raises PlgsError."""
+    """Read camera-to-world poses, float64 [4, 4], by ascending seconds. Raises PlgsError."""
     import cv2
 
     found = {}
@@ -93,7 +93,7 @@ def _read_trajectory(path: Path) -> dict[float, NDArray[np.float64]]:
 
 
 def _pose_at(poses: Mapping[float, NDArray[np.float64]], seconds: float) -> NDArray[np.float64] | None:
-    """The interpolated pose at this time; None if the poses around it are too far apart."""
+    """Return the interpolated pose at this time; None if the poses around it are too far apart."""
     import cv2
 
     times: Sequence[float] = [*poses]

@@ -65,7 +65,7 @@ def _read(place: Path, progress: Progress) -> Capture:
 
 
 def _names(path: Path, cameras: int) -> list[Path] | None:
-    """The pictures in the list beside the file, of which each line begins with a name; None if there is none."""
+    """Return the pictures in the list beside the file, whose lines begin with their names; None if there is no list."""
     folders = [path.parent, *sorted(each for each in shown_files(path.parent) if each.is_dir())]
     stem = path.name.removesuffix(".out")
     lists = [path.with_name(each) for each in (f"{stem}.list.txt", f"{stem}-list.txt", f"{stem}.txt", "list.txt")]
@@ -78,7 +78,7 @@ def _names(path: Path, cameras: int) -> list[Path] | None:
 
 
 def _picture(line: str) -> str:
-    """The picture that a line of Bundler's list names: ``images/0001.jpg 0 1234.5``."""
+    """Return the picture that a line of Bundler's list names, such as ``images/0001.jpg 0 1234.5``."""
     words = line.strip().split(" ")
     ends = [at for at, word in enumerate(words, 1) if word.lower().endswith((".jpg", ".jpeg", ".png"))]
     return " ".join(words[: ends[0]]) if ends else words[0]
@@ -108,7 +108,7 @@ def _shot(name: str, row: NDArray[np.float64], path: Path, picture: Path) -> Sho
 
 
 def _points(values: NDArray[np.float64], count: int, names: Sequence[str], path: Path) -> SparsePoints | None:
-    """The points, and which of them each picture shows. Raises PlgsError."""
+    """Return the points, and which of them each picture shows. Raises PlgsError."""
     check_count(count, "points", path, _FIX, most=10**7, room=len(values) // (_POINT + 1), made=200)
     if not (np.abs(values) < _LARGEST).all():  # False for NaN
         raise PlgsError("not-numbers", "a point has values that are no numbers", path, _FIX)

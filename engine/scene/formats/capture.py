@@ -1,4 +1,4 @@
-"""Formats of scenes and the results of their readers: posed pictures in one convention, without masks or split."""
+"""What readers of scene formats return: posed pictures in one convention, without masks or split."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ _NOT_IN_NAMES = re.compile(r'[\x00-\x1f<>:"|?*]')
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """One posed picture. The camera is in the format's own world; its pose uses OpenCV's axes and metres.
-    ``read_colour`` returns uint8 [H, W, 3] RGB at the camera's size; None if the image file at ``colour_path`` is it.
-    Reading removes the ``distortion`` of colour and depth. ``kept_pixels``: a picture that is black where pixels do not
-    count."""
+    """One posed picture. ``camera`` has its pose in the format's own world, with OpenCV's axes, in metres.
+    ``read_colour`` returns uint8 [H, W, 3] RGB at the camera's size; it is None if ``colour_path`` is that image.
+    Readers remove the ``distortion`` from colour and depth. ``kept_pixels`` is a picture that is black where pixels do
+    not count."""
 
     name: str
     camera: Camera
@@ -46,11 +46,11 @@ Found = Shot | PlgsError | None  # a picture as a reader found it: None without 
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """All pictures in recording order: ``found`` pairs each name with what was found. ``up`` is the axis of the
-    format's world that points up, None if the format does not say; ``up_is_known``: it was measured, so sideways
-    cameras cause no warning. ``split`` is set by readers whose format defines one. ``left_out`` lists frames besides
-    those of ``found``, ``inferred`` what no file says. ``fps`` is the rate of the numbers in names, None if unknown.
-    ``has_unit``: lengths are metres."""
+    """All pictures of a scene in recording order: ``found`` pairs each name with its Shot, with the error that makes it
+    unreadable, or with None if it has no pose. ``up`` is the axis that points up, None if the format does not say; if
+    it was measured (``up_is_known``), sideways cameras cause no warning. ``split`` is set by readers whose format has
+    one. ``left_out`` lists frames besides those of ``found``, ``inferred`` what no file says. ``fps`` is the frame rate
+    by which the numbers in names count, None if unknown. ``has_unit``: lengths are metres."""
 
     found: Sequence[tuple[str, Found]]
     up: UpAxis | None
@@ -69,17 +69,17 @@ class Capture:
 
     @property
     def unreadable(self) -> dict[str, PlgsError]:
-        """Why pictures cannot be read, by their names. They are left out."""
+        """The errors of unreadable pictures, by name. Their frames are left out."""
         return {name: shot for name, shot in self.found if isinstance(shot, PlgsError)}
 
     @property
     def lost(self) -> list[str]:
-        """The names of pictures without a pose. They are left out."""
+        """The names of pictures without a pose. Their frames are left out."""
         return [name for name, shot in self.found if shot is None]
 
 
 def with_picture(picture: Path, make: Callable[[], Shot | None] | None) -> Found:
-    """What ``make`` (None: no pose) returns for the file ``picture``, or why it cannot be read, by its header."""
+    """The result of ``make`` (None: no pose), or the error if the header shows that ``picture`` is unreadable."""
     return None if make is None else fault_of(picture) or make()
 
 
@@ -91,8 +91,8 @@ ListedCamera = tuple[str, Path | None, Callable[[Path], Shot | None] | None]
 def shots_of(
     cameras: Sequence[ListedCamera], place: Path, progress: Progress
 ) -> tuple[list[tuple[str, Found]], tuple[LeftOut, ...]]:
-    """What was found for cameras, by their names in natural order, and those left out. Raises PlgsError if all pictures
-    are missing at ``place``."""
+    """Return what was found for each of ``cameras``, by name in natural order, and which frames were left out. Raises
+    PlgsError if all pictures are missing at ``place``."""
     missing = [name for name, picture, _ in cameras if picture is None]
     if missing and len(missing) == len(cameras):
         raise PlgsError("no-pictures", f"the pictures are missing ({listed(missing)})", place, "Copy them there.")
@@ -105,7 +105,7 @@ def shots_of(
 
 
 def only_file(place: Path, suffix: str) -> Path | None:
-    """The file with this suffix: ``place`` itself, or the only one in it."""
+    """Return the file with this suffix: ``place`` itself, or the only one in it; else None."""
     if place.is_file():
         return place if place.suffix.lower() == suffix else None
     found = [path for path in shown_files(place, f"*{suffix}") if path.is_file()]
@@ -115,7 +115,7 @@ def only_file(place: Path, suffix: str) -> Path | None:
 @dataclass(frozen=True)
 class SceneFormat:
     """A format of scenes by its ``name``, one of `SCENE_FORMAT_NAMES`. ``recognises`` says whether a folder or file has
-    it, by names alone. ``read`` opens the frames; of pictures it reads headers only. It raises PlgsError."""
+    it, by names alone. ``read`` opens the frames and reads only the headers of pictures. It raises PlgsError."""
 
     name: str
     recognises: Callable[[Path], bool]
@@ -123,8 +123,8 @@ class SceneFormat:
 
 
 def frame_names(paths: Sequence[str]) -> list[str]:
-    """The stems of ``paths`` if these are all different, otherwise the whole paths with ``_`` between their parts.
-    Other files are named after frames, so characters not allowed in file names become ``_`` too."""
+    """The names of frames: the stems of ``paths`` if these are all different, else the whole paths with ``_`` between
+    their parts. Other files are named after frames, so characters not allowed in file names become ``_`` too."""
     pure = [PurePosixPath(path.replace("\\", "/")) for path in paths]  # files written on Windows
     parts = [(each.with_suffix("") if each.name else each).parts for each in pure]  # with_suffix needs a name
     named = [[part for part in each if part not in (".", "..", "/", "//")] for each in parts]  # perhaps nothing

@@ -50,7 +50,7 @@ def _find_model(place: Path) -> Path | None:
 
 
 def _has_depth(place: Path) -> bool:
-    """Whether there are depth maps: COLMAP's image_undistorter creates empty folders for them."""
+    """Whether there are depth maps, rather than the empty folders that COLMAP's image_undistorter creates for them."""
     return any((place / _DEPTH_MAPS).rglob("*.bin"))
 
 
@@ -103,7 +103,7 @@ def _read(place: Path, progress: Progress) -> Capture:
 
 
 def _find_images(place: Path, images: list[ColmapImage]) -> Path:
-    """The folder that image names are relative to: the first that has the first image."""
+    """Return the folder that image names are relative to: the first that contains the first image."""
     first = images[0].name
     for name in _IMAGES:
         if file_inside(place / name, first, place).is_file():
@@ -132,7 +132,7 @@ def _shot(
 
 
 def _lens(colmap: ColmapModel, number: int) -> tuple[Camera, Distortion]:
-    """A camera at the origin with the lens's focal lengths, and its distortion."""
+    """Return a camera at the origin with the lens's intrinsics, and its distortion."""
     camera, folder = colmap.cameras[number], colmap.folder
     model, values = camera.model, camera.parameters
     alone = 1 if model.startswith(("SIMPLE", "RADIAL")) else 2  # one focal length, or fx and fy
@@ -146,7 +146,7 @@ def _lens(colmap: ColmapModel, number: int) -> tuple[Camera, Distortion]:
 
 
 def _points(model: ColmapModel, names: list[str], images: list[ColmapImage]) -> SparsePoints | None:
-    """The model's points, and which of them each frame shows; None when there are none."""
+    """Return the model's points, and which of them each frame shows; None if there are none."""
     if not len(model.points):
         return None
     order = np.argsort(model.point_ids)
@@ -160,7 +160,7 @@ def _points(model: ColmapModel, names: list[str], images: list[ColmapImage]) -> 
 
 
 def _read_dense(path: Path) -> NDArray[np.float32]:
-    """A depth map of COLMAP's stereo: "width&height&channels&" and float32, row by row."""
+    """Read a depth map of COLMAP's stereo: the text "width&height&channels&", then float32 row by row."""
     data = read_file(path, _MOST_DEPTH)
     head = data[:64].split(b"&", 3)
     if len(head) < 4 or not all(part.isdigit() for part in head[:3]):

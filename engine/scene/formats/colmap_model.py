@@ -39,7 +39,7 @@ UNDISTORT = (
 
 @dataclass(frozen=True)
 class ColmapCamera:
-    """A lens: the ``model``'s name and its parameters, in pixels with centres at +0.5."""
+    """A lens: the name of COLMAP's ``model`` and its parameters, in pixels, with pixel centres at +0.5."""
 
     model: str
     width: int
@@ -49,7 +49,7 @@ class ColmapCamera:
 
 @dataclass(frozen=True, eq=False)
 class ColmapImage:
-    """A registered picture: world-to-camera as quaternion w x y z and translation, and the ids of its points."""
+    """A registered picture: quaternion w x y z and translation, world-to-camera, and the ids of its points."""
 
     name: str
     camera: int
@@ -60,7 +60,7 @@ class ColmapImage:
 
 @dataclass(frozen=True, eq=False)
 class ColmapModel:
-    """Cameras by id, and images. ``point_ids`` int64 [N] belong to the rows of ``points``."""
+    """A model: cameras by id, images, and points. ``point_ids`` int64 [N] belong to the rows of ``points``."""
 
     folder: Path
     cameras: Mapping[int, ColmapCamera]
@@ -70,7 +70,7 @@ class ColmapModel:
 
 
 def has_model(folder: Path) -> bool:
-    """Whether a folder holds a model, text or binary."""
+    """Whether a folder holds a model, as text or binary."""
     return any(all((folder / f"{name}.{suffix}").is_file() for name in ("cameras", "images")) for suffix in _SUFFIXES)
 
 
@@ -90,24 +90,24 @@ def read_model(folder: Path) -> ColmapModel:
 
 
 class _Bytes:
-    """A binary file read from front to back. Raises PlgsError if it is shorter than it claims."""
+    """A binary file read from front to back. Methods raise PlgsError if it is shorter than it claims."""
 
     def __init__(self, path: Path, most_bytes: int = _MOST_BYTES) -> None:
         self.path, self.position, self.data = path, 0, read_file(path, most_bytes)
 
     def take(self, layout: str) -> tuple[float, ...]:
-        """The next values; ``layout`` is a format of ``struct``."""
+        """Read the next values; ``layout`` is a format of ``struct``."""
         return struct.unpack_from(layout, self.data, self.skip(struct.calcsize(layout)))
 
     def count(self, things: str, least_bytes: int, most: int = _MOST_BYTES) -> int:
-        """How many ``things`` follow, of at least ``least_bytes`` each; in memory they take no more."""
+        """Read how many ``things`` follow. Raises PlgsError if the file is too short, at ``least_bytes`` for each."""
         count = int(self.take("<Q")[0])
         room = (len(self.data) - self.position) // least_bytes
         check_count(count, things, self.path, EXPORT_AGAIN, most=most, room=room, made=least_bytes)
         return count
 
     def text(self) -> str:
-        """Up to the next zero."""
+        """Read text up to the next zero byte."""
         end = self.data.find(b"\0", self.position)
         start = self.skip(end + 1 - self.position if end >= 0 else len(self.data) + 1)  # without a zero, skip raises
         return self.data[start:end].decode("utf-8", "replace")
@@ -116,7 +116,7 @@ class _Bytes:
         return np.frombuffer(self.data, fields, count, self.skip(count * fields.itemsize))
 
     def skip(self, size: int) -> int:
-        """Where the next ``size`` bytes begin."""
+        """Skip ``size`` bytes and return where they begin."""
         if self.position + size > len(self.data):
             raise PlgsError("cut-off", "the file is cut off", self.path, EXPORT_AGAIN)
         self.position += size
@@ -164,7 +164,7 @@ def _as_points(
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Lines with their numbers, without comments. Raises PlgsError."""
+    """Yield the lines that are not comments, with their numbers. Raises PlgsError."""
     text = read_text(path, _MOST_TEXT, EXPORT_AGAIN)
     check_count(text.count("\n"), "lines", path, EXPORT_AGAIN, most=_MOST_LINES, room=len(text), made=_LINE_IN_MEMORY)
     return ((number, line) for number, line in enumerate(text.split("\n"), start=1) if not line.startswith("#"))
@@ -200,7 +200,7 @@ def _checked_camera(camera: ColmapCamera, number: int, path: Path) -> ColmapCame
 
 
 def _text_images(path: Path) -> tuple[ColmapImage, ...]:
-    """Two lines per image; the second, its points in the picture, may be empty."""
+    """Read the images: two lines for each, the second with its points in the picture, which may be empty."""
     lines, images = _lines(path), []
     for number, line in lines:
         words = line.split(maxsplit=9)  # the last is the name, which may contain spaces

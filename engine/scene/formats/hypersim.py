@@ -42,8 +42,8 @@ _BRIGHT, _BRIGHT_SHARE, _GAMMA = 0.8, 90.0, 1.0 / 2.2  # the 90th percentile bec
 
 @dataclass(frozen=True)
 class Projection:
-    """The rays of the pixels of a ``width`` x ``height`` picture. ``rays`` is M_cam_from_uv, nine numbers, row by row:
-    (u, v, 1), with u to the right and v up in -1..1, to a ray in OpenGL axes."""
+    """The rays of the pixels of a ``width`` x ``height`` picture. ``rays`` is M_cam_from_uv as nine numbers, row by
+    row, which takes (u, v, 1), with u to the right and v up in -1..1, to a ray in OpenGL axes."""
 
     width: int
     height: int
@@ -51,18 +51,18 @@ class Projection:
 
     @property
     def is_tilted(self) -> bool:
-        """Whether the picture's plane is tilted against the viewing direction, so that no pinhole has its rays."""
+        """Whether the image plane is tilted against the viewing direction, so that no pinhole camera has these rays."""
         ray = self.ray_of_pixel()
         return bool(np.abs(np.array([ray[0, 1], ray[1, 0], *(ray[2, :2])]) * self.width).max() > _STRAIGHT * 1e3)
 
     def ray_of_pixel(self) -> NDArray[np.float64]:
-        """From (x, y, 1), pixel centres at +0.5, to a ray in OpenCV axes, float64 [3, 3]; z is 1 in the middle."""
+        """Matrix, float64 [3, 3], from (x, y, 1), centres at +0.5, to a ray in OpenCV axes; z is 1 in the middle."""
         to_uv = np.array([[2.0 / self.width, 0.0, -1.0], [0.0, -2.0 / self.height, 1.0], [0.0, 0.0, 1.0]])
         matrix = _TO_OPENCV @ np.array(self.rays).reshape(3, 3) @ to_uv
         return np.asarray(matrix / (matrix[2] @ [self.width / 2.0, self.height / 2.0, 1.0]))
 
     def pinhole(self) -> Camera:
-        """A camera at the origin that matches the rays in the middle, and everywhere if the lens is not tilted."""
+        """A camera at the origin whose rays agree in the middle, and everywhere if the lens is not tilted."""
         ray = self.ray_of_pixel()
         middle = ray @ [self.width / 2.0, self.height / 2.0, 1.0]
         fx, fy = 1.0 / ray[0, 0], 1.0 / ray[1, 1]
@@ -72,7 +72,7 @@ class Projection:
 
 @lru_cache(maxsize=4)
 def _source_pixels(projection: Projection) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Where the tilted picture shows each pixel of the pinhole's, float32 [H, W] x and y, pixel centres at integers."""
+    """Where the tilted picture shows each pixel of the pinhole's: x, y float32 [H, W], pixel centres at integers."""
     warp = np.linalg.inv(projection.ray_of_pixel()) @ np.linalg.inv(projection.pinhole().K)
     x, y = np.meshgrid(np.arange(projection.width) + 0.5, np.arange(projection.height) + 0.5)
     source = np.stack([x, y, np.ones_like(x)], axis=-1) @ warp.T
@@ -83,14 +83,14 @@ def _source_pixels(projection: Projection) -> tuple[NDArray[np.float32], NDArray
 
 
 def _straighten(pixels: NDArray[Any], projection: Projection, smooth: bool) -> NDArray[Any]:
-    """The tilted picture, rectified; black beyond its edges."""
+    """Rectify a tilted picture to that of its pinhole; black beyond its edges. ``smooth`` interpolates."""
     import cv2
 
     return cv2.remap(pixels, *_source_pixels(projection), cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST)
 
 
 def planar_depth(path: Path, projection: Projection) -> NDArray[np.float32]:
-    """Planar depth, float32 [H, W] metres, 0 = none, from distances to the camera's centre. Raises PlgsError."""
+    """Read planar depth, float32 [H, W] metres, 0 = none, from distances to the camera's centre. Raises PlgsError."""
     distance = read_hdf5(path, 2).astype(np.float64)
     if distance.shape != (projection.height, projection.width):
         raise PlgsError("other-size", "depth and colour differ in size", path, "Download the scene again.")
@@ -102,7 +102,7 @@ def planar_depth(path: Path, projection: Projection) -> NDArray[np.float32]:
 
 
 def tone_mapped(path: Path) -> NDArray[np.uint8]:
-    """A linear picture, tone mapped to uint8 [H, W, 3] RGB. Raises PlgsError."""
+    """Read a linear picture and tone map it to uint8 [H, W, 3] RGB. Raises PlgsError."""
     linear = np.nan_to_num(read_hdf5(path, 3).astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
     if linear.shape[2] != 3:
         raise PlgsError("not-colour", "the picture does not have three channels", path, "Download it again.")
@@ -113,7 +113,7 @@ def tone_mapped(path: Path) -> NDArray[np.uint8]:
 
 
 def read_hdf5(path: Path, dimensions: int) -> NDArray[Any]:
-    """The array called "dataset", of numbers. Raises PlgsError."""
+    """Read the numbers in the array called "dataset", which must have this many ``dimensions``. Raises PlgsError."""
     with _dataset(path, dimensions) as dataset:
         values: NDArray[Any] = dataset[()]
     return values
@@ -175,7 +175,7 @@ def _read(place: Path, progress: Progress) -> Capture:
 
 
 def _pictures(images: Path, camera: str) -> Iterator[tuple[int, Path, Path]]:
-    """The number, picture and depth file of each of a camera's frames that has both, in order of number."""
+    """Yield the number, picture and depth file of each of a camera's frames that has both, in order of number."""
     geometry = images / f"scene_{camera}_geometry_hdf5"
     for depth in sorted(shown_files(geometry, "frame.*.depth_meters.hdf5")):
         match = re.fullmatch(r"frame\.(\d+)\.depth_meters\.hdf5", depth.name)
@@ -215,7 +215,7 @@ def _metres_a_unit(path: Path) -> float:
 
 
 def _read_rays(place: Path) -> tuple[NDArray[np.float64], tuple[Inferred, ...]]:
-    """M_cam_from_uv, float64 [3, 3], and a note if it is assumed."""
+    """Return M_cam_from_uv, float64 [3, 3], and a note if it is assumed."""
     name, folders = place.resolve().name, (place, place.resolve().parent, place.resolve().parent.parent)
     path = next((folder / _PARAMETERS for folder in folders if (folder / _PARAMETERS).is_file()), None)
     if path is None:

@@ -1,5 +1,5 @@
-"""Lenses: checked intrinsics, and distortion, which is removed on reading so that the engine sees only pinholes. Only
-``of_opencv``, ``of_nerfstudio`` and ``of_colmap`` know how each tool orders and defines its coefficients."""
+"""Lenses: checked intrinsics, and distortion, which is removed on reading so that the engine sees only pinhole cameras.
+Only ``of_opencv``, ``of_nerfstudio`` and ``of_colmap`` know how each tool orders and defines its coefficients."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def pinhole(
     width: float, height: float, fx: float, fy: float, cx: float, cy: float,
     *, path: Path, fix: str, whose: str = "a camera",
 ) -> Camera:  # fmt: skip
-    """A camera at the origin, pixel centres at +0.5, for pictures of ``width`` x ``height``. Raises PlgsError for
-    intrinsics that no camera has; ``path`` and ``whose`` name their source."""
+    """Return a camera at the origin, pixel centres at +0.5, for pictures of ``width`` x ``height``. Raises PlgsError,
+    with ``fix`` as the advice, for intrinsics that no camera has; ``path`` and ``whose`` name their source."""
     fits = 0.0 <= cx <= width < 2**16 and 0.0 <= cy <= height < 2**16
     if not (fits and 0.0 < fx < 1e6 and 0.0 < fy < 1e6 and width >= 1.0 and height >= 1.0):
         what = f"{whose} has intrinsics that no camera has with pictures of {width:.0f}x{height:.0f}"
@@ -39,7 +39,7 @@ def pinhole(
 
 
 def fitted(lens: Camera, picture: Path, fix: str) -> Camera:
-    """``lens`` scaled to the size of an image file. Raises PlgsError if it is for pictures of another shape."""
+    """Return ``lens`` scaled to the size of an image file. Raises PlgsError if the aspect ratios differ."""
     size = read_image_header(picture).size
     if not same_shape(size, lens.size):
         what = f"the picture is {shown_size(size)}, but its camera is {shown_size(lens.size)}"
@@ -48,7 +48,7 @@ def fitted(lens: Camera, picture: Path, fix: str) -> Camera:
 
 
 def assumed(whose: str, lens: Camera, file: str) -> Inferred:
-    """A note that no file describes the lens, so ``whose`` is used; ``file`` can describe it."""
+    """A note that no file describes the lens, so that of ``whose`` is assumed; the user can describe it in ``file``."""
     values = " ".join(f"{value:.6g}" for value in (lens.fx, lens.fy, lens.cx - 0.5, lens.cy - 0.5))
     taken = f"{whose} lens is assumed ({values} for {shown_size(lens.size)})"
     return Inferred("lens", taken, f"no file says theirs; write it into {file} if it is another")
@@ -56,10 +56,10 @@ def assumed(whose: str, lens: Camera, file: str) -> Inferred:
 
 @dataclass(frozen=True)
 class Distortion:
-    """How a lens distorts a pinhole's picture, in one formula for every tool's coefficients: ``bent``. ``radial`` are
-    the factors of r^2, r^4, ... in its numerator, ``below`` those in its denominator, ``tangential`` p1 and p2 in
-    OpenCV's order, ``prism`` s1 s2 s3 s4. With ``is_fisheye``, all of them apply to angles from the axis. ``skew``
-    times the bent y is added to the bent x."""
+    """How a lens distorts a pinhole camera's picture, in one formula for every tool's coefficients: ``bent``.
+    ``radial`` are the factors of r^2, r^4, ... in its numerator, ``below`` those in its denominator, ``tangential`` p1
+    and p2 in OpenCV's order, ``prism`` s1 s2 s3 s4. With ``is_fisheye``, all of them apply to angles from the axis.
+    ``skew`` times the distorted y is added to the distorted x."""
 
     radial: tuple[float, ...] = ()
     below: tuple[float, ...] = ()
@@ -78,9 +78,9 @@ class Distortion:
         return self.is_fisheye or any(self.numbers)
 
     def bent(self, x: Values, y: Values) -> tuple[Values, Values]:
-        """Where the lens shows the point that a pinhole of focal length 1 shows at ``x`` and ``y``, floats of any
-        shape: OpenCV's formula (calib3d, "Detailed Description"). Its fisheye model is the same, applied to coordinates
-        whose length is the angle from the axis, and so is COLMAP's thin prism model (models.h)."""
+        """Return the distorted x and y of the point that a pinhole camera of focal length 1 shows at ``x`` and ``y``,
+        floats of any shape: OpenCV's formula (calib3d, "Detailed Description"). Its fisheye model is the same, applied
+        to coordinates whose length is the angle from the axis, and so is COLMAP's thin prism model (models.h)."""
         if self.is_fisheye:
             radius = np.maximum(np.hypot(x, y), 1e-12)  # avoids 0 / 0 in the middle
             x, y = (each * np.arctan(radius) / radius for each in (x, y))
@@ -93,7 +93,7 @@ class Distortion:
 
 
 def _series(factors: tuple[float, ...], square: Values) -> Values:
-    """1 + k1 r^2 + k2 r^4 + ... for r^2 = ``square``."""
+    """Return 1 + k1 r^2 + k2 r^4 + ... for r^2 = ``square``."""
     total = np.zeros_like(square)
     for factor in reversed(factors):  # Horner's rule, from the highest power
         total = square * (factor + total)
@@ -108,15 +108,15 @@ LENS_NUMBER = re.compile(r"[kpsb]\d|tau_?[xy]|ftheta_p\d|latlong|equirectangular
 
 
 def of_opencv(values: Sequence[float]) -> Distortion:
-    """OpenCV's order: k1 k2 p1 p2, then k3, then k4 k5 k6 of the denominator, then s1 s2 s3 s4."""
+    """The distortion from OpenCV's order: k1 k2 p1 p2, then k3, then k4 k5 k6 of the denominator, then s1 s2 s3 s4."""
     k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = (*values, *[0.0] * 12)[:12]
     return Distortion((k1, k2, k3), (k4, k5, k6), (p1, p2), (s1, s2, s3, s4))
 
 
 def of_nerfstudio(named: Mapping[str, float], model: str, is_fisheye: bool) -> Distortion:
-    """Coefficients by their names in transforms.json. nerfstudio's k3 and k4 are factors of r^6 and r^8 (its
-    camera_utils.py), and an OPENCV_FISHEYE uses angles; in a FULL_OPENCV, k4 k5 k6 are OpenCV's. Raises ValueError with
-    the names of other lens coefficients, which no formula here supports."""
+    """Return the distortion from coefficients by their names in transforms.json. nerfstudio's k3 and k4 are factors of
+    r^6 and r^8 (its camera_utils.py), and an OPENCV_FISHEYE uses angles; in a FULL_OPENCV, k4 k5 k6 are OpenCV's.
+    Raises ValueError with the names of other coefficients, which no formula here supports."""
     is_full = not is_fisheye and (model == "FULL_OPENCV" or "k5" in named or "k6" in named)
     known = _OPENCV_NAMES if is_full else _OPENCV_NAMES[:6]
     if others := [name for name, value in named.items() if value and name not in known]:
@@ -129,7 +129,7 @@ def of_nerfstudio(named: Mapping[str, float], model: str, is_fisheye: bool) -> D
 
 
 def of_colmap(model: str, rest: Sequence[float]) -> Distortion | None:
-    """COLMAP's numbers after the focal lengths and the principal point (models.h); None for another model."""
+    """The distortion from COLMAP's numbers after focal lengths and principal point (models.h); None if unknown."""
     is_fisheye = model.endswith("FISHEYE")
     if model == "THIN_PRISM_FISHEYE":
         k1, k2, p1, p2, k3, k4, s1, s3 = rest
@@ -140,8 +140,8 @@ def of_colmap(model: str, rest: Sequence[float]) -> Distortion | None:
 
 
 def undistorted(pixels: NDArray[Any], lens: Camera, distortion: Distortion, path: Path, smooth: bool) -> NDArray[Any]:
-    """A picture, depth map or mask [H, W, ...] as a pinhole of the same focal lengths sees it; 0 beyond its edges.
-    ``smooth`` interpolates. Raises PlgsError, naming ``path``, if little is left of it."""
+    """Return a picture, depth map or mask [H, W, ...] as a pinhole camera of the same intrinsics sees it; 0 beyond its
+    edges. ``smooth`` interpolates. Raises PlgsError, naming ``path``, if little is left of it."""
     import cv2
 
     height, width = pixels.shape[:2]

@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 
 class _World(NamedTuple):
-    """How points of a chunk come to the world: ``rotation`` [3, 3], ``translation`` [3], ``scale``."""
+    """The transform from a chunk's points to the world: ``rotation`` [3, 3], ``translation`` [3], ``scale``."""
 
     rotation: Array
     translation: Array
@@ -44,7 +44,7 @@ class _World(NamedTuple):
 
 
 def _file(place: Path) -> Path | None:
-    """The file with Metashape's cameras: ``place`` itself, or the first in it."""
+    """Return the file with Metashape's cameras: ``place`` itself, or the first in it."""
     files = [place] if place.is_file() else sorted(shown_files(place, "*.xml"))
     return next((each for each in files if each.suffix.lower() == ".xml" and each.is_file() and _is_its(each)), None)
 
@@ -92,7 +92,7 @@ def _read(place: Path, progress: Progress) -> Capture:
 
 
 def _chunk(path: Path) -> tuple[ElementTree.Element, list[str]]:
-    """The first chunk that has cameras, and warnings. Raises PlgsError."""
+    """Return the first chunk that has cameras, and warnings. Raises PlgsError."""
     text = read_text(path, LARGEST_TABLE, _FIX)
     if "<!DOCTYPE" in text or "<!ENTITY" in text:  # a few lines of these unpack to any size
         raise PlgsError("xml-entities", "the XML defines entities, as Metashape never does", path, _FIX)
@@ -145,7 +145,7 @@ def _shot(
 
 
 def _lens(sensor: ElementTree.Element, path: Path) -> tuple[Camera, Distortion]:
-    """A sensor's camera at the origin, and its distortion, from its adjusted calibration."""
+    """Return a sensor's camera at the origin, and its distortion, from its adjusted calibration."""
     kind, whose = sensor.get("type", "frame"), f'the sensor "{sensor.get("label", "")}"'
     found = {each.get("class", "adjusted"): each for each in sensor.findall("calibration")}
     calibration = found.get("adjusted", found.get("initial"))
@@ -177,7 +177,7 @@ def _lens(sensor: ElementTree.Element, path: Path) -> tuple[Camera, Distortion]:
 
 
 def _on_the_ground(world: _World, centre: Array) -> _World:
-    """The same with the point ``centre`` of the Earth in the origin, x to the east, y to the north and z up."""
+    """The transform with ``centre``, a point on the Earth, moved to the origin, x to the east, y to the north, z up."""
     up = centre / max(float(np.linalg.norm(centre)), 1e-9)
     east = np.array([-up[1], up[0], 0.0]) if np.hypot(*up[:2]) > 1e-9 else np.array([1.0, 0.0, 0.0])
     east = east / np.linalg.norm(east)

@@ -51,7 +51,7 @@ _CENTRED = Inferred(
 
 
 def _files(place: Path) -> list[Path]:
-    """The files with the frames: one for all, or one for training and one held out."""
+    """Return the files with the frames: one for all, or one for training and one held out."""
     if place.is_file():
         return [place] if place.name in (_FILE, _TRAIN) else []
     held_out = [place / name for name in _HELD_OUT if (place / name).is_file()][:1]
@@ -123,7 +123,7 @@ def _plain(file: str) -> str:
 
 
 def _frames(content: dict[str, Any], path: Path) -> tuple[list[dict[str, Any]], list[str]]:
-    """The frames whose pictures exist, in natural order, and the pictures that do not exist."""
+    """Return the frames whose pictures exist, in natural order, and the names of pictures that do not exist."""
     frames = take_objects(content, "frames", "the file", path)
     if "test_frames" in content:
         frames += [{**frame, _IS_HELD_OUT: True} for frame in take_objects(content, "test_frames", "the file", path)]
@@ -139,7 +139,7 @@ def _frames(content: dict[str, Any], path: Path) -> tuple[list[dict[str, Any]], 
 
 
 def _shot(name: str, frame: Mapping[str, Any], path: Path) -> Shot | None:
-    """One frame from its own entry, falling back to the file's for missing keys; None if its pose is not finite."""
+    """One frame from its own entry, which has the file's values for missing keys; None if its pose is not finite."""
     entry, context = dict(frame), f"frame {name}"
     pose = finite_pose(take_array(entry, "transform_matrix", context, path, (4, 4), (3, 4)), path)
     if pose is None:
@@ -158,7 +158,7 @@ def _shot(name: str, frame: Mapping[str, Any], path: Path) -> Shot | None:
 
 
 def _applied_scale(entry: dict[str, Any], path: Path) -> float:
-    """What the file's poses and points were multiplied by. Depth was not: it is in metres."""
+    """Return what the file's poses and points were multiplied by. Its depth was not: it is in metres."""
     if "applied_scale" not in entry:
         return 1.0
     return take_number(entry, "applied_scale", "the file", path, least=1e-6, most=1e6)
@@ -178,7 +178,8 @@ def _image_path(path: Path, name: str) -> Path:
 
 
 def _beside(path: Path, name: str) -> Path | None:
-    """An image named relative to another folder: the last parts of its name give a file below the JSON's folder."""
+    """Find an image whose name is relative to another folder: return the file below the JSON's folder that the last
+    parts of its name give, or None."""
     parts = [part for part in name.split("/") if part not in ("", ".", "..")]
     tails = (path.parent.joinpath(*parts[start:]) for start in range(1, len(parts)))
     paths = (tail.with_name(tail.name + suffix) for tail in tails for suffix in ("", *_IMAGES))
@@ -187,7 +188,7 @@ def _beside(path: Path, name: str) -> Path | None:
 
 
 def _lens(entry: dict[str, Any], size: Size, context: str, path: Path) -> Camera:
-    """A camera at the origin at the size of its intrinsics, which may not be the image's ``size``. Raises PlgsError."""
+    """A camera at the origin, at its intrinsics' size, which may not be the image's ``size``. Raises PlgsError."""
     width, height = (
         take_number(entry, key, context, path) if key in entry else float(side)
         for key, side in zip("wh", size, strict=True)
@@ -262,7 +263,7 @@ _PLY_FIX = "Write a PLY whose first element is vertex, with x, y, z."
 
 
 def read_ply_points(path: Path) -> SparsePoints:
-    """The vertices of a PLY (ascii or binary), white if it has no colours. Raises PlgsError."""
+    """Read the vertices of a PLY (ASCII or binary) as points, white if it has no colours. Raises PlgsError."""
     data = read_file(path, _MOST_BYTES)
     header = ply_header(data)
     if not header.end:

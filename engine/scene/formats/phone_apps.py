@@ -81,8 +81,8 @@ def _has_size(entry: dict[str, Any]) -> bool:
 
 
 def _size(entry: dict[str, Any], image: Path, path: Path, raw: Path | None) -> tuple[float, ...]:
-    """The width and height that a camera's intrinsics refer to. If it does not say: those of its picture or of the
-    camera before optimisation, whichever has its middle nearer to the principal point. Raises PlgsError."""
+    """The width and height that a camera's intrinsics refer to. If the file does not say, they are those of its picture
+    or of the camera before optimisation, whichever has its middle nearer to the principal point. Raises PlgsError."""
     if _has_size(entry):
         return tuple(take_number(entry, key, "the camera", path) for key in _SIZE)
     sizes: list[tuple[float, ...]] = [read_image_header(image).size]
@@ -140,7 +140,7 @@ def _read_scanner_app(place: Path, progress: Progress) -> Capture:
 
 
 def _files(place: Path, suffix: str, kind: str) -> dict[str, Path]:
-    """Files of one kind by the number in their names; there may be none."""
+    """Return the files of one kind by the number in their names; there may be none."""
     if place.is_dir() and not any(shown_files(place, f"{kind}*{suffix}")):
         return {}
     files = files_by_stem(place, {suffix}, _SCANNER_APP_FIX)
@@ -198,7 +198,7 @@ def _read_stray(place: Path, progress: Progress) -> Capture:
 
 
 def _read_odometry(path: Path) -> list[dict[str, float]]:
-    """The rows by the names of their columns."""
+    """Read the odometry's rows, each by the names of its columns."""
     rows = read_rows(path, _STRAY_FIX, ",", titles=True)
     head = next(rows, None)
     if head is None or not {*_COLUMNS} <= {*head.words}:

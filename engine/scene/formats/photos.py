@@ -27,7 +27,7 @@ _FOLDERS = ("images", "image", "rgb", "color", "input", ".")  # searched in the 
 
 
 def photos_in(place: Path) -> Path | None:
-    """The folder that holds a scene's photos; None if there are none. Raises OSError."""
+    """Return the folder that holds a scene's photos; None if there are none. Raises OSError."""
     for name in _FOLDERS:
         folder = place / name
         if folder.is_dir() and len(sorted_out(folder)[0]) >= LEAST:
@@ -36,21 +36,21 @@ def photos_in(place: Path) -> Path | None:
 
 
 def pictures_by_stem(place: Path) -> dict[str, Path]:
-    """The photos in a folder and its usual subfolders, by their stems and by their whole names. Raises OSError."""
+    """The photos in a folder and its usual subfolders, each by its stem and by its whole name. Raises OSError."""
     folders = [place / name for name in _FOLDERS if (place / name).is_dir()]
     photos = [folder / name for folder in reversed(folders) for name in sorted_out(folder)[0]]
     return {name: photo for photo in photos for name in (photo.stem, photo.name)}
 
 
 def picture_of(photos: Mapping[str, Path], label: str) -> Path | None:
-    """Which of ``pictures_by_stem`` a label means that another program gives a camera: a name or a path, perhaps of
-    Windows, with or without its suffix."""
+    """Return which of ``pictures_by_stem`` is meant by another program's label for a camera: a name or a path, perhaps
+    of Windows, with or without its suffix."""
     name = PurePosixPath(label.replace("\\", "/"))
     return photos.get(name.name) or photos.get(name.stem)
 
 
 def sorted_out(folder: Path) -> tuple[list[str], list[str]]:
-    """The names of a folder's photos, and of its depth or confidence pictures. Raises OSError."""
+    """Return the names of a folder's photos, and those of its depth or confidence pictures. Raises OSError."""
     pictures = sorted(each for each in shown_files(folder) if each.suffix.lower() in SUFFIXES)
     others = {each for each in pictures if _is_measured(each)}
     return [each.name for each in pictures if each not in others], [each.name for each in pictures if each in others]
@@ -68,12 +68,12 @@ def _is_measured(picture: Path) -> bool:
 
 
 def is_film(place: Path) -> bool:
-    """Whether a path is a video, by its name."""
+    """Whether a path is a video, judged by its name."""
     return place.suffix.lower() in FILMS and place.is_file()
 
 
 def finished_models(place: Path) -> list[str]:
-    """The names of meshes, splats and point clouds, if a folder holds only these and textures. Raises OSError."""
+    """Return the names of meshes, splats and point clouds if a folder holds only these and textures. Raises OSError."""
     files = [place] if place.is_file() else sorted(shown_files(place))
     if any(each.is_dir() for each in files):
         return []
@@ -89,8 +89,8 @@ _VIDEO_FIX = "Copy or record it again, or extract its pictures with another tool
 
 
 class Video:
-    """One decoder for all frames of a video. It decodes forward; reading an earlier frame restarts it. Orientation tags
-    are ignored, as intrinsics refer to the stored pixels."""
+    """A video with one decoder for all its frames. It decodes forward; to read an earlier frame, it starts again.
+    Orientation tags are ignored, as intrinsics refer to the stored pixels."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -99,7 +99,7 @@ class Video:
         self._lock = Lock()
 
     def frame(self, number: int) -> NDArray[np.uint8]:
-        """The picture ``number``, counted from 0, uint8 [H, W, 3] RGB. Raises PlgsError."""
+        """Return frame ``number``, counted from 0, uint8 [H, W, 3] RGB. Raises PlgsError."""
         with self._lock:
             self._go_to(number)
             good, pixels = self._capture.read()
@@ -110,7 +110,7 @@ class Video:
         return np.ascontiguousarray(pixels[..., ::-1])
 
     def _numbers(self, *properties: int) -> list[int]:
-        """Numbers in its header. Raises PlgsError."""
+        """Return numbers from its header, by OpenCV's ``properties``. Raises PlgsError."""
         with self._lock:
             self._go_to(0)
             return [int(self._capture.get(each)) for each in properties]
@@ -125,7 +125,7 @@ class Video:
         return width, height
 
     def count(self) -> int:
-        """The number of pictures, from its header. Raises PlgsError if it cannot be opened or does not say."""
+        """The number of frames, from its header. Raises PlgsError if it cannot be opened or does not say."""
         import cv2
 
         (count,) = self._numbers(cv2.CAP_PROP_FRAME_COUNT)
@@ -134,7 +134,7 @@ class Video:
         return count
 
     def fps(self) -> float | None:
-        """Pictures per second, from its header; None if it does not say. Raises PlgsError."""
+        """Frames per second, from its header; None if it does not say. Raises PlgsError."""
         import cv2
 
         with self._lock:

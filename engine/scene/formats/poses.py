@@ -1,4 +1,4 @@
-"""Poses as stored in files (quaternions, OpenGL's axes, world-to-camera), and text files of rows of numbers."""
+"""Convert stored poses (quaternions, OpenGL's axes, world-to-camera), and read text files of rows of numbers."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def finite_pose(matrix: NDArray[np.float64], path: Path) -> NDArray[np.float64] | None:
-    """A camera-to-world pose, float64 [4, 4] or [3, 4], made exactly rigid; None if a number in it is not finite.
-    Raises PlgsError if it is not rigid."""
+    """Return a camera-to-world pose, float64 [4, 4] or [3, 4], as an exactly rigid [4, 4]; None if a number in it is
+    not finite. Raises PlgsError if it is not rigid."""
     if not np.isfinite(matrix).all():
         return None
     pose = np.eye(4)
@@ -30,12 +30,12 @@ def finite_pose(matrix: NDArray[np.float64], path: Path) -> NDArray[np.float64] 
 
 
 def from_opengl(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Converts a pose, float64 [4, 4], from y up and z backward to y down and z forward."""
+    """Convert a pose, float64 [4, 4], from OpenGL's camera axes (y up, z backward) to OpenCV's (y down, z forward)."""
     return pose @ _FROM_OPENGL
 
 
 def quaternion_pose(wxyz: Sequence[float], position: Sequence[float], path: Path) -> NDArray[np.float64]:
-    """The pose, float64 [4, 4], with this rotation and position. Raises PlgsError for a zero quaternion."""
+    """Return the pose, float64 [4, 4], with this rotation and position. Raises PlgsError for a zero quaternion."""
     w, x, y, z = (float(value) for value in wxyz)
     square = w * w + x * x + y * y + z * z
     if not square > 1e-12 or not np.isfinite(square):
@@ -50,7 +50,7 @@ def quaternion_pose(wxyz: Sequence[float], position: Sequence[float], path: Path
 
 
 def nearest(times: Sequence[float], time: float, most: float) -> int | None:
-    """The index of the closest of ascending ``times``; None if it is more than ``most`` away."""
+    """Return the index of the closest of ascending ``times``, or None if it is more than ``most`` away."""
     after = bisect_left(times, time)
     near = [i for i in (after - 1, after) if 0 <= i < len(times) and abs(times[i] - time) <= most]
     return min(near, key=lambda i: abs(times[i] - time), default=None)
@@ -64,7 +64,7 @@ class Row(NamedTuple):
 
 
 def read_rows(path: Path, fix: str, separator: str | None = None, titles: bool = False) -> Iterator[Row]:
-    """The non-empty rows of a text file, with its columns' ``titles`` if requested. Raises PlgsError with ``fix``."""
+    """The non-empty rows of a text file, with the row of ``titles`` if requested. Raises PlgsError with ``fix``."""
     for number, line in enumerate(read_text(path, LARGEST_TABLE, fix).splitlines(), start=1):
         words = [word.strip() for word in line.partition("#")[0].split(separator)]
         # TUM's column titles are comments; some tools remove the #.
@@ -73,7 +73,7 @@ def read_rows(path: Path, fix: str, separator: str | None = None, titles: bool =
 
 
 def numbers(row: Row, path: Path, fix: str, count: int | None = None) -> NDArray[np.float64]:
-    """A row's words as numbers, float64; they may be inf or NaN. Raises PlgsError unless there are ``count``."""
+    """A row's words as numbers, float64, which may be inf or NaN. Raises PlgsError unless there are ``count``."""
     try:
         values = np.array([float(word) for word in row.words])
     except ValueError as error:
@@ -84,7 +84,7 @@ def numbers(row: Row, path: Path, fix: str, count: int | None = None) -> NDArray
 
 
 def matrix_rows(path: Path, fix: str) -> Iterator[NDArray[np.float64]]:
-    """Matrices, float64 [4, 4], from 16 numbers per line, or 12 without the last row. Raises PlgsError."""
+    """Yield matrices, float64 [4, 4], from 16 numbers per line, or 12 without the last row. Raises PlgsError."""
     for row in read_rows(path, fix):
         values = numbers(row, path, fix)
         if len(values) not in (12, 16):

@@ -36,7 +36,7 @@ def _titles(line: str) -> list[str]:
 
 
 def _file(place: Path) -> Path | None:
-    """The table: ``place`` itself, or the first in it, by its titles."""
+    """Return the table, recognised by its titles: ``place`` itself, or the first in it."""
     for path in [place] if place.is_file() else sorted(shown_files(place, "*.csv")):
         try:
             with open_plain(path) as file:
@@ -85,7 +85,7 @@ def _shot(row: Mapping[str, str | None], path: Path, picture: Path) -> Shot | No
 
 
 def _turn(axis: str, degrees: float) -> NDArray[np.float64]:
-    """The rotation about an axis."""
+    """Return the rotation about an axis, float64 [3, 3]."""
     cosine, sine = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
     one, other = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
     turn = np.eye(3)

@@ -61,11 +61,11 @@ class _Archive:
             return archive.namelist()
 
     def file(self, name: str) -> Path:
-        """The file that holds the entry ``name``."""
+        """Return the file on disk that holds the entry ``name``: the archive, or the unpacked file."""
         return self.path / name if self.path.is_dir() else self.path
 
     def read(self, name: str) -> bytes:
-        """The content of an entry. Raises PlgsError."""
+        """Read an entry. Raises PlgsError."""
         if self.path.is_dir():
             return read_file(self.path / name, _LARGEST, _FIX)
         with self._open() as archive:
@@ -87,7 +87,7 @@ class _Archive:
 
 
 def _find(place: Path) -> Path | None:
-    """The archive, packed or not: ``place`` itself, or the only one in it."""
+    """Return the archive, packed or not: ``place`` itself, or the only one in it."""
     is_unpacked = (place / "metadata").is_file() and (place / "rgbd").is_dir()
     return place if is_unpacked else only_file(place, ".r3d")
 
@@ -130,7 +130,7 @@ def _shots(metadata: dict[str, Any], archive: _Archive, path: Path, progress: Pr
 def _cameras(
     metadata: dict[str, Any], numbers: list[int], path: Path, progress: Progress
 ) -> Iterator[tuple[int, Camera | None]]:
-    """The camera of each picture, None where its pose is not finite."""
+    """Yield the number and camera of each picture, None as the camera if its pose is not finite."""
     count = len(take_list(metadata, "poses", "metadata", path))
     poses = take_array(metadata, "poses", "metadata", path, (count, 7))
     if not numbers or numbers[-1] >= count:
@@ -144,7 +144,7 @@ def _cameras(
 
 
 def _exr_folder(place: Path) -> Path | None:
-    """The folder with pictures and OpenEXR files: ``place`` itself, or its subfolder."""
+    """Return the folder with pictures and OpenEXR files: ``place`` itself, or its subfolder."""
     for folder in (place, place / "EXR_RGBD"):
         if (folder / _EXPORTED).is_file() and (folder / "rgb").is_dir() and (folder / "depth").is_dir():
             return folder
@@ -178,7 +178,7 @@ def _read_exr(path: Path) -> NDArray[np.float32]:
 
 
 def _lens(metadata: dict[str, Any], number: int, path: Path) -> Camera:
-    """A picture's camera at the origin. The file does not say where pixels are counted from; corners are assumed."""
+    """Return a picture's camera at the origin. Where pixels count from, the file does not say; corners are assumed."""
     width, height = (take_number(metadata, key, "metadata", path) for key in "wh")
     each, whose = metadata.get("perFrameIntrinsicCoeffs"), f"frame {number}"
     if isinstance(each, list) and len(each) > number:
@@ -196,7 +196,7 @@ def _read_colour(archive: _Archive, name: str) -> NDArray[np.uint8]:
 def _read_depth(
     archive: _Archive, name: str, confidence: str | None, size: Size | None, camera: Camera
 ) -> NDArray[np.float32]:
-    """Planar depth, float32 [H, W] metres, 0 = none; ``size`` is None if the metadata lacks it."""
+    """Read planar depth, float32 [H, W] metres, 0 = none. ``size`` is None if the metadata lacks it."""
     width, height = size or max(_DEPTH_SIZES)  # the largest bounds what is unpacked
     values = np.frombuffer(_unpacked(archive, name, 4, min(width * height, _MOST_DEPTHS)), "<f4")
     if size is None:  # that of a sensor, in the picture's orientation
@@ -216,7 +216,7 @@ def _read_depth(
 
 
 def _unpacked(archive: _Archive, name: str, step: int, most: int) -> bytes:
-    """A file of the archive, unpacked: whole steps of ``step`` bytes, at most ``most``. Raises PlgsError."""
+    """Unpack a file of the archive to a multiple of ``step`` bytes, at most ``most``. Raises PlgsError."""
     data = archive.read(name)
     try:
         import liblzfse
@@ -232,8 +232,8 @@ def _unpacked(archive: _Archive, name: str, step: int, most: int) -> bytes:
 
 
 def unpack_lzfse(data: bytes, most_bytes: int, decompress: Callable[[bytes], bytes]) -> bytes:
-    """A stream unpacked. Raises ValueError if it is cut off or over ``most_bytes``, and as ``decompress``. The library
-    first takes the memory that a stream's first block claims, then doubles it until all blocks fit."""
+    """Unpack an LZFSE stream. Raises ValueError if it is cut off or larger than ``most_bytes``, and what ``decompress``
+    raises. The library first takes the memory that the first block claims, then doubles it until all blocks fit."""
     if len(data) < _SHORTEST:
         raise ValueError("it is cut off")
     if int.from_bytes(data[4:8], "little") > most_bytes or data.count(_BLOCK) > 4 + most_bytes // _FULL_BLOCK:

@@ -57,7 +57,7 @@ def _read(place: Path, progress: Progress) -> Capture:
 
 
 def _numbered(folder: Path, suffixes: set[str], kind: str) -> dict[int, Path]:
-    """Images by the number in their names, which begin with ``kind``."""
+    """Return images by the number in their names, which begin with ``kind``."""
     files = files_by_stem(folder, suffixes, f"Name pictures {kind} and a number.").items()
     found = {int(number[1]): path for stem, path in files if (number := re.fullmatch(rf"{kind}_?(\d+)", stem))}
     if not found:
@@ -73,7 +73,7 @@ def _shot(path: Path, depth: Path | None, unit: float, lens: Camera | None, pose
 
 
 def _read_parameters(place: Path) -> tuple[Camera, float] | None:
-    """The lens and the length of a depth step, from a file there or in the folder above."""
+    """Return the lens and the unit of depth in metres, from a file there or in the folder above; None without it."""
     files = (folder / "cam_params.json" for folder in (place, place.parent))
     path = next((path for path in files if path.is_file()), None)
     if path is None:

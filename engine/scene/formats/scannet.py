@@ -73,7 +73,8 @@ _LARGEST_NAME = 10_000
 
 @dataclass(frozen=True, eq=False)
 class _Header:
-    """Lenses stand at the origin; ``unit`` is a step of depth in metres. ``beside``: see ``between_cameras``."""
+    """The header of a .sens. Its lenses are cameras at the origin; ``unit`` is a depth value's unit in metres.
+    ``beside``: see ``between_cameras``."""
 
     colour: Camera
     depth: Camera
@@ -162,12 +163,12 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
 
 
 def _lens(width: float, height: float, K: NDArray[np.float64], path: Path) -> Camera:
-    """A camera at the origin from a matrix, float64 [4, 4], with integer pixel centres."""
+    """Return a camera at the origin from an intrinsic matrix, float64 [4, 4], with integer pixel centres."""
     return pinhole(width, height, K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5, path=path, fix=_FIX)
 
 
 def _take(file: BinaryIO, layout: str, path: Path) -> tuple[float, ...]:
-    """The next values; ``layout`` is a format of ``struct``. Raises PlgsError."""
+    """Read the next values; ``layout`` is a format of ``struct``. Raises PlgsError."""
     size = struct.calcsize(layout)
     data = file.read(size)
     if len(data) < size:
@@ -180,7 +181,7 @@ def _read_colour(block: _Block) -> NDArray[np.uint8]:
 
 
 def _read_depth(block: _Block, header: _Header) -> NDArray[np.float32]:
-    """Planar depth, float32 [H, W] metres, 0 = none."""
+    """Read planar depth, float32 [H, W] metres, 0 = none."""
     width, height = header.depth.size
     data, wanted = block.read(), 2 * width * height
     if header.depth_compression == _ZLIB:

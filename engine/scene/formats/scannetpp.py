@@ -79,7 +79,7 @@ def _read(place: Path, progress: Progress) -> Capture:
 
 
 class _DepthStream:
-    """A depth.bin. A single stream is unpacked forward; reading an earlier frame restarts it."""
+    """The frames of a depth.bin. A single stream is unpacked forward; to read an earlier frame, it starts again."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -90,7 +90,7 @@ class _DepthStream:
         self._next = 0
 
     def frame(self, number: int) -> NDArray[np.float32]:
-        """Depth of the frame ``number``, float32 [192, 256] metres, 0 = none. Raises PlgsError."""
+        """Read the depth of frame ``number``, float32 [192, 256] metres, 0 = none. Raises PlgsError."""
         try:
             if self._blocks is None:
                 with self._lock:
@@ -116,7 +116,7 @@ class _DepthStream:
                 return np.frombuffer(depth, "<f4").reshape(_HEIGHT, _WIDTH)
 
     def _unpack(self, size: int) -> bytes:
-        """The next ``size`` bytes of the stream. Raises ValueError at its end."""
+        """Unpack the next ``size`` bytes of the stream. Raises ValueError at its end."""
         assert self._file is not None
         parts, left = [], size
         while left:
@@ -130,7 +130,7 @@ class _DepthStream:
 
 
 def _find_blocks(path: Path) -> list[tuple[int, int]] | None:
-    """Where each frame's block starts and how long it is; None if the sizes do not add up to the file's."""
+    """Return the start and length of each frame's block; None if the sizes do not add up to the file's."""
     blocks: list[tuple[int, int]] = []
     end, start = path.stat().st_size, 0
     with open_plain(path) as file:

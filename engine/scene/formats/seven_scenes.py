@@ -90,7 +90,7 @@ def _read(place: Path, progress: Progress) -> Capture:
 
 
 def _info_numbers(info: dict[str, str], key: str, path: Path, count: int) -> NDArray[np.float64]:
-    """The ``count`` numbers of a line; a single one is above 0. Raises PlgsError."""
+    """Return the ``count`` numbers of a line; a single one must be above 0. Raises PlgsError."""
     try:
         values = np.array([float(word) for word in info.get(key, "").split()])
     except ValueError:
@@ -102,7 +102,7 @@ def _info_numbers(info: dict[str, str], key: str, path: Path, count: int) -> NDA
 
 
 def _info_lens(info: dict[str, str], kind: str, path: Path) -> Camera:
-    """The lens of Color or Depth at the size given by the file, at the origin."""
+    """Return the lens of "Color" or "Depth" as a camera at the origin, at the size given by the file."""
     width, height = (round(_info_numbers(info, f"m_{kind.lower()}{side}", path, 1)[0]) for side in ("Width", "Height"))
     matrix = _info_numbers(info, f"m_calibration{kind}Intrinsic", path, 16).reshape(4, 4)
     return as_lens(matrix, (width, height), path)
@@ -111,7 +111,7 @@ def _info_lens(info: dict[str, str], kind: str, path: Path) -> Camera:
 def _capture(
     place: Path, progress: Progress, shot: _Reader, warnings: tuple[str, ...] = (), inferred: tuple[Inferred, ...] = ()
 ) -> Capture:
-    """All frames; those whose pose is missing or not finite have no shot."""
+    """Return all frames, with None for those whose pose is missing or not finite."""
     kinds = ("frame-*.pose.txt", "frame-*.color.*")
     files = {path for folder in _folders(place) for kind in kinds for path in shown_files(folder, kind)}
     bases = {path.with_name(path.name.partition(".")[0]) for path in files}
@@ -131,7 +131,7 @@ def _capture(
 
 
 def _depth_file(base: Path) -> Path:
-    """Depth of the frame whose files begin with ``base``. Raises PlgsError for a .pgm."""
+    """Return the depth file of the frame whose files begin with ``base``. Raises PlgsError for a .pgm."""
     pgm = base.with_name(f"{base.name}.depth.pgm")
     if pgm.is_file():
         what = "depth is a .pgm"
@@ -140,7 +140,7 @@ def _depth_file(base: Path) -> Path:
 
 
 def _own_lens_shot(lenses: tuple[Path, Path], name: str, base: Path, pose: NDArray[np.float64], picture: Path) -> Shot:
-    """A frame with one lens file for colour and one for depth, which may be the same."""
+    """Return a frame whose colour and depth have a lens file each, which may be the same."""
     colour, depth = lenses
     lens = read_intrinsics(colour, read_image_header(picture).size)
     measured = png_depth(_depth_file(base), lens)
@@ -162,7 +162,7 @@ def _kinects_shot(name: str, base: Path, pose: NDArray[np.float64], colour: Path
 
 
 def _kinect(focal_length: float) -> Camera:
-    """A Kinect's lens with its principal point at the integer pixel (320, 240)."""
+    """Return a Kinect's lens with its principal point at the integer pixel (320, 240)."""
     return Camera(640, 480, focal_length, focal_length, 320.5, 240.5, np.eye(4))
 
 

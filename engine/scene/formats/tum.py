@@ -43,8 +43,8 @@ _LENS_FIX = f"Write fx fy cx cy of the pictures, and k1 k2 p1 p2 k3 if they are 
 
 @dataclass(frozen=True)
 class _Lens:
-    """Intrinsics with integer pixel centres, and OpenCV's distortion coefficients. ``up`` is the axis that points up in
-    the lens's world. ``size`` is the size of its pictures, None for any."""
+    """Intrinsics with integer pixel centres, and OpenCV's distortion coefficients. ``up`` is the up axis of scenes
+    taken with this lens, ``size`` the size of its pictures, None for any."""
 
     fx: float
     fy: float
@@ -66,7 +66,7 @@ _KINECT = _Lens(525.0, 525.0, 319.5, 239.5)
 
 @dataclass(frozen=True)
 class _Stamped:
-    """An image and when it was taken, in seconds."""
+    """An image, and when it was taken, in seconds."""
 
     time: float
     path: Path
@@ -111,7 +111,7 @@ def _read(place: Path, progress: Progress) -> Capture:
 
 
 def _pairs(place: Path) -> list[tuple[_Stamped, _Stamped | None]]:
-    """Colour images in order of time, each with the depth image closest in time."""
+    """Return the colour images in order of time, each with the depth image closest in time."""
     lists = [place / name for name in ("associations.txt", "associated.txt") if (place / name).is_file()]
     if lists:
         pairs = []
@@ -147,7 +147,7 @@ def _stamped(words: Sequence[str], line: int, path: Path) -> _Stamped:
 
 
 def _read_poses(path: Path) -> list[_Pose]:
-    """Poses by ascending time, with the numbers that RTAB-Map gives them."""
+    """Read poses by ascending time, with the numbers that RTAB-Map gives them."""
     poses: list[_Pose] = []
     for row in read_rows(path, _POSE_FIX):
         if row.words[0].isdecimal():

@@ -31,8 +31,8 @@ _PICKLES = {".pkl", ".pickle", ".pt", ".pth", ".ptz", ".joblib"}
 
 
 def find_mask_format(place: Path, name: str | None = None) -> MaskFormat:
-    """The format called ``name``, or the one that recognises ``place``, a folder or file. Raises PlgsError for an
-    unknown name, and if no format or more than one is recognised."""
+    """Return the format called ``name``, or the one that recognises ``place``, a folder or file. Raises PlgsError for
+    an unknown name, and if no format or more than one recognises it."""
     known = {each.name: each for each in MASK_FORMATS}
     if name is not None:
         if name not in known:

@@ -43,7 +43,7 @@ def _read_mask(path: Path, name: str, instances_name: str | None) -> FoundMask:
 
 
 def _most_probable(values: NDArray[Any], path: Path) -> FoundMask:
-    """The mask from probabilities [C, H, W] or [H, W, C]: there are fewer channels than rows and columns."""
+    """Return the mask of the most probable classes. ``values`` are [C, H, W] or [H, W, C]: the shortest side is C."""
     if _is_channels_last(values.shape):
         values = np.moveaxis(values, -1, 0)
     values = values.astype(np.float32)
@@ -64,7 +64,7 @@ def _is_channels_last(shape: tuple[int, ...]) -> bool:
 
 
 def _name_of(path: Path) -> str | None:
-    """The name of the array of classes; None if there is no such array."""
+    """Return the name of the array of classes in a file; None if it has none."""
     headers = array_headers(path)
     if any("mask" in name for name in headers):
         return None

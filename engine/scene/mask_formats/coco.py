@@ -41,7 +41,7 @@ _LARGEST_SEGMENT_ID = 256**3 - 1  # the ids are R + 256 G + 65536 B
 
 
 def _read_mask(png: Path, table: str, segments: tuple[FoundSegment, ...], crowd_ids: frozenset[int]) -> FoundMask:
-    """One frame's mask. ``crowd_ids`` are regions of uncounted objects, which become void."""
+    """Read one frame's mask. Regions of ``crowd_ids``, which are uncounted objects, become void."""
     ids = _read_ids(png)
     found, _ = distinct_ids(ids)
     unknown = sorted({*found.tolist()} - {0} - {segment.id for segment in segments} - crowd_ids)
@@ -55,7 +55,7 @@ def _read_mask(png: Path, table: str, segments: tuple[FoundSegment, ...], crowd_
 
 
 def _read_ids(png: Path) -> NDArray[np.int32]:
-    """The segment ids as stored, int32 [H, W]."""
+    """Read the segment ids as stored, int32 [H, W]."""
     pixels = decode(png, as_colour=False)
     if pixels.ndim == 2:
         return pixels.astype(np.int32)
@@ -127,7 +127,7 @@ def _colour(entry: dict[str, Any], context: str, table: Path) -> tuple[int, int,
 
 
 def _entries_by_frame(content: dict[str, Any], table: Path, names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """The annotation of each frame, matched by its image's file name or, failing that, by the mask's."""
+    """Return the annotation of each frame, found by its image's file name or, failing that, by its mask's."""
     images = images_of(content, table)
     wanted, found = {*names}, dict[str, dict[str, Any]]()
     for position, entry in enumerate(take_objects(content, "annotations", "the file", table)):
@@ -141,7 +141,7 @@ def _entries_by_frame(content: dict[str, Any], table: Path, names: Sequence[str]
 
 
 def images_of(content: dict[str, Any], table: Path) -> dict[str, str]:
-    """The stem of each image's file, by the image's id as text. Raises PlgsError."""
+    """Return the stem of each image's file, by the image's id as text. Raises PlgsError."""
     images: dict[str, str] = {}
     for position, image in enumerate(take_objects(content, "images", "the file", table) if "images" in content else ()):
         named = next((key for key in ("file_name", "coco_url") if key in image), None)  # LVIS has only the latter
@@ -151,7 +151,7 @@ def images_of(content: dict[str, Any], table: Path) -> dict[str, str]:
 
 
 def stem_of(file_name: str) -> str:
-    """A file name without its folders, in Windows or POSIX notation, and without its suffix."""
+    """Return a file name without folders (of Windows or POSIX) and without its suffix."""
     return composed(file_name.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0])
 
 
@@ -197,7 +197,7 @@ def _segment(info: dict[str, Any], name: str, table: Path, known: frozenset[int]
 
 
 def take_score(info: dict[str, Any], context: str, table: Path) -> float:
-    """The detector's confidence, 1 if there is none."""
+    """Return a segment's score, the detector's confidence; 1 if there is none."""
     return 1.0 if info.get("score") is None else take_number(info, "score", context, table, least=0.0, most=1.0)
 
 

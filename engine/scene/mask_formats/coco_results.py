@@ -2,9 +2,8 @@
 
 Supported are COCO's results, which detectron2 and ultralytics write, too; instance annotations of COCO and LVIS;
 SA-1B's and SAM's lists for one picture, in a folder with one JSON per frame; and SA-V's masklets, whose indices are
-tracks. Several classes of a detection are several entries with the same mask, or ``scores`` by category id. Used alone,
-the best detection is on top. Over other masks, they overlap (``overlapping``).
-"""
+tracks. A detection of several classes has one entry for each, or ``scores`` by category id. As masks of their own,
+detections are painted with the best on top; over other masks they overlap (``overlapping``)."""
 
 from __future__ import annotations
 
@@ -62,8 +61,8 @@ class DetectedSegment:
     track: int | None = None
 
     def inside(self, path: Path, size: Size | None = None) -> NDArray[np.bool_]:
-        """Its pixels at ``size`` (width, height), chosen as by `resize_nearest`, or at its own; bool [H, W]. Time and
-        memory grow with that size. Raises PlgsError, which names the file ``path``, for damaged run lengths."""
+        """Return its pixels at ``size`` (width, height), chosen as by `resize_nearest`, or at its own; bool [H, W].
+        Time and memory grow with that size. Raises PlgsError for damaged run lengths, with ``path`` as their file."""
         width, height = self.size
         counts = _counts_of(self.runs)
         if not len(counts) or counts.min() < 0 or counts.sum() != width * height:
@@ -78,9 +77,9 @@ class DetectedSegment:
 
 @dataclass(frozen=True)
 class DetectionTable:
-    """The content of a file. ``entries`` pairs a picture's id with the file's entry for a detection; ``names`` and
-    ``sizes`` are those of pictures by id, as text; ``labels`` are its classes, None if it does not name them. If ids
-    are indices in a video, ``video_frames`` is its number of frames."""
+    """The content of a file of detections. ``entries`` pairs a picture's id with the file's entry for a detection;
+    ``names`` and ``sizes`` are those of pictures by id, as text; ``labels`` are its classes, None if it does not name
+    them. ``video_frames`` is a video's number of frames if the ids are indices of its frames."""
 
     path: Path
     entries: Sequence[tuple[str, dict[str, Any]]]
@@ -92,8 +91,9 @@ class DetectionTable:
     def of_frames(
         self, frames: Mapping[str, Size | None], images: Mapping[str, str], progress: Progress = unwatched
     ) -> tuple[dict[str, tuple[DetectedSegment, ...]], tuple[str, ...]]:
-        """The detections of the ``frames``, whose sizes are given where known, and a warning about pictures that are
-        not frames. ``images`` are more names of pictures by id. Raises PlgsError, also if no picture is a frame."""
+        """Return the detections of the ``frames``, by name, and a warning about pictures that are not frames. The
+        frames' sizes are given where known; ``images`` are further names of pictures by id. Raises PlgsError, also
+        without any match."""
         frame_of = self._frames_of({image for image, _ in self.entries}, [*frames], {**images, **self.names})
         others = sorted({image for image, _ in self.entries} - frame_of.keys())
         if others and not frame_of:
@@ -112,7 +112,7 @@ class DetectionTable:
         return {name: tuple(each) for name, each in found.items()}, (warning,) if others else ()
 
     def _frames_of(self, images: set[str], names: Sequence[str], stems: Mapping[str, str]) -> dict[str, str]:
-        """The frame of each picture's id: by file name, by the id as a frame's name or number, or by index."""
+        """The frame of each picture by its id: by file name, by the id as a frame's name or number, or by index."""
         if self.video_frames:
             step = 1 if self.video_frames == len(names) else _EVERY
             if step == _EVERY and not _EVERY * (self.video_frames - 1) < len(names) <= _EVERY * self.video_frames:
@@ -131,12 +131,12 @@ class DetectionTable:
         return found
 
     def is_by_number(self, names: Sequence[str]) -> bool:
-        """Whether some pictures are known by numbers alone, and some of these are not frames."""
+        """Whether some pictures are known by numbers alone, and not all of these numbers are frames."""
         images = {image for image, _ in self.entries} - self.names.keys() - {*names}
         return bool(images) and not images <= self._frames_of(images, names, {}).keys()
 
     def _each_class(self, entry: dict[str, Any], context: str) -> list[dict[str, Any]]:
-        """The entry, or one for each class if it has ``scores`` by category id."""
+        """Return the entry, or one for each class if it has ``scores`` by category id."""
         if "scores" not in entry:
             return [entry]
         scores = entry["scores"]
@@ -163,8 +163,8 @@ class DetectionTable:
 
 
 def _counts_of(runs: bytes) -> NDArray[np.int64]:
-    """The run lengths of COCO's compressed form: numbers of five bits a character, lowest first, each but the first
-    three less the one before the last."""
+    """Decode COCO's compressed run lengths: each number has five bits per character, lowest first, and from the fourth
+    on is stored minus the number two before it."""
     characters = np.frombuffer(runs, np.uint8).astype(np.int64) - 48
     ends = np.flatnonzero(characters & 32 == 0)
     starts = np.concatenate([[0], ends[:-1] + 1])
@@ -177,8 +177,8 @@ def _counts_of(runs: bytes) -> NDArray[np.int64]:
 
 
 def compressed(given: Any, size: Size | None, context: str, path: Path) -> tuple[Size, bytes]:
-    """The size and compressed run lengths of a COCO segmentation: run lengths, compressed or not, or polygons in a
-    picture of this ``size``. Raises PlgsError."""
+    """Return the size and compressed run lengths of a COCO segmentation: run lengths, compressed or not, or polygons in
+    a picture of this ``size``. Raises PlgsError, which names ``context`` and ``path``."""
     from pycocotools import mask as rle_tools  # late, as above
 
     if isinstance(given, dict):
@@ -208,7 +208,7 @@ def compressed(given: Any, size: Size | None, context: str, path: Path) -> tuple
 
 
 def _without_empty(counts: list[int]) -> list[int]:
-    """The same runs without empty ones, except perhaps the first."""
+    """Return the same runs without empty ones, except perhaps the first."""
     kept = [0]
     for place, count in enumerate(counts):
         if count and len(kept) % 2 == place % 2:
@@ -225,7 +225,7 @@ def check_picture(size: Size, context: str, path: Path) -> None:
 
 
 def _whole_numbers(values: list[Any], key: str, count: int | None, context: str, path: Path) -> list[int]:
-    """``values`` as whole numbers from 0 to LARGEST_PIXELS. Raises PlgsError."""
+    """Return ``values``, ``count`` of them, as whole numbers from 0 to LARGEST_PIXELS. Raises PlgsError."""
     wrong = [one for one in values if type(one) is not int or not 0 <= one <= LARGEST_PIXELS]
     if wrong or (count is not None and len(values) != count):
         amount = "" if count is None else f"{count} "
@@ -234,7 +234,7 @@ def _whole_numbers(values: list[Any], key: str, count: int | None, context: str,
 
 
 def _polygon(values: Any, size: Size, context: str, path: Path) -> list[float]:
-    """x and y of the corners in turn, within the picture. Raises PlgsError."""
+    """Return the corners of a polygon as x, y, x, y, ..., moved into the picture. Raises PlgsError."""
     numbers = values if isinstance(values, list) else []
     are_finite = all(type(one) in (int, float) and abs(one) < 1e300 for one in numbers)
     if len(numbers) < 6 or len(numbers) % 2 or not are_finite:
@@ -245,7 +245,7 @@ def _polygon(values: Any, size: Size, context: str, path: Path) -> list[float]:
 
 
 def read_table(place: Path) -> DetectionTable:
-    """The detections in a file, or in a folder of one, or of files named like their frames. Raises PlgsError."""
+    """Read the detections in a file, or in a folder that has one such file, or one for each frame. Raises PlgsError."""
     files = sorted(shown_files(place, "*.json")) if place.is_dir() else [place]
     if len(files) != 1:
         tables = [(path.stem, _table_of(path)) for path in files]
@@ -260,8 +260,8 @@ def read_table(place: Path) -> DetectionTable:
 
 
 def _checked(table: DetectionTable) -> DetectionTable:
-    """The table with classes that entries name by words, as Grounded-SAM-2's do. Raises PlgsError for shapes that were
-    counted otherwise than COCO's: normalised polygons, and run lengths along rows."""
+    """Return the table with numbers for classes that entries give by name only, as Grounded-SAM-2's do. Raises
+    PlgsError for shapes that COCO counts differently: normalised polygons, and run lengths along rows."""
     found = [entry for _, entry in table.entries]
     polygons = [one for entry in found if isinstance(entry.get("segmentation"), list) for one in entry["segmentation"]]
     numbers = [each for one in polygons if isinstance(one, list) for each in one if type(each) in (int, float)]
@@ -285,7 +285,8 @@ def _checked(table: DetectionTable) -> DetectionTable:
 
 
 def _are_along_rows(segmentations: Sequence[dict[str, Any]]) -> bool:
-    """Whether the outlines of run lengths are far shorter if these are read along rows: else they are stripes."""
+    """Whether the outlines of run lengths are far shorter along rows. Then COCO's order, down columns, gives
+    stripes."""
     as_columns = as_rows = seen = 0
     for each in segmentations:
         size: Any = each.get("size")
@@ -332,7 +333,7 @@ def _size_of(entry: dict[str, Any], width: str, height: str, context: str, path:
 
 
 def _masklets(frames: list[Any], path: Path) -> DetectionTable:
-    """SA-V: for each frame, the run lengths of each object in turn."""
+    """Return the table of an SA-V file, which holds for each frame the run lengths of each object in turn."""
     entries = []
     for position, objects in enumerate(frames):
         if not isinstance(objects, list):
@@ -343,7 +344,7 @@ def _masklets(frames: list[Any], path: Path) -> DetectionTable:
 
 
 def is_detections(place: Path) -> bool:
-    """Whether a file, or the first one in a folder of JSON files, has detections. No JSON is parsed."""
+    """Whether a file, or the first in a folder of JSON files, has detections, judged without parsing the JSON."""
     if place.is_dir():
         named = sorted(path for path in shown_files(place) if path.name != "classes.toml")
         return bool(named) and all(path.suffix == ".json" for path in named) and is_detections(named[0])

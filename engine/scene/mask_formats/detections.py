@@ -39,8 +39,8 @@ _MOST = 10_000
 
 @dataclass(frozen=True)
 class Detection:
-    """The class of a detection as in the file, and its score. ``track`` is its object's number, if any; without
-    classes, it is also the ``word``."""
+    """A detection: its class as in the file, and its score. ``track`` is its object's number in all frames, if any;
+    without classes, the number is the class (``word``), too."""
 
     word: str
     score: float
@@ -90,7 +90,7 @@ def _read(place: Path, names: Sequence[str], progress: Progress) -> MaskSource:
 
 
 def _read_stack(path: Path, segments: Sequence[FoundSegment]) -> FoundMask:
-    """The mask in an .npz, with ``segments`` in the order of its detections."""
+    """Read the mask in an .npz. ``segments`` are in the order of its detections."""
     masks = read_array(path, _key(path, "masks"))
     masks = masks.reshape(-1, *masks.shape[-2:])  # [N, 1, H, W] of networks, or [H, W]
     return painted((inside(mask, path) for mask in masks), segments, (masks.shape[2], masks.shape[1]))
@@ -137,7 +137,8 @@ def _key(path: Path, what: str) -> str:
 
 
 def _labels(frames: Iterable[Sequence[Detection]]) -> tuple[dict[str, int], tuple[ClassLabel, ...] | None]:
-    """The label of each class, and the classes if the file names them: numbers need a table that the user names."""
+    """Number the classes. Returns each one's label, and the classes if the file names them; None if it has only
+    numbers, whose table the user must name."""
     words = {one.word for found in frames for one in found}
     numbers = {word: number for word in words if (number := whole_number(word)) is not None}
     if len(numbers) == len(words) and max(numbers.values(), default=0) < LARGEST_CLASS_ID:

@@ -55,7 +55,7 @@ def _read_pairs(place: Path, names: Sequence[str], progress: Progress) -> MaskSo
 def label_pairs(
     classes: Mapping[str, Path], instances: Mapping[str, Path], progress: Progress = unwatched
 ) -> dict[str, StoredMask]:
-    """Masks from each frame's images of ``classes`` and, if there are any, ``instances``. Raises PlgsError."""
+    """Make masks from each frame's image of ``classes`` and, if there are any, of ``instances``. Raises PlgsError."""
     masks = {}
     for name, path in watched([*classes.items()], progress):
         size, instance = label_map_size(path), instances.get(name)
@@ -93,7 +93,7 @@ _BOTH = "masks with test-time augmentation are used; for those without, name m2f
 
 
 def _semantics_of(place: Path) -> Path | None:
-    """The folder of classes: ``place`` itself or a subfolder."""
+    """Return the folder of class images: ``place`` itself or a subfolder."""
     if place.name.endswith("_semantics"):
         return place if place.is_dir() else None
     return next((each for each in (place / "m2f_semantics", place / "m2f_notta_semantics") if each.is_dir()), None)

@@ -36,7 +36,7 @@ _NO_LABEL = -1  # in no table: a region's number does not give its class
 
 
 def _object_folders(place: Path) -> dict[int, Path]:
-    """The folders by object number, if each holds one object's PNGs, not a picture's or a camera's."""
+    """Return the folders by object number, if each holds one object's PNGs, rather than a picture's or a camera's."""
     if not place.is_dir():
         return {}
     folders = (path for path in sorted(shown_files(place)) if path.is_dir())
@@ -82,7 +82,7 @@ def _read_map(path: Path, numbers: Mapping[bytes, int] | None) -> FoundMask:
 
 
 def _picture_folders(place: Path) -> list[Path]:
-    """The folders of the pictures in which ``amg.py`` found regions."""
+    """Return the folders of pictures in which ``amg.py`` found regions."""
     lists = shown_files(place, f"*/{AMG_LIST}") if place.is_dir() else ()
     return [path.parent for path in lists if any(shown_files(path.parent, "*.png"))]
 
@@ -93,7 +93,7 @@ def _read_pictures(place: Path, names: Sequence[str], progress: Progress) -> Mas
 
 
 def _regions(folder: Path) -> StoredMask:
-    """A picture's mask from the PNGs in its list. Raises PlgsError unless all exist."""
+    """Read a picture's mask from the PNGs that its metadata.csv lists. Raises PlgsError unless all exist."""
     files = files_by_stem(folder, {".png"}, _LIST_FIX)
     wanted = [row.words[0] for row in read_rows(folder / AMG_LIST, _LIST_FIX, ",") if row.words[0].isdecimal()]
     lacking = [f"{k}.png" for k in wanted if k not in files]
@@ -117,7 +117,7 @@ _LARGEST_OBJECT = 65535
 
 
 def _read_mask(array: Path, table: str, segments: Mapping[int, FoundSegment]) -> FoundMask:
-    """One frame; ``segments`` by the object's number. Raises PlgsError for an object that the JSON lacks."""
+    """Read one frame. ``segments`` are by object number. Raises PlgsError for an object that is not among them."""
     ids = read_label_map(array)
     present = [int(value) for value in np.unique(ids) if value]
     unknown = [value for value in present if value not in segments]
@@ -143,13 +143,13 @@ def _read_grounded(place: Path, names: Sequence[str], progress: Progress) -> Mas
 
 
 def _by_frame(folder: Path, suffix: str) -> dict[str, Path]:
-    """Files by the frame's name, which follows "mask_" in theirs."""
+    """Return the files by frame name, which follows "mask_" in theirs."""
     files = files_by_stem(folder, {suffix}, _GROUNDED_FIX)
     return {stem.removeprefix("mask_"): path for stem, path in files.items()}
 
 
 def _objects_of(path: Path) -> dict[int, str]:
-    """The class of each object's number. Raises PlgsError."""
+    """Return the class of each object's number. Raises PlgsError."""
     labels: Any = read_json_object(path).get("labels")
     if not isinstance(labels, dict):
         raise wrong_type("labels", "an object", labels, "the file", path)

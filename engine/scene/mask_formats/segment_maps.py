@@ -48,7 +48,7 @@ _COCO_THINGS = 80
 
 
 def _read_mask(picture: Path, table: str, segments: Mapping[int, FoundSegment]) -> FoundMask:
-    """One frame; ``segments`` by their id in the picture. Raises PlgsError for an id that the JSON should have."""
+    """Read one frame. ``segments`` are by id in the picture. Raises PlgsError for an id that is not among them."""
     ids = read_label_map(picture)
     present = np.unique(ids)
     void = {0, *([255, 65535] if picture.suffix.lower() == ".png" else [])}  # a PNG holds -1 as its largest value
@@ -62,7 +62,7 @@ def _read_mask(picture: Path, table: str, segments: Mapping[int, FoundSegment]) 
 
 
 def _key_of(place: Path) -> str | None:
-    """The key of the segments' classes, None in other files. Without any segment, transformers' key is assumed."""
+    """The key under which segments have their class, None in other files; transformers' if no file has a segment."""
     if not place.is_dir():
         return None
     found = mask_files(place, ".json")
@@ -74,7 +74,7 @@ def _key_of(place: Path) -> str | None:
 
 
 def _segments_info(path: Path) -> list[dict[str, Any]]:
-    """The list in a file: alone, or as "segments_info" of an object. Raises PlgsError."""
+    """Return the list of segments in a file: alone, or as "segments_info" of an object. Raises PlgsError."""
     data = read_file(path, LARGEST_TABLE)
     if data.lstrip().startswith(b"["):
         data = b'{"segments_info": ' + data + b"}"
@@ -106,7 +106,7 @@ def _read_detectron2(place: Path, names: Sequence[str], progress: Progress) -> M
 def _detectron2_source(
     pictures: Mapping[str, Path], tables: Mapping[str, Path], infos: Mapping[str, list[dict[str, Any]]], is_apart: bool
 ) -> MaskSource:
-    """The masks; with ``is_apart``, stuff is numbered after COCO's things. Raises PlgsError."""
+    """Return the masks. With ``is_apart``, stuff is numbered separately, after COCO's things. Raises PlgsError."""
     kinds: dict[int, bool] = {}
     segments: dict[str, dict[int, FoundSegment]] = {}
     for name in infos:
@@ -122,7 +122,7 @@ def _detectron2_source(
 
 
 def _counts_stuff_apart(infos: Mapping[str, list[dict[str, Any]]], tables: Mapping[str, Path]) -> bool:
-    """Whether one number is a thing's class in one segment and a stuff class in another."""
+    """Whether the same number is a thing's class in one segment and a stuff class in another."""
     kinds = set()
     for name, found in infos.items():
         whose = f"a segment of frame {name}", tables[name]
@@ -157,7 +157,7 @@ def _segment(info: dict[str, Any], key: str, name: str, table: Path) -> FoundSeg
 
 
 def _add(found: dict[int, FoundSegment], one: FoundSegment, name: str, table: Path) -> None:
-    """Adds segments, numbered from 1 in order. Fused stuff is listed once per piece."""
+    """Add a segment to those found, with the next id from 1. Fused stuff is listed once per piece."""
     if one.id not in found:
         found[one.id] = FoundSegment(len(found) + 1, one.label, one.score)
     elif found[one.id].label != one.label:
@@ -166,8 +166,8 @@ def _add(found: dict[int, FoundSegment], one: FoundSegment, name: str, table: Pa
 
 
 def labels_of_config(config: Path, fused: Set[int] = frozenset()) -> tuple[ClassLabel, ...]:
-    """``id2label`` of a config.json. Whether a class is a thing follows from its name in public tables, else from
-    whether it was never fused. Raises PlgsError."""
+    """The classes that ``id2label`` of a config.json names. Whether one is a thing follows from its name in public
+    tables or else from ``fused``, the classes that were fused at some time, which are stuff. Raises PlgsError."""
     names = read_json_object(config).get("id2label")
     fix = "Copy the model's config.json there, or remove it and name a table with --classes."
     if not isinstance(names, dict) or not names:

@@ -1,4 +1,4 @@
-"""Mask formats and the results of their readers: segments with the files' own numbers and classes."""
+"""What readers of mask formats return: segments with the files' own numbers and classes."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ IGNORED = frozenset({0, 255, 65535})  # labels that mean nothing in most label i
 
 @dataclass(frozen=True)
 class FoundSegment:
-    """A region: its value ``id`` >= 1 in the pixels, its class ``label`` in the masks' numbering, its score in 0..1.
-    ``has_instance`` is False for the whole area of a class, perhaps several objects. ``track``: see Segment."""
+    """A region of a stored mask: its value ``id`` >= 1 in the pixels, its class ``label`` in the masks' numbering, its
+    score in 0..1. ``has_instance`` is False if it is the whole area of a class, perhaps several objects; ``track``: see
+    Segment."""
 
     id: int
     label: int
@@ -39,7 +40,7 @@ class FoundSegment:
 
 @dataclass(frozen=True, eq=False)
 class FoundMask:
-    """Segment ids, int32 [H, W] with 0 = void, and the segments."""
+    """A mask as found in files: segment ids, int32 [H, W] with 0 = void, and the segments."""
 
     ids: NDArray[np.int32]
     segments: tuple[FoundSegment, ...]
@@ -47,7 +48,7 @@ class FoundMask:
 
 @dataclass(frozen=True, eq=False)
 class StoredMask:
-    """One frame's mask on disk: its file, for messages, its (width, height), and ``read``, which raises PlgsError."""
+    """One frame's mask on disk: its file (for messages), its (width, height), and ``read``, which raises PlgsError."""
 
     path: Path
     size: Size
@@ -61,18 +62,18 @@ class StoredMask:
 
     @property
     def about(self) -> str:
-        """What ``read`` depends on besides files, such as the segments listed in a table."""
+        """What else the result of ``read`` depends on besides files, such as the segments listed in a table."""
         given = ((one, one if isinstance(one, tuple) and one else (one,)) for one in self.read.args)
         return repr([one for one, parts in given if not all(isinstance(part, Path) for part in parts)])
 
 
 @dataclass(frozen=True)
 class MaskSource:
-    """All frames' masks. ``labels`` are the classes in their files, None if these do not say. With ``stuff_in_pieces``,
-    one stuff class may come as several segments of a frame. With ``tells_no_class``, labels number objects; without a
-    table these are all of the class "object". Labels in ``void`` mean nothing unless the table has them. ``table`` is
-    what messages call the classes' table. ``kinds`` says whether each label is a thing, for files that give this
-    without names. ``apart`` are the same masks read as if their files numbered stuff separately from things."""
+    """All frames' masks. ``labels`` are the classes that their files name, None if they do not. ``stuff_in_pieces``:
+    one stuff class may come as several segments of a frame. ``tells_no_class``: labels number objects, which without a
+    table all have the class "object". Labels in ``void`` are ignored unless the table has them. ``table`` is what
+    messages call the class table. ``kinds`` says whether each label is a thing, for files that give this without names.
+    ``apart`` are the same masks, read as if their files numbered stuff separately from things."""
 
     masks: Mapping[str, StoredMask]
     labels: tuple[ClassLabel, ...] | None = None
@@ -88,9 +89,9 @@ class MaskSource:
 @dataclass(frozen=True)
 class MaskFormat:
     """A format of masks by its ``name``, one of `MASK_FORMAT_NAMES`. ``recognises`` says whether a folder or file has
-    it, by names, headers and first keys. ``read`` gets the frames' names, decodes no picture, and raises PlgsError.
-    ``in_scene``: a scene's own folder is searched as well. ``own_names``: its files have distinctive names, so it is
-    tried before formats that its files resemble."""
+    it, by names, headers and first keys. ``read`` takes the frames' names and opens the masks without decoding a
+    picture; it raises PlgsError. ``in_scene``: a scene's own folder is searched as well. ``own_names``: its files have
+    distinctive names, so it is tried before formats with similar files."""
 
     name: str
     recognises: Callable[[Path], bool]
@@ -100,8 +101,8 @@ class MaskFormat:
 
 
 def segments_of_pairs(labels: NDArray[np.integer], instances: NDArray[np.integer]) -> FoundMask:
-    """One segment per pair of a class in ``labels`` [H, W] (< 0 = void) and an instance in ``instances`` [H, W] (<= 0 =
-    none), numbered from 1; those of class 0, which is void in most tables, come last."""
+    """Make one segment for each pair of a class in ``labels`` [H, W] (< 0 = void) and an instance in ``instances`` [H,
+    W] (<= 0 = none). Ids count from 1; those of class 0, which is void in most tables, come last."""
     pairs = labels.astype(np.int64) << 32 | np.maximum(instances, 0).astype(np.int64)
     present, inverse = np.unique(pairs, return_inverse=True)
     number = np.zeros(len(present), np.int32)
@@ -114,13 +115,13 @@ def segments_of_pairs(labels: NDArray[np.integer], instances: NDArray[np.integer
 
 
 def segments_of_labels(labels: NDArray[np.integer]) -> FoundMask:
-    """One segment for each class in ``labels`` [H, W] (< 0 = void). Each may be several objects."""
+    """Make one segment for each class in ``labels`` [H, W] (< 0 = void). Each may be several objects."""
     return segments_of_pairs(labels, np.zeros_like(labels))
 
 
 def painted(masks: Iterable[NDArray[np.bool_]], segments: Sequence[FoundSegment], size: Size) -> FoundMask:
-    """Paints ``masks``, bool [H, W], one per segment, over each other: the highest score, then the smallest, on top.
-    They are taken one at a time and kept packed: a frame may have hundreds."""
+    """Paint ``masks``, bool [H, W], one per segment, over each other, so that the highest score, then the smallest
+    area, is on top. They are taken one at a time and kept packed, as a frame may have hundreds."""
     ids = np.zeros(size[::-1], np.int32)
     packed = [(np.count_nonzero(mask), compress(np.packbits(mask).tobytes(), 1)) for mask in masks]
     for place in sorted(range(len(packed)), key=lambda place: (segments[place].score, -packed[place][0])):
@@ -131,7 +132,7 @@ def painted(masks: Iterable[NDArray[np.bool_]], segments: Sequence[FoundSegment]
 
 
 def painted_files(paths: Sequence[Path], segments: Sequence[FoundSegment], size: Size, fix: str) -> FoundMask:
-    """``painted`` for PNGs of one object each. Raises PlgsError, including for one not of ``size``."""
+    """Paint PNGs of one object each, as ``painted`` does. Raises PlgsError, also for a PNG that is not of ``size``."""
     for path in paths:
         if label_header(path).size != size:
             raise PlgsError("other-size", f"this mask is not {shown_size(size)} like the others", path, fix)
@@ -139,13 +140,13 @@ def painted_files(paths: Sequence[Path], segments: Sequence[FoundSegment], size:
 
 
 def pile(paths: Sequence[Path], segments: Sequence[FoundSegment], fix: str) -> StoredMask:
-    """A frame's mask from one PNG per segment. Raises PlgsError."""
+    """Return a frame's mask that is stored as one PNG per segment. Raises PlgsError."""
     size = label_header(paths[0]).size
     return StoredMask(paths[0], size, partial(painted_files, (*paths,), segments, size, fix))
 
 
 def named_labels(words: Collection[str]) -> tuple[dict[str, int], tuple[ClassLabel, ...]]:
-    """Labels for classes given by name: the number of each word, from 1, and the classes."""
+    """Number classes that are given by name. Returns the label of each name, from 1, and the classes."""
     label_of = {word: number for number, word in enumerate(sorted({*words}), start=1)}
     labels = (ClassLabel(n, shown(word), is_thing_by_name(word) is not False) for word, n in label_of.items())
     return label_of, tuple(labels)
