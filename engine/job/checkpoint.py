@@ -28,8 +28,6 @@ class Checkpoint:
 
 @dataclass(frozen=True)
 class _Index:
-    """The content of state.json."""
-
     state: Mapping[str, Any]
     files: tuple[ListedFile, ...]
 

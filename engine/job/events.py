@@ -57,7 +57,6 @@ class Event:
 
     @property
     def line(self) -> bytes:
-        """The event as a line of the file."""
         return to_line({"seq": self.seq, "time": self.time, "event": self.kind, **self.data})
 
 
@@ -138,7 +137,6 @@ class EventWriter:
         self._write("done", state=state, seconds=round(time.monotonic() - self._began, 3))
 
     def close(self) -> None:
-        """Stop writing, and close the file."""
         with self._lock:
             if self._descriptor >= 0:
                 os.close(self._descriptor)

@@ -149,7 +149,6 @@ class LiftFolder:
 
     @property
     def is_running(self) -> bool:
-        """Whether an engine is working in this folder."""
         return is_locked(self.events_path)
 
     def lock(self) -> FileLock:

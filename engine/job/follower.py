@@ -80,7 +80,6 @@ class TaskFollower:
 
     @property
     def is_own(self) -> bool:
-        """Whether this process started the engine."""
         return self._process is not None
 
     @property

@@ -83,7 +83,6 @@ class LiftRequest(SceneSource):
 
     @property
     def bakes(self) -> Bake:
-        """The frames to bake."""
         return self.bake or usual_bake(self.preset)
 
     def to_json(self, lift: Path | None = None) -> str:

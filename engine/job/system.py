@@ -177,8 +177,6 @@ def _of_windows() -> MainMemory:
     import ctypes
 
     class Status(ctypes.Structure):
-        """MEMORYSTATUSEX of the Windows API."""
-
         _fields_ = (
             ("length", ctypes.c_ulong),
             ("load", ctypes.c_ulong),

@@ -53,7 +53,6 @@ class TaskFiles:
 
     @classmethod
     def of_lift(cls, lift: Path) -> TaskFiles:
-        """The files of a lift folder."""
         return cls(lift / "events.jsonl", lift / "cancel", lift / "log.txt")
 
     @classmethod

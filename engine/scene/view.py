@@ -195,7 +195,6 @@ class StoredArrays:
 
     @property
     def nbytes(self) -> int:
-        """The number of bytes of all arrays together."""
         return self._file.seek(0, SEEK_END)
 
     def append(self, array: NDArray[Any]) -> int:

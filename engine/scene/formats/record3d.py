@@ -65,7 +65,6 @@ class _Archive:
         return self.path / name if self.path.is_dir() else self.path
 
     def read(self, name: str) -> bytes:
-        """Read an entry. Raises PlgsError."""
         if self.path.is_dir():
             return read_file(self.path / name, _LARGEST, _FIX)
         with self._open() as archive:

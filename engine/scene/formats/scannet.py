@@ -94,7 +94,6 @@ class _Block:
     size: int
 
     def read(self) -> bytes:
-        """The block's bytes. Raises PlgsError."""
         with reading(self.path), open_plain(self.path) as file:
             file.seek(self.start)
             data = file.read(self.size)
