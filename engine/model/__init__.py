@@ -1,1 +1,1 @@
-"""Anchors, decoders, growth and pruning."""
+"""The model of a scene: anchors, decoders, growing and pruning, rendering, and voted labels."""

@@ -1,9 +1,8 @@
-"""Anchors: voxel centres that each own ``k`` neural Gaussians (see the paper's section "Structured Panoptic-Aware
-Scene Representation", and Scaffold-GS).
+"""Anchors: voxel centres that each own ``k`` neural Gaussians (see the paper's section "Structured Panoptic-Aware Scene
+Representation", and Scaffold-GS).
 
-An anchor never moves. Its feature, the offsets of its Gaussians and six log scales are learnt: three scale the
-offsets, three limit the size of the Gaussians.
-"""
+An anchor never moves. Learnt are its feature, the offsets of its Gaussians, and six log scales: three scale the
+offsets, three limit the size of the Gaussians."""
 
 from __future__ import annotations
 
@@ -45,25 +44,26 @@ class Anchors:
         return self.offset.shape[1]
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """All tensors by name; the learnt ones are detached."""
+        """Return all tensors by name, detached from autograd."""
         return {name: getattr(self, name).detach() for name in (*self.LEARNT, *self.FIXED)}
 
     def on(self, device: torch.device | str) -> Anchors:
-        """The anchors on ``device``, as new leaf tensors if they were elsewhere."""
+        """Return the anchors on ``device``: new leaf tensors, unless they are there already."""
         return Anchors(**{name: tensor.to(device) for name, tensor in self.tensors().items()})
 
     def select(self, rows: torch.Tensor) -> Anchors:
-        """The anchors at ``rows`` (bool [M] or int64 indices), in order, as new leaf tensors."""
+        """Return the anchors at ``rows`` (bool [M], or int64 indices), in that order, as new leaf tensors."""
         return Anchors(**{name: tensor[rows].clone() for name, tensor in self.tensors().items()})
 
     def extended(self, more: Anchors) -> Anchors:
-        """These anchors followed by ``more``."""
+        """Return these anchors followed by ``more``."""
         mine, theirs = self.tensors(), more.tensors()
         return Anchors(**{name: torch.cat([mine[name], theirs[name]]) for name in mine})
 
 
 def spacing(positions: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Root mean square distance in metres to the three nearest others, float32 [M]: Scaffold-GS's initial scale."""
+    """Return each position's root mean square distance, metres, to its three nearest others, float32 [M]. Scaffold-GS
+    uses it as the initial scale."""
     neighbours = min(4, len(positions))  # the first is the anchor itself
     if neighbours < 2:
         return np.full(len(positions), 0.05, np.float32)
@@ -79,8 +79,8 @@ def initial_anchors(
     feature: NDArray[np.float32],
     voxel_size: float,
 ) -> Anchors:
-    """Anchors at ``positions`` [M, 3] with class ids ``classes`` [M] (0 unknown) and starting features [M, F]. A lone
-    point far from all others would start as one huge Gaussian, so the initial scale is at most three voxels."""
+    """Make anchors at ``positions`` [M, 3], metres, with class ids ``classes`` [M] (0 = unknown) and features [M, F].
+    Their initial scale is at most three voxels, as a lone point would else start as one huge Gaussian."""
     count = len(positions)
     log_scale = np.log(np.minimum(spacing(positions), 3.0 * voxel_size))
     return Anchors(
@@ -96,10 +96,10 @@ def initial_anchors(
 def seeded_features(
     rgb: NDArray[np.uint8], class_id: NDArray[np.integer], instance_id: NDArray[np.integer], *, features: int, seed: int
 ) -> NDArray[np.float32]:
-    """Starting features that differ by colour and consistent label, float32 [M, ``features``]. Scaffold-GS and the
-    paper start from zero. It then takes thousands of steps until equal anchors have drifted apart, but a lift on a CPU
-    has only hundreds. Three entries hold ``rgb`` uint8 [M, 3] scaled to [-1, 1]. Half of the others hold a random +-1
-    code of the class, the rest one of the instance; codes are unique. Unknown labels (0) give zeros."""
+    """Return initial features that differ by colour and label, float32 [M, ``features``]. Three entries are ``rgb``
+    uint8 [M, 3], scaled to [-1, 1]. Half of the others are a random code of +-1 for the class, the other half one for
+    the instance, zeros for unknown ones (0); no two share a code. Scaffold-GS and the paper start from zero, and equal
+    anchors take thousands of steps to become different, but a lift on a CPU has only hundreds."""
     seeded = np.zeros((len(rgb), features), np.float32)
     seeded[:, :3] = rgb.astype(np.float32) / 127.5 - 1.0
     half = 3 + (features - 3) // 2
@@ -110,8 +110,8 @@ def seeded_features(
 
 
 def _codes(labels: int, width: int, random: np.random.Generator) -> NDArray[np.float32]:
-    """Zeros for label 0 and a +-1 code for each of 1..``labels``, float32 [``labels`` + 1, ``width``]. If there are
-    enough codes, no two labels share one, as nothing else would distinguish two identical chairs."""
+    """Return a random code of +-1 for each label, float32 [``labels`` + 1, ``width``], zeros for label 0. No two labels
+    share one, if there are enough: nothing else would distinguish two identical chairs."""
     sides = np.array([-1.0, 1.0], np.float32)
     codes = random.choice(sides, (labels + 1, width))
     codes[0] = 0.0
@@ -124,8 +124,8 @@ def _codes(labels: int, width: int, random: np.random.Generator) -> NDArray[np.f
 
 
 class AnchorsInView(NamedTuple):
-    """Rows of the ``anchors`` to decode, as seen from a place. With ``known_labels``, decoded earlier (`SceneLabels`),
-    labels are not decoded; ``channels``, the semantic channel of each anchor's class, are for the cluster loss."""
+    """The rows ``visible`` of ``anchors``, to be decoded as seen from ``centre``. ``channels``: the semantic channel of
+    each anchor's class, for the cluster loss. ``known_labels``: labels decoded earlier, used in place of new ones."""
 
     anchors: Anchors
     visible: torch.Tensor  # int64 [V], without repetitions

@@ -1,4 +1,4 @@
-"""A lifted scene as arrays: anchors to inspect, and Gaussians that any splat viewer can open."""
+"""Converts a lifted scene to arrays: anchors to inspect, and Gaussians that any splat viewer can open."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ class BakedGaussians:
     instance_id: NDArray[np.int32]
 
     def blended_colours(self) -> NDArray[np.float32]:
-        """The colour around each Gaussian, sRGB float32 [N, 3] in [0, 1]: the mean of its nearest neighbours, weighted
-        by opacity. A pixel mixes many Gaussians, whose own colours scatter around the visible colour; a viewer that
-        draws each Gaussian opaque shows this colour."""
+        """Return the colour that one sees around each Gaussian, sRGB float32 [N, 3] in [0, 1]: the mean over its
+        nearest neighbours, weighted by opacity. A pixel blends many Gaussians, whose own colours scatter around it. It
+        is for viewers that draw Gaussians opaque."""
         if not len(self.means):
             return self.colours
         tree, blended = cKDTree(self.means), np.empty_like(self.colours)
@@ -64,8 +64,8 @@ class BakedGaussians:
         return blended
 
     def without_floaters(self, seen: NDArray[np.floating]) -> BakedGaussians:
-        """The Gaussians that are opaque enough to be visible, lie near the points ``seen`` [P, 3] m, and touch others.
-        Photos do not constrain geometry that they never saw: it floats in the room or far outside."""
+        """Return the Gaussians that are opaque enough to be visible, near the points ``seen`` [P, 3], metres, and touch
+        others. Where no photo saw the scene, nothing keeps Gaussians from floating in the room or far outside."""
         near, _ = cKDTree(seen).query(self.means, distance_upper_bound=FLOATS, workers=-1)
         kept = np.flatnonzero(np.isfinite(near) & (self.opacities >= FAINTEST))
         cell, group = np.floor(self.means[kept] / FLOATS).astype(np.int64), np.zeros(len(kept), np.int64)
@@ -83,8 +83,9 @@ class BakedGaussians:
 def decided_labels(
     shown: NDArray[np.float32], channels: LabelChannels, thing_ids: frozenset[int]
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Class and instance ids, int32 [N] each, from the result of ``shown_probabilities`` [N, C + U]. They are decided
-    like a pixel of the passes: where objects have one class, a thing without an object takes the next class."""
+    """Return class and instance ids, int32 [N] each, for probabilities ``shown`` [N, C + U] from
+    ``shown_probabilities``. They are decided as for a pixel of the passes: if each object has one class, a thing
+    without object takes another class."""
     classes = len(channels.class_ids)
     by_class, owned = shown[:, :classes], shown[:, classes:]
     column, rows = by_class.argmax(axis=1), np.arange(len(shown))
@@ -118,10 +119,10 @@ def bake(
     thing_ids: frozenset[int],
     progress: Progress = lambda _done, _total: None,
 ) -> tuple[BakedGaussians, Anchors]:
-    """Decode every anchor as seen from ``viewpoint`` [3] metres. Raises what ``progress`` raises. Colours and shapes
-    depend slightly on the viewpoint, which a splat file cannot express; the mean of the camera centres is a fair
-    compromise. Gaussians keep the blur of the training pictures (see ``detail``): without it, viewers show cracks in
-    distant walls."""
+    """Decode all anchors as seen from ``viewpoint`` [3], metres; return the Gaussians and the anchors. Colours and
+    shapes depend slightly on the viewpoint, which splat files cannot express; the mean of the camera centres is a fair
+    compromise. Gaussians keep the blur of the training pictures (see ``detail``), or viewers would show cracks in
+    distant walls. Raises what ``progress`` raises."""
     centre = torch.from_numpy(viewpoint.copy()).float()
     parts: list[dict[str, NDArray]] = []
     anchor_parts: list[dict[str, NDArray]] = []
@@ -173,7 +174,8 @@ def _anchor_means(
     colour: NDArray[np.float32],
     labels: NDArray[np.float32],
 ) -> dict[str, NDArray]:
-    """Opacity-weighted means over each anchor's drawn Gaussians; zeros for an anchor that draws none."""
+    """Return each anchor's ``colour`` [count, 3] and ``labels`` as means over its Gaussians by opacity, and
+    ``weight``."""
     total = np.bincount(owner, weight, count)
     safe = np.maximum(total, 1e-9)[:, None]
     mean_colour = np.stack([np.bincount(owner, weight * column, count) for column in colour.T], axis=1) / safe

@@ -1,4 +1,4 @@
-"""Validates a model that was read from a file, as the kernels do not check indices."""
+"""Validates a model that was read from a file, since the kernels do not check indices."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MOST_PER_ANCHOR = 64
 
 
 class Wanted(NamedTuple):
-    """The shape and type of a tensor, and the range of its numbers, from ``least`` to ``most``."""
+    """What a tensor of the file must have: shape, dtype, and values from ``least`` to ``most``."""
 
     shape: tuple[int, ...]
     dtype: torch.dtype = torch.float32
@@ -40,7 +40,7 @@ class Wanted(NamedTuple):
 
 
 def check_tensors(tensors: Mapping[str, torch.Tensor], wanted: Mapping[str, Wanted]) -> None:
-    """Raise ValueError unless exactly the ``wanted`` tensors are there, with finite numbers in range."""
+    """Raise ValueError unless there are exactly the tensors ``wanted`` (by name), with finite values in range."""
     odd = sorted(set(tensors) ^ set(wanted))
     if odd:
         raise ValueError(f"the tensor {odd[0]} is {'missing' if odd[0] in wanted else 'not known'}")
@@ -55,8 +55,8 @@ def check_tensors(tensors: Mapping[str, torch.Tensor], wanted: Mapping[str, Want
 
 
 def wanted_of_model(facts: Mapping[str, Any], anchors: int, labels: int | None) -> dict[str, Wanted]:
-    """The tensors that ``from_tensors`` takes for a model with this number of ``anchors``, and of ``labels`` voted onto
-    each Gaussian (None: none). Raises ValueError if the facts do not fit together, or are too large."""
+    """Return what each tensor of a model must be, by name, given its ``facts``, number of ``anchors``, and number of
+    ``labels`` voted per Gaussian (None: not voted). Raises ValueError if the facts do not fit together."""
     classes, slots = _ids(facts, "class_ids", least=1), _ids(facts, "slot_ids", least=-1)
     owners = _ids(facts, "class_of_slot", least=0)
     kind, shape = decoders_of(facts["decoders"])
@@ -90,7 +90,7 @@ def wanted_of_model(facts: Mapping[str, Any], anchors: int, labels: int | None) 
 
 
 def check_model(tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -> None:
-    """Raise ValueError unless ``from_tensors`` can make a scene that kernels can draw."""
+    """Raise ValueError unless ``from_tensors`` can make a scene of these that kernels can draw."""
     voxel_size = facts["voxel_size"]
     if not isinstance(voxel_size, float | int) or not 1e-4 <= voxel_size <= 100:
         raise ValueError("voxel_size is not a valid length")
@@ -105,7 +105,7 @@ def check_model(tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -
 
 
 def decoders_of(facts: Mapping[str, Any]) -> tuple[type[Decoders], DecoderShape]:
-    """The kind of decoders that a file names, and their shape. Raises ValueError for an unknown kind."""
+    """Return the class of decoders that a file's facts name, and their shape. Raises ValueError if it is unknown."""
     kind = DECODERS.get(facts.get("kind", Decoders.kind))
     known = {name: value for name, value in facts.items() if name != "kind"}
     if kind is None or set(known) != {each.name for each in fields(DecoderShape)}:
@@ -137,9 +137,9 @@ MOST_BYTES = 1 << 35
 
 
 def read_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
-    """The tensors by name, and the notes in the header. Raises ValueError for a damaged file or one larger than memory,
-    and OSError. safetensors verifies that the file is complete, so reading needs no more memory than the file's length.
-    A sparse file may be longer than its space on disk."""
+    """Read a safetensors file: tensors by name, and the header's notes. Raises OSError, and ValueError if the file is
+    damaged or larger than memory. safetensors checks that the file is complete, so reading takes no more memory than
+    its length; but a sparse file may be longer than its space on disk."""
     refuse_special(path)
     size, memory = path.stat().st_size, main_memory()
     if size > MOST_BYTES or (memory is not None and size > memory.free):

@@ -1,5 +1,5 @@
-"""The decoders F_alpha, F_sem, ... that turn an anchor's feature and the viewpoint into its Gaussians (see the paper's
-equation "decoder")."""
+"""The decoders F_alpha, F_sem, ..., networks that turn an anchor's feature and the viewpoint into its Gaussians (see
+the paper's equation "decoder")."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ MOST_FEATURES = 512
 
 @dataclass(frozen=True)
 class DecoderShape:
-    """The sizes and inputs of the decoders. ``distance_input`` adds the distance to the camera to the direction, as in
-    the paper's formula. ``label_view_input`` feeds both to the label decoders too. Without it, an object's label cannot
-    depend on the view."""
+    """Sizes and inputs of the decoders. All get the feature and the direction from the camera; ``distance_input`` adds
+    the distance, as in the paper's formula. Label decoders get direction and distance only with ``label_view_input``:
+    without it, an object's label cannot depend on the view."""
 
     features: int
     gaussians_per_anchor: int
@@ -43,8 +43,8 @@ def run_side_by_side(
     given: torch.Tensor,  # [V, inputs]
     *networks: nn.Sequential,
 ) -> list[torch.Tensor]:
-    """Each network's output [V, its outputs]. One matrix product serves all first layers, which is faster than a narrow
-    product for each."""
+    """Return each network's output, [V, its outputs], for the same input. All first layers are computed by one matrix
+    product, which is faster than a narrow product for each."""
     first, last = [network.get_submodule("0") for network in networks], [network[2] for network in networks]
     weight, bias = (torch.cat([layer.get_parameter(name) for layer in first]) for name in ("weight", "bias"))
     hidden = functional.linear(given, weight, bias).relu_().split(HIDDEN, dim=1)
@@ -52,7 +52,7 @@ def run_side_by_side(
 
 
 def drawn_layer(inputs: int, outputs: int, generator: torch.Generator) -> nn.Linear:
-    """A linear layer whose weights are drawn from ``generator``."""
+    """Return a linear layer with random weights from ``generator``."""
     layer = nn.Linear(inputs, outputs)
     bound = inputs**-0.5  # as nn.Linear draws its own
     with torch.no_grad():
@@ -62,8 +62,8 @@ def drawn_layer(inputs: int, outputs: int, generator: torch.Generator) -> nn.Lin
 
 
 class Decoders(nn.Module):
-    """The paper's opacity, covariance, colour, semantic and instance decoders. Other kinds override methods, and are
-    registered by ``register_head`` under their ``kind``."""
+    """The paper's opacity, covariance, colour, semantic and instance decoders. Other kinds are subclasses with another
+    ``kind``, made available by ``register_head``."""
 
     kind: ClassVar[str] = "structured"
     shape: DecoderShape
@@ -81,7 +81,7 @@ class Decoders(nn.Module):
 
     @classmethod
     def sides(cls, shape: DecoderShape) -> dict[str, tuple[int, int]]:
-        """The numbers of inputs and outputs of each decoder, by name."""
+        """Return the number of inputs and of outputs of each decoder, by name."""
         k, seen = shape.gaussians_per_anchor, shape.features + shape.view_inputs
         labelled = seen if shape.label_view_input else shape.features
         return {
@@ -94,7 +94,7 @@ class Decoders(nn.Module):
 
     @classmethod
     def weight_sizes(cls, shape: DecoderShape) -> dict[str, tuple[int, ...]]:
-        """The size of each tensor of weights, by name."""
+        """Return the shape of each parameter, by its name in the state dict."""
         return {
             f"{name}.{layer}.{part}": size
             for name, (inputs, outputs) in cls.sides(shape).items()
@@ -108,18 +108,18 @@ class Decoders(nn.Module):
 
     @classmethod
     def check_shape(cls, shape: DecoderShape) -> None:
-        """Raise ValueError for a shape that these decoders cannot have."""
+        """Raise ValueError if decoders of this kind cannot have ``shape``."""
         if not 1 <= shape.features <= MOST_FEATURES:
             raise ValueError(f"features of the decoders is not a number between 1 and {MOST_FEATURES}")
 
     @property
     def facts(self) -> dict[str, object]:
-        """The shape and the kind, in the form in which a file holds them."""
+        """The shape and the kind as JSON values, for the model's file."""
         kind = {} if self.kind == Decoders.kind else {"kind": self.kind}
         return {**asdict(self.shape), **kind}
 
     def learnt(self) -> Iterator[tuple[str, list[nn.Parameter]]]:
-        """The names of the learning rates, and the parameters that each applies to."""
+        """Yield the name of each learning rate with the parameters that it applies to."""
         for name, network in self.named_children():
             parameters = [each for each in network.parameters() if each.requires_grad]
             if parameters:
@@ -131,7 +131,7 @@ class Decoders(nn.Module):
         position: torch.Tensor,  # [V, 3], metres
         camera_centre: torch.Tensor,  # [3], metres
     ) -> torch.Tensor:
-        """Features with the direction (and distance in metres) from the camera appended, [V, F + 3 or 4]."""
+        """Append the direction from the camera (and the distance, metres) to the features: [V, F + 3 or 4]."""
         towards = position - camera_centre
         distance = towards.norm(dim=1, keepdim=True).clamp_min(1e-6)
         parts = [feature, towards / distance]
@@ -144,7 +144,7 @@ class Decoders(nn.Module):
         feature: torch.Tensor,  # [V, F]
         seen: torch.Tensor,  # [V, F + 3 or 4], of ``view_input``
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Semantic [V, k, C] and instance [V, k, S] logits."""
+        """Return the semantic logits [V, k, C] and the instance logits [V, k, S] of the anchors' Gaussians."""
         given = seen if self.shape.label_view_input else feature
         shape, count = self.shape, len(given)
         semantic, instance = run_side_by_side(given, self.semantic, self.instance)
@@ -157,7 +157,7 @@ class Decoders(nn.Module):
     """Whether all anchors are decoded; otherwise only those whose position the camera sees."""
 
     def own_decoding(self, given: AnchorsInView) -> NeuralGaussians | None:
-        """The result of ``decode_rows``, for decoders that implement their own; otherwise None."""
+        """Return what ``decode_rows`` should return, for kinds with a decoding of their own; here None."""
         return None
 
 
@@ -166,5 +166,5 @@ DECODERS: Parts[type[Decoders]] = Parts("head", {Decoders.kind: Decoders})
 
 
 def register_head(kind: type[Decoders]) -> None:
-    """Register a kind of decoders under its ``kind``. Programs that read its lifts must register it, too."""
+    """Make a kind of decoders available in this process, as its ``kind``. Programs that read its lifts need it, too."""
     DECODERS.register(kind.kind, kind)

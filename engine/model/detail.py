@@ -1,10 +1,9 @@
-"""The finest detail that the training pictures show at each position, which limits the detail of what is drawn.
+"""Finds the finest detail that the training pictures show at each position, and limits what is drawn to it.
 
-Every picture blurs Gaussians by BLUR, and training fits them under this blur. In a picture with smaller pixels, from
-nearby or of a larger size, the same blur covers less of the world, and cracks open. So a Gaussian keeps at least the
-blur that it had in the training picture with the smallest pixels there, after the 3D smoothing filter of Mip-Splatting
-(arXiv 2311.16493).
-"""
+Rasterising blurs each Gaussian by BLUR pixels squared, and training fits Gaussians under this blur. In a picture with
+smaller pixels, from nearby or of a larger size, the same blur covers less of the world, and cracks open. So a Gaussian
+keeps at least the blur of the training picture with the smallest pixels there, like the 3D smoothing filter of
+Mip-Splatting (arXiv 2311.16493)."""
 
 from __future__ import annotations
 
@@ -24,8 +23,8 @@ NEAREST = 0.01
 
 
 def finest_pixels(points: NDArray[np.floating], cameras: Sequence[Camera]) -> NDArray[np.float32]:
-    """The side in metres, float32 [N], of the smallest pixel that any camera has at each of the ``points`` [N, 3],
-    ignoring occlusion; 0 where no picture contains the position."""
+    """Return the side in metres of the smallest pixel that any camera has at each of the ``points`` [N, 3], float32
+    [N]; 0 where no picture contains the point. Ignores occlusion."""
     rows = [[*c.world_to_camera[:3].ravel(), c.fx, c.fy, c.cx, c.cy, c.width, c.height] for c in cameras]
     finest = np.zeros(len(points), np.float32)
     _find_finest(np.ascontiguousarray(points, np.float32), np.array(rows).reshape(-1, 18), finest)
@@ -38,8 +37,8 @@ def blurred_scales(
     depth: torch.Tensor,  # [N], metres
     camera: Camera,
 ) -> torch.Tensor:
-    """Standard deviations, widened so that the ``camera``, which blurs them once more, shows Gaussians at ``depth``
-    with the blur of pixels with the side ``finest``, if its own are smaller."""
+    """Return scales [N, 3], widened so that Gaussians at ``depth`` appear in ``camera``, which blurs them once more, as
+    blurred as by pixels of side ``finest``, if the camera's own pixels are smaller."""
     own = depth / math.sqrt(camera.fx * camera.fy)
     return widened(scales, (finest.square() - own.square()).clamp_min(0.0).sqrt())
 
@@ -48,13 +47,13 @@ def widened(
     scales: torch.Tensor,  # [N, 3], metres
     pixels: torch.Tensor,  # [N], metres
 ) -> torch.Tensor:
-    """Standard deviations with the blur of pixels with the side ``pixels``."""
+    """Return scales [N, 3] that include the blur of pixels of side ``pixels``."""
     return (scales.square() + BLUR * pixels.square()[:, None]).sqrt()
 
 
 @compiled
 def _find_finest(points: Array, cameras: Array, finest: Array) -> None:
-    """The loop behind ``finest_pixels``. ``cameras`` float64 [V, 18]: world to camera row by row, and the lens."""
+    """The compiled loop of ``finest_pixels``. ``cameras`` float64 [V, 18]: world to camera by row, and the lens."""
     for view in range(len(cameras)):
         m = cameras[view]
         focal = math.sqrt(m[12] * m[13])

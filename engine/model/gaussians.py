@@ -1,4 +1,4 @@
-"""From anchors to the neural Gaussians that one camera sees."""
+"""Decodes anchors to the neural Gaussians that one camera sees."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ NEAR = 0.2
 
 @torch.no_grad()
 def visible_anchors(anchors: Anchors, camera: Camera) -> torch.Tensor:
-    """Indices int64 [V] of the anchors whose 3-sigma box touches the picture (Scaffold-GS's pre-filter). Each anchor is
-    taken as a sphere of its largest offset scale: offsets are learnt in this unit, and rarely exceed 3."""
+    """Return the indices, int64 [V], of anchors whose 3-sigma box touches the picture (Scaffold-GS's pre-filter). Each
+    counts as a sphere of its largest offset scale: learnt offsets are in this unit, and rarely exceed 3."""
     to_camera = torch.from_numpy(camera.world_to_camera).to(anchors.position.device, non_blocking=True)
     right, down, depth = (to_camera[:3, :3] @ anchors.position.double().T + to_camera[:3, 3:]).unbind(0)
     if camera.projection == "orthographic":  # the rasteriser cuts at the near plane
@@ -40,8 +40,8 @@ def decode(
     known_labels: torch.Tensor | None = None,  # [M * k, L]
     in_torch: bool = False,
 ) -> NeuralGaussians:
-    """Decode the Gaussians of every anchor that ``camera`` can see, and drop those with opacity <= 0. The other
-    arguments are those of ``AnchorsInView``; ``in_torch`` avoids all kernels."""
+    """Decode the Gaussians of all anchors that ``camera`` can see, and drop those with opacity <= 0. ``channels`` and
+    ``known_labels`` as in ``AnchorsInView``; ``in_torch`` uses no compiled kernel."""
     position = anchors.position
     centre = torch.from_numpy(camera.centre.copy()).to(position.dtype).to(position.device, non_blocking=True)
     if decoders.decodes_all_anchors:
@@ -58,7 +58,7 @@ def decode(
 
 
 def decode_rows(given: AnchorsInView, decoders: Decoders) -> NeuralGaussians:
-    """Decode these anchors. Of ``known_labels``, labels are rows without a gradient, and there is no cluster loss."""
+    """Decode these anchors. With ``known_labels``, the labels are copied from these, and there is no cluster loss."""
     own = decoders.own_decoding(given)
     if own is not None:
         return own
@@ -69,5 +69,5 @@ def decode_rows(given: AnchorsInView, decoders: Decoders) -> NeuralGaussians:
 
 
 def no_labels(anchors: Anchors) -> torch.Tensor:
-    """``known_labels`` for a caller that needs no labels: one channel of zeros."""
+    """Return ``known_labels`` for callers that need no labels: a single channel of zeros."""
     return anchors.position.new_zeros(len(anchors) * anchors.gaussians_per_anchor, 1)

@@ -1,9 +1,8 @@
-"""Growth of anchors where the picture is poorly explained, and pruning of those that stay transparent (Scaffold-GS,
+"""Grows anchors where the rendering does not yet match the photos, and prunes those that stay transparent (Scaffold-GS,
 section 3.3).
 
-The statistics are gathered from gradients of the projected Gaussian centres. Only the reconstruction loss and the
-depth loss, if there is one, reach these; label losses never do.
-"""
+It is decided by gradients of the projected Gaussian centres. Only the reconstruction loss, and the depth loss if there
+is one, reach these; label losses never do."""
 
 from __future__ import annotations
 
@@ -19,11 +18,11 @@ from .neural_gaussians import NeuralGaussians
 
 @dataclass(frozen=True)
 class GrowthRules:
-    """When to grow and prune. Visit counts are shares of the steps between two rounds. ``gradient`` is the first
-    level's threshold on the mean gradient of the projected centre in NDC units. Level i takes 2^i times that and cells
-    of ``cell_voxels[i]`` voxels. An anchor with a mean summed opacity below ``opacity`` is pruned. ``least_visits``
-    suffice for any number of steps between two rounds (None: only the shares count); otherwise a short lift of many
-    views would never judge anchors that few views see."""
+    """When to grow and prune. ``gradient``: the threshold on a Gaussian's mean gradient of the projected centre, NDC
+    units, for level 0; level i takes 2^i times that, and cells of ``cell_voxels[i]`` voxels. ``opacity``: anchors with
+    a smaller mean summed opacity are pruned. ``visited_share``, ``seen_share``: visits needed to judge, as shares of
+    the steps between two rounds; ``least_visits`` always suffice (None: no such limit), else a short lift of many views
+    would never judge anchors that few views see."""
 
     gradient: float = 2e-4
     cell_voxels: tuple[int, ...] = (16, 4, 1)
@@ -34,15 +33,15 @@ class GrowthRules:
     least_visits: int | None = None
 
     def enough(self, share: float, steps_between: int) -> float:
-        """The number of visits above which an anchor is judged, from the share of the steps between two rounds."""
+        """Return the number of visits above which to judge, for this ``share`` of the steps between two rounds."""
         wanted = share * steps_between
         return wanted if self.least_visits is None else min(wanted, self.least_visits * share / self.visited_share)
 
 
 @dataclass
 class GrowthStatistics:
-    """Sums since the last round, float32: ``visits`` [M] and ``opacity`` [M] of anchors, ``gradient`` [M, k] and
-    ``drawn`` [M, k] of their Gaussians."""
+    """Sums since the last round, float32. By anchor: ``visits`` [M] and ``opacity`` [M]; by Gaussian: ``gradient`` [M,
+    k] and how often it was ``drawn`` [M, k]."""
 
     visits: torch.Tensor
     opacity: torch.Tensor
@@ -68,7 +67,7 @@ class GrowthStatistics:
         width: int,
         height: int,
     ) -> None:
-        """Add one step. The gradient is converted to NDC units. No anchor and no Gaussian occurs twice in it."""
+        """Add one training step. Gradients are converted to NDC units. No anchor may occur twice in ``gaussians``."""
         opacities, rows = gaussians.all_opacities, gaussians.rows(self.gradient.shape[1])
         self.visits.index_add_(0, gaussians.visible, opacities.new_ones(len(opacities)))
         self.opacity.index_add_(0, gaussians.visible, opacities.clamp_min(0).sum(dim=1))
@@ -80,7 +79,7 @@ class GrowthStatistics:
 
 @dataclass(frozen=True)
 class GrowthRound:
-    """What a round decided: the rows to ``keep`` (bool [M]) and the anchors ``grown`` that follow them."""
+    """The result of a round: which anchors to ``keep`` (bool [M]), and those ``grown``, to append."""
 
     keep: torch.Tensor
     grown: Anchors
@@ -91,7 +90,7 @@ def _cells(points: NDArray[np.float32], size: float) -> NDArray[np.int64]:
 
 
 def _as_keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    """One int64 per cell, unique within +-2^20 cells of the origin along each axis (20 km at 2 cm)."""
+    """Return one int64 for each cell [n, 3], unique within 2^20 cells of the origin on each axis (20 km at 2 cm)."""
     shifted = cells + (1 << 20)
     return (shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2]
 
@@ -106,8 +105,8 @@ def grow_and_prune(
     random: np.random.Generator,
     most_anchors: int,
 ) -> GrowthRound:
-    """Do one round. The statistics of the judged anchors are set to zero in place. Growth stops at a total of
-    ``most_anchors``. ``random`` then also chooses among the candidates."""
+    """Decide which anchors to add and to remove. Resets the statistics of those judged to 0, in place. No more than
+    ``most_anchors`` remain; if more could grow, ``random`` chooses among them."""
     judged = statistics.visits > rules.enough(rules.visited_share, steps_between)
     keep = ~(judged & (statistics.opacity < rules.opacity * statistics.visits))
     seen = statistics.drawn > rules.enough(rules.seen_share, steps_between)

@@ -1,9 +1,9 @@
-"""Labels voted onto the Gaussians by their blending weights, over all views.
+"""Lets the masks of all views vote on each Gaussian's label.
 
-The label decoders are small networks that blur small things: taps, switches, the edge of a stair. The masks themselves
-are sharper. So a pixel's label is a vote for the Gaussians that the pixel is blended from, weighted by their shares of
-it. (LUDVIG, Marrie et al. 2024, averages a network's features this way.) The decoders are used where nothing was seen.
-"""
+The label decoders are small networks, and blur small things: taps, switches, the edge of a stair. The masks are
+sharper. So the label of each pixel is a vote for the Gaussians that are blended there, in proportion to their blending
+weights. (LUDVIG, Marrie et al. 2024, averages a network's features this way.) Gaussians that no view saw keep their
+decoded labels."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ KEPT = 4
 
 @dataclass(frozen=True, eq=False)
 class Contributors:
-    """The Gaussians that a view's pixels are blended from: ``gaussian`` int32 [H, W, K], rows of the scene's labels (-1
-    = none), ``weight`` float32 [H, W, K], largest first, and ``depth`` float32 [H, W] metres, 0 where (almost) nothing
-    is drawn. ``camera`` is the view's."""
+    """The Gaussians that a view's pixels are blended from, largest weight first: ``gaussian`` int32 [H, W, K], rows of
+    the scene's labels (-1 = none), and ``weight`` float32 [H, W, K]. ``depth`` float32 [H, W], metres, is 0 where
+    (almost) nothing is drawn. ``camera`` is the view's."""
 
     gaussian: NDArray[np.int32]
     weight: NDArray[np.float32]
@@ -51,13 +51,13 @@ class Contributors:
 
 
 class HeldVotes(NamedTuple):
-    """The labels that each Gaussian has votes for, int16 [G, L] (-1 = none yet), and these votes, float32 [G, L]."""
+    """The labels with votes for each Gaussian, int16 [G, L] (-1 = none yet), and how many, float32 [G, L]."""
 
     label: NDArray[np.int16]
     votes: NDArray[np.float32]
 
     def of_all_labels(self, start: int, stop: int, labels: int) -> NDArray[np.float32]:
-        """The votes of the Gaussians from ``start`` to ``stop`` for each of the ``labels``, float32 [n, labels]."""
+        """Return the votes as a dense array, float32 [n, ``labels``], for Gaussians ``start`` to before ``stop``."""
         dense = np.zeros((stop - start, labels), np.float32)
         row, column = np.nonzero(self.label[start:stop] >= 0)
         dense[row, self.label[start:stop][row, column]] = self.votes[start:stop][row, column]
@@ -66,7 +66,7 @@ class HeldVotes(NamedTuple):
 
 @torch.no_grad()
 def contributors(scene: StructuredScene, camera: Camera, count: int = CONTRIBUTORS) -> Contributors:
-    """The ``count`` Gaussians with the largest blending weights in each pixel."""
+    """Return the ``count`` Gaussians with the largest blending weights in each pixel of the view."""
     drawn = decode(scene.anchors, scene.decoders, camera, known_labels=no_labels(scene.anchors))
     rendering = drawn.drawn_by(camera, top_k=count)
     assert rendering.top_indices is not None and rendering.top_weights is not None  # as requested
@@ -78,9 +78,9 @@ def contributors(scene: StructuredScene, camera: Camera, count: int = CONTRIBUTO
 
 
 class LabelVotes:
-    """Accumulates the votes of each view for the G Gaussians of a finished scene. A Gaussian holds votes for at most
+    """Counts the votes of views on the labels of a finished scene's G Gaussians. Each holds votes for at most
     LABELS_HELD labels, so that memory does not grow with the number of labels. A further label replaces the one with
-    the fewest votes and inherits these ("space saving", Metwally et al. 2005). So a label with more than 1 /
+    the fewest votes and inherits these ("space saving", Metwally et al. 2005), so a label with more than 1 /
     LABELS_HELD of a Gaussian's votes is never lost."""
 
     def __init__(self, scene: StructuredScene, kind: EvidenceKind, prior: float = PRIOR) -> None:
@@ -95,8 +95,8 @@ class LabelVotes:
     def add(
         self, view: Contributors, label: NDArray[np.int16], sensor: NDArray[np.float32], mask_scale: float = 1.0
     ) -> None:
-        """Count a view: its labels int16 [H, W] (-1 abstains), and its depth float32 [H, W] metres (0 = unknown).
-        ``mask_scale`` is that of ``View``. A Gaussian's number of pixels is the sum of its blending weights."""
+        """Count a view's votes: ``label`` int16 [H, W] (-1 = no vote). Pixels whose rendered depth contradicts
+        ``sensor`` float32 [H, W], metres (0 = unknown), do not vote. ``mask_scale`` as in ``View``."""
         gap = np.maximum(DEPTH_GAP_M, DEPTH_GAP_SHARE * sensor)
         votes = (label >= 0) & ((sensor <= 0) | (np.abs(view.depth - sensor) <= gap))
         shown = np.where(votes, label, -1).astype(np.int16)
@@ -107,7 +107,7 @@ class LabelVotes:
 
     @torch.no_grad()
     def result(self) -> GaussianLabels:
-        """The likeliest labels of every Gaussian, including the decoders' votes. Their shares sum to 1."""
+        """Return the likeliest labels of each Gaussian, with the decoders' as further votes. Shares sum to 1."""
         k, kept, decoders = self.scene.anchors.gaussians_per_anchor, min(KEPT, self._labels), self.scene.decoders
         parts = []
         step = CHUNK * USUAL_LABELS // max(USUAL_LABELS, self._labels)
@@ -127,8 +127,8 @@ class LabelVotes:
 
 
 def pixel_labels(scene: StructuredScene, voted: GaussianLabels, view: Contributors) -> NDArray[np.int16]:
-    """The label of each pixel, int16 [H, W], -1 where (almost) nothing is drawn. As for a pixel of the passes, the
-    class is decided first, then the object of that class."""
+    """Return the label that each pixel shows, int16 [H, W], -1 where (almost) nothing is drawn. As for the passes, the
+    class is decided first, then the object among those of that class."""
     channels = scene.channels
     classes = len(channels.class_ids)
     of_instance = [channels.class_ids.index(channels.class_of_slot[slot]) for slot in channels.instance_slots]
@@ -141,7 +141,7 @@ def pixel_labels(scene: StructuredScene, voted: GaussianLabels, view: Contributo
 
 @device_function
 def _add_vote(labels: Any, votes: Any, label: Any, amount: Any) -> None:
-    """Add votes for a label to those that one Gaussian holds; ``labels`` and ``votes`` are [L] each."""
+    """Add ``amount`` to one label among those that a Gaussian holds; ``labels`` and ``votes`` are [L] each."""
     least = 0
     for column in range(len(labels)):
         if labels[column] == label or labels[column] < 0:
@@ -156,8 +156,8 @@ def _add_vote(labels: Any, votes: Any, label: Any, amount: Any) -> None:
 
 @compiled
 def _add_votes(gaussian: Any, weight: Any, label: Any, word: Any, power: Any, seen: Any, held: HeldVotes) -> None:
-    """Add each pixel's weights to the votes ``held``, scaled so that a Gaussian has (its weight in the view)^power
-    votes, times the mean ``word`` [H, W] of its pixels. ``seen`` [G] holds zeros before and after."""
+    """Add a view's votes to ``held``. A Gaussian with total weight w in the view gets w^``power`` votes, times the mean
+    of ``word`` [H, W], how much each pixel's vote counts. ``seen`` [G]: working memory, zeros before and after."""
     height, width, count = weight.shape
     for y in range(height):
         for x in range(width):
@@ -184,7 +184,7 @@ def _add_votes(gaussian: Any, weight: Any, label: Any, word: Any, power: Any, se
 def _decide_pixels(
     gaussian: Any, weight: Any, label: Any, share: Any, class_of_object: Any, object_labels: Any, classes: Any, out: Any
 ) -> None:
-    """The loop behind ``pixel_labels``."""
+    """The compiled loop of ``pixel_labels``, which fills ``out`` [H, W]."""
     height, width, count = weight.shape
     total = np.zeros(classes + len(object_labels), np.float32)
     by_class = np.zeros(classes, np.float32)

@@ -1,4 +1,4 @@
-"""The Gaussians that the decoders make from the anchors that one camera sees."""
+"""The Gaussians that decoders make of the anchors in one camera's view, and renderings of them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class NeuralGaussians:
     cluster_loss: torch.Tensor
 
     def rows(self, k: int) -> torch.Tensor:
-        """Rows of these Gaussians among the scene's M * k, int64 [N]."""
+        """Return the index of each Gaussian among the scene's M * k, int64 [N]."""
         return self.visible.index_select(0, self.kept // k) * k + self.kept % k
 
     def drawn_by(
@@ -45,8 +45,8 @@ class NeuralGaussians:
         rows: tuple[int, int] | None = None, top_k: int = 0, want_surface: bool = False,
         want_means2d_grad: bool = False, backend: Backend | None = None,
     ) -> Rendering:  # fmt: skip
-        """The camera's picture of these Gaussians, with ``labels`` float32 [N, L] of the caller's choice, or without
-        labels. The other arguments are those of ``rasterize``."""
+        """Render these Gaussians from ``camera``, with ``labels`` float32 [N, L] or none. Other arguments as of
+        ``rasterize``."""
         drawn = (self.means, self.scales, self.quats, self.opacities, self.colours, labels)
         pose, lens = camera.camera_to_world.astype(np.float32), camera.K.astype(np.float32)
         return rasterize(
@@ -60,8 +60,7 @@ class NeuralGaussians:
 
 
 class ClipRange(NamedTuple):
-    """Depths in metres: Gaussians centred nearer than ``near`` or farther than ``far`` are not drawn. They are planar,
-    unless they are ``along_rays``."""
+    """The depths, metres, between which a Gaussian's centre must lie to be drawn; distances if ``along_rays``."""
 
     near: float = 0.0
     far: float = math.inf
@@ -70,13 +69,13 @@ class ClipRange(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PanopticRendering:
-    """A rendered view, or some rows of one (``camera`` is then that of the rows), before its pixels' labels are
-    decided. ``image`` float32 [H, W, 3], sRGB-encoded in [0, 1] over black; ``alpha`` float32 [H, W]; ``depth`` float32
-    [H, W], planar depth of the surface in metres (0 where nothing was hit). ``class_coverage`` float32 [H, W, C] holds
-    sum_i w_i * p_i(class) for the blending weights w_i of the pixel's Gaussians: it sums to alpha over the classes.
-    ``instance_coverage`` float32 [H, W, S] is the same for instances; the rest of alpha belongs to no object. Column c
-    belongs to ``class_ids[c]``, column s to ``instance_ids[s]``. ``guessed`` float32 [H, W]: the share of the pixel
-    that no photo ever saw or nothing covers; None if nothing was removed from the scene."""
+    """A rendered view, or some of its rows (``camera`` is then theirs), before its pixels' labels are decided.
+    ``image`` float32 [H, W, 3]: sRGB in [0, 1], over black. ``alpha`` float32 [H, W]. ``depth`` float32 [H, W]: planar
+    depth of the surface, metres, 0 = none. ``class_coverage`` float32 [H, W, C]: sum_i w_i * p_i(class) with a pixel's
+    blending weights w_i; its sum over classes is alpha. ``instance_coverage`` float32 [H, W, S]: the same for
+    instances; the rest of alpha belongs to no object. Channels are in the order of ``class_ids`` and ``instance_ids``.
+    ``guessed`` float32 [H, W]: the share of the pixel that no photo saw, or that is empty; None if nothing was removed
+    from the scene."""
 
     camera: Camera
     image: NDArray[np.float32]

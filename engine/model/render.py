@@ -1,4 +1,4 @@
-"""Rendering a lifted scene from a camera."""
+"""Renders a lifted scene from a camera."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ REACH = 3.5
 
 @torch.no_grad()
 def render_view(scene: StructuredScene, camera: Camera, labels: ShownLabels | None = None) -> PanopticRendering:
-    """Colour, depth and label coverage of one view, at the camera's size. ``labels``: the result of ``shown_labels``
-    for the same scene, which saves decoding them for each view."""
+    """Render colour, depth and label coverage of a view, at the camera's size. ``labels``: what ``shown_labels``
+    returns for the scene, to decode labels only once for many views."""
     (rendering,) = render_bands(scene, camera, labels, most_bytes=None)
     return rendering
 
@@ -45,9 +45,9 @@ def render_bands(
     most_bytes: int | None = MOST_BYTES,
     want_surface: bool = True,
 ) -> Iterator[PanopticRendering]:
-    """Render the view in bands of rows, from the top, so that the memory does not grow with labels times pixels.
-    ``most_bytes`` limits a band's label coverage; None: all rows at once. ``labels`` is as for ``render_view``. A depth
-    that is not wanted is 0."""
+    """Render a view in bands of rows, from the top, so that memory does not grow with labels times pixels.
+    ``most_bytes`` limits the label coverage of a band; None: one band. ``labels`` as for ``render_view``. Without
+    ``want_surface``, depth is 0. ``clip``: only Gaussians in this range of depth."""
     if labels is None and scene.voted is not None:
         labels = shown_labels(scene)
     known = None if labels is None else no_labels(scene.anchors)
@@ -70,8 +70,8 @@ def render_bands(
 def _filled(
     fill: SceneFill, camera: Camera, drawn: NeuralGaussians, rows: torch.Tensor, finest: torch.Tensor | None
 ) -> tuple[NeuralGaussians, torch.Tensor, torch.Tensor | None, torch.Tensor]:
-    """The decoded Gaussians without those that are gone and with those of the fill; the rows of all in the scene's
-    labels; their finest pixels; and which are guessed, float32 [N, 1]."""
+    """Add the fill to the decoded Gaussians, and leave out the removed ones. Return all, their rows in the scene's
+    labels, the side of their finest pixels, and which are guessed, float32 [N, 1]."""
     kept, new = ~fill.gone[rows], len(fill.means)
     fill = replace(fill, opacities=_opacities_seen(fill, camera))
     names = ("means", "scales", "quats", "opacities", "colours")
@@ -84,8 +84,8 @@ def _filled(
 
 
 def _opacities_seen(fill: SceneFill, camera: Camera) -> torch.Tensor:
-    """The opacities [P] of a fill's disks for a camera: smaller where they are thinner than the pixel that drawing
-    widens them to (BLUR; as in Mip-Splatting, Yu et al. 2024), or floors at a slant would be drawn a pixel too near."""
+    """Return the opacities [P] of a fill's disks for a camera: lower where a disk is thinner than the pixel that BLUR
+    widens it to (as in Mip-Splatting, Yu et al. 2024). Otherwise slanted floors would appear a pixel too near."""
     axis, centre = (torch.from_numpy(each).to(fill.means) for each in (camera.world_to_camera[2, :3], camera.centre))
     ways = axis.expand_as(fill.means) if camera.projection == "orthographic" else fill.means - centre
     w, x, y, z = fill.quats.unbind(1)
@@ -96,7 +96,7 @@ def _opacities_seen(fill: SceneFill, camera: Camera) -> torch.Tensor:
 
 
 def row_bands(camera: Camera, channels: int, most_bytes: int | None) -> list[tuple[int, int]]:
-    """The first and one past the last row of each band. All have the same height except the last."""
+    """Divide a picture into bands; return the first row of each, and one past its last. Only the last may be lower."""
     fitting = camera.height if most_bytes is None else most_bytes // (4 * max(channels, 1) * camera.width)
     count = -(-camera.height // max(fitting, TILE_ROWS))
     height = -(-camera.height // (count * TILE_ROWS)) * TILE_ROWS
@@ -105,8 +105,8 @@ def row_bands(camera: Camera, channels: int, most_bytes: int | None) -> list[tup
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """The Gaussians that a camera sees: ``drawn`` decoded, ``rows_of`` int64 [N] in the scene; ``chosen`` int64 [n]
-    those to draw; ``row`` and ``reach`` float32 [N], position and reach in picture rows; ``near`` metres."""
+    """The Gaussians that a camera sees: ``drawn``, decoded; ``rows_of`` int64 [N], their rows in the scene's labels;
+    ``chosen`` int64 [n], which to draw; ``row`` and ``reach`` float32 [N], centre and radius in picture rows."""
 
     drawn: NeuralGaussians
     rows_of: torch.Tensor
@@ -116,13 +116,13 @@ class _Seen:
     near: float
 
     def reaching(self, rows: tuple[int, int]) -> _Seen:
-        """The Gaussians that may cover a pixel of these rows, and some others."""
+        """Choose only Gaussians that may cover these ``rows`` (first, and one past the last); a few more do no harm."""
         first, end = rows
         touches = (self.row + self.reach >= first) & (self.row - self.reach <= end)
         return replace(self, chosen=self.chosen[touches[self.chosen]])
 
     def of(self, values: torch.Tensor) -> torch.Tensor:
-        """The rows of ``values`` for the Gaussians to draw."""
+        """Return the rows of ``values`` [N, ...] for the chosen Gaussians."""
         return values if len(self.chosen) == len(values) else values.index_select(0, self.chosen)
 
 
@@ -186,8 +186,8 @@ def _draw_rows(
 def likeliest(
     coverage: torch.Tensor,  # [H, W, L]
 ) -> NDArray[np.float32]:
-    """Coverage [H, W, L] on a device as an array. Only the KEPT largest values of each pixel are copied and the others
-    are 0, as copying all would take longer than drawing."""
+    """Copy the KEPT largest values of each pixel from the device, as an array [H, W, L] that is 0 elsewhere. To copy
+    all would take longer than rendering."""
     share, label = (each.numpy(force=True) for each in coverage.topk(min(KEPT, coverage.shape[-1]), dim=-1))
     kept = np.zeros(coverage.shape, np.float32)
     np.put_along_axis(kept, label, share, axis=-1)

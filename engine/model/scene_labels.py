@@ -1,4 +1,4 @@
-"""What the Gaussians of a finished scene show, decoded once for any number of frames."""
+"""The labels that a finished scene's Gaussians show, decoded once for any number of frames."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ MOST_BYTES = 1 << 30
 
 @dataclass(frozen=True, eq=False)
 class SceneLabels:
-    """``probabilities`` float32 [M * k, C + U] of every Gaussian: those of the classes, which sum to 1, then those of
-    the U instances. The latter sum to 1 together with the probability of no object."""
+    """The probabilities of every Gaussian's labels, float32 [M * k, C + U]: of the classes, which sum to 1, then of the
+    U instances, which sum to 1 with that of no object."""
 
     probabilities: torch.Tensor
 
     def of(self, rows: torch.Tensor) -> torch.Tensor:
-        """The probabilities of the Gaussians of ``rows`` int64 [N], float32 [N, C + U]."""
+        """Return the probabilities of the Gaussians with these indices int64 [N], float32 [N, C + U]."""
         return self.probabilities.index_select(0, rows)
 
 
 @dataclass(frozen=True, eq=False)
 class VotedLabels:
-    """``SceneLabels`` from the few labels that were voted for each Gaussian. Their memory does not grow with the number
-    of classes and instances. ``class_of_label`` int64 [C + U]: the semantic channel of each label."""
+    """The same as ``SceneLabels``, computed from the few labels voted for each Gaussian, in memory that does not grow
+    with the number of labels. ``class_of_label`` int64 [C + U]: the semantic channel of each label."""
 
     voted: GaussianLabels
     classes: int
@@ -42,7 +42,7 @@ class VotedLabels:
         return cls(voted, classes, torch.tensor([*range(classes), *of_instance]))
 
     def of(self, rows: torch.Tensor) -> torch.Tensor:
-        """The probabilities of the Gaussians of ``rows`` int64 [N], float32 [N, C + U]."""
+        """Return the probabilities of the Gaussians with these indices int64 [N], float32 [N, C + U]."""
         label = self.voted.label.index_select(0, rows).long()
         share = self.voted.share.index_select(0, rows)
         table = share.new_zeros(len(rows), len(self.class_of_label))
@@ -59,10 +59,10 @@ def shown_probabilities(
     slots: torch.Tensor,  # [..., S]
     channels: LabelChannels,
 ) -> torch.Tensor:
-    """Probabilities (or coverage) of classes [..., C] and instances [..., U] together, [..., C + U], from those of the
-    semantic channels [..., C] and of all slots [..., S]. Where an object has one class throughout, all of an instance
-    counts for its own class, and only the rest follows the semantic channels. So an instance cannot appear with a class
-    other than its own, and a class cannot take the id of an instance that is not there."""
+    """Return the probabilities (or coverage) to show, of classes and U instances, [..., C + U]. If each object has one
+    class, an instance's probability counts for its own class, and only what no instance has follows the semantic
+    channels. So an instance never shows with a class other than its own, and a class never with the id of an instance
+    that is not there."""
     used = list(channels.instance_slots)
     instances = slots[..., used]
     if not channels.class_of_slot or not used:
@@ -75,14 +75,14 @@ def shown_probabilities(
 
 
 def shown_labels(scene: StructuredScene) -> ShownLabels | None:
-    """The labels that the Gaussians of a finished scene show: the voted ones, or else those of ``scene_labels``."""
+    """Return the labels that a finished scene's Gaussians show: the voted ones or, without votes, `scene_labels`."""
     return scene_labels(scene) if scene.voted is None else VotedLabels.of_scene(scene.voted, scene.channels)
 
 
 @torch.no_grad()
 def scene_labels(scene: StructuredScene) -> ShownLabels | None:
-    """The labels that the decoders give the Gaussians of a scene that does not change while they are used. None if
-    labels depend on the view, or if there are too many to keep."""
+    """Decode the labels of all Gaussians of a scene that no longer changes. Return None if they depend on the
+    viewpoint, or are too many to keep."""
     anchors, decoders, channels = scene.anchors, scene.decoders, scene.channels
     gaussians = len(anchors) * anchors.gaussians_per_anchor
     width = len(channels.class_ids) + len(channels.instance_slots)

@@ -1,4 +1,4 @@
-"""The structured, panoptic-aware scene: anchors, decoders, and what their label channels mean."""
+"""The structured, panoptic-aware scene: anchors, decoders, and the meaning of its label channels."""
 
 from __future__ import annotations
 
@@ -20,10 +20,9 @@ NO_OBJECT, SPARE = 0, -1
 
 @dataclass(frozen=True)
 class LabelChannels:
-    """The meaning of the label channels: the class id of each semantic channel, ascending; the instance id of each
-    slot, ``NO_OBJECT`` or ``SPARE``. Spare slots take part in training but are never shown. ``class_of_slot``: the
-    class of each slot's instance (0 for the other slots), if an object has one class throughout; empty if every pixel
-    decides on its own."""
+    """What the label channels mean. ``class_ids``: of each semantic channel, ascending. ``slot_ids``: of each slot, an
+    instance id, ``NO_OBJECT`` or ``SPARE`` (trained, but never shown). ``class_of_slot``: the class of each slot's
+    instance (0 for other slots) if each object has one class; empty if every pixel decides on its own."""
 
     class_ids: tuple[int, ...]
     slot_ids: tuple[int, ...]
@@ -31,25 +30,25 @@ class LabelChannels:
 
     @property
     def instance_slots(self) -> tuple[int, ...]:
-        """The slots that stand for instances."""
+        """The indices of the slots that stand for instances."""
         return tuple(slot for slot, instance in enumerate(self.slot_ids) if instance > 0)
 
     @property
     def shown_ids(self) -> tuple[int, ...]:
-        """The instance ids of ``instance_slots``."""
+        """The instance ids of ``instance_slots``, in their order."""
         return tuple(self.slot_ids[slot] for slot in self.instance_slots)
 
     @property
     def class_of_shown(self) -> dict[int, int]:
-        """The class of each of the ``shown_ids``, if an object has one class throughout."""
+        """The class of each of the ``shown_ids``; empty if pixels decide."""
         return {self.slot_ids[slot]: self.class_of_slot[slot] for slot in self.instance_slots if self.class_of_slot}
 
 
 @dataclass(frozen=True, eq=False)
 class GaussianLabels:
-    """The likeliest labels that the views voted for every Gaussian, most likely first. ``label`` int16 [G, K]: 0..C-1
-    is a class without an object, C.. are the ``shown_ids`` in their order. ``share`` float32 [G, K] sums to at most
-    1."""
+    """The likeliest labels of each Gaussian, as voted by the views, likeliest first. ``label`` int16 [G, K]: 0 to C - 1
+    are classes without an object, those from C on the ``shown_ids`` in order. ``share`` float32 [G, K]: their shares of
+    the votes, which sum to at most 1."""
 
     label: torch.Tensor
     share: torch.Tensor
@@ -57,9 +56,9 @@ class GaussianLabels:
 
 @dataclass(frozen=True, eq=False)
 class SceneFill:
-    """What is drawn where objects were removed, float32: ``means`` [P, 3] metres, ``scales`` [P, 3], ``quats`` [P, 4]
-    wxyz, ``opacities`` [P], ``colours`` [P, 3]; ``guessed`` [P], 1 where no photo saw the place. ``gone`` bool [G]: the
-    scene's Gaussians that are not drawn."""
+    """Gaussians that fill the place of removed objects, float32: ``means`` [P, 3] metres, ``scales`` [P, 3], ``quats``
+    [P, 4] wxyz, ``opacities`` [P], ``colours`` [P, 3]; ``guessed`` [P]: 1 where no photo saw the place. ``gone`` bool
+    [G]: the scene's own Gaussians that are no longer drawn."""
 
     gone: torch.Tensor
     means: torch.Tensor
@@ -70,17 +69,17 @@ class SceneFill:
     guessed: torch.Tensor
 
     def on(self, device: torch.device | str) -> SceneFill:
-        """A copy on ``device``."""
+        """Return a copy on ``device``."""
         return SceneFill(*(each.to(device) for each in vars(self).values()))
 
 
 @dataclass
 class StructuredScene:
-    """A lifted (or partly lifted) scene. ``voxel_size`` is in metres. ``voted``: labels of all Gaussians that replace
-    the label decoders', with those of anchor i in rows i k to i k + k - 1; None if the decoders are used. ``finest``
-    float32 [M]: the side in metres of the smallest pixel that a training picture has at each anchor, 0 if it is in
-    none; None if it is not known. ``fill``: what replaces removed objects; its labels follow those of the scene's
-    Gaussians in ``voted``. It is not part of the model's file."""
+    """A scene, finished or in training. ``voxel_size``: metres. ``voted``: the Gaussians' labels, which replace those
+    of the label decoders (None: not voted); anchor i has rows i k to i k + k - 1. ``finest`` float32 [M]: the side, in
+    metres, of the smallest pixel that a training picture has at each anchor, 0 if it is in none; None if unknown.
+    ``fill``: what replaces removed objects, whose labels follow the other Gaussians' in ``voted``; it is not in the
+    model's file."""
 
     anchors: Anchors
     decoders: Decoders
@@ -91,7 +90,7 @@ class StructuredScene:
     fill: SceneFill | None = None
 
     def on(self, device: torch.device | str) -> StructuredScene:
-        """A copy of the scene on ``device``; the scene itself if that is the CPU."""
+        """Return a copy of the scene on ``device``; the scene itself for the CPU."""
         if torch.device(device).type == "cpu":
             return self
         voted = None if self.voted is None else GaussianLabels(*(each.to(device) for each in vars(self.voted).values()))
@@ -101,7 +100,7 @@ class StructuredScene:
 
 
 def to_tensors(scene: StructuredScene) -> tuple[dict[str, torch.Tensor], dict[str, object]]:
-    """Named tensors and facts for JSON, from which ``from_tensors`` restores the scene."""
+    """Return the tensors by name, and JSON facts, from which ``from_tensors`` restores the scene."""
     tensors = {f"anchors.{name}": tensor for name, tensor in scene.anchors.tensors().items()}
     tensors |= {f"decoders.{name}": tensor.detach() for name, tensor in scene.decoders.state_dict().items()}
     if scene.voted is not None:
@@ -120,8 +119,8 @@ def to_tensors(scene: StructuredScene) -> tuple[dict[str, torch.Tensor], dict[st
 
 
 def from_tensors(tensors: dict[str, torch.Tensor], facts: dict) -> StructuredScene:
-    """The inverse of ``to_tensors``. Raises ValueError for an unknown format, and for tensors and facts that do not fit
-    together; KeyError and TypeError for facts that are missing or of the wrong type."""
+    """Restore a scene from what ``to_tensors`` returned. Raises ValueError for an unknown format and for parts that do
+    not fit together, KeyError and TypeError for facts that are missing or of the wrong type."""
     if facts.get("format") != FORMAT:
         raise ValueError(f"model format {facts.get('format')!r} is not known to this version; lift again or update")
     check_model(tensors, facts)

@@ -1,5 +1,4 @@
-"""Reference implementation of decoding in torch, for any device and precision. Tests compare the kernels of
-``decoding`` with it."""
+"""Decoding in plain torch, for any device and precision; tests compare the kernels of ``decoding`` with it."""
 
 from __future__ import annotations
 
@@ -35,13 +34,13 @@ def take_rows(
     tensor: torch.Tensor,  # [M, ...]
     rows: torch.Tensor,  # int64 [N]
 ) -> torch.Tensor:
-    """``tensor[rows]`` without repetitions (not checked: a repeated row would lose gradient)."""
+    """Return ``tensor[rows]``, for rows without repetitions. This is not checked: repeated rows would lose gradient."""
     taken: torch.Tensor = _TakeRows.apply(tensor, rows)
     return taken
 
 
 def decode_in_torch(given: AnchorsInView, decoders: Decoders) -> NeuralGaussians:
-    """The same as ``decode_rows``."""
+    """Do what ``decode_rows`` does, in torch on any device."""
     anchors, visible, centre, channels, known_labels = given
     position = anchors.position.index_select(0, visible)
     feature = take_rows(anchors.feature, visible)
@@ -84,8 +83,8 @@ def cluster_loss(
     class_logits: torch.Tensor,  # [V, k, C]
     target: torch.Tensor,  # int64 [V], -1 = no label
 ) -> torch.Tensor:
-    """L_cluster over visible initial anchors. All k Gaussians of an anchor count, drawn or not (equation "Cluster
-    Loss")."""
+    """Return L_cluster (equation "Cluster Loss"): the mean cross entropy over all k Gaussians, drawn or not, of visible
+    initial anchors, a scalar."""
     known, k = target >= 0, class_logits.shape[1]
     wanted = target.clamp_min(0)[:, None, None].expand(-1, k, 1)
     # torch's own cross entropy of millions of rows takes ten times as long on a GPU

@@ -1,5 +1,4 @@
-"""The decoders as compiled kernels: values and gradients of all neural Gaussians of a view in two passes.
+"""The decoders as compiled kernels, which compute all neural Gaussians of a view, and their gradients.
 
-The readable counterpart of everything here is ``engine.model.torch_decoding``, with which a whole ``preview`` lift of
-the sample takes a third longer (docs/development.md).
-"""
+``engine.model.torch_decoding`` does the same in readable form; with it, a whole ``preview`` lift of the sample takes a
+third longer (docs/development.md)."""

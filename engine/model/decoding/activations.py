@@ -1,7 +1,6 @@
-"""Exponential, sigmoid and tanh of sixteen float32 at a time; softmax and its backward pass.
+"""Exponential, sigmoid and tanh of sixteen float32 values at a time; softmax and its backward pass.
 
-NaN stays NaN, so that a diverged scene is noticed.
-"""
+NaN stays NaN, so that a diverged scene is noticed."""
 
 from __future__ import annotations
 
@@ -28,7 +27,7 @@ LOWEST = F(-3.0e38)
 
 @inlined
 def exponential(x: Any) -> Any:
-    """e^x, clamped: infinite above 88, e^-44 below -44. NaN for NaN and infinities."""
+    """Return e^x, clamped: infinity if x > 88, e^-44 if x < -44. NaN for NaN and for infinite x."""
     power = x * v.broadcast(LOG2_E)
     value = v.exp2(v.minimum(power, v.broadcast(LARGEST_POWER)))
     value = v.select(power > v.broadcast(LARGEST_POWER), v.broadcast(INFINITY), value)
@@ -37,7 +36,7 @@ def exponential(x: Any) -> Any:
 
 @inlined
 def falling_exponential(x: Any) -> Any:
-    """e^x for x <= 0, at least e^-44. NaN for NaN and infinities."""
+    """Return e^x for x <= 0, but at least e^-44. NaN for NaN and for infinite x."""
     return v.fma(x, v.broadcast(ZERO), v.exp2(x * v.broadcast(LOG2_E)))
 
 
@@ -48,7 +47,7 @@ def sigmoid(x: Any) -> Any:
 
 @inlined
 def tanh(x: Any) -> Any:
-    """Keeps the exact sign near zero, which decides whether a Gaussian is drawn."""
+    """Return tanh x, of the exact sign even near 0, which decides whether a Gaussian is drawn."""
     squared = x * x
     series = x * v.fma(squared, v.fma(squared, v.broadcast(TANH_5), v.broadcast(TANH_3)), v.broadcast(ONE))
     power = exponential(v.minimum(x + x, v.broadcast(F(40.0))))  # tanh is 1 there, and inf / inf would be NaN
@@ -68,8 +67,8 @@ def copy(values: Array, at: int, out: Array, out_at: int, count: int) -> None:
 
 @device_function
 def softmax(values: Array, at: int, out: Array, out_at: int, count: int) -> Any:
-    """out[out_at:] = softmax of the ``count`` values[at:]; the two may overlap exactly. Returns the largest value m and
-    the sum of e^(value - m)."""
+    """Write the softmax of the ``count`` values[at:] to out[out_at:], which may be the same place. Return the largest
+    value m, and the sum of e^(value - m)."""
     whole = count - count % v.WIDTH
     inside = v.lane_numbers() < v.broadcast(F(count - whole))
     tail = v.select(inside, v.masked_load(values, at + whole, inside), v.broadcast(LOWEST))
@@ -93,8 +92,8 @@ def softmax(values: Array, at: int, out: Array, out_at: int, count: int) -> Any:
 
 @device_function
 def softmax_backward(p: Array, at: int, g: Array, shift: Any, out: Array, out_at: int, count: int) -> None:
-    """out = p (g - sum(p g) + shift): the gradient through a softmax whose values are p, and ``shift`` times p, of
-    ``count`` values: p and g from ``at`` on, out from ``out_at`` on."""
+    """Write p (g - sum(p g) + shift) to out[out_at:]: the gradient through a softmax with ``count`` values p[at:],
+    given the gradient g[at:] of these, plus ``shift`` times p."""
     total = v.broadcast(ZERO)
     whole = count - count % v.WIDTH
     for c in range(0, whole, v.WIDTH):

@@ -1,7 +1,6 @@
-"""From the gradients of the drawn Gaussians and of the cluster loss to those of anchors and decoders.
+"""Takes the gradients of the drawn Gaussians and of the cluster loss back to anchors and decoders.
 
-Hidden layers are recomputed, which is cheaper than keeping them.
-"""
+Hidden layers are recomputed, which is cheaper than keeping them."""
 
 from __future__ import annotations
 
@@ -21,7 +20,7 @@ ZERO, ONE = F(0.0), F(1.0)
 
 @device_function
 def opacities_backward(batch: Batch, head: Any, sizes: Any, mine: Array, gradients: Gradients) -> None:
-    """The gradient of the opacity decoder's outputs, through tanh."""
+    """Write the gradients of the opacity decoder's outputs, before tanh, to a worker's scratch ``mine``."""
     for m in range(batch.gaussians):
         n = batch.first + m
         opacity = gradients.drawn.opacities[n]
@@ -33,7 +32,8 @@ def opacities_backward(batch: Batch, head: Any, sizes: Any, mine: Array, gradien
 def shapes_backward(
     batch: Batch, head: Any, anchors: AnchorArrays, sizes: Any, mine: Array, gradients: Gradients
 ) -> None:
-    """The gradients of the covariance decoder's outputs, the offsets and the log scales."""
+    """Write the gradients of the covariance decoder's outputs to a worker's scratch ``mine``, and those of the anchors'
+    offsets and log scales to ``gradients``."""
     by, d_log_scale = gradients.by, gradients.log_scale
     room = sizes.d_hidden_at  # for a vector a row, of which six are the anchor's scales
     layers.collect_scales(batch, anchors, mine, room)
@@ -56,7 +56,7 @@ def shapes_backward(
 
 @device_function
 def colours_backward(batch: Batch, head: Any, sizes: Any, mine: Array, gradients: Gradients) -> None:
-    """The gradient of the colour decoder's outputs, through the sigmoid."""
+    """Write the gradients of the colour decoder's outputs, before the sigmoid, to a worker's scratch ``mine``."""
     for m in range(batch.gaussians):
         at = sizes.out_at + batch.owners[2 * m] * head.padded + 3 * batch.owners[2 * m + 1]
         for c in range(3):
@@ -67,7 +67,7 @@ def colours_backward(batch: Batch, head: Any, sizes: Any, mine: Array, gradients
 
 @device_function
 def instances_backward(batch: Batch, head: Any, sizes: Any, mine: Array, gradients: Gradients) -> None:
-    """The gradient of the instance decoder's outputs, through the softmax, whose values are the labels."""
+    """Write the gradients of the instance decoder's outputs, before the softmax, to a worker's scratch ``mine``."""
     slots, channels = sizes.slots, sizes.classes + sizes.slots
     for m in range(batch.gaussians):
         at = sizes.out_at + batch.owners[2 * m] * head.padded + batch.owners[2 * m + 1] * slots
@@ -79,7 +79,7 @@ def instances_backward(batch: Batch, head: Any, sizes: Any, mine: Array, gradien
 def classes_backward(
     batch: Batch, head: Any, visible: Array, labelling: Labelling, sizes: Any, mine: Array, gradients: Gradients
 ) -> None:
-    """Replaces the logits in scratch by their gradients."""
+    """Replace the semantic decoder's outputs, in a worker's scratch ``mine``, by their gradients."""
     k, classes, channels = sizes.k, sizes.classes, sizes.classes + sizes.slots
     m = 0
     for row in range(batch.rows):
@@ -111,7 +111,7 @@ def batch_backward(
     d_weights: Array,
     gradients: Gradients,
 ) -> None:
-    """Process one batch of anchors; adds the gradient of the weights to ``d_weights``."""
+    """Compute the gradients of one batch of anchors; add those of the weights to ``d_weights``."""
     sizes = packed.sizes
     layers.collect_inputs(batch.listed, batch.rows, anchors, sizes, mine)
     layers.fill(mine, sizes.d_inputs_at, layers.rounded_rows(batch.rows) * sizes.padded_features, ZERO)
@@ -143,8 +143,8 @@ def batch_backward(
 
 @parallel_kernel
 def decode_backward(worker: int, workers: int, given: Decoding, gradients: Gradients, work: Work) -> None:
-    """Gradients of the anchors and of the packed weights. The number of chunks of batches is fixed, so that their sum
-    does not depend on the scheduling of threads."""
+    """Compute the gradients of anchors and packed weights. Weights are summed in a fixed number of chunks, so that
+    their sum does not depend on which thread is faster."""
     anchors, packed, labelling, batches = given
     mine, numbers = work.floats[worker], work.numbers[worker]
     count, chunks = batches.starts.shape[0], gradients.weights.shape[0]

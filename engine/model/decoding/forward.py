@@ -1,4 +1,4 @@
-"""From visible anchors to drawn Gaussians: opacities first, then everything else for the visible ones."""
+"""Decodes visible anchors: first all opacities, then everything else for the Gaussians with an opacity above 0."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ZERO = F(0.0)
 def decode_opacities(
     worker: int, workers: int, anchors: AnchorArrays, packed: Packed, opacities: Array, counts: Array, work: Work
 ) -> None:
-    """``opacities`` [V * k] in (-1, 1) of the visible anchors; ``counts`` int64 [batches]: those above 0."""
+    """Fill ``opacities`` [V * k], in (-1, 1), of visible anchors, and ``counts`` int64 [batches], how many exceed 0."""
     mine, listed = work.floats[worker], work.numbers[worker]
     sizes, head = packed.sizes, head_of(packed.heads, packing.OPACITY)
     k = sizes.k
@@ -50,7 +50,7 @@ def decode_opacities(
 
 @device_function
 def through_sigmoid(rows: int, head: Any, sizes: Any, mine: Array) -> None:
-    """Apply the sigmoid to all outputs of a decoder, in place."""
+    """Apply the sigmoid, in place, to all outputs of a decoder in a worker's scratch ``mine``."""
     for at in range(sizes.out_at, sizes.out_at + rows * head.padded, WIDTH):
         store(mine, at, sigmoid(load(mine, at)))
 
@@ -59,7 +59,7 @@ def through_sigmoid(rows: int, head: Any, sizes: Any, mine: Array) -> None:
 def write_shapes(
     batch: Batch, head: Any, anchors: AnchorArrays, opacities: Array, sizes: Any, mine: Array, drawn: Drawn
 ) -> None:
-    """Write the drawn Gaussians' means, shapes and opacities, from the covariance decoder and the anchors."""
+    """Write means, scales, rotations and opacities of the drawn Gaussians, from the covariance decoder's outputs."""
     k, scale = sizes.k, sizes.d_hidden_at  # room for a vector a row, of which six are the anchor's scales
     collect_scales(batch, anchors, mine, scale)
     for m in range(batch.gaussians):
@@ -91,7 +91,7 @@ def write_colours(batch: Batch, head: Any, sizes: Any, mine: Array, colours: Arr
 
 @device_function
 def write_known_labels(batch: Batch, k: int, visible: Array, labelling: Labelling, labels: Array) -> None:
-    """Write labels that were decoded before."""
+    """Copy the labels that were decoded earlier to those of the drawn Gaussians."""
     channels = labelling.known_channels
     for m in range(batch.gaussians):
         anchor = visible[batch.listed[batch.owners[2 * m]]]
@@ -111,8 +111,8 @@ def write_instances(batch: Batch, head: Any, sizes: Any, mine: Array, labels: Ar
 def write_classes(
     batch: Batch, head: Any, visible: Array, labelling: Labelling, sizes: Any, mine: Array, labels: Array
 ) -> Any:
-    """Class probabilities of the drawn Gaussians; returns the summed cross entropy of all k Gaussians of the anchors
-    whose class is known."""
+    """Write the drawn Gaussians' class probabilities. Return the cross entropy (of L_cluster), summed over all k
+    Gaussians of each anchor whose class is known."""
     k, classes, channels = sizes.k, sizes.classes, sizes.classes + sizes.slots
     loss, m = 0.0, 0
     for row in range(batch.rows):
@@ -135,7 +135,7 @@ def write_classes(
 
 @parallel_kernel
 def decode_gaussians(worker: int, workers: int, given: Decoding, drawn: Drawn, work: Work) -> None:
-    """Write all Gaussians with an opacity above 0, and ``batches.losses``."""
+    """Decode all Gaussians with an opacity above 0 into ``drawn``, and L_cluster's sums into ``batches.losses``."""
     anchors, packed, labelling, batches = given
     mine, numbers = work.floats[worker], work.numbers[worker]
     sizes, heads, visible = packed.sizes, packed.heads, anchors.visible

@@ -1,5 +1,5 @@
-"""Shared by both passes: list a batch of anchors, collect their inputs, and run a decoder's two layers forward and
-backward."""
+"""What both passes share: listing a batch of anchors, copying their inputs, and running a decoder's two layers forward
+and backward."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ CLOSEST = F(1e-6)
 
 @inlined
 def head_of(heads: Array, number: int) -> Any:
-    """Row ``number`` of heads [5, 9]."""
+    """Return row ``number`` of ``heads`` [5, 9] as a ``Head``."""
     row = heads[number]
     return Head(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8])
 
@@ -45,7 +45,7 @@ def fill(values: Array, at: int, count: int, value: Any) -> None:
 
 @device_function
 def wanted_class(row: int, visible: Array, labelling: Labelling) -> int:
-    """The channel of an anchor's class for the cluster loss, or -1; ``row`` is the anchor's index in ``visible``."""
+    """Return the channel of an anchor's class, for the cluster loss, or -1. ``row`` is its index in ``visible``."""
     return labelling.channels[visible[row]] if labelling.channels.shape[0] > 0 else -1
 
 
@@ -53,8 +53,8 @@ def wanted_class(row: int, visible: Array, labelling: Labelling) -> int:
 def list_anchors(
     number: int, k: int, visible: Array, opacities: Array, labelling: Labelling, listed: Array, owners: Array
 ) -> Any:
-    """Fill ``listed`` and ``owners`` with the anchors of batch ``number`` that need more than their opacity. Returns
-    ``rows``, ``drawing`` and ``gaussians`` of ``Batch``."""
+    """List the anchors of batch ``number`` that draw a Gaussian or have a cluster loss, in ``listed``, and for each
+    Gaussian its anchor and number in ``owners``. Return ``rows``, ``drawing`` and ``gaussians`` of ``Batch``."""
     start = number * BATCH
     end = min(start + BATCH, visible.shape[0])
     drawing, gaussians = 0, 0
@@ -80,7 +80,7 @@ def list_anchors(
 
 @inlined
 def list_batch(number: int, k: int, visible: Array, batches: Batches, labelling: Labelling, numbers: Array) -> Any:
-    """List batch ``number``; ``numbers`` int64 [BATCH * (1 + 2 k)] is the worker's scratch."""
+    """Return batch ``number`` as a ``Batch``; its lists are kept in ``numbers`` int64 [BATCH * (1 + 2 k)]."""
     listed, owners = numbers[:BATCH], numbers[BATCH:]
     rows, drawing, gaussians = list_anchors(number, k, visible, batches.opacities, labelling, listed, owners)
     return Batch(listed, rows, drawing, owners, batches.starts[number], gaussians)
@@ -88,7 +88,7 @@ def list_batch(number: int, k: int, visible: Array, batches: Batches, labelling:
 
 @device_function
 def collect_inputs(listed: Array, rows: int, anchors: AnchorArrays, sizes: Any, mine: Array) -> None:
-    """Copy the inputs (see ``Sizes``) of the listed anchors to the start of a worker's scratch."""
+    """Copy the decoders' inputs (see ``Sizes``) of the listed anchors to the start of a worker's scratch ``mine``."""
     seen, position, centre = sizes.features, anchors.position, anchors.centre
     for i in range(rows):
         anchor = anchors.visible[listed[i]]
@@ -107,7 +107,7 @@ def collect_inputs(listed: Array, rows: int, anchors: AnchorArrays, sizes: Any, 
 
 @device_function
 def start_with(bias: int, columns: int, weights: Array, at: int, rows: int, mine: Array) -> None:
-    """Set every row of mine[at:] to the bias of length ``columns``."""
+    """Set each of the rows at mine[at:] to the bias, the ``columns`` values weights[bias:]."""
     for i in range(rounded_rows(rows)):
         for c in range(0, columns, WIDTH):
             store(mine, at + i * columns + c, load(weights, bias + c))
@@ -115,7 +115,7 @@ def start_with(bias: int, columns: int, weights: Array, at: int, rows: int, mine
 
 @device_function
 def run_first_layer(head: Any, rows: int, packed: Packed, mine: Array) -> None:
-    """The hidden layer of ``rows`` anchors after ReLU."""
+    """Compute the hidden layer of a decoder, after ReLU, for ``rows`` anchors in a worker's scratch ``mine``."""
     sizes, weights = packed.sizes, packed.weights
     at = sizes.hidden_at
     start_with(head.first_bias, HIDDEN, weights, at, rows, mine)
@@ -127,7 +127,7 @@ def run_first_layer(head: Any, rows: int, packed: Packed, mine: Array) -> None:
 
 @device_function
 def run_head(head: Any, rows: int, packed: Packed, mine: Array) -> None:
-    """Hidden layer and outputs [rows, padded] of one decoder."""
+    """Compute a decoder's hidden layer and its outputs [rows, padded], in a worker's scratch ``mine``."""
     run_first_layer(head, rows, packed, mine)
     sizes, weights, padded = packed.sizes, packed.weights, head.padded
     start_with(head.last_bias, padded, weights, sizes.out_at, rows, mine)
@@ -137,7 +137,7 @@ def run_head(head: Any, rows: int, packed: Packed, mine: Array) -> None:
 
 @device_function
 def add_columns(out: Array, out_at: int, values: Array, at: int, rows: int, columns: int) -> None:
-    """out[c] += the sum over rows of values[row, c], in ascending order."""
+    """Add each row of values[at:], taken as [rows, columns], to out[out_at:], in ascending order."""
     for c in range(0, columns, WIDTH):
         total = load(out, out_at + c)
         for i in range(rows):
@@ -147,8 +147,8 @@ def add_columns(out: Array, out_at: int, values: Array, at: int, rows: int, colu
 
 @device_function
 def run_head_backward(head: Any, rows: int, packed: Packed, mine: Array, gradient: Array) -> None:
-    """From the gradient of the outputs and the hidden layer, both in scratch, to the gradients of the weights (added to
-    ``gradient``) and of the features (added to scratch)."""
+    """Take the gradient of a decoder's outputs, in the scratch ``mine``, through its two layers: add the weights'
+    gradients to ``gradient``, and the features' to the scratch."""
     sizes, weights, padded = packed.sizes, packed.weights, head.padded
     hidden, d_hidden, out, features = sizes.hidden_at, sizes.d_hidden_at, sizes.out_at, sizes.padded_features
     of_out, of_hidden = Rows(mine, out, padded), Rows(mine, d_hidden, HIDDEN_64)
@@ -174,7 +174,7 @@ def run_head_backward(head: Any, rows: int, packed: Packed, mine: Array, gradien
 
 @device_function
 def collect_scales(batch: Batch, anchors: AnchorArrays, mine: Array, room: int) -> None:
-    """Copy the six scales of each drawing anchor into a vector of its own in a worker's scratch, from ``room``."""
+    """Copy the six log scales of each anchor that draws, as a vector each, to mine[room:]."""
     for row in range(batch.drawing):
         six = lane_numbers() < broadcast(F(6.0))
         log_scale = masked_load(anchors.log_scale, 6 * anchors.visible[batch.listed[row]], six)

@@ -1,4 +1,4 @@
-"""Combines the kernels into a ``torch.autograd.Function``."""
+"""Combines the kernels to a ``torch.autograd.Function``."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CHUNKS = 32
 
 
 def decode_natively(given: AnchorsInView, decoders: Decoders) -> NeuralGaussians:
-    """``decode_rows`` for float32 tensors on the CPU, with ``torch.get_num_threads()`` threads."""
+    """Do what ``decode_rows`` does, for float32 tensors on the CPU, with ``torch.get_num_threads()`` threads."""
     anchors, visible, centre, channels, known_labels = given
     layout = packing.layout_of(decoders.shape)
     labels = torch.empty(0, 0) if known_labels is None else known_labels
@@ -47,7 +47,7 @@ def decode_natively(given: AnchorsInView, decoders: Decoders) -> NeuralGaussians
 
 
 class _Fixed(NamedTuple):
-    """The inputs that have no gradient."""
+    """The decoding's inputs that have no gradient."""
 
     visible: NDArray[np.int64]
     position: NDArray[np.float32]
@@ -60,7 +60,7 @@ class _Fixed(NamedTuple):
         return packing.AnchorArrays(self.visible, learnt[0], self.position, self.centre, *learnt[1:])
 
     def clustered(self) -> int:
-        """The number of Gaussians in the mean of the cluster loss."""
+        """Return over how many Gaussians the cluster loss is averaged, at least 1."""
         channels = self.labelling.channels
         labelled = np.count_nonzero(channels[self.visible] >= 0) if len(channels) else 0
         return max(labelled * self.layout.sizes.k, 1)
@@ -77,7 +77,7 @@ def _new_work(workers: int, layout: packing.Layout) -> packing.Work:
 
 
 def _empty(shape: tuple[int, ...]) -> Tensor:
-    """A float32 tensor in reused memory."""
+    """Return an uninitialised float32 tensor in memory that is reused."""
     return torch.from_numpy(memory.empty(shape, np.float32))
 
 

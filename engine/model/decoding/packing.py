@@ -1,8 +1,7 @@
-"""The data of the decoder kernels: the weights packed into one flat array, their gradients unpacked, and the named
-tuples of the other arrays.
+"""The data of the decoder kernels: all weights packed into one flat array (gradients likewise), and named tuples of the
+other arrays.
 
-All arrays are flat: M anchors, V of them visible, with k Gaussians each; N Gaussians are drawn.
-"""
+All arrays are flat. Of M anchors V are visible, with k Gaussians each; N of these are drawn."""
 
 from __future__ import annotations
 
@@ -26,10 +25,10 @@ ROUND_ROWS = 8
 
 
 class Head(NamedTuple):
-    """One decoder: the number of its inputs and outputs, and the offsets of its parts in the packed array. ``first``
-    [inputs, HIDDEN], ``first_bias`` [HIDDEN], ``last`` [HIDDEN, padded] and ``last_bias`` [padded] are also the offsets
-    of their gradients. ``first_back`` [HIDDEN, padded features] and ``last_back`` [outputs, HIDDEN] are the same
-    weights transposed, for the backward pass."""
+    """One decoder: its numbers of inputs and outputs, and where its parts begin in the packed array. ``first`` [inputs,
+    HIDDEN], ``first_bias`` [HIDDEN], ``last`` [HIDDEN, padded] and ``last_bias`` [padded] are also where their
+    gradients begin. ``first_back`` [HIDDEN, padded features] and ``last_back`` [outputs, HIDDEN] are the same weights
+    transposed, for the backward pass."""
 
     inputs: int
     outputs: int
@@ -55,8 +54,8 @@ OPACITY, COVARIANCE, COLOUR, SEMANTIC, INSTANCE = range(5)
 
 
 class Sizes(NamedTuple):
-    """The sizes of the kernels' arrays, and the offsets of the parts of a worker's scratch, in floats. Scratch begins
-    with a batch of input rows. A row has ``inputs`` floats: feature, direction, distance (if wanted) and zeros."""
+    """The sizes of the kernels' arrays, and where the parts of a worker's scratch begin, in floats. It begins with a
+    batch of input rows of ``inputs`` floats each: feature, direction, distance (if used) and zeros."""
 
     features: int
     padded_features: int
@@ -73,7 +72,7 @@ class Sizes(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """The packed array has ``size`` floats; the first ``parameters`` of them have gradients."""
+    """The layout of the packed array: ``size`` floats in all, of which the first ``parameters`` have gradients."""
 
     heads: Heads
     sizes: Sizes
@@ -87,7 +86,7 @@ def _rounded(count: int, unit: int) -> int:
 
 @cache
 def layout_of(shape: DecoderShape) -> Layout:
-    """The layout of the packed array for decoders of ``shape``."""
+    """Return the layout of the packed array for decoders of ``shape``."""
     padded_features = _rounded(shape.features, LANES)
     at, offsets = 0, []
     for inputs, outputs in Decoders.sides(shape).values():
@@ -121,13 +120,13 @@ def layout_of(shape: DecoderShape) -> Layout:
 
 
 def parameters_of(decoders: Decoders) -> list[torch.Tensor]:
-    """Weight and bias of the first and of the last layer of each decoder, in the order of ``Heads``."""
+    """Return each decoder's first weight and bias, then its last ones, decoders in the order of ``Heads``."""
     mlps = (decoders.opacity, decoders.covariance, decoders.colour, decoders.semantic, decoders.instance)
     return [mlp.get_parameter(name) for mlp in mlps for name in ("0.weight", "0.bias", "2.weight", "2.bias")]
 
 
 def _views(packed: NDArray[Any], head: Head) -> Iterator[NDArray[Any]]:
-    """The four parts of a head that have gradients, in torch's shapes (weights [outputs, inputs])."""
+    """Yield views of the four parts of a head that have gradients, in torch's shapes (weights [outputs, inputs])."""
     yield packed[head.first : head.first_bias].reshape(-1, HIDDEN)[: head.inputs].T
     yield packed[head.first_bias : head.last]
     yield packed[head.last : head.last_bias].reshape(HIDDEN, head.padded)[:, : head.outputs].T
@@ -135,7 +134,7 @@ def _views(packed: NDArray[Any], head: Head) -> Iterator[NDArray[Any]]:
 
 
 def packed(parameters: list[torch.Tensor], layout: Layout) -> NDArray[np.float32]:
-    """The decoders' parameters, in the order of ``parameters_of``, as one array float32 [layout.size]."""
+    """Return the parameters, ordered as by ``parameters_of``, packed into one array, float32 [layout.size]."""
     flat = np.zeros(layout.size, np.float32)
     arrays = [parameter.detach().numpy() for parameter in parameters]
     features = layout.sizes.padded_features
@@ -150,13 +149,13 @@ def packed(parameters: list[torch.Tensor], layout: Layout) -> NDArray[np.float32
 
 
 def unpacked(gradient: NDArray[np.float32], layout: Layout) -> list[torch.Tensor]:
-    """Gradients in the order of ``parameters_of`` from the packed one, float32 [layout.parameters]."""
+    """Return the parameters' gradients, ordered as by ``parameters_of``, given packed, float32 [layout.parameters]."""
     return [torch.from_numpy(view.copy()) for head in layout.heads for view in _views(gradient, head)]
 
 
 class AnchorArrays(NamedTuple):
-    """``visible`` int64 [V]: rows of the others; ``feature`` [M * F]; ``position`` [M * 3] and ``centre`` [3] (of the
-    camera) in metres; ``offset`` [M * k * 3]; ``log_scale`` [M * 6]. float32."""
+    """The anchors as float32 arrays: ``feature`` [M * F], ``position`` [M * 3] metres, ``offset`` [M * k * 3],
+    ``log_scale`` [M * 6]. ``visible`` int64 [V]: the anchors in view; ``centre`` [3]: the camera's, metres."""
 
     visible: Array
     feature: Array
@@ -167,7 +166,7 @@ class AnchorArrays(NamedTuple):
 
 
 class Packed(NamedTuple):
-    """``weights`` float32 as ``packed`` lays them out, ``heads`` int64 [5, 9] its ``Heads``, and its ``Sizes``."""
+    """All decoders: ``weights`` float32 as ``packed`` lays them out, ``heads`` int64 [5, 9] (``Heads``), ``sizes``."""
 
     weights: Array
     heads: Array
@@ -175,8 +174,8 @@ class Packed(NamedTuple):
 
 
 class Labelling(NamedTuple):
-    """``channels`` int64 [M] or empty: the channel of each anchor's class for the cluster loss, -1 for none. ``known``
-    float32 [M * k * known_channels]: labels to show instead of decoding them; empty to decode them."""
+    """``channels`` int64 [M]: the channel of each anchor's class for the cluster loss, -1 = none; empty without that
+    loss. ``known`` float32 [M * k * known_channels]: labels to use instead of decoding them; empty to decode."""
 
     channels: Array
     known: Array
@@ -184,8 +183,8 @@ class Labelling(NamedTuple):
 
 
 class Batches(NamedTuple):
-    """``opacities`` float32 [V * k] of all Gaussians, drawn or not. Each batch of anchors has the number of its first
-    drawn Gaussian in ``starts`` int64, and its sum of L_cluster in ``losses`` float64."""
+    """All Gaussians' ``opacities`` float32 [V * k], drawn or not, and by batch of anchors: ``starts`` int64, the index
+    of its first drawn Gaussian, and ``losses`` float64, its sum of L_cluster."""
 
     opacities: Array
     starts: Array
@@ -193,7 +192,7 @@ class Batches(NamedTuple):
 
 
 class Decoding(NamedTuple):
-    """What is decoded, and in which batches."""
+    """The input of the decoding kernels: the anchors, the decoders, the labels, and the division into batches."""
 
     anchors: AnchorArrays
     packed: Packed
@@ -202,7 +201,7 @@ class Decoding(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """The Gaussians drawn, or their gradients, float32: ``means`` and ``scales`` [N * 3], ``quats`` [N * 4],
+    """The drawn Gaussians, or their gradients, float32: ``means`` and ``scales`` [N * 3], ``quats`` [N * 4],
     ``opacities`` [N], ``colours`` [N * 3], ``labels`` [N * (C + S)]."""
 
     means: Array
@@ -214,9 +213,9 @@ class Drawn(NamedTuple):
 
 
 class Gradients(NamedTuple):
-    """Given: ``by``, the gradients of the Gaussians ``drawn``, and ``by_loss``, that of one Gaussian's cross entropy.
-    Filled: the gradients of ``feature``, ``offset`` and ``log_scale``, shaped as in ``AnchorArrays`` and zero before;
-    and of the ``weights`` [chunks, parameters], a row for each chunk of batches."""
+    """Input of the backward pass: gradients ``by`` the Gaussians ``drawn``, and ``by_loss``, by each Gaussian's cross
+    entropy. Output: those of ``feature``, ``offset`` and ``log_scale``, as in ``AnchorArrays``, 0 before; and of the
+    ``weights`` [chunks, parameters], a row for each chunk of batches."""
 
     drawn: Drawn
     by: Drawn
@@ -228,8 +227,8 @@ class Gradients(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Scratch memory. ``next_one`` int64 [1] is the next batch, or chunk of batches, to process. Each worker has
-    ``floats`` float32 [workers, Sizes.scratch] and ``numbers`` int64 [workers, BATCH * (1 + 2 k)]."""
+    """The workers' working memory: ``floats`` float32 [workers, Sizes.scratch] and ``numbers`` int64 [workers, BATCH *
+    (1 + 2 k)]. ``next_one`` int64 [1], shared: the next batch, or chunk of batches, to take."""
 
     next_one: Array
     floats: Array
@@ -237,9 +236,9 @@ class Work(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """Anchors decoded together: ``rows`` indices into ``visible``. The first ``drawing`` of them draw a Gaussian; the
-    rest only take part in the cluster loss. ``gaussians`` are drawn, numbered from ``first`` on; the m-th of them is
-    number owners[2 * m + 1] of row owners[2 * m]."""
+    """Anchors that are decoded together: ``listed`` holds ``rows`` indices into ``visible``. The first ``drawing`` of
+    them draw a Gaussian; the others only have a cluster loss. ``gaussians`` are drawn, the m-th at index ``first`` + m;
+    it is Gaussian owners[2 m + 1] of row owners[2 m]."""
 
     listed: Array
     rows: int
