@@ -6,25 +6,25 @@ tests/test_architecture.py checks that each is there. A test that is renamed or 
 """
 
 BEHAVIOURS = {
-    "a lift writes the files of docs/lift-folder.md": ("lift/test_lift.py::test_the_files_are_those_of_the_design"),
-    "a lift's arrays: points and anchors": "lift/test_lift.py::test_the_points_and_anchors_are_written",
-    "a lift's arrays: instances": "lift/test_lift.py::test_the_instances_are_written",
+    "a lift writes the files of docs/lift-folder.md": ("lift/test_lift.py::test_a_lift_writes_the_documented_files"),
+    "a lift's arrays: points and anchors": "lift/test_lift.py::test_a_lift_writes_its_points_and_anchors",
+    "a lift's arrays: instances": "lift/test_lift.py::test_a_lift_writes_its_instances",
     "a lift's passes have the frames' own size": (
-        "lift/test_lift.py::test_passes_have_the_frames_own_size_and_whole_labels"
+        "lift/test_lift.py::test_passes_have_the_frames_size_and_unblended_labels"
     ),
     "a lift with the same seed writes the same bytes": "lift/test_lift.py::test_the_same_seed_gives_the_same_lift",
-    "a lift beats the masks that it was given": "lift/test_quality.py::test_a_lift_beats_its_masks_and_a_vote",
+    "a lift beats the masks that it was given": "lift/test_quality.py::test_a_lift_scores_above_its_masks_and_a_vote",
     "a lift is cancelled and resumed": "lift/test_lift.py::test_a_cancelled_lift_is_resumed",
     "a lift that was killed is resumed to the same bytes": (
         "test_kill_and_resume.py::test_a_lift_that_is_killed_and_resumed_has_the_same_bytes"
     ),
-    "a lift keeps the names of an earlier one": "lift/test_lasting_names.py::test_every_file_has_the_lasting_ids",
+    "a lift keeps the names of an earlier one": "lift/test_lasting_names.py::test_every_file_of_a_new_lift_keeps_ids",
     "a lift finds a scene that was moved": "doors/test_command_line.py::test_find_scene_mends_a_lift_whose_scene_moved",
-    "frames are baked later with the same bytes": "lift/test_bake_more.py::test_later_bakes_write_the_same_bytes",
+    "frames are baked later with the same bytes": "lift/test_bake_more.py::test_frames_baked_later_have_the_same_bytes",
     "any camera is baked": "lift/test_bake_more.py::test_any_camera_can_be_baked",
-    "several commands bake side by side": "lift/test_bake_more.py::test_two_commands_share_the_frames",
+    "several commands bake side by side": "lift/test_bake_more.py::test_two_bake_commands_share_the_frames",
     "corrections change passes, exports and scores": ("lift/test_bake_more.py::test_corrections_reach_every_output"),
-    "Blender reads ids and mattes of the passes": "passes/test_exr.py::test_blender_reads_ids_and_mattes",
+    "Blender reads ids and mattes of the passes": "passes/test_exr.py::test_blender_reads_ids_and_mattes_of_pass_files",
     "each format of captures is recognised": (
         "scene/formats/test_recognising.py::test_each_format_has_its_own_name_and_says_what_it_looks_for"
     ),
@@ -53,13 +53,13 @@ BEHAVIOURS = {
     "every button works with the engine that the set-up made": (
         "operators/test_every_action.py::test_every_action_works_with_the_engine_that_the_buttons_made"
     ),
-    "the panel's buttons: import": "operators/test_scene.py::test_importing_cameras_lifts_nothing",
-    "the panel's buttons: lift": "operators/test_lift.py::test_a_script_waits_for_the_lift",
+    "the panel's buttons: import": "operators/test_scene.py::test_import_scene_adds_cameras_without_lifting",
+    "the panel's buttons: lift": "operators/test_lift.py::test_the_lift_operator_in_a_script_waits_for_the_lift",
     "the panel's buttons: resume": "operators/test_lift.py::test_a_cancelled_lift_is_resumed_by_the_operator",
-    "the panel's buttons: masks": "operators/test_masks.py::test_masks_are_made",
+    "the panel's buttons: masks": "operators/test_masks.py::test_make_masks_makes_masks",
     "the panel's buttons: corrections": ("operators/test_corrections.py::test_undo_brings_back_a_deleted_object"),
     "the panel's buttons: passes": (
-        "operators/test_passes.py::test_passes_open_in_the_compositor_at_the_active_camera"
+        "operators/test_passes.py::test_the_compositor_opens_with_passes_of_the_active_camera"
     ),
     "the panel's buttons: export": "operators/test_export.py::test_the_engine_exports_every_format",
     "the panel shows a lift that is finished": "ui/test_panels.py::test_a_finished_lift_is_shown",

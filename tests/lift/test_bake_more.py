@@ -79,7 +79,7 @@ def an_object_in(folder: LiftFolder, frame: str) -> Instance:
     return next(each for each in read_corrected(folder.path).instances if each.id in shown)
 
 
-def test_later_bakes_write_the_same_bytes(finished: dict[str, LiftFolder], lift: LiftFolder) -> None:
+def test_frames_baked_later_have_the_same_bytes(finished: dict[str, LiftFolder], lift: LiftFolder) -> None:
     before = json.loads(lift.manifest_path.read_text())
     bake(lift, "0002", "test")
     assert {path.stem for path in lift.passes_path.iterdir()} == {"0002", "0004"}
@@ -103,7 +103,7 @@ def test_later_bakes_write_the_same_bytes(finished: dict[str, LiftFolder], lift:
         (["3", "0003"], ["3", "0003"]),
     ],
 )
-def test_numbers_in_file_names_are_padded(frames: list[str], files: list[str], tmp_path: Path) -> None:
+def test_camera_numbers_in_pass_file_names_are_padded(frames: list[str], files: list[str], tmp_path: Path) -> None:
     lift = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path))
     assert names_of_files(lift) == {}
     camera = Camera(4, 3, 4.0, 4.0, 2.0, 1.5, np.eye(4))
@@ -112,7 +112,7 @@ def test_numbers_in_file_names_are_padded(frames: list[str], files: list[str], t
     assert [*names_of_files(lift).values()] == files
 
 
-def test_bake_reports_the_events_of_an_engine_run(lift: LiftFolder, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_bake_reports_the_events_of_an_engine_run(lift: LiftFolder, capfd: pytest.CaptureFixture[str]) -> None:
     lift.task_files.ask_to_cancel()  # an old one
     seq = len(lift.events_path.read_bytes().splitlines())
     assert run_bake(lift, ["0000"]) is ExitCode.FINISHED
@@ -139,7 +139,7 @@ def test_only_a_finished_lift_can_be_baked(lift: LiftFolder) -> None:
 
 
 @pytest.mark.parametrize("failure", [Cancelled("asked to"), OSError(28, "No space left on device")])
-def test_result_is_always_complete(lift: LiftFolder, failure: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_result_stays_complete_in_a_bake(lift: LiftFolder, failure: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
     render, rendered = FrameBaker.render, []
 
     def render_three(self: FrameBaker, *arguments: Any) -> object:
@@ -183,7 +183,7 @@ def test_any_camera_can_be_baked(lift: LiftFolder, tmp_path: Path, monkeypatch: 
     verify(lift.result_path)
 
 
-def test_the_same_view_at_another_rate_is_another_file(lift: LiftFolder, tmp_path: Path) -> None:
+def test_a_view_at_another_frame_rate_is_baked_again(lift: LiftFolder, tmp_path: Path) -> None:
     cameras, output = write_cameras(tmp_path / "cameras.json", ["shot"]), tmp_path / "shot"
     for more in ({"frame": 1, "fps": 24.0}, {"frame": 1, "fps": 23.976}, {"frame": 5, "fps": 23.976}):
         content = json.loads(cameras.read_text())
@@ -195,7 +195,7 @@ def test_the_same_view_at_another_rate_is_another_file(lift: LiftFolder, tmp_pat
             assert Fraction(*struct.unpack("<iI", header[b"framesPerSecond"][1])) == exact_rate(more["fps"])
 
 
-def test_bake_into_its_own_folder_works(lift: LiftFolder, tmp_path: Path) -> None:
+def test_baking_into_another_folder_leaves_the_lift_alone(lift: LiftFolder, tmp_path: Path) -> None:
     before, output = files_of(lift), tmp_path / "shot" / "passes"
     assert run_bake(lift, ["0000"], layers=["normal"], output=output) is ExitCode.FINISHED
     assert files_of(lift) == before and [path.name for path in output.iterdir()] == ["0000.exr"]
@@ -221,14 +221,14 @@ def test_bake_into_its_own_folder_works(lift: LiftFolder, tmp_path: Path) -> Non
     verify(lift.result_path)
 
 
-def test_a_folder_where_a_file_belongs_is_reported(lift: LiftFolder, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_in_place_of_a_pass_file_is_reported(lift: LiftFolder, capfd: pytest.CaptureFixture[str]) -> None:
     (lift.passes_path / "0000.exr").mkdir()
     assert run_bake(lift, ["0000"]) is ExitCode.BAD_INPUT
     told = capfd.readouterr().err
     assert str(lift.passes_path / "0000.exr") in told and ".part" not in told
 
 
-def test_a_folder_of_its_own_shows_the_corrections(lift: LiftFolder, tmp_path: Path) -> None:
+def test_passes_baked_into_another_folder_show_the_corrections(lift: LiftFolder, tmp_path: Path) -> None:
     shown, one = read_exr(lift.passes_path / "0004.exr").instance, an_object_in(lift, "0004")
     assert main(["correct", str(lift.path), "delete", str(one.id), "--no-object"]) == 0
     before, output = files_of(lift), tmp_path / "passes"
@@ -242,7 +242,7 @@ def test_a_folder_of_its_own_shows_the_corrections(lift: LiftFolder, tmp_path: P
     assert (read_exr(output / "0004.exr").instance == shown).all()
 
 
-def test_a_camera_with_a_frames_name_is_refused(
+def test_a_baked_camera_cannot_have_a_frames_name(
     lift: LiftFolder, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     cameras = write_cameras(tmp_path / "cameras.json", ["shot", "0000"])
@@ -251,7 +251,7 @@ def test_a_camera_with_a_frames_name_is_refused(
     assert not (lift.passes_path / "shot.exr").exists()
 
 
-def test_bake_works_beside_another_process(lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_processes_can_bake_one_lift(lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen = lift.events_path.read_bytes()
     view = FrameBaker.render
 
@@ -271,7 +271,7 @@ def test_bake_works_beside_another_process(lift: LiftFolder, tmp_path: Path, mon
     verify(lift.result_path)
 
 
-def test_a_bake_needs_the_manifests_kind_of_labels(lift: LiftFolder) -> None:
+def test_a_bake_refuses_a_manifest_without_the_kind_of_labels(lift: LiftFolder) -> None:
     manifest = json.loads(lift.manifest_path.read_text())
     del manifest["settings"]["one_class_an_object"]
     lift.manifest_path.write_text(json.dumps(manifest))
@@ -279,7 +279,7 @@ def test_a_bake_needs_the_manifests_kind_of_labels(lift: LiftFolder) -> None:
         bake(lift, "0002")
 
 
-def test_views_without_numbers_come_last(
+def test_views_without_a_number_in_their_name_are_baked_last(
     finished: dict[str, LiftFolder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(PRESETS, "preview", TINY)
@@ -332,7 +332,7 @@ def test_corrections_reach_every_output(lift: LiftFolder, tmp_path: Path, capsys
     assert passes.read_bytes() == bytes_before
 
 
-def test_ranges_refer_to_the_numbers_in_the_names(finished: dict[str, LiftFolder], tmp_path: Path) -> None:
+def test_frame_ranges_refer_to_the_last_number_in_frame_names(finished: dict[str, LiftFolder], tmp_path: Path) -> None:
     scene = scene_of_lift(finished["test"])
     assert [frame.name for frame in frames_named(scene, ["1-4:2", "0000"])] == ["0000", "0001", "0003"]
     renamed = replace(scene, frames=tuple(replace(each, name=f"cam2_{each.name}.colour") for each in scene.frames))
@@ -342,7 +342,7 @@ def test_ranges_refer_to_the_numbers_in_the_names(finished: dict[str, LiftFolder
             frames_named(scene, [wrong])
 
 
-def test_a_frame_may_have_the_name_of_a_group(finished: dict[str, LiftFolder]) -> None:
+def test_a_frame_may_be_named_all_or_test(finished: dict[str, LiftFolder]) -> None:
     """It took the group's place: of a scene with a photo all.png, nothing else was baked or exported."""
     scene = scene_of_lift(finished["test"])
     names = {"0001": "all", "0002": "test"}
@@ -351,7 +351,7 @@ def test_a_frame_may_have_the_name_of_a_group(finished: dict[str, LiftFolder]) -
     assert [frame.name for frame in frames_named(renamed, ["test"])] == ["test", "0004"]
 
 
-def test_a_bake_is_done_when_all_views_are_there(lift: LiftFolder) -> None:
+def test_a_bake_waits_for_views_that_another_process_bakes(lift: LiftFolder) -> None:
     """A view that another process has taken is waited for, and baked here when that process ends without it."""
     with ThreadPoolExecutor(1) as pool:
         with BakeLocks(lift.path) as other, other.claim("0001") as is_ours:
@@ -377,7 +377,9 @@ def followers() -> Iterator[list[TaskFollower]]:
         follower.close()
 
 
-def test_bakes_coexist(lift: LiftFolder, followers: list[TaskFollower], tmp_path: Path, quick_python: Path) -> None:
+def test_bakes_run_together(
+    lift: LiftFolder, followers: list[TaskFollower], tmp_path: Path, quick_python: Path
+) -> None:
     """Two bake their views to the end, though a third is cancelled beside them."""
     names = {}
     for name, count in (("left", 40), ("right", 12), ("cancelled", 40)):
@@ -400,7 +402,7 @@ def test_bakes_coexist(lift: LiftFolder, followers: list[TaskFollower], tmp_path
     assert not [*lift.path.glob("bake-*"), *lift.path.rglob(".part-*")]
 
 
-def test_two_commands_share_the_frames(lift: LiftFolder, root: Path, quick_python: Path) -> None:
+def test_two_bake_commands_share_the_frames(lift: LiftFolder, root: Path, quick_python: Path) -> None:
     command = [*engine_call(quick_python), "bake", lift.path]
     processes = [subprocess.Popen([*map(str, command)], cwd=root, stdout=subprocess.DEVNULL) for _ in range(2)]
     try:

@@ -26,7 +26,7 @@ from tests.tiny_scene import write_tiny_scene
 from tests.train.tiny_lift import TINY, colour_error, lift_into, presets_as, trainer_of, views_of
 
 
-def test_a_machine_without_cuda_is_refused(
+def test_device_cuda_is_refused_on_a_machine_without_cuda(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(torch.backends.cuda, "is_built", lambda: True)
@@ -46,7 +46,7 @@ def stages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StageReporter:
     return StageReporter(EventWriter(tmp_path / "events.jsonl"), StopSignal(), STAGES)
 
 
-def test_cpu_torch_is_distinguished_from_a_missing_gpu(stages: StageReporter, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cpu_torch_is_told_from_a_missing_gpu(stages: StageReporter, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.backends.cuda, "is_built", lambda: False)
     with raises_key("cpu-torch --device"):
         usable_device("cuda", stages)
@@ -59,7 +59,7 @@ def test_without_gsplat_the_error_says_how_to_get_it(stages: StageReporter, monk
     usable_device("cpu", stages)
 
 
-def test_broken_gsplat_is_found_first(stages: StageReporter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_broken_gsplat_is_found_early(stages: StageReporter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[str] = []
 
     def compile_and_fail(where: str) -> str:
@@ -78,7 +78,7 @@ def test_broken_gsplat_is_found_first(stages: StageReporter, tmp_path: Path, mon
     ("found", "why"),
     [(True, "--device cuda is experimental, never run by us on a GPU"), (False, "torch finds no CUDA device here")],
 )
-def test_auto_never_chooses_a_device_that_was_never_tested(
+def test_device_auto_chooses_only_tested_devices(
     found: bool, why: str, stages: StageReporter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: found)
@@ -91,7 +91,7 @@ def test_auto_never_chooses_a_device_that_was_never_tested(
     assert told[-1] == f"Lifting on the CPU: {why}"
 
 
-def test_a_whole_lift_on_a_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_whole_lift_runs_on_a_gpu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = write_tiny_scene(tmp_path / "scene", frames=6, size=(40, 30))
     with presets_as(preview=TINY):
         plain = lift_into(tmp_path / "plain", LiftRequest(scene=scene))
@@ -123,7 +123,7 @@ def compiled() -> dict[str, int]:
     return {f"{kernel.__module__}.{kernel.__name__}": len(kernel.signatures) for kernel in ours}
 
 
-def test_nothing_is_left_to_compile(tmp_path: Path) -> None:
+def test_training_compiles_nothing_after_the_warm_up(tmp_path: Path) -> None:
     warm_up()
     before = compiled()
     assert len(before) > 10 and sum(before.values()) > 10

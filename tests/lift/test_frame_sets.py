@@ -40,7 +40,7 @@ def chosen(scene: Scene, events: EventWriter, folder: Path, state: dict[str, obj
     return sets_of_frames(scene, request, checkpoint, progress, events).chosen
 
 
-def test_checkpoint_determines_the_frames(scene: Scene, events: EventWriter, tmp_path: Path) -> None:
+def test_a_resumed_lift_keeps_the_frames_of_its_checkpoint(scene: Scene, events: EventWriter, tmp_path: Path) -> None:
     names = [frame.name for frame in scene.train_frames[1:7:2]]
     begun = chosen(scene, events, tmp_path, {"step": 3, "frames": names}, frames=5)
     assert [frame.name for frame in begun.train_frames] == names
@@ -62,7 +62,7 @@ def test_checkpoint_without_names_is_refused(frames: object, scene: Scene, event
         chosen(scene, events, tmp_path, {"frames": frames})
 
 
-def test_a_missing_frame_is_named(scene: Scene, events: EventWriter, tmp_path: Path) -> None:
+def test_a_frame_missing_since_the_lift_began_is_named(scene: Scene, events: EventWriter, tmp_path: Path) -> None:
     held_out = scene.test_frames[0].name
     for name in ("gone", held_out):
         with raises_key(f"frame-gone {name}"):
@@ -99,7 +99,7 @@ def peak(scene: Scene, frames: int, preset: str = "paper") -> int:
     return predict(MANY, 0, (1280, 960), chosen, masks_a_frame=masks, classes=classes).peak_bytes
 
 
-def test_what_fits_is_lifted_as_requested(long_scene: Scene, events: EventWriter, tmp_path: Path) -> None:
+def test_a_lift_that_fits_into_memory_keeps_all_frames(long_scene: Scene, events: EventWriter, tmp_path: Path) -> None:
     plenty = MainMemory(10 * peak(long_scene, 0), 10 * peak(long_scene, 0))
     assert frames_that_fit(long_scene, PAPER, plenty, events) == 0
     assert frames_that_fit(long_scene, replace(PAPER, options={"frames": 70}), plenty, events) == 70
@@ -114,7 +114,7 @@ def test_memory_held_by_other_programs_is_reported(long_scene: Scene, events: Ev
     assert f"{needed / 1e9:.1f} GB" in told
 
 
-def test_what_does_not_fit_is_refused_with_the_options_that_fit(long_scene: Scene, events: EventWriter) -> None:
+def test_a_lift_too_large_for_memory_is_refused_with_options_that_fit(long_scene: Scene, events: EventWriter) -> None:
     there = peak(long_scene, 200)
     assert there < peak(long_scene, 0)
     with raises_key("too-much") as refused:
@@ -125,14 +125,14 @@ def test_what_does_not_fit_is_refused_with_the_options_that_fit(long_scene: Scen
     assert "--fit" in fix and "--preset" in fix
 
 
-def test_with_consent_fewer_frames_are_used(long_scene: Scene, events: EventWriter, tmp_path: Path) -> None:
+def test_the_option_fit_trains_on_fewer_frames(long_scene: Scene, events: EventWriter, tmp_path: Path) -> None:
     there = peak(long_scene, 200)
     frames = frames_that_fit(long_scene, replace(PAPER, fit=True), MainMemory(there, there), events)
     assert 50 <= frames < MANY and peak(long_scene, frames) <= there
     assert str(frames) in warnings_in(tmp_path / "events.jsonl")[0]
 
 
-def test_error_says_when_no_option_can_help(long_scene: Scene, events: EventWriter) -> None:
+def test_the_memory_error_says_when_no_option_can_help(long_scene: Scene, events: EventWriter) -> None:
     with raises_key("too-much"):
         frames_that_fit(long_scene, replace(PAPER, fit=True), MainMemory(10_000_000, 10_000_000), events)
 

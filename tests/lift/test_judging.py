@@ -47,7 +47,7 @@ def judged(path: Path, draw: object) -> Judgement:
     return found
 
 
-def test_a_true_lift_agrees_with_true_masks(scene_path: Path) -> None:
+def test_a_correct_lift_agrees_with_correct_masks(scene_path: Path) -> None:
     found = judged(scene_path, seen_by)
     assert found.not_shown == ()
     assert found.trained is not None and found.trained > 0.99
@@ -68,7 +68,7 @@ def warning_of(found: Judgement, path: Path) -> str:
     return str(warning.data["message"])
 
 
-def test_missing_object_names_its_frame(scene_path: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_missing_object_report_names_frame(scene_path: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     found = judged(scene_path, without_chair)
     (chair,) = found.not_shown
     assert (chair.name, chair.whole_class, chair.shown_as) == ("chair", True, "wall")
@@ -95,7 +95,7 @@ def seen(camera: Camera, depth: float, alpha: float = 1.0) -> PanopticLayers:
     ("forward", "coarse"),
     [(0.0, 0.0), (1.8, 0.0), (2.2, 0.75), (3.5, 0.75)],  # twice as near is at 2 m
 )
-def test_closeup_beyond_the_photos_is_coarse(forward: float, coarse: float) -> None:
+def test_a_camera_closer_than_the_photos_is_reported_as_coarse(forward: float, coarse: float) -> None:
     photo, pose = Camera(640, 480, 600.0, 600.0, 320.0, 240.0, np.eye(4)), np.eye(4)
     pose[2, 3] = forward
     shot = photo.at(pose)
@@ -105,12 +105,12 @@ def test_closeup_beyond_the_photos_is_coarse(forward: float, coarse: float) -> N
     assert unresolved(seen(small, 4.0 - forward), small, [photo], reduced=8.0).coarse == pytest.approx(coarse, abs=0.02)
 
 
-def test_surface_without_a_photo_is_unresolved() -> None:
+def test_surface_that_no_photo_shows_is_reported_as_unresolved() -> None:
     photo, pose = Camera(64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(4)), np.diag([-1.0, 1.0, -1.0, 1.0])
     assert unresolved(seen(photo.at(pose), 2.0), photo.at(pose), [photo]).coarse == pytest.approx(0.75, abs=0.02)
 
 
-def test_large_unresolved_share_gives_a_warning(tmp_path: Path) -> None:
+def test_a_large_share_of_unresolved_surface_gives_a_warning(tmp_path: Path) -> None:
     events = EventWriter(tmp_path / "events.jsonl")
     report_unresolved([], events, before=True)
     report_unresolved([("a", Unresolved(0.0, 0.05))], events, before=True)

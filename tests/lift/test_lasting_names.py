@@ -37,7 +37,7 @@ def corner(number: int) -> np.ndarray:
     return np.random.default_rng(0).uniform(0, 0.4, (4000, 3)) + [2.0 * number, 0.0, 0.0]
 
 
-def test_new_numbers_were_never_used_before() -> None:
+def test_new_objects_get_ids_that_were_never_used_before() -> None:
     xyz, owner = np.concatenate([corner(0), corner(1), corner(2)]), np.repeat([1, 2, 4], 4000).astype(np.int32)
     names = {1: "chair 1", 2: "chair 2", 4: "cabinet 1"}
     kinds = {1: "chair", 2: "chair", 4: "cabinet"}
@@ -104,7 +104,7 @@ def renumber(folder: LiftFolder) -> None:
     write_manifest(folder.result_path, versions={}, seed=0, settings=settings, timings={})
 
 
-def test_every_file_has_the_lasting_ids(lifts: tuple[LiftFolder, LiftFolder]) -> None:
+def test_every_file_of_a_new_lift_keeps_ids(lifts: tuple[LiftFolder, LiftFolder]) -> None:
     first, again = lifts
     before, after = records_of(first), records_of(again)
     assert len(open_scene(again.request.scene).frames) == 2 * len(open_scene(first.request.scene).frames)
@@ -119,7 +119,7 @@ def test_every_file_has_the_lasting_ids(lifts: tuple[LiftFolder, LiftFolder]) ->
         assert shown and shown <= set(after)
 
 
-def test_an_object_that_was_hardly_measured_keeps_its_name(lifts: tuple[LiftFolder, LiftFolder]) -> None:
+def test_an_object_with_few_measured_points_keeps_its_name(lifts: tuple[LiftFolder, LiftFolder]) -> None:
     """Its points in the files are a fifth of those that it has before they are written."""
     for lift in lifts:
         points = read_arrays(lift.result_path / "semantic_points.npz", SemanticPoints)
@@ -127,7 +127,7 @@ def test_an_object_that_was_hardly_measured_keeps_its_name(lifts: tuple[LiftFold
     assert "cabinet" in {one["name"].split()[0] for one in names_of(lifts[1])["kept"]}
 
 
-def test_unfinished_earlier_lift_is_refused(tmp_path: Path, lifts: tuple[LiftFolder, LiftFolder]) -> None:
+def test_names_from_refuses_an_unfinished_lift(tmp_path: Path, lifts: tuple[LiftFolder, LiftFolder]) -> None:
     with raises_key("no-lift-folder"):
         read_earlier(tmp_path / "nothing")
     other = LiftFolder.create(tmp_path / "begun", LiftRequest(scene=lifts[0].request.scene))
@@ -165,7 +165,7 @@ IMPOSSIBLE: dict[str, Callable[[LiftFolder], None]] = {
 
 
 @pytest.mark.parametrize("spoilt", IMPOSSIBLE.values(), ids=IMPOSSIBLE)
-def test_impossible_names_are_refused_before_any_work(spoilt: Callable[[LiftFolder], None], tmp_path: Path) -> None:
+def test_names_from_a_bad_folder_is_refused_before_work(spoilt: Callable[[LiftFolder], None], tmp_path: Path) -> None:
     """In the lift's first stage, in one line that says which option it is about."""
     earlier = LiftFolder.create(tmp_path / "old", LiftRequest(scene=tmp_path))
     write_result(earlier.path)
@@ -178,7 +178,7 @@ def test_impossible_names_are_refused_before_any_work(spoilt: Callable[[LiftFold
     assert [each["name"] for each in stages if each["event"] == "stage"] == ["check"] and raised.value.option
 
 
-def test_corrections_are_carried_over_and_lost_ones_are_reported(tmp_path: Path) -> None:
+def test_corrections_of_the_old_lift_are_kept_or_reported_as_lost(tmp_path: Path) -> None:
     folders = [LiftFolder.create(tmp_path / name, LiftRequest(scene=tmp_path)) for name in ("old", "new")]
     for folder, (shift, without) in zip(folders, [(0.0, 0), (0.011, CRUMB)], strict=True):
         write_result(folder.path, shift, without)

@@ -57,7 +57,7 @@ def files_of(folder: LiftFolder) -> dict[str, str]:
     return {file.path.as_posix(): file.sha256 for file in verify(folder.result_path).files}
 
 
-def test_the_files_are_those_of_the_design(lifts: Lifts) -> None:
+def test_a_lift_writes_the_documented_files(lifts: Lifts) -> None:
     expected = {"semantic_points.npz", "instances.json", "anchors.npz", "gaussians.ply", "model.safetensors"}
     expected |= {"metrics.json", "previews/contact_sheet.png"}
     for name in HELD_OUT:
@@ -68,14 +68,14 @@ def test_the_files_are_those_of_the_design(lifts: Lifts) -> None:
     assert {path.as_posix() for path in on_disk} == expected | {"manifest.json"}
 
 
-def test_the_manifest_says_how_it_came_about(lifts: Lifts) -> None:
+def test_the_manifest_records_seed_settings_times_and_versions(lifts: Lifts) -> None:
     manifest = verify(lifts.done.result_path)
     assert manifest.seed == 0 and manifest.settings["steps"] == TINY.steps
     assert set(manifest.timings) == set(STAGES)
     assert {"python", "numpy", "torch", "numba"} <= set(manifest.versions)
 
 
-def test_the_points_and_anchors_are_written(lifts: Lifts) -> None:
+def test_a_lift_writes_its_points_and_anchors(lifts: Lifts) -> None:
     points = read_arrays(lifts.done.result_path / "semantic_points.npz", SemanticPoints)
     assert set(np.unique(points.instance_id)) == {0, 1, 2}
     assert ((points.confidence >= 0) & (points.confidence <= 1)).all()
@@ -83,7 +83,7 @@ def test_the_points_and_anchors_are_written(lifts: Lifts) -> None:
     assert set(np.unique(anchors.level)) <= {0, 1, 2, 3}
 
 
-def test_splats_lie_near_what_was_measured(lifts: Lifts, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_splats_lie_near_measured_surface(lifts: Lifts, monkeypatch: pytest.MonkeyPatch) -> None:
     """As if no depth showed one half of the room. Its anchors are not listed, but the model keeps them."""
     monkeypatch.setattr(progress, "REPORT_EVERY_S", 0.0)
     every = read_arrays(lifts.done.result_path / "semantic_points.npz", SemanticPoints).xyz[:, 0]
@@ -106,7 +106,7 @@ def test_splats_lie_near_what_was_measured(lifts: Lifts, monkeypatch: pytest.Mon
     assert [one["points"] for one in listed] == [np.count_nonzero(points.instance_id == one["id"]) for one in listed]
 
 
-def test_a_mask_is_decoded_once_before_training_and_once_to_vote(lifts: Lifts, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_mask_is_decoded_at_most_twice_in_a_lift(lifts: Lifts, monkeypatch: pytest.MonkeyPatch) -> None:
     decoded, before = Counter[str](), Counter[str]()
     read, train = coco._read_ids, lift_run.train
     monkeypatch.setattr(coco, "_read_ids", lambda png: decoded.update([png.stem]) or read(png))
@@ -118,7 +118,7 @@ def test_a_mask_is_decoded_once_before_training_and_once_to_vote(lifts: Lifts, m
     assert {before[name] for name in names} == {1} and {decoded[name] for name in names} == {2}
 
 
-def test_the_instances_are_written(lifts: Lifts) -> None:
+def test_a_lift_writes_its_instances(lifts: Lifts) -> None:
     content = json.loads((lifts.done.result_path / "instances.json").read_text())
     assert content["format"] == 1 and content["up"] == "z"
     assert [one["id"] for one in content["classes"]] == [1, 2, 3, 5, 13]
@@ -137,7 +137,7 @@ def test_the_instances_are_written(lifts: Lifts) -> None:
             assert 0 <= left < right <= 1 and 0 <= top < bottom <= 1
 
 
-def test_passes_have_the_frames_own_size_and_whole_labels(lifts: Lifts) -> None:
+def test_passes_have_the_frames_size_and_unblended_labels(lifts: Lifts) -> None:
     for name in HELD_OUT:
         with OpenEXR.File(str(lifts.done.passes_path / f"{name}.exr"), separate_channels=True) as exr:
             channels = {key: channel.pixels for key, channel in exr.channels().items()}
@@ -192,7 +192,7 @@ def test_a_cancelled_lift_is_resumed(lifts: Lifts) -> None:
     assert files_of(folder) == files_of(lifts.done)
 
 
-def test_resumed_lift_trains_on_its_first_frames(lifts: Lifts, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_resumed_lift_trains_on_the_frames_it_began_with(lifts: Lifts, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where it was begun six frames fitted; where it is resumed all would."""
     folder = LiftFolder.create(lifts.root / "small", LiftRequest(scene=lifts.scene, fit=True))
     with monkeypatch.context() as small:
@@ -204,7 +204,7 @@ def test_resumed_lift_trains_on_its_first_frames(lifts: Lifts, monkeypatch: pyte
     assert files_of(folder) == files_of(lifts.lift("six", options={"frames": 6})) != files_of(lifts.done)
 
 
-def test_unreadable_frames_are_left_out(lifts: Lifts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lift_leaves_out_unreadable_frames(lifts: Lifts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = write_tiny_scene(tmp_path / "scene", frames=14, noise=0.1)
     for path in (scene / "color" / "0002.png", scene / "panoptic" / "0006.png", scene / "depth" / "0004.png"):
         data = bytearray(path.read_bytes())
@@ -227,7 +227,7 @@ def cloud_of(xyz: np.ndarray, spacing: float = 0.025) -> SemanticPointCloud:
     return SemanticPointCloud(xyz.astype(np.float32), rgb, ids, one, one[:, None], (1,), spacing)
 
 
-def test_points_in_holes_count_as_not_measured(tmp_path: Path) -> None:
+def test_points_in_holes_of_the_depth_do_not_count_as_measured(tmp_path: Path) -> None:
     """Points of two views, of which the second has a hole, and points 40 cm behind those of the first."""
     scene = open_scene(write_tiny_scene(tmp_path, frames=2, size=(80, 60)))
     first, second = (load_view(frame) for frame in scene.frames)
@@ -245,7 +245,7 @@ def test_points_in_holes_count_as_not_measured(tmp_path: Path) -> None:
     assert not shown_by_depth(cloud, [], lambda *_: None).any()
 
 
-def test_planes_far_from_what_was_measured_are_not_shown() -> None:
+def test_points_far_from_measured_surface_are_not_shown() -> None:
     """A row of points of which the first is measured; an object all of whose points lie far is kept."""
     xyz = np.stack([np.arange(0, 1, 0.1) + 0.01, np.zeros(10), np.zeros(10)], axis=1)
     owner = np.array([0, 0, 1, 1, 1, 1, 0, 0, 2, 2], np.int32)

@@ -38,7 +38,7 @@ def told(folder: LiftFolder, kind: str) -> list[str]:
     return [str(event.data.get("path", event.data.get("message"))) for event in events if event.kind == kind]
 
 
-def test_watching_keeps_the_model(scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_live_previews_change_no_result(scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     unwatched = LiftFolder.create(tmp_path / "unwatched", LiftRequest(scene=scene_folder))
     with monkeypatch.context() as unseen:
         unseen.setattr(LivePreviews, "__call__", lambda *_: None)
@@ -79,7 +79,7 @@ def test_watching_keeps_the_model(scene_folder: Path, tmp_path: Path, monkeypatc
     assert {(48, 64), (320, 480)} <= set(sizes)
 
 
-def test_points_show_their_class_or_instance_and_near_ones_hide_far_ones() -> None:
+def test_preview_points_show_their_labels_and_hide_points_behind() -> None:
     xyz, owner = (
         np.array([[0, 0, 1], [0, 0, 4], [0.5, 0, 1], [-0.5, 0, 1]], np.float32),
         np.array([0, 9, 7, 0], np.int32),
@@ -97,7 +97,7 @@ def test_points_show_their_class_or_instance_and_near_ones_hide_far_ones() -> No
     assert not shown[24, 7] and not picture[0, 0].any() and shown.sum() < 100
 
 
-def test_previews_begin_at_once_and_cost_a_twentieth_unless_they_would_stand_still(
+def test_live_previews_take_a_twentieth_of_the_training_time(
     scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     trainer = trainer_of(*views_of(tmp_path / "scene"), TINY, tmp_path)
@@ -121,7 +121,7 @@ def test_previews_begin_at_once_and_cost_a_twentieth_unless_they_would_stand_sti
         assert cost > 1 or cost * len(drawn[1:]) <= 0.05 * now[0] + cost
 
 
-def test_from_outside_one_sees_into_the_room_and_the_rest_is_transparent(scene_folder: Path, tmp_path: Path) -> None:
+def test_a_live_preview_from_outside_shows_the_inside_of_the_room(scene_folder: Path, tmp_path: Path) -> None:
     """As the cloud and the result are in Blender, over which the picture is drawn."""
     trainer = trainer_of(*views_of(tmp_path / "scene"), TINY, tmp_path)
     scene = open_scene(scene_folder, None, up="z")

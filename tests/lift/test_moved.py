@@ -64,7 +64,7 @@ def test_lift_moved_without_its_scene_works(home: Path) -> None:
         scene.frames[0].read_colour(None)
 
 
-def test_edited_masks_are_used(home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_resume_uses_new_masks(home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setitem(PRESETS, "preview", TINY)
     lift = relink(LiftFolder.open(home / "lift"), home.parent / "found").path
     assert main(["lift", str(lift), "--resume"]) == ExitCode.FINISHED
@@ -77,7 +77,7 @@ def test_edited_masks_are_used(home: Path, monkeypatch: pytest.MonkeyPatch, caps
     assert any("trained again" in line for line in warnings_of(lift))
 
 
-def test_masks_with_the_same_objects_reuse_the_checkpoint(home: Path) -> None:
+def test_resume_with_edited_masks_of_the_same_objects_trains_no_step(home: Path) -> None:
     lift = LiftFolder.open(relink(LiftFolder.open(home / "lift"), home.parent / "found").path)
     points, checkpoint = lift.result_path / "semantic_points.npz", lift.path / "checkpoint" / "trainer.safetensors"
     before, trained, told = points.read_bytes(), checkpoint.read_bytes(), len(read_events(lift.path))
@@ -101,7 +101,7 @@ CHANGES: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_result_is_not_reused_for_a_changed_scene(change: str, home: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_result_is_not_reused_for_a_changed_scene(change: str, home: Path, capfd: pytest.CaptureFixture[str]) -> None:
     lift = relink(LiftFolder.open(home / "lift"), home.parent / "found")
     act, told = CHANGES[change]
     act(home.parent / "found")
@@ -121,7 +121,7 @@ def test_bake_and_export_refuse_changed_cameras(home: Path, capfd: pytest.Captur
     assert not (home / "out").exists()
 
 
-def test_bake_of_all_reports_a_missing_frame(home: Path) -> None:
+def test_baking_all_frames_reports_a_missing_one(home: Path) -> None:
     lift, scene = relink(LiftFolder.open(home / "lift"), home.parent / "found").path, home.parent / "found"
     (scene / "color" / "0001.png").unlink()
     assert main(["bake", str(lift), "-o", str(home / "out")]) == ExitCode.FINISHED
@@ -129,7 +129,7 @@ def test_bake_of_all_reports_a_missing_frame(home: Path) -> None:
     assert any("no longer has frame 0001" in line for line in warnings_of(lift))
 
 
-def test_lift_refuses_to_lose_a_frame_and_keeps_its_result(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_lifting_again_without_one_of_its_frames_is_refused(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """As *Leave Out* may have it after a lift."""
     lift, scene = relink(LiftFolder.open(home / "lift"), home.parent / "found"), home.parent / "found"
     names = [path.stem for path in sorted((scene / "color").iterdir())]
@@ -140,7 +140,7 @@ def test_lift_refuses_to_lose_a_frame_and_keeps_its_result(home: Path, capsys: p
     assert lift.is_whole() and main(["bake", str(lift.path)]) == ExitCode.FINISHED
 
 
-def test_changed_class_colours_do_not_start_a_lift(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_changed_class_colours_do_not_lift_a_scene_again(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lift, table = relink(LiftFolder.open(home / "lift"), home.parent / "found"), home.parent / "found/panoptic.json"
     table.write_text(table.read_text().replace('"color": [210, 70, 60]', '"color": [10, 70, 60]'))
     assert main(["lift", str(lift.path), "--resume"]) == ExitCode.FINISHED
@@ -157,7 +157,7 @@ def test_a_corrected_lift_is_not_scored_against_other_photos(home: Path, capsys:
     assert "the photo or the depth of 0004 differs" in capsys.readouterr().err
 
 
-def test_new_result_excludes_views_of_earlier_masks(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_new_result_excludes_passes_of_earlier_masks(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """They were listed, exported, and not baked again. What lies beside them is somebody's work."""
     monkeypatch.setitem(PRESETS, "preview", TINY)
     lift, scene = relink(LiftFolder.open(home / "lift"), home.parent / "found"), home.parent / "found"
@@ -174,7 +174,7 @@ def test_new_result_excludes_views_of_earlier_masks(home: Path, monkeypatch: pyt
     assert view.read_bytes() != before
 
 
-def test_a_stopped_lift_of_other_masks_leaves_the_result(
+def test_a_stopped_lift_of_edited_masks_keeps_the_old_result(
     home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(PRESETS, "preview", TINY)
@@ -193,7 +193,7 @@ def test_a_stopped_lift_of_other_masks_leaves_the_result(
     assert lift.state() is LiftState.FINISHED and (lift.passes_path / "0001.exr").exists()
 
 
-def test_no_bake_begins_beside_a_new_lift(home: Path) -> None:
+def test_a_bake_is_refused_while_the_scene_is_lifted_again(home: Path) -> None:
     """It would put passes of the earlier model into the new result."""
     lift = relink(LiftFolder.open(home / "lift"), home.parent / "found")
     lift.prepare_run()
@@ -201,7 +201,7 @@ def test_no_bake_begins_beside_a_new_lift(home: Path) -> None:
         bake_frames(lift, ["0001"], events, StopSignal(home / "cancel"))
 
 
-def test_next_result_has_renamed_classes(home: Path) -> None:
+def test_renamed_classes_appear_in_the_next_result(home: Path) -> None:
     """Until then, what is baked and exported has the classes of the result."""
     lift, scene = relink(LiftFolder.open(home / "lift"), home.parent / "found"), home.parent / "found"
     table = scene / "panoptic.json"

@@ -71,7 +71,7 @@ def write_near_and_far(folder: Path) -> Path:
     )  # fmt: skip
 
 
-def test_the_sink_is_an_object_of_its_own_and_the_lift_beats_its_masks(tmp_path: Path) -> None:
+def test_a_sink_seen_from_near_is_found_and_scores_beat_the_masks(tmp_path: Path) -> None:
     scene = write_near_and_far(tmp_path / "scene")
     request = LiftRequest(scene=scene, options={"steps": 120, "steps_a_view": 0.0, "size": [120, 90]}, bake="none")
     with short_warm_start(100):

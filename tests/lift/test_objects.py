@@ -39,7 +39,9 @@ def piece(source: int, count: int) -> SceneObject:
         pytest.param(8, 0, 4, [1, 2], [0, 1], id="without masks there is no object"),
     ],
 )
-def test_few_masks_are_removed(views: int, of_first: int, of_second: int, origin: list[int], owners: list[int]) -> None:
+def test_few_masks_make_no_object(
+    views: int, of_first: int, of_second: int, origin: list[int], owners: list[int]
+) -> None:
     owner = np.array([1, 1, 2, 2], np.int32)
     pieces = [piece(origin[0], of_first), piece(origin[1], of_second)]
     found, kept = without_fragments(owner, pieces, views_of(4, views))
@@ -47,7 +49,7 @@ def test_few_masks_are_removed(views: int, of_first: int, of_second: int, origin
     assert [one.id for one in kept] == list(range(1, max(owners) + 1))
 
 
-def test_an_object_in_one_piece_needs_no_more_masks_than_the_views_that_see_it() -> None:
+def test_an_object_seen_by_two_views_needs_only_two_masks() -> None:
     owner = np.array([1, 1, 2, 2], np.int32)
     views = [*views_of(2, 6), *views_of(4, 2)]  # two views see the second object
     found, _ = without_fragments(owner, [piece(1, 6), piece(2, 2)], views)
@@ -74,7 +76,7 @@ def match(folder: Path, stop: StopSignal, scratch: Path | None = None) -> list[f
     return [each["step"] / each["steps"] for each in told]
 
 
-def test_matching_reports_progress_in_all_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_object_matching_reports_its_progress(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "REPORT_EVERY_S", 0.0)
     shares = match(tmp_path, StopSignal())
     assert shares == sorted(shares)
@@ -83,7 +85,9 @@ def test_matching_reports_progress_in_all_parts(tmp_path: Path, monkeypatch: pyt
 
 
 @pytest.mark.parametrize("begin", PARTS[:-1:3])
-def test_matching_stops_in_each_of_its_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begin: float) -> None:
+def test_matching_can_be_stopped_in_all_its_steps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begin: float
+) -> None:
     """And leaves no file of its own."""
     monkeypatch.setattr(progress, "REPORT_EVERY_S", 0.0)
     (tmp_path / "scratch").mkdir()

@@ -50,7 +50,7 @@ def lifted(folder: Path, **options: object) -> LiftFolder:
 
 
 @pytest.mark.parametrize("keeps", [True, False])
-def test_a_matcher_that_returns_label_maps_keeps_the_votes(tmp_path: Path, keeps: bool) -> None:
+def test_a_users_matcher_that_returns_label_maps_keeps_the_votes(tmp_path: Path, keeps: bool) -> None:
     def matcher(given: ViewsToMatch, preset: Preset, progress: StageProgress) -> Matching:
         found = objects_by_agreement(given, preset, progress)
         return found if keeps else replace(found, label_maps=None)
@@ -62,7 +62,7 @@ def test_a_matcher_that_returns_label_maps_keeps_the_votes(tmp_path: Path, keeps
     assert (NO_VOTES in warnings_in(own.events_path)) != keeps
 
 
-def test_names_of_other_programs_are_read_and_not_lifted(tmp_path: Path) -> None:
+def test_unregistered_matchers_and_losses_can_be_read_but_not_used(tmp_path: Path) -> None:
     assert checked_options({"objects": "somebodys", "losses": ["theirs"]})["objects"] == "somebodys"
     assert parsed_options(["objects=mine", "losses=depth, transparent"])["losses"] == ["depth", "transparent"]
     assert parsed_options(["losses=none"])["losses"] == []
@@ -76,7 +76,7 @@ def test_names_of_other_programs_are_read_and_not_lifted(tmp_path: Path) -> None
             register_matcher(name, no_objects)
 
 
-def test_a_resumed_lift_goes_on_with_the_losses_of_its_checkpoint(tmp_path: Path) -> None:
+def test_a_resumed_lift_uses_the_losses_of_its_checkpoint(tmp_path: Path) -> None:
     for done, step in ((0, 1), (1, 2), (2, 3), (2, 3)):  # the third was lost, and is done again
         log = TrainingLog(tmp_path / "training.csv", done)
         log.add({"step": step, "loss": 0.5 + done})
@@ -84,6 +84,6 @@ def test_a_resumed_lift_goes_on_with_the_losses_of_its_checkpoint(tmp_path: Path
     assert (tmp_path / "training.csv").read_text() == "step,loss\n1,0.5\n2,1.5\n3,2.5\n"
 
 
-def test_a_relative_scene_is_found_from_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_relative_scene_paths_start_at_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert LiftRequest(Path("room"), masks=Path("../masks")).scene == tmp_path / "room"

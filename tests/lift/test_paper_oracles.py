@@ -31,7 +31,7 @@ ONE_PIXEL = 3.0 / 40.0
 
 
 @SEEDS
-def test_a_pixel_is_consistent_if_all_its_neighbours_agree(seed: int) -> None:
+def test_a_pixels_label_is_consistent_if_all_neighbouring_views_agree(seed: int) -> None:
     """Section "Consistency-enhanced 2D Mask Generation": q is the product over all pixels that are warped there."""
     random, width = np.random.default_rng(seed), SIZE[0]
     labels = np.where(random.random((5, *SIZE[::-1])) < 0.1, SOFA, WALL)
@@ -46,7 +46,7 @@ def test_a_pixel_is_consistent_if_all_its_neighbours_agree(seed: int) -> None:
 
 
 @SEEDS
-def test_the_cloud_takes_every_pixel_and_each_cluster_the_majority(seed: int) -> None:
+def test_the_cloud_holds_every_pixel_and_clusters_take_the_majority_label(seed: int) -> None:
     """Section "Robust Semantic Anchor Point Discovery", and the equation of V."""
     random = np.random.default_rng(seed)
     views = [
@@ -68,7 +68,7 @@ def test_the_cloud_takes_every_pixel_and_each_cluster_the_majority(seed: int) ->
     np.testing.assert_allclose(voxelise(cloud.xyz, 0.25), 0.25 * np.array(sorted(anchors)), rtol=1e-6)
 
 
-def test_the_cluster_loss_is_the_mean_over_all_gaussians_of_all_anchors() -> None:
+def test_the_cluster_loss_averages_over_all_gaussians_of_all_anchors() -> None:
     """Equation "Cluster Loss"."""
     random = np.random.default_rng(0)
     logits, labels = random.normal(size=(6, 10, 4)), random.integers(0, 4, 6)
@@ -81,7 +81,7 @@ def test_the_cluster_loss_is_the_mean_over_all_gaussians_of_all_anchors() -> Non
 
 
 @SEEDS
-def test_each_connected_region_takes_the_class_that_is_rendered_most(seed: int) -> None:
+def test_each_connected_region_takes_its_most_rendered_class(seed: int) -> None:
     """Section "Self-training with Consistency-enhanced Segments"."""
     random = np.random.default_rng(seed)
     classes = np.kron(random.choice([WALL, CHAIR, SOFA], (4, 6)), np.ones((5, 5), int)).astype(np.int32)
@@ -125,7 +125,7 @@ def one_box(random: np.random.Generator, number: int) -> SceneObject:
 
 
 @pytest.mark.parametrize(("rule", "most"), [("literal", -1e-9), (PAPER.matching.rule, PAPER.matching.tau_new)])
-def test_a_view_updates_the_global_set_as_algorithm_1_says(rule: str, most: float) -> None:
+def test_adding_a_view_updates_instances_as_the_papers_algorithm_1(rule: str, most: float) -> None:
     """Algorithm 1. Left out: partners of cost 0, which are ties, and those that the preset's own rule replaces."""
     random, told, joined = np.random.default_rng(0), replace(PAPER.matching, rule=rule), 0
     for _ in range(300):
@@ -149,7 +149,7 @@ def test_a_view_updates_the_global_set_as_algorithm_1_says(rule: str, most: floa
     assert joined > 100
 
 
-def test_only_pixels_of_things_have_an_instance_to_learn(tmp_path: Path) -> None:
+def test_only_pixels_of_things_have_an_instance_target(tmp_path: Path) -> None:
     """The end of "Consistent Instance Mask Generation"; our choice: the nearest point, at most 2 voxels off."""
     views, classes = views_of(tmp_path)
     paper = replace(PAPER, voxel_size=0.1)
@@ -232,7 +232,7 @@ def test_the_label_losses_are_cross_entropies() -> None:
     assert [loss.item() for loss in found] == pytest.approx([semantic, instance], rel=1e-5)
 
 
-def test_labels_do_not_reach_the_opacity(tmp_path: Path) -> None:
+def test_label_losses_have_no_gradient_on_opacity(tmp_path: Path) -> None:
     """Section "Loss Functions": only the reconstruction loss does (one step, as the features differ later)."""
     views, classes = views_of(tmp_path)
     opacity = []

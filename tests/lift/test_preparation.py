@@ -26,7 +26,7 @@ def prepared(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     return prepared_for(views, classes, replace(TINY, objects=way, voxel_size=0.1), folder)
 
 
-def test_the_rooms_objects_are_found(prepared: PreparedLift) -> None:
+def test_preparation_finds_the_objects_of_the_room(prepared: PreparedLift) -> None:
     assert sorted(instance.class_id for instance in prepared.instances) == [CABINET_ID, CHAIR_ID]
     assert sorted(instance.id for instance in prepared.instances) == [1, 2]
     for instance in prepared.instances:
@@ -36,7 +36,7 @@ def test_the_rooms_objects_are_found(prepared: PreparedLift) -> None:
         assert instance.views == 7
 
 
-def test_points_belong_to_the_object_they_lie_on(prepared: PreparedLift) -> None:
+def test_points_belong_to_the_object_on_whose_surface_they_lie(prepared: PreparedLift) -> None:
     cloud, owner = prepared.cloud, prepared.instance_of_point
     assert owner.shape == (len(cloud),) and owner.dtype == np.int32
     for instance in prepared.instances:
@@ -49,7 +49,7 @@ def test_points_belong_to_the_object_they_lie_on(prepared: PreparedLift) -> None
     assert not owner[cloud.class_id == WALL_ID].any()
 
 
-def test_targets_show_the_masks(prepared: PreparedLift) -> None:
+def test_training_targets_match_the_masks(prepared: PreparedLift) -> None:
     channels = prepared.scene.channels
     assert channels.class_ids == (1, 2, 3, 5)  # no view looks up
     assert set(channels.slot_ids[:2]) == {1, 2} and channels.slot_ids[2:] == (NO_OBJECT, SPARE, SPARE)
@@ -71,7 +71,7 @@ def test_targets_show_the_masks(prepared: PreparedLift) -> None:
         assert ((matched == channels.slot_ids.index(NO_OBJECT)) == ((projected >= 0) & ~owned)).all()
 
 
-def test_anchors_know_their_class(prepared: PreparedLift) -> None:
+def test_nearly_all_anchors_start_with_a_class(prepared: PreparedLift) -> None:
     anchors = prepared.scene.anchors
     assert (anchors.initial_class > 0).float().mean() > 0.95
     assert set(anchors.initial_class.tolist()) <= {0, 1, 2, 3, 5}
@@ -90,7 +90,7 @@ def test_the_smallest_instances_are_left_out_with_a_warning(tmp_path: Path) -> N
     assert smallest.pixels < largest.pixels and one.instances[0].class_id == largest.class_id
 
 
-def test_what_is_done_differently_than_requested_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lifting_differently_than_requested_gives_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     views, classes = views_of(tmp_path / "scene")
     monkeypatch.setattr(preparation, "views_are_sparse", lambda views, options: True)
     prepared_for(views, classes, replace(TINY, neighbours=2, most_points=500), tmp_path)
@@ -98,14 +98,14 @@ def test_what_is_done_differently_than_requested_is_reported(tmp_path: Path, mon
     assert "overlap too little" in said and "not every 10.0 cm" in said
 
 
-def test_an_ordinary_flat_is_not_called_large(tmp_path: Path) -> None:
+def test_a_scene_of_the_size_of_a_flat_gives_no_warning_about_its_size(tmp_path: Path) -> None:
     views, classes = views_of(tmp_path / "scene")
     flat = prepared_for(views, classes, replace(TINY, most_points=1500), tmp_path)
     assert flat.cloud.spacing > 1.3 * TINY.voxel_size / 2
     assert "large" not in (tmp_path / "events.jsonl").read_text()
 
 
-def test_there_is_a_slot_for_no_object_however_many_objects_there_are() -> None:
+def test_the_instance_channels_always_include_one_for_no_object() -> None:
     assert label_channels((1, 5), [], replace(TINY, instance_slots=3)).slot_ids == (NO_OBJECT, *[SPARE] * 3)
     found = [SceneObject(number, (), CHAIR_ID) for number in (1, 2, 3)]
     channels = label_channels((1, 5), found, replace(TINY, instance_slots=2))
@@ -113,7 +113,7 @@ def test_there_is_a_slot_for_no_object_however_many_objects_there_are() -> None:
     assert label_channels((1, 5), found, replace(TINY, one_class_an_object=False)).class_of_slot == ()
 
 
-def test_every_segment_is_given_its_class_and_object(tmp_path: Path) -> None:
+def test_every_mask_segment_gets_its_class_and_object(tmp_path: Path) -> None:
     views, classes = views_of(tmp_path / "scene")
     prepared = prepared_for(views, classes, TINY, tmp_path)
     labels = labels_of(prepared.cloud, prepared.instances)
@@ -126,7 +126,7 @@ def test_every_segment_is_given_its_class_and_object(tmp_path: Path) -> None:
     assert boxes.label_maps is None
 
 
-def test_holes_of_the_depth_get_points_but_are_no_target(tmp_path: Path) -> None:
+def test_holes_of_the_depth_get_points_but_are_not_trained_on(tmp_path: Path) -> None:
     """A dark patch of the floor: its surface is placed, but what the sensor did not see is not trained on."""
     views, classes = views_of(tmp_path / "scene")
     hole = (slice(36, 46), slice(4, 60))

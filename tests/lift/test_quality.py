@@ -39,7 +39,7 @@ def scores(folder: Path) -> Mapping[str, Mapping[str, float]]:
 
 
 @pytest.mark.slow  # test_near_and_far.py is the short one of this kind
-def test_a_lift_beats_its_masks_and_a_vote(tmp_path: Path) -> None:
+def test_a_lift_scores_above_its_masks_and_a_vote(tmp_path: Path) -> None:
     """One test, so that workers side by side make its lift once."""
     found = scores(tmp_path)
     masks, lifted = found["input masks"], found["lifted"]
@@ -68,14 +68,14 @@ def lift(tmp_path_factory: pytest.TempPathFactory) -> LiftFolder:
 
 
 @pytest.mark.slow
-def test_ids_and_mattes_agree(lift: LiftFolder) -> None:
+def test_ids_and_mattes_of_baked_passes_agree(lift: LiftFolder) -> None:
     ious = np.array([pair.iou for pair in pairs_of(lift.path)])
     assert len(ious) > 300
     assert ious.min() >= 0.5 and (ious >= 0.8).mean() >= 0.95
 
 
 @pytest.mark.slow
-def test_what_no_mask_named_is_unassigned_and_uncertain(lift: LiftFolder) -> None:
+def test_an_object_without_masks_is_unassigned_and_uncertain(lift: LiftFolder) -> None:
     owned, confidence, usual = [], [], []
     for truth in sorted((ROOT / "sample/room/gt/instance").glob("*.png")):
         layers, ids = read_exr(lift.passes_path / f"{truth.stem}.exr"), cv2.imread(str(truth), -1)

@@ -32,14 +32,14 @@ def files(folder: LiftFolder) -> dict[str, bytes]:
     return {name: (folder.result_path / name).read_bytes() for name in WRITTEN_BY_STEPS}
 
 
-def test_a_draft_bakes_nothing_and_does_its_share_of_the_steps(lifts: tuple[LiftFolder, LiftFolder]) -> None:
+def test_a_draft_lift_bakes_nothing_and_trains_fewer_steps(lifts: tuple[LiftFolder, LiftFolder]) -> None:
     draft, preview = lifts
     assert not draft.passes_path.exists() and any(preview.passes_path.glob("*.exr"))
     assert [len(one.training_path.read_text().splitlines()) for one in lifts] == [1 + 4, 1 + 12]
     assert files(draft).keys() == files(preview).keys() and files(draft) != files(preview)
 
 
-def test_refining_ends_in_the_bits_of_a_preview_and_keeps_corrections(
+def test_a_refined_draft_equals_a_preview_and_keeps_corrections(
     lifts: tuple[LiftFolder, LiftFolder], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     draft, preview = lifts
@@ -61,7 +61,7 @@ def test_refining_ends_in_the_bits_of_a_preview_and_keeps_corrections(
     assert read_manifest(draft.result_path).settings["name"] == "standard"
 
 
-def test_a_lift_is_not_made_coarser(lifts: tuple[LiftFolder, LiftFolder], capsys: pytest.CaptureFixture[str]) -> None:
+def test_refining_to_coarser_refused(lifts: tuple[LiftFolder, LiftFolder], capsys: pytest.CaptureFixture[str]) -> None:
     before = files(lifts[1])
     asked = replace(lifts[1].request, preset="paper")
     (lifts[1].path / "request.json").write_text(asked.to_json(lifts[1].path))

@@ -57,7 +57,7 @@ def stages(tmp_path: Path) -> Iterator[StageReporter]:
         (MemoryError(), 1e9, -1),
     ],
 )
-def test_only_whole_states_are_stored(
+def test_a_checkpoint_is_never_written_in_the_middle_of_a_step(
     failure: Exception | None, every_s: float, stored: int, stages: StageReporter, tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
@@ -74,7 +74,7 @@ def test_only_whole_states_are_stored(
 
 
 @pytest.mark.parametrize(("seconds", "saves"), [(0.1, 250), (4.0, 24)])
-def test_checkpoints_take_two_percent_of_the_time_at_most(
+def test_writing_checkpoints_takes_at_most_two_percent_of_the_time(
     seconds: float, saves: int, stages: StageReporter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now, stored = [0.0], []
@@ -96,7 +96,7 @@ def test_checkpoints_take_two_percent_of_the_time_at_most(
 
 
 @pytest.mark.parametrize(("depth", "label", "told"), [(0.0, 1, "no-depth-left"), (1.0, 0, "no-masks-left")])
-def test_what_is_too_fine_for_the_size_is_refused(depth: float, label: int, told: str, tmp_path: Path) -> None:
+def test_masks_or_depth_lost_at_training_size_are_refused(depth: float, label: int, told: str, tmp_path: Path) -> None:
     scene = open_scene(write_tiny_scene(tmp_path / "scene", frames=2))
     view = load_view(scene.train_frames[0], (4, 3))
     run.refuse_empty([view], scene)
@@ -107,7 +107,7 @@ def test_what_is_too_fine_for_the_size_is_refused(depth: float, label: int, told
         run.refuse_empty([bad], scene)
 
 
-def test_names_are_not_kept_if_no_objects_are_searched_for(stages: StageReporter, tmp_path: Path) -> None:
+def test_names_from_is_refused_when_no_objects_are_searched_for(stages: StageReporter, tmp_path: Path) -> None:
     request = LiftRequest(scene=tmp_path, names_from=tmp_path / "first", options={"objects": "none"})
     folder = LiftFolder.create(tmp_path / "lift", request)
     with raises_key("names-of-no-objects"):
@@ -117,7 +117,9 @@ def test_names_are_not_kept_if_no_objects_are_searched_for(stages: StageReporter
 @pytest.mark.parametrize(
     ("changed", "shown"), [({}, True), ({"objects": "boxes"}, False), ({"one_class_an_object": False}, False)]
 )
-def test_votes_need_agreement(changed: dict[str, object], shown: bool, stages: StageReporter, tmp_path: Path) -> None:
+def test_a_lift_that_cannot_use_voted_labels_warns(
+    changed: dict[str, object], shown: bool, stages: StageReporter, tmp_path: Path
+) -> None:
     preset = replace(PRESETS["preview"], **changed)  # type: ignore[arg-type]
     assert preset.shows_votes == shown
     folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path / "none"))
@@ -126,7 +128,7 @@ def test_votes_need_agreement(changed: dict[str, object], shown: bool, stages: S
     assert warnings_in(tmp_path / "events.jsonl") == ([] if shown else [run.NO_VOTES])
 
 
-def test_a_result_names_the_code_that_made_it(stages: StageReporter, tmp_path: Path) -> None:
+def test_the_manifest_names_the_version_of_the_code(stages: StageReporter, tmp_path: Path) -> None:
     """Where other code began the lift, both, also after a second resumption; and the user is told."""
     assert (
         run.code_of("new", None, stages.events)
@@ -142,7 +144,7 @@ def test_a_result_names_the_code_that_made_it(stages: StageReporter, tmp_path: P
 
 
 @pytest.mark.parametrize(("seconds", "said"), [(3599.0, None), (90000.0, "predicted to take 25.0 h in all here")])
-def test_long_lift_is_announced(seconds: float, said: str | None, stages: StageReporter, tmp_path: Path) -> None:
+def test_long_lift_gives_a_warning(seconds: float, said: str | None, stages: StageReporter, tmp_path: Path) -> None:
     run.warn_if_long(Course({"train": seconds - 1, "bake": 1.0}), stages.events)
     told = warnings_in(tmp_path / "events.jsonl")
     assert [each for each in told if said and said in each] == told and bool(told) == bool(said)
@@ -162,7 +164,7 @@ stage, share of it, seconds left of it. FORESEEN: what was predicted for STAGES.
 
 
 @pytest.mark.parametrize("slowness", [0.5, 1.0, 3.0])
-def test_the_time_left_follows_the_measured_pace(slowness: float) -> None:
+def test_the_shown_time_left_follows_the_measured_pace(slowness: float) -> None:
     course = Course(PREDICTED)
     total, passed = slowness * 100.0, 0.0
     for name, seconds in PREDICTED.items():
@@ -178,7 +180,7 @@ def test_the_time_left_follows_the_measured_pace(slowness: float) -> None:
 
 
 @pytest.mark.parametrize("slowness", [0.7, 1.0, 2.0])
-def test_the_time_left_of_a_recorded_lift_is_steady(slowness: float) -> None:
+def test_the_shown_time_left_of_a_recorded_lift_is_steady(slowness: float) -> None:
     course = Course({name: slowness * seconds for name, seconds in zip(STAGES, FORESEEN, strict=True)})
     ends = []
     for at, name, share, eta in LIFT:
@@ -190,14 +192,14 @@ def test_the_time_left_of_a_recorded_lift_is_steady(slowness: float) -> None:
     assert max(jumps) < 0.5 * 225.0
 
 
-def test_a_resumed_lift_does_not_mistake_skipped_steps_for_a_fast_pace() -> None:
+def test_the_time_left_of_a_resumed_lift_ignores_steps_done_before() -> None:
     course = Course(PREDICTED)
     now = course.began + 30.0
     course.skip("train", 0.5)
     assert course.left("train", 0.5, None, now) == pytest.approx(40.0)
 
 
-def test_another_part_of_a_stage_has_its_own_pace(
+def test_the_time_left_is_measured_anew_for_each_part_of_a_stage(
     stages: StageReporter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Opening a long scene says nothing about the few frames that are then checked."""

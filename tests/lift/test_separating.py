@@ -37,7 +37,7 @@ def frame(name: str, at: float, edge: float | None, segments: tuple[Segment, ...
     )  # fmt: skip
 
 
-def test_two_frames_that_separate_outweigh_many_that_merge() -> None:
+def test_two_frames_that_show_two_objects_outvote_many_that_show_one() -> None:
     xyz = board()
     frames = [frame(f"{at}", at, None, ONE) for at in np.linspace(-0.5, 0.5, 7)]
     assert not parts_by_views(frames, xyz).class_of
@@ -48,7 +48,7 @@ def test_two_frames_that_separate_outweigh_many_that_merge() -> None:
     assert found.class_of == {0: CHAIR, 1: SOFA} and found.frames == 2
 
 
-def test_stuff_and_what_lies_behind_do_not_vote() -> None:
+def test_stuff_and_hidden_points_do_not_vote_when_an_object_is_split() -> None:
     wall = (Segment(1, CHAIR, True), Segment(2, WALL, False))
     assert not parts_by_views([frame(f"{at}", at, 0.4, wall) for at in (-0.2, 0.3)], board()).class_of
     frames = [frame(f"{at}", at, 0.4, TWO) for at in (-0.2, 0.3)]
@@ -58,7 +58,7 @@ def test_stuff_and_what_lies_behind_do_not_vote() -> None:
 
 
 @pytest.mark.parametrize("stops_after", [1, 3])
-def test_a_split_can_be_stopped_between_two_frames_and_after_the_last(stops_after: int) -> None:
+def test_splitting_an_object_by_views_can_be_stopped(stops_after: int) -> None:
     read: list[str] = []
     frames = [frame(f"{at}", at, 0.4, TWO) for at in (-0.2, 0.0, 0.3)]
     noting = [replace(one, read_mask=lambda size, one=one: read.append(one.name) or one.mask(size)) for one in frames]
@@ -74,7 +74,7 @@ def test_a_split_can_be_stopped_between_two_frames_and_after_the_last(stops_afte
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_crooked_masks_give_two_complete_parts(seed: int) -> None:
+def test_splitting_by_inexact_masks_gives_two_complete_parts(seed: int) -> None:
     rng = np.random.default_rng(seed)
     frames = [frame(f"{at}", at, 0.1 + 0.05 * rng.standard_normal(), TWO) for at in np.linspace(-0.6, 0.6, 9)]
     part = parts_by_views(frames, xyz := board()).part

@@ -45,7 +45,7 @@ def one_class_with_high_ids(scene: Path) -> None:
 @pytest.mark.parametrize(
     ("frames", "change"), [(1, as_they_are), (2, as_they_are), (FRAMES, equal_poses), (FRAMES, one_class_with_high_ids)]
 )
-def test_scene_of_this_size_is_lifted(frames: int, change: Callable[[Path], None], tmp_path: Path) -> None:
+def test_scenes_of_unusual_size_are_lifted(frames: int, change: Callable[[Path], None], tmp_path: Path) -> None:
     scene = write_tiny_scene(tmp_path / "scene", frames=frames, size=(32, 24))
     change(scene)
     with presets_as(preview=TINY):
@@ -65,7 +65,7 @@ def lift(tmp_path_factory: pytest.TempPathFactory) -> LiftFolder:
         return lift_into(folder / "lift", request)
 
 
-def test_algorithm_1_finds_the_rooms_objects(lift: LiftFolder) -> None:
+def test_the_papers_algorithm_1_finds_the_objects_of_the_room(lift: LiftFolder) -> None:
     found = json.loads((lift.result_path / "instances.json").read_text())["instances"]
     assert sorted(one["class_id"] for one in found) == [CABINET_ID, CHAIR_ID]
     # Matched by boxes: every mask but an instance's first has a cost, and no view was asked for its agreement.
@@ -73,7 +73,7 @@ def test_algorithm_1_finds_the_rooms_objects(lift: LiftFolder) -> None:
     assert all(sum(segment["cost"] is None for segment in one["segments"]) == 1 for one in found)
 
 
-def test_the_model_is_the_papers(lift: LiftFolder) -> None:
+def test_the_preset_paper_builds_the_papers_model(lift: LiftFolder) -> None:
     scene = read_model(lift)
     assert scene.anchors.gaussians_per_anchor == 10 and scene.voxel_size == 0.02
     assert scene.decoders.shape.label_view_input and scene.decoders.shape.distance_input
@@ -81,7 +81,7 @@ def test_the_model_is_the_papers(lift: LiftFolder) -> None:
     assert scene.voted is None
 
 
-def test_scene_of_this_size_is_baked_and_scored(lift: LiftFolder) -> None:
+def test_unusual_scene_sizes_are_baked_and_scored(lift: LiftFolder) -> None:
     assert [path.suffix for path in lift.passes_path.iterdir()] == [".exr"]
     tables = json.loads((lift.result_path / "metrics.json").read_text())["tables"]
     assert {"lifted"} <= {table["name"] for table in tables}

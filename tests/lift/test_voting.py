@@ -85,7 +85,7 @@ def test_voted_labels_agree_better_with_masks(
     assert now.of_class > before.of_class + 0.04 and now.of_object > before.of_object
 
 
-def test_every_object_is_shown_where_its_points_are(lifted: tuple[Scene, PreparedLift]) -> None:
+def test_every_object_appears_in_the_passes_where_its_points_are(lifted: tuple[Scene, PreparedLift]) -> None:
     """A third object of a few points on the cabinet, which no mask names and so no Gaussian shows."""
     scene, prepared = lifted
     cabinet = next(one for one in prepared.instances if one.class_id == CABINET_ID)
@@ -107,12 +107,12 @@ def test_every_object_is_shown_where_its_points_are(lifted: tuple[Scene, Prepare
     assert (after.share > LEAST_SHOWN).all() and after.numbers()["below"] == 0
 
 
-def test_a_vote_can_be_stopped(lifted: tuple[Scene, PreparedLift]) -> None:
+def test_voting_on_labels_can_be_stopped(lifted: tuple[Scene, PreparedLift]) -> None:
     with pytest.raises(Cancelled):
         voted(*lifted, PRESET, Mock(side_effect=Cancelled("asked to")))
 
 
-def test_without_objects_there_are_classes(tmp_path: Path) -> None:
+def test_a_lift_without_objects_still_shows_classes(tmp_path: Path) -> None:
     scene = open_scene(write_tiny_scene(tmp_path / "scene", frames=8, size=SMALL), None, up="z")
     views = [load_view(frame) for frame in scene.train_frames]
     prepared = prepared_for(views, scene.classes, replace(TINY, most_instances=0), tmp_path)
@@ -162,7 +162,7 @@ def called_a_cabinet(view: View) -> View:
     return replace(view, mask=replace(view.mask, segments=tuple(map(mistaken, view.mask.segments))))
 
 
-def test_all_frames_except_held_out_and_training_ones_vote(scene: Scene) -> None:
+def test_frames_that_are_neither_held_out_nor_trained_on_vote(scene: Scene) -> None:
     chosen = trained_on(scene)
     voting = frames_to_vote(scene, chosen, COARSE)
     assert len(voting) == len(scene.train_frames) - TRAINED_ON
@@ -172,7 +172,7 @@ def test_all_frames_except_held_out_and_training_ones_vote(scene: Scene) -> None
         assert frames_to_vote(scene, chosen, preset) == ()
 
 
-def test_extra_frames_are_small_and_contain_only_masks_and_depth(scene: Scene, tmp_path: Path) -> None:
+def test_extra_voting_frames_load_only_small_masks_and_depth(scene: Scene, tmp_path: Path) -> None:
     frames = [
         replace(frame, read_colour=Mock(side_effect=AssertionError("no photo is read"))) for frame in scene.train_frames
     ]
@@ -185,7 +185,7 @@ def test_extra_frames_are_small_and_contain_only_masks_and_depth(scene: Scene, t
         assert set(np.unique(view.mask.ids)) <= {0, *(segment.id for segment in view.mask.segments)}
 
 
-def test_unreadable_frame_is_reported_and_does_not_vote(scene: Scene, tmp_path: Path) -> None:
+def test_an_unreadable_frame_is_reported_and_does_not_vote(scene: Scene, tmp_path: Path) -> None:
     frames = list(scene.train_frames)
     frames[1] = replace(frames[1], read_mask=Mock(side_effect=PlgsError(*BAD)))
     views, told = voters(frames, tmp_path)
@@ -193,7 +193,7 @@ def test_unreadable_frame_is_reported_and_does_not_vote(scene: Scene, tmp_path: 
     assert told == [f"1 of {len(frames)} frames that are not trained on do not vote: {PlgsError(*BAD)}"]
 
 
-def test_extra_frames_can_outvote_training_frames(scene: Scene, tmp_path: Path) -> None:
+def test_extra_voting_frames_can_outvote_training_frames(scene: Scene, tmp_path: Path) -> None:
     chosen = trained_on(scene)
     views = [called_a_cabinet(load_view(frame)) for frame in chosen.train_frames]
     views[0] = load_view(chosen.train_frames[0])  # one tells of chairs: only classes that are known are voted for

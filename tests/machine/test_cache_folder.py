@@ -21,7 +21,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "home" / ".cache"
 
 
-def test_new_cache_folder_is_private(cache: Path) -> None:
+def test_a_new_cache_folder_is_private_to_the_user(cache: Path) -> None:
     before = os.umask(0)
     try:
         folder = choose_cache_folder("kernels")
@@ -32,7 +32,7 @@ def test_new_cache_folder_is_private(cache: Path) -> None:
 
 
 @pytest.mark.parametrize("unsafe", ["kernels", "plgs", ".cache", "home"])
-def test_folder_writable_by_others_is_not_used(cache: Path, unsafe: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_cache_folder_writable_by_others_is_unused(cache: Path, unsafe: str, caplog: pytest.LogCaptureFixture) -> None:
     folder = choose_cache_folder("kernels")
     next(each for each in (folder, *folder.parents) if each.name == unsafe).chmod(0o777)
     own = choose_cache_folder("kernels")
@@ -42,13 +42,13 @@ def test_folder_writable_by_others_is_not_used(cache: Path, unsafe: str, caplog:
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root gives folders away")
 @pytest.mark.parametrize("unsafe", ["kernels", "plgs", ".cache"])
-def test_folder_owned_by_another_user_is_not_used(cache: Path, unsafe: str) -> None:
+def test_a_cache_folder_of_another_user_is_not_used(cache: Path, unsafe: str) -> None:
     folder = choose_cache_folder("kernels")
     os.chown(next(each for each in (folder, *folder.parents) if each.name == unsafe), 12345, 12345)
     assert choose_cache_folder("kernels") != folder
 
 
-def test_link_to_an_unsafe_folder_is_not_used(cache: Path, tmp_path: Path) -> None:
+def test_a_link_to_an_unsafe_cache_folder_is_not_used(cache: Path, tmp_path: Path) -> None:
     theirs = tmp_path / "theirs"
     theirs.mkdir()
     theirs.chmod(0o777)
@@ -57,12 +57,12 @@ def test_link_to_an_unsafe_folder_is_not_used(cache: Path, tmp_path: Path) -> No
     assert choose_cache_folder("kernels") != cache / "plgs" / "kernels"
 
 
-def test_a_sticky_parent_folder_is_harmless(cache: Path, tmp_path: Path) -> None:
+def test_a_cache_folder_in_a_sticky_folder_such_as_tmp_is_used(cache: Path, tmp_path: Path) -> None:
     tmp_path.chmod(0o1777)
     assert choose_cache_folder("kernels") == cache / "plgs" / "kernels"
 
 
-def test_there_is_no_fallback_to_a_shared_folder(cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_kernel_cache_is_never_a_shared_folder(cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setattr(compiled_kernels, "user_cache_folder", lambda: tmp_path / "file")
     monkeypatch.setenv("TMPDIR", str(tmp_path))

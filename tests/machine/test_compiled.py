@@ -8,7 +8,7 @@ from engine.machine import compiled
 from engine.machine.code_digest import code_digest
 
 
-def test_the_cache_is_named_after_every_package_with_kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_changing_any_kernel_source_gives_a_new_cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     texts = {
         "machine/compiled.py": "",
         "machine/vectors.py": "from .compiled import machine_target",
@@ -38,7 +38,7 @@ def twice(value: object) -> object:
     return value + value  # type: ignore[operator]
 
 
-def test_concurrent_compilation_keeps_versions_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_processes_compile_one_kernel_without_mix_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One compiles the kernel for floats, the other for integers: neither sees what the other is about to list."""
     monkeypatch.setattr(compiled, "CACHE_FOLDER", tmp_path)
     ours, theirs, later = (compiled.compiled(twice)._cache._cache_file for _ in range(3))
@@ -54,7 +54,7 @@ def test_concurrent_compilation_keeps_versions_apart(tmp_path: Path, monkeypatch
     assert later.load("integers") == b"for integers" and later.load("floats") in (None, b"for floats")
 
 
-def test_digest_changes_only_with_sources_and_pins(tmp_path: Path) -> None:
+def test_the_kernel_cache_is_renewed_only_by_changed_sources_or_pins(tmp_path: Path) -> None:
     files = {
         "engine/lift.py": True,
         "engine/deep/new.py": True,

@@ -16,7 +16,7 @@ def held_bytes() -> int:
         return sum(block.bytes.size for block in memory._blocks)
 
 
-def test_released_block_is_reused() -> None:
+def test_a_released_block_of_memory_is_reused() -> None:
     first = memory.empty((7, 11), np.float64)
     address = first.ctypes.data
     part = first[2:]
@@ -26,14 +26,14 @@ def test_released_block_is_reused() -> None:
     assert address in {memory.empty((7, 11), np.float64).ctypes.data for _ in range(2)}
 
 
-def test_larger_block_replaces_one_that_is_too_small() -> None:
+def test_a_larger_memory_block_replaces_one_that_is_too_small() -> None:
     memory._blocks.clear()
     for size in range(10, 25):
         assert memory.empty(size << 20, np.uint8).size == size << 20
         assert held_bytes() < (size + 3) << 20
 
 
-def test_a_tensor_keeps_its_memory() -> None:
+def test_memory_of_a_living_tensor_is_not_reused() -> None:
     tensor = torch.from_numpy(memory.empty((5, 13), np.float32))
     tensor.fill_(1.0)
     others = [torch.from_numpy(memory.empty((5, 13), np.float32)) for _ in range(3)]
@@ -43,7 +43,7 @@ def test_a_tensor_keeps_its_memory() -> None:
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
-def test_fork_survives_another_thread_taking_memory() -> None:
+def test_a_forked_process_can_allocate_while_another_thread_held_the_lock() -> None:
     with memory._lock:  # as if another thread held it, and did not follow
         child = os.fork()
         if child == 0:

@@ -48,7 +48,7 @@ def multiply_add(worker: int, workers: int, a: Any, out: NDArray[np.float32]) ->
 
 
 @pytest.mark.parametrize("workers", [1, 2, 5])
-def test_every_worker_runs_once(workers: int) -> None:
+def test_parallel_for_runs_every_worker_once(workers: int) -> None:
     for _ in range(20):
         numbers = np.full(6, -1, np.int64)
         parallel_for(workers, write_numbers, numbers, -1)
@@ -56,7 +56,7 @@ def test_every_worker_runs_once(workers: int) -> None:
 
 
 @pytest.mark.parametrize("at_fault", [0, 2])
-def test_worker_error_is_raised_after_all_have_ended(at_fault: int) -> None:
+def test_a_workers_error_is_raised_after_all_workers_have_ended(at_fault: int) -> None:
     numbers = np.zeros(3, np.int64)
     with pytest.raises(ValueError, match="this worker fails"):
         parallel_for(3, write_numbers, numbers, at_fault)
@@ -65,7 +65,7 @@ def test_worker_error_is_raised_after_all_have_ended(at_fault: int) -> None:
     assert numbers.tolist() == [30, 31, 32]
 
 
-def test_slower_workers_are_waited_for() -> None:
+def test_parallel_for_waits_for_slow_workers() -> None:
     expected, numbers = np.zeros(4, np.int64), np.zeros(4, np.int64)
     for worker in range(4):
         toil_at(worker, 4, expected, 1000)  # in Python
@@ -112,12 +112,12 @@ def test_a_forked_process_has_threads_of_its_own() -> None:
 
 
 @pytest.mark.parametrize("workers", [-1, 0, MOST_WORKERS + 1])
-def test_an_impossible_number_of_workers_is_refused(workers: int) -> None:
+def test_an_impossible_number_of_threads_is_refused(workers: int) -> None:
     with pytest.raises(ValueError, match=f"{workers} workers were requested"):
         parallel_for(workers, write_numbers, np.zeros(1, np.int64), -1)
 
 
-def test_arguments_reach_kernels_and_are_released() -> None:
+def test_arguments_reach_kernels_and_are_released_afterwards() -> None:
     random = np.random.default_rng(3)
     strided, values = random.random((8, 6))[::2, 1::3], random.random(5, np.float32)
     bytes_ = np.arange(7, dtype=np.uint8)
@@ -129,7 +129,7 @@ def test_arguments_reach_kernels_and_are_released() -> None:
 
 
 @pytest.mark.skipif("+fma" not in machine_target()[2], reason="no fused multiply-add here")
-def test_a_product_is_not_fused_with_a_sum() -> None:
+def test_kernels_round_a_product_before_adding_to_it() -> None:
     """(1 + e)^2 - (1 + 2 e) is e^2, which is lost if the product is rounded."""
     e = np.float32(2.0**-13)
     a, out = np.array([1 + e, 1 + e, 1 + 2 * e], np.float32), np.ones(1, np.float32)

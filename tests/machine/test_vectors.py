@@ -21,7 +21,7 @@ def apply(function: Any, values: np.ndarray, results: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("span", [(-63.9, 126.9), (-8.0, 0.0), (-1e-3, 1e-3)])
-def test_powers_of_two(span: tuple[float, float]) -> None:
+def test_vectorised_powers_of_two_match_numpy(span: tuple[float, float]) -> None:
     def power(values: Any, out: Any) -> None:
         for number in range(4):
             store(out, 16 * number, exp2(load(values, 16 * number)))
@@ -37,7 +37,7 @@ def test_powers_of_two(span: tuple[float, float]) -> None:
     assert np.allclose(found[0], np.exp2(exponents.astype(np.float64)), rtol=3e-7, atol=0.0)
 
 
-def test_far_too_small_values_count_as_the_smallest_power() -> None:
+def test_vectorised_powers_of_very_small_exponents_are_clamped() -> None:
     def power(values: Any, out: Any) -> None:
         a, _, _, d = exp2_x4(load(values, 0), load(values, 0), load(values, 0), load(values, 16))
         store(out, 0, a)

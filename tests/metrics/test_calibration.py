@@ -39,7 +39,7 @@ def shown(right: float, low: float = 0.6) -> Samples:
     return samples_of(view(np.full(SIZE[::-1], WALL), 1.0), classes, share.astype(np.float32), 10_000)
 
 
-def test_many_unreliable_masks_calibrate_together() -> None:
+def test_many_unreliable_masks_are_calibrated_together() -> None:
     views = noisy_views(15, score=0.7, wrong=0.3)
     found = calibrate(shown(right=0.8), views[3:], views[:3])
     sure, unsure = found(np.array([1.0, 0.6], np.float32)).tolist()
@@ -49,19 +49,19 @@ def test_many_unreliable_masks_calibrate_together() -> None:
 
 
 @pytest.mark.parametrize("held_back", [3, 0])
-def test_agreement_beyond_the_scores_lowers_confidence(held_back: int) -> None:
+def test_confidence_is_lowered_to_the_scores_of_the_masks(held_back: int) -> None:
     views = noisy_views(15, score=0.6, wrong=0.0)
     found = calibrate(shown(right=1.0), views[held_back:], views[:held_back])
     assert found.factor == pytest.approx(0.6) and set(found.right) == {0.0, 0.6}
     assert calibrate(shown(right=1.0), noisy_views(15, 1.0, 0.0), []).factor == 1, "without scores they are believed"
 
 
-def test_held_back_masks_set_how_far_masks_are_believed() -> None:
+def test_confidence_is_scaled_by_the_reliability_of_held_out_masks() -> None:
     trusted, doubtful = noisy_views(8, 1.0, 0.0), noisy_views(2, 0.5, 0.0)
     assert calibrate(shown(right=1.0), trusted, doubtful).factor == pytest.approx(0.5)
 
 
-def test_too_few_judged_points_calibrate_nothing() -> None:
+def test_too_few_judged_points_leave_confidence_uncalibrated() -> None:
     share = np.array([0.0, 0.3, 1.0], np.float32)
     few = Samples(*(each[:100] for each in shown(right=1.0)))
     behind = [replace(one, depth=one.depth - 1) for one in noisy_views(5, 0.5, 0.0)]
@@ -69,7 +69,7 @@ def test_too_few_judged_points_calibrate_nothing() -> None:
         assert found == UNCALIBRATED and (found(share) == share).all()
 
 
-def test_the_fit_is_monotone_and_on_average_right() -> None:
+def test_the_calibration_curve_is_monotone_and_unbiased() -> None:
     rng = np.random.default_rng(0)
     share = rng.random(5000)
     right = rng.random(5000) < share**2
@@ -84,12 +84,12 @@ def test_the_fit_is_monotone_and_on_average_right() -> None:
     ("share", "right"), [((0.2, 0.1), (0.1, 0.2)), ((0.1, 0.2), (0.2, 0.1)), ((0.1,), (1.5,)), ((0.1,), ()),
                          ((float("nan"),), (0.5,)), (("x",), (0.5,))],
 )  # fmt: skip
-def test_a_damaged_calibration_is_refused(share: tuple[float, ...], right: tuple[float, ...]) -> None:
+def test_a_damaged_calibration_file_is_refused(share: tuple[float, ...], right: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match="."):
         Calibration(share, right)
 
 
-def test_zero_share_stays_zero_and_doubt_is_the_rest() -> None:
+def test_a_calibrated_share_of_zero_stays_zero() -> None:
     half = Calibration((0.0, 1.0), (0.5, 0.5))
     assert half(np.array([0.0, 0.2, 1.0], np.float32)).tolist() == [0.0, 0.5, 0.5]
     half_right, none = shown(right=1.0, low=0.5), Samples(*(each[:0] for each in shown(right=1.0)))

@@ -10,7 +10,7 @@ def _picture(seed: int) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 256, (24, 20, 3), dtype=np.uint8)
 
 
-def test_psnr_of_a_known_error_and_of_equal_pictures() -> None:
+def test_psnr_matches_a_known_error_and_is_capped_for_equal_pictures() -> None:
     grey = np.full((8, 8, 3), 0.5)
     assert psnr(grey, grey + 0.1) == pytest.approx(20.0)
     assert psnr(_picture(1), _picture(1)) == 100.0
@@ -36,7 +36,7 @@ def test_ssim_matches_a_plain_convolution() -> None:
     assert ssim(np.stack([a] * 3, -1), np.stack([b] * 3, -1)) == pytest.approx(expected.mean(), abs=1e-10)
 
 
-def test_a_fit_removes_a_gain_and_an_offset() -> None:
+def test_fitting_colours_before_psnr_removes_a_gain_and_an_offset() -> None:
     rendered = _picture(1) / 255.0
     photo = rendered * [0.5, 0.7, 0.9] + [0.3, 0.1, 0.0]
     everywhere = np.ones(rendered.shape[:2], bool)
@@ -45,7 +45,7 @@ def test_a_fit_removes_a_gain_and_an_offset() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_fit_never_lowers_psnr(seed: int) -> None:
+def test_fitting_colours_never_lowers_psnr(seed: int) -> None:
     scores = score_picture(_picture(seed), _picture(seed + 50))
     assert scores.psnr_fitted >= scores.psnr
 
@@ -64,7 +64,7 @@ def _plane(metres: float) -> np.ndarray:
     return np.full((4, 5), metres, np.float32)
 
 
-def test_the_median_covers_all_pixels_of_all_views() -> None:
+def test_the_median_depth_error_covers_all_pixels_of_all_views() -> None:
     errors, random = DepthErrors(), np.random.default_rng(0)
     every = []
     for _ in range(3):
@@ -75,7 +75,7 @@ def test_the_median_covers_all_pixels_of_all_views() -> None:
     assert errors.median == pytest.approx(np.median(every), abs=1e-4)
 
 
-def test_pixels_without_depth_and_holes_do_not_count() -> None:
+def test_the_depth_error_ignores_pixels_without_depth() -> None:
     errors = DepthErrors()
     measured, alpha = _plane(2.0), _plane(1.0)
     measured[0], alpha[1] = 0.0, 0.4
@@ -85,7 +85,7 @@ def test_pixels_without_depth_and_holes_do_not_count() -> None:
     assert errors.median == pytest.approx(0.02, abs=1e-4)
 
 
-def test_errors_beyond_all_bins_are_still_errors() -> None:
+def test_depth_errors_beyond_the_last_histogram_bin_still_count() -> None:
     errors = DepthErrors()
     errors.add(_plane(60.0), _plane(1.0), _plane(2.0))
     assert errors.median is not None and errors.median > 9.9

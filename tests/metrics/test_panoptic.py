@@ -82,7 +82,7 @@ def unstretched(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("unstretched")
 @pytest.mark.parametrize(("mode", "case"), [(m, c) for m in MODES for c in PL_COMPAT])
-def test_scores_match_the_published_evaluator(mode: str, case: str) -> None:
+def test_panoptic_scores_match_the_published_evaluator(mode: str, case: str) -> None:
     rows, *expected = (PL_COMPAT if mode == "pl_compat" else STRICT)[case]
     evaluation = PanopticEvaluation(CLASSES, mode)
     evaluation.add(*lay_out(rows))
@@ -92,7 +92,7 @@ def test_scores_match_the_published_evaluator(mode: str, case: str) -> None:
     assert scores.mode == mode
 
 
-def test_pl_compat_stretches_every_map_to_512x512() -> None:
+def test_the_mode_pl_compat_scales_every_label_map_to_512x512() -> None:
     evaluation = PanopticEvaluation(CLASSES, "pl_compat")
     predicted = np.array([[1, 1, 2, 2]] * 3)
     true = np.array([[1] * 5 + [2] * 5] * 7)
@@ -105,7 +105,7 @@ def test_pl_compat_stretches_every_map_to_512x512() -> None:
     assert small.result().miou == pytest.approx(0.25)
 
 
-def test_bad_input_is_refused() -> None:
+def test_panoptic_evaluation_refuses_bad_label_maps() -> None:
     with pytest.raises(ValueError, match="unknown mode"):
         PanopticEvaluation(CLASSES, "lenient")  # type: ignore[arg-type]
     evaluation = PanopticEvaluation(CLASSES, "strict")
@@ -116,7 +116,7 @@ def test_bad_input_is_refused() -> None:
         evaluation.result()
 
 
-def test_a_class_outside_the_table_is_void() -> None:
+def test_a_predicted_class_outside_the_table_counts_as_void() -> None:
     evaluation = PanopticEvaluation(CLASSES, "strict")
     evaluation.add(*lay_out([(1, 0, 1, 0, 10), (1, 0, 99, 5, 10), (98, 3, 1, 0, 10)]))
     scores = evaluation.result()
@@ -131,7 +131,7 @@ labels = st.lists(st.tuples(a_class, an_id, a_class, an_id, st.integers(1, 40)),
 @pytest.mark.parametrize("mode", MODES)
 @given(rows=labels)
 @settings(max_examples=25, deadline=None)
-def test_scores_have_the_expected_properties(mode: str, rows: list[tuple[int, int, int, int, int]]) -> None:
+def test_panoptic_scores_lie_in_0_to_1_and_truth_has_1(mode: str, rows: list[tuple[int, int, int, int, int]]) -> None:
     maps = lay_out([*rows, (1, 0, 1, 0, 5)])
     scores = _scores(mode, *maps)
     values = (scores.miou, scores.miou_true, scores.pq, scores.sq, scores.rq)
@@ -171,20 +171,20 @@ def scores_of(predicted_ids: list[list[int]]) -> tuple[FrameQuality, IdChanges]:
     return quality, changes
 
 
-def test_ids_that_change_between_frames_do_not_lower_per_frame_scores() -> None:
+def test_changing_ids_between_frames_do_not_lower_per_frame_scores() -> None:
     quality, changes = scores_of([[0, 0, 0, 1, 1, 2, 2, 2], [0, 0, 0, 7, 7, 8, 8, 8], [0, 0, 0, 7, 7, 9, 9, 9]])
     assert quality.pq == 1.0
     assert changes.per_object == pytest.approx((1 + 2) / 2)
 
 
-def test_merged_object_counts_once_and_keeps_its_track() -> None:
+def test_two_objects_predicted_as_one_count_as_one_match() -> None:
     quality, changes = scores_of([[0, 0, 0, 1, 1, 2, 2, 2], [0, 0, 0, 2, 2, 2, 2, 2], [0, 0, 0, 1, 1, 2, 2, 2]])
     # Chairs: 5 found, one of them with IoU 3/5; the missed one is one error, the merged one none.
     assert quality.pq == pytest.approx((1 + 4.6 / (5 + 0.5)) / 2)
     assert changes.per_object == 0.0, "out of sight for a frame, and the same afterwards"
 
 
-def test_scores_without_frames_are_none() -> None:
+def test_panoptic_scores_without_frames_are_none() -> None:
     quality, changes = scores_of([])
     assert quality.pq is None and changes.per_object is None
     assert scores_of([[0, 0, 0, 1, 1, 2, 2, 2]])[1].per_object is None, "seen once"
@@ -228,7 +228,7 @@ def panoptic_quality(pairs: list[tuple[NDArray[np.int32], NDArray[np.int32]]]) -
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_random_labels_score_like_torchmetrics(seed: int) -> None:
+def test_panoptic_scores_of_random_labels_match_torchmetrics(seed: int) -> None:
     from torchmetrics.classification import MulticlassJaccardIndex
 
     views = random_views(seed, frames=1 + seed % 4)

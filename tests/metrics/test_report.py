@@ -54,7 +54,7 @@ def _report_of_a_perfect_lift(scene: Scene) -> dict[str, object]:
     return report.to_json()
 
 
-def test_report_scores_two_methods_in_two_modes() -> None:
+def test_the_report_scores_lift_and_masks_in_two_modes() -> None:
     metrics = _report_of_a_perfect_lift(SCENE)
     tables = {(table["name"], table["mode"]): table for table in metrics["tables"]}  # type: ignore[attr-defined]
     assert list(tables) == [(n, m) for n in (INPUT_MASKS, LIFTED) for m in ("strict", "pl_compat")]
@@ -84,7 +84,7 @@ def test_rendered_depth_is_scored() -> None:
         assert table["depth_error_m"] == pytest.approx(0.03, abs=1e-4)
 
 
-def test_void_ground_truth_gives_no_table() -> None:
+def test_ground_truth_that_is_all_void_gives_no_scores() -> None:
     nothing = np.zeros((40, 60), np.int32)
     frame = replace(SCENE.frames[3], read_ground_truth=lambda size: GroundTruth(nothing, nothing))
     report = Report(CLASSES)
@@ -124,7 +124,7 @@ def strict(predictions: Path, truth: Path, **options: bool) -> dict[str, float]:
     "pair",
     [("class", "instance"), ("gt/semantic", "gt/instance"), ("label-filt", "instance-filt"), ("classes", "instances")],
 )
-def test_score_folders_compares_masks_with_pngs(pair: tuple[str, str], tmp_path: Path) -> None:
+def test_folders_of_label_pngs_are_scored_against_masks(pair: tuple[str, str], tmp_path: Path) -> None:
     predictions, truth = write_masks(tmp_path / "masks"), write_pngs(tmp_path / "truth", *pair, scale=2)
     scores = strict(predictions, truth)
     assert (scores["miou"], scores["pq"], scores["pq_frame"], scores["id_changes"]) == (1.0, 1.0, 1.0, 0.0)
@@ -133,7 +133,7 @@ def test_score_folders_compares_masks_with_pngs(pair: tuple[str, str], tmp_path:
     assert detector["id_changes"] == 1.0
 
 
-def test_different_crop_is_refused(tmp_path: Path) -> None:
+def test_predictions_cropped_differently_from_the_truth_are_refused(tmp_path: Path) -> None:
     truth, predictions = write_masks(tmp_path / "truth"), write_pngs(tmp_path / "cut", "class", "instance")
     for path in predictions.rglob("*.png"):
         cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[:, 2:14])
@@ -141,13 +141,13 @@ def test_different_crop_is_refused(tmp_path: Path) -> None:
         strict(predictions, truth)
 
 
-def test_merged_chairs_lower_pq(tmp_path: Path) -> None:
+def test_two_chairs_merged_into_one_lower_pq(tmp_path: Path) -> None:
     merged = write_masks(tmp_path / "masks", np.minimum(INSTANCE, 1))
     scores = strict(merged, write_masks(tmp_path / "truth"))
     assert scores["miou"] == 1.0 and scores["pq"] == pytest.approx(0.5), "neither half is more than half of both"
 
 
-def test_classes_of_an_export_are_read(tmp_path: Path) -> None:
+def test_evaluate_reads_the_classes_of_an_export(tmp_path: Path) -> None:
     predictions = write_pngs(tmp_path / "predictions", "class", "instance")
     truth = write_pngs(tmp_path / "truth", "semantic", "instance")
     with raises_key("no-table"):
@@ -168,7 +168,7 @@ def test_classes_of_an_export_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("second", "pq"), [("chair", 1.0), ("robot", 1 / 3)])
-def test_predictions_in_another_table_are_mapped_by_name(second: str, pq: float, tmp_path: Path) -> None:
+def test_predictions_with_another_class_table_are_mapped_by_name(second: str, pq: float, tmp_path: Path) -> None:
     """The truth swaps the two numbers. A class that it lacks is an error wherever it is predicted."""
     predictions = write_pngs(tmp_path / "predictions", "class", "instance")
     truth = write_pngs(tmp_path / "truth", "semantic", "instance")
@@ -180,7 +180,7 @@ def test_predictions_in_another_table_are_mapped_by_name(second: str, pq: float,
     assert strict(predictions, truth)["pq"] == pytest.approx(pq)
 
 
-def test_missing_frames_are_counted_or_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_predictions_lacking_frames_are_reported_or_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     predictions = write_masks(tmp_path / "masks")
     few = write_pngs(tmp_path / "few", "class", "instance", frames=NAMES[:1])
     with raises_key("no-truth 0002"):
@@ -193,19 +193,19 @@ def test_missing_frames_are_counted_or_refused(tmp_path: Path, capsys: pytest.Ca
 @pytest.mark.parametrize(
     "arguments", [[], ["--predictions", "a"], ["a", "--predictions", "b", "--truth", "c"], ["--truth", "a"]]
 )
-def test_only_one_source_of_labels_may_be_given(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_evaluate_accepts_only_one_source_of_labels(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["evaluate", *arguments]) == 2
     assert worded("evaluate-what").search(capsys.readouterr().err)
 
 
-def test_a_folder_without_labels_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_evaluate_refuses_a_folder_without_labels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     truth = write_masks(tmp_path / "truth")
     for folder, key in ((tmp_path / "none", "not-folder"), (tmp_path, "no-labels")):
         assert main(["evaluate", "--predictions", str(folder), "--truth", str(truth)]) == 2
         assert worded(key).search(capsys.readouterr().err)
 
 
-def test_numbers_of_another_table_are_refused(tmp_path: Path) -> None:
+def test_evaluate_refuses_class_numbers_of_another_table(tmp_path: Path) -> None:
     predictions = write_masks(tmp_path / "masks")
     truth = write_pngs(tmp_path / "truth", "semantic", "instance", scale=2)
     for path in (truth / "semantic").iterdir():

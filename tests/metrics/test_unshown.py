@@ -51,7 +51,7 @@ def only(found: list[Unshown]) -> Unshown:
     return one
 
 
-def test_near_views_outweigh_many_far_ones() -> None:
+def test_near_views_outvote_many_far_ones_about_a_missing_object() -> None:
     one = only(find_unshown([*FAR, *NEAR], CLASSES))
     assert (one.name, one.whole_class, one.frame, one.views, one.near) == ("sink", True, "near 0", 4, 4)
     assert one.shown_as == "countertop" and one.resolution == 1.0
@@ -59,7 +59,7 @@ def test_near_views_outweigh_many_far_ones() -> None:
     assert one.pixels == 32 * 32, "0.3 m at a pixel a centimetre, to whole pixels of the judged view"
 
 
-def test_missing_object_is_reported_beside_shown_ones_of_its_class() -> None:
+def test_a_missing_object_is_reported_beside_shown_ones_of_its_class() -> None:
     two = [(0.0, 0.0), (0.45, 0.0)]
     views = [showing(flat_view(f"{k}", 1.0 + 0.02 * k, 0.2 + 0.02 * k, two), two[0]) for k in range(4)]
     one = only(find_unshown(views, CLASSES))
@@ -67,7 +67,7 @@ def test_missing_object_is_reported_beside_shown_ones_of_its_class() -> None:
     assert find_unshown(views[:2], CLASSES) == [], "an object needs three views"
 
 
-def test_object_that_is_shown_denied_by_most_near_views_or_unresolved_is_not_reported() -> None:
+def test_objects_without_clear_evidence_are_not_reported_as_missing() -> None:
     shown = [showing(view, (0.0, 0.0)) for view in (*FAR, *NEAR)]
     denied = [flat_view(f"denied {k}", 1.0, 0.05 * k, ONE, draws=False) for k in range(5)]
     coarse = [flat_view(f"{k}", 3.0, 0.05 * k, ONE, scale=1.0) for k in range(4)]

@@ -27,7 +27,7 @@ def decided(rows: list[list[float]], channels: LabelChannels = ONE_CLASS) -> lis
     return list(zip(class_id.tolist(), instance_id.tolist(), strict=True))
 
 
-def test_an_object_owns_a_thing_if_it_has_enough_of_its_class() -> None:
+def test_a_gaussian_gets_the_object_with_most_of_its_class() -> None:
     # wall, chair, sofa; then the sofa 4 and the chair 9
     assert decided([[0.1, 0.9, 0, 0, 0], [0, 0.6, 0.4, 0.4, 0]]) == [(WALL, 0), (SOFA, 4)], "the next class"
     assert decided([[0, 0.6, 0.4, 0.4, 0.5]]) == [(CHAIR, 9)]
@@ -37,7 +37,7 @@ def test_an_object_owns_a_thing_if_it_has_enough_of_its_class() -> None:
     assert decided([[0, 1, 0, 0.4, 0.1], [0, 1, 0, 0.6, 0.1]], OWN_CLASSES) == [(CHAIR, 0), (CHAIR, 4)]
 
 
-def test_stuff_and_lifts_without_objects_have_no_instance() -> None:
+def test_gaussians_of_stuff_have_no_instance() -> None:
     assert decided([[0.9, 0.1, 0, 0.9]], LabelChannels(CLASS_IDS, (4, NO_OBJECT), (WALL, 0))) == [(WALL, 0)]
     assert decided([[0, 1, 0], [1, 0, 0]], LabelChannels(CLASS_IDS, (NO_OBJECT, SPARE))) == [(CHAIR, 0), (WALL, 0)]
 
@@ -47,7 +47,7 @@ TABLE = ClassTable(tuple(Category(one, str(one), one in THINGS, (0, 0, 0)) for o
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000), st.sampled_from([ONE_CLASS, OWN_CLASSES]))
-def test_gaussians_are_decided_as_pixels_are(seed: int, channels: LabelChannels) -> None:
+def test_labels_of_single_gaussians_follow_the_rule_for_pixels(seed: int, channels: LabelChannels) -> None:
     random = np.random.default_rng(seed)
     owned = random.dirichlet([0.4] * 3, (8, 9))[..., :2]
     classes = random.dirichlet([0.4] * 3, (8, 9)) * (1 - owned.sum(-1, keepdims=True) * bool(channels.class_of_slot))
@@ -72,7 +72,7 @@ def test_gaussians_are_decided_as_pixels_are(seed: int, channels: LabelChannels)
     np.testing.assert_array_equal(layers.instance.reshape(-1), instance_id)
 
 
-def test_voted_labels_are_baked() -> None:
+def test_exported_gaussians_have_the_voted_labels() -> None:
     """Every fourth anchor was voted to be wall, a chair of no object, chair 9, sofa 4."""
     scene = some_scene((4, NO_OBJECT, 9, SPARE, SPARE), class_of_slot=(SOFA, 0, CHAIR, 0, 0))
     of_anchor = np.resize(np.array([0, 1, 4, 3], np.int16), len(scene.anchors))
@@ -91,14 +91,14 @@ def test_voted_labels_are_baked() -> None:
     assert pairs == {(WALL, 0), (CHAIR, 0), (CHAIR, 9), (SOFA, 4)}
 
 
-def test_gaussians_are_as_blurred_as_the_training_pictures_show_them() -> None:
+def test_exported_gaussians_are_widened_to_the_training_resolution() -> None:
     scene = some_scene((4, NO_OBJECT, 9, SPARE, SPARE), class_of_slot=(SOFA, 0, CHAIR, 0, 0))
     sharp, _ = bake(scene, np.zeros(3), THINGS)
     blurred, _ = bake(replace(scene, finest=torch.full((len(scene.anchors),), 0.02)), np.zeros(3), THINGS)
     np.testing.assert_allclose(blurred.scales, np.hypot(sharp.scales, np.sqrt(0.3) * 0.02), rtol=1e-5)
 
 
-def test_blended_colours_are_those_around() -> None:
+def test_a_nearly_transparent_gaussian_takes_the_colours_around_it() -> None:
     """Two grey clouds of scattered colours, and one nearly clear Gaussian of another colour amid the first."""
     random = np.random.default_rng(7)
     count = 40
@@ -118,7 +118,7 @@ def test_blended_colours_are_those_around() -> None:
     assert blended[-1].max() < 0.35
 
 
-def test_floaters_are_left_out() -> None:
+def test_exported_gaussians_leave_out_floaters() -> None:
     """A sheet of Gaussians on points that were seen; beside it one that nothing was seen near, one alone on a stray
     point, a faint one, and a lamp that hangs free."""
     grid = np.stack([*np.meshgrid(np.arange(20) * 0.05, np.arange(20) * 0.05), np.zeros((20, 20))], axis=-1)

@@ -45,7 +45,7 @@ def refused(tensors: dict[str, torch.Tensor], facts: dict[str, Any], match: str 
         from_tensors(tensors, facts)
 
 
-def test_missing_rows_are_refused(tmp_path: Path) -> None:
+def test_a_model_file_with_missing_rows_is_refused(tmp_path: Path) -> None:
     """The file that crashed the engine: a position for each of three million anchors, one scale."""
     tensors, facts = a_model(voted=False)
     vast = tensors | {"anchors.position": torch.zeros(3_000_000, 3), "anchors.log_scale": torch.zeros(1, 6)}
@@ -58,7 +58,7 @@ def test_missing_rows_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", [*a_model(voted=True)[0]])
-def test_every_tensor_is_checked(name: str) -> None:
+def test_every_tensor_of_a_model_file_is_checked(name: str) -> None:
     tensors, facts = MODELS[True]
     right = tensors[name]
     refused({other: tensor for other, tensor in tensors.items() if other != name}, facts, name.split(".")[0])
@@ -72,7 +72,7 @@ def test_every_tensor_is_checked(name: str) -> None:
     refused(tensors | {"more": right}, facts, "more is not known")
 
 
-def test_labels_outside_the_tables_are_refused() -> None:
+def test_a_model_with_labels_outside_its_tables_is_refused() -> None:
     tensors, facts = MODELS[True]
     for number in (-1, 5, 32767):
         refused(tensors | {"voted.label": torch.full((GAUSSIANS, 2), number, dtype=torch.int16)}, facts, "its range")
@@ -81,7 +81,7 @@ def test_labels_outside_the_tables_are_refused() -> None:
 
 @examples(40)
 @given(data=st.data(), voted=st.booleans())
-def test_odd_facts_and_tensors_are_refused_or_drawable(data: st.DataObject, voted: bool) -> None:
+def test_a_spoilt_model_file_is_refused_or_can_be_drawn(data: st.DataObject, voted: bool) -> None:
     draw_spoilt(data.draw, voted)
 
 
@@ -134,7 +134,7 @@ def draws(scene: StructuredScene) -> None:
     assert rendering.image.shape == (CAMERA.height, CAMERA.width, 3)
 
 
-def test_a_model_with_bad_notes_is_a_one_line_error(tmp_path: Path) -> None:
+def test_a_model_with_bad_metadata_gives_a_one_line_error(tmp_path: Path) -> None:
     folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path))
     folder.result_path.mkdir()
     path = folder.result_path / "model.safetensors"
@@ -158,7 +158,7 @@ def test_a_model_with_bad_notes_is_a_one_line_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_checked_models_stay_within_kernel_bounds(root: Path, tmp_path: Path) -> None:
+def test_models_that_pass_the_checks_stay_within_kernel_limits(root: Path, tmp_path: Path) -> None:
     """The fuzz above once more, in a process whose kernels raise IndexError where they would read or write astray."""
     variables = os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path), "PLGS_FUZZ": "10"}
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__, "-k", "odd_facts"]
@@ -181,7 +181,7 @@ def stored(scene: StructuredScene, folder: Path) -> tuple[StructuredScene, dict[
 
 
 @pytest.mark.parametrize("voted", [False, True])
-def test_a_scene_comes_back_as_it_was(scene: StructuredScene, voted: bool, tmp_path: Path) -> None:
+def test_a_model_file_is_read_back_as_it_was_written(scene: StructuredScene, voted: bool, tmp_path: Path) -> None:
     if voted:
         label = torch.arange(GAUSSIANS * 2, dtype=torch.int16).reshape(GAUSSIANS, 2) % 5
         scene = replace(scene, voted=GaussianLabels(label, torch.rand(GAUSSIANS, 2)))
@@ -193,7 +193,7 @@ def test_a_scene_comes_back_as_it_was(scene: StructuredScene, voted: bool, tmp_p
 
 
 @pytest.mark.parametrize("number", [1, 3, None])
-def test_other_formats_are_refused(scene: StructuredScene, number: int | None) -> None:
+def test_model_files_of_other_format_versions_are_refused(scene: StructuredScene, number: int | None) -> None:
     tensors, facts = to_tensors(scene)
     with pytest.raises(ValueError, match=f"model format {number} is not known to this version; lift again or update"):
         from_tensors(tensors, facts | {"format": number})

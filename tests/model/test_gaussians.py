@@ -23,13 +23,13 @@ def some_anchors(positions: list[list[float]], features: int = 8, k: int = 4) ->
     )
 
 
-def test_only_anchors_in_the_picture_are_decoded() -> None:
+def test_only_anchors_inside_the_view_are_decoded() -> None:
     anchors = some_anchors([[0, 0, 2], [0, 0, -2], [9, 0, 2], [0.2, 0.1, 3], [0, 0, 0.1]])
     assert visible_anchors(anchors, CAMERA).tolist() == [0, 3]
 
 
 @pytest.mark.parametrize("label_view_input", [False, True])
-def test_labels_depend_on_the_view_only_when_asked(label_view_input: bool) -> None:
+def test_labels_depend_on_the_view_direction_only_when_asked(label_view_input: bool) -> None:
     anchors = some_anchors([[0, 0, 2], [0.2, 0.1, 3]])
     decoders = Decoders(DecoderShape(8, 4, 3, 5, distance_input=True, label_view_input=label_view_input), seed=1)
     with torch.no_grad():
@@ -45,7 +45,7 @@ def features_of(labels: np.ndarray, features: int = 32, seed: int = 0) -> np.nda
     return seeded_features(rgb, np.zeros_like(labels), labels, features=features, seed=seed)
 
 
-def test_colour_and_labels_are_distinguished_and_unknown_is_zero() -> None:
+def test_initial_features_encode_colour_and_label() -> None:
     rgb = np.array([[0, 0, 0], [255, 255, 255]], np.uint8)
     feature = seeded_features(rgb, np.array([0, 2]), np.array([0, 1]), features=11, seed=3)
     assert feature.dtype == np.float32 and feature.shape == (2, 11)
@@ -53,14 +53,14 @@ def test_colour_and_labels_are_distinguished_and_unknown_is_zero() -> None:
     assert not feature[0, 3:].any() and (np.abs(feature[1, 3:]) == 1).all()
 
 
-def test_no_two_instances_share_a_code() -> None:
+def test_no_two_instances_share_a_feature_code() -> None:
     labels = np.arange(1, 129)
     for seed in range(4):
         # 8 bits for 128 instances: drawn at will, dozens of them would be alike.
         assert len(np.unique(features_of(labels, features=18, seed=seed), axis=0)) == len(labels)
 
 
-def test_more_labels_than_codes_still_end() -> None:
+def test_feature_codes_repeat_when_there_are_more_labels_than_codes() -> None:
     assert len(np.unique(features_of(np.arange(1, 10), features=5), axis=0)) == 2
 
 
@@ -99,7 +99,7 @@ def round_of(
     return result.keep, result.grown
 
 
-def test_transparent_anchors_go_and_the_others_stay() -> None:
+def test_pruning_removes_only_transparent_anchors() -> None:
     anchors = grid()
     statistics = watched(anchors)
     statistics.opacity[5] = 0.1
@@ -109,7 +109,7 @@ def test_transparent_anchors_go_and_the_others_stay() -> None:
 
 
 @pytest.mark.parametrize(("visits", "is_judged"), [(10, False), (11, True)])
-def test_an_anchor_that_few_views_see_is_judged_after_the_least_visits(visits: int, is_judged: bool) -> None:
+def test_an_anchor_seen_by_few_views_is_pruned_after_enough_visits(visits: int, is_judged: bool) -> None:
     """In a short lift of many views a visit is rare: shares of the steps would never be reached."""
     anchors = grid()
     anchors.offset[0, 0] = torch.tensor([30.0, 0.0, 0.0])
@@ -126,7 +126,7 @@ def test_an_anchor_that_few_views_see_is_judged_after_the_least_visits(visits: i
     assert statistics.visits[5] == (0 if is_judged else visits)
 
 
-def test_a_strong_gradient_grows_an_anchor_in_a_free_cell_with_the_greatest_feature() -> None:
+def test_a_strong_gradient_adds_an_anchor_in_a_free_cell() -> None:
     anchors = grid()
     anchors.offset[0, 0] = torch.tensor([30.0, 0.0, 0.0])
     anchors.offset[7, 1] = anchors.position[0] + torch.tensor([3.0, 0, 0]) - anchors.position[7]
@@ -152,6 +152,6 @@ def test_no_anchors_are_added_in_occupied_cells() -> None:
     assert len(grown) == 0
 
 
-def test_spacing_is_the_root_mean_square_of_three_neighbours() -> None:
+def test_point_spacing_is_the_rms_distance_to_three_neighbours() -> None:
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]], np.float32)
     assert spacing(points)[0] == pytest.approx(np.sqrt((1 + 4 + 9) / 3))

@@ -88,7 +88,7 @@ def shares(votes: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("kind", "pixels", "resolution"), [("pixels", 1, 0), ("root", 0.5, 0), ("density", 0, 2)])
-def test_votes_sum_the_weights(scene: StructuredScene, kind: EvidenceKind, pixels: float, resolution: float) -> None:
+def test_votes_are_summed_weights(scene: StructuredScene, kind: EvidenceKind, pixels: float, resolution: float) -> None:
     """In two views of flat surfaces, one nearer than the other."""
     votes, expected = LabelVotes(scene, kind, 0.0), np.zeros((GAUSSIANS, LABELS))
     for seed, (camera, metres) in enumerate(((CAMERA, 2.0), (moved(0.3), 1.0))):
@@ -102,7 +102,7 @@ def test_votes_sum_the_weights(scene: StructuredScene, kind: EvidenceKind, pixel
     np.testing.assert_allclose(dense(votes.result())[seen], shares(expected)[seen], atol=2e-3)
 
 
-def test_pixels_at_the_wrong_depth_abstain(scene: StructuredScene) -> None:
+def test_pixels_at_the_wrong_depth_do_not_vote(scene: StructuredScene) -> None:
     seen = contributors(scene, CAMERA, GAUSSIANS)
     label = made_up_labels(0)
     sensor = seen.depth.copy()
@@ -118,7 +118,7 @@ def test_pixels_at_the_wrong_depth_abstain(scene: StructuredScene) -> None:
     np.testing.assert_array_equal(dense(votes.result()), dense(plain.result()))
 
 
-def test_far_away_a_share_of_the_depth_is_allowed(scene: StructuredScene) -> None:
+def test_the_depth_tolerance_of_voting_pixels_grows_with_distance(scene: StructuredScene) -> None:
     seen = contributors(scene, CAMERA, 8)
     far = replace_depth(seen, 20.0)
     label = np.zeros(SIZE, np.int16)
@@ -133,7 +133,7 @@ def replace_depth(view: Contributors, metres: float) -> Contributors:
     return replace(view, depth=np.full(SIZE, metres, np.float32))
 
 
-def test_the_decoders_are_used_where_nothing_was_seen(scene: StructuredScene) -> None:
+def test_gaussians_without_votes_keep_their_decoded_labels(scene: StructuredScene) -> None:
     decoded = scene_labels(scene)
     assert decoded is not None
     silent = LabelVotes(scene, "pixels").result()
@@ -150,7 +150,7 @@ def test_the_decoders_are_used_where_nothing_was_seen(scene: StructuredScene) ->
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10_000))
-def test_labels_with_many_votes_are_never_lost_among_many(seed: int) -> None:
+def test_a_label_with_many_votes_is_never_dropped(seed: int) -> None:
     """One Gaussian, whose pixels show 200 labels; label 7 has more than a sixteenth of all votes."""
     random = np.random.default_rng(seed)
     label = random.integers(0, 200, 300).astype(np.int16)
@@ -172,7 +172,7 @@ def test_view_dependent_labels_skip_the_first_vote() -> None:
     assert not LabelVotes(dependent, "pixels").result().share.any()
 
 
-def test_contributors_add_up_to_the_drawn_depth(scene: StructuredScene) -> None:
+def test_contributors_of_a_pixel_add_up_to_its_rendered_depth(scene: StructuredScene) -> None:
     seen, drawn = contributors(scene, CAMERA, 8), render_view(scene, CAMERA)
     solid = drawn.alpha > 0.31
     np.testing.assert_allclose(seen.depth[solid], mean_depth(scene, CAMERA)[solid], rtol=1e-5)
@@ -201,7 +201,7 @@ def test_a_pixel_shows_the_labels_voted_for_its_gaussians(scene: StructuredScene
     np.testing.assert_array_equal(pixel_labels(scene, voted, view).reshape(-1), expected)
 
 
-def test_only_the_likeliest_labels_are_kept(scene: StructuredScene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_gaussian_keeps_only_its_likeliest_labels(scene: StructuredScene, monkeypatch: pytest.MonkeyPatch) -> None:
     found = []
     for kept in (2, LABELS + 3):
         monkeypatch.setattr(label_voting, "KEPT", kept)

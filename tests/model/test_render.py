@@ -18,7 +18,7 @@ CAMERA = Camera(70, 90, 70.0, 75.0, 33.0, 47.0, np.eye(4))
 LAYERS = ("image", "alpha", "depth", "class_coverage", "instance_coverage")
 
 
-def test_bands_add_up_to_the_view() -> None:
+def test_a_view_rendered_in_bands_equals_the_whole_view() -> None:
     scene = some_scene((4, 9, 0, 0, 0))
     whole, bands = render_view(scene, CAMERA), list(render_bands(scene, CAMERA, most_bytes=1))
     assert [len(band.alpha) for band in bands] == [16, 16, 16, 16, 16, 10]
@@ -30,7 +30,7 @@ def test_bands_add_up_to_the_view() -> None:
     np.testing.assert_allclose(np.concatenate(points), CAMERA.unproject(whole.depth), atol=1e-3)
 
 
-def test_bands_hold_no_more_than_requested() -> None:
+def test_bands_of_a_view_stay_within_the_memory_limit() -> None:
     camera = Camera(1296, 968, 900.0, 900.0, 648.0, 484.0, np.eye(4))
     bands = row_bands(camera, 500, 1 << 27)
     assert bands[0][0] == 0 and bands[-1][1] == 968
@@ -39,7 +39,7 @@ def test_bands_hold_no_more_than_requested() -> None:
     assert row_bands(camera, 500, None) == [(0, 968)]
 
 
-def test_what_is_clipped_is_not_drawn() -> None:
+def test_surface_outside_the_clipping_range_is_not_drawn() -> None:
     scene = some_scene((4, 9, 0, 0, 0))
     (near,) = render_bands(scene, CAMERA, clip=ClipRange(far=2.0))
     (far,) = render_bands(scene, CAMERA, clip=ClipRange(near=2.0))
@@ -49,7 +49,7 @@ def test_what_is_clipped_is_not_drawn() -> None:
 
 
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
-def test_a_fill_seen_at_a_slant_is_drawn_where_it_is(projection: str) -> None:
+def test_filled_floor_seen_at_a_slant_is_drawn_at_its_place(projection: str) -> None:
     """Its disks are smaller than a pixel, and many are in a line of sight's way."""
     scene, camera = some_scene((4, 9, 0, 0, 0)), Camera(64, 48, 60.0, 60.0, 32.0, 0.0, np.eye(4))
     if projection == "orthographic":
@@ -69,7 +69,7 @@ def test_a_fill_seen_at_a_slant_is_drawn_where_it_is(projection: str) -> None:
     assert len(place) > 200 and np.median(above) < 0.7
 
 
-def test_the_smallest_pixel_that_shows_a_point_is_found() -> None:
+def test_the_finest_pixel_size_that_shows_a_point_is_found() -> None:
     pose = np.eye(4)
     pose[2, 3] = 1.0
     near, narrow = SMALL.at(pose), Camera(10, 10, 80.0, 80.0, 5.0, 5.0, np.eye(4))
@@ -80,7 +80,7 @@ def test_the_smallest_pixel_that_shows_a_point_is_found() -> None:
     assert not finest_pixels(places, []).any()
 
 
-def test_a_training_picture_is_drawn_unchanged() -> None:
+def test_rendering_at_training_size_ignores_the_finest_pixel_size() -> None:
     scene = some_scene((4, 9, 0, 0, 0))
     finest = torch.from_numpy(finest_pixels(scene.anchors.position.numpy(), [SMALL]))
     for camera in (SMALL, SMALL.resized(20, 15)):
@@ -88,7 +88,7 @@ def test_a_training_picture_is_drawn_unchanged() -> None:
         np.testing.assert_array_equal(after.image, before.image)
 
 
-def test_a_larger_picture_has_no_more_cracks_than_those_of_the_training() -> None:
+def test_enlarged_renders_have_no_more_cracks_than_training_ones() -> None:
     scene = some_scene((4, 9, 0, 0, 0))
     scene.anchors.log_scale[:, 3:] -= 2.5  # thinner than a pixel
     finest = torch.from_numpy(finest_pixels(scene.anchors.position.numpy(), [SMALL]))

@@ -27,7 +27,9 @@ def classes_of(slot_ids: tuple[int, ...]) -> tuple[int, ...]:
 
 @pytest.mark.parametrize("slot_ids", SLOTS)
 @pytest.mark.parametrize("one_class", [False, True])
-def test_labels_change_no_picture(slot_ids: tuple[int, ...], one_class: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stored_labels_draw_as_decoded(
+    slot_ids: tuple[int, ...], one_class: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """What is drawn from labels of finished Gaussians differs a little where objects are of one class: a product of
     means is no mean of products."""
     monkeypatch.setattr(subject, "CHUNK", 33)
@@ -47,11 +49,11 @@ def test_labels_change_no_picture(slot_ids: tuple[int, ...], one_class: bool, mo
         np.testing.assert_allclose(shown.class_coverage.sum(axis=2), shown.alpha, atol=1e-5)
 
 
-def test_labels_that_depend_on_the_view_are_not_kept() -> None:
+def test_view_dependent_labels_are_not_stored() -> None:
     assert scene_labels(some_scene(SLOTS[0], replace(SHAPE, label_view_input=True))) is None
 
 
-def test_too_many_labels_are_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_labels_are_not_stored(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = some_scene((1, NO_OBJECT, SPARE, SPARE, SPARE))
     size = 4 * GAUSSIANS * (len(CLASS_IDS) + 1)
     monkeypatch.setattr(subject, "MOST_BYTES", size)
@@ -67,7 +69,7 @@ def softmaxed(random: np.random.Generator, shape: tuple[int, ...], alpha: torch.
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10_000), st.lists(CLASSES, max_size=5), st.integers(0, 2))
-def test_an_instance_gives_all_it_has_to_its_own_class(seed: int, of_class: list[int], spare: int) -> None:
+def test_an_instances_probability_counts_for_its_own_class(seed: int, of_class: list[int], spare: int) -> None:
     random = np.random.default_rng(seed)
     slot_ids = (*range(1, len(of_class) + 1), NO_OBJECT, *[SPARE] * spare)
     order = random.permutation(len(slot_ids)).tolist()
@@ -92,7 +94,7 @@ def test_an_instance_gives_all_it_has_to_its_own_class(seed: int, of_class: list
     torch.testing.assert_close(by_class, owned + share * alone[..., None])
 
 
-def test_if_every_pixel_decides_for_itself_nothing_is_moved() -> None:
+def test_without_one_class_per_object_probabilities_stay_as_decoded() -> None:
     channels = LabelChannels(CLASS_IDS, (8, NO_OBJECT, 9, SPARE))
     classes, slots = torch.tensor([[0.2, 0.3, 0.4]]), torch.tensor([[0.1, 0.2, 0.3, 0.3]])
     assert shown_probabilities(classes, slots, channels).tolist() == torch.cat([classes, slots[:, ::2]], 1).tolist()
@@ -101,7 +103,7 @@ def test_if_every_pixel_decides_for_itself_nothing_is_moved() -> None:
 CHANNELS = LabelChannels(CLASS_IDS, (4, 9, NO_OBJECT, SPARE), (7, 5, 0, 0))
 
 
-def test_voted_labels_are_shown_as_they_were_voted() -> None:
+def test_voted_shares_become_class_and_instance_probabilities() -> None:
     label = torch.tensor([[3, 0, 2], [4, 3, 1], [1, 0, 2]], dtype=torch.int16)
     share = torch.tensor([[0.5, 0.25, 0.25], [0.75, 0.25, 0.0], [0.0, 0.0, 0.0]])
     table = VotedLabels.of_scene(GaussianLabels(label, share), CHANNELS).of(torch.arange(len(label)))
@@ -109,7 +111,7 @@ def test_voted_labels_are_shown_as_they_were_voted() -> None:
     assert table.tolist() == [[0.25, 0, 0.75, 0.5, 0], [0, 0.75, 0.25, 0.25, 0.75], [0] * 5]
 
 
-def test_a_scene_with_voted_labels_shows_them_and_not_its_decoders() -> None:
+def test_a_scene_with_voted_labels_ignores_its_label_decoders() -> None:
     scene = some_scene((4, 9, NO_OBJECT, SPARE, SPARE), class_of_slot=(7, 5, 0, 0, 0))
     label = torch.full((GAUSSIANS, 1), 4, dtype=torch.int16)
     voted = replace(scene, voted=GaussianLabels(label, torch.ones(GAUSSIANS, 1)))
@@ -125,7 +127,7 @@ ONE_OBJECT = LabelChannels((1, 5), (0, 7), (0, 5))
 CHAIR, CHAIR_7 = 1, 2
 
 
-def test_an_object_reaches_no_farther_than_its_points() -> None:
+def test_an_object_extends_no_farther_than_its_points() -> None:
     points = OwnedPoints(np.array([[0, 0, 0], [9, 0, 0]], np.float32), np.array([7, 0], np.int32))
     centres = np.array([[REACH - 0.01, 0, 0], [REACH + 0.01, 0, 0], [9, 0, 0]], np.float32)
     label = np.array([[CHAIR_7, 0]] * 3, np.int16)
@@ -134,7 +136,7 @@ def test_an_object_reaches_no_farther_than_its_points() -> None:
     assert within_reach(label, centres, ONE_OBJECT, nobodys).tolist() == [[CHAIR, 0]] * 3
 
 
-def test_only_what_lies_within_masks_is_named() -> None:
+def test_gaussians_drawn_mostly_inside_masks_count_as_named() -> None:
     named = NamedGaussians(4)
     gaussian, weight = np.array([[[0, 1], [2, -1]]], np.int32), np.array([[[0.9, 0.05], [1.0, 0.0]]], np.float32)
     in_mask = np.array([[True, False]])
@@ -145,7 +147,7 @@ def test_only_what_lies_within_masks_is_named() -> None:
     assert named.are_named.tolist() == [False, False, True, False]
 
 
-def test_shares_become_evidence_where_masks_named_a_class() -> None:
+def test_label_shares_are_sharpened_where_masks_named_a_gaussian() -> None:
     scene = replace(some_scene(ONE_OBJECT.slot_ids), channels=ONE_OBJECT)
     label = torch.tensor([[CHAIR_7, CHAIR, 0]] * GAUSSIANS, dtype=torch.int16)
     voted = GaussianLabels(label, torch.tensor([[0.6, 0.3, 0.1]] * GAUSSIANS))

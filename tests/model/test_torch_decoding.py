@@ -140,12 +140,12 @@ def decode(request: pytest.FixtureRequest) -> Decode:
 
 @pytest.mark.parametrize("visible", [1, 7, 64, 200])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_float32_agrees_with_float64(decode: Decode, shape: str, visible: int) -> None:
+def test_decoding_in_float32_agrees_with_float64(decode: Decode, shape: str, visible: int) -> None:
     assert_matches(decode, case_of(SHAPES[shape], visible))
 
 
 @pytest.mark.parametrize("only", [("cluster_loss",), ("labels",), ("opacities",), ("means", "scales")])
-def test_each_output_has_its_own_gradient(decode: Decode, only: tuple[str, ...]) -> None:
+def test_each_output_of_the_decoders_has_its_own_gradient(decode: Decode, only: tuple[str, ...]) -> None:
     assert_matches(decode, case_of(STANDARD, 90), only)
 
 
@@ -157,7 +157,7 @@ def test_a_camera_inside_an_anchor_and_huge_features_are_decoded(decode: Decode)
     assert_matches(decode, case)
 
 
-def test_known_labels_are_shown(decode: Decode) -> None:
+def test_labels_given_to_the_decoder_replace_decoded_ones(decode: Decode) -> None:
     case = case_of(STANDARD, 90)
     known = torch.rand(len(case.anchors) * 4, 20)
     shown = decode(case, known)
@@ -166,7 +166,7 @@ def test_known_labels_are_shown(decode: Decode) -> None:
     assert torch.equal(shown.colours, decode(case).colours)
 
 
-def test_transparent_anchors_still_cluster(decode: Decode) -> None:
+def test_transparent_anchors_still_count_in_the_cluster_loss(decode: Decode) -> None:
     case = case_of(STANDARD, 70)
     with torch.no_grad():
         case.decoders.opacity.get_parameter("2.weight").zero_()
@@ -186,7 +186,7 @@ def test_without_classes_there_is_no_cluster_loss(decode: Decode, unlabelled: st
 
 
 @pytest.mark.parametrize("anchors", [0, 5])
-def test_nothing_visible_gives_no_gaussians(decode: Decode, anchors: int) -> None:
+def test_without_visible_anchors_no_gaussian_is_decoded(decode: Decode, anchors: int) -> None:
     case = asking(case_of(STANDARD, 0, anchors=anchors))
     gaussians = decode(case)
     assert gaussians.means.shape == (0, 3) and gaussians.labels.shape == (0, 43) and gaussians.kept.shape == (0,)
@@ -194,7 +194,7 @@ def test_nothing_visible_gives_no_gaussians(decode: Decode, anchors: int) -> Non
     assert not any(gradient.any() for gradient in gradients(case, gaussians).values())
 
 
-def test_with_known_labels_everything_else_is_trained(decode: Decode) -> None:
+def test_given_labels_do_not_stop_the_training_of_other_outputs(decode: Decode) -> None:
     """A step without labels: the shapes and colours get their gradients, the label decoders get none."""
     drawn = ("means", "scales", "quats", "opacities", "colours")
     found = []
@@ -210,7 +210,7 @@ def test_with_known_labels_everything_else_is_trained(decode: Decode) -> None:
 
 @pytest.mark.parametrize("parameter", ["0.weight", "0.bias", "2.bias"])
 @pytest.mark.parametrize("decoder", ["colour", "covariance", "semantic", "instance"])
-def test_nan_in_a_decoder_reaches_its_output(decode: Decode, decoder: str, parameter: str) -> None:
+def test_nan_in_a_decoder_is_not_hidden_in_its_output(decode: Decode, decoder: str, parameter: str) -> None:
     """The trainer looks at the loss, so a diverged decoder must reach it."""
     case = case_of(STANDARD, 30)
     with torch.no_grad():
@@ -220,7 +220,7 @@ def test_nan_in_a_decoder_reaches_its_output(decode: Decode, decoder: str, param
     assert torch.isnan(reached[decoder]).any()
 
 
-def test_cluster_loss_counts_every_gaussian_of_labelled_anchors_only() -> None:
+def test_the_cluster_loss_counts_only_gaussians_of_labelled_anchors() -> None:
     logits = torch.randn(4, 2, 3, generator=torch.Generator().manual_seed(2))
     target = torch.tensor([0, -1, 2, -1])
     log = torch.log_softmax(logits, dim=2)
@@ -228,7 +228,7 @@ def test_cluster_loss_counts_every_gaussian_of_labelled_anchors_only() -> None:
     torch.testing.assert_close(cluster_loss(logits, target), expected)
 
 
-def test_the_same_bits_with_any_number_of_threads() -> None:
+def test_decoding_gives_the_same_bits_with_any_number_of_threads() -> None:
     case, found, threads = asking(case_of(STANDARD, 3000)), [], torch.get_num_threads()
     try:
         for count in (1, 2, 3, 1):
@@ -241,7 +241,7 @@ def test_the_same_bits_with_any_number_of_threads() -> None:
         assert all(torch.equal(one, two) for one, two in zip(found[0], other, strict=True))
 
 
-def test_what_one_step_keeps_the_next_does_not_overwrite() -> None:
+def test_a_training_step_does_not_overwrite_tensors_of_the_step_before() -> None:
     """Outputs and gradients live in memory that is used again."""
     first, second = asking(case_of(STANDARD, 100)), asking(case_of(STANDARD, 100, seed=1))
     gaussians = by_kernels(first)

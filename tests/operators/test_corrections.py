@@ -45,14 +45,14 @@ def points_of(placed: bpy.types.Collection, instance: int) -> int:
     return sum(int((ids_of(cloud.data, "instance_id") == instance).sum()) for cloud in clouds)
 
 
-def test_a_new_name_shows_at_once_and_is_kept(placed: bpy.types.Collection, mine: Path) -> None:
+def test_renaming_an_object_shows_at_once_and_is_kept(placed: bpy.types.Collection, mine: Path) -> None:
     assert bpy.ops.plgs.rename_instance(instance=CHAIR, name="Throne") == {"FINISHED"}
     assert names(placed)[CHAIR] == "Throne" and boxes_of(placed)[CHAIR].name == "Throne box"
     lift_scene.place_lift(mine, bpy.context.scene)
     assert names(placed)[CHAIR] == "Throne" and boxes_of(placed)[CHAIR].name == "Throne box"
 
 
-def test_a_new_class_moves_points_to_its_cloud(placed: bpy.types.Collection, mine: Path) -> None:
+def test_changing_an_objects_class_moves_its_points_to_that_cloud(placed: bpy.types.Collection, mine: Path) -> None:
     count = points_of(placed, CHAIR)
     other = next(row.class_name for row in placed.plgs.instances if row.instance_id == CABINET)
     bpy.ops.plgs.reclass_instances(instances=str(CHAIR), class_name=other)
@@ -63,7 +63,7 @@ def test_a_new_class_moves_points_to_its_cloud(placed: bpy.types.Collection, min
     assert not [one for one in clouds_of(placed) if one.get("class") == "chair"]
 
 
-def test_selected_boxes_become_the_active_one(placed: bpy.types.Collection) -> None:
+def test_merging_selected_boxes_keeps_the_active_object(placed: bpy.types.Collection) -> None:
     total = points_of(placed, CHAIR) + points_of(placed, CABINET)
     placed.plgs.show_boxes = True
     for box in boxes_of(placed).values():
@@ -86,7 +86,7 @@ def test_undo_brings_back_a_deleted_object(placed: bpy.types.Collection, mine: P
     assert CHAIR not in boxes_of(again()) and [edit.undone for edit in read_edits(mine)] == [False]
 
 
-def test_undo_keeps_edits_of_others(placed: bpy.types.Collection, mine: Path) -> None:
+def test_blenders_undo_keeps_edits_of_other_programs(placed: bpy.types.Collection, mine: Path) -> None:
     bpy.ops.ed.undo_push(message="placed")
     bpy.ops.plgs.rename_instance(instance=CHAIR, name="Throne")
     bpy.ops.ed.undo_push(message="renamed")
@@ -97,7 +97,7 @@ def test_undo_keeps_edits_of_others(placed: bpy.types.Collection, mine: Path) ->
     assert [(edit.name, edit.undone) for edit in read_edits(mine)] == [("Throne", True), ("theirs", False)]
 
 
-def test_undo_after_the_file_was_saved_and_opened(placed: bpy.types.Collection, tmp_path: Path) -> None:
+def test_a_correction_can_be_undone_after_opening_its_saved_file(placed: bpy.types.Collection, tmp_path: Path) -> None:
     bpy.ops.plgs.rename_instance(instance=CHAIR, name="Throne")
     blend = tmp_path / "file.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(blend))
@@ -109,7 +109,7 @@ def test_undo_after_the_file_was_saved_and_opened(placed: bpy.types.Collection, 
         bpy.ops.plgs.undo_correction()
 
 
-def test_a_dragged_plane_splits(placed: bpy.types.Collection) -> None:
+def test_a_cutting_plane_splits_an_object_where_it_was_dragged(placed: bpy.types.Collection) -> None:
     bpy.ops.plgs.select_instance(instance=CABINET)
     bpy.ops.plgs.place_cut()
     follow_selected(bpy.context.scene, bpy.context.view_layer)  # as a window does: the plane is selected now
@@ -122,7 +122,7 @@ def test_a_dragged_plane_splits(placed: bpy.types.Collection) -> None:
         bpy.ops.plgs.split_instance(instance=CABINET, by="CUT")
 
 
-def test_a_box_is_cropped_on_request_and_others_never_move(placed: bpy.types.Collection, mine: Path) -> None:
+def test_cropping_an_object_to_its_box_moves_no_other_box(placed: bpy.types.Collection, mine: Path) -> None:
     box, other = boxes_of(placed)[CHAIR], boxes_of(placed)[CABINET]
     other.location.x += 0.7
     other.name = "my box"
@@ -138,7 +138,7 @@ def test_a_box_is_cropped_on_request_and_others_never_move(placed: bpy.types.Col
     assert kept.name == "my box" and np.allclose(kept.matrix_world, moved)
 
 
-def test_points_in_a_region_become_a_new_object(placed: bpy.types.Collection) -> None:
+def test_points_inside_a_chosen_region_become_a_new_object(placed: bpy.types.Collection) -> None:
     region = bpy.data.objects.new("region", boxes_of(placed)[CHAIR].data)
     region.matrix_world = boxes_of(placed)[CHAIR].matrix_world
     bpy.context.collection.objects.link(region)
@@ -148,7 +148,7 @@ def test_points_in_a_region_become_a_new_object(placed: bpy.types.Collection) ->
     assert new.class_name == "cabinet" and points_of(placed, new.instance_id) > 0
 
 
-def test_what_cannot_be_done_is_a_one_line_error(placed: bpy.types.Collection, mine: Path) -> None:
+def test_impossible_corrections_in_blender_give_a_one_line_error(placed: bpy.types.Collection, mine: Path) -> None:
     calls = [
         (lambda: bpy.ops.plgs.rename_instance(instance=77, name="x"), "no-object 77"),
         (lambda: bpy.ops.plgs.reclass_instances(instances="1", class_name="ghost"), "no-class ghost"),
@@ -165,7 +165,7 @@ def test_what_cannot_be_done_is_a_one_line_error(placed: bpy.types.Collection, m
         bpy.ops.plgs.rename_instance(instance=CHAIR, name="x")
 
 
-def test_points_are_painted_by_strokes_and_rectangles_and_erased() -> None:
+def test_points_are_painted_and_erased_with_brush_and_rectangle() -> None:
     xyz = np.array([[x, 0.0, -1.0] for x in (-0.5, 0.0, 0.5)], np.float32)
     to_view = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, -0.2], [0, 0, -1, 0]])
     one = Painting.of(xyz)
@@ -187,7 +187,7 @@ def test_points_are_painted_by_strokes_and_rectangles_and_erased() -> None:
         one.choose(xyz[:2])
 
 
-def test_proposals_are_answered_one_by_one(placed: bpy.types.Collection, mine: Path) -> None:
+def test_proposed_corrections_are_shown_and_answered_one_by_one(placed: bpy.types.Collection, mine: Path) -> None:
     content = json.loads((mine / "result" / "instances.json").read_text())
     for segment in content["instances"][1]["segments"]:
         segment["class_id"] = content["instances"][0]["class_id"]
@@ -227,7 +227,7 @@ def test_next_uncertain_frame_visits_each_frame_once(placed: bpy.types.Collectio
 
 
 @pytest.mark.skipif(find_spec("torch") is None, reason="the engine runs in another Python")
-def test_masks_split_a_merge(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path) -> None:
+def test_views_split_a_merge(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path) -> None:
     monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)
     mine = Path(shutil.copytree(lift.parent, tmp_path / "both")) / lift.name
     placed = lift_scene.place_lift(mine, bpy.context.scene)
@@ -249,7 +249,7 @@ def test_masks_split_a_merge(lift: Path, tmp_path: Path, monkeypatch: pytest.Mon
     registry.forget_all()
 
 
-def test_a_split_that_was_written_before_its_engine_was_stopped_is_shown(mine: Path) -> None:
+def test_a_split_written_before_its_engine_was_stopped_is_shown(mine: Path) -> None:
     """The engine may be killed between writing the edit and its answer."""
     placed = lift_scene.place_lift(mine, bpy.context.scene)
     known = {edit.uid for edit in read_edits(mine)}
@@ -270,7 +270,7 @@ def new_id(placed: bpy.types.Collection) -> int:
     return max(row.instance_id for row in placed.plgs.instances)
 
 
-def test_a_removed_object_leaves_a_filled_floor_and_is_put_back(mine: Path) -> None:
+def test_a_removed_object_leaves_filled_floor_and_can_be_put_back(mine: Path) -> None:
     """As the engine writes it: shown, undone, redone, listed, and put back."""
     placed = lift_scene.place_lift(mine, bpy.context.scene)
     count, before = points_of(placed, CHAIR), read_corrected(mine)
@@ -309,7 +309,7 @@ def test_a_removed_object_leaves_a_filled_floor_and_is_put_back(mine: Path) -> N
     assert "plgs.put_back" not in drawn()
 
 
-def test_a_stopped_removal_changes_nothing(lift: Path, tmp_path: Path) -> None:
+def test_a_stopped_removal_of_an_object_changes_nothing(lift: Path, tmp_path: Path) -> None:
     mine = Path(shutil.copytree(lift.parent, tmp_path / "both")) / lift.name
     placed = lift_scene.place_lift(mine, bpy.context.scene)
     assert "plgs.remove_instances" in drawn() and "plgs.cancel_removal" not in drawn()
@@ -320,7 +320,7 @@ def test_a_stopped_removal_changes_nothing(lift: Path, tmp_path: Path) -> None:
     registry.forget_all()
 
 
-def test_an_object_is_removed_by_an_engine_to_its_end(
+def test_an_engine_process_removes_an_object_from_the_lift(
     room: Path, tmp_path: Path, quick_python: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)

@@ -24,7 +24,7 @@ def nothing_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[
     choices.choose(None)
 
 
-def test_use_this_python_answers_or_says_what_it_lacks(tmp_path: Path) -> None:
+def test_use_this_python_accepts_a_python_or_says_what_it_lacks(tmp_path: Path) -> None:
     good = pretended_python(tmp_path / "good")
     assert bpy.ops.plgs.use_this_python(python=str(good)) == {"FINISHED"}
     assert engine_environment.status().state is EngineState.READY and engine_environment.usable_python() == good
@@ -35,7 +35,7 @@ def test_use_this_python_answers_or_says_what_it_lacks(tmp_path: Path) -> None:
         bpy.ops.plgs.use_this_python(python="/nowhere/python")
 
 
-def test_what_cannot_be_done_says_why() -> None:
+def test_engine_buttons_that_cannot_act_say_why() -> None:
     assert not bpy.ops.plgs.set_up_engine.poll()
     with pytest.raises(RuntimeError, match="Allow online access in Preferences > System"):
         bpy.ops.plgs.set_up_engine()
@@ -47,7 +47,7 @@ def test_what_cannot_be_done_says_why() -> None:
         bpy.ops.plgs.show_preferences()
 
 
-def test_a_set_up_that_fails_raises_its_reason(tmp_path: Path) -> None:
+def test_a_failed_set_up_gives_its_reason(tmp_path: Path) -> None:
     bpy.context.preferences.system.use_online_access = True
     with pytest.raises(RuntimeError, match=worded("no-python")):
         bpy.ops.plgs.set_up_engine(base_python=str(tmp_path / "none"))
@@ -55,7 +55,7 @@ def test_a_set_up_that_fails_raises_its_reason(tmp_path: Path) -> None:
     bpy.context.preferences.system.use_online_access = False
 
 
-def test_remove_takes_only_what_was_made_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_remove_engine_deletes_only_engines_that_plgs_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tasks, "check", lambda: None)
     folder = tmp_path / "cache" / "plgs"
     (folder / "engine-3.11-abc").mkdir(parents=True)
@@ -91,7 +91,7 @@ print("all good")
 """
 
 
-def test_an_installed_extension_keeps_the_choices_in_its_preferences(root: Path, tmp_path: Path) -> None:
+def test_an_installed_extension_keeps_its_preferences(root: Path, tmp_path: Path) -> None:
     repository = tmp_path / "repository"
     repository.mkdir()
     (repository / "plgs").symlink_to(root)

@@ -47,7 +47,7 @@ def engine(monkeypatch: pytest.MonkeyPatch, quick_python: Path) -> Iterator[None
 needs_engine = pytest.mark.skipif(find_spec("torch") is None, reason="the engine runs in another Python")
 
 
-def test_the_command_knows_every_format(root: Path) -> None:
+def test_the_export_operator_offers_every_format_of_the_engine(root: Path) -> None:
     text = (root / "engine" / "command_line" / "main.py").read_text()
     known = re.search(r"^EXPORTS = (\(.*?\))", text, re.DOTALL | re.MULTILINE)
     assert known is not None and sorted(literal_eval(known[1])) == sorted(exports.FORMS)
@@ -102,7 +102,7 @@ def test_meshes_are_made_and_placed(lift: Path, tmp_path: Path, monkeypatch: pyt
     assert len(names) == 2
 
 
-def test_what_is_shown_is_exported_at_once(mine: Path, tmp_path: Path) -> None:
+def test_the_shown_meshes_are_exported_by_blender_itself(mine: Path, tmp_path: Path) -> None:
     """By Blender itself: names, pictures and what the lists hide; the scene is as it was."""
     write_surface(mine / "exports" / "surface" / "mesh.ply", shade=40)
     assert not bpy.ops.plgs.export_shown.poll()
@@ -142,7 +142,7 @@ def glb(path: Path) -> dict[str, Any]:
 
 
 @needs_engine
-def test_depth_cloud_holds_what_a_frame_sees(lift: Path, tmp_path: Path) -> None:
+def test_an_exported_depth_cloud_holds_what_a_frame_sees(lift: Path, tmp_path: Path) -> None:
     mine = Path(shutil.copytree(lift.parent, tmp_path / "both")) / lift.name
     bpy.ops.plgs.place_lift(lift_folder=str(mine))
     scene = bpy.context.scene
@@ -173,7 +173,7 @@ def test_a_cancelled_export_is_not_an_error(lift: Path, tmp_path: Path, monkeypa
     assert export.is_taken and export.error is None and export.message == "The export was cancelled"
 
 
-def test_meshes_that_nobody_asked_for_make_room(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_export_cancels_unasked_mesh_making(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pretend(monkeypatch, "import time; time.sleep(600)")
     unasked = exports.export(lift, "mesh", tmp_path, Path(sys.executable), asked=False)
     assert bpy.ops.plgs.export_lift.poll() and unasked.is_running

@@ -27,13 +27,13 @@ def root(lift: Path) -> bpy.types.Collection:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_without_a_lift_each_says_why_it_is_grey(name: str) -> None:
+def test_every_inspect_button_without_a_lift_says_why_it_is_disabled(name: str) -> None:
     with pytest.raises(RuntimeError, match="no lift result yet"):
         getattr(bpy.ops.plgs, name)()
 
 
 @pytest.mark.parametrize("argument", ["", "PLGS tiny room", "folder"])
-def test_the_lift_may_be_named(root: bpy.types.Collection, lift: Path, argument: str) -> None:
+def test_select_instance_accepts_a_lifts_name_or_folder(root: bpy.types.Collection, lift: Path, argument: str) -> None:
     named = str(lift) if argument == "folder" else argument
     assert bpy.ops.plgs.select_instance(instance=2, lift=named) == {"FINISHED"}
     assert bpy.context.active_object.name == f"{CABINET_NAME} box"
@@ -41,7 +41,7 @@ def test_the_lift_may_be_named(root: bpy.types.Collection, lift: Path, argument:
         bpy.ops.plgs.select_instance(instance=2, lift="another")
 
 
-def test_zero_means_the_one_selected_in_the_list(root: bpy.types.Collection) -> None:
+def test_instance_zero_means_the_one_selected_in_the_list(root: bpy.types.Collection) -> None:
     with pytest.raises(RuntimeError, match=worded("no-selection")):
         bpy.ops.plgs.isolate_instance()
     bpy.ops.plgs.select_instance(instance=1)
@@ -53,7 +53,7 @@ def test_zero_means_the_one_selected_in_the_list(root: bpy.types.Collection) -> 
         bpy.ops.plgs.isolate_instance(instance=9)
 
 
-def test_boxes_by_class_and_back(root: bpy.types.Collection) -> None:
+def test_boxes_are_coloured_by_class_or_by_instance(root: bpy.types.Collection) -> None:
     chair, cloud = bpy.data.objects[f"{CHAIR_NAME} box"], bpy.data.objects["chair points"]
     own = tuple(chair.color)
     root.plgs.look = "CLASSES"
@@ -76,7 +76,7 @@ def test_views_and_masks_of_an_instance_are_shown(root: bpy.types.Collection) ->
         bpy.ops.plgs.go_to_mask(instance=1, frame="nowhere")
 
 
-def test_missing_objects_are_listed(lift: Path) -> None:
+def test_objects_missing_from_a_lift_are_listed(lift: Path) -> None:
     """A class that near masks name and the passes lack: its row goes to the frame."""
     result = replace(read_result(lift), not_shown=(("sink: 4 near views", "0002"),))
     root = place_lift(lift, bpy.context.scene)
@@ -88,7 +88,7 @@ def test_missing_objects_are_listed(lift: Path) -> None:
         bpy.ops.plgs.go_to_frame(frame="nowhere")
 
 
-def test_a_file_without_splats_leaves_nothing(root: bpy.types.Collection, tmp_path: Path) -> None:
+def test_a_gaussians_file_without_splats_adds_no_object(root: bpy.types.Collection, tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="gaussians.ply"):
         bpy.ops.plgs.show_as(kind="SPLATS")
     result = Path(shutil.copytree(Path(root["plgs_lift_folder"]) / "result", tmp_path / "lift" / "result"))

@@ -36,7 +36,7 @@ def behaves(monkeypatch: pytest.MonkeyPatch) -> Behaves:
     return choose
 
 
-def test_a_script_waits_for_the_lift(behaves: Behaves, room: Path, tmp_path: Path) -> None:
+def test_the_lift_operator_in_a_script_waits_for_the_lift(behaves: Behaves, room: Path, tmp_path: Path) -> None:
     behaves("short")
     settings = bpy.context.scene.plgs
     settings.place_when_done = False  # a pretended lift has nothing to show
@@ -49,7 +49,7 @@ def test_a_script_waits_for_the_lift(behaves: Behaves, room: Path, tmp_path: Pat
     assert (settings.preset, settings.steps, settings.seed) == ("standard", 7, 3), "the panel shows what is lifted"
 
 
-def test_without_a_lift_folder_one_is_made_beside_the_scene(behaves: Behaves, room: Path, tmp_path: Path) -> None:
+def test_a_lift_without_a_chosen_folder_goes_beside_the_scene(behaves: Behaves, room: Path, tmp_path: Path) -> None:
     behaves("short")
     own = shutil.copytree(room, tmp_path / "room")
     bpy.context.scene.plgs.place_when_done = False
@@ -73,7 +73,7 @@ def test_a_cancelled_lift_is_resumed_by_the_operator(behaves: Behaves, room: Pat
         bpy.ops.plgs.resume_lift()
 
 
-def test_a_draft_is_refined_by_preview_or_by_the_panels_preset(behaves: Behaves, room: Path, tmp_path: Path) -> None:
+def test_a_draft_is_refined_to_preview_or_to_the_panels_preset(behaves: Behaves, room: Path, tmp_path: Path) -> None:
     behaves("short")
     settings = bpy.context.scene.plgs
     settings.place_when_done = False
@@ -87,7 +87,7 @@ def test_a_draft_is_refined_by_preview_or_by_the_panels_preset(behaves: Behaves,
             bpy.ops.plgs.refine_lift()
 
 
-def test_a_lift_without_its_scene_is_placed_and_finds_it(lift: Path, tmp_path: Path) -> None:
+def test_a_lift_whose_scene_is_missing_is_placed_and_can_find_it(lift: Path, tmp_path: Path) -> None:
     own = shutil.copytree(lift, tmp_path / "deep" / "own")
     asked = json.loads((own / "request.json").read_text())
     asked |= {"scene": str(tmp_path / "gone"), "relative": {}}
@@ -106,7 +106,7 @@ def test_a_lift_without_its_scene_is_placed_and_finds_it(lift: Path, tmp_path: P
     assert all(ob.data.background_images for ob in frames), "the photos are there again"
 
 
-def test_a_bad_scene_leaves_no_folder(tmp_path: Path) -> None:
+def test_lifting_a_bad_scene_leaves_no_folder(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match=worded("no-format")):
         bpy.ops.plgs.lift_scene(scene_folder=str(tmp_path), lift_folder=str(tmp_path / "lift"))
     assert not (tmp_path / "lift").exists()
@@ -115,7 +115,7 @@ def test_a_bad_scene_leaves_no_folder(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("how", "events_of_bake"), [("watch", 0), ("open", 0), ("open after a bake", 0), ("open after a bake", 20_000)]
 )
-def test_watched_or_opened_lift_is_placed(how: str, events_of_bake: int, lift: Path, tmp_path: Path) -> None:
+def test_a_watched_or_opened_lift_is_placed(how: str, events_of_bake: int, lift: Path, tmp_path: Path) -> None:
     """Events of a real lift are too many to be read at once."""
     if how == "open after a bake":
         lift = shutil.copytree(lift, tmp_path / "lift")
@@ -133,7 +133,7 @@ def test_watched_or_opened_lift_is_placed(how: str, events_of_bake: int, lift: P
     assert Path(bpy.context.scene.plgs.scene_folder) == LiftFolder.open(lift).request.scene
 
 
-def test_opening_a_file_finds_its_lift_again(lift: Path, tmp_path: Path) -> None:
+def test_opening_a_saved_file_finds_its_lift_again(lift: Path, tmp_path: Path) -> None:
     remember_lift(lift)
     reopen_with(lift, tmp_path)
     found = lifts.lift_of(lift)
@@ -141,7 +141,7 @@ def test_opening_a_file_finds_its_lift_again(lift: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFOs here")
-def test_opened_file_reads_no_foreign_path(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_opening_a_file_reads_no_strangers_paths(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     theirs = tmp_path / "theirs"
     theirs.mkdir()
     os.mkfifo(theirs / "request.json")
@@ -167,7 +167,7 @@ def reopen_with(folder: Path, tmp_path: Path) -> None:
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
 
 
-def test_cancelling_what_is_not_running_says_so(lift: Path) -> None:
+def test_cancelling_a_lift_that_is_not_running_says_so(lift: Path) -> None:
     with pytest.raises(RuntimeError, match=worded("no-lift")):
         bpy.ops.plgs.cancel_lift()
     with pytest.raises(RuntimeError, match=worded("not-running finished")):
@@ -175,7 +175,7 @@ def test_cancelling_what_is_not_running_says_so(lift: Path) -> None:
     assert not (lift / "cancel").exists()
 
 
-def test_a_folder_that_a_script_names_is_never_replaced(behaves: Behaves, room: Path, tmp_path: Path) -> None:
+def test_a_script_cannot_lift_into_the_folder_of_another_lift(behaves: Behaves, room: Path, tmp_path: Path) -> None:
     behaves("short")
     bpy.context.scene.plgs.place_when_done = False
     bpy.ops.plgs.lift_scene(scene_folder=str(room), lift_folder=str(tmp_path / "lift"))
@@ -183,7 +183,7 @@ def test_a_folder_that_a_script_names_is_never_replaced(behaves: Behaves, room: 
         bpy.ops.plgs.lift_scene(lift_folder=str(tmp_path / "lift"))
 
 
-def test_a_scene_that_was_lifted_before_keeps_its_names(behaves: Behaves, lift: Path, tmp_path: Path) -> None:
+def test_lifting_a_scene_again_keeps_the_names_of_its_objects(behaves: Behaves, lift: Path, tmp_path: Path) -> None:
     behaves("short")
     settings = bpy.context.scene.plgs
     bpy.ops.plgs.place_lift(lift_folder=str(lift))
@@ -195,7 +195,7 @@ def test_a_scene_that_was_lifted_before_keeps_its_names(behaves: Behaves, lift: 
         assert LiftFolder.open(tmp_path / f"again {number}").request.names_from == expected
 
 
-def test_studio_defaults_fill_in_untouched_fields(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_studio_defaults_fill_in_untouched_fields_of_the_panel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     settings = bpy.context.scene.plgs
     settings.device = "cpu"
     for name in ("a", "b"):

@@ -33,7 +33,7 @@ def bare(tmp_path: Path) -> Path:
     return write_tiny_scene(tmp_path / "room", frames=3, size=(64, 48), ground_truth=False, masks="none")
 
 
-def test_classes_are_read_merged_and_written(folder: Path) -> None:
+def test_classes_of_masks_are_read_merged_and_written(folder: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(folder)
     assert bpy.ops.plgs.read_classes() == {"FINISHED"}
     rows = bpy.context.scene.plgs_masks.classes
@@ -51,7 +51,7 @@ def test_classes_are_read_merged_and_written(folder: Path) -> None:
     }  # fmt: skip
 
 
-def test_a_file_that_the_blend_names_is_not_overwritten(folder: Path, tmp_path: Path) -> None:
+def test_write_classes_overwrites_no_file_that_the_blend_names(folder: Path, tmp_path: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(folder)
     bpy.ops.plgs.read_classes()
     other = tmp_path / "of_the_user.txt"
@@ -62,7 +62,7 @@ def test_a_file_that_the_blend_names_is_not_overwritten(folder: Path, tmp_path: 
     assert other.read_text() == "mine"
 
 
-def test_link_is_not_replaced_by_class_list(folder: Path, tmp_path: Path) -> None:
+def test_write_classes_does_not_replace_a_link(folder: Path, tmp_path: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(folder)
     bpy.ops.plgs.read_classes()
     target = Path(bpy.context.scene.plgs_masks.path)
@@ -72,7 +72,7 @@ def test_link_is_not_replaced_by_class_list(folder: Path, tmp_path: Path) -> Non
     assert target.is_symlink()
 
 
-def test_a_missing_model_is_reported(bare: Path) -> None:
+def test_make_masks_reports_a_missing_model(bare: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(bare)
     with pytest.raises(RuntimeError, match=worded("no-model nowhere")):
         bpy.ops.plgs.make_masks(model="nowhere")
@@ -85,7 +85,9 @@ def test_a_missing_model_is_reported(bare: Path) -> None:
 
 
 @pytest.mark.skipif(not HAS_TRANSFORMERS, reason="needs transformers (requirements/segment.txt)")
-def test_masks_are_made(bare: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path) -> None:
+def test_make_masks_makes_masks(
+    bare: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path
+) -> None:
     from tests.segment.tiny_mask2former import NAMES, save_tiny_mask2former
 
     monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)
@@ -106,7 +108,7 @@ def inverted(tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_scene_is_diagnosed_and_mended(inverted: Path) -> None:
+def test_the_diagnose_and_mend_buttons_write_a_mended_scene(inverted: Path) -> None:
     settings = bpy.context.scene.plgs
     assert not bpy.ops.plgs.diagnose.poll() and not bpy.ops.plgs.show_finding.poll()
     settings.scene_folder = str(inverted)
@@ -126,7 +128,7 @@ def test_a_scene_is_diagnosed_and_mended(inverted: Path) -> None:
     assert not bpy.ops.plgs.fix_scene.poll()
 
 
-def test_frames_of_a_finding_can_be_visited_and_left_out(tmp_path: Path) -> None:
+def test_frames_of_a_diagnosis_finding_can_be_visited_and_left_out(tmp_path: Path) -> None:
     """The mask of one frame is upside down: its name leads to its camera, and splits.json leaves it out."""
     folder = write_tiny_scene(tmp_path / "scene", frames=14, size=(96, 72))
     photo = sorted((folder / "color").iterdir())[6]
@@ -164,7 +166,7 @@ def test_frames_of_a_finding_can_be_visited_and_left_out(tmp_path: Path) -> None
         leave_out(again, replace(finding, leave_out=(*again.split.train, *again.split.test)))
 
 
-def test_a_measurement_can_be_cancelled(inverted: Path) -> None:
+def test_a_diagnosis_can_be_cancelled(inverted: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(inverted)
     assert not bpy.ops.plgs.cancel_diagnosis.poll()
     diagnosis = diagnose(bpy.context.scene.plgs)
@@ -189,7 +191,7 @@ def test_depth_is_made_and_a_length_is_set(tmp_path: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.skipif(not HAS_TRANSFORMERS, reason="needs transformers (requirements/segment.txt)")
-def test_a_dropped_film_is_prepared_and_its_lift_begins(
+def test_a_film_dropped_into_blender_is_prepared_and_lifted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path
 ) -> None:
     """Its poses and its depth were made before, so that no COLMAP is needed."""
@@ -216,7 +218,7 @@ def test_a_dropped_film_is_prepared_and_its_lift_begins(
     assert not handler.poll_drop(SimpleNamespace(area=None))
 
 
-def test_a_file_that_is_not_a_film_is_reported(tmp_path: Path) -> None:
+def test_a_dropped_file_that_is_not_a_film_is_reported(tmp_path: Path) -> None:
     (tmp_path / "room.mp4").write_text("no film")
     with pytest.raises(RuntimeError, match="This is not an MP4"):
         bpy.ops.plgs.import_film(filepath=str(tmp_path / "room.mp4"))

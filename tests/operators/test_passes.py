@@ -57,7 +57,7 @@ def baked(monkeypatch: pytest.MonkeyPatch) -> Iterator[Asked]:
     registry.forget_all()
 
 
-def test_passes_open_in_the_compositor_at_the_active_camera(lift: Path) -> None:
+def test_the_compositor_opens_with_passes_of_the_active_camera(lift: Path) -> None:
     bpy.ops.plgs.place_lift(lift_folder=str(lift))
     scene = bpy.context.scene
     passes = next(each for each in bpy.data.scenes if each != scene)
@@ -84,7 +84,7 @@ def test_the_frame_of_the_active_camera_is_baked(mine: Path, baked: Asked) -> No
     assert not row.visible, "and what was hidden"
 
 
-def test_a_camera_that_is_not_a_frames_cannot_be_baked(lift: Path, baked: Asked) -> None:
+def test_bake_frame_is_refused_for_a_camera_that_is_not_a_frames(lift: Path, baked: Asked) -> None:
     bpy.ops.plgs.place_lift(lift_folder=str(lift))
     bpy.context.scene.camera = None
     with pytest.raises(RuntimeError, match=worded("other-camera")):
@@ -100,7 +100,7 @@ def test_only_a_finished_lift_can_be_baked_from_the_panel(lift: Path) -> None:
         assert bpy.ops.plgs.bake_passes.poll()
 
 
-def test_the_lift_of_an_opened_file_is_baked_without_choosing_it(mine: Path, baked: Asked) -> None:
+def test_the_lift_of_an_opened_file_is_baked_by_default(mine: Path, baked: Asked) -> None:
     save_lift(mine, mine / "lift.blend")
     bpy.ops.wm.open_mainfile(filepath=str(mine / "lift.blend"))
     settings = bpy.context.scene.plgs
@@ -130,7 +130,7 @@ def test_the_active_camera_is_baked_over_the_frame_range(mine: Path, baked: Aske
         bpy.ops.plgs.bake_camera(camera="dolly", frame_start=3, frame_end=-3)
 
 
-def test_a_shot_that_shows_another_state_becomes_a_version_or_is_replaced(mine: Path, baked: Asked) -> None:
+def test_rebaking_a_changed_shot_makes_a_new_version_or_replaces_it(mine: Path, baked: Asked) -> None:
     bpy.ops.plgs.place_lift(lift_folder=str(mine))
     scene = bpy.context.scene
     scene.camera = bpy.data.objects.new("dolly", bpy.data.cameras.new("dolly"))
@@ -147,7 +147,7 @@ def test_a_shot_that_shows_another_state_becomes_a_version_or_is_replaced(mine: 
     assert scene.plgs.shot == "night_v{version:03d}", "and so the next time"
 
 
-def test_a_job_for_a_farm_is_written_from_a_saved_file(mine: Path, tmp_path: Path) -> None:
+def test_a_render_farm_job_is_written_only_from_a_saved_file(mine: Path, tmp_path: Path) -> None:
     bpy.ops.plgs.place_lift(lift_folder=str(mine))
     scene = bpy.context.scene
     scene.camera = next(ob for ob in scene.objects if "frame" in ob)

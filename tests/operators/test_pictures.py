@@ -64,7 +64,7 @@ def squares_of(ob: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
     return squares, colours
 
 
-def test_an_archive_comes_with_pictures_and_a_cloud(own: Path) -> None:
+def test_importing_an_archive_adds_its_pictures_and_a_point_cloud(own: Path) -> None:
     assert bpy.ops.plgs.import_scene(scene_folder=str(own / "scans" / "one.sens"), format="sens") == {"FINISHED"}
     scene = open_scene(own / "scans" / "one.sens")
     assert [*frames()] == [frame.name for frame in scene.frames]
@@ -102,7 +102,7 @@ def test_plain_folder_imports_without_engine(
         bpy.ops.plgs.import_scene(scene_folder=str(own / "scans" / "one.sens"))
 
 
-def test_made_frames_are_reused_at_the_next_import(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_extracted_frames_are_reused_at_the_next_import(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     place = str(own / "scans" / "one.sens")
     bpy.ops.plgs.import_scene(scene_folder=place)
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
@@ -120,7 +120,7 @@ def test_made_frames_are_reused_at_the_next_import(own: Path, monkeypatch: pytes
     assert bpy.data.collections["PLGS one.sens"]["plgs_missing"] == "colour cloud", "the scene is newer"
 
 
-def test_the_cloud_of_other_poses_is_not_placed(room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_clouds_made_with_other_poses_stay_away(room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Depth was older than the cloud, so it stayed where the cameras had been."""
     place = Path(shutil.copytree(room, tmp_path / "room"))
     bpy.ops.plgs.import_scene(scene_folder=str(place))
@@ -135,7 +135,9 @@ def test_the_cloud_of_other_poses_is_not_placed(room: Path, tmp_path: Path, monk
     assert not clouds() and "cloud" in bpy.data.collections["PLGS room"]["plgs_missing"]
 
 
-def test_cloud_of_scene_with_bad_frames_returns(room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cloud_is_placed_again_despite_bad_frames(
+    room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Blender knows nothing of masks, and does not read depth, so it keeps these frames."""
     place = Path(shutil.copytree(room, tmp_path / "room"))
     (place / "panoptic" / "0002.png").unlink()
@@ -159,7 +161,7 @@ def test_sparse_points_are_imported_with_the_cameras(own: Path) -> None:
         assert Path(frames()[frame.name].data.background_images[0].image.filepath) == frame.colour_path
 
 
-def test_a_file_is_chosen_in_the_browser(own: Path) -> None:
+def test_the_file_browser_chooses_a_scene_file(own: Path) -> None:
     settings = bpy.context.scene.plgs
     settings.up = "-y"
     file = own / "studio" / "transforms.json"
@@ -195,7 +197,7 @@ def test_depth_and_masks_are_shown_in_front_of_a_camera(room: Path) -> None:
     assert all(ob.data.background_images[0].image.name.startswith(ob["frame"]) for ob in others)
 
 
-def test_one_choice_of_picture_is_for_all_cameras(room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_cameras_show_the_same_kind_of_background_picture(room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bpy.ops.plgs.import_scene(scene_folder=str(room), cloud=False)
     scene = bpy.context.scene
     scene.camera = frames()["0003"]
@@ -215,7 +217,7 @@ def test_one_choice_of_picture_is_for_all_cameras(room: Path, monkeypatch: pytes
     assert importing.catch_up() is None and frames()["0004"]["plgs_shown"] == "PHOTO"
 
 
-def test_depth_that_was_drawn_is_shown_until_its_file_changes(room: Path, tmp_path: Path) -> None:
+def test_a_drawn_depth_picture_is_reused_until_its_file_changes(room: Path, tmp_path: Path) -> None:
     room = Path(shutil.copytree(room, tmp_path / "room"))
     bpy.ops.plgs.import_scene(scene_folder=str(room), cloud=False)
     scene = bpy.context.scene
@@ -229,7 +231,7 @@ def test_depth_that_was_drawn_is_shown_until_its_file_changes(room: Path, tmp_pa
     assert making.undo_step
 
 
-def test_a_picture_waits_until_nothing_moves(room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_picture_is_made_while_the_animation_plays(room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bpy.ops.plgs.import_scene(scene_folder=str(room), cloud=False)
     scene, at = bpy.context.scene, list[float]()
     scene.camera = frames()["0003"]
@@ -278,7 +280,7 @@ def test_damaged_depth_is_reported(own: Path, capfd: pytest.CaptureFixture[str])
     assert other is None or other.error is None, "another import"
 
 
-def test_switching_off_ends_the_engine(captures: Path, tmp_path: Path, plgs: ModuleType) -> None:
+def test_disabling_the_extension_ends_its_engine(captures: Path, tmp_path: Path, plgs: ModuleType) -> None:
     chosen = ChosenScene(shutil.copytree(captures / "studio", tmp_path / "studio"))
     make_frames(FrameOrder(chosen, "nobody's", ("colour", "depth", "cloud")), Path(sys.executable))
     with raises_key("at-work"):

@@ -35,7 +35,7 @@ def own(name: str) -> bpy.types.Object:
     return ob
 
 
-def test_delete_keeps_cameras_of_the_lift(placed: bpy.types.Collection, mine: Path) -> None:
+def test_the_delete_key_keeps_cameras_of_the_lift(placed: bpy.types.Collection, mine: Path) -> None:
     own("chair 1 of mine")
     choose(boxes_of(placed)[CHAIR], *bpy.context.view_layer.objects)
     cameras = sum(ob.type == "CAMERA" for ob in placed.all_objects)
@@ -47,7 +47,7 @@ def test_delete_keeps_cameras_of_the_lift(placed: bpy.types.Collection, mine: Pa
     assert not any(cloud.get("class") == "chair" for cloud in clouds_of(placed)) and clouds_of(placed)
 
 
-def test_x_hides_what_is_selected_and_all_can_be_shown_again(placed: bpy.types.Collection, mine: Path) -> None:
+def test_the_x_key_hides_selected_objects_until_show_all(placed: bpy.types.Collection, mine: Path) -> None:
     cube, boxes = own("Cube"), boxes_of(placed)
     choose(boxes[CHAIR], boxes[CHAIR], cube)
     assert bpy.ops.plgs.delete_selected() == {"FINISHED"}
@@ -57,7 +57,7 @@ def test_x_hides_what_is_selected_and_all_can_be_shown_again(placed: bpy.types.C
     assert all(row.visible for row in placed.plgs.instances)
 
 
-def test_x_lets_an_engine_take_what_is_selected_out_of_the_room(
+def test_the_x_key_removes_selected_objects_with_an_engine(
     placed: bpy.types.Collection, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """That the engine does it to its end, is shown in test_corrections."""
@@ -68,7 +68,7 @@ def test_x_lets_an_engine_take_what_is_selected_out_of_the_room(
 
 
 @pytest.mark.parametrize("shows_boxes", [True, False])
-def test_without_a_selection_keys_do_what_blender_does(placed: bpy.types.Collection, shows_boxes: bool) -> None:
+def test_keys_without_a_selected_box_do_what_blender_does(placed: bpy.types.Collection, shows_boxes: bool) -> None:
     placed.plgs.show_boxes = shows_boxes
     cube, box = own("Cube"), boxes_of(placed)[CHAIR]
     choose(box, cube)
@@ -80,7 +80,7 @@ def test_without_a_selection_keys_do_what_blender_does(placed: bpy.types.Collect
     assert [*boxes_of(placed)] == [CABINET]
 
 
-def test_a_copy_of_a_box_is_left_to_blender(placed: bpy.types.Collection) -> None:
+def test_keys_leave_a_copied_box_to_blender(placed: bpy.types.Collection) -> None:
     copy = boxes_of(placed)[CHAIR].copy()
     bpy.context.scene.collection.objects.link(copy)
     choose(copy, copy)
@@ -92,7 +92,7 @@ def test_a_copy_of_a_box_is_left_to_blender(placed: bpy.types.Collection) -> Non
 
 
 @pytest.mark.parametrize("chosen", [(CHAIR, CABINET), (CABINET,)])
-def test_undo_after_error_is_exact(
+def test_undo_works_after_an_error(
     placed: bpy.types.Collection, mine: Path, chosen: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The disk is full when the cabinet is deleted."""

@@ -37,7 +37,7 @@ def hidden(placed: bpy.types.Collection, instance: int) -> bool:
     raise AssertionError("it has no points")
 
 
-def test_an_object_stands_on_its_foot_and_leaves_a_hole(placed: bpy.types.Collection, mine: Path) -> None:
+def test_a_made_object_stands_on_its_foot_and_is_hidden_in_the_lift(placed: bpy.types.Collection, mine: Path) -> None:
     before = {ob.name for ob in bpy.data.objects}
     assert bpy.ops.plgs.make_objects(instances=str(CHAIR)) == {"FINISHED"}
     made = bpy.data.collections["chair 1"]
@@ -59,7 +59,7 @@ def test_an_object_stands_on_its_foot_and_leaves_a_hole(placed: bpy.types.Collec
     assert hidden(placed, CHAIR) and not hidden(placed, CABINET)
 
 
-def test_an_object_keeps_its_picture_whatever_becomes_of_the_lift(placed: bpy.types.Collection, mine: Path) -> None:
+def test_a_made_object_keeps_its_texture_when_the_lift_is_deleted(placed: bpy.types.Collection, mine: Path) -> None:
     write_surface(mesh_folder(mine) / "mesh.ply", 40)
     lift_scene.place_lift(mine, bpy.context.scene)
     assert bpy.ops.plgs.make_objects(instances=str(CHAIR)) == {"FINISHED"}
@@ -71,7 +71,7 @@ def test_an_object_keeps_its_picture_whatever_becomes_of_the_lift(placed: bpy.ty
     assert image.pixels[0] == pytest.approx(40 / 255, abs=0.02)
 
 
-def test_an_object_can_catch_shadows_alone(placed: bpy.types.Collection) -> None:
+def test_a_made_object_can_be_a_shadow_catcher(placed: bpy.types.Collection) -> None:
     assert bpy.ops.plgs.make_objects(instances=str(CHAIR), catch_shadows=True) == {"FINISHED"}
     surface = bpy.data.objects["chair 1 surface"]
     assert surface.is_shadow_catcher and not surface.visible_shadow
@@ -80,7 +80,7 @@ def test_an_object_can_catch_shadows_alone(placed: bpy.types.Collection) -> None
     assert not bpy.data.objects["chair 1 surface"].is_shadow_catcher
 
 
-def test_moved_and_made_again_it_stays_where_it_was_moved(placed: bpy.types.Collection, mine: Path) -> None:
+def test_making_an_object_again_keeps_its_moved_position(placed: bpy.types.Collection, mine: Path) -> None:
     bpy.ops.plgs.make_objects(instances="all")
     pivot = bpy.data.objects["chair 1 surface"]
     pivot.location.x += 2.0
@@ -94,7 +94,7 @@ def test_moved_and_made_again_it_stays_where_it_was_moved(placed: bpy.types.Coll
     assert "chair 1.001" not in bpy.data.collections and len(bpy.data.collections["chair 1"].objects) == 2
 
 
-def test_assets_have_a_picture(placed: bpy.types.Collection) -> None:
+def test_objects_made_as_assets_have_a_preview_picture(placed: bpy.types.Collection) -> None:
     bpy.ops.plgs.make_objects(instances=str(CHAIR), as_assets=True)
     made = bpy.data.collections["chair 1"]
     assert made.asset_data is not None and "chair" in {tag.name for tag in made.asset_data.tags}
@@ -102,7 +102,7 @@ def test_assets_have_a_picture(placed: bpy.types.Collection) -> None:
     assert 0.1 < (pixels[..., 3] > 0).mean() < 0.95 and pixels[..., :3].max() > 0.1
 
 
-def test_an_object_is_visible_only_in_frames_that_show_it(placed: bpy.types.Collection) -> None:
+def test_a_made_object_is_visible_only_in_frames_that_show_it(placed: bpy.types.Collection) -> None:
     scene = bpy.context.scene
     (row,) = [row for row in placed.plgs.instances if row.instance_id == CHAIR]
     shown = {mask.frame for mask in row.masks}
@@ -120,7 +120,7 @@ def test_an_object_is_visible_only_in_frames_that_show_it(placed: bpy.types.Coll
         bpy.ops.plgs.key_visibility(instances=str(CHAIR))
 
 
-def test_a_removed_object_is_made_from_its_surface_and_leaves_a_filled_floor(mine: Path) -> None:
+def test_a_removed_object_can_still_be_made_from_its_surface(mine: Path) -> None:
     write_surface(mesh_folder(mine) / "mesh.ply", 40)
     placed, floor = lift_scene.place_lift(mine, bpy.context.scene), np.float32([[1.3, 1.1, 0], [1.5, 1.3, 0]])
     removal(mine, CHAIR, fill=patch(floor, -FLOOR_ID))
@@ -136,7 +136,7 @@ def test_a_removed_object_is_made_from_its_surface_and_leaves_a_filled_floor(min
     assert any(row.instance_id == CHAIR for row in placed.plgs.instances)
 
 
-def test_a_removed_object_without_a_surface_says_what_to_do(mine: Path) -> None:
+def test_making_a_removed_object_without_surface_says_what_to_do(mine: Path) -> None:
     removal(mine, CABINET, fill=patch(np.float32([[1.3, 1.1, 0]]), -FLOOR_ID))
     lift_scene.place_lift(mine, bpy.context.scene)
     with pytest.raises(RuntimeError, match=worded("object-removed")):

@@ -8,7 +8,7 @@ from plgs.plgs_blender.engine_environment import tasks
 from plgs.plgs_blender.running import looking, survey
 
 
-def test_the_sample_is_imported_from_a_copy_at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_sample_is_imported_from_a_copy_in_the_home_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Path, "home", lambda: tmp_path)
     assert bpy.ops.plgs.try_sample(cloud=False) == {"FINISHED"}
     folder = tmp_path / "PLGS Sample" / "room"
@@ -19,7 +19,7 @@ def test_the_sample_is_imported_from_a_copy_at_home(tmp_path: Path, monkeypatch:
     assert bpy.ops.plgs.try_sample(cloud=False) == {"FINISHED"} and (folder / "mine.txt").exists(), "the same copy"
 
 
-def test_a_scene_chosen_before_the_engine_is_looked_at_again(room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_chosen_scene_is_read_again_when_the_engine_is_ready(room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     looked = []
     bpy.context.scene.plgs.scene_folder = str(room)
     assert survey.survey_of_panel(bpy.context.scene.plgs).has_masks is None, "Blender alone cannot tell"
@@ -29,7 +29,7 @@ def test_a_scene_chosen_before_the_engine_is_looked_at_again(room: Path, monkeyp
     assert [each.scene for each in looked] == [room]
 
 
-def test_while_the_engine_is_set_up_that_is_why_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_engine_is_explained_by_a_running_set_up(monkeypatch: pytest.MonkeyPatch) -> None:
     from plgs.plgs_blender import engine_environment
 
     missing = tasks.EngineStatus(tasks.EngineState.MISSING, "There is no Python", "Press Set Up Engine.")

@@ -19,7 +19,7 @@ from tests.raises_key import worded
 from tests.scene.formats.test_colmap import write_text
 
 
-def test_importing_cameras_lifts_nothing(room: Path) -> None:
+def test_import_scene_adds_cameras_without_lifting(room: Path) -> None:
     assert bpy.ops.plgs.import_scene(scene_folder=str(room)) == {"FINISHED"}
     scene = bpy.context.scene
     cameras = [ob for ob in scene.objects if "frame" in ob]
@@ -30,7 +30,7 @@ def test_importing_cameras_lifts_nothing(room: Path) -> None:
     assert Path(bpy.path.abspath(scene.plgs.scene_folder)) == room
 
 
-def test_a_lift_fills_the_collection_of_its_imported_scene(lift: Path) -> None:
+def test_placing_a_lift_uses_the_collection_of_its_imported_scene(lift: Path) -> None:
     scene_folder = lift.parent / "tiny room"
     bpy.ops.plgs.import_scene(scene_folder=str(scene_folder))
     imported = {ob for ob in bpy.context.scene.objects if ob.type == "CAMERA"}
@@ -53,7 +53,7 @@ def looked_at(settings: object) -> Survey:
     return survey
 
 
-def test_the_panel_knows_what_is_in_the_folder(room: Path) -> None:
+def test_the_panel_shows_what_the_chosen_folder_contains(room: Path) -> None:
     settings = bpy.context.scene.plgs
     settings.scene_folder = str(room)
     survey = survey_of(chosen_scene(settings))
@@ -81,7 +81,7 @@ def test_the_panel_knows_what_is_in_the_folder(room: Path) -> None:
     )
 
 
-def test_the_panel_says_what_is_possible(room: Path, tmp_path: Path) -> None:
+def test_the_panel_says_whether_a_scene_can_be_lifted(room: Path, tmp_path: Path) -> None:
     settings = bpy.context.scene.plgs
     settings.scene_folder = str(room)
     survey = survey_of(chosen_scene(settings))
@@ -99,7 +99,7 @@ def test_the_panel_says_what_is_possible(room: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "lift").exists()
 
 
-def test_a_bad_folder_is_reported_and_greys_out_the_button(tmp_path: Path) -> None:
+def test_a_bad_scene_folder_is_reported_and_disables_the_button(tmp_path: Path) -> None:
     settings = bpy.context.scene.plgs
     settings.scene_folder = str(tmp_path)
     survey = looked_at(settings)
@@ -119,7 +119,7 @@ def test_a_dropped_file_opens_its_scene_or_its_lift(room: Path, lift: Path) -> N
     assert Path(settings.lift_folder) == lift
 
 
-def test_a_dropped_scene_does_not_use_the_masks_of_the_earlier_scene(room: Path, tmp_path: Path) -> None:
+def test_a_dropped_scene_does_not_use_masks_of_the_scene_before(room: Path, tmp_path: Path) -> None:
     settings = bpy.context.scene.plgs
     settings.scene_folder, settings.masks, settings.depth, settings.up = str(tmp_path), "masks", "depth", "y"
     bpy.ops.plgs.open_dropped(filepath=str(room))

@@ -25,7 +25,7 @@ def import_room(room: Path) -> bpy.types.Scene:
     return bpy.context.scene
 
 
-def test_an_import_takes_over_an_untouched_startup_file(room: Path) -> None:
+def test_an_import_removes_the_default_cube_of_an_untouched_startup_file(room: Path) -> None:
     scene = import_room(room)
     assert (scene.frame_start, scene.frame_end) == (0, 7)
     assert scene.camera["frame"] == "0000"
@@ -45,7 +45,7 @@ def views_3d() -> list[bpy.types.RegionView3D]:
     return [area.spaces.active.region_3d for area in areas if area.type == "VIEW_3D"]
 
 
-def test_the_views_look_at_the_room(room: Path) -> None:
+def test_after_an_import_the_views_look_at_the_room(room: Path) -> None:
     views = views_3d()
     assert views
     scene = import_room(room)
@@ -55,7 +55,7 @@ def test_the_views_look_at_the_room(room: Path) -> None:
         assert min((eye - view.view_location).length for eye in eyes) < view.view_distance
 
 
-def test_undo_takes_back_an_import_as_one_step(room: Path) -> None:
+def test_undo_reverts_an_import_in_one_step(room: Path) -> None:
     bpy.ops.ed.undo_push(message="before")
     looks = [repr(view.view_rotation) + view.id_data.name for view in views_3d()], shading()
     import_room(room)
@@ -89,7 +89,7 @@ def shading() -> list[tuple[object, ...]]:
         "scene.collection.objects.link(bpy.data.objects.new('mine', None))",
     ],
 )
-def test_a_changed_startup_file_keeps_its_settings(room: Path, touch: str) -> None:
+def test_an_import_keeps_the_settings_of_a_changed_startup_file(room: Path, touch: str) -> None:
     scene = bpy.context.scene
     exec(touch, {"bpy": bpy, "scene": scene})
     before = (scene.frame_start, scene.frame_end, size_of(scene), scene.camera)
@@ -101,7 +101,7 @@ def test_a_changed_startup_file_keeps_its_settings(room: Path, touch: str) -> No
         assert scene.camera.name == "Camera"
 
 
-def test_a_result_has_its_overview_behind_the_frames(lift: Path) -> None:
+def test_a_placed_lift_has_its_overview_camera_after_the_last_frame(lift: Path) -> None:
     assert bpy.ops.plgs.place_lift(lift_folder=str(lift)) == {"FINISHED"}
     scene = bpy.context.scene
     last = max(marker.frame for marker in scene.timeline_markers)
@@ -112,7 +112,7 @@ def test_a_result_has_its_overview_behind_the_frames(lift: Path) -> None:
     assert not bpy.data.objects["Cube"].visible_get()
 
 
-def test_the_range_of_an_import_follows_the_lift(lift: Path, room: Path) -> None:
+def test_placing_a_lift_sets_the_frame_range_of_an_imported_scene(lift: Path, room: Path) -> None:
     scene = import_room(room)
     scene.frame_set(3)
     shown = scene.camera
@@ -122,7 +122,7 @@ def test_the_range_of_an_import_follows_the_lift(lift: Path, room: Path) -> None
     assert (scene.frame_start, scene.frame_end) == (0, last - 1)
 
 
-def test_no_photo_lies_over_a_result_until_it_is_asked_for(lift: Path) -> None:
+def test_photos_cover_a_placed_lift_only_on_request(lift: Path) -> None:
     assert bpy.ops.plgs.place_lift(lift_folder=str(lift)) == {"FINISHED"}
     cameras = [ob for ob in bpy.context.scene.objects if "frame" in ob]
     assert cameras and not any(ob.data.show_background_images for ob in cameras)
@@ -132,7 +132,7 @@ def test_no_photo_lies_over_a_result_until_it_is_asked_for(lift: Path) -> None:
     assert data.show_background_images and data.background_images[0].alpha == 1.0
 
 
-def test_views_that_were_not_moved_look_at_a_cloud_that_comes_later(room: Path, tmp_path: Path) -> None:
+def test_unmoved_views_turn_to_a_point_cloud_that_arrives_later(room: Path, tmp_path: Path) -> None:
     scene = import_room(room)
     view = views_3d()[0]
     before = view.view_distance, view.view_location.copy()

@@ -24,7 +24,7 @@ STEP = 0.5 / STEPS
     ("text", "seed", "expected"),
     [("", 0, 0), ("", 1, 0x514E28B7), ("test", 0, 0xBA6BD213), ("Hello, world!", 0, 0xC0363E43)],
 )
-def test_the_hash_is_murmur3(text: str, seed: int, expected: int) -> None:
+def test_cryptomatte_names_are_hashed_with_murmur3(text: str, seed: int, expected: int) -> None:
     assert murmur3(text.encode(), seed) == expected
 
 
@@ -38,7 +38,7 @@ def mattes(instance_classes: dict[int, int] | None = None) -> dict[str, np.ndarr
     return found
 
 
-def test_instances_get_no_more_than_the_coverage_of_things() -> None:
+def test_instance_mattes_cover_no_more_than_thing_classes() -> None:
     found = mattes()
     chair_1, chair_2 = (coverage_of(found, "CryptoInstance", name) for name in ("chair 1", "chair 2"))
     assert chair_1[LEFT] == pytest.approx(1.0, abs=STEP)
@@ -48,13 +48,13 @@ def test_instances_get_no_more_than_the_coverage_of_things() -> None:
     assert not chair_2[0, 3:5].any()
 
 
-def test_an_object_of_one_class_has_its_own_coverage() -> None:
+def test_the_matte_of_an_object_of_one_class_is_its_own_coverage() -> None:
     found = mattes({3: CHAIR, 70001: WALL})
     assert coverage_of(found, "CryptoInstance", "chair 1")[EDGE] == pytest.approx(0.7, abs=STEP)
     assert not coverage_of(found, "CryptoInstance", "chair 2").any()  # what is stuff is not an object
 
 
-def test_ranks_list_the_largest_coverages() -> None:
+def test_cryptomatte_ranks_list_the_largest_coverages() -> None:
     found = mattes()
     assert len(found) == 24
     assert found["CryptoClass00.r"][0, 2] == np.float32(cryptomatte.name_float("chair"))
@@ -64,7 +64,7 @@ def test_ranks_list_the_largest_coverages() -> None:
     assert not any(values[NOTHING].any() for values in found.values())
 
 
-def test_ranks_sum_to_the_coverage() -> None:
+def test_cryptomatte_ranks_sum_to_the_coverage() -> None:
     found, rendering = mattes({3: CHAIR, 70001: CHAIR}), made_rendering()
     shares = {layer: sum(found[f"{layer}0{k}.{c}"] for k in range(3) for c in "ga") for layer in LAYERS}
     np.testing.assert_allclose(shares["CryptoClass"], rendering.alpha, atol=RANKS * STEP)
@@ -74,7 +74,7 @@ def test_ranks_sum_to_the_coverage() -> None:
         assert (np.diff(falling, axis=0) <= 0).all()  # the strongest first
 
 
-def test_manifest_lists_every_id_as_blender_reads_it() -> None:
+def test_the_cryptomatte_manifest_lists_every_id_as_blender_reads_it() -> None:
     rendering = made_rendering()
     view = bake_view([rendering], rendering.camera, CLASSES, ShownInstances(NAMES, None))
     for matte in view.mattes:
@@ -91,7 +91,7 @@ def test_manifest_lists_every_id_as_blender_reads_it() -> None:
 
 @settings(deadline=None)
 @given(st.text())
-def test_names_become_ordinary_floats(name: str) -> None:
+def test_cryptomatte_hashes_are_finite_normal_floats(name: str) -> None:
     if name.isprintable():
         assert np.isfinite(cryptomatte.name_float(name))
         assert abs(cryptomatte.name_float(name)) >= np.finfo(np.float32).tiny
@@ -114,7 +114,7 @@ def sorted_pairs(shares: np.ndarray, ids: np.ndarray, limit: float | None) -> li
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10_000))
-def test_ranks_match_a_full_sort(seed: int) -> None:
+def test_cryptomatte_ranks_match_a_full_sort(seed: int) -> None:
     random = np.random.default_rng(seed)
     height, width, count = 3, 5, int(random.integers(1, 20))
     coverage = random.choice(np.array([0, 1e-3, 0.05, 0.1, 0.2, 0.6], np.float32), (height, width, count))
@@ -136,7 +136,7 @@ def test_ranks_match_a_full_sort(seed: int) -> None:
     assert (np.diff(shares, axis=0) <= 0).all() and shares.sum(axis=0).max() <= 1 + 1e-5
 
 
-def test_the_number_of_threads_changes_no_bit() -> None:
+def test_cryptomattes_are_identical_for_any_number_of_threads() -> None:
     import torch
 
     random = np.random.default_rng(0)

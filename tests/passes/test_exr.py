@@ -30,7 +30,7 @@ def _baked() -> BakedView:
     return bake_view([rendering], rendering.camera, CLASSES, ShownInstances(NAMES))
 
 
-def test_exr_round_trip_keeps_all_layers(tmp_path: Path) -> None:
+def test_a_written_exr_is_read_back_with_all_layers(tmp_path: Path) -> None:
     written, read = decide(made_rendering(), CLASSES), read_exr(write_layers(tmp_path / "a.exr"))
     for name, expected in written._asdict().items():
         if name == "combined":
@@ -39,7 +39,7 @@ def test_exr_round_trip_keeps_all_layers(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]
 
 
-def test_exr_is_single_part_zip_with_float_ids(tmp_path: Path) -> None:
+def test_pass_files_are_single_part_zip_exrs_with_float_ids(tmp_path: Path) -> None:
     with OpenEXR.File(str(write_layers(tmp_path / "a.exr")), separate_channels=True) as file:
         assert len(file.parts) == 1
         assert file.header()["compression"] == OpenEXR.ZIP_COMPRESSION
@@ -66,7 +66,7 @@ def channels_of(path: Path) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a folder where root, too, can write nothing")
-def test_an_error_of_the_system_names_the_file() -> None:
+def test_a_system_error_while_writing_an_exr_names_the_file() -> None:
     with pytest.raises(OSError) as refused:
         write_exr(Path("/proc/0001.exr"), _baked())
     assert refused.value.filename == "/proc/0001.exr"
@@ -96,7 +96,7 @@ def test_invalid_exr_is_refused(tmp_path: Path) -> None:
         ("wide", ShownFrame(display=(-1, 2, 4, 3)), {}),
     ],
 )
-def test_header_describes_frame_and_camera(name: str, shown: ShownFrame, noted: dict[str, Any], tmp_path: Path) -> None:
+def test_exr_header_has_frame_and_camera(name: str, shown: ShownFrame, noted: dict[str, Any], tmp_path: Path) -> None:
     view, path = _baked(), tmp_path / f"{name}.exr"
     camera = replace(view.camera, fy=view.camera.fy * 1.5)
     write_exr(path, replace(view, camera=camera), shown=shown)
@@ -136,7 +136,7 @@ def test_header_describes_frame_and_camera(name: str, shown: ShownFrame, noted: 
         (12.5, (25, 2)), (24 / np.float32(0.96), (25, 1)), (1e9, None), (1e-9, None), (-24.0, None), (math.nan, None),
     ],
 )  # fmt: skip
-def test_a_rate_is_exact_and_changes_nothing_else(fps: float, expected: tuple[int, int] | None, tmp_path: Path) -> None:
+def test_the_exr_header_has_the_exact_frame_rate(fps: float, expected: tuple[int, int] | None, tmp_path: Path) -> None:
     rated, plain = tmp_path / "rated.exr", tmp_path / "plain.exr"
     write_exr(rated, _baked(), shown=ShownFrame(fps=float(fps)))
     write_exr(plain, _baked())
@@ -148,7 +148,7 @@ def test_a_rate_is_exact_and_changes_nothing_else(fps: float, expected: tuple[in
     assert one.keys() == two.keys() and all(np.array_equal(one[name], two[name]) for name in one)
 
 
-def test_openimageio_reads_the_same(tmp_path: Path) -> None:
+def test_openimageio_reads_the_same_values_from_pass_files(tmp_path: Path) -> None:
     import OpenImageIO as oiio
 
     path = write_layers(tmp_path / "a.exr")
@@ -176,7 +176,7 @@ def test_openimageio_reads_the_same(tmp_path: Path) -> None:
     assert all((own == others).all() for own, others in zip(one, other, strict=True))
 
 
-def test_blender_reads_ids_and_mattes(tmp_path: Path) -> None:
+def test_blender_reads_ids_and_mattes_of_pass_files(tmp_path: Path) -> None:
     bpy = pytest.importorskip("bpy")
     image = bpy.data.images.load(str(write_layers(tmp_path / "a.exr")))
     image.size[:]  # loads the file

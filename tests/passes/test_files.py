@@ -42,7 +42,7 @@ def test_ply_has_the_columns_of_splat_viewers(tmp_path: Path) -> None:
     assert names[-5:] == ["class_id", "instance_id", "red", "green", "blue"]
 
 
-def test_the_previews_are_written(tmp_path: Path) -> None:
+def test_preview_pictures_of_a_frame_are_written(tmp_path: Path) -> None:
     layers = decide(made_rendering(), CLASSES)
     paths = write_previews(tmp_path, "0001", layers, CLASSES, {3: (1, 2, 3)})
     assert [path.name for path in paths] == ["0001_colour.png", "0001_semantic.png", "0001_instance.png"]
@@ -54,7 +54,7 @@ def test_the_previews_are_written(tmp_path: Path) -> None:
     assert instance[0, 3].tolist() == [52, 54, 58]
 
 
-def test_the_contact_sheet_is_drawn(tmp_path: Path) -> None:
+def test_the_contact_sheet_shows_all_previews(tmp_path: Path) -> None:
     layers = decide(made_rendering(), CLASSES)
     photo = np.full((6, 8, 3), 200, np.uint8)
     row = SheetRow("0001", photo, layers.semantic, layers)

@@ -17,7 +17,7 @@ from engine.scene import Camera, Category, ClassTable
 from tests.passes.views import CHAIR, CLASSES, LEFT, NOTHING, RIGHT, SOFA, WALL, made_rendering
 
 
-def test_decide_gives_classes_and_instances() -> None:
+def test_a_rendering_becomes_class_and_instance_ids() -> None:
     layers = decide(made_rendering(), CLASSES)
     assert layers.semantic[0].tolist() == [CHAIR, CHAIR, CHAIR, WALL, WALL, CHAIR, CHAIR, 0]
     assert layers.instance[0].tolist() == [3, 3, 3, 0, 0, 70001, 70001, 0]
@@ -26,7 +26,7 @@ def test_decide_gives_classes_and_instances() -> None:
 
 
 @pytest.mark.parametrize("wanted", [("semantic",), ("combined", "depth"), ("depth", "confidence")])
-def test_layers_that_are_not_wanted_stay_empty(wanted: tuple[str, ...]) -> None:
+def test_pass_layers_that_are_not_requested_stay_empty(wanted: tuple[str, ...]) -> None:
     whole, part = decide(made_rendering(), CLASSES), decide(made_rendering(), CLASSES, wanted=wanted)
     for name in whole._fields:
         assert name not in wanted or (getattr(part, name) == getattr(whole, name)).all()
@@ -41,7 +41,7 @@ def with_right_chair(instances: dict[int, float]) -> PanopticRendering:
     return rendering
 
 
-def test_an_object_is_shown_with_its_class_or_not_at_all() -> None:
+def test_a_pixel_of_an_object_always_has_the_objects_class() -> None:
     layers = decide(made_rendering(), CLASSES, {70001: CHAIR, 3: CHAIR, 99: CHAIR})
     assert (layers.semantic[RIGHT] == CHAIR).all() and (layers.instance[RIGHT] == 70001).all()
     layers = decide(made_rendering(), CLASSES, {70001: SOFA, 3: CHAIR})
@@ -51,7 +51,7 @@ def test_an_object_is_shown_with_its_class_or_not_at_all() -> None:
     assert layers.semantic[0, 3] == WALL and layers.instance[0, 3] == 0
 
 
-def test_a_thing_that_no_object_owns_gives_way_to_what_is_owned_or_stuff() -> None:
+def test_a_thing_pixel_without_an_object_takes_the_object_that_covers_most() -> None:
     of_class = {3: CHAIR, 70001: SOFA}
     layers = decide(with_right_chair({}), CLASSES, of_class)  # nothing else is there
     assert (layers.semantic[RIGHT] == CHAIR).all() and not layers.instance[RIGHT].any()
@@ -65,7 +65,7 @@ def test_a_thing_that_no_object_owns_gives_way_to_what_is_owned_or_stuff() -> No
     assert (layers.semantic[RIGHT] == CHAIR).all() and (layers.instance[RIGHT] == 3).all()
 
 
-def test_combined_is_linear() -> None:
+def test_the_combined_pass_is_linear() -> None:
     layers = decide(made_rendering(), CLASSES)
     assert layers.combined[0, 0] == pytest.approx([0.2140411, 0.0508761, 1.0, 1.0], abs=1e-6)
     assert not layers.combined[NOTHING].any()
@@ -130,7 +130,7 @@ def plain_decision(
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10_000))
-def test_every_pixel_gets_the_specified_label(seed: int) -> None:
+def test_pixel_labels_match_a_plain_implementation(seed: int) -> None:
     rendering, classes = coarse_rendering(seed)
     random = np.random.default_rng(seed + 1)
     of_things = {one: int(random.integers(1, 22)) for one in rendering.instance_ids if one and random.random() < 0.8}
@@ -144,12 +144,12 @@ def test_every_pixel_gets_the_specified_label(seed: int) -> None:
     np.testing.assert_allclose(layers.combined, light, atol=1e-6)
 
 
-def test_a_rendering_without_classes_is_refused() -> None:
+def test_pass_layers_of_a_rendering_without_classes_are_refused() -> None:
     with pytest.raises(ValueError, match="no classes"):
         decide(replace(made_rendering(), class_ids=(0,), class_coverage=np.zeros((6, 8, 1), np.float32)), CLASSES)
 
 
-def test_unowned_class_coverage_goes_to_the_largest_object() -> None:
+def test_class_coverage_without_an_object_goes_to_the_largest_object() -> None:
     rendering, of_class = with_right_chair({3: 0.2, 70001: 0.1}), {3: CHAIR, 70001: CHAIR}
     align_mattes(rendering, CLASSES, of_class, decide(rendering, CLASSES, of_class))
     assert rendering.instance_coverage[RIGHT][0, 0].tolist() == pytest.approx([0.65, 0.1])
@@ -160,7 +160,7 @@ def test_unowned_class_coverage_goes_to_the_largest_object() -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10_000))
-def test_decided_label_has_the_matte(seed: int) -> None:
+def test_the_matte_of_a_pixels_id_is_above_one_half(seed: int) -> None:
     """And no other matte does, if objects have one class, whose coverage holds theirs."""
     rendering, classes = coarse_rendering(seed)
     random = np.random.default_rng(seed + 1)

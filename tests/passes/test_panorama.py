@@ -32,7 +32,7 @@ def seen_in_box(camera: Camera) -> BakedView:
 
 
 @pytest.mark.parametrize(("turned", "part"), [(0, 1.0), (1, 0.3)])
-def test_a_panorama_is_what_its_rays_hit(turned: int, part: float) -> None:
+def test_every_pixel_of_a_panorama_shows_what_its_ray_hits(turned: int, part: float) -> None:
     pose = tiny_pose(turned, 6)
     pose[:3, 3] = 0.3, -0.2, 0.1
     focal = 360 / (2 * np.pi * part)

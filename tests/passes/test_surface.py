@@ -16,7 +16,7 @@ def camera(index: int) -> Camera:
 
 
 @pytest.mark.parametrize("index", [0, 2, 5])
-def test_surface_of_a_room_of_boxes_is_accurate(index: int) -> None:
+def test_depth_and_normals_of_a_room_of_boxes_are_accurate(index: int) -> None:
     view, seen = trace_view(tiny_pose(index, 6), tiny_intrinsics(SIZE), SIZE), camera(index)
     surface = surface_of(view.depth, seen)
     np.testing.assert_allclose(np.moveaxis(surface.position, 0, -1), seen.unproject(view.depth), atol=1e-5)
@@ -30,7 +30,7 @@ def test_surface_of_a_room_of_boxes_is_accurate(index: int) -> None:
     assert np.median(surface.normal[2][floor]) == pytest.approx(1.0, abs=1e-4)
 
 
-def test_empty_pixels_have_no_surface() -> None:
+def test_pixels_without_alpha_have_no_position_or_normal() -> None:
     depth = np.full((120, 160), 2.0, np.float32)
     depth[40:60, 50:90] = 0.0
     surface = surface_of(depth, camera(0))
@@ -38,14 +38,14 @@ def test_empty_pixels_have_no_surface() -> None:
     assert np.isfinite(surface.position).all() and np.isfinite(surface.normal).all()
 
 
-def test_a_lone_pixel_faces_along_the_view() -> None:
+def test_the_normal_of_a_lone_pixel_faces_the_camera() -> None:
     depth = np.zeros((120, 160), np.float32)
     depth[10, 20] = 1.5
     normal = surface_of(depth, camera(0)).normal[:, 10, 20]
     np.testing.assert_allclose(normal, -camera(0).camera_to_world[:3, 2], atol=1e-6)
 
 
-def test_vectors_lead_to_where_the_points_are_in_the_other_picture() -> None:
+def test_motion_vectors_lead_to_the_points_place_in_the_other_picture() -> None:
     seen, (fx, _, cx), (_, fy, cy) = camera(0), *tiny_intrinsics(SIZE)[:2]
     depth = trace_view(tiny_pose(0, 6), tiny_intrinsics(SIZE), SIZE).depth.copy()
     depth[:10] = 0.0

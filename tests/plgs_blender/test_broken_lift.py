@@ -28,7 +28,7 @@ from tests.raises_key import raises_key
 
 
 @pytest.mark.parametrize("content", [b"\0", b"v/1\x01\2\0\0\0channels\0chlist"])
-def test_broken_passes_change_nothing(tmp_path: Path, content: bytes) -> None:
+def test_a_lift_with_broken_passes_changes_nothing_in_blender(tmp_path: Path, content: bytes) -> None:
     lift = write_tiny_lift(tmp_path / "lift", frames=10).path
     path = next((lift / "result" / "passes").iterdir())
     path.write_bytes(content.ljust(path.stat().st_size, b"\0"))
@@ -56,7 +56,7 @@ def test_broken_passes_change_nothing(tmp_path: Path, content: bytes) -> None:
         ("segments", ["x"]),
     ],
 )
-def test_absurd_instances_change_nothing(lift: Path, tmp_path: Path, name: str, value: object) -> None:
+def test_a_lift_with_absurd_instances_changes_nothing(lift: Path, tmp_path: Path, name: str, value: object) -> None:
     content = json.loads((lift / "result" / "instances.json").read_text())
     content["instances"][0][name] = value
     with_instances(lift, tmp_path, json.dumps(content))
@@ -70,7 +70,7 @@ def test_absurd_instances_change_nothing(lift: Path, tmp_path: Path, name: str, 
     ],
     ids=["absurd", "gigabytes"],
 )
-def test_bad_positions_change_nothing(lift: Path, tmp_path: Path, xyz: Callable, message: str) -> None:
+def test_a_lift_with_bad_positions_changes_nothing(lift: Path, tmp_path: Path, xyz: Callable, message: str) -> None:
     shutil.copytree(lift, tmp_path / "lift")
     path = tmp_path / "lift" / "result" / "semantic_points.npz"
     points = dict(np.load(path))
@@ -87,7 +87,7 @@ ROT = {
 
 @pytest.mark.parametrize("spoil", ROT.values(), ids=ROT)
 @pytest.mark.parametrize("name", ["semantic_points.npz", "anchors.npz", "instances.json", "passes/0004.exr"])
-def test_corruption_changes_nothing(lift: Path, tmp_path: Path, name: str, spoil: Callable[[bytes], bytes]) -> None:
+def test_a_corrupt_lift_changes_nothing(lift: Path, tmp_path: Path, name: str, spoil: Callable[[bytes], bytes]) -> None:
     """As a disk leaves it, found by its checksum; or with a manifest that lists the rotten bytes."""
     shutil.copytree(lift, tmp_path / "lift")
     path, before = tmp_path / "lift" / "result" / name, contents()
@@ -99,7 +99,7 @@ def test_corruption_changes_nothing(lift: Path, tmp_path: Path, name: str, spoil
         refuses(tmp_path / "lift", f"array-unreadable|instances-damaged {path.name}")
 
 
-def test_passes_that_the_manifest_does_not_list_are_not_opened(lift: Path, tmp_path: Path) -> None:
+def test_passes_missing_from_the_manifest_are_not_opened(lift: Path, tmp_path: Path) -> None:
     shutil.copytree(lift, tmp_path / "lift")
     (tmp_path / "lift" / "result" / "passes" / "0000.exr").write_bytes(b"\0")
     assert sorted(read_result(tmp_path / "lift").passes) == sorted(read_result(lift).passes)
@@ -122,7 +122,7 @@ def refuses(lift: Path, place: str) -> None:
 
 @pytest.mark.skipif(os.name == "nt", reason="such names exist elsewhere only")
 @pytest.mark.parametrize("name", [b"r\xf6om", b"a\\room"])
-def test_folders_that_blender_cannot_name_change_nothing(lift: Path, tmp_path: Path, name: bytes) -> None:
+def test_a_lift_folder_with_a_name_unusable_in_blender_is_refused(lift: Path, tmp_path: Path, name: bytes) -> None:
     folder = tmp_path / os.fsdecode(name)
     try:
         shutil.copytree(lift.parent / "tiny room", folder)
@@ -148,7 +148,7 @@ def test_folders_that_blender_cannot_name_change_nothing(lift: Path, tmp_path: P
         ("rotation", [1e6, 1e6, 0.0, 0.0]),
     ],
 )
-def test_unusual_instances_become_valid_objects(lift: Path, tmp_path: Path, name: str, value: object) -> None:
+def test_unusual_values_of_instances_give_valid_objects(lift: Path, tmp_path: Path, name: str, value: object) -> None:
     shutil.copytree(lift, tmp_path / "lift")
     path = tmp_path / "lift" / "result" / "instances.json"
     content = json.loads(path.read_text())
@@ -190,7 +190,7 @@ def write_hostile(blend: Path, marker: Path) -> None:
 
 
 @pytest.mark.parametrize("are_scripts_allowed", [False, True])
-def test_nothing_in_a_broken_lift_is_run(lift: Path, tmp_path: Path, are_scripts_allowed: bool) -> None:
+def test_no_code_in_a_broken_lift_is_run(lift: Path, tmp_path: Path, are_scripts_allowed: bool) -> None:
     blend, marker = tmp_path / "lift.blend", tmp_path / "marker"
     write_hostile(blend, marker)
     settings = bpy.context.preferences.filepaths
@@ -225,7 +225,7 @@ def link_to_a_text(path: Path) -> None:
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no FIFOs")
 @pytest.mark.parametrize("make", [fifo, folder, noise, link_to_a_text])
-def test_a_file_that_is_no_blend_gives_a_one_line_error(
+def test_saving_over_a_file_that_is_no_blend_gives_a_one_line_error(
     lift: Path, tmp_path: Path, make: Callable[[Path], None]
 ) -> None:
     """Blender would wait for ever for whoever writes into the FIFO."""
@@ -238,7 +238,7 @@ def test_a_file_that_is_no_blend_gives_a_one_line_error(
     assert contents() == before and sorted(tmp_path.rglob("*")) == there
 
 
-def test_a_link_is_replaced_and_what_it_leads_to_stays(lift: Path, tmp_path: Path) -> None:
+def test_saving_over_a_link_keeps_the_file_it_leads_to(lift: Path, tmp_path: Path) -> None:
     theirs, blend = tmp_path / "theirs.blend", tmp_path / "lift.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(theirs))
     before = theirs.read_bytes()
@@ -247,7 +247,7 @@ def test_a_link_is_replaced_and_what_it_leads_to_stays(lift: Path, tmp_path: Pat
     assert theirs.read_bytes() == before and not blend.is_symlink()
 
 
-def test_a_file_of_a_newer_blender_stays_as_it_is(lift: Path, tmp_path: Path) -> None:
+def test_saving_never_overwrites_a_file_of_a_newer_blender(lift: Path, tmp_path: Path) -> None:
     blend = tmp_path / "lift.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(blend), copy=True, compress=False)
     content = blend.read_bytes()
@@ -259,7 +259,7 @@ def test_a_file_of_a_newer_blender_stays_as_it_is(lift: Path, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("every", [6, pytest.param(1, marks=pytest.mark.slow)], ids=["some", "all"])
-def test_unexpected_custom_properties_are_ignored(tmp_path: Path, every: int) -> None:
+def test_custom_properties_of_unexpected_types_are_ignored(tmp_path: Path, every: int) -> None:
     """Each of ours, on one block of each kind, with other values: none of Python's own errors comes of it."""
     small, placed = write_tiny_lift(tmp_path / "lift", frames=5, size=(16, 12)).path, tmp_path / "file.blend"
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
@@ -313,14 +313,14 @@ BAD = [
 
 
 @pytest.mark.parametrize("text", GOOD, ids=range(len(GOOD)))
-def test_parts_read_the_same_instances(tmp_path: Path, text: str) -> None:
+def test_reading_instances_in_parts_gives_the_same_instances(tmp_path: Path, text: str) -> None:
     path = tmp_path / "instances.json"
     path.write_text(text, encoding="utf-8")
     assert result_of(reading_instances(path)) == read_instances(path)
 
 
 @pytest.mark.parametrize("text", BAD, ids=range(len(BAD)))
-def test_broken_instances_give_a_one_line_error(tmp_path: Path, text: str) -> None:
+def test_a_broken_instances_json_gives_a_one_line_error(tmp_path: Path, text: str) -> None:
     path = tmp_path / "instances.json"
     path.write_text(text, encoding="utf-8")
     for read in (read_instances, lambda path: result_of(reading_instances(path))):
@@ -329,7 +329,7 @@ def test_broken_instances_give_a_one_line_error(tmp_path: Path, text: str) -> No
         assert "\n" not in str(error.value) and len(str(error.value)) < 2000
 
 
-def test_another_version_is_named_whatever_its_objects_are(tmp_path: Path) -> None:
+def test_an_instances_json_of_another_format_version_is_named(tmp_path: Path) -> None:
     path = tmp_path / "instances.json"
     path.write_text(json.dumps(WHOLE | {"format": 2, "instances": [{"id": "chair"}]}))
     for read in (read_instances, lambda path: result_of(reading_instances(path))):
@@ -337,7 +337,7 @@ def test_another_version_is_named_whatever_its_objects_are(tmp_path: Path) -> No
             read(path)
 
 
-def test_a_million_objects_are_refused_before_they_are_read(tmp_path: Path) -> None:
+def test_a_lift_with_a_million_objects_is_refused_before_reading(tmp_path: Path) -> None:
     path = tmp_path / "instances.json"
     several = json.dumps(ONE)[:-1] + ', "segments": []}'
     path.write_text(PLAIN[: PLAIN.index("[{", 100) + 1] + ",".join([several] * 200_000))

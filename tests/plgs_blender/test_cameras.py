@@ -45,7 +45,7 @@ def points_before(camera: Camera) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", INTRINSICS)
-def test_a_point_falls_on_the_same_pixel(name: str) -> None:
+def test_blender_cameras_project_points_to_the_engines_pixels(name: str) -> None:
     theirs = camera(name)
     scene = bpy.context.scene
     ob = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
@@ -69,7 +69,7 @@ def test_a_point_falls_on_the_same_pixel(name: str) -> None:
 @pytest.mark.parametrize("fit", ["AUTO", "HORIZONTAL", "VERTICAL"])
 @pytest.mark.parametrize("size", [(640, 480), (480, 640)])
 @pytest.mark.parametrize("aspect", [(1.0, 1.0), (1.0, 2.5), (1.6, 1.0)])
-def test_users_camera_sees_the_same(fit: str, size: tuple[int, int], aspect: tuple[float, float]) -> None:
+def test_the_engine_sees_what_a_users_camera_sees(fit: str, size: tuple[int, int], aspect: tuple[float, float]) -> None:
     scene = bpy.context.scene
     scene.camera = ob = bpy.data.objects.new("mine", bpy.data.cameras.new("mine"))
     scene.collection.objects.link(ob)
@@ -89,7 +89,7 @@ def test_users_camera_sees_the_same(fit: str, size: tuple[int, int], aspect: tup
     assert np.abs(found - seen.project(points)[0]).max() < 2e-3
 
 
-def test_nothing_is_seen_without_a_plain_perspective_camera() -> None:
+def test_only_perspective_cameras_give_a_live_preview() -> None:
     scene = bpy.context.scene
     scene.camera = None
     assert camera_seen(scene) is None
@@ -115,7 +115,7 @@ def curves(block: bpy.types.ID) -> dict[tuple[str, int], bpy.types.FCurve]:
     return {(curve.data_path, curve.array_index): curve for curve in action.fcurves}
 
 
-def test_camera_path_meets_the_frames(tmp_path: Path) -> None:
+def test_the_camera_path_passes_through_every_frame(tmp_path: Path) -> None:
     scene = bpy.context.scene
     root = place_scene(ChosenScene(write_tiny_scene(tmp_path / "room", frames=7)), scene)
     path = next(ob for ob in root.objects if ob.name == "Camera path")
@@ -128,7 +128,7 @@ def test_camera_path_meets_the_frames(tmp_path: Path) -> None:
             assert getattr(path.data, name) == pytest.approx(getattr(ob.data, name), abs=1e-6)
 
 
-def test_camera_path_moves_straight_and_its_lens_jumps(tmp_path: Path) -> None:
+def test_the_camera_path_moves_straight_between_frames(tmp_path: Path) -> None:
     root = place_scene(ChosenScene(write_tiny_scene(tmp_path / "room", frames=4)), bpy.context.scene)
     path = next(ob for ob in root.objects if ob.name == "Camera path")
     kinds = {key: {point.interpolation for point in curve.keyframe_points} for key, curve in curves(path).items()}
@@ -139,7 +139,7 @@ def test_camera_path_moves_straight_and_its_lens_jumps(tmp_path: Path) -> None:
     assert all(point.interpolation == "CONSTANT" for curve in lens.values() for point in curve.keyframe_points)
 
 
-def test_placing_the_path_again_leaves_no_old_keys(tmp_path: Path) -> None:
+def test_importing_again_leaves_no_old_keys_of_the_camera_path(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path / "room", frames=6)
     place_scene(ChosenScene(folder), bpy.context.scene)
     for name in ("color", "depth", "pose"):
@@ -151,7 +151,7 @@ def test_placing_the_path_again_leaves_no_old_keys(tmp_path: Path) -> None:
     assert sorted(action.name for action in bpy.data.actions) == ["Camera path lens", "Camera path pose"]
 
 
-def test_camera_path_takes_the_shorter_turn() -> None:
+def test_the_camera_path_takes_the_shorter_turn() -> None:
     """The quaternions of two cameras that nearly agree may have opposite signs."""
     scene = bpy.context.scene
     owned = OwnedDataBlocks("a lift", scene)

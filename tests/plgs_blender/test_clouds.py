@@ -51,7 +51,7 @@ def place(points: SemanticPoints) -> list[bpy.types.Object]:
     return clouds
 
 
-def test_each_class_has_its_own_points_in_their_order() -> None:
+def test_every_class_has_a_point_cloud_of_its_own() -> None:
     points = many_points(2000)
     clouds = place(points)
     assert [cloud["class_id"] for cloud in clouds] == list(range(22))
@@ -78,14 +78,14 @@ def room(step: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(xyz), np.concatenate(normals)
 
 
-def test_walls_face_the_camera_in_the_room() -> None:
+def test_normals_of_wall_points_face_the_cameras() -> None:
     xyz, inward = room()
     normals = SurfaceGrid.of(xyz.astype(np.float32)).normals(np.array([[2.0, 1.5, 1.5]]))
     agreement = np.einsum("ij,ij->i", normals, inward)
     assert (agreement > 0.0).all() and np.mean(agreement > 0.99) > 0.95
 
 
-def test_the_overview_shows_the_whole_room_from_outside() -> None:
+def test_the_overview_camera_shows_the_whole_room_from_outside() -> None:
     xyz, inward = room()
     camera = overview_camera(xyz, inward)
     facing = np.einsum("ij,ij->i", inward, camera.centre - xyz) > 0.0
@@ -100,7 +100,7 @@ def test_the_overview_shows_the_whole_room_from_outside() -> None:
 
 
 @pytest.mark.parametrize("origin", [(0, 0, 0), (100, 0, 0), (4000, 5000, 100)])
-def test_noise_far_out_of_the_room_does_not_shrink_it_in_the_overview(origin: tuple[int, int, int]) -> None:
+def test_far_noise_does_not_shrink_the_room_in_the_overview(origin: tuple[int, int, int]) -> None:
     xyz, inward = room()
     xyz = xyz + origin
     noise = np.random.default_rng(0).uniform(-15, 15, (len(xyz) // 120, 3)) + origin
@@ -146,7 +146,7 @@ def share(picture: np.ndarray, colour: np.ndarray, within: int) -> float:
     return float((np.abs(picture - colour).max(axis=-1) <= within).mean())
 
 
-def test_solid_shading_shows_classes(lift: Path, tmp_path: Path) -> None:
+def test_solid_shading_shows_points_in_class_colours(lift: Path, tmp_path: Path) -> None:
     lift_scene.place_lift(lift, bpy.context.scene)
     picture = render("BLENDER_WORKBENCH", tmp_path / "solid.png")
     assert share(picture, COLOUR[CHAIR_ID], 14) > 0.02
@@ -154,7 +154,7 @@ def test_solid_shading_shows_classes(lift: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("engine", ["CYCLES", pytest.param(EEVEE, marks=pytest.mark.slow)])
-def test_renders_show_photo_colours(lift: Path, tmp_path: Path, engine: str) -> None:
+def test_renders_show_points_in_photo_colours(lift: Path, tmp_path: Path, engine: str) -> None:
     root = lift_scene.place_lift(lift, bpy.context.scene)
     chair = next(ob for ob in root.all_objects if ob.name == "chair points")
     green = np.tile(np.array([0.0, 1.0, 0.0, 1.0], np.float32), (len(chair.data.points), 1))

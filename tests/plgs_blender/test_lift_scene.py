@@ -30,7 +30,7 @@ def child(root: bpy.types.Collection, name: str) -> bpy.types.Collection:
     return next(each for each in root.children if each.name.partition(".")[0] == name)
 
 
-def test_one_collection_with_everything(lift: Path) -> None:
+def test_a_placed_lift_is_one_collection(lift: Path) -> None:
     root = lift_scene.place_lift(lift, bpy.context.scene)
     assert root.name == "PLGS tiny room"
     assert [each.name for each in root.children] == ["Cameras", "Semantic points", "Anchors", "Instances"]
@@ -103,7 +103,7 @@ def test_a_box_has_the_rotation_of_the_instance(tmp_path: Path) -> None:
     assert child(root, "Instances").objects[0].matrix_world.to_euler().z == pytest.approx(np.pi / 6)
 
 
-def test_lifting_again_replaces(lift: Path, tmp_path: Path) -> None:
+def test_placing_a_lift_again_replaces_it(lift: Path, tmp_path: Path) -> None:
     blend = tmp_path / "lift.blend"
     lift_scene.save_lift(lift, blend)
     first, first_count = contents(), counts()
@@ -116,7 +116,7 @@ def test_lifting_again_replaces(lift: Path, tmp_path: Path) -> None:
     assert orphans == []
 
 
-def test_two_lifts_of_one_scene_are_two(lift: Path, tmp_path: Path) -> None:
+def test_two_lifts_of_one_scene_have_separate_collections(lift: Path, tmp_path: Path) -> None:
     scene = bpy.context.scene
     first = lift_scene.place_lift(lift, scene)
     camera = bpy.data.objects["0003"]
@@ -147,7 +147,7 @@ def test_renamed_lift_is_found_again(lift: Path) -> None:
     assert "0000" in bpy.data.objects and "renamed" not in bpy.data.objects
 
 
-def test_users_objects_stay(lift: Path) -> None:
+def test_placing_a_lift_keeps_the_users_objects(lift: Path) -> None:
     scene = bpy.context.scene
     root = lift_scene.place_lift(lift, scene)
     mine = bpy.data.objects.new("mine", bpy.data.meshes.new("mine"))
@@ -169,7 +169,7 @@ def test_users_objects_stay(lift: Path) -> None:
     assert copy.name in bpy.data.objects and copy.data is not None
 
 
-def test_the_users_camera_keeps_its_frames(lift: Path) -> None:
+def test_placing_a_lift_keeps_the_users_active_camera(lift: Path) -> None:
     scene = bpy.context.scene
     mine = bpy.data.objects.new("shot", bpy.data.cameras.new("shot"))
     scene.collection.objects.link(mine)
@@ -192,7 +192,7 @@ def test_the_users_camera_keeps_its_frames(lift: Path) -> None:
     assert len(scene.timeline_markers) == FRAMES + 1
 
 
-def test_a_lift_can_move_with_its_file(lift: Path, tmp_path: Path) -> None:
+def test_a_saved_file_finds_its_lift_after_both_moved(lift: Path, tmp_path: Path) -> None:
     shutil.copytree(lift.parent, tmp_path / "a")
     request = tmp_path / "a" / "lift" / "request.json"
     request.write_text(request.read_text().replace(str(lift.parent), str(tmp_path / "a")))
@@ -204,7 +204,7 @@ def test_a_lift_can_move_with_its_file(lift: Path, tmp_path: Path) -> None:
     assert all(Path(bpy.path.abspath(path)).is_file() for path in files)
 
 
-def test_an_unfinished_lift_changes_nothing(lift: Path, tmp_path: Path) -> None:
+def test_placing_an_unfinished_lift_changes_nothing(lift: Path, tmp_path: Path) -> None:
     shutil.copytree(lift, tmp_path / "half")
     (tmp_path / "half" / "result" / "manifest.json").unlink()
     before = contents()
@@ -215,7 +215,7 @@ def test_an_unfinished_lift_changes_nothing(lift: Path, tmp_path: Path) -> None:
     assert contents() == before and not (tmp_path / "x.blend").exists()
 
 
-def test_removed_objects_come_back(lift: Path) -> None:
+def test_objects_deleted_from_a_lift_return_when_it_is_placed_again(lift: Path) -> None:
     scene = bpy.context.scene
     root = lift_scene.place_lift(lift, scene)
     bpy.data.collections.remove(child(root, "Instances"))
@@ -230,7 +230,7 @@ def test_removed_objects_come_back(lift: Path) -> None:
 
 
 @pytest.mark.parametrize("copies_mesh", [True, False])
-def test_a_duplicate_never_takes_the_place_of_the_original(lift: Path, copies_mesh: bool) -> None:
+def test_a_users_duplicate_of_a_box_is_never_taken_for_the_original(lift: Path, copies_mesh: bool) -> None:
     scene = bpy.context.scene
     root = lift_scene.place_lift(lift, scene)
     box = bpy.data.objects[f"{CHAIR_NAME} box"]
@@ -244,7 +244,7 @@ def test_a_duplicate_never_takes_the_place_of_the_original(lift: Path, copies_me
         assert box.name == ("zebra" if copies_mesh else f"{CHAIR_NAME} box") and LIFT in box and LIFT not in copy
 
 
-def test_the_scene_of_the_passes_is_left_alone(lift: Path, tmp_path: Path) -> None:
+def test_a_lift_is_not_placed_into_the_scene_of_its_passes(lift: Path, tmp_path: Path) -> None:
     scene = bpy.context.scene
     root = lift_scene.place_lift(lift, scene)
     passes = bpy.data.scenes["PLGS tiny room passes"]

@@ -26,7 +26,7 @@ from tests.raises_key import raises_key
 pytestmark = pytest.mark.usefixtures("extension")
 
 
-def test_parts_and_the_whole_are_the_same(lift: Path) -> None:
+def test_placing_a_lift_in_parts_gives_the_same_objects(lift: Path) -> None:
     scene = bpy.context.scene
     placed, rest = lift_scene.place_room(lift_scene.result_of(lift_scene.reading_lift(lift)), scene)
     assert "Gaussians" not in bpy.data.objects
@@ -37,7 +37,7 @@ def test_parts_and_the_whole_are_the_same(lift: Path) -> None:
 
 
 @pytest.mark.parametrize("parts", [1, 2, 3])
-def test_a_lift_that_is_removed_between_parts_stays_removed(lift: Path, parts: int) -> None:
+def test_a_lift_deleted_while_it_is_placed_stays_deleted(lift: Path, parts: int) -> None:
     scene = bpy.context.scene
     placed, rest = lift_scene.place_room(lift_scene.result_of(lift_scene.reading_lift(lift)), scene)
     for _ in range(parts):
@@ -49,7 +49,7 @@ def test_a_lift_that_is_removed_between_parts_stays_removed(lift: Path, parts: i
     assert placed.find() is None
 
 
-def test_a_scene_that_chose_another_lift_gets_nothing(lift: Path) -> None:
+def test_a_lift_is_not_placed_after_the_user_chose_another(lift: Path) -> None:
     asked: list[str] = []
 
     def is_wanted(scene: bpy.types.Scene) -> bool:
@@ -143,7 +143,7 @@ def seconds_at_once(many: Path, few: Path) -> list[float]:
 
 
 @pytest.mark.slow
-def test_no_part_takes_long(lift: Path, tmp_path: Path) -> None:
+def test_placing_a_large_lift_never_blocks_the_window_for_long(lift: Path, tmp_path: Path) -> None:
     """The figures in docs/trust.md. The shortest of a few tries counts, since other work slows some of them."""
     few = lift_of(lift, tmp_path / "few", 10)
     for count in (50, boxes.MOST_BOXES, 2000, MOST_INSTANCES):
@@ -157,7 +157,7 @@ def test_no_part_takes_long(lift: Path, tmp_path: Path) -> None:
         assert (least[:-1] <= LONGEST_S).all()
 
 
-def test_window_waits_for_few_boxes_and_masks(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_placing_a_lift_adds_few_boxes_at_a_time(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lift_scene, "_AT_ONCE", 20)
     monkeypatch.setattr(lift_scene, "_MASKS_AT_ONCE", 60)
     many = lift_of(lift, tmp_path / "many", MANY)
@@ -171,7 +171,7 @@ def test_window_waits_for_few_boxes_and_masks(lift: Path, tmp_path: Path, monkey
     assert listed[-1] == 5 * MANY and max(np.diff(listed)) <= 60
 
 
-def test_beyond_the_most_one_object_has_the_other_boxes(lift: Path, tmp_path: Path, few_boxes: None) -> None:
+def test_boxes_beyond_the_limit_share_one_object(lift: Path, tmp_path: Path, few_boxes: None) -> None:
     root = lift_scene.place_lift(lift_of(lift, tmp_path / "many", MANY), bpy.context.scene)
     assert sorted(boxes_of(root)) == [*range(MANY - MOST + 1, MANY + 1)], "those with the most points have their own"
     assert len(root.plgs.instances) == MANY and all(len(row.masks) == 5 for row in root.plgs.instances)
@@ -200,7 +200,7 @@ def corners_of_its_own(lift: Path, folder: Path, number: int) -> set[tuple[float
     return {tuple(round(part, 3) for part in box.matrix_world @ vertex.co) for vertex in box.data.vertices}
 
 
-def test_an_object_that_is_deleted_gives_its_box_to_another(lift: Path, tmp_path: Path, few_boxes: None) -> None:
+def test_deleting_an_object_frees_its_box_for_another(lift: Path, tmp_path: Path, few_boxes: None) -> None:
     root = lift_scene.place_lift(lift_of(lift, tmp_path / "many", MOST + 1), bpy.context.scene)
     moved = box_of(root, MOST)
     moved.location.x += 1.0
@@ -211,7 +211,7 @@ def test_an_object_that_is_deleted_gives_its_box_to_another(lift: Path, tmp_path
     assert box_of(root, MOST).matrix_world == there and all(len(row.masks) == 5 for row in root.plgs.instances)
 
 
-def test_an_undo_between_two_parts_leaves_earlier_edits(lift: Path, tmp_path: Path) -> None:
+def test_undo_while_a_lift_is_placed_keeps_earlier_corrections(lift: Path, tmp_path: Path) -> None:
     few = lift_of(lift, tmp_path / "few", 3)
     root = lift_scene.place_lift(few, bpy.context.scene)
     corrections.delete(root, 3, around=False)
@@ -221,7 +221,7 @@ def test_an_undo_between_two_parts_leaves_earlier_edits(lift: Path, tmp_path: Pa
     assert [edit.undone for edit in read_edits(few)] == [False] and not corrections.failed
 
 
-def test_edit_between_two_parts_stays(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_corrections_stay_while_a_lift_is_placed(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lift_scene, "_AT_ONCE", 20)
     many = lift_of(lift, tmp_path / "many", 50)
     placed, rest = lift_scene.place_room(lift_scene.result_of(lift_scene.reading_lift(many)), bpy.context.scene)
@@ -234,7 +234,7 @@ def test_edit_between_two_parts_stays(lift: Path, tmp_path: Path, monkeypatch: p
     assert {row.class_id for row in root.plgs.instances} == {CHAIR_ID}
 
 
-def test_edit_keeps_the_other_objects(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_correction_keeps_the_other_objects(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     root = lift_scene.place_lift(lift_of(lift, tmp_path / "some", 20), bpy.context.scene)
     root.plgs.instances[10].mask_index, root.plgs.instances[12].visible = 3, False
     box = box_of(root, 11)
@@ -253,7 +253,7 @@ def test_edit_keeps_the_other_objects(lift: Path, tmp_path: Path, monkeypatch: p
     assert [row.instance_id for row in rows if not row.visible] == [13]
 
 
-def test_a_file_that_is_replaced_while_it_is_read_is_read_again(lift: Path, tmp_path: Path) -> None:
+def test_a_lift_file_replaced_while_it_is_read_is_read_again(lift: Path, tmp_path: Path) -> None:
     some = lift_of(lift, tmp_path / "some", 3)
     path = some / "result" / "instances.json"
     parts = reading_result(some)

@@ -41,17 +41,19 @@ def matte(tree: bpy.types.NodeTree) -> tuple[str, str]:
     return node_of(tree, CRYPTO_INSTANCES).matte_id, node_of(tree, CRYPTO_CLASSES).matte_id
 
 
-def test_without_a_choice_there_is_no_matte(root: bpy.types.Collection, lift: Path, tmp_path: Path) -> None:
+def test_no_matte_is_shown_without_a_chosen_object(root: bpy.types.Collection, lift: Path, tmp_path: Path) -> None:
     (_, frames), *_ = compositing.compositors_of(root)
     assert matte(frames) == ("", "") == matte(bake(root, lift, "crane", tmp_path))
 
 
-def test_a_new_shot_begins_with_the_selected_object(root: bpy.types.Collection, lift: Path, tmp_path: Path) -> None:
+def test_the_matte_of_a_new_shot_is_the_selected_object(root: bpy.types.Collection, lift: Path, tmp_path: Path) -> None:
     select_instance(root, CABINET, bpy.context.view_layer)
     assert matte(bake(root, lift, "crane", tmp_path)) == ("cabinet 1", "cabinet")
 
 
-def test_a_new_shot_begins_as_the_last_one_was(root: bpy.types.Collection, lift: Path, tmp_path: Path) -> None:
+def test_a_new_shot_copies_the_last_shots_matte_settings(
+    root: bpy.types.Collection, lift: Path, tmp_path: Path
+) -> None:
     compositing.matte_instance(root, CABINET)
     (_, frames), *_ = compositing.compositors_of(root)
     controls = node_of(frames, PANOPTIC).inputs
@@ -76,7 +78,7 @@ def test_the_matte_follows_the_selection_if_asked(root: bpy.types.Collection) ->
     assert matte(tree)[0] == "cabinet 1", "nothing is no choice"
 
 
-def test_passes_of_before_a_name_are_not_shown_black(root: bpy.types.Collection, lift: Path, tmp_path: Path) -> None:
+def test_a_matte_needs_passes_with_the_objects_name(root: bpy.types.Collection, lift: Path, tmp_path: Path) -> None:
     (_, tree), *_ = compositing.compositors_of(root)
     compositing.matte_instance(root, CABINET)
     row = next(each for each in root.plgs.instances if each.instance_id == CHAIR)

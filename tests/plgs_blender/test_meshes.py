@@ -41,7 +41,7 @@ def place_anew(lift: Path, *, asked: bool = True) -> int:
     return result_of(lift_scene.placing_meshes_anew(lift, bpy.context.scene, asked=asked))
 
 
-def test_the_surface_comes_whole_where_something_else_is_shown(lift: Path) -> None:
+def test_a_mesh_made_later_is_placed_hidden_if_points_are_shown(lift: Path) -> None:
     path = mesh_folder(lift) / "mesh.ply"
     path.rename(path.with_suffix(".later"))
     root = lift_scene.place_lift(lift, bpy.context.scene)
@@ -73,7 +73,7 @@ def test_one_mesh_per_instance_and_per_stuff_class(lift: Path) -> None:
         assert np.allclose(mesh.color_attributes["Col"].data[0].color, (1.0, 0.2158605, 0.0, 1.0), atol=1e-4)
 
 
-def test_meshes_show_their_pictures_in_photo_colours_alone(lift: Path) -> None:
+def test_meshes_show_their_textures_only_in_photo_colours(lift: Path) -> None:
     pytest.importorskip("scipy", reason="the engine, which makes the pictures, runs in another Python")
     write_surface(mesh_folder(lift) / "mesh.ply", 40)
     floor = placed(lift)[f"mesh:{FLOOR_ID}:0"]
@@ -94,7 +94,7 @@ def test_meshes_show_their_pictures_in_photo_colours_alone(lift: Path) -> None:
     assert place_anew(lift) == 2 and image_of(floor.data.materials[0]) is None
 
 
-def test_the_surface_catches_the_shadow_of_what_is_put_into_the_room(lift: Path, tmp_path: Path) -> None:
+def test_the_mesh_catches_shadows_of_objects_put_into_the_room(lift: Path, tmp_path: Path) -> None:
     floor, scene = placed(lift)[f"mesh:{FLOOR_ID}:0"], bpy.context.scene
     (root,) = lifts_in(scene)
     sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
@@ -123,7 +123,7 @@ def test_the_surface_catches_the_shadow_of_what_is_put_into_the_room(lift: Path,
     assert floor.material_slots[0].material == own and not floor.is_shadow_catcher and floor.visible_shadow
 
 
-def test_placed_again_they_are_the_same_objects(lift: Path) -> None:
+def test_placing_meshes_again_reuses_their_objects(lift: Path) -> None:
     before = {key: ob.as_pointer() for key, ob in placed(lift).items()}
     assert {key: ob.as_pointer() for key, ob in placed(lift).items()} == before
     assert place_anew(lift) == 2
@@ -132,7 +132,7 @@ def test_placed_again_they_are_the_same_objects(lift: Path) -> None:
     assert not [ob for ob in bpy.context.scene.objects if ob.get("plgs_key", "").startswith("mesh:")]
 
 
-def test_the_mesh_of_an_object_that_was_corrected_away_goes_with_the_next_surface(lift: Path) -> None:
+def test_the_mesh_of_a_deleted_object_goes_with_the_next_mesh_export(lift: Path) -> None:
     chair = next(ob for ob in placed(lift).values() if ob["instance_id"])
     correct(lift, lambda state, _: making.delete(state, chair["instance_id"], around=False))
     name = chair.name
@@ -140,7 +140,7 @@ def test_the_mesh_of_an_object_that_was_corrected_away_goes_with_the_next_surfac
     assert name not in bpy.data.objects
 
 
-def test_a_surface_that_nobody_asked_for_is_shown_unless_something_else_was(lift: Path) -> None:
+def test_a_mesh_made_automatically_is_shown_unless_another_view_was_chosen(lift: Path) -> None:
     path = mesh_folder(lift) / "mesh.ply"
     surface = path.read_bytes()
     path.unlink()
@@ -157,7 +157,7 @@ def test_a_surface_that_nobody_asked_for_is_shown_unless_something_else_was(lift
         assert root.plgs.show_as == "SURFACE"
 
 
-def test_blender_exports_the_meshes(lift: Path, tmp_path: Path) -> None:
+def test_blender_itself_exports_the_meshes(lift: Path, tmp_path: Path) -> None:
     objects = placed(lift)
     for ob in bpy.context.scene.objects:
         ob.select_set(ob in objects.values())
@@ -175,7 +175,7 @@ def test_blender_exports_the_meshes(lift: Path, tmp_path: Path) -> None:
     assert {value.value for mesh in meshes for value in mesh.attributes["class_id"].data} == {CHAIR_ID, FLOOR_ID}
 
 
-def test_a_damaged_surface_is_reported_in_one_line(lift: Path) -> None:
+def test_a_damaged_mesh_file_gives_a_one_line_error(lift: Path) -> None:
     path = mesh_folder(lift) / "mesh.ply"
     whole = path.read_bytes()
     for content in (whole[:-3], whole.replace(b"class_id", b"klass_id"), b"", b"ply\n"):
@@ -184,7 +184,7 @@ def test_a_damaged_surface_is_reported_in_one_line(lift: Path) -> None:
             read_surface(path)
 
 
-def test_a_rename_leaves_no_old_name_and_makes_nothing_stale(lift: Path, extension: None) -> None:
+def test_renaming_an_object_renames_its_mesh(lift: Path, extension: None) -> None:
     objects = placed(lift)
     (root,) = lifts_in(bpy.context.scene)
     chair = objects[f"mesh:{CHAIR_ID}:1"]

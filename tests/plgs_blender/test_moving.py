@@ -82,7 +82,7 @@ def check_whole(root: bpy.types.Collection, home: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["elsewhere", "Zürich 2/the film"])
-def test_a_moved_project_is_whole(project: Path, tmp_path: Path, name: str) -> None:
+def test_a_moved_project_folder_still_finds_all_its_files(project: Path, tmp_path: Path, name: str) -> None:
     (tmp_path / name).parent.mkdir(exist_ok=True)
     check_whole(moved(project, tmp_path / name), tmp_path / name)
 
@@ -106,7 +106,7 @@ def test_paths_stay_right_when_the_file_is_saved_elsewhere(project: Path, tmp_pa
     check_whole(opened(project / "cuts" / "one.blend"), project)
 
 
-def test_where_blender_keeps_paths_absolute_we_do(project: Path, tmp_path: Path) -> None:
+def test_paths_stay_absolute_if_blenders_preference_says_so(project: Path, tmp_path: Path) -> None:
     filepaths = bpy.context.preferences.filepaths
     filepaths.use_relative_paths = False
     try:
@@ -120,7 +120,7 @@ def test_where_blender_keeps_paths_absolute_we_do(project: Path, tmp_path: Path)
     assert root[SCENE] == "//room"
 
 
-def test_saving_reads_no_scene_or_lift(project: Path) -> None:
+def test_saving_a_file_reads_no_scene_or_lift(project: Path) -> None:
     from plgs.plgs_blender import settings
 
     heard = []
@@ -149,7 +149,7 @@ def test_a_lift_on_a_read_only_share_is_shown(project: Path, tmp_path: Path) -> 
     assert corrections.failed and corrections.failed[0] in drawn()
 
 
-def test_a_lift_moved_alone_is_asked_for_once(project: Path, tmp_path: Path) -> None:
+def test_the_user_is_asked_once_for_a_lift_that_moved(project: Path, tmp_path: Path) -> None:
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     shutil.move(project / "room_lift", tmp_path / "lifts of may")
     root = opened(project / "film.blend")
@@ -170,7 +170,7 @@ def test_a_lift_moved_alone_is_asked_for_once(project: Path, tmp_path: Path) -> 
     assert root.plgs.instances[0].name == "throne"
 
 
-def test_another_lift_is_not_taken_for_it(project: Path, tmp_path: Path) -> None:
+def test_find_lift_refuses_another_lift(project: Path, tmp_path: Path) -> None:
     shutil.move(project / "room_lift", tmp_path / "gone")
     other = tiny_lift.write_tiny_lift(tmp_path / "other", instances=1)
     root = find_lift(bpy.context.scene)
@@ -190,7 +190,7 @@ def test_opening_a_moved_lift_makes_no_second_copy(project: Path, tmp_path: Path
     assert not [image for image in bpy.data.images if image.filepath and not absolute(image.filepath).is_file()]
 
 
-def test_two_lifts_of_two_rooms_are_two(project: Path, tmp_path: Path) -> None:
+def test_two_lifts_in_one_file_are_kept_apart(project: Path, tmp_path: Path) -> None:
     other = tiny_lift.write_tiny_lift(tmp_path / "other", instances=1)
     second = place_lift(other.path, bpy.context.scene)
     first = next(root for root in lifts_in(bpy.context.scene) if root != second)

@@ -22,13 +22,13 @@ def lift(tmp_path: Path) -> Path:
     return tmp_path / "lift_0_1_0" / "lift"
 
 
-def test_frames_are_baked_with_the_correction(lift: Path, tmp_path: Path) -> None:
+def test_an_older_lift_is_baked_with_its_corrections(lift: Path, tmp_path: Path) -> None:
     out = tmp_path / "passes"
     assert exit_code(main, "bake", lift, "--frames", "0001", "-o", out) == 0
     assert b"my chair" in next(out.rglob("0001.exr")).read_bytes()
 
 
-def test_a_correction_joins_the_old_ones(lift: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_older_lift_can_be_corrected_further(lift: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert exit_code(main, "correct", lift, "rename", "2", "armchair") == 0
     assert exit_code(main, "correct", lift, "list") == 0
     listed = capsys.readouterr().out
@@ -47,7 +47,7 @@ def test_blender_shows_an_older_lift(lift: Path) -> None:
     assert any("my chair" in each.name for each in placed.all_objects)
 
 
-def test_a_new_lift_keeps_its_names(lift: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_new_lift_keeps_the_names_of_an_older_version(lift: Path, capsys: pytest.CaptureFixture[str]) -> None:
     again = ["lift", lift.parent / "scene", "-o", lift.parent / "new", "--names-from", lift]
     assert exit_code(main, *again, "--steps", "2", "--set", "voxel_size=0.2", "--bake", "none") == 0
     assert exit_code(main, "correct", lift.parent / "new", "list") == 0

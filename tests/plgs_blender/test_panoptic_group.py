@@ -79,7 +79,7 @@ def test_mattes_match_ids(root: bpy.types.Collection, scene: bpy.types.Scene, vi
     assert np.array_equal(shown(scene, "Matte", tmp_path)[..., 0], view.instance == CHAIR)
 
 
-def test_isolate_cuts_out_everything_but_the_matte(
+def test_the_setting_isolate_shows_only_the_matte(
     root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path
 ) -> None:
     compositing.matte_instance(root, CHAIR)
@@ -90,7 +90,7 @@ def test_isolate_cuts_out_everything_but_the_matte(
     assert np.allclose(half, picture(view) * np.where(matte, 0.5, 1.0), atol=1e-5)
 
 
-def test_the_matte_has_an_outline(
+def test_the_compositor_draws_an_outline_of_the_matte(
     root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path
 ) -> None:
     compositing.matte_instance(root, CHAIR)  # which turns the outline on, as nothing else shows the matte
@@ -116,7 +116,7 @@ def test_a_recoloured_object_keeps_its_shading(
     assert np.allclose(seen[matte][:, :3], expected, atol=1e-4)
 
 
-def test_a_plate_is_switched_to_and_subtracted(
+def test_the_compositor_shows_a_clean_plate_or_its_difference(
     lift: Path, scene: bpy.types.Scene, view: TinyView, tmp_path: Path
 ) -> None:
     """The other view's picture stands in for that of a plate."""
@@ -134,7 +134,7 @@ def test_a_plate_is_switched_to_and_subtracted(
     assert np.allclose(seen[..., :3], np.abs(before - plate), atol=1e-5)
 
 
-def test_a_colour_is_laid_over_what_is_guessed(lift: Path, view: TinyView, tmp_path: Path) -> None:
+def test_the_compositor_can_tint_guessed_pixels(lift: Path, view: TinyView, tmp_path: Path) -> None:
     mine = Path(shutil.copytree(lift, tmp_path / "mine"))
     for frame in open_scene(lift.parent / "tiny room").test_frames:
         write_passes(mine / "result/passes" / f"{frame.name}.exr", frame, frame.size, guessed=CHAIR)
@@ -146,7 +146,7 @@ def test_a_colour_is_laid_over_what_is_guessed(lift: Path, view: TinyView, tmp_p
     assert np.allclose(seen, picture(view) * np.where(chair, 0.5, 1.0) + chair * 0.5 * np.array(pink), atol=1e-5)
 
 
-def test_the_overlay_is_mixed_over_the_picture(
+def test_the_class_overlay_is_mixed_over_the_picture(
     root: bpy.types.Collection, scene: bpy.types.Scene, view: TinyView, tmp_path: Path
 ) -> None:
     before = picture(view)
@@ -163,7 +163,7 @@ def assert_mixed(seen: np.ndarray, before: np.ndarray, where: np.ndarray, srgb: 
     assert np.allclose(seen[where][:, :3], expected, atol=1e-5)
 
 
-def test_group_stays_as_the_user_set_it(lift: Path, root: bpy.types.Collection) -> None:
+def test_the_node_group_keeps_the_users_settings(lift: Path, root: bpy.types.Collection) -> None:
     _, tree = next(compositing.compositors_of(root))
     node_of(tree, PANOPTIC).inputs["Hold out"].default_value = 0.25
     lift_scene.place_lift(lift, bpy.context.scene)
@@ -172,7 +172,7 @@ def test_group_stays_as_the_user_set_it(lift: Path, root: bpy.types.Collection) 
     assert [group.name for group in bpy.data.node_groups if group.name.startswith(NAME)] == [NAME]
 
 
-def test_without_passes_there_is_nothing_to_matte(lift: Path, root: bpy.types.Collection) -> None:
+def test_a_matte_without_baked_passes_is_refused(lift: Path, root: bpy.types.Collection) -> None:
     scene, _ = next(compositing.compositors_of(root))
     bpy.data.scenes.remove(scene)
     with raises_key("no-passes"):

@@ -38,7 +38,7 @@ def scene(lift: Path, tmp_path: Path, request: pytest.FixtureRequest) -> bpy.typ
     return passes_scene()
 
 
-def test_layers_arrive_with_their_values(scene: bpy.types.Scene, lift: Path, tmp_path: Path) -> None:
+def test_pass_layers_reach_the_compositor_with_their_values(scene: bpy.types.Scene, lift: Path, tmp_path: Path) -> None:
     names = [marker.name for marker in scene.timeline_markers]
     assert names == sorted(path.stem for path in (lift / "result" / "passes").iterdir()) and len(names) >= 2
     for name in reversed(names):
@@ -53,7 +53,7 @@ def test_layers_arrive_with_their_values(scene: bpy.types.Scene, lift: Path, tmp
         assert np.allclose(rendered(scene, "Normal", tmp_path)[..., :3], (0, 0, 1))
 
 
-def test_the_matte_of_a_named_instance(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_the_compositor_gives_the_matte_of_a_named_instance(scene: bpy.types.Scene, tmp_path: Path) -> None:
     view = truth(scene.timeline_markers[0].name)
     passes.show_view(scene, scene.timeline_markers[0].name)
     pairs = ([CHAIR_NAME], {1}), ([CABINET_NAME], {2}), ([CHAIR_NAME, CABINET_NAME], {1, 2})
@@ -65,7 +65,7 @@ def test_the_matte_of_a_named_instance(scene: bpy.types.Scene, tmp_path: Path) -
     assert np.array_equal(rendered(scene, "Class matte", tmp_path)[..., 0], view.semantic == CHAIR_ID)
 
 
-def test_ids_are_shown_in_their_colours(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_class_and_instance_ids_are_shown_in_their_colours(scene: bpy.types.Scene, tmp_path: Path) -> None:
     view = truth(scene.timeline_markers[0].name)
     passes.show_view(scene, scene.timeline_markers[0].name)
     colours = rendered(scene, "Instance colours", tmp_path)
@@ -95,7 +95,7 @@ def place_two_views(folder: Path, files: dict[str, str], sizes: tuple[tuple[int,
     lift_scene.place_lift(lift.path, bpy.context.scene)
 
 
-def test_file_numbers_may_be_longer_than_the_captures(tmp_path: Path) -> None:
+def test_pass_file_numbers_may_have_more_digits_than_frame_names(tmp_path: Path) -> None:
     place_two_views(tmp_path, {"3": "0003", "12": "0012"}, ((64, 48), (64, 48)))
     scene = passes_scene()
     assert [marker.name for marker in scene.timeline_markers] == ["3", "12"]
@@ -104,7 +104,7 @@ def test_file_numbers_may_be_longer_than_the_captures(tmp_path: Path) -> None:
         assert np.array_equal(rendered(scene, "Instance", tmp_path)[..., 0], truth(str(index), frames=2).instance)
 
 
-def test_views_without_numbers_are_swapped(tmp_path: Path) -> None:
+def test_passes_without_numbers_are_switched_by_name(tmp_path: Path) -> None:
     """Two names that are no sequence, and pictures of different sizes."""
     place_two_views(tmp_path, {"left": "left", "right": "right"}, ((64, 48), (32, 24)))
     scene = passes_scene()
@@ -117,7 +117,7 @@ def test_views_without_numbers_are_swapped(tmp_path: Path) -> None:
         assert np.array_equal(rendered(scene, "Instance matte", tmp_path)[..., 0], view.instance == 1)
 
 
-def test_the_first_view_is_shown_at_once(lift: Path, tmp_path: Path) -> None:
+def test_the_passes_of_the_first_view_are_shown_at_once(lift: Path, tmp_path: Path) -> None:
     lift_scene.place_lift(lift, bpy.context.scene)
     scene = passes_scene()
     view = truth(scene.timeline_markers[0].name)
@@ -127,7 +127,7 @@ def test_the_first_view_is_shown_at_once(lift: Path, tmp_path: Path) -> None:
     assert np.array_equal(rendered(scene, "Instance", tmp_path)[..., 0], view.instance)
 
 
-def test_placing_reads_no_picture(lift: Path) -> None:
+def test_placing_a_lift_reads_no_pass_file(lift: Path) -> None:
     for _ in range(2):
         lift_scene.place_lift(lift, bpy.context.scene)
         image = node_of(compat.compositor_tree(passes_scene()), PASSES).image
@@ -143,7 +143,7 @@ def bake_shot(lift: LiftFolder, files: dict[str, int], overscan: int = 0) -> Non
     mend_manifest(lift.path)
 
 
-def test_a_shot_has_a_scene_with_the_frames_of_its_own(tmp_path: Path) -> None:
+def test_a_baked_shot_has_a_scene_with_its_own_frame_range(tmp_path: Path) -> None:
     lift = write_tiny_lift(tmp_path / "lift")
     shown = {6: 3, 8: 5, 10: 9}
     bake_shot(lift, {f"dolly.{frame:04d}": index for frame, index in shown.items()} | {"still.0001": 2})
@@ -179,7 +179,7 @@ def test_a_shot_with_overscan_is_placed(tmp_path: Path) -> None:
     np.testing.assert_allclose(shown, truth("3").instance, atol=1e-4)  # Blender 5.3 interpolates what has overscan
 
 
-def test_frames_before_0_have_a_scene_of_their_own(tmp_path: Path) -> None:
+def test_frames_before_0_have_a_compositor_scene_of_their_own(tmp_path: Path) -> None:
     lift = write_tiny_lift(tmp_path / "lift")
     bake_shot(lift, {"dolly.-0002": 3, "dolly.-0001": 5, "dolly.0000": 9, "dolly.0001": 2})
     lift_scene.place_lift(lift.path, bpy.context.scene)
@@ -214,7 +214,7 @@ def test_the_active_camera_decides_which_passes_are_opened(tmp_path: Path) -> No
     assert passes.passes_scene_of(mine) == frames
 
 
-def test_users_nodes_stay_linked(lift: Path) -> None:
+def test_placing_a_lift_again_keeps_the_users_nodes_linked(lift: Path) -> None:
     lift_scene.place_lift(lift, bpy.context.scene)
     tree = compat.compositor_tree(passes_scene())
     blur = tree.nodes.new("CompositorNodeBlur")
@@ -226,7 +226,7 @@ def test_users_nodes_stay_linked(lift: Path) -> None:
 
 
 @pytest.mark.parametrize("key", ["Instance scale", "Class scale", "Class palette"])
-def test_nodes_that_the_user_deleted_are_made_again(lift: Path, key: str) -> None:
+def test_compositor_nodes_that_the_user_deleted_are_made_again(lift: Path, key: str) -> None:
     lift_scene.place_lift(lift, bpy.context.scene)
     tree = compat.compositor_tree(passes_scene())
     tree.nodes.remove(node_of(tree, key))
@@ -245,12 +245,12 @@ def test_nodes_that_the_user_deleted_are_made_again(lift: Path, key: str) -> Non
         (["1305031102.175304", "1305031103.2"], "", None),
     ],
 )
-def test_numbered_names_are_recognised(names: list[str], first: str, numbers: tuple[int, ...] | None) -> None:
+def test_numbered_pass_names_make_a_sequence(names: list[str], first: str, numbers: tuple[int, ...] | None) -> None:
     found = numbered(names)
     assert found is None if numbers is None else found is not None and (found.first, found.numbers) == (first, numbers)
 
 
-def test_names_in_groups_that_can_be_counted_through() -> None:
+def test_pass_names_are_grouped_into_image_sequences() -> None:
     names = ["dolly.0001", "dolly.0002", "dolly.-0001", "pan 2.0001", "poster", "a.1", "a.01"]
     assert sequences(names) == {
         "dolly": ["dolly.0001", "dolly.0002"], "dolly before 0": ["dolly.-0001"], "pan 2": ["pan 2.0001"],

@@ -48,7 +48,7 @@ def begin(program: str) -> Pretended:
     return registry.follow(Pretended(TaskFollower(files, process, kind=Pretended.kind)))
 
 
-def test_an_answer_is_taken_once() -> None:
+def test_the_answer_of_a_finished_task_is_handled_once() -> None:
     task, told = begin(ANSWERING), list[str]()
     assert registry.running(Pretended) == [task] and registry.latest(Pretended) is task
     with raises_key("at-work Pretending"):
@@ -63,40 +63,40 @@ def test_an_answer_is_taken_once() -> None:
 
 
 @pytest.mark.parametrize("error", [PlgsError("made-up", "is gone", "here", "Again."), OSError("the disk is gone")])
-def test_an_answer_that_cannot_be_taken_is_an_error(error: Exception) -> None:
+def test_a_task_answer_that_cannot_be_used_gives_an_error(error: Exception) -> None:
     task = begin(ANSWERING)
     task.raises = error
     registry.wait_for(task, None)
     assert not task.has_finished and "is gone" in str(task.error)
 
 
-def test_a_cancelled_task_is_not_an_error() -> None:
+def test_a_cancelled_task_gives_no_error() -> None:
     task = begin(SLEEPING)
     task.cancel()
     registry.wait_for(task, None)
     assert task.was_cancelled and task.error is None and task.taken == (None, None)
 
 
-def test_a_new_task_ends_the_one_with_its_key() -> None:
+def test_a_new_task_cancels_the_one_it_replaces() -> None:
     first = begin(SLEEPING)
     second = begin(SLEEPING)
     assert registry.running(Pretended) == [second] and first.follower.poll() is True and not first.is_running
 
 
-def test_the_timer_polls_until_the_end() -> None:
+def test_the_timer_polls_a_task_until_it_ends() -> None:
     task = begin(ANSWERING)
     wait_until(lambda: registry.tick() is None)
     assert task.taken == (bpy.context.scene, {"number": 7})
 
 
-def test_a_defect_stops_no_other_task(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_failing_task_stops_no_other_task(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     task = begin(ANSWERING)
     task.raises = ZeroDivisionError("a defect")
     wait_until(lambda: registry.tick() is None)
     assert "ZeroDivisionError: a defect" in capfd.readouterr().err
 
 
-def test_a_program_that_cannot_be_run_is_reported(tmp_path: Path) -> None:
+def test_a_task_whose_program_cannot_be_run_is_reported(tmp_path: Path) -> None:
     with raises_key("not-runnable"):
         registry.start_engine("inspect", tmp_path / "no python")
 
@@ -110,14 +110,14 @@ end_process(3)
 """
 
 
-def test_a_leftover_reference_does_not_delay_the_end(root: Path) -> None:
+def test_blender_exits_although_a_task_is_still_referenced(root: Path) -> None:
     said = subprocess.run([sys.executable, "-c", LEFT_OVER], cwd=root, capture_output=True, text=True, timeout=60)
     assert said.returncode == 3, said.stderr
     folder = Path(said.stdout.splitlines()[-1])
     assert folder.is_absolute() and not folder.exists()
 
 
-def test_only_the_folder_of_the_session_is_deleted(tmp_path: Path) -> None:
+def test_closing_blender_deletes_only_its_own_temporary_folder(tmp_path: Path) -> None:
     session, shared = tmp_path / "blender_a1b2", tmp_path / "all"
     for folder in (session, shared):
         folder.mkdir()

@@ -97,7 +97,9 @@ def projected(camera: BakeCamera, points: np.ndarray) -> tuple[np.ndarray, np.nd
         ("VERTICAL", (1.0, 1.8)),
     ],
 )
-def test_render_and_camera_agree(scene: bpy.types.Scene, fit: str, aspect: tuple[float, float], tmp_path: Path) -> None:
+def test_shot_cameras_match_render(
+    scene: bpy.types.Scene, fit: str, aspect: tuple[float, float], tmp_path: Path
+) -> None:
     data = scene.camera.data
     data.sensor_fit, data.sensor_width, data.sensor_height, data.shift_y = fit, 30.0, 21.0, -0.11
     scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = aspect
@@ -123,7 +125,7 @@ def assert_pixels_agree(camera: BakeCamera, position: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("fit", ["AUTO", "VERTICAL"])
-def test_an_orthographic_camera_is_that_of_the_render(scene: bpy.types.Scene, fit: str, tmp_path: Path) -> None:
+def test_an_orthographic_shot_agrees_with_blenders_render(scene: bpy.types.Scene, fit: str, tmp_path: Path) -> None:
     data = scene.camera.data
     data.type, data.ortho_scale, data.sensor_fit, data.shift_y = "ORTHO", 3.5, fit, -0.07
     scene.render.pixel_aspect_y = 1.4
@@ -133,7 +135,7 @@ def test_an_orthographic_camera_is_that_of_the_render(scene: bpy.types.Scene, fi
 
 
 @pytest.mark.parametrize(("fit", "limits"), [("AUTO", (-180, 180, -90, 90)), ("VERTICAL", (-100, 140, -80, 35))])
-def test_an_equirectangular_camera_is_that_of_the_render(
+def test_an_equirectangular_shot_agrees_with_blenders_render(
     scene: bpy.types.Scene, fit: str, limits: tuple[float, ...], tmp_path: Path
 ) -> None:
     scene.camera.data.sensor_fit, scene.render.pixel_aspect_y = fit, 1.2
@@ -153,7 +155,7 @@ def as_panorama(ob: bpy.types.Object, kind: str, limits: tuple[float, ...] = ())
         setattr(settings, name, math.radians(degrees))
 
 
-def test_vectors_are_those_of_cycles(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_motion_vectors_of_a_shot_match_those_of_cycles(scene: bpy.types.Scene, tmp_path: Path) -> None:
     scene.camera.data.animation_data_clear()  # Cycles leaves out an animated shift
     scene.view_layers[0].use_pass_vector = True
     cameras = read_cameras(write_shot(tmp_path, scene, shot_of(scene, first=2, last=3, motion=True)))
@@ -171,7 +173,7 @@ def test_vectors_are_those_of_cycles(scene: bpy.types.Scene, tmp_path: Path) -> 
     assert np.abs(ours - theirs)[:, depth > 0].max() < 0.05
 
 
-def test_a_cropped_render_region_is_baked(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_the_render_region_of_a_shot_is_baked(scene: bpy.types.Scene, tmp_path: Path) -> None:
     render = scene.render
     render.use_border, render.use_crop_to_border = True, True
     render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.237, 0.811, 0.129, 0.7
@@ -187,7 +189,7 @@ def test_a_cropped_render_region_is_baked(scene: bpy.types.Scene, tmp_path: Path
     assert (whole.pinhole.width, whole.pinhole.height) == (96, 72) and "render region" in shot_of(scene).warnings[0]
 
 
-def test_overscan_is_around_the_display_window(scene: bpy.types.Scene) -> None:
+def test_overscan_of_a_shot_lies_around_the_display_window(scene: bpy.types.Scene) -> None:
     plain = cameras_of(scene, shot_of(scene))[0]
     scene.eevee.use_overscan, scene.eevee.overscan_size = True, 5.0
     wide = cameras_of(scene, shot_of(scene))[0]
@@ -196,7 +198,7 @@ def test_overscan_is_around_the_display_window(scene: bpy.types.Scene) -> None:
     assert wide.fingerprint != plain.fingerprint
 
 
-def test_frames_before_0_are_baked(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_frames_before_0_of_a_shot_are_baked(scene: bpy.types.Scene, tmp_path: Path) -> None:
     scene.frame_start = 0
     cameras = read_cameras(write_shot(tmp_path, scene, shot_of(scene, first=-2, last=2)))
     assert [camera.name for camera in cameras] == [
@@ -209,7 +211,7 @@ def test_frames_before_0_are_baked(scene: bpy.types.Scene, tmp_path: Path) -> No
     assert cameras_of(scene, shot_of(scene, first=1, last=2))[0].name == "dolly.00001", "as long as the longest"
 
 
-def test_the_scene_is_left_as_it_was(scene: bpy.types.Scene) -> None:
+def test_reading_a_shot_leaves_the_scene_unchanged(scene: bpy.types.Scene) -> None:
     scene.frame_set(3)
     other = bpy.data.objects.new("other", bpy.data.cameras.new("other"))
     scene.timeline_markers.new("cut", frame=2).camera = other
@@ -219,7 +221,7 @@ def test_the_scene_is_left_as_it_was(scene: bpy.types.Scene) -> None:
     assert scene.frame_current == 3 and scene.camera == shown
 
 
-def test_a_long_range_is_read_a_few_frames_at_a_time(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_a_long_shot_is_read_a_few_frames_at_a_time(scene: bpy.types.Scene, tmp_path: Path) -> None:
     scene.frame_set(2)
     reader = ShotReader(scene, shot_of(scene))
     for done in range(1, 5):
@@ -231,7 +233,7 @@ def test_a_long_range_is_read_a_few_frames_at_a_time(scene: bpy.types.Scene, tmp
         reader.read_for(0.0)
 
 
-def test_frames_outside_the_shot_are_read_a_few_at_a_time(scene: bpy.types.Scene) -> None:
+def test_cameras_outside_the_shots_range_are_read_in_parts(scene: bpy.types.Scene) -> None:
     """A keyed camera may stand still, which all of the scene's frames decide."""
     for owner in (scene.camera, scene.camera.data):
         owner.animation_data_clear()
@@ -245,7 +247,7 @@ def test_frames_outside_the_shot_are_read_a_few_at_a_time(scene: bpy.types.Scene
     assert [camera.name for camera in reader.cameras] == ["dolly.0001"]
 
 
-def test_a_range_that_nobody_asked_for_has_a_limit(scene: bpy.types.Scene) -> None:
+def test_a_very_long_scene_range_needs_the_option_range(scene: bpy.types.Scene) -> None:
     scene.frame_end = 2_097_149
     with raises_key("long-range 1048574 --range"):
         shot_of(scene)
@@ -276,7 +278,7 @@ def test_markers_switch_the_camera_as_in_blender(scene: bpy.types.Scene, tmp_pat
     assert [camera.name for camera in alone] == ["far.0001"], "it stands still"
 
 
-def test_clipping_and_the_requested_range_are_kept(scene: bpy.types.Scene) -> None:
+def test_a_shot_keeps_camera_clipping_and_the_requested_range(scene: bpy.types.Scene) -> None:
     scene.camera.data.clip_start, scene.camera.data.clip_end = 0.25, 40.0
     cameras = cameras_of(scene, shot_of(scene, "dolly", first=2, last=3))
     assert [(camera.name, camera.near, camera.far) for camera in cameras] == [
@@ -284,7 +286,7 @@ def test_clipping_and_the_requested_range_are_kept(scene: bpy.types.Scene) -> No
     ]  # fmt: skip
 
 
-def test_unfit_camera_is_refused_in_one_line(scene: bpy.types.Scene) -> None:
+def test_a_camera_unfit_for_baking_gives_a_one_line_error(scene: bpy.types.Scene) -> None:
     def refused(line: str, **asked: int) -> None:
         with raises_key(line) as told:
             cameras_of(scene, shot_of(scene, **asked))
@@ -315,7 +317,7 @@ def test_unfit_camera_is_refused_in_one_line(scene: bpy.types.Scene) -> None:
     refused("not-a-camera")
 
 
-def test_all_parts_of_a_shot_give_a_still_camera_one_name(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_all_parts_of_a_shot_name_a_still_camera_alike(scene: bpy.types.Scene, tmp_path: Path) -> None:
     scene.frame_end = 8
     moving = cameras_of(scene, shot_of(scene, first=5, last=8))
     assert [camera.name for camera in moving] == [f"dolly.{frame:04d}" for frame in range(5, 9)], "it moved before"
@@ -326,7 +328,7 @@ def test_all_parts_of_a_shot_give_a_still_camera_one_name(scene: bpy.types.Scene
         assert [camera.name for camera in cameras_of(scene, shot)] == ["dolly.0001"]
 
 
-def test_a_camera_that_cannot_move_is_looked_at_once(scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_still_camera_is_read_once_for_all_frames(scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     scene.camera.animation_data_clear()
     scene.camera.data.animation_data_clear()
     scene.frame_end = 1_000_000
@@ -359,7 +361,7 @@ def test_shots_of_two_files_do_not_replace_each_other(scene: bpy.types.Scene, tm
             write_shot(lift, bpy.context.scene, shot_of(bpy.context.scene, given="pan"), output=output)
 
 
-def test_a_refused_bake_leaves_nothing(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_a_refused_bake_leaves_no_file(scene: bpy.types.Scene, tmp_path: Path) -> None:
     def ended(stage: str, last: int) -> list[str]:
         reader, progress = ShotReader(scene, shot_of(scene, last=last)), SimpleNamespace(stage=stage)
         reader.read_for(math.inf)
@@ -381,7 +383,7 @@ def test_a_shot_of_another_camera_of_the_file_is_reported(scene: bpy.types.Scene
         write_shot(tmp_path, scene, shot_of(scene, given="pan_v{version}"))
 
 
-def test_names_that_differ_in_capitals_are_refused(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_shot_names_that_differ_only_in_capitals_are_refused(scene: bpy.types.Scene, tmp_path: Path) -> None:
     write_shot(tmp_path, scene, shot_of(scene, given="cam"))
     with raises_key("shot-taken --shot capitals"):
         write_shot(tmp_path, scene, shot_of(scene, given="CAM"))
@@ -389,7 +391,9 @@ def test_names_that_differ_in_capitals_are_refused(scene: bpy.types.Scene, tmp_p
 
 
 @pytest.mark.parametrize("change", ["camera", "lens", "size"])
-def test_a_changed_camera_is_another_version_or_is_refused(change: str, scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_a_changed_camera_makes_a_new_version_or_is_refused(
+    change: str, scene: bpy.types.Scene, tmp_path: Path
+) -> None:
     lift = tmp_path / "lift"
     lift.mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "night_v003.blend"))
@@ -433,12 +437,12 @@ def test_a_changed_camera_is_another_version_or_is_refused(change: str, scene: b
         "}",
     ],
 )
-def test_an_unknown_field_of_a_name_is_refused(template: str, scene: bpy.types.Scene) -> None:
+def test_an_unknown_field_in_a_shot_name_is_refused(template: str, scene: bpy.types.Scene) -> None:
     with raises_key("bad-template {version:03d}"):
         ShotReader(scene, shot_of(scene, given=template))
 
 
-def test_long_names_are_cut_and_stay_different(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_long_shot_names_are_shortened_and_stay_different(scene: bpy.types.Scene, tmp_path: Path) -> None:
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / f"{'night' * 12}.blend"))
     names = set()
     for camera in ("dolly", "d" * 50 + "1", "d" * 50 + "2"):
@@ -449,14 +453,14 @@ def test_long_names_are_cut_and_stay_different(scene: bpy.types.Scene, tmp_path:
     assert len(names) == 3
 
 
-def test_a_given_name_is_never_cut(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_a_shot_name_given_by_the_user_is_never_shortened(scene: bpy.types.Scene, tmp_path: Path) -> None:
     longest = "n" * 75 + "_v{version:03d}"
     assert Shot(scene.camera, 1, 1, given=longest).named() == "n" * 75 + "_v001"
     with raises_key("long-name --shot"):
         ShotReader(scene, shot_of(scene, given="n" + longest))
 
 
-def test_a_lifts_own_file_keeps_its_shots_where_the_lift_is_moved(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_a_moved_lift_keeps_the_shots_of_its_blend_file(scene: bpy.types.Scene, tmp_path: Path) -> None:
     for place in ("here", "there"):
         (tmp_path / place / "bake").mkdir(parents=True)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "here" / "lift.blend"))

@@ -53,7 +53,7 @@ def floor(up: float) -> splats.SeenSurface:
     return splats.SeenSurface(SurfaceGrid.of(xyz), np.tile(np.float32([0, 0, up]), (len(xyz), 1)))
 
 
-def test_a_square_lies_as_its_gaussian_does_with_its_front_on_the_surfaces_side(tmp_path: Path) -> None:
+def test_splat_squares_lie_as_their_gaussians_and_face_outwards(tmp_path: Path) -> None:
     write_gaussians(tmp_path / "gaussians.ply")
     rows = read_gaussians(tmp_path / "gaussians.ply")
     assert splats.seen(rows, 0.1).tolist() == [0, 1]
@@ -76,7 +76,7 @@ def test_a_square_lies_as_its_gaussian_does_with_its_front_on_the_surfaces_side(
     assert np.allclose(seen / np.linalg.norm(seen), np.array([9, 0, 1]) / 82**0.5), "a round one faces the eye"
 
 
-def test_objects_that_cameras_see_from_both_sides_have_two_squares(tmp_path: Path) -> None:
+def test_splats_of_objects_seen_from_both_sides_have_two_faces(tmp_path: Path) -> None:
     write_gaussians(tmp_path / "gaussians.ply")
     rows = read_gaussians(tmp_path / "gaussians.ply")[:1]
     wall = rows.copy()
@@ -109,7 +109,7 @@ def evaluated() -> Any:
 
 
 @pytest.mark.skipif(splat_objects.are_known(), reason="this Blender has splats of its own")
-def test_a_square_is_drawn_for_each_gaussian(lift: Path) -> None:
+def test_each_gaussian_is_drawn_as_one_square(lift: Path) -> None:
     lift_scene.place_lift(lift, bpy.context.scene)
     drawn = evaluated()
     assert len(drawn.polygons) == 2 and drawn.color_attributes.active_color.name == "Col"
@@ -118,7 +118,7 @@ def test_a_square_is_drawn_for_each_gaussian(lift: Path) -> None:
 
 
 @pytest.mark.skipif(not splat_objects.are_known(), reason="only Blender 5.3 and later have splats of their own")
-def test_blenders_own_splats_are_as_its_importer_makes_them(lift: Path) -> None:
+def test_splats_match_those_of_blenders_own_importer(lift: Path) -> None:
     root = lift_scene.place_lift(lift, bpy.context.scene)
     ours = bpy.data.objects["Gaussians"].data
     bpy.ops.wm.ply_import(filepath=str(lift / "result" / "gaussians.ply"))
@@ -138,7 +138,7 @@ def test_blenders_own_splats_are_as_its_importer_makes_them(lift: Path) -> None:
 
 
 @pytest.mark.skipif(not splat_objects.are_known(), reason="only Blender 5.3 and later have splats of their own")
-def test_blenders_own_splats_of_a_wall_are_left_out_from_behind(lift: Path) -> None:
+def test_native_splats_of_a_wall_are_not_drawn_from_behind(lift: Path) -> None:
     lift_scene.place_lift(lift, bpy.context.scene)
     normal = values_of(bpy.data.objects["Gaussians"].data, "normal", "vector", 3)
     assert not normal[0].any(), "what belongs to an object is always shown"
@@ -149,7 +149,7 @@ def test_blenders_own_splats_of_a_wall_are_left_out_from_behind(lift: Path) -> N
         assert len(evaluated().points) == count
 
 
-def test_splats_that_are_placed_again_have_the_new_colours_and_holes(lift: Path) -> None:
+def test_splats_placed_again_have_the_new_colours_and_hidden_objects(lift: Path) -> None:
     with registered():
         root = lift_scene.place_lift(lift, bpy.context.scene)
         root.plgs.look = "INSTANCES"
@@ -183,7 +183,7 @@ def test_splats_that_another_blender_made_are_replaced(lift: Path) -> None:
     assert found.type == ("POINTCLOUD" if splat_objects.are_known() else "MESH")
 
 
-def test_a_lift_opens_as_splats_in_photo_colours_and_is_recoloured(lift: Path) -> None:
+def test_a_lift_opens_as_splats_that_can_be_recoloured(lift: Path) -> None:
     root = lift_scene.place_lift(lift, bpy.context.scene)
     data = bpy.data.objects["Gaussians"].data
     shown = {each.name: not each.hide_viewport for each in root.children}
@@ -213,7 +213,7 @@ def test_a_lift_opens_as_splats_in_photo_colours_and_is_recoloured(lift: Path) -
     assert [ob.name for ob in bpy.data.objects if ob.name.startswith("Gaussians")] == ["Gaussians"]
 
 
-def test_splats_beside_a_surface_wait_for_their_button(lift: Path, extension: None) -> None:
+def test_splats_of_a_lift_with_a_mesh_are_made_only_on_request(lift: Path, extension: None) -> None:
     """They would take a quarter of the saved file."""
     scene = bpy.context.scene
     root = lift_scene.place_lift(lift, scene)

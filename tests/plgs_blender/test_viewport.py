@@ -32,7 +32,7 @@ def area(width: int, height: int, bar: int) -> Any:
 
 @pytest.mark.parametrize("size", [(19.0, 11.0, 3.0), (4.0, 4.0, 40.0), (1.0, 30.0, 2.0)])
 @pytest.mark.parametrize(("width", "height", "bar"), [(1586, 928, 1), (1057, 840, 291), (500, 900, 200)])
-def test_framed_room_fits_the_free_part(size: tuple[float, ...], width: int, height: int, bar: int) -> None:
+def test_framed_room_fits_the_view_beside_panels(size: tuple[float, ...], width: int, height: int, bar: int) -> None:
     corners = np.array(list(product(*((-2.0, side - 2.0) for side in size))))
     shown = area(width, height, bar)
     rotation = Euler((0.9, 0.0, 1.2)).to_quaternion()
@@ -72,7 +72,9 @@ print("chosen:", start_file().view_settings.view_transform, _new_scene("x").view
     [(None, "Standard"), (["ACES 1.0 - SDR Video", "Un-tone-mapped", "Raw"], "Un-tone-mapped"), (["Plain"], "Plain")],
     ids=["Blender's own", "like ACES", "minimal"],
 )
-def test_any_ocio_configuration_makes_a_file(views: list[str] | None, chosen: str, tmp_path: Path, root: Path) -> None:
+def test_a_lift_is_saved_under_any_ocio_config(
+    views: list[str] | None, chosen: str, tmp_path: Path, root: Path
+) -> None:
     environment = {name: value for name, value in os.environ.items() if name != "OCIO"} | {"PYTHONPATH": str(root)}
     if views is not None:
         lines = "\n".join(f'    - !<View> {{name: "{view}", colorspace: disp}}' for view in views)
@@ -102,7 +104,7 @@ def following() -> Iterator[None]:
         (("1305031102175304", "1305031102211214"), [0, 1]),
     ],
 )
-def test_frames_are_at_their_numbers(names: tuple[str, ...], places: list[int]) -> None:
+def test_timeline_markers_lie_at_the_frames_numbers(names: tuple[str, ...], places: list[int]) -> None:
     scene, root = bpy.context.scene, bpy.data.collections.new("PLGS")
     root["plgs_lift"], root["plgs_key"] = "a lift", "lift"
     scene.collection.children.link(root)
@@ -143,7 +145,7 @@ def test_a_camera_that_the_user_adds_later_stays_active(lift: Path) -> None:
     assert scene.camera["frame"] == "0001"
 
 
-def test_solid_shading_shows_the_pictures_of_a_surface_and_nothing_white(extension: None, tmp_path: Path) -> None:
+def test_solid_shading_shows_textures_of_meshes_and_no_white_objects(extension: None, tmp_path: Path) -> None:
     """Only for what has pictures: splats, points, classes and shadow catchers keep their own colours."""
     lift = tiny_lift.write_tiny_lift(tmp_path / "lift")
     write_surface(mesh_folder(lift.path) / "mesh.ply", shade=40)

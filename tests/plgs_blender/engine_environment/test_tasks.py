@@ -60,7 +60,7 @@ def wait_for(task: registry.Task | None) -> None:
         registry.wait_for(task, bpy.context.scene)
 
 
-def test_the_chosen_python_is_asked_without_waiting(python: Python) -> None:
+def test_the_chosen_python_is_checked_in_the_background(python: Python) -> None:
     chosen = python()
     choices.choose(chosen)
     check = tasks.check()
@@ -73,7 +73,7 @@ def test_the_chosen_python_is_asked_without_waiting(python: Python) -> None:
     assert engine_environment.usable_python() == chosen
 
 
-def test_a_window_relies_on_what_is_known(python: Python, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_window_does_not_wait_for_a_second_engine_check(python: Python, monkeypatch: pytest.MonkeyPatch) -> None:
     """It does not wait for a second look: the engine itself says what it lacks when it was asked too soon."""
     monkeypatch.setattr(engine_environment, "bpy", SimpleNamespace(app=SimpleNamespace(background=False)))
     lacking = python(torch=None)
@@ -86,7 +86,9 @@ def test_a_window_relies_on_what_is_known(python: Python, monkeypatch: pytest.Mo
     assert "lacks torch" in (engine_environment.why_no_engine() or "")
 
 
-def test_other_programs_are_recognised(python: Python, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_programs_other_than_python_are_noticed(
+    python: Python, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     picture = tmp_path / "picture.png"
     picture.write_bytes(b"\x89PNG\r\n\x1a\n\0\0")
     executable_picture = tmp_path / "run.png"
@@ -113,7 +115,9 @@ def test_other_programs_are_recognised(python: Python, tmp_path: Path, monkeypat
     assert "PLGS_ENGINE_PYTHON" in answer_of(None).fix
 
 
-def test_a_program_that_hangs_is_ended(python: Python, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_python_that_hangs_in_a_check_is_ended(
+    python: Python, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pid = tmp_path / "pid"
     choices.choose(python("hanging", f"echo $$ > {pid}.part; mv {pid}.part {pid}; exec sleep 600"))
     task = tasks.check()
@@ -125,7 +129,7 @@ def test_a_program_that_hangs_is_ended(python: Python, tmp_path: Path, monkeypat
     assert not Path(f"/proc/{int(pid.read_text())}").exists()
 
 
-def test_other_versions_are_noted_but_may_work(python: Python) -> None:
+def test_an_engine_with_other_package_versions_is_used_with_a_note(python: Python) -> None:
     status = answer_of(python(torch="3.0"))
     assert status.state is EngineState.READY and "torch 3.0 instead of 2.0" in status.note
 
@@ -140,14 +144,14 @@ def test_without_a_python_the_engine_is_missing(monkeypatch: pytest.MonkeyPatch)
     assert status.state is EngineState.MISSING and "Set Up Engine" in status.fix
 
 
-def test_nothing_is_set_up_offline() -> None:
+def test_the_set_up_is_refused_without_online_access() -> None:
     assert "Allow online access" in (tasks.why_no_set_up() or "")
     with raises_key("set-up-refused"):
         tasks.set_up(SetUpChoice())
     assert tasks.running_set_up() is None and not tasks.log_path().exists()
 
 
-def test_no_argument_contains_a_password() -> None:
+def test_passwords_are_not_passed_as_command_line_arguments() -> None:
     choice = SetUpChoice(Path("/base"), "cuda", "https://me:secret@index")
     assert choice.arguments() == ["--torch", "cuda", "--base-python", Path("/base")]
     assert choice.variables() == {"PLGS_INDEX_URL": "https://me:secret@index"} and SetUpChoice().variables() == {}
@@ -170,7 +174,9 @@ def pretend(monkeypatch: pytest.MonkeyPatch, program: str) -> None:
     monkeypatch.setattr(tasks, "start_engine", start_engine)
 
 
-def test_after_a_set_up_its_python_is_checked(online: None, python: Python, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_finished_set_up_gets_its_python_checked(
+    online: None, python: Python, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pretend(monkeypatch, "")
     choices.choose(python())  # which is why somebody sets it up
     set_up = tasks.set_up(SetUpChoice())

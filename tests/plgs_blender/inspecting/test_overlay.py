@@ -21,7 +21,7 @@ WIDTH, HEIGHT = 480, 300
     st.lists(st.tuples(st.floats(-50, 700), st.floats(-50, 500), st.floats(10, 200)), max_size=40),
     st.lists(st.tuples(st.floats(0, 600), st.floats(0, 400)), max_size=2),
 )
-def test_names_cover_no_others(labels: list[tuple[float, float, float]], corners: list[tuple[float, float]]) -> None:
+def test_names_never_overlap(labels: list[tuple[float, float, float]], corners: list[tuple[float, float]]) -> None:
     anchors, widths = [(x, y) for x, y, _ in labels], [width for _, _, width in labels]
     free = [(x, y, x + 80.0, y + 60.0) for x, y in corners]
     placed = drawing.place_labels(anchors, widths, 18.0, (640.0, 480.0), free)
@@ -56,7 +56,7 @@ def seen(root: bpy.types.Collection) -> Seen:
     return Seen(bpy.data.objects["Overview"])
 
 
-def test_labels_stand_at_their_boxes(root: bpy.types.Collection, seen: Seen) -> None:
+def test_object_names_are_drawn_at_their_boxes(root: bpy.types.Collection, seen: Seen) -> None:
     text_boxes = drawing.label_text_boxes(root.plgs.instances, boxes_of(root), active=1, region=seen.region)
     assert {text_box.text for text_box in text_boxes} == {"chair 1", "cabinet 1"}
     for text_box in text_boxes:
@@ -70,7 +70,7 @@ def test_labels_stand_at_their_boxes(root: bpy.types.Collection, seen: Seen) -> 
     assert [text_box.text for text_box in text_boxes] == ["cabinet 1"]
 
 
-def test_selected_name_says_out_of_view_and_hovered_has_a_name(root: bpy.types.Collection, seen: Seen) -> None:
+def test_the_name_of_a_selected_object_out_of_view_says_so(root: bpy.types.Collection, seen: Seen) -> None:
     boxes, region = boxes_of(root), seen.region
     at = region.pixel_of(bpy.data.objects["chair 1 box"].matrix_world.translation)
     free = [(at[0] - 80.0, 0.0, at[0] + 80.0, float(HEIGHT))]
@@ -93,7 +93,7 @@ def test_selected_name_says_out_of_view_and_hovered_has_a_name(root: bpy.types.C
     )
 
 
-def test_the_legend_has_the_classes_that_are_shown(root: bpy.types.Collection, seen: Seen) -> None:
+def test_the_legend_lists_only_classes_that_are_shown(root: bpy.types.Collection, seen: Seen) -> None:
     rows = root.plgs.classes
     text_boxes = drawing.legend_text_boxes(drawing.shown_classes(rows), seen.region)
     assert {text_box.text for text_box in text_boxes} == {row.name for row in rows}
@@ -137,7 +137,7 @@ def in_pixels() -> None:
 
 
 @pytest.mark.skipif(bool(os.environ.get("PLGS_NO_EGL")), reason="this machine has no EGL")
-def test_overlay_is_drawn(root: bpy.types.Collection, seen: Seen) -> None:
+def test_the_overlay_draws_names_and_legend(root: bpy.types.Collection, seen: Seen) -> None:
     box, colour = boxes_of(root)[1], (0.9, 0.2, 0.1)
     points = highlight.highlight_of(root, 1, lambda cloud: True)
 
@@ -165,7 +165,7 @@ def test_overlay_is_drawn(root: bpy.types.Collection, seen: Seen) -> None:
 
 
 @pytest.mark.skipif(bool(os.environ.get("PLGS_NO_EGL")), reason="this machine has no EGL")
-def test_a_path_is_a_line_that_breaks_at_jumps(root: bpy.types.Collection) -> None:
+def test_the_drawn_camera_path_breaks_at_jumps(root: bpy.types.Collection) -> None:
     def draw() -> None:
         in_pixels()
         drawing.draw_path([Vector((x, 50.0, 0.0)) for x in (20, 40, 60, 80, 300, 320)])
@@ -175,7 +175,7 @@ def test_a_path_is_a_line_that_breaks_at_jumps(root: bpy.types.Collection) -> No
     assert amber[22:78].all() and amber[302:318].all() and not amber[90:290].any()
 
 
-def test_the_outline_of_a_mesh_is_its_own(extension: None) -> None:
+def test_the_highlight_of_a_mesh_follows_its_silhouette(extension: None) -> None:
     """Within two pixels of a ball's outline, without the circles of sparse points."""
     bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=6, radius=1.0)
     ball = bpy.context.active_object

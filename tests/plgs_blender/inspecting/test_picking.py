@@ -57,7 +57,7 @@ def middle(root: bpy.types.Collection, number: int) -> Vector:
 
 
 @pytest.mark.parametrize("is_perspective", [True, False])
-def test_a_click_on_the_middle_of_an_object_finds_it(root: bpy.types.Collection, is_perspective: bool) -> None:
+def test_a_click_on_the_middle_of_an_object_selects_it(root: bpy.types.Collection, is_perspective: bool) -> None:
     for number, class_id in ((1, CHAIR_ID), (2, CABINET_ID)):
         seen = Seen(middle(root, number) + Vector((0.4, 0.3, 2.0)), middle(root, number), is_perspective)
         found = picking.drawn_under([root], seen.view, seen.pixel(middle(root, number)))
@@ -69,7 +69,7 @@ def test_a_click_on_the_middle_of_an_object_finds_it(root: bpy.types.Collection,
 
 
 @pytest.mark.parametrize("is_perspective", [True, False])
-def test_a_ray_hits_a_surface(
+def test_a_click_hits_the_surface_of_a_mesh(
     extension: None, empty_file: None, lift: Path, tmp_path: Path, is_perspective: bool
 ) -> None:
     """Against the plane of the floor and of the square above it, seen from afar; from below, backs are open."""
@@ -104,7 +104,7 @@ def test_a_ray_hits_a_surface(
 
 
 @pytest.mark.parametrize("is_perspective", [True, False])
-def test_splats_stop_a_ray(extension: None, empty_file: None, lift: Path, tmp_path: Path, is_perspective: bool) -> None:
+def test_clicks_hit_splats(extension: None, empty_file: None, lift: Path, tmp_path: Path, is_perspective: bool) -> None:
     """Squares, or Blender's own splats: a faint one of the cabinet is seen through, down to the chair's."""
     mine = Path(shutil.copytree(lift, tmp_path / "mine"))
     instance = np.array([CHAIR_ID, CABINET_ID], np.int32) == CHAIR_ID
@@ -131,7 +131,7 @@ def test_splats_stop_a_ray(extension: None, empty_file: None, lift: Path, tmp_pa
         assert (None if found is None else found.instance) == number, aside
 
 
-def test_pixels_of_a_frame_are_what_rays_hit(root: bpy.types.Collection) -> None:
+def test_clicks_on_a_frame_find_what_its_pixels_show(root: bpy.types.Collection) -> None:
     """Against the room's own ray tracer, away from edges. The points have gaps, where no view came near."""
     size, agree, total = (320, 240), 0, 0
     for name in ("0001", "0004", "0007"):
@@ -147,7 +147,7 @@ def test_pixels_of_a_frame_are_what_rays_hit(root: bpy.types.Collection) -> None
     assert total > 1000 and agree > 0.97 * total, f"{agree} of {total}"
 
 
-def test_a_click_on_a_name_finds_its_object(root: bpy.types.Collection) -> None:
+def test_a_click_on_an_objects_name_selects_the_object(root: bpy.types.Collection) -> None:
     seen = Seen(middle(root, 1) + Vector((1.5, 1.5, 3.0)), middle(root, 1))
     region = seen.region
     names = label_text_boxes(root.plgs.instances, boxes_of(root), active=0, region=region)
@@ -167,7 +167,7 @@ def drawn_from(root: bpy.types.Collection, aside: Vector) -> tuple[SimpleNamespa
     return context, seen.region
 
 
-def test_the_mouse_lights_the_name_of_one_lift(root: bpy.types.Collection, lift: Path, tmp_path: Path) -> None:
+def test_hovering_highlights_the_name_of_one_lift_only(root: bpy.types.Collection, lift: Path, tmp_path: Path) -> None:
     """Objects of two lifts in one file have the same numbers."""
     scene = write_tiny_scene(tmp_path / "other room", frames=4, size=(64, 48))
     other = lift_scene.place_lift(write_tiny_lift(tmp_path / "lift", scene, bake=False).path, bpy.context.scene)

@@ -52,7 +52,7 @@ def test_a_box_that_is_clicked_is_selected_in_the_list(root: bpy.types.Collectio
     assert not any(box.hide_get() for box in boxes.values())
 
 
-def test_a_row_selects_its_box_and_nothing_else(root: bpy.types.Collection) -> None:
+def test_a_row_of_the_list_selects_only_its_box(root: bpy.types.Collection) -> None:
     pick(bpy.data.objects["Overview"])
     root.plgs.instance_index = 1
     box = boxes_of(root)[root.plgs.instances[1].instance_id]
@@ -61,7 +61,7 @@ def test_a_row_selects_its_box_and_nothing_else(root: bpy.types.Collection) -> N
     assert selected() == [boxes_of(root)[1].name] and root.plgs.instance_index == 0
 
 
-def test_several_are_selected_one_after_the_other(root: bpy.types.Collection) -> None:
+def test_several_objects_are_selected_one_after_the_other(root: bpy.types.Collection) -> None:
     layer, boxes = bpy.context.view_layer, boxes_of(root)
     for number, extend in ((1, False), (2, True)):
         selection.select_instance(root, number, layer, extend=extend)
@@ -87,7 +87,7 @@ def test_a_hidden_object_is_selected_only_in_the_list(root: bpy.types.Collection
         selection.select_instance(root, 7, bpy.context.view_layer)
 
 
-def test_renamed_box_is_found_after_undo(root: bpy.types.Collection) -> None:
+def test_a_renamed_box_is_found_after_undo(root: bpy.types.Collection) -> None:
     bpy.ops.ed.undo_push(message="placed")
     pick(boxes_of(root)[2])
     bpy.ops.ed.undo_push(message="picked")
@@ -100,7 +100,7 @@ def test_renamed_box_is_found_after_undo(root: bpy.types.Collection) -> None:
     assert selection.selected_instance(again, bpy.context.view_layer.objects.active) == 2
 
 
-def test_two_lifts_stay_separate(root: bpy.types.Collection, tmp_path: Path) -> None:
+def test_selecting_in_one_lift_leaves_the_other_lift_alone(root: bpy.types.Collection, tmp_path: Path) -> None:
     other = lift_scene.place_lift(write_tiny_lift(tmp_path / "lift", frames=4, bake=False).path, bpy.context.scene)
     scene = bpy.context.scene
     pick(boxes_of(other)[2])
@@ -114,7 +114,7 @@ def test_two_lifts_stay_separate(root: bpy.types.Collection, tmp_path: Path) -> 
         find_lift(scene, str(tmp_path))
 
 
-def test_the_points_of_the_selected_instance_glow(root: bpy.types.Collection, lift: Path) -> None:
+def test_points_of_the_selected_instance_are_highlighted(root: bpy.types.Collection, lift: Path) -> None:
     stored = np.load(lift / "result" / "semantic_points.npz")
     anchors = np.load(lift / "result" / "anchors.npz")
     mine = highlight.highlight_of(root, 1, lambda cloud: cloud.name != "Anchors")
@@ -126,7 +126,7 @@ def test_the_points_of_the_selected_instance_glow(root: bpy.types.Collection, li
     assert len(highlight.highlight_of(root, 99, lambda cloud: True).xyz) == 0
 
 
-def test_moved_objects_still_belong(root: bpy.types.Collection) -> None:
+def test_objects_moved_to_another_collection_still_belong_to_the_lift(root: bpy.types.Collection) -> None:
     mine = bpy.data.collections.new("mine")
     bpy.context.scene.collection.children.link(mine)
     for ob in (boxes_of(root)[1], bpy.data.objects["0003"], bpy.data.objects["wall points"]):
@@ -138,7 +138,7 @@ def test_moved_objects_still_belong(root: bpy.types.Collection) -> None:
     assert selected() == [boxes_of(root)[1].name]
 
 
-def test_a_lift_with_a_result_comes_before_an_imported_scene(extension: None, lift: Path, tmp_path: Path) -> None:
+def test_a_lift_with_a_result_is_preferred_to_an_imported_scene(extension: None, lift: Path, tmp_path: Path) -> None:
     imported = place_scene(ChosenScene(write_tiny_scene(tmp_path / "other", frames=4)), bpy.context.scene)
     placed = lift_scene.place_lift(lift, bpy.context.scene)
     assert lifts_in(bpy.context.scene) == [imported, placed]
@@ -148,7 +148,7 @@ def test_a_lift_with_a_result_comes_before_an_imported_scene(extension: None, li
 
 
 @pytest.mark.parametrize("name", ["sofa 1.001", "沙" * 30, "chair", "Throne"])
-def test_a_name_that_blender_changes_is_no_new_name(lift: Path, tmp_path: Path, extension: None, name: str) -> None:
+def test_blenders_numbering_is_not_taken_for_a_rename(lift: Path, tmp_path: Path, extension: None, name: str) -> None:
     mine = Path(shutil.copytree(lift, tmp_path / "mine"))
     root = lift_scene.place_lift(mine, bpy.context.scene)
     assert bpy.data.objects.new("chair box", None), "a name that is taken"
@@ -161,7 +161,7 @@ def test_a_name_that_blender_changes_is_no_new_name(lift: Path, tmp_path: Path, 
     assert [edit.kind for edit in read_edits(mine)] == ["rename", "accept"] and root.plgs.instances[0].name == name
 
 
-def test_a_new_name_is_kept_without_blenders_number(lift: Path, tmp_path: Path, extension: None) -> None:
+def test_renaming_a_box_keeps_the_name_without_blenders_number(lift: Path, tmp_path: Path, extension: None) -> None:
     mine = Path(shutil.copytree(lift, tmp_path / "mine"))
     root = lift_scene.place_lift(mine, bpy.context.scene)
     for typed, kept in (("chair", "chair"), ("bench.002", "bench.002")):

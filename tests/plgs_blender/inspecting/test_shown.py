@@ -25,7 +25,7 @@ from tiny_scene import CHAIR_ID
 from tests.raises_key import raises_key
 
 
-def test_lists_match_the_result(root: bpy.types.Collection, lift: Path) -> None:
+def test_the_lists_in_blender_match_the_result(root: bpy.types.Collection, lift: Path) -> None:
     told = json.loads((lift / "result" / "instances.json").read_text())["instances"]
     for row, entry in zip(root.plgs.instances, told, strict=True):
         assert (row.instance_id, row.name, row.class_id) == (entry["id"], entry["name"], entry["class_id"])
@@ -46,7 +46,7 @@ def test_lists_match_the_result(root: bpy.types.Collection, lift: Path) -> None:
     assert root.plgs.instance_index == -1
 
 
-def test_lists_stay_in_a_saved_file(lift: Path, tmp_path: Path, plgs: ModuleType) -> None:
+def test_the_lists_are_kept_in_a_saved_file(lift: Path, tmp_path: Path, plgs: ModuleType) -> None:
     assert not hasattr(bpy.types.Collection, "plgs")
     lift_scene.save_lift(lift, tmp_path / "lift.blend")
     assert not hasattr(bpy.types.Collection, "plgs"), "a script that places a lift switches nothing on"
@@ -64,14 +64,14 @@ def mask(share: float, *rectangle: float) -> MatchedSegment:
     return MatchedSegment("0001", 1, CHAIR_ID, 0.9, None, 0.5, 100, share, rectangle)  # type: ignore[arg-type]
 
 
-def test_the_best_view_sees_much_and_all_of_it() -> None:
+def test_the_best_view_of_an_object_shows_it_large_and_whole() -> None:
     small, large, cut = mask(0.05, 0.4, 0.4, 0.6, 0.6), mask(0.2, 0.2, 0.2, 0.8, 0.8), mask(0.3, 0.0, 0.2, 0.7, 0.9)
     assert best_view([small, large, cut]) == 1
     assert best_view([small, cut]) == 1, "half of what is cut off is still more"
     assert best_view([]) == best_view([mask(0.0, 0.0, 0.0, 0.0, 0.0)]) == -1
 
 
-def test_looking_from_a_frame_goes_there_on_the_timeline(root: bpy.types.Collection) -> None:
+def test_looking_from_a_frame_moves_the_timeline_to_it(root: bpy.types.Collection) -> None:
     scene = bpy.context.scene
     scene.render.resolution_x = 333
     view = next(s for screen in bpy.data.screens for a in screen.areas for s in a.spaces if s.type == "VIEW_3D")
@@ -86,7 +86,7 @@ def test_looking_from_a_frame_goes_there_on_the_timeline(root: bpy.types.Collect
 
 
 @pytest.mark.parametrize("aspect", [0.5, 1.0, 2.2])
-def test_a_framed_box_fills_the_view_and_no_more(root: bpy.types.Collection, aspect: float) -> None:
+def test_framing_an_object_fits_its_box_into_the_view(root: bpy.types.Collection, aspect: float) -> None:
     view = next(s for screen in bpy.data.screens for a in screen.areas for s in a.spaces if s.type == "VIEW_3D")
     region = view.region_3d
     region.view_perspective = "PERSP"
@@ -142,7 +142,7 @@ def stored(lift: Path) -> np.ndarray:
     return np.stack([points["class_id"], points["instance_id"]])
 
 
-def test_an_instance_takes_its_box_points_and_anchors_with_it(root: bpy.types.Collection, lift: Path) -> None:
+def test_hiding_an_instance_hides_its_box_points_and_anchors(root: bpy.types.Collection, lift: Path) -> None:
     root.plgs.show_boxes = True
     before, row = seen(root), row_of(root, 1)
     row.visible = False
@@ -160,7 +160,7 @@ def test_an_instance_takes_its_box_points_and_anchors_with_it(root: bpy.types.Co
     assert not any(cloud.modifiers.get(looks.MODIFIER) for cloud in clouds_of(root))
 
 
-def test_a_class_takes_its_instances_with_it(root: bpy.types.Collection) -> None:
+def test_hiding_a_class_hides_its_instances(root: bpy.types.Collection) -> None:
     root.plgs.show_boxes = True
     before = seen(root)
     class_row_of(root, CHAIR_ID).visible = False
@@ -169,7 +169,7 @@ def test_a_class_takes_its_instances_with_it(root: bpy.types.Collection) -> None
     assert seen(root) == before and all(row.visible for row in root.plgs.classes)
 
 
-def test_isolated_object_is_framed_without_crumbs(root: bpy.types.Collection) -> None:
+def test_isolating_an_object_frames_it_without_stray_points(root: bpy.types.Collection) -> None:
     view = next(s for screen in bpy.data.screens for a in screen.areas for s in a.spaces if s.type == "VIEW_3D")
     before = view.region_3d.view_location.copy(), view.region_3d.view_distance
     cloud = next(ob for ob in clouds_of(root) if ob.get("class_id") == CHAIR_ID)
@@ -185,7 +185,7 @@ def test_isolated_object_is_framed_without_crumbs(root: bpy.types.Collection) ->
     assert (view.region_3d.view_location, view.region_3d.view_distance) == before
 
 
-def test_isolating_one_and_returning_to_what_was_shown(root: bpy.types.Collection, lift: Path) -> None:
+def test_ending_isolation_shows_what_was_shown_before(root: bpy.types.Collection, lift: Path) -> None:
     root.plgs.show_boxes, row_of(root, 2).visible = True, False
     before = seen(root)
     looks.isolate(root, 1)
@@ -200,7 +200,7 @@ def test_isolating_one_and_returning_to_what_was_shown(root: bpy.types.Collectio
     assert root.plgs.isolated == 0 and {"chair 1 box", "cabinet 1 box"} <= set(seen(root))
 
 
-def test_hidden_stays_hidden_in_the_file(root: bpy.types.Collection, tmp_path: Path) -> None:
+def test_hidden_objects_stay_hidden_in_a_saved_file(root: bpy.types.Collection, tmp_path: Path) -> None:
     row_of(root, 1).visible = False
     before = seen(root)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
@@ -210,7 +210,7 @@ def test_hidden_stays_hidden_in_the_file(root: bpy.types.Collection, tmp_path: P
     assert not again.plgs.instances[0].visible
 
 
-def test_cameras_that_are_off_are_as_small_as_blender_draws_them(root: bpy.types.Collection) -> None:
+def test_hidden_cameras_are_drawn_at_blenders_smallest_size(root: bpy.types.Collection) -> None:
     ours = [ob for key, ob in objects_by_key(root).items() if key.startswith(("frame:", PATH)) and ob.type == "CAMERA"]
     smallest = ours[0].data.bl_rna.properties["display_size"].hard_min
     assert len(ours) > 1 and {round(ob.data.display_size, 6) for ob in ours} == {round(smallest, 6)}

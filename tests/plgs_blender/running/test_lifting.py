@@ -17,7 +17,7 @@ from tests.raises_key import raises_key
 pytestmark = pytest.mark.usefixtures("extension")
 
 
-def test_the_advice_about_a_running_lift(tmp_path: Path) -> None:
+def test_the_panel_advises_to_wait_for_or_cancel_a_running_lift(tmp_path: Path) -> None:
     lift = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path / "room"))
     scene = bpy.context.scene
     with lift.lock():
@@ -58,11 +58,11 @@ def test_the_advice_about_a_running_lift(tmp_path: Path) -> None:
         (PlgsError("made-up", "a.png, b.png are gone", "a", ""), "a.png, b.png are gone: a"),
     ],
 )
-def test_advice_names_the_panels_fields(said: str | PlgsError, told: str) -> None:
+def test_advice_of_the_engine_names_the_panels_fields(said: str | PlgsError, told: str) -> None:
     assert with_field_names(said) == told
 
 
-def test_every_option_that_an_error_names_is_a_field_or_has_a_name(root: Path) -> None:
+def test_every_option_named_in_an_error_has_a_name_in_the_panel(root: Path) -> None:
     """The options that the engine's errors declare, as far as the panel can start such a task."""
     files = [path for part in ("scene", "lift", "segment") for path in (root / "engine" / part).rglob("*.py")]
     texts = [path.read_text() for path in files]
@@ -81,7 +81,7 @@ def test_the_panel_chooses_the_device(tmp_path: Path) -> None:
     assert settings.device == "cuda"
 
 
-def test_preset_options_are_shown() -> None:
+def test_the_options_of_a_preset_are_shown() -> None:
     settings = bpy.context.scene.plgs
     settings.preset_options = "weights.depth=0  objects=boxes"
     assert why_no_options(settings) is None
@@ -92,7 +92,7 @@ def test_preset_options_are_shown() -> None:
     assert not any(is_changed for _, _, is_changed in shown_preset(settings))
 
 
-def test_options_with_their_own_field_are_used(tmp_path: Path) -> None:
+def test_preset_options_typed_in_the_panel_are_used(tmp_path: Path) -> None:
     settings = bpy.context.scene.plgs
     settings.scene_folder = str(tmp_path)
     settings.preset_options = "steps=600 size=100,80 frames=9 weights.depth=0"
@@ -112,7 +112,7 @@ def test_a_lift_is_requested_again_with_the_same_options(tmp_path: Path) -> None
         assert request_of(settings) == asked
 
 
-def test_masks_are_read_alike_by_the_survey_and_the_lift(tmp_path: Path) -> None:
+def test_the_panel_and_the_lift_read_masks_in_the_same_way(tmp_path: Path) -> None:
     settings = bpy.context.scene.plgs
     settings.scene_folder, settings.mask_format = str(tmp_path), "coco"
     settings.classes_table = str(tmp_path / "mine.toml")

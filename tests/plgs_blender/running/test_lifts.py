@@ -23,7 +23,7 @@ def lift(tmp_path: Path) -> LiftFolder:
     return LiftFolder.create(tmp_path / "lift", LiftRequest(scene=tmp_path / "room"))
 
 
-def test_a_cancelled_lift_that_is_opened_never_looks_as_if_it_ran(lift: LiftFolder) -> None:
+def test_an_opened_cancelled_lift_is_never_shown_as_running(lift: LiftFolder) -> None:
     events = EventWriter(lift.events_path)
     events.hello(threads=2, resumed=False)
     for step in range(3000):  # more than a poll reads
@@ -35,7 +35,7 @@ def test_a_cancelled_lift_that_is_opened_never_looks_as_if_it_ran(lift: LiftFold
     assert not followed.is_running and followed.was_cancelled and followed.can_be_resumed
 
 
-def test_cancelled_and_resumed(lift: LiftFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lift_is_cancelled_and_resumed_from_blender(lift: LiftFolder, monkeypatch: pytest.MonkeyPatch) -> None:
     def command(python: Path, lift: Path, *, resume: bool) -> list[str | Path]:
         return [python, ENGINE, "long", lift, *(["--resume"] if resume else [])]
 
@@ -57,19 +57,19 @@ def test_cancelled_and_resumed(lift: LiftFolder, monkeypatch: pytest.MonkeyPatch
     assert again.progress.step > reached - 2, "it went on where it was"
 
 
-def test_looking_at_what_is_not_a_lift(tmp_path: Path) -> None:
+def test_opening_a_folder_that_is_no_lift_is_refused(tmp_path: Path) -> None:
     assert lifts.look_at(tmp_path / "nothing") is None and tmp_path / "nothing" not in lifts.refusals
     (tmp_path / "folder").mkdir()
     assert lifts.look_at(tmp_path / "folder") is None
     assert lifts.refusals[tmp_path / "folder"].key == "not-lift-folder"
 
 
-def test_a_folder_that_was_not_started_can_be_resumed(lift: LiftFolder) -> None:
+def test_a_lift_that_never_started_can_be_resumed(lift: LiftFolder) -> None:
     followed = lifts.attach(lift.path)
     assert followed.lift_state is LiftState.NOT_STARTED and followed.can_be_resumed and not followed.is_running
 
 
-def test_a_lift_that_can_no_longer_be_read_ends(lift: LiftFolder) -> None:
+def test_a_running_lift_whose_events_become_unreadable_ends_with_an_error(lift: LiftFolder) -> None:
     with lift.lock():
         followed = lifts.attach(lift.path)
         assert followed.is_running

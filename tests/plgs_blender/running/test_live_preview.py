@@ -52,7 +52,7 @@ def seen_by_the_engine(folder: LiftFolder) -> Camera:
     )
 
 
-def test_the_active_camera_is_requested_once(growing: LiftFolder) -> None:
+def test_the_live_preview_is_requested_once_for_each_camera(growing: LiftFolder) -> None:
     scene = bpy.context.scene
     frame = next(each for each in open_scene(growing.request.scene).frames if each.name == scene.camera["frame"])
     look_through(scene, scene.camera)
@@ -66,7 +66,7 @@ def test_the_active_camera_is_requested_once(growing: LiftFolder) -> None:
     assert not growing.preview_request_path.exists()
 
 
-def test_a_view_that_looks_through_no_camera_is_watched_itself(growing: LiftFolder) -> None:
+def test_the_live_preview_follows_a_view_that_uses_no_camera(growing: LiftFolder) -> None:
     (area,) = areas_of(bpy.context.scene)
     view, window = area.spaces.active.region_3d, next(each for each in area.regions if each.type == "WINDOW")
     view.view_perspective = "PERSP"
@@ -95,7 +95,7 @@ def fingerprint(growing: LiftFolder) -> str:
     return asked.fingerprint
 
 
-def test_the_preview_is_seen_while_the_camera_stays_and_leaves_nothing(growing: LiftFolder) -> None:
+def test_the_live_preview_is_shown_and_leaves_no_image_in_the_file(growing: LiftFolder) -> None:
     scene, before = bpy.context.scene, set(bpy.data.images)
     assert lifts.picture_for(scene) is None
     assert shown(growing) and shown(growing)
@@ -116,7 +116,7 @@ def test_the_preview_is_seen_while_the_camera_stays_and_leaves_nothing(growing: 
     assert lifts.picture_for(scene) is None
 
 
-def test_a_picture_that_another_camera_saw_is_not_shown_but_requested_again(growing: LiftFolder) -> None:
+def test_a_live_preview_of_another_camera_is_requested_again(growing: LiftFolder) -> None:
     scene = bpy.context.scene
     lifts.follow_camera(growing, bpy.data.scenes)
     own = fingerprint(growing)
@@ -127,7 +127,7 @@ def test_a_picture_that_another_camera_saw_is_not_shown_but_requested_again(grow
     assert fingerprint(growing) == own
 
 
-def test_the_users_own_camera_shows_the_preview_and_is_not_changed(growing: LiftFolder) -> None:
+def test_the_users_camera_shows_the_live_preview_unchanged(growing: LiftFolder) -> None:
     scene = bpy.context.scene
     scene.camera = mine = bpy.data.objects.new("mine", bpy.data.cameras.new("mine"))
     scene.collection.objects.link(mine)

@@ -46,7 +46,7 @@ def opened(lift: Path, folder: Path, blend: str, read: Read, *, linked: bool = F
     return folder
 
 
-def test_an_edit_of_an_opened_file_waits_for_no_reading(lift: Path, tmp_path: Path, read: Read) -> None:
+def test_opening_a_file_does_not_wait_for_its_lift_to_be_read(lift: Path, tmp_path: Path, read: Read) -> None:
     mine = opened(lift, tmp_path / "mine", "lift.blend", read)
     assert not read, "not while the file is opened"
     parts = 0
@@ -57,7 +57,7 @@ def test_an_edit_of_an_opened_file_waits_for_no_reading(lift: Path, tmp_path: Pa
     assert read == [mine / "result" / "instances.json"]
 
 
-def test_a_path_that_a_file_names_is_read_only_if_it_is_ones_own(lift: Path, tmp_path: Path, read: Read) -> None:
+def test_lift_paths_in_a_file_are_read_only_if_they_are_the_users(lift: Path, tmp_path: Path, read: Read) -> None:
     (tmp_path / "else" / "where").mkdir(parents=True)
     mine = opened(lift, tmp_path / "mine", "../else/where/film.blend", read)
     assert looking._read_objects() is None and not read
@@ -108,13 +108,13 @@ def values(shown: bpy.types.PropertyGroup) -> tuple[int, ...]:
     return tuple(getattr(shown, name) for name in estimate.NAMES)
 
 
-def test_without_a_scene_the_presets_options_are_shown(shown: bpy.types.PropertyGroup) -> None:
+def test_without_a_scene_the_panel_shows_the_presets_options(shown: bpy.types.PropertyGroup) -> None:
     for name, preset in PRESETS.items():
         bpy.context.scene.plgs.preset = name
         assert values(shown) == (preset.steps, *preset.size, preset.frames)
 
 
-def test_known_scene_shows_used_options(shown: bpy.types.PropertyGroup, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_panel_shows_options_for_known_scene(shown: bpy.types.PropertyGroup, monkeypatch: pytest.MonkeyPatch) -> None:
     known = SimpleNamespace(error=None, sizes=[((640, 480), 300)], train_frames=300)
     monkeypatch.setattr(estimate, "survey_of_panel", lambda settings: known)
     settings = bpy.context.scene.plgs
