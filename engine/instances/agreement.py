@@ -1,4 +1,4 @@
-"""The view agreement: which views judge a mask, and inside which of their own masks they show it."""
+"""Compares the masks of different views: which views can judge another view's mask, and which agree with it."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ PAIRS_AT_A_TIME = 8192
 
 @dataclass(frozen=True, eq=False)
 class ViewPoints:
-    """What one view shows at the points it sees: ``row`` int32 [n] in the cloud, ascending; ``segment`` int32 [n], the
-    id of the segment that most of the point's pixels show (0 = void); ``pixels`` float32 [n] at the size of the frame's
-    own mask; ``resolution`` float32 [n], the mean number of pixels per centimetre; ``share`` that of the segment."""
+    """What one view shows at the cloud's points that it sees. ``row`` int32 [n]: the points' indices, ascending;
+    ``segment`` int32 [n]: the id of the segment that most of a point's pixels show (0 = void); ``pixels`` float32 [n]:
+    how many, at the mask's own size; ``resolution`` float32 [n]: their mean number per centimetre; ``share``: the
+    segment's `Segment.share`."""
 
     row: NDArray[np.int32]
     segment: NDArray[np.int32]
@@ -33,14 +34,14 @@ class ViewPoints:
 
     @property
     def shares(self) -> NDArray[np.float32]:
-        """``share`` of each point, float32 [n]."""
+        """``share`` as an array, one value for each point, float32 [n]."""
         return np.broadcast_to(np.float32(self.share), self.row.shape)
 
 
 @dataclass(frozen=True, eq=False)
 class ViewsOnCloud:
-    """``views`` and what they see of a cloud: ``point_of_pixel``, the point that each of their pixels shows, int32
-    [H, W] per view (-1 = none), and ``seen``, what each view shows at the points."""
+    """Views and what they see of a point cloud. ``point_of_pixel``: the index of the point that each pixel of a view
+    shows, int32 [H, W], -1 = none; ``seen``: the segments that each view shows at its points."""
 
     views: Sequence[View]
     point_of_pixel: Sequence[NDArray[np.int32]]
@@ -48,30 +49,30 @@ class ViewsOnCloud:
 
     @classmethod
     def of(cls, views: Sequence[View], point_of_pixel: Sequence[NDArray[np.int32]]) -> ViewsOnCloud:
-        """The views with ``seen``, which is computed on demand."""
+        """Make it from views and their points; ``seen`` is computed each time it is read."""
         seen = OnDemand(len(views), lambda number: view_points(views[number], point_of_pixel[number]))
         return cls(views, point_of_pixel, seen)
 
     def and_also(self, others: ViewsOnCloud) -> ViewsOnCloud:
-        """These views, then the others."""
+        """Return these views followed by the others."""
         rows = chained(self.point_of_pixel, others.point_of_pixel)
         return ViewsOnCloud(chained(self.views, others.views), rows, chained(self.seen, others.seen))
 
     def layers(self) -> ViewsOnCloud:
-        """The layers of the views, each as a view, in their order."""
+        """Return the views' layers (detections that overlap the mask), each as a view of its own, in order."""
         pairs = [(number, layer) for number, view in enumerate(self.views) for layer in range(len(view.layers))]
         views = OnDemand(len(pairs), lambda each: self.views[pairs[each][0]].layer(pairs[each][1]))
         return ViewsOnCloud.of(views, OnDemand(len(pairs), lambda each: self.point_of_pixel[pairs[each][0]]))
 
     def by_frame(self) -> list[list[int]]:
-        """The numbers of the views of each frame: its own view and its layers, which are held back together."""
+        """Return the indices of each frame's views: its own view and its layers, which are held back together."""
         of_frame: dict[str, list[int]] = {}
         for number, view in enumerate(self.views):
             of_frame.setdefault(view.frame or view.name, []).append(number)
         return list(of_frame.values())
 
     def looked_at(self, progress: Callable[[int, int], object]) -> ViewsOnCloud:
-        """The views with ``seen`` computed now, in memory; ``progress`` is called after each view."""
+        """Return the same views, with ``seen`` computed now and kept in memory. Calls ``progress`` after each view."""
         seen = []
         for done, one in enumerate(self.seen, start=1):
             seen.append(one)
@@ -79,47 +80,47 @@ class ViewsOnCloud:
         return replace(self, seen=seen)
 
     def only(self, numbers: NDArray[np.integer]) -> ViewsOnCloud:
-        """The views with these numbers [n]."""
+        """Return the views with these indices, int [n]."""
         views, rows, seen = ([own[n] for n in numbers] for own in (self.views, self.point_of_pixel, self.seen))
         return ViewsOnCloud(views, rows, seen)
 
 
 @dataclass(frozen=True, eq=False)
 class MasksInSpace:
-    """M ``masks`` of V views. ``view`` int64 [M], the view of each; ``is_thing`` bool [M]; ``holds`` sparse 0/1 [M, N],
-    the points of the cloud in each mask; ``sight`` sparse 0/1 [V, N], the points that each view sees; ``word`` sparse
-    [V, N], the weight of the view's evidence on each of them."""
+    """M ``masks`` of V views, as points of a cloud of N. ``view`` int64 [M]: the view of each; ``is_thing`` bool [M];
+    ``holds`` sparse 0/1 [M, N]: the points in each mask; ``sight`` sparse 0/1 [V, N]: the points that each view sees;
+    ``weight`` sparse [V, N]: how much the view's vote on each of them counts."""
 
     masks: list[ObjectMask]
     view: NDArray[np.int64]
     is_thing: NDArray[np.bool_]
     holds: Any
     sight: Any
-    word: Any
+    weight: Any
 
     @property
     def size(self) -> NDArray[np.int64]:
-        """Number of points in each mask, int64 [M]."""
+        """The number of points in each mask, int64 [M]."""
         return np.diff(self.holds.indptr).astype(np.int64)
 
     def of_views(self, views: NDArray[np.int64]) -> MasksInSpace:
-        """Only the masks of these views; the other views then see nothing."""
+        """Return only the masks of these views; the other views keep their index, but see nothing."""
         rows = np.flatnonzero(np.isin(self.view, views))
         chosen = [self.masks[row] for row in rows]
         seeing = np.isin(np.arange(self.sight.shape[0]), views).astype(np.float32)
-        sight, word = ((sparse.diags(seeing) @ of_views).tocsr() for of_views in (self.sight, self.word))
-        return MasksInSpace(chosen, self.view[rows], self.is_thing[rows], self.holds[rows], sight, word)
+        sight, weight = ((sparse.diags(seeing) @ of_views).tocsr() for of_views in (self.sight, self.weight))
+        return MasksInSpace(chosen, self.view[rows], self.is_thing[rows], self.holds[rows], sight, weight)
 
-    def words(self, rows: NDArray[np.integer]) -> Any:
-        """Sparse [n, N]: the points in each of the masks ``rows``, with the weight of its view's evidence on them."""
-        return self.holds[rows].multiply(self.word[self.view[rows]]).tocsr()
+    def votes_in(self, rows: NDArray[np.integer]) -> Any:
+        """Return the weights of the votes of the masks ``rows`` [n] on their points, sparse [n, N]."""
+        return self.holds[rows].multiply(self.weight[self.view[rows]]).tocsr()
 
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """``judges`` float32 [M, V]: how much the view's judgement of mask i counts, from 0, not at all, to 1, where it
-    resolves the mask as well as its own view. ``inside`` sparse [M, M]: the same where mask i lies inside mask k of the
-    view (or is k). ``contained`` float32 [M, V]: the same where the view shows mask i inside one of its own."""
+    """How views judge masks. ``judges`` float32 [M, V]: how much the judgement of view v on mask i counts, from 0 to 1,
+    where v resolves the mask as well as the mask's own view. ``inside`` sparse [M, M]: this weight if mask i lies
+    inside mask k of another view, or is k. ``contained`` float32 [M, V]: this weight if i lies inside a mask of v."""
 
     inside: Any
     judges: NDArray[np.float32]
@@ -128,11 +129,11 @@ class Agreement:
 
 @dataclass(frozen=True)
 class JudgingRules:
-    """A view judges a mask when it sees at least ``visible`` of the mask's points, at least ``min_points``, and most of
-    them are not void. A mask is inside another that holds at least ``contained`` of its points seen and labelled. A
-    mask is under-segmented (it covers several objects) when more than ``under_segmented`` of its judges do not show it
-    inside one mask. A stuff mask swallows a thing's mask when it has more than ``swallowing`` times the points that
-    both have."""
+    """A view judges a mask if it sees at least the share ``visible`` of the mask's points, at least ``min_points`` of
+    them, and most are not void. A mask is inside another that holds at least the share ``contained`` of its seen and
+    labelled points. A mask is under-segmented (covers several objects) if more than the share ``under_segmented`` of
+    its judges do not show it inside one mask. A stuff mask swallows a thing's mask if it has more than ``swallowing``
+    times their common points."""
 
     visible: float = 0.2
     contained: float = 0.7
@@ -142,8 +143,8 @@ class JudgingRules:
 
 
 def view_points(view: View, point_of_pixel: NDArray[np.int32]) -> ViewPoints:
-    """Summarise one view; ``point_of_pixel`` int32 [H, W], -1 = none. Pixels at a mask's ragged edge count only where a
-    point has no others."""
+    """Return what a view shows at the points it sees. ``point_of_pixel`` int32 [H, W]: each pixel's point, -1 = none.
+    Pixels at a mask's edge, which is often ragged, count only for points without others."""
     seen = point_of_pixel >= 0
     row = point_of_pixel[seen].astype(np.int64)
     segment = view.mask.ids[seen].astype(np.int64)
@@ -168,32 +169,32 @@ def view_points(view: View, point_of_pixel: NDArray[np.int32]) -> ViewPoints:
 
 
 def shown_classes(view: View, summary: ViewPoints) -> NDArray[np.int32]:
-    """The class that a view shows at each of its points, int32 [n], 0 = none."""
+    """Return the class id that a view shows at each of its points, int32 [n], 0 = none."""
     class_of = {segment.id: segment.class_id for segment in view.mask.segments}
     present, inverse = np.unique(summary.segment, return_inverse=True)
     return np.array([class_of.get(int(segment), 0) for segment in present], np.int32)[inverse.reshape(-1)]
 
 
-def words_of_views(
+def votes_of_views(
     seeing: ViewsOnCloud, points: int, class_ids: NDArray[np.int64], kind: EvidenceKind
 ) -> tuple[list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]], NDArray[np.float64]]:
-    """For each view, the rows of its points, the columns in ``class_ids`` [C] of the classes that it shows there, and
-    the weights of its votes, [n] each; and the sum of all votes, float64 [points, C]."""
+    """Return each view's class votes: indices of its points, of the classes that it shows there (in ``class_ids`` [C]),
+    and weights of the votes, arrays [n]; and the sum over all views, float64 [points, C]."""
     said = []
     total = np.zeros((points, len(class_ids)))  # float64: where a view is taken out, nothing must be left of it
     for view, seen in zip(seeing.views, seeing.seen, strict=True):
         shown = shown_classes(view, seen)
         column = np.minimum(np.searchsorted(class_ids, shown), len(class_ids) - 1)  # other classes are rejected below
         known = class_ids[column] == shown
-        word = evidence(kind, seen.pixels[known], seen.resolution[known]).astype(np.float64) * seen.shares[known]
-        said.append((seen.row[known].astype(np.int64), column[known], word))
-        total[said[-1][:2]] += word  # a view has each point once
+        weight = evidence(kind, seen.pixels[known], seen.resolution[known]).astype(np.float64) * seen.shares[known]
+        said.append((seen.row[known].astype(np.int64), column[known], weight))
+        total[said[-1][:2]] += weight  # a view has each point once
     return said, total
 
 
 def masks_of_view(view: View, seen: ViewPoints, min_points: int) -> Iterator[tuple[Segment, NDArray[np.int32]]]:
-    """The view's masks that have at least ``min_points`` points, and the rows int32 [n] of these points. Regions that
-    may be several objects (a thing's class without an instance) are left out."""
+    """Yield the view's masks that have at least ``min_points`` points, with the indices of these points, int32 [n].
+    Leaves out regions that may be several objects (a thing's class without an instance)."""
     for segment in sorted(view.mask.segments, key=lambda each: each.id):
         rows = seen.row[seen.segment == segment.id]
         if segment.id > 0 and len(rows) >= min_points and not segment.is_group:
@@ -201,7 +202,8 @@ def masks_of_view(view: View, seen: ViewPoints, min_points: int) -> Iterator[tup
 
 
 def masks_in_space(seeing: ViewsOnCloud, points: int, min_points: int, kind: EvidenceKind = "views") -> MasksInSpace:
-    """All masks with at least ``min_points`` of the cloud's ``points``, and the views' evidence of that ``kind``."""
+    """Return all masks with at least ``min_points`` of the cloud's ``points``; ``kind`` tells how votes are
+    weighted."""
     summaries = seeing.seen
     masks: list[ObjectMask] = []
     view_of_mask: list[int] = []
@@ -216,22 +218,22 @@ def masks_in_space(seeing: ViewsOnCloud, points: int, min_points: int, kind: Evi
     sight = _rows_of_ones([summary.row for summary in summaries], points)
     pixels = np.concatenate([np.zeros(0, np.float32), *(one.pixels for one in summaries)])
     resolution = np.concatenate([np.zeros(0, np.float32), *(one.resolution for one in summaries)])
-    word = sight.copy()
-    word.data = evidence(kind, pixels, resolution).astype(np.float32)
-    return MasksInSpace(masks, np.array(view_of_mask, np.int64), is_thing, holds, sight, word)
+    weight = sight.copy()
+    weight.data = evidence(kind, pixels, resolution).astype(np.float32)
+    return MasksInSpace(masks, np.array(view_of_mask, np.int64), is_thing, holds, sight, weight)
 
 
 def _rows_of_ones(columns: Sequence[NDArray[np.int32]], width: int) -> Any:
-    """Sparse 0/1 [len(columns), width] with ones at each row's columns."""
+    """Return a sparse 0/1 matrix [len(columns), width] with ones at each row's ``columns``."""
     ends = np.cumsum([0, *map(len, columns)])
     joined = np.concatenate([np.zeros(0, np.int32), *columns])
     return sparse.csr_matrix((np.ones(len(joined), np.float32), joined, ends), (len(columns), width))
 
 
 def judge_masks(space: MasksInSpace, rules: JudgingRules) -> tuple[Agreement, NDArray[np.bool_]]:
-    """How all views judge all masks, and which masks are sound, bool [M]: shown inside one mask by most judges. A view
-    abstains on a mask that it shows inside an under-segmented mask, or swallowed by stuff where most views show a
-    thing. Such a view has missed the object, so it cannot tell what belongs together."""
+    """Let all views judge all masks. Return the agreement, and which masks are sound, bool [M]: most judges show them
+    inside one mask. A view's judgement of a mask does not count if the view shows it inside an under-segmented mask, or
+    inside stuff where most views show a thing: such a view missed the object, and cannot tell what belongs together."""
     first = _first_judgement(space, rules)
     judged = first.judges.sum(1)
     sound = judged - first.contained.sum(1) <= rules.under_segmented * judged
@@ -254,16 +256,16 @@ def judge_masks(space: MasksInSpace, rules: JudgingRules) -> tuple[Agreement, ND
 
 
 def _first_judgement(space: MasksInSpace, rules: JudgingRules) -> Agreement:
-    """The judgements before any view abstains."""
+    """Return all judgements, before `judge_masks` removes those of views that missed the object."""
     common = (space.holds @ space.holds.T).tocoo()
     seen = (space.holds @ space.sight.T).toarray()
     labelled = np.zeros_like(seen)
     np.add.at(labelled, (common.row, space.view[common.col]), common.data)
     size = space.size.reshape(-1, 1)
     # How well each view resolves each mask, compared with the view that has the mask.
-    word = (space.holds @ space.word.T).toarray() / np.maximum(seen, 1)
-    own = word[np.arange(len(space.masks)), space.view]
-    resolved = np.minimum(word / np.maximum(own, 1e-12)[:, None], 1.0)
+    weight = (space.holds @ space.weight.T).toarray() / np.maximum(seen, 1)
+    own = weight[np.arange(len(space.masks)), space.view]
+    resolved = np.minimum(weight / np.maximum(own, 1e-12)[:, None], 1.0)
     judges = (seen >= np.maximum(rules.visible * size, rules.min_points)) & (labelled >= 0.5 * seen)
     judges = judges * resolved
     column_view = space.view[common.col]
@@ -275,8 +277,8 @@ def _first_judgement(space: MasksInSpace, rules: JudgingRules) -> Agreement:
 def _agreement(
     row: NDArray[np.intp], column: NDArray[np.intp], judges: NDArray[np.float32], view: NDArray[np.int64]
 ) -> Agreement:
-    word = judges[row, view[column]]
-    inside = sparse.csr_matrix((word, (row, column)), (len(view), len(view)))
+    weight = judges[row, view[column]]
+    inside = sparse.csr_matrix((weight, (row, column)), (len(view), len(view)))
     contained = np.zeros_like(judges)
-    contained[row, view[column]] = word
+    contained[row, view[column]] = weight
     return Agreement(inside, judges, contained)

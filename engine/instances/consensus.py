@@ -1,11 +1,9 @@
-"""Which masks are one object, by the agreement of the views (ours, beyond the paper).
+"""Finds which masks show the same object, by the agreement of views (ours, beyond the paper).
 
-Boxes cannot tell a chair from the table above it. Here two masks belong together when most views that see the
-surface of both show it inside one mask, whatever its class. So a view that merges two objects, or splits one, is
-outvoted, and a class that changes from view to view does no harm. The idea is the view consensus of MaskClustering
-(Yan et al., CVPR 2024), with sums in place of its schedule of thresholds. Of a long scan, only keyframes' masks are
-joined.
-"""
+Boxes cannot tell a chair from the table above it. Here two masks are joined if most views that see the surface of both
+show it inside one mask, whatever its class. So a view that merges or splits objects is outvoted, and a class that
+changes from view to view does no harm. The idea is the view consensus of MaskClustering (Yan et al., CVPR 2024), with
+sums in place of its schedule of thresholds. Of a long scan, only keyframes' masks are joined."""
 
 from __future__ import annotations
 
@@ -27,12 +25,12 @@ from .records import ObjectMask, SceneObject
 
 @dataclass(frozen=True)
 class ConsensusOptions:
-    """Masks are joined while views in favour exceed ``agreement`` of those that judge both. An object needs masks in
-    ``support`` of the views that see at least half of its points, and at least ``min_masks``. Where few views see it,
-    it needs masks in all of them but one, and in at least 2, with a mean agreement of ``sure``. If there are more than
-    ``most_masks`` masks, only those of keyframes are joined; those of the other views go to the object that owns most
-    of their points. A tracker counts as ``tracker`` views on each pair of masks that it followed: it is in favour when
-    both have the same track. ``evidence`` says how a view's evidence is weighted."""
+    """Masks are joined if more than the share ``agreement`` of the views that judge both are in favour. An object needs
+    masks in the share ``support`` of the views that see half of its points, at least ``min_masks``. If few views see
+    it, masks in all but one of these suffice, at least 2, if their mean agreement is ``sure``. Of more than
+    ``most_masks`` masks, only those of keyframes are joined; the others go to the object with most of their points. A
+    tracker counts as ``tracker`` views on each pair of masks that it followed, in favour if it gave both the same
+    track. ``evidence``: how views' votes are weighted."""
 
     rules: JudgingRules = JudgingRules()
     agreement: float = 0.35
@@ -44,13 +42,13 @@ class ConsensusOptions:
     evidence: EvidenceKind = "views"
 
     def least_masks(self, seeing: int) -> int:
-        """The number of masks needed by an object that ``seeing`` views see."""
+        """Return how many masks an object needs if ``seeing`` views see it."""
         return min(self.min_masks, max(2, seeing - 1))
 
 
 @dataclass(frozen=True, eq=False)
 class FoundObjects:
-    """The ``objects`` 1.., and ``object_of_point`` int32 [N]: the object of each point, 0 = none."""
+    """The ``objects``, with ids from 1, and the object of each point, ``object_of_point`` int32 [N], 0 = none."""
 
     object_of_point: NDArray[np.int32]
     objects: list[SceneObject]
@@ -59,7 +57,7 @@ class FoundObjects:
 def find_objects(
     seeing: ViewsOnCloud, points: int, options: ConsensusOptions, progress: Progress = lambda *_: None
 ) -> FoundObjects:
-    """The objects that the views agree on, in a cloud of ``points`` points. Raises what ``progress`` raises."""
+    """Return the objects on which views agree, in a cloud of ``points`` points. Raises what ``progress`` raises."""
     space = agreement.masks_in_space(seeing, points, options.rules.min_points, options.evidence)
     keyframes = choose_keyframes(space, options.most_masks)
     found = objects_of_masks(space.of_views(keyframes), options, progress)
@@ -67,8 +65,8 @@ def find_objects(
 
 
 def with_masks_of(found: FoundObjects, others: ViewsOnCloud, rules: JudgingRules) -> FoundObjects:
-    """Add the masks of ``others``, views whose masks were not joined, to the objects. A mask goes to the object that
-    owns at least the share ``contained`` of its points."""
+    """Add the masks of ``others``, views whose masks were not joined, each to the object that has at least the share
+    ``contained`` of its points."""
     masks = [list(one.masks) for one in found.objects]
     for view, seen in zip(others.views, others.seen, strict=True):
         for segment, rows in agreement.masks_of_view(view, seen, rules.min_points):
@@ -84,7 +82,7 @@ def with_masks_of(found: FoundObjects, others: ViewsOnCloud, rules: JudgingRules
 def objects_of_masks(
     space: MasksInSpace, options: ConsensusOptions, progress: Progress = lambda *_: None
 ) -> FoundObjects:
-    """Cluster all masks, and give each point to the object with the most masks that hold it."""
+    """Cluster all masks into objects; each point goes to the object whose masks have the most votes there."""
     points = space.holds.shape[1]
     nothing = FoundObjects(np.zeros(points, np.int32), [])
     if not space.masks:
@@ -102,7 +100,7 @@ def objects_of_masks(
     found: list[SceneObject] = []
     for number, each in enumerate(members, start=1):  # not in one array: thousands of objects have millions of points
         progress(2 * len(members) + number, 3 * len(members))
-        votes = np.asarray(space.words(each).sum(0)).reshape(-1)
+        votes = np.asarray(space.votes_in(each).sum(0)).reshape(-1)
         more = votes > most
         owner[more], most[more] = number, votes[more]
         shares = agreements(*pairwise(judgement, each))
@@ -118,9 +116,9 @@ def join_agreeing(
     options: ConsensusOptions,
     progress: Progress = lambda *_: None,
 ) -> NDArray[np.int64]:
-    """Join the masks ``rows`` by ``join_weight``. Returns the cluster of each, int64 [R], named by its lowest index.
-    Masks that no chain of links connects are never joined. So each linked part is joined separately, and no array of
-    all masks by all masks is needed."""
+    """Cluster the masks ``rows`` by ``join_weight``. Return the cluster of each, int64 [R], named by its lowest index.
+    Masks that no chain of positive weights links are never joined, so each linked part is clustered separately; no
+    array of all masks by all masks is needed."""
     part = linked_parts(space, judgement, rows, options)
     cluster = np.arange(len(rows))
     order = np.argsort(part, kind="stable")
@@ -135,8 +133,8 @@ def join_agreeing(
 def join_weight(
     space: MasksInSpace, judgement: Agreement, rows: NDArray[np.intp], options: ConsensusOptions
 ) -> NDArray[np.float32]:
-    """The evidence for joining two of the masks ``rows``, float32 [R, R]: views in favour beyond the ``agreement`` of
-    those that judge both, and the tracker."""
+    """Return how much speaks for joining two of the masks ``rows``, float32 [R, R]: the views in favour, less the share
+    ``agreement`` of those that judge both; a tracker counts as further views."""
     favour, judging = pairwise(judgement, rows)
     weight: NDArray[np.float32] = favour - options.agreement * judging
     if has_tracks(space):
@@ -146,9 +144,9 @@ def join_weight(
 
 
 def join(weight: NDArray[np.floating], step: Callable[[], object] = lambda: None) -> NDArray[np.int64]:
-    """Join the pair with the greatest summed weight, repeatedly, while it is positive. Returns the cluster of each row,
-    int64 [M], named by its lowest row. ``weight`` float [M, M], symmetric. Ties go to the lower rows. ``step`` is
-    called before each join."""
+    """Cluster rows greedily: join the pair of clusters with the largest sum of ``weight`` (symmetric [M, M]) while it
+    is positive; ties go to the lower rows. Return each row's cluster, int64 [M], named by its lowest row. Calls
+    ``step`` before each join."""
     weight = np.array(weight, np.float64)
     np.fill_diagonal(weight, -np.inf)
     cluster = np.arange(len(weight))
@@ -178,7 +176,7 @@ def join(weight: NDArray[np.floating], step: Callable[[], object] = lambda: None
 def linked_parts(
     space: MasksInSpace, judgement: Agreement, rows: NDArray[np.intp], options: ConsensusOptions
 ) -> NDArray[np.int32]:
-    """The part that each of the masks ``rows`` is in, int32 [R]. No ``join_weight`` between two parts is positive."""
+    """Return the part of each of the masks ``rows``, int32 [R]. Between two parts, no ``join_weight`` is positive."""
     inside = judgement.inside[rows]
     judges = judgement.judges[np.ix_(rows, judgement.judges.any(0))]  # without views that judge nothing
     favour = (inside @ inside.T).tocoo()
@@ -200,26 +198,27 @@ def linked_parts(
 
 
 def has_tracks(space: MasksInSpace) -> bool:
-    """Whether a tracker followed any of the masks."""
+    """Whether any of the masks has a track, an id that a tracker followed over frames."""
     return any(mask.segment.track is not None for mask in space.masks)
 
 
 def tracks_of(space: MasksInSpace, rows: NDArray[np.intp]) -> NDArray[np.int64]:
-    """The track of each of the masks ``rows``, int64 [R], -1 = none."""
+    """Return the track of each of the masks ``rows``, int64 [R], -1 = none."""
     tracks = (space.masks[row].segment.track for row in rows)
     return np.array([-1 if track is None else track for track in tracks], np.int64)
 
 
 def pairwise(judgement: Agreement, rows: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """How many views show two of the masks ``rows`` inside one mask, and how many judge both; each float32 [R, R]."""
+    """Return, for each two of the masks ``rows``, the (weighted) number of views that show both inside one mask, and of
+    those that judge both; float32 [R, R] each."""
     inside = judgement.inside[rows]
     judges = judgement.judges[rows]
     return (inside @ inside.T).toarray(), judges @ judges.T
 
 
 def tracked(space: MasksInSpace, rows: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Which pairs of the masks ``rows`` share a track, and which a tracker followed at all; each 0/1 float32 [R, R].
-    Two masks of one view are left out, as a track occurs only once in a frame."""
+    """Return which pairs of the masks ``rows`` have the same track, and which have tracks at all; 0/1 float32 [R, R]
+    each. Pairs in one view are left out, as a track occurs only once in a frame."""
     track = tracks_of(space, rows)
     view = space.view[rows]
     followed = (track[:, None] >= 0) & (track[None, :] >= 0) & (view[:, None] != view[None, :])
@@ -230,12 +229,12 @@ def tracked(space: MasksInSpace, rows: NDArray[np.intp]) -> tuple[NDArray[np.flo
 def _is_supported(
     space: MasksInSpace, judgement: Agreement, members: NDArray[np.intp], options: ConsensusOptions
 ) -> bool:
-    """Whether enough views that see the object have a mask of it, and agree on it where there are few masks. A view is
-    weighted by how well it resolves the object, compared with the views that have the masks."""
+    """Whether enough of the views that see the object have a mask of it and, if there are few masks, agree on it. Views
+    count by how well they resolve the object, compared with those that have the masks."""
     own = (np.asarray(space.holds[members].sum(0)).reshape(-1) > 0).astype(np.float32)
     seen = space.sight @ own
     masking = np.unique(space.view[members])
-    resolved = space.word @ own / np.maximum(seen, 1)
+    resolved = space.weight @ own / np.maximum(seen, 1)
     resolved = np.minimum(resolved / resolved[masking].mean(), 1.0)
     seeing = float(resolved[seen >= 0.5 * own.sum()].sum())
     if len(masking) < options.least_masks(int(seeing)) or resolved[masking].sum() < options.support * seeing:
@@ -247,8 +246,8 @@ def _is_supported(
 
 
 def agreements(favour: NDArray[np.floating], judging: NDArray[np.floating]) -> list[float | None]:
-    """``ObjectMask.agreement`` for each of an object's m masks. For each pair of masks, ``judging`` counts the views
-    that judge it and ``favour`` those in favour, both [m, m]. A mask's judgement of itself does not count."""
+    """Return the agreement of each of an object's m masks (see `ObjectMask`): its views in ``favour`` over those
+    ``judging``, both [m, m] by pair, summed over its pairs with the other masks; None if none judge."""
     judged = judging.sum(1) - np.diag(judging)
     agreed = favour.sum(1) - np.diag(favour)
     return [float(yes) / float(all_) if all_ > 0 else None for yes, all_ in zip(agreed, judged, strict=True)]
@@ -261,9 +260,9 @@ WORTH_IT = 0.25
 
 
 def choose_keyframes(space: MasksInSpace, most_masks: int) -> NDArray[np.int64]:
-    """The numbers of the views whose masks are joined into objects, ascending: all views if they have at most
-    ``most_masks`` masks together. Otherwise views are chosen evenly, and every view without which surfaces would be
-    seen too rarely is added; so there may be slightly more masks than that."""
+    """Return the indices of the views whose masks to join, ascending: all, if they have at most ``most_masks`` masks.
+    Else views are chosen evenly, and those are added without which surfaces would be seen too rarely, so that there may
+    be slightly more masks."""
     views = space.sight.shape[0]
     if len(space.masks) <= most_masks:
         return np.arange(views)

@@ -1,4 +1,4 @@
-"""Matches a lift's objects to those of an earlier lift of the scene, by the overlap of their points."""
+"""Matches a lift's objects with those of an earlier lift of the scene, by the overlap of their points."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ MOST_OF_IT = 0.5
 
 @dataclass(frozen=True, eq=False)
 class ObjectOverlap:
-    """``common`` int64 [A, B] counts the cells that hold points of both ``old_ids[a]`` and ``new_ids[b]``;
-    ``old_cells`` int64 [A] and ``new_cells`` int64 [B] count all cells that hold points of each object."""
+    """The overlap of A old and B new objects, in grid cells. ``common`` int64 [A, B]: cells with points of both
+    ``old_ids[a]`` and ``new_ids[b]``; ``old_cells`` int64 [A], ``new_cells`` int64 [B]: all cells with points of
+    each."""
 
     old_ids: NDArray[np.int64]
     new_ids: NDArray[np.int64]
@@ -31,16 +32,16 @@ class ObjectOverlap:
 
     @property
     def iou(self) -> NDArray[np.float64]:
-        """Intersection over union of the cells, float64 [A, B]."""
+        """The intersection over union of their cells, float64 [A, B]."""
         union = self.old_cells[:, None] + self.new_cells[None, :] - self.common
         return self.common / np.maximum(union, 1)
 
 
 @dataclass(frozen=True)
 class LastingObjects:
-    """``old_of`` maps a new object's id to the id of the same old object. ``parts`` maps each other new object that
-    lies within an old one to that old object. ``merged`` maps each old object that is gone, but lies within a new one,
-    to that new object."""
+    """Which objects lasted, by id. ``old_of``: from a new object to the old one that it is. ``parts``: from other new
+    objects to the old one that they lie within. ``merged``: from old objects that are gone to the new one that they lie
+    within."""
 
     old_of: dict[int, int]
     parts: dict[int, int]
@@ -53,7 +54,7 @@ def object_overlap(
     new_xyz: NDArray[np.floating],
     new_id: NDArray[np.integer],
 ) -> ObjectOverlap:
-    """Compare points [N, 3] and [M, 3] in metres, whose objects are ``old_id`` [N] and ``new_id`` [M] (0 = none)."""
+    """Return the overlap of objects, by points [N, 3] and [M, 3], metres, with ids [N] and [M] (0 = none)."""
     cells = np.floor(np.concatenate([old_xyz[old_id > 0], new_xyz[new_id > 0]]) / CELL).astype(np.int64)
     _, cell = distinct_rows(cells)
     count = int((old_id > 0).sum())
@@ -70,7 +71,7 @@ def object_overlap(
 
 
 def lasting_objects(overlap: ObjectOverlap) -> LastingObjects:
-    """The assignment with the largest sum of IoU, without pairs below LEAST_IOU."""
+    """Assign new objects to old ones, one to one, with the largest sum of IoU, but no pair below LEAST_IOU."""
     iou = overlap.iou
     rows, columns = linear_sum_assignment(-np.where(iou >= LEAST_IOU, iou, 0.0))  # weak ones must not displace others
     pairs = [(row, column) for row, column in zip(rows, columns, strict=True) if iou[row, column] >= LEAST_IOU]
@@ -93,7 +94,7 @@ def lasting_objects(overlap: ObjectOverlap) -> LastingObjects:
 def _distinct(
     ids: NDArray[np.integer], cell: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """The distinct ids; and for each pair of object and cell, by cell, the id's index and the cell."""
+    """Return the distinct ids, and the distinct pairs of object (index in these) and cell, sorted by cell."""
     known, index = np.unique(ids.astype(np.int64), return_inverse=True)
     pairs, _ = distinct_rows(np.stack([cell, index.ravel()], axis=1))
     return known, pairs[:, 1], pairs[:, 0]

@@ -1,8 +1,7 @@
-"""Algorithm 1: one global set of instances from the inconsistent instance masks of all views.
+"""Algorithm 1: makes one global set of instances from the inconsistent instance masks of all views.
 
-See the paper's section "Consistent Instance Mask Generation". Where its text leaves a choice, there is an option here.
-The defaults are those that gave the best measurements.
-"""
+See the paper's section "Consistent Instance Mask Generation". Where its text leaves a choice, there is an option. The
+defaults are those that measured best."""
 
 from __future__ import annotations
 
@@ -21,8 +20,8 @@ from .segments import SegmentOptions, local_instances, thin
 
 
 def pair_cost(local: OrientedBox, known: OrientedBox, terms: str = "IoU+IoM") -> float:
-    """O = -IoU - IoM, between -1.5 and 0, or one of the two terms alone. The union is the sum of the volumes, as in the
-    paper's formula."""
+    """Return the cost O = -IoU - IoM of matching two boxes, -1.5 to 0, or one of its ``terms``. As in the paper's
+    formula, the union is the sum of both volumes."""
     inter = intersection_volume(local, known)
     if inter <= 0:
         return 0.0
@@ -31,8 +30,8 @@ def pair_cost(local: OrientedBox, known: OrientedBox, terms: str = "IoU+IoM") ->
 
 
 def class_by_views(masks: Sequence[ObjectMask]) -> int:
-    """The class with the most votes. In each view the masks share the square root of their pixels, so that a near view
-    does not outvote the others by its number of pixels. Ties go to the lower id."""
+    """Return the class id with the most votes. The masks of a view share the square root of their pixels as votes, so
+    that a near view does not outvote the others. Ties go to the lower id."""
     seen: dict[str, int] = {}
     for mask in masks:
         seen[mask.frame] = seen.get(mask.frame, 0) + mask.pixels
@@ -50,7 +49,7 @@ def match_views(
     options: Matching,
     progress: Progress | None = None,
 ) -> list[SceneObject]:
-    """Run Algorithm 1 over the views in order. Returns I_global, with ids 1.. in the order of first sight."""
+    """Run Algorithm 1 over the views in order. Return the global instances, with ids from 1 in order of appearance."""
     known: list[SceneObject] = []
     for done, view in enumerate(views, start=1):
         known = update_instances(known, local_instances(view, class_ids, segments), segments.voxel_size, options)
@@ -62,7 +61,7 @@ def match_views(
 def update_instances(
     known: list[SceneObject], local: list[SceneObject], voxel_size: float, options: Matching
 ) -> list[SceneObject]:
-    """I'_global after one view, whose masks are ``local``. ``known`` is left unchanged."""
+    """Match a view's masks, ``local``, to the ``known`` instances; return the instances after it, as a new list."""
     updated = list(known)
     cost = np.array([[pair_cost(item.box, g.box, options.cost) for g in known] for item in local])
     for row, target in enumerate(_targets(cost.reshape(len(local), len(known)), options)):  # empty lists have no axis
@@ -78,7 +77,7 @@ def update_instances(
 
 
 def _targets(cost: NDArray[np.float64], options: Matching) -> list[int | None]:
-    """Which global instance each local one joins, None = a new one."""
+    """Return the index of the global instance that each local one joins, None = a new one; ``cost`` [local, global]."""
     local, known = cost.shape
     if not known:
         return [None] * local
@@ -99,9 +98,8 @@ def _targets(cost: NDArray[np.float64], options: Matching) -> list[int | None]:
 def limit_instances(
     instances: Sequence[SceneObject], instance_of_point: NDArray[np.int32], most: int
 ) -> tuple[list[SceneObject], NDArray[np.int32], int]:
-    """Keep the ``most`` instances with the most pixels, renumbered 1.. in their order. Returns them, the points'
-    instances int32 [N] in the new numbers (0 = none or dropped), and the number of dropped instances, which the caller
-    should report to the user."""
+    """Keep the ``most`` instances with the most pixels, renumbered from 1. Return them, each point's new instance int32
+    [N] (0 = none, or left out), and the number of instances left out, of which the caller should tell the user."""
     largest = sorted(instances, key=lambda item: (-item.pixels, item.id))[:most]
     kept = sorted(largest, key=lambda item: item.id)
     number = np.zeros(max([int(instance_of_point.max(initial=0)), *(item.id for item in instances)], default=0) + 1)

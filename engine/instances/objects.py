@@ -1,14 +1,13 @@
-"""The objects that the views agree on: the class of each, by a vote of the views, its points with their box, and the
-connected pieces that it consists of.
+"""Finishes the objects that views agree on: votes on the class of each, finds its points and box, and divides it into
+connected pieces that may form other objects.
 
-The class vote is ours, beyond the paper. A detector is wrong about a whole object in a view far more often than about
-a pixel: it takes the sofa for a bed. So the class of all points of an object is decided together. A view that resolves
-the object better has more votes.
+The class vote is ours, beyond the paper. A detector is wrong about a whole object in a view (takes the sofa for a bed)
+far more often than about single pixels, so all points of an object get one class. Views that resolve the object better
+have more votes.
 
-Clustering masks can put two separate things into one object. It can also leave one thing in two objects when it was
-seen from both ends of a room. So the views decide again, on connected pieces of points instead of masks: a view that
-sees enough of two pieces either shows both inside one mask, or does not.
-"""
+Clustering masks can put two separate things into one object, or leave one thing in two objects if it was seen from both
+ends of a room. So the views vote again, on connected pieces of points instead of masks: a view that sees enough of two
+pieces shows them inside one mask, or does not."""
 
 from __future__ import annotations
 
@@ -41,9 +40,9 @@ def vote_classes(
     class_ids: tuple[int, ...],
     kind: EvidenceKind,
 ) -> NDArray[np.float64]:
-    """Votes for the class of each of the ``objects`` 1.., float64 [objects + 1, C]; row 0, no object, is all 0.
-    ``views``: what each view shows at the points it sees, and the class that it shows at each, int32 [n] (0 = none);
-    ``object_of_point`` int32 [N], 0 = none. In each view an object's pixels share the votes of that ``kind``."""
+    """Return the votes on the class of each object, float64 [objects + 1, C]; row 0 is for no object, and 0. ``views``:
+    what each view shows at the points it sees, and the class there, int32 [n], 0 = none. ``object_of_point`` int32 [N],
+    0 = none. An object's pixels in a view share the view's votes, whose number depends on ``kind``."""
     ids = np.asarray(class_ids)
     votes = np.zeros((objects + 1, len(ids)))
     for view, shown in views:
@@ -65,9 +64,9 @@ def object_classes(
     is_one: NDArray[np.bool_],
     balance: ClassBalance = UNBALANCED,
 ) -> NDArray[np.int32]:
-    """The class with the most votes for each object, int32 [objects + 1]. Ties go to the lower id. An object has no
-    class, 0, without votes, and if the winner has less than ``LEAST_SHARE`` of them, unless the views find that it
-    ``is_one`` object (``held_back_agreement``), bool [objects + 1]."""
+    """Return the class with the most votes for each object, int32 [objects + 1]; ties go to the lower id. It is 0
+    without votes, and if the winner has less than ``LEAST_SHARE`` of them, unless ``is_one`` bool [objects + 1] (from
+    `held_back_agreement`) says that the views find it a single object."""
     votes = balance.of(votes)
     winner = np.asarray(class_ids, np.int32)[votes.argmax(1)]
     is_agreed = (votes.max(1) >= LEAST_SHARE * votes.sum(1)) | is_one
@@ -83,9 +82,10 @@ def held_back_agreement(
     kinds: ViewEvidence,
     frames: Sequence[Sequence[int]],
 ) -> NDArray[np.bool_]:
-    """Whether a frame that is held back agrees with the class that the others give an object at least as well as with
-    the classes that they give each of its points, bool [objects + 1]. Arguments are those of ``vote_classes``;
-    ``frames`` are the numbers of each frame's views. A point that no other frame sees follows its object."""
+    """Return whether each object is better described by one class than by a class per point, bool [objects + 1]. Each
+    of ``frames`` (indices of its views) is held back in turn: its classes must agree with the object's class, as voted
+    by the other frames, at least as well as with the classes that they vote for each point. Else as
+    ``vote_classes``."""
     ids, (points, classes, count) = np.asarray(class_ids), (len(object_of_point), len(class_ids), objects + 1)
     of_points, of_objects = np.zeros((points, classes)), np.zeros((count, classes))  # float64: residues must be 0
     said = []
@@ -93,23 +93,23 @@ def held_back_agreement(
         column = np.minimum(np.searchsorted(ids, shown), classes - 1)
         voting = (ids[column] == shown) & (object_of_point[view.row] > 0)
         row, column, pixels = view.row[voting], column[voting], view.pixels[voting].astype(np.float64)
-        word = evidence(kinds.segments, pixels, view.resolution[voting]).astype(np.float32) * view.shares[voting]
-        of_points[row, column] += word  # a view has each point once
+        weight = evidence(kinds.segments, pixels, view.resolution[voting]).astype(np.float32) * view.shares[voting]
+        of_points[row, column] += weight  # a view has each point once
         owner = object_of_point[row]
         whole = np.maximum(np.bincount(owner, pixels, count), 1e-12)
         resolution = np.bincount(owner, pixels * view.resolution[voting], count) / whole
         share = pixels * (evidence(kinds.objects, whole, resolution) / whole)[owner] * view.shares[voting]
         own = np.bincount(owner * classes + column, share, count * classes).reshape(count, classes)
         of_objects += own
-        said.append((row, column, owner, word, share, own))
+        said.append((row, column, owner, weight, share, own))
     as_one, as_points = np.zeros(count), np.zeros(count)
     for numbers in frames:
-        row, column, owner, word, share = (np.concatenate([said[n][k] for n in numbers]) for k in range(5))
+        row, column, owner, weight, share = (np.concatenate([said[n][k] for n in numbers]) for k in range(5))
         rest = of_objects - sum(said[n][5] for n in numbers)
         one = np.where(rest.max(1) > 1e-9, rest.argmax(1), -1)[owner]
         seen, at = np.unique(row, return_inverse=True)
         others = of_points[seen]
-        np.subtract.at(others, (at, column), word)
+        np.subtract.at(others, (at, column), weight)
         each = np.where(others.max(1, initial=0) > 1e-6, others.argmax(1), -1)[at]
         each = np.where(each >= 0, each, one)
         as_one += np.bincount(owner, share * (one == column), count)
@@ -124,9 +124,9 @@ def placed_objects(
     object_of_point: NDArray[np.int32],
     min_thickness: float,
 ) -> list[SceneObject]:
-    """The objects with their points, boxes, and the pixels of their masks. Each must own points. ``xyz`` [N, 3] metres
-    are the cloud's points; ``object_of_point`` int32 [N] is the object that each belongs to (0 = none);
-    ``min_thickness`` is the shortest side of a box in metres."""
+    """Return the objects with their points, boxes, and the pixel counts of their masks; each must have points. ``xyz``
+    [N, 3]: the cloud's points, metres; ``object_of_point`` int32 [N]: each one's object, 0 = none; ``min_thickness``:
+    the shortest side of a box, metres."""
     pixels = {
         (view.name, int(segment)): int(count)
         for view in views
@@ -142,11 +142,11 @@ def placed_objects(
 
 @dataclass(frozen=True)
 class PieceRules:
-    """Points nearer than ``reach`` metres are connected. A piece of fewer than ``min_points`` points, or of less than
-    ``fragment`` of its object's largest piece, is a fragment: a mask's ragged edge on the wall behind. A view judges a
-    piece when it sees ``min_points`` of it, and shows it inside a mask that has ``contained`` of these. Pieces of one
-    object stay together when at least ``stay`` of the views that judge both join them. Pieces of two objects of one
-    class that touch become one object when at least ``join`` of these views, and at least two views, join them."""
+    """Points nearer than ``reach`` metres are connected. A piece of fewer than ``min_points`` points, or less than the
+    share ``fragment`` of its object's largest piece, is a fragment, such as a mask's ragged edge on the wall behind. A
+    view judges a piece if it sees ``min_points`` of it, with the share ``contained`` of these in one mask. Pieces of an
+    object stay together if at least the share ``stay`` of the views that judge both join them. Touching pieces of two
+    objects of a class become one object if at least the share ``join`` of these views, at least two, join them."""
 
     reach: float = 0.15
     min_points: int = 5
@@ -165,9 +165,9 @@ def regroup_pieces(
     rules: PieceRules,
     progress: Progress = lambda *_: None,
 ) -> tuple[NDArray[np.int32], list[int]]:
-    """The new object of each point, int32 [N], numbered 1.. (0 = none), and the old object that each one comes from.
-    ``xyz`` [N, 3] metres; ``object_of_point`` int32 [N], 0 = none; ``class_of_object``: the class of objects 1.. ;
-    ``summaries``: what each view shows at the points; ``progress`` counts the objects 1.. ."""
+    """Let the views vote on connected pieces of objects. Return each point's new object, int32 [N], from 1 (0 = none),
+    and the old object of each new one. ``xyz`` [N, 3], metres; ``object_of_point`` int32 [N], 0 = none;
+    ``class_of_object``: of objects 1, 2, ...; ``summaries``: what each view shows at the points."""
     piece, owner = _pieces(xyz, object_of_point, rules, progress)
     if not len(owner):
         return np.zeros(len(xyz), np.int32), []
@@ -202,10 +202,10 @@ def unowned_pieces(
     taken: Container[tuple[str, int]],
     rules: PieceRules,
 ) -> tuple[NDArray[np.int32], list[SceneObject]]:
-    """Objects 1.. that connected points of one class found, if at least LEAST_VIEWS views have a mask of that class on
-    them, and the object of each point, int32 [N], 0 = none. ``class_of_point`` int32 [N], 0 for points that found
-    nothing; ``taken``: the keys of masks that belong to other objects; ``summaries``: what each view shows at the
-    points. A mask goes to the piece that has most of it."""
+    """Make objects of connected points of one class, where at least LEAST_VIEWS views have a mask of it. Return each
+    point's object, int32 [N], 0 = none, and the objects, with ids from 1. ``class_of_point`` int32 [N]: 0 for points to
+    leave out; ``taken``: keys of masks that belong to other objects; ``summaries``: what each view shows at the points.
+    A mask goes to the piece with most of its points."""
     piece, class_of_piece = _pieces(xyz, class_of_point, rules, lambda *_: None)
     masks: list[list[ObjectMask]] = [[] for _ in class_of_piece]
     for view, seen in zip(views, summaries, strict=True):
@@ -225,7 +225,7 @@ def unowned_pieces(
 def _pieces(
     xyz: NDArray[np.floating], object_of_point: NDArray[np.int32], rules: PieceRules, progress: Progress
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The piece of each point, int64 [N], -1 for none and for fragments; and the object of each piece, int64 [P]."""
+    """Return each point's connected piece, int64 [N], -1 = none or a fragment, and each piece's object, int64 [P]."""
     piece = np.full(len(xyz), -1, np.int64)
     owner: list[int] = []
     for number in watched(range(1, int(object_of_point.max(initial=0)) + 1), progress):
@@ -245,7 +245,7 @@ def _pieces(
 def _views_on_pairs(
     piece: NDArray[np.int64], pieces: int, summaries: Sequence[ViewPoints], rules: PieceRules
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How many views show two pieces inside one mask, and how many judge both; each float64 [P, P]."""
+    """Return how many views show each two pieces inside one mask, and how many judge both; float64 [P, P] each."""
     joined, judged = np.zeros((pieces, pieces)), np.zeros((pieces, pieces))
     for summary in summaries:
         shown = piece[summary.row]

@@ -1,8 +1,7 @@
-"""Records of a mask and of an object, which each stage of a lift fills in, and boxes oriented about the up axis.
+"""Records of masks and objects, which the stages of a lift fill in, and boxes oriented about the up axis.
 
-The paper assumes boxes "oriented around z-axis for simplification" (its section "Consistent Instance Mask Generation"):
-the smallest rectangle around the points as seen from above, extended over their range of z.
-"""
+The paper's boxes are "oriented around z-axis for simplification" (section "Consistent Instance Mask Generation"): the
+smallest rectangle around the points as seen from above, extended over their range of z."""
 
 from __future__ import annotations
 
@@ -19,8 +18,8 @@ from ..scene import Segment
 
 @dataclass(frozen=True, eq=False)
 class OrientedBox:
-    """``centre`` float64 [3] and ``size`` float64 [3] in metres (size[0] >= size[1]). ``yaw``: direction of the first
-    axis in radians about +z, in [-pi/2, pi/2)."""
+    """A box turned about z. ``centre``, ``size``: float64 [3], metres, with size[0] >= size[1]; ``yaw``: the angle from
+    +x to the first axis, radians, in [-pi/2, pi/2)."""
 
     centre: NDArray[np.float64]
     size: NDArray[np.float64]
@@ -33,12 +32,12 @@ class OrientedBox:
 
     @property
     def rotation(self) -> tuple[float, float, float, float]:
-        """The yaw as a unit quaternion (w, x, y, z)."""
+        """The turn by ``yaw`` as a unit quaternion (w, x, y, z)."""
         return math.cos(self.yaw / 2), 0.0, 0.0, math.sin(self.yaw / 2)
 
     @property
     def footprint(self) -> NDArray[np.float64]:
-        """The corners as seen from above, counter-clockwise, float64 [4, 2]."""
+        """The corners as seen from above, counter-clockwise, float64 [4, 2], metres."""
         x, y = self.size[:2] / 2
         cos, sin = math.cos(self.yaw), math.sin(self.yaw)
         local = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
@@ -46,15 +45,15 @@ class OrientedBox:
 
     @property
     def corners(self) -> NDArray[np.float64]:
-        """The eight corners, float64 [8, 3]: the footprint at the bottom, then at the top."""
+        """The eight corners, float64 [8, 3], metres: the footprint at the bottom, then at the top."""
         low, high = self.centre[2] - self.size[2] / 2, self.centre[2] + self.size[2] / 2
         foot = self.footprint
         return np.concatenate([np.column_stack([foot, np.full(4, z)]) for z in (low, high)])
 
 
 def fit_box(points: NDArray[np.floating], min_thickness: float) -> OrientedBox:
-    """The smallest box about z around points [N, 3], with no side shorter than ``min_thickness`` metres. Raises
-    ValueError if there are no points."""
+    """Return the box of the smallest footprint around points [N, 3], metres; no side is shorter than ``min_thickness``,
+    metres. Raises ValueError if there are no points."""
     if not len(points):
         raise ValueError("a box needs at least one point")
     xyz = np.asarray(points, np.float64)
@@ -71,7 +70,7 @@ def fit_box(points: NDArray[np.floating], min_thickness: float) -> OrientedBox:
 
 
 def intersection_volume(first: OrientedBox, second: OrientedBox) -> float:
-    """||inter(B1, B2)|| in cubic metres: the area of the clipped footprints times the overlap in z."""
+    """Return ||inter(B1, B2)|| of the paper, cubic metres: the common area of the footprints times the overlap in z."""
     top = min(float(box.centre[2] + box.size[2] / 2) for box in (first, second))
     overlap = top - max(float(box.centre[2] - box.size[2] / 2) for box in (first, second))
     reach = (math.hypot(*first.size[:2]) + math.hypot(*second.size[:2])) / 2  # circles around both: most are far apart
@@ -85,7 +84,7 @@ def intersection_volume(first: OrientedBox, second: OrientedBox) -> float:
 
 
 def _clip(polygon: list[list[float]], window: list[list[float]]) -> list[list[float]]:
-    """The part of a convex polygon inside a counter-clockwise convex window (Sutherland and Hodgman's algorithm)."""
+    """Return the part of a convex polygon inside a convex, counter-clockwise window, by Sutherland and Hodgman."""
     for (ax, ay), (bx, by) in zip(window, window[1:] + window[:1], strict=True):
         side = [(bx - ax) * (y - ay) - (by - ay) * (x - ax) for x, y in polygon]
         kept: list[list[float]] = []
@@ -102,10 +101,9 @@ def _clip(polygon: list[list[float]], window: list[list[float]]) -> list[list[fl
 
 @dataclass(frozen=True)
 class ObjectMask:
-    """One mask of one view: the ``segment`` of a ``frame``. ``pixels``: the number of pixels with depth, 0 until they
-    are counted. ``cost``: O of the match by boxes, None for the mask that founded the object. ``agreement``: views
-    judge a mask together with every other mask of its object; this is the share of these judgements that show both
-    inside one mask, None if there are none."""
+    """A mask of an object: the ``segment`` of a ``frame``. ``pixels``: how many have depth, 0 until counted. ``cost``:
+    O of the match by boxes, None for the object's first mask. ``agreement``: views judge, for each other mask of the
+    object, whether both are inside one mask; this is the share of judgements in favour, None if there are none."""
 
     frame: str
     segment: Segment
@@ -115,14 +113,14 @@ class ObjectMask:
 
     @property
     def key(self) -> tuple[str, int]:
-        """What identifies the mask: its frame, and the id of its segment."""
+        """What identifies the mask: its frame's name and its segment's id."""
         return self.frame, self.segment.id
 
 
 @dataclass(frozen=True, eq=False)
 class SceneObject:
-    """An object: its ``id`` from 1, its ``masks``, its class (0 until it is known), its ``points`` float64 [n, 3] in
-    metres and the ``box`` around them (of size zero while it has no points)."""
+    """An object: ``id``, from 1; ``masks``; class (0 until known); ``points`` float64 [n, 3], metres; and the ``box``
+    around them (of size zero without points)."""
 
     id: int
     masks: tuple[ObjectMask, ...]
@@ -136,7 +134,7 @@ class SceneObject:
 
     @property
     def score(self) -> float:
-        """The mean score of the masks."""
+        """The mean of the masks' scores."""
         return sum(mask.segment.score for mask in self.masks) / len(self.masks)
 
     @property
@@ -145,5 +143,5 @@ class SceneObject:
 
 
 def object_of_mask(objects: Sequence[SceneObject]) -> dict[tuple[str, int], int]:
-    """The id of the object that each mask belongs to, by frame and segment id."""
+    """Return the id of each mask's object, by frame name and segment id."""
     return {mask.key: one.id for one in objects for mask in one.masks}

@@ -1,19 +1,16 @@
-"""Panoptic labels that follow the evidence of all views, at the resolution of the masks (ours, beyond the paper).
+"""Lets segments and points vote on panoptic labels, at the resolution of the masks (ours, beyond the paper).
 
-In each view, a pixel votes for the object that its mask belongs to, or else for its class. The points of the cloud
-collect these votes. Then every segment takes the label that most of its points have, and votes again. This is the
-paper's self-training, "Self-training with Consistency-enhanced Segments", without a rendering in between. A segment
-whose points agree on no label votes point by point. So outlines stay those of the masks, and all views together decide
-what they enclose.
+In each view, a pixel votes for the object of its mask or, if it has none, for the class. The cloud's points collect
+these votes. Then each segment takes the label that most of its points have, and votes again: the paper's "Self-training
+with Consistency-enhanced Segments" without a rendering in between. A segment whose points agree on no label votes point
+by point. So outlines stay those of the masks, and all views together decide what they enclose.
 
-Points share their votes with their neighbours on the same thing: a point that few views see has few votes, and ragged
-masks leave it with wrong ones. Two points are on one thing if most views, by what they resolve, show both in one
-segment. So votes do not cross the outline of a picture or a rug in the plane of its wall or floor. OVSeg3R (arXiv
-2509.23541) cuts its superpoints at such outlines. Where views contradict each other, superpoints take the place of
-neighbours (`superpoints`): a point gets all other votes of its piece. And near views may overrule the others
-on what they show as a whole. From far away, a network takes a sink for the countertop; from nearby, a part of a table
-for the floor.
-"""
+A point that few views see has few votes, and ragged masks leave it with wrong ones, so points share votes with
+neighbours on the same thing: most views, weighted by resolution, show both in one segment. So votes do not cross the
+outline of a picture or a rug in the plane of its wall or floor. OVSeg3R (arXiv 2509.23541) cuts its superpoints at such
+outlines. If views contradict each other, superpoints take the place of neighbours (`superpoints`): a point gets the
+other votes of its superpoint. Near views may overrule others on segments that they show as a whole: from afar, a
+network takes a sink for the countertop; from nearby, a part of a table for the floor."""
 
 from __future__ import annotations
 
@@ -54,10 +51,10 @@ def vote_panoptic_labels(
     neighbours: Any = None,
     progress: Progress = lambda *_: None,
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """The label int32 [N] and the confidence float32 [N] of a cloud's N ``points``. ``object_of_segment`` maps a frame
-    and segment id to the object 1..U that the mask belongs to; ``kind``: the votes that a view has on a point;
-    ``neighbours``: a matrix [points, points] with the share of another point's votes that a point gets besides its own
-    (sparse, or `RestOfSuperpoint`), or None. Raises what ``progress`` raises."""
+    """Return the label int32 [N] and the confidence float32 [N] of a cloud's N ``points``. ``object_of_segment``: the
+    object, 1 to U, of each mask, by frame and segment id. ``kind``: how views' votes are weighted. ``neighbours``: a
+    matrix [N, N] (sparse, or `RestOfSuperpoint`) of the shares in which points also get others' votes, or None. Raises
+    what ``progress`` raises."""
     views, point_of_pixel = seeing.views, seeing.point_of_pixel
     some, done = max(1, CELLS_AT_A_TIME // len(labels)), itertools.count(1)
     chosen = [slice(at, at + some) for at in range(0, points, some)]
@@ -87,8 +84,9 @@ def vote_panoptic_labels(
 def view_labels(
     views: Sequence[View], point_of_pixel: Sequence[NDArray[np.int32]], label: NDArray[np.int32], count: int
 ) -> OnDemand[NDArray[np.int16]]:
-    """``segment_labels`` of what the points show: the labels of each view's pixels, int16 [H, W], computed on demand.
-    ``label`` int32 [N], of ``count`` labels, -1 = unknown; ``point_of_pixel`` int32 [H, W] per view, -1 = none."""
+    """Return the labels of each view's pixels, int16 [H, W], computed when read: ``segment_labels`` of the points'
+    labels. ``label`` int32 [N]: the points', of ``count``, -1 = unknown; ``point_of_pixel`` int32 [H, W] each, -1 =
+    none."""
     table = np.append(label, UNKNOWN_LABEL)
     return OnDemand(len(views), lambda n: segment_labels(views[n].mask, table[point_of_pixel[n]], count))
 
@@ -96,7 +94,7 @@ def view_labels(
 def member_labels(
     view: View, labels: PanopticLabels, object_of_segment: Mapping[tuple[str, int], int]
 ) -> NDArray[np.int16]:
-    """The labels of a view's own mask, int16 [H, W]: the label of the segment's object, or else that of its class."""
+    """Return the labels of a view's own mask, int16 [H, W]: each segment's object's or, without one, its class's."""
     present, inverse = numbered_labels(view.mask.ids)
     class_of = {segment.id: segment.class_id for segment in view.mask.segments}
     table = np.full(len(present), UNKNOWN_LABEL, np.int16)
@@ -109,9 +107,9 @@ def member_labels(
 def segment_labels(
     mask: PanopticMask, shown: NDArray[np.integer], count: int, agreement: float = AGREEMENT
 ) -> NDArray[np.int16]:
-    """The label of each pixel, int16 [H, W]. A segment gets the label that at least ``agreement`` of its labelled
-    pixels show; without such a label its pixels keep their label in ``shown``, int [H, W] of ``count`` labels (-1 =
-    unknown). Void stays unknown."""
+    """Return the label of each pixel, int16 [H, W]. A segment takes the label that at least the share ``agreement`` of
+    its labelled pixels have in ``shown``, int [H, W], of ``count`` labels, -1 = unknown; if there is none, its pixels
+    keep theirs. Void is unknown."""
     present, number = numbered_labels(mask.ids)  # ids may be as large as a PNG's colours
     segments, ids = len(present), number.reshape(mask.ids.shape)
     voting = (shown >= 0) & (mask.ids > 0)
@@ -130,8 +128,8 @@ def segment_labels(
 
 
 class _Votes(NamedTuple):
-    """Votes, sparse float32 [points, labels] each: ``asked`` by the kind of evidence that was asked for, ``near`` by
-    density, and ``whole`` those of ``near`` that come from segments which their views show as a whole."""
+    """Votes on each point's label, sparse float32 [points, labels] each: ``asked``, weighted by the requested kind;
+    ``near``, by density of pixels; ``whole``, those of ``near`` by segments that the picture's border does not cut."""
 
     asked: Any
     near: Any
@@ -146,8 +144,8 @@ def _votes(
     size: tuple[int, int],
     kind: EvidenceKind,
 ) -> _Votes:
-    """The votes of all views. ``size``: the numbers of points and of labels. In each view a point's pixels share its
-    votes on the point."""
+    """Sum the votes of all views; ``maps``: the labels of their pixels; ``size``: the numbers of points and of labels.
+    In each view a point's pixels share the view's votes on it."""
     points, count = size
     total = [sparse.csr_matrix((points, count), dtype=np.float32)] * 3
     parts: list[tuple[NDArray[np.int64], NDArray[np.float32]]] = []
@@ -172,7 +170,7 @@ def _votes(
 
 
 def _added(total: list[Any], parts: list[tuple[NDArray[np.int64], NDArray[np.float32]]]) -> list[Any]:
-    """Add ``parts``, (point * labels + label, int64 [n], and the votes float32 [3, n]), to the three matrices."""
+    """Add ``parts`` to three sparse matrices: indices point * labels + label, int64 [n], and votes [3, n]."""
     if not parts:
         return total
     cells = np.divmod(np.concatenate([pairs for pairs, _ in parts]), total[0].shape[1])
@@ -181,7 +179,7 @@ def _added(total: list[Any], parts: list[tuple[NDArray[np.int64], NDArray[np.flo
 
 
 def is_whole(mask: PanopticMask) -> NDArray[np.bool_]:
-    """Which pixels belong to segments that the picture's border does not cut, bool [H, W]."""
+    """Return which pixels belong to segments that the picture's border does not cut, bool [H, W]."""
     ids = mask.ids
     return ~np.isin(ids, np.unique(np.concatenate([ids[0], ids[-1], ids[:, 0], ids[:, -1]])))
 
@@ -189,7 +187,7 @@ def is_whole(mask: PanopticMask) -> NDArray[np.bool_]:
 def _winners(
     votes: Any, labels: PanopticLabels, slices: Iterable[slice]
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """The label of each point, int32 [N], and its class's share of the votes, float32 [N]."""
+    """Return the winning label of each point, int32 [N], and its class's share of the votes, float32 [N]."""
     parts = [decide_labels(votes[some].toarray(), labels, LEAST_SHARE) for some in slices]
     return np.concatenate([label for label, _ in parts]), np.concatenate([share for _, share in parts])
 
@@ -201,8 +199,8 @@ REACH = 2.0
 
 
 def neighbours_on_a_thing(xyz: NDArray[np.floating], spacing: float, seen: Iterable[ViewPoints]) -> Any:
-    """The weight of each point's neighbours, sparse float32 [N, N]. A row's sum is 1, or 0 for a point without any.
-    ``xyz`` [N, 3] and ``spacing`` of the cloud in metres; ``seen``: what each view shows at the points."""
+    """Return the weights of each point's neighbours on the same thing, sparse float32 [N, N]; a row sums to 1, or 0
+    without neighbours. ``xyz`` [N, 3] and ``spacing``: metres; ``seen``: what each view shows at the points."""
     points, count = np.asarray(xyz, np.float64), len(xyz)
     reach = np.nextafter(REACH * spacing, np.inf)  # the tree's bound excludes the distance itself
     nearest = cKDTree(points).query(points, NEIGHBOURS + 1, distance_upper_bound=reach, workers=worker_count())[1]

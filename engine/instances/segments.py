@@ -1,8 +1,7 @@
-"""Instance segments as points in space (Algorithm 1, lines 2 to 6), and the consistent instance masks M_match from
-matched segments.
+"""Converts instance segments to points in space (Algorithm 1, lines 2 to 6), and matched segments to the consistent
+instance masks M_match.
 
-If a mask bleeds over by one pixel, background depth enters the box and spoils the matching. So segments are eroded.
-"""
+Segments are eroded first: if a mask is one pixel too wide, depth of the background spoils its box and the matching."""
 
 from __future__ import annotations
 
@@ -23,9 +22,10 @@ from .records import ObjectMask, SceneObject, fit_box
 
 @dataclass(frozen=True)
 class SegmentOptions:
-    """Segments are eroded by ``erosion_share`` of the picture's width, rounded up to pixels, but by at most
-    ``erosion_of_inradius`` of their inradius. A segment with fewer than ``min_eroded`` points left is used whole. One
-    with fewer than ``min_points`` is not matched and founds no object. ``voxel_size`` in metres thins the points."""
+    """Segments are eroded by the share ``erosion_share`` of the picture's width, rounded up to pixels, but at most by
+    the share ``erosion_of_inradius`` of their inradius; with fewer than ``min_eroded`` points left, they are used
+    whole. Segments of fewer than ``min_points`` are not matched. ``voxel_size``, metres: points are thinned to one a
+    voxel."""
 
     voxel_size: float = 0.05
     erosion_share: float = 2 / 160
@@ -45,8 +45,7 @@ Rectangle = tuple[float, float, float, float]
 
 
 def mask_extents(mask: PanopticMask) -> dict[int, tuple[float, Rectangle]]:
-    """The extent of each segment that has pixels, by segment id: its share of the picture's pixels, and the rectangle
-    around it."""
+    """Return, by segment id, the share of the picture's pixels that a segment has, and the rectangle around it."""
     height, width = mask.ids.shape
     present, number = numbered_labels(mask.ids)
     count = np.bincount(number)
@@ -62,8 +61,8 @@ def mask_extents(mask: PanopticMask) -> dict[int, tuple[float, Rectangle]]:
 
 
 def outline_of(mask: PanopticMask, segment: int, within: Rectangle = (0.0, 0.0, 1.0, 1.0)) -> str:
-    """Polygons around the parts of a segment that are not small, in the form that `MatchedSegment` has. ``within`` is
-    the rectangle around it."""
+    """Return polygons around the larger parts of a segment, as text in the form of `MatchedSegment`; ``within``: the
+    rectangle around the segment."""
     size = np.array(mask.ids.shape[::-1], np.float64)
     (left, top), (right, bottom) = np.rint(np.reshape(within, (2, 2)) * size).astype(int).tolist()
     inside = (mask.ids[top:bottom, left:right] == segment).astype(np.uint8)
@@ -79,9 +78,9 @@ def outline_of(mask: PanopticMask, segment: int, within: Rectangle = (0.0, 0.0, 
 
 
 def local_instances(view: View, class_ids: frozenset[int], options: SegmentOptions) -> list[SceneObject]:
-    """I_local: the view's segments of the given classes that have enough points, in ascending order of segment id, each
-    as an object of its own (id 0). Their ``pixels`` are counted before erosion. A region that may be several objects (a
-    thing's class without an instance) is left out."""
+    """Return I_local: the view's segments of these classes with enough points, by ascending segment id, each as an
+    object with id 0. Their ``pixels`` are counted before erosion. Leaves out regions that may be several objects (a
+    thing's class without an instance)."""
     points = view.camera.unproject(view.depth)
     margin = edge_distance(view.mask.ids)
     found = []
@@ -103,8 +102,8 @@ def local_instances(view: View, class_ids: frozenset[int], options: SegmentOptio
 
 
 def edge_distance(ids: NDArray[np.int32]) -> NDArray[np.float32]:
-    """The distance in pixels of each pixel from the nearest pixel of another segment, float32 [H, W]. The picture's
-    border is not an edge, as nothing bleeds in from there. If there is no edge, the distance is large."""
+    """Return each pixel's distance, in pixels, to the nearest pixel of another segment, float32 [H, W]; large if there
+    is no other. The picture's border is no edge, since nothing bleeds in from there."""
     edge = np.zeros(ids.shape, bool)
     across, down = ids[:, 1:] != ids[:, :-1], ids[1:] != ids[:-1]
     edge[:, 1:] |= across
@@ -118,7 +117,7 @@ def edge_distance(ids: NDArray[np.int32]) -> NDArray[np.float32]:
 
 
 def thin(points: NDArray[np.float64], voxel_size: float) -> NDArray[np.float64]:
-    """The mean point of each occupied voxel, [n, 3] to [m, 3] in metres, in lexicographic order of the voxels."""
+    """Return the mean of the points in each occupied voxel, [n, 3] to [m, 3], metres, in lexicographic order."""
     _, voxel = distinct_rows(np.floor(points / voxel_size).astype(np.int64))
     count = np.bincount(voxel)
     return np.column_stack([np.bincount(voxel, points[:, axis]) / count for axis in range(3)])
@@ -130,9 +129,9 @@ def vote_instances(
     points: int,
     instance_of_segment: Mapping[tuple[str, int], int],
 ) -> NDArray[np.int32]:
-    """Instance of each point of the cloud by a vote of the views, int32 [points], 0 = none. Ties go to the lower id. In
-    each view the instances that a point's pixels belong to share one vote, so that near views do not outvote others.
-    ``point_of_pixel``: the point nearest to each pixel's surface, int32 [H, W], -1 for none."""
+    """Return each point's instance by a vote of the views, int32 [points], 0 = none; ties go to the lower id. In each
+    view a point's pixels share one vote among their instances, so that near views do not outvote others.
+    ``point_of_pixel`` returns the point nearest to each pixel's surface, int32 [H, W], -1 = none."""
     rows, ids, weights = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0)]
     for view in views:
         instance = instance_map(view, instance_of_segment)
@@ -156,7 +155,7 @@ def vote_instances(
 
 
 def instance_map(view: View, instance_of_segment: Mapping[tuple[str, int], int]) -> NDArray[np.int32]:
-    """Matched instance of each pixel of a view's mask, int32 [H, W], 0 = none."""
+    """Return the matched instance of each pixel of a view's mask, int32 [H, W], 0 = none."""
     present, inverse = np.unique(view.mask.ids, return_inverse=True)
     ids = np.array([instance_of_segment.get((view.name, int(segment)), 0) for segment in present], np.int32)
     return ids[inverse.reshape(view.mask.ids.shape)]

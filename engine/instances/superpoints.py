@@ -1,12 +1,11 @@
-"""Superpoints: pieces of surface that geometry holds together, for masks that do not agree (ours, beyond the paper).
+"""Superpoints: pieces of surface found by geometry alone, for masks that do not agree (ours, beyond the paper).
 
-Points that lie on one smooth or convex piece of surface are most often on one thing. Where views contradict each other,
-this says more than their masks. Where masks are good, it harms: a picture lies in the plane of its wall. So the views
-decide, scene by scene: each is held back in turn, and compared with what the others say of its points, point by point
-and superpoint by superpoint.
+Points on one smooth or convex piece of surface are most often on one thing. If views contradict each other, this tells
+more than their masks. If masks are good, it harms: a picture lies in the plane of its wall. So it is decided scene by
+scene: each view is held back in turn and compared with the votes of the others, by point and by superpoint.
 
-The pieces are those of Felzenszwalb and Huttenlocher (2004), on the angle between the normals of neighbouring points.
-"""
+The pieces are those of Felzenszwalb and Huttenlocher (2004), on the angle between the normals of neighbouring
+points."""
 
 from __future__ import annotations
 
@@ -21,7 +20,7 @@ from scipy.spatial import cKDTree
 from ..machine.compiled import compiled
 from ..machine.threads import worker_count
 from ..presets.preset import EvidenceKind
-from .agreement import ViewsOnCloud, words_of_views
+from .agreement import ViewsOnCloud, votes_of_views
 
 log = logging.getLogger("plgs.lift")
 
@@ -49,8 +48,9 @@ def trusted_superpoints(
     *,
     masks_are_weak: bool,
 ) -> NDArray[np.int64] | None:
-    """The superpoint of each of a cloud's points ``xyz`` [N, 3] metres, ``spacing`` metres apart, int64 [N], if views
-    that are held back prefer them and ``masks_are_weak``, or are too weak to judge; else None."""
+    """Return the superpoint of each of a cloud's points ``xyz`` [N, 3], ``spacing`` apart (metres), int64 [N], or None
+    if they would harm. They help if views agree too little to judge, or if ``masks_are_weak`` and held-back views agree
+    with them."""
     if len(xyz) < LEAST_POINTS:
         return None
     part = superpoints(xyz, spacing, seeing)
@@ -64,8 +64,8 @@ def trusted_superpoints(
 
 
 class RestOfSuperpoint:
-    """As a matrix [N, N]: the votes that a point gets besides its own are those of all others of its superpoint. With
-    ``mean`` they are those of the superpoint's average point, so that a picture can keep its own against its wall."""
+    """Acts as a matrix [N, N] that is multiplied by votes [N, labels]: each point gets the sum of the votes of all
+    other points in its superpoint, or with ``mean`` their mean, so that a picture can keep its label on its wall."""
 
     def __init__(self, part: NDArray[np.int64], mean: bool = False) -> None:
         self._member = sparse.csr_matrix((np.ones(len(part), np.float32), (part, np.arange(len(part)))))
@@ -77,13 +77,13 @@ class RestOfSuperpoint:
 
 
 def rest_of_superpoints(part: NDArray[np.int64], in_all: float) -> RestOfSuperpoint:
-    """What superpoints add to the votes of views that agree with the others on the fraction ``in_all``: where it is
-    AGREEING, no more than their average point has."""
+    """Return the matrix by which points also get the votes of their superpoint ``part`` [N]: only the mean, if views
+    agree well, on the share ``in_all`` >= AGREEING of what they show."""
     return RestOfSuperpoint(part, mean=in_all >= AGREEING)
 
 
 def superpoints(xyz: NDArray[np.floating], spacing: float, seeing: ViewsOnCloud) -> NDArray[np.int64]:
-    """The superpoint of each point, int64 [N], numbered from 0. Arguments are those of ``trusted_superpoints``."""
+    """Return each point's superpoint, int64 [N], from 0. ``xyz`` [N, 3], ``spacing``: metres; ``seeing``: its views."""
     xyz = np.asarray(xyz, np.float64)
     tree = cKDTree(xyz)
     near = xyz[tree.query(xyz, min(PATCH, len(xyz)), workers=worker_count())[1].reshape(len(xyz), -1)]
@@ -104,7 +104,7 @@ def superpoints(xyz: NDArray[np.floating], spacing: float, seeing: ViewsOnCloud)
 
 @compiled
 def _pieces(one: Any, two: Any, bend: Any, points: int, looseness: float, least: int) -> Any:
-    """The root of each point's piece, int64 [points], for edges [E] in the order of their ``bend``."""
+    """Join points along edges ``one``-``two`` [E], sorted by ``bend``. Return each point's piece, int64 [points]."""
     parent, size, limit = np.arange(points), np.ones(points, np.int64), np.full(points, looseness)
     for only_small in (False, True):  # first by bend, then what is still too small
         for edge in range(len(one)):
@@ -134,24 +134,24 @@ def _pieces(one: Any, two: Any, bend: Any, points: int, looseness: float, least:
 def held_back_agreement(
     part: NDArray[np.int64], seeing: ViewsOnCloud, class_ids: tuple[int, ...], kind: EvidenceKind
 ) -> tuple[float, float]:
-    """The share of what a frame shows that agrees with the votes of all other frames: with those on each point, and
-    with those on its whole superpoint. A point that no other frame sees follows its superpoint."""
+    """Return the share of what frames show that agrees with the votes of the other frames on each point, and with those
+    on its whole superpoint. A point that no other frame sees counts as its superpoint."""
     ids, points = np.asarray(class_ids), len(part)
-    said, total = words_of_views(seeing, points, ids, kind)
+    said, total = votes_of_views(seeing, points, ids, kind)
     of_part = sparse.csr_matrix((np.ones(points), (part, np.arange(points)))) @ total
     asked = by_point = by_part = 0.0
     for numbers in seeing.by_frame():
-        row, column, word = (np.concatenate([said[number][k] for number in numbers]) for k in range(3))
+        row, column, weight = (np.concatenate([said[number][k] for number in numbers]) for k in range(3))
         seen, at = np.unique(row, return_inverse=True)
         others = total[seen]
-        np.subtract.at(others, (at, column), word)
+        np.subtract.at(others, (at, column), weight)
         parts, part_of_row = np.unique(part[row], return_inverse=True)
         rest = of_part[parts]
-        np.subtract.at(rest, (part_of_row, column), word)
+        np.subtract.at(rest, (part_of_row, column), weight)
         whole = np.where(rest.max(1, initial=0) > 1e-5, rest.argmax(1), -1)[part_of_row]
         each = np.where(others.max(1, initial=0) > 1e-5, others.argmax(1), -1)[at]
         each = np.where(each >= 0, each, whole)
-        asked += float(word[each >= 0].sum())
-        by_point += float(word[each == column].sum())
-        by_part += float(word[whole == column].sum())
+        asked += float(weight[each >= 0].sum())
+        by_point += float(weight[each == column].sum())
+        by_part += float(weight[whole == column].sum())
     return by_point / max(asked, 1e-9), by_part / max(asked, 1e-9)

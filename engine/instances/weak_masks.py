@@ -1,10 +1,9 @@
-"""What votes, and how much, where masks are weak (ours, beyond the paper).
+"""Detects masks that are weak, and changes how votes count there (ours, beyond the paper).
 
-A network that is unsure takes a thing for what it has seen most. So where views contradict each other, a class that is
-seldom shown counts more, and weak detections win back what the panoptic picture lost. Both spoil masks that are good.
-So the views decide: each is held back in turn and compared with what the others say of its points. Averages over a
-view's pixels decide nothing: walls and floors fill it, and even bad masks agree on these. So all classes count alike.
-"""
+A network that is unsure takes a thing for the class it has seen most. So if views contradict each other, votes for
+classes that are seldom shown count more, and weak detections also vote, to win back what the panoptic mask lost. Both
+spoil good masks. So it is measured: each view is held back in turn and compared with the votes of the others. All
+classes count alike in it, since walls and floors fill views, and even bad masks agree on these."""
 
 from __future__ import annotations
 
@@ -14,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..presets.preset import EvidenceKind
-from .agreement import ViewsOnCloud, words_of_views
+from .agreement import ViewsOnCloud, votes_of_views
 from .panoptic_labels import UNBALANCED, ClassBalance
 
 log = logging.getLogger("plgs.lift")
@@ -38,9 +37,8 @@ MAJORITY = 0.5
 
 @dataclass(frozen=True)
 class ViewAgreement:
-    """The share of what a view shows that agrees with the votes of all other views: ``by_class`` in the mean over the
-    classes, ``in_all`` in that of all that is shown. ``at_least``: the latter if all that no other view sees disagreed.
-    """
+    """How much of what a view shows agrees with the votes of all other views, 0 to 1: ``by_class``, the mean over
+    classes; ``in_all``, over everything; ``at_least``, the same if what no other view sees counts as disagreeing."""
 
     by_class: float
     in_all: float
@@ -54,20 +52,20 @@ class ViewAgreement:
 def agreement_of_views(
     seeing: ViewsOnCloud, points: int, class_ids: tuple[int, ...], kind: EvidenceKind
 ) -> ViewAgreement:
-    """How well the views of a cloud of ``points`` points agree; ``kind``: a view's votes on a point. Points that no
+    """Return how well the views of a cloud of ``points`` points agree; ``kind``: how votes are weighted. Points that no
     other view sees do not count."""
     ids = np.asarray(class_ids)
-    said, total = words_of_views(seeing, points, ids, kind)
+    said, total = votes_of_views(seeing, points, ids, kind)
     asked, agreed = np.zeros(len(ids)), np.zeros(len(ids))
-    for row, column, word in said:
+    for row, column, weight in said:
         others = total[row]
-        others[np.arange(len(row)), column] -= word
+        others[np.arange(len(row)), column] -= weight
         is_asked = others.max(1, initial=0) > 1e-5  # less is the rounding of the subtraction
-        asked += np.bincount(column, word * is_asked, len(ids))
-        agreed += np.bincount(column, word * (is_asked & (others.argmax(1) == column)), len(ids))
+        asked += np.bincount(column, weight * is_asked, len(ids))
+        agreed += np.bincount(column, weight * (is_asked & (others.argmax(1) == column)), len(ids))
     if not asked.any():
         return ViewAgreement(1.0, 1.0, 0.0)  # nothing compared
-    by_class, all_said = np.mean(agreed[asked > 0] / asked[asked > 0]), sum(word.sum() for _, _, word in said)
+    by_class, all_said = np.mean(agreed[asked > 0] / asked[asked > 0]), sum(weight.sum() for _, _, weight in said)
     found = ViewAgreement(float(by_class), float(agreed.sum() / asked.sum()), float(agreed.sum() / all_said))
     log.info(
         "a view that is held back agrees with the others on %.3f of a class and %.3f of all: its masks are %s",
@@ -79,10 +77,10 @@ def agreement_of_views(
 def class_balance(
     seeing: ViewsOnCloud, points: int, class_ids: tuple[int, ...], kind: EvidenceKind, agreement: ViewAgreement
 ) -> ClassBalance:
-    """What makes up for classes that the views seldom show, in a scene where they have this ``agreement``."""
+    """Return weights that favour votes for classes which views seldom show, or equal ones unless masks are weak."""
     if not agreement.is_weak:
         return UNBALANCED
-    total = words_of_views(seeing, points, np.asarray(class_ids), kind)[1].sum(0)
+    total = votes_of_views(seeing, points, np.asarray(class_ids), kind)[1].sum(0)
     share = total / max(total.max(initial=0), 1e-12)
     weights = np.where(share < STRAY, 1.0, np.maximum(share, RAREST) ** -EVENING)
     return ClassBalance(tuple(weights.tolist()), MAJORITY if agreement.in_all >= DOUBTED else 1.0)

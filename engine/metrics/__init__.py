@@ -1,1 +1,1 @@
-"""mIoU and PQ-scene in two modes, ``strict`` and ``pl_compat``; PSNR, SSIM and the depth error."""
+"""Metrics: mIoU and PQ-scene in two modes (``strict``, ``pl_compat``), PSNR, SSIM, depth error, and calibration."""

@@ -1,13 +1,12 @@
-"""How often a share of the votes is right: calibrated by the masks, without any ground truth.
+"""Calibrates confidence: how often a class with a given share of the votes is right, by the masks, without ground
+truth.
 
-A pixel shows a class with a share of its coverage. To turn that share into a probability, two questions are asked.
-First: does the lift show what the masks of all views together say of this point? A single mask is too often wrong to
-answer, so the class that most views name there does. Second: are the masks together right? Their agreement cannot
-answer this. But if masks agree with the lift more often than their own scores claim to be right, they are wrong
-together, and the difference is subtracted.
+A pixel shows a class with a share of its coverage. Two questions turn that share into a probability. First: does the
+lift show what all masks together say of this point? A single mask is too often wrong, so the class that most views show
+there is the answer. Second: are the masks together right? Their agreement does not tell. But if masks agree with the
+lift more often than their own scores claim to be right, they are wrong together, and the difference is subtracted.
 
-A limit remains: networks that call a sofa a bed from every view, with scores that are too high, are believed.
-"""
+A limit remains: networks that call a sofa a bed from every view, with scores that are too high, are believed."""
 
 from __future__ import annotations
 
@@ -30,9 +29,9 @@ LEAST_VIEWS, LEAST_SAMPLES, MOST_SAMPLES = 2, 200, 60_000
 
 @dataclass(frozen=True)
 class Calibration:
-    """The probability ``right`` for each ``share`` in ascending order, interpolated linearly. If empty, a share is its
-    own probability. ``factor``: how far the masks together are believed, which is already part of ``right``;
-    ``samples``: the number of points that the masks judged."""
+    """A map from shares of votes to probabilities: ``right`` for each ``share``, ascending, interpolated linearly. If
+    empty, a share is its own probability. ``factor``: how far masks are believed, already part of ``right``;
+    ``samples``: the number of points that it was measured on."""
 
     share: tuple[float, ...] = ()
     right: tuple[float, ...] = ()
@@ -40,20 +39,20 @@ class Calibration:
     samples: int = 0
 
     def __post_init__(self) -> None:
-        """Raises ValueError unless this is a monotone map of [0, 1] to [0, 1]."""
+        """Raise ValueError unless it is a monotone map from [0, 1] to [0, 1]."""
         values = np.array([self.share, self.right], np.float64)
         if not ((values >= 0) & (values <= 1)).all() or (np.diff(values) < 0).any():
             raise ValueError("the calibration is not a monotone map")
 
     def __call__(self, share: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The probabilities of shares, float32 of the same shape; 0 (nothing rendered) stays 0."""
+        """Return the probabilities for an array of shares, float32 of the same shape; 0 (nothing rendered) stays 0."""
         if not self.share:
             return share
         found = np.rint(STEPS * np.interp(share, self.share, self.right)) / STEPS
         return np.where(share > 0, found, 0).astype(np.float32)
 
     def doubt(self, samples: Samples) -> float:
-        """The mean probability that a sample is wrong; 0 without samples."""
+        """Return the mean probability that a sample's class is wrong; 0 without samples."""
         return float(np.mean(1 - self(samples.share))) if len(samples.share) else 0.0
 
 
@@ -61,7 +60,8 @@ UNCALIBRATED = Calibration()
 
 
 class Samples(NamedTuple):
-    """Points: ``xyz`` float32 [N, 3] world metres, ``class_id`` int32 [N] (0 = none), ``share`` float32 [N]."""
+    """Points with the class that the lift shows: ``xyz`` float32 [N, 3], world metres; ``class_id`` int32 [N], 0 =
+    none; ``share`` float32 [N], the share of the votes."""
 
     xyz: NDArray[np.float32]
     class_id: NDArray[np.int32]
@@ -69,7 +69,7 @@ class Samples(NamedTuple):
 
 
 def samples_of(view: View, class_id: NDArray[np.int32], share: NDArray[np.float32], most: int) -> Samples:
-    """At most ``most`` pixels of a view, evenly chosen from those with depth that show a class int32 [H, W]."""
+    """Return up to ``most`` evenly chosen pixels of a view with depth and a class in ``class_id`` int32 [H, W]."""
     seen = np.flatnonzero((view.depth > 0) & (class_id > 0))
     seen = seen[:: max(1, -(-len(seen) // max(most, 1)))]
     xyz = view.camera.unproject(view.depth).reshape(-1, 3)[seen]
@@ -77,8 +77,8 @@ def samples_of(view: View, class_id: NDArray[np.int32], share: NDArray[np.float3
 
 
 def calibrate(samples: Samples, trained: Sequence[View], held_back: Sequence[View]) -> Calibration:
-    """Let the masks of all views judge at most MOST_SAMPLES points. The masks that were ``held_back`` decide how far
-    masks are believed; if there are none, the ``trained`` ones do. Each view is read once."""
+    """Measure the calibration on up to MOST_SAMPLES of the samples, by the masks of all views. How far masks are
+    believed is measured on those of ``held_back`` views or, without such, of ``trained`` ones. Reads each view once."""
     rows = np.flatnonzero(samples.class_id)
     rows = rows[:: -(-len(rows) // MOST_SAMPLES) or 1]
     samples = Samples(samples.xyz[rows], samples.class_id[rows], samples.share[rows])
@@ -96,8 +96,8 @@ def calibrate(samples: Samples, trained: Sequence[View], held_back: Sequence[Vie
 
 
 class _Named:
-    """How views name points: ``views`` float32 [N] is the number of views that name each point; ``agreeing``: how often
-    judges name the class that the point shows; ``score``: the sum of their scores."""
+    """What the masks say of each sample. ``views`` float32 [N]: how many views give the point a class. Over the judging
+    views: ``agreeing``, how often it is the class that the lift shows, and ``score``, the sum of the masks' scores."""
 
     def __init__(self, samples: Samples) -> None:
         self._xyz = samples.xyz
@@ -106,7 +106,7 @@ class _Named:
         self.agreeing = self.score = 0.0
 
     def add(self, view: View, *, is_judge: bool) -> None:
-        """Count the classes that a view's mask gives to the points that it sees."""
+        """Count the classes that the view's mask gives to the samples it sees; ``is_judge``: also its scores."""
         row, y, x = view.seen_of(self._xyz)
         mask, named = view.mask.ids[y, x], view.mask.class_map()[y, x]
         counts = named != VOID
@@ -122,7 +122,7 @@ class _Named:
             self.agreeing += float((named == self._ids[self._column[row]]).sum())
 
     def verdict(self) -> NDArray[np.float64]:
-        """Whether most views name the class that each point shows, float64 [N]; a fraction of 1 where several tie."""
+        """Return whether most views give each point the class that the lift shows, float64 [N]; 1 / n in a tie of n."""
         most = self._votes.max(axis=1, initial=0)
         own = self._votes[np.arange(len(self._votes)), self._column]
         unseen = self.views - self._votes.sum(axis=1)  # votes for classes that no sample shows
@@ -131,8 +131,8 @@ class _Named:
 
 
 def fitted(share: NDArray[np.floating], right: NDArray[np.floating]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """The isotonic fit to samples [N], by bins of about equally many: ascending shares, and how often each is right. It
-    begins at 0 for a share of 0."""
+    """Return the isotonic fit to samples [N], in bins of about equally many: ascending shares, and how often each is
+    right; begins at (0, 0)."""
     edges = np.unique(np.quantile(share, np.linspace(0, 1, BINS + 1)[1:-1]))
     number = np.searchsorted(edges, share, side="right")
     count = np.bincount(number, minlength=len(edges) + 1)

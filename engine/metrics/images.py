@@ -1,4 +1,4 @@
-"""Scores of rendered pictures against photos (PSNR, SSIM), and of rendered depth against the sensor's."""
+"""Scores rendered pictures against photos (PSNR, SSIM), and rendered depth against the sensor's."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ C1, C2 = 0.01**2, 0.03**2
 
 
 class PictureScores(NamedTuple):
-    """PSNR in decibels and SSIM of one view; ``_fitted``: after `fit_colours`."""
+    """PSNR in decibels and SSIM of one view; those ``_fitted`` are measured after `fit_colours`."""
 
     psnr: float
     ssim: float
@@ -26,10 +26,10 @@ class PictureScores(NamedTuple):
 
 
 def score_picture(rendered: NDArray[np.generic], photo: NDArray[np.uint8]) -> PictureScores:
-    """Score a picture [H, W, 3], uint8 or floats in [0, 1], against the frame's photo uint8 [H, W, 3]. A camera with
-    auto exposure shows one surface in many colours. The fitted PSNR ignores what a gain and an offset explain. Black
-    borders that undistortion left in the photo count neither in the fit nor in PSNR. SSIM uses the whole picture.
-    Raises ValueError if shapes differ."""
+    """Score a picture [H, W, 3], uint8 or floats in [0, 1], against the frame's photo uint8 [H, W, 3]. The fitted
+    scores leave out what a gain and an offset explain, since a camera with auto exposure shows one surface in many
+    colours. Black borders of undistortion count neither in the fit nor in PSNR; SSIM uses the whole picture. Raises
+    ValueError if shapes differ."""
     valid, (x, y) = ~border_mask(photo), _unit(rendered, photo)
     return PictureScores(psnr(x, y, valid), ssim(x, y), psnr(fit_colours(x, y, valid), y, valid))
 
@@ -37,9 +37,9 @@ def score_picture(rendered: NDArray[np.generic], photo: NDArray[np.uint8]) -> Pi
 def fit_colours(
     rendered: NDArray[np.generic], photo: NDArray[np.generic], valid: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """``rendered`` after the affine fit to ``photo``: a gain and an offset per channel, by least squares over the
-    ``valid`` pixels. Pictures [H, W, 3], uint8 or floats in [0, 1]; ``valid`` bool [H, W]. The result is float64,
-    clipped to [0, 1], so its PSNR is never lower than that of ``rendered``. Raises ValueError if shapes differ."""
+    """Return ``rendered`` with the gain and offset per channel that bring it closest to ``photo``, by least squares
+    over ``valid`` pixels, bool [H, W]. Pictures [H, W, 3], uint8 or floats in [0, 1]; the result is float64, clipped to
+    [0, 1], so its PSNR is never lower. Raises ValueError if shapes differ."""
     x, y = _unit(rendered, photo)
     here, there = (each.reshape(-1, 3) if valid.all() else each[valid] for each in (x, y))
     mean_here, mean_there = here.mean(axis=0), there.mean(axis=0)
@@ -53,8 +53,8 @@ def fit_colours(
 
 
 def psnr(a: NDArray[np.generic], b: NDArray[np.generic], valid: NDArray[np.bool_] | None = None) -> float:
-    """-10 log10(MSE) in decibels of two pictures [H, W, 3], uint8 or floats in [0, 1], over all pixels or the ``valid``
-    ones, bool [H, W]. Raises ValueError if shapes differ."""
+    """Return -10 log10(MSE), decibels, of two pictures [H, W, 3], uint8 or floats in [0, 1], over all pixels or those
+    ``valid``, bool [H, W]. Raises ValueError if shapes differ."""
     x, y = _unit(a, b)
     gap = (x - y).ravel() if valid is None or valid.all() else (x - y)[valid].ravel()
     error = float(gap @ gap) / len(gap)
@@ -62,9 +62,9 @@ def psnr(a: NDArray[np.generic], b: NDArray[np.generic], valid: NDArray[np.bool_
 
 
 def ssim(a: NDArray[np.generic], b: NDArray[np.generic]) -> float:
-    """Mean structural similarity of two pictures [H, W, 3], uint8 or floats in [0, 1]; 1 = identical. 11x11 Gaussian
-    window with sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2, each channel separately: the measure that the
-    training loss uses. Raises ValueError if shapes differ."""
+    """Return the mean structural similarity of two pictures [H, W, 3], uint8 or floats in [0, 1]; 1 = identical. As in
+    the training loss: 11x11 Gaussian window with sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2, channels
+    separately. Raises ValueError if shapes differ."""
     x, y = _unit(a, b)
     mean_x, mean_y = _window_mean(x), _window_mean(y)
     shared, square_x, square_y = mean_x * mean_y, mean_x * mean_x, mean_y * mean_y
@@ -75,7 +75,7 @@ def ssim(a: NDArray[np.generic], b: NDArray[np.generic]) -> float:
 
 
 def _unit(*pictures: NDArray[np.generic]) -> list[NDArray[np.float64]]:
-    """Pictures as float64 in [0, 1]. Raises ValueError if shapes differ."""
+    """Convert pictures to float64 in [0, 1]. Raises ValueError if their shapes differ."""
     if len({picture.shape for picture in pictures}) > 1:
         raise ValueError(f"pictures differ in shape: {' and '.join(str(each.shape) for each in pictures)}")
     return [
@@ -97,16 +97,15 @@ BIN, BINS = 1e-4, 100_000
 
 
 class DepthErrors:
-    """Absolute errors of all pixels of all views, counted in bins, so that memory does not grow with the number of
-    views. The median is over all pixels, not the mean of the views' medians, as a view with little depth says
-    little."""
+    """Collects the absolute depth errors of all views' pixels, in bins, so that memory does not grow with the views.
+    The median is over all pixels, not the mean of the views' medians, since a view with little depth tells little."""
 
     def __init__(self) -> None:
         self._counts = np.zeros(BINS, np.int64)
 
     def add(self, rendered: NDArray[np.float32], alpha: NDArray[np.float32], measured: NDArray[np.float32]) -> None:
-        """Count a view. All [H, W]: planar metres, coverage in [0, 1], planar metres (0 = none). Raises ValueError if
-        shapes differ."""
+        """Count a view's pixels: rendered depth, planar metres; coverage ``alpha`` in [0, 1]; ``measured`` depth,
+        planar metres, 0 = none; [H, W] each. Raises ValueError if shapes differ."""
         if not rendered.shape == alpha.shape == measured.shape:
             raise ValueError(f"depths differ in shape: {rendered.shape}, {alpha.shape} and {measured.shape}")
         counted = (measured > 0) & (alpha >= LEAST_ALPHA)
@@ -115,7 +114,7 @@ class DepthErrors:
 
     @property
     def median(self) -> float | None:
-        """The median in metres, to the width of a bin; None if no pixel was counted."""
+        """The median error in metres, to the width of a bin; None if no pixel was counted."""
         below = np.cumsum(self._counts)
         if not below[-1]:
             return None

@@ -5,9 +5,8 @@ its peculiarities: every map is stretched to 512x512, rare classes are dropped, 
 of its own. ``strict`` uses the native resolution and drops no class; predicted void is a miss but never a class.
 
 Both first remove the pixels whose ground truth is void. Both count a segment as a distinct (class, instance) pair over
-ALL views (PQ-scene): an object that changes its id between views is wrong. PQ-scene does not say how good single frames
-are, nor how often an object changes its id: ``FrameQuality`` and ``IdChanges`` do.
-"""
+ALL views (PQ-scene), so an object that changes its id between views is wrong. How good single frames are, and how often
+objects change their ids, ``FrameQuality`` and ``IdChanges`` tell."""
 
 from __future__ import annotations
 
@@ -37,7 +36,7 @@ Pair = tuple[Segment, Segment]
 
 @dataclass(frozen=True)
 class ClassScore:
-    """The scores of one class. ``iou`` (or ``pq``, ``sq``, ``rq``) is None if the class is not part of that mean."""
+    """The scores of one class, in [0, 1]. ``iou`` (or ``pq``, ``sq``, ``rq``) is None if it is not part of the mean."""
 
     class_id: int
     name: str
@@ -52,9 +51,9 @@ class ClassScore:
 
 @dataclass(frozen=True)
 class PanopticScores:
-    """Means over the classes, each in [0, 1], and the classes that they include, in ascending order of id.
-    ``miou_true`` is the mean IoU over only those classes that the ground truth has, as is common in the field: a
-    class that is wrongly predicted costs the pixels of true classes that it takes, but does not enter the mean."""
+    """Means over classes, each in [0, 1], and the classes that they include, by ascending id. ``miou_true``: the mean
+    IoU over only the classes that the ground truth has, as is common in the field. A class that is wrongly predicted
+    then costs only the pixels that it takes from true classes."""
 
     mode: Mode
     miou: float
@@ -66,7 +65,7 @@ class PanopticScores:
 
 
 class PanopticEvaluation:
-    """Takes one view after another, and keeps only the number of ``pixels`` shared by each pair of segments."""
+    """Accumulates views one by one, as the number of ``pixels`` that each predicted and each true segment share."""
 
     def __init__(self, classes: ClassTable, mode: Mode) -> None:
         if mode not in MODES:
@@ -82,9 +81,9 @@ class PanopticEvaluation:
         gt_semantic: NDArray[np.integer],
         gt_instance: NDArray[np.integer],
     ) -> dict[Pair, int]:
-        """Count one view: class ids and instance ids, integer [H, W] each; 0 = void, none. Returns its shared pixels.
-        Classes that are not in the table count as void. Raises ValueError if an id is negative, or if shapes differ; in
-        ``pl_compat`` prediction and ground truth may have different sizes."""
+        """Count a view, given as class ids and instance ids, integers [H, W], 0 = void or none. Return its own shared
+        pixels. Classes that are not in the table count as void. Raises ValueError if an id is negative, or if shapes
+        differ; in ``pl_compat`` prediction and ground truth may have different sizes."""
         maps = [np.asarray(m) for m in (pred_semantic, pred_instance, gt_semantic, gt_instance)]
         if self.mode == "pl_compat":
             maps = [resize_nearest(m, COMPAT_SIZE) for m in maps]
@@ -109,7 +108,7 @@ class PanopticEvaluation:
         return not self.pixels
 
     def _segments(self, semantic: NDArray[np.integer], instance: NDArray[np.integer]) -> NDArray[np.int64]:
-        """Class and instance packed into one int64 per pixel, flat; stuff has no instance."""
+        """Pack class and instance of each pixel into one int64, as a flat array; stuff gets no instance."""
         if semantic.size and min(int(semantic.min()), int(instance.min())) < 0:
             raise ValueError("class and instance ids must not be negative")
         known = np.isin(semantic, self.classes.ids)
@@ -118,7 +117,7 @@ class PanopticEvaluation:
         return (packed | np.where(things, instance, 0).astype(np.int64)).ravel()
 
     def result(self) -> PanopticScores:
-        """The scores of all views added so far. Raises ValueError if no pixel had ground truth."""
+        """Return the scores of all views added so far. Raises ValueError if no pixel had ground truth."""
         if self.is_empty:
             raise ValueError("nothing to score: no pixel has ground truth")
         ids = (VOID, *self.classes.ids)
@@ -149,7 +148,7 @@ class PanopticEvaluation:
 
 @dataclass(frozen=True)
 class _ClassAreas:
-    """Pixels of each class in the prediction, in the ground truth and in both at once."""
+    """The number of pixels of each class in the prediction, in the ground truth, and in both at once."""
 
     predicted: Counter[int]
     true: Counter[int]
@@ -183,7 +182,7 @@ class _ClassAreas:
 
 @dataclass(frozen=True)
 class _Matches:
-    """Summed IoU of the matched pairs and the counts of matched and unmatched segments, by class."""
+    """By class: the sum of the matched pairs' IoU, and the numbers of matched and unmatched segments."""
 
     iou: dict[int, float]
     tp: Counter[int]
@@ -191,7 +190,7 @@ class _Matches:
     fn: Counter[int]
 
     def score(self, class_id: int, name: str, iou: float | None, is_kept: bool) -> ClassScore:
-        """SQ = sum IoU / TP, RQ = TP / (TP + FP/2 + FN/2), PQ = SQ * RQ; 0 where undefined."""
+        """Return a class's scores: SQ = sum IoU / TP, RQ = TP / (TP + FP/2 + FN/2), PQ = SQ * RQ; 0 if undefined."""
         if not is_kept:
             return ClassScore(class_id, name, iou, None, None, None, 0, 0, 0)
         tp, fp, fn = self.tp[class_id], self.fp[class_id], self.fn[class_id]
@@ -202,9 +201,9 @@ class _Matches:
 
 
 def _match(pixels: Counter[Pair], kept: set[int], *, excuse_void: bool) -> _Matches:
-    """Match segments of one class whose IoU exceeds 0.5 (so each has at most one partner). With ``excuse_void``, pixels
-    whose label on the other side is not a kept class leave the union, and a segment with more than half of its area on
-    such pixels is not an error. Without it, predicted void is an ordinary miss."""
+    """Match segments of a class whose IoU exceeds 0.5 (so each has at most one partner). With ``excuse_void``, pixels
+    whose label on the other side is not a ``kept`` class do not count in the union, and a segment with more than half
+    of its area there is no error. Otherwise predicted void is an ordinary miss."""
     predicted, true = Counter[Segment](), Counter[Segment]()
     predicted_on_void, true_on_void = Counter[Segment](), Counter[Segment]()
     for (p, t), n in pixels.items():
@@ -237,14 +236,14 @@ def _unpack(packed: int) -> Segment:
 
 
 def _mean(values: Iterable[float | None]) -> float:
-    """The plain mean of the values that are not None; 0 if there are none."""
+    """Return the mean of the values that are not None; 0 if there are none."""
     kept = [value for value in values if value is not None]
     return sum(kept) / len(kept) if kept else 0.0
 
 
 class FrameQuality:
-    """COCO's panoptic quality: segments are matched frame by frame, so ids need not agree across frames. True and
-    false ones are counted over all frames, and PQ is the mean over the classes. Void is treated as in ``strict``."""
+    """COCO's panoptic quality: segments are matched in each frame, so ids need not agree across frames. Matches and
+    errors are counted over all frames, and PQ is the mean over classes. Void is treated as in ``strict``."""
 
     def __init__(self, classes: ClassTable) -> None:
         self.classes = classes
@@ -253,7 +252,7 @@ class FrameQuality:
         self._errors: Counter[int] = Counter()
 
     def add(self, pixels: Mapping[Pair, int]) -> None:
-        """Count one view: how many pixels each predicted and true segment share, as returned by
+        """Count a frame, given as the number of pixels that each predicted and true segment share, from
         ``PanopticEvaluation.add`` in the mode ``strict``."""
         if not pixels:
             return
@@ -266,7 +265,7 @@ class FrameQuality:
 
     @property
     def pq(self) -> float | None:
-        """PQ in [0, 1]; None before any pixel had ground truth."""
+        """The panoptic quality in [0, 1]; None before any pixel had ground truth."""
         if not self._iou:
             return None
         each = [iou / (self._matched[row] + 0.5 * self._errors[row]) for row, iou in self._iou.items()]
@@ -274,9 +273,9 @@ class FrameQuality:
 
 
 class IdChanges:
-    """Follows every true object over the frames in order. It is tracked in a frame if a predicted segment of its class
-    has an IoU above 0.5 with it. It has changed its id if this segment's id differs from the one at its last tracked
-    frame."""
+    """Counts how often true objects change their predicted id over the frames, in order. An object is tracked in a
+    frame if a predicted segment of its class has an IoU above 0.5 with it; its id changes if that segment's id differs
+    from the one in the last frame in which it was tracked."""
 
     def __init__(self, classes: ClassTable) -> None:
         self.classes = classes
@@ -285,7 +284,7 @@ class IdChanges:
         self._changes: Counter[Segment] = Counter()
 
     def add(self, pixels: Mapping[Pair, int]) -> None:
-        """Count the next view, like ``FrameQuality.add``."""
+        """Count the next frame; ``pixels`` as for ``FrameQuality.add``."""
         predicted, true = Counter[Segment](), Counter[Segment]()
         for (p, t), shared in pixels.items():
             predicted[p] += shared
@@ -300,6 +299,6 @@ class IdChanges:
 
     @property
     def per_object(self) -> float | None:
-        """The mean number of changes of the objects tracked in two or more frames; None if there are none."""
+        """The mean number of changes per object, over those tracked in two or more frames; None if there are none."""
         again = [one for one, frames in self._tracked.items() if frames > 1]
         return sum(self._changes[one] for one in again) / len(again) if again else None

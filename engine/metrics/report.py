@@ -1,4 +1,4 @@
-"""The figures of a lift, or of any program's label folders: each method's scores, in the form of metrics.json."""
+"""Collects the scores of a lift, or of any program's label folders, in the form of metrics.json."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ _NO_LABEL_SCORES: dict[str, object] = {
 
 @dataclass(frozen=True, eq=False)
 class PredictedView:
-    """What a method predicts for one frame, at the frame's own size. ``semantic`` and ``instance`` int32 [H, W] (0 =
-    void, none). ``image`` [H, W, 3], uint8 or floats in [0, 1], sRGB-encoded, or None if the method renders no picture.
-    ``depth``, planar metres, and ``alpha``, coverage in [0, 1], float32 [H, W], or None if it renders no depth."""
+    """What a method predicts for a frame, at the frame's size. ``semantic``, ``instance``: ids, int32 [H, W], 0 = void,
+    none. ``image`` [H, W, 3]: uint8 or floats in [0, 1], sRGB; None if it renders no picture. ``depth`` (planar,
+    metres) and ``alpha`` (coverage, 0 to 1): float32 [H, W]; None if it renders no depth."""
 
     semantic: NDArray[np.int32]
     instance: NDArray[np.int32]
@@ -43,7 +43,7 @@ class PredictedView:
 
 
 class _Labels:
-    """Sums over a method's labels: the two modes, PQ frame by frame, and how often objects change their ids."""
+    """The evaluations of one method's labels: PQ-scene in both modes, PQ frame by frame, and changes of ids."""
 
     def __init__(self, classes: ClassTable) -> None:
         self.modes = {mode: PanopticEvaluation(classes, mode) for mode in MODES}
@@ -60,7 +60,7 @@ class _Labels:
 
 
 class Report:
-    """Collects scores, one view and one method after another, and makes tables from them."""
+    """Scores the views of one or more methods, and makes the tables of metrics.json."""
 
     def __init__(self, classes: ClassTable) -> None:
         self.classes = classes
@@ -70,8 +70,8 @@ class Report:
         self._frames: list[str] = []
 
     def add(self, method: str, frame: Frame, view: PredictedView) -> None:
-        """Score one held-out view at its own size: its labels if the frame has ground truth, its picture and its depth
-        if it has them. Raises PlgsError if a file is bad."""
+        """Score one held-out view at its own size: labels if the frame has ground truth, picture and depth if the frame
+        has them. Raises PlgsError if a file is bad."""
         height, width = view.semantic.shape
         size = width, height
         if frame.name not in self._frames:
@@ -86,7 +86,7 @@ class Report:
             self.add_labels(method, frame.name, view, frame.read_ground_truth(size))
 
     def add_labels(self, method: str, frame: str, view: PredictedView, truth: GroundTruth) -> None:
-        """Score the labels of one view. Raises ValueError if it and its ground truth differ in size."""
+        """Score the labels of one view. Raises ValueError if they differ in size from the ground truth."""
         if frame not in self._frames:
             self._frames.append(frame)
         if method not in self._labels:
@@ -94,7 +94,7 @@ class Report:
         self._labels[method].add(view, truth)
 
     def to_json(self) -> dict[str, object]:
-        """The content of metrics.json: shares in [0, 1], decibels, metres; null for what was not measured."""
+        """Return the content of metrics.json: shares in [0, 1], decibels, metres; null for what was not measured."""
         known = {*self._labels, *self._pictures, *self._depths}
         methods = [*(name for name in METHODS if name in known), *sorted(known.difference(METHODS))]
         return {
@@ -104,7 +104,7 @@ class Report:
         }
 
     def _tables(self, method: str) -> Iterator[dict[str, object]]:
-        """One table per mode, or one without a mode if no labels could be scored."""
+        """Yield a method's tables: one per mode, or a single one without a mode if no labels were scored."""
         errors = self._depths.get(method, DepthErrors())
         depth = {"depth_error_m": errors.median}
         pictures = self._pictures.get(method, [])  # the means over the views
@@ -123,7 +123,7 @@ class Report:
 
 
 def add_input_masks(report: Report, scene: Scene, within: Size | None = None) -> None:
-    """Score the input masks as they are on the held-out frames that have ground truth, at a size that fits into the box
+    """Score the input masks of the held-out frames that have ground truth, as a method of its own, at a size that fits
     ``within`` (None: their own). Raises PlgsError."""
     first_id = 1
     for frame in scene.test_frames:
@@ -140,9 +140,9 @@ PREDICTIONS = "predictions"
 
 
 def score_folders(predictions: LabelFolder, truth: LabelFolder, *, ids_per_frame: bool = False) -> dict[str, object]:
-    """The scores of all predicted frames, in the form of metrics.json. All of them need ground truth.
-    ``ids_per_frame``: an instance id is valid only within its frame, like a detector's. Predictions are resized to the
-    ground truth. Raises PlgsError if a file is bad, or if it is a different crop of the picture."""
+    """Return the scores of all predicted frames, in the form of metrics.json. Each needs ground truth, to whose size it
+    is resized. ``ids_per_frame``: instance ids are valid only in their frame, like a detector's. Raises PlgsError if a
+    file is bad, or shows a different crop of the picture."""
     unknown = [name for name in predictions.readers if name not in truth.readers]
     if unknown:
         what = f"{len(unknown)} predicted frames have no ground truth, such as {unknown[0]}"
@@ -167,5 +167,5 @@ def score_folders(predictions: LabelFolder, truth: LabelFolder, *, ids_per_frame
 
 
 def unscored(predictions: LabelFolder, truth: LabelFolder) -> int:
-    """The number of frames with ground truth that are not predicted."""
+    """Return how many frames with ground truth have no prediction."""
     return len(truth.readers.keys() - predictions.readers.keys())

@@ -1,7 +1,6 @@
-"""Things that the masks show clearly from nearby and the lift shows nowhere. The masks judge, without any ground truth.
+"""Finds things that masks show clearly from nearby, but that the lift shows nowhere. Needs no ground truth.
 
-A view asks about the segments that it resolves, and near views answer (``scene/evidence.py``).
-"""
+Candidates are segments with enough pixels; only views that are near them can confirm them (``scene/evidence.py``)."""
 
 from __future__ import annotations
 
@@ -35,7 +34,7 @@ MARGIN = 0.1
 
 
 class JudgedView(NamedTuple):
-    """A view, and the classes int32 [H, W] that the lift shows there (0 = none)."""
+    """A view, and the classes that the lift shows in it, int32 [H, W], 0 = none."""
 
     view: View
     shown: NDArray[np.int32]
@@ -43,10 +42,10 @@ class JudgedView(NamedTuple):
 
 @dataclass(frozen=True)
 class Unshown:
-    """A class, or one object of it (``whole_class`` false), that the masks show and the lift does not. Of the ``near``
-    views that see the spot, ``views`` name it. ``frame`` shows it best, as ``segment`` with ``pixels`` pixels at the
-    frame's own size and ``resolution`` pixels per centimetre. ``shown_as``: the class that the lift mostly shows there,
-    "" = none. ``centre``: world metres."""
+    """A class (``whole_class``), or one object of it, that masks show and the lift does not. ``near``: how many nearby
+    views see the place; ``views``: how many of these give it this class. ``frame`` shows it best, as ``segment`` of
+    ``pixels`` pixels at the frame's own size, with ``resolution`` pixels per centimetre. ``shown_as``: the class that
+    the lift shows there most, "" = none. ``centre``: world metres."""
 
     class_id: int
     name: str
@@ -62,8 +61,8 @@ class Unshown:
 
 
 class _Candidate(NamedTuple):
-    """A resolved segment whose class the lift shows too rarely, seen from the segment's own frame. ``xyz`` is float64
-    [POINTS or fewer, 3]."""
+    """A segment with enough pixels whose class the lift hardly shows there, as its own frame sees it. ``xyz`` float64
+    [n, 3]: up to POINTS of its points, world metres."""
 
     resolution: float
     class_id: int
@@ -78,7 +77,7 @@ class _Candidate(NamedTuple):
         return np.asarray(np.median(self.xyz, axis=0))
 
     def holds(self, other: _Candidate) -> bool:
-        """Whether the other shows the same thing: it has the same class, and its centre lies in this one's box."""
+        """Whether ``other`` is of the same class, and its centre lies in this one's box: they are the same thing."""
         if self.class_id != other.class_id:
             return False
         low, high = self.xyz.min(axis=0) - MARGIN, self.xyz.max(axis=0) + MARGIN
@@ -86,8 +85,7 @@ class _Candidate(NamedTuple):
 
 
 def find_unshown(views: Sequence[JudgedView], classes: ClassTable) -> list[Unshown]:
-    """The classes and objects that the lift lacks: whole classes first, then objects, each by resolution. Each view is
-    read twice."""
+    """Return the classes, then the objects, that the lift lacks, each by resolution. Reads each view twice."""
     found: list[_Candidate] = []
     shown: set[int] = set()
     for judged in views:
@@ -134,7 +132,7 @@ def _missed(found: list[_Candidate], answers: _Answers, shown: set[int], classes
 
 
 def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
-    """The resolved segments that the lift does not show in their own view, and the classes that it shows on one."""
+    """Return the view's segments whose class the lift does not show there, and the classes of those that it does."""
     view, shown = judged
     seen, xyz_of_pixels = view.depth > 0, view.camera.unproject(view.depth)
     candidates, kept = [], set()
@@ -159,7 +157,7 @@ def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
 
 
 class _Answers:
-    """The answers of each view about each candidate."""
+    """What each view shows at each candidate's points, to confirm the candidates or not."""
 
     def __init__(self, found: Sequence[_Candidate]) -> None:
         self.found = found
@@ -170,8 +168,8 @@ class _Answers:
         self._rows: list[tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]] = []
 
     def add(self, judged: JudgedView) -> None:
-        """Ask a view. Keeps its resolution (0 if the view sees less than half of the points), and the shares of the
-        seen points that have the candidate's class in the mask and in the lift."""
+        """Look up the candidates in a view. Keeps the view's resolution there (0 if it sees less than half of a
+        candidate's points), and the shares of seen points with the candidate's class in the mask, and in the lift."""
         if not self.found:
             return
         view, shown = judged
@@ -190,8 +188,8 @@ class _Answers:
         )
 
     def of(self, number: int) -> tuple[int, int, float]:
-        """The number of near views that name a candidate, the number of near views, and the largest share of it that
-        the lift shows as its class in one of those that name it."""
+        """Return how many near views give a candidate its class, how many near views there are, and the largest share
+        of its points that the lift shows with this class in one of the former."""
         answers = np.array([[part[number] for part in row] for row in self._rows])
         resolution, named, kept = answers.T
         near = are_near(resolution, self.found[number].resolution)

@@ -1,10 +1,9 @@
-"""The nearest point of a cloud, and the projection of a labelled cloud onto a view (paper, section "Reliable Anchor
-Point Regularization").
+"""Finds the nearest point of a cloud, and projects a labelled cloud to a view (paper, section "Reliable Anchor Point
+Regularization").
 
 Projected masks supervise newly grown Gaussians before self-training, and give the consistent instance masks M_match.
-The paper gives no splat size, and does not treat occlusion and holes. Here each pixel's surface takes the nearest
-labelled point.
-"""
+The paper gives no splat size, and does not treat occlusion and holes. Here each pixel takes the label of the point
+nearest to its surface."""
 
 from __future__ import annotations
 
@@ -17,15 +16,15 @@ from ..scene import Camera
 
 
 class CloudIndex:
-    """Points float [N, 3] (world metres) in a k-d tree."""
+    """A k-d tree of points, float [N, 3], world metres."""
 
     def __init__(self, points: NDArray[np.floating]) -> None:
         self._tree = cKDTree(np.asarray(points, np.float64).reshape(-1, 3))
 
     def nearest(self, queries: NDArray[np.floating], reach: float) -> NDArray[np.int32]:
-        """Index of the nearest point within ``reach`` metres of each query [..., 3]; int32 [...], -1 where there is
-        none. A query halfway between two points takes the lower index. The tree decides between three or more equally
-        near points, the same way on every run."""
+        """Return the index of the nearest point within ``reach`` metres of each query [..., 3], int32 [...], -1 = none.
+        Halfway between two points the lower index is taken; of more equally near ones, the tree always takes the
+        same."""
         flat = np.asarray(queries, np.float64).reshape(-1, 3)
         found = np.full(len(flat), -1, np.int32)
         usable = np.isfinite(flat).all(axis=1)
@@ -36,7 +35,7 @@ class CloudIndex:
         return found.reshape(queries.shape[:-1])
 
     def nearest_of_pixels(self, camera: Camera, depth: NDArray[np.float32], reach: float) -> NDArray[np.int32]:
-        """Nearest point of each pixel's surface: depth float32 [H, W] metres, int32 [H, W], -1 for none or no depth."""
+        """Return the point nearest to each pixel's surface, int32 [H, W], -1 = none. ``depth`` [H, W] in metres."""
         valid = depth > 0
         found = np.full(depth.shape, -1, np.int32)
         found[valid] = self.nearest(camera.unproject(depth)[valid], reach)
@@ -44,7 +43,7 @@ class CloudIndex:
 
 
 class LabelledPoints:
-    """The points xyz float [N, 3] (world metres) whose ``labels`` int32 [N] are not 0, ready for look-up."""
+    """The points ``xyz`` float [N, 3], world metres, whose ``labels`` int32 [N] are not 0, in a k-d tree."""
 
     def __init__(self, xyz: NDArray[np.floating], labels: NDArray[np.int32]) -> None:
         known = labels != 0
@@ -52,7 +51,7 @@ class LabelledPoints:
         self._label = np.append(labels[known], 0).astype(np.int32)  # the last is that of row -1, no point
 
     def project(self, camera: Camera, depth: NDArray[np.float32], reach: float) -> NDArray[np.int32]:
-        """Label of the nearest labelled point within ``reach`` metres (twice the anchors' voxel size) of each pixel's
-        surface; ``depth`` float32 [H, W] metres. int32 [H, W], 0 (no supervision) where no point is near or there is no
-        depth."""
+        """Return for each pixel the label of the point nearest to its surface, int32 [H, W], 0 (no supervision) if none
+        is within ``reach`` metres (twice the anchors' voxel size) or without depth. ``depth`` float32 [H, W],
+        metres."""
         return self._label[self._index.nearest_of_pixels(camera, depth, reach)]

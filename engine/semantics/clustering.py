@@ -1,9 +1,8 @@
-"""Clustering the primary point cloud (paper: K-means, section "Robust Semantic Anchor Point Discovery").
+"""Clusters the primary point cloud (paper: K-means, section "Robust Semantic Anchor Point Discovery").
 
-The paper gives neither K nor the seeding nor the iterations. Here the seeds are the means of a grid's occupied cells. A
-few Lloyd steps follow, in which each point moves to the nearest centre within one spacing. So K-means needs no
-randomness, and its time grows linearly with the points.
-"""
+The paper gives no K, seeding or number of iterations. Here the seeds are the means of a grid's occupied cells, followed
+by a few Lloyd steps, in which each point joins the nearest centre within one spacing. So K-means needs no randomness,
+and its time grows linearly with the points."""
 
 from __future__ import annotations
 
@@ -26,8 +25,8 @@ _OFFSET = 1 << (_BITS - 1)
 
 
 def cell_keys(points: NDArray[np.floating], size: float) -> NDArray[np.int64]:
-    """The cell floor(point / size) of each point, packed into one integer: points [N, 3] and ``size`` in metres,
-    int64 [N]. Raises ValueError when a point lies beyond 2^20 cells."""
+    """Return the cell floor(point / size) of each point, packed into one integer, int64 [N]; points [N, 3] and ``size``
+    in metres. Raises ValueError if a point lies beyond 2^20 cells."""
     cells = np.floor(np.asarray(points, np.float64) / size).astype(np.int64)
     if cells.size and (cells.min() < -_OFFSET or cells.max() >= _OFFSET):
         raise ValueError(f"a point lies more than {_OFFSET} cells of {size} m from the origin")
@@ -37,8 +36,8 @@ def cell_keys(points: NDArray[np.floating], size: float) -> NDArray[np.int64]:
 
 
 def seed_centres(batches: PointBatches, spacing: float, cap: int) -> tuple[NDArray[np.float64], float]:
-    """One centre per occupied cell, the mean of its points: float64 [K, 3] with K <= ``cap``, ordered by cell; and the
-    spacing used: ``spacing`` (metres) is enlarged until no more than ``cap`` cells are occupied."""
+    """Return the mean point of each occupied cell, float64 [K, 3], ordered by cell, and the cell size used: ``spacing``
+    (metres), enlarged until at most ``cap`` cells are occupied."""
     cells = merged_points(batches(), spacing)
     while len(cells) > cap:
         # Surfaces fill space as the square of the spacing. The small extra makes one or two rounds enough.
@@ -48,7 +47,7 @@ def seed_centres(batches: PointBatches, spacing: float, cap: int) -> tuple[NDArr
 
 
 def merged_points(batches: Iterable[NDArray[np.float64]], spacing: float) -> NDArray[np.float64]:
-    """Points [n, 3] of the batches that share a cell become one row (mean x, y, z, weight), [K, 4], ordered by cell."""
+    """Merge the batches' points [n, 3] that share a cell to one row (mean x, y, z, count): [K, 4], ordered by cell."""
     cells = np.zeros((0, 4))
     pending: list[NDArray[np.float64]] = []
     rows = 0
@@ -62,7 +61,7 @@ def merged_points(batches: Iterable[NDArray[np.float64]], spacing: float) -> NDA
 
 
 def merge_cells(rows: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
-    """Rows (mean x, y, z, weight) [n, 4] that share a cell become one row, ordered by cell."""
+    """Merge rows (mean x, y, z, weight) [n, 4] whose means share a cell to one row, ordered by cell."""
     if not len(rows):
         return rows
     keys, cell = np.unique(cell_keys(rows[:, :3], spacing), return_inverse=True)
@@ -72,8 +71,8 @@ def merge_cells(rows: NDArray[np.float64], spacing: float) -> NDArray[np.float64
 
 
 def lloyd_step(batches: PointBatches, centres: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
-    """Assign each point to the nearest centre within ``spacing`` and return the members' means, float64 [K, 3]. A
-    centre that lost all its members is dropped, so K may shrink."""
+    """Assign each point to the nearest centre within ``spacing`` metres, and return the means of the points assigned to
+    each centre, float64 [K, 3]. Centres without points are dropped, so K may shrink."""
     index = CloudIndex(centres)
     sums, counts = np.zeros((len(centres), 3)), np.zeros(len(centres))
     for points in batches():

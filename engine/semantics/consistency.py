@@ -1,10 +1,10 @@
-"""Consistency-enhanced 2D masks: which pixels do neighbouring views agree with? And pseudo labels for self-training.
+"""Consistency-enhanced 2D masks: keeps the pixels with whose label neighbouring views agree. Also makes pseudo labels
+for self-training.
 
 Paper, section "Consistency-enhanced 2D Mask Generation": q(u) is the product of 1{s_u = s_u'} over the pixels u' that
-the neighbouring views warp onto u. The warp is backward here: each reference pixel is unprojected by its own depth and
-looked up in each neighbour, which leaves no holes. A depth test (ours; the paper has none) skips surfaces that the
-neighbour does not see, so that an occluder's label cannot veto a correct pixel.
-"""
+the neighbouring views warp to u. The warp is backward here: each pixel is unprojected by its own depth and looked up in
+each neighbour, which leaves no holes. A depth test (ours; the paper has none) skips surfaces that the neighbour does
+not see, so that an occluder's label cannot veto a correct pixel."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ OVERLAP_STRIDE = 8
 
 @dataclass(frozen=True)
 class ConsistencyOptions:
-    """How views are compared. ``neighbours`` is N_w, half before and half after in recording order; 0 skips the step. A
-    pixel is kept when at least ``agreement`` of the neighbours that see its surface agree: 1.0 is the paper's product,
-    0.75 keeps more at a similar error. A pixel that no neighbour sees is kept (the empty product is 1). The depth test
-    allows max(``depth_tolerance_m``, ``depth_tolerance_share`` * z)."""
+    """How views are compared. ``neighbours``: N_w of the paper, half before and half after in recording order; 0 skips
+    the comparison. A pixel is kept if at least the share ``agreement`` of the neighbours that see its surface agree:
+    1.0 is the paper's product, 0.75 keeps more at a similar error. A pixel that no neighbour sees is kept (the empty
+    product is 1). The depth test allows max(``depth_tolerance_m``, ``depth_tolerance_share`` * z) metres."""
 
     neighbours: int = 8
     agreement: float = 1.0
@@ -40,15 +40,15 @@ class ConsistencyOptions:
 
 
 def neighbour_indices(index: int, count: int, neighbours: int) -> list[int]:
-    """The views compared with view ``index`` of ``count``: the nearest in recording order, as evenly on both sides as
-    the ends of the recording allow."""
+    """Return the indices of the views to compare with view ``index`` of ``count``: the nearest in recording order, as
+    evenly on both sides as possible."""
     size = min(neighbours + 1, count)
     start = min(max(index - neighbours // 2, 0), count - size)
     return [i for i in range(start, start + size) if i != index]
 
 
 def consistency_masks(views: Sequence[View], options: ConsistencyOptions) -> Iterator[NDArray[np.bool_]]:
-    """q(u) of every view in turn: bool [H, W], True where the pixel's label is consistent. Void is never True."""
+    """Yield q(u) of each view: bool [H, W], True where the pixel's label is consistent; void never is."""
     window: dict[int, NDArray[np.int32]] = {}
     for index, view in enumerate(views):
         others = neighbour_indices(index, len(views), options.neighbours)
@@ -61,7 +61,7 @@ def consistency_masks(views: Sequence[View], options: ConsistencyOptions) -> Ite
 
 
 def view_overlap(view: View, other: View, options: ConsistencyOptions) -> float:
-    """Share of a view's pixels with depth whose surface the other view sees."""
+    """Return the share of a view's pixels with depth whose surface the ``other`` view sees, 0 to 1."""
     stride, sampled = OVERLAP_STRIDE, np.zeros_like(view.depth)
     sampled[::stride, ::stride] = view.depth[::stride, ::stride]
     everywhere, there = np.ones(view.depth.shape, np.int32), np.ones(other.depth.shape, np.int32)
@@ -70,7 +70,7 @@ def view_overlap(view: View, other: View, options: ConsistencyOptions) -> float:
 
 
 def views_are_sparse(views: Sequence[View], options: ConsistencyOptions) -> bool:
-    """Whether the step should be skipped: the median overlap with the next view is below SPARSE_OVERLAP."""
+    """Whether views overlap too little to compare: the median overlap with the next view is below SPARSE_OVERLAP."""
     if len(views) < 2:
         return True
     overlaps = [view_overlap(view, other, options) for view, other in itertools.pairwise(views)]
@@ -78,8 +78,8 @@ def views_are_sparse(views: Sequence[View], options: ConsistencyOptions) -> bool
 
 
 class LabelledDepth(NamedTuple):
-    """A view as the kernel takes it: ``depth`` float32 [H, W] metres, ``label`` int32 [H, W], ``intrinsics`` fx, fy,
-    cx, cy in pixels."""
+    """A view's arrays for the kernel: ``depth`` float32 [H, W], metres, ``label`` int32 [H, W], and ``intrinsics`` (fx,
+    fy, cx, cy) in pixels."""
 
     depth: NDArray[np.float32]
     label: NDArray[np.int32]
@@ -89,7 +89,7 @@ class LabelledDepth(NamedTuple):
 def _compare(
     view: View, label: NDArray[np.int32], others: Sequence[tuple[View, NDArray[np.int32]]], options: ConsistencyOptions
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """How many neighbours agree with each pixel, and how many see it with any label: int32 [H, W] each."""
+    """Return how many neighbours agree with each pixel's label, and how many see it labelled: int32 [H, W] each."""
     agree = np.zeros(view.depth.shape, np.int32)
     seen = np.zeros(view.depth.shape, np.int32)
     share, metres = options.depth_tolerance_share, options.depth_tolerance_m
@@ -107,7 +107,7 @@ def _compare(
 def _warp_and_compare(
     one: LabelledDepth, two: LabelledDepth, relative: Any, metres: Any, share: Any, agree: Any, seen: Any
 ) -> None:
-    """w(u): unproject by depth, move into the neighbour's camera, project, take the nearest pixel."""
+    """Warp view ``one`` to ``two`` by depth, w(u) of the paper, compare labels, and add to ``agree`` and ``seen``."""
     fx, fy, cx, cy = one.intrinsics
     gx, gy, hx, hy = two.intrinsics
     depth, label = one.depth, one.label
@@ -138,7 +138,7 @@ def _warp_and_compare(
 
 
 def regions(mask: PanopticMask) -> NDArray[np.int32]:
-    """{R_m}: connected regions of equal class, over 4 neighbours. int32 [H, W], 0 = void, 1.. regions."""
+    """Return {R_m} of the paper, connected regions of equal class (4 neighbours): int32 [H, W], from 1, 0 = void."""
     classes = mask.class_map()
     result = np.zeros(classes.shape, np.int32)
     count = 0
@@ -150,9 +150,9 @@ def regions(mask: PanopticMask) -> NDArray[np.int32]:
 
 
 def pseudo_labels(mask: PanopticMask, rendered_class: NDArray[np.int32], least_area: int) -> NDArray[np.int32]:
-    """s_pse: each region takes the majority of the rendered classes in it; int32 [H, W], 0 = no supervision.
-    ``rendered_class`` int32 [H, W]; 0 = nothing rendered, which does not vote. Ties go to the lower id. Regions of
-    fewer than ``least_area`` pixels keep the rendered class pixel by pixel; void regions stay 0."""
+    """Return s_pse of the paper, int32 [H, W], 0 = no supervision: each region takes the class that most of its pixels
+    have in ``rendered_class`` int32 [H, W], where 0 (nothing rendered) has no vote. Ties go to the lower id. Regions of
+    fewer than ``least_area`` pixels keep their rendered classes; void regions stay 0."""
     region = regions(mask)
     count = int(region.max(initial=0)) + 1
     ids, column = np.unique(rendered_class, return_inverse=True)

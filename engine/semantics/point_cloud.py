@@ -1,9 +1,8 @@
-"""The robust semantic point cloud (paper, section "Robust Semantic Anchor Point Discovery"), and anchors by
-voxelisation with the label of each (section "Structured Panoptic-Aware Scene Representation").
+"""Makes the robust semantic point cloud (paper, section "Robust Semantic Anchor Point Discovery"), and from it anchors
+by voxelisation, with their labels (section "Structured Panoptic-Aware Scene Representation").
 
-Consistent labels are unprojected by depth and clustered. Each cluster takes the majority of its members' labels. Pixels
-without a consistent label still give geometry; otherwise walls behind rejected edges would have no anchors.
-"""
+Pixels are unprojected by depth and clustered. Each cluster takes the label that most of its consistent pixels have.
+Pixels without a consistent label still give geometry; else walls behind rejected edges would have no anchors."""
 
 from __future__ import annotations
 
@@ -25,10 +24,10 @@ LLOYD_STEPS = 1
 
 @dataclass(frozen=True)
 class CloudOptions:
-    """``spacing`` of the clusters in metres (half the anchors' voxel size works well) is enlarged until at most ``cap``
-    clusters remain. A cluster whose winner has less than ``majority`` of the votes is unknown. ``evidence``: how many
-    votes a view has on a cluster; the paper's choice is its "pixels". ``most_pixels``: about this many pixels of all
-    views are used: every s-th row and column."""
+    """``spacing``: of the clusters, metres (half the anchors' voxel size works well), enlarged until there are at most
+    ``cap``. A cluster whose winning class has less than the share ``majority`` of the votes is unknown. ``evidence``:
+    how many votes a view has on a cluster; the paper's choice is its "pixels". ``most_pixels``: about how many pixels
+    of all views to use, by taking every s-th row and column."""
 
     spacing: float = 0.025
     cap: int = 200_000
@@ -39,9 +38,9 @@ class CloudOptions:
 
 @dataclass(frozen=True, eq=False)
 class SemanticPointCloud:
-    """Clusters: ``xyz`` float32 [N, 3] world metres, ``rgb`` uint8 [N, 3], ``class_id`` int32 [N] (0 = unknown),
-    ``confidence`` float32 [N] (share of the winner among the votes, 0 without votes). ``votes`` float32 [N, C] holds
-    the votes for each class of ``class_ids`` (length C); ``spacing`` in metres."""
+    """A point per cluster: ``xyz`` float32 [N, 3], world metres; ``rgb`` uint8 [N, 3]; ``class_id`` int32 [N], 0 =
+    unknown; ``confidence`` float32 [N], the winning class's share of the votes, 0 without votes; ``votes`` float32 [N,
+    C] for each of ``class_ids`` (C); ``spacing``, metres."""
 
     xyz: NDArray[np.float32]
     rgb: NDArray[np.uint8]
@@ -55,15 +54,15 @@ class SemanticPointCloud:
         return len(self.xyz)
 
     def index(self) -> CloudIndex:
-        """Look-up of the nearest cluster, labelled or not."""
+        """Return an index that finds the nearest point, labelled or not."""
         return CloudIndex(self.xyz)
 
 
 def majority_vote(
     votes: NDArray[np.floating], class_ids: Sequence[int], majority: float
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """The winner of each row of votes [N, C]: class id int32 [N] and its share float32 [N]. Ties go to the lower id.
-    The class is 0 (unknown) below the share ``majority``, and without votes."""
+    """Return the class id with the most votes in each row of ``votes`` [N, C], int32 [N], and its share, float32 [N].
+    Ties go to the lower id. It is 0 (unknown) without votes, or if its share is below ``majority``."""
     if not votes.shape[1]:
         return np.zeros(len(votes), np.int32), np.zeros(len(votes), np.float32)
     winner = votes.argmax(1)
@@ -80,8 +79,8 @@ def build_point_cloud(
     options: CloudOptions,
     progress: Progress | None = None,
 ) -> SemanticPointCloud:
-    """Cluster all pixels with depth and let those of ``keep`` (bool [H, W] per view, in order) vote on the labels.
-    Raises ValueError when no pixel has depth. Streams over the views; only the clusters stay in memory."""
+    """Cluster all pixels with depth; the labels of those in ``keep`` (bool [H, W] per view, in order) vote on the
+    clusters'. Reads one view at a time; only clusters stay in memory. Raises ValueError if no pixel has depth."""
     report = progress or (lambda done, total: None)
     total, done = (2 + LLOYD_STEPS) * len(views), 0
     # The step in rows and columns between the pixels that are used.
@@ -114,14 +113,14 @@ def build_point_cloud(
 
 
 def _points(view: View, stride: int) -> NDArray[np.float64]:
-    """Every ``stride``-th pixel with depth as a world point, float64 [n, 3]."""
+    """Return every ``stride``-th pixel with depth, by row and column, as a world point: float64 [n, 3], metres."""
     depth = view.depth[::stride, ::stride]
     points: NDArray[np.float64] = view.camera.unproject(view.depth)[::stride, ::stride][depth > 0]
     return points
 
 
 class _Tally:
-    """The votes of the views on clusters at ``centres`` [K, 3], float32 [K, C], and the clusters' mean colour."""
+    """Sums votes, float32 [K, C], and colours of the views' pixels at the clusters with these ``centres`` [K, 3]."""
 
     def __init__(
         self, centres: NDArray[np.float64], spacing: float, class_ids: NDArray[np.int64], kind: EvidenceKind
@@ -133,11 +132,11 @@ class _Tally:
 
     @property
     def colour(self) -> NDArray[np.uint8]:
-        """uint8 [K, 3]."""
+        """Return the clusters' mean colours, uint8 [K, 3]."""
         return np.rint(self._rgb / np.maximum(self._members, 1)[:, None]).astype(np.uint8)
 
     def add(self, view: View, consistent: NDArray[np.bool_], stride: int) -> None:
-        """Count every ``stride``-th pixel of a view; those ``consistent`` bool [H, W] vote."""
+        """Count a view's pixels, every ``stride``-th by row and column; only ``consistent`` ones, bool [H, W], vote."""
         nearest = self._index.nearest(_points(view, stride), self._spacing)
         found = nearest >= 0
         valid = view.depth[::stride, ::stride] > 0
@@ -158,8 +157,8 @@ class _Tally:
 
 
 def voxelise(points: NDArray[np.floating], voxel_size: float) -> NDArray[np.float32]:
-    """V = {[P / eps]} * eps: points [N, 3] and eps in metres to anchor positions float32 [M, 3], in lexical order. [.]
-    rounds half to even."""
+    """Return V = {[P / eps]} * eps of the paper: anchor positions float32 [M, 3], in lexical order, for points P [N, 3]
+    and eps = ``voxel_size``, metres. [.] rounds half to even."""
     voxels, _ = _voxels(points, voxel_size)
     return (voxels * voxel_size).astype(np.float32)
 
@@ -167,9 +166,9 @@ def voxelise(points: NDArray[np.floating], voxel_size: float) -> NDArray[np.floa
 def label_anchors(
     cloud: SemanticPointCloud, instance_of_point: NDArray[np.int32], anchor_xyz: NDArray[np.floating], voxel_size: float
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """s_v: class and instance of each anchor, int32 [M] each, by the majority of the cloud's points in its voxel.
-    Unknown points (0) do not vote. An anchor without votes gets 0, and ties go to the lower id. ``instance_of_point``
-    int32 [N]: an anchor takes its instance from the points that carry its class."""
+    """Return s_v of the paper: class and instance of each anchor, int32 [M] each, 0 = unknown, those of most of the
+    cloud's points in its voxel. Unknown points do not vote, and only points of the anchor's class vote on its instance.
+    Ties go to the lower id. ``instance_of_point`` int32 [N], 0 = none."""
     both = np.concatenate([np.asarray(cloud.xyz, np.float64), np.asarray(anchor_xyz, np.float64)])
     voxels, voxel = _voxels(both, voxel_size)
     anchor_of_voxel = np.full(len(voxels), -1, np.int64)
@@ -182,14 +181,14 @@ def label_anchors(
 
 
 def _voxels(points: NDArray[np.floating], voxel_size: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Distinct voxels float64 [M, 3] in lexical order, and the voxel of each point int64 [N]."""
+    """Return the occupied voxels, float64 [M, 3], in lexical order, and the index of each point's voxel, int64 [N]."""
     rounded = np.rint(np.asarray(points, np.float64).reshape(-1, 3) / voxel_size)
     voxels, inverse = distinct_rows(rounded.astype(np.int64))
     return voxels.astype(np.float64), inverse
 
 
 def _majority(group: NDArray[np.int64], label: NDArray[np.int32], groups: int) -> NDArray[np.int32]:
-    """Most frequent label > 0 of the members of each group (-1 = in none), int32 [groups]."""
+    """Return the most frequent label > 0 in each group, int32 [groups]; ``group``: of each member, -1 = in none."""
     voting = (group >= 0) & (label > VOID)
     ids, column = np.unique(label[voting], return_inverse=True)
     votes = np.bincount(group[voting] * len(ids) + column.reshape(-1), minlength=groups * len(ids))

@@ -355,7 +355,7 @@ def corridor(views: int, sight: int) -> MasksInSpace:
             held.append(rows[thing[rows] == number])
     is_thing = np.array([mask.segment.is_thing for mask in masks])
     sight = rows_of_ones(seen, len(columns))
-    return MasksInSpace(masks, np.array(view_of_mask), is_thing, rows_of_ones(held, len(columns)), sight, word=sight)
+    return MasksInSpace(masks, np.array(view_of_mask), is_thing, rows_of_ones(held, len(columns)), sight, weight=sight)
 
 
 def sightings(space: MasksInSpace, views: np.ndarray) -> np.ndarray:
@@ -371,7 +371,7 @@ def test_every_view_that_shows_new_surface_is_chosen_as_a_keyframe(seed: int, mo
     sight = rows_of_ones([rows.astype(np.int32) for rows in seen], points)
     masks = [ObjectMask(str(view), Segment(1, WALL, False)) for view in range(views) for _ in range(2)]
     view_of_mask = np.repeat(np.arange(views), 2)
-    space = MasksInSpace(masks, view_of_mask, np.zeros(50, bool), sight[view_of_mask], sight, word=sight)
+    space = MasksInSpace(masks, view_of_mask, np.zeros(50, bool), sight[view_of_mask], sight, weight=sight)
     chosen = consensus.choose_keyframes(space, most_masks)
     assert len(chosen) and (np.diff(chosen) > 0).all()
     lacking = sightings(space, chosen) < np.minimum(sightings(space, np.arange(views)), consensus.SIGHTINGS)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from engine.instances import superpoints as module
-from engine.instances.agreement import ViewPoints, ViewsOnCloud, shown_classes, view_points, words_of_views
+from engine.instances.agreement import ViewPoints, ViewsOnCloud, shown_classes, view_points, votes_of_views
 from engine.instances.objects import vote_classes
 from engine.instances.segment_votes import _votes
 from engine.instances.superpoints import (
@@ -193,7 +193,7 @@ def test_several_classes_of_one_detection_share_its_vote() -> None:
     layered = replace(views.views[0], layers=Evidence(segments, inside).layers())
     layers = ViewsOnCloud([layered], views.point_of_pixel, views.seen).layers()
     columns = [CLASS_IDS.index(BOX), CLASS_IDS.index(WALL)]
-    _, points = words_of_views(layers, 30, np.array(CLASS_IDS), "views")
+    _, points = votes_of_views(layers, 30, np.array(CLASS_IDS), "views")
     np.testing.assert_allclose(points[:, columns], [[0.75, 0.25]] * 30)
     shown = [(seen, shown_classes(view, seen)) for view, seen in zip(layers.views, layers.seen, strict=True)]
     votes = vote_classes(shown, np.ones(30, np.int32), 1, CLASS_IDS, "views")
