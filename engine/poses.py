@@ -1,8 +1,7 @@
-"""Finds the poses of photos and films with COLMAP (the package pycolmap), step by step so that it can be stopped.
+"""Find the poses of photos and films with COLMAP (the package pycolmap), step by step so that it can be stopped.
 
 The result is a COLMAP model beside the photos: ``sparse/0``, where COLMAP itself puts it, with ``made_by.json`` in it.
-A reconstruction has no unit of length; measured depth in ``depth``, beside the photos, gives it one.
-"""
+A reconstruction has no unit of length; measured depth in ``depth``, beside the photos, gives it one."""
 
 from __future__ import annotations
 
@@ -41,8 +40,9 @@ from .scene.pixels import decode, write_image
 
 
 def write_pictures(film: Path, folder: Path, most: int, progress: Callable[[int, int], object]) -> None:
-    """Write at most ``most`` pictures of a film as ``folder/images/NNNNNN.jpg``, by their number in it, and a Record3D
-    film's depth as ``folder/depth/NNNNNN.npy``. ``progress`` counts pictures. Raises PlgsError, OSError."""
+    """Write at most ``most`` pictures of a film as ``folder/images/NNNNNN.jpg``, numbered as in the film, and a
+    Record3D film's depth as ``folder/depth/NNNNNN.npy``. ``progress`` is called with (done, total). Raises PlgsError,
+    OSError."""
     video, encoded = Video(film), encoded_depth(film)
     count = video.count()
     edges = np.linspace(0, count, min(most, count) + 1).astype(int)
@@ -69,8 +69,8 @@ _LAST = 248  # of 256 hues: what lies beyond the range may be stored as its end,
 
 
 def encoded_depth(film: Path) -> tuple[float, float] | None:
-    """The metres at the hues 0 and 1 of Record3D's "RGBD video" (depth left, picture right), from its metadata:
-    ``{"intrinsicMatrix": …, "rangeOfEncodedDepth": [0, 3]}``. None for other films. Raises OSError."""
+    """The depths in metres that the hues 0 and 1 stand for in a Record3D "RGBD video" (depth left, picture right), from
+    its metadata: ``{"intrinsicMatrix": …, "rangeOfEncodedDepth": [0, 3]}``. None for other films. Raises OSError."""
     with open_plain(film) as file:
         file.seek(max(0, film.stat().st_size - _SEARCHED))
         content = file.read(_SEARCHED)
@@ -84,7 +84,8 @@ def encoded_depth(film: Path) -> tuple[float, float] | None:
 
 
 def decoded_depth(shown: NDArray[np.uint8], low: float, high: float) -> NDArray[np.float32]:
-    """Planar depth, float32 [H, W] metres, 0 = none, of a picture [H, W, 3] that encodes it as hue."""
+    """Return planar depth, float32 [H, W] metres, 0 = none, from a picture uint8 [H, W, 3] that encodes it as hue
+    between ``low`` and ``high`` metres."""
     import cv2
 
     hue, saturation, value = np.moveaxis(cv2.cvtColor(np.ascontiguousarray(shown), cv2.COLOR_RGB2HSV_FULL), -1, 0)
@@ -101,7 +102,7 @@ _POLL_S = 0.1
 
 
 def colmap(photos: Path) -> Any:
-    """The package pycolmap. Raises PlgsError if it is not installed."""
+    """Return the package pycolmap. Raises PlgsError if it is not installed."""
     try:
         import pycolmap
     except ImportError as error:
@@ -111,8 +112,8 @@ def colmap(photos: Path) -> Any:
 
 
 def map_photos(photos: Path, names: Sequence[str], workplace: Path, events: EventWriter, stop: StopSignal) -> Any:
-    """The largest reconstruction of photos from one camera (pycolmap's Reconstruction), or None. Only threading makes
-    the same photos give different poses. Raises PlgsError without pycolmap; Cancelled."""
+    """Return the largest reconstruction of photos from one camera (pycolmap's Reconstruction), or None. Because of
+    threading, the same photos may give slightly different poses. Raises PlgsError without pycolmap; Cancelled."""
     pycolmap = colmap(photos)
     pycolmap.logging.minloglevel = 2  # errors only
     pycolmap.set_random_seed(0)
@@ -151,8 +152,8 @@ def map_photos(photos: Path, names: Sequence[str], workplace: Path, events: Even
 
 
 def _followed(work: Callable[[], Any], token: Any, stop: StopSignal) -> Any:
-    """The result of ``work``, in its own thread, as COLMAP would block this one, which has to see signals. Raises what
-    ``work`` raises; Cancelled."""
+    """Return the result of ``work``, which runs in its own thread: COLMAP would block the main thread, which must
+    receive signals. Raises what ``work`` raises; Cancelled."""
     with ThreadPoolExecutor(1) as pool:
         found = pool.submit(work)
         try:
@@ -171,21 +172,22 @@ _MOST_SPREAD = 0.2
 
 @dataclass(frozen=True)
 class Scale:
-    """The ``metres`` per unit of the reconstruction, the median over ``points`` points."""
+    """The unit of a reconstruction in ``metres``: the median of ``points`` points."""
 
     metres: float
     points: int
 
     def apply(self, model: Any) -> None:
-        """Bring a pycolmap Reconstruction into metres."""
+        """Scale a pycolmap Reconstruction to metres."""
         import pycolmap
 
         model.transform(pycolmap.Sim3d(self.metres, pycolmap.Rotation3d(), np.zeros((3, 1))))
 
 
 def metres_per_length(model: Any, depths: Mapping[str, Path]) -> Scale | None:
-    """The median of measured depth over a point's depth in the reconstruction, over all photos' points; None if too few
-    have depth, or their ratios disagree. ``depths`` are files by the photos' stems. Raises PlgsError."""
+    """Return the unit of a reconstruction: the median, over the points in all photos, of measured depth divided by
+    depth in the reconstruction. None if too few have depth, or their ratios disagree. ``depths`` are files by the
+    photos' stems. Raises PlgsError."""
     ratios: list[NDArray[np.float64]] = []
     for image in model.images.values():
         path = depths.get(Path(image.name).stem)
@@ -228,10 +230,10 @@ _WITHOUT_DEPTH = (
 
 @dataclass(frozen=True)
 class Made:
-    """``folder``: the scene. ``posed`` of ``photos`` pictures have a pose. ``scale`` is the metres per unit of the
-    reconstruction, None without measured depth. ``files``, ``depth`` and ``film`` are digests of the photos, the depth
-    and the film ("none" for photos), empty if unknown. ``asked`` is the number of pictures requested from a film, which
-    may have fewer; 0 for photos. ``fps`` is the film's rate."""
+    """The record of poses that were found. ``folder`` is the scene. ``posed`` of ``photos`` pictures have a pose.
+    ``scale`` is the reconstruction's unit in metres, None without measured depth. ``files``, ``depth`` and ``film`` are
+    digests of the photos, the depth and the film ("none" for photos), "" if unknown. ``asked`` is the number of
+    pictures requested from a film, which may have fewer; 0 for photos. ``fps`` is the film's rate."""
 
     folder: Path = field(metadata={"apart": True})
     posed: int
@@ -246,7 +248,7 @@ class Made:
 
     @classmethod
     def read(cls, folder: Path) -> Made | None:
-        """The record of an earlier call in a folder, or None. Raises PlgsError."""
+        """Read the record of an earlier call in a folder; None without one. Raises PlgsError."""
         path = folder / "sparse" / "0" / MADE_BY
         fix = "Move the folder sparse away, then make the poses again."
         content = read_note(path, fix)
@@ -315,7 +317,7 @@ def _photos(folder: Path) -> list[Path]:
 
 
 def _depths(folder: Path) -> Mapping[str, Path]:
-    """The measured depth beside photos, by their stems. Raises PlgsError, OSError."""
+    """Return the measured depth beside photos, by their stems. Raises PlgsError, OSError."""
     return files_if_any(folder / "depth", {".png", ".npy"}, "Remove the folder depth.")
 
 
@@ -357,14 +359,14 @@ def _map(
 
 @contextmanager
 def _workplace(folder: Path) -> Iterator[Path]:
-    """A new folder for COLMAP's files in ``folder``: on one disk, for the rename. Raises PlgsError, OSError."""
+    """Make a temporary folder for COLMAP's files on the disk of ``folder``, for a rename. Raises PlgsError, OSError."""
     _remove_killed(folder)
     with tempfile.TemporaryDirectory(prefix=_WORK, dir=folder) as place, FileLock(Path(place) / _LOCK):
         yield Path(place)
 
 
 def _remove_killed(folder: Path) -> None:
-    """Remove COLMAP's files of a call that was killed. Raises PlgsError if a call is at work there; OSError."""
+    """Remove COLMAP's files of killed calls. Raises PlgsError if another call is at work there; OSError."""
     for lock in folder.glob(f"{_WORK}*/{_LOCK}"):
         with FileLock(lock, wait_s=0.0):
             pass
@@ -372,7 +374,7 @@ def _remove_killed(folder: Path) -> None:
 
 
 def _begun(folder: Path, film: str) -> OwnFiles:
-    """The film's folder, without what a killed call left in it. Raises PlgsError if it holds anything else."""
+    """Begin a film's folder, without what a killed call left in it. Raises PlgsError if it holds anything else."""
     _remove_killed(folder)
     own = OwnFiles(folder)
     if own.begun is not None and not own.is_complete:
@@ -384,7 +386,7 @@ def _begun(folder: Path, film: str) -> OwnFiles:
 
 
 def refuse_unusable(source: Path) -> None:
-    """Raise PlgsError for what is neither a folder of photos without poses nor a film that can be opened."""
+    """Raise PlgsError unless ``source`` is a folder of photos without poses, or a film that can be opened."""
     if is_film(source):
         Video(source).count()
     else:
@@ -392,7 +394,7 @@ def refuse_unusable(source: Path) -> None:
 
 
 def _photos_in(source: Path) -> Path:
-    """The folder of a scene's photos. Raises PlgsError if there are no photos, or poses already."""
+    """Return the folder of a scene's photos. Raises PlgsError if there are no photos, or poses already."""
     photos = photos_in(source) if source.is_dir() else None
     if photos is None:
         what = "this is neither a folder with photos nor a film"

@@ -1,9 +1,8 @@
 """What people correct in a lift: typed edits beside its result, and the result after those corrections.
 
-`file` keeps the edits in corrections.json. `making` makes them. `replay` applies them to the objects and points of a
-result, and says what becomes of every label. `result` reads result and edits together. The engine and Blender both
-import this, so it needs only numpy.
-"""
+`edits` reads and writes corrections.json, `making` makes edits, `replay` applies them to the objects and points of a
+result, `relabelling` says what becomes of every label, and `result` reads result and edits together. The engine and
+Blender both import this, so it needs only numpy."""
 
 from __future__ import annotations
 

@@ -2,9 +2,8 @@
 order in which they were made.
 
 A label is one number for class and object together: the object's id, or minus the class where there is no object (0 is
-unknown). No edit is ever removed: an undone edit is marked as undone. Writers take turns, and each writes what it has
-just read, so two Blenders that edit the same lift lose nothing.
-"""
+unknown). No edit is ever removed: an undone edit is marked as undone. Writers take turns, and each adds to what it has
+just read, so two Blenders that edit the same lift lose nothing."""
 
 from __future__ import annotations
 
@@ -51,7 +50,7 @@ class ObjectMark:
 
 @dataclass(frozen=True)
 class NewObject:
-    """An object that an edit makes."""
+    """An object that an edit creates."""
 
     id: int = field(metadata={"least": 1})
     name: str = field(metadata=_SHOWN)
@@ -64,7 +63,7 @@ class NewObject:
 
 @dataclass(frozen=True)
 class MovedPoints:
-    """Points that get a label. ``millimetres``: the x, y and z of each point in turn."""
+    """Points that an edit gives another label. ``millimetres`` holds their x, y, z, x, y, z, ...."""
 
     label: int
     millimetres: tuple[int, ...] = field(metadata=_BOUNDS)
@@ -102,7 +101,7 @@ class Edit:
 
     @property
     def largest_id(self) -> int:
-        """The largest id of the objects that it refers to."""
+        """The largest id of the objects that the edit refers to."""
         return max([*(mark.id for mark in self.objects), *(new.id for new in self.made)], default=0)
 
     def to_json(self) -> dict[str, Any]:
@@ -113,7 +112,7 @@ class Edit:
 
 @dataclass(frozen=True)
 class _Unknown:
-    """What is shown of an edit whose kind this version does not know."""
+    """The fields that an edit has whatever its kind, also a kind that this version does not know."""
 
     kind: str = field(metadata=_SHOWN)
     uid: str
@@ -121,7 +120,7 @@ class _Unknown:
 
 
 def edit_of(entry: dict[str, Any], path: Path) -> Edit:
-    """The edit in an entry. Raises PlgsError when it is damaged."""
+    """Return the edit in an entry of corrections.json. Raises PlgsError if it is damaged."""
     for key in ("kind", "uid", "time"):
         if not entry.get(key):
             raise PlgsError("edit-incomplete", f"an edit has no '{key}'", path, MEND)
@@ -141,8 +140,8 @@ _WAIT_S = 20.0
 
 
 def read_edits(lift: Path) -> tuple[Edit, ...]:
-    """The edits of the lift in this folder, including undone ones; none where there is no file. Raises PlgsError when
-    the file is damaged or from a later version; its edits are then neither shown nor changed."""
+    """Return the edits of the lift in this folder, undone ones included; none without a file. Raises PlgsError if the
+    file is damaged or from a later version; its edits are then neither shown nor changed."""
     path = lift / CORRECTIONS
     if not path.exists():
         return ()
@@ -165,8 +164,8 @@ def read_edits(lift: Path) -> tuple[Edit, ...]:
 
 @contextmanager
 def editing(lift: Path) -> Iterator[list[Edit]]:
-    """The edits, to be changed inside the ``with`` block and written at its end. Other writers wait until then.
-    Raises PlgsError when the file cannot be read or is busy, and OSError. Nothing is then written."""
+    """Give a ``with`` block the list of edits to change, and write it at the block's end. Other writers wait until
+    then. Raises PlgsError if the file cannot be read or is busy, and OSError; nothing is then written."""
     folder = lift / "bake"
     folder.mkdir(exist_ok=True)
     try:

@@ -1,8 +1,7 @@
-"""What takes the place of removed objects: the cells of the room that are cleared, and new Gaussians and points.
+"""What replaces removed objects: the cells of the room that are cleared, and new Gaussians and points.
 
-A fill is computed once, from the photos, by `engine/plates`, and kept in a file beside corrections.json. Everything
-that shows the lift clears and fills with this module alone, so it needs only numpy.
-"""
+A fill is computed once, from the photos, by `engine/plates`, and kept in a file beside corrections.json. All programs
+that show the lift clear and fill with this module alone, so it needs only numpy."""
 
 from __future__ import annotations
 
@@ -36,10 +35,11 @@ _FARTHEST = 1e4
 
 @dataclass(frozen=True, eq=False)
 class Fill:
-    """``cells`` int32 [C, 3]: the cells, counted in CELL from the world's origin, from which stuff is removed. The new
-    Gaussians: ``xyz`` float32 [P, 3] metres, ``scale`` float32 [P, 3] standard deviations in metres, ``turn`` float32
-    [P, 4] unit quaternions wxyz, ``rgb`` float32 [P, 3] sRGB in [0, 1], ``label`` int32 [P] (see `edits`), ``guessed``
-    float32 [P], 1 where no photo saw their place, and ``is_point`` bool [P], which of them are semantic points, too."""
+    """What replaces removed objects. ``cells`` int32 [C, 3] are the cells, counted in CELL from the world's origin,
+    from which stuff is removed. The new Gaussians: ``xyz`` float32 [P, 3] metres, ``scale`` float32 [P, 3] standard
+    deviations in metres, ``turn`` float32 [P, 4] unit quaternions wxyz, ``rgb`` float32 [P, 3] sRGB in [0, 1],
+    ``label`` int32 [P] (see `edits`), ``guessed`` float32 [P], 1 where no photo saw their place, and ``is_point`` bool
+    [P], which of them are semantic points, too."""
 
     cells: NDArray[np.int32]
     xyz: NDArray[np.float32]
@@ -51,11 +51,11 @@ class Fill:
     is_point: NDArray[np.bool_]
 
     def clears(self, xyz: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """Whether each of ``xyz`` [N, 3] lies in a cell that is cleared, bool [N]."""
+        """Return which of ``xyz`` [N, 3] lie in a cell that is cleared, bool [N]."""
         return np.isin(cell_keys(cells_of(xyz)), cell_keys(self.cells))
 
     def points(self) -> tuple[SemanticPoints, Labels]:
-        """The semantic points, and their labels."""
+        """Return the semantic points among the Gaussians, and their labels."""
         own = self.is_point
         label = self.label[own]
         rgb = np.rint(255 * self.rgb[own]).astype(np.uint8)
@@ -64,7 +64,7 @@ class Fill:
         return SemanticPoints(self.xyz[own], rgb, class_id, instance, likely.astype(np.float32)), label
 
     def splats(self, kind: np.dtype[np.void]) -> NDArray[np.void]:
-        """The Gaussians as rows of gaussians.ply, whose columns are those of ``kind``."""
+        """Return the Gaussians as rows of gaussians.ply, [P], with the columns of the dtype ``kind``."""
         rows = np.zeros(len(self.xyz), kind)
         columns = {"opacity": np.full(len(rows), np.log(OPACITY / (1 - OPACITY)))}
         for names, values in (
@@ -88,18 +88,18 @@ NOTHING = Fill(
 
 
 def cells_of(xyz: NDArray[np.floating]) -> NDArray[np.int32]:
-    """The cell of each position [N, 3], int32 [N, 3]."""
+    """Return the cell of each position [N, 3], int32 [N, 3]."""
     return np.floor(np.clip(xyz, -_FARTHEST, _FARTHEST) / np.float32(CELL)).astype(np.int32)
 
 
 def with_neighbours(cells: NDArray[np.int32]) -> NDArray[np.int32]:
-    """The cells [N, 3] and the 26 around each, every one once, int32 [M, 3]."""
+    """Return the cells [N, 3] and the 26 around each, without duplicates, int32 [M, 3]."""
     around = np.stack(np.meshgrid(*[np.arange(-1, 2, dtype=np.int32)] * 3), axis=-1).reshape(-1, 1, 3)
     return np.unique((np.unique(cells, axis=0)[None] + around).reshape(-1, 3), axis=0)
 
 
 def cell_keys(cells: NDArray[np.integer]) -> NDArray[np.int64]:
-    """One number for each cell [N, 3], int64 [N]."""
+    """Return one number for each cell [N, 3], int64 [N]."""
     x, y, z = cells.astype(np.int64).T + (1 << 20)
     return x << 42 | y << 21 | z
 
@@ -116,7 +116,7 @@ def write_fill(path: Path, fill: Fill) -> str:
 
 
 def read_fill(path: Path, digest: str = "") -> Fill:
-    """Read a fill, whose file has this SHA-256. Raises PlgsError if it is missing, damaged or another."""
+    """Read a fill, whose file must have this SHA-256, if given. Raises PlgsError if it is missing or damaged."""
     if not path.is_file():
         raise PlgsError("fill-missing", "the fill of a removed object is not there", path, _MAKE_ANEW)
     with reading(path, _MAKE_ANEW):

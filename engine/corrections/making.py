@@ -1,7 +1,7 @@
-"""Edits of the objects that exist now. Each is checked before it is made.
+"""Make edits of the objects that exist now. Each edit is checked before it is made.
 
-All functions take the replayed state, and raise PlgsError for an edit that makes no sense.
-"""
+All functions take the current state after all edits (``Replay``), and raise PlgsError for an edit that makes no
+sense."""
 
 from __future__ import annotations
 
@@ -36,8 +36,7 @@ def rename(state: Replay, number: int, name: str) -> Edit:
 
 
 def class_of(classes: ClassTable, said: int | str) -> int:
-    """The id of the class that a text names by its number, its unique name, or both, as in "3 chair". Raises
-    PlgsError."""
+    """Return the class that a text names by its number, its unique name, or both, as in "3 chair". Raises PlgsError."""
     names, text = {one.id: one.name for one in classes.categories}, str(said).strip()
     found = named(names, text) if isinstance(said, str) else []
     found = found or [number for number, name in names.items() if text in (str(number), f"{number} {name}")]
@@ -49,8 +48,7 @@ def class_of(classes: ClassTable, said: int | str) -> int:
 
 
 def object_of(state: Replay, said: int | str) -> int:
-    """The id of the object that a text names by its id, its unique name, or both, as in "7 chair 1". Raises
-    PlgsError."""
+    """Return the object that a text names by its id, its unique name, or both, as in "7 chair 1". Raises PlgsError."""
     names, text = {number: one.name for number, one in state.objects.items()}, str(said).strip()
     found = [number for number, name in names.items() if text in (str(number), f"{number} {name}")]
     found = found or named(names, text)
@@ -63,7 +61,7 @@ def object_of(state: Replay, said: int | str) -> int:
 
 
 def reclass(state: Replay, numbers: Sequence[int], said: int | str) -> Edit:
-    """Give objects another class, see ``class_of``. Stuff has no objects, so their points become a stuff class."""
+    """Give objects another class, see ``class_of``. Stuff has no objects: their points get a stuff class alone."""
     class_id = class_of(state.classes, said)
     marks = tuple(_mark(state, number) for number in _some(numbers))
     if not state.classes[class_id].is_thing:
@@ -80,7 +78,7 @@ def merge(state: Replay, numbers: Sequence[int]) -> Edit:
 
 
 def delete(state: Replay, number: int, *, around: bool = True) -> Edit:
-    """Give the points the labels of their surroundings, or else the object's class without an object."""
+    """Delete an object. Its points get the labels around them or, unless ``around``, its class without an object."""
     mark = _mark(state, number)
     xyz, other = state.points_of(number), (state.label != number) & (state.label != 0)
     moved: tuple[MovedPoints, ...] = ()
@@ -93,7 +91,7 @@ def delete(state: Replay, number: int, *, around: bool = True) -> Edit:
 
 
 def remove(state: Replay, numbers: Sequence[int], fill: str, digest: str) -> Edit:
-    """Take objects out of the room. The ``fill`` of this name, whose file has the SHA-256 ``digest``, replaces them."""
+    """Take objects out of the room. What replaces them is in the file named ``fill`` with the SHA-256 ``digest``."""
     return Edit("remove", tuple(_mark(state, number) for number in _some(numbers)), fill=fill, digest=digest)
 
 
@@ -124,8 +122,8 @@ def split(
 
 
 def parts_of(xyz: NDArray[np.floating], gap: float = PART_GAP) -> NDArray[np.int64]:
-    """The connected part of each point [n, 3], int64 [n]; the largest is 0. Points are connected if their cells, whose
-    sides are half of ``gap``, touch. Crumbs belong to the nearest part."""
+    """Return the connected part of each point [n, 3], int64 [n]; the largest is 0. Points are connected if the cells
+    that they lie in, with sides of half of ``gap`` metres, touch. Tiny parts are joined to the nearest part."""
     if not len(xyz):
         return np.zeros(0, np.int64)
     cells, cell = np.unique(np.floor(xyz / (gap / 2)).astype(np.int64), axis=0, return_inverse=True)
@@ -158,15 +156,15 @@ def parts_of(xyz: NDArray[np.floating], gap: float = PART_GAP) -> NDArray[np.int
 
 
 def sides_of(xyz: NDArray[np.floating], point: Sequence[float], normal: Sequence[float]) -> NDArray[np.int64]:
-    """1 for each point [n, 3] beyond the plane through ``point`` in the direction of ``normal``, else 0; int64 [n]."""
+    """Return 1 for each point [n, 3] beyond the plane through ``point`` with ``normal``, else 0; int64 [n]."""
     return ((xyz - np.asarray(point)) @ np.asarray(normal, np.float64) > 0).astype(np.int64)
 
 
 def assign(
     state: Replay, chosen: NDArray[np.bool_], target: int, *, class_id: int = 0, name: str = "", new_id: int = 0
 ) -> Edit:
-    """Give the ``chosen`` points, bool [N], to the object ``target``. Where that is 0, give them to a new object
-    ``new_id`` of ``class_id``; where ``new_id`` is 0 too, to the class alone."""
+    """Give the ``chosen`` points, bool [N], to the object ``target``; if that is 0, to a new object ``new_id`` of the
+    class ``class_id``; if ``new_id`` is 0 too, to the class alone."""
     made: tuple[NewObject, ...] = ()
     if not chosen.any():
         raise PlgsError("no-points", "no points are chosen", CORRECTIONS, "Select points, or enlarge the region.")
@@ -189,8 +187,8 @@ def assign(
 
 
 def crop(state: Replay, number: int, within: NDArray[np.bool_]) -> Edit:
-    """Give an object the points ``within``, bool [N], that are its own or have its class but no object. Its points
-    elsewhere keep the class but lose the object. Raises PlgsError if nothing changes."""
+    """Give an object exactly the points ``within``, bool [N], that are its own or have its class but no object. Its
+    other points keep the class but lose the object. Raises PlgsError if nothing changes."""
     mark, kind = _mark(state, number), state.class_of(number)
     own = state.label == number
     inner, outer = within & (state.label == -kind), own & ~within
@@ -230,7 +228,7 @@ def _some(numbers: Sequence[int]) -> list[int]:
 
 
 def _new_name(state: Replay, class_id: int, more: int = 0) -> str:
-    """A name such as "chair 7", with the next number of its class."""
+    """Return a name such as "chair 7", with the next number of its class."""
     kind = state.classes[class_id].name
     names = [one.name.removeprefix(f"{kind} ") for one in state.objects.values()]
     return f"{kind} {max((int(name) for name in names if name.isdecimal()), default=0) + 1 + more}"

@@ -1,5 +1,5 @@
-"""What may be wrong with a lift: its objects, the most doubtful first, each with a reason and an answer; the class that
-the masks give each part of a split object; and how uncertain the points are that each camera sees."""
+"""What may be wrong with a lift: its most doubtful objects, each with a reason and a suggested edit; the class that the
+masks give each part of a split object; and how uncertain the points are that each camera sees."""
 
 from __future__ import annotations
 
@@ -38,8 +38,9 @@ TOUCHING = 0.1
 
 @dataclass(frozen=True)
 class Proposal:
-    """``doubt`` in (0, 1]. ``answer`` is the edit that would correct it: reclass (to ``class_id``), split,
-    split by views, delete, or merge (with ``other``). ``frame`` shows it best, empty where no mask does."""
+    """A suggestion about one object. ``doubt`` is in (0, 1]. ``answer`` is the edit that would correct it: reclass (to
+    ``class_id``), split, split by views, delete, or merge (with ``other``). ``frame`` shows it best, "" without a
+    mask."""
 
     instance: int
     name: str
@@ -53,7 +54,8 @@ class Proposal:
 
 @dataclass(frozen=True)
 class Proposals:
-    """The ``open`` proposals, worst first, and how many of all objects were ``looked_at``: corrected or accepted."""
+    """The ``open`` proposals, worst first, and how many of ``all`` objects were corrected or accepted
+    (``looked_at``)."""
 
     open: tuple[Proposal, ...]
     looked_at: int
@@ -65,7 +67,7 @@ class Proposals:
 
 
 def proposals_of(corrected: CorrectedResult) -> Proposals:
-    """At most one proposal per object, the most doubtful; none for objects that an edit refers to."""
+    """Return for each object the most doubtful proposal, if any; none for objects that an edit refers to."""
     known = {one.id for one in corrected.instances}
     edits = [edit for edit in corrected.edits if not edit.undone and edit.uid not in corrected.not_applied]
     looked_at = {mark.id for edit in edits for mark in edit.objects} | {new.id for edit in edits for new in edit.made}
@@ -78,7 +80,7 @@ def proposals_of(corrected: CorrectedResult) -> Proposals:
 
 
 def _doubts(corrected: CorrectedResult, one: Instance) -> list[Proposal]:
-    """Everything that may be wrong with an object."""
+    """Return all proposals about an object."""
     best = max(one.segments, key=lambda segment: segment.share, default=None)
     frame, found, votes = best.frame if best else "", [], dict[int, float]()
     mine = corrected.points.instance_id == one.id
@@ -120,8 +122,8 @@ def _doubts(corrected: CorrectedResult, one: Instance) -> list[Proposal]:
 
 
 def _frames_apart(one: Instance) -> tuple[list[str], int]:
-    """The frames whose masks show an object as several segments, the one with the largest second segment first, and the
-    number of frames that have a mask of it."""
+    """Return the frames whose masks show an object as several segments, the one with the largest second segment first,
+    and the number of frames that have a mask of it."""
     sizes: dict[str, list[int]] = {}
     for segment in one.segments:
         sizes.setdefault(segment.frame, []).append(segment.pixels)
@@ -135,9 +137,9 @@ FITS = 0.5
 
 
 def class_of_parts(lift: Path, state: Replay, number: int, part: NDArray[np.integer]) -> dict[int, int]:
-    """The class that most masks of an object give each ``part``, int [n] of its points in their order. A mask votes for
-    the part whose points fill its rectangle, weighted by its pixels; parts without votes are left out.
-    Raises PlgsError if the list of the lift's frames is damaged."""
+    """Return the class that most masks of an object give each part; ``part`` int [n] is that of its points in their
+    order. A mask votes for the part whose points fill its rectangle, weighted by its pixels; parts without votes are
+    left out. Raises PlgsError if the list of the lift's frames is damaged."""
     if number not in state.objects or not len(part):
         return {}
     folder = LiftFolder.open(lift)
@@ -161,7 +163,7 @@ def class_of_parts(lift: Path, state: Replay, number: int, part: NDArray[np.inte
 
 
 def _overlap(points: NDArray[np.float64], rectangle: tuple[float, float, float, float]) -> float:
-    """Intersection over union of the rectangle around points [n, 2] with another one (left, top, right, bottom)."""
+    """The intersection over union of the rectangle around points [n, 2] and another (left, top, right, bottom)."""
     if not len(points):
         return 0.0
     (left, top), (right, bottom) = np.percentile(points, INNER, axis=0)
@@ -179,13 +181,13 @@ _BEHIND = 0.15
 
 
 def entropy_of(confidence: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Bits of doubt [N] between a class that is right with this probability and all others: 0 is sure, 1 undecided."""
+    """The entropy in bits [N] of a class that is right with this probability [N]: 0 is certain, 1 undecided."""
     share = np.clip(confidence.astype(np.float64), 1e-6, 1 - 1e-6)
     return np.asarray(np.where(share < 0.5, 1.0, -share * np.log2(share) - (1 - share) * np.log2(1 - share)))
 
 
 def entropy_of_views(points: SemanticPoints, cameras: Sequence[Camera]) -> NDArray[np.float64]:
-    """The mean ``entropy_of`` the points that each camera sees, float64 [V]; 0 where it sees none."""
+    """Return the mean ``entropy_of`` the points that each camera sees, float64 [V]; 0 if it sees none."""
     doubt, found = entropy_of(points.confidence), np.zeros(len(cameras))
     for number, camera in enumerate(cameras):
         rows, pixel, depth = camera.seen(points.xyz)

@@ -1,8 +1,7 @@
-"""How edits change the label of anything with a position: a point, an anchor, a Gaussian.
+"""Change labels by edits, for anything with a position: a point, an anchor, a Gaussian.
 
 An edit of whole objects maps labels to labels. An edit of points names only the points; everything else follows the
-nearest point that had the same label before.
-"""
+nearest point that had the same label before."""
 
 from __future__ import annotations
 
@@ -25,8 +24,8 @@ _MANY = 1 << 27
 def nearest(
     queries: NDArray[np.floating], points: NDArray[np.floating]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The index of the nearest of ``points`` [N, 3], at least one, to each of ``queries`` [Q, 3], int64 [Q], and its
-    distance, float64 [Q]."""
+    """Find the nearest of ``points`` [N, 3] (at least one) to each of ``queries`` [Q, 3]. Returns its index, int64 [Q],
+    and its distance, float64 [Q]."""
     if len(queries) * len(points) > _MANY:
         try:
             from scipy.spatial import cKDTree
@@ -55,22 +54,22 @@ GONE = -(10**9)
 
 
 def labels_of(class_id: NDArray[np.integer], instance_id: NDArray[np.integer]) -> Labels:
-    """The labels of classes and instances, int32 [N] each."""
+    """Return the labels for class and instance ids [N]: the instance or, without one, minus the class; int32 [N]."""
     return np.where(instance_id > 0, instance_id, -class_id.astype(np.int64)).astype(np.int32)
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A change of some labels. ``table``: labels that change as a whole. ``points``: by source label, the points that
-    had it, float32 [N, 3], and their new labels, int32 [N]. ``fill`` belongs to a removal: all stuff in the cells that
-    it clears is removed, too."""
+    """One change of labels. ``table`` maps labels that change as a whole. ``points`` holds, by old label, the points
+    that had it, float32 [N, 3], and their new labels, int32 [N]. ``fill`` belongs to a removal: all stuff in the cells
+    that it clears is removed, too."""
 
     table: Mapping[int, int] = field(default_factory=dict)
     points: Mapping[int, tuple[NDArray[np.float32], Labels]] = field(default_factory=dict)
     fill: Fill | None = None
 
     def apply(self, xyz: NDArray[np.floating], label: Labels) -> None:
-        """Change in place the ``label`` [N] of points at ``xyz`` [N, 3]."""
+        """Change the ``label`` [N] of points at ``xyz`` [N, 3] in place."""
         rows_of = {source: np.flatnonzero(label == source) for source in (*self.table, *self.points)}  # before changes
         for source, target in self.table.items():
             label[rows_of[source]] = target
@@ -83,7 +82,7 @@ class Step:
 
 
 def step_of(xyz: NDArray[np.float32], before: Labels, after: Labels) -> Step:
-    """The step that changes points ``xyz`` [N, 3] with labels ``before`` to ``after``."""
+    """The step that changes points ``xyz`` [N, 3] with the labels ``before`` to the labels ``after``, [N] each."""
     table, points = {}, {}
     for source in np.unique(before[before != after]).tolist():
         rows = before == source
@@ -97,23 +96,23 @@ def step_of(xyz: NDArray[np.float32], before: Labels, after: Labels) -> Step:
 
 @dataclass(frozen=True, eq=False)
 class Relabelling:
-    """All steps, one after the other."""
+    """The changes of labels that all edits make, in order."""
 
     steps: tuple[Step, ...] = ()
 
     @property
     def sources(self) -> frozenset[int]:
-        """The labels that some step changes."""
+        """The labels that at least one step changes."""
         return frozenset(source for step in self.steps for source in (*step.table, *step.points))
 
     @property
     def fills(self) -> list[tuple[int, Fill]]:
-        """The fills of removals, each with the number of the first step after it."""
+        """The fills of removals, each with the index of the step that follows its removal."""
         return [(number, step.fill) for number, step in enumerate(self.steps, start=1) if step.fill is not None]
 
     def of(self, xyz: NDArray[np.floating], label: Labels, first: int = 0) -> Labels:
-        """The labels after all edits from the step ``first`` on, int32 [N], of points at ``xyz`` [N, 3] whose label was
-        ``label`` [N]; GONE for what was removed."""
+        """Return the labels, int32 [N], of points at ``xyz`` [N, 3] with the labels ``label`` [N] after all steps from
+        ``first`` on; GONE for what was removed."""
         after = label.copy()
         changes = np.isin(label, sorted(self.sources))
         for _, fill in self.fills:

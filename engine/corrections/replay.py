@@ -1,4 +1,4 @@
-"""The objects and points of a result, as the edits leave them."""
+"""Apply edits to the objects and points of a result."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ OUTER = (0.5, 99.5)
 
 @dataclass(eq=False)
 class Replay:
-    """The state between two edits. ``label`` int32 [N] is the label of each of the ``points``. ``not_applied``:
-    reasons, by the edits' uid. ``removed`` are objects that were taken out of the room. ``fill_of`` reads a removal's
-    fill; it may raise PlgsError."""
+    """The objects and points after some edits. ``label`` int32 [N] is the label of each of the ``points``.
+    ``not_applied`` gives, by the uid of an edit, why it could not be applied. ``removed`` are objects that were taken
+    out of the room. ``fill_of`` reads a removal's fill; it may raise PlgsError."""
 
     classes: ClassTable
     points: SemanticPoints
@@ -52,7 +52,7 @@ class Replay:
         cls, classes: ClassTable, instances: Iterable[Instance], points: SemanticPoints,
         fill_of: Callable[[Edit], Fill] = lambda edit: NOTHING,
     ) -> Replay:  # fmt: skip
-        """The result as the engine made it."""
+        """Return the state before any edit: the result as the engine made it."""
         label = labels_of(points.class_id, points.instance_id)
         return cls(classes, points, label, {one.id: one for one in instances}, fill_of)
 
@@ -73,21 +73,21 @@ class Replay:
         return Relabelling(tuple(self.steps))
 
     def class_of(self, label: int) -> int:
-        """The class that a label is shown with."""
+        """Return the class of a label: its object's, or its own if it is stuff."""
         return self.objects[label].class_id if label > 0 and label in self.objects else max(-label, 0)
 
     def points_of(self, number: int) -> NDArray[np.float32]:
         return self.xyz[self.label == number]
 
     def mark(self, number: int) -> ObjectMark:
-        """The fingerprint of an object's points."""
+        """Return the mark by which an object is recognised later, from its points."""
         points = self.points_of(number)
         low, high = np.percentile(points, INNER, axis=0) if len(points) else np.zeros((2, 3))
         corners = (tuple(round(float(value), 3) for value in corner) for corner in (low, high))
         return ObjectMark(number, len(points), *corners)  # type: ignore[arg-type]
 
     def apply(self, edit: Edit) -> str:
-        """Apply an edit. Returns the reason if it cannot be applied, else an empty text."""
+        """Apply an edit. Returns why it cannot be applied, or ""."""
         if edit.kind not in KINDS:
             return f"this version does not know the edit {edit.kind!r}"
         reasons = [reason for mark in edit.objects if (reason := self._missing(mark))]
@@ -118,7 +118,7 @@ class Replay:
         return ""
 
     def _no_label(self, edit: Edit) -> str:
-        """Why an edit gives its points a label that is neither an object nor a class; empty if it is one."""
+        """Return why an edit would give points a label that does not exist as an object or class, or ""."""
         rest = 0 if edit.rest is None else edit.rest
         classes = [-label for label in (rest, *(group.label for group in edit.moved)) if label < 0]
         classes += [edit.class_id] if edit.class_id else []
@@ -128,7 +128,7 @@ class Replay:
         return f"there is no object {rest}" if rest > 0 and rest not in self.objects else ""
 
     def _missing(self, mark: ObjectMark) -> str:
-        """Why the object that a mark refers to is missing; empty if it exists."""
+        """Return why the object that a mark refers to is missing, or ""."""
         if mark.id not in self.objects:
             return f"there is no object {mark.id}"
         now = self._marks.get(mark.id) or self._marks.setdefault(mark.id, self.mark(mark.id))
@@ -207,7 +207,7 @@ class Replay:
         return ""
 
     def _made(self, number: int, name: str, class_id: int, base: Instance | None) -> Instance:
-        """A new object made of some points, with the evidence and the axes of the object that they belonged to."""
+        """A new object, made of some points, with the evidence and the axes of ``base``, to which they belonged."""
         yaw, rotation = (base.yaw, base.rotation) if base else (0.0, (1.0, 0.0, 0.0, 0.0))
         views, score, segments = (base.views, base.score, base.segments) if base else (0, 0.0, ())
         colour, kind = distinct_colour(number), self.classes[class_id].name
@@ -230,7 +230,7 @@ class Replay:
 
 
 def _take_moved(xyz: NDArray[np.float32], after: Labels, groups: Sequence[MovedPoints]) -> None:
-    """Relabel the points [N, 3] that were moved: exactly these or, in another lift, those nearby."""
+    """Relabel points [N, 3] that were moved: exactly the listed ones or, in another lift, those near them."""
     if not groups or not len(xyz):
         return
     wanted = np.concatenate([np.array(group.millimetres, np.int64).reshape(-1, 3) for group in groups])
@@ -249,18 +249,18 @@ def _take_moved(xyz: NDArray[np.float32], after: Labels, groups: Sequence[MovedP
 
 
 def in_millimetres(xyz: NDArray[np.floating]) -> NDArray[np.int64]:
-    """Points [N, 3] in metres as edits keep them, int64 [N, 3]."""
+    """Return points [N, 3] in metres as whole millimetres, int64 [N, 3], which is how edits keep them."""
     return np.rint(xyz.astype(np.float64) * PER_METRE).astype(np.int64)
 
 
 def _keys(millimetres: NDArray[np.int64]) -> NDArray[np.int64]:
-    """One number per point: 21 bits per axis, which wrap around beyond a kilometre."""
+    """Return one number per point: 21 bits per axis, which wrap around beyond a kilometre."""
     x, y, z = (millimetres & ((1 << 21) - 1)).T
     return x << 42 | y << 21 | z
 
 
 def _overlap(one: ObjectMark, other: ObjectMark) -> float:
-    """Intersection over union of the padded boxes."""
+    """Return the intersection over union of the two marks' boxes, slightly enlarged."""
     low, high = (np.array([mark.low, mark.high]) + [[-PADDING], [PADDING]] for mark in (one, other))
     common = np.prod(np.maximum(np.minimum(low[1], high[1]) - np.maximum(low[0], high[0]), 0.0))
     return float(common / (np.prod(low[1] - low[0]) + np.prod(high[1] - high[0]) - common))

@@ -1,4 +1,4 @@
-"""A lift's result and people's corrections of it, read together: by Blender, bakes, exports and scores alike."""
+"""Read a lift's result and people's corrections of it together: for Blender, bakes, exports and scores alike."""
 
 from __future__ import annotations
 
@@ -26,9 +26,8 @@ class CorrectedResult:
     """The objects and points of a result after the edits.
 
     ``made`` are the objects as the engine made them, ``removed`` those that were taken out of the room. ``accepted``
-    are ids of objects that a person confirmed. ``not_applied``: the reasons, by the edits' uid. ``fingerprint``
-    identifies the edits that change what is shown; it is empty without any.
-    """
+    are ids of objects that a person confirmed. ``not_applied`` gives, by the uid of an edit, why it was not applied.
+    ``fingerprint`` identifies the edits that change what is shown; it is "" without any."""
 
     folder: Path
     classes: ClassTable
@@ -44,12 +43,12 @@ class CorrectedResult:
 
     @property
     def names_in_mattes(self) -> dict[int, str]:
-        """What Cryptomatte calls the objects, by their ids."""
+        """The names of the objects in Cryptomatte, by id."""
         return matte_names({one.id: one.name for one in self.instances})
 
     @property
     def left_unowned(self) -> frozenset[int]:
-        """The classes that edits gave to points without an object."""
+        """The classes that edits gave to points while taking them from an object."""
         applied = [edit for edit in self.edits if edit.uid not in self.not_applied]
         rests = [edit.rest or 0 for edit in applied if edit.kind == "delete" and not edit.moved]
         return frozenset(-each for each in (*rests, *(one.label for edit in applied for one in edit.moved)) if each < 0)
@@ -65,31 +64,31 @@ class CorrectedResult:
 
     @property
     def label_fingerprint(self) -> str:
-        """Identifies the edits that change more than names; empty without any."""
+        """A text that identifies the edits that change more than names; "" without any."""
         return _fingerprint(self.edits, self.not_applied, ("accept", "rename"))
 
     @property
     def class_of(self) -> dict[int, int]:
-        """The class of each object, by id."""
         return {one.id: one.class_id for one in self.instances}
 
     @property
     def changes_labels(self) -> bool:
-        """Whether anything but names differs from what the engine made."""
+        """Whether the edits change more than names."""
         kinds = self.class_of
         return bool(self.relabelling.steps) or any(kinds.get(one.id) != one.class_id for one in self.made)
 
     def ids(
         self, xyz: NDArray[np.floating], class_id: NDArray[np.int32], instance_id: NDArray[np.int32]
     ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """The class and instance ids after the edits, int32 [N] each, of points at ``xyz`` [N, 3]."""
+        """Class and instance ids after the edits, int32 [N] each, of points at ``xyz`` [N, 3] that had these ids."""
         before = labels_of(class_id, instance_id)
         return self.ids_of(before, self.relabelling.of(xyz, before), class_id)
 
     def ids_of(
         self, before: NDArray[np.int32], after: NDArray[np.int32], class_id: NDArray[np.int32]
     ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """As ``ids``, but from labels."""
+        """Return the class and instance ids, int32 [N] each, from labels [N] ``before`` and ``after`` the edits.
+        ``class_id`` [N] is the class before."""
         kinds, made = self.class_of, {one.id: one.class_id for one in self.made}
         changed = class_id.copy()
         moved = before != after
@@ -103,7 +102,7 @@ class CorrectedResult:
         return changed, np.maximum(after, 0).astype(np.int32)
 
     def anchors(self) -> Anchors:
-        """The anchors after the edits, without those of removed objects. Raises PlgsError."""
+        """Return the anchors after the edits, without those of removed objects. Raises PlgsError."""
         anchors = result_files.read_arrays(self.folder / "result" / result_files.ANCHORS, Anchors)
         if not self.changes_labels:
             return anchors
@@ -114,8 +113,8 @@ class CorrectedResult:
         return Anchors(**{name: values[after != GONE] for name, values in vars(relabelled).items()})
 
     def splats(self, rows: NDArray[np.void]) -> NDArray[np.void]:
-        """The rows of gaussians.ply with their labels after the edits: without those of removed objects, and with what
-        takes their place."""
+        """Return the rows of gaussians.ply with their labels after the edits, without removed objects, and with the
+        Gaussians that replace these."""
         if not self.changes_labels:
             return rows
         parts = list[NDArray[np.void]]()
@@ -129,25 +128,25 @@ class CorrectedResult:
 
 
 def read_corrected(lift: Path, listed: Listed | None = None, further: Sequence[Edit] = ()) -> CorrectedResult:
-    """The result of the finished lift in this folder, with its corrections and ``further`` ones that are not kept;
-    ``listed`` is what instances.json lists, where it was read. Raises PlgsError when either cannot be read."""
+    """Read the result of the finished lift in this folder with its corrections, and with ``further`` edits that are not
+    saved. ``listed`` is the content of instances.json, if already read. Raises PlgsError."""
     return _Result.read(lift, listed).corrected([*read_edits(lift), *further])
 
 
 def _fingerprint(edits: Sequence[Edit], not_applied: Mapping[str, str], without: tuple[str, ...]) -> str:
-    """Identifies the edits that are applied, ``without`` these kinds; empty without any."""
+    """Return a text that identifies the applied edits, except those of the kinds ``without``; "" if there are none."""
     uids = [each.uid for each in edits if not each.undone and each.kind not in without and each.uid not in not_applied]
     return sha256("\n".join(uids).encode()).hexdigest()[:32] if uids else ""
 
 
 def replayed(lift: Path) -> Replay:
-    """The objects and points of a finished lift after its corrections. Raises PlgsError."""
+    """Return the objects and points of a finished lift after its corrections. Raises PlgsError."""
     return _Result.read(lift).replay(read_edits(lift))
 
 
 @dataclass(frozen=True, eq=False)
 class _Result:
-    """A result as the engine made it."""
+    """A result as the engine made it, before corrections."""
 
     lift: Path
     classes: ClassTable
@@ -162,7 +161,7 @@ class _Result:
         return cls(lift, classes, made, points)
 
     def fill_of(self, edit: Edit) -> Fill:
-        """The fill of a removal. Raises PlgsError."""
+        """Read the fill of a removal. Raises PlgsError."""
         return read_fill(path_of(self.lift, edit.fill), edit.digest)
 
     def replay(self, edits: Sequence[Edit]) -> Replay:
@@ -171,7 +170,7 @@ class _Result:
         return state
 
     def corrected(self, edits: Sequence[Edit], state: Replay | None = None) -> CorrectedResult:
-        """The result after the edits. ``state`` is their replay, if it has already been made."""
+        """Return the result after the edits. ``state`` is the outcome of applying them, if that was done already."""
         state = state or self.replay(edits)
         fingerprint = _fingerprint(edits, state.not_applied, ("accept",))
         corrected = CorrectedResult(
@@ -199,8 +198,8 @@ Make = Callable[[Replay, int], Edit]
 
 
 def correct(lift: Path, make: Make, listed: Listed | None = None) -> tuple[Edit, CorrectedResult]:
-    """Add an edit to those of the lift in this folder. Returns the edit and the new result, for which the edits are
-    replayed once; ``listed`` as in ``read_corrected``. Raises PlgsError and OSError; nothing is then changed."""
+    """Add the edit that ``make`` returns to those of the lift in this folder. Returns the edit and the new result.
+    ``listed`` is as in ``read_corrected``. Raises PlgsError and OSError; nothing is then changed."""
     with editing(lift) as edits:
         result = _Result.read(lift, listed)
         state = result.replay(edits)
@@ -216,7 +215,7 @@ def correct(lift: Path, make: Make, listed: Listed | None = None) -> tuple[Edit,
 
 def undo(lift: Path, listed: Listed | None = None) -> tuple[Edit, CorrectedResult]:
     """Undo the last edit that is not undone, whoever made it. Returns the edit and the result without it. Raises
-    PlgsError when there is none, and OSError."""
+    PlgsError if there is none, and OSError."""
     with editing(lift) as edits:
         last = max((index for index, edit in enumerate(edits) if not edit.undone), default=-1)
         if last < 0:
@@ -226,8 +225,8 @@ def undo(lift: Path, listed: Listed | None = None) -> tuple[Edit, CorrectedResul
 
 
 def put_back(lift: Path, objects: Sequence[int | str], listed: Listed | None = None) -> tuple[Edit, CorrectedResult]:
-    """Undo the removals of objects, named by their ids or names. Returns the last of these edits and the result without
-    them. Raises PlgsError if one of the objects is not removed, and OSError; nothing is then changed."""
+    """Undo the removals of objects, given by ids or names. Returns the last of these edits and the result without them.
+    Raises PlgsError if one of the objects is not removed, and OSError; nothing is then changed."""
     with editing(lift) as edits:
         result = _Result.read(lift, listed)
         state, ids = result.replay(edits), set[int]()
@@ -249,6 +248,6 @@ def put_back(lift: Path, objects: Sequence[int | str], listed: Listed | None = N
 
 
 def set_undone(lift: Path, undone: dict[str, bool]) -> None:
-    """Undo or redo edits, by uid. Raises PlgsError, OSError."""
+    """Undo or redo edits: ``undone`` says by uid what they shall be. Raises PlgsError, OSError."""
     with editing(lift) as edits:
         edits[:] = [replace(edit, undone=undone.get(edit.uid, edit.undone)) for edit in edits]

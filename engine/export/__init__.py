@@ -1,2 +1,2 @@
-"""Exports a finished lift in other programs' formats: COCO panoptic, label images, ScanNet's label files, points,
-boxes, meshes."""
+"""Export a finished lift in other programs' formats: COCO panoptic, label images, ScanNet's label files, points, boxes,
+meshes."""

@@ -1,4 +1,4 @@
-"""Images of every frame: COCO panoptic, class and instance ids as 16-bit PNGs, the same under ScanNet's names, and
+"""Export images of every frame: COCO panoptic, class and instance ids as 16-bit PNGs, also under ScanNet's names, and
 depth."""
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ LEAST_COVERAGE = 0.5  # alpha below which a pixel gets no depth
 
 
 def export_coco(lift: FinishedLift, output: Path) -> None:
-    """See ``write_coco``. Raises PlgsError for ids that do not fit, OSError."""
+    """Write COCO panoptic masks, as ``write_coco`` does. Raises PlgsError for ids that do not fit, OSError."""
     shown = lift.views("semantic", "instance")
     views = ((frame.name, layers.semantic, layers.instance, frame.camera) for frame, layers in shown)
     photos = {frame.name: frame.colour_path.name for frame in lift.frames if frame.file_shows_colour}
@@ -45,9 +45,9 @@ def write_coco(
     photos: Mapping[str, str] = MappingProxyType({}),
 ) -> None:
     """Write ``panoptic.json`` and ``panoptic/<frame>.png`` into ``folder``, and ``instances.json``: the objects again,
-    as COCO's instance annotations with run lengths. ``views``: frame name, class ids and instance ids, int32 [H, W]
-    each, and camera. A segment's id is class * 4096 + instance, so it means the same object in every view. Beside what
-    COCO asks for, a segment has the ``instance_id`` and the ``name`` of its instance (``names``) or class, and an image
+    as COCO's instance annotations with run lengths. ``views`` yields frame name, class ids and instance ids, int32 [H,
+    W] each, and camera. A segment's id is class * 4096 + instance, so it means the same object in every view. Besides
+    COCO's keys, a segment has the ``instance_id`` and the ``name`` of its instance (``names``) or class, and an image
     its ``K`` and ``camera_to_world`` (OpenCV's axes, metres). Its ``file_name`` is that of its photo, if ``photos`` has
     it. Raises PlgsError for ids from 4096 on, OSError."""
     images, annotations, instances = [], [], list[dict[str, object]]()
@@ -82,8 +82,8 @@ def write_coco(
 def _segments(
     ids: Ids, classes: ClassTable, names: Mapping[int, str]
 ) -> list[tuple[dict[str, object], dict[str, Any]]]:
-    """A view's segments in order of id, with area, box (x, y, width, height), run lengths. Things without an instance
-    are a crowd."""
+    """Return a view's segments in order of id, with area, box (x, y, width, height) and run lengths. Things without an
+    instance are a crowd."""
     from pycocotools import mask as rle_tools  # late: no other export needs it
 
     segments = []
@@ -140,7 +140,7 @@ def export_depth(lift: FinishedLift, output: Path) -> None:
 
 
 def labels_text(classes: ClassTable, instances: ShownInstances) -> str:
-    """The meaning of the ids, JSON."""
+    """Return the meaning of the ids as JSON text."""
     class_of, colours = instances.class_of or {}, instances.colours
     listed = [
         {"id": one, "name": name, "class_id": class_of.get(one), "colour": colours[one]}
@@ -151,7 +151,7 @@ def labels_text(classes: ClassTable, instances: ShownInstances) -> str:
 
 
 def id_bytes(ids: Ids, output: Path) -> bytes:
-    """Ids int32 [H, W] as a PNG of 16 bits. Raises PlgsError for ids of 65536 or more."""
+    """Return ids int32 [H, W] as a 16-bit PNG. Raises PlgsError for ids from 65536 on."""
     if int(ids.max(initial=0)) >= MOST_IDS:
         fix = "Export COCO or points instead."
         raise PlgsError("id-too-large", f"the id {int(ids.max())} does not fit into 16 bits", output, fix)

@@ -1,4 +1,4 @@
-"""Rendered depth fused into one surface, by Open3D's truncated signed distance field."""
+"""Fuse rendered depth into one surface, by Open3D's truncated signed distance field."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """``xyz`` float32 [V, 3] m, ``rgb`` uint8 [V, 3], ``normal`` float32 [V, 3], ``triangles`` int64 [T, 3]."""
+    """A mesh: ``xyz`` float32 [V, 3] m, ``rgb`` uint8 [V, 3], ``normal`` float32 [V, 3], ``triangles`` int64 [T, 3]."""
 
     xyz: NDArray[np.float32]
     rgb: NDArray[np.uint8]
@@ -41,7 +41,7 @@ class Surface:
     triangles: NDArray[np.int64]
 
     def of(self, triangles: Ints) -> tuple[Surface, Ints]:
-        """The surface with only these of its triangles [T, 3], and which of its vertices they use, [V]."""
+        """Return the surface of these triangles [T, 3] alone, and which of the old vertices it has, [V]."""
         is_used = np.zeros(len(self.xyz), np.bool_)
         is_used[triangles] = True
         used, number = np.flatnonzero(is_used), np.cumsum(is_used) - 1
@@ -50,9 +50,9 @@ class Surface:
 
 @dataclass(frozen=True)
 class Grain:
-    """How finely views are fused. ``voxel`` is its side and ``farthest`` the largest depth, both in metres.
-    ``least_views`` must see a voxel. Depth is enlarged ``times`` before; ``reaches`` says how far it acts by the slope
-    of the surface (see `_by_slope`). Far floors need depth between pixels, and GRAZED."""
+    """How finely views are fused. ``voxel`` is the side of a voxel and ``farthest`` the largest depth that counts, both
+    in metres. A voxel needs ``least_views`` views. Depth maps are enlarged ``times`` times before. ``reaches`` says how
+    far depth acts around a surface by its slope (see `_by_slope`). Far floors need enlarged depth, and GRAZED."""
 
     voxel: float = VOXEL
     farthest: float = 8.0
@@ -63,7 +63,7 @@ class Grain:
 
 @dataclass(frozen=True, eq=False)
 class SmallView:
-    """``depth`` float32 [H, W] m, ``rgb`` uint8 [H, W, 3], ``label`` int64 [H, W], and the ``frame`` of the photo."""
+    """A small view: ``depth`` float32 [H, W] m, ``rgb`` uint8 [H, W, 3], ``label`` int64 [H, W], and its ``frame``."""
 
     camera: Camera
     depth: NDArray[np.float32]
@@ -72,8 +72,8 @@ class SmallView:
     frame: Frame | None = None
 
     def large_depth(self, times: int) -> NDArray[np.float32]:
-        """The enlarged depth, float32 [H * times, W * times], in metres. On one surface, inverse depth is interpolated,
-        in which planes are flat."""
+        """Return the depth enlarged to float32 [H * times, W * times], in metres. Within a surface, inverse depth is
+        interpolated, which keeps planes flat."""
         if times == 1:
             return np.ascontiguousarray(self.depth)
         inverse, is_one = self._inverse
@@ -85,15 +85,16 @@ class SmallView:
 
     @cached_property
     def _inverse(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        """The inverse depth [H, W] 1/m, 0 for none; and uint8 [H, W], 1 where a pixel's neighbours are one surface."""
+        """Return the inverse depth, float32 [H, W] in 1/m, 0 for none; and uint8 [H, W], 1 where a pixel and its
+        neighbours are one surface."""
         inverse = np.divide(1.0, self.depth, out=np.zeros_like(self.depth), where=self.depth > 0)
         around = np.ones((3, 3), np.uint8)
         lowest, highest = cv2.erode(inverse, around), cv2.dilate(inverse, around)
         return inverse, ((lowest > 0) & (highest < _STEP * lowest)).astype(np.uint8)
 
     def slopes(self) -> NDArray[np.float32]:
-        """The depth divided by the camera's distance from the plane of each pixel's surface, float32 [H, W]: 1 for a
-        frontal surface, larger for grazing views, 0 for edges and missing depth."""
+        """Return each pixel's depth divided by the camera's distance from the plane of its surface, float32 [H, W]: 1
+        for a frontal surface, larger for grazing views, 0 for edges and missing depth."""
         inverse, is_one = self._inverse
         down, right = np.gradient(inverse)
         row, column = np.indices(inverse.shape, np.float32) + np.float32(0.5)
@@ -104,8 +105,8 @@ class SmallView:
 
 
 def fuse(views: Sequence[SmallView], grain: Grain = Grain(), progress: Progress = unwatched) -> Surface:
-    """The surface on which the signed distances of all views are zero, fused slab by slab, so that memory does not grow
-    with the room. Normals point towards the cameras. Raises what ``progress`` raises."""
+    """Return the surface on which the signed distances of all views are zero. It is fused slab by slab, so that memory
+    does not grow with the room. Normals point towards the cameras. Raises what ``progress`` raises."""
     finding, fusing = part_of(progress, 0.0, 0.2, 100), part_of(progress, 0.2, 0.9, 100)
     seen = [_blocks(view, grain) for view in watched(views, finding)]
     slabs = _slabs(np.concatenate([np.empty((0, 3), np.int32), *(each for found in seen for each in found)]))
@@ -125,7 +126,7 @@ def fuse(views: Sequence[SmallView], grain: Grain = Grain(), progress: Progress 
 
 
 class _Slab(NamedTuple):
-    """The blocks of voxels from ``first`` to ``last`` along an axis."""
+    """The blocks of voxels whose index along one axis is between ``first`` and ``last``."""
 
     axis: int
     first: int
@@ -133,7 +134,7 @@ class _Slab(NamedTuple):
 
 
 def _slabs(blocks: NDArray[np.int32]) -> list[_Slab]:
-    """Slabs across the longest axis with about MOST_BLOCKS of these blocks [N, 3], which may be listed repeatedly."""
+    """Cut blocks [N, 3], perhaps with duplicates, into slabs of about MOST_BLOCKS across their longest axis."""
     if not len(blocks):
         return []
     blocks = np.unique(blocks, axis=0)
@@ -145,7 +146,7 @@ def _slabs(blocks: NDArray[np.int32]) -> list[_Slab]:
 
 
 class _Lens:
-    """A view's camera as Open3D takes it, for its enlarged depth and for its colours."""
+    """A view's camera in Open3D's form, for its enlarged depth and for its colours."""
 
     def __init__(self, view: SmallView, times: int) -> None:
         import open3d.core
@@ -157,7 +158,7 @@ class _Lens:
 
 
 def _grid(voxel: float, blocks: int) -> Any:
-    """A field with memory for some ``blocks``; Open3D takes more when it needs it."""
+    """Return an empty voxel grid with memory for ``blocks``; Open3D takes more when it needs it."""
     import open3d.core
     import open3d.t.geometry as geometry
 
@@ -166,7 +167,7 @@ def _grid(voxel: float, blocks: int) -> Any:
 
 
 def _blocks(view: SmallView, grain: Grain) -> list[NDArray[np.int32]]:
-    """The blocks [N, 3] that each part of the view's depth changes."""
+    """Return the blocks [N, 3] that the view's depth changes, for each range of slopes (`_by_slope`)."""
     import open3d.t.geometry as geometry
 
     lens, grid, found = _Lens(view, grain.times), _grid(grain.voxel, 1), []
@@ -183,7 +184,7 @@ def _fused(
     views: Sequence[SmallView], seen: Sequence[Sequence[NDArray[np.int32]]], slab: _Slab, grain: Grain,
     progress: Progress,
 ) -> Surface:  # fmt: skip
-    """The zero level within a slab. The blocks beside it are fused, too: its outermost voxels need them."""
+    """Return the zero level within a slab. Blocks beside it are fused, too, as its outermost voxels need them."""
     import open3d.core
     import open3d.t.geometry as geometry
 
@@ -216,15 +217,15 @@ def _fused(
 
 
 def neighbours(triangles: Ints, count: int) -> csr_matrix:
-    """Which of ``count`` vertices share an edge of a triangle [T, 3], bool [count, count]."""
+    """Return which of ``count`` vertices share an edge of a triangle [T, 3], bool [count, count]."""
     first, last = (triangles[:, corner].astype(np.int32).ravel() for corner in ((0, 1, 2), (1, 2, 0)))
     one_way = coo_matrix((np.ones(len(first), np.bool_), (first, last)), (count, count)).tocsr()
     return one_way + one_way.T
 
 
 def _smoothed(surface: Surface) -> Surface:
-    """The surface after each vertex takes the mean of itself and its neighbours. Open3D's vertices lie on the edges of
-    the grid, so grazing views leave steps: this brings the vertices nearer to the true surface."""
+    """Return the surface with each vertex moved to the mean of itself and its neighbours. Open3D's vertices lie on the
+    edges of the grid, which leaves steps where views graze: the mean is nearer to the true surface."""
     beside = neighbours(surface.triangles, len(surface.xyz)).astype(np.float32)
     size = np.asarray(beside.sum(axis=1)) + 1
     xyz, rgb, normal = (
@@ -236,7 +237,7 @@ def _smoothed(surface: Surface) -> Surface:
 
 
 def _by_slope(view: SmallView, large: NDArray[np.float32], grain: Grain) -> Iterator[tuple[NDArray[np.float32], float]]:
-    """The ``large`` depth [H, W], split by slope, with the number of voxels that each slope reaches."""
+    """Split the ``large`` depth [H, W] by slope. Yields each part and the number of voxels that it reaches."""
     if len(grain.reaches) == 1:
         yield np.where(large <= grain.farthest, large, np.float32(0)), grain.reaches[0][1]
         return
@@ -247,7 +248,7 @@ def _by_slope(view: SmallView, large: NDArray[np.float32], grain: Grain) -> Iter
 
 
 def _in_order(surface: Surface) -> Surface:
-    """The same surface with sorted vertices and triangles, as Open3D's threads return them in a varying order.
+    """Return the same surface with sorted vertices and triangles, as Open3D's threads return them in a varying order.
     Duplicate vertices, which it leaves between blocks of voxels, are merged."""
     order = np.lexsort(np.concatenate([surface.normal, surface.xyz], axis=1).T)
     xyz = surface.xyz[order]

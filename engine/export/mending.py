@@ -1,8 +1,8 @@
-"""Cleans up a fused surface and cuts it by label.
+"""Clean up a fused surface and cut it by label.
 
-Small holes are closed; floating flakes and tatters at rims are removed; crumbs are taken away from their object. The
-cut follows the smooth lines where labels change, not the triangles, so that parts meet without teeth.
-"""
+Small holes are closed; loose pieces, flaps and narrow strips at edges are removed; small pieces far from their object
+lose its label. The cut follows the smooth lines where labels change, not the triangles, so that parts meet without
+teeth."""
 
 from __future__ import annotations
 
@@ -36,8 +36,9 @@ KEYS = 1 << 32
 
 
 def close_holes(surface: Surface, label: Ints, largest: float = HAND) -> tuple[Surface, Ints]:
-    """The surface and its vertices' labels [V] with a fan around a new central vertex in each hole of at most the
-    ``largest`` size in metres. A hole is a ring of open edges that the surface surrounds; rims of scraps stay open."""
+    """Close holes of at most the ``largest`` size in metres, each with a fan of triangles around a new central vertex.
+    Returns the surface and its vertices' labels [V]. A hole is a ring of open edges that the surface surrounds; rims of
+    small loose pieces stay open."""
     rim = open_edges(surface.triangles)
     if not len(rim):
         return surface, label
@@ -46,7 +47,7 @@ def close_holes(surface: Surface, label: Ints, largest: float = HAND) -> tuple[S
     _, ring, count = np.unique(ring, return_inverse=True, return_counts=True)
 
     def mean(values: NDArray[np.generic]) -> NDArray[np.float64]:
-        """Mean over each hole's rim vertices."""
+        """Return the mean of values [rim vertices, ...] over each hole's rim."""
         sums = [np.bincount(ring, column, len(count)) for column in values[rim[:, 0]].T]
         return np.stack(sums, axis=-1) / count[:, None]
 
@@ -63,7 +64,7 @@ def close_holes(surface: Surface, label: Ints, largest: float = HAND) -> tuple[S
 
 
 def without_flakes(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
-    """The surface and its vertices' labels [V] without isolated pieces smaller than FLAKE."""
+    """Return the surface and its vertices' labels [V] without isolated pieces smaller than FLAKE metres."""
     piece = pieces(surface.triangles, len(surface.xyz))
     of_triangle = piece[surface.triangles[:, 0]]
     area = np.bincount(of_triangle, _areas(surface.xyz, surface.triangles), len(surface.xyz))
@@ -72,7 +73,7 @@ def without_flakes(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
 
 
 def without_flaps(surface: Surface, label: Ints, views: Sequence[SmallView], steepest: float = STEEPEST) -> Labelled:
-    """The surface and its vertices' labels [V] without what stands off: vertices that more views look through than
+    """The surface and its vertices' labels [V] without vertices that stand off: those that more views look through than
     see, and those that no view sees from in front, less steeply than ``steepest``, the cosine towards the view."""
     front, seen, through = np.full(len(label), -1.0, np.float32), *np.zeros((2, len(label)), np.int64)
     around = np.ones((3, 3), np.uint8)
@@ -94,7 +95,7 @@ def without_flaps(surface: Surface, label: Ints, views: Sequence[SmallView], ste
 
 def without_fringe(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
     """The surface and its vertices' labels [V] without strips narrower than twice FRINGE vertices between open edges,
-    which views leave where one surface hides another. Tubes have no open edges, and THIN labels keep theirs."""
+    which views leave where one surface hides another. Tubes have no open edges, and THIN labels keep their strips."""
     near = np.zeros(len(label), np.bool_)
     near[open_edges(surface.triangles)] = True
     within = _grown(~_grown(near, surface.triangles, FRINGE - 1), surface.triangles, FRINGE)
@@ -106,7 +107,7 @@ def without_fringe(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
 
 
 def _grown(marked: NDArray[np.bool_], triangles: Ints, rounds: int) -> NDArray[np.bool_]:
-    """The vertices [V] that are at most this many edges from those ``marked`` [V]."""
+    """Return which vertices are at most ``rounds`` edges away from those ``marked``, bool [V]."""
     marked = marked.copy()
     for _ in range(rounds):
         marked[triangles[marked[triangles].any(axis=1)]] = True
@@ -114,7 +115,7 @@ def _grown(marked: NDArray[np.bool_], triangles: Ints, rounds: int) -> NDArray[n
 
 
 def _rings(surface: Surface, rim: Ints, largest: float) -> tuple[Ints, NDArray[np.bool_]]:
-    """The ring of each open edge [E], and whether each ring [R] is a hole to close."""
+    """Return the number of each open edge's ring, [E], and which of the rings, [R], are holes to close."""
     count = len(surface.xyz)
     number = pieces(rim, count)
     _, ring = np.unique(number[rim[:, 0]], return_inverse=True)
@@ -129,7 +130,7 @@ def _rings(surface: Surface, rim: Ints, largest: float) -> tuple[Ints, NDArray[n
 
 
 def open_edges(triangles: Ints) -> Ints:
-    """The edges [E, 2] with a triangle on only one side, directed as in that triangle [T, 3]."""
+    """The edges [E, 2] with a triangle on only one side, in the direction that they have in that triangle [T, 3]."""
     if not len(triangles):
         return np.empty((0, 2), np.int64)
     first, last = triangles.ravel(), triangles[:, [1, 2, 0]].ravel()
@@ -139,7 +140,7 @@ def open_edges(triangles: Ints) -> Ints:
 
 
 def even_rim(surface: Surface) -> NDArray[np.float32]:
-    """The positions [V, 3] of the vertices, with the rim smoothed along itself, so that it has no teeth."""
+    """Return the vertices' positions [V, 3] with open edges smoothed along themselves, so that they have no teeth."""
     xyz, rim = surface.xyz.copy(), open_edges(surface.triangles)
     rim = np.concatenate([rim, rim[:, ::-1]])
     count = np.bincount(rim[:, 0], minlength=len(xyz))
@@ -150,10 +151,10 @@ def even_rim(surface: Surface) -> NDArray[np.float32]:
 
 
 def without_crumbs(surface: Surface, label: Ints, is_stuff: NDArray[np.bool_], least: int = 0) -> Ints:
-    """The labels [V] without crumbs: small pieces of a label's mesh far from its large ones, and scraps. A crumb gets
-    the label that most of its neighbours on the surface have, and 0 without any. Stuff, marked by ``is_stuff`` [V], is
-    naturally in pieces, such as the wall between two pictures: only its smallest pieces are crumbs. So are pieces of
-    less than the ``least`` number of triangles, unless they are the largest."""
+    """Return the labels [V] without crumbs: small pieces of a label's mesh that are far from its large ones, or tiny. A
+    crumb gets the label that most of its neighbours on the surface have, and 0 without any. Stuff, marked by
+    ``is_stuff`` [V], is naturally in pieces, such as the wall between two pictures: only its smallest pieces are
+    crumbs. So are pieces of fewer than ``least`` triangles, unless they are the largest."""
     number, crumbs, stays = np.full(len(label), -1, np.int64), 0, np.zeros(len(label), np.bool_)
     for value, rows in rows_by_label(surface.triangles, label).items():
         if value == 0:
@@ -179,7 +180,7 @@ def without_crumbs(surface: Surface, label: Ints, is_stuff: NDArray[np.bool_], l
 
 
 def most_frequent(group: Ints, label: Ints, groups: int) -> Ints:
-    """The label that most members [N] of each group have, [groups]; 0 for a group without members."""
+    """The most frequent label in each of ``groups`` groups, [groups], from members' group and label [N]; 0 for none."""
     known, index = np.unique(label, return_inverse=True)
     pairs, count = np.unique(group * max(len(known), 1) + index, return_counts=True)
     pairs = pairs[np.argsort(count, kind="stable")]  # so that the most frequent is written last
@@ -189,14 +190,14 @@ def most_frequent(group: Ints, label: Ints, groups: int) -> Ints:
 
 
 def pieces(joined: Ints, count: int) -> Ints:
-    """The connected piece [count] of each vertex; each row of ``joined`` [N, 2 or 3] connects its vertices."""
+    """The connected piece [count] of each vertex, as a number. Rows of ``joined`` [N, 2 or 3] connect vertices."""
     first, last = joined[:, :-1].ravel(), joined[:, 1:].ravel()
     graph = coo_matrix((np.ones(len(first), np.int8), (first, last)), (count, count))
     return connected_components(graph, directed=False)[1].astype(np.int64)
 
 
 def _extents(xyz: NDArray[np.float32], group: Ints) -> NDArray[np.float32]:
-    """The size [G, 3] of the box around each group's points."""
+    """Return the size [G, 3] of the box around each group's points; ``group`` [N] is that of each of ``xyz`` [N, 3]."""
     order = np.argsort(group, kind="stable")
     starts = np.flatnonzero(np.diff(group[order], prepend=-1))
     return np.maximum.reduceat(xyz[order], starts) - np.minimum.reduceat(xyz[order], starts)
@@ -212,7 +213,7 @@ _MARGIN = 0.15  # minimum share of an edge on each side of a cut: slivers would 
 
 
 def even_labels(triangles: Ints, label: Ints) -> Ints:
-    """The labels [V] smoothed: each vertex takes the prevailing label around it, without lone vertices or jags."""
+    """The labels [V] smoothed: a vertex takes the prevailing label around it, so lone vertices and jags vanish."""
     known, index = np.unique(label, return_inverse=True)
     shares = _shares(triangles, index, len(known)).tocoo()
     order = np.lexsort([shares.data, shares.row])
@@ -222,8 +223,8 @@ def even_labels(triangles: Ints, label: Ints) -> Ints:
 
 
 def cut_by_label(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
-    """The surface cut where its labels [V] change, and the new labels. Each side has its own vertices along the cut, at
-    the same positions, so that the corners of a triangle share one label. Rims are smooth."""
+    """Cut the surface where its labels [V] change. Returns it with new labels. Each side has its own vertices along the
+    cut, at the same positions, so that the corners of a triangle share one label. Rims are smooth."""
     corners, count = label[surface.triangles], len(label)
     alike = (corners == np.roll(corners, -1, axis=1)).sum(axis=1)  # 3: all alike, 1: two, 0: none
     two, three = surface.triangles[alike == 1], surface.triangles[alike == 0]
@@ -264,7 +265,7 @@ def cut_by_label(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
 
 
 def _along(triangles: Ints, label: Ints, own: Ints, other: Ints) -> NDArray[np.float64]:
-    """Where on each edge, from its ``own`` vertex [E] to the ``other``, both labels are equally strong, 0 to 1."""
+    """Return where between the ends ``own`` (0) and ``other`` (1) of edges [E] both labels are equally strong, [E]."""
     if not len(own):
         return np.zeros(0)
     known, index = np.unique(label, return_inverse=True)
@@ -277,15 +278,14 @@ def _along(triangles: Ints, label: Ints, own: Ints, other: Ints) -> NDArray[np.f
 
 
 def around_vertices(triangles: Ints, count: int) -> csr_matrix:
-    """The matrix that takes the mean of the neighbours' values for each vertex, [count, count]."""
+    """Return the sparse matrix [count, count] that averages the neighbours' values for each vertex."""
     beside = neighbours(triangles, count).astype(np.float64)
     return diags(1.0 / np.maximum(np.asarray(beside.sum(axis=1)).ravel(), 1.0)) @ beside
 
 
 def numbered(group: Ints, kind: Ints, groups: int) -> tuple[Ints, Ints]:
-    """Number the different pairs of a group and a kind (0 or more). Returns the number of each of the pairs [N], and
-    the group that each number belongs to. Most groups have one kind, so only pairs of other kinds than their group's
-    last are sorted."""
+    """Number the different pairs of a group and a kind (0 or more). Returns the number of each pair, [N], and the group
+    of each number. Most groups have one kind, so only pairs of other kinds than their group's last are sorted."""
     usual = np.full(groups, -1, np.int64)
     usual[group] = kind
     is_usual = usual[group] == kind
@@ -300,7 +300,7 @@ def numbered(group: Ints, kind: Ints, groups: int) -> tuple[Ints, Ints]:
 
 
 def _shares(triangles: Ints, index: Ints, known: int) -> csr_matrix:
-    """The share of each label around each vertex, [V, known], with sum 1."""
+    """Return the share of each label among a vertex and its neighbours, [V, known]; rows sum to 1."""
     count = len(index)
     around = around_vertices(triangles, count)
     shares = csr_matrix((np.ones(count), (np.arange(count), index)), (count, known))

@@ -1,9 +1,9 @@
-"""The lifted scene as meshes: rendered depth fused into one surface, cut into one mesh per instance and stuff class.
+"""Export the lifted scene as meshes: rendered depth is fused into one surface, and cut into one mesh for each instance
+and stuff class.
 
 One truncated signed distance field collects all views (`fusion`). Each view then votes on the labels of the vertices
 that it sees. `mending` closes small holes, removes pieces far from their object, and cuts along the lines where labels
-change. The meshes are written as binary glTF 2.0 by our own writer, as open3d's leaves the buffer out.
-"""
+change. The meshes are written as binary glTF 2.0 by our own writer, as open3d's leaves the buffer out."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Part:
     picture: NDArray[np.uint8] | None = None
 
     def with_seams(self) -> tuple[Part, NDArray[np.float32]]:
-        """The same with one picture position per vertex, float32 [V, 2]; vertices at seams are duplicated."""
+        """Return the mesh with one texture coordinate per vertex, float32 [V, 2]; vertices at seams are duplicated."""
         assert self.uv is not None
         corners = np.ascontiguousarray(self.uv.reshape(-1, 2), np.float32)
         number, at = numbered(self.triangles.reshape(-1), corners.view(np.int64).ravel(), len(self.xyz))
@@ -78,8 +78,8 @@ GENERATOR = "PLGS for Blender"  # the generator named in each file
 
 
 def glb_bytes(parts: Sequence[Part]) -> bytes:
-    """A node and a mesh for each part, in glTF's axes (y up). A node's ``extras`` have its class and its ids. Parts
-    without pictures have colours at their vertices, which glTF would multiply with a picture."""
+    """A GLB file with a node and a mesh for each part, in glTF's axes (y up). A node's ``extras`` hold its class and
+    ids. Parts without pictures have vertex colours; the others do not, as glTF would multiply them with the picture."""
     buffer = GlbBuffer()
     nodes: list[dict[str, Any]] = []
     meshes: list[dict[str, Any]] = []
@@ -109,20 +109,20 @@ def glb_bytes(parts: Sequence[Part]) -> bytes:
 
 
 class GlbBuffer:
-    """The buffer of a GLB file, with its ``views`` and accessors."""
+    """The binary buffer of a GLB file, with its ``views`` and accessors."""
 
     def __init__(self) -> None:
         self.views, self._accessors, self._body = list[dict[str, int]](), list[dict[str, Any]](), bytearray()
 
     def add(self, data: bytes) -> int:
-        """Append bytes, and return the index of their view."""
+        """Append bytes and return the index of their buffer view."""
         self.views.append({"buffer": 0, "byteOffset": len(self._body), "byteLength": len(data)})
         self._body += data
         return len(self.views) - 1
 
     def add_array(self, values: NDArray[Any], code: int, dtype: str, target: int) -> int:
-        """Append an array [N] or [N, K], with glTF's codes for its type and use, and return the index of its
-        accessor."""
+        """Append an array [N] or [N, K] and return the index of its accessor. ``code`` and ``target`` are glTF's codes
+        for its type and use."""
         kind = "SCALAR" if values.ndim == 1 else f"VEC{values.shape[1]}"
         view = self.add(np.ascontiguousarray(values, dtype).tobytes())
         self.views[view]["target"] = target
@@ -130,7 +130,8 @@ class GlbBuffer:
         return len(self._accessors) - 1
 
     def add_vertices(self, arrays: Mapping[str, NDArray[Any]]) -> dict[str, int]:
-        """Add attributes float32 [N] or [N, K]. Returns their accessors; glTF wants the limits of POSITION."""
+        """Append vertex attributes, float32 [N] or [N, K]. Returns their accessors; POSITION gets limits, as glTF
+        asks."""
         found = {name: self.add_array(values, FLOAT, "<f4", VERTICES) for name, values in arrays.items()}
         xyz = arrays["POSITION"]
         limits = {"min": xyz.min(axis=0).tolist(), "max": xyz.max(axis=0).tolist()}
@@ -138,7 +139,7 @@ class GlbBuffer:
         return found
 
     def file(self, nodes: Sequence[Any], meshes: Sequence[Any], more: Mapping[str, Any]) -> bytes:
-        """A GLB file of one scene with these nodes and meshes, ``more`` keys of glTF's JSON, and this buffer."""
+        """A GLB file of one scene with these nodes and meshes, the keys ``more`` in glTF's JSON, and this buffer."""
         about = {"asset": {"version": "2.0", "generator": GENERATOR}, "scene": 0}
         shown = {"scenes": [{"nodes": list(range(len(nodes)))}], "nodes": nodes, "meshes": meshes}
         own = {"buffers": [{"byteLength": len(self._body)}], "bufferViews": self.views, "accessors": self._accessors}
@@ -148,7 +149,7 @@ class GlbBuffer:
 
 
 def upright(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """From z up to glTF's y up."""
+    """Rotate positions or directions [N, 3] from z up to glTF's y up."""
     return np.ascontiguousarray(values[:, (0, 2, 1)] * np.array([1, 1, -1], np.float32), "<f4")
 
 
@@ -169,7 +170,7 @@ MOST_INSTANCES = 1 << 16  # factor of the class in a label, which is class * thi
 
 def export_mesh(lift: FinishedLift, output: Path) -> None:
     """Write mesh.ply, the whole surface with class_id and instance_id of every vertex, and meshes/<name>.glb, one per
-    instance and stuff class (glTF's axes, y up). Raises PlgsError where no surface was rendered, OSError."""
+    instance and stuff class (glTF's axes, y up). Raises PlgsError if no surface was rendered, OSError."""
     surface, label, texture = finished(lift)
     write_surface(lift, output / "mesh.ply", surface, label)
     for part in watched(_cut(lift, surface, label, texture), lift.part(TEXTURED, 1.0)):
@@ -180,7 +181,7 @@ def export_mesh(lift: FinishedLift, output: Path) -> None:
 def write_surface(
     lift: FinishedLift, path: Path, surface: Surface, label: NDArray[np.int64], texture: Texture | None = None
 ) -> None:
-    """Write a labelled surface [V] as PLY, and its texture as pictures/CLASS_INSTANCE.jpg by ids. Raises OSError."""
+    """Write a surface and its labels [V] as PLY, and its texture as pictures/CLASS_INSTANCE.jpg. Raises OSError."""
     class_id, instance_id = np.divmod(label, MOST_INSTANCES)
     columns = {
         **columns_of("x y z", surface.xyz),
@@ -198,13 +199,13 @@ def write_surface(
 
 
 def export_gltf(lift: FinishedLift, output: Path) -> None:
-    """Write lift.glb: the named meshes of the wanted objects and stuff in one file. Raises as ``export_mesh``."""
+    """Write lift.glb: the meshes of the wanted objects and stuff in one file, by name. Raises like ``export_mesh``."""
     write_atomically(output / "lift.glb", glb_bytes(watched(parts_of(lift), lift.part(TEXTURED, 1.0))))
     lift.progress(1, 1)
 
 
 def parts_of(lift: FinishedLift) -> list[Part]:
-    """The meshes of the wanted instances and stuff classes. Raises PlgsError if there are none, OSError."""
+    """Return the meshes of the wanted instances and stuff classes. Raises PlgsError if there are none, OSError."""
     parts = _cut(lift, *finished(lift))
     parts = [each for each in parts if lift.wants(each.class_id, each.instance_id)]
     if not parts:
@@ -214,7 +215,7 @@ def parts_of(lift: FinishedLift) -> list[Part]:
 
 
 def _cut(lift: FinishedLift, surface: Surface, label: NDArray[np.int64], texture: Texture | None) -> list[Part]:
-    """Cut a labelled surface into one mesh for each label, with its picture. Scraps are left out."""
+    """Cut a labelled surface into one mesh for each label, with its picture. Pieces too small to keep are left out."""
     names, parts = label_names(np.unique(label), lift.classes, lift.instances.names), []
     for value, rows in rows_by_label(surface.triangles, label).items():
         if value in names and len(rows) >= LEAST_TRIANGLES:
@@ -244,7 +245,7 @@ def finished(lift: FinishedLift) -> tuple[Surface, NDArray[np.int64], Texture | 
 
 
 def refuse_none(lift: FinishedLift, surface: Surface) -> None:
-    """Raises PlgsError for a surface without triangles."""
+    """Raise PlgsError for a surface without triangles."""
     if not len(surface.triangles):
         fix = "Export more frames, or lift the scene with better depth."
         raise PlgsError("no-surface", "the rendered views show no surface", lift.folder.path, fix)
@@ -253,7 +254,7 @@ def refuse_none(lift: FinishedLift, surface: Surface) -> None:
 def mended(
     surface: Surface, label: NDArray[np.int64], largest: float = HAND, progress: Progress = unwatched
 ) -> tuple[Surface, NDArray[np.int64]]:
-    """The surface and its labels with holes up to the ``largest`` closed, without fringes and crumbs."""
+    """The surface and its labels [V] with holes up to ``largest`` metres closed, and without loose and tiny pieces."""
     progress(0, 5)
     surface, label = close_holes(surface, label, largest)
     progress(1, 5)
@@ -267,7 +268,7 @@ def mended(
 
 
 def views_of(lift: FinishedLift, width: int, most: int, progress: Progress = unwatched) -> list[SmallView]:
-    """At most ``most`` of the lift's views, scaled for fusion. Raises PlgsError, OSError."""
+    """Return at most ``most`` of the lift's views, scaled to ``width`` pixels for fusion. Raises PlgsError, OSError."""
     expect_memory(lift, width, most)
     views = []
     for frame, camera, layers in lift.small_views(width, most, progress):
@@ -291,8 +292,8 @@ def expect_memory(lift: FinishedLift, width: int, most: int) -> None:
 
 
 def sharpened(depth: NDArray[np.float32], measured: NDArray[np.float32]) -> NDArray[np.float32]:
-    """A rendered depth [H, W] in metres, replaced by the measured one where that lies among the rendered depths nearby:
-    rendered depth is blurred at outlines, and measured depth may be wrong."""
+    """Return a rendered depth [H, W] in metres, with measured values wherever these lie within the range of the
+    rendered depths around. Rendered depth is blurred at outlines, and measured depth may be wrong."""
     around = np.ones((_AROUND, _AROUND), np.uint8)
     nearest = cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), around)  # 0 means none, not near
     off = np.maximum(_OFF, _OFF_SHARE * measured)
@@ -301,8 +302,8 @@ def sharpened(depth: NDArray[np.float32], measured: NDArray[np.float32]) -> NDAr
 
 
 def vertex_labels(xyz: NDArray[np.float32], views: Sequence[SmallView], times: int = 1) -> NDArray[np.int64]:
-    """The label that most views show at each vertex, int64 [V]; 0 for none. A view counts if its depth,
-    enlarged by ``times``, matches the vertex."""
+    """Return the label that most views show at each vertex, int64 [V]; 0 for none. A view counts if its depth, enlarged
+    ``times`` times, agrees with the vertex."""
     votes = []
     for view in views:
         vertex, pixel, depth = view.camera.seen(xyz)
@@ -318,7 +319,7 @@ def vertex_labels(xyz: NDArray[np.float32], views: Sequence[SmallView], times: i
 
 
 def label_names(labels: NDArray[np.int64], classes: ClassTable, instances: Mapping[int, str]) -> dict[int, str]:
-    """File names of the labels: an instance's own, or that of the class where there is no instance. Void has none."""
+    """Return labels' file names: the instance's or, without one, the class's. Void has none."""
     names = {}
     for value in labels.tolist():
         class_id, instance = divmod(value, MOST_INSTANCES)

@@ -1,4 +1,4 @@
-"""Exports a lift's labelled points and Gaussians as PLY, and the objects' oriented boxes as JSON and as a table."""
+"""Export a lift's labelled points and Gaussians as PLY, and the objects' oriented boxes as JSON and as a table."""
 
 from __future__ import annotations
 
@@ -60,10 +60,10 @@ def export_points(lift: FinishedLift, output: Path) -> None:
 
 
 def export_splats(lift: FinishedLift, output: Path) -> None:
-    """Write splats.ply: the wanted Gaussians as the authors of 3D Gaussian Splatting write them (colour as spherical
+    """Write splats.ply: the Gaussians to export as the authors of 3D Gaussian Splatting write them (colour as spherical
     harmonics of degree 0, logit of opacity, logarithm of scale, rotation wxyz), with class_id and instance_id, all
-    floats. splats.spz, in the same order without ids, and splats.glb: see `splat_files`. labels.json names ids. Raises
-    PlgsError, OSError."""
+    floats. Also write splats.spz, in the same order without ids, splats.glb (see `splat_files`), and labels.json with
+    the ids' meaning. Raises PlgsError, OSError."""
     rows = lift.splats
     if lift.warn is not None:
         lost = left_out(lift.folder.result_path / "gaussians.ply")
@@ -82,8 +82,7 @@ def export_splats(lift: FinishedLift, output: Path) -> None:
 
 
 def export_clouds(lift: FinishedLift, output: Path) -> None:
-    """Write <name>.npz: what each camera sees of the lift, as semantic points in the world. Raises PlgsError,
-    OSError."""
+    """Write <name>.npz for each camera: the semantic points of the lift that it sees. Raises PlgsError, OSError."""
     for name, camera, layers in lift.shown("combined", "depth", "semantic", "instance", "confidence"):
         height, width = layers.depth.shape
         seen = (layers.combined[..., 3] >= LEAST_COVERAGE) & (layers.depth > 0)
@@ -93,7 +92,8 @@ def export_clouds(lift: FinishedLift, output: Path) -> None:
 
 
 def point_normals(xyz: NDArray[np.float32], centres: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Unit normals of points [N, 3] from their neighbours, towards the nearest camera centre [F, 3], float32 [N, 3]."""
+    """Unit normals of points [N, 3] from their neighbours, facing the nearest camera of ``centres`` [F, 3], float32 [N,
+    3]."""
     from open3d.geometry import KDTreeSearchParamKNN, PointCloud
     from open3d.utility import Vector3dVector
     from scipy.spatial import KDTree

@@ -1,4 +1,4 @@
-"""One export from end to end."""
+"""Run one export from end to end."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def export(
     objects: Sequence[str] = (),
     warn: Callable[[str], object] | None = None,
 ) -> None:
-    """Write ``frames`` ("test", "all", names) of a finished lift as ``kind`` (of KINDS) into the folder ``output``.
+    """Write ``frames`` ("test", "all", names) of a finished lift as ``kind`` (one of KINDS) into the folder ``output``.
     With a file of ``cameras``, which only clouds support, write what these see instead. The formats BY_OBJECT can be
     limited to ``objects`` with these names (instances or classes). The folder must be new or empty, or hold this very
     export, complete or not; one in the lift's own folder ``exports`` may hold any export. Only files of the earlier

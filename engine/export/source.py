@@ -30,7 +30,7 @@ from ..scene_of_lift import scene_of_lift
 
 @dataclass(frozen=True, eq=False)
 class FinishedLift:
-    """A lift, and its frames to export. Each attribute is read on first use, which may raise PlgsError or OSError."""
+    """A finished lift and its frames to export. Attributes are read on first use; it may raise PlgsError or OSError."""
 
     folder: LiftFolder
     names: Sequence[str]
@@ -47,7 +47,7 @@ class FinishedLift:
 
     @cached_property
     def has_photos(self) -> bool:
-        """Whether the scene is available; without, a surface shows the lift's colours, and a warning says so."""
+        """Whether the scene is available. Without it, a surface shows the lift's colours, and a warning says so."""
         found = os.path.exists(self.folder.request.scene)
         if not found and self.warn is not None:
             self.warn(f"The surface has no pictures: its scene is not at {self.folder.request.scene}.")
@@ -68,12 +68,12 @@ class FinishedLift:
 
     @cached_property
     def listed(self) -> tuple[Instance, ...]:
-        """The wanted instances, with corrections."""
+        """The instances to export, after corrections."""
         return tuple(each for each in self.corrected.instances if self.wants(each.class_id, each.id))
 
     @cached_property
     def _wanted(self) -> tuple[frozenset[int], frozenset[int]]:
-        """The ids of all classes and all instances with a wanted name. Raises PlgsError for an unknown name."""
+        """The ids of the classes and instances that the user named. Raises PlgsError for an unknown name."""
         of_class = {each.id: each.name.casefold() for each in self.classes.categories}
         of_instance = {number: name.casefold() for number, name in self.instances.names.items()}
         unknown = [name for name in self.objects if name.casefold() not in {*of_class.values(), *of_instance.values()}]
@@ -93,7 +93,7 @@ class FinishedLift:
 
     @cached_property
     def splats(self) -> NDArray[np.void]:
-        """The wanted Gaussians by the columns of gaussians.ply, [N], with their corrected labels."""
+        """The Gaussians to export as rows of gaussians.ply, [N], with their corrected labels."""
         rows = self.corrected.splats(read_gaussians(self.folder.result_path / "gaussians.ply"))
         if not self.objects:
             return rows
@@ -114,11 +114,12 @@ class FinishedLift:
 
     @cached_property
     def shots(self) -> list[WantedView]:
-        """The cameras of the file, or none."""
+        """The views of the cameras in the file that the user gave; none without one."""
         return [] if self.cameras is None else [view_from(camera) for camera in read_cameras(self.cameras)]
 
     def shown(self, *wanted: str) -> Iterator[tuple[str, Camera, PanopticLayers]]:
-        """The views of the cameras in the file, else of the frames, with the ``wanted`` layers (none: all)."""
+        """Yield name, camera and layers of each view: those of the cameras in the file, else of the frames. ``wanted``
+        names the layers (none: all)."""
         if self.cameras is None:
             yield from ((frame.name, frame.camera, layers) for frame, layers in self.views(*wanted))
         for number, view in enumerate(self.shots, start=1):
@@ -126,7 +127,8 @@ class FinishedLift:
             self.progress(number, len(self.shots))
 
     def views(self, *wanted: str) -> Iterator[tuple[Frame, PanopticLayers]]:
-        """Every frame as the lift shows it, at its own size, with the ``wanted`` layers (none: all)."""
+        """Yield every frame with its layers in the lift, at the frame's own size. ``wanted`` names layers (none:
+        all)."""
         result = self.folder.result_path
         listed = {result / file.path: file for file in read_manifest(result).files}
         names = names_of_files(self.folder)
@@ -144,11 +146,11 @@ class FinishedLift:
             self.progress(number, len(self.frames))
 
     def part(self, begin: float, end: float) -> Progress:
-        """The progress of the part of the export from one share of it to another, in percent."""
+        """Return the progress callback for the part of the export between two shares (0..1) of it, in percent."""
         return part_of(self.progress, begin, end, 100)
 
     def small_views(self, width: int, most: int, progress: Progress) -> Iterator[tuple[Frame, Camera, PanopticLayers]]:
-        """At most ``most`` frames, evenly spread, as the lift shows them at no more than this width."""
+        """Yield at most ``most`` frames, evenly spread, with camera and layers, drawn at most ``width`` pixels wide."""
         chosen = evenly_spread(self.frames, most)
         for number, frame in enumerate(chosen, start=1):
             shrunk = min(1.0, width / frame.camera.width)
@@ -158,7 +160,7 @@ class FinishedLift:
 
 
 def is_corrected(baked: Path, corrections: str) -> bool:
-    """Whether baked passes show these corrections. Damaged files count as corrected, as their reader reports them."""
+    """Whether baked passes show these corrections. Damaged files count as if they did; their reader reports them."""
     try:
         return (read_note(baked, CORRECTIONS_NOTE) or "") == corrections
     except ValueError:

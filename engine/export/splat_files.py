@@ -1,4 +1,4 @@
-"""Gaussians in formats other than PLY: SPZ, and glTF with KHR_gaussian_splatting. Both have y up."""
+"""Write Gaussians in formats other than PLY: SPZ, and glTF with KHR_gaussian_splatting. Both have y up."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ _COLOUR_SPACE = "srgb_rec709_display"
 
 
 def columns(rows: NDArray[np.void], names: str) -> NDArray[np.float32]:
-    """Columns of a splat file, float32 [N, K], by their names."""
+    """Return columns of a splat file by their names (separated by blanks), float32 [N, K]."""
     return np.stack([rows[name] for name in names.split()], axis=1).astype(np.float32)
 
 
 def opacities(rows: NDArray[np.void]) -> NDArray[np.float32]:
-    """Opacity from 0 to 1, float32 [N]."""
+    """Return the opacity from 0 to 1 of each Gaussian, float32 [N]."""
     return (1 / (1 + np.exp(-rows["opacity"].astype(np.float64)))).astype(np.float32)
 
 
 def unit_turns(rows: NDArray[np.void]) -> NDArray[np.float32]:
-    """Unit quaternions in the order w, x, y, z, float32 [N, 4]."""
+    """Return the rotations as unit quaternions in the order w, x, y, z, float32 [N, 4]."""
     turns = columns(rows, "rot_0 rot_1 rot_2 rot_3")
     return turns / np.maximum(np.linalg.norm(turns, axis=1, keepdims=True), np.float32(1e-12))
 
 
 def _upright_turns(rows: NDArray[np.void]) -> NDArray[np.float32]:
-    """Unit quaternions in the order x, y, z, w, float32 [N, 4], of a world with y up: turned by -90 degrees about x."""
+    """Return the rotations in a world with y up, as unit quaternions in the order x, y, z, w, float32 [N, 4]."""
     w, x, y, z = unit_turns(rows).T
     return np.float32(_MOST_OF_THREE) * np.stack([x - w, y + z, z - y, w + x], axis=1)
 
 
 def spz_bytes(rows: NDArray[np.void]) -> bytes:
-    """A file of SPZ version 3 (github.com/nianticlabs/spz): x right, y up, z backward, colours of degree 0."""
+    """Return an SPZ file, version 3 (github.com/nianticlabs/spz): x right, y up, z backward, colours of degree 0."""
     steps = np.rint(upright(columns(rows, "x y z")).astype(np.float64) * (1 << _FRACTIONAL_BITS))
     whole = np.clip(steps, -(1 << 23), (1 << 23) - 1).astype("<i4")
     parts: list[NDArray[Any]] = [
@@ -66,7 +66,7 @@ def _bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 
 def _smallest_three(turns: NDArray[np.float32]) -> NDArray[np.uint32]:
-    """Quaternions [N, 4] in 32 bits: the index of the largest component in 2, the others as signs and magnitudes."""
+    """Encode quaternions [N, 4] in 32 bits: 2 for the index of the largest component, the rest for the others."""
     largest = np.abs(turns).argmax(axis=1)
     # q and -q are one turn, so the largest can be positive, and need not be stored
     flipped = turns * np.where(np.take_along_axis(turns, largest[:, None], 1) < 0, -1, 1)
@@ -79,8 +79,8 @@ def _smallest_three(turns: NDArray[np.float32]) -> NDArray[np.uint32]:
 
 
 def splats_glb(rows: NDArray[np.void]) -> bytes:
-    """A points primitive with KHR_gaussian_splatting. COLOR_0 is for programs that draw points; the attributes
-    _CLASS_ID and _INSTANCE_ID are ours. Requires at least one Gaussian."""
+    """Return a GLB with a points primitive and KHR_gaussian_splatting. COLOR_0 is for programs that draw points; the
+    attributes _CLASS_ID and _INSTANCE_ID are ours. At least one Gaussian is required."""
     xyz, opacity, f_dc = upright(columns(rows, "x y z")), opacities(rows), columns(rows, "f_dc_0 f_dc_1 f_dc_2")
     colour = linear(np.clip(0.5 + np.float32(SH_DEGREE_0) * f_dc, 0, 1))
     arrays: dict[str, NDArray[Any]] = {

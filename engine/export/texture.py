@@ -1,9 +1,8 @@
-"""Textures for a surface, cut out of the photos: each triangle shows the pixels of the photo that sees it best.
+"""Make textures for a surface, cut out of the photos: each triangle shows the pixels of the photo that sees it best.
 
 A simplified "Let There Be Color!" (Waechter, Moehrle, Goesele, ECCV 2014): each triangle chooses a view, and neighbours
 prefer the same one; connected triangles of one view form a chart, a rectangle of its photo; seams between charts are
-levelled by least squares, here with a linear offset for each chart.
-"""
+levelled by least squares, here with a linear offset for each chart."""
 
 from __future__ import annotations
 
@@ -39,22 +38,22 @@ _CELL = 4  # the side in pixels of the square that a triangle without a view has
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """``uv`` float32 [T, 3, 2]: each triangle corner's position in its label's picture, as fractions from the upper
-    left; ``pictures`` uint8 [H, W, 3] of each label."""
+    """A surface's texture. ``uv`` float32 [T, 3, 2] is where each triangle corner lies in its label's picture, as
+    fractions from the upper left; ``pictures`` uint8 [H, W, 3] are by label."""
 
     uv: NDArray[np.float32]
     pictures: dict[int, NDArray[np.uint8]]
 
 
 def jpeg_bytes(picture: NDArray[np.uint8]) -> bytes:
-    """An RGB picture as JPEG without chroma subsampling. Raises PlgsError if it cannot be encoded."""
+    """Encode an RGB picture as JPEG without chroma subsampling. Raises PlgsError if that fails."""
     ways = [cv2.IMWRITE_JPEG_QUALITY, 93, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
     return image_bytes(picture, ".jpg", ways=ways)
 
 
 def textured(surface: Surface, label: Ints, views: Sequence[SmallView], progress: Progress = unwatched) -> Texture:
-    """Textures of a surface with labelled vertices [V] from the photos of the ``views``. Triangles that no photo shows
-    have the colours of their vertices. Raises PlgsError if a photo cannot be read, and what ``progress`` raises."""
+    """The texture of a surface with labelled vertices [V] from the photos of the ``views``. Triangles that no photo
+    shows have their vertices' colours. Raises PlgsError if a photo cannot be read, and what ``progress`` raises."""
     frames = [view.frame for view in views if view.frame is not None]
     rating, choosing, cutting, packing = (part_of(progress, part / 4, (part + 1) / 4, 100) for part in range(4))
     quality, gains = _qualities(surface, views, frames, rating)
@@ -99,8 +98,8 @@ def textured(surface: Surface, label: Ints, views: Sequence[SmallView], progress
 
 
 class _Quality(NamedTuple):
-    """How well a view shows vertices: the ``vertices`` int32 [n] that it shows, and the ``pixels`` float32 [n] per
-    square metre in its photo there, above 0, reduced for blur and overexposure."""
+    """How well a view shows vertices: the ``vertices`` int32 [n] that it sees, and the ``pixels`` float32 [n] that its
+    photo has per square metre of surface there, above 0, reduced for blur and overexposure."""
 
     vertices: NDArray[np.int32]
     pixels: NDArray[np.float32]
@@ -109,7 +108,7 @@ class _Quality(NamedTuple):
 def _qualities(
     surface: Surface, views: Sequence[SmallView], frames: Sequence[Frame], progress: Progress
 ) -> tuple[list[_Quality], NDArray[np.float64]]:
-    """How well each view shows vertices; and how much brighter each photo is than the vertices, [N, 3]."""
+    """Return how well each view shows vertices, and how much brighter each photo is than the vertices, [N, 3]."""
     found, gains = [], np.ones((len(views), 3))
     detail = np.zeros(len(views))
     for number, (view, photo) in enumerate(zip(views, read_ahead(frames, _photo), strict=True)):
@@ -138,15 +137,15 @@ def _qualities(
 
 
 def _photo(frame: Frame) -> NDArray[np.uint8]:
-    """The photo, uint8 [H, W, 3], with black borders entirely black."""
+    """Read the photo, uint8 [H, W, 3], with black borders made entirely black."""
     photo = frame.read_colour(None)
     border = border_mask(photo)
     return np.where(border[..., None], np.uint8(0), photo) if border.any() else photo
 
 
 def _chosen(triangles: Ints, count: int, qualities: Sequence[_Quality], progress: Progress) -> Ints:
-    """The view of each triangle [T] of ``count`` vertices, -1 where none shows all its corners. A view's share of the
-    best quality is smoothed over the vertices that it shows, so that neighbours choose the same view."""
+    """The chosen view of each triangle, [T], -1 where none shows all its corners; there are ``count`` vertices. A
+    view's share of the best quality is smoothed over the vertices that it shows, so that neighbours choose the same."""
     best = np.full(count, 1e-9, np.float32)
     for vertices, pixels in qualities:
         best[vertices] = np.maximum(best[vertices], pixels)
@@ -165,7 +164,8 @@ def _chosen(triangles: Ints, count: int, qualities: Sequence[_Quality], progress
 
 
 def _charts(triangles: Ints, labels: Ints, view: Ints) -> tuple[Ints, Ints, Ints]:
-    """The chart of each triangle, -1 for none, by labels and views, [T] each; the view and label of each, [C]."""
+    """Group triangles into charts by their labels and views [T]. Returns each triangle's chart [T], -1 for none, and
+    each chart's view and label [C]."""
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     key = edges[:, 0] << 32 | edges[:, 1]
     order = np.argsort(key, kind="stable")
@@ -181,7 +181,8 @@ def _charts(triangles: Ints, labels: Ints, view: Ints) -> tuple[Ints, Ints, Ints
 
 
 def _wedges(triangles: Ints, chart: Ints) -> tuple[Ints, Ints, Ints]:
-    """Each corner's wedge, which is a vertex within a chart, [T, 3]; the vertex and the chart of each wedge [W]."""
+    """Number the wedges, which are pairs of a vertex and a chart that it is in. Returns each corner's wedge [T, 3], and
+    each wedge's vertex and chart [W]."""
     shown = chart >= 0
     wedge = np.full(triangles.shape, -1, np.int64)
     corner, own = triangles[shown].ravel(), np.repeat(chart[shown], 3)
@@ -202,7 +203,7 @@ def _boxes(pixel: NDArray[np.float64], chart: Ints, size: Ints) -> Ints:
 
 
 def _evened(photo: NDArray[np.uint8], pixel: NDArray[np.float64], rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A photo with its colours at ``pixel`` [N, 2] shifted to ``rgb`` [N, 3] on average; its details stay."""
+    """Return a photo with its colours near ``pixel`` [N, 2] shifted to ``rgb`` [N, 3] on average; its details stay."""
     height, width = photo.shape[:2]
     size = -(-width // _COARSE), -(-height // _COARSE)
     column, row = pixel.astype(np.int64).clip(0, (width - 1, height - 1)).T
@@ -218,8 +219,8 @@ def _evened(photo: NDArray[np.uint8], pixel: NDArray[np.float64], rgb: NDArray[n
 
 
 def _packed(crops: Sequence[NDArray[np.uint8]], cells: int) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """A picture with all crops, on shelves of descending height, and ``cells`` squares of _CELL pixels below; and the
-    upper left corner of each, float64 [crops + cells, 2]."""
+    """Pack all crops into one picture, in rows of descending height, and ``cells`` squares of _CELL pixels below.
+    Returns the picture, and each one's upper left corner, float64 [crops + cells, 2]."""
     area = sum(crop.shape[0] * crop.shape[1] for crop in crops) + cells * _CELL**2
     width = max(*(crop.shape[1] for crop in crops), round(np.sqrt(1.1 * area)), _CELL, 0)  # 1.1: shelves leave gaps
     corner, x, y, height = np.zeros((len(crops) + cells, 2)), 0, 0, 0
@@ -238,7 +239,7 @@ def _packed(crops: Sequence[NDArray[np.uint8]], cells: int) -> tuple[NDArray[np.
 
 
 def _fill_cells(picture: NDArray[np.uint8], corner: NDArray[np.float64], rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Draw triangles with the colours [N, 3, 3] of their corners into their cells. Returns the positions, [N, 3, 2]."""
+    """Draw triangles with corner colours [N, 3, 3] into the cells at ``corner`` [N, 2]; return their uv [N, 3, 2]."""
     offsets = np.array([[0.5, 0.5], [_CELL - 0.5, 0.5], [0.5, _CELL - 0.5]])
     y, x = np.indices((_CELL, _CELL)) / (_CELL - 1)
     mixed = np.einsum("nkc,kyx->nyxc", rgb.astype(np.float32), np.stack([1 - x - y, x, y]))

@@ -1,4 +1,4 @@
-"""A lift as one OpenUSD file: labelled Gaussians, meshes and boxes, and cameras."""
+"""Export a lift as one OpenUSD file: labelled Gaussians, meshes and boxes, and cameras."""
 
 from __future__ import annotations
 
@@ -68,8 +68,8 @@ def _add_model(stage: Usd.Stage, path: str, kind: str) -> Usd.Prim:
 
 
 def _add_component(stage: Usd.Stage, lift: FinishedLift, class_id: int, instance_id: int, what: str) -> str:
-    """Add an instance or class, if it is not there. Returns the path for its prim of this kind. Other programs show the
-    last name of a path alone, so it is unique, too."""
+    """Add the prim of an instance or class, if it does not exist. Returns the path for its child of this kind, whose
+    last name is unique, too, as other programs show only that."""
     is_object = instance_id and class_id != VOID
     group, name = ("Objects", f"object_{instance_id}") if is_object else ("Stuff", f"class_{class_id}")
     path = f"/Lift/{group}/{name}"
@@ -82,7 +82,7 @@ def _add_component(stage: Usd.Stage, lift: FinishedLift, class_id: int, instance
 
 
 def _label(prim: Usd.Prim, lift: FinishedLift, class_id: int, instance_id: int) -> None:
-    """Name an instance's or a class's prim and its labels."""
+    """Give the prim of an instance or a class its name and labels."""
     class_name = lift.classes[class_id].name if class_id in lift.classes else ""
     instance = lift.instances.names.get(instance_id, "") if class_id != VOID else ""
     prim.SetDisplayName(instance or class_name or "unlabelled")
@@ -111,12 +111,12 @@ def _add_mesh(stage: Usd.Stage, path: str, part: Part) -> Usd.Prim:
 
 
 def _picture(path: str) -> str:
-    """The file of a mesh's picture, relative to the stage."""
+    """Return the path of a mesh's picture, relative to the stage."""
     return f"pictures/{path.rpartition('/')[2]}.jpg"
 
 
 def _add_material(stage: Usd.Stage, path: str, picture: str = "") -> UsdShade.Material:
-    """A matt material with a ``picture`` for the mesh at this path; without one, it shows the display colours."""
+    """Add a matt material with a ``picture`` for the mesh at this path; without one, it shows the display colours."""
     material = UsdShade.Material.Define(stage, f"{path}/Material")
     surface = UsdShade.Shader.Define(stage, f"{path}/Material/Surface")
     reader = UsdShade.Shader.Define(stage, f"{path}/Material/Reader")
@@ -143,7 +143,7 @@ def _add_material(stage: Usd.Stage, path: str, picture: str = "") -> UsdShade.Ma
 
 
 def _add_field(stage: Usd.Stage, path: str, splats: NDArray[np.void]) -> Usd.Prim:
-    """Gaussians by the columns of a splat file. Their colours are sRGB, as in training and in all viewers."""
+    """Add Gaussians, given as rows of a splat file. Their colours are sRGB, as in training and in all viewers."""
     field = UsdVol.ParticleField3DGaussianSplat.Define(stage, path)
     Usd.ColorSpaceAPI.Apply(field.GetPrim()).CreateColorSpaceNameAttr("srgb_rec709_display")
     xyz, scales = columns(splats, "x y z"), np.exp(columns(splats, "scale_0 scale_1 scale_2"))
@@ -171,8 +171,8 @@ def _add_box(stage: Usd.Stage, path: str, one: Instance) -> Usd.Prim:
 
 
 def _add_cameras(stage: Usd.Stage, frames: Sequence[Frame]) -> bool:
-    """Add a camera for each frame, and one that moves: at a frame's time it is that frame's. Return whether these times
-    are `ascending_numbers`; otherwise they are 1, 2, …"""
+    """Add a camera for each frame, and one that moves: at a frame's time it is that frame's. Returns whether these
+    times are `ascending_numbers`; otherwise they are 1, 2, …"""
     numbers = ascending_numbers([frame.name for frame in frames])
     times = numbers or [*map(float, range(1, len(frames) + 1))]
     if times:
@@ -189,14 +189,14 @@ def _add_cameras(stage: Usd.Stage, frames: Sequence[Frame]) -> bool:
 
 
 def ascending_numbers(names: Sequence[str]) -> list[float]:
-    """The numbers in the names of frames; none if a name lacks one, or they do not ascend, as fractions of seconds."""
+    """The numbers in the names of frames; none if one is missing, or they do not ascend, as fractions of seconds."""
     numbers = [float(number) for name in names if (number := number_in(name)) is not None]
     ascend = len(numbers) == len(names) and all(one < following for one, following in pairwise(numbers))
     return numbers if ascend else []
 
 
 def _set_camera(shown: UsdGeom.Camera, camera: Camera, time: Usd.TimeCode) -> None:
-    """Set what a camera shows at a time. Its aperture is the whole picture; its offsets carry the principal point."""
+    """Set ``shown`` to a camera at a time. Its aperture is the whole picture; its offsets give the principal point."""
     # The apertures of Usd are in tenths of a unit, as the focal length is: only their ratios matter.
     shown.CreateFocalLengthAttr(FOCAL_LENGTH)
     shown.CreateHorizontalApertureAttr().Set(FOCAL_LENGTH * camera.width / camera.fx, time)

@@ -1,7 +1,5 @@
-"""The lifted scene as a surface for viewing: the room closed and coarse, its objects finer.
-
-It takes a fraction of the time of `mesh`; Blender shows it instead of splats.
-"""
+"""Export the lifted scene as a surface for viewing: the room closed and coarse, its objects finer. It takes a fraction
+of the time of `mesh`; Blender shows it instead of splats."""
 
 from __future__ import annotations
 
@@ -32,7 +30,7 @@ _RIM = 5  # side in pixels of the square around each pixel of an object that bel
 
 
 def export_surface(lift: FinishedLift, output: Path) -> None:
-    """Write mesh.ply for viewing, as `mesh.export_mesh` writes it, and its pictures. Raises PlgsError if empty,
+    """Write mesh.ply for viewing, as `mesh.export_mesh` writes it, and its pictures. Raises PlgsError if it is empty,
     OSError."""
     views = views_of(lift, WIDEST, MOST_VIEWS, lift.part(0.0, DRAWN))
     surface, label = surface_to_view(views, lift.part(DRAWN, MENDED))
@@ -43,7 +41,7 @@ def export_surface(lift: FinishedLift, output: Path) -> None:
 
 
 def surface_to_view(views: list[SmallView], progress: Progress = unwatched) -> tuple[Surface, Ints]:
-    """The surface of the views, and the label of each vertex, int64 [V]: coarse except for objects."""
+    """Return the surface of the views, coarse except for objects, and the label of each vertex, int64 [V]."""
     fusing, labelling, fusing_objects, rest = (part_of(progress, part / 4, (part + 1) / 4, 100) for part in range(4))
     room = _labelled(fuse(views, ROOM, fusing), views, WINDOW, ANY_ANGLE, labelling)
     rim, near = np.ones((_RIM, _RIM), np.uint8), []
@@ -67,7 +65,7 @@ def surface_to_view(views: list[SmallView], progress: Progress = unwatched) -> t
 def _labelled(
     surface: Surface, views: list[SmallView], largest: float, steepest: float, progress: Progress
 ) -> tuple[Surface, Ints]:
-    """The surface mended, its holes up to the ``largest`` closed, and its labels."""
+    """Return the surface mended, with holes up to ``largest`` metres closed, and its labels [V]."""
     if not len(surface.triangles):
         return surface, np.zeros(len(surface.xyz), np.int64)
     label = vertex_labels(surface.xyz, watched(views, progress), ROOM.times)
@@ -79,7 +77,7 @@ def _labelled(
 
 
 def _is_double(room: tuple[Surface, Ints], objects: tuple[Surface, Ints]) -> NDArray[np.bool_]:
-    """Which vertices [V] of the room's surface belong to an object that has its own surface there."""
+    """Return which vertices of the room's surface show an object that has its own surface there, bool [V]."""
     double = room[1] % MOST_INSTANCES > 0
     if double.any() and len(objects[0].xyz):
         is_rim = np.zeros(len(objects[0].xyz) + 1, np.bool_)
@@ -93,7 +91,7 @@ def _is_double(room: tuple[Surface, Ints], objects: tuple[Surface, Ints]) -> NDA
 
 
 def _around(surface: Surface, label: Ints, kept: NDArray[np.bool_]) -> tuple[Surface, Ints]:
-    """The triangles with a corner ``kept`` [V]. Their other corners get the label of a kept one."""
+    """Return the triangles that have a corner ``kept`` [V]. Their other corners get the label of a kept one."""
     is_kept = kept[surface.triangles]
     triangles, is_kept = (each[is_kept.any(axis=1)] for each in (surface.triangles, is_kept))
     first = np.take_along_axis(triangles, is_kept.argmax(axis=1)[:, None], axis=1)

@@ -1,1 +1,1 @@
-"""The basis of the compiled kernels: compilation for this machine, threads, memory, and vectors of sixteen numbers."""
+"""What compiled kernels need: compilation for this machine, threads, memory, and vectors of sixteen numbers."""

@@ -1,4 +1,4 @@
-"""A digest of the running code, which results and workers report."""
+"""Compute a digest of the running code, which results and workers report."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ _LOCKS = ("constraints-*.txt", "hashes-3*.txt")
 
 @cache
 def code_digest(*folders: str, root: Path = ROOT) -> str:
-    """Eight hexadecimal digits that change with the Python files and tables in ``folders`` of ``root``, and with the
-    lock files in requirements/. Raises OSError."""
+    """Return eight hexadecimal digits that change with the Python files and tables in ``folders`` of ``root``, and with
+    the lock files in requirements/. Raises OSError."""
     digest = hashlib.sha256()
     sources = [path for folder in folders for kind in _SOURCES for path in (root / folder).rglob(kind)]
     locks = [path for pattern in _LOCKS for path in (root / "requirements").glob(pattern)]

@@ -1,9 +1,8 @@
-"""``compiled``, the decorator of every kernel, and the cache of machine code.
+"""The decorator of every kernel, ``compiled``, and the cache of machine code.
 
 Numba only notices a change in a function's own file, but kernels are compiled into one another across files. So the
 cache folder is named after the text of all packages that have kernels: a new version never runs old code.
-``choose_cache_folder`` chooses where it is; the package itself may be read-only.
-"""
+``choose_cache_folder`` chooses where it is; the package itself may be read-only."""
 
 from __future__ import annotations
 
@@ -34,8 +33,8 @@ from ..user_cache import user_cache_folder
 
 
 def choose_cache_folder(name: str) -> Path:
-    """The folder ``name`` in the first safe location: the user's setting, or else the user's cache folder. If neither
-    is safe, it is a folder for this process alone. Then every start compiles again, and the log says why."""
+    """The folder ``name`` in the first safe place: the user's setting, or else the user's cache folder. If neither is
+    safe, it is a temporary folder of this process. Then kernels are compiled at every start, and the log says why."""
     setting = os.environ.get("NUMBA_CACHE_DIR")
     bases = [Path(setting).absolute()] if setting else []
     bases.append(user_cache_folder() / "plgs")
@@ -50,7 +49,7 @@ def choose_cache_folder(name: str) -> Path:
 
 
 def _make(folder: Path) -> str | None:
-    """Make the folder. Returns why kernels cannot be kept in it, or None."""
+    """Make the folder. Returns why kernels cannot be kept in it, or None if they can."""
     try:
         missing = [each for each in (folder, *folder.parents) if not each.exists()]
         for each in reversed(missing):
@@ -63,8 +62,8 @@ def _make(folder: Path) -> str | None:
 
 
 def why_unsafe(folder: Path) -> str | None:
-    """Who else could write to a folder or replace it; None if only this user and root can. Windows manages permissions
-    differently, so nothing is checked there."""
+    """Return who else could write to a folder or replace it; None if only this user and root can. Windows manages
+    permissions differently, so nothing is checked there."""
     if sys.platform == "win32":
         return None
     for each in (folder, *folder.parents, *folder.resolve().parents):  # of a link, and of what it points to
@@ -88,8 +87,8 @@ log = logging.getLogger("plgs.machine")
 
 
 def _version() -> str:
-    """A name that changes with the text of every package that has kernels, and with the versions of the compilers.
-    Whole packages are included, as kernels freeze the constants that they use."""
+    """Return a name that changes with the text of every package that has kernels, and with the versions of the
+    compilers. Whole packages are included, as kernels freeze the constants that they use."""
     digest = hashlib.sha256(f"{sys.version_info[:2]} {numba.__version__}".encode())
     texts = {source: source.read_bytes() for source in sorted(Path(__file__).parent.parent.rglob("*.py"))}
     packages = {source.parent for source, text in texts.items() if b"compiled import" in text}
@@ -103,9 +102,9 @@ CACHE_FOLDER = choose_cache_folder(f"plgs-kernels-{_version()}")
 
 
 def machine_target() -> tuple[str, str, str]:
-    """What Numba compiles for: (triple, processor, features such as "+avx2,-avx512f"). It depends on this machine and
-    on ``NUMBA_CPU_NAME``, ``NUMBA_CPU_FEATURES`` and ``NUMBA_ENABLE_AVX``. Numba separates machine code by the same
-    three values, so code for different targets never mixes."""
+    """Return what Numba compiles for: (triple, processor, features such as "+avx2,-avx512f"). It depends on this
+    machine and on ``NUMBA_CPU_NAME``, ``NUMBA_CPU_FEATURES`` and ``NUMBA_ENABLE_AVX``. Numba keeps machine code apart
+    by the same three values, so code for different targets is never mixed."""
     target: tuple[str, str, str] = cpu_target.target_context.codegen().magic_tuple()
     return target
 

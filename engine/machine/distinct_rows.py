@@ -1,4 +1,4 @@
-"""The distinct rows of an array of integers, such as the cells of a grid that points lie in."""
+"""Find the distinct rows of an array of integers, such as the cells of a grid that points lie in."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ MOST_CELLS = 2**62
 
 
 def distinct_rows(rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The distinct rows of ``rows`` int64 [N, D] in lexical order, int64 [M, D]; and the index of each row among them,
-    int64 [N]. Like ``numpy.unique`` with ``axis=0``, but ten times as fast, as each row is sorted as one number."""
+    """Return the distinct rows of ``rows`` int64 [N, D] in lexical order, int64 [M, D], and the index of each row among
+    them, int64 [N]. It returns what ``numpy.unique`` with ``axis=0`` does, ten times as fast: a row is sorted as one
+    number."""
     lowest, highest = (rows.min(axis=0), rows.max(axis=0)) if len(rows) else (np.zeros(rows.shape[1], int),) * 2
     # Python's integers, as the product may exceed an int64
     extent = [high - low + 1 for low, high in zip(lowest.tolist(), highest.tolist(), strict=True)]

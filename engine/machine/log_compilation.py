@@ -1,4 +1,4 @@
-"""Logs that kernels are being compiled, once on each machine: it takes a while, and nothing else shows it."""
+"""Log that kernels are being compiled: once on each machine this takes a while, and nothing else shows it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ log = logging.getLogger("plgs.machine")
 
 
 def log_compilation(what: str, how_long: str) -> Callable[[], None]:
-    """Log that ``what`` is being compiled, unless it was before. Call the returned function when it is done."""
+    """Log that ``what`` is being compiled, if for the first time. Call the returned function when that is done."""
     # An empty file beside the machine code records that it was compiled.
     stamp = CACHE_FOLDER / f"compiled-{what.replace(' ', '-')}-{_target()}"
     if stamp.exists():

@@ -1,7 +1,5 @@
-"""The matrix product of the rasteriser's labels and of the decoders.
-
-It computes one block of four rows and sixteen columns at a time, whose sums stay in registers.
-"""
+"""The matrix product for the rasteriser's labels and for the decoders. It computes blocks of four rows and sixteen
+columns, whose sums stay in registers."""
 
 from __future__ import annotations
 
@@ -14,7 +12,7 @@ from .vectors import WIDTH, broadcast_load, fma, get, load, store
 
 
 class Rows(NamedTuple):
-    """Row r begins at values[start + r * stride]; ``values`` is flat, contiguous float32, here and below."""
+    """A matrix: row r begins at values[start + r * stride]; ``values`` is flat, contiguous float32, here and below."""
 
     values: Array
     start: int
@@ -22,7 +20,7 @@ class Rows(NamedTuple):
 
 
 class ListedRows(NamedTuple):
-    """Row r begins at values[start + numbers[first + r] * stride]; ``numbers`` int32."""
+    """A matrix of listed rows: row r begins at values[start + numbers[first + r] * stride]; ``numbers`` int32."""
 
     values: Array
     start: int
@@ -32,7 +30,7 @@ class ListedRows(NamedTuple):
 
 
 class Factors(NamedTuple):
-    """The factor of row a of the result and row b of the source is values[start + a * across + b * along]."""
+    """The left matrix of a product: its factor for row a and source row b is values[start + a * across + b * along]."""
 
     values: Array
     start: int
@@ -41,7 +39,7 @@ class Factors(NamedTuple):
 
 
 def begin_of(rows: Any, number: int) -> int:
-    """Where a row of any of these kinds begins. Kernels use the overload below; Python itself never calls this."""
+    """Return where a row of ``Rows`` or ``ListedRows`` begins. Kernels use the overload below, Python never this."""
     raise NotImplementedError
 
 
@@ -54,8 +52,8 @@ def _begin_of(rows, number):
 
 @device_function
 def add_four_rows(out: Any, factors: Any, source: Any, a: int, c: int, count: int) -> None:
-    """Add rows ``a`` to a + 3 and columns ``c`` to c + 15 of the product. With AVX2 the sums take half the registers.
-    The sums are separate variables, because registers have no index."""
+    """Add rows ``a`` to a + 3 and columns ``c`` to c + 15 of the product to ``out``. The sums are separate variables,
+    because registers have no index; with AVX2 they take half of the registers."""
     o0, o1, o2, o3 = begin_of(out, a) + c, begin_of(out, a + 1) + c, begin_of(out, a + 2) + c, begin_of(out, a + 3) + c
     s0, s1, s2, s3 = load(out.values, o0), load(out.values, o1), load(out.values, o2), load(out.values, o3)
     values, across, at = factors.values, factors.across, factors.start + a * factors.across

@@ -1,4 +1,4 @@
-"""Threads that run compiled kernels in parallel: Python's own thread pool, as kernels release the interpreter lock."""
+"""Run compiled kernels in parallel in Python's own thread pool, as kernels release the interpreter lock."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ MOST_WORKERS = 256
 
 
 def worker_count() -> int:
-    """The number of torch's threads, at most ``MOST_WORKERS``."""
+    """Return the number of torch's threads, at most ``MOST_WORKERS``."""
     return max(1, min(torch.get_num_threads(), MOST_WORKERS))
 
 
 @contextmanager
 def one_torch_thread() -> Iterator[None]:
-    """Let torch use one thread: for arrays of a few thousand rows, to wake others takes longer than the work."""
+    """Limit torch to one thread: for a few thousand rows, waking other threads takes longer than the work."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -47,7 +47,7 @@ def parallel_for(workers: int, kernel: Callable[..., None], *arguments: Any) -> 
 
 @cache
 def _pool() -> ThreadPoolExecutor:
-    """The thread pool of this process. It starts another thread when a kernel needs one."""
+    """Return the thread pool of this process. It starts another thread when a kernel needs one."""
     return ThreadPoolExecutor(MOST_WORKERS, thread_name_prefix="plgs-worker")
 
 

@@ -1,4 +1,4 @@
-"""Sixteen float32 at a time, moved across lanes: sums of lanes, pixels to planes, rows to patches, and back."""
+"""Move float32 between the sixteen lanes of vectors: sums of lanes, pixels to planes, rows to patches, and back."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from .vectors import FLOAT, INT, INTS_IR, WIDTH, call, constant, intrinsic, lane
 
 @intrinsic
 def horizontal_sums(typing_context: Any, vectors: Any) -> Any:
-    """Lane i of the result is the sum over the lanes of vector i of a tuple of at most sixteen; the other lanes are
-    0. This is a tree of pairwise sums: neighbours are folded together until one vector is left, always in the same
-    order."""
+    """Sum the lanes of each vector in a tuple of at most sixteen. Lane i of the result is the sum of vector i; the
+    other lanes are 0. It is a tree of pairwise sums, always in the same order."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         level = list(cgutils.unpack_tuple(builder, arguments[0]))
@@ -31,7 +30,7 @@ def horizontal_sums(typing_context: Any, vectors: Any) -> Any:
 
 
 def _fold(builder: ir.IRBuilder, a: ir.Value | None, b: ir.Value | None, width: int, half: int) -> ir.Value | None:
-    """Fold vectors of groups of ``width`` partial sums each into one of groups of ``half``: a's groups, then b's."""
+    """Add up halves of groups of ``width`` partial sums. The result has groups of ``half``: those of a, then of b."""
     if a is None:
         return None
     b = constant(0.0) if b is None else b

@@ -26,7 +26,7 @@ intrinsic: Any = extending.intrinsic
 def element_pointer(
     context: Any, builder: ir.IRBuilder, array_type: types.Array, array: ir.Value, index: ir.Value
 ) -> ir.Value:
-    """A pointer to the element at this index of a contiguous array, unchecked."""
+    """Emit a pointer to the element at this index of a contiguous array. The index is not checked."""
     data = context.make_array(array_type)(context, builder, array).data
     return builder.gep(data, [index])
 
@@ -38,7 +38,7 @@ def is_flat(array: types.Type, dtype: types.Type) -> bool:
 
 @intrinsic
 def fetch_add(typing_context: Any, counter: Any) -> Any:
-    """Increase counter[0] by one atomically, and return its old value. It distributes work among threads."""
+    """Increase counter[0] by one atomically, and return its old value, so that threads can share out work."""
     if not is_flat(counter, types.int64):
         return None
 
@@ -80,7 +80,7 @@ register_model(_Vector)(_VectorModel)
 
 
 def broadcast_ir(builder: ir.IRBuilder, scalar: ir.Value) -> ir.Value:
-    """One scalar in all lanes."""
+    """Emit a vector with one scalar in all lanes."""
     single = builder.insert_element(ir.Constant(LANES_IR, ir.Undefined), scalar, INT(0))
     return builder.shuffle_vector(single, ir.Constant(LANES_IR, ir.Undefined), ir.Constant(INTS_IR, [0] * WIDTH))
 
@@ -90,13 +90,13 @@ def constant(value: float) -> ir.Constant:
 
 
 def call(builder: ir.IRBuilder, name: str, result: ir.Type, arguments: list[ir.Value]) -> ir.Value:
-    """Call one of LLVM's own functions."""
+    """Emit a call of one of LLVM's intrinsic functions."""
     signature = ir.FunctionType(result, [argument.type for argument in arguments])
     return builder.call(cgutils.get_or_insert_function(builder.module, signature, name), arguments)
 
 
 def _intrinsic(define: Any, name: str, count: int) -> Any:
-    """An intrinsic with ``count`` arguments. Numba takes their number from the signature."""
+    """Define a Numba intrinsic with ``count`` arguments, whose number Numba takes from the signature."""
     parameters = [Parameter(f"argument{number}", Parameter.POSITIONAL_OR_KEYWORD) for number in range(1 + count)]
     define.__name__, define.__signature__ = name, Signature(parameters)
     return intrinsic(define)
@@ -105,8 +105,8 @@ def _intrinsic(define: Any, name: str, count: int) -> Any:
 def _on_floats(
     name: str, result: types.Type, given: tuple[types.Type, ...], emit: Callable[..., ir.Value | None]
 ) -> Any:
-    """An operation on array[index] of a flat contiguous float32 array, unchecked. ``emit`` takes the builder, a pointer
-    to that element, and the arguments of the types ``given``."""
+    """Define an operation on array[index] of a flat contiguous float32 array; the index is not checked. ``emit`` takes
+    the builder, a pointer to that element, and the arguments of the types ``given``."""
 
     def define(typing_context: Any, array: Any, index: Any, *more: Any) -> Any:
         if not is_flat(array, types.float32) or more != given:
@@ -168,7 +168,7 @@ store_nontemporal = _on_floats("store_nontemporal", types.void, (lanes,), _past_
 
 @intrinsic
 def get(typing_context: Any, array: Any, index: Any) -> Any:
-    """array[index] of a flat contiguous array; unchecked, and no negative index."""
+    """Return array[index] of a flat contiguous array. The index is not checked and must not be negative."""
     if not is_flat(array, array.dtype):
         return None
 
@@ -180,7 +180,7 @@ def get(typing_context: Any, array: Any, index: Any) -> Any:
 
 @intrinsic
 def put(typing_context: Any, array: Any, index: Any, value: Any) -> Any:
-    """array[index] = value of a flat contiguous array, the value already of its type; unchecked."""
+    """Set array[index] of a flat contiguous array to a value of its type. The index is not checked."""
     if not is_flat(array, array.dtype):
         return None
 
@@ -193,7 +193,7 @@ def put(typing_context: Any, array: Any, index: Any, value: Any) -> Any:
 
 @intrinsic
 def prefetch(typing_context: Any, array: Any, index: Any) -> Any:
-    """Fetch the cache line of array[index] into the cache, to be read a little later; any index is harmless."""
+    """Fetch the cache line of array[index] into the cache, to be read a little later. Any index is harmless."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         pointer = builder.bitcast(element_pointer(context, builder, signature.args[0], *arguments), BYTES_IR)
@@ -204,7 +204,8 @@ def prefetch(typing_context: Any, array: Any, index: Any) -> Any:
 
 
 def of_values(name: str, result: types.Type, given: tuple[types.Type, ...], emit: Callable[..., Any]) -> Any:
-    """An operation on values alone. ``emit`` takes the builder and the values; it returns a list for a tuple."""
+    """Define an operation on values of the types ``given``. ``emit`` takes the builder and the values and returns the
+    result, for a tuple as a list."""
 
     def define(typing_context: Any, *values: Any) -> Any:
         def emit_them(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -253,7 +254,7 @@ trailing_zeros = of_values(
 
 
 def _register(function: Any, given: types.Type, result: types.Type, emit: Callable[..., ir.Value]) -> None:
-    """Define an operator on two values of the type ``given``."""
+    """Define ``function``, an operator, for two values of the type ``given``."""
 
     @type_callable(function)
     def type_of(context: Any) -> Any:
@@ -293,7 +294,7 @@ Values = list[ir.Value]
 
 
 def _powers(builder: ir.IRBuilder, exponents: Values) -> Values:
-    """Each step is done for all exponents before the next step."""
+    """Emit 2 to the power of each exponent. Each step is done for all exponents before the next step."""
     lowest, rounding = constant(_LOWEST), constant(_ROUNDING)
     exponents = [builder.select(builder.fcmp_ordered(">", a, lowest), a, lowest) for a in exponents]
     shifted = [builder.fadd(a, rounding) for a in exponents]

@@ -1,4 +1,4 @@
-"""Completes a plane's texture where no photo saw it: its labels and its light."""
+"""Complete a plane's texture where no photo saw it: its labels and its light."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ Colours = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Completed:
-    """A texture's ``colour`` [h, w, 3] and ``label`` [h, w] where it is drawn (``fill``), and its ``hole``."""
+    """A completed texture: ``colour`` [h, w, 3], ``label``, ``fill`` (where it is drawn) and ``hole``, [h, w] each."""
 
     colour: Colours
     label: NDArray[np.int32]
@@ -50,8 +50,8 @@ class Completed:
 
 
 def complete(texture: Texture, leaving: Leaving, staying: NDArray[np.floating]) -> Completed | None:
-    """Complete a texture of a plane that ``leaving`` stands on or hides, while other things with the points ``staying``
-    [N, 3] keep their shadows. None if there is nothing to draw, or too little is known."""
+    """Complete the texture of a plane that ``leaving`` stands on or hides; other things, with the points ``staying``
+    [N, 3], keep their shadows. Returns None if there is nothing to draw, or too little is known."""
     t, seen, hole = texture.texel, texture.seen, texture.hole()
     good = (distance_transform_edt(np.pad(seen, 1))[1:-1, 1:-1] > EDGE) & ~hole
     if hole.any():
@@ -78,13 +78,13 @@ def complete(texture: Texture, leaving: Leaving, staying: NDArray[np.floating]) 
 
 
 def _metres(mask: Mask, texel: float) -> NDArray[np.float64]:
-    """The distance of each texel from a mask."""
+    """Return the distance of each texel from a mask, in metres."""
     return np.asarray(distance_transform_edt(~mask) * texel)
 
 
 def completed_labels(known_label: NDArray[np.int32], hole: Mask, seen: Mask) -> NDArray[np.int32]:
-    """Labels [h, w], continued into the hole from the nearest place that photos saw. A label that fills its rectangle
-    there, such as a rug's, fills the rest of the rectangle instead, and the commonest label what is around it."""
+    """Return the labels [h, w], continued into the hole from the nearest place that photos saw. If a label fills its
+    rectangle there, as a rug does, it fills the rest of it in the hole too, and the commonest label what is around."""
     label = known_label[tuple(distance_transform_edt(~seen, return_distances=False, return_indices=True))]
     kinds, counts = np.unique(known_label[seen], return_counts=True)
     edge = binary_dilation(hole, iterations=4) & seen
@@ -101,8 +101,8 @@ def completed_labels(known_label: NDArray[np.int32], hole: Mask, seen: Mask) -> 
 
 
 def spread(values: Colours, known: Mask, sigma: float) -> Colours:
-    """``values`` [h, w, 3] blurred where they are known, and continued elsewhere: a sum of blurs, each twice as wide as
-    the one before, which counts only where those hardly reach."""
+    """Blur ``values`` [h, w, 3] where they are known, and continue them elsewhere: a sum of blurs, each twice as wide
+    as the one before, and weighted so that it counts only where the narrower ones hardly reach."""
     total, weight = np.zeros_like(values), np.full(known.shape, 1e-12, np.float32)
     shown = np.where(known[..., None], values, 0).astype(np.float32)
     for octave in range(1 + max(0, int(np.log2(max(known.shape) / sigma)))):

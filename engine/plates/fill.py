@@ -1,4 +1,4 @@
-"""From completed textures to a fill: the cells that are cleared, and new Gaussians."""
+"""Make a fill from completed textures: the cells that are cleared, and new Gaussians."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ POINTS_APART = 0.03
 def replaced_gaussians(
     centres: NDArray[np.floating], label: NDArray[np.int32], texture: Texture, completed: Completed, others: Others
 ) -> NDArray[np.bool_]:
-    """Which of the lift's Gaussians, with their likeliest ``label`` [G], a texture replaces, bool [G]: those on the
-    plane where it is drawn, and those behind it that belong to nothing else."""
+    """Return which of the lift's Gaussians a texture replaces, bool [G]: those on the plane where it is drawn, and
+    those behind it that belong to nothing else. ``label`` [G] is their likeliest label."""
     gone = np.zeros(len(centres), np.bool_)
     local = texture.plane.local(centres)
     cell = np.floor((local[:, :2] - texture.low) / texture.texel).astype(int)
@@ -45,7 +45,7 @@ def replaced_gaussians(
 
 
 def gaussians_of(texture: Texture, completed: Completed) -> Fill:
-    """New Gaussians, one for each texel that is drawn, in a fill without cells."""
+    """Return a fill without cells, with a new Gaussian for each texel that is drawn."""
     drawn, t = completed.fill, texture.texel
     xyz = texture.points()[drawn]
     every = max(1, round(POINTS_APART / t))
@@ -64,14 +64,14 @@ def gaussians_of(texture: Texture, completed: Completed) -> Fill:
 
 
 def joined(fills: Sequence[Fill]) -> Fill:
-    """All fills in one."""
+    """Join all fills into one."""
     return Fill(**{name: np.concatenate([getattr(each, name) for each in [NOTHING, *fills]]) for name in vars(NOTHING)})
 
 
 def cleared_cells(
     centres: NDArray[np.floating], gone: NDArray[np.bool_], stays: NDArray[np.bool_]
 ) -> NDArray[np.int32]:
-    """The cells, int32 [C, 3], in which and beside which more Gaussians are ``gone`` than stay, bool [G] each."""
+    """The cells to clear, int32 [C, 3]: where Gaussians are ``gone``, bool [G], and not as many or more stay."""
     cells = with_neighbours(cells_of(centres[gone]))
     keys, owned = cell_keys(cells), [np.sort(cell_keys(cells_of(centres[own]))) for own in (gone, stays)]
     gone_in, stay_in = (np.searchsorted(own, keys, "right") - np.searchsorted(own, keys) for own in owned)

@@ -1,4 +1,4 @@
-"""What leaves with removed objects: their own points and Gaussians, legs that their masks missed, and what floats."""
+"""Find what goes with removed objects: their own points and Gaussians, legs that masks missed, floating remains."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ ABOVE_SUPPORT = 0.03
 
 @dataclass(frozen=True, eq=False)
 class Others:
-    """The photos' points of anything else: ``xyz`` [N, 3] metres, ``label`` int32 [N], ``towards`` [N, 3], the
+    """The photos' points on anything that stays: ``xyz`` [N, 3] metres, ``label`` int32 [N], ``towards`` [N, 3], the
     direction to a camera that sees the point."""
 
     xyz: NDArray[np.float64]
@@ -49,14 +49,14 @@ class Others:
         return Others(self.xyz[rows], self.label[rows], self.towards[rows])
 
     def are_far_from(self, xyz: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """Which of the positions [M, 3] lie on no surface of theirs, bool [M]."""
+        """Return which of the positions ``xyz`` [M, 3] lie on no surface of these points, bool [M]."""
         on, _ = cKDTree(self.xyz).query(xyz, distance_upper_bound=ON_SURFACE, workers=-1)
         return np.isinf(on)
 
 
 @dataclass(frozen=True, eq=False)
 class Leaving:
-    """``xyz`` [N, 3] metres: the points that photos saw of what leaves. ``low``, ``high`` [3]: their box."""
+    """The points of removed objects that photos saw: ``xyz`` [N, 3] metres; ``low``, ``high`` [3]: their box."""
 
     xyz: NDArray[np.float64]
     low: NDArray[np.float64]
@@ -69,7 +69,7 @@ class Leaving:
 
 
 def leaving_points(views: Sequence[PlateView], points: NDArray[np.floating]) -> Leaving:
-    """What the photos show of the objects with these semantic points [N, 3]."""
+    """Return the points on the objects, which have these semantic ``points`` [N, 3], that the photos show."""
     inner = np.percentile(points, (2, 98), axis=0)
     points = points[((points >= inner[0] - 0.1) & (points <= inner[1] + 0.1)).all(axis=1)].astype(np.float64)
     parts = [points]
@@ -81,8 +81,8 @@ def leaving_points(views: Sequence[PlateView], points: NDArray[np.floating]) -> 
 
 
 def other_points(views: Sequence[PlateView], leaving: Leaving) -> Others:
-    """What the photos show of anything else within AROUND, and beside its outline in the photos, one point in each cell
-    of THINNED."""
+    """Return the points on anything else that the photos show within AROUND and beside the objects' outlines, one point
+    in each cell of THINNED."""
     low, high = leaving.low - AROUND, leaving.high + AROUND
     parts = []
     for view in views:
@@ -99,8 +99,8 @@ def other_points(views: Sequence[PlateView], leaving: Leaving) -> Others:
 
 
 def legs_of(leaving: Leaving, others: Others, planes: Sequence[Plane]) -> NDArray[np.bool_]:
-    """Which of the other points [N] are parts of the objects that their masks missed, such as legs: points of stuff off
-    every plane, between the objects' tops and what they stand on."""
+    """Return which of the other points are parts of the objects that their masks missed, such as legs, bool [N]: points
+    of stuff off every plane, between the objects' tops and what they stand on."""
     support = support_of(leaving, planes)
     if support is None:
         return np.zeros(len(others.xyz), np.bool_)
@@ -116,7 +116,7 @@ def legs_of(leaving: Leaving, others: Others, planes: Sequence[Plane]) -> NDArra
 
 
 def support_of(leaving: Leaving, planes: Sequence[Plane]) -> float | None:
-    """The height in metres of the floor or table that what leaves stands on; None if it hangs."""
+    """Return the height in metres of the floor or table that the removed objects stand on; None if they hang."""
     floors = [plane.origin[2] for plane in planes if plane.is_floor and abs(plane.origin[2] - leaving.low[2]) < LEGS]
     below = [height for height in floors if height < leaving.low[2] + 0.1]
     return max(below) if below else None
@@ -125,7 +125,7 @@ def support_of(leaving: Leaving, planes: Sequence[Plane]) -> float | None:
 def with_legs(
     views: Sequence[PlateView], leaving: Leaving, others: Others, planes: Sequence[Plane]
 ) -> tuple[list[PlateView], Leaving, Others]:
-    """Count the legs of what leaves as leaving, too. Returns the views, what leaves, and the others."""
+    """Add the objects' legs to what is removed. Returns the views, the points that leave, and the others."""
     legs = legs_of(leaving, others, planes)
     if not legs.any():
         return list(views), leaving, others
@@ -140,8 +140,8 @@ def leaving_gaussians(
     centres: NDArray[np.floating], label: NDArray[np.int32], share: NDArray[np.floating], leaving: Leaving,
     others: Others,
 ) -> NDArray[np.bool_]:  # fmt: skip
-    """Which Gaussians leave, bool [G]: those with enough ``share`` [G] of the objects' labels and, near the objects,
-    those of stuff (by their likeliest ``label`` [G]) that no surface of anything else supports."""
+    """Return which Gaussians are removed, bool [G]: those with enough ``share`` [G] of the objects' labels and, near
+    the objects, those of stuff (by their likeliest ``label`` [G]) that are on no surface of anything else."""
     gone = share > OWNED
     low, high = leaving.low, leaving.high
     rows = np.flatnonzero(((centres > low - 0.15) & (centres < high + 0.15)).all(axis=1))

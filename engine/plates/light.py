@@ -1,4 +1,4 @@
-"""The light on a plane, and how much of it removed objects kept away."""
+"""Estimate the light on a plane, and how much of it removed objects kept away."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ Colours = NDArray[np.float32]
 
 
 class Blocked(NamedTuple):
-    """The shares of the light that things keep from each texel, float32 [h, w, 2]: of light from everywhere, and of
-    light from above; ``before`` the removal and ``after``."""
+    """The shares of light that things keep from each texel, float32 [h, w, 2]: of light from everywhere, and of light
+    from above; ``before`` and ``after`` the removal."""
 
     before: Colours
     after: Colours
 
 
 def blocked_light(texture: Texture, leaving: NDArray[np.floating], staying: NDArray[np.floating]) -> Blocked:
-    """How much light is blocked by things with these points [N, 3] that leave, and by others that stay."""
+    """How much light is blocked by the removed things, with the points ``leaving`` [N, 3], and by those that stay."""
     t, (h, w) = texture.texel, texture.seen.shape
     rows, columns = (max(2, int(np.ceil(side * t / PLACES_APART))) for side in (h, w))
     v, u = (np.arange(count) + 0.5 for count in (rows, columns))
@@ -54,7 +54,7 @@ def blocked_light(texture: Texture, leaving: NDArray[np.floating], staying: NDAr
 
 
 def _stopped(start: NDArray[np.float64], ways: NDArray[np.float64], solid: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Which rays from each start [P, 3] in each of the ways [D, 3] meet solid points [N, 3], bool [P, D]."""
+    """Which rays, from each start [P, 3] in each direction of ``ways`` [D, 3], hit solid points [N, 3], bool [P, D]."""
     hits = np.zeros((len(start), len(ways)), np.bool_)
     near = ((solid > start.min(axis=0) - FARTHEST) & (solid < start.max(axis=0) + FARTHEST)).all(axis=1)
     if not near.any():
@@ -70,7 +70,7 @@ def _stopped(start: NDArray[np.float64], ways: NDArray[np.float64], solid: NDArr
 
 
 def _hemisphere() -> NDArray[np.float64]:
-    """Directions [DIRECTIONS, 3] around +z, evenly spread (a Fibonacci lattice)."""
+    """Return DIRECTIONS directions around +z, evenly spread (a Fibonacci lattice), float64 [DIRECTIONS, 3]."""
     number = np.arange(DIRECTIONS) + 0.5
     up, turn = number / DIRECTIONS, np.pi * (1 + 5**0.5) * number
     across = np.sqrt(1 - up * up)
@@ -86,8 +86,9 @@ class Light(NamedTuple):
 
 
 def fit_light(texture: Texture, level: Colours, label: NDArray[np.int32], good: Mask, blocked: Blocked) -> Light:
-    """Fit the ``level`` [h, w, 3] of the texels that are ``good``: a colour for each label, light that changes smoothly
-    (a quadric), and less of it where things block it. Texels far from the fit, such as stains, count less."""
+    """Fit the ``level`` [h, w, 3], log brightness, of the texels that are ``good``: a colour for each label, light that
+    changes smoothly (a quadric), and less of it where things block it. Texels far from the fit, as stains, count
+    less."""
     kinds = np.unique(label[good])
     y, x = np.mgrid[0 : label.shape[0], 0 : label.shape[1]] * texture.texel
     x, y = x - x[good].mean(), y - y[good].mean()

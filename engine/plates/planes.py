@@ -1,4 +1,4 @@
-"""The planes around removed objects: floors, walls, table tops."""
+"""Find the planes around removed objects: floors, walls, table tops."""
 
 from __future__ import annotations
 
@@ -22,27 +22,26 @@ UPRIGHT = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """``origin`` [3] metres; ``axes`` [3, 3]: two directions within the plane, and its normal towards the cameras."""
+    """``origin`` [3] in metres; ``axes`` [3, 3]: two directions within the plane, and its normal, facing cameras."""
 
     origin: NDArray[np.float64]
     axes: NDArray[np.float64]
 
     def local(self, xyz: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Positions [N, 3] along the axes; the last is the height above the plane."""
+        """Return positions [N, 3] in the plane's axes; the third coordinate is the height above the plane."""
         return (xyz - self.origin) @ self.axes.T
 
     def world(self, uv: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Positions [..., 3] in the world of positions [..., 2] within the plane."""
+        """Return the world positions [..., 3] of positions [..., 2] within the plane."""
         return uv @ self.axes[:2] + self.origin
 
     @property
     def is_floor(self) -> bool:
-        """Whether things can stand on it."""
         return bool(self.axes[2, 2] > UPRIGHT)
 
 
 def find_planes(xyz: NDArray[np.floating], towards: NDArray[np.floating]) -> list[Plane]:
-    """The planes of points [N, 3], largest first, by RANSAC; ``towards`` [N, 3] are the directions to cameras that saw
+    """Find the planes of points [N, 3], largest first, by RANSAC. ``towards`` [N, 3] are directions to cameras that saw
     the points."""
     random = np.random.default_rng(0)
     left, least = np.arange(len(xyz)), max(LEAST_POINTS, int(LEAST_SHARE * len(xyz)))
@@ -60,7 +59,7 @@ def find_planes(xyz: NDArray[np.floating], towards: NDArray[np.floating]) -> lis
 
 
 def _largest(xyz: NDArray[np.floating], random: np.random.Generator) -> tuple[NDArray[np.float64], float] | None:
-    """Normal and offset of the plane with most of the points [N, 3]."""
+    """Return normal and offset of the plane with most of the points [N, 3], or None."""
     sample = xyz[random.permutation(len(xyz))[:SAMPLE]].astype(np.float64)
     near = cKDTree(sample).query_ball_point(sample[random.integers(len(sample), size=TRIES)], _SEED_REACH)
     corners = np.array([random.choice(ball, 3) for ball in near])
@@ -82,7 +81,7 @@ def _largest(xyz: NDArray[np.floating], random: np.random.Generator) -> tuple[ND
 
 
 def _axes(normal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Axes [3, 3] of a plane with this normal, the first of them level."""
+    """Return axes [3, 3] of a plane with this normal, the first of them level."""
     across = np.cross([0.0, 0.0, 1.0], normal)
     if np.linalg.norm(across) < 0.3:
         across = np.array([1.0, 0.0, 0.0]) - normal[0] * normal

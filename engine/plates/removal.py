@@ -1,4 +1,4 @@
-"""Removing objects from a finished lift, from end to end."""
+"""Remove objects from a finished lift, from end to end."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ READ = 0.7
 
 
 def remove(folder: LiftFolder, objects: Sequence[str], progress: Progress = unwatched) -> tuple[Edit, CorrectedResult]:
-    """Take objects, given by ids or names, out of a finished lift, an edit like any other. Returns it and the new
-    result. Raises PlgsError if there is no such object, if the scene is gone, and if the lift is corrected meanwhile;
-    OSError, and what ``progress`` raises. Nothing is then changed."""
+    """Take objects, given by ids or names, out of a finished lift, by an edit like any other. Returns the edit and the
+    new result. Raises PlgsError if there is no such object, if the scene is gone, and if the lift is corrected
+    meanwhile; OSError, and what ``progress`` raises. Nothing is then changed."""
     edit, known = _removal(folder, objects, progress)
 
     def make(state: Replay, _: int) -> Edit:
@@ -56,14 +56,14 @@ def remove(folder: LiftFolder, objects: Sequence[str], progress: Progress = unwa
 
 
 def without(folder: LiftFolder, objects: Sequence[str], progress: Progress = unwatched) -> CorrectedResult:
-    """The corrected result without objects, as `remove` would leave it; the edit is not kept. Raises what `remove`
-    raises."""
+    """Return the corrected result without objects, as `remove` would leave it, but do not save the edit. Raises like
+    `remove`."""
     edit, _ = _removal(folder, objects, progress)
     return read_corrected(folder.path, further=[replace(edit, uid=edit.fill)])  # the same plate has the same uid
 
 
 def _removal(folder: LiftFolder, objects: Sequence[str], progress: Progress) -> tuple[Edit, tuple[Edit, ...]]:
-    """The edit, whose fill is in its file, and the edits before it. A fill that was computed before is kept."""
+    """The edit, whose fill is saved in a file, and the edits before it. A fill that was computed before is reused."""
     folder.refuse_read_only()
     state, corrected = replayed(folder.path), read_corrected(folder.path)
     ids = sorted({making.object_of(state, each) for each in objects})
@@ -86,7 +86,7 @@ def _removal(folder: LiftFolder, objects: Sequence[str], progress: Progress) -> 
 
 
 def _drop_unused(lift: Path) -> None:
-    """Delete the fills that no correction needs, also no undone one, but for the UNUSED newest."""
+    """Delete the fills that no edit needs, not even an undone one, except the UNUSED newest."""
     fills = [path for path in (lift / FILLS).glob("*.npz") if re.fullmatch("[0-9a-f]{16}", path.stem)]
     used = {edit.fill for edit in read_edits(lift)}  # as they are now: another process may have made one meanwhile
     with suppress(OSError):  # another process does the same, or has one open: the removal is made all the same
@@ -95,7 +95,7 @@ def _drop_unused(lift: Path) -> None:
 
 
 def fill_of(folder: LiftFolder, corrected: CorrectedResult, ids: Sequence[int], progress: Progress) -> Fill:
-    """What replaces objects of a lift. Raises PlgsError if its photos cannot be read, and what ``progress`` raises."""
+    """What replaces objects of a lift. Raises PlgsError if its photos cannot be read, and what ``progress`` does."""
     scene = scene_of_lift(folder)
     baker = read_baker(folder, scene.classes, corrected)
     points = {number: corrected.points.xyz[corrected.points.instance_id == number] for number in ids}
@@ -116,7 +116,7 @@ def fill_of(folder: LiftFolder, corrected: CorrectedResult, ids: Sequence[int], 
 
 
 def _groups(points: Sequence[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
-    """The points [N, 3] of objects, joined where their boxes are near each other."""
+    """Join the points [N, 3] of objects whose boxes are near each other. Returns the points of each group."""
     groups: list[NDArray[np.float32]] = []
     for xyz in points:
         apart = []
@@ -131,7 +131,7 @@ def _groups(points: Sequence[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
 
 
 class _Room:
-    """The Gaussians and objects of a lift from which the objects ``ids`` are removed."""
+    """The Gaussians and objects of a lift from which the objects with these ``ids`` are removed."""
 
     def __init__(self, baker: FrameBaker, corrected: CorrectedResult, ids: Sequence[int]) -> None:
         scene = baker.lifted
@@ -149,7 +149,7 @@ class _Room:
         self.centres, self.share = centres[drawn].astype(np.float64), share[drawn]
 
     def without(self, views: Sequence[PlateView], points: NDArray[np.floating], progress: Progress) -> Fill:
-        """What replaces the objects with these points [N, 3]."""
+        """Return what replaces the objects that consist of these points [N, 3]."""
         leaving = leaving_points(views, points)
         others = other_points(views, leaving)
         progress(1, 10)

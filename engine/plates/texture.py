@@ -1,4 +1,4 @@
-"""A plane as the photos show it, rectified: its colours, its labels, and what of it only removed objects hide."""
+"""Rectify a plane as the photos show it: its colours, its labels, and which part of it only removed objects hide."""
 
 from __future__ import annotations
 
@@ -40,9 +40,10 @@ Mask = NDArray[np.bool_]
 
 @dataclass(eq=False)
 class Texture:
-    """A rectangle of a plane. ``low`` [2]: its corner within the plane, ``texel`` metres. All [h, w]: ``colour`` [h, w,
-    3]; ``seen`` by a photo; ``hidden`` in every photo by what leaves; ``label`` int32 (see PlateView); ``inside`` the
-    room and some photo's view; ``open`` where a photo looks through the plane, as in a door."""
+    """A rectangle of a plane, of [h, w] texels with sides of ``texel`` metres; ``low`` [2] is its corner in the plane.
+    Per texel: ``colour`` [h, w, 3]; ``seen`` by a photo; ``hidden`` in every photo by removed objects; ``label`` int32
+    (see PlateView); ``inside`` the room and some photo's view; ``open`` where photos look through the plane, as in a
+    door."""
 
     plane: Plane
     low: NDArray[np.float64]
@@ -55,12 +56,12 @@ class Texture:
     open: Mask
 
     def points(self) -> NDArray[np.float64]:
-        """The middle of each texel in the world, [h, w, 3]."""
+        """Return the centre of each texel in the world, [h, w, 3]."""
         return grid(self.plane, self.low, self.texel, self.seen.shape)
 
     def hole(self) -> Mask:
-        """The hidden part of the plane, with the rim between that and what photos saw, where photos saw the plane
-        around it."""
+        """Return the hidden part of the plane, and the rim between that and what photos saw, as far as photos saw the
+        plane around it; bool [h, w]."""
         if not self.hidden.any():
             return self.hidden
         reach = max(0.1, 2 * self.texel)
@@ -68,7 +69,7 @@ class Texture:
         return _framed(self.hidden | rim, self.seen, self.inside) & ~self.open
 
     def below(self, leaving: Leaving) -> Mask:
-        """The texels below what leaves, bool [h, w]."""
+        """Return the texels below the removed objects, bool [h, w]."""
         local = self.plane.local(leaving.xyz)
         h, w = self.seen.shape
         x, y = np.floor((local[:, :2] - self.low) / self.texel).astype(int).T
@@ -84,7 +85,7 @@ def grid(plane: Plane, low: NDArray[np.float64], texel: float, shape: tuple[int,
 
 
 def closed(mask: Mask, radius: int) -> Mask:
-    """A mask without gaps up to twice the ``radius``, in texels."""
+    """Return a mask with gaps up to twice the ``radius``, in texels, closed."""
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2)
     wide = cv2.morphologyEx(np.pad(mask, radius + 1).astype(np.uint8), cv2.MORPH_CLOSE, kernel) > 0
     return np.asarray(wide[radius + 1 : -radius - 1, radius + 1 : -radius - 1])
@@ -93,7 +94,8 @@ def closed(mask: Mask, radius: int) -> Mask:
 def texture_around(
     plane: Plane, solid: Sequence[Plane], views: Sequence[PlateView], leaving: Leaving
 ) -> Texture | None:
-    """The plane around what leaves; None if nothing of it was hidden. No part of it lies behind a ``solid`` plane."""
+    """Return the texture of a plane around the removed objects; None if they hid nothing of it. Parts behind a
+    ``solid`` plane are not inside."""
     behind = np.concatenate([plane.local(leaving.xyz)[:, :2], *(_behind(plane, view) for view in views)])
     start, end = np.percentile(behind, (1, 99), axis=0) + [[-0.3], [0.3]]
     coarse = _look(plane, solid, views, start, end, COARSE)
@@ -112,7 +114,7 @@ def texture_around(
 
 
 def _behind(plane: Plane, view: PlateView) -> NDArray[np.float64]:
-    """The places [N, 2] on the plane at which the view's rays to what leaves would end without it."""
+    """The points [N, 2] of the plane that the view's rays would reach if the removed objects were not in the way."""
     measured = np.where(view.leaves, view.depth, 0)[::EVERY, ::EVERY]
     seen = view.camera.resized(measured.shape[1], measured.shape[0]).unproject(measured)[measured > 0]
     ways, height = seen - view.camera.centre, plane.local(view.camera.centre[None])[0, 2]
@@ -124,7 +126,7 @@ def _behind(plane: Plane, view: PlateView) -> NDArray[np.float64]:
 
 
 class _Sums:
-    """What the views show of N texels, added up."""
+    """Sums over views of what they show of N texels."""
 
     def __init__(self, count: int) -> None:
         self.colour, self.weight = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
@@ -164,7 +166,7 @@ def _look(
     plane: Plane, solid: Sequence[Plane], views: Sequence[PlateView], start: NDArray[np.float64],
     end: NDArray[np.float64], texel: float,
 ) -> Texture | None:  # fmt: skip
-    """What the photos show of a rectangle; None if they show nothing of it, or a thing's side."""
+    """What the photos show of a rectangle of a plane; None if they show nothing of it, or a thing's side."""
     w, h = np.ceil((end - start) / texel).astype(int).tolist()
     xyz = grid(plane, start, texel, (h, w)).reshape(-1, 3)
     sums, inside = _Sums(h * w), np.ones(h * w, np.bool_)
@@ -193,7 +195,7 @@ def _look(
 
 
 def _framed(hole: Mask, seen: Mask, inside: Mask) -> Mask:
-    """The parts of the hole whose edges photos saw."""
+    """Return the parts of the hole whose surroundings photos saw."""
     part, count = components(hole)
     kept = np.zeros_like(hole)
     for number in range(1, count + 1):

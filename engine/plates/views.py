@@ -1,4 +1,4 @@
-"""The photos around removed objects, each beside what the lift shows there."""
+"""The photos around removed objects, and what the lift shows in the same views."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _STEP = 8  # a frame sees a box if it sees one of this many points along each of
 
 @dataclass(frozen=True, eq=False)
 class PlateView:
-    """A photo: ``colour`` float32 [H, W, 3] sRGB in [0, 1], as bright as the lift; ``depth`` float32 [H, W] metres, 0 =
-    none; ``label`` int32 [H, W], what the lift shows: an object's id, or minus the class; ``leaves`` bool [H, W], the
-    pixels of what is removed, and ``beside`` bool [H, W], these and GROWN pixels around them."""
+    """A photo near removed objects: ``colour`` float32 [H, W, 3] sRGB in [0, 1], as bright as the lift; ``depth``
+    float32 [H, W] metres, 0 = none; ``label`` int32 [H, W], what the lift shows: an object's id, or minus the class;
+    ``leaves`` bool [H, W], the pixels of what is removed, and ``beside`` bool [H, W], those and GROWN pixels around."""
 
     camera: Camera
     colour: NDArray[np.float32]
@@ -40,18 +40,18 @@ class PlateView:
         return grown(self.leaves, GROWN)
 
     def also_without(self, cells: NDArray[np.int32]) -> PlateView:
-        """The same view, in which the pixels that show these cells leave as well."""
+        """Return the same view with the pixels that show these cells marked as leaving, too."""
         more = np.isin(cell_keys(cells_of(self.camera.unproject(self.depth).reshape(-1, 3))), cell_keys(cells))
         return replace(self, leaves=self.leaves | (more.reshape(self.depth.shape) & (self.depth > 0)))
 
 
 def grown(mask: NDArray[np.bool_], by: int) -> NDArray[np.bool_]:
-    """A mask [H, W] grown by a number of pixels."""
+    """Return a mask [H, W] enlarged on all sides by a number of pixels."""
     return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((2 * by + 1,) * 2, np.uint8)) > 0)
 
 
 def frames_around(frames: Sequence[Frame], low: NDArray[np.floating], high: NDArray[np.floating]) -> list[Frame]:
-    """The frames with depth that look at a box, occluded or not."""
+    """Return the frames with depth in whose picture the box lies, hidden or not."""
     sides = [np.linspace(*ends, _STEP) for ends in zip(low, high, strict=True)]
     inside = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 3)
     return [frame for frame in frames if frame.read_depth is not None and len(frame.camera.seen(inside)[0])]
@@ -60,7 +60,7 @@ def frames_around(frames: Sequence[Frame], low: NDArray[np.floating], high: NDAr
 def read_views(
     frames: Sequence[Frame], baker: FrameBaker, ids: Collection[int], progress: Callable[[int, int], object]
 ) -> Iterator[PlateView]:
-    """Yields the frames' photos, in which the objects ``ids`` are marked as leaving. Raises PlgsError for a photo that
+    """Yield the frames' photos, in which the objects ``ids`` are marked as leaving. Raises PlgsError for a photo that
     cannot be read, and what ``progress`` raises."""
     for done, frame in enumerate(frames):
         progress(done, len(frames))

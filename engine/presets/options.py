@@ -1,5 +1,5 @@
-"""The options of a preset by name, such as ``weights.depth``: parsing, checking, setting and printing them; and presets
-in TOML files."""
+"""Parse, check, set and print the options of a preset by name, such as ``weights.depth``; and read presets in TOML
+files."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ _BOOLEANS = {"true": True, "yes": True, "on": True, "false": False, "no": False,
 
 @dataclass(frozen=True)
 class PresetOption:
-    """One option. ``length``: the number of values in a list; ``least`` and ``most`` bound a number, or each one in a
-    list; ``choices``: the allowed texts; ``part``: the kind of parts whose names are allowed, too (``parts``)."""
+    """One option of a preset. ``length``: the number of values in a list; ``least`` and ``most`` bound a number, or
+    each one in a list; ``choices``: the allowed texts; ``part``: the kind of parts that may be named as well
+    (``parts``)."""
 
     name: str
     kind: Literal["bool", "int", "float", "choice", "ints", "names"]
@@ -41,7 +42,7 @@ class PresetOption:
 
     @property
     def expected(self) -> str:
-        """The valid values, in words."""
+        """The valid values, described for a message."""
         text = _KINDS.get(self.kind, ", ".join(self.allowed))
         text = f"names of {text}" if self.kind == "names" else text
         if self.kind in ("int", "float", "ints"):
@@ -51,12 +52,12 @@ class PresetOption:
 
     @property
     def allowed(self) -> list[str]:
-        """The texts that are valid in this process."""
+        """The valid texts, names of parts that scripts added included."""
         return [*self.choices, *added_names(self.part)]
 
 
 def preset_options() -> Mapping[str, PresetOption]:
-    """All options by name, in the order of the presets' fields."""
+    """Return all options by name, in the order of the presets' fields."""
     kind: Any = type(PRESETS["preview"])  # or a subclass with more options
     return _options_of(kind)
 
@@ -88,14 +89,14 @@ def _option(name: str, kind: Any, declared: Field) -> PresetOption:
 
 
 def option_value(preset: Preset, name: str) -> Json:
-    """The value of an option in a preset, as a JSON value."""
+    """Return the value of an option in a preset, as a JSON value."""
     value: Any = reduce(getattr, name.split("."), preset)
     return list(value) if isinstance(value, tuple) else value
 
 
 def with_options(preset: Preset, options: Mapping[str, Json]) -> Preset:
-    """The preset with options in the form that ``checked_options`` returns. If steps are given without
-    ``steps_a_view``, there are exactly that many, however many views there are."""
+    """Return the preset with options changed, in the form that ``checked_options`` returns. If steps are given without
+    ``steps_a_view``, exactly that many are done, however many views there are."""
     if "steps" in options:
         options = {"steps_a_view": 0.0, **options}
     for name, value in options.items():
@@ -107,7 +108,7 @@ def with_options(preset: Preset, options: Mapping[str, Json]) -> Preset:
 
 
 def changed_options(preset: Preset, options: Mapping[str, Json]) -> dict[str, Json]:
-    """The options whose values differ from the preset's."""
+    """Return the options whose values differ from the preset's, by name."""
     chosen = with_options(preset, options)
     same_steps = (chosen.steps, chosen.steps_a_view) == (preset.steps, preset.steps_a_view)
 

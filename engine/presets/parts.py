@@ -1,8 +1,7 @@
 """Parts of the method that a preset chooses by name and a script can add: matchers, losses and heads.
 
 Functions and classes are registered where they belong (``engine/lift/objects.py``, ``engine/train/trainer.py``,
-``engine/model/decoders.py``). This module has what they share. Standard library only.
-"""
+``engine/model/decoders.py``). This module has what these share. Standard library only."""
 
 from __future__ import annotations
 
@@ -21,17 +20,17 @@ _ADDED: dict[str, list[str]] = {}
 
 
 def added_names(kind: str) -> list[str]:
-    """The names of the parts of this kind ("matcher", "loss", "head") that this process has added."""
+    """Return the names of the parts of this kind ("matcher", "loss", "head") that scripts added in this process."""
     return _ADDED.get(kind, [])
 
 
 def is_name(value: object) -> bool:
-    """Whether a part can have this name."""
+    """Whether a value can be the name of a part."""
     return isinstance(value, str) and re.fullmatch(r"\w+", value) is not None
 
 
 class Parts(dict[str, Part]):
-    """The parts of one ``kind`` by name."""
+    """The parts of one ``kind``, by name."""
 
     def __init__(self, kind: str, built_in: dict[str, Part]) -> None:
         super().__init__(built_in)
@@ -46,7 +45,7 @@ class Parts(dict[str, Part]):
         _ADDED.setdefault(self.kind, []).append(name)
 
     def chosen(self, name: str) -> Part:
-        """The part with this name. Raises PlgsError if this process has none."""
+        """Return the part with this name. Raises PlgsError if this process has none."""
         if name not in self:
             near = difflib.get_close_matches(name, self, 1)
             hint = f"Did you mean {near[0]}? " if near else ""
@@ -55,8 +54,8 @@ class Parts(dict[str, Part]):
         return self[name]
 
     def sources(self, names: Iterable[str]) -> dict[str, str]:
-        """The digest of the file that holds each of these parts, for those that were added: eight hexadecimal digits,
-        or "unknown" for a part that comes from no file. Raises PlgsError for a name that this process does not have."""
+        """Return a digest of the source file for each of these parts that was added: eight hexadecimal digits, or
+        "unknown" for a part that comes from no file. Raises PlgsError for a name that this process does not have."""
         own = {name: self.chosen(name) for name in names}
         return {f"{self.kind} {name}": _digest(part) for name, part in own.items() if name not in self._built_in}
 

@@ -21,22 +21,24 @@ Names = TypeVar("Names", str, tuple[str, ...])
 
 
 def _ranged(default: Number, least: float = 0, most: float = math.inf) -> Number:
-    """A field with one or more numbers, each between ``least`` and ``most``."""
+    """Declare a field with one or more numbers, each between ``least`` and ``most``."""
     value: Number = field(default=default, metadata={"least": least, "most": most})
     return value
 
 
 def _named(kind: str, default: Names, *known: str) -> Names:
-    """A field with one or several of the ``known`` parts of a ``kind``. Scripts can add parts (``parts``)."""
+    """Declare a field for parts of a ``kind``, one or several names: ``known`` ones, or those of scripts
+    (``parts``)."""
     value: Names = field(default=default, metadata={"part": kind, "choices": known})
     return value
 
 
 @dataclass(frozen=True)
 class Matching:
-    """Algorithm 1. ``tau_new``: a segment whose least cost is above it is a new instance. ``rule``: "hybrid" takes the
-    Hungarian partner if its cost is at most tau, else the best global instance if its cost is, else a new one;
-    "literal" is the text of Algorithm 1. ``cost``: the terms of O; the paper's table of ablations has each alone."""
+    """The options of Algorithm 1. ``tau_new``: a segment whose smallest cost is above it becomes a new instance.
+    ``rule``: "hybrid" takes the Hungarian partner if its cost is at most tau, else the best global instance if its cost
+    is, else a new one; "literal" is the text of Algorithm 1. ``cost``: the terms of O; the paper's ablation table has
+    each."""
 
     tau_new: float = _ranged(-0.1, -2.0, 0.0)
     rule: Literal["hybrid", "literal"] = "hybrid"
@@ -45,9 +47,9 @@ class Matching:
 
 @dataclass(frozen=True)
 class Segments:
-    """Before Algorithm 1, segments are eroded by ``erosion`` of the picture's width, and those with fewer than
-    ``least_points`` pixels with depth are left out; the paper mentions neither. Regions of fewer than ``least_region``
-    pixels keep the rendered classes as pseudo labels."""
+    """Options for segments. Before Algorithm 1, they are eroded by ``erosion`` times the picture's width, and those
+    with fewer than ``least_points`` pixels with depth are left out; the paper mentions neither. Regions of fewer than
+    ``least_region`` pixels keep the rendered classes as pseudo labels."""
 
     erosion: float = _ranged(2 / 160, 0.0, 0.5)
     least_points: int = _ranged(30, 1)
@@ -56,17 +58,17 @@ class Segments:
 
 @dataclass(frozen=True)
 class Schedule:
-    """``self_training_every``: the share of the steps after which each round of pseudo labels is made. With 1 there is
-    no round. The paper makes one every 5k of 30k steps; the first round ends its initial stage."""
+    """When pseudo labels are made. ``self_training_every`` is the share of the steps after which each round is made;
+    with 1 there is no round. The paper makes one every 5k of 30k steps; the first round ends its initial stage."""
 
     self_training_every: float = _ranged(1.0, 0.001, 1.0)
 
 
 @dataclass(frozen=True)
 class LossWeights:
-    """All weights of L_total, which ``Trainer._losses`` computes. lambda_ssim, lambda_vol, lambda_sem and
-    lambda_ins are those of the paper's section "Implementation Details"; ``depth`` is ours (see ``depth_loss``).
-    ``cluster`` weighs L_cluster within L_sem."""
+    """The weights of L_total, which ``Trainer._losses`` computes. lambda_ssim, lambda_vol, lambda_sem and lambda_ins
+    are those of the paper's section "Implementation Details"; ``depth`` is ours (see ``depth_loss``). ``cluster``
+    weighs L_cluster within L_sem."""
 
     ssim: float = _ranged(0.2)
     volume: float = _ranged(0.001)
@@ -78,18 +80,19 @@ class LossWeights:
 
 @dataclass(frozen=True)
 class Growth:
-    """``least_visits``: this many visits suffice to judge an anchor, however many steps lie between two rounds.
-    Otherwise a short lift of many views would never judge an anchor that few of them see. None: only Scaffold-GS's
-    shares of the steps count (``GrowthRules``)."""
+    """When anchors are judged for growing and pruning. After ``least_visits`` visits an anchor is judged, however few
+    steps have passed; otherwise a short lift of many views would never judge an anchor that few views see. None: only
+    Scaffold-GS's shares of the steps count (``GrowthRules``)."""
 
     least_visits: int | None = _ranged(10)
 
 
 @dataclass(frozen=True)
 class SegmentVoting:
-    """``rounds``: how often segments take the label of their points and vote again. ``neighbours``: neighbouring points
-    on a thing share votes. ``near``: near views may overrule the others on what they show as a whole. ``superpoints``:
-    points share all votes of their superpoint, if held-back views agree with the result."""
+    """How segments vote on labels. ``rounds``: how often segments take the label of their points and vote again.
+    ``neighbours``: neighbouring points on a thing share votes. ``near``: near views may overrule others on what they
+    show as a whole. ``superpoints``: points share their superpoint's votes, if held-back views agree with the
+    result."""
 
     rounds: int = _ranged(2)
     neighbours: bool = True
@@ -106,7 +109,7 @@ EvidenceKind = Literal["views", "root", "resolution", "pixels", "density"]
 class ViewEvidence:
     """How a view's evidence is weighted: on the ``points`` of the cloud, on the classes of ``objects``, on the labels
     that ``segments`` give to points, and on the ``gaussians``. For ``masks``, a view that judges two masks is weighted
-    by how well it resolves them, compared with the views that have them."""
+    by how well it resolves them, compared with other views of them."""
 
     points: EvidenceKind = "density"
     objects: EvidenceKind = "root"
@@ -117,7 +120,7 @@ class ViewEvidence:
 
 @dataclass(frozen=True)
 class Preset:
-    """Everything that shapes a lift except its input and its seed. The defaults are the preset "preview"."""
+    """Everything that shapes a lift except its input and its seed. The defaults are those of the preset "preview"."""
 
     name: str
     steps: int = _ranged(500, 1, 10_000_000)
@@ -198,26 +201,26 @@ class Preset:
 
     @property
     def shows_votes(self) -> bool:
-        """Whether the finished scene shows the views' votes."""
+        """Whether the labels of the finished scene are those that the views vote for."""
         return self.labels == "votes" and self.can_vote
 
     @property
     def can_vote(self) -> bool:
-        """Whether views can vote on Gaussians: that needs objects of one class each, by agreement or by a matcher of a
-        script, whose answer then decides."""
+        """Whether views can vote on Gaussians. That needs objects of one class each, found by agreement or by a
+        script's matcher."""
         return self.objects not in ("boxes", "none") and self.one_class_an_object
 
     @property
     def last_step(self) -> int:
-        """The number of steps that are done."""
+        """The number of steps that are done in total."""
         return max(1, round(self.trained * self.steps))
 
     def views_of(self, train_frames: int) -> int:
-        """The number of the ``train_frames`` training frames that are lifted."""
+        """Return how many of the ``train_frames`` training frames are lifted."""
         return min(train_frames, self.frames) if self.frames else train_frames
 
     def for_views(self, views: int) -> Preset:
-        """The preset with as many steps as ``views`` views need."""
+        """Return the preset with the number of steps that suits this many ``views``."""
         return replace(self, steps=max(self.steps, round(self.steps_a_view * views)))
 
 

@@ -1,4 +1,4 @@
-"""Checks every frame's pixels before any work starts: a bad file is found in seconds, not after an hour."""
+"""Check every frame's pixels before any work starts, so that a bad file is found in seconds, not after an hour."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _POSE_RULES = "camera-to-world with x right, y down, z forward, in metres"
 
 @dataclass(frozen=True)
 class DepthFacts:
-    """The nearest, median and farthest depth in metres, and the ``share`` of pixels with depth."""
+    """A frame's depth: nearest, median and farthest in metres, and the ``share`` of pixels that have depth."""
 
     size: Size
     range: tuple[float, float, float]
@@ -46,7 +46,7 @@ class DepthFacts:
 
 @dataclass(frozen=True)
 class MaskFacts:
-    """``segments`` counts those with pixels, ``unpainted`` lists others. ``class_pixels``: (class id, fraction)."""
+    """A frame's mask: the number of ``segments`` with pixels, the ids of others, and (class id, fraction) pairs."""
 
     size: Size
     segments: int
@@ -56,9 +56,9 @@ class MaskFacts:
 
 @dataclass(frozen=True)
 class FrameFacts:
-    """What was measured on one frame's pixels; None where it has none. ``unknown_truth``: classes of the ground truth
-    that the masks' table lacks. ``brightest``: the largest value of a 16-bit photo; None for other photos and those not
-    decoded."""
+    """What was measured on one frame's pixels; None where it has none. ``unknown_truth`` are classes of the ground
+    truth that the masks' table lacks. ``brightest`` is the largest value of a 16-bit photo; None for other photos and
+    those not decoded."""
 
     name: str
     depth: DepthFacts | None
@@ -72,7 +72,7 @@ _Look = tuple[FrameFacts, Thumbnail | None, Frame]
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """The scene without unreadable frames, the facts of the others, and warnings besides those of its opening."""
+    """The result of a survey: the scene without unreadable frames, facts of each frame, and further warnings."""
 
     scene: Scene
     frames: tuple[FrameFacts, ...]
@@ -83,8 +83,8 @@ def survey_scene(scene: Scene, progress: Progress = unwatched, keep_within: Size
     """Check every file of a scene and how the frames fit together, in about 20 ms for a 640x480 frame. Depth and masks
     may be missing. Depth, masks and ground truth of all frames are decoded; all colour files are checked for damage,
     and 16 of them are decoded. Frames whose files cannot be read, up to half, are named in the warnings. Raises
-    PlgsError for the first thing that cannot be lifted. Masks are kept at the size that frames have within
-    ``keep_within``, so a later read at this size decodes no file."""
+    PlgsError for the first fault that prevents a lift. Masks are kept in memory at the size that frames have within
+    ``keep_within``, so that reading them later at this size decodes no file."""
     looks, scene, warnings = _readable(scene, progress, keep_within)
     facts = [fact for fact, *_ in looks]
     thumbnails = [thumbnail for _, thumbnail, _ in looks if thumbnail is not None]
@@ -104,8 +104,8 @@ def survey_scene(scene: Scene, progress: Progress = unwatched, keep_within: Size
 
 
 def _readable(scene: Scene, tick: Progress, keep_within: Size | None) -> tuple[list[_Look], Scene, tuple[str, ...]]:
-    """The facts of the frames, the scene without unreadable frames, and warnings that name these. Raises PlgsError also
-    if memory runs out, and for a wrong class table or an unreadable ground truth."""
+    """Return the facts of the frames, the scene without unreadable frames, and warnings that name these. Raises
+    PlgsError also if memory runs out, and for a wrong class table or an unreadable ground truth."""
     looks: dict[str, _Look] = {}
     errors: dict[str, PlgsError] = {}
     total = len(scene.frames)
@@ -151,7 +151,7 @@ def _look(frame: Frame, unknown_truth: frozenset[int | str], keep_within: Size |
 
 
 def _check_colour(frame: Frame, decode: bool) -> int | None:
-    """The largest value of a 16-bit photo; None for other photos, and if it is not to be decoded."""
+    """Return the largest value of a 16-bit photo; None for other photos, and unless it is to be decoded."""
     path, is_image = frame.colour_path, frame.colour_path.suffix.lower() in IMAGES
     if decode:
         frame.read_colour(None)
@@ -196,8 +196,8 @@ def _pixel_warnings(facts: Sequence[FrameFacts]) -> Iterable[str]:
 
 
 def _colour_warnings(brightest: Mapping[str, int]) -> Iterable[str]:
-    """Warnings about 16-bit photos: cameras write 10, 12 or 14 bits into them. None is brightened, as it may simply be
-    dark."""
+    """Yield warnings about 16-bit photos, into which cameras write 10, 12 or 14 bits. None is brightened, as it may
+    simply be dark."""
     name = max(brightest, key=brightest.__getitem__, default="")
     bits = next((bits for bits in _BITS if 0 < brightest.get(name, 0) < 1 << bits), None)  # 0: a covered lens
     if bits is not None:

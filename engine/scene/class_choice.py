@@ -28,7 +28,7 @@ _NAMES = (*TABLES, *NUMBERINGS)
 
 @dataclass(frozen=True)
 class ClassRow:
-    """The choice for one class. Fields that it does not set are None."""
+    """The user's choice for one class. Fields that are not set are None."""
 
     id: int | None = field(default=None, metadata={"least": 0, "most": LARGEST_CLASS_ID})
     name: str | None = None
@@ -46,13 +46,12 @@ class ClassRow:
 
     @property
     def rgb(self) -> tuple[int, int, int] | None:
-        """The colour as sRGB bytes."""
         return None if self.colour is None else (*bytes.fromhex(self.colour[1:]),)
 
 
 @dataclass(frozen=True)
 class _Content:
-    """What the file says apart from its classes."""
+    """The top-level keys of a classes.toml."""
 
     table: str | None = None
     to: Literal["reduced"] | None = None
@@ -61,7 +60,7 @@ class _Content:
 
 @dataclass(frozen=True)
 class ClassChoice:
-    """The file's content. ``path`` is None if the user named a table instead of a file."""
+    """The content of a classes.toml. ``path`` is None if the user named a table instead of a file."""
 
     path: Path | None = None
     table: str | None = None
@@ -76,7 +75,7 @@ class ClassChoice:
 
 
 def find_class_choice(named: str | None, beside: Path) -> ClassChoice | None:
-    """The choice ``named`` (a table, or a file), else in the folder ``beside`` as classes.toml. Raises PlgsError."""
+    """The choice ``named`` (a table or a file), else classes.toml's in the folder ``beside``. Raises PlgsError."""
     if named is None:
         path = beside / FILE_NAME
         return read_class_choice(path) if path.is_file() else None
@@ -89,7 +88,7 @@ def find_class_choice(named: str | None, beside: Path) -> ClassChoice | None:
 
 
 def read_class_choice(path: Path) -> ClassChoice:
-    """Reads the choice from a file. Raises a PlgsError that names the file and the wrong key."""
+    """Read the choice from a file. Raises a PlgsError that names the file and the wrong key."""
     data = read_file(path, _LARGEST_FILE)
     try:
         content = tomllib.loads(data.decode("utf-8-sig"))
@@ -108,7 +107,7 @@ def read_class_choice(path: Path) -> ClassChoice:
 
 
 def class_choice_text(choice: ClassChoice) -> str:
-    """The choice as the text of a file."""
+    """Return the choice as the text of a classes.toml."""
     lines = []
     if choice.table is not None:
         lines.append(f"table = {_toml(choice.table)}")
@@ -123,5 +122,5 @@ def class_choice_text(choice: ClassChoice) -> str:
 
 
 def _toml(value: str | int) -> str:
-    """TOML writes texts, numbers and true as JSON does."""
+    """Write a value as TOML, whose texts, numbers and true look as in JSON."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

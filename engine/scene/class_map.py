@@ -1,4 +1,4 @@
-"""Classes of masks: what each number in their files means, and each class's colour."""
+"""The classes of masks: what each number in their files means, and each class's colour."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _FAR = 128  # the number of leading palette colours that differ by at least 9.5 
 
 
 def coloured(labels: Iterable[ClassLabel]) -> ClassTable:
-    """The table of ``labels`` in ascending order of id. Labels keep a colour of their own; names of public tables have
-    fixed palette indices; others get one by a hash, among the first `_FAR`, or the next free one. Raises ValueError."""
+    """Return the table of ``labels`` in ascending order of id. Labels with a colour keep it, names of public tables
+    have fixed colours, and others get one by a hash, among the first `_FAR` or the next free one. Raises ValueError."""
     labels = sorted(labels, key=lambda label: label.id)
     indices = _palette_indices()
     chosen = {label.id: label.colour for label in labels if label.colour is not None}
@@ -55,12 +55,12 @@ def _palette_indices() -> dict[str, int]:
 
 
 def plain_name(name: str) -> str:
-    """A name normalised for look-up."""
+    """Return a class name normalised for look-up."""
     return " ".join(name.casefold().replace("-", " ").replace("_", " ").split())
 
 
 def _words(name: str) -> tuple[str, ...]:
-    """The ``plain_name``, then that of each of its synonyms ("road, route")."""
+    """Return the ``plain_name`` of a name, then that of each of its synonyms ("road, route")."""
     return plain_name(name), *(word.strip() for word in plain_name(name).split(","))
 
 
@@ -69,7 +69,7 @@ OBJECT = ClassLabel(0, "object", is_thing=True)
 
 @dataclass(frozen=True)
 class ClassMap:
-    """``class_of`` maps labels to class ids, 0 = void. ``others`` is the id of all other labels; None: an error."""
+    """``class_of`` maps each label of masks to its class id, 0 = void; ``others`` is the id of all others, or None."""
 
     classes: ClassTable
     class_of: Mapping[int, int]
@@ -79,8 +79,8 @@ class ClassMap:
 
 @dataclass(frozen=True)
 class NamedClass:
-    """One row of a class list that a user edits: a ``label`` of the masks, its ``name``, and its kind. ``into`` names
-    the class that it counts as: its own, another to merge it, or "void" to drop it."""
+    """One row of a class list that a user edits: a ``label`` of the masks, its ``name``, and whether it is a thing.
+    ``into`` names the class that it counts as: its own, another to merge it, or "void" to drop it."""
 
     label: int
     name: str
@@ -135,7 +135,7 @@ def named_classes(labels: Sequence[ClassLabel], choice: ClassChoice | None) -> l
 
 
 def choice_of(rows: Sequence[NamedClass], void: frozenset[int] = frozenset()) -> ClassChoice:
-    """The choice made by an edited list. Every class has its number, so no other table is needed."""
+    """Return the choice that an edited list makes. Every class has its number, so no other table is needed."""
     return ClassChoice(
         void=void,
         rows=tuple(
@@ -146,7 +146,7 @@ def choice_of(rows: Sequence[NamedClass], void: frozenset[int] = frozenset()) ->
 
 
 def _numbered(labels: Sequence[ClassLabel], choice: ClassChoice) -> list[tuple[int, ClassRow]]:
-    """The choice's rows, each with its label's number. Raises PlgsError for an unknown or ambiguous name."""
+    """Return the choice's rows, each with its label's number. Raises PlgsError for an unknown or ambiguous name."""
     names, rows = {label.id: label.name for label in labels}, []
     for row in choice.rows:
         number = row.id if row.id is not None else _only(names, row.name or "", choice)
@@ -159,7 +159,7 @@ def _numbered(labels: Sequence[ClassLabel], choice: ClassChoice) -> list[tuple[i
 
 
 def _only(names: Mapping[int, str], text: str, choice: ClassChoice) -> int | None:
-    """The number whose name is ``text``, or None. Raises PlgsError if several have it."""
+    """Return the number whose name is ``text``, or None. Raises PlgsError if several have it."""
     found = named(names, text)
     if len(found) > 1:
         what = f'several classes have names that differ from "{text}" only in capitals ({listed(found)})'
@@ -174,7 +174,7 @@ def _only(names: Mapping[int, str], text: str, choice: ClassChoice) -> int | Non
 def _labels(
     labels: Sequence[ClassLabel], rows: Sequence[tuple[int, ClassRow]], choice: ClassChoice
 ) -> dict[int, ClassLabel]:
-    """The labels by number, with the names and kinds that the choice's numbered rows give them."""
+    """Return the labels by number, with the names and kinds that the choice's numbered rows give them."""
     found = {label.id: label for label in labels}
     for number, row in rows:
         known = found.get(number)
@@ -192,7 +192,7 @@ def _labels(
 def _targets(
     labels: Mapping[int, ClassLabel], rows: Sequence[tuple[int, ClassRow]], choice: ClassChoice
 ) -> dict[int, str]:
-    """The names that merged labels count into, by number."""
+    """Return, by number, the names of the classes into which labels are merged."""
     names, into = {number: label.name for number, label in labels.items()}, {}
     for number, row in rows:
         found = [] if row.into is None else named(names, row.into)
@@ -207,7 +207,7 @@ def _targets(
 def _merged(
     labels: Mapping[int, ClassLabel], into: Mapping[int, str], choice: ClassChoice
 ) -> tuple[list[ClassLabel], dict[int, int]]:
-    """The remaining classes, in order of id, and the class id of each label. Raises PlgsError."""
+    """Merge labels. Returns the remaining classes in order of id, and each label's class id. Raises PlgsError."""
     shift = 1 if 0 in labels else 0  # 0 is void here, so all move up by one
     class_of = {number: number + shift for number in labels if number not in into}
     final = {class_id: replace(labels[number], id=class_id) for number, class_id in class_of.items()}
@@ -227,7 +227,7 @@ def _merged(
 def _reduced(
     labels: Mapping[int, ClassLabel], into: Mapping[int, str], choice: ClassChoice
 ) -> tuple[list[ClassLabel], dict[int, int]]:
-    """The paper's 21 classes, and which of them each label is. Raises PlgsError for labels that match none."""
+    """Return the paper's 21 classes, and each label's class among them. Raises PlgsError for labels without a match."""
     final = list(known_table(REDUCED).labels)
     by_name = {label.name: label.id for label in final} | {"void": VOID}
     table = {} if choice.table is None else known_table(choice.table).reduced

@@ -1,5 +1,5 @@
-"""Compares detections with the masks that they cover, before any of them votes: whose pictures they are, if their ids
-can be read in two ways, and in which table's numbers their classes are, if their file names none."""
+"""Compare detections with the masks that they cover, before any of them votes: to which frames they belong, if their
+ids can be read in two ways, and of which table their class numbers are, if their file names no classes."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ _MEND = "if that is wrong, name their table in a classes.toml beside them"
 def fitted(
     detections: Detections, source: MaskSource, labels: Sequence[ClassLabel]
 ) -> tuple[Detections, tuple[Inferred, ...]]:
-    """The detections, read in the way that fits the masks of ``source`` with the classes ``labels`` best; and what was
-    inferred."""
+    """Return the detections, read in the way that fits the masks of ``source`` with the classes ``labels`` best, and
+    what was inferred."""
     inferred = []
     covered, overlap = _compared(detections, source)
     if detections.otherwise is not None:
@@ -66,8 +66,8 @@ def fitted(
 
 
 def _compared(detections: Detections, source: MaskSource) -> tuple[Counter[tuple[int, int]], float]:
-    """The number of pixels of each (number of a detection, number of a mask below it), and the mean overlap
-    (intersection over union) of detections with the segments that fit them best."""
+    """Return the number of pixels of each pair of a detection's class number and that of the mask below, and the mean
+    overlap (intersection over union) of detections with the segments that fit them best."""
     covered, overlaps = Counter[tuple[int, int]](), []
     for name in evenly_spread([name for name in detections.found if name in source.masks], _FRAMES):
         ones = sorted(detections.found[name], key=lambda one: -one.score)[:_DETECTIONS]

@@ -1,4 +1,4 @@
-"""How bright a photo is beside other pictures of the same room."""
+"""Compare the brightness of a photo with that of other pictures of the same room."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ LEAST_COMPARED = 100
 
 
 def is_exposed(colour: NDArray[np.generic]) -> NDArray[np.bool_]:
-    """Which colours [..., 3] of 255 are neither too dark nor too bright to tell an exposure."""
+    """Which colours [..., 3] of 0 to 255 are neither too dark nor too bright for judging exposure, bool [...]."""
     return np.asarray((colour.min(axis=-1) >= DARK) & (colour.max(axis=-1) <= BRIGHT))
 
 
 def exposure_beside(photo: NDArray[np.generic], drawn: NDArray[np.generic]) -> NDArray[np.float64]:
-    """How much brighter a photo is than another picture of the same places, colours [N, 3] of 255 each: a factor for
-    each channel, float64 [3]; 1 if too few pixels tell it."""
+    """Return how much brighter a photo is than another picture of the same places, both as colours [N, 3] of 0 to 255:
+    a factor for each channel, float64 [3]; 1 if too few pixels can tell."""
     usable = is_exposed(photo) & is_exposed(drawn)
     if usable.sum() < LEAST_COMPARED:
         return np.ones(3)

@@ -71,9 +71,9 @@ _AROUND = 9  # frames with which a frame's sharpness is compared
 
 
 def frames_to_mask(scene: Scene, progress: Progress = unwatched) -> tuple[Frame, ...]:
-    """The sharpest training frames that together see every surface TIMES times, or as often as all frames see it; the
-    share LEFT of these sightings may be missing. The same share of the held-out frames, evenly spread, is added. If
-    some frames have no depth, all are chosen. Raises PlgsError for bad depth."""
+    """Return the sharpest training frames that together see every surface TIMES times, or as often as all frames see
+    it; a share LEFT of these sightings may be missing. The same share of the held-out frames, evenly spread, is added.
+    If some frames have no depth, all are chosen. Raises PlgsError for bad depth."""
     frames = scene.train_frames
     if not frames or any(frame.read_depth is None for frame in frames):
         return scene.frames
@@ -103,7 +103,7 @@ def frames_to_mask(scene: Scene, progress: Progress = unwatched) -> tuple[Frame,
 
 
 def _cells_of(frame: Frame) -> NDArray[np.int64]:
-    """The numbers of the cubes whose surfaces a frame's depth shows, each once."""
+    """Return the distinct numbers of the grid cells whose surfaces a frame's depth shows."""
     size = size_within(frame.size, _SEEN_WITHIN)
     depth = frame.depth(size)
     place = np.floor(frame.camera.resized(*size).unproject(depth)[depth > 0] / CELL).astype(np.int64) + (1 << 20)
@@ -111,7 +111,7 @@ def _cells_of(frame: Frame) -> NDArray[np.int64]:
 
 
 def frame_detail(frame: Frame) -> float:
-    """A frame's sharpness; the lowest value if its picture cannot be read."""
+    """Return a frame's sharpness (`photo_detail`); the lowest value if its picture cannot be read."""
     try:
         return photo_detail(frame.read_colour(size_within(frame.size, LOOKED_AT_WITHIN)))
     except PlgsError:  # whoever checks the chosen frames names it
@@ -119,8 +119,8 @@ def frame_detail(frame: Frame) -> float:
 
 
 def photo_detail(photo: NDArray[np.uint8]) -> float:
-    """The detail of a photo uint8 [H, W, 3]: the mean absolute Laplacian over the mean brightness, so that exposure
-    does not matter. A blurred photo has less detail than its neighbours, which show about the same."""
+    """Return how detailed a photo uint8 [H, W, 3] is: the mean absolute Laplacian over the mean brightness, so that
+    exposure does not matter. A blurred photo has less detail than its neighbours, which show about the same."""
     import cv2
 
     grey = photo.mean(axis=2, dtype=np.float32)

@@ -1,5 +1,5 @@
-"""Ground truth for the metrics, never read by the lift itself, and which classes its numbers mean: those of the table
-that its folder or a file names, else the masks' class ids. Numbers that look like another table are refused."""
+"""Ground truth, which only the metrics read, and what its numbers mean: classes of the table that its folder or a file
+names, else the masks' class ids. Numbers that look like another table are refused."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ table whose 0 is a wall is recognised by its other numbers."""
 
 @dataclass(frozen=True)
 class Numbers:
-    """``class_of`` maps the ground truth's numbers to the masks' classes. ``names`` are those of its own table."""
+    """What ground truth's numbers mean: ``class_of`` maps them to the masks' classes; ``names`` are their table's."""
 
     class_of: Mapping[int, int]
     names: Mapping[int, str] = field(default_factory=dict)
@@ -50,9 +50,9 @@ class Numbers:
 
 
 def numbers_of_truth(folder: Path, files: Mapping[str, Path], masks: MaskSet) -> Numbers:
-    """What the numbers in a ``folder`` mean; its ``files`` are named like frames. Its table is that of ``classes.toml``
-    beside it, or of its name (``semantic_nyu40``; ``rs_semantics``: the paper's 21). Raises PlgsError if
-    they look like those of another table."""
+    """Find out what the numbers in a ``folder`` of ground truth mean; its ``files`` are by frame. Its table is named by
+    ``classes.toml`` beside it, or by the folder (``semantic_nyu40``; ``rs_semantics``: the paper's 21). Raises
+    PlgsError if they look like those of another table."""
     choice = _own_choice(folder)
     if choice is None:
         doubts = refuse_other_numbers(_compared(files, masks), masks.classes, folder)
@@ -77,7 +77,7 @@ def _names(choice: ClassChoice | None, where: Path) -> dict[int, str]:
 
 
 def _compared(files: Mapping[str, Path], masks: MaskSet) -> Joint:
-    """How ground truth and masks agree in some frames. Unreadable files are skipped."""
+    """Count how ground truth and masks agree in some frames. Unreadable files are skipped."""
     joint = Counter[tuple[int, int]]()
     for name in evenly_spread([name for name in masks.readers if name in files], LOOKED_AT):
         try:
@@ -90,7 +90,7 @@ def _compared(files: Mapping[str, Path], masks: MaskSet) -> Joint:
 
 
 def joined(numbers: NDArray[np.integer], classes: NDArray[np.integer]) -> Counter[tuple[int, int]]:
-    """Counts the pixels of each pair from a ground truth [H, W] and classes [H, W], where neither may be void."""
+    """Count the pixels of each pair of a ground truth's number and a class, both [H, W], where neither is void."""
     pairs = numbers.astype(np.int64) << 32 | classes  # one number per pair: np.unique is slow on rows
     known = pairs[(classes != VOID) & ~np.isin(numbers, [*IGNORED])]
     values, counts = (found.tolist() for found in np.unique(known, return_counts=True))
@@ -98,9 +98,9 @@ def joined(numbers: NDArray[np.integer], classes: NDArray[np.integer]) -> Counte
 
 
 def refuse_other_numbers(joint: Joint, classes: ClassTable, where: Path, fix: str = "") -> tuple[Inferred, ...]:
-    """Raise PlgsError if numbers agree far better with the masks as those of a table than as ids of ``classes``: a
-    score must not choose its own truth. Returns a doubt if they hardly agree in any way. ``fix``: how to name a table,
-    if not in a file beside the ground truth."""
+    """Raise PlgsError if numbers agree with the masks far better as those of another table than as ids of ``classes``:
+    a table must not be chosen because it scores best. Returns a doubt if they hardly agree at all. ``fix`` tells how to
+    name a table, if that is not done in a file beside the ground truth."""
     total, numbers = sum(joint.values()), {number for number, _ in joint}
     own = sum(pixels for (number, class_id), pixels in joint.items() if number == class_id)
     if total < _FEWEST or len(numbers) < 2 or len({class_id for _, class_id in joint}) < 2:
@@ -127,9 +127,9 @@ def refuse_other_numbers(joint: Joint, classes: ClassTable, where: Path, fix: st
 
 
 def classes_by_name(names: Mapping[int, str], classes: ClassTable) -> dict[int, int]:
-    """The class in ``classes`` for each number of another table with ``names``; numbers without a match are left out.
-    Names match if they are equal, or else differ only in case and in endings such as COCO's "-merged". Otherwise a
-    class matches if it is the only one in ``classes`` with the same of the paper's 21."""
+    """Return the class in ``classes`` for each number of another table with ``names``; numbers without a match are left
+    out. Names match if they are equal, or else differ only in case and in endings such as COCO's "-merged". Otherwise
+    the match is the only class in ``classes`` that belongs to the same one of the paper's 21."""
     by_name = {spell(each.name): each.id for spell in (_plain, str) for each in reversed(classes.categories)}
     by_name["void"] = VOID
     by_reduced: dict[int | None, list[int]] = {}
@@ -161,8 +161,8 @@ _FIX = "Correct it, or remove the ground truth: only the metrics need it."
 
 @dataclass(frozen=True)
 class GroundTruthReader:
-    """Reads one frame's ground truth. ``class_of`` maps its class ids to the masks', and to void if no class has the
-    same name; ids that it lacks become void, too. ``names`` are those of its own table, if it has one."""
+    """Reads one frame's ground truth. ``class_of`` maps its class ids to the masks'; ids that it lacks, or that have no
+    match there, become void. ``names`` are those of its own table, if it has one."""
 
     semantic: Path
     instance: Path
@@ -170,7 +170,7 @@ class GroundTruthReader:
     names: Mapping[int, str]
 
     def __call__(self, size: Size | None = None) -> GroundTruth:
-        """Ground truth at ``size`` (width, height) or its own. Raises PlgsError when a file is bad."""
+        """Read ground truth at ``size`` (width, height) or its own. Raises PlgsError for a bad file."""
         stored = read_label_pair(self.semantic, self.instance)
         semantic, instance = mapped(stored.semantic, self.class_of, np.zeros(1, np.int32)), stored.instance
         if size is not None:
@@ -178,7 +178,7 @@ class GroundTruthReader:
         return GroundTruth(semantic, instance)
 
     def unknown(self) -> frozenset[int | str]:
-        """Classes in the file that the masks' table lacks, by name or id, except void. Raises PlgsError."""
+        """Return the classes in the file that the masks' table lacks, by name or id, except void. Raises PlgsError."""
         check_image_file(self.instance)
         found, _ = distinct_ids(read_indices(self.semantic))
         lacking = frozenset(found.tolist()) - frozenset(self.class_of) - (IGNORED if self.names else {VOID})
@@ -186,7 +186,7 @@ class GroundTruthReader:
 
 
 def read_label_pair(semantic: Path, instance: Path) -> GroundTruth:
-    """Class ids and instance ids from two label images. Raises PlgsError for a bad file."""
+    """Read class ids and instance ids from two label images. Raises PlgsError for a bad file."""
     stored = GroundTruth(read_indices(semantic), read_indices(instance))
     if stored.semantic.shape != stored.instance.shape:
         raise PlgsError("other-size", "classes and instances differ in size", instance, "Make both the same size.")
@@ -196,9 +196,9 @@ def read_label_pair(semantic: Path, instance: Path) -> GroundTruth:
 def open_ground_truth(
     scene: Path, sizes: Mapping[str, Size], masks: MaskSet
 ) -> tuple[dict[str, GroundTruthReader], tuple[str, ...], tuple[Inferred, ...]]:
-    """Ground truth in ``rs_semantics`` and ``rs_instance``, or ``gt/semantic*`` and ``gt/instance``: a reader for each
-    frame that has it, in the classes of the ``masks``; warnings; and what was inferred. ``sizes`` are those of the
-    colour images by frame. Raises PlgsError if an image is not a label image or has another shape."""
+    """Open the ground truth in ``rs_semantics`` and ``rs_instance``, or ``gt/semantic*`` and ``gt/instance``. Returns a
+    reader for each frame that has it, in the classes of the ``masks``; warnings; and what was inferred. ``sizes`` are
+    those of the colour images by frame. Raises PlgsError if an image is not a label image or has another shape."""
     folders = _find_folders(scene) if masks.readers else None
     if folders is None:
         return {}, (), ()

@@ -1,9 +1,8 @@
-"""Fills the holes that a depth sensor leaves on dark, shiny, grazing and far surfaces, which would get no anchors.
+"""Fill the holes that a depth sensor leaves on dark, shiny, grazing and far surfaces, which would get no anchors.
 
 Most holes lie in a plane with their surroundings. The inverse depth of a plane is an affine function of the pixel, so a
 hole is filled from the ring of measured pixels around it, of its own segment if that has enough of them. A hole whose
-ring is not planar stays a hole.
-"""
+ring is not planar stays a hole."""
 
 from __future__ import annotations
 
@@ -23,8 +22,8 @@ take the mean of the pixels around them, if these are flat."""
 
 
 def fill_holes(depth: Depths, segments: NDArray[np.int32]) -> Depths:
-    """Depth with planar holes filled, float32 [H, W] metres, 0 = unknown. ``segments`` int32 [H, W] are the mask's ids:
-    a hole ends where its segment does. Measured depth never changes."""
+    """Return depth with planar holes filled, float32 [H, W] metres, 0 = unknown. ``segments`` int32 [H, W] are the
+    mask's ids: a hole ends where its segment does. Measured depth never changes."""
     import cv2
 
     filled = depth.copy()
@@ -46,7 +45,7 @@ def fill_holes(depth: Depths, segments: NDArray[np.int32]) -> Depths:
 
 
 def _fill_specks(filled: Depths, depth: Depths, speck: Pixels) -> None:
-    """Fill all small holes at once, in place, with the mean of the surrounding 5x5 pixels if these are flat."""
+    """Fill all small holes at once in ``filled``, with the mean of the 5x5 pixels around each if these are flat."""
     import cv2
 
     if not speck.any():
@@ -61,7 +60,8 @@ def _fill_specks(filled: Depths, depth: Depths, speck: Pixels) -> None:
 
 
 def _fill_one(filled: Depths, depth: Depths, inside: Pixels, own: Pixels) -> None:
-    """Fill one hole, ``inside`` bool [h, w], in place; the arrays are cut out around it."""
+    """Fill one hole, ``inside`` bool [h, w], in ``filled``, with ``own`` its segment. All arrays are crops around
+    it."""
     import cv2
 
     size = 2 * RING + 1
@@ -85,7 +85,7 @@ def _fill_one(filled: Depths, depth: Depths, inside: Pixels, own: Pixels) -> Non
 
 
 def _plane(x: NDArray[np.intp], y: NDArray[np.intp], inverse: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Coefficients of x, y and 1 that fit the inverse depth, by robust least squares."""
+    """Fit the inverse depth by robust least squares. Returns the coefficients of x, y and 1."""
     system = np.column_stack([x, y, np.ones(len(x))])
     weight = np.ones(len(x))
     solution = np.zeros(3)

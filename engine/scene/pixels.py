@@ -1,4 +1,4 @@
-"""Decodes and resizes pictures. Pictures of ids are PNGs (grey, or a palette's indices), or arrays in .npy and .npz."""
+"""Decode and resize pictures. Pictures of ids are PNGs (grey, or a palette's indices), or arrays in .npy and .npz."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .values import checked_ids, inside
 @dataclass(frozen=True)
 class Alignment:
     """Maps a point of the colour image to the depth image, as fractions of their widths and heights: depth_x = x_scale
-    * colour_x + x_shift, and y likewise. The identity unless the depth camera has its own lens."""
+    * colour_x + x_shift, and y likewise. It is the identity unless the depth camera has its own lens."""
 
     x_scale: float = 1.0
     x_shift: float = 0.0
@@ -38,12 +38,12 @@ def decode(path: Path, as_colour: bool) -> NDArray[Any]:
 
 
 def opaque(path: Path) -> NDArray[np.bool_]:
-    """The pixels of an image with transparency that are not fully transparent, bool [H, W]. Raises PlgsError."""
+    """Return which pixels of an image with transparency are not fully transparent, bool [H, W]. Raises PlgsError."""
     return np.asarray(decode(path, as_colour=False)[..., 3] > 0)
 
 
 def decode_bytes(data: bytes, path: Path, as_colour: bool) -> NDArray[Any]:
-    """``decode`` for an image's bytes from the file ``path``. Raises PlgsError for damaged ones."""
+    """Decode an image's bytes, which come from the file ``path``, as ``decode`` does. Raises PlgsError."""
     import cv2
 
     check_image_bytes(data, path)
@@ -61,15 +61,15 @@ def decode_bytes(data: bytes, path: Path, as_colour: bool) -> NDArray[Any]:
 
 
 def write_image(path: Path, rgb: NDArray[Any]) -> None:
-    """Write uint8 [H, W, 3] as JPEG or PNG, by the suffix. Raises PlgsError when it cannot be encoded, OSError."""
+    """Write uint8 [H, W, 3] as JPEG or PNG, by the suffix. Raises PlgsError if it cannot be encoded, OSError."""
     write_atomically(path, image_bytes(rgb, path.suffix, str(path)))
 
 
 def image_bytes(
     pixels: NDArray[Any], suffix: str = ".png", where: str = "a picture", ways: Sequence[int] = ()
 ) -> bytes:
-    """RGB or RGBA uint8 [H, W, 3 or 4], or ids [H, W] of 8 or 16 bits, as PNG, or JPEG of the quality 95; ``ways`` are
-    OpenCV's flags and their values. Raises PlgsError when they cannot be encoded."""
+    """Encode RGB or RGBA uint8 [H, W, 3 or 4], or ids [H, W] of 8 or 16 bits, as PNG, or as JPEG of the quality 95.
+    ``ways`` are OpenCV's encoding flags and their values; ``where`` is for errors. Raises PlgsError if that fails."""
     import cv2
 
     stored = np.ascontiguousarray(pixels[..., [2, 1, 0, 3][: pixels.shape[-1]]] if pixels.ndim == 3 else pixels)  # BGR
@@ -81,7 +81,7 @@ def image_bytes(
 
 
 def largest_of_16_bits(path: Path) -> int | None:
-    """The largest colour value of a 16-bit PNG, ignoring alpha; None for other images. Raises PlgsError."""
+    """Return the largest colour value of a 16-bit PNG without alpha; None for other images. Raises PlgsError."""
     if read_image_header(path).bit_depth != 16:
         return None
     pixels = decode(path, as_colour=False)
@@ -90,12 +90,12 @@ def largest_of_16_bits(path: Path) -> int | None:
 
 @dataclass(frozen=True, eq=False)
 class ColourReader:
-    """Reads a picture through ``read`` (uint8 [H, W, 3] RGB at its own size) and resizes it."""
+    """Reads a picture with ``read`` (uint8 [H, W, 3] RGB at its own size) and resizes it."""
 
     read: Callable[[], NDArray[np.uint8]]
 
     def __call__(self, size: Size | None = None) -> NDArray[np.uint8]:
-        """uint8 [H, W, 3] RGB at ``size`` (width, height), or at its own size. Raises PlgsError."""
+        """Read uint8 [H, W, 3] RGB at ``size`` (width, height), or at its own size. Raises PlgsError."""
         pixels = self.read()
         return resize_colour(pixels, size) if size else pixels
 
@@ -110,7 +110,7 @@ def decode_depth(path: Path, fix: str) -> NDArray[Any]:
 
 
 def equal_channels(pixels: NDArray[Any]) -> NDArray[Any] | None:
-    """A picture's only channel, or the first if all are equal, ignoring alpha; otherwise None."""
+    """Return a picture's only channel, or its first if all but alpha are equal, [H, W]; otherwise None."""
     if pixels.ndim == 2:
         return pixels
     are_equal = bool((pixels[..., :3] == pixels[..., :1]).all())
@@ -129,7 +129,7 @@ def resize_colour(pixels: NDArray[np.uint8], size: Size) -> NDArray[np.uint8]:
 
 
 def resize_nearest(pixels: NDArray[Any], size: Size) -> NDArray[Any]:
-    """Resize [H, W] without mixing values; returns the same array if the size is right already."""
+    """Resize [H, W] to ``size`` (width, height) without mixing values. Returns the same array if the size is right."""
     height, width = pixels.shape
     if (width, height) == size:
         return pixels
@@ -138,14 +138,14 @@ def resize_nearest(pixels: NDArray[Any], size: Size) -> NDArray[Any]:
 
 
 def nearest_pixels(stored: Size, size: Size) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The row of a picture of the size ``stored`` (width, height) for each row of one of ``size``, and the columns."""
+    """Which rows and columns of a picture of the size ``stored`` (width, height) those of one of ``size`` show."""
     centres = ((2 * np.arange(new) + 1) * old // (2 * new) for old, new in zip(stored, size, strict=True))
     columns, rows = centres  # in exact whole numbers
     return rows, columns
 
 
 def resize_aligned(pixels: NDArray[Any], size: Size, alignment: Alignment) -> NDArray[Any]:
-    """Like ``resize_nearest``, into the colour image's frame, 0 beyond the source."""
+    """Map [H, W] into the colour image's pixels at ``size`` without mixing values; 0 beyond the source."""
     if alignment == Alignment():
         return resize_nearest(pixels, size)
     height, width = pixels.shape
@@ -158,14 +158,14 @@ def resize_aligned(pixels: NDArray[Any], size: Size, alignment: Alignment) -> ND
 
 
 def values_at(pixels: NDArray[Any], places: NDArray[np.float64]) -> NDArray[Any]:
-    """The pixels of an array [H, W] at ``places``, float64 [N, 2], x and y as fractions of its size."""
+    """Return the values of an array [H, W] at ``places``, float64 [N, 2], x and y as fractions of its size."""
     size = np.array(pixels.shape[::-1])
     columns, rows = (places * size).astype(np.int64).clip(0, size - 1).T
     return pixels[rows, columns]
 
 
 def distinct_ids(ids: NDArray[np.int32] | NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """The distinct values (>= 0) of an array, ascending, and each one's pixel count, void (0) included."""
+    """Return the distinct values (>= 0) of an array, ascending, void (0) included, and each one's pixel count."""
     # Counting is faster than sorting, unless the table is much larger than the picture.
     if int(ids.max(initial=0)) > ids.size + 65536:
         values, counts = np.unique(ids, return_counts=True)
@@ -176,8 +176,8 @@ def distinct_ids(ids: NDArray[np.int32] | NDArray[np.int64]) -> tuple[NDArray[np
 
 
 def numbered_labels(labels: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.intp]]:
-    """The distinct values of a picture of labels, ascending, and the index of each pixel's value among them, [N]: as
-    ``numpy.unique`` returns them, but only one value of each run of equal pixels is sorted."""
+    """Return the distinct values of a picture of labels, ascending, and the index of each pixel's value among them,
+    [N]. It returns the same as ``numpy.unique``, but sorts only one value of each run of equal pixels."""
     flat = labels.ravel()
     starts = np.flatnonzero(np.append(len(flat) > 0, flat[1:] != flat[:-1]))
     values, index = np.unique(flat[starts], return_inverse=True)
@@ -190,7 +190,7 @@ _NEARLY = 12  # steps of 8 bits by which JPEG alters black and white
 
 
 def label_map_size(path: Path) -> Size:
-    """(width, height); only the header is read. Raises PlgsError unless it is a picture of ids."""
+    """Return the (width, height) of a picture of ids from its header. Raises PlgsError for other files."""
     if path.suffix.lower() == ".png":
         return label_header(path).size
     shape = array_headers(path)[_only_array(path)].shape
@@ -201,8 +201,8 @@ def label_map_size(path: Path) -> Size:
 
 
 def label_header(path: Path) -> ImageHeader:
-    """The header of a PNG of labels, which has one channel, perhaps with a palette, or equal channels. Raises PlgsError
-    for other files."""
+    """Return the header of a PNG of labels, which has one channel, perhaps with a palette, or equal channels. Raises
+    PlgsError for other files."""
     header = read_image_header(path)
     is_grey = header.channels == 1 or (header.format == "png" and equal_channels(decode(path, False)) is not None)
     if header.format != "png" or not is_grey:
@@ -215,7 +215,7 @@ def label_header(path: Path) -> ImageHeader:
 
 
 def check_label_header(path: Path) -> Size:
-    """(width, height) of an 8- or 16-bit grey PNG. Raises PlgsError for palettes and others."""
+    """Return the (width, height) of an 8- or 16-bit grey PNG. Raises PlgsError for palettes and other files."""
     header = read_image_header(path)
     if header.format != "png" or header.channels != 1 or header.palette or header.bit_depth < 8:
         what = "a label image must be a PNG with one channel of 8 or 16 bits, without a palette"
@@ -224,7 +224,7 @@ def check_label_header(path: Path) -> Size:
 
 
 def read_label_map(path: Path) -> NDArray[np.int64]:
-    """The ids as stored, int64 [H, W]; they may be negative in an array. Raises PlgsError."""
+    """Read the ids as stored, int64 [H, W]; in an array they may be negative. Raises PlgsError."""
     if path.suffix.lower() == ".png":
         ids = read_indices(path).astype(np.int64)
         return ids if label_header(path).palette else checked_ids(ids, path)
@@ -233,7 +233,7 @@ def read_label_map(path: Path) -> NDArray[np.int64]:
 
 
 def whole_numbers(values: NDArray[np.generic], path: Path) -> NDArray[np.int64]:
-    """Ids as int64, even from floats that are whole numbers. Raises PlgsError."""
+    """Return ids as int64, also from floats that are whole numbers. Raises PlgsError for other values."""
     numbers = values.astype(np.int64) if values.dtype.kind in "biu" else None
     if values.dtype.kind == "f" and np.isfinite(values).all() and bool((values == np.floor(values)).all()):
         numbers = values.astype(np.int64)
@@ -250,7 +250,7 @@ def _only_array(path: Path) -> str:
 
 
 def read_indices(path: Path) -> NDArray[np.int32]:
-    """A one-channel PNG's values, int32 [H, W]; with a palette, its indices and not its colours. Raises PlgsError."""
+    """Read a one-channel PNG's values, int32 [H, W], of a palette the indices, not colours. Raises PlgsError."""
     header = label_header(path)
     data = check_image_file(path)
     if header.palette:
@@ -274,7 +274,7 @@ def shows_one_object(path: Path) -> bool:
 
 
 def is_black_and_white(path: Path) -> bool:
-    """Whether a one-channel PNG has only 0 and 255, apart from soft edges, and some white. False if unreadable."""
+    """Whether a one-channel PNG has only 0 and 255, apart from soft edges, and some 255. False if unreadable."""
     try:
         values = read_indices(path)
     except PlgsError:
@@ -284,7 +284,7 @@ def is_black_and_white(path: Path) -> bool:
 
 
 def _as_grey(data: bytes) -> bytes:
-    """The same PNG without its palette, so that its indices are grey values."""
+    """Return the same PNG without its palette, so that its indices are grey values."""
     kept = [data[:8]]
     for chunk in png_chunks(data):
         if chunk[4:8] == b"IHDR":

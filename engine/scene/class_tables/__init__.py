@@ -37,7 +37,8 @@ _VOID = {"cityscapes:0-33": frozenset({*range(7), 9, 10, 14, 15, 16, 18, 29, 30}
 
 @dataclass(frozen=True)
 class KnownTable:
-    """``labels`` by id, their class among the paper's 21 (``reduced``, perhaps empty), and ``void`` numbers."""
+    """A public table: ``labels`` by id, their class among the paper's 21 (``reduced``, maybe empty), and ``void``
+    ids."""
 
     labels: tuple[ClassLabel, ...]
     reduced: dict[int, int]
@@ -46,7 +47,7 @@ class KnownTable:
 
 @cache
 def known_table(name: str) -> KnownTable:
-    """The table of a name in ``TABLES`` or ``NUMBERINGS``."""
+    """Return the table with a name in ``TABLES`` or ``NUMBERINGS``."""
     with (Path(__file__).parent / f"{base_of(name)}.csv").open(encoding="utf-8", newline="") as file:
         number = _NUMBERS.get(name, lambda row: int(row["id"]))
         rows = [(number(row), row) for row in csv.DictReader(file)]
@@ -56,7 +57,7 @@ def known_table(name: str) -> KnownTable:
 
 
 def numberings_of(table: str) -> tuple[str, ...]:
-    """The names in ``NUMBERINGS`` of a table named without one, the usual one first; otherwise the name unchanged."""
+    """Return the ``NUMBERINGS`` of a table, the usual one first; of a name that includes one, that name alone."""
     return tuple(each for each in NUMBERINGS if base_of(each) == table) or (table,)
 
 
@@ -66,15 +67,15 @@ def base_of(table: str) -> str:
 
 
 def nearest_tables(names: Iterable[str]) -> list[str]:
-    """``TABLES``, starting with the one that has most of these names, as tables may disagree on a class: COCO counts
-    traffic lights as things, Cityscapes does not."""
+    """Return ``TABLES``, beginning with the one that has most of these names, as tables may disagree on a class: COCO
+    counts traffic lights as things, Cityscapes does not."""
     words = {word for name in names for word in _words(name)}
     return sorted(_OF_NETWORKS, key=lambda table: -sum(label.name in words for label in known_table(table).labels))
 
 
 def is_thing_by_name(name: str, tables: Sequence[str] = _OF_NETWORKS) -> bool | None:
     """Whether a class of this name is a thing in the first of the tables that has it; None if no table does. Of
-    synonyms, which ADE20K's networks list ("road, route"), the first known one counts."""
+    synonyms, as ADE20K's networks list them ("road, route"), the first known one counts."""
     for word in _words(name):
         for table in tables:
             for label in known_table(table).labels:
@@ -88,8 +89,8 @@ def _words(name: str) -> tuple[str, ...]:
 
 
 def reduced_by_name(name: str, with_raw: bool = False) -> int | None:
-    """The class among the paper's 21 for a name, 0 = void; None if no table has it. ``with_raw`` also accepts ScanNet's
-    raw labels, unless they belong to the last class."""
+    """Return the class among the paper's 21 for a name, 0 = void; None if no table has the name. ``with_raw`` also
+    accepts ScanNet's raw labels, unless they belong to the last class."""
     found = _reduced_names().get(name.casefold(), VOID if name.casefold() in _VOID_NAMES else None)
     if found is not None or not with_raw:
         return found
@@ -100,7 +101,7 @@ def reduced_by_name(name: str, with_raw: bool = False) -> int | None:
 
 @cache
 def _reduced_names() -> dict[str, int]:
-    """The class among the paper's 21 for each name in a table; the first table counts."""
+    """Return the class among the paper's 21 for each name in a table; the first table counts."""
     found: dict[str, int] = {}
     for known in map(known_table, _OF_NETWORKS):
         for label in known.labels:
