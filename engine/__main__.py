@@ -1,4 +1,4 @@
-"""``python -m engine``, or ``python -I engine/__main__.py`` (see `job.process.engine_call`)."""
+"""Run the command line: ``python -m engine``, or ``python -I engine/__main__.py`` (see `job.process.engine_call`)."""
 
 from __future__ import annotations
 

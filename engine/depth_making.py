@@ -1,9 +1,8 @@
-"""Makes depth of the photos of a scene that has none, with a network: ``made_depth`` in the scene's folder, which every
-later command reads (`engine/scene/made.py`).
+"""Make depth for the photos of a scene that has none, with a network. It is written to ``made_depth`` in the scene's
+folder, which every later command reads (`engine/scene/made.py`).
 
-Each photo's map is written at once, so that a stopped run goes on; all of them are then fitted to the reconstruction's
-points and to each other (`engine/depth_agreement.py`), and ``made_by.json`` is written last.
-"""
+Each photo's map is written at once, so that a stopped run can continue; all of them are then fitted to the
+reconstruction's points and to each other (`engine/depth_agreement.py`), and ``made_by.json`` is written last."""
 
 from __future__ import annotations
 
@@ -39,15 +38,15 @@ Follow = Callable[[int, int], object]
 
 @dataclass(frozen=True)
 class DepthNetwork:
-    """A network: its ``name`` on loading, and ``look``, which makes a map float32 [h, w] of a picture uint8 [H, W, 3]
-    RGB."""
+    """A loaded depth network: the ``name`` that was given to load it, and ``look``, which returns a map float32 [h, w]
+    for a picture uint8 [H, W, 3] RGB."""
 
     name: str
     look: Callable[[NDArray[np.uint8]], NDArray[np.float32]]
 
 
 def load_depth_network(name: str, *, download: bool) -> DepthNetwork:
-    """Load the network in the folder ``name``, or the one of this name on the hub (any that transformers' class
+    """Load the network in the folder ``name``, or of this name on the Hugging Face hub (any that transformers' class
     AutoModelForDepthEstimation takes). It is fetched only with ``download``. Raises PlgsError."""
     quiet_transformers(name, download, "segment", "depth is made")
     import transformers
@@ -73,8 +72,8 @@ def _map_of(name: str, network: Any, processor: Any, colour: NDArray[np.uint8]) 
 
 
 def make_depth(scene: Scene, folder: Path, network: DepthNetwork, follow: Follow) -> list[str]:
-    """Make the depth of every frame below ``folder``, or what an earlier run left, and return warnings. Raises
-    PlgsError, also if there is depth of another network or for other photos; OSError."""
+    """Make the depth of every frame below ``folder``, or what an earlier run did not finish, and return warnings.
+    Raises PlgsError, also if there is depth from another network or for other photos; OSError."""
     place, scale = folder / DEPTH_FOLDER, scale_of(folder)  # stored in the poses' own unit
     names = [frame.name for frame in scene.frames]
     photos = dict(zip(names, digests_of_files([(frame.colour_path,) for frame in scene.frames]), strict=True))

@@ -1,4 +1,4 @@
-"""Writes a scene's frames for any program, in one pass: undistorted pictures, coloured depth and masks, a cloud."""
+"""Write a scene's frames for any program in one pass: undistorted pictures, coloured depth and masks, a cloud."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ _SIDE = 2**20  # so that three coordinates of 21 bits fit into an int64
 
 @dataclass(frozen=True, eq=False)
 class ColouredCloud:
-    """``xyz`` float32 [N, 3] world metres, ``rgb`` uint8 [N, 3] sRGB."""
+    """A coloured point cloud: ``xyz`` float32 [N, 3] world metres, ``rgb`` uint8 [N, 3] sRGB."""
 
     xyz: NDArray[np.float32]
     rgb: NDArray[np.uint8]
 
 
 class CloudBuilder:
-    """Collects pixels in the cells of a grid; each cell becomes one point, the mean of its pixels. Whenever more than
-    ``cap`` cells are filled, the grid becomes twice as coarse, so that memory stays bounded."""
+    """Builds a point cloud with one point, the mean of its pixels, for each cell of a grid. Whenever more than ``cap``
+    cells are filled, the grid becomes twice as coarse, so that memory stays bounded."""
 
     def __init__(self, cap: int = 400_000) -> None:
         self._cap, self._spacing = cap, 0.0
@@ -59,12 +59,12 @@ class CloudBuilder:
             self._merge(self._cells // 2, self._sums)  # rounds down, for negative cells as well
 
     def cloud(self) -> ColouredCloud:
-        """The cloud of all frames so far."""
+        """Return the cloud of all frames so far."""
         mean = self._sums[:, :6] / np.maximum(self._sums[:, 6:], 1.0)
         return ColouredCloud(mean[:, :3].astype(np.float32), np.rint(mean[:, 3:]).astype(np.uint8))
 
     def _merge(self, cells: NDArray[np.int64], sums: NDArray[np.float64]) -> None:
-        """Keep one row per cell, in the order of the cells."""
+        """Keep one row per cell, in the order of the cells, adding up the ``sums`` of equal ``cells``."""
         x, y, z = (cells + _SIDE).T
         _, first, cell = np.unique((x * 2 * _SIDE + y) * 2 * _SIDE + z, return_index=True, return_inverse=True)
         self._cells = cells[first]
@@ -89,8 +89,8 @@ def make_frames(
 ) -> MadeFrames:
     """Write the ``kinds`` of files of the frames ``names`` (None: all) into ``folder``. frames.json lists all cameras
     before the first picture is made, and the files at the end. A picture that an image file shows unchanged is not
-    written. Files of an earlier run are kept, unless their source is newer or the frame's camera differs, as another
-    scene may have taken this one's path. Other people's files are always kept (see `OwnFiles`).
+    written. Files of an earlier run are kept, unless their source is newer or the frame's camera differs, which means
+    that another scene is now at the path. Other people's files are always kept (see `OwnFiles`).
 
     Raises PlgsError if the folder holds something else, a frame is missing, the scene has none of ``kinds``, or a file
     of the scene is bad. Bad depth for the cloud is reported after the pictures are written."""
@@ -150,7 +150,7 @@ def _refuse_nothing(scene: Scene, chosen: Collection[str], kinds: Collection[str
 
 
 def _make(scene: Scene, frame: Frame, folder: Path, kinds: Collection[str], made: MadeFrame) -> MadeFrame:
-    """One frame's pictures, including those of an earlier run."""
+    """Write one frame's pictures, and return them with those of an earlier run."""
     if "colour" in kinds and not frame.file_shows_colour:
         path = folder / "color" / f"{frame.name}.jpg"
         if made.colour is None or not is_newer(path, frame.colour_path):
@@ -172,7 +172,7 @@ def _make(scene: Scene, frame: Frame, folder: Path, kinds: Collection[str], made
 
 
 def cloud_strides(frames: Sequence[Frame]) -> dict[str, int]:
-    """The frames that the cloud is made of, evenly spread, with the stride of their pixels."""
+    """Return the frames from which the cloud is made, evenly spread, and for each the step between the pixels used."""
     deep = [frame for frame in frames if frame.read_depth is not None]
     chosen = deep[:: -(-len(deep) // _CLOUD_FRAMES) or 1]  # a slice's step cannot be 0
     share = len(chosen) / _CLOUD_PIXELS
@@ -180,8 +180,8 @@ def cloud_strides(frames: Sequence[Frame]) -> dict[str, int]:
 
 
 def add_to_cloud(builder: CloudBuilder, frame: Frame, stride: int) -> None:
-    """Add every ``stride``-th pixel (of the picture's, where depth has fewer) of a frame with depth. Raises PlgsError,
-    OSError."""
+    """Add every ``stride``-th pixel of a frame with depth, counted in the picture where that has more pixels than
+    depth. Raises PlgsError, OSError."""
     depth = frame.depth(None)
     height, width = depth.shape
     # The stride is that of the picture; depth often has fewer pixels.

@@ -1,4 +1,4 @@
-"""JSON in and out, strictly: any program can read the files, and each value is read as the type that it should be."""
+"""Read and write JSON strictly: any program can read the files, and every value is checked to have its type."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
 
 
 def plain(value: object) -> Json:
-    """The value in JSON's own types: paths become text, NaN and infinity null. Raises TypeError for other values."""
+    """Return the value in JSON's own types: paths become text, NaN and infinity null. Raises TypeError for others."""
     if value is None or isinstance(value, bool | str):  # before Integral, which bool is, too
         return value
     if isinstance(value, os.PathLike):
@@ -43,7 +43,7 @@ def plain(value: object) -> Json:
 
 
 def to_line(value: Mapping[str, object]) -> bytes:
-    """The object as one line of UTF-8 with its newline. Characters of broken paths that UTF-8 lacks are escaped."""
+    """Return the object as one line of UTF-8 with its newline. Characters of paths that UTF-8 lacks are escaped."""
     return (json.dumps(plain(value), ensure_ascii=False, allow_nan=False) + "\n").encode(errors="backslashreplace")
 
 
@@ -53,30 +53,30 @@ def to_text(value: Mapping[str, object]) -> str:
 
 
 def read_value(path: Path, fix: str) -> Json:
-    """The JSON value in a file of ours. Raises PlgsError, with ``fix`` as the advice."""
+    """Read the JSON value in a file of ours. Raises PlgsError, with ``fix`` as the advice."""
     with reading(path, fix):
         value: Json = _parsed(read_plain(path, MOST_BYTES), path, fix)
     return value
 
 
 def read_object(path: Path, fix: str) -> dict[str, Json]:
-    """The JSON object in a file of ours. Raises PlgsError, with ``fix`` as the advice."""
+    """Read the JSON object in a file of ours. Raises PlgsError, with ``fix`` as the advice."""
     return _object(read_value(path, fix), path, fix)
 
 
 def read_json(path: Path) -> Any:
-    """The JSON value in a table that another program wrote. Raises PlgsError."""
+    """Read the JSON value in a file that another program wrote. Raises PlgsError."""
     with reading(path):
         return _parsed(read_plain(path, LARGEST_TABLE), path, _WRITE_AGAIN)
 
 
 def read_json_object(path: Path) -> dict[str, Any]:
-    """The JSON object in a table that another program wrote. Raises PlgsError."""
+    """Read the JSON object in a file that another program wrote. Raises PlgsError."""
     return _object(read_json(path), path, "Write it as {...}.")
 
 
 def parse_json_object(data: bytes, path: Path) -> dict[str, Any]:
-    """``read_json_object`` for bytes out of the file ``path``. Raises PlgsError."""
+    """Parse the JSON object in bytes from the file ``path``, as ``read_json_object`` does. Raises PlgsError."""
     return _object(_parsed(data, path, _WRITE_AGAIN), path, "Write it as {...}.")
 
 
@@ -118,12 +118,12 @@ def _bounded(digits: str) -> int:
 
 
 def whole_number(text: str) -> int | None:
-    """The whole number that a text of at most 18 decimal digits is, such as a key of JSON or a part of a name."""
+    """The whole number in a text of at most 18 decimal digits, such as a JSON key or part of a name, else None."""
     return int(text) if text.isdecimal() and len(text) <= 18 else None
 
 
 def _kind_of(value: object) -> str:
-    """What JSON calls a value, for messages."""
+    """Return JSON's name for the type of a value, for messages."""
     if value is None:
         return "null"
     names = {bool: "true or false", int: "a number", float: "a number", str: "a text", list: "a list"}
@@ -131,7 +131,7 @@ def _kind_of(value: object) -> str:
 
 
 def take_list(entry: dict[str, Any], key: str, context: str, path: Path) -> list[Any]:
-    """``entry[key]`` as a list; ``context`` says whose key it is ("annotation 3"). Raises PlgsError."""
+    """Return ``entry[key]`` as a list. ``context`` says whose key it is ("annotation 3"). Raises PlgsError."""
     value = _take(entry, key, context, path)
     if not isinstance(value, list):
         raise wrong_type(key, "a list", value, context, path)
@@ -139,7 +139,7 @@ def take_list(entry: dict[str, Any], key: str, context: str, path: Path) -> list
 
 
 def take_objects(entry: dict[str, Any], key: str, context: str, path: Path) -> list[dict[str, Any]]:
-    """``entry[key]`` as a list of objects. Raises PlgsError."""
+    """Return ``entry[key]`` as a list of objects. Raises PlgsError."""
     value = take_list(entry, key, context, path)
     for item in value:
         if not isinstance(item, dict):
@@ -150,7 +150,8 @@ def take_objects(entry: dict[str, Any], key: str, context: str, path: Path) -> l
 def take_whole_number(
     entry: dict[str, Any], key: str, context: str, path: Path, *, least: int = -_LARGEST, most: int = _LARGEST
 ) -> int:
-    """``entry[key]`` as a whole number (2 or 2.0, not true, not "2") from ``least`` to ``most``. Raises PlgsError."""
+    """Return ``entry[key]`` as a whole number (2 or 2.0, not true, not "2") in ``least``..``most``. Raises
+    PlgsError."""
     value = _take(entry, key, context, path)
     whole = isinstance(value, int) or (isinstance(value, float) and value.is_integer())
     if isinstance(value, bool) or not whole:
@@ -163,7 +164,7 @@ def take_whole_number(
 def take_number(
     entry: dict[str, Any], key: str, context: str, path: Path, *, least: float = -1e300, most: float = 1e300
 ) -> float:
-    """``entry[key]`` as a finite number from ``least`` to ``most``. Raises PlgsError."""
+    """Return ``entry[key]`` as a finite number between ``least`` and ``most``. Raises PlgsError."""
     value = _take(entry, key, context, path)
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
         raise wrong_type(key, "a number", value, context, path)
@@ -173,7 +174,7 @@ def take_number(
 
 
 def take_text(entry: dict[str, Any], key: str, context: str, path: Path) -> str:
-    """``entry[key]`` as a text that is not empty. Raises PlgsError."""
+    """Return ``entry[key]`` as a text that is not empty. Raises PlgsError."""
     value = _take(entry, key, context, path)
     if not isinstance(value, str) or not value:
         raise wrong_type(key, "a text", value, context, path)
@@ -184,7 +185,7 @@ def take_text(entry: dict[str, Any], key: str, context: str, path: Path) -> str:
 
 
 def take_flag(entry: dict[str, Any], key: str, context: str, path: Path) -> bool:
-    """``entry[key]`` as true or false, which may be written 1 or 0. Raises PlgsError."""
+    """Return ``entry[key]`` as true or false, which may be written 1 or 0. Raises PlgsError."""
     value = _take(entry, key, context, path)
     if value not in (0, 1) or isinstance(value, float):  # True and 1.0 equal 1
         raise wrong_type(key, "0 or 1", value, context, path)
@@ -198,12 +199,12 @@ def _take(entry: dict[str, Any], key: str, context: str, path: Path) -> Any:
 
 
 def wrong_type(key: str, wanted: str, value: object, context: str, path: Path) -> PlgsError:
-    """The error for a value of a kind other than wanted."""
+    """Return the error for a value of another type than ``wanted``."""
     what = f'"{key}" of {context} must be {wanted}, not {shown_json(value)}'
     return PlgsError("wrong-type", what, path, "Correct the file.")
 
 
 def shown_json(value: object) -> str:
-    """A value as messages show it."""
+    """Return a value as messages show it, shortened."""
     shown = repr(value) if isinstance(value, bool | int | float | str) else _kind_of(value)
     return shown[:60]

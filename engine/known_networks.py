@@ -1,6 +1,5 @@
 """The networks that PLGS offers by name: what each is good for, its size, and its licence as its authors state it. They
-are in ``known_networks.json``, which Blender reads, too.
-"""
+are listed in ``known_networks.json``, which Blender reads, too."""
 
 from __future__ import annotations
 
@@ -13,8 +12,8 @@ from pathlib import Path
 @dataclass(frozen=True)
 class KnownNetwork:
     """A network on huggingface.co: ``name`` and the ``revision`` that is loaded, ``label`` and what it is ``good_for``,
-    its weights' size in ``bytes``, the ``licence`` of the weights and where it is ``stated``, whether that allows
-    commercial use, and the processor ``seconds`` of one thread for a picture."""
+    the size of its weights in ``bytes``, their ``licence`` and where it is ``stated``, whether that allows commercial
+    use, and the processor ``seconds`` that one thread needs for a picture."""
 
     name: str
     revision: str
@@ -37,13 +36,13 @@ KNOWN = {each.name: each for each in (*MASKS, *DEPTH)}
 
 
 def known_network(name: str) -> KnownNetwork | None:
-    """The network called ``name``, perhaps with @REVISION; None for others, and for folders."""
+    """Return the network called ``name``, perhaps with @REVISION; None if it is not known or a folder."""
     return KNOWN.get(name.partition("@")[0])
 
 
 def licence_of(name: str) -> dict[str, str | bool | None]:
-    """What ``made_by.json`` says of a network: its licence in one sentence, and whether that allows commercial use
-    (None: not known)."""
+    """Return what ``made_by.json`` says about a network: its licence in one sentence, and whether that allows
+    commercial use (None: not known)."""
     known = known_network(name)
     if known is None:
         return {"licence": f"the licence of {name} is not known here: its authors state it", "commercial_use": None}
@@ -52,7 +51,7 @@ def licence_of(name: str) -> dict[str, str | bool | None]:
 
 
 def listing(names: Iterable[str]) -> str:
-    """What would be downloaded, a line each, with sizes and licences."""
+    """Return a line for each network that would be downloaded, with size and licence."""
     known = ((name, known_network(name)) for name in names)
     return "\n".join(
         f"{name}, of a licence that is not known here"

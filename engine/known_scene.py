@@ -1,5 +1,5 @@
-"""What is known of a scene's frames without reading the scene: scene.json of a lift, frames.json of extracted pictures.
-Blender reads only plain folders itself; of other scenes it has cameras and pictures from these files."""
+"""Stored facts about a scene's frames, for use without the scene: scene.json of a lift, frames.json of extracted
+pictures. Blender reads only plain folders itself; of others it has cameras and pictures from these files."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ Row = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class StoredFrame:
-    """A posed frame. ``size`` is (width, height) in pixels, ``lens`` fx, fy, cx, cy in pixels with centres at +0.5.
-    ``camera_to_world`` has OpenCV's axes and metres. ``colour`` and ``depth`` are paths, relative where they lie in the
-    scene's folder. ``is_picture`` says that the file at ``colour`` shows the frame as it is, ``files`` is the digest of
-    both when a lift was last run, ``read`` that of how they are read, confidence included; "" is not compared."""
+    """A frame as it is stored. ``size`` is (width, height) in pixels, ``lens`` fx, fy, cx, cy in pixels with centres at
+    +0.5. ``camera_to_world`` has OpenCV's axes and metres. ``colour`` and ``depth`` are paths, relative if they lie in
+    the scene's folder. ``is_picture`` says that the file at ``colour`` shows the frame as it is. ``files`` is the
+    digest of both when the lift last ran, ``read`` that of confidence and of how all are read; "" is not compared."""
 
     name: str = field(metadata={"shown": True})
     held_out: bool
@@ -41,7 +41,7 @@ class StoredFrame:
     read: str = ""
 
     def posed(self, scene: Path) -> PosedFrame:
-        """The frame with paths below the ``scene``'s folder."""
+        """Return the frame with paths in the folder ``scene``."""
         camera = Camera(*self.size, *self.lens, np.array(self.camera_to_world))
         depth, colour = None if self.depth is None else scene / self.depth, scene / self.colour
         return PosedFrame(self.name, camera, self.held_out, colour, depth, file_shows_colour=self.is_picture)
@@ -49,8 +49,8 @@ class StoredFrame:
 
 @dataclass(frozen=True)
 class StoredScene:
-    """Posed frames in recording order. ``layout`` names the format's reader; ``masks`` is the digest of the masks that
-    a lift was made from, empty where nothing was lifted. ``estimated``: see ``Manifest``."""
+    """A scene's frames as they are stored, in recording order. ``layout`` names the format's reader; ``masks`` is the
+    digest of the masks that a lift was made from, "" where nothing was lifted. ``estimated``: see ``Manifest``."""
 
     frames: tuple[StoredFrame, ...]
     masks: str = ""
@@ -59,12 +59,12 @@ class StoredScene:
     estimated: tuple[str, ...] = ()
 
     def posed_frames(self, scene: Path) -> tuple[PosedFrame, ...]:
-        """The frames with paths below the ``scene``'s folder."""
+        """Return the frames with paths in the folder ``scene``."""
         return tuple(frame.posed(scene) for frame in self.frames)
 
 
 def stored_scene(scene: PosedScene, frames: Sequence[PosedFrame], masks: str = "") -> StoredScene:
-    """``frames`` of a scene as a record."""
+    """Return ``frames`` of a scene in the form in which they are stored."""
     known = tuple(_stored(frame, scene.folder) for frame in frames)
     return StoredScene(known, masks, scene.format, scene.warnings, scene.estimated)
 
@@ -89,8 +89,8 @@ _BAKE_FIX = "Delete this file, then let an engine bake a frame of the lift, whic
 
 
 def known_scene(folder: LiftFolder, classes: ClassTable | None = None) -> PosedScene:
-    """The frames of a lift with their cameras, without pixels, and the classes of its result, read unless given. Raises
-    PlgsError for a lift without a list of its frames, and for a damaged one."""
+    """Return the frames of a lift with their cameras, without pixels, and the classes of its result, read unless given.
+    Raises PlgsError for a lift without a list of its frames, and for a damaged one."""
     scene, known = folder.request.scene, read_known(folder)
     if known is None:
         fix = "Bake one of its frames, which writes the list."
@@ -103,13 +103,13 @@ def known_scene(folder: LiftFolder, classes: ClassTable | None = None) -> PosedS
 
 
 def read_known(folder: LiftFolder) -> StoredScene | None:
-    """What a lift's scene.json holds; None without the file. Raises PlgsError for a damaged one."""
+    """Read a lift's scene.json; None without the file. Raises PlgsError for a damaged one."""
     path = folder.path / KNOWN_SCENE
     return read_record(StoredScene, path, _BAKE_FIX) if path.is_file() else None
 
 
 def write_known(folder: LiftFolder, known: StoredScene) -> None:
-    """Write what is known of a lift's scene beside its request. Raises OSError."""
+    """Write a lift's scene.json, beside its request. Raises OSError."""
     write_atomically(folder.path / KNOWN_SCENE, record_text(known))
 
 
@@ -122,8 +122,8 @@ _INSIDE = {"inside": True}
 
 @dataclass(frozen=True)
 class MadeFrame:
-    """One frame's pictures, None where it has none: its ``colour`` undistorted, its ``depth`` and ``masks`` drawn in
-    colours. ``depth_range`` is the nearest and the farthest depth in metres that the drawing distinguishes."""
+    """The pictures that were made of one frame, None where there is none: its ``colour`` undistorted, its ``depth`` and
+    ``masks`` drawn in colours. ``depth_range`` is the nearest and the farthest depth in metres that are drawn."""
 
     colour: Path | None = field(default=None, metadata=_INSIDE)
     depth: Path | None = field(default=None, metadata=_INSIDE)
@@ -133,9 +133,9 @@ class MadeFrame:
 
 @dataclass(frozen=True)
 class MadeFrames:
-    """What lies in ``folder``: the cameras of all frames of the ``scene``, and the pictures by frame name. ``cloud`` is
-    made of depth, ``points`` are those of the reconstruction behind the poses: .npz files with xyz float32 [N, 3]
-    metres and rgb uint8 [N, 3], None where there are none."""
+    """What `make_frames` wrote into ``folder``: the cameras of all frames of the ``scene``, and the pictures by frame
+    name. ``cloud`` is made of depth, ``points`` are those of the reconstruction behind the poses: .npz files with xyz
+    float32 [N, 3] metres and rgb uint8 [N, 3], None where there are none."""
 
     folder: Path = field(metadata={"apart": True})
     source: SceneSource
@@ -145,17 +145,17 @@ class MadeFrames:
     points: Path | None = field(default=None, metadata=_INSIDE)
 
     def write(self) -> None:
-        """Put frames.json into the folder. Raises OSError."""
+        """Write frames.json into the folder. Raises OSError."""
         write_atomically(self.folder / FILE, record_text(self, self.folder, VERSION))
 
     @classmethod
     def read(cls, folder: Path) -> MadeFrames:
-        """Read the frames.json of a folder. Raises PlgsError when it is missing, of another version, or damaged."""
+        """Read the frames.json of a folder. Raises PlgsError if it is missing, of another version, or damaged."""
         return read_record(cls, folder / FILE, _MADE_FIX, VERSION, folder=folder)
 
 
 def made_of(folder: Path, source: SceneSource) -> MadeFrames | None:
-    """What an earlier run made of this scene in ``folder``, or None. Raises PlgsError if it holds something else."""
+    """Return what an earlier run made of this scene in ``folder``, or None. Raises PlgsError for other content."""
     if not folder.exists():
         return None
     if (folder / FILE).is_file():
@@ -168,7 +168,7 @@ def made_of(folder: Path, source: SceneSource) -> MadeFrames | None:
 
 
 def is_newer(path: Path, source: Path) -> bool:
-    """Whether a file was made after its source was last changed."""
+    """Whether a file is at least as new as its ``source``."""
     try:
         return path.stat().st_mtime >= source.stat().st_mtime
     except OSError:

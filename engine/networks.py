@@ -1,8 +1,7 @@
-"""Networks from a folder or, with the user's consent, from Hugging Face's hub: which ones are known, and their files.
+"""Load networks from a folder or, with the user's consent, from Hugging Face's hub: which are known, and their files.
 
 Only safetensors are read: no pickles, and no code that comes with a model. A name stands for one revision. transformers
-is imported late, by whoever loads a network.
-"""
+is imported late, when a network is loaded."""
 
 from __future__ import annotations
 
@@ -34,8 +33,8 @@ _MOST_IN = {"config.json": 2**20, "preprocessor_config.json": 2**13}
 
 
 def quiet_transformers(name: str, download: bool, part: str, purpose: str) -> None:
-    """Import transformers, which then prints nothing and, without ``download``, asks no hub. Raises PlgsError if it is
-    not installed, or ``name`` is neither a folder nor a model's name."""
+    """Import transformers with its output switched off and, without ``download``, its access to the hub. Raises
+    PlgsError if it is not installed, or ``name`` is neither a folder nor a model's name."""
     model = name.partition("@")[0]
     if not Path(name).is_dir() and (model.count("/") != 1 or model.startswith((".", "/", "~"))):
         fix = "Name a folder, or a model as OWNER/NAME or OWNER/NAME@REVISION."
@@ -51,7 +50,7 @@ def quiet_transformers(name: str, download: bool, part: str, purpose: str) -> No
 
 
 def is_here(name: str) -> bool:
-    """Whether a network is on this machine, without asking the hub."""
+    """Whether a network is on this machine already, found out without asking the hub."""
     if Path(name).is_dir():
         return True
     if find_spec("huggingface_hub") is None:
@@ -65,8 +64,8 @@ def is_here(name: str) -> bool:
 
 @contextmanager
 def loading(name: str, *, runs: bool = False) -> Iterator[None]:
-    """Turn what transformers and its libraries raise for files that they cannot load into PlgsError, or (``runs``) for
-    a network that they cannot run: then what a line of the engine raises is a defect of ours, and passes."""
+    """Turn errors of transformers and its libraries in a ``with`` block into PlgsError: for files that they cannot load
+    or, if ``runs``, for a network that they cannot run. Errors of our own code while it ``runs`` are bugs and stay."""
     try:
         yield
     except Exception as error:  # they have dozens of kinds, some of their own
@@ -79,8 +78,8 @@ def loading(name: str, *, runs: bool = False) -> Iterator[None]:
 
 
 def model_folder(name: str, *, download: bool) -> Path:
-    """The folder with a model's files: ``name`` itself, or its files of the hub, fetched with ``download`` only. Raises
-    PlgsError, OSError."""
+    """Return the folder with a model's files: ``name`` itself, or its files from the hub, which are fetched only with
+    ``download``. Raises PlgsError, OSError."""
     from huggingface_hub import HfApi, constants, snapshot_download
 
     folder, (model, _, revision) = Path(name), name.partition("@")
@@ -108,7 +107,7 @@ def model_folder(name: str, *, download: bool) -> Path:
 
 
 def load_weights(kind: Any, folder: Path, name: str) -> Any:
-    """The network in a folder, of transformers' class ``kind``, ready to run. Raises PlgsError."""
+    """Load the network in a folder as transformers' class ``kind``, ready to run. Raises PlgsError."""
     limits: dict[str, Any] = {"local_files_only": True, "trust_remote_code": False, "use_safetensors": True}
     with loading(name):
         network, found = kind.from_pretrained(folder, output_loading_info=True, **limits)
@@ -130,7 +129,7 @@ def refuse_nan(values: Any, name: str) -> None:
 
 
 def _refuse_vast(content: object, path: Path, key: str = "") -> None:
-    """Raise PlgsError for a number in a model's settings that would make it grow without end."""
+    """Raise PlgsError for a number in a model's settings so large that building it would exhaust the memory."""
     if isinstance(content, dict | list):
         for inner, each in content.items() if isinstance(content, dict) else ((key, each) for each in content):
             if inner not in _CLASSES:  # whose names are anything
@@ -142,8 +141,8 @@ def _refuse_vast(content: object, path: Path, key: str = "") -> None:
 
 
 def _check_weights(folder: Path) -> None:
-    """Raise PlgsError unless the weights are safetensors in the model's folder, unchanged since their download, and
-    its settings have no vast numbers."""
+    """Raise PlgsError unless the weights are safetensors in the model's folder, unchanged since their download, and its
+    settings have no huge numbers."""
     config, index = folder / "config.json", folder / "model.safetensors.index.json"
     if not config.is_file() or not any(folder.glob("*.safetensors")):
         fix = "Name a folder that transformers' save_pretrained wrote, with config.json and safetensors."
@@ -174,7 +173,7 @@ def _check_pin(pin: Path, pins: Mapping[str, Any], folder: Path) -> None:
 
 
 def _ask_hub(hub: Any, model: str, revision: str | None) -> None:
-    """Raise PlgsError if the hub does not answer or lacks the model, as a download would wait for a silent hub."""
+    """Raise PlgsError if the hub does not answer or lacks the model; a download would wait for a silent hub."""
     from huggingface_hub.errors import RepositoryNotFoundError, RevisionNotFoundError
 
     try:

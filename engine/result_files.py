@@ -1,8 +1,7 @@
 """The objects and the labelled points of a result: instances.json, semantic_points.npz, anchors.npz.
 
 They are written and read only here, by the engine and by Blender. The same content gives the same bytes. Readers check
-everything that they take from a file.
-"""
+all values in a file."""
 
 from __future__ import annotations
 
@@ -52,8 +51,8 @@ _ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
 
 @dataclass(frozen=True, eq=False)
 class SemanticPoints:
-    """``xyz`` float32 [N, 3] world metres, ``rgb`` uint8 [N, 3] sRGB, ``class_id`` int32 [N] (0 = unknown),
-    ``instance_id`` int32 [N] (0 = none), ``confidence`` float32 [N], how likely its class is right."""
+    """Labelled points: ``xyz`` float32 [N, 3] world metres, ``rgb`` uint8 [N, 3] sRGB, ``class_id`` int32 [N] (0 =
+    unknown), ``instance_id`` int32 [N] (0 = none), ``confidence`` float32 [N], the class's probability."""
 
     xyz: NDArray[np.float32]
     rgb: NDArray[np.uint8]
@@ -64,8 +63,9 @@ class SemanticPoints:
 
 @dataclass(frozen=True, eq=False)
 class Anchors:
-    """``xyz`` float32 [M, 3] world metres, ``class_id``, ``instance_id`` int32 [M], ``opacity`` float32 [M] (mean of
-    max(opacity, 0) over the anchor's Gaussians), ``level`` int32 [M] (0 initial, 1.. grown), ``rgb`` uint8 [M, 3]."""
+    """The model's anchors: ``xyz`` float32 [M, 3] world metres, ``class_id``, ``instance_id`` int32 [M], ``opacity``
+    float32 [M] (mean of max(opacity, 0) of its Gaussians), ``level`` int32 [M] (0 initial, 1.. grown), ``rgb`` uint8
+    [M, 3]."""
 
     xyz: NDArray[np.float32]
     class_id: NDArray[np.int32]
@@ -77,15 +77,13 @@ class Anchors:
 
 @dataclass(frozen=True)
 class MatchedSegment:
-    """A mask's segment that was matched to an instance, with its own class and score.
-
-    ``cost`` and ``agreement`` say why it was matched; one of them is None. ``cost`` is that of Algorithm 1, from -1.5
-    (same box) to 0, and None for the segment that founded the instance. ``agreement`` is the share of the views'
-    judgements that join it with the instance's other masks. ``pixels``: the number of pixels with depth at the size of
-    the lift; ``share`` of the picture's pixels; ``rectangle`` around it: left, top, right, bottom, 0..1; ``outline``:
+    """A mask's segment that was matched to an instance, with its own class and score. ``cost`` and ``agreement`` say
+    why it was matched; one of them is None. ``cost`` is that of Algorithm 1, from -1.5 (same box) to 0, and None for
+    the segment that created the instance. ``agreement`` is the share of the views' judgements that join it with the
+    instance's other masks. ``pixels`` is the number of its pixels with depth, at the size of the lift, and ``share``
+    its share of the picture's pixels. ``rectangle`` is around it: left, top, right, bottom, 0..1. ``outline`` has
     polygons around its parts, "x,y x,y x,y;x,y x,y x,y" in fractions of the picture. The last five are None, 0 and
-    empty for the first versions of this file.
-    """
+    empty in the first versions of this file."""
 
     frame: str
     segment_id: int
@@ -125,8 +123,8 @@ Listed = tuple[ClassTable, tuple[Instance, ...]]
 
 
 def write_arrays(path: Path, arrays: SemanticPoints | Anchors, *, fast: bool = False) -> None:
-    """Write an .npz whose bytes depend only on the arrays, about a tenth larger if it has to be made ``fast``. Raises
-    ValueError if lengths differ, and OSError."""
+    """Write an .npz whose bytes depend only on the arrays. ``fast`` makes it about a tenth larger. Raises ValueError if
+    lengths differ, and OSError."""
     named = {name: np.ascontiguousarray(array, _ARRAYS[name][0]) for name, array in vars(arrays).items()}
     if len({len(array) for array in named.values()}) != 1:
         lengths = ", ".join(f"{name} {len(array)}" for name, array in named.items())
@@ -135,7 +133,7 @@ def write_arrays(path: Path, arrays: SemanticPoints | Anchors, *, fast: bool = F
 
 
 def npz_bytes(arrays: Mapping[str, NDArray[Any]], *, fast: bool = False) -> bytes:
-    """An .npz of these arrays, whose bytes depend only on them."""
+    """Return an .npz of these arrays, whose bytes depend only on them. ``fast`` makes it about a tenth larger."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w") as archive:
         for name, array in arrays.items():
@@ -149,7 +147,7 @@ def npz_bytes(arrays: Mapping[str, NDArray[Any]], *, fast: bool = False) -> byte
 
 
 def read_arrays(path: Path, kind: type[Arrays]) -> Arrays:
-    """The arrays that a file holds, each of the right type and with as many rows as the first. Raises PlgsError."""
+    """Read the arrays of a file, checked to have the right types and as many rows as the first. Raises PlgsError."""
     try:
         arrays = read_npz(path, MAKE_ANEW, [field.name for field in fields(kind)])
     except PlgsError as error:
@@ -179,7 +177,7 @@ def write_instances(path: Path, classes: ClassTable, instances: Sequence[Instanc
 
 
 def read_instances(path: Path, content: Any = None) -> Listed:
-    """The classes and the instances of a file, or of its ``content`` with instances read before. Raises PlgsError."""
+    """The classes and the instances of a file, or of its ``content`` if that was read before. Raises PlgsError."""
     content = content or read_object(path, MAKE_ANEW)
     try:
         if content["format"] != _FORMAT:
@@ -200,12 +198,12 @@ def read_instances(path: Path, content: Any = None) -> Listed:
 
 
 def instances_text(path: Path) -> str:
-    """The text of a file, to be read in parts. Raises one of ``BAD``."""
+    """Read the text of a file, to be parsed in parts. Raises one of ``BAD``."""
     return read_plain(path, MOST_BYTES).decode("utf-8-sig")
 
 
 def instance_of(entry: dict[str, Any]) -> Instance:
-    """The instance of an element of the file's list. Raises one of ``BAD``."""
+    """Return the instance of an element of the file's list. Raises one of ``BAD``."""
     return Instance(
         id=_id(entry["id"], least=1),
         name=_text(entry["name"]),
@@ -255,7 +253,7 @@ def _whole(value: Any) -> int:
 
 
 def _id(value: Any, least: int = 0) -> int:
-    """An id within limits, as palettes and lists have an entry for each id up to the largest."""
+    """Return an id that is within limits, as palettes and lists have an entry for each id up to the largest."""
     return _within(int(value), least, LARGEST_ID)
 
 

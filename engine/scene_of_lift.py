@@ -1,4 +1,4 @@
-"""Opens the scene of a lift at its requested path; if it was moved, only its cameras are available."""
+"""Open the scene of a lift at its requested path. If it was moved, only its cameras are available."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ _ANOTHER = "Restore it as it was, say where it is with Find Scene or --scene, or
 
 
 def scene_of_lift(folder: LiftFolder) -> Scene:
-    """The scene that a lift was made from, with the classes of the result; if it is gone, frames with cameras, whose
-    readers raise. Raises PlgsError for a scene that is unreadable, replaced by another, or gone without a record."""
+    """Return the scene that a lift was made from, with the classes of the result. If the scene is gone, return frames
+    that have cameras, and whose readers of pixels raise PlgsError. Raises PlgsError for a scene that is unreadable,
+    replaced by another, or gone without a record."""
     if os.path.exists(folder.request.scene) or not (folder.path / KNOWN_SCENE).is_file():
         scene = opened_scene(folder)
         result = folder.result_path / INSTANCES
@@ -38,7 +39,7 @@ def scene_of_lift(folder: LiftFolder) -> Scene:
 
 
 def opened_scene(folder: LiftFolder) -> Scene:
-    """The scene of a lift as its files are now. Raises PlgsError also if frames differ or most are gone."""
+    """Open the scene of a lift as its files are now. Raises PlgsError also if frames differ or most are gone."""
     scene, known = open_asked(folder.request), read_known(folder)
     if known is not None:
         _refuse_another(known, scene)
@@ -46,7 +47,7 @@ def opened_scene(folder: LiftFolder) -> Scene:
 
 
 def _refuse_another(known: StoredScene, scene: Scene) -> None:
-    """Raise PlgsError if a camera differs, or most known frames are gone. A few may have been left out or lost."""
+    """Raise PlgsError if a camera differs, or if most known frames are gone; a few may be missing."""
     there = {frame.name for frame in scene.frames}
     kept = [frame for frame in known.frames if frame.name in there]
     compared = kept if 2 * len(kept) >= len(known.frames) else known.frames
@@ -54,7 +55,7 @@ def _refuse_another(known: StoredScene, scene: Scene) -> None:
 
 
 def names_of_frames(folder: LiftFolder) -> tuple[str, ...]:
-    """The names of all frames of a lift's scene; empty if unknown. Raises PlgsError."""
+    """Return the names of all frames of a lift's scene; () if unknown. Raises PlgsError."""
     known = read_known(folder)
     return () if known is None else tuple(frame.name for frame in known.frames)
 
@@ -63,7 +64,8 @@ def remember_scene(
     folder: LiftFolder, scene: Scene, warn: Callable[[str], object] = lambda _: None, progress: Progress = unwatched
 ) -> str:
     """Write the cameras and the files' digests of a lift's scene beside its request. Returns the digest of the masks.
-    An unfinished result with passes of other masks or classes is moved, with a warning. Raises PlgsError, OSError."""
+    An unfinished result whose passes show other masks or classes is moved, with a warning. Raises PlgsError,
+    OSError."""
     masks = digest_of_masks(scene, part_of(progress, 0.0, 0.5))
     are_others = masks_differ(masks_last_run(folder), scene, masks) or have_classes_changed(folder, scene)
     if are_others and not folder.is_lifted_again and any(folder.passes_path.glob("*.exr")):
@@ -81,8 +83,8 @@ def warn_of_earlier(earlier: Path | None, warn: Callable[[str], object]) -> None
 
 
 def refuse_changed(folder: LiftFolder, scene: Scene, progress: Progress = unwatched) -> None:
-    """Raise PlgsError if a lift cannot continue with a ``scene``: since the lift was last run, a frame's photo, depth
-    or camera has changed, or the set of frames or of held-out ones. Masks may change."""
+    """Raise PlgsError if a lift cannot continue with a ``scene``: since it last ran, a frame's photo, depth or camera
+    has changed, or the set of frames or of held-out ones. Masks may change."""
     known = read_known(folder)
     if known is None:
         return
@@ -98,7 +100,7 @@ def refuse_changed(folder: LiftFolder, scene: Scene, progress: Progress = unwatc
 
 
 def refuse_other_pictures(folder: LiftFolder, scene: Scene, progress: Progress = unwatched) -> None:
-    """Raise PlgsError if a frame's photo or depth has changed since the lift was last run, as far as it is known."""
+    """Raise PlgsError if a frame's photo or depth is known to have changed since the lift last ran."""
     known = read_known(folder)
     known_as = {frame.name: (frame.files, frame.read) for frame in (known.frames if known else ())}
     for frame, now in zip(scene.frames, _digests_of(scene.frames, progress), strict=True):
@@ -108,20 +110,21 @@ def refuse_other_pictures(folder: LiftFolder, scene: Scene, progress: Progress =
 
 
 def another(differs: str, scene: Scene) -> PlgsError:
-    """The error for a scene other than the one that a lift was made from."""
+    """Return the error for a scene other than the one that a lift was made from."""
     return PlgsError("other-scene", f"this is another scene: {differs}", scene.folder, _ANOTHER)
 
 
 def complete_known_scene(folder: LiftFolder, scene: Scene) -> None:
-    """Write scene.json again if an earlier version left out what Blender needs, or the whole file."""
+    """Write scene.json again if an earlier version did not write it, or left out something that Blender needs."""
     known = read_known(folder)
     if os.path.exists(scene.folder) and (known is None or not known.layout):
         write_known(folder, stored_scene(scene, scene.frames, "" if known is None else known.masks))
 
 
 def is_done(folder: LiftFolder) -> bool:
-    """Whether nothing is left to lift, if no engine is running: the result is complete and unmodified, of the requested
-    preset, and of the masks and classes of now. Raises PlgsError, also for a scene that has changed in other ways."""
+    """Whether nothing is left to lift, provided that no engine is running: the result is complete and unmodified, of
+    the requested preset, and of the present masks and classes. Raises PlgsError, also if the scene has otherwise
+    changed."""
     if not folder.has_result() or not folder.is_whole():
         return False
     manifest = read_manifest(folder.result_path)
@@ -140,7 +143,7 @@ def is_done(folder: LiftFolder) -> bool:
 
 
 def have_classes_changed(folder: LiftFolder, scene: Scene) -> bool:
-    """Whether there is a result, and the masks of its scene now have other classes, ignoring their colours."""
+    """Whether there is a result, and the scene's masks now have other classes than it; colours do not count."""
     try:
         result, _ = read_instances(folder.result_path / INSTANCES)
     except PlgsError:  # there is none, or a damaged one, which is written again
@@ -151,20 +154,20 @@ def have_classes_changed(folder: LiftFolder, scene: Scene) -> bool:
 
 
 def masks_last_run(folder: LiftFolder) -> str:
-    """The digest of the masks when the lift was last run; empty if unknown. Raises PlgsError."""
+    """Return the digest of the masks when the lift last ran; "" if unknown. Raises PlgsError."""
     known = read_known(folder)
     return "" if known is None else known.masks
 
 
 def estimates_of(folder: LiftFolder) -> tuple[str, ...]:
-    """What was estimated in a lift's scene, and licences of networks, as known when the lift was last run. Raises
+    """Return what was estimated in a lift's scene, and licences of networks, as known when the lift last ran. Raises
     PlgsError."""
     known = read_known(folder)
     return () if known is None else known.estimated
 
 
 def digest_of_masks(scene: Scene, progress: Progress = unwatched) -> str:
-    """The start of the SHA-256 of all mask files and of how they are read, without decoding masks."""
+    """Return the start of the SHA-256 of all mask files and of how they are read, without decoding masks."""
     frames = watched(scene.frames, progress)
     read = ((frame.name, reader) for frame in frames for reader in (frame.read_mask, frame.read_detections))
     digests = [(name, reader.digest()) for name, reader in read if isinstance(reader, MaskReader | EvidenceReader)]
@@ -172,14 +175,14 @@ def digest_of_masks(scene: Scene, progress: Progress = unwatched) -> str:
 
 
 def masks_differ(before: str, scene: Scene, now: str = "") -> bool:
-    """Whether a scene's masks, or the digest ``now``, differ from the digest ``before`` ("": unknown)."""
+    """Whether a scene's masks, or their digest ``now``, differ from the digest ``before`` ("": unknown)."""
     return before != "" and before != (now or digest_of_masks(scene))
 
 
 def relink(folder: LiftFolder, scene: Path) -> LiftFolder:
-    """Change the path of the scene in a lift's request to ``scene``, and the paths of masks and depth maps inside it.
-    Raises PlgsError, with the request unchanged, if a program works on the lift, the new scene cannot be read, or it
-    has other frames (names, sizes, lenses or poses)."""
+    """Change the path of the scene in a lift's request to ``scene``, and also the paths of masks and depth maps inside
+    it. Raises PlgsError, with the request unchanged, if a program works on the lift, the new scene cannot be read, or
+    it has other frames (names, sizes, lenses or poses)."""
     if folder.is_running:
         what = "an engine is at work here"
         raise PlgsError("at-work", what, folder.path, "Wait for it, or cancel it.", code=ErrorCode.BUSY)
@@ -209,7 +212,7 @@ def refuse_others(known: Sequence[PosedFrame], scene: Scene) -> None:
 
 
 def _digests_of(frames: Sequence[Frame], progress: Progress = unwatched) -> list[tuple[str, str]]:
-    """Each frame's digests: of photo and depth, and of confidence and how they are read; empty if unreadable."""
+    """Return two digests for each frame: of photo and depth; of confidence and how all are read; "" if unreadable."""
     files = digests_of_files([(frame.colour_path, frame.depth_path) for frame in frames], progress)
     trusted = digests_of_files([(frame.confidence_path,) for frame in frames])
     return [
@@ -219,7 +222,7 @@ def _digests_of(frames: Sequence[Frame], progress: Progress = unwatched) -> list
 
 
 def _gone(scene: Path) -> Callable[[Any], NoReturn]:
-    """A reader that raises, for pixels that are gone."""
+    """Return a reader of pixels that raises PlgsError, as the scene is gone."""
 
     def read(size: Any = None) -> NoReturn:
         what = "the scene, whose pictures this needs, is not there"

@@ -1,4 +1,4 @@
-"""Where a batch runs: on its own workers on this machine, at an existing scheduler, or on Slurm; and the worker."""
+"""Connect to where a batch runs: own workers on this machine, an existing scheduler, or Slurm; and run a worker."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ END_S = 5.0
 
 @dataclass(frozen=True)
 class FarmOptions:
-    """``workers`` on this machine, unless the address of a ``scheduler``, or ``slurm`` with its options, is given.
-    ``gigabytes`` and ``threads`` are those of one worker. Without scheduler or Slurm nothing listens on the network;
-    with one of them ``tls`` keeps others out. Slurm's jobs write to files in the folder ``logs``."""
+    """Where a batch runs: ``workers`` on this machine, unless the address of a ``scheduler``, or ``slurm`` with its
+    options, is given. ``gigabytes`` and ``threads`` are those of one worker. Without scheduler or Slurm nothing listens
+    on the network; with one of them ``tls`` keeps others out. Slurm's jobs write to files in the folder ``logs``."""
 
     workers: int = 1
     scheduler: str = ""
@@ -52,8 +52,8 @@ class FarmOptions:
 
 @dataclass
 class Farm:
-    """A connection. ``own`` are the workers that this process started; a worker that ends is started again. ``slurm``
-    is dask-jobqueue's cluster, if Slurm starts the workers."""
+    """A connection to workers. ``own`` are the workers that this process started; one that ends is started again.
+    ``slurm`` is dask-jobqueue's cluster, if Slurm starts the workers."""
 
     client: Any
     address: str
@@ -77,18 +77,18 @@ class Farm:
         return True
 
     def workers(self) -> dict[str, dict[str, Any]]:
-        """The workers that run the same engine as this process, by address."""
+        """Return the workers that run the same engine as this process, by address."""
         known = self.client.scheduler_info(n_workers=-1)["workers"]  # -1: all of them
         return {address: worker for address, worker in known.items() if engine_tag() in worker.get("resources", {})}
 
     def largest(self) -> float:
-        """The memory of the largest worker in GB; on Slurm that of each worker, even before it has started."""
+        """Return the memory of the largest worker in GB; on Slurm that of each worker, even before it has started."""
         if self.options.slurm is not None:
             return self.options.gigabytes
         return max((worker["resources"].get(GIGABYTES, 0.0) for worker in self.workers().values()), default=0.0)
 
     def refuse_dead_jobs(self) -> None:
-        """Raise PlgsError if Slurm refuses our jobs, or all of them have ended. dask-jobqueue would wait for ever."""
+        """Raise PlgsError if Slurm refuses our jobs, or all of them have ended; dask-jobqueue would wait forever."""
         if self.slurm is None:
             return
         refusals, jobs = self.slurm.refusals, [job.job_id for job in self.slurm.workers.values() if job.job_id]
@@ -113,7 +113,7 @@ class Farm:
 @contextmanager
 def opened(farm_options: FarmOptions) -> Iterator[Farm]:
     """Connect, and start the workers that the options ask for. Raises PlgsError, also if no worker comes within
-    NO_WORKER_S (on Slurm a job may wait in the queue for any time)."""
+    NO_WORKER_S (on Slurm, a job may wait in the queue for any time)."""
     distributed = require_dask()
     with ExitStack() as stack:
         cluster = None
@@ -197,7 +197,7 @@ def _close(farm: Farm) -> None:
 
 
 def slurm_cluster(farm_options: FarmOptions) -> Any:
-    """dask-jobqueue's cluster, whose jobs run one worker each. ``refusals`` are sbatch's words. Raises PlgsError."""
+    """dask-jobqueue's cluster, whose jobs run one worker each; ``refusals`` are sbatch's messages. Raises PlgsError."""
     jobqueue, distributed = require_dask("dask_jobqueue"), require_dask()
     assert farm_options.slurm is not None
     if shutil.which("sbatch") is None:
@@ -256,7 +256,7 @@ PATIENCE_S = 60.0
 
 
 def require_dask(name: str = "distributed") -> Any:
-    """The module. Raises PlgsError if it is not installed."""
+    """Import a module of Dask. Raises PlgsError if it is not installed."""
     try:
         return __import__(name)
     except ModuleNotFoundError as error:
@@ -265,14 +265,14 @@ def require_dask(name: str = "distributed") -> Any:
 
 @dataclass(frozen=True)
 class Tls:
-    """What makes Dask's connections private: the certificate of the authority, ``ca``, that signed those of all
+    """The files for encrypted connections of Dask: the certificate of the authority, ``ca``, that signed those of all
     machines, and this machine's own ``certificate`` with its key (PEM)."""
 
     ca: Path
     certificate: Path
 
     def security(self, *, in_a_shell: bool = False) -> Any:
-        """Dask's settings; ``in_a_shell`` quotes workers' paths for a shell. Raises PlgsError for unusable files."""
+        """Dask's security settings; ``in_a_shell`` quotes workers' paths. Raises PlgsError for unusable files."""
         ca, own = str(self.ca), str(self.certificate)
         try:
             ssl.create_default_context(cafile=ca).load_cert_chain(own)
@@ -292,7 +292,7 @@ class Tls:
 
 
 def security_for(address: str, tls: Tls | None, fix: str) -> Any:
-    """Dask's settings for an address, or None. Raises PlgsError if they do not fit, or if it is not an address."""
+    """Dask's security settings for an address, or None. Raises PlgsError if they do not fit, or for no address."""
     if re.fullmatch(r"[a-z]+://[^\s/]+:[0-9]{1,5}", address) is None:  # Dask waits long, and ends with its own errors
         raise PlgsError("scheduler-address", "is not the address of a scheduler", address, fix)
     if tls is None:
@@ -304,7 +304,7 @@ def security_for(address: str, tls: Tls | None, fix: str) -> Any:
 
 
 def resources(gigabytes: float, threads: int) -> dict[str, float]:
-    """What a worker offers. Pieces require the engine's tag, so that a worker with a different engine gets none."""
+    """Return a worker's resources. One is the engine's tag, so that a worker with another engine gets no pieces."""
     return {engine_tag(): 1.0, GIGABYTES: gigabytes, THREADS: float(threads)}
 
 
@@ -317,9 +317,9 @@ def run_worker(
     patience_s: float = PATIENCE_S,
     tls: Tls | None = None,
 ) -> ExitCode:
-    """Work for the scheduler at ``address`` until it has been gone for ``patience_s``. 0 means all memory and threads.
-    A worker of a scheduler on this machine listens on this machine only. The engines that the worker started end with
-    it, at their last checkpoint. Raises PlgsError."""
+    """Work for the scheduler at ``address`` until it has been gone for ``patience_s`` seconds. 0 means all memory and
+    threads. A worker of a scheduler on this machine listens on this machine only. The engines that the worker started
+    end with it, at their last checkpoint. Raises PlgsError."""
     require_dask()
     fix = "Give the address that the scheduler prints, such as tcp://machine:8786."
     security = security_for(address, tls, fix)
@@ -344,7 +344,7 @@ def _end_with_parent(pipe: int, scratch: str) -> None:
 
 
 async def _serve(address: str, offered: dict[str, float], patience_s: float, scratch: str, security: Any) -> None:
-    """Serve a scheduler until it is gone; a new worker then waits for the scheduler to come back."""
+    """Serve a scheduler until it is gone, then wait ``patience_s`` seconds with a new worker for it to come back."""
     from distributed import Worker
 
     host = address.rpartition("//")[2].rpartition(":")[0].strip("[]")

@@ -1,4 +1,4 @@
-"""One piece of work as a worker does it: an engine is started and followed, and ends when the worker ends."""
+"""Do one piece of a batch's work on a worker: start an engine, follow it, and end it if the worker ends."""
 
 from __future__ import annotations
 
@@ -40,8 +40,9 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class Piece:
-    """Work on one scene's lift, for workers with the `engine_tag` ``engine``. ``names`` are the frames of a BAKE, or
-    the form of an EXPORT; a LIFT ``tells_frames`` for later bakes. ``is_resumed``: a signal ended its first engine."""
+    """A piece of work on one scene's lift, for workers with the `engine_tag` ``engine``. ``names`` are the frames of a
+    BAKE, or the form of an EXPORT. ``tells_frames``: a LIFT returns its frames, for bakes. ``is_resumed``: its first
+    engine was ended by a signal."""
 
     kind: Kind
     scene: str
@@ -53,7 +54,7 @@ class Piece:
     is_resumed: bool = False
 
     def needs_engine(self) -> list[str | Path]:
-        """The engine's command, except for a lift."""
+        """Return the command that starts the engine, except for a lift."""
         call: list[str | Path] = [*engine_call(Path(sys.executable))]
         match self.kind:
             case Kind.BAKE:
@@ -77,8 +78,8 @@ _ENDS = {ErrorCode.KILLED: Ended.KILLED, **dict.fromkeys(_WORKER_CODES, Ended.EL
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a piece ended, with its ``answer`` (for a lift its frames, for a score the metrics). ``lacked_memory``: it
-    was killed, and memory may have been short."""
+    """How a piece ended, with its ``answer`` (for a lift its frames, for a score the metrics). ``lacked_memory``: its
+    engine was killed, perhaps for lack of memory."""
 
     piece: Piece
     ended: Ended
@@ -94,7 +95,7 @@ Tell = Callable[[TaskProgress], object]
 
 
 def engine_tag() -> str:
-    """An identifier of this exact engine: its version and its code."""
+    """Return a text that identifies this exact engine: its version and its code."""
     return f"plgs-{__version__}-{code_digest('engine')}"
 
 
@@ -141,7 +142,7 @@ def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "", gigabytes: 
 
 
 def memory_kills() -> int | None:
-    """How many processes Linux has killed here for lack of memory; None where that is not counted."""
+    """Return how many processes Linux has killed here for lack of memory; None where that is not counted."""
     try:
         counts = dict(line.split() for line in Path("/proc/vmstat").read_text().splitlines())
         return int(counts["oom_kill"])
@@ -164,7 +165,8 @@ def _refuse_unfit_worker(piece: Piece) -> None:
 
 
 def _followed(piece: Piece, tell: Tell, variables: Mapping[str, str]) -> TaskFollower | None:
-    """The piece's engine after it has ended; None if there was nothing to do. Waits first for another engine there."""
+    """Run the piece's engine and return its follower when it has ended; None if there was nothing to do. If another
+    engine works there, wait for its end first."""
     reported = 0.0
     while True:
         follower = _started(piece, variables)
@@ -189,8 +191,8 @@ def _followed(piece: Piece, tell: Tell, variables: Mapping[str, str]) -> TaskFol
 
 
 class _Pulse:
-    """Checks whether an engine still runs, as a stopped one would hold up a batch. Only its watchdog counts, as the
-    engine itself may wait for what another one bakes."""
+    """Checks whether an engine still runs, as a suspended one would hold up a batch. Only the processor time of its
+    watchdog counts, as the engine itself may wait for another one that bakes."""
 
     def __init__(self, follower: TaskFollower) -> None:
         from psutil import Process  # late: distributed brings it, which only batches have
@@ -203,7 +205,7 @@ class _Pulse:
         self._last = time.monotonic()
 
     def check(self, piece: Piece) -> None:
-        """Raise PlgsError with the code KILLED after STALL_S seconds without a beat."""
+        """Raise PlgsError with the code KILLED if the engine has done nothing for STALL_S seconds."""
         from psutil import Error
 
         try:
@@ -236,7 +238,7 @@ def _started(piece: Piece, variables: Mapping[str, str]) -> TaskFollower | None:
 
 
 def _lift_folder(piece: Piece) -> LiftFolder:
-    """The lift's folder, which is made if it is not there. Raises PlgsError."""
+    """Open the lift's folder, or create it. Raises PlgsError."""
     if not (piece.lift / "request.json").exists():
         try:
             return LiftFolder.create(piece.lift, piece.request)
@@ -247,7 +249,7 @@ def _lift_folder(piece: Piece) -> LiftFolder:
 
 
 def do_on_dask(piece: Piece) -> Outcome:
-    """Run `do` on a Dask worker, whose events with the topic TOPIC report the progress."""
+    """Run `do` on a Dask worker, and report its progress as events with the topic TOPIC."""
     from distributed import get_worker
 
     from ..job.terminal import describe

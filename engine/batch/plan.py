@@ -1,4 +1,4 @@
-"""The jobs of a batch, one per scene; which of them an earlier batch did; and the table."""
+"""Plan a batch: its jobs, one per scene; which of them an earlier batch did; and the table of results."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ _LONGEST_NAME = 240
 
 @dataclass(frozen=True)
 class SceneJob:
-    """A scene to lift into ``lift``. ``problem``: why this is impossible; ``gigabytes``: the memory that the lift is
-    predicted to need; ``files``: the `state_of_files` of the scene, empty where it is not mounted here."""
+    """A scene to lift into ``lift``. ``problem`` says why this is impossible; ``gigabytes`` is the memory that the lift
+    is predicted to need; ``files`` is the `state_of_files` of the scene, "" if it is not mounted here."""
 
     name: str
     lift: Path
@@ -50,7 +50,7 @@ class SceneJob:
 
 @dataclass(frozen=True)
 class BatchPlan:
-    """``chunk`` frames are baked as one piece; 0: only what the lift itself bakes. ``exports`` are forms of export."""
+    """The jobs of a batch. ``chunk`` frames are baked in one piece; 0: only the lift bakes. ``exports``: see KINDS."""
 
     output: Path
     jobs: tuple[SceneJob, ...]
@@ -58,7 +58,7 @@ class BatchPlan:
     exports: tuple[str, ...] = ()
 
     def asked(self, job: SceneJob) -> str:
-        """A digest of the request for a scene and of the scene's files."""
+        """Return a digest of the request for a scene and of the scene's files."""
         about = {
             "request": job.request.to_json(job.lift), "bakes": bool(self.chunk), "exports": sorted(self.exports),
             "files": job.files,
@@ -68,8 +68,8 @@ class BatchPlan:
 
 @dataclass(frozen=True)
 class Row:
-    """A scene's row of the table; ``metrics`` are the lift's own, in the mode ``strict``; ``code`` is the digest of the
-    code that lifted it."""
+    """A scene's row in the table of results. ``metrics`` are the lift's own, in the mode ``strict``; ``code`` is the
+    digest of the code that lifted it."""
 
     scene: str
     state: str
@@ -81,8 +81,8 @@ class Row:
 
 
 def state_of_files(request: LiftRequest, output: Path) -> str:
-    """A digest of the paths, sizes and times of all files that a lift may read, except those in the batch's ``output``.
-    No file is opened: if the digest differs, the lift itself checks whether its scene has changed."""
+    """Return a digest of the paths, sizes and times of all files that a lift may read, except those in the batch's
+    ``output``. No file is opened: if the digest differs, the lift itself checks whether its scene has changed."""
     found, scene, masks, classes = hashlib.sha256(), request.scene, request.masks, request.classes or ""
     paths = [scene, masks, request.detections, request.depth, Path(classes) if classes.endswith(".toml") else None]
     if scene.is_file():
@@ -97,8 +97,8 @@ def state_of_files(request: LiftRequest, output: Path) -> str:
 
 
 def _files_in(top: Path, output: Path) -> Iterator[Path]:
-    """The file itself, or all files in a folder, even behind links, each folder once. Hidden files, lifts and
-    ``output`` are skipped."""
+    """Yield the file itself, or all files in a folder, also behind links, but each folder only once. Hidden files,
+    lifts and ``output`` are skipped."""
     seen = {os.path.realpath(output)} - {os.path.realpath(top)}  # a scene may itself be the output folder
     if top.is_file():
         yield top
@@ -112,7 +112,7 @@ def _files_in(top: Path, output: Path) -> Iterator[Path]:
 
 
 def of_scene(path: Path | None, name: str) -> Path | None:
-    """The path for the scene of this name, with SCENE replaced."""
+    """Return a path with {scene} replaced by the scene's name."""
     return None if path is None else Path(str(path).replace(SCENE, name))
 
 
@@ -124,9 +124,9 @@ def refuse_shared(option: str, path: Path | str | None, scenes: int) -> None:
 
 
 def names_of(scenes: Sequence[Path], given: Sequence[str] = ()) -> list[str]:
-    """A name for each scene: the ``given`` one, or if that is empty, that of its folder, its file, or the link to it.
-    Raises PlgsError for a scene that is given twice, for two with the same name (even in different case, as some disks
-    ignore it), and for a name that no folder can have ("...zip")."""
+    """Return a name for each scene: the ``given`` one, or if that is "", that of its folder, its file, or the link to
+    it. Raises PlgsError for a scene that is given twice, for two with the same name (even in different case, as some
+    disks ignore it), and for a name that no folder can have ("...zip")."""
     names = [name or _name(scene) for name, scene in zip(given or [""] * len(scenes), scenes, strict=True)]
     folded = [name.casefold() for name in names]
     real = [os.path.realpath(scene) for scene in scenes]
@@ -158,7 +158,7 @@ def _is_folder_name(name: str) -> bool:
 
 
 def done_before(plan: BatchPlan, job: SceneJob) -> Row | None:
-    """The row of an earlier batch with the same request, if its result and exports are still those on disk."""
+    """Return the row of an earlier batch with the same request, if its result and exports are still on disk."""
     found = _read(_record(plan.output, job.name))
     if found is None or found[1].state != "done":
         return None
@@ -173,8 +173,8 @@ def done_before(plan: BatchPlan, job: SceneJob) -> Row | None:
 
 
 def rows_kept(plan: BatchPlan) -> Iterator[Row]:
-    """The rows of earlier batches in the same folder with other scenes, by name. Scenes whose result is gone are left
-    out, as are failed scenes that no longer exist. A result that has changed is no longer "done"."""
+    """The rows of earlier batches in the same folder for other scenes, by name. Scenes whose result is gone are left
+    out, as are failed scenes that no longer exist. A row whose result was changed since has the state "changed"."""
     names = {job.name for job in plan.jobs}
     found = [_read(path) for path in sorted((plan.output / RECORDS).glob("*.json"))]
     for record, row in sorted(filter(None, found), key=lambda each: each[1].scene):
@@ -187,7 +187,7 @@ def rows_kept(plan: BatchPlan) -> Iterator[Row]:
 
 
 def remember(plan: BatchPlan, job: SceneJob, row: Row) -> None:
-    """Record a row for the next batch. Raises OSError."""
+    """Save a row for the next batch. Raises OSError."""
     path = _record(plan.output, job.name)
     path.parent.mkdir(exist_ok=True)
     about = {"asked": plan.asked(job), "scene": str(job.request.scene), "result": _result(job.lift)}
@@ -195,7 +195,7 @@ def remember(plan: BatchPlan, job: SceneJob, row: Row) -> None:
 
 
 def lifting_code(lift: Path) -> str:
-    """The digest of the code that made a result; empty if its manifest lacks it."""
+    """Return the digest of the code that made a result; "" if its manifest lacks it."""
     try:
         return str(read_manifest(lift / "result").versions.get("code", ""))
     except PlgsError:
@@ -207,7 +207,7 @@ def _record(output: Path, name: str) -> Path:
 
 
 def _read(path: Path) -> tuple[dict[str, Json], Row] | None:
-    """What `remember` wrote; None if it is missing or damaged: the pieces then find out what is done."""
+    """Read what `remember` wrote; None if it is missing or damaged, as the pieces then find out what is done."""
     try:
         record = read_object(path, "Delete it.")
         row: Any = record["row"]
@@ -217,7 +217,7 @@ def _read(path: Path) -> tuple[dict[str, Json], Row] | None:
 
 
 def _result(lift: Path) -> str:
-    """A digest of the result on disk and its corrections; empty without a result."""
+    """Return a digest of the result on disk and its corrections; "" without a result."""
     files = [lift / "result" / "manifest.json", lift / "corrections.json"]
     there = [path.read_bytes() for path in files if path.is_file()]
     return hashlib.sha256(b"\n".join(there)).hexdigest() if files[0].is_file() else ""
@@ -242,7 +242,7 @@ def write_tables(folder: Path, rows: Sequence[Row]) -> str:
 
 
 def own_tables(folder: Path) -> OwnFiles:
-    """The note of a batch's folder. Raises PlgsError if the tables there are not ours, or were changed; OSError."""
+    """Open the note of a batch's folder. Raises PlgsError if tables there are not ours or were changed; OSError."""
     own = OwnFiles(folder).begin("tables", {}, among_others=True)
     for name in TABLES:
         own.refuse_foreign(folder / name)
@@ -262,7 +262,7 @@ def _csv(rows: Sequence[Row]) -> str:
 
 
 def markdown(rows: Sequence[Row]) -> str:
-    """The table in Markdown: shares in per cent, lengths in cm, and a dash where a scene has no ground truth."""
+    """Return the table in Markdown: shares in per cent, lengths in cm, and a dash if a scene has no ground truth."""
     lines = [["scene", "state", "minutes", *COLUMNS.values(), "reason"]]
     for row in rows:
         figures = [_shown(key, _figure(row, key)) for key in COLUMNS]

@@ -1,1 +1,1 @@
-"""The engine as a command: ``python -m engine lift|evaluate|inspect``. Heavy libraries load when they are used."""
+"""The engine's command line: ``python -m engine lift|evaluate|inspect`` and more. Heavy libraries load on first use."""

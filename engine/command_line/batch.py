@@ -1,4 +1,4 @@
-"""`python -m engine batch` and `python -m engine worker`."""
+"""The commands `python -m engine batch` and `python -m engine worker`."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _add_tls(parser: argparse._ActionsContainer) -> None:
 
 
 def _tls(options: argparse.Namespace) -> Tls | None:
-    """The TLS files that the options name. Raises PlgsError if only one of the two is given."""
+    """Return the TLS files that the options name, or None. Raises PlgsError if only one of the two is given."""
     from ..batch.cluster import Tls
 
     ca, own = options.tls_ca, options.tls_certificate
@@ -91,7 +91,7 @@ def _tls(options: argparse.Namespace) -> Tls | None:
 
 
 def positive(text: str) -> int:
-    """A positive whole number for argparse. Raises ArgumentTypeError."""
+    """Parse a positive whole number, for argparse. Raises ArgumentTypeError."""
     if not text.isdecimal() or not 0 < int(text) < 10**6:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
     return int(text)
@@ -148,7 +148,7 @@ def batch(options: argparse.Namespace) -> int:
 
 
 def _asked_scenes(options: argparse.Namespace) -> list[argparse.Namespace]:
-    """The options of each scene, with its ``scene`` and its ``scene_name`` (empty if not given). Raises PlgsError."""
+    """Return the options of each scene, with its ``scene`` and ``scene_name`` ("" if not given). Raises PlgsError."""
     from ..batch.plan import refuse_shared
 
     if options.poses is not None:
@@ -210,7 +210,7 @@ def _job(own: argparse.Namespace, output: Path, name: str, bakes_all: bool) -> S
 
 
 def _farm_options(options: argparse.Namespace, gigabytes: Sequence[float], logs: Path) -> FarmOptions:
-    """The farm that the options ask for; by default as many workers here as memory and processors allow."""
+    """Return the farm that the options ask for; by default as many workers here as memory and processors allow."""
     from ..batch.cluster import FarmOptions
     from ..job.system import main_memory, usable_cpus
 
@@ -234,8 +234,8 @@ _FIX = "Write a column (CSV) or a key of a [[scene]] (TOML) 'scene', and others 
 
 
 def read_scene_table(path: Path, options: argparse.Namespace) -> list[argparse.Namespace]:
-    """The ``options`` of a command line for each scene of the table, changed as it says, with ``scene`` and
-    ``scene_name`` (empty if not given). Its paths are relative to its folder. Raises PlgsError."""
+    """Return a copy of the command line's ``options`` for each scene of a table, changed as its row says, with
+    ``scene`` and ``scene_name`` ("" if not given). Paths are relative to the table's folder. Raises PlgsError."""
     found = []
     for number, row in enumerate(_rows(path), start=1):
         where = f"{path}, scene {number}"
@@ -255,7 +255,7 @@ def read_scene_table(path: Path, options: argparse.Namespace) -> list[argparse.N
 
 
 class _RowParser(argparse.ArgumentParser):
-    """The options of a row, whose errors are a PlgsError."""
+    """A parser for the options in a row of a table, whose errors are PlgsError."""
 
     def __init__(self, where: str) -> None:
         super().__init__(add_help=False, allow_abbrev=False)  # a column "help" must not print help and exit
@@ -266,7 +266,7 @@ class _RowParser(argparse.ArgumentParser):
 
 
 def _arguments(name: str, value: Any, folder: Path, where: str) -> Iterator[str]:
-    """A cell as on a command line. Raises PlgsError for a value that is not a text, a number, true, or a list."""
+    """Yield a cell as command-line arguments. Raises PlgsError for what is no text, number, true, or list."""
     if isinstance(value, list):
         for each in value:
             yield from _arguments(name, each, folder, where)
@@ -282,7 +282,7 @@ def _arguments(name: str, value: Any, folder: Path, where: str) -> Iterator[str]
 
 
 def _rows(path: Path) -> list[Mapping[str, Any]]:
-    """The scenes with the names of their options, without empty cells. Raises PlgsError."""
+    """Read a table's rows, one per scene, as options by name, without empty cells. Raises PlgsError."""
     try:
         with reading(path, "Name a CSV or TOML file of scenes."):
             text = read_plain(path, _MOST_BYTES).decode("utf-8-sig")  # Excel writes a byte order mark

@@ -1,5 +1,5 @@
-"""What each command runs. The modules behind it load numpy and more, so they are imported when a command runs, not for
---help or a mistyped command."""
+"""The functions that commands run. The modules that they need load numpy and more, so these are imported when a command
+runs, not for --help or a mistyped command."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def lift(options: argparse.Namespace) -> int:
-    """With -o, a second process is the engine, and this one shows its progress. Without it, this one is the engine."""
+    """Lift a scene. With -o, a second process is the engine, and this one shows its progress; else this one is it."""
     if options.output:
         if options.relink is not None:
             fix = "Give LIFT, --scene and --resume, without -o."
@@ -72,7 +72,7 @@ def _lift_in_terminal(options: argparse.Namespace) -> int:
 
 
 def bake(options: argparse.Namespace) -> ExitCode:
-    """Bake in this process, which is the engine."""
+    """Bake passes in this process, which is the engine."""
     from ..job import read_cameras
     from .run_engine import run_bake
 
@@ -98,7 +98,7 @@ def bake(options: argparse.Namespace) -> ExitCode:
 
 
 def _opened(lift: Path, scene: Path | None) -> LiftFolder:
-    """The lift in a folder; its scene is at ``scene``, if given."""
+    """Open the lift in a folder, after changing its scene's path to ``scene``, if given."""
     folder = LiftFolder.open(lift)
     if scene is None:
         return folder
@@ -152,7 +152,7 @@ def evaluate(options: argparse.Namespace, events: EventWriter, stop: StopSignal)
 
 
 def _corrected_metrics(lift: LiftFolder, events: EventWriter, stop: StopSignal) -> dict[str, object] | None:
-    """The figures of a corrected lift, whose held-out frames are rendered again. None if it was not corrected."""
+    """The figures of a corrected lift, whose held-out frames are rendered again; None if it was not corrected."""
     from ..corrections import CORRECTIONS, read_corrected
 
     if not (lift.path / CORRECTIONS).exists():
@@ -226,14 +226,14 @@ def poses(options: argparse.Namespace, events: EventWriter, stop: StopSignal) ->
 
 
 def _scene_of(options: argparse.Namespace) -> Scene:
-    """The scene of a command that changes only what lies beside it. Raises PlgsError."""
+    """Open the scene of a command that changes only files beside it. Raises PlgsError."""
     from ..scene import open_scene
 
     return open_scene(options.scene, up=options.up or "z", scene_format=options.scene_format)
 
 
 def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
-    """Make the masks, or continue where it was stopped."""
+    """Make masks of a scene, or continue where an earlier run stopped."""
     from ..film import Wish, mask_scene, scene_folder
 
     scene = _scene_of(options)
@@ -247,7 +247,7 @@ def segment(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
 
 
 def depth(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
-    """Make depth, or continue where it was stopped."""
+    """Make depth of a scene, or continue where an earlier run stopped."""
     from ..depth_making import is_made
     from ..film import Wish, depth_scene, scene_folder
 
@@ -284,7 +284,7 @@ def handshake(options: argparse.Namespace, events: EventWriter, stop: StopSignal
 
 
 def set_up(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
-    """Packages come from the index in the variable PLGS_INDEX_URL, if it is set: it may hold a password."""
+    """Set up an environment. Packages come from PLGS_INDEX_URL, if set: a variable, as it may hold a password."""
     from ..set_up import SetUp, SetUpRequest, remove_environments
 
     if options.remove:
@@ -300,7 +300,7 @@ def set_up(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -
 
 
 def add(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
-    """Packages come from the same index as for `set_up`."""
+    """Add packages to this engine, from the same index as `set_up`."""
     from ..job.handshake import ALSO_ADDED
     from ..set_up import Addition
 

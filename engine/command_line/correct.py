@@ -1,4 +1,4 @@
-"""`correct`: edits of a finished lift, for scripts and farms."""
+"""The command `correct`: edits of a finished lift, for scripts and farms."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ AddTask = Callable[[argparse.ArgumentParser, Callable[[argparse.Namespace, Event
 
 
 def add_correct(parser: argparse.ArgumentParser, make_task: AddTask) -> None:
-    """The edits and their arguments."""
+    """Add a subcommand, with its arguments, for each kind of edit."""
     parser.description = (
         "Mend what a lift got wrong, without training. Edits are kept in LIFT/corrections.json; result/ stays as the "
         "engine made it. bake, export, evaluate and Blender show the lift with its corrections."
@@ -103,8 +103,8 @@ def correct(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
 def _parts_seen(
     options: argparse.Namespace, folder: LiftFolder, progress: Callable[[int, int], object]
 ) -> PartsSeen | None:
-    """The parts of an object that the masks show, for a split by views. Masks are read before the edits are locked, as
-    this takes long."""
+    """Return the parts of an object that the masks show, for a split by views, else None. Masks are read before the
+    edits are locked, as this takes long."""
     if options.edit != "split" or not options.views:
         return None
     from ..corrections import making, replayed
@@ -117,7 +117,7 @@ def _parts_seen(
 def _edit(
     options: argparse.Namespace, folder: LiftFolder, seen: PartsSeen | None, state: Replay, first_id: int
 ) -> Edit:
-    """The edit that the options name. Raises PlgsError."""
+    """Make the edit that the options ask for. Raises PlgsError."""
     from ..corrections import class_of_parts, making
 
     named = [options.id] if isinstance(options.id, str) else options.id

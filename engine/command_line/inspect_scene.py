@@ -1,4 +1,4 @@
-"""``inspect``: what is in a scene, and what is wrong with it."""
+"""The command ``inspect``: report what is in a scene, and what is wrong with it."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def inspect_scene(
     fix: Path | None = None,
 ) -> None:
     """Decode every frame, and answer with what is there and what is wrong with it. The text also predicts what a lift
-    with ``preset`` would take. ``findings`` is a folder for the findings and their pictures, ``fix`` a new one for the
-    mended scene. Raises PlgsError for the first thing that a lift would refuse, after an answer with the findings that
-    may explain it."""
+    with ``preset`` would take. ``findings`` is a folder for findings and their pictures, ``fix`` a new one for the
+    corrected scene. Raises PlgsError for the first fault for which a lift would refuse the scene, after answering with
+    findings that may explain it."""
     if fix is not None and fix.exists():
         raise PlgsError("exists", "the folder for the mended scene already exists", fix, "Name a new one.")
     events.stage("inspect", 1, 2, "Looking at the scene")
@@ -69,7 +69,7 @@ def inspect_scene(
 
 
 def _explanation(scene: Scene, refusal: PlgsError) -> Diagnosis:
-    """The diagnosis that explains why a scene is refused. Raises the refusal if nothing explains it."""
+    """Return the diagnosis that explains why a scene is refused. Raises ``refusal`` if nothing explains it."""
     try:
         diagnosis = diagnose(scene)
     except PlgsError:
@@ -130,7 +130,7 @@ def _lines(report: SceneReport) -> Iterator[str]:
 
 
 def _prediction(report: SceneReport, preset: str) -> str:
-    """A line such as "preview   about 3 min and 1.0 GB of memory"."""
+    """Return a line such as "preview about 3 min and 1.0 GB of memory"."""
     size, slowness = report.colour_sizes[0][0], machine_slowness()
     masks = USUAL_MASKS if report.segments_per_frame is None else report.segments_per_frame[1]
     counts, classes = (report.train_frames, report.test_frames), len(report.classes) or USUAL_CLASSES
@@ -141,7 +141,7 @@ def _prediction(report: SceneReport, preset: str) -> str:
 
 
 def _sizes(sizes: tuple[tuple[Size, int], ...]) -> str:
-    """A text such as "640x480", or "640x480 (30), 320x240 (2)"."""
+    """Return a text such as "640x480", or "640x480 (30), 320x240 (2)" for several sizes."""
     if len(sizes) == 1:
         return "{}x{}".format(*sizes[0][0])
     return ", ".join(f"{width}x{height} ({count})" for (width, height), count in sizes)

@@ -1,4 +1,4 @@
-"""The commands of ``python -m engine``, and the way from a command to its exit code."""
+"""The commands of ``python -m engine``: the parser of their options, and running one to its exit code."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
 
 
 def _make_task(parser: argparse.ArgumentParser, run: Run, when_stopped: str = "") -> None:
-    """Make a command run as a task that other programs can follow. ``when_stopped`` says what is left if it stops."""
+    """Make a command run as a task that other programs can follow. ``when_stopped`` says what is left after a stop."""
     parser.add_argument("--json", action="store_true", help="print the answer as one line of JSON, for programs")
     _add_place_options(parser)
     parser.set_defaults(run=run, is_task=True, when_stopped=when_stopped)
@@ -409,7 +409,7 @@ def main(arguments: Sequence[str], parser: Callable[[], argparse.ArgumentParser]
 
 
 def _open_missing_streams() -> None:
-    """Open closed standard streams on the null device. Else the next opened files would take their places."""
+    """Open closed standard streams on the null device; otherwise files opened next would take their numbers."""
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:  # the lowest number that is free
         os.set_inheritable(number, True)  # as standard streams are, for the programs that it starts
     os.close(number)

@@ -1,4 +1,4 @@
-"""The engine's work in a lift folder, from the lock to the exit code: a lift, or the baking of more passes."""
+"""Run the engine in a lift folder, from the lock to the exit code: a lift, or baking more passes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def run_engine(
 ) -> ExitCode:
     """Lift, and return how it ended. ``parent_pipe``: see Watchdog. ``lift`` is called instead of `run_lift`. ``echo``:
     see EventWriter. Raises PlgsError, before anything is changed, if another engine is at work, or if the folder was
-    used and ``resume`` is not given. After that, every error is an event, a line on standard error and an exit code."""
+    used and ``resume`` is not given. Later errors become an event, a line on standard error and an exit code."""
     folder.refuse_foreign()
     folder.refuse_read_only()
     with folder.lock():
@@ -99,9 +99,9 @@ def run_bake(
     """Bake more of a finished lift, frames ("test", "all", or their names) or the cameras in a file, and return how it
     ended. ``layers``, ``output``, ``channels`` and ``replace`` are those of ``BakeOptions``. The objects ``without``
     are not shown, as if they had been removed. Whatever happens, the lift stays finished and earlier passes are kept.
-    If another process is baking already, this one bakes at the same time: with events in ``files`` or, if no program
-    follows it (no ``parent_pipe``), in its own folder below bake/. The lift's file 'cancel' stops all of them. If no
-    program follows it, standard output says what was baked. The rest is as in `run_engine`."""
+    If another process is baking already, both bake at the same time: this one has its events in ``files`` or, if no
+    program follows it (no ``parent_pipe``), in its own folder below bake/. The lift's file 'cancel' stops all of them.
+    If no program follows it, standard output says what was baked. The other arguments are as in `run_engine`."""
     baked = list[str]()
 
     def work(events: EventWriter, stop: StopSignal) -> None:
@@ -162,7 +162,7 @@ def run_bake(
 
 
 def _do_in(folder: LiftFolder, events: EventWriter, stop: StopSignal, work: Work) -> None:
-    """Do the work, and note the folder in the list of recent lifts when it begins and ends."""
+    """Do the work, and put the lift in the list of recent lifts when it begins and when it ends."""
     _remember(folder)
     try:
         work(events, stop)

@@ -1,4 +1,4 @@
-"""One run of a command: its events, how it is stopped, and how it ends."""
+"""Run a command: write its events, stop it when asked, and return how it ended."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _NO_ROOM = {errno.ENOSPC: _FULL, errno.EDQUOT: _FULL, errno.EFBIG: "Raise the li
 
 @dataclass(frozen=True)
 class Command:
-    """What a command does: its ``kind``, its ``work``, and the messages for when it does not complete. ``parent_pipe``:
+    """A command to run: its ``kind``, its ``work``, and the messages for when it does not complete. ``parent_pipe``:
     see Watchdog. ``echo``: see EventWriter. The files ``also_stops`` stop it as its own cancel file does."""
 
     kind: str
@@ -50,7 +50,7 @@ class Command:
 
 
 def run_in_terminal(command: Command, *, as_json: bool = False) -> ExitCode:
-    """Run it with progress on standard error and the answer on standard output, and return how it ended."""
+    """Run a command with progress on standard error and its answer on standard output. Returns how it ended."""
     events, stop = ShownEvents(sys.stderr, as_json=as_json), StopSignal()
     try:
         with Interrupts() as interrupts, Watchdog(stop, events, parent_pipe=command.parent_pipe):
@@ -67,7 +67,7 @@ def run_in_terminal(command: Command, *, as_json: bool = False) -> ExitCode:
 
 
 def run_at(command: Command, files: TaskFiles, terminal: TextIO) -> ExitCode:
-    """Run it with events in ``files``, which are locked; all output goes to their log, a few lines to ``terminal``."""
+    """Run a command with events in ``files``, which are locked; output goes to their log, some to ``terminal``."""
     at = files.events, command.echo
     events = EventWriter(*at) if command.parent_pipe is not None else ShownWarnings(*at, terminal)
     try:
@@ -88,7 +88,7 @@ def run_at(command: Command, files: TaskFiles, terminal: TextIO) -> ExitCode:
 
 
 def run_task(command: Command, files: TaskFiles | None, *, as_json: bool = False) -> ExitCode:
-    """Run it in the terminal or, given ``files``, with its events there. Raises PlgsError if they are in use."""
+    """Run a command in the terminal or, given ``files``, with its events there. Raises PlgsError if they are in use."""
     if files is not None:
         with FileLock(files.events), output_to(files.log) as terminal:
             return run_at(command, files, terminal)
@@ -102,7 +102,7 @@ def run_task(command: Command, files: TaskFiles | None, *, as_json: bool = False
 
 
 def _do(command: Command, events: EventWriter, stop: StopSignal, terminal: TextIO, files: TaskFiles | None) -> ExitCode:
-    """Do the work. What it raises becomes an event, a line for the user, and an exit code."""
+    """Do the work. An error becomes an event, a line for the user, and an exit code."""
     try:
         stop.check()
         command.work(events, stop)
@@ -132,12 +132,12 @@ def _do(command: Command, events: EventWriter, stop: StopSignal, terminal: TextI
 
 
 def drop_output() -> None:
-    """Redirect standard output, which failed, to the null device: Python flushes the rest of it when it exits."""
+    """Redirect a broken standard output to the null device, as Python flushes the rest of it at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def failure_of(error: Exception, command: Command, files: TaskFiles | None = None) -> PlgsError:
-    """The message for an error that is not a PlgsError."""
+    """Return the PlgsError that reports another kind of error."""
     where = Path(sys.executable) if files is None else files.log
     if isinstance(error, ModuleNotFoundError):
         fix = f"Set the environment up again with 'make set-up', then {command.again}."
@@ -163,7 +163,7 @@ def failure_of(error: Exception, command: Command, files: TaskFiles | None = Non
 
 
 def _number_of(error: Exception) -> int | None:
-    """The system's error number. Rust's errors have it in their text, those of C++ libraries only its message."""
+    """The system's error number, or None. Rust's errors have it in their text; C++ libraries' have only its message."""
     if isinstance(error, OSError) and error.errno is not None:
         return error.errno
     found = re.search(r"\(os error (\d+)\)", str(error))
@@ -178,7 +178,7 @@ def _number_without_room(text: str) -> int | None:
 
 @contextmanager
 def _signals_ask(stop: StopSignal) -> Iterator[None]:
-    """Let signals stop the task like its cancel file, but with their own exit codes."""
+    """Let signals stop the task like its cancel file does, but with exit codes of their own."""
 
     def ask(signum: int, frame: FrameType | None) -> None:
         stop.ask(f"signal {signum}", STOP_SIGNALS[signal.Signals(signum)])
@@ -192,7 +192,7 @@ def _signals_ask(stop: StopSignal) -> Iterator[None]:
 
 
 class ShownEvents(EventWriter):
-    """Events of a command that no other process follows: progress is shown on ``stream``, and the answer is printed on
+    """Shows the events of a command that no other process follows: progress goes to ``stream``, and the answer to
     standard output, as one line of JSON or as text."""
 
     def __init__(self, stream: TextIO, *, as_json: bool) -> None:
@@ -229,7 +229,7 @@ class ShownEvents(EventWriter):
 
 
 class ShownWarnings(EventWriter):
-    """Events in a file, of a command that no other process follows: warnings are shown on ``stream``, too."""
+    """Writes events to a file, for a command that no other process follows, and shows warnings on ``stream``."""
 
     def __init__(self, path: Path, echo: int | None, stream: TextIO) -> None:
         super().__init__(path, echo)
@@ -242,8 +242,8 @@ class ShownWarnings(EventWriter):
 
 @contextmanager
 def output_to(log: Path) -> Iterator[TextIO]:
-    """Append all output to ``log`` in this context. Yields the real standard error, for the few lines for the user. The
-    file descriptors below Python's streams go there too, for the output of C++ and the traceback of a crash in it."""
+    """Append all output to ``log`` in a ``with`` block. Yields the real standard error, for the few lines that the user
+    shall see. The file descriptors below Python's streams are redirected too, for the output of C++ and its crashes."""
     sys.stdout.flush()
     sys.stderr.flush()
     out, err = os.dup(1), os.dup(2)
@@ -264,7 +264,7 @@ def output_to(log: Path) -> Iterator[TextIO]:
 
 
 class _BestEffortFile(io.FileIO):
-    """Output that does not fit on a full disk is lost: a log must neither make a lift fail nor hide its error."""
+    """A file for output that may be lost on a full disk: a log must neither make a lift fail nor hide its error."""
 
     def write(self, data: Any) -> int:
         try:

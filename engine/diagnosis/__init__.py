@@ -1,4 +1,4 @@
-"""Finds what is wrong with a scene: projects depth into other views, compares edges, normals, pictures, labels."""
+"""Find what is wrong with a scene: project depth into other views, and compare edges, normals, pictures, labels."""
 
 from __future__ import annotations
 

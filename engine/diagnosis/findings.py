@@ -27,8 +27,8 @@ _WORST = 0.2  # relative depth error drawn in the strongest red
 
 
 def depth_errors(views: Views, one: int, other: int, assumed: Sequence[tuple[str, Assumption]]) -> Picture:
-    """How well a look's surfaces agree with another's depth, once for each assumption under its caption. Green agrees,
-    yellow and red do not, and dark is not seen by the other view."""
+    """Draw how well a frame's surfaces agree with another's depth, once for each assumption, with its caption. Green
+    agrees, yellow and red do not, and dark is not seen by the other frame."""
     look = views.looks[one]
     height, width = look.depth.shape
     step = max(1, width // 240)
@@ -49,7 +49,8 @@ def depth_errors(views: Views, one: int, other: int, assumed: Sequence[tuple[str
 
 
 def edges_on(grey: NDArray[np.uint8], edges: Floats, moved: Floats) -> Picture:
-    """Depth's edges, float64 [N, 2] as fractions of the picture, drawn where they are and where they fit."""
+    """Draw depth's ``edges``, float64 [N, 2] as fractions of the picture, where they are and where they fit
+    (``moved``)."""
     panels = []
     for caption, points in (("depth's edges as they lie", edges), ("where they fit", moved)):
         panel = np.repeat(_fitted(grey)[..., None] // 2 + 40, 3, axis=2)
@@ -62,7 +63,7 @@ def edges_on(grey: NDArray[np.uint8], edges: Floats, moved: Floats) -> Picture:
 
 
 def level_surfaces(look: Look, cosine: Floats, caption: str) -> Picture:
-    """A look's points by the cosine of their normals with up, float64 [N]: level is green, upright blue."""
+    """Draw a frame's points by the cosine [N] of their normals with up: level surfaces green, upright ones blue."""
     height, width = look.depth.shape
     far = max(float(look.depth.max()), 1e-6)
     panel = np.repeat((60.0 + 120.0 * look.depth[..., None] / far).astype(np.uint8), 3, axis=2)
@@ -74,14 +75,14 @@ def level_surfaces(look: Look, cosine: Floats, caption: str) -> Picture:
 
 
 def side_by_side(pictures: Sequence[tuple[str, NDArray[np.uint8]]]) -> Picture:
-    """Pictures [H, W] or [H, W, 3] in a row, under their captions."""
+    """Put pictures [H, W] or [H, W, 3] side by side, under their captions."""
     panels = [_captioned(_fitted(picture), caption) for caption, picture in pictures]
     height = max(len(panel) for panel in panels)
     return np.concatenate([np.pad(p, ((0, height - len(p)), (0, 0), (0, 0))) for p in panels], axis=1)
 
 
 def _fitted(picture: NDArray[np.uint8]) -> Picture:
-    """The picture 480 pixels wide."""
+    """Return the picture resized to a width of 480 pixels."""
     height, width = picture.shape[:2]
     size = (_WIDTH, max(1, round(height * _WIDTH / width)))
     shrinks = width > _WIDTH
@@ -106,7 +107,7 @@ class Finding:
     """One thing that is wrong with a scene. ``cause`` names it in a word or two. ``text`` says what is wrong, with
     numbers; ``figures`` has these for programs. ``option`` says how to fix it, and ``is_mended`` whether ``--fix``
     does. ``frames`` names the frames concerned, and is empty for all frames; those in ``leave_out`` are better left out
-    of a lift. ``picture`` uint8 [H, W, 3] RGB shows it. ``stops``: a lift of the scene would be pointless."""
+    of a lift. ``picture`` uint8 [H, W, 3] RGB shows it. ``stops``: a lift of the scene would be useless."""
 
     cause: str
     text: str
@@ -120,14 +121,14 @@ class Finding:
     stops: bool = False
 
     def as_json(self) -> dict[str, Any]:
-        """Everything but the picture and ``stops``."""
+        """Return the finding as JSON, without picture and ``stops``."""
         said = {"cause": self.cause, "severity": self.severity, **vars(self)}  # in the order of findings.json
         return {name: value for name, value in said.items() if name not in ("picture", "stops")}
 
 
 @dataclass(frozen=True, eq=False)
 class Mending:
-    """Corrections that a scene needs. ``assumed`` says what its poses, depth and lenses mean. ``depth_shift`` moves
+    """The corrections that a scene needs. ``assumed`` says what its poses, depth and lenses mean. ``depth_shift`` moves
     depth (x, y as fractions of the picture). ``turn`` float64 [3, 3] rotates the world. ``dropped`` frames go."""
 
     assumed: Assumption = Assumption()
@@ -143,8 +144,9 @@ class Mending:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """Findings, the worst first. ``looked`` of ``frames`` frames were examined. ``agreement`` is how well the views of
-    the unmodified scene agree, None without depth. ``untested``: world axes along which no drift could be measured."""
+    """The result of a diagnosis: findings, the worst first. ``looked`` of ``frames`` frames were examined.
+    ``agreement`` is how well the views of the unmodified scene agree, None without depth. ``untested`` are world axes
+    along which no drift could be measured."""
 
     findings: tuple[Finding, ...]
     mending: Mending
@@ -155,11 +157,11 @@ class Diagnosis:
 
     @property
     def stopping(self) -> Finding | None:
-        """The worst of the findings that make a lift pointless."""
+        """Return the worst finding that makes a lift useless, or None."""
         return next((finding for finding in self.findings if finding.stops), None)
 
     def as_json(self) -> dict[str, Any]:
-        """Everything but the pictures."""
+        """Return the diagnosis as JSON, without pictures."""
         views = self.agreement
         return {
             "frames": self.frames,

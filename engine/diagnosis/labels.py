@@ -1,5 +1,5 @@
-"""Whether masks and class names are right: all views should give a surface the same class, and names should fit
-surfaces: floors are level and seen from above, ceilings from below, walls are upright."""
+"""Check masks and class names: all views should give a surface the same class, and names should fit surfaces: floors
+are level and seen from above, ceilings from below, walls are upright."""
 
 from __future__ import annotations
 
@@ -30,26 +30,27 @@ foreign ones agree, and no conclusion is possible."""
 
 
 class LabelAgreement(NamedTuple):
-    """``counts`` float64 [C, C]: points of one class in one view and of another in the other view, without void.
-    ``by_look`` float64 [F]: share of a look's points that other views give the same class, nan for too few."""
+    """How well masks agree. ``counts`` float64 [C, C]: points of one class in one view and of another in the other
+    view, without void. ``by_look`` float64 [F]: fraction of a frame's points with the same class in others, nan for too
+    few."""
 
     counts: Floats
     by_look: Floats
 
     @property
     def share(self) -> float:
-        """The fraction of the points labelled by both views that get the same label from both."""
+        """The fraction of the points that both views label that get the same label from both."""
         return float(np.trace(self.counts) / max(self.counts.sum(), 1.0))
 
     @property
     def middle(self) -> float:
-        """The median of the looks' shares, 0 where there are too few points of each."""
+        """The median of ``by_look``; 0 where all frames have too few points."""
         shares = self.by_look[np.isfinite(self.by_look)]
         return float(np.median(shares)) if len(shares) else 0.0
 
     @property
     def chance(self) -> float:
-        """The fraction that two unrelated masks would reach."""
+        """The ``share`` that two unrelated masks would reach by chance."""
         return float(np.square(self.counts.sum(1) / max(self.counts.sum(), 1.0)).sum())
 
 
@@ -81,7 +82,7 @@ def measure_labels(examined: Examined, assumed: Assumption) -> LabelAgreement | 
 
 
 def label_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
-    """Masks that contradict each other. Raises PlgsError."""
+    """Return findings about masks that contradict each other. Raises PlgsError."""
     labels = measure_labels(examined, assumed)
     if labels is None or labels.counts.sum() < 10 * _FEWEST_POINTS:
         return []
@@ -141,7 +142,7 @@ _OPTION = (
 
 
 class Suiting(NamedTuple):
-    """How well the surfaces of some classes suit what their names mean: the number of points, and the fraction that
+    """How well the surfaces of some classes fit the classes' names: the number of points, and the fraction that
     fits."""
 
     points: int
@@ -152,7 +153,7 @@ Counts = defaultdict[int, Counter[str]]  # per class, its number of points ("all
 
 
 def measure_table(examined: Examined, assumed: Assumption, up: Floats) -> Counts:
-    """How the surfaces of each class look. Raises PlgsError."""
+    """Count the points of each class that lie on floors, ceilings and walls, by their normals. Raises PlgsError."""
     views, maps = examined.views, examined.class_maps
     if maps is None:
         return defaultdict(Counter)
@@ -176,7 +177,7 @@ def _kind(name: str) -> str | None:
 
 
 def table_findings(examined: Examined, assumed: Assumption, up: Floats) -> list[Finding]:
-    """Class ids whose meaning differs from the table's. Raises PlgsError."""
+    """Return findings about class ids whose meaning differs from the table's. Raises PlgsError."""
     counts = measure_table(examined, assumed, up)
     classes = examined.scene.classes
     kind_of = {each.id: kind for each in classes.categories if (kind := _kind(each.name))}

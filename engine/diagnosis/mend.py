@@ -1,5 +1,5 @@
-"""Writes a new scene folder with certain faults fixed. The user's files stay unchanged. The result is read again and
-measured before it is handed over."""
+"""Write a new scene folder with certain faults corrected. The user's files stay unchanged. The result is read again and
+measured before it is used."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _DEEPEST = 65535  # maximum depth in this layout, in millimetres
 
 
 def write_mended(scene: Scene, diagnosis: Diagnosis, out: Path) -> str | None:
-    """Write the mended scene to the folder ``out``, which must not exist. It is written as a whole or not at all. What
-    was written is read again. If it is no improvement, it is deleted and the reason is returned, otherwise None. Colour
-    images are hard links where they are files of their own, and PNGs otherwise. Depth is in millimetres, masks are COCO
-    panoptic, and ground truth is images of classes and instances. Raises PlgsError."""
+    """Write the corrected scene to the folder ``out``, which must not exist, as a whole or not at all. The result is
+    read again; if it is no improvement, it is deleted and the reason is returned, otherwise None. Colour images are
+    hard links where they are files of their own, and PNGs otherwise. Depth is in millimetres, masks are COCO panoptic,
+    and ground truth is images of classes and instances. Raises PlgsError."""
     if out.exists():
         raise PlgsError("exists", "the folder for the mended scene already exists", out, "Name a new one.")
     if out.resolve().is_relative_to(scene.folder.resolve()):
@@ -108,13 +108,13 @@ def _write(scene: Scene, frames: list[Frame], diagnosis: Diagnosis, folder: Path
 
 
 def _lens(camera: Camera, assumed: Assumption) -> NDArray[np.float64]:
-    """The corrected fx, fy, cx, cy, as fractions of the picture: float64 [1, 4]."""
+    """Return the corrected fx, fy, cx, cy as fractions of the picture: float64 [1, 4]."""
     w, h = camera.width, camera.height
     return lens_under(np.array([[camera.fx / w, camera.fy / h, camera.cx / w, camera.cy / h]]), assumed)
 
 
 def _link_or_copy(source: Path, target: Path) -> None:
-    """Make a hard link if the file system supports it, so the original may be deleted; otherwise copy."""
+    """Make a hard link, so that the original may be deleted, or a copy if the file system has no links."""
 
     def put(part: Path) -> None:
         try:
@@ -128,7 +128,7 @@ def _link_or_copy(source: Path, target: Path) -> None:
 
 
 def _mended_depth(frame: Frame, mending: Mending) -> NDArray[np.float64]:
-    """The corrected planar depth in metres, float64 [H, W]."""
+    """Return the corrected planar depth in metres, float64 [H, W]."""
     depth = frame.depth(None).astype(np.float64)
     height, width = depth.shape
     x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
@@ -144,7 +144,7 @@ def _mended_depth(frame: Frame, mending: Mending) -> NDArray[np.float64]:
 
 
 def _link_group_masks(scene: Scene, frames: list[Frame], folder: Path) -> bool:
-    """Link masks whose segments may be several objects, which COCO panoptic cannot express. False if there are none."""
+    """Link masks with segments that may be several objects, which COCO panoptic lacks. False if there are none."""
     theirs = [path for path in scene.folder.glob("m2f_*") if path.is_dir()] if scene.folder.is_dir() else []
     if not theirs or not any(segment.is_group for frame in frames for segment in frame.mask(None).segments):
         return False
@@ -189,8 +189,8 @@ _NO_WORSE = 0.98
 
 
 def harm_of(scene: Scene, diagnosis: Diagnosis, folder: Path) -> str | None:
-    """Why the mended scene in ``folder`` is no improvement on ``scene``, such as "most of the depth would be lost".
-    None if it is one: it opens, keeps its depth, has the size of a room, and its views agree far better."""
+    """Return why the corrected scene in ``folder`` is no improvement on ``scene``, such as "most of the depth would be
+    lost". None if it is one: it opens, keeps its depth, has the size of a room, and its views agree far better."""
     try:
         mended = open_scene(folder)
         examined = examine(mended)

@@ -1,4 +1,4 @@
-"""Findings on poses, depth and intrinsics: causes found by trials, and values that a fit found slightly off."""
+"""Find faults in the numbers of poses, depth and intrinsics: by trying causes, and by fitting values."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Figures = dict[str, float | str]
 
 
 class _CauseWords(NamedTuple):
-    """A cause's name, the caption of the corrected picture, what is wrong, and the fix; empty if they need numbers."""
+    """Texts on a cause: name, caption of the corrected picture, what is wrong, the fix; "" if they need numbers."""
 
     name: str
     caption: str
@@ -68,8 +68,8 @@ _ONLY_TOLD = ("lag", "mirrored")  # causes that users fix in their own files: on
 
 
 def lens_findings(scene: Scene, findings: list[Finding]) -> list[Finding]:
-    """A finding that the lens is assumed, the first hypothesis. It is "wrong" if a value is off: then the lens is
-    likelier to be the cause than values given by files."""
+    """Add to ``findings`` that the lens is assumed, the first hypothesis. This is "wrong", not a note, if a value is
+    off: then the lens is more likely to be the cause than values that files give."""
     if not scene.assumed_lens:
         return []
     is_wrong = any(finding.severity == "wrong" and finding.cause in NUMBER_CAUSES for finding in findings)
@@ -79,7 +79,7 @@ def lens_findings(scene: Scene, findings: list[Finding]) -> list[Finding]:
 
 
 def number_findings(examined: Examined, lens_is_doubtful: bool = False) -> tuple[list[Finding], Assumption, Shift]:
-    """What is wrong with a scene's numbers, what the numbers mean, and the shift that depth needs, as fractions of the
+    """Return findings about a scene's numbers, what these mean, and the shift that depth needs, as fractions of the
     picture."""
     cause = find_cause(examined.views, examined.pairs, lens_is_doubtful)
     assumed = Assumption() if cause is None else cause.assumed
@@ -95,7 +95,7 @@ def number_findings(examined: Examined, lens_is_doubtful: bool = False) -> tuple
 
 
 def are_numbers_off(examined: Examined) -> bool:
-    """Whether a fit to few points finds a unit, a lens or depth off, which `number_findings` then measures."""
+    """Whether a quick fit to few points finds a wrong unit, lens or depth, which `number_findings` then measures."""
     found = calibrate(examined.views, examined.pairs, Assumption(), points=60)
     return found is not None and bool(_values_off(examined, found, moved(Assumption(), found.values), may_move=True))
 
@@ -122,12 +122,12 @@ def _cause_finding(examined: Examined, cause: FoundCause) -> Finding:
 
 
 def _off(factor: float) -> str:
-    """How far a length that must be multiplied by ``factor`` is off."""
+    """Return a text that says how wrong a length is that must be multiplied by ``factor``."""
     return f"{1 / factor:.4g} times too long" if factor < 1.0 else f"{factor:.4g} times too short"
 
 
 def _steps(examined: Examined, factor: float) -> str:
-    """The steps per metre in which depth was written and read; empty if its files store no steps."""
+    """Return a text with the steps per metre in which depth was written and read; "" if its files store no steps."""
     read = examined.scene.frames[0].read_depth
     if not isinstance(read, DepthMap) or read.step is None:
         return ""
@@ -140,7 +140,7 @@ def _round(steps: float) -> str:
 
 
 def _cause_texts(examined: Examined, cause: FoundCause) -> tuple[str, str, Figures]:
-    """What is wrong, how to fix it in the user's files, and the numbers."""
+    """Return what is wrong, how to fix it in the user's files, and the numbers."""
     now = cause.assumed
     width, height = examined.scene.frames[0].size
     if cause.cause == "unit":
@@ -166,7 +166,7 @@ def _cause_texts(examined: Examined, cause: FoundCause) -> tuple[str, str, Figur
 
 
 def _agreement_figures(before: Agreement, after: Agreement) -> dict[str, float]:
-    """The fractions of all points that agree, whether the other view shows them or not, and the errors."""
+    """Return the fractions of all points that agree, whether another frame sees them or not, and the errors."""
     return {
         "agreeing_before": before.seen * before.share,
         "agreeing_after": after.seen * after.share,
@@ -178,7 +178,8 @@ def _agreement_figures(before: Agreement, after: Agreement) -> dict[str, float]:
 def _calibration_findings(
     examined: Examined, found: Calibration, assumed: Assumption, may_move: bool
 ) -> tuple[list[Finding], Assumption]:
-    """What the fit adds to the causes. ``may_move``: no shift of depth explains the principal point."""
+    """Return findings from the fit, in addition to the causes, and the assumption with them. ``may_move``: no shift of
+    depth explains the principal point."""
     free = _values_off(examined, found, moved(assumed, found.values), may_move)
     again = calibrate(examined.views, examined.pairs, assumed, free, points=200) if free else None
     if again is None:
@@ -205,7 +206,7 @@ def _calibration_findings(
 
 
 def _doubtful_unit(found: Calibration) -> Finding:
-    """A note on a unit that the fit is sure of, though noise of depth and poses hides most of the improvement."""
+    """A note about a wrong unit that the fit is sure of, though correcting it improves little because of noise."""
     factor = float(np.exp(found.of("unit")))
     return Finding(
         cause="depth unit",
@@ -218,7 +219,7 @@ def _doubtful_unit(found: Calibration) -> Finding:
 
 
 def _values_off(examined: Examined, found: Calibration, mended: Assumption, may_move: bool) -> tuple[str, ...]:
-    """The names of the values that are certainly off."""
+    """Return the names of the values that are certainly wrong."""
     left = agreement(examined.views, examined.pairs, mended).error
     pixels, focals = examined.looks[0].frame.size, np.median(examined.views.lens[:, :2], axis=0).tolist()
     x, y = (max(_OFF_PIXELS / p, _ABOVE_NOISE * left * focal) for p, focal in zip(pixels, focals, strict=True))
@@ -228,7 +229,7 @@ def _values_off(examined: Examined, found: Calibration, mended: Assumption, may_
 
 
 def _measured(examined: Examined, found: Calibration, free: set[str]) -> list[tuple[str, str, str, Figures]]:
-    """(cause, sentence, what to do, figures) of each number that is off."""
+    """Return (cause, sentence, what to do, figures) for each number that is wrong."""
     measured: list[tuple[str, str, str, Figures]] = []
     if "unit" in free:
         factor = float(np.exp(found.of("unit")))

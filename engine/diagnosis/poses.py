@@ -1,4 +1,4 @@
-"""Whether single poses are wrong: drift over time, and frames whose pose is off, out of order or duplicated."""
+"""Find wrong poses: drift over time, and single frames whose pose is off, out of order or duplicated."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ synthetic hand-held capture without faults reaches a factor of 9, but 8 standard
 
 
 class Drift(NamedTuple):
-    """How far apart the surfaces of two looks are. ``near`` and ``far`` are medians in metres: over the pairs of
+    """How far apart the same surface is in two frames. ``near`` and ``far`` are medians in metres: over the pairs of
     neighbours, and over the pairs at least half as far apart in time as any pair that sees the same surface.
     ``certainty`` is the rank correlation of distance and time in standard errors."""
 
@@ -42,8 +42,8 @@ class Drift(NamedTuple):
 
 
 class Gap(NamedTuple):
-    """The recording before a frame's ``number`` and from it on: how far apart surfaces are, in metres, as a median over
-    the pairs of looks from both parts (``across``) and from one (``within``)."""
+    """A jump in the recording before the frame ``number``. ``across`` and ``within`` are median distances of surfaces,
+    in metres, over pairs of frames on both sides of the jump and on one side."""
 
     number: int
     across: float
@@ -51,8 +51,9 @@ class Gap(NamedTuple):
 
 
 def pose_findings(examined: Examined, assumed: Assumption) -> tuple[list[Finding], tuple[str, ...]]:
-    """Drift, and single frames whose pose is off; and the axes of the world along which drift could not be tested: too
-    few frames that are far apart in time share surfaces that face them. The frames have to be in order."""
+    """Return findings about drift and about single frames whose pose is off, and the world axes along which drift could
+    not be tested, as too few frames that are far apart in time share surfaces that face them. Frames must be in
+    order."""
     distances, along = _surface_distances(examined.views, examined.pairs, assumed)
     numbers = np.array([look.number for look in examined.looks])
     lags = np.abs(numbers[examined.pairs[:, 0]] - numbers[examined.pairs[:, 1]]).astype(np.float64)
@@ -88,8 +89,8 @@ def pose_findings(examined: Examined, assumed: Assumption) -> tuple[list[Finding
 
 
 def _surface_distances(views: Views, pairs: Pairs, assumed: Assumption) -> tuple[Floats, Floats]:
-    """Metres along the normal between the surfaces that both looks of a pair see, float64 [P], and between those that
-    face each axis of the world, float64 [P, 3]. nan where they see too little in common."""
+    """Return the metres along the normal between the surfaces that both frames of a pair see, float64 [P], and between
+    those that face each axis of the world, float64 [P, 3]; nan where they see too little in common."""
     lens, poses = lens_under(views.lens, assumed), views.poses_of(assumed)
     world, known = views.world_points(assumed, lens, poses)
     found, along = np.full(len(pairs), np.nan), np.full((len(pairs), 3), np.nan)
@@ -107,7 +108,7 @@ def _surface_distances(views: Views, pairs: Pairs, assumed: Assumption) -> tuple
 
 
 def _measure_drift(distances: Floats, lags: Floats, looks: int) -> Drift | None:
-    """How the distances of pairs grow with the frames between them, float64 [P] each. None with too few pairs."""
+    """Measure how pairs' distances grow with the frames between (``lags``), float64 [P] each. None with too few."""
     good = np.isfinite(distances)
     distance, lag = distances[good], lags[good]
     if len(lag) < _LEAST_PAIRS or len(np.unique(lag)) < _LEAST_LAGS:
@@ -121,13 +122,13 @@ def _measure_drift(distances: Floats, lags: Floats, looks: int) -> Drift | None:
 
 
 def _ranks(values: Floats) -> Floats:
-    """The rank of each value; equal values share their mean. scipy.stats has it, but takes half a second to load."""
+    """Return the rank of each value; equal values share their mean rank. scipy.stats takes half a second to load."""
     _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
     return np.asarray((np.cumsum(counts) - (counts - 1) / 2.0)[inverse])
 
 
 def _measure_gap(distances: Floats, numbers: NDArray[np.int64]) -> Gap | None:
-    """The frame at which two parts of the recording are farthest apart, by the pairs' distances and frames [P, 2]."""
+    """Find the frame where two parts of the recording are farthest apart, by pairs' distances and frames [P, 2]."""
     known = np.isfinite(distances)
     first, last = numbers.min(1), numbers.max(1)
     found = []
@@ -150,7 +151,7 @@ def _drift_finding(drift: Drift, along: str = "") -> Finding:
 
 
 def _misplaced_looks(views: Views, pairs: Pairs, assumed: Assumption) -> list[int]:
-    """Looks (rows) that agree with none of their neighbours, although these agree with each other."""
+    """Return the rows of frames that agree with none of their neighbours, although these agree with each other."""
     comparison = views.compare(pairs, assumed)
     share = comparison.agrees.sum(1) / np.maximum(comparison.known.sum(1), 1)
     by_pair = {(min(pair), max(pair)): float(value) for pair, value in zip(pairs.tolist(), share, strict=True)}
@@ -184,10 +185,10 @@ _REACH = 2.0  # assumed metres to what a camera looks at; steps between frames a
 
 
 class FrameOrder(NamedTuple):
-    """Steps between successive frames: the metres by which the point that they look at moves. ``given`` is the median
-    step in the order of the names, ``shortest`` that of ``path``, which always goes to the nearest frame. ``rank`` is
-    the median fraction of all frames that are nearer to a frame than its successor. ``smoothness`` is the median cosine
-    between successive steps of ``path``: 1 if straight, 0 if random."""
+    """The steps between successive frames, in metres by which the point that they look at moves. ``given`` is the
+    median step in the order of the names, ``shortest`` that of ``path``, which always goes to the nearest frame.
+    ``rank`` is the median fraction of all frames that are nearer to a frame than its successor. ``smoothness`` is the
+    median cosine between successive steps of ``path``: 1 if straight, 0 if random."""
 
     given: float
     shortest: float
@@ -202,7 +203,7 @@ class FrameOrder(NamedTuple):
 
 
 def measure_order(scene: Scene, assumed: Assumption) -> FrameOrder | None:
-    """The order of all frames under an assumption. None with too few or too many."""
+    """Measure the order of all frames under an assumption; None with too few or too many frames."""
     count = len(scene.frames)
     if not _FEWEST <= count <= _MOST:
         return None
@@ -230,7 +231,7 @@ def measure_order(scene: Scene, assumed: Assumption) -> FrameOrder | None:
 
 
 def _walk(distances: Floats, start: int) -> list[int]:
-    """The order of a walk from each frame to the nearest unvisited one."""
+    """Return the order of a walk that begins at ``start`` and always goes to the nearest unvisited frame."""
     left = distances.copy()
     path = [start]
     for _ in range(len(distances) - 1):
@@ -240,7 +241,7 @@ def _walk(distances: Floats, start: int) -> list[int]:
 
 
 def order_findings(scene: Scene, order: FrameOrder | None) -> list[Finding]:
-    """Whether the frames are not in the order of their recording."""
+    """Return a finding if the frames are not in the order of their recording."""
     if order is None or not order.is_shuffled:
         return []
     best = listed([scene.frames[number].name for number in order.path], 6)
@@ -255,7 +256,7 @@ def order_findings(scene: Scene, order: FrameOrder | None) -> list[Finding]:
 
 
 def repeat_findings(scene: Scene, progress: Progress = unwatched) -> list[Finding]:
-    """Frames that occur twice. Raises OSError."""
+    """Return findings about frames that occur twice. Raises OSError."""
     frames, first, repeated = scene.frames, dict[str, int](), list[tuple[int, int]]()
     sizes = [frame.colour_path.stat().st_size if frame.file_shows_colour else 0 for frame in frames]
     shared = {size for size, count in Counter(sizes).items() if count > 1 and size}

@@ -1,5 +1,5 @@
-"""Whether the pictures belong to depth and poses: depth's edges are moved and scaled over the pictures' gradients, and
-a surface must have the same grey value in two pictures."""
+"""Check whether pictures belong to depth and poses: depth's edges, moved and scaled, should lie on edges of the
+pictures, and a surface should have the same grey value in two pictures."""
 
 from __future__ import annotations
 
@@ -35,9 +35,10 @@ Shift = tuple[float, float]  # x, y as fractions of the picture
 
 
 class Registration(NamedTuple):
-    """Where depth's edges fit the pictures best: an edge at p (fractions of the picture) belongs to (p - 0.5) *
-    ``scale`` + 0.5 + ``shift``. ``gain`` is how much stronger the pictures' contrast is there than at depth's position,
-    in standard deviations. ``certainty`` is the gain over its standard error among the ``frames`` that have edges."""
+    """Where depth's edges fit the pictures best: an edge at p (fractions of the picture) belongs at (p - 0.5) *
+    ``scale`` + 0.5 + ``shift``. ``gain`` is how much stronger the pictures' contrast is there than at depth's own
+    position, in standard deviations. ``certainty`` is the gain over its standard error among the ``frames`` with
+    edges."""
 
     scale: float
     shift: Shift
@@ -47,7 +48,7 @@ class Registration(NamedTuple):
 
 
 def measure_registration(looks: list[Look], photos: dict[int, Photo]) -> Registration | None:
-    """The scale and shift that bring depth's edges onto those of the pictures. None with too few edges."""
+    """Find the scale and shift that bring depth's edges onto those of the pictures; None with too few edges."""
     chosen: list[Look] = []  # at most 32 looks spread over the recording, each of a different place
     seen: list[Floats] = []
     for look in evenly_spread([look for look in looks if look.number in photos], _MOST):
@@ -71,7 +72,7 @@ def measure_registration(looks: list[Look], photos: dict[int, Photo]) -> Registr
 
 
 def _depth_edges(depth: NDArray[np.float32]) -> Floats:
-    """Where depth jumps between two pixels, float64 [N, 2] as fractions of the picture."""
+    """Return where depth jumps between two pixels, float64 [N, 2] as fractions of the picture."""
     height, width = depth.shape
     found = []
     for axis in (0, 1):
@@ -87,7 +88,7 @@ def _depth_edges(depth: NDArray[np.float32]) -> Floats:
 
 
 def _contrast(grey: NDArray[np.uint8]) -> Floats:
-    """Strength of a picture's edges, with mean 0 and deviation 1. Roots keep strong edges from outweighing the rest."""
+    """The strength of a picture's edges, with mean 0 and deviation 1. Square roots limit the weight of strong edges."""
     smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 0.8)
     x = cv2.Sobel(smooth, cv2.CV_32F, 1, 0)
     y = cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
@@ -96,7 +97,7 @@ def _contrast(grey: NDArray[np.uint8]) -> Floats:
 
 
 def _coarse(pairs: list[tuple[Floats, Floats]], scale: float) -> tuple[float, float, Shift]:
-    """The best fit over all shifts on a grid 160 wide, with the scale and the shift."""
+    """Try all shifts on a grid 160 wide at one scale. Returns the fit, the scale and the shift of the best."""
     height = max(8, round(_WIDTH * pairs[0][1].shape[0] / pairs[0][1].shape[1]))
     total = np.zeros((height, _WIDTH))
     for edges, picture in pairs:
@@ -115,7 +116,7 @@ def _coarse(pairs: list[tuple[Floats, Floats]], scale: float) -> tuple[float, fl
 
 
 def _refined(pairs: list[tuple[Floats, Floats]], scale: float, shift: Shift) -> tuple[float, Shift]:
-    """The best fit nearby, to a tenth of a pixel of a picture 320 wide."""
+    """Search near a scale and shift for the best fit, to a tenth of a pixel of a picture 320 wide. Returns both."""
     best = np.array([scale, *shift])
     for step in (1 / 160, 1 / 320, 1 / 640, 1 / 1280, 1 / 3200):
         moves = [np.array(m) * (2.0 * step, step, step) for m in np.ndindex(3, 3, 3)]
@@ -126,7 +127,7 @@ def _refined(pairs: list[tuple[Floats, Floats]], scale: float, shift: Shift) -> 
 
 
 def _fits(pairs: list[tuple[Floats, Floats]], scale: float, shift: Shift) -> Floats:
-    """The mean contrast under depth's edges for each picture; edges outside count as 0."""
+    """Return the mean contrast under depth's edges for each picture; edges outside count as 0."""
     values = []
     for edges, picture in pairs:
         height, width = picture.shape
@@ -142,7 +143,7 @@ def _fits(pairs: list[tuple[Floats, Floats]], scale: float, shift: Shift) -> Flo
 def registration_findings(
     examined: Examined, found: Registration | None, calibration: Calibration | None
 ) -> tuple[list[Finding], Shift]:
-    """Whether depth is offset from the pictures, and the shift that corrects it, if depth's own geometry agrees."""
+    """Return findings on an offset of depth from the pictures, and the shift against it, if depth's geometry agrees."""
     if found is None:
         return [], (0.0, 0.0)
     shift = None if calibration is None else _depth_shift(examined, found, calibration)
@@ -155,7 +156,7 @@ def registration_findings(
 
 
 def _depth_shift(examined: Examined, found: Registration, calibration: Calibration) -> Shift | None:
-    """The shift that depth needs, if its geometry and the pictures' edges both say that it was moved."""
+    """Return the shift that depth needs, if its geometry and the pictures' edges both say that it was moved."""
     if abs(found.scale - 1.0) >= _SCALED or found.certainty < _CORROBORATED:
         return None
     shift = -np.array([calibration.of("x"), calibration.of("y")])  # moving depth is the opposite of moving the centre
@@ -200,7 +201,7 @@ _CERTAIN_GAIN = 5.0  # least gain, in its standard errors among the looks
 
 
 class Taken(NamedTuple):
-    """Which picture a look uses: that of the frame ``lag`` frames later, ``mirrored`` or not."""
+    """Which picture a frame's depth is compared with: that of the frame ``lag`` frames later, ``mirrored`` or not."""
 
     lag: int = 0
     mirrored: bool = False
@@ -210,7 +211,7 @@ _OTHERS = (Taken(mirrored=True), *(Taken(lag) for lag in (-2, -1, 1, 2)))
 
 
 def measure_pictures(examined: Examined, assumed: Assumption) -> tuple[Taken, Gain] | None:
-    """The change that makes the pictures agree clearly better than unmodified ones, and what it gains in the mean
+    """Return the change of pictures (`Taken`) with which they agree clearly better, and the gain in the mean
     correlation of greys on surfaces. None if there is none."""
     views, pairs = examined.views, examined.pairs
     comparison = views.compare(pairs, assumed)
@@ -226,7 +227,7 @@ def measure_pictures(examined: Examined, assumed: Assumption) -> tuple[Taken, Ga
 
 
 def _correlations(examined: Examined, places: list[tuple[Floats, Floats]], taken: Taken) -> Floats:
-    """The correlation of greys where each pair sees the same surface, float64 [P]; nan where there is too little."""
+    """The correlation of greys where each pair of frames sees the same surface, float64 [P]; nan if that is small."""
     found = np.full(len(places), np.nan)
     for row, ((one, other), (mine, theirs)) in enumerate(zip(examined.pairs.tolist(), places, strict=True)):
         first, second = (examined.photos.get(examined.looks[look].number + taken.lag) for look in (one, other))
@@ -241,7 +242,7 @@ def _correlations(examined: Examined, places: list[tuple[Floats, Floats]], taken
 
 
 def picture_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
-    """Pictures that belong to other frames or are mirrored, though depth and poses are not."""
+    """Return findings about pictures that belong to other frames or are mirrored, though depth and poses are not."""
     found = measure_pictures(examined, assumed)
     if found is None:
         return []

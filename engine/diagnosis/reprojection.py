@@ -1,5 +1,5 @@
-"""The data of a diagnosis: depth ("looks") and photos of at most 120 frames, and the looks' depth projected into each
-other under an assumption about what the scene's numbers mean."""
+"""The data of a diagnosis: depth (`Look`) and photos of at most 120 frames, and points of each depth projected into
+other frames, under an assumption about what the scene's numbers mean."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ Pairs = NDArray[np.int64]  # the rows of two looks each, [P, 2]
 
 
 class Sample(NamedTuple):
-    """Which frames are examined: all, or if there are more than ``most``, ``groups`` spread over the recording, with
-    ``steps`` counted from a group's first. Neighbours show small errors, distant views of a surface large ones."""
+    """Which frames are examined: all or, of more than ``most``, ``groups`` of frames spread over the recording;
+    ``steps`` are the offsets within a group. Neighbours show small errors, distant views of a surface large ones."""
 
     most: int
     groups: int
     steps: tuple[int, ...]
 
     def numbers(self, count: int) -> list[int]:
-        """The numbers of the examined frames, of ``count``."""
+        """Return the indices of the examined frames, of ``count``."""
         if count <= self.most:
             return [*range(count)]
         starts = np.linspace(0, count - 1, self.groups).round().astype(int)
@@ -48,7 +48,7 @@ _SMOOTH_AROUND = 1.05  # largest ratio of the depths around a point; above it, t
 class Look:
     """A frame whose depth is loaded. ``number`` is its index in the scene's frames. ``depth`` float32 [H, W] is in the
     scene's metres, 0 = none; ``camera`` has its size. ``points`` int32 [N, 2] (column, row) lie on smooth surfaces,
-    spread over the picture. They are compared with other views."""
+    spread over the picture; they are what is compared with other frames."""
 
     number: int
     frame: Frame
@@ -67,7 +67,7 @@ class Photo:
 
 
 def pairs_of(count: int) -> Pairs:
-    """The pairs (from, to) to compare, int64 [P, 2]: each look with the next three, and 24 looks with each other."""
+    """The pairs (from, to) of frames to compare, int64 [P, 2]: each with the next three, and 24 with each other."""
     # Directions alternate, so that both the points and the depth of each look are used.
     return np.array([(i, j) if (i + j) % 2 else (j, i) for i, j in compared(count)], np.int64).reshape(-1, 2)
 
@@ -96,7 +96,7 @@ def load_looks(frames: Sequence[Frame], sample: Sample) -> list[Look]:
 
 
 def load_photos(frames: Sequence[Frame], sample: Sample) -> dict[int, Photo]:
-    """The pictures of the sample's frames, by the frames' numbers. Raises PlgsError."""
+    """Load the pictures of the sample's frames, by the frames' indices. Raises PlgsError."""
     photos = {}
     for number in sample.numbers(len(frames)):
         grey = cv2.cvtColor(frames[number].read_colour(None), cv2.COLOR_RGB2GRAY)
@@ -113,7 +113,7 @@ def load_photos(frames: Sequence[Frame], sample: Sample) -> dict[int, Photo]:
 
 
 def _stride_for(width: int) -> int:
-    """The odd step between pixels that reduces a picture to at most 640 across."""
+    """Return the odd step between pixels that reduces a picture to at most 640 pixels across."""
     step = -(-width // _WIDEST)
     return step + 1 - step % 2
 
@@ -148,10 +148,10 @@ class Assumption(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """Where the points of P pairs, M each, fall in the other view. Arrays are [P, M]. ``error`` float64: logarithm of
-    the depth seen over the depth expected, nan where the other view shows nothing. ``agrees`` float64: 1 for no error,
-    0 from 5 % on and where nothing is seen. ``known`` bool: the point exists. ``place`` float64 [P, M, 2]: in shares of
-    the other picture, nan behind its camera."""
+    """M points of the first frame of each of P pairs, projected into the second. Arrays are [P, M]. ``error`` float64:
+    logarithm of the depth seen over the depth expected, nan where the second frame has none. ``agrees`` float64: 1 for
+    no error, 0 from 5 % on and without depth. ``known`` bool: the point exists. ``place`` float64 [P, M, 2]: in
+    fractions of the second picture, nan behind its camera."""
 
     error: Floats
     agrees: Floats
@@ -160,7 +160,7 @@ class Comparison(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """The surface that a look shows where points project to. ``normal`` float64 [N, 3] is in the camera's axes.
+    """The surface of a frame's depth where points project to it. ``normal`` float64 [N, 3] is in the camera's axes.
     ``distance`` float64 [N] is the points' height above the surface in metres. Both are nan without a surface."""
 
     distance: Floats
@@ -168,8 +168,8 @@ class Surface(NamedTuple):
 
 
 class Views:
-    """The looks as arrays, so that all pairs are compared at once. ``turn`` float64 [3, 3] is the rotation that made
-    the world upright when the scene was opened. Assumptions about poses are about the poses as they were written,
+    """The loaded depths as arrays, so that all pairs are compared at once. ``turn`` float64 [3, 3] is the rotation that
+    made the world upright when the scene was opened. Assumptions about poses are about the poses as they were written,
     before that rotation. ``recorded`` float64 [N, 4, 4] are the poses of all frames of the scene."""
 
     def __init__(self, looks: Sequence[Look], turn: Floats, recorded: Floats) -> None:
@@ -190,12 +190,12 @@ class Views:
         self._pixels = np.concatenate([look.depth.ravel() for look in looks])
 
     def poses_of(self, assumed: Assumption) -> Floats:
-        """Camera-to-world poses in the scene's world under an assumption, float64 [F, 4, 4]."""
+        """Return camera-to-world poses in the scene's world under an assumption, float64 [F, 4, 4]."""
         meant = np.clip(self.numbers + assumed.lag, 0, len(self.recorded) - 1)
         return assumed_poses(self.recorded[meant], self.turn, assumed)
 
     def compare(self, pairs: Pairs, assumed: Assumption, points: int | None = None) -> Comparison:
-        """Project the first ``points`` points of each pair's first look into the second; pairs int64 [P, 2]."""
+        """Project the first ``points`` points (None: all) of each pair's first frame into its second; pairs [P, 2]."""
         lens, poses = lens_under(self.lens, assumed), self.poses_of(assumed)
         one, other = pairs[:, 0], pairs[:, 1]
         world, known = self.world_points(assumed, lens, poses, points)
@@ -217,7 +217,7 @@ class Views:
     def world_points(
         self, assumed: Assumption, lens: Lens, poses: Floats, points: int | None = None
     ) -> tuple[Floats, NDArray[np.bool_]]:
-        """The looks' points in the world, float64 [F, M, 3], and which of them exist, bool [F, M]."""
+        """Return the frames' points in the world, float64 [F, M, 3], and which of them exist, bool [F, M]."""
         places, values = self.places[:, :points], self.values[:, :points]
         depth = planar(values, places, lens, assumed)
         rays = (places - lens[:, None, 2:]) / lens[:, None, :2]
@@ -225,7 +225,8 @@ class Views:
         return np.matmul(local, poses[:, :3, :3].swapaxes(1, 2)) + poses[:, None, :3, 3], values > 0.0
 
     def depth_at(self, looks: NDArray[np.int64], place: Floats, wanted: NDArray[np.bool_]) -> Floats:
-        """Depth at places [P, M, 2] of pictures [P], interpolated between pixels; 0 at edges and outside."""
+        """Depth at ``place`` [P, M, 2] of the pictures ``looks`` [P], interpolated between pixels; 0 at edges,
+        outside."""
         found = np.zeros(wanted.shape)
         width, height = self.size[looks, 0].astype(np.int64)[:, None], self.size[looks, 1].astype(np.int64)[:, None]
         x, y = place[..., 0] * width - 0.5, place[..., 1] * height - 0.5
@@ -245,7 +246,7 @@ class Views:
         return found
 
     def surface_at(self, look: int, local: Floats, assumed: Assumption, lens: Lens) -> Surface:
-        """The surface of a look where points, float64 [N, 3] in its camera's axes, project to."""
+        """Return the surface of a frame where points, float64 [N, 3] in its camera's axes, project to."""
         safe = np.where(local[:, 2] > 1e-6, local[:, 2], 1.0)
         place = local[:, :2] / safe[:, None] * lens[:2] + lens[2:]
         step = np.maximum(1.0, np.round(self.size[look] / _NORMAL_GRAIN)) / self.size[look]
@@ -264,7 +265,7 @@ class Views:
 
 
 def lens_under(lens: Lens, assumed: Assumption) -> Lens:
-    """Lenses [F, 4] under an assumption."""
+    """Return the intrinsics [F, 4] (fx, fy, cx, cy) under an assumption."""
     meant = lens.copy()
     meant *= assumed.lens_scale
     meant[:, :2] *= assumed.focal
@@ -276,7 +277,7 @@ def lens_under(lens: Lens, assumed: Assumption) -> Lens:
 
 
 def assumed_poses(poses: Floats, turn: Floats, assumed: Assumption) -> Floats:
-    """Camera-to-world poses [F, 4, 4] under an assumption, without its lag. ``turn`` is that of ``Views``."""
+    """Return camera-to-world poses [F, 4, 4] under an assumption, without its lag. ``turn`` is that of ``Views``."""
     if not (assumed.inverted or assumed.opengl or assumed.length != 1.0):
         return poses
     rotation, centre = turn.T @ poses[:, :3, :3], poses[:, :3, 3] @ turn  # as written, see Views
@@ -291,7 +292,7 @@ def assumed_poses(poses: Floats, turn: Floats, assumed: Assumption) -> Floats:
 
 
 def planar(depth: Floats, place: Floats, lens: Lens, assumed: Assumption) -> Floats:
-    """Depth along the axis in metres: a scene's values [..., M] at places [..., M, 2], under an assumption."""
+    """Return planar depth in metres from a scene's values [..., M] at ``place`` [..., M, 2], under an assumption."""
     if assumed.ray:
         rays = (place - lens[:, None, 2:]) / lens[:, None, :2]
         length = np.sqrt((rays**2).sum(-1) + 1.0)
@@ -300,7 +301,8 @@ def planar(depth: Floats, place: Floats, lens: Lens, assumed: Assumption) -> Flo
 
 
 class Gain(NamedTuple):
-    """The mean over the pairs ``before`` and ``after`` a change, and the looks' mean gain, and in standard errors."""
+    """The effect of a change: the mean over pairs ``before`` and ``after``, the mean gain of frames, and that in
+    standard errors (``certainty``)."""
 
     before: float
     after: float
@@ -310,8 +312,8 @@ class Gain(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Examined:
-    """The loaded part of a scene. ``looks`` are compared in ``pairs`` int64 [P, 2]; ``photos`` is by frame number.
-    Masks are read at the size that frames have ``masks_within``, or at their own."""
+    """The loaded part of a scene. ``looks`` are the frames with depth, compared in ``pairs`` int64 [P, 2]; ``photos``
+    are by frame index. Masks are read at the size that frames have ``masks_within``, or at their own."""
 
     scene: Scene
     looks: list[Look]
@@ -321,16 +323,16 @@ class Examined:
     masks_within: Size | None = None
 
     def name(self, row: int) -> str:
-        """The name of a look's frame."""
+        """Return the name of the frame in this row of ``looks``."""
         return self.looks[row].frame.name
 
     def photo(self, row: int) -> Photo:
-        """A look's photo."""
+        """Return the photo of the frame in this row of ``looks``."""
         return self.photos[self.looks[row].number]
 
     @cached_property
     def class_maps(self) -> list[NDArray[np.int32]] | None:
-        """The class ids of each look's mask, int32 [H, W], <= 320 wide; None if a look has none. Raises PlgsError."""
+        """The class ids of each frame's mask, int32 [H, W <= 320]; None if a frame has no mask. Raises PlgsError."""
         if any(look.frame.read_mask is None for look in self.looks):
             return None
         maps, within = [], self.masks_within
@@ -342,7 +344,7 @@ class Examined:
         return maps
 
     def mean_by_look(self, values: Floats) -> Floats:
-        """The mean of the pairs' values [P] for each look that has any, so that looks in many pairs count once."""
+        """The mean of the pairs' values [P] for each frame that has any, so that one in many pairs counts once."""
         total, count = np.zeros(len(self.looks)), np.zeros(len(self.looks))
         known = np.isfinite(values)
         for column in (0, 1):
@@ -351,7 +353,7 @@ class Examined:
         return total[count > 0] / count[count > 0]
 
     def gained(self, before: Floats, after: Floats) -> Gain | None:
-        """What a change of the pairs' values [P] is worth. None with too few pairs or looks."""
+        """Return the effect of a change in the pairs' values [P]. None with too few pairs or frames."""
         gains = after - before  # nan where one of them is unknown
         known, by_look = np.isfinite(gains), self.mean_by_look(gains)
         if known.sum() < _FEWEST_PAIRS or len(by_look) < _FEWEST_LOOKS:
@@ -360,7 +362,7 @@ class Examined:
         return Gain(float(before[known].mean()), float(after[known].mean()), mean, mean / max(error, 1e-9))
 
     def telling_pair(self, assumed: Assumption) -> tuple[int, int]:
-        """Two looks for a picture. They show much of the same surface, from places as far apart as that allows."""
+        """Return two frames for a picture: they see much of the same surface, from places as far apart as possible."""
         comparison = self.views.compare(self.pairs, assumed)
         share = comparison.agrees.sum(1) / np.maximum(comparison.known.sum(1), 1)
         centres = self.views.poses_of(assumed)[:, :3, 3]
@@ -370,7 +372,7 @@ class Examined:
 
 
 def examine(scene: Scene, sample: Sample = MANY, masks_within: Size | None = None) -> Examined | None:
-    """Load what is compared. None where fewer than three frames have depth. Raises PlgsError."""
+    """Load the data to compare. None if fewer than three frames have depth. Raises PlgsError."""
     looks = load_looks(scene.frames, sample)
     if len(looks) < 3:
         return None

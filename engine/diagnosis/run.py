@@ -1,4 +1,4 @@
-"""The diagnosis from end to end."""
+"""Run the diagnosis from end to end."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _Z = np.array([0.0, 0.0, 1.0])
 
 
 def diagnose(scene: Scene, progress: Progress = unwatched) -> Diagnosis:
-    """Measure what is wrong with a scene. At most 120 of its frames are examined. Raises PlgsError for bad files."""
+    """Find what is wrong with a scene. At most 120 of its frames are examined. Raises PlgsError for bad files."""
     examined = examine(scene)
     if examined is None:
         order = measure_order(scene, Assumption())
@@ -54,9 +54,9 @@ def diagnose(scene: Scene, progress: Progress = unwatched) -> Diagnosis:
 
 
 def diagnose_quickly(scene: Scene, masks_within: Size | None = None) -> Diagnosis:
-    """A check of a second or two before a lift: order, axes, units, lens, up, pictures of other frames, contradicting
-    masks, and the class table. `diagnose` measures again what seems wrong in these few frames. Masks are read at the
-    size that frames have ``masks_within``, or at their own. Raises PlgsError, OSError."""
+    """Check a scene for a second or two before a lift: order, axes, units, lens, up, pictures of other frames,
+    contradicting masks, and the class table. What seems wrong in these few frames is measured again by `diagnose`.
+    Masks are read at the size that frames have ``masks_within``, or at their own. Raises PlgsError, OSError."""
     examined, order = examine(scene, FEW, masks_within), measure_order(scene, Assumption())
     findings = [*order_findings(scene, order), *repeat_findings(scene)]
     if examined is None:

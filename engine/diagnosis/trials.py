@@ -1,10 +1,7 @@
-"""Finds the assumption about a scene's numbers under which its views agree best. Each is tried on the same points. How
+"""Find the assumption about a scene's numbers under which its views agree best. Each is tried on the same points. How
 far off the lens, the depth unit and the ray length are follows from a robust least-squares fit to all reprojected
-depth.
-
-Every point that another view shows nearly where it is expected is one equation of the fit. An error in one frame's pose
-affects all of its pairs, so the uncertainty counts frames and not points.
-"""
+depth. Every point that another view sees near the expected place is one equation of the fit. An error in one frame's
+pose affects all of its pairs, so the uncertainty counts frames and not points."""
 
 from __future__ import annotations
 
@@ -28,19 +25,19 @@ _STEEPEST = 5.0  # largest slope of a point on a surface; a larger one means tha
 
 
 class Calibration(NamedTuple):
-    """``values`` float64 [6] relative to the assumption, in the order of ``_PARAMETERS``, with their standard errors:
-    the logarithms of the factors of depth, of the focal lengths and of fx alone, the principal point's shift in shares
-    of width and height, and the part of the ray's length that is in depth."""
+    """The fitted corrections. ``values`` float64 [6] are relative to the assumption, in the order of ``_PARAMETERS``,
+    with their standard errors: the logarithms of the factors of depth, of the focal lengths and of fx alone, the
+    principal point's shift in fractions of width and height, and the part of the ray's length that is in depth."""
 
     values: Floats
     deviations: Floats
 
     def of(self, name: str) -> float:
-        """One of the values, by its name."""
+        """Return one of the values, by its name."""
         return float(self.values[_PARAMETERS.index(name)])
 
     def deviation(self, name: str) -> float:
-        """The standard error of one of the values."""
+        """Return the standard error of one of the values, by its name."""
         return float(self.deviations[_PARAMETERS.index(name)])
 
     def is_sure_of(self, name: str, least: float) -> bool:
@@ -49,7 +46,8 @@ class Calibration(NamedTuple):
 
 
 class _Linear(NamedTuple):
-    """``errors`` [n], their ``slopes`` [n, p] by parameter, ``weights`` [n], and the two ``frames`` [n, 2] of each."""
+    """The linear equations of the fit: ``errors`` [n], their ``slopes`` [n, p] by parameter, ``weights`` [n], and the
+    two ``frames`` [n, 2] of each."""
 
     errors: Floats
     slopes: Floats
@@ -58,7 +56,7 @@ class _Linear(NamedTuple):
 
 
 def moved(base: Assumption, values: Floats) -> Assumption:
-    """An assumption that differs from ``base`` by ``values``, as in ``Calibration``."""
+    """Return an assumption that differs from ``base`` by ``values``, as in ``Calibration``."""
     unit, focal, aspect, x, y, ray = values.tolist()
     return base._replace(
         unit=base.unit * float(np.exp(unit)),
@@ -72,7 +70,7 @@ def moved(base: Assumption, values: Floats) -> Assumption:
 def calibrate(
     views: Views, pairs: Pairs, base: Assumption, free: tuple[str, ...] = _PARAMETERS, points: int | None = None
 ) -> Calibration | None:
-    """Fit the ``free`` parameters. None where too few points agree."""
+    """Fit the ``free`` parameters, beginning with the assumption ``base``. None if too few points agree."""
     columns = [_PARAMETERS.index(name) for name in free]
     values, deviations = np.zeros(len(_PARAMETERS)), np.full(len(_PARAMETERS), np.inf)
     for _ in range(_ROUNDS):
@@ -104,7 +102,8 @@ def _linearised(views: Views, pairs: Pairs, at: Assumption, columns: list[int], 
 
 
 def _solve(linear: _Linear, values: Floats, prior: Floats) -> tuple[Floats, Floats]:
-    """The step [p] of weighted least squares from ``values`` [p] with precisions ``prior`` [p], and its errors [p]."""
+    """Solve weighted least squares from ``values`` [p] with precisions ``prior`` [p]. Returns step [p] and errors
+    [p]."""
     noise = float(np.sqrt((linear.weights * linear.errors**2).sum() / linear.weights.sum()))
     precision = max(noise, _FINEST) ** -2
     weighted = precision * linear.slopes * linear.weights[:, None]
@@ -137,7 +136,7 @@ _LAGS = (-2, -1, 1, 2)
 
 
 class Trial(NamedTuple):
-    """A ``cause`` and the assumption that it leads to. ``free`` names the values to fit if this is the best trial."""
+    """A ``cause`` to try, with the assumption that follows. ``free`` names the values to fit if this trial is best."""
 
     cause: str
     assumed: Assumption
@@ -145,8 +144,8 @@ class Trial(NamedTuple):
 
 
 class Agreement(NamedTuple):
-    """How well views agree. ``by_frame`` float64 [F] is the mean agreement, 0..1, of each look's points with the other
-    views; ``mean`` is over all points. ``seen`` is the share of points where the other view shows depth. Of these,
+    """How well views agree. ``by_frame`` float64 [F] is the mean agreement, 0..1, of each frame's points with the other
+    frames; ``mean`` is over all points. ``seen`` is the fraction of points where the other frame has depth. Of these,
     ``share`` agree within 5 %, with the median relative error ``error``."""
 
     by_frame: Floats
@@ -157,8 +156,8 @@ class Agreement(NamedTuple):
 
 
 class FoundCause(NamedTuple):
-    """A cause that was found, the assumption with it, and how views agree before and after. ``rival`` is a cause that
-    explains the scene about as well, None if there is none."""
+    """A cause that was found, the assumption with it, and how well views agree before and after. ``rival`` is a cause
+    that explains the scene about as well, None if there is none."""
 
     cause: str
     assumed: Assumption
@@ -168,7 +167,7 @@ class FoundCause(NamedTuple):
 
 
 def agreement(views: Views, pairs: Pairs, assumed: Assumption) -> Agreement:
-    """How well the looks agree under an assumption."""
+    """Return how well the frames agree under an assumption."""
     comparison = views.compare(pairs, assumed, _POINTS)
     known = comparison.known.sum(1).astype(np.float64)
     agrees = comparison.agrees.sum(1)
@@ -188,16 +187,16 @@ def agreement(views: Views, pairs: Pairs, assumed: Assumption) -> Agreement:
 
 
 def is_far_better(after: Agreement, before: Agreement) -> bool:
-    """Whether a scene may be fixed: half of what two views see agrees, and 15 % more of it than before, or no less with
-    30 % less error."""
+    """Whether a correction is good enough: half of what two frames both see agrees, and 15 % more of it than before, or
+    no less of it with 30 % less error."""
     more = after.mean > _BETTER * before.mean
     finer = after.mean >= _AS_GOOD * before.mean and after.error < _ERROR_LEFT * before.error
     return after.share >= _LEAST_SHARE and (more or finer)
 
 
 def find_cause(views: Views, pairs: Pairs, lens_is_doubtful: bool = False) -> FoundCause | None:
-    """The cause that explains the numbers of a scene. Of causes that explain it about as well, one of the lens comes
-    first if ``lens_is_doubtful``."""
+    """Return the cause that explains the numbers of a scene best, or None. With ``lens_is_doubtful``, a cause in the
+    lens comes before others that explain them about as well."""
     before = agreement(views, pairs, Assumption())
     best_of: dict[str, tuple[Agreement, Trial]] = {}
     for trial in _trials(views):
@@ -226,7 +225,7 @@ def find_cause(views: Views, pairs: Pairs, lens_is_doubtful: bool = False) -> Fo
 
 
 def _whose_lengths(views: Views, found: FoundCause) -> FoundCause:
-    """Decide whether depth or poses have the wrong unit. Views cannot tell, but rooms have sizes."""
+    """Decide whether depth or poses have the wrong unit: views cannot tell, but rooms are of a known size."""
     factor = found.assumed.unit
     depth = float(np.median(views.values[views.values > 0.0]))
     is_room, becomes_room = (_NEAREST <= metres <= _FARTHEST for metres in (depth, depth * factor))
@@ -238,7 +237,7 @@ def _whose_lengths(views: Views, found: FoundCause) -> FoundCause:
 
 
 def _fitted(views: Views, pairs: Pairs, after: Agreement, trial: Trial) -> tuple[Agreement, Trial]:
-    """A trial with its free values fitted, unless that makes it worse."""
+    """Return a trial with its free values fitted, unless that makes it worse."""
     calibration = calibrate(views, pairs, trial.assumed, trial.free, _POINTS) if trial.free else None
     if calibration is None:
         return after, trial

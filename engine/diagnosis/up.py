@@ -1,4 +1,4 @@
-"""Finds which way is up: most normals of floors, ceilings and table tops point along it."""
+"""Find which way is up: most normals of floors, ceilings and table tops point along it."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 class UpAxis(NamedTuple):
-    """``axis`` float64 [3] is up in the scene's world, ``tilt`` the degrees between it and z. ``level`` and ``walls``
-    are the shares of normals along it and at right angles to it. ``deviation`` is its standard error in degrees."""
+    """The direction of up. ``axis`` float64 [3] is up in the scene's world, ``tilt`` the degrees between it and z.
+    ``level`` and ``walls`` are the fractions of normals along it and at right angles to it. ``deviation`` is its
+    standard error in degrees."""
 
     axis: Floats
     tilt: float
@@ -31,7 +32,7 @@ class UpAxis(NamedTuple):
 
 
 def measure_tilt(views: Views, assumed: Assumption) -> UpAxis | None:
-    """The up axis, if it clearly differs from z. Also None if surfaces or cameras do not show it."""
+    """Find the up axis. Returns None if it does not clearly differ from z, or if surfaces or cameras do not show it."""
     held = -views.poses_of(assumed)[:, :3, 1].mean(0)  # pictures' y is down, and most are taken upright
     if np.linalg.norm(held) < _CLEARLY_UP:
         return None
@@ -59,7 +60,7 @@ def measure_tilt(views: Views, assumed: Assumption) -> UpAxis | None:
 
 
 def world_normals(views: Views, assumed: Assumption) -> list[tuple[Floats, NDArray[np.bool_]]]:
-    """For each look the normals of its points in the world, float64 [N, 3], and which are known, bool [N]."""
+    """Return for each frame the normals of its points in the world, float64 [N, 3], and which are known, bool [N]."""
     lens, poses = lens_under(views.lens, assumed), views.poses_of(assumed)
     world, known = views.world_points(assumed, lens, poses)
     found = []
@@ -71,7 +72,7 @@ def world_normals(views: Views, assumed: Assumption) -> list[tuple[Floats, NDArr
 
 
 def tilt_finding(examined: Examined, up: UpAxis, assumed: Assumption) -> Finding:
-    """The finding that the world is tilted, with the option that fixes it."""
+    """Return the finding that the world is tilted, with the option that corrects it."""
     turn = np.eye(3) if examined.scene.turn is None else examined.scene.turn
     written = turn.T @ up.axis  # in the poses' own world, as --up takes it
     axis = max(_AXES, key=lambda name: abs(float(written @ _AXES[name])))

@@ -1,1 +1,1 @@
-"""From views to layers: EXR, Cryptomatte, previews, splats, and the arrays of a result."""
+"""From rendered views to files: EXR, Cryptomatte, previews, splats, and the arrays of a result."""

@@ -1,5 +1,5 @@
-"""A baked view: its layers and its mattes, made from a rendering in bands of rows, and the world position and normal of
-the rendered surface."""
+"""Make a baked view: its layers and mattes, from a rendering in bands of rows, and the world position and normal of the
+rendered surface."""
 
 from __future__ import annotations
 
@@ -29,22 +29,21 @@ LEAST_SPREAD = 1e-3
 
 
 class Surface(NamedTuple):
-    """``position`` float32 [3, H, W], world metres; ``normal`` float32 [3, H, W], world, of length 1, towards the
-    camera. Both are 0 where nothing was rendered."""
+    """The rendered surface: ``position`` float32 [3, H, W], world metres; ``normal`` float32 [3, H, W], world, of
+    length 1, towards the camera. Both are 0 where nothing was rendered."""
 
     position: NDArray[np.float32]
     normal: NDArray[np.float32]
 
 
 def surface_of(depth: NDArray[np.float32], camera: Camera) -> Surface:
-    """Position and normal of every pixel of a perspective or orthographic picture from its depth float32 [H, W], planar
-    metres, 0 = none.
+    """Return position and normal of every pixel of a perspective or orthographic picture from its depth float32 [H, W],
+    planar metres, 0 = none.
 
     A plane's inverse depth is linear in the pixel coordinates, and its depth if rays are parallel. So a plane is fitted
-    by least squares to those of the 25 pixels around a pixel (those on the same surface), and its normal is the
+    by least squares to those of the 25 pixels around a pixel that are on the same surface, and its normal is the
     pixel's. The median error of these normals is 3 to 8 degrees. That of the Gaussians' own shortest axes is 20 to 30
-    degrees.
-    """
+    degrees."""
     is_parallel = camera.projection == "orthographic"
     inverse = depth if is_parallel else np.divide(1.0, depth, out=np.zeros_like(depth), where=depth > 0)
     step = max(1, round(REACH * camera.width / 2))
@@ -60,8 +59,8 @@ def fit_rows(
     worker: int, workers: int, inverse: Array, step: int, lens: Array, pose: Array, is_parallel: bool, position: Array,
     normal: Array,
 ) -> None:  # fmt: skip
-    """Fit every ``workers``-th row. ``lens`` float64 [4]: fx, fy, cx, cy; ``pose`` float64 [4, 4], camera to world. If
-    rays are parallel, ``inverse`` is the depth itself."""
+    """Fit a plane at each pixel of every ``workers``-th row. ``lens`` float64 [4]: fx, fy, cx, cy; ``pose`` float64 [4,
+    4], camera to world. If rays are parallel, ``inverse`` is the depth itself."""
     height, width = inverse.shape
     for row in range(worker, height, workers):
         for column in range(width):
@@ -91,9 +90,9 @@ def fit_rows(
 
 @compiled
 def inverse_slopes(inverse: Array, row: int, column: int, step: int, reach: float) -> tuple[float, float, float]:
-    """Least squares over 5 x 5 pixels ``step`` apart: the change of the inverse depth from a pixel to the next one
-    right and down, and its value at the pixel. The change is 0 if too few pixels are on the same surface, those within
-    ``reach`` of the pixel's."""
+    """Fit a plane to the inverse depth of 5 x 5 pixels ``step`` apart. Returns its change from a pixel to the next one
+    right and down, and its value at the pixel. The change is 0 if too few pixels are on the same surface, which are
+    those within ``reach`` of the pixel's value."""
     height, width = inverse.shape
     q = inverse[row, column]
     count = su = sv = sq = suu = suv = svv = suq = svq = 0.0
@@ -132,8 +131,8 @@ def inverse_slopes(inverse: Array, row: int, column: int, step: int, reach: floa
 
 
 def moved(depth: NDArray[np.float32], camera: Camera, other: Camera) -> NDArray[np.float64]:
-    """How far each pixel's point of a still room, at ``depth`` [H, W] metres, moves from the picture of ``camera`` to
-    that of ``other``, float64 [2, H, W] pixels, x right, y up; 0 without depth, and behind ``other``."""
+    """Return how far each pixel's point of a still room, at ``depth`` [H, W] metres, moves from the picture of
+    ``camera`` to that of ``other``, float64 [2, H, W] pixels, x right, y up; 0 without depth, and behind ``other``."""
     pixels, ahead = other.project(camera.unproject(depth))
     to_right = pixels[..., 0] - (np.arange(camera.width) + 0.5)
     to_top = (np.arange(camera.height) + 0.5)[:, None] - pixels[..., 1]
@@ -153,9 +152,9 @@ class Matte:
 @dataclass(frozen=True, eq=False)
 class BakedView:
     """Everything that is written for a view, as ``camera`` sees it; the cameras of the previous and the next frame, if
-    they are known; ``guessed`` float32 [H, W], the share of each pixel that no photo ever saw or nothing covers, if
-    objects were removed from the scene, else None; ``normal`` float32 [3, H, W] as in `Surface` if it does not follow
-    from the depth."""
+    known; ``guessed`` float32 [H, W], the share of each pixel that no photo ever saw or nothing covers, if objects were
+    removed from the scene, else None; ``normal`` float32 [3, H, W] as in `Surface` if it does not follow from the
+    depth."""
 
     camera: Camera
     layers: PanopticLayers
@@ -167,7 +166,7 @@ class BakedView:
 
     @property
     def surface(self) -> Surface:
-        """The surface, computed on demand."""
+        """Return the position and normal of each pixel, computed on demand."""
         if self.normal is None:
             return surface_of(self.layers.depth, self.camera)
         position = np.moveaxis(self.camera.unproject(self.layers.depth), -1, 0)
@@ -175,9 +174,9 @@ class BakedView:
 
     @property
     def vectors(self) -> NDArray[np.float32]:
-        """Motion as in Blender's pass Vector, float32 [4, H, W]: from where a pixel is to where it was in the previous
-        frame, and from where it will be in the next frame to where it is, in pixels, x right, y up. 0 where nothing was
-        rendered, and where the other frame is not known or has the point behind it."""
+        """Return motion as in Blender's pass Vector, float32 [4, H, W]: from where a pixel is to where it was in the
+        previous frame, and from where it will be in the next frame to where it is, in pixels, x right, y up. 0 where
+        nothing was rendered, and where the other frame is not known or has the point behind it."""
         was, will_be = (
             np.zeros((2, *self.layers.depth.shape)) if other is None else moved(self.layers.depth, self.camera, other)
             for other in (self.previous, self.following)
@@ -204,7 +203,7 @@ def bake_view(
     bands: Iterable[PanopticRendering], camera: Camera, classes: ClassTable, instances: ShownInstances
 ) -> BakedView:
     """Decide and rank ``bands`` (all rows of ``camera``'s picture, from the top) one after another, so that only one
-    band's coverage is in memory. The coverage is changed (see ``align_mattes``). Raises ValueError if there are no
+    band's coverage is in memory. Coverage is changed in place (see ``align_mattes``). Raises ValueError if there are no
     bands."""
     shape = (2 * RANKS, camera.height, camera.width)
     of_instances, of_classes = np.empty(shape, np.float32), np.empty(shape, np.float32)
@@ -232,12 +231,11 @@ def bake_view(
 
 
 def things_coverage(rendering: PanopticRendering, classes: ClassTable) -> NDArray[np.float32]:
-    """The coverage of each pixel by things, float32 [H, W].
+    """Return how much of each pixel is covered by things, float32 [H, W].
 
-    If every pixel decides on its own, stuff has instance probabilities too (nothing forbids them). So a pixel's
-    instances together get no more than this. At the edge of a chair before a wall the chair keeps its share, and
-    instances of the wall get nothing. If an object has one class, its coverage is part of its class's.
-    """
+    If every pixel decides on its own, stuff has instance probabilities too. So a pixel's instances together get no more
+    than this coverage: at the edge of a chair before a wall the chair keeps its share, and instances of the wall get
+    nothing. If an object has one class, its coverage is part of its class's."""
     things = [column for column, one in enumerate(rendering.class_ids) if one in classes.thing_ids]
     total = np.zeros_like(rendering.alpha)
     for column in things:
@@ -246,7 +244,7 @@ def things_coverage(rendering: PanopticRendering, classes: ClassTable) -> NDArra
 
 
 def joined(bands: list[PanopticLayers]) -> PanopticLayers:
-    """All bands of rows joined into one, from the top."""
+    """Join all bands of rows into one, from the top."""
     if len(bands) == 1:
         return bands[0]
     return PanopticLayers(*map(np.concatenate, zip(*bands, strict=True)))

@@ -1,8 +1,7 @@
 """Cryptomatte 1.2: several (name, coverage) pairs per pixel, from soft coverage, with the manifest in the header.
 
 Blender needs 32-bit ranks, an embedded manifest and names without commas or quotes. A kernel ranks the largest
-coverages of every pixel in one pass.
-"""
+coverages of every pixel in one pass."""
 
 from __future__ import annotations
 
@@ -41,14 +40,13 @@ def rank_coverage(
     out: NDArray[np.float32],
     first_row: int = 0,
 ) -> None:
-    """The RANKS largest of some columns of a coverage float32 [h, W, C], as (id, coverage) pairs in descending order;
-    ties go to the earlier column.
+    """Find the RANKS largest of some columns of a coverage float32 [h, W, C]. They are written as (id, coverage) pairs
+    in descending order; ties go to the earlier column.
 
     ``ids`` float32 [L]: the id of each of the L ``columns``. ``limit`` float32 [h, W] or None: the most that a pixel's
     pairs cover together, given to the largest first. ``out`` float32 [2 RANKS, H, W], contiguous: h rows from
-    ``first_row`` are written. Coverages are whole multiples of 1 / STEPS,
-    and their sum is at most 1. (0, 0) follows the last pair; pixels where nothing was rendered have no pairs.
-    """
+    ``first_row`` are written. Coverages are whole multiples of 1 / STEPS, and their sum is at most 1. (0, 0) follows
+    the last pair; pixels where nothing was rendered have no pairs."""
     height, width, count = coverage.shape
     flat = coverage.reshape(height * width, count)
     limits = np.empty(0, np.float32) if limit is None else limit.reshape(-1)
@@ -61,7 +59,7 @@ def rank_coverage(
 
 
 class RankedPixels(NamedTuple):
-    """``coverage`` float32 [P, C], ``alpha`` [P], and ``limit`` [P], which is empty if there is none."""
+    """The pixels to rank: ``coverage`` float32 [P, C], ``alpha`` [P], and ``limit`` [P], empty if there is none."""
 
     coverage: NDArray[np.float32]
     alpha: NDArray[np.float32]
@@ -72,8 +70,8 @@ class RankedPixels(NamedTuple):
 def rank_pixels(
     worker: int, workers: int, pixels: RankedPixels, columns: Array, ids: Array, best: Array, out: Array, first: int
 ) -> None:
-    """Rank every ``workers``-th chunk of the pixels. ``best`` float32 [workers, 2, RANKS] is scratch: ids and shares;
-    ``first``: the index of the first pixel in ``out``."""
+    """Rank every ``workers``-th chunk of the pixels. ``best`` float32 [workers, 2, RANKS] is scratch for ids and
+    coverages; ``first`` is the index of the first pixel in ``out``."""
     coverage, alpha, limit = pixels.coverage, pixels.alpha, pixels.limit
     own_ids, own_shares = best[worker, 0], best[worker, 1]
     for start in range(worker * CHUNK, len(alpha), workers * CHUNK):
@@ -93,7 +91,7 @@ def rank_pixels(
 
 @device_function
 def largest_first(coverage: Array, columns: Array, ids: Array, own_ids: Array, own_shares: Array) -> np.float32:
-    """Insert the coverages of a pixel into the ranks, largest first; returns the sum of all that count."""
+    """Insert the coverages of a pixel into its ranks, largest first. Returns the sum of all that are not negligible."""
     total, last = ZERO, RANKS - 1
     for rank in range(RANKS):
         own_ids[rank] = own_shares[rank] = ZERO
@@ -114,7 +112,7 @@ def largest_first(coverage: Array, columns: Array, ids: Array, own_ids: Array, o
 
 @device_function
 def fill(own_ids: Array, own_shares: Array, limit: float) -> None:
-    """Limit the sum of the ranks to ``limit``, the largest first."""
+    """Reduce the ranks' coverages so that their sum is at most ``limit``, filling it with the largest first."""
     left = limit
     for rank in range(RANKS):
         value = min(own_shares[rank], left)
@@ -137,12 +135,12 @@ class MatteLayer:
 
     @property
     def ids(self) -> NDArray[np.float32]:
-        """The float that stands for each name, float32 [L]."""
+        """The float that stands for each name in the rank channels, float32 [L]."""
         return np.array([*map(name_float, self.names)], np.float32)
 
 
 def class_layer(class_ids: Sequence[int], classes: ClassTable) -> MatteLayer:
-    """The layer of every class but void. ``class_ids`` are those of the columns of ``class_coverage``."""
+    """Return the layer of all classes but void. ``class_ids`` are those of the columns of ``class_coverage``."""
     names = matte_names({category.id: category.name for category in classes.categories})
     return _layer(CRYPTO_CLASS, class_ids, {one: name for one, name in names.items() if one != VOID})
 
@@ -153,8 +151,8 @@ def instance_layer(
     classes: ClassTable,
     instance_classes: Mapping[int, int] | None = None,
 ) -> MatteLayer:
-    """The layer of every instance. Those of stuff are left out if ``instance_classes`` (instance id to class id) is
-    given. ``instance_ids`` are those of the columns of ``instance_coverage``."""
+    """Return the layer of all instances. Those of stuff are left out if ``instance_classes`` (instance id to class id)
+    is given. ``instance_ids`` are those of the columns of ``instance_coverage``."""
     kinds, things = instance_classes, classes.thing_ids
     ids = [one for one in instance_ids if one and (kinds is None or kinds.get(one) in things)]
     return _layer(CRYPTO_INSTANCE, instance_ids, matte_names({i: instance_names.get(i, f"instance {i}") for i in ids}))
@@ -166,12 +164,12 @@ def _layer(name: str, ids: Sequence[int], names: Mapping[int, str]) -> MatteLaye
 
 
 def channels(layer: str, planes: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
-    """The rank channels ``<layer>00.r`` .. ``<layer>02.a`` of float32 [2 RANKS, H, W]: alternately id and coverage."""
+    """The channels ``<layer>00.r`` .. ``<layer>02.a`` of float32 [2 RANKS, H, W], alternately id and coverage."""
     return {f"{layer}{plane // 4:02d}.{'rgba'[plane % 4]}": planes[plane] for plane in range(2 * RANKS)}
 
 
 def header(layer: str, names: Sequence[str]) -> dict[str, str]:
-    """The layer's metadata: how names become floats, and which names there are."""
+    """Return the layer's metadata: how names become floats, and which names there are."""
     prefix = f"cryptomatte/{murmur3(layer.encode()):08x}"[:19] + "/"  # seven digits, as specified
     manifest = {name: f"{name_bits(name):08x}" for name in names}
     return {
@@ -183,5 +181,5 @@ def header(layer: str, names: Sequence[str]) -> dict[str, str]:
 
 
 def name_float(name: str) -> float:
-    """The float that stands for a name in the rank channels."""
+    """Return the float that stands for a name in the rank channels."""
     return float(struct.unpack("<f", struct.pack("<I", name_bits(name)))[0])

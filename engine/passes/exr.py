@@ -4,8 +4,7 @@ as R, G, B and A, which every viewer shows, and as a layer among the others.
 Ids, depth and Cryptomatte are 32-bit floats and exact. Colour, confidence, entropy and normals are half floats. Frame
 and camera are described by OpenEXR's standard attributes (https://openexr.com/en/latest/StandardAttributes.html). Its
 matrices are multiplied from the left by points in rows. Its camera looks along +z with x to the right and y up. (0, 0)
-to (1, 1) in its NDC is the display window, from the upper left corner to the lower right one.
-"""
+to (1, 1) in its NDC is the display window, from the upper left corner to the lower right one."""
 
 from __future__ import annotations
 
@@ -50,9 +49,9 @@ _PLACE_OF_RATE = 10 * "."
 
 @dataclass(frozen=True)
 class ShownFrame:
-    """A view's ``number`` in its shot (None: the last one in its name), frames per second (``fps``; None: it has no
-    time), and the ``display`` window in the picture: left, top, width and height in pixels (None: the whole picture).
-    """
+    """The frame that a view shows: its ``number`` in its shot (None: the last one in its name), frames per second
+    (``fps``; None: it has no time), and the ``display`` window in the picture: left, top, width and height in pixels
+    (None: the whole picture)."""
 
     number: int | None = None
     fps: float | None = None
@@ -75,7 +74,7 @@ _OWN |= {"imageCounter", "timeCode", _RATE}
 
 
 def frame_header(camera: Camera, shown: ShownFrame, name: str) -> dict[str, Any]:
-    """The header's attributes for the view ``name``, whose picture ``camera`` shows."""
+    """Return the header's attributes for the view ``name``, whose picture ``camera`` shows."""
     import OpenEXR
 
     left, top, width, height = shown.display or (0, 0, *camera.size)
@@ -118,7 +117,7 @@ def frame_header(camera: Camera, shown: ShownFrame, name: str) -> dict[str, Any]
 
 
 def exact_rate(fps: float) -> Fraction | None:
-    """The rate that is meant by rounded frames per second: 24000/1001 by 23.976. None if it is no camera's."""
+    """Return the exact frame rate that a rounded one means, such as 24000/1001 for 23.976; None if no camera has it."""
     if not 0.0 < fps <= _LARGEST_RATE:
         return None
     ntsc = Fraction(1000 * round(fps), 1001)
@@ -127,7 +126,7 @@ def exact_rate(fps: float) -> Fraction | None:
 
 
 def number_in(name: str) -> int | None:
-    """The number of the frame of this name: the last one in it, -3 in "shot.-003"."""
+    """Return a frame's number, the last one in its name, or None; -3 in "shot.-003"."""
     found = re.search(r"((?<=\.)-)?(\d{1,9})\D*$", name)
     return None if found is None else int((found[1] or "") + found[2])
 
@@ -137,7 +136,8 @@ def _box(left: int, top: int, width: int, height: int) -> tuple[NDArray[np.int32
 
 
 def _to_ndc(camera: Camera, left: int, top: int, width: int, height: int) -> NDArray[np.float64]:
-    """From the engine's camera space to NDC, float64 [4, 4]; z becomes 1 / depth, or stays if rays are parallel."""
+    """The transform from the engine's camera space to NDC, float64 [4, 4]; z becomes 1 / depth, or stays in parallel
+    views."""
     if camera.projection == "orthographic":
         scale, middle = (
             [camera.fx / width, camera.fy / height, 1.0],
@@ -171,10 +171,8 @@ def write_exr(
 ) -> None:
     """Write a baked view, completely or not at all. The same input gives the same bytes. ``notes``: further attributes
     of the header; ``layers``: the wanted ones of FURTHER_LAYERS; ``shown``: the view's frame, for the header;
-    ``named_for``: one of CHANNELS.
-
-    Raises ValueError for ids that a 32-bit float cannot hold, and OSError if the file cannot be written.
-    """
+    ``named_for``: one of CHANNELS. Raises ValueError for ids that a 32-bit float cannot hold, and OSError if the file
+    cannot be written."""
     largest = max(int(ids.max(initial=0)) for ids in (view.layers.semantic, view.layers.instance))
     if largest >= EXACT_IDS:
         raise ValueError(f"class and instance ids must be below {EXACT_IDS} to be exact in an EXR")
@@ -191,8 +189,8 @@ def write_exr(
 
 
 def read_exr(path: Path) -> PanopticLayers:
-    """The PLGS layer of a baked view. Raises ValueError if the file is damaged or has no such layer, and OSError if it
-    cannot be read."""
+    """Read the PLGS layer of a baked view. Raises ValueError if the file is damaged or has no such layer, and OSError
+    if it cannot be read."""
     # Reading allocates all that the header claims.
     memory, numbers = main_memory(), _header(path).numbers
     if memory is not None and 4 * numbers > memory.free:
@@ -226,21 +224,21 @@ _NUKE |= {"vector.Z": "forward.u", "vector.W": "forward.v"}
 
 
 def _in_nuke(name: str) -> str:
-    """The name of one of our channels in Nuke: its own for depth and motion, and lower case for the others."""
+    """Return Nuke's name for one of our channels: its own for depth and motion, lower case for the others."""
     _, dot, ours = name.partition(f"{LAYER}.")
     layer, _, axis = ours.partition(".")
     return _NUKE.get(f"{layer.lower()}.{axis}", f"{layer.lower()}.{axis}") if dot else name
 
 
 def further_layers(path: Path) -> set[str]:
-    """The FURTHER_LAYERS that a baked view has. Raises PlgsError if it is damaged."""
+    """Return the FURTHER_LAYERS that a baked view has. Raises PlgsError if it is damaged."""
     channels, first = read_exr_header(path).channels, {each: f"{LAYER}.{each.title()}.X" for each in FURTHER_LAYERS}
     return {layer for layer, name in first.items() if name in channels or _in_nuke(name) in channels}
 
 
 def read_note(path: Path, name: str) -> str | None:
-    """An attribute of a baked view's header, None if it does not have it. Raises ValueError if the file is damaged, and
-    OSError if it cannot be read."""
+    """Return an attribute of a baked view's header, or None. Raises ValueError if the file is damaged, and OSError if
+    it cannot be read."""
     kind, value = _header(path).attributes.get(name.encode(), (b"", b""))
     return value.decode() if kind == b"string" else None
 
@@ -258,8 +256,8 @@ def is_frame(path: Path, shown: ShownFrame) -> bool:
 
 
 def is_own(path: Path) -> bool:
-    """Whether a file's header says that PLGS wrote it, and no other program afterwards: those that keep all attributes
-    add their own, such as capDate, or leave out the type. Raises OSError."""
+    """Whether a file's header says that PLGS wrote it, and no other program afterwards: programs that keep all
+    attributes add their own, such as capDate, or leave out the type. Raises OSError."""
     try:
         names = {name.decode("utf-8", "replace") for name in _header(path).attributes}
         others = {name for name in names - _OWN if not name.startswith(("plgs/", "cryptomatte/"))}
@@ -285,7 +283,7 @@ def is_cut(path: Path) -> bool:
 
 
 def _header(path: Path) -> ExrHeader:
-    """The header of a file. Raises ValueError if it is damaged, and OSError."""
+    """Read the header of a file. Raises ValueError if it is damaged, and OSError."""
     refuse_special(path)
     try:
         return read_exr_header(path)
@@ -294,7 +292,7 @@ def _header(path: Path) -> ExrHeader:
 
 
 def _channels(path: Path) -> dict[str, NDArray[Any]]:
-    """The channels of a file. Raises ValueError if it is damaged."""
+    """Read the channels of a file, by name. Raises ValueError if it is damaged."""
     import OpenEXR
 
     try:
@@ -341,12 +339,11 @@ def _write(path: Path, attributes: Mapping[str, Any], channels: dict[str, NDArra
 
 
 def _put_rate(path: Path, rate: Fraction) -> None:
-    """Replace the text in the place of the rate by the rate.
+    """Replace the placeholder text for the frame rate in a file by the rate.
 
     The library reads attributes of type rational, but cannot write them. An attribute is stored as its name, its type,
     the length of its value, and the value. "rational" is two bytes longer than "string", so a text of ten bytes takes
-    as much as a rate of eight, and nothing in the file moves. No text before it has zeros, so it is found at once.
-    """
+    as much as a rate of eight, and nothing in the file moves. No text before it has zeros, so it is found at once."""
     name, text = _RATE.encode() + b"\0", _PLACE_OF_RATE.encode()
     placed = name + b"string\0" + struct.pack("<i", len(text)) + text
     exact = name + b"rational\0" + struct.pack("<iiI", 8, rate.numerator, rate.denominator)

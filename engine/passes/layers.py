@@ -1,4 +1,4 @@
-"""From soft coverage to layers: which class and which instance a pixel shows, and with what probability."""
+"""Turn soft coverage into layers: which class and which instance a pixel shows, and with what probability."""
 
 from __future__ import annotations
 
@@ -34,10 +34,11 @@ OVER_HALF = np.float32(0.5 + 1 / 256)
 
 
 class Columns(NamedTuple):
-    """The meaning of the channels; ties go to the first. ``of_class`` int64 [C]: the channel of each class but void;
-    ``class_ids`` int32 [C]; ``is_thing`` bool [C]; ``of_slot`` int64 [S]: the channel of each slot but spare ones;
-    ``slot_ids`` int32 [S]; ``class_of_slot`` int64 [S]: index among the classes, -1 = none; ``one_class``: whether an
-    object has one class throughout; ``needs_object`` bool [C]: whether a pixel shows the class only with an object."""
+    """The meaning of the coverage's channels; ties go to the first. A slot is a channel of an instance. ``of_class``
+    int64 [C]: the channel of each class but void; ``class_ids`` int32 [C]; ``is_thing`` bool [C]; ``of_slot`` int64
+    [S]: the channel of each slot but spare ones; ``slot_ids`` int32 [S]; ``class_of_slot`` int64 [S]: index among the
+    classes, -1 = none; ``one_class``: whether an object has one class throughout; ``needs_object`` bool [C]: whether a
+    pixel shows the class only with an object."""
 
     of_class: NDArray[np.int64]
     class_ids: NDArray[np.int32]
@@ -50,8 +51,8 @@ class Columns(NamedTuple):
 
 
 class Pixels(NamedTuple):
-    """A rendering's pixels, float32: ``image`` [P, 3], ``alpha`` [P], ``depth`` [P], ``classes`` [P, >= C], ``slots``
-    [P, >= S]."""
+    """The pixels of a rendering, float32: ``image`` [P, 3], ``alpha`` [P], ``depth`` [P], ``classes`` [P, >= C],
+    ``slots`` [P, >= S] (see `Columns`)."""
 
     image: NDArray[np.float32]
     alpha: NDArray[np.float32]
@@ -61,13 +62,12 @@ class Pixels(NamedTuple):
 
 
 class PanopticLayers(NamedTuple):
-    """The layers of a baked view, all [H, W]; in kernels one row of pixels, none for a layer that is not wanted.
+    """The layers of a baked view, all [H, W]; in kernels one row of pixels. A layer that is not wanted is empty.
 
     ``combined`` float32 [H, W, 4], linear RGB over black and alpha; ``depth`` float32 planar metres (0 = none);
     ``semantic`` int32 class ids (0 only where nothing was rendered); ``instance`` int32, 0 where the class is stuff;
     ``confidence`` float32, the probability of the shown class; ``entropy`` float32, the normalised entropy of the class
-    probabilities: 0 = certain, 1 = all classes equally likely.
-    """
+    probabilities: 0 = certain, 1 = all classes equally likely."""
 
     combined: NDArray[np.float32]
     depth: NDArray[np.float32]
@@ -97,8 +97,8 @@ def decide_pixels(worker: int, workers: int, pixels: Any, columns: Any, linear_l
 
 @device_function
 def decide_labels(pixels: Any, columns: Any, start: int, end: int, decided: Any) -> None:
-    """Decide class and instance of these pixels and, if wanted, confidence and normalised entropy; all 0 if nothing was
-    rendered. A call decides many pixels, as passing so many arrays takes as long as deciding one."""
+    """Decide class and instance of pixels ``start`` to ``end`` and, if wanted, confidence and normalised entropy; all 0
+    if nothing was rendered. A call decides many pixels, as passing so many arrays takes as long as deciding one."""
     has_share, has_entropy = len(decided.confidence) > 0, len(decided.entropy) > 0
     classes = len(columns.of_class)
     for pixel in range(start, end):
@@ -136,8 +136,8 @@ def decide_labels(pixels: Any, columns: Any, start: int, end: int, decided: Any)
 
 @device_function
 def owned_class(coverage: Array, slots: Array, columns: Any, winner: int, most: Any) -> Any:
-    """The class with the largest coverage of those that are stuff or have an object there, its coverage, and the slot
-    of the object, -1 for stuff. If there is none: ``winner`` with ``most`` coverage, and -1."""
+    """Return the class with the largest coverage among those that are stuff or have an object at the pixel, its
+    coverage, and the slot of the object, -1 for stuff. If there is none, return ``winner``, ``most`` and -1."""
     best, largest, shown = winner, ZERO, -1
     for number in range(len(columns.of_class)):
         value, slot = coverage[columns.of_class[number]], -1
@@ -153,12 +153,10 @@ def owned_class(coverage: Array, slots: Array, columns: Any, winner: int, most: 
 
 @device_function
 def best_slot(coverage: Array, alpha: Any, of_class: Any, columns: Any, winner: int) -> int:
-    """The slot that a pixel of the class with index ``winner`` shows (the first if several tie), -1 for no object.
-    ``coverage`` is that of all slots, ``of_class`` that of the class.
-
-    If objects have one class throughout, ``object_of_class`` decides. Otherwise it is the slot with the largest
-    coverage, if that is more than the coverage of no object.
-    """
+    """Return the slot that a pixel of the class with index ``winner`` shows (the first if several tie), -1 for no
+    object. ``coverage`` is that of all slots, ``of_class`` that of the class. If objects have one class throughout,
+    ``object_of_class`` decides. Otherwise it is the slot with the largest coverage, if that is more than the coverage
+    of no object."""
     best, most, instances = -1, ZERO, ZERO
     if columns.one_class:
         least = LEAST_SHARE_OF_CLASS * of_class
@@ -173,7 +171,7 @@ def best_slot(coverage: Array, alpha: Any, of_class: Any, columns: Any, winner: 
 
 @parallel_kernel
 def align_pixels(worker: int, workers: int, pixels: Any, columns: Any, decided: Any, best: Array, owned: Array) -> None:
-    """For every ``workers``-th chunk of pixels, make ``pixels.classes`` and ``pixels.slots`` agree with ``decided``.
+    """Make ``pixels.classes`` and ``pixels.slots`` agree with ``decided`` in every ``workers``-th chunk of pixels.
     ``best`` int64 and ``owned`` float32 [workers, C] are scratch."""
     for start in range(worker * CHUNK, len(pixels.alpha), workers * CHUNK):
         for pixel in range(start, min(start + CHUNK, len(pixels.alpha))):
@@ -189,8 +187,8 @@ def align_pixels(worker: int, workers: int, pixels: Any, columns: Any, decided: 
 
 @device_function
 def give_to_owners(pixels: Any, columns: Any, pixel: int, largest: Array, total: Array) -> None:
-    """Give the coverage of a class that no object has to the pixel's largest object of that class. Scratch, [C] each:
-    ``largest`` is a class's largest slot, ``total`` the coverage of all its slots."""
+    """Give the coverage of a class that belongs to no object to the pixel's largest object of that class. ``largest``
+    and ``total`` [C] are scratch: each class's largest slot, and the coverage of all its slots."""
     coverage, by_class = pixels.slots[pixel], pixels.classes[pixel]
     for number in range(len(columns.of_class)):
         largest[number], total[number] = -1, ZERO
@@ -209,7 +207,7 @@ def give_to_owners(pixels: Any, columns: Any, pixel: int, largest: Array, total:
 
 @device_function
 def raise_over_half(coverage: Array, columns: Array, winner: int, alpha: Any) -> None:
-    """Raise the winner to more than half of a pixel, at the expense of all other columns."""
+    """Raise the winner's coverage to more than half of a pixel, at the expense of all other columns."""
     own = coverage[columns[winner]]
     wanted = min(OVER_HALF, alpha)
     if own < wanted:
@@ -220,7 +218,7 @@ def raise_over_half(coverage: Array, columns: Array, winner: int, alpha: Any) ->
 
 @device_function
 def combine(pixels: Any, pixel: int, linear_light: Array, combined: Array) -> None:
-    """Fill in the colour in linear light, interpolated in the table, and alpha."""
+    """Write a pixel's colour in linear light, interpolated in the table ``linear_light``, and its alpha."""
     steps = len(linear_light) - 1
     for channel in range(3):
         value = min(max(pixels.image[pixel, channel], ZERO), ONE) * np.float32(steps)
@@ -241,16 +239,15 @@ def decide(
     wanted: Collection[str] = (),
     unowned: Collection[int] = (),
 ) -> PanopticLayers:
-    """Decide every pixel of a rendering. ``wanted``: the layers to make (none: all); the others are empty. ``unowned``
-    are ids of things that a person left without an object.
+    """Decide what every pixel of a rendering shows. ``wanted``: the layers to make (none: all); the others are empty.
+    ``unowned`` are ids of things that a person left without an object.
 
     The class is the one with the largest coverage (never void; ties go to the lower id). Its probability is its share
     of the classes' coverage. A pixel of a thing class shows the instance with the largest coverage, unless "no object"
     has more. With ``instance_classes`` (instance id to class id) an object has one class throughout. Its coverage is
     then part of its class's (see ``scene_labels``), and a pixel shows only an instance of its class with LEAST_OF_CLASS
     of that class's coverage. A thing's class that no such instance owns is left out, unless it is ``unowned`` or there
-    is nothing else: such pixels are specks, as what is larger became an object (``unowned_things``).
-    """
+    is nothing else: such pixels are specks, as what is larger became an object (``unowned_things``)."""
     columns, made = _columns(rendering, classes, instance_classes or {}, unowned), {}
     needed = {*(wanted or PanopticLayers._fields)}
     if not needed.isdisjoint(FROM_LABELS):
@@ -274,23 +271,22 @@ def align_mattes(
 ) -> None:
     """Change the coverages of a rendering so that its mattes agree with what was ``decided``.
 
-    A pixel of the class chair shows the chair that has LEAST_OF_CLASS of it. So if an object has one class, that chair
-    gets all of the class's coverage that no other chair has. Where three or more share a pixel, the decided class and
-    object may cover less than half of it: they are raised to just over half. Edges stay soft.
-    """
+    If an object has one class, it shows in the decided layers with only LEAST_OF_CLASS of its class's coverage. So its
+    matte gets all coverage of its class that no other object has. Where three or more share a pixel, the decided class
+    and object may cover less than half of it: they are raised to just over half. Edges stay soft."""
     columns, workers = _columns(rendering, classes, instance_classes or {}), worker_count()
     best, owned = (np.empty((workers, len(columns.of_class)), dtype) for dtype in (np.int64, np.float32))
     parallel_for(workers, align_pixels, _pixels(rendering), columns, _flat(decided), best, owned)
 
 
 def _flat(layers: PanopticLayers) -> PanopticLayers:
-    """The layers as views of the same memory, one row per pixel."""
+    """Return the layers as views of the same memory, with one row per pixel."""
     rows: list[Any] = [layer.reshape(-1) for layer in layers[1:]]
     return PanopticLayers(layers.combined.reshape(-1, 4), *rows)
 
 
 def _pixels(rendering: PanopticRendering) -> Pixels:
-    """The pixels of a rendering; the coverages share its memory."""
+    """Return the pixels of a rendering; the coverages share its memory."""
     image, alpha, depth = (
         np.ascontiguousarray(each, np.float32) for each in (rendering.image, rendering.alpha, rendering.depth)
     )
@@ -305,7 +301,7 @@ def _columns(
     instance_classes: Mapping[int, int],
     unowned: Collection[int] = (),
 ) -> Columns:
-    """The channels to choose from, by ascending id."""
+    """Return the channels to choose from, by ascending id."""
     of_class, of_slot = _by_id(rendering.class_ids), _by_id(rendering.instance_ids)
     class_ids = [rendering.class_ids[column] for column in of_class]
     slot_ids = [rendering.instance_ids[column] for column in of_slot]
@@ -323,23 +319,23 @@ def _columns(
 
 
 def _by_id(ids: Sequence[int]) -> list[int]:
-    """The indices of all ids but 0, by ascending id."""
+    """Return the indices of all ids but 0, in the order of the ids."""
     return sorted((index for index, one in enumerate(ids) if one), key=lambda index: ids[index])
 
 
 def linear(encoded: NDArray[np.floating]) -> NDArray[np.float32]:
-    """sRGB-encoded values in [0, 1] decoded to linear light (IEC 61966-2-1), float32 of the same shape."""
+    """Decode sRGB-encoded values in [0, 1] to linear light (IEC 61966-2-1), float32 of the same shape."""
     values = np.clip(encoded, 0.0, 1.0)
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
 @cache
 def _linear_light() -> NDArray[np.float32]:
-    """The linear values of LINEAR_STEPS + 1 encoded ones, evenly spaced from 0 to 1."""
+    """Return the linear values of LINEAR_STEPS + 1 encoded ones, evenly spaced from 0 to 1."""
     return linear(np.linspace(0.0, 1.0, LINEAR_STEPS + 1))
 
 
 def encoded(linear_values: NDArray[np.floating]) -> NDArray[np.float32]:
-    """The inverse of ``linear``."""
+    """Encode linear values as sRGB: the inverse of ``linear``."""
     values = np.clip(linear_values, 0.0, 1.0)
     return np.where(values <= 0.0031308, values * 12.92, 1.055 * values ** (1 / 2.4) - 0.055).astype(np.float32)

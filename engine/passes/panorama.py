@@ -1,4 +1,4 @@
-"""An equirectangular view, put together from perspective views of the faces of a cube around the camera."""
+"""Make an equirectangular view from perspective views of the faces of a cube around the camera."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MARGIN = 2
 
 
 def _turned(*axes: int) -> NDArray[np.float64]:
-    """The rotation, float64 [4, 4], whose columns are unit axes of the camera: 1, 2, 3 or, against them, -1, -2, -3."""
+    """The rotation, float64 [4, 4], with these axes of the camera as columns: 1, 2, 3 for x, y, z; -1 for -x, etc."""
     turn = np.eye(4)
     turn[:3, :3] = np.stack([np.sign(axis) * np.eye(3)[abs(axis) - 1] for axis in axes], axis=1)
     return turn
@@ -35,11 +35,11 @@ _FACES = (
 
 
 def panorama(camera: Camera, draw: Callable[[Camera], BakedView]) -> BakedView:
-    """The equirectangular ``camera``'s view, from what ``draw`` returns for perspective cameras at its place.
+    """The equirectangular ``camera``'s view, made from what ``draw`` returns for perspective cameras at its place.
 
-    Labels, their shares, mattes and normals are those of the nearest pixel, as a mean of two ids is no id. Colour and
-    inverse depth are interpolated between four pixels; depth only where they are of one surface. It is the distance.
-    """
+    Labels, their shares, mattes and normals are those of the nearest pixel, as ids cannot be averaged. Colour and
+    inverse depth are interpolated between four pixels; depth only where they are of one surface. It is the distance
+    from the camera."""
     x, y = (
         (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx,
         (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy,
@@ -72,7 +72,7 @@ def panorama(camera: Camera, draw: Callable[[Camera], BakedView]) -> BakedView:
 def _window(
     camera: Camera, face: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> tuple[Camera, NDArray[np.float64]]:
-    """The camera of as much of a face as these slopes need, and their pixels in it, float64 [N, 2]."""
+    """The camera of as much of a face as these slopes (x / z, y / z) need, and their pixels in it, float64 [N, 2]."""
     focal = _FINER * max(camera.fx, camera.fy)
     corner = np.floor([focal * x.min(), focal * y.min()]) - _MARGIN
     width, height = (np.ceil([focal * x.max(), focal * y.max()]) + _MARGIN - corner).astype(int)
@@ -82,7 +82,7 @@ def _window(
 
 
 def _taken(view: BakedView, at: NDArray[np.float64], slant: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
-    """What the pixels ``at`` [N, 2] of a face show, [..., N] each. ``slant`` [N]: distance per planar depth."""
+    """Each layer's values at pixels ``at`` [N, 2] of a face, [..., N]. ``slant`` [N]: distance over planar depth."""
     width = view.camera.width
     column, row = np.floor(at).astype(np.int64).T
     nearest = row * width + column

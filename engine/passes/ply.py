@@ -1,4 +1,4 @@
-"""PLY files, binary little endian: tables of named columns, and splats that any viewer of 3D Gaussian Splatting can
+"""Write PLY files, binary little endian: tables of named columns, and splats that viewers of 3D Gaussian Splatting
 open."""
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _TEXTURED = [*_TRIANGLE, ("values", "u1"), ("uv", "<f4", (3, 2))]
 
 
 def columns_of(names: str, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """The columns of ``values`` [N, K] by the K ``names``, which are separated by spaces."""
+    """Return the columns of ``values`` [N, K] by the K ``names``, which are separated by spaces."""
     return dict(zip(names.split(), values.T, strict=True))
 
 
@@ -64,9 +64,9 @@ def write_ply_table(
 
 
 def write_splats(path: Path, splats: BakedGaussians) -> None:
-    """Write spherical harmonics of degree 0, opacity as logit, scale as logarithm; class and instance of every
-    Gaussian, and its blended colour as red, green and blue. All are floats, as other readers refuse files with columns
-    of other types. Raises OSError."""
+    """Write splats with spherical harmonics of degree 0, opacity as logit, scale as logarithm; class and instance of
+    every Gaussian, and its blended colour as red, green and blue. All are floats, as other readers refuse files with
+    columns of other types. Raises OSError."""
     opacity = np.clip(splats.opacities.astype(np.float64), 1e-6, 1 - 1e-6)  # so that logits are finite
     floats = {
         **columns_of("x y z", splats.means),

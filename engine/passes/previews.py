@@ -1,4 +1,4 @@
-"""Pictures of baked views for people: colour, classes, instances, and one sheet that shows a lift: a row per held-out
+"""Pictures of baked views to look at: colour, classes, instances, and one sheet that shows a lift: a row per held-out
 frame, from the photo to the lifted labels, and a legend."""
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ def write_previews(
 
 
 def preview_paths(folder: Path, frame: str) -> tuple[Path, Path, Path]:
-    """The paths to which `write_previews` writes a frame's colour, classes and instances."""
+    """Return the paths to which `write_previews` writes a frame's colour, classes and instances."""
     return folder / f"{frame}_colour.png", folder / f"{frame}_semantic.png", folder / f"{frame}_instance.png"
 
 
 def colour_picture(layers: PanopticLayers) -> Picture:
-    """The rendered colours as an image viewer shows them."""
+    """Return the rendered colours as sRGB, as an image viewer shows them."""
     steps = layers.combined[..., :3] * np.float32(LINEAR_STEPS)
     steps += np.float32(0.5)
     return _encoded_bytes()[np.clip(steps, 0, LINEAR_STEPS, out=steps).astype(np.uint16)]
@@ -63,12 +63,12 @@ def colour_picture(layers: PanopticLayers) -> Picture:
 
 @cache
 def _encoded_bytes() -> NDArray[np.uint8]:
-    """The sRGB byte of every linear value k / LINEAR_STEPS."""
+    """Return the sRGB byte of every linear value k / LINEAR_STEPS."""
     return np.rint(encoded(np.arange(LINEAR_STEPS + 1) / LINEAR_STEPS) * 255).astype(np.uint8)
 
 
 def semantic_picture(semantic: NDArray[np.int32], classes: ClassTable) -> Picture:
-    """The colours of the classes; black for classes that are not in the table."""
+    """Draw the classes [H, W] in their colours; black for classes that are not in the table."""
     table = np.zeros((max(int(semantic.max(initial=0)), max(classes.ids, default=0)) + 1, 3), np.uint8)
     for category in classes.categories:
         table[category.id] = category.colour
@@ -76,7 +76,7 @@ def semantic_picture(semantic: NDArray[np.int32], classes: ClassTable) -> Pictur
 
 
 def instance_picture(instance: NDArray[np.int32], colours: Mapping[int, Colour] | None = None) -> Picture:
-    """One colour per instance (``distinct_colour`` of its id unless ``colours`` has one), dark grey elsewhere."""
+    """Draw instances [H, W] in one colour each (``distinct_colour`` unless in ``colours``), other pixels dark grey."""
     given = colours or {}
     if int(instance.max(initial=0)) >= MOST_COLOURS:
         ids, index = np.unique(instance, return_inverse=True)
@@ -92,8 +92,8 @@ def panoptic_picture(
     semantic: NDArray[np.int32], instance: NDArray[np.int32], photo: Picture, classes: ClassTable,
     instance_colours: Mapping[int, Colour],
 ) -> Picture:  # fmt: skip
-    """Classes and instances [H, W] over a photo: objects in their own colours, the rest in those of its classes; black
-    where there is no class and the photo is black."""
+    """Draw classes and instances [H, W] over a photo: objects in their own colours, other pixels in those of their
+    classes; black where there is no class and the photo is black."""
     labels, owned = semantic_picture(semantic, classes), instance > 0
     labels[owned] = instance_picture(instance, instance_colours)[owned]
     photo = photo.astype(np.float32)
@@ -102,7 +102,7 @@ def panoptic_picture(
 
 
 def shaded(labels: Picture, photo: Picture) -> Picture:
-    """A label picture in the light of the photo, with thin dark lines between labels."""
+    """Shade a picture of labels with the photo's brightness, and draw thin dark lines between labels."""
     luma = photo.astype(np.float32) @ LUMA / 255
     lit = labels * (0.6 + 0.4 * luma[..., None])
     edge = np.zeros(labels.shape[:2], bool)
@@ -120,8 +120,8 @@ BACKGROUND, TEXT, FAINT = (24, 25, 28), (232, 232, 230), (150, 152, 156)
 
 @dataclass(frozen=True, eq=False)
 class SheetRow:
-    """One held-out frame: ``photo`` uint8 [H, W, 3], ``mask_classes`` int32 [H, W] of the input mask, and the baked
-    layers, all of the same size."""
+    """A row of the sheet, for one held-out frame: ``photo`` uint8 [H, W, 3], ``mask_classes`` int32 [H, W] of the input
+    mask, and the baked layers, all of the same size."""
 
     name: str
     photo: Picture
@@ -132,11 +132,9 @@ class SheetRow:
 def write_contact_sheet(
     path: Path, rows: Sequence[SheetRow], classes: ClassTable, instance_colours: Mapping[int, Colour] | None = None
 ) -> None:
-    """Write a sheet with the columns photo, input mask, lifted classes, lifted instances.
-
-    If there are more than eight rows, eight are shown, spread evenly; pass only such frames to save work. Raises
-    ValueError without rows, and OSError if the file cannot be written.
-    """
+    """Write a sheet with the columns photo, input mask, lifted classes, lifted instances. Of more than eight rows,
+    eight are shown, spread evenly; pass only such frames to save work. Raises ValueError without rows, and OSError if
+    the file cannot be written."""
     if not rows:
         raise ValueError("a contact sheet needs at least one view")
     rows = evenly_spread(rows, MOST_ROWS)
@@ -155,7 +153,7 @@ def write_contact_sheet(
 
 
 def _tiles(row: SheetRow, classes: ClassTable, colours: Mapping[int, Colour] | None) -> dict[str, Picture]:
-    """The picture under each heading. Labels are shrunk before they are shaded, so that no colours are mixed."""
+    """Return the picture for each column. Labels are shrunk before they are shaded, so that no colours are mixed."""
     height, width = row.photo.shape[:2]
     size = (TILE_WIDTH, max(1, round(height * TILE_WIDTH / width)))
     photo = _resized(row.photo, size, labels=False)
@@ -183,7 +181,7 @@ def _band(tiles: Mapping[str, Picture], name: str, headings: Sequence[str], widt
 
 
 def _legend(class_ids: Sequence[int], classes: ClassTable, width: int) -> Picture:
-    """A swatch and a name for every class on the sheet. Names of things, which have instances, are brighter."""
+    """Draw a swatch and a name for every class on the sheet. Names of things, which have instances, are brighter."""
     import cv2
 
     entries: list[tuple[int, int, int]] = []

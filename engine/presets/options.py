@@ -121,7 +121,7 @@ def changed_options(preset: Preset, options: Mapping[str, Json]) -> dict[str, Js
 
 
 def parsed_options(texts: Iterable[str]) -> dict[str, Json]:
-    """The options of ``name=value`` texts; a later one wins. Raises PlgsError for an unknown name or a bad value."""
+    """Parse options from ``name=value`` texts; later ones win. Raises PlgsError for an unknown name or a bad value."""
     found: dict[str, Json] = {}
     for text in texts:
         name, separator, value = text.partition("=")
@@ -134,14 +134,15 @@ def parsed_options(texts: Iterable[str]) -> dict[str, Json]:
 
 
 def checked_options(options: Mapping[str, Json]) -> dict[str, Json]:
-    """Options as JSON values, in the order of the presets' fields. Raises PlgsError like ``parsed_options``, but
-    accepts names of parts that this process lacks: reading a lift does not need the script that made it."""
+    """Return checked options as JSON values, in the order of the presets' fields. Raises PlgsError like
+    ``parsed_options``, but accepts names of parts that this process lacks: reading a lift needs no script that made
+    it."""
     checked = {name: checked_value(known_option(name), value, any_part=True) for name, value in options.items()}
     return {name: checked[name] for name in preset_options() if name in checked}
 
 
 def known_option(name: str) -> PresetOption:
-    """The option with this name. Raises PlgsError with the closest name if there is none."""
+    """Return the option with this name. Raises PlgsError, which suggests the closest name, if there is none."""
     options = preset_options()
     if name in options:
         return options[name]
@@ -153,8 +154,8 @@ def known_option(name: str) -> PresetOption:
 
 
 def checked_value(option: PresetOption, value: Json, *, any_part: bool = False) -> Json:
-    """The checked value of a JSON value or a text, with floats where floats are wanted. Raises PlgsError for an invalid
-    value. ``any_part``: unknown names of parts are valid."""
+    """Return the checked value of a JSON value or a text, with whole numbers made floats where the option is one.
+    Raises PlgsError for an invalid value. ``any_part``: unknown names of parts are valid."""
     found = _from_text(option, value) if isinstance(value, str) else value
     if found is None and option.can_be_none:
         return None
@@ -183,7 +184,7 @@ def _is_name(option: PresetOption, value: Json, any_part: bool) -> bool:
 
 
 def _number(option: PresetOption, value: Json) -> float | int | None:
-    """The number, or None for anything that is not a number or is out of range."""
+    """Return the number, or None for anything that is not a number or is out of range."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not option.least <= value <= option.most:
         return None
     if option.kind == "float":
@@ -192,7 +193,7 @@ def _number(option: PresetOption, value: Json) -> float | int | None:
 
 
 def _from_text(option: PresetOption, text: str) -> Json:
-    """A text as the JSON value that it means. A text without such a meaning stays a text, which is refused later."""
+    """The JSON value that a text stands for. A text without such a meaning stays a text, which is refused later."""
     if option.kind == "choice":
         return text
     if option.kind == "names":
@@ -216,7 +217,7 @@ def _as_number(text: str) -> Json:
 
 
 def shown_value(value: Json) -> str:
-    """A value in the form that ``parsed_options`` reads."""
+    """Return a value as a text that ``parsed_options`` reads."""
     if value is None:
         return "none"
     if isinstance(value, bool):
@@ -225,7 +226,7 @@ def shown_value(value: Json) -> str:
 
 
 def shown_options(options: Mapping[str, Json]) -> list[str]:
-    """The options as ``name=value`` texts, which ``parsed_options`` reads."""
+    """Return the options as ``name=value`` texts, which ``parsed_options`` reads."""
     return [f"{name}={shown_value(value)}" for name, value in options.items()]
 
 
@@ -237,7 +238,7 @@ _FIX = "'python -m engine presets preview' prints one that can be changed."
 
 
 def read_toml(path: Path, fix: str) -> dict[str, Any]:
-    """The content of a small TOML file. Raises PlgsError."""
+    """Read a small TOML file. Raises PlgsError."""
     try:
         return tomllib.loads(read_plain(path, MOST_BYTES).decode("utf-8"))
     except OSError as error:
@@ -247,7 +248,7 @@ def read_toml(path: Path, fix: str) -> dict[str, Any]:
 
 
 def read_preset_file(path: Path) -> tuple[str, dict[str, Json]]:
-    """The preset that a file changes, and its options. Raises PlgsError, which names the file and the option."""
+    """Return the preset that a file changes, and its options. Raises PlgsError, which names the file and the option."""
     content = read_toml(path, _FIX)
     base = content.pop(BASE, None)
     if base not in PRESETS:
@@ -269,7 +270,7 @@ def _options_in(content: Mapping[str, Any], before: str = "") -> Iterator[tuple[
 
 
 def preset_text(base: str, options: Mapping[str, Json]) -> str:
-    """The text of a preset file with some options changed, which ``read_preset_file`` reads."""
+    """Return the text of a preset file that changes some options of ``base``; ``read_preset_file`` reads it."""
     preset, chosen = PRESETS[base], with_options(PRESETS[base], options)
     lines = [f'{BASE} = "{base}"']
     table = ""

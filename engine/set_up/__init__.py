@@ -1,4 +1,4 @@
-"""Making the engine's own Python environment. Standard library only: any Python that PLGS supports can run it."""
+"""Make the engine's own Python environment. Standard library only: any Python that PLGS supports can run it."""
 
 from __future__ import annotations
 

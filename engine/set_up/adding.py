@@ -1,8 +1,6 @@
-"""Adding packages to an existing engine, for a capability that not everybody needs.
-
-They go into a folder of their own in the environment, and one file in site-packages names that folder. Until this file
-is there, which is the last step, the environment is as it was.
-"""
+"""Add packages to an existing engine, for a capability that not everybody needs. They go into a folder of their own in
+the environment, and one file in site-packages names that folder. Until the last step writes this file, the environment
+is as it was."""
 
 from __future__ import annotations
 
@@ -26,7 +24,7 @@ _SPARE_BYTES = 200_000_000
 
 
 class Addition(UvTask):
-    """The packages of one capability for an environment. `run` adds them."""
+    """A task that adds the packages of one capability to an environment; `run` does it."""
 
     def __init__(
         self,
@@ -59,7 +57,7 @@ class Addition(UvTask):
         self._use_packages(index_url, wheels, self._downloads)
 
     def run(self) -> Path:
-        """The folder with the packages. Raises PlgsError; Cancelled when it was asked to stop."""
+        """Install the packages and return their folder. Raises PlgsError; Cancelled when asked to stop."""
         if not (self.environment / "pyvenv.cfg").is_file():  # other Pythons belong to the system or to Blender
             fix = "Set up the engine, or install the packages that requirements/ pins into your own Python."
             what = "packages can be added only to a virtual environment"

@@ -1,4 +1,4 @@
-"""The folder of environments: what it holds, and how it is deleted."""
+"""The folder of environments: what it may hold, and how it is deleted."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def empty_trash(folder: Path) -> None:
 
 
 def refuse_others(folder: Path) -> None:
-    """Raise PlgsError for a folder that holds files but no earlier set-up, as a set-up would delete somebody else's
-    "downloads". The user's cache is ours. Raises OSError."""
+    """Raise PlgsError for a folder that holds files but no earlier set-up, as a set-up might delete somebody else's
+    "downloads". The user's cache always belongs to us. Raises OSError."""
     is_ours = (folder / LOCK).is_file() or folder == environments_folder()
     if not is_ours and folder.is_dir() and any(path.name[:3] != "uv-" for path in folder.iterdir()):
         fix = "Name a new or an empty folder, or that of an earlier set-up."
@@ -42,8 +42,8 @@ def refuse_others(folder: Path) -> None:
 
 
 def remove_environments(folder: Path) -> None:
-    """Delete a set-up's environments in ``folder``, and its downloads. Raises PlgsError while one runs, and for a
-    folder of others; OSError."""
+    """Delete a set-up's environments in ``folder``, and its downloads. Raises PlgsError while a set-up runs, and for a
+    folder that is not ours; OSError."""
     refuse_others(folder)
     if is_locked(folder / LOCK):
         raise PlgsError("being-set-up", "the engine is being set up", folder, "Wait until it is done, or cancel it.")

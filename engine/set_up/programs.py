@@ -1,4 +1,4 @@
-"""What a set-up and an addition share: uv, the output of programs in a log, progress, and how they are cancelled."""
+"""What set-up and additions have in common: uv, a log for the output of programs, progress, and cancelling."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MOST_BYTES = 200_000  # bytes of a program's output that are kept, counted from
 
 
 def complaint(output: str) -> str:
-    """The first error in a program's output and what caused it, else its last line."""
+    """Return the first error in a program's output and what caused it, else its last line."""
     lines = [line.strip() for line in output.splitlines() if line.strip()]
     first = next((index for index, line in enumerate(lines) if line.startswith("error:")), len(lines) - 1)
     said = [line.removeprefix("error:").removeprefix("cause:").strip() for line in lines[max(first, 0) :]]
@@ -44,8 +44,8 @@ class UvTask:
         self._lock: FileLock | None = None
 
     def _use_packages(self, index_url: str, wheels: Path | None, cache: Path) -> None:
-        """Let packages come from this index, or from a folder of ``wheels`` alone: then uv never uses the network.
-        ``cache`` is for what uv unpacks. Raises PlgsError if the folder is missing."""
+        """Let packages come from this index, or from a folder of ``wheels`` alone, in which case uv never uses the
+        network. ``cache`` is where uv unpacks. Raises PlgsError if the folder is missing."""
         found = uv_program.variables(os.environ, index_url) | {"UV_CACHE_DIR": str(cache)}
         if wheels is not None:
             if not wheels.is_dir():
@@ -57,7 +57,7 @@ class UvTask:
         self._variables = found
 
     def _get_uv(self, tools: Path) -> Path:
-        """uv in the folder ``tools``. Raises PlgsError, also if the user's uv would send packages elsewhere."""
+        """The path of uv in ``tools``. Raises PlgsError, also if uv's settings would install packages elsewhere."""
         if setting := uv_program.diverted(os.environ, self._cwd):
             fix = f"Remove it, or set UV_CONFIG_FILE to a file without it, then {self._again}"
             what = "a setting of uv keeps packages out of the engine's environment"
@@ -91,9 +91,9 @@ class UvTask:
         cwd: Path | None = None,
         limit_s: float | None = None,
     ) -> tuple[str, int]:
-        """Run a program and return its output and its exit code. When this stops, the program ends with its children.
-        The program holds the lock too. If this process is killed, no other set-up begins before the program has ended.
-        Raises PlgsError when it cannot be started or does not end within ``limit_s`` seconds; Cancelled."""
+        """Run a program and return its output and its exit code. When the task is stopped, the program ends with its
+        children. The program holds the lock too: if this process is killed, no other set-up begins before the program
+        has ended. Raises PlgsError if it cannot be started or does not end within ``limit_s`` seconds; Cancelled."""
         assert self._lock is not None
         began = time.monotonic()
         with self.log_path.open("ab") as log, self.log_path.open("rb") as reader:
@@ -123,7 +123,7 @@ class UvTask:
                 process.kill()
 
     def _tell(self, step: int, detail: str = "") -> None:
-        """Begin a step, or report more about it."""
+        """Report that a step begins, or more about it."""
         label = f"{self._labels[step - 1]}: {detail}" if detail else self._labels[step - 1]
         if (step, label) != (self._step, self._label):
             self._step, self._label = step, label
@@ -131,6 +131,6 @@ class UvTask:
             self._events.progress(self._stage, step - 1, len(self._labels))
 
     def _pause(self) -> None:
-        """Wait a moment. Raises Cancelled when this is asked to stop."""
+        """Wait a moment. Raises Cancelled if the task shall stop."""
         self._stop.check()
         time.sleep(_POLL_S)

@@ -1,8 +1,5 @@
-"""The steps of a set-up, from uv to an engine that answers.
-
-What uv has downloaded stays until the environment is complete. A set-up that was cancelled, killed or cut off makes the
-environment again from it.
-"""
+"""The steps of a set-up, from uv to an engine that answers. Downloads of uv are kept until the environment is complete:
+a set-up after one that was cancelled, killed or cut off uses them."""
 
 from __future__ import annotations
 
@@ -63,10 +60,10 @@ _SYNC = "import os; getattr(os, 'sync', lambda: None)()"  # Windows has no os.sy
 
 @dataclass(frozen=True)
 class SetUpRequest:
-    """``base_python`` None means this one, or another that the packages are pinned for. ``torch_build`` is "cpu" or
-    "cuda". An empty ``index_url`` lets packages come from where uv or pip is configured to look; ``wheels`` is a folder
-    that they come from instead, without a network. ``download`` is such a folder to make, instead of an environment.
-    ``torch_hash`` is the SHA-256 of torch's wheel, for a build whose hash is not pinned."""
+    """The options of a set-up. ``base_python`` None means this one, or another for which packages are pinned.
+    ``torch_build`` is "cpu" or "cuda". With ``index_url`` "" packages come from where uv or pip is configured to look;
+    ``wheels`` is a folder from which they come instead, without a network. ``download`` is such a folder to make,
+    instead of an environment. ``torch_hash`` is the SHA-256 of torch's wheel, for a build whose hash is not pinned."""
 
     base_python: Path | None = None
     torch_build: str = "cpu"
@@ -76,7 +73,7 @@ class SetUpRequest:
     torch_hash: str = ""
 
     def torch_list(self, version: Version) -> str:
-        """The name of the file in a folder of wheels that lists torch's, with their hashes."""
+        """Return the name of the file in a folder of wheels that lists torch's, with their hashes."""
         return f"torch-{self.torch_build}-{version[0]}.{version[1]}.txt"
 
 
@@ -143,7 +140,7 @@ class SetUp(UvTask):
         return python_in(environment)
 
     def _find_python(self, uv: Path) -> tuple[str | Path, Version]:
-        """A Python for `uv venv`: the given one, else this one, else one on this computer, else one to download."""
+        """Return a Python for `uv venv`: the given one, else this one, another on this computer, or one to download."""
         versions = pinned_versions(self.root)
         if not versions:
             what = "the requirements are missing"
@@ -165,7 +162,7 @@ class SetUp(UvTask):
         raise PlgsError("no-python", what, self.log_path, fix)
 
     def _is_ready(self, environment: Path) -> bool:
-        """Whether nothing is left to do. An environment that does not answer, or has another torch, is thrown away."""
+        """Whether nothing is left to do. An environment that does not answer, or has another torch, is deleted."""
         if not is_complete(environment):
             return False
         if (environment / COMPLETE).read_text(encoding="utf-8").endswith(f" {self.request.torch_build}\n"):
@@ -176,7 +173,7 @@ class SetUp(UvTask):
         return False
 
     def _make_environment(self, uv: Path, environment: Path, python: str | Path, version: Version) -> None:
-        """Make it from scratch. This is quick, as downloads are kept elsewhere."""
+        """Make the environment from scratch. It is quick, as downloads are kept elsewhere."""
         self._tell(2, f"Python {version[0]}.{version[1]}")
         throw_away(environment, self.folder)
         output, code = self._run([uv, "venv", "--no-project", "--python", python, environment], self._variables)
@@ -185,7 +182,7 @@ class SetUp(UvTask):
             raise PlgsError("environment-failed", what, self.log_path, "Name another Python in the preferences.")
 
     def _install_packages(self, uv: Path, environment: Path, version: Version) -> None:
-        """Install torch, few of whose CPU builds have a hash here, then everything else by its hashes."""
+        """Install torch, few of whose CPU builds have a pinned hash, then everything else by its hashes."""
         install: list[str | Path] = [uv, "pip", "install", "--no-build", "--python", python_in(environment)]
         self._tell(3)
         if self.request.wheels is not None:
@@ -200,8 +197,8 @@ class SetUp(UvTask):
         self._install("packages", [*install, *_BY_HASH, requirement_file(self.root, "hashes", version)])
 
     def _pinned_list(self, listed: Path, version: Version) -> Path:
-        """A copy of the list of torch's wheels, if our own lists have every name, version and hash in it. Raises
-        PlgsError otherwise, as whoever can write to the folder could exchange a wheel and its line."""
+        """Return a copy of the list of torch's wheels, after checking that our own lists have every name, version and
+        hash in it. Raises PlgsError otherwise: who can write to the folder could exchange a wheel and its line."""
         pinned = {
             *pinned_hashes(requirement_file(self.root, "hashes-torch")),
             *pinned_hashes(requirement_file(self.root, "hashes", version)),
@@ -232,8 +229,8 @@ class SetUp(UvTask):
         return ["--no-deps", *(of_public_cpu_builds if sys.platform == "linux" and is_public else ()), torch]
 
     def _collect_wheels(self, uv: Path, python: str | Path, version: Version, folder: Path) -> None:
-        """Download for this system and Python what a set-up and all additions install, and uv. Raises PlgsError for a
-        folder that holds anything else."""
+        """Download everything that a set-up and all additions install for this system and Python, and uv. Raises
+        PlgsError for a folder that holds anything else."""
         self._tell(3)
         own = OwnFiles(folder).begin("wheels", {}, replaces=True)
         own.announce()
@@ -271,7 +268,7 @@ class SetUp(UvTask):
             self._events.warning(f"{error.what}: set-up --wheels needs its hash with --torch-hash")
 
     def _compile_kernels(self, environment: Path) -> None:
-        """Compile what a lift runs. This is also the best test that the engine works here."""
+        """Compile the kernels of a lift. This is also the best test that the engine works here."""
         self._tell(5, "half a minute")
         output, code = self._run([*engine_call(python_in(environment), self.root), "warm-up"], cwd=self.root)
         if code != 0:
@@ -289,7 +286,7 @@ class SetUp(UvTask):
         write_atomically(environment / COMPLETE, f"{answer.python} {self.request.torch_build}\n")
 
     def _ask(self, python: Path) -> EngineAnswer:
-        """The answer of the engine in ``python``. Raises PlgsError when there is none."""
+        """Return the answer of the engine in ``python``. Raises PlgsError if there is none."""
         self._tell(6)
         output, code = self._run([*engine_call(python, self.root), "handshake"], cwd=self.root, limit_s=_ANSWER_S)
         answer = EngineAnswer.from_line(output.splitlines()[-1]) if code == 0 and output else None

@@ -1,7 +1,7 @@
-"""uv, which makes environments and installs packages: its pinned wheel from the package index, and its variables.
+"""uv, the program that makes environments and installs packages: its pinned wheel from the package index, and its
+environment variables.
 
-It imports nothing of PLGS, and any Python from 3.8 on can run it: the set-up of a clone begins with it, too.
-"""
+This imports nothing of PLGS, and any Python from 3.8 on can run it: the set-up of a clone begins with it, too."""
 
 from __future__ import annotations
 
@@ -63,8 +63,8 @@ _DIVERTING = ("target", "prefix", "python", "system", "require-hashes")
 
 
 def variables(environ: Mapping[str, str], index_url: str = "") -> dict[str, str]:
-    """``environ`` for uv, with the user's pip settings where uv has none. ``index_url`` replaces PyPI. It is not a
-    command-line argument, as its password would show in the list of processes."""
+    """Return ``environ`` for uv, with the user's pip settings where uv has none. ``index_url`` replaces PyPI. It is not
+    a command-line argument, as its password would show in the list of processes."""
     kept = {name: value for name, value in environ.items() if not _LEFT_OUT.match(name)}
     for setting, name in _OF_PIP.items():
         if value := _setting_of_pip(setting, environ):
@@ -77,9 +77,9 @@ def variables(environ: Mapping[str, str], index_url: str = "") -> dict[str, str]
 
 
 def diverted(environ: Mapping[str, str], folder: Path) -> str:
-    """The first setting of uv, in words, that would install somewhere else or that the set-up cannot meet (torch comes
-    without hashes); empty if there are none. ``folder`` is where uv runs: it also reads the files above it. uv has no
-    option that overrides these alone. A Python before 3.11 cannot read uv's files and finds none."""
+    """Describe the first setting of uv that would install somewhere else or that the set-up cannot meet (torch comes
+    without hashes); "" if there is none. ``folder`` is where uv runs: it also reads settings in the folders above. uv
+    has no option that overrides these alone. A Python before 3.11 cannot read uv's files and finds none."""
     if environ.get("UV_REQUIRE_HASHES", "0").lower() not in ("", "0", "false"):
         return "UV_REQUIRE_HASHES"
     if find_spec("tomllib") is None:
@@ -107,7 +107,7 @@ def diverted(environ: Mapping[str, str], folder: Path) -> str:
 
 
 def pip_variables(variables: Mapping[str, str]) -> dict[str, str]:
-    """uv's ``variables`` for pip, which then reads no settings of the user's."""
+    """Return uv's ``variables`` for pip, which then reads no settings of the user's."""
     kept = {name: value for name, value in variables.items() if not name.startswith("PIP_")}
     for setting, name in _OF_PIP.items():
         if value := variables.get(name):
@@ -116,12 +116,12 @@ def pip_variables(variables: Mapping[str, str]) -> dict[str, str]:
 
 
 def program_in(folder: Path) -> Path:
-    """Where `fetch` puts uv."""
+    """Return the path of uv in the folder in which `fetch` puts it."""
     return folder / f"uv-{VERSION}" / ("uv.exe" if os.name == "nt" else "uv")
 
 
 def fetch(folder: Path, variables: Mapping[str, str]) -> Path:
-    """uv in a folder, downloaded if it is not there. Raises OSError with one line for the user."""
+    """Return the path of uv in a folder, downloaded if it is not there. Raises OSError with one line for the user."""
     program = program_in(folder)
     if program.exists():
         return program
@@ -142,7 +142,7 @@ def fetch(folder: Path, variables: Mapping[str, str]) -> Path:
 
 
 def pinned_wheel() -> tuple[str, str]:
-    """The name and the SHA-256 of uv's wheel for this system. Raises OSError if there is none."""
+    """Return the name and the SHA-256 of uv's wheel for this system. Raises OSError if there is none."""
     system = (sys.platform, platform.machine().replace("AMD64", "amd64"))
     if system not in _WHEELS:
         raise OSError(f"uv is not available for {system[0]} on {system[1]}")
@@ -151,7 +151,7 @@ def pinned_wheel() -> tuple[str, str]:
 
 
 def _wheel(name: str, variables: Mapping[str, str]) -> bytes:
-    """The wheel's bytes, from a folder of the user's wheels or from the index; empty where neither has it."""
+    """Return the wheel's bytes, from a folder of the user's wheels or from the index; b"" if neither has it."""
     for folder in variables.get("UV_FIND_LINKS", "").split(","):
         if folder and (Path(folder) / name).is_file():
             return (Path(folder) / name).read_bytes()
@@ -164,8 +164,8 @@ def _wheel(name: str, variables: Mapping[str, str]) -> bytes:
 
 
 def _read(url: str, variables: Mapping[str, str]) -> bytes:
-    """At most _MOST_BYTES of what is there. A name and a password before the host are sent as uv sends them. Raises
-    OSError, ValueError, HTTPException."""
+    """Download at most _MOST_BYTES. A name and a password before the host are sent as uv sends them. Raises OSError,
+    ValueError, HTTPException."""
     trusted = ssl.create_default_context(cafile=variables.get("SSL_CERT_FILE"))
     parts, content = urlsplit(url), bytearray()
     request = Request(parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl())  # urllib takes no logins
@@ -179,7 +179,7 @@ def _read(url: str, variables: Mapping[str, str]) -> bytes:
 
 
 def _setting_of_pip(name: str, environ: Mapping[str, str]) -> str:
-    """A setting of the user's pip, from its variable or its files; empty where there is none."""
+    """Return a setting of the user's pip, from its environment variable or its files; "" without one."""
     if value := environ.get("PIP_" + name.upper().replace("-", "_")):
         return value
     home = Path(os.path.expanduser("~"))
