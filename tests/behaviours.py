@@ -29,10 +29,10 @@ BEHAVIOURS = {
         "scene/formats/test_recognising.py::test_each_format_has_its_own_name_and_says_what_it_looks_for"
     ),
     "frames of ten layouts": ("doors/test_captures.py::test_the_layout_is_recognised_by_the_files_in_it"),
-    "frames of Record3D": "scene/formats/test_record3d.py::test_points_lie_on_the_room",
-    "frames of ScanNet's archives": "scene/formats/test_scannet.py::test_sens_points_lie_on_the_room",
-    "frames of ScanNet++": "scene/formats/test_scannetpp.py::test_points_lie_on_the_room",
-    "frames of 7-Scenes": "scene/formats/test_seven_scenes.py::test_raw_depth_is_registered_to_colour",
+    "frames of Record3D": "scene/formats/test_record3d.py::test_points_of_a_record3d_scan_lie_on_the_walls",
+    "frames of ScanNet's archives": "scene/formats/test_scannet.py::test_points_of_a_scannet_sens_lie_on_the_walls",
+    "frames of ScanNet++": "scene/formats/test_scannetpp.py::test_points_of_a_scannetpp_scan_lie_on_walls",
+    "frames of 7-Scenes": "scene/formats/test_seven_scenes.py::test_raw_7_scenes_depth_is_registered_to_colour",
     "bad scenes and masks are one line": "scene/test_bad_input.py",
     "files of others stay": "doors/test_files_of_others.py::test_no_command_deletes_files_of_other_people",
     "a scene is diagnosed and mended": (
@@ -48,21 +48,21 @@ BEHAVIOURS = {
     "run_plgs.py lifts a scene into a .blend": (
         "doors/test_command_line.py::test_run_plgs_lifts_the_scene_and_puts_the_result_into_a_blend"
     ),
-    "run_plgs.py bakes a camera": "test_run_plgs_camera.py::test_frames_that_are_baked_are_kept",
-    "the zip installs, registers and goes": "test_extension.py::test_the_zip_installs_and_registers_and_goes",
+    "run_plgs.py bakes a camera": "test_run_plgs_camera.py::test_baking_a_camera_again_keeps_finished_frames",
+    "the zip installs, registers and goes": "test_extension.py::test_the_zip_can_be_installed_enabled_and_removed",
     "every button works with the engine that the set-up made": (
         "operators/test_every_action.py::test_every_action_works_with_the_engine_that_the_buttons_made"
     ),
     "the panel's buttons: import": "operators/test_scene.py::test_import_scene_adds_cameras_without_lifting",
     "the panel's buttons: lift": "operators/test_lift.py::test_the_lift_operator_in_a_script_waits_for_the_lift",
     "the panel's buttons: resume": "operators/test_lift.py::test_a_cancelled_lift_is_resumed_by_the_operator",
-    "the panel's buttons: masks": "operators/test_masks.py::test_make_masks_makes_masks",
+    "the panel's buttons: masks": "operators/test_masks.py::test_masks_are_made",
     "the panel's buttons: corrections": ("operators/test_corrections.py::test_undo_brings_back_a_deleted_object"),
     "the panel's buttons: passes": (
         "operators/test_passes.py::test_the_compositor_opens_with_passes_of_the_active_camera"
     ),
     "the panel's buttons: export": "operators/test_export.py::test_the_engine_exports_every_format",
-    "the panel shows a lift that is finished": "ui/test_panels.py::test_a_finished_lift_is_shown",
+    "the panel shows a lift that is finished": "ui/test_panels.py::test_the_panel_shows_a_finished_lift",
 }
 
 

@@ -194,7 +194,7 @@ MOST_LINES_OF_THE_CORE = 9_200
 """Lines of the engine that Blender imports, at most."""
 
 
-def test_no_bpy_under_engine() -> None:
+def test_the_engine_never_imports_bpy() -> None:
     assert lines_where(lambda i: first(i.module) in BLENDER_MODULES, "engine") == []
 
 
@@ -223,14 +223,14 @@ def test_every_allowed_dependency_exists() -> None:
     assert {part: sorted(names - used[part]) for part, names in allowed.items() if names - used[part]} == {}
 
 
-def test_nothing_imports_the_engine_from_inside_by_its_own_name() -> None:
+def test_modules_of_the_engine_import_each_other_relatively() -> None:
     """In Blender the engine is `plgs.engine`: only relative imports find it there; and it has to stay inside itself."""
     ours = {"engine", "plgs_blender", "operators", "ui", "plgs", "run_plgs"}
     assert lines_where(lambda i: first(i.module) in ours and not i.is_relative, "engine", *EXTENSION) == []
     assert lines_where(lambda i: i.is_relative and first(i.module) != "engine", "engine") == []
 
 
-def test_no_cycles() -> None:
+def test_modules_have_no_import_cycles() -> None:
     """Between modules, by all their imports: one inside a function only hides a cycle."""
     graph: dict[str, set[str]] = {}
     for path in modules_under("engine", *EXTENSION):
@@ -239,7 +239,7 @@ def test_no_cycles() -> None:
     assert _cycle_in({name: sorted(targets) for name, targets in graph.items()}) == []
 
 
-def test_no_cycles_between_folders_and_files() -> None:
+def test_folders_and_files_have_no_import_cycles() -> None:
     """Beside each other in one folder, wherever an import stands: a folder counts as one, with all that is in it."""
     found: dict[tuple[str, ...], dict[str, set[str]]] = {}
     for path in modules_under("engine", *EXTENSION):
@@ -279,7 +279,7 @@ def test_the_extension_needs_nothing_but_blender_numpy_and_the_standard_library(
     assert lines_where(lambda i: not i.is_relative and first(i.module) not in allowed, *EXTENSION) == []
 
 
-def test_blender_imports_no_more_of_the_engine_than_today() -> None:
+def test_blender_imports_only_the_listed_lines_of_the_engine() -> None:
     """Only with NumPy, and no readers of foreign formats. This limit may only be lowered."""
     core = _core_of_the_extension()
     allowed = {target.removeprefix("engine.") for target in EXTENSION_MAY_IMPORT["plgs_blender"]}
@@ -303,23 +303,23 @@ def _core_of_the_extension() -> set[Path]:
     return found
 
 
-def test_the_page_on_the_architecture_names_what_exists() -> None:
+def test_architecture_md_names_only_what_exists() -> None:
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     named = {name for name in re.findall(r"`([\w/]+(?:\.py|/))`", page)}
     assert len(named) > 40 and sorted(name for name in named if not (ROOT / name).exists()) == []
 
 
-def test_no_threads_in_blender() -> None:
+def test_blenders_part_starts_no_threads() -> None:
     assert lines_where(lambda i: first(i.module) in THREADS, *EXTENSION) == []
 
 
-def test_job_needs_only_the_standard_library() -> None:
+def test_engine_job_imports_only_the_standard_library() -> None:
     library = sys.stdlib_module_names
     wrong = lines_where(lambda i: not i.is_relative and first(i.module) not in library, "engine/job", "engine/presets")
     assert wrong == []
 
 
-def test_a_scene_needs_only_numpy_until_it_reads_pixels_or_a_special_format() -> None:
+def test_opening_a_scene_imports_only_numpy() -> None:
     late = {"cv2", "liblzfse", "lz4", "h5py", "OpenEXR", "pycocotools", "open3d"}
     always = {"numpy", *sys.stdlib_module_names}
     wrong = lines_where(
@@ -341,7 +341,7 @@ def test_few_functions_take_six_positional_parameters() -> None:
     assert len(many) <= 15, many
 
 
-def test_system_calls_are_in_one_module() -> None:
+def test_file_system_calls_are_in_one_module() -> None:
     """The rights of folders are asked in a branch that Windows does not reach."""
     alone = {"fcntl", "msvcrt", "resource", "pwd", "grp", "termios"}
     calls = {"fork", "getpgid", "getuid", "killpg", "mkfifo", "sched_getaffinity", "setsid", "sysconf", "SIGKILL"}
@@ -368,7 +368,7 @@ def test_research_imports_the_engine_and_nothing_imports_research() -> None:
     assert wrong + lines_where(lambda i: first(i.module) == "research", *others) == []
 
 
-def test_no_pickles() -> None:
+def test_no_module_uses_pickle() -> None:
     """Neither the module nor the calls that hide one, nor numpy's ``tofile``, which hides that a disk is full."""
     wrong = []
     for path in modules_under("engine", "research", *EXTENSION, "run_plgs.py", "sample"):
@@ -390,7 +390,7 @@ def test_no_pickles() -> None:
         ("engine.command_line.main", {"torch", "cv2", "numba", "scipy", "open3d", "OpenEXR", "safetensors"}),
     ],
 )
-def test_module_imports_nothing_heavy(module: str, unwanted: set[str]) -> None:
+def test_light_modules_import_no_large_package(module: str, unwanted: set[str]) -> None:
     """What Blender and `--help` import must not pull in the heavy libraries."""
     code = f"import sys, {module}; print(' '.join(sorted({unwanted!r} & set(sys.modules))))"
     run = subprocess.run(
@@ -400,7 +400,7 @@ def test_module_imports_nothing_heavy(module: str, unwanted: set[str]) -> None:
 
 
 @pytest.mark.parametrize("behaviour", BEHAVIOURS)
-def test_each_behaviour_is_pinned_by_a_test(behaviour: str) -> None:
+def test_every_listed_behaviour_has_an_existing_test(behaviour: str) -> None:
     file, _, name = BEHAVIOURS[behaviour].partition("::")
     text = (ROOT / "tests" / file).read_text(encoding="utf-8")
     assert f"def {name or 'test_'}" in text, f"tests/behaviours.py names {name}, which is not in tests/{file}"

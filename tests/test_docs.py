@@ -12,13 +12,13 @@ from engine.scene import FORMATS
 from engine.scene.mask_formats import MASK_FORMATS
 
 
-def test_links_and_pictures_exist(root: Path) -> None:
+def test_links_and_pictures_of_the_docs_exist(root: Path) -> None:
     for page in [root / "README.md", *(root / "docs").glob("*.md")]:
         for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
             assert "://" in target or (page.parent / target).exists(), f"{page.name}: {target}"
 
 
-def test_links_to_headings_lead_to_headings(root: Path) -> None:
+def test_links_to_headings_of_the_docs_lead_to_headings(root: Path) -> None:
     pages = {page: page.read_text(encoding="utf-8") for page in [root / "README.md", *(root / "docs").glob("*.md")]}
     for page, text in pages.items():
         for target, anchor in re.findall(r"\]\(([^)#]*)#([^)]+)\)", text):
@@ -28,21 +28,21 @@ def test_links_to_headings_lead_to_headings(root: Path) -> None:
             assert anchor in slugs, f"{page.name}: {target}#{anchor}"
 
 
-def test_the_table_of_contents_names_every_page(root: Path) -> None:
+def test_the_docs_table_of_contents_names_every_page(root: Path) -> None:
     contents = (root / "docs" / "README.md").read_text(encoding="utf-8")
     pages = {f"({page.name})" for page in (root / "docs").glob("*.md")} - {"(README.md)"}
     assert pages <= {*re.findall(r"\(\S+\)", contents)}
 
 
 @pytest.mark.parametrize(("page", "formats"), [("captures", FORMATS), ("masks", MASK_FORMATS)])
-def test_every_format_is_named(root: Path, page: str, formats: Sequence[Any]) -> None:
+def test_the_docs_name_every_format(root: Path, page: str, formats: Sequence[Any]) -> None:
     text = (root / "docs" / f"{page}.md").read_text(encoding="utf-8")
     rows = [row.split("|")[1] for row in text.splitlines() if row.startswith("| `")]
     named = {name for row in rows for name in re.findall(r"`([\w-]+)`", row)}
     assert {each.name for each in formats} <= named
 
 
-def test_every_command_is_named(root: Path) -> None:
+def test_the_docs_name_every_command(root: Path) -> None:
     text = (root / "docs" / "command-line.md").read_text(encoding="utf-8")
     commands = re.findall(r"^    ([a-z][\w-]*) ", make_parser().format_help(), re.MULTILINE)
     assert len(commands) > 5 and {*commands} <= {*re.findall(r"`([\w-]+)", text)}

@@ -42,12 +42,12 @@ class Maker(NamedTuple):
     fix: str = ""
 
 
-def test_the_golden_file_has_the_wording_of_today() -> None:
+def test_errors_golden_txt_lists_the_current_error_texts() -> None:
     told = "`python tests/test_error_texts.py` writes it: read the changes, and commit them"
     assert GOLDEN.read_text(encoding="utf-8") == golden(), told
 
 
-def test_keys_are_short_names_and_a_wording_has_one_key() -> None:
+def test_each_error_text_has_one_short_key() -> None:
     assert [one for one in all_errors() if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", one.key)] == []
     keys: dict[tuple[str, str], str] = {}
     for one in all_errors():

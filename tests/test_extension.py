@@ -51,7 +51,7 @@ def package(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_the_folder_is_a_repository_that_get_extensions_can_read(package: Path) -> None:
+def test_the_build_folder_is_a_blender_extension_repository(package: Path) -> None:
     index = json.loads((package.parent / "index.json").read_text(encoding="utf-8"))
     (entry,) = index["data"]
     assert entry["id"] == "plgs" and (package.parent / entry["archive_url"]).samefile(package)
@@ -60,7 +60,7 @@ def test_the_folder_is_a_repository_that_get_extensions_can_read(package: Path) 
     assert "index.json" in (package.parent / "index.html").read_text(encoding="utf-8")
 
 
-def test_the_zip_holds_what_runs_and_what_the_engine_is_set_up_from(root: Path, package: Path) -> None:
+def test_the_zip_holds_the_code_and_the_engines_requirements(root: Path, package: Path) -> None:
     with zipfile.ZipFile(package) as zipped:
         names = set(zipped.namelist())
     parts = ("engine", "operators", "plgs_blender", "ui")
@@ -87,7 +87,7 @@ def test_links_in_the_zip_lead_somewhere(package: Path) -> None:
         assert lost == [], name
 
 
-def test_one_zip_serves_every_platform(root: Path, package: Path) -> None:
+def test_the_zip_has_no_files_for_one_platform_only(root: Path, package: Path) -> None:
     with zipfile.ZipFile(package) as zipped:
         manifest = tomllib.loads(zipped.read("blender_manifest.toml").decode())
         endings = {Path(name).suffix for name in zipped.namelist()}
@@ -98,7 +98,7 @@ def test_one_zip_serves_every_platform(root: Path, package: Path) -> None:
     assert endings <= {".py", ".txt", ".toml", ".json", ".md", ".csv", ".js", ".jpg", ".png", ""}
 
 
-def test_the_zip_installs_and_registers_and_goes(package: Path, tmp_path: Path) -> None:
+def test_the_zip_can_be_installed_enabled_and_removed(package: Path, tmp_path: Path) -> None:
     environment = os.environ | {"BLENDER_USER_RESOURCES": str(tmp_path / "resources")}
     command = [sys.executable, "-c", INSIDE, str(package)]
     process = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120)

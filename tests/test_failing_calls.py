@@ -59,7 +59,7 @@ def engines(place: Path) -> Iterator[Engines]:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_command_survives_failing_calls(place: Path, engines: Engines, command: str) -> None:
+def test_commands_survive_failing_system_calls(place: Path, engines: Engines, command: str) -> None:
     work, before = place / "work", place / {"lift": "asked", "correct": "made"}.get(command, "lifted")
     paths = {"LIFT": str(work / "lift"), "OUT": str(work / "out")}
     arguments = [paths.get(each, each) for each in COMMANDS[command]]

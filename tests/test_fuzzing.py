@@ -258,7 +258,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], P
 
 @pytest.mark.hypothesis
 @pytest.mark.parametrize("name", READERS)
-def test_spoilt_files_are_read_or_refused_by_a_line(good: Callable[[str], Path], name: str) -> None:
+def test_randomly_spoilt_files_are_read_or_give_a_one_line_error(good: Callable[[str], Path], name: str) -> None:
     reader, folder = READERS[name], good(name)
     files = sorted(path for path in folder.glob(reader.files) if path.is_file())
     by_suffix = {path.suffix: [one for one in files if one.suffix == path.suffix] for path in files}  # kinds of files
@@ -274,7 +274,7 @@ def test_spoilt_files_are_read_or_refused_by_a_line(good: Callable[[str], Path],
     spoil()
 
 
-def test_every_format_is_fuzzed(good: Callable[[str], Path]) -> None:
+def test_every_scene_format_is_tested_with_spoilt_files(good: Callable[[str], Path]) -> None:
     samples = {name: good(name) / ("ai_001_001" if name == "hypersim" else "") for name in WRITERS}
     assert {find_format(place).name for place in samples.values()} == {each.name for each in FORMATS}
     masks = {name: found for name, place in samples.items() if (found := mask_place(place, None)) is not None}
@@ -286,7 +286,7 @@ NUMBERS = ("1" + "0" * 400, "9" * 5000, "1e999", str(2**63), "-1")
 
 
 @pytest.mark.parametrize("name", sorted(WRITERS))
-def test_numbers_have_limits(good: Callable[[str], Path], name: str) -> None:
+def test_impossible_numbers_in_scene_files_are_refused(good: Callable[[str], Path], name: str) -> None:
     """Each number of each JSON, and each key that is one, once with each of these in its place."""
     folder = good(name)
     files = {path.parent: path for path in folder.rglob("*.json") if path.is_file()}  # one of a folder's
@@ -384,7 +384,7 @@ def look_at(
 
 @pytest.mark.hypothesis
 @pytest.mark.parametrize("count", [4, pytest.param(300, marks=pytest.mark.slow)])
-def test_odd_cameras_and_depth_are_diagnosed(tiny: Path, tmp_path: Path, count: int) -> None:
+def test_diagnosis_copes_with_odd_cameras_and_depth(tiny: Path, tmp_path: Path, count: int) -> None:
     @examples(count)
     @given(drawn=st.fixed_dictionaries(SCENES))
     def look(drawn: dict[str, Any]) -> None:
@@ -394,5 +394,5 @@ def test_odd_cameras_and_depth_are_diagnosed(tiny: Path, tmp_path: Path, count: 
 
 
 @pytest.mark.parametrize("holes", ["rows", "columns", "grid", "chequers"])
-def test_depth_with_holes_is_diagnosed(tiny: Path, tmp_path: Path, holes: str) -> None:
+def test_diagnosis_copes_with_depth_full_of_holes(tiny: Path, tmp_path: Path, holes: str) -> None:
     look_at(tiny, tmp_path / "scene", lens=None, holes=[holes] * 5, depths="as it is", poses="as it is")

@@ -73,7 +73,7 @@ print(json.dumps(told))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="memory is limited as Linux does it")
-def test_each_reader_reports_a_lack_of_memory(root: Path, tmp_path: Path) -> None:
+def test_every_file_reader_reports_a_lack_of_memory(root: Path, tmp_path: Path) -> None:
     values = np.random.default_rng(0).integers(0, 255, (1500, 2000, 3), np.uint8)
     np.savez_compressed(tmp_path / "a.npz", xyz=np.zeros((2_000_000, 3)))
     np.save(tmp_path / "a.npy", np.zeros((2_000_000, 3)))
@@ -99,7 +99,7 @@ def test_each_reader_reports_a_lack_of_memory(root: Path, tmp_path: Path) -> Non
     assert {"safetensors", "passes"} <= refused and len(refused) >= 8
 
 
-def test_a_model_that_is_mostly_a_hole_is_refused_before_it_is_read(tmp_path: Path) -> None:
+def test_a_sparse_model_file_is_refused_before_it_is_read(tmp_path: Path) -> None:
     """Its header is right, its disk blocks are few."""
     memory = main_memory()
     size = memory.total + (1 << 30)
@@ -112,7 +112,7 @@ def test_a_model_that_is_mostly_a_hole_is_refused_before_it_is_read(tmp_path: Pa
         read_tensors(path)
 
 
-def test_passes_that_claim_more_than_memory_holds_are_refused_before_they_are_read(tmp_path: Path) -> None:
+def test_passes_too_large_for_memory_are_refused_before_reading(tmp_path: Path) -> None:
     """20 kB that would take gigabytes: fewer pixels than a picture may have, but many channels of them."""
     zeros = np.zeros((8, 8), np.float32)
     with OpenEXR.File({}, {f"{LAYER}.{number}": zeros for number in range(400)}) as file:
@@ -126,7 +126,7 @@ def test_passes_that_claim_more_than_memory_holds_are_refused_before_they_are_re
         read_exr(tmp_path / "a.exr")
 
 
-def test_memory_error_advises_no_new_lift(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_memory_error_while_reading_advises_no_new_lift(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "gaussians.ply").write_bytes(b"ply")
     monkeypatch.setattr(gates, "open_plain", Mock(side_effect=MemoryError))
     with raises_key("unreadable memory") as raised:

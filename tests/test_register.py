@@ -33,7 +33,7 @@ def draw_handlers(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     return added
 
 
-def test_switching_on_and_off_leaves_nothing_behind(plgs: ModuleType, draw_handlers: list[object]) -> None:
+def test_enabling_and_disabling_the_extension_leaves_no_trace(plgs: ModuleType, draw_handlers: list[object]) -> None:
     before = footprint()
     for _ in range(3):
         plgs.register()
@@ -44,7 +44,7 @@ def test_switching_on_and_off_leaves_nothing_behind(plgs: ModuleType, draw_handl
         assert draw_handlers == []
 
 
-def test_the_root_imports_without_blender(root: Path) -> None:
+def test_the_extensions_root_module_imports_without_blender(root: Path) -> None:
     code = (
         "import importlib.util, sys; sys.modules['bpy'] = None; "
         f"spec = importlib.util.spec_from_file_location('plgs', {str(root / '__init__.py')!r}); "
@@ -53,7 +53,7 @@ def test_the_root_imports_without_blender(root: Path) -> None:
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=120)
 
 
-def test_the_page_on_scripting_names_every_operator(plgs: ModuleType, root: Path) -> None:
+def test_scripting_md_names_every_operator(plgs: ModuleType, root: Path) -> None:
     text = (root / "docs" / "scripting.md").read_text(encoding="utf-8")
     rows = text.split("| operator `plgs.` |", 1)[1].split("\n\n", 1)[0].splitlines()[2:]
     named = [name for row in rows for name in re.findall(r"`(\w+)`", row.split("|")[1])]
@@ -65,7 +65,7 @@ def test_the_page_on_scripting_names_every_operator(plgs: ModuleType, root: Path
     assert sorted(named) == sorted(registered)
 
 
-def test_the_extension_is_loaded_once(root: Path) -> None:
+def test_the_extension_is_loaded_only_once(root: Path) -> None:
     """pytest would import the root `__init__.py` again, under the folder's name, were it not kept from it."""
     ours = str(root / "__init__.py")
     assert [name for name, module in sys.modules.items() if getattr(module, "__file__", "") == ours] == ["plgs"]

@@ -22,7 +22,7 @@ from tests.raises_key import raises_key
 RANDOM = np.random.default_rng(5)
 
 
-def test_arrays_are_read_back_and_their_bytes_repeat(tmp_path: Path) -> None:
+def test_result_arrays_are_read_back_and_written_reproducibly(tmp_path: Path) -> None:
     rgb = RANDOM.integers(0, 256, (9, 3), dtype=np.uint8)
     points = SemanticPoints(RANDOM.normal(size=(9, 3)), rgb, np.arange(9), np.arange(9) * 2, RANDOM.uniform(size=9))
     for name in "ab":
@@ -70,7 +70,7 @@ def test_instances_are_read_back_in_the_order_of_their_ids(tmp_path: Path) -> No
         write_instances(path, CLASSES, [made_instance(1), made_instance(1)])
 
 
-def test_bad_outlines_are_refused(tmp_path: Path) -> None:
+def test_bad_mask_outlines_in_results_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "instances.json"
     for outline in ("0.1,0.2", "0.100,0.200,", "0.100,0.200 " * 3, 7, ["0.100,0.200"], "9.000,0.000"):
         write_instances(path, CLASSES, [made_instance(1)])

@@ -106,7 +106,7 @@ def test_signal_ends_all_processes(run: Run, tmp_path: Path, behaviour: str, num
     assert not lift.is_running and lift.state() in (LiftState.CANCELLED, LiftState.INTERRUPTED)
 
 
-def test_ctrl_c_while_blender_builds(run: Run, tmp_path: Path) -> None:
+def test_ctrl_c_while_the_blend_is_built_is_handled(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
     process = run("short, slow save", tmp_path / "scene", "-o", out)
     wait_for(process, (out / "saving").exists)
@@ -133,7 +133,7 @@ def test_resuming_a_running_lift_leaves_it_alone(run: Run, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(("behaviour", "code"), [("bad input", 2), ("segfault", 1)])
-def test_errors_are_one_line_and_a_code(run: Run, tmp_path: Path, behaviour: str, code: int) -> None:
+def test_run_plgs_gives_one_line_errors_and_exit_codes(run: Run, tmp_path: Path, behaviour: str, code: int) -> None:
     out = tmp_path / "out"
     _, stderr = (process := run(behaviour, tmp_path / "scene", "-o", out)).communicate(timeout=PATIENCE_S)
     assert process.returncode == code
@@ -142,7 +142,7 @@ def test_errors_are_one_line_and_a_code(run: Run, tmp_path: Path, behaviour: str
     assert out.exists() == (code == 1)  # bad input leaves nothing that blocks the corrected command
 
 
-def test_help_is_complete_and_imports_nothing_heavy(root: Path) -> None:
+def test_run_plgs_help_is_complete_and_imports_no_large_package(root: Path) -> None:
     code = (
         "import sys, runpy; sys.argv = ['run_plgs.py', '--help']\n"
         "try: runpy.run_path(sys.argv[0], run_name='__main__')\n"
@@ -154,7 +154,7 @@ def test_help_is_complete_and_imports_nothing_heavy(root: Path) -> None:
         assert option in said.stdout
 
 
-def test_bad_input_is_found_before_anything_is_made(
+def test_run_plgs_finds_bad_input_before_it_makes_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("PLGS_ENGINE_PYTHON", sys.executable)
@@ -201,7 +201,7 @@ def test_modules_in_a_scene_are_never_run_even_from_its_folder(root: Path, tmp_p
     assert not (tmp_path / "run").exists() and not (tmp_path / "out").exists()
 
 
-def test_without_bpy_anywhere_says_what_to_do(root: Path, tmp_path: Path) -> None:
+def test_run_plgs_without_bpy_says_what_to_do(root: Path, tmp_path: Path) -> None:
     bare = tmp_path / "bare"
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", bare], check=True, timeout=120)
     packages = bare / f"lib/python{sys.version_info[0]}.{sys.version_info[1]}/site-packages"
@@ -244,7 +244,7 @@ def test_a_lift_continues_without_its_terminal_and_says_so_in_its_log(root: Path
     assert not lift.is_running and lift.state() is LiftState.CANCELLED
 
 
-def test_output_without_a_reader_has_its_own_exit_code(run: Run, tmp_path: Path) -> None:
+def test_run_plgs_with_a_closed_output_pipe_has_its_own_exit_code(run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
     process = run("short", tmp_path / "scene", "-o", out)
     assert process.stdout is not None and process.stderr is not None
@@ -254,7 +254,7 @@ def test_output_without_a_reader_has_its_own_exit_code(run: Run, tmp_path: Path)
     assert LiftFolder.open(out).state() is LiftState.FINISHED
 
 
-def test_a_read_only_lift_is_refused(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_run_plgs_refuses_a_read_only_lift(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
     run("short", tmp_path / "scene", "-o", out).communicate(timeout=PATIENCE_S)
     monkeypatch.setattr(os, "access", lambda path, mode: False)  # root may write everywhere

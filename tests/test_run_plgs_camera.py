@@ -71,7 +71,7 @@ def shot(finished: Path, blend: Path, root: Path, tmp_path_factory: pytest.TempP
     return lift
 
 
-def test_frames_that_are_baked_are_kept(
+def test_baking_a_camera_again_keeps_finished_frames(
     shot: Path, blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     lift = LiftFolder.open(shutil.copytree(shot, tmp_path / "lift"))
@@ -88,7 +88,7 @@ def test_frames_that_are_baked_are_kept(
     assert listed == {*(path.name for path in baked), "shot_dolly.0004.exr"}
 
 
-def test_passes_can_go_into_another_folder(
+def test_camera_passes_can_go_into_another_folder(
     lift: LiftFolder, blend: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     moved = Path(shutil.copytree(lift.request.scene, tmp_path / "moved"))
@@ -105,7 +105,7 @@ def test_passes_can_go_into_another_folder(
     assert "--scene belongs to --bake camera without SCENE" in capsys.readouterr().err
 
 
-def test_only_own_files_are_replaced(
+def test_a_camera_bake_replaces_only_files_that_plgs_wrote(
     lift: LiftFolder, blend: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "studio.toml").write_text('names = "{shot}_ff"')
@@ -123,7 +123,7 @@ def test_only_own_files_are_replaced(
     assert read_exr(theirs).depth.shape == (45, 80)
 
 
-def test_corrections_are_seen_and_the_lifts_own_file_stays(shot: Path, blend: Path, tmp_path: Path) -> None:
+def test_a_camera_bake_shows_corrections_and_keeps_the_lifts_blend(shot: Path, blend: Path, tmp_path: Path) -> None:
     lift = LiftFolder.open(shutil.copytree(shot, tmp_path / "lift"))
     own = Path(shutil.copy(blend, lift.path / "lift.blend"))
     before = own.read_bytes()
@@ -137,7 +137,7 @@ def test_corrections_are_seen_and_the_lifts_own_file_stays(shot: Path, blend: Pa
     assert not (read_exr(baked).instance == one).any() and own.read_bytes() == before
 
 
-def test_a_bad_camera_is_refused(
+def test_baking_a_bad_camera_is_refused(
     lift: LiftFolder, blend: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text, cut = tmp_path / "notes.blend", tmp_path / "cut.blend"

@@ -38,14 +38,14 @@ def bytes_of(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-def test_the_result_is_a_scene_without_warnings(exact: Path, captured: Path) -> None:
+def test_the_degraded_sample_opens_without_warnings(exact: Path, captured: Path) -> None:
     scene, source = open_scene(captured), open_scene(exact)
     assert (*scene.warnings, *check_scene(scene)) == (*source.warnings, *check_scene(source)) == ()
     assert [frame.size for frame in scene.frames] == [(160, 120)] * FRAMES
     assert {frame.read_depth(None).shape for frame in scene.frames} == {(60, 80)}
 
 
-def test_the_same_seed_gives_the_same_bytes(exact: Path, captured: Path, tmp_path: Path) -> None:
+def test_the_degraded_sample_is_the_same_for_the_same_seed(exact: Path, captured: Path, tmp_path: Path) -> None:
     hand_held.write_hand_held(exact, tmp_path / "again", seed=0)
     hand_held.write_hand_held(exact, tmp_path / "other", seed=1)
     first, again, other = bytes_of(captured), bytes_of(tmp_path / "again"), bytes_of(tmp_path / "other")
@@ -54,7 +54,7 @@ def test_the_same_seed_gives_the_same_bytes(exact: Path, captured: Path, tmp_pat
     assert len(changed) == 3 * FRAMES and all(first[name] != other[name] for name in changed)
 
 
-def test_truth_masks_split_and_intrinsics_stay(exact: Path, captured: Path) -> None:
+def test_degrading_the_sample_keeps_truth_masks_and_intrinsics(exact: Path, captured: Path) -> None:
     before, after = bytes_of(exact), bytes_of(captured)
     assert {*after} - {*before} == {"hand_held.json"} and {*before} <= {*after}
     kept = [name for name in before if name.split("/")[0] not in ("color", "depth", "pose")]
@@ -64,7 +64,7 @@ def test_truth_masks_split_and_intrinsics_stay(exact: Path, captured: Path) -> N
     assert faults["seed"] == 0 and [frame["frame"] for frame in faults["frames"]] == [f"{i:04d}" for i in range(FRAMES)]
 
 
-def test_poses_are_a_little_wrong_and_rigid(exact: Path, captured: Path) -> None:
+def test_poses_of_the_degraded_sample_are_slightly_wrong_but_rigid(exact: Path, captured: Path) -> None:
     shifts, turns = [], []
     for before, after in zip(open_scene(exact).frames, open_scene(captured).frames, strict=True):
         right, wrong = before.camera.camera_to_world, after.camera.camera_to_world
@@ -76,7 +76,7 @@ def test_poses_are_a_little_wrong_and_rigid(exact: Path, captured: Path) -> None
 
 
 @pytest.mark.parametrize("bad", ["exists", "inside", "no scene", "few poses"])
-def test_bad_arguments_are_refused_in_one_line(
+def test_the_sample_program_gives_one_line_errors_for_bad_arguments(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], bad: str
 ) -> None:
     scene, out = write_tiny_scene(tmp_path / "scene", frames=6), tmp_path / "out"
@@ -96,7 +96,7 @@ def test_bad_arguments_are_refused_in_one_line(
     assert not (out.exists() and any(out.iterdir()))
 
 
-def test_committed_masks_are_what_the_program_makes_and_coco_panoptic() -> None:
+def test_the_samples_masks_are_what_its_program_makes() -> None:
     table, splits = json.loads((ROOM / "panoptic.json").read_text()), json.loads((ROOM / "splits.json").read_text())
     things = {entry["id"]: entry["isthing"] for entry in table["categories"]}
     scene = open_scene(ROOM)
@@ -114,7 +114,7 @@ def test_committed_masks_are_what_the_program_makes_and_coco_panoptic() -> None:
         assert all(segment["isthing"] == things[segment["category_id"]] for segment in segments)
 
 
-def test_any_scene_gets_masks_and_weak_ones_are_wrong_more_often(
+def test_weak_masks_of_the_sample_program_are_wrong_more_often(
     exact: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     right = {}

@@ -30,13 +30,13 @@ def in_json(**changes: object) -> Change:
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_no_frame_is_left_uncompared(sample: Sample, name: str) -> None:
+def test_every_frame_of_a_lift_is_compared_with_its_scene(sample: Sample, name: str) -> None:
     """A frame whose files cannot be read as files, as a folder cannot, would stand for any other."""
     assert all(all(digests) for digests in _digests_of(opened(sample(name), name).frames))
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_a_lift_of_an_earlier_version_goes_on(sample: Sample, name: str, tmp_path: Path) -> None:
+def test_a_lift_of_an_earlier_version_can_be_used(sample: Sample, name: str, tmp_path: Path) -> None:
     """Its records know the photos and the depth as files, not how these are read, nor confidence."""
     scene = opened(sample(name), name)
     folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=sample(name)))
@@ -61,7 +61,7 @@ def test_a_lift_of_an_earlier_version_goes_on(sample: Sample, name: str, tmp_pat
         ("nerfstudio", "transforms.json", in_json(k1=0.2)),
     ],
 )
-def test_lift_refuses_other_pixels(sample: Sample, name: str, file: str, change: Change, tmp_path: Path) -> None:
+def test_a_lift_refuses_other_pictures(sample: Sample, name: str, file: str, change: Change, tmp_path: Path) -> None:
     scene, path = sample(name), min(sample(name).glob(file))
     folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene))
     remember_scene(folder, opened(scene, name))
@@ -71,7 +71,7 @@ def test_lift_refuses_other_pixels(sample: Sample, name: str, file: str, change:
     refuse_changed(folder, opened(scene, name))
 
 
-def test_changed_masks_are_noticed(tmp_path: Path) -> None:
+def test_a_lift_notices_changed_masks_of_its_scene(tmp_path: Path) -> None:
     scene = open_scene(write_tiny_scene(tmp_path / "scene", frames=3, size=(16, 12)))
     before = digest_of_masks(scene)
     assert not masks_differ("", scene) and not masks_differ(before, scene)

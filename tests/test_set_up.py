@@ -39,12 +39,12 @@ def pins(name: str) -> dict[str, str]:
 @pytest.mark.parametrize(
     "name", ["blender-4.5.txt", "blender-5.3.txt", "torch.txt", "engine.txt", "test.txt", "segment.txt", "farm.txt"]
 )
-def test_all_requirements_are_pinned(name: str) -> None:
+def test_all_python_requirements_are_pinned(name: str) -> None:
     assert all("==" in line for line in requirement_lines(name))
 
 
 @pytest.mark.parametrize(("version", "blender"), [((3, 11), "blender-4.5.txt"), ((3, 13), "blender-5.3.txt")])
-def test_the_constraints_agree_with_the_requirements(version: tuple[int, int], blender: str) -> None:
+def test_constraints_files_agree_with_the_requirements(version: tuple[int, int], blender: str) -> None:
     locked = pins(environment.constraints(version))
     asked = {**pins(blender), **pins("test.txt"), **pins("engine.txt"), **pins("segment.txt"), **pins("farm.txt")}
     del asked["open3d"]  # for other systems than Linux
@@ -53,7 +53,7 @@ def test_the_constraints_agree_with_the_requirements(version: tuple[int, int], b
     assert all(line in locked for line in (name.lower() for name in requirement_lines("next.txt")))
 
 
-def test_complete_means_stamped_with_exactly_these_requirements(tmp_path: Path) -> None:
+def test_make_set_up_is_complete_only_for_the_current_requirements(tmp_path: Path) -> None:
     requirements = shutil.copytree(REQUIREMENTS, tmp_path / "requirements")
     folder = tmp_path / ".venv"
     folder.mkdir()
@@ -109,14 +109,14 @@ def test_broken_set_up_is_repaired(tmp_path: Path, workshop: list[list[str]], mo
     assert workshop == []
 
 
-def test_cpu_index_is_used_only_for_torch(workshop: list[list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cpu_package_index_is_used_only_for_torch(workshop: list[list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TORCH_INDEX", "file:///cpu-builds")
     environment.main(["make", ".venv"])
     asked = [("torch.txt" in command, "file:///cpu-builds" in command) for command in workshop if "pip" in command]
     assert asked == [(True, True), (True, False)], "the second brings what torch needs"
 
 
-def test_missing_packages_give_one_apt_command(
+def test_missing_system_packages_give_one_apt_command(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
@@ -135,7 +135,7 @@ def pretended_uv(path: Path, *found: str) -> Path:
     return path
 
 
-def test_first_python_found_is_used_else_downloaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_make_set_up_downloads_python_only_if_none_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(environment, "ROOT", tmp_path)
     monkeypatch.setenv("PYENV_ROOT", str(tmp_path / "pyenv"))
     hidden = tmp_path / "pyenv/versions/3.13.9/bin/python3.13"
@@ -156,7 +156,7 @@ def test_first_python_found_is_used_else_downloaded(tmp_path: Path, monkeypatch:
     assert environment.find_python(pretended_uv(uv), ".venv-next") == ("", (3, 13)), "it is not downloaded"
 
 
-def test_without_any_python_one_line_says_what_to_install(tmp_path: Path) -> None:
+def test_make_set_up_without_python_says_what_to_install(tmp_path: Path) -> None:
     (tmp_path / "bin").mkdir()
     (tmp_path / "set_up").mkdir()
     shutil.copy(ROOT / "set_up/set_up.sh", tmp_path / "set_up")
@@ -170,7 +170,7 @@ def test_without_any_python_one_line_says_what_to_install(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("program", ["dnf", "zypper"])
-def test_rpm_systems_are_told_to_install_files(
+def test_make_set_up_names_missing_files_on_rpm_systems(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], program: str
 ) -> None:
     monkeypatch.setattr(shutil, "which", lambda name: f"/usr/bin/{name}" if name == program else None)
@@ -179,7 +179,7 @@ def test_rpm_systems_are_told_to_install_files(
     assert f"\n    sudo {program} install 'libGL.so.1()(64bit)' 'libEGL.so.1()(64bit)'\n" in capsys.readouterr().err
 
 
-def test_a_system_that_is_too_old_is_refused(
+def test_make_set_up_refuses_a_system_that_is_too_old(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(environment.platform, "libc_ver", lambda: ("glibc", "2.34"))

@@ -85,9 +85,7 @@ def test_make_masks_reports_a_missing_model(bare: Path) -> None:
 
 
 @pytest.mark.skipif(not HAS_TRANSFORMERS, reason="needs transformers (requirements/segment.txt)")
-def test_make_masks_makes_masks(
-    bare: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path
-) -> None:
+def test_masks_are_made(bare: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path) -> None:
     from tests.segment.tiny_mask2former import NAMES, save_tiny_mask2former
 
     monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)

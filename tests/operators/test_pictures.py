@@ -135,9 +135,7 @@ def test_clouds_made_with_other_poses_stay_away(room: Path, tmp_path: Path, monk
     assert not clouds() and "cloud" in bpy.data.collections["PLGS room"]["plgs_missing"]
 
 
-def test_a_cloud_is_placed_again_despite_bad_frames(
-    room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bad_frames_do_not_hide_a_placed_cloud(room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Blender knows nothing of masks, and does not read depth, so it keeps these frames."""
     place = Path(shutil.copytree(room, tmp_path / "room"))
     (place / "panoptic" / "0002.png").unlink()

@@ -51,9 +51,7 @@ def test_the_matte_of_a_new_shot_is_the_selected_object(root: bpy.types.Collecti
     assert matte(bake(root, lift, "crane", tmp_path)) == ("cabinet 1", "cabinet")
 
 
-def test_a_new_shot_copies_the_last_shots_matte_settings(
-    root: bpy.types.Collection, lift: Path, tmp_path: Path
-) -> None:
+def test_a_new_shot_copies_settings_of_the_last_shot(root: bpy.types.Collection, lift: Path, tmp_path: Path) -> None:
     compositing.matte_instance(root, CABINET)
     (_, frames), *_ = compositing.compositors_of(root)
     controls = node_of(frames, PANOPTIC).inputs

@@ -97,7 +97,7 @@ def projected(camera: BakeCamera, points: np.ndarray) -> tuple[np.ndarray, np.nd
         ("VERTICAL", (1.0, 1.8)),
     ],
 )
-def test_shot_cameras_match_render(
+def test_cameras_match_the_render(
     scene: bpy.types.Scene, fit: str, aspect: tuple[float, float], tmp_path: Path
 ) -> None:
     data = scene.camera.data
@@ -391,9 +391,7 @@ def test_shot_names_that_differ_only_in_capitals_are_refused(scene: bpy.types.Sc
 
 
 @pytest.mark.parametrize("change", ["camera", "lens", "size"])
-def test_a_changed_camera_makes_a_new_version_or_is_refused(
-    change: str, scene: bpy.types.Scene, tmp_path: Path
-) -> None:
+def test_a_changed_camera_needs_a_new_version_of_the_shot(change: str, scene: bpy.types.Scene, tmp_path: Path) -> None:
     lift = tmp_path / "lift"
     lift.mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "night_v003.blend"))

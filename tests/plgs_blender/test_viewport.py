@@ -72,9 +72,7 @@ print("chosen:", start_file().view_settings.view_transform, _new_scene("x").view
     [(None, "Standard"), (["ACES 1.0 - SDR Video", "Un-tone-mapped", "Raw"], "Un-tone-mapped"), (["Plain"], "Plain")],
     ids=["Blender's own", "like ACES", "minimal"],
 )
-def test_a_lift_is_saved_under_any_ocio_config(
-    views: list[str] | None, chosen: str, tmp_path: Path, root: Path
-) -> None:
+def test_lifts_are_saved_with_any_ocio_config(views: list[str] | None, chosen: str, tmp_path: Path, root: Path) -> None:
     environment = {name: value for name, value in os.environ.items() if name != "OCIO"} | {"PYTHONPATH": str(root)}
     if views is not None:
         lines = "\n".join(f'    - !<View> {{name: "{view}", colorspace: disp}}' for view in views)

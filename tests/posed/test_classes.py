@@ -41,7 +41,7 @@ def nearest_pair(colours: list[tuple[int, int, int]]) -> tuple[float, float]:
     return float(ciede2000(lab[one], lab[other]).min()), float(np.linalg.norm(lab[one] - lab[other], axis=1).min())
 
 
-def test_the_nearest_of_40_colours_are_far_apart() -> None:
+def test_any_two_of_40_class_colours_are_far_apart() -> None:
     """4 and 1.6 in CIELAB and by CIEDE2000 before there was a palette. 2.3 is a just noticeable distance in CIELAB."""
     for colours in (list(PALETTE[:40]), [distinct_colour(instance) for instance in range(1, 41)]):
         difference, distance = nearest_pair(colours)
@@ -49,7 +49,7 @@ def test_the_nearest_of_40_colours_are_far_apart() -> None:
     assert nearest_pair(list(PALETTE))[0] > 5
 
 
-def test_instances_have_other_colours_than_the_commonest_classes() -> None:
+def test_instance_colours_differ_from_those_of_common_classes() -> None:
     of_classes, of_instances = PALETTE[:40], [distinct_colour(instance) for instance in range(1, 400)]
     assert len({*of_instances}) == len(of_instances) and not {*of_classes} & {*of_instances}
     assert distinct_colour(1) == distinct_colour(1 + len(PALETTE))
@@ -63,7 +63,7 @@ NAMES = st.dictionaries(st.integers(1, 20), st.lists(PARTS, max_size=4).map("".j
 
 @given(NAMES, st.sampled_from([" #", "_"]), st.integers(2, 32))
 @example({1: "chair", 2: "Chair", 3: "chair #1"}, " #", 32)
-def test_names_are_unique(given_names: dict[int, str], mark: str, bits: int) -> None:
+def test_matte_names_are_unique(given_names: dict[int, str], mark: str, bits: int) -> None:
     """The matte's number has so few bits here that names share it often."""
     with pytest.MonkeyPatch.context() as patch:
         exact = names.name_bits
@@ -78,7 +78,7 @@ def test_names_are_unique(given_names: dict[int, str], mark: str, bits: int) -> 
         assert all(unique[key] == name for key, name in given_names.items() if folded.count(name.casefold()) == 1)
 
 
-def test_names_keep_what_they_can() -> None:
+def test_matte_names_change_only_characters_that_must_change() -> None:
     given_names = {1: "chair 1", 2: 'a "b", c', 3: "Chair 1", 4: ",", 5: "T\u00fcr", 6: "Tu\u0308r", 7: "desk"}
     assert matte_names(given_names) == {
         1: "chair 1 #1", 2: "a b c", 3: "Chair 1 #3", 4: "id 4", 5: "T\u00fcr #5", 6: "Tu\u0308r #6", 7: "desk",

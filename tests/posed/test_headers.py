@@ -19,7 +19,7 @@ from tests.raises_key import raises_key
 WINDOW = b"dataWindow\0box2i\0" + struct.pack("<5i", 16, 0, 0, 6, 4)
 
 
-def test_one_pixel_has_all_channels_and_texts(tmp_path: Path) -> None:
+def test_a_one_pixel_copy_of_an_exr_keeps_all_channels_and_texts(tmp_path: Path) -> None:
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "cryptomatte/1/name": "Instance"}
     kinds = {"PLGS.Depth.V": np.float32, "PLGS.Combined.R": np.float16, "CryptoInstance00.r": np.float32}
     channels = {name: np.ones((5, 7), kind) for name, kind in kinds.items()}
@@ -40,7 +40,7 @@ def test_one_pixel_has_all_channels_and_texts(tmp_path: Path) -> None:
         (lambda data: data.replace(WINDOW, WINDOW[:-8] + struct.pack("<2i", 2**20, 2**20)), "bad-size"),
     ],
 )
-def test_a_header_that_makes_no_sense_is_refused(tmp_path: Path, change: Callable[[bytes], bytes], told: str) -> None:
+def test_a_picture_with_a_bad_header_is_refused(tmp_path: Path, change: Callable[[bytes], bytes], told: str) -> None:
     OpenEXR.File({}, {"Z": np.ones((5, 7), np.float32)}).write(str(tmp_path / "a.exr"))
     (tmp_path / "a.exr").write_bytes(change((tmp_path / "a.exr").read_bytes()))
     with raises_key(told):
@@ -53,7 +53,7 @@ def test_a_header_that_makes_no_sense_is_refused(tmp_path: Path, change: Callabl
     [(".png", np.uint8, []), (".png", np.uint16, []), (".jpg", np.uint8, []),
      (".jpg", np.uint8, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])],
 )  # fmt: skip
-def test_headers_give_size(tmp_path: Path, suffix: str, kind: type, settings: list[int], channels: int) -> None:
+def test_headers_give_picture_size(tmp_path: Path, suffix: str, kind: type, settings: list[int], channels: int) -> None:
     path = tmp_path / f"image{suffix}"
     channels = min(channels, 3) if suffix == ".jpg" else channels
     cv2.imwrite(str(path), np.zeros((5, 70, channels), kind), settings)
@@ -80,7 +80,7 @@ def test_a_cut_off_image_is_found_without_decoding_it(image: Path, share: float)
         check_image_file(image)
 
 
-def test_end_of_a_jpeg_is_found(tmp_path: Path) -> None:
+def test_the_end_of_a_jpeg_is_found(tmp_path: Path) -> None:
     """What a camera appends is harmless, and the end of a thumbnail is another."""
     path = tmp_path / "image.jpg"
     cv2.imwrite(str(path), np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8))
@@ -112,7 +112,7 @@ def test_splats_with_impossible_positions_are_left_out(original: bytes, tmp_path
     assert read_gaussians(path)["class_id"].tolist() == [1, 2, 3, 4, 5]
 
 
-def test_a_column_that_appears_twice_is_refused(original: bytes, tmp_path: Path) -> None:
+def test_a_ply_with_a_column_twice_is_refused(original: bytes, tmp_path: Path) -> None:
     path = tmp_path / "twice.ply"
     path.write_bytes(original.replace(b"property float y", b"property float x"))
     with raises_key("no-splats"):

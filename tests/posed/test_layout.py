@@ -32,7 +32,7 @@ def test_frames_come_in_natural_order() -> None:
     assert sorted(names, key=natural_order) == ordered
 
 
-def test_same_shape_forgives_scannet_and_nothing_else() -> None:
+def test_scannets_slightly_different_aspect_ratio_counts_as_the_same() -> None:
     assert same_shape((1296, 968), (640, 480))
     assert not same_shape((640, 480), (640, 360))
     assert not same_shape((640, 480), (480, 640))
@@ -41,7 +41,7 @@ def test_same_shape_forgives_scannet_and_nothing_else() -> None:
 @pytest.mark.parametrize(
     "name", ["../a.png", "a/../../b.png", "/a.png", "\\a.png", "C:a.png", "\\\\host\\a.png", "a\0.png", "", "."]
 )
-def test_names_that_leave_the_folder_are_refused(tmp_path: Path, name: str) -> None:
+def test_file_names_that_leave_the_scene_folder_are_refused(tmp_path: Path, name: str) -> None:
     with raises_key("leaves-folder"):
         file_inside(tmp_path, name, tmp_path / "table.json")
     assert file_inside(tmp_path, "sub/..a.png", tmp_path / "table.json") == tmp_path / "sub" / "..a.png"
@@ -75,7 +75,7 @@ def ply(count: int, form: str = "ascii", kind: str = "float") -> bytes:
         (_binary_points, (struct.pack("<Q", 5_000_000), 51 * 5_000_000 + 8), "too-many 4000000"),
     ],
 )  # fmt: skip
-def test_counts_that_no_file_has_are_refused(
+def test_files_that_claim_impossible_counts_are_refused(
     tmp_path: Path, read: Callable[[Path], object], content: bytes | tuple[bytes, int], told: str
 ) -> None:
     path = tmp_path / "file"
@@ -103,12 +103,12 @@ def test_impossible_focal_lengths_are_refused(tmp_path: Path, focal: float) -> N
 
 
 @pytest.mark.parametrize("metres", [1e-30, 1e6, 1e38])
-def test_depth_beyond_any_sensors_range_is_refused(tmp_path: Path, metres: float) -> None:
+def test_depth_beyond_the_range_of_any_sensor_is_refused(tmp_path: Path, metres: float) -> None:
     with raises_key("depth-far 0001"):
         depth_check("0001", tmp_path)(np.full((12, 16), metres, np.float32))
 
 
-def test_estimated_depth_has_the_same_limits(tmp_path: Path) -> None:
+def test_estimated_depth_has_the_same_limits_as_measured_depth(tmp_path: Path) -> None:
     scene = write_tiny_scene(tmp_path, frames=3)
     maps = tmp_path / "maps"
     maps.mkdir()
@@ -119,13 +119,13 @@ def test_estimated_depth_has_the_same_limits(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("lens", [Distortion((1e20,)), Distortion((1e10,), is_fisheye=True)])
-def test_a_lens_that_leaves_no_picture_is_reported_as_the_fault(tmp_path: Path, lens: Distortion) -> None:
+def test_a_lens_so_distorted_that_no_picture_is_left_is_refused(tmp_path: Path, lens: Distortion) -> None:
     camera = Camera(64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(4))
     with raises_key("lens-distorts"):
         undistorted(np.ones((48, 64), np.float32), camera, lens, tmp_path, smooth=False)
 
 
-def test_class_names_are_one_printable_line() -> None:
+def test_class_names_are_cleaned_to_one_printable_line() -> None:
     name = "chair\u202egnp.exe\u2028\x1b[2J\n"
     for one in (ClassLabel(1, name, True), Category(1, name, True, (1, 2, 3))):
         assert one.name.isprintable() and one.name.startswith("chair?gnp.exe")
@@ -153,6 +153,6 @@ def test_frame_name_that_cannot_be_shown_is_refused(tmp_path: Path) -> None:
 NAMES = tuple(f"{index:03d}" for index in range(20))
 
 
-def test_every_eighth_frame_is_held_out_beginning_with_the_fifth() -> None:
+def test_every_eighth_frame_from_the_fifth_is_held_out() -> None:
     split = default_split(NAMES)
     assert split.test == ("004", "012") and len(split.train) == 18 and split.warnings == ()

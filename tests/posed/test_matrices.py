@@ -22,7 +22,7 @@ def camera(size: tuple[int, int], fx: float = 50.0, fy: float = 60.0, pose: np.n
 
 
 @given(sizes, lengths, lengths, st.floats(0.05, 60.0), st.integers(0, 5))
-def test_unprojection_is_reversed(size: tuple[int, int], fx: float, fy: float, metres: float, index: int) -> None:
+def test_projecting_reverses_unproject(size: tuple[int, int], fx: float, fy: float, metres: float, index: int) -> None:
     one = camera(size, fx, fy, tiny_pose(index, 6))
     pixels, depth = one.project(one.unproject(np.full(size[::-1], metres, np.float32)))
     x, y = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
@@ -31,7 +31,7 @@ def test_unprojection_is_reversed(size: tuple[int, int], fx: float, fy: float, m
 
 
 @given(sizes, sizes, st.floats(0.1, 20.0))
-def test_resized_camera_sees_the_same_share(size: tuple[int, int], other: tuple[int, int], metres: float) -> None:
+def test_a_resized_camera_sees_the_same_part(size: tuple[int, int], other: tuple[int, int], metres: float) -> None:
     one = camera(size)
     point = one.centre + one.camera_to_world[:3, :3] @ np.array([0.1, -0.2, metres])
     pixels, depth = one.project(point)
@@ -46,14 +46,14 @@ def written(folder: Path, matrix: np.ndarray, form: str = "%.18e") -> Path:
 
 
 @pytest.mark.parametrize("text", ["1 2\n3 4\n", "1,2\n3,4", "\n1\t2  \n\n 3 4", "1e0 2.0\r\n3 4\r\n"])
-def test_matrices_come_in_many_conventions(tmp_path: Path, text: str) -> None:
+def test_matrix_files_are_read_in_many_notations(tmp_path: Path, text: str) -> None:
     (tmp_path / "matrix.txt").write_text(text)
     assert read_matrix(tmp_path / "matrix.txt", ((2, 2),)).tolist() == [[1.0, 2.0], [3.0, 4.0]]
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=30, deadline=None)
 @given(st.integers(0, 9), st.sampled_from(["%.18e", "%.6f", "%.4f"]))
-def test_a_pose_is_straightened_after_rounding(tmp_path: Path, index: int, form: str) -> None:
+def test_a_rounded_pose_is_made_rigid_again(tmp_path: Path, index: int, form: str) -> None:
     pose = read_poses({"a": written(tmp_path, tiny_pose(index, 10), form)})["a"]
     assert pose is not None
     np.testing.assert_allclose(pose, tiny_pose(index, 10), atol=2e-4)
@@ -61,7 +61,7 @@ def test_a_pose_is_straightened_after_rounding(tmp_path: Path, index: int, form:
     assert pose[3].tolist() == [0.0, 0.0, 0.0, 1.0]
 
 
-def test_a_lost_pose_is_none_and_a_nan_is_an_error(tmp_path: Path) -> None:
+def test_a_pose_of_infinities_is_missing_but_nan_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "pose.txt").write_text("-inf -inf -inf -inf\n" * 4)
     assert read_poses({"a": tmp_path / "pose.txt"}) == {"a": None}
     (tmp_path / "pose.txt").write_text("nan -inf -inf -inf\n" * 4)
@@ -69,7 +69,7 @@ def test_a_lost_pose_is_none_and_a_nan_is_an_error(tmp_path: Path) -> None:
         read_poses({"a": tmp_path / "pose.txt"})
 
 
-def test_cameras_that_stand_upright_about_another_axis_are_noticed() -> None:
+def test_cameras_upright_about_another_axis_are_noticed() -> None:
     upright = [tiny_pose(index, 6) for index in range(6)]
     assert up_axis_warning(upright, "z") is None
     y_up = np.eye(4)
@@ -93,7 +93,7 @@ def test_cameras_that_look_straight_down_do_not_reveal_the_up_axis() -> None:
 
 
 @pytest.mark.parametrize(("up", "axis"), [("z", [0, 0, 1]), ("y", [0, 1, 0]), ("-y", [0, -1, 0])])
-def test_the_named_axis_ends_up_on_z(up: UpAxis, axis: list[int]) -> None:
+def test_the_named_up_axis_is_turned_to_z(up: UpAxis, axis: list[int]) -> None:
     pose = np.eye(4)
     pose[:3, 3] = axis
     upright = turned(pose, TO_Z_UP[up])

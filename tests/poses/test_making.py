@@ -38,7 +38,7 @@ def find_poses(place: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(find_spec("pycolmap") is not None, reason="pycolmap is there")
-def test_a_missing_pycolmap_is_reported(
+def test_finding_poses_reports_a_missing_pycolmap(
     photos: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A lift asks for poses first, by either command."""
@@ -63,7 +63,7 @@ def test_refusal_of_plain_photos_says_how_to_get_poses(photos: Path, tmp_path: P
     assert other.value.code is ErrorCode.BAD_INPUT
 
 
-def test_scene_with_poses_or_without_photos_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_finding_poses_is_refused_with_poses_or_without_photos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(poses, "colmap", lambda photos: None)  # it is not asked for anything
     write_text(tmp_path / "walk")
     with raises_key("has-poses"):
@@ -73,7 +73,7 @@ def test_scene_with_poses_or_without_photos_is_refused(tmp_path: Path, monkeypat
         find_poses(tmp_path / "empty", tmp_path)
 
 
-def test_poses_of_photos_that_have_changed_are_not_used(photos: Path, tmp_path: Path) -> None:
+def test_poses_of_photos_that_changed_are_not_used(photos: Path, tmp_path: Path) -> None:
     """Whatever lay there by now had the poses that were found for others."""
     (photos / "sparse" / "0").mkdir(parents=True)
     made = Made(photos, 6, 6, 100, None, _digest_of(sorted(photos.glob("*.png"))))
@@ -129,7 +129,7 @@ def told_of(film: Path, pictures: int | None) -> str:
     return told.read_text()
 
 
-def test_a_film_does_not_take_the_poses_of_another_of_its_name(mapped: None, tmp_path: Path) -> None:
+def test_poses_of_another_film_of_the_same_name_are_not_used(mapped: None, tmp_path: Path) -> None:
     """Nor of one whose name has another end, nor those that were found for photos in a folder of its name."""
     film = tmp_path / "walk.mp4"
     write_film(film, 0)
@@ -156,7 +156,7 @@ def test_a_film_does_not_take_the_poses_of_another_of_its_name(mapped: None, tmp
 
 
 @pytest.mark.parametrize("stopped", [KeyboardInterrupt, None])
-def test_files_of_others_in_a_films_folder_stay(
+def test_making_poses_keeps_a_strangers_files_in_a_films_folder(
     stopped: type[BaseException] | None, mapped: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The folder is refused while they are there, and a stopped run takes only its own away."""
@@ -180,7 +180,7 @@ def test_files_of_others_in_a_films_folder_stay(
     assert notes.read_text() == "mine"
 
 
-def test_poses_in_metres_of_other_depth_are_not_used(mapped: None, photos: Path, tmp_path: Path) -> None:
+def test_poses_scaled_by_depth_that_changed_are_not_used(mapped: None, photos: Path, tmp_path: Path) -> None:
     (photos / "depth").mkdir()
     write_grey(photos / "depth" / "0001.png", np.full((6, 8), 1000, np.uint16))
     find_poses(photos, tmp_path)
@@ -191,7 +191,7 @@ def test_poses_in_metres_of_other_depth_are_not_used(mapped: None, photos: Path,
 
 
 @pytest.mark.parametrize("name", ["depth_{}", "conf_{}", "{}.depth", "frame-{}.depth.proj", "{}_DepthMap", "{}_mm"])
-def test_depth_maps_are_not_photos(name: str, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_depth_maps_are_no_photos(name: str, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As 3D Scanner App, NeRFCapture and others keep them, beside the photos; the last is known by its 16 bits."""
     given: list[str] = []
     monkeypatch.setattr(poses, "colmap", lambda photos: None)
@@ -210,7 +210,7 @@ def test_depth_maps_are_not_photos(name: str, photos: Path, tmp_path: Path, monk
         find_poses(photos, tmp_path)
 
 
-def test_depth_that_disagrees_with_itself_gives_no_unit() -> None:
+def test_inconsistent_depth_is_not_used_to_scale_poses() -> None:
     random = np.random.default_rng(0)
     good = 2.5 * random.normal(1.0, 0.02, 400)
     found = _median(np.concatenate([good, random.uniform(0.1, 90.0, 100)]))
@@ -218,7 +218,7 @@ def test_depth_that_disagrees_with_itself_gives_no_unit() -> None:
     assert _median(good[:20]) is None and _median(random.uniform(0.1, 90.0, 400)) is None
 
 
-def test_the_sharpest_pictures_of_a_film_are_taken(tmp_path: Path) -> None:
+def test_the_sharpest_pictures_of_a_film_are_extracted(tmp_path: Path) -> None:
     cv2 = pytest.importorskip("cv2")
     random = np.random.default_rng(0)
     film = cv2.VideoWriter(str(tmp_path / "film.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 10, (64, 48))

@@ -31,7 +31,7 @@ def request_of(*arguments: str) -> LiftRequest:
     return request_from(parser.parse_args(["/room", *arguments]))
 
 
-def test_option_texts_are_parsed() -> None:
+def test_options_typed_as_name_equals_value_are_parsed() -> None:
     texts = ["objects=boxes", "weights.depth=0", "growth.least_visits=none", "size=64x48", "fill_holes=no"]
     assert parsed_options([*texts, "neighbours=3", "neighbours=4"]) == {
         "objects": "boxes",
@@ -64,7 +64,7 @@ def test_option_texts_are_parsed() -> None:
         ("", "no-option"),
     ],
 )
-def test_unknown_option_suggests_the_closest(text: str, key: str) -> None:
+def test_an_unknown_option_suggests_the_closest_name(text: str, key: str) -> None:
     with raises_key(key):
         parsed_options([text])
 
@@ -88,14 +88,14 @@ def test_a_printed_preset_is_read_back(base: str, tmp_path: Path) -> None:
         ('preset = "preview"\nsteps = 2026-11-22', "bad-value"),
     ],
 )
-def test_a_bad_file_is_named(content: str, key: str, tmp_path: Path) -> None:
+def test_a_bad_preset_file_is_named(content: str, key: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(content)
     with raises_key(f"{key} {path}"):
         read_preset_file(path)
 
 
-def test_preset_file_and_options_make_the_same_request(tmp_path: Path) -> None:
+def test_a_preset_file_and_options_make_the_same_request(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text('preset = "standard"\nsteps = 9\nsize = [64, 48]\nobjects = "boxes"\nneighbours = 2')
     request = request_of("--preset", str(path), "--set", "neighbours=4", "--set", "fill_holes=true")
@@ -108,7 +108,7 @@ def test_preset_file_and_options_make_the_same_request(tmp_path: Path) -> None:
     assert request_of("--set", "steps=7", "--size", "64x48").options == {"steps": 7, "size": [64, 48]}
 
 
-def test_steps_for_each_view_are_kept_beside_steps(tmp_path: Path) -> None:
+def test_the_options_steps_and_steps_a_view_are_both_kept(tmp_path: Path) -> None:
     both = request_of("--set", "steps=600", "--set", "steps_a_view=5")
     assert both.options == {"steps": 600, "steps_a_view": 5.0}
     path = tmp_path / "mine.toml"
@@ -120,7 +120,7 @@ def test_steps_for_each_view_are_kept_beside_steps(tmp_path: Path) -> None:
     assert request_of("--preset", str(path)) == request_of()
 
 
-def test_a_value_of_the_preset_overrides_an_earlier_one() -> None:
+def test_setting_an_option_to_its_preset_value_undoes_an_earlier_change() -> None:
     earlier = LiftRequest(Path("/scene"), options={"steps": 600, "size": [100, 100], "frames": 7, "voxel_size": 0.1})
     texts = ["steps=500", "steps_a_view=5", "size=200,200", "frames=400", "voxel_size=0.06"]
     preset, options = chosen_options(None, parsed_options(texts), earlier)
@@ -128,13 +128,13 @@ def test_a_value_of_the_preset_overrides_an_earlier_one() -> None:
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_a_presets_own_values_change_nothing(name: str) -> None:
+def test_setting_a_presets_own_values_changes_nothing(name: str) -> None:
     values = {option: option_value(PRESETS[name], option) for option in preset_options()}
     assert checked_options(values) == values, "no preset has a value that is refused"
     assert with_options(PRESETS[name], values) == PRESETS[name] and changed_options(PRESETS[name], values) == {}
 
 
-def test_many_views_are_each_seen_often_enough() -> None:
+def test_scenes_with_many_views_train_more_steps() -> None:
     for preset in (PRESETS["preview"], PRESETS["standard"]):
         assert preset.for_views(3) == preset, "few views are seen often anyway"
         many = preset.for_views(2000)
@@ -145,7 +145,7 @@ def test_many_views_are_each_seen_often_enough() -> None:
     assert PRESETS["paper"].for_views(2000) == PRESETS["paper"]
 
 
-def test_a_request_keeps_its_changed_options() -> None:
+def test_a_lift_request_keeps_its_changed_options() -> None:
     options = {"steps": 7, "size": [100, 50], "weights.depth": 0, "warm_start": False, "growth.least_visits": None}
     chosen = LiftRequest(scene=Path("/room"), preset="standard", options=options).chosen_preset
     assert (chosen.steps, chosen.size, chosen.weights.depth, chosen.warm_start) == (7, (100, 50), 0.0, False)
@@ -160,7 +160,7 @@ class _Further(Preset):
     colour: bool = False
 
 
-def test_scripts_can_add_options(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scripts_can_register_options(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, preset in list(PRESETS.items()):
         monkeypatch.setitem(PRESETS, name, _Further(**vars(preset)))
     assert option_value(with_options(PRESETS["paper"], checked_options({"colour": True})), "colour") is True

@@ -54,7 +54,7 @@ def test_preset_paper_matches_the_paper(name: str, rows: dict[str, tuple[str, st
     assert rows[name][1].startswith(source)
 
 
-def test_page_lists_every_number_of_the_preset_paper(rows: dict[str, tuple[str, str]]) -> None:
+def test_the_docs_list_every_number_of_the_preset_paper(rows: dict[str, tuple[str, str]]) -> None:
     paper, preview = PRESETS["paper"], PRESETS["preview"]
     for name, option in preset_options().items():
         is_listed = option.kind in ("int", "float", "ints") or option_value(paper, name) != option_value(preview, name)
@@ -63,7 +63,7 @@ def test_page_lists_every_number_of_the_preset_paper(rows: dict[str, tuple[str, 
     assert {name for name, (_, source) in rows.items() if not source.startswith("not in the paper")} == {*OF_THE_PAPER}
 
 
-def test_schedule_matches_the_paper() -> None:
+def test_the_training_schedule_matches_the_paper() -> None:
     """Section "Implementation Details"; growth is Scaffold-GS's, which judges by shares of the steps."""
     paper, schedule = PRESETS["paper"], Trainer.growth_schedule
     every = paper.schedule.self_training_every

@@ -50,19 +50,19 @@ def assert_as_the_reference(scene: scenes.Scene, device: str = "cpu") -> None:
 
 @pytest.mark.usefixtures("stand_in")
 @pytest.mark.parametrize("name", SCENES)
-def test_gsplat_call_matches_the_reference(name: str) -> None:
+def test_drawing_with_gsplat_matches_the_reference(name: str) -> None:
     assert_as_the_reference(SCENES[name])
 
 
 @needs_gpu
 @pytest.mark.parametrize("name", SCENES)
-def test_a_gpu_matches_the_reference(name: str) -> None:
+def test_drawing_on_a_gpu_matches_the_reference(name: str) -> None:
     scene = SCENES[name]
     assert_as_the_reference(scene.changed(3, scene.tensors[3].clamp(max=0.98)), "cuda")
 
 
 @needs_gpu
-def test_a_gpu_draws_one_gaussian_and_views_that_show_none() -> None:
+def test_a_gpu_draws_one_gaussian_and_empty_views() -> None:
     assert cuda.what_fails("cuda") is None
     scene = scenes.random_scene(8, 20, 600, 24, 17)
     behind = scene.changed(0, scene.tensors[0] - torch.from_numpy(scene.pose[:3, 2] * 50.0).float())
@@ -101,7 +101,7 @@ def test_drawing_some_rows_on_a_gpu_matches_the_whole_picture() -> None:
     assert_rows_as_in_the_whole("cuda")
 
 
-def test_no_gaussians_are_drawn_without_gsplat(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_empty_views_are_drawn_without_calling_gsplat(monkeypatch: pytest.MonkeyPatch) -> None:
     """gsplat divides by the number of Gaussians: 0 would end the process."""
     use_a_stand_in(monkeypatch)
     monkeypatch.setattr("gsplat.rasterization", None)
@@ -109,7 +109,7 @@ def test_no_gaussians_are_drawn_without_gsplat(monkeypatch: pytest.MonkeyPatch) 
     assert_as_the_reference(replace(scene, tensors=tuple(tensor[:0] for tensor in scene.tensors)))
 
 
-def test_gsplat_failure_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failure_of_gsplat_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     def rasterization(**arguments: object) -> None:
         raise RuntimeError("Error building extension 'gsplat_cuda': [1/30]\nnvcc: not found")
 
@@ -132,7 +132,7 @@ def test_gsplat_draws_without_labels_and_without_gradients() -> None:
     ("installed", "said"),
     [("1.4.0", "too old"), ("1.5.3+pt24cu124", None), ("1.6.0", None), ("1.7.0", "too new"), (None, "not installed")],
 )
-def test_wrong_gsplat_is_refused(installed: str | None, said: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unsuitable_gsplat_is_refused(installed: str | None, said: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
     def version(name: str) -> str:
         if installed is None:
             raise metadata.PackageNotFoundError(name)
@@ -146,12 +146,12 @@ def test_wrong_gsplat_is_refused(installed: str | None, said: str | None, monkey
         assert missing is not None and said in missing and "gsplat>=1.5,<1.7" in missing
 
 
-def test_tensors_on_the_cpu_are_refused() -> None:
+def test_gsplat_refuses_tensors_on_the_cpu() -> None:
     scene = scenes.random_scene(10, 5, 2, 8, 8)
     with pytest.raises(ValueError, match="on the device cuda, these are torch.float32 on cpu"):
         rasterize(*scene.tensors, scene.pose, scene.intrinsics, 8, 8, backend="gsplat")
 
 
 @pytest.mark.usefixtures("stand_in")
-def test_labels_affect_nothing_but_themselves() -> None:
+def test_drawing_labels_with_gsplat_changes_no_other_output() -> None:
     scenes.assert_labels_affect_nothing_else("gsplat")

@@ -101,14 +101,14 @@ def cold(read_only_code: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 @pytest.mark.slow
-def test_a_cold_start_compiles_and_says_so(cold: Run) -> None:
+def test_the_first_start_compiles_kernels_and_says_so(cold: Run) -> None:
     print(f"cold start: {cold.seconds:.1f} s")
     assert ANNOUNCEMENT in cold.lines
     assert cold.seconds <= COLD_SECONDS
 
 
 @pytest.mark.slow
-def test_a_warm_start_is_quick(cold: Run, read_only_code: Path) -> None:
+def test_a_second_start_of_the_rasterizer_is_quick(cold: Run, read_only_code: Path) -> None:
     cache = str(cold.cache.parent)
     runs = [render_in_a_process(read_only_code, NUMBA_CACHE_DIR=cache, HOME=NO_HOME) for _ in range(3)]
     seconds = [run.seconds for run in runs]
@@ -118,7 +118,7 @@ def test_a_warm_start_is_quick(cold: Run, read_only_code: Path) -> None:
 
 
 @pytest.mark.slow
-def test_drawing_alone_does_not_wait_for_the_backward_pass(tmp_path: Path) -> None:
+def test_drawing_does_not_compile_the_backward_pass(tmp_path: Path) -> None:
     variables = environment(NUMBA_CACHE_DIR=str(tmp_path))
     done = subprocess.run([sys.executable, "-c", DRAW], env=variables, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
@@ -126,7 +126,7 @@ def test_drawing_alone_does_not_wait_for_the_backward_pass(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_rasterizer_needs_neither_a_home_nor_a_setting(read_only_code: Path, tmp_path: Path) -> None:
+def test_the_rasterizer_works_without_a_home_folder(read_only_code: Path, tmp_path: Path) -> None:
     """Machine code goes to a temporary folder of this process if no other folder will do."""
     before = listing(read_only_code)
     run = render_in_a_process(read_only_code, HOME=NO_HOME, TMPDIR=str(tmp_path))

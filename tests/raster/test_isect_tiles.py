@@ -16,7 +16,7 @@ COLUMNS, ROWS = -(-WIDTH // TILE), -(-HEIGHT // TILE)
 @pytest.mark.parametrize("worth_sharing", [0, 10**9])
 @pytest.mark.parametrize("workers", [1, 2, 5])
 @pytest.mark.parametrize("count", [0, 1, 700])
-def test_tile_lists_match_a_stable_sort(
+def test_gaussians_of_each_tile_are_in_the_order_of_a_stable_sort(
     count: int, workers: int, worth_sharing: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Boxes of tiles anywhere in the image. Some boxes are empty, and many depths are equal. The scattering is

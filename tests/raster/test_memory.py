@@ -16,7 +16,7 @@ from tests.raster.room_workload import Workload, room_workload
 from tests.raster.scenes import LAYERS, random_scene, render
 
 
-def test_a_kept_picture_is_not_overwritten() -> None:
+def test_a_rendered_picture_is_not_overwritten_by_later_ones() -> None:
     scene = random_scene(0, 100, 4, 40, 30)
     first = rasterize(*scene.tensors, scene.pose, scene.intrinsics, 40, 30)
     copy = first.image.clone()
@@ -26,7 +26,7 @@ def test_a_kept_picture_is_not_overwritten() -> None:
     assert torch.equal(first.image, copy)
 
 
-def test_late_or_repeated_backward_pass_gives_the_same_gradients() -> None:
+def test_a_late_or_repeated_backward_pass_gives_the_same_gradients() -> None:
     """What the first picture keeps for its backward pass is overwritten neither by other pictures nor by that pass
     itself."""
     scene, other = random_scene(3, 200, 6, 50, 40), random_scene(4, 200, 6, 50, 40)
@@ -59,7 +59,7 @@ def step(work: Workload, change: int = 0) -> None:
 
 
 @pytest.mark.parametrize("count", [10_000, 50_000])
-def test_memory_stays_within_its_bound(count: int) -> None:
+def test_the_rasterizers_memory_stays_within_its_bound(count: int) -> None:
     work = room_workload(count)
     memory._blocks.clear()
     step(work)
@@ -67,7 +67,7 @@ def test_memory_stays_within_its_bound(count: int) -> None:
 
 
 @pytest.mark.parametrize("count", [10_000, 50_000])
-def test_steps_of_a_slowly_changing_scene_allocate_nothing(count: int) -> None:
+def test_rasterizing_a_slowly_changing_scene_allocates_no_memory(count: int) -> None:
     work = room_workload(count)
     memory._blocks.clear()
     for _ in range(2):
@@ -85,7 +85,7 @@ def test_steps_of_a_slowly_changing_scene_allocate_nothing(count: int) -> None:
     assert peak <= little
 
 
-def test_memory_stays_bounded_with_one_crowded_tile() -> None:
+def test_one_crowded_tile_keeps_the_memory_bounded() -> None:
     """Everything is seen from afar, with more threads than there is work for."""
     work, count = room_workload(4000), 4000
     memory._blocks.clear()
@@ -106,7 +106,7 @@ def test_memory_stays_bounded_with_one_crowded_tile() -> None:
     assert held_bytes() <= 2500 * count + 450 * 48 * 48 + scratch
 
 
-def test_stale_memory_is_never_read() -> None:
+def test_the_rasterizer_never_reads_stale_memory() -> None:
     """Filling free memory with NaN changes no bit."""
     for count in (1, 3, 17, 50, 130, 700):
         scene = random_scene(count, count, 5, 33, 18)

@@ -87,12 +87,12 @@ def run(program: str, cache: Path, **settings: str) -> str:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not IS_X86, reason="ARM processors compile the kernels themselves")
-def test_llvm_compiles_the_kernels_for_arm(tmp_path: Path) -> None:
+def test_the_kernels_compile_for_arm(tmp_path: Path) -> None:
     run(COMPILE_FOR_ARM, tmp_path, NUMBA_CPU_NAME="generic", NUMBA_CPU_FEATURES="")
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not IS_X86, reason="about x86 processors")
-def test_rasterizer_matches_the_reference_without_avx512(tmp_path: Path) -> None:
+def test_the_rasterizer_matches_the_reference_without_avx512(tmp_path: Path) -> None:
     """The processor's name alone is not enough: Numba would still use all features of this machine."""
     run(LESSER_MACHINE, tmp_path, NUMBA_CPU_NAME="haswell", NUMBA_CPU_FEATURES="")

@@ -38,7 +38,7 @@ scenes together 1e-4 may miss."""
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_numba_matches_the_reference(name: str, record_property: Callable[[str, object], None]) -> None:
+def test_the_rasterizer_matches_the_reference(name: str, record_property: Callable[[str, object], None]) -> None:
     scene = SCENES[name]
     steady = steady_pixels(scene)
     near = int((~steady).sum())
@@ -58,7 +58,7 @@ def test_numba_matches_the_reference(name: str, record_property: Callable[[str, 
         assert missed <= max(1e-4 * count, MAY_MISS.get(name, 0)), f"{group}: {missed} of {count} elements"
 
 
-def test_gradients_match_the_reference_over_all_scenes() -> None:
+def test_rasterizer_gradients_match_the_reference_in_all_scenes() -> None:
     missed, counts = dict.fromkeys(GROUPS, 0), dict.fromkeys(GROUPS, 0)
     for scene in SCENES.values():
         steady = steady_pixels(scene)
@@ -72,7 +72,7 @@ def test_gradients_match_the_reference_over_all_scenes() -> None:
 
 @pytest.mark.parametrize("backend", ["numba", "reference"])
 @pytest.mark.parametrize("count", [0, 3])
-def test_empty_views_draw_nothing(backend: str, count: int) -> None:
+def test_views_without_gaussians_are_drawn_empty(backend: str, count: int) -> None:
     scene = random_scene(0, count, 4, 20, 20)
     means = scene.tensors[0].clone()
     means[:, 2] = -5.0
@@ -84,12 +84,12 @@ def test_empty_views_draw_nothing(backend: str, count: int) -> None:
 
 
 @pytest.mark.parametrize("channels", [1, 5, 20])
-def test_thread_count_changes_no_bit(channels: int) -> None:
+def test_rasterizing_gives_the_same_bits_with_any_number_of_threads(channels: int) -> None:
     scene = random_scene(5, 1100, channels, 70, 50)
     assert_same_bits_with_any_threads(scene, "numba")
 
 
-def test_thread_count_changes_no_bit_of_a_room() -> None:
+def test_rasterizing_a_room_gives_the_same_bits_with_any_threads() -> None:
     """More Gaussians and tiles than the small scenes, so that the workers really do share everything."""
     work = room_workload(25_000, 320, 240)
     arrays = (work.means, work.scales, work.quats, work.opacities, work.colours, work.labels)
@@ -99,12 +99,12 @@ def test_thread_count_changes_no_bit_of_a_room() -> None:
 
 
 @pytest.mark.parametrize("backend", ["numba", "reference"])
-def test_labels_affect_nothing_but_themselves(backend: str) -> None:
+def test_drawing_labels_changes_no_other_output(backend: str) -> None:
     assert_labels_affect_nothing_else(backend)
 
 
 @pytest.mark.parametrize("layer", LAYERS)
-def test_a_loss_may_use_only_one_layer(layer: str) -> None:
+def test_a_loss_on_one_layer_has_no_gradient_from_the_others(layer: str) -> None:
     """The other layers have no gradient then, not even one left over from the pass before."""
     scene = random_scene(9, 100, 4, 30, 20)
     render(scene, "numba")
@@ -115,7 +115,7 @@ def test_a_loss_may_use_only_one_layer(layer: str) -> None:
         assert missed_elements(gradient, wanted) <= 1e-4 * gradient.numel(), group
 
 
-def test_label_gradients_do_not_depend_on_other_channels_of_the_tile() -> None:
+def test_label_gradients_do_not_depend_on_other_label_channels() -> None:
     """Tiles copy and add up only the channels with a gradient in them: none, few or all."""
     scene, channels = random_scene(11, 900, 37, 70, 50), torch.arange(37)
     by = torch.randn(50, 70, 37, generator=torch.Generator().manual_seed(0))
@@ -136,7 +136,7 @@ def test_label_gradients_do_not_depend_on_other_channels_of_the_tile() -> None:
     assert alone.any() and missed_elements(alone, gradient(few, "reference")) <= 1e-4 * alone.numel()
 
 
-def test_rasterize_works_without_labels() -> None:
+def test_the_rasterizer_works_without_labels() -> None:
     scene = random_scene(7, 100, 4, 30, 20)
     bare = rasterize(*scene.tensors[:5], None, scene.pose, scene.intrinsics, 30, 20)
     full = rasterize(*scene.tensors, scene.pose, scene.intrinsics, 30, 20)
@@ -145,7 +145,7 @@ def test_rasterize_works_without_labels() -> None:
 
 
 @pytest.mark.parametrize("top_k", [1, 3, 500])
-def test_top_contributors_match_the_reference(top_k: int) -> None:
+def test_the_gaussians_that_contribute_most_match_the_reference(top_k: int) -> None:
     scene = random_scene(8, 200, 2, 35, 21)
     steady = steady_pixels(scene)
     outs = [
@@ -159,7 +159,7 @@ def test_top_contributors_match_the_reference(top_k: int) -> None:
         torch.testing.assert_close(outs[0].top_weights.sum(-1), outs[0].alpha, rtol=0, atol=1e-5)
 
 
-def test_gradcheck_of_the_reference() -> None:
+def test_the_references_gradients_match_finite_differences() -> None:
     scene = random_scene(9, 4, 2, 4, 3)
     means = torch.tensor([[0.1, 0.0, 2.0], [-0.3, 0.1, 2.5], [0.2, -0.2, 3.0], [0.0, 0.1, 1.5]])
     tensors = [means, torch.full((4, 3), 0.6), scene.tensors[2], torch.full((4,), 0.5), *scene.tensors[4:]]
@@ -172,7 +172,7 @@ def test_gradcheck_of_the_reference() -> None:
     assert torch.autograd.gradcheck(draw, inputs[:5] + [inputs[5].detach()], atol=1e-6)
 
 
-def test_bad_arguments_are_refused() -> None:
+def test_the_rasterizer_refuses_bad_arguments() -> None:
     scene = random_scene(10, 5, 2, 8, 8)
     where = (scene.pose, scene.intrinsics, 8, 8)
     with pytest.raises(ValueError, match="scales has shape"):
@@ -217,7 +217,7 @@ def draw(scene: Scene) -> Rendering:
 
 @settings(max_examples=25, deadline=None)
 @given(scenes)
-def test_blending_weights_sum_to_alpha(scene: Scene) -> None:
+def test_blending_weights_of_a_pixel_sum_to_its_alpha(scene: Scene) -> None:
     ones = scene.changed(4, torch.ones_like(scene.tensors[4]))
     out = draw(ones)
     assert (out.alpha >= 0.0).all() and (out.alpha <= 1.0).all()
@@ -233,7 +233,7 @@ def test_labels_are_blended_as_colours(scene: Scene) -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(scenes, st.randoms(use_true_random=False))
-def test_order_of_the_input_does_not_matter(scene: Scene, random: object) -> None:
+def test_the_order_of_gaussians_does_not_change_the_picture(scene: Scene, random: object) -> None:
     count = scene.tensors[0].shape[0]
     order = torch.from_numpy(np.random.default_rng(0).permutation(count))
     shuffled = replace(scene, tensors=tuple(tensor[order] for tensor in scene.tensors))
@@ -242,12 +242,12 @@ def test_order_of_the_input_does_not_matter(scene: Scene, random: object) -> Non
 
 @settings(max_examples=25, deadline=None)
 @given(scenes, st.floats(0.1, 10.0))
-def test_length_of_quaternions_does_not_matter(scene: Scene, factor: float) -> None:
+def test_the_length_of_quaternions_does_not_change_the_picture(scene: Scene, factor: float) -> None:
     longer = draw(scene.changed(2, scene.tensors[2] * factor))
     assert (longer.image - draw(scene).image).abs().mean() < 1e-5
 
 
-def test_an_orthographic_picture_is_that_of_a_lens_far_away() -> None:
+def test_an_orthographic_picture_matches_a_very_long_lens() -> None:
     scene, away = random_scene(0, 250, 5, 37, 29), 1e7
     scene.intrinsics[:] = [[8.0, 0.0, 16.0], [0.0, 9.0, 17.0], [0.0, 0.0, 1.0]]
     ours = render_parallel(scene, "numba", scene.tensors)

@@ -40,7 +40,7 @@ def plane(depth: float, columns: np.ndarray) -> np.ndarray:
     return np.stack([x, y, z], 1)
 
 
-def test_surface_at_an_outline_lies_on_one_of_two_planes() -> None:
+def test_surface_depth_at_an_outline_lies_on_one_of_the_two_planes() -> None:
     """A plane ends in the middle of the view, half a metre wide, before a far one."""
     means = np.concatenate([plane(FRONT, np.arange(-1.0, 0, 0.1)), plane(BEHIND, np.linspace(-3, 3, 61))])
     drawn = draw(seen_straight(means, 0.08, 0.6, 60, 40))
@@ -64,7 +64,7 @@ def test_surface_at_an_outline_lies_on_one_of_two_planes() -> None:
         ([1.9, 4, 4.1, 4.15, 8], [0.3, 0.4, 0.4, 0.5, 0.9], (0.28 * 4 + 0.168 * 4.1 + 0.126 * 4.15) / 0.574),
     ],
 )  # fmt: skip
-def test_surface_of_layers_is_exact(depths: list[float], alphas: list[float], expected: float) -> None:
+def test_surface_depth_of_flat_layers_is_exact(depths: list[float], alphas: list[float], expected: float) -> None:
     """Each Gaussian is so wide that its alpha is the same in the whole picture."""
     means = np.array([[0.0, 0.0, depth] for depth in depths])
     scene = seen_straight(means, 50.0, alphas, 5, 3)
@@ -72,7 +72,7 @@ def test_surface_of_layers_is_exact(depths: list[float], alphas: list[float], ex
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_surface_matches_the_reference(name: str) -> None:
+def test_surface_depth_matches_the_reference(name: str) -> None:
     scene = SCENES[name]
     where = (scene.pose, scene.intrinsics, scene.width, scene.height)
     all_of_them = rasterize(*scene.tensors, *where, top_k=len(scene.tensors[0]), backend="reference")
@@ -89,7 +89,7 @@ def test_surface_matches_the_reference(name: str) -> None:
     torch.testing.assert_close(ours[steady].double(), expected[steady], rtol=1e-5, atol=1e-6)
 
 
-def test_rows_threads_and_a_device_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_surface_depth_is_equal_for_rows_threads_and_devices(monkeypatch: pytest.MonkeyPatch) -> None:
     scene, threads = SCENES["many labels"], torch.get_num_threads()
     whole = draw(scene).surface
     assert whole is not None

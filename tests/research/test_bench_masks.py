@@ -12,7 +12,7 @@ from tests.commands import exit_code
 from tests.tiny_scene import write_tiny_scene
 
 
-def test_pairs_are_read_by_their_points_and_compared_with_a_run(
+def test_bench_masks_compares_each_scene_and_masks_with_an_earlier_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene, file = tmp_path / "pairs/tiny/scene", tmp_path / "run.json"
@@ -41,7 +41,7 @@ def test_pairs_are_read_by_their_points_and_compared_with_a_run(
     assert exit_code(main, "bench", "masks", str(tmp_path / "pairs"), "--only", "nothing") == 2
 
 
-def test_the_pair_that_lost_most_comes_first() -> None:
+def test_bench_masks_lists_the_largest_loss_first() -> None:
     before = {"a x 160": (50.0, 40.0), "a x 200": (50.0, 40.0), "b x 160": (30.0, 20.0), "b x 200": (30.0, 20.0)}
     run = {"a x 160": (49.0, 41.0), "a x 200": (47.0, 41.0), "b x 160": (33.0, 20.0), "b x 200": (33.0, 20.0)}
     _, worst, best, mean = differences({**run, "b x 200": (33.0, 20.0)}, before)

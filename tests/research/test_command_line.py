@@ -30,7 +30,7 @@ def code_of(*arguments: str | Path) -> int:
 
 
 @pytest.mark.parametrize("command", [[], ["experiments"], ["bench"]])
-def test_help_imports_nothing_heavy(root: Path, command: list[str]) -> None:
+def test_research_help_imports_no_large_package(root: Path, command: list[str]) -> None:
     refuse_heavy_help(root, "research.command_line", command)
 
 
@@ -42,12 +42,12 @@ def test_research_runs_as_a_module(root: Path) -> None:
     assert said.returncode == 0 and "    3DGS\n" in said.stdout
 
 
-def test_wrong_arguments_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_research_refuses_wrong_arguments(capsys: pytest.CaptureFixture[str]) -> None:
     assert code_of("experiments", "--seeds", "0,one") == 2
     assert "'0,one' is not a list of whole numbers such as 0,1,2" in capsys.readouterr().err
 
 
-def test_ctrl_c_says_how_to_continue(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_in_research_says_what_next(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     def stopped(*_: object) -> None:
         signal.raise_signal(signal.SIGINT)
 
@@ -89,7 +89,7 @@ def profile(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return measured
 
 
-def test_every_part_of_a_step_is_measured(profile: dict[str, Any]) -> None:
+def test_bench_step_measures_every_part_of_a_training_step(profile: dict[str, Any]) -> None:
     facts = json.loads(json.dumps(profile))
     assert set(facts["parts_ms"]) == {
         "decode, forward", "decode, backward", "rasterise, forward", "rasterise, backward", "SSIM, L1, volume",
@@ -101,7 +101,7 @@ def test_every_part_of_a_step_is_measured(profile: dict[str, Any]) -> None:
     assert facts["step_ms"] == pytest.approx(sum(facts["parts_ms"].values()))
 
 
-def test_a_disturbed_step_is_left_out_and_parts_add_up() -> None:
+def test_bench_step_leaves_out_a_disturbed_step() -> None:
     steps = [{"one": 1.0 + k, "two": 2.0} for k in range(7)] + [{"one": 500.0, "two": 2.0}]
     parts = typical(steps)
     assert parts == pytest.approx({"one": 4500.0, "two": 2000.0})
@@ -117,7 +117,7 @@ def test_the_expected_error_is_the_gap_between_the_curve_and_the_diagonal() -> N
     assert r.error(r.reliability(probability[:0], right[:0])) == 0
 
 
-def test_the_table_and_the_diagram_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_research_reliability_writes_its_table_and_diagram(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pixels = np.array([[1.0] * 4, [0.75] * 4, [1, 1, 1, 0]], np.float32)
     monkeypatch.setattr(r, "pixels_of", lambda lift: pixels)
     pytest.importorskip("matplotlib")

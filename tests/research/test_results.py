@@ -9,13 +9,13 @@ from research import results
 from tests.research.experiments.made_up import KITCHEN, OFFICE
 
 
-def test_other_programs_read_the_csv() -> None:
+def test_other_programs_read_the_csv_of_results() -> None:
     rows = list(csv.DictReader(results.csv_text(OFFICE).splitlines()))
     assert [row["row"] for row in rows] == ["ours", "input masks", "theirs"]
     assert (rows[0]["miou"], rows[0]["steps"], rows[1]["psnr"]) == ("0.8", "500", "")
 
 
-def test_no_csv_cell_is_a_formula() -> None:
+def test_no_cell_of_the_results_csv_is_a_formula() -> None:
     text = results.csv_text([replace(KITCHEN, scene='=HYPERLINK("x")')])
     assert next(csv.DictReader(text.splitlines()))["scene"] == '\'=HYPERLINK("x")'
 
@@ -23,7 +23,7 @@ def test_no_csv_cell_is_a_formula() -> None:
 RENDERED = {"psnr": 20.0, "psnr_fitted": 22.0, "ssim": 0.5, "depth_error_m": 0.02}
 
 
-def test_both_modes_make_one_row() -> None:
+def test_scores_of_both_modes_make_one_row() -> None:
     followed = {"pq_frame": 0.25, "id_changes": 3}
     rows = results.scores_by_method(
         [
@@ -39,7 +39,7 @@ def test_both_modes_make_one_row() -> None:
     }
 
 
-def test_lifting_seconds_add_up_all_runs() -> None:
+def test_the_time_of_a_lift_adds_up_all_its_runs() -> None:
     """One run was killed while it trained, the next one finished, a third baked more frames."""
     written = (
         (100.0, "hello", {}),
@@ -58,7 +58,7 @@ def test_lifting_seconds_add_up_all_runs() -> None:
     assert results.lifting_seconds([]) is None
 
 
-def test_memory_and_frames_per_second_are_read() -> None:
+def test_results_contain_memory_and_frames_per_second() -> None:
     first, last = ({"name": "run", "values": values} for values in ({"peak_bytes": 3e9}, {"peak_bytes": 1e9, "fps": 2}))
     events = [Event(1, 0.0, "metric", first), Event(2, 1.0, "metric", {"name": "loss", "values": {}})]
     assert results.run_figures([*events, Event(3, 2.0, "metric", last)]) == {"peak_bytes": 3e9, "fps": 2.0}

@@ -153,7 +153,7 @@ BAD: list[tuple[str, str, Any, str]] = [
 
 
 @pytest.mark.parametrize(("name", "file", "change", "told"), BAD)
-def test_bad_files_give_one_line_errors(sample: Sample, name: str, file: str, change: Any, told: str) -> None:
+def test_bad_scene_files_give_one_line_errors(sample: Sample, name: str, file: str, change: Any, told: str) -> None:
     with changed(sample(name) / file, change):
         with raises_key(told) as caught:
             look_into(sample(name), name)
@@ -181,7 +181,7 @@ LEFT_OUT: list[tuple[str, str, Any, str]] = [
 
 
 @pytest.mark.parametrize(("name", "file", "change", "told"), LEFT_OUT)
-def test_incomplete_frame_is_left_out(sample: Sample, name: str, file: str, change: Any, told: str) -> None:
+def test_a_frame_with_a_missing_file_is_left_out(sample: Sample, name: str, file: str, change: Any, told: str) -> None:
     whole = {frame.name: frame.camera for frame in opened(sample(name), name).frames}
     with changed(sample(name) / file, change):
         scene = opened(sample(name), name)
@@ -208,7 +208,7 @@ UNREADABLE: list[tuple[str, str, Any, str]] = [
 
 
 @pytest.mark.parametrize(("name", "file", "change", "told"), UNREADABLE)
-def test_frame_of_broken_pixels_is_left_out(sample: Sample, name: str, file: str, change: Any, told: str) -> None:
+def test_a_frame_with_broken_pixels_is_left_out(sample: Sample, name: str, file: str, change: Any, told: str) -> None:
     with changed(sample(name) / file, change):
         scene = opened(sample(name), name)
         survey = survey_scene(scene)

@@ -207,10 +207,10 @@ EXPECTED = dict(
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_bad_input_gets_one_clear_line(name: str, folder: Path) -> None:
+def test_every_kind_of_bad_scene_gives_a_one_line_error(name: str, folder: Path) -> None:
     CASES[name](folder)
     assert line(folder) == EXPECTED[name]
 
 
-def test_the_unspoilt_scene_is_accepted(folder: Path) -> None:
+def test_a_good_scene_is_accepted(folder: Path) -> None:
     assert check_scene(open_scene(folder)) == ()

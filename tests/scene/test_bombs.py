@@ -53,7 +53,7 @@ def test_images_that_are_too_large_are_refused(tmp_path: Path, data: bytes) -> N
         decode_bytes(data, path, as_colour=True)
 
 
-def test_the_largest_real_photos_pass(tmp_path: Path) -> None:
+def test_the_largest_real_photos_are_accepted(tmp_path: Path) -> None:
     (tmp_path / "image.png").write_bytes(png(14204, 10652))  # of a medium format camera
     assert read_image_header(tmp_path / "image.png").size == (14204, 10652) and 14204 * 10652 <= MOST_PIXELS
 
@@ -67,7 +67,7 @@ JPEG_2000 = bytes.fromhex("0000000c6a5020200d0a870a00000014667479706a703220") + 
      b"RIFF\0\0\0\0WEBPVP8 " + bytes(60), b"P6 1 1 255\n\0\0\0", b"GIF89a" + bytes(60)],
     ids=["jp2", "j2k", "tiff", "bmp", "exr", "webp", "ppm", "gif"],
 )  # fmt: skip
-def test_only_png_and_jpeg_reach_a_decoder(tmp_path: Path, data: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_png_and_jpeg_files_are_decoded(tmp_path: Path, data: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     import cv2
 
     monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("it was decoded"))
@@ -79,7 +79,7 @@ PLAYLISTS = [b"#EXTM3U\n#EXTINF:1,\nhttp://127.0.0.1:9/x.ts\n", b"ffconcat versi
 
 
 @pytest.mark.parametrize("text", PLAYLISTS)
-def test_a_playlist_is_not_a_video(tmp_path: Path, text: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_playlist_file_is_not_opened_as_a_video(tmp_path: Path, text: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     import cv2
 
     monkeypatch.setattr(cv2, "VideoCapture", lambda *_: pytest.fail("it was opened"))
@@ -100,7 +100,7 @@ def packed(path: Path, **arrays: bytes) -> Path:
     return path
 
 
-def test_arrays_that_would_unpack_to_too_much(tmp_path: Path) -> None:
+def test_arrays_that_would_unpack_to_too_much_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "points.npz"
     np.savez_compressed(path, xyz=np.zeros((30_000_000, 3), np.float32))  # 350 kB on the disk, 360 MB in memory
     assert path.stat().st_size < 1 << 20
@@ -121,7 +121,7 @@ BAD_HEADERS = {
 
 
 @pytest.mark.parametrize("header", BAD_HEADERS.values(), ids=BAD_HEADERS)
-def test_headers_that_claim_missing_data(tmp_path: Path, header: str) -> None:
+def test_array_headers_that_claim_missing_data_are_refused(tmp_path: Path, header: str) -> None:
     (tmp_path / "depth.npy").write_bytes(npy(header, bytes(12)))
     packed(tmp_path / "points.npz", xyz=npy(header, bytes(12)))
     for refuse in (lambda: read_npy(tmp_path / "depth.npy", FIX), lambda: read_npz(tmp_path / "points.npz", FIX)):
@@ -131,7 +131,7 @@ def test_headers_that_claim_missing_data(tmp_path: Path, header: str) -> None:
 
 
 @pytest.mark.parametrize("damage", ["cut off", "rotten", "no zip", "empty"])
-def test_corruption_in_arrays_is_a_one_line_error(tmp_path: Path, damage: str) -> None:
+def test_a_corrupt_array_file_gives_a_one_line_error(tmp_path: Path, damage: str) -> None:
     path = tmp_path / "points.npz"
     np.savez_compressed(path, xyz=np.random.default_rng(0).random((100, 3)))
     data = path.read_bytes()
@@ -141,7 +141,7 @@ def test_corruption_in_arrays_is_a_one_line_error(tmp_path: Path, damage: str) -
         read_npz(path, FIX)
 
 
-def test_huge_json_is_refused(tmp_path: Path) -> None:
+def test_a_huge_json_file_is_refused(tmp_path: Path) -> None:
     with (tmp_path / "panoptic.json").open("wb") as file:
         file.truncate(1 << 40)
     for content in (None, b'{"a":' + b"[" * 200_000, b'{"a":' * 200_000):
@@ -157,7 +157,7 @@ def test_huge_json_is_refused(tmp_path: Path) -> None:
     ["color/0001.png", "depth/0001.png", "panoptic/0001.png", "pose/0001.txt", "panoptic.json", "splits.json",
      "intrinsic/intrinsic_color.txt"],
 )  # fmt: skip
-def test_a_fifo_in_a_scene_blocks_nothing(tmp_path: Path, name: str) -> None:
+def test_a_fifo_in_a_scene_does_not_block_its_reading(tmp_path: Path, name: str) -> None:
     scene = write_tiny_scene(tmp_path, frames=3, size=(16, 12))
     (scene / name).unlink(missing_ok=True)
     os.mkfifo(scene / name)

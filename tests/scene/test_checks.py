@@ -26,7 +26,7 @@ def test_frames_that_overlap_no_other_are_named(tmp_path: Path) -> None:
     assert "2 frames hardly overlap with any other: 0003, 0005" in check_scene(open_scene(folder))
 
 
-def test_opengl_poses_get_two_warnings(tmp_path: Path) -> None:
+def test_poses_in_opengl_convention_give_two_warnings(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=8)
     for path in (folder / "pose").iterdir():
         np.savetxt(path, np.loadtxt(path) @ np.diag([1.0, -1.0, -1.0, 1.0]))
@@ -35,7 +35,7 @@ def test_opengl_poses_get_two_warnings(tmp_path: Path) -> None:
     assert check_scene(scene)[0].startswith("frames disagree about where surfaces are")
 
 
-def test_progress_is_reported_and_may_end_the_check(tmp_path: Path) -> None:
+def test_checking_a_scene_reports_progress_and_can_be_stopped(tmp_path: Path) -> None:
     scene = open_scene(write_tiny_scene(tmp_path, frames=5, size=(32, 24)))
     seen: list[tuple[int, int]] = []
     check_scene(scene, progress=lambda done, total: seen.append((done, total)))
@@ -66,7 +66,7 @@ def in_16_bits(folder: Path, bits: int, names: str = "*") -> None:
         cv2.imwrite(str(path), np.concatenate([pixels, alpha], axis=-1) if "1" in path.stem else pixels)
 
 
-def test_12_bit_photos_are_reported_and_not_brightened(tmp_path: Path) -> None:
+def test_photos_of_12_bits_are_reported_and_not_brightened(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=5)
     before = open_scene(folder).frames[1].read_colour(None)
     in_16_bits(folder, 12)
@@ -84,14 +84,14 @@ def test_bit_depth_is_inferred_from_the_brightest_photo(tmp_path: Path, bits: in
 
 
 @pytest.mark.parametrize(("bits", "bits_of_one"), [(0, 0), (16, 12)], ids=["a covered lens", "a dark photo"])
-def test_dark_photos_reveal_no_bit_depth(tmp_path: Path, bits: int, bits_of_one: int) -> None:
+def test_the_bit_depth_of_dark_photos_is_not_guessed(tmp_path: Path, bits: int, bits_of_one: int) -> None:
     folder = write_tiny_scene(tmp_path, frames=5)
     in_16_bits(folder, bits)
     in_16_bits(folder, bits_of_one, "0002.png")
     assert check_scene(open_scene(folder)) == ()
 
 
-def test_sparse_depth_and_empty_masks_are_warnings(tmp_path: Path) -> None:
+def test_sparse_depth_and_empty_masks_give_warnings(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=5)
     depth = np.zeros((48, 64), np.uint16)
     depth[20:24, 30:34] = 1500
@@ -142,7 +142,7 @@ def test_half_of_the_frames_may_be_unreadable(tmp_path: Path, kind: str, damage:
         check_scene(open_scene(folder))
 
 
-def test_what_is_inferred_is_listed_once_with_its_reason(tmp_path: Path) -> None:
+def test_everything_inferred_about_a_scene_is_listed_with_its_reason(tmp_path: Path) -> None:
     report = describe(open_scene(write_tiny_scene(tmp_path, frames=5)))
     assert [each.about for each in report.inferred] == ["format", "split"]
     assert all(each.taken and each.reason and str(each) not in report.warnings for each in report.inferred)
@@ -153,7 +153,7 @@ def folder(tmp_path: Path) -> Path:
     return write_tiny_scene(tmp_path / "scene", frames=6)
 
 
-def test_nothing_is_left_to_measure_when_the_held_out_frames_lack_depth(folder: Path) -> None:
+def test_a_scene_whose_held_out_frames_lack_depth_gives_a_warning(folder: Path) -> None:
     (folder / "depth" / "0004.png").unlink()
     scene = open_scene(folder)
     assert not scene.test_frames and scene.warnings == (
@@ -166,7 +166,7 @@ def test_nothing_is_left_to_measure_when_the_held_out_frames_lack_depth(folder: 
 
 
 @pytest.mark.parametrize(("without", "told"), [("panoptic.json", "no-masks"), ("depth", "no-depth")])
-def test_scene_without_masks_opens_but_is_not_lifted(folder: Path, without: str, told: str) -> None:
+def test_a_scene_without_masks_opens_but_is_not_lifted(folder: Path, without: str, told: str) -> None:
     path = folder / without
     shutil.rmtree(path) if path.is_dir() else path.unlink()
     scene = open_scene(folder)
@@ -182,7 +182,7 @@ def test_scene_without_masks_opens_but_is_not_lifted(folder: Path, without: str,
         open_scene_to_lift(SceneSource(folder))
 
 
-def test_unknown_formats_and_layouts_are_answered_with_advice(folder: Path, tmp_path: Path) -> None:
+def test_unknown_scene_layouts_are_answered_with_advice(folder: Path, tmp_path: Path) -> None:
     refuses("unknown-format photos scannet", folder, scene_format="photos")
     (tmp_path / "photos").mkdir()
     assert len(refuses("no-format --format scannet", tmp_path / "photos").fix) < 400

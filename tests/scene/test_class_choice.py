@@ -37,12 +37,12 @@ def of_table(name: str) -> list[Colour]:
     ("name", "apart"),
     [("reduced", 17.6), ("nyu40", 15.6), ("replica", 7), ("coco", 6.3), ("ade20k", 5.9), ("scannet200", 7.6)],
 )
-def test_classes_of_public_tables_are_far_apart(name: str, apart: float) -> None:
+def test_colours_of_public_class_tables_are_far_apart(name: str, apart: float) -> None:
     """By CIEDE2000. Of the sample's 18 classes, the nearest two were 5.2 apart by their old colours."""
     assert nearest_pair(of_table(name))[0] > apart
 
 
-def test_made_up_classes_are_far_apart_too() -> None:
+def test_colours_of_users_own_classes_are_far_apart() -> None:
     for scene in range(5):
         colours = colours_of(*(f"part {scene} {number}" for number in range(40)))
         assert nearest_pair(list(colours.values()))[0] > 9.3
@@ -50,7 +50,7 @@ def test_made_up_classes_are_far_apart_too() -> None:
     assert len({*many.values()}) == len(PALETTE)
 
 
-def test_a_class_keeps_its_colour() -> None:
+def test_a_class_keeps_its_colour_when_classes_are_added() -> None:
     """Whatever its number is, which classes are beside it, and how it is written."""
     one = colours_of("wall", "floor", "books", "TV-stand", "flux capacitor")
     other = colours_of("flux capacitor", "books", "road, route", "Floor", "tv stand")
@@ -58,14 +58,14 @@ def test_a_class_keeps_its_colour() -> None:
     assert one["flux capacitor"] == other["flux capacitor"] and other["road, route"] == colours_of("road")["road"]
 
 
-def test_one_of_two_unknown_classes_gives_way_however_they_are_numbered() -> None:
+def test_colours_of_clashing_classes_do_not_depend_on_their_numbers() -> None:
     alone = {name: colours_of(name)[name] for name in (f"part {number}" for number in range(60))}
     one, other = next((a, b) for a in alone for b in alone if a < b and alone[a] == alone[b])
     both = colours_of(other, one)
     assert both == colours_of(one, other) and both[one] == alone[one] != both[other]
 
 
-def test_users_may_choose_colours(tmp_path: Path) -> None:
+def test_users_may_choose_the_colours_of_classes(tmp_path: Path) -> None:
     """In the masks' table, and in classes.toml, which wins; the panel's list keeps them."""
     rows = '[[class]]\nname = "chair"\ncolour = "#0A0b0C"\n[[class]]\nid = 3\ninto = "box"\ncolour = "#ffffff"\n'
     folder = scene_with(tmp_path, rows)
@@ -97,7 +97,7 @@ def classes_of(first: str, *rows: ClassRow, to_reduced: bool = False) -> list[in
     return [known.class_of[label.id] for label in labels]
 
 
-def test_names_that_differ_in_capitals_are_two_classes_that_can_be_joined() -> None:
+def test_class_names_that_differ_only_in_capitals_can_be_joined() -> None:
     assert classes_of("Chair") == [3, 7, 8]
     assert classes_of("Chair", ClassRow(name="Chair", into="chair")) == [7, 7, 8]
     into_chair = ClassRow(name="chair", into="Chair"), ClassRow(name="stool", into="CHAIR")
@@ -108,7 +108,7 @@ def test_names_that_differ_in_capitals_are_two_classes_that_can_be_joined() -> N
             classes_of("Chair", ClassRow(name=name, into=into))
 
 
-def test_classes_of_the_very_same_name_can_be_joined() -> None:
+def test_two_classes_of_the_same_name_can_be_joined() -> None:
     stool, joined = ClassRow(name="stool", into="chair"), ClassRow(id=3, into="chair")
     with raises_key("class-twice chair"):
         classes_of("chair", stool)
@@ -116,14 +116,14 @@ def test_classes_of_the_very_same_name_can_be_joined() -> None:
     assert classes_of("chair", joined, stool, to_reduced=True) == classes_of("chair", stool, to_reduced=True)
 
 
-def test_names_that_differ_in_case_are_reported(tmp_path: Path) -> None:
+def test_class_names_that_differ_only_in_capitals_are_reported(tmp_path: Path) -> None:
     scene = open_scene(scene_with(tmp_path / "a", '[[class]]\nid = 3\nname = "Chair"\n'))
     assert any("classes 3 Chair, 5 chair have names that differ only in capitals" in told for told in scene.warnings)
     scene = open_scene(scene_with(tmp_path / "b", '[[class]]\nid = 3\nname = "chair"\n'))
     assert any("3 chair, 5 chair have the same name" in told and "number" in told for told in scene.warnings)
 
 
-def test_the_user_decides_between_thing_and_stuff(tmp_path: Path) -> None:
+def test_classes_toml_decides_between_thing_and_stuff(tmp_path: Path) -> None:
     scene = open_scene(scene_with(tmp_path, '[[class]]\nname = "cabinet"\nthing = false\n'))
     assert scene.classes.thing_ids == {5}
     assert not any(one.is_thing for one in scene.frames[0].mask().segments if one.class_id == 3)
@@ -139,7 +139,7 @@ def test_the_papers_classes_are_found_by_name(tmp_path: Path) -> None:
     refuses("unplaced Tapete classes.toml", tmp_path)
 
 
-def test_a_list_of_classes_survives_a_round_trip(tmp_path: Path) -> None:
+def test_a_list_of_classes_is_read_back_as_written(tmp_path: Path) -> None:
     labels = known_table("nyu40").labels
     said = ClassRow(id=5, thing=False), ClassRow(name="sofa", into="chair"), ClassRow(id=39, into="void")
     choice = ClassChoice(rows=said)
@@ -154,7 +154,7 @@ def test_a_list_of_classes_survives_a_round_trip(tmp_path: Path) -> None:
     assert named_classes(labels, again) == rows
 
 
-def test_the_written_text_keeps_all_choices(tmp_path: Path) -> None:
+def test_a_written_classes_toml_keeps_all_choices(tmp_path: Path) -> None:
     rows = (ClassRow(id=3, name='a "b" \\ ü', thing=True), ClassRow(name="wall", into="floor"))
     choice = ClassChoice(tmp_path / "c.toml", "coco", True, frozenset({255, 7}), rows)
     (tmp_path / "c.toml").write_text(class_choice_text(choice), encoding="utf-8")
@@ -181,14 +181,14 @@ def test_the_written_text_keeps_all_choices(tmp_path: Path) -> None:
         ("[[class]]\nname = 'sofa'", "no-such-class sofa"),
     ],
 )
-def test_bad_files_give_one_line_errors(tmp_path: Path, text: str, told: str) -> None:
+def test_bad_classes_toml_files_give_one_line_errors(tmp_path: Path, text: str, told: str) -> None:
     folder = scene_with(tmp_path, text)
     with raises_key(f"{told} classes.toml") as caught:
         open_scene(folder)
     assert "\n" not in str(caught.value)
 
 
-def test_the_list_of_a_scene_is_edited_and_written(tmp_path: Path) -> None:
+def test_the_class_list_of_a_scene_is_edited_and_written(tmp_path: Path) -> None:
     folder = scene_with(tmp_path, "void = [9]\n")
     source, edited = SceneSource(folder), tmp_path / "edited.json"
     listed = list_classes(source)
@@ -207,7 +207,7 @@ def test_the_list_of_a_scene_is_edited_and_written(tmp_path: Path) -> None:
             write_class_list(source, edited)
 
 
-def test_table_can_be_named_if_files_name_none(tmp_path: Path) -> None:
+def test_a_class_table_can_be_named_if_files_name_none(tmp_path: Path) -> None:
     write_pairs(tmp_path, ("semantic", "instance"))
     source, edited = SceneSource(tmp_path), tmp_path / "edited.json"
     with raises_key("no-class-names"):

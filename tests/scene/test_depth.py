@@ -20,7 +20,7 @@ from tests.tiny_scene import tiny_intrinsics, tiny_pose, trace_view, write_tiny_
 
 @pytest.mark.parametrize("none", [0, 65535])
 @pytest.mark.parametrize("channels", [1, 3])
-def test_no_depth_stays_none_at_any_size(tmp_path: Path, none: int, channels: int) -> None:
+def test_missing_depth_stays_missing_at_any_size(tmp_path: Path, none: int, channels: int) -> None:
     """The largest value was 65.5 m: a wall of points around the room. Three equal channels are depth, too."""
     folder = write_tiny_scene(tmp_path, frames=5)
     depth = np.full((48, 64, channels), 2000, np.uint16)
@@ -30,7 +30,7 @@ def test_no_depth_stays_none_at_any_size(tmp_path: Path, none: int, channels: in
     assert {*np.unique(read).tolist()} == {0.0, 2.0}, "holes must not be mixed with depth"
 
 
-def test_depth_of_another_size_fits_the_colour(tmp_path: Path) -> None:
+def test_depth_of_another_size_is_fitted_to_the_colour_picture(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=5, size=(64, 48), depth_size=(32, 24))
     frame = open_scene(folder).frames[2]
     assert frame.read_depth(None).shape == (24, 32)
@@ -42,7 +42,7 @@ def test_depth_of_another_size_fits_the_colour(tmp_path: Path) -> None:
     assert all(off < np.median(np.abs(np.roll(enlarged, shift, axis=0) - traced)) for shift in (-2, -1, 1, 2))
 
 
-def test_a_depth_lens_of_its_own_is_honoured(tmp_path: Path) -> None:
+def test_a_separate_depth_lens_is_used(tmp_path: Path) -> None:
     size = (64, 48)
     folder = write_tiny_scene(tmp_path, frames=5, size=size)
     lens = tiny_intrinsics(size)
@@ -62,7 +62,7 @@ def test_a_depth_lens_of_its_own_is_honoured(tmp_path: Path) -> None:
     assert (read > 0).all(), "a wider depth lens covers the colour picture"
 
 
-def test_the_same_lens_in_other_digits_changes_nothing(tmp_path: Path) -> None:
+def test_a_depth_lens_equal_but_for_rounding_changes_nothing(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=5, depth_size=(32, 24))
     before = open_scene(folder).frames[1].read_depth((64, 48))
     lens = tiny_intrinsics((32, 24))
@@ -86,7 +86,7 @@ POINTS = 60
 
 
 @pytest.mark.parametrize("inverse", [False, True])
-def test_scale_and_shift_come_back_through_noise_and_wrong_points(inverse: bool) -> None:
+def test_scale_and_shift_of_depth_are_found_despite_noise(inverse: bool) -> None:
     random = np.random.default_rng(5)
     depths = random.uniform(0.8, 6.0, 300)
     noisy = depths * (1.0 + 0.01 * random.standard_normal(300))
@@ -125,7 +125,7 @@ def write_colmap(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("kind", ["npy", "png", "three equal channels"])
-def test_a_networks_maps_are_fitted_to_colmaps_points(tmp_path: Path, kind: str) -> None:
+def test_a_networks_depth_maps_are_fitted_to_colmaps_points(tmp_path: Path, kind: str) -> None:
     """Inverse depth as floats, of another size than the pictures; or depth in steps of its own."""
     write_colmap(tmp_path / "scene")
     (tmp_path / "maps").mkdir()
@@ -147,7 +147,7 @@ def test_a_networks_maps_are_fitted_to_colmaps_points(tmp_path: Path, kind: str)
         assert (depth > 0.0).mean() > 0.99 and np.median(off) < 0.01 and np.quantile(off, 0.9) < 0.03
 
 
-def test_missing_and_wrong_maps_give_one_line_errors(tmp_path: Path) -> None:
+def test_missing_or_wrong_depth_maps_give_one_line_errors(tmp_path: Path) -> None:
     write_colmap(tmp_path / "scene")
     (tmp_path / "maps").mkdir()
     for i in range(2):
@@ -167,7 +167,7 @@ def test_missing_and_wrong_maps_give_one_line_errors(tmp_path: Path) -> None:
     np.testing.assert_array_equal(metric.frames[0].depth(), np.ones((48, 64), np.float32))
 
 
-def test_an_8_bit_map_is_fitted_or_refused_and_never_read_as_millimetres(tmp_path: Path) -> None:
+def test_an_8_bit_depth_map_is_never_read_as_millimetres(tmp_path: Path) -> None:
     """Depth Anything's run.py --grayscale: inverse depth from 0 to 255 in three equal channels."""
     write_colmap(tmp_path / "scene")
     (tmp_path / "maps").mkdir()
@@ -210,7 +210,7 @@ slanting = st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.just(1.0))
 
 @settings(max_examples=40, deadline=None)
 @given(slanting, st.floats(0.5, 6), st.integers(2, 30), st.integers(2, 30), st.integers(1, 15), st.integers(1, 15))
-def test_a_hole_in_a_plane_is_filled(
+def test_a_depth_hole_in_a_plane_is_filled(
     normal: tuple[float, float, float], metres: float, top: int, left: int, height: int, width: int
 ) -> None:
     true = plane(normal, metres)
@@ -220,7 +220,7 @@ def test_a_hole_in_a_plane_is_filled(
     np.testing.assert_allclose(filled, true, rtol=1e-3)
 
 
-def test_noise_and_a_few_outliers_do_not_move_a_filled_hole() -> None:
+def test_noise_and_outliers_do_not_move_a_filled_depth_hole() -> None:
     true = plane((0.2, 0.3, 1.0), 3.0)
     depth = measured(true, noise=0.005)
     flying = np.random.default_rng(1).random(depth.shape) < 0.04
@@ -229,21 +229,21 @@ def test_noise_and_a_few_outliers_do_not_move_a_filled_hole() -> None:
     np.testing.assert_allclose(filled[HOLE], true[HOLE], rtol=0.01)
 
 
-def test_a_hole_between_two_depths_stays() -> None:
+def test_a_depth_hole_between_two_depths_is_not_filled() -> None:
     """A gap between a chair and the wall far behind it: no plane goes through both."""
     true = np.where(np.arange(WIDTH) < 32, 1.5, 4.0) * np.ones((HEIGHT, 1))
     depth = measured(true, hole=(slice(10, 30), slice(26, 38)))
     np.testing.assert_array_equal(fill_holes(depth, ONE_SEGMENT), depth)
 
 
-def test_a_hole_ends_where_its_segment_does() -> None:
+def test_depth_holes_are_filled_only_within_their_segment() -> None:
     """Half of the hole is the wall's, half a near box's: each is filled from its own ring."""
     segments = np.where(np.arange(WIDTH) < 32, WALL, SCREEN).astype(np.int32) * np.ones((HEIGHT, 1), np.int32)
     true = np.where(segments == WALL, FLOOR, 1.0)
     np.testing.assert_allclose(fill_holes(measured(true), segments), true, rtol=1e-3)
 
 
-def test_a_segment_without_depth_takes_that_of_its_surroundings() -> None:
+def test_a_segment_without_depth_takes_depth_of_its_surroundings() -> None:
     """A screen on a wall: black, so the sensor sees nothing of it."""
     segments = ONE_SEGMENT.copy()
     segments[HOLE] = SCREEN
@@ -251,7 +251,7 @@ def test_a_segment_without_depth_takes_that_of_its_surroundings() -> None:
     np.testing.assert_allclose(fill_holes(measured(true), segments), true, rtol=1e-3)
 
 
-def test_a_hole_without_surroundings_stays() -> None:
+def test_a_depth_hole_without_surroundings_is_not_filled() -> None:
     depth = np.zeros((HEIGHT, WIDTH), np.float32)
     assert not fill_holes(depth, ONE_SEGMENT).any()
     depth[20, 20:25] = 2.0  # too few to say what plane it is
@@ -260,7 +260,7 @@ def test_a_hole_without_surroundings_stays() -> None:
     np.testing.assert_array_equal(fill_holes(whole, ONE_SEGMENT), whole)
 
 
-def test_a_plane_is_not_carried_far_beyond_what_was_measured() -> None:
+def test_depth_holes_are_not_filled_far_from_measured_depth() -> None:
     """The upper half of the picture, towards the horizon of a floor."""
     rows = slice(0, 24)
     focal = WIDTH / 2 / np.tan(np.radians(30))
@@ -275,7 +275,7 @@ def test_a_plane_is_not_carried_far_beyond_what_was_measured() -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0, 0.9))
-def test_measured_pixels_never_change(seed: int, share: float) -> None:
+def test_filling_depth_holes_changes_no_measured_pixel(seed: int, share: float) -> None:
     random = np.random.default_rng(seed)
     segments = np.kron(random.integers(0, 3, (4, 4)), np.ones((8, 8))).astype(np.int32)
     depth = random.uniform(0.5, 4, 4)[random.integers(0, 4, (4, 4))].repeat(8, 0).repeat(8, 1).astype(np.float32)
@@ -291,7 +291,7 @@ def test_measured_pixels_never_change(seed: int, share: float) -> None:
         assert filled.max() <= STRETCH * known.max() * 1.001
 
 
-def test_thousands_of_specks_are_filled_at_once() -> None:
+def test_thousands_of_small_depth_holes_are_filled() -> None:
     """With the mean around them: near, if not exact."""
     true = plane((0.1, 0.1, 1.0), 3.0)
     depth = measured(true)

@@ -34,18 +34,18 @@ def names(scene: Scene) -> list[int]:
     return [int(each.name) for each in scene.train_frames]
 
 
-def test_a_short_recording_is_used_whole() -> None:
+def test_every_frame_of_a_short_recording_is_used() -> None:
     scene = scene_of([frame(number, 0.1 * number) for number in range(10)])
     assert choose_frames(scene, 10) is scene
 
 
-def test_the_sharpest_frame_of_each_window_is_taken() -> None:
+def test_the_sharpest_of_neighbouring_frames_is_chosen() -> None:
     scene = scene_of([frame(number, 0.1 * number, sharp=number % 3 == 1) for number in range(30)])
     assert names(choose_frames(scene, 10)) == list(range(1, 30, 3))
     assert photo_detail(PICTURE) > 2 * photo_detail(BLURRED)
 
 
-def test_frames_held_out_stay_and_order_is_kept() -> None:
+def test_choosing_frames_keeps_held_out_frames_and_order() -> None:
     scene = scene_of([frame(number, 0.1 * number, held_out=number % 5 == 2) for number in range(40)])
     told: list[tuple[int, int]] = []
     chosen = choose_frames(scene, 8, lambda done, total: told.append((done, total)))
@@ -55,7 +55,7 @@ def test_frames_held_out_stay_and_order_is_kept() -> None:
 
 
 @pytest.mark.parametrize("turns", [True, False], ids=["turning", "going"])
-def test_more_frames_are_used_where_the_camera_moves_more(turns: bool) -> None:
+def test_more_frames_are_chosen_where_the_camera_moves_more(turns: bool) -> None:
     frames = [frame(number, 0.0) for number in range(100)]
     for number in range(100):
         moved = 2.0 * number
@@ -65,7 +65,7 @@ def test_more_frames_are_used_where_the_camera_moves_more(turns: bool) -> None:
     assert moving > 2 * still > 10
 
 
-def test_a_jump_of_the_tracker_does_not_swallow_the_windows() -> None:
+def test_a_jump_in_the_poses_does_not_distort_the_choice_of_frames() -> None:
     frames = [frame(number, 0.1 * number + (1000.0 if number >= 50 else 0.0)) for number in range(100)]
     assert len(windows(frames, 20)) >= 18
 
@@ -76,7 +76,7 @@ def deep(number: int, place: float, *, sharp: bool = True, held_out: bool = Fals
     return replace(frame(number, place, sharp=sharp, held_out=held_out), read_depth=seen)
 
 
-def test_masks_are_wanted_where_each_surface_is_seen_five_times() -> None:
+def test_frames_to_segment_see_every_surface_five_times() -> None:
     """Forty frames that stand at two places see as much as ten sharp ones; a place that few see needs all of them."""
     frames = [deep(number, 10.0 * (number % 2), sharp=number % 4 < 2) for number in range(40)]
     frames += [deep(number, 30.0, sharp=False) for number in range(40, 43)]
@@ -88,6 +88,6 @@ def test_masks_are_wanted_where_each_surface_is_seen_five_times() -> None:
     assert len(chosen - trained) == round(20 * 13 / 43)
 
 
-def test_without_depth_masks_are_wanted_everywhere() -> None:
+def test_without_depth_masks_are_made_for_all_frames() -> None:
     scene = scene_of([frame(number, 0.0) for number in range(20)])
     assert frames_to_mask(scene) == scene.frames

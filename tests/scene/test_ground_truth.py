@@ -54,12 +54,12 @@ def check(folder: Path, before: list[np.ndarray], without: tuple[int, ...] = ())
         (RAW, "scannet:1-1357"),
     ],
 )
-def test_numbers_of_a_table_that_nobody_named_are_refused(folder: Path, numbers: dict[int, int], table: str) -> None:
+def test_ground_truth_in_numbers_of_no_table_is_refused(folder: Path, numbers: dict[int, int], table: str) -> None:
     renumber(folder, numbers, 255 if numbers is ADE else 0)
     refuses(f"truth-numbers {table} Write", folder)
 
 
-def test_truth_that_no_table_explains_is_reported(folder: Path) -> None:
+def test_ground_truth_that_fits_no_class_table_is_reported(folder: Path) -> None:
     renumber(folder, {1: 150, 2: 151, 3: 152, 5: 153, 13: 154})
     (warning,) = [one for one in open_scene(folder).warnings if "ground truth" in one]
     assert "numbers are read as class ids of the masks: 0% of the pixels agree" in warning
@@ -75,7 +75,7 @@ def test_truth_that_no_table_explains_is_reported(folder: Path) -> None:
         ("", "semantic_scannet", RAW, ""),
     ],
 )
-def test_a_named_table_is_used(folder: Path, text: str, name: str, numbers: dict[int, int], told: str) -> None:
+def test_named_truth_table_is_used(folder: Path, text: str, name: str, numbers: dict[int, int], told: str) -> None:
     before = renumber(folder, numbers, 255 if numbers is ADE else 0)
     if text:
         (folder / "gt" / "classes.toml").write_text(text)
@@ -84,7 +84,7 @@ def test_a_named_table_is_used(folder: Path, text: str, name: str, numbers: dict
     assert [told in one for one in warnings] == [True] * bool(told)
 
 
-def test_a_truth_of_another_table_than_its_folder_says_is_refused(folder: Path) -> None:
+def test_ground_truth_that_contradicts_its_table_is_refused(folder: Path) -> None:
     renumber(folder, NYU13)
     (folder / "gt" / "semantic").rename(folder / "gt" / "semantic_nyu40")
     refuses("other-numbers ground truth's nyu13:1-13 nyu40 Write", folder)
@@ -98,7 +98,7 @@ def semantic(scene: Scene, position: int = 1) -> np.ndarray:
     return truth.semantic
 
 
-def test_classes_and_instances_are_read_at_any_size(folder: Path) -> None:
+def test_ground_truth_is_read_at_any_size(folder: Path) -> None:
     reader = open_scene(folder).frames[1].read_ground_truth
     assert reader is not None
     own, small = reader(None), reader((16, 12))
@@ -109,7 +109,7 @@ def test_classes_and_instances_are_read_at_any_size(folder: Path) -> None:
     np.testing.assert_array_equal(small.semantic, own.semantic[1::2, 1::2])
 
 
-def test_panoptic_liftings_folders_come_first(folder: Path) -> None:
+def test_ground_truth_folders_of_panoptic_lifting_are_preferred(folder: Path) -> None:
     for index in range(3):
         for kind in ("semantics", "instance"):
             (folder / f"rs_{kind}").mkdir(exist_ok=True)
@@ -117,7 +117,7 @@ def test_panoptic_liftings_folders_come_first(folder: Path) -> None:
     assert (semantic(open_scene(folder)) == 2).all(), "floor is 2 in both tables"
 
 
-def test_a_file_may_name_the_table(folder: Path) -> None:
+def test_a_file_may_name_the_class_table_of_ground_truth(folder: Path) -> None:
     numbers = np.full(14, 255, np.uint8)
     numbers[[1, 2, 3, 5]] = 131, 122, 120, 56  # COCO's
     before = semantic(open_scene(folder))
@@ -140,7 +140,7 @@ def test_a_file_may_name_the_table(folder: Path) -> None:
         ("cityscapes", "ade20k", {"road": "road", "sky": "sky", "rider": None}),
     ],
 )
-def test_classes_of_another_table_are_matched_by_name(truth: str, masks: str, expected: dict[str, str | None]) -> None:
+def test_ground_truth_is_matched_by_class_name(truth: str, masks: str, expected: dict[str, str | None]) -> None:
     classes = class_map(known_table(masks).labels, None, Path(), objects=False).classes
     names = {label.id: label.name for label in known_table(truth).labels}
     found = classes_by_name(names, classes)
@@ -149,7 +149,7 @@ def test_classes_of_another_table_are_matched_by_name(truth: str, masks: str, ex
     assert told == expected
 
 
-def test_a_true_class_is_matched_by_its_exact_name(folder: Path) -> None:
+def test_ground_truth_classes_are_matched_by_their_exact_names(folder: Path) -> None:
     wall = open_scene(folder).classes[1]
     classes = ClassTable((wall, replace(wall, id=2, name="Wall")))
     assert classes_by_name({8: "Wall", 9: "wall", 10: "WALL"}, classes) == {8: 2, 9: 1, 10: 1}
@@ -165,7 +165,7 @@ def test_frames_may_lack_ground_truth(folder: Path) -> None:
     assert not any(frame.read_ground_truth for frame in scene.frames) and "ground truth" not in str(scene.warnings)
 
 
-def test_views_do_not_depend_on_ground_truth(folder: Path) -> None:
+def test_views_can_be_read_without_ground_truth(folder: Path) -> None:
     before = [load_view(frame) for frame in open_scene(folder).frames]
     shutil.rmtree(folder / "gt")
     for one, frame in zip(before, open_scene(folder).frames, strict=True):

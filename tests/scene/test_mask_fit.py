@@ -56,7 +56,7 @@ def thinned(scene: Path) -> Path:
         (thinned, lambda n: f"mask_{n + 1}"),
     ],
 )
-def test_renumbered_masks_are_found(
+def test_masks_numbered_differently_from_frames_are_found(
     tmp_path: Path, change: Callable[[Path], Path], rename: Callable[[int], str]
 ) -> None:
     usual = open_scene(write_tiny_scene(tmp_path / "usual", frames=14, size=SIZE, ground_truth=False))
@@ -67,7 +67,7 @@ def test_renumbered_masks_are_found(
         np.testing.assert_array_equal(frame.mask().ids, right.mask().ids)
 
 
-def test_missing_mask_shifts_no_other(tmp_path: Path) -> None:
+def test_a_missing_mask_does_not_shift_the_others(tmp_path: Path) -> None:
     scene = write_tiny_scene(tmp_path, frames=8, size=SIZE, ground_truth=False)
     opened = open_scene(renamed(scene, lambda n: f"{n:04d}" if n else "0008"))  # frame 0 was masked last, as 8
     assert [frame.name for frame in opened.frames] == [f"{n:04d}" for n in range(1, 8)]
@@ -82,7 +82,7 @@ def tagged(path: Path, orientation: int) -> None:
 
 
 @pytest.mark.parametrize(("orientation", "turns"), [(3, 2), (6, -1), (8, 1)])
-def test_masks_of_photos_rotated_by_exif_are_turned(tmp_path: Path, orientation: int, turns: int) -> None:
+def test_masks_of_photos_with_exif_rotation_are_turned_to_fit(tmp_path: Path, orientation: int, turns: int) -> None:
     """The network's reader turned the photos; poses and depth are of the stored pixels."""
     scene = write_tiny_scene(tmp_path, frames=6, size=SIZE, ground_truth=False, colour_format="jpg")
     right = [frame.mask().ids for frame in open_scene(scene).frames]
@@ -115,7 +115,7 @@ def source(ids: list[np.ndarray]) -> MaskSource:
 
 
 @pytest.mark.parametrize("as_taken", [True, False])
-def test_masks_of_photos_as_taken_are_straightened(as_taken: bool) -> None:
+def test_masks_of_distorted_photos_are_undistorted(as_taken: bool) -> None:
     taken = [look_bent(view, ROOM, BEND.bent).colour for view in views()]
     straight = [look(view, ROOM).colour for view in views()]
     scene_lens = Camera(ROOM.width, ROOM.height, ROOM.fx, ROOM.fy, ROOM.cx, ROOM.cy, np.eye(4))
@@ -136,7 +136,7 @@ def test_masks_of_photos_as_taken_are_straightened(as_taken: bool) -> None:
 
 @pytest.mark.parametrize("height", [118, 104, 90])
 @pytest.mark.parametrize("is_centred", [True, False])
-def test_the_borders_of_a_network_are_cut_off(height: int, is_centred: bool) -> None:
+def test_borders_that_a_network_padded_are_cut_off_masks(height: int, is_centred: bool) -> None:
     """A picture of 160 x ``height`` in a square of 320, or in the next multiple of 32; objects that touch its edges."""
     whole = np.zeros((height, 160), np.int32)
     whole[: height // 3, 20:70], whole[-height // 4 :, 90:150] = 1, 2
@@ -158,7 +158,7 @@ def test_the_borders_of_a_network_are_cut_off(height: int, is_centred: bool) -> 
 
 
 @pytest.mark.parametrize(("folder", "white"), [("keep", 255), ("masks", 255), ("masks", 1)])
-def test_pictures_of_counting_pixels_are_not_classes(tmp_path: Path, folder: str, white: int) -> None:
+def test_confidence_pictures_are_not_taken_for_class_masks(tmp_path: Path, folder: str, white: int) -> None:
     """As mask_path says, or by their values alone."""
     write_scene(tmp_path)
     table = tmp_path / "transforms.json"
@@ -182,7 +182,7 @@ def test_pictures_of_counting_pixels_are_not_classes(tmp_path: Path, folder: str
         np.testing.assert_array_equal(marked, kept == 0)
 
 
-def test_the_split_and_the_bad_frames_come_from_a_file(tmp_path: Path) -> None:
+def test_transforms_json_names_the_split_and_the_bad_frames(tmp_path: Path) -> None:
     write_scene(tmp_path)
     table = tmp_path / "transforms.json"
     content = json.loads(table.read_text())
@@ -216,7 +216,7 @@ def test_the_split_and_the_bad_frames_come_from_a_file(tmp_path: Path) -> None:
         (lambda depth: depth / 2, False),
     ],
 )
-def test_maps_of_a_tabletop_in_metres_differ_from_fractions(
+def test_depth_of_a_tabletop_in_metres_is_not_taken_for_relative(
     tmp_path: Path, values: Callable[[np.ndarray], np.ndarray], is_metric: bool
 ) -> None:
     """A room shrunk to a fifth: all of its depths are below 1 m."""
@@ -243,7 +243,7 @@ def test_maps_of_a_tabletop_in_metres_differ_from_fractions(
     ("name", "first"),
     [("{}_raw_depth_meter.npy", 8), ("{}_pred.npy", 8), ("{}.npz", 8), ("{}_pred.npy", 9), ("{}.npy", 0)],
 )
-def test_maps_are_paired_and_straightened_as_they_fit(tmp_path: Path, as_taken: bool, name: str, first: int) -> None:
+def test_depth_maps_are_paired_and_undistorted_to_fit(tmp_path: Path, as_taken: bool, name: str, first: int) -> None:
     """Maps of photos as taken, or of straightened ones, in several files and numbers."""
     write_scene(tmp_path, depth=False, k1=-0.25, k2=0.06)
     for i, view in enumerate(views()):

@@ -95,7 +95,7 @@ def test_a_mesh_turned_inside_out_is_reported(
 @pytest.mark.parametrize(
     ("turn", "told"), [(1000.0 * POSES, "from millimetres"), (Y_UP, "x, -z, y"), (0.01 * POSES, "to centim")]
 )
-def test_a_mesh_with_other_axes_is_refused_with_those_that_fit(
+def test_a_mesh_with_other_axes_is_refused_with_advice_which_fit(
     turn: np.ndarray, told: str, surface: open3d.geometry.TriangleMesh, tmp_path: Path
 ) -> None:
     small = surface.simplify_vertex_clustering(0.1)
@@ -104,7 +104,7 @@ def test_a_mesh_with_other_axes_is_refused_with_those_that_fit(
     assert told in raised.value.fix
 
 
-def test_another_room_is_refused(tmp_path: Path) -> None:
+def test_a_mesh_of_another_room_is_refused(tmp_path: Path) -> None:
     box = open3d.geometry.TriangleMesh.create_box(2.0, 2.0, 2.0)
     for at in ((50.0, 0.0, 0.0), (-1.0, -1.0, 0.5)):
         path = write(box.translate(at, relative=False), tmp_path / "room.ply")
@@ -112,7 +112,7 @@ def test_another_room_is_refused(tmp_path: Path) -> None:
             open_scene(ROOM, depth=path)
 
 
-def test_files_that_are_no_mesh_give_a_one_line_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_files_without_a_mesh_give_a_one_line_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name, content in (("a.glb", b"glTF\2\0\0\0"), ("b.ply", b"ply\n"), ("c.obj", b"v 0 0 0\n"), ("d.ply", b"")):
         (tmp_path / name).write_bytes(content)
         assert main(["inspect", str(ROOM), "--depth", str(tmp_path / name)]) == 2
@@ -125,7 +125,7 @@ def test_files_that_are_no_mesh_give_a_one_line_error(tmp_path: Path, capsys: py
         open_scene(ROOM, depth=endless)
 
 
-def test_a_slanted_floor_has_no_outlines_and_a_box_on_it_has() -> None:
+def test_mesh_outlines_are_found_on_a_box_but_not_on_the_floor() -> None:
     rows, columns = np.mgrid[0:60, 0:80]
     floor = (1.0 / (0.05 + 0.01 * rows)).astype(np.float32)
     assert not outlines(floor).any()

@@ -60,7 +60,7 @@ def write_labels(folder: Path, numbers: Mapping[int, int], void: int = 255) -> l
         ("scannet", NYU40, "other-numbers nyu40:1-40 scannet --classes scannet:1-1357"),
     ],
 )
-def test_numbers_of_another_table_than_named_are_refused(
+def test_mask_numbers_that_contradict_the_named_table_are_refused(
     tmp_path: Path, classes: str, numbers: dict[int, int], told: str
 ) -> None:
     write_labels(tmp_path, numbers, void=0)
@@ -92,7 +92,7 @@ def warned(folder: Path, classes: str) -> list[str]:
         ("cityscapes", in_table("cityscapes", TRAFFIC), 255, TRAFFIC, "", ""),
     ],
 )  # fmt: skip
-def test_numbering_is_recognised_named_or_assumed_with_a_warning(
+def test_an_assumed_class_numbering_gives_a_warning(
     tmp_path: Path, classes: str, numbers: dict[int, int], void: int, names: dict[int, str], read_as: str, told: str
 ) -> None:
     truths = write_labels(tmp_path, numbers, void)
@@ -114,7 +114,7 @@ def test_numbering_is_recognised_named_or_assumed_with_a_warning(
         ("scannet200", ADE_DATA | {1: 1, 2: 4, 3: 2}, 0, "ade20k:1-150"),
     ],
 )
-def test_a_doubtful_table_gives_a_warning(
+def test_a_doubtful_class_table_gives_a_warning(
     tmp_path: Path, classes: str, numbers: dict[int, int], void: int, look_like: str
 ) -> None:
     write_labels(tmp_path, numbers, void)
@@ -123,7 +123,7 @@ def test_a_doubtful_table_gives_a_warning(
     assert not [one for one in warned(tmp_path, look_like) if "but look like" in one]
 
 
-def test_sky_distinguishes_a_street_from_a_room(tmp_path: Path) -> None:
+def test_the_place_of_sky_tells_street_classes_from_room_classes(tmp_path: Path) -> None:
     """A building, the sky and trees in ADE20K have the numbers of a wall, a floor and a bed in NYU40."""
     masks, _ = write_masked_frames(tmp_path)
     street = np.repeat(np.array([2, 1, 4], np.uint8), (24, 12, 12))[:, None].repeat(64, 1)
@@ -134,7 +134,7 @@ def test_sky_distinguishes_a_street_from_a_room(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("turns", [1, 3])
-def test_sideways_street_is_not_taken_for_a_room(tmp_path: Path, turns: int) -> None:
+def test_masks_of_a_street_on_its_side_are_not_taken_for_a_room(tmp_path: Path, turns: int) -> None:
     """As phones held upright record it. With one more, these numbers are a wall, a floor and a ceiling."""
     masks, _ = write_masked_frames(tmp_path)
     street = np.rot90(np.repeat(np.array([2, 1, 4, 6], np.uint8), 16)[:, None].repeat(48, 1), turns)
@@ -145,7 +145,7 @@ def test_sideways_street_is_not_taken_for_a_room(tmp_path: Path, turns: int) -> 
     assert shown == {"sky", "building", "tree", "road"}
 
 
-def test_a_file_of_classes_names_the_numbering_and_messages_advise_it(tmp_path: Path) -> None:
+def test_classes_toml_can_name_the_numbering_of_the_masks(tmp_path: Path) -> None:
     truths = write_labels(tmp_path, ADE_DATA, void=0)
     (tmp_path / "masks" / "classes.toml").write_text('table = "ade20k:1-150"\n')
     check_on_room(open_scene(tmp_path), truths, NAMES | {0: ""}, frozenset())
@@ -160,7 +160,7 @@ def apart(class_id: int) -> int:
     return COCO_NUMBERS[class_id] - (0 if class_id == 5 else 79)
 
 
-def test_detectron2s_separate_stuff_is_recognised_by_the_table(tmp_path: Path) -> None:
+def test_separate_stuff_numbers_of_detectron2_are_recognised(tmp_path: Path) -> None:
     """No number is both a thing's and stuff's: the wall is 52, a hot dog; the floor 43, a knife."""
     truths = write_detectron2(tmp_path, {class_id: apart(class_id) for class_id in COCO_NUMBERS}, {5})
     names, chairs = COCO_NAMES | {0: ""}, frozenset({"chair"})
@@ -175,7 +175,7 @@ def test_detectron2s_separate_stuff_is_recognised_by_the_table(tmp_path: Path) -
     check_on_room(open_scene(tmp_path), truths, names | {2: "floor"}, chairs)
 
 
-def test_a_table_that_contradicts_things_is_refused_or_overruled(tmp_path: Path) -> None:
+def test_a_table_that_contradicts_the_masks_things_is_refused(tmp_path: Path) -> None:
     """Of Cityscapes' numbers, 13 is a car; the files say it is stuff."""
     numbers = {1: 13, 2: 0, 3: 1, 5: 11, 13: 10}
     truths = write_detectron2(tmp_path, numbers, {5})
@@ -186,6 +186,6 @@ def test_a_table_that_contradicts_things_is_refused_or_overruled(tmp_path: Path)
     check_on_room(open_scene(tmp_path), truths, names, frozenset({"person"}))
 
 
-def test_a_list_starts_with_the_numbers_that_the_masks_have(tmp_path: Path) -> None:
+def test_a_class_list_starts_with_the_numbers_in_the_masks(tmp_path: Path) -> None:
     write_labels(tmp_path, ADE_DATA, void=0)
     assert list_classes(SceneSource(tmp_path), "ade20k").rows[0].label == 1

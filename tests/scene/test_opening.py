@@ -22,7 +22,7 @@ from tests.scene.samples import OPTIONS, WRITERS, opened
 from tests.tiny_scene import tiny_intrinsics, tiny_pose, trace_view, write_tiny_scene
 
 
-def test_a_scene_comes_back_as_it_was_written(tmp_path: Path) -> None:
+def test_a_scene_is_read_back_as_it_was_written(tmp_path: Path) -> None:
     scene = open_scene(write_tiny_scene(tmp_path, frames=6))
     assert [frame.name for frame in scene.frames] == [f"{i:04d}" for i in range(6)]
     assert [frame.name for frame in scene.test_frames] == ["0004"] and len(scene.train_frames) == 5
@@ -34,7 +34,7 @@ def test_a_scene_comes_back_as_it_was_written(tmp_path: Path) -> None:
         np.testing.assert_array_equal(frame.read_colour(None), trace_view(tiny_pose(index, 6), K, (64, 48)).colour)
 
 
-def test_frames_whose_names_differ_in_case_are_reported(tmp_path: Path) -> None:
+def test_frames_whose_names_differ_only_in_capitals_are_reported(tmp_path: Path) -> None:
     """Their passes are files of these names, and many disks keep one of the two."""
     folder = write_tiny_scene(tmp_path, frames=5)
     for path in [*folder.glob("color/000[12].*"), *folder.glob("depth/000[12].*"), *folder.glob("pose/000[12].*")]:
@@ -43,7 +43,7 @@ def test_frames_whose_names_differ_in_case_are_reported(tmp_path: Path) -> None:
     assert sum("frames View_A, view_a have names that differ only in capitals" in told for told in warnings) == 1
 
 
-def test_a_view_has_one_size(tmp_path: Path) -> None:
+def test_colour_depth_and_mask_of_a_view_have_one_size(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=5, depth_size=(32, 24), mask_size=(128, 96))
     frame = open_scene(folder).frames[0]
     assert frame.size == (64, 48) and frame.read_mask(None).ids.shape == (96, 128)
@@ -56,7 +56,7 @@ def test_a_view_has_one_size(tmp_path: Path) -> None:
     assert check_scene(open_scene(folder)) == ()
 
 
-def test_splits_choose_the_frames_and_only_those_need_files(tmp_path: Path) -> None:
+def test_only_frames_listed_in_the_split_need_files(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=6, splits={"train": ["0001", "0002"], "test": ["0005"]})
     (folder / "depth" / "0000.png").unlink()
     (folder / "panoptic" / "0003.png").unlink()
@@ -67,7 +67,7 @@ def test_splits_choose_the_frames_and_only_those_need_files(tmp_path: Path) -> N
     check_scene(scene)
 
 
-def test_one_intrinsic_is_scaled_to_frames_of_another_size(tmp_path: Path) -> None:
+def test_one_intrinsic_matrix_is_scaled_to_frames_of_other_sizes(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=6)
     large = trace_view(tiny_pose(0, 6), tiny_intrinsics((128, 96)), (128, 96))
     cv2.imwrite(str(folder / "color" / "0000.png"), large.colour[..., ::-1])
@@ -103,7 +103,7 @@ def test_a_frame_may_have_intrinsics_and_a_shape_of_its_own(tmp_path: Path) -> N
     np.testing.assert_allclose(open_scene(folder).frames[3].camera.K, tiny_intrinsics((64, 48)), rtol=1e-12)
 
 
-def test_an_orientation_tag_does_not_turn_the_picture(tmp_path: Path) -> None:
+def test_an_exif_orientation_tag_does_not_turn_the_picture(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=5, colour_format="jpg")
     path = folder / "color" / "0000.jpg"
     before = open_scene(folder).frames[0].read_colour(None)
@@ -116,7 +116,7 @@ def test_an_orientation_tag_does_not_turn_the_picture(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("file", ["panoptic.json", "splits.json"])
-def test_a_byte_order_mark_is_harmless(tmp_path: Path, file: str) -> None:
+def test_a_byte_order_mark_in_a_text_file_is_ignored(tmp_path: Path, file: str) -> None:
     names = [f"{i:04d}" for i in range(5)]
     folder = write_tiny_scene(tmp_path, frames=5, splits={"train": names[:4], "test": names[4:]})
     (folder / file).write_bytes(b"\xef\xbb\xbf" + json.dumps(json.loads((folder / file).read_text())).encode())
@@ -130,7 +130,7 @@ def report(folder: Path, name: str) -> tuple[object, ...]:
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_files_left_by_macos_and_windows_are_ignored(name: str, tmp_path: Path) -> None:
+def test_hidden_files_of_macos_and_windows_are_ignored(name: str, tmp_path: Path) -> None:
     """Each file has a twin ._NAME of other bytes, and each folder has .DS_Store and Thumbs.db."""
     WRITERS[name](tmp_path)
     before = report(tmp_path, name)
@@ -144,7 +144,7 @@ def test_files_left_by_macos_and_windows_are_ignored(name: str, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_opening_reports_progress_and_stops_when_asked(
+def test_opening_a_scene_reports_progress_and_can_be_stopped(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(progress, "REPORT_EVERY_S", 0.0)
@@ -179,13 +179,13 @@ def write_labels(folder: Path, rename: Callable[[str], str]) -> list[Truth]:
 @pytest.mark.parametrize(
     "name", ["{}.png", "{}.PNG", "{}.jpg.png", "{}_pred.png", "mask-{}.png", "room_{}_gtFine_labelIds.png"]
 )
-def test_what_a_program_adds_to_all_names_is_left_out(tmp_path: Path, name: str) -> None:
+def test_a_suffix_common_to_all_mask_names_is_ignored(tmp_path: Path, name: str) -> None:
     truths = write_labels(tmp_path, name.format)
     (tmp_path / "masks" / "legend.png").write_bytes((tmp_path / "masks" / name.format("0000")).read_bytes())
     check_on_room(open_scene(tmp_path, classes="reduced", mask_format="palette"), truths, things=frozenset())
 
 
-def test_names_of_macos_are_those_of_other_systems(tmp_path: Path) -> None:
+def test_decomposed_unicode_file_names_match_composed_ones(tmp_path: Path) -> None:
     """ü as u and two dots, and as one letter, in files, in splits.json and in COCO's table."""
     write_tiny_scene(tmp_path, frames=6, splits={"train": ["0000", "0001", "0002", "0003"], "test": ["0004", "0005"]})
     table = tmp_path / "panoptic.json"
@@ -223,7 +223,7 @@ CAMERAS = [("front", "back"), ("0", "1")]
 
 
 @pytest.mark.parametrize("cameras", CAMERAS)
-def test_masks_of_a_rig_lie_in_a_folder_for_each_camera(tmp_path: Path, cameras: tuple[str, str]) -> None:
+def test_masks_of_a_camera_rig_are_found_in_one_folder_per_camera(tmp_path: Path, cameras: tuple[str, str]) -> None:
     write_rig(tmp_path, cameras, labels_of)
     scene = open_scene(tmp_path, classes="nyu40:1-40")
     assert len(scene.frames) == 6

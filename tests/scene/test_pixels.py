@@ -19,7 +19,7 @@ def numbered(size: tuple[int, int]) -> np.ndarray:
 
 
 @given(sizes, sizes)
-def test_nearest_takes_the_pixel_that_the_centre_falls_in(size: tuple[int, int], target: tuple[int, int]) -> None:
+def test_nearest_resizing_takes_the_pixel_under_the_centre(size: tuple[int, int], target: tuple[int, int]) -> None:
     resized = resize_nearest(numbered(size), target)
     assert resized.shape == target[::-1]
     for i, j in ((0, 0), (target[0] - 1, target[1] - 1), (target[0] // 2, target[1] // 2)):
@@ -28,7 +28,7 @@ def test_nearest_takes_the_pixel_that_the_centre_falls_in(size: tuple[int, int],
         assert resized[j, i] == row * size[0] + column
 
 
-def test_colour_is_averaged_when_shrunk_and_stays_in_place_when_enlarged() -> None:
+def test_resized_colour_is_averaged_and_stays_in_place() -> None:
     pixels = np.zeros((4, 6, 3), np.uint8)
     pixels[:2, :2] = 200
     small = resize_colour(pixels, (3, 2))
@@ -37,7 +37,7 @@ def test_colour_is_averaged_when_shrunk_and_stays_in_place_when_enlarged() -> No
     assert abs(int(large[6, 20:40].mean()) - 116) <= 2
 
 
-def test_an_image_with_valid_chunks_and_no_pixels_is_refused(tmp_path: Path) -> None:
+def test_a_png_without_pixels_is_refused(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "image.png"), np.zeros((4, 4), np.uint8))
     data = (tmp_path / "image.png").read_bytes()
     start = data.index(b"IDAT") - 4
@@ -49,7 +49,7 @@ def test_an_image_with_valid_chunks_and_no_pixels_is_refused(tmp_path: Path) -> 
 CLASSES = ClassTable((Category(1, "wall", False, (200, 180, 160)), Category(7, "chair", True, (20, 90, 200))))
 
 
-def test_near_is_light_far_is_dark_and_none_is_grey() -> None:
+def test_depth_pictures_show_near_light_far_dark_and_none_grey() -> None:
     depth = np.tile(np.linspace(1.05, 1.95, 100, dtype=np.float32), (4, 1))
     depth[0] = 0.0
     drawn = depth_colours(depth)
@@ -59,7 +59,7 @@ def test_near_is_light_far_is_dark_and_none_is_grey() -> None:
     assert 1.049 < drawn.near < 1.1 and 1.9 < drawn.far < 1.951
 
 
-def test_a_line_is_drawn_at_each_whole_metre() -> None:
+def test_depth_pictures_have_a_line_at_each_metre() -> None:
     depth = np.tile(np.linspace(0.55, 3.45, 59, dtype=np.float32), (3, 1))  # steps of 5 cm
     brightness = depth_colours(depth).rgb[1].astype(int).sum(-1)
     dips = [i for i in range(1, 58) if brightness[i] < 0.7 * brightness[i + 1]]
@@ -67,12 +67,12 @@ def test_a_line_is_drawn_at_each_whole_metre() -> None:
 
 
 @pytest.mark.parametrize("metres", [0.0, 2.0])
-def test_no_depth_and_one_depth_all_over_are_one_colour(metres: float) -> None:
+def test_depth_pictures_without_any_difference_are_one_colour(metres: float) -> None:
     drawn = depth_colours(np.full((4, 4), metres, np.float32))
     assert drawn.near == drawn.far == metres and len(np.unique(drawn.rgb.reshape(-1, 3), axis=0)) == 1
 
 
-def test_masks_in_their_classes_colours_with_borders() -> None:
+def test_mask_pictures_show_class_colours_with_borders() -> None:
     ids = np.zeros((6, 8), np.int32)
     ids[:, 2:5], ids[:, 5:] = 3, 9
     mask = PanopticMask(ids, (Segment(3, 1, False), Segment(9, 7, True)))

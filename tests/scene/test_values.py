@@ -38,12 +38,12 @@ def disc(radius: int = 40, value: int = 255) -> np.ndarray:
         (soft(disc()) / 255).astype(np.float16),
     ],
 )  # fmt: skip
-def test_an_object_is_where_its_mask_is_nearer_to_white(values: np.ndarray) -> None:
+def test_soft_object_masks_are_cut_at_half_of_white(values: np.ndarray) -> None:
     assert (inside(values, Path()) == (disc() > 0)).mean() > 0.99
     assert not inside(np.zeros_like(values), Path()).any()
 
 
-def test_ids_are_not_the_mask_of_one_object() -> None:
+def test_a_picture_of_ids_is_not_taken_for_one_objects_mask() -> None:
     ids = disc(value=2)
     ids[:30] = 1
     ids[90:] = 3
@@ -52,7 +52,7 @@ def test_ids_are_not_the_mask_of_one_object() -> None:
     assert not inside(soft(disc(6, 90)), Path()).any()  # the edge of something that is hardly there
 
 
-def test_ids_that_a_filter_mixed_are_refused(tmp_path: Path) -> None:
+def test_mask_ids_blended_by_a_resize_are_refused(tmp_path: Path) -> None:
     masks, truths = write_masked_frames(tmp_path)
     for truth in truths:
         ids = cv2.resize(truth.semantic.astype(np.uint8), (256, 192), interpolation=cv2.INTER_NEAREST)
@@ -88,7 +88,7 @@ def tracks_on(scene: Scene, truths: list[Truth]) -> dict[int, set[int | None]]:
     return found
 
 
-def test_an_object_keeps_its_colour_where_palettes_differ(tmp_path: Path) -> None:
+def test_an_object_keeps_its_id_where_palettes_differ(tmp_path: Path) -> None:
     scene, truths = write_palettes(tmp_path, "instance")
     opened = open_scene(scene, mask_format="sam2")
     assert any("by its colour" in warning for warning in opened.warnings)
@@ -96,12 +96,12 @@ def test_an_object_keeps_its_colour_where_palettes_differ(tmp_path: Path) -> Non
     assert [len(each) for each in found.values()] == [1, 1] and found[1] != found[2]
 
 
-def test_classes_whose_palettes_differ_are_refused(tmp_path: Path) -> None:
+def test_class_masks_whose_palettes_differ_are_refused(tmp_path: Path) -> None:
     scene, _ = write_palettes(tmp_path, "semantic")
     refuses("palettes-differ", scene, mask_format="palette", classes="nyu40")
 
 
-def test_ids_in_equal_channels_are_ids(tmp_path: Path) -> None:
+def test_ids_repeated_in_three_equal_channels_are_read(tmp_path: Path) -> None:
     masks, truths = write_masked_frames(tmp_path)
     for truth in truths:
         cv2.imwrite(str(masks / f"{truth.name}.png"), np.stack([truth.semantic] * 3, -1))
@@ -109,7 +109,7 @@ def test_ids_in_equal_channels_are_ids(tmp_path: Path) -> None:
     np.testing.assert_array_equal(mask.class_map(), truths[1].semantic)
 
 
-def test_soft_bytes_of_detections(tmp_path: Path) -> None:
+def test_soft_detection_masks_are_cut_at_half(tmp_path: Path) -> None:
     masks, truths = write_masked_frames(tmp_path)
     chairs = [cv2.resize((truth.instance == 1) * np.uint8(255), (256, 192), interpolation=0) for truth in truths]
     for truth, chair in zip(truths, chairs, strict=True):

@@ -44,7 +44,7 @@ def undistorted(picture: Picture, bend: float) -> tuple[Picture, Mask]:
 
 
 @pytest.mark.parametrize("bend", [-0.1, 0.1])
-def test_the_border_of_an_undistorted_photo_is_found(bend: float) -> None:
+def test_the_black_border_of_an_undistorted_photo_is_found(bend: float) -> None:
     """Barrel distortion leaves bows along the sides, pincushion distortion wedges in the corners."""
     photo, unseen = undistorted(room(), bend)
     assert 0.02 < unseen.mean() < 0.1
@@ -55,7 +55,7 @@ def test_the_border_of_an_undistorted_photo_is_found(bend: float) -> None:
 
 
 @pytest.mark.parametrize("thick", [1, 24])
-def test_a_straight_bar_and_its_soft_edge_are_border(thick: int) -> None:
+def test_a_straight_black_bar_counts_as_border(thick: int) -> None:
     for turns in range(4):
         photo, expected = room(), np.zeros((HEIGHT, WIDTH), bool)
         np.rot90(photo, turns)[:thick] = 0
@@ -96,7 +96,7 @@ DARK = {
 
 
 @pytest.mark.parametrize("picture", DARK)
-def test_dark_things_are_not_a_border(picture: str) -> None:
+def test_dark_objects_are_not_taken_for_a_black_border(picture: str) -> None:
     assert not border_mask(DARK[picture]()).any()
 
 
@@ -128,7 +128,7 @@ def test_black_borders_are_found_at_any_size(folder: Path, size: tuple[int, int]
     assert not border[thick + SEAM : -thick - SEAM].any()
 
 
-def test_sizes_keep_their_aspect_and_never_grow() -> None:
+def test_training_sizes_keep_the_aspect_and_are_never_enlarged() -> None:
     assert size_within((640, 480), (320, 320)) == (320, 240)
     assert size_within((480, 640), (320, 320)) == (240, 320)
     assert size_within((100, 50), (320, 320)) == (100, 50)
@@ -142,7 +142,7 @@ FRAMES = [
 ]
 
 
-def test_no_more_is_read_than_a_few_frames_ahead() -> None:
+def test_frames_are_read_only_a_few_ahead() -> None:
     begun: list[str] = []
 
     def read(frame: Frame) -> str:
@@ -156,7 +156,7 @@ def test_no_more_is_read_than_a_few_frames_ahead() -> None:
     assert len(begun) <= 2 * READERS + 1
 
 
-def test_a_bad_frame_is_reported_when_it_is_reached() -> None:
+def test_a_bad_frame_is_reported_when_reading_reaches_it() -> None:
     def read(frame: Frame) -> str:
         if frame.name == "7":
             raise PlgsError("made-up", "it is bad", frame.colour_path, "Mend it.")
@@ -168,12 +168,12 @@ def test_a_bad_frame_is_reported_when_it_is_reached() -> None:
         next(reading)
 
 
-def test_frames_of_one_file_are_read_by_one_thread() -> None:
+def test_frames_in_one_file_are_read_by_one_thread() -> None:
     frames = [replace(frame, file_shows_colour=False) for frame in FRAMES]
     assert set(read_ahead(frames, lambda frame: threading.get_ident())) == {threading.get_ident()}
 
 
-def test_a_view_sees_what_its_own_depth_shows(folder: Path) -> None:
+def test_a_view_sees_points_at_the_depth_it_shows(folder: Path) -> None:
     """Places on the rays of some pixels: at the depth there, 4 cm and 6 cm beside it where 2 % of it is less, behind
     the camera, and one where there is no depth."""
     view = load_view(open_scene(folder).frames[0])
@@ -189,7 +189,7 @@ def test_a_view_sees_what_its_own_depth_shows(folder: Path) -> None:
     assert [*number] == [0, 1] and [*rows] == [10, 60] and [*columns] == [20, 100]
 
 
-def test_views_come_back_as_they_were(tmp_path: Path) -> None:
+def test_views_are_read_back_as_stored(tmp_path: Path) -> None:
     scene = open_scene(write_tiny_scene(tmp_path / "scene", frames=3, size=(32, 24)))
     views = [load_view(frame) for frame in scene.frames]
     views[1] = replace(views[1], border=views[1].depth > 2.0)
@@ -204,7 +204,7 @@ def test_views_come_back_as_they_were(tmp_path: Path) -> None:
     assert there[1].border is not None and (there[1].border == views[1].border).all()
 
 
-def test_the_resolution_is_that_of_the_masks_whatever_size_they_are_read_at(tmp_path) -> None:
+def test_a_views_resolution_is_that_of_its_stored_masks(tmp_path) -> None:
     frame = open_scene(write_tiny_scene(tmp_path / "scene", frames=2)).train_frames[0]
     whole, half = load_view(frame), load_view(frame, (frame.size[0] // 2, frame.size[1] // 2))
     assert (whole.mask_scale, half.mask_scale) == (1.0, 2.0)

@@ -79,7 +79,7 @@ def model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return folder
 
 
-def test_a_family_makes_masks_through_the_command(
+def test_engine_segment_makes_masks_with_each_family_of_networks(
     model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = write_tiny_scene(tmp_path / "scene", frames=3, size=(64, 48), ground_truth=False, masks="none")
@@ -90,7 +90,7 @@ def test_a_family_makes_masks_through_the_command(
     assert "licence" in json.loads((folder / "panoptic" / "made_by.json").read_text())
 
 
-def test_a_family_sees_the_whole_picture_and_only_it(model: Path) -> None:
+def test_mask_networks_see_exactly_the_whole_picture(model: Path) -> None:
     """A picture that is wide or high fills the masks: what a processor pads is cut off."""
     network = load_model(str(model), download=False)
     for shape in ((48, 96, 3), (96, 48, 3)):
@@ -111,7 +111,7 @@ def test_a_family_sees_the_whole_picture_and_only_it(model: Path) -> None:
         {"image_std": None},
     ],
 )  # fmt: skip
-def test_settings_that_no_picture_can_be_prepared_with_are_the_models(
+def test_unusable_preprocessor_settings_are_reported_as_the_models_fault(
     settings: dict[str, object], tmp_path: Path
 ) -> None:
     save_rf_detr(tmp_path)
@@ -120,7 +120,7 @@ def test_settings_that_no_picture_can_be_prepared_with_are_the_models(
         load_model(str(tmp_path), download=False)
 
 
-def test_another_kind_of_network_is_refused(tmp_path: Path) -> None:
+def test_a_network_that_makes_no_masks_is_refused(tmp_path: Path) -> None:
     from safetensors.torch import save_file
 
     (tmp_path / "config.json").write_text(json.dumps({"model_type": "bert", "id2label": {"0": "chair"}}))
@@ -129,7 +129,7 @@ def test_another_kind_of_network_is_refused(tmp_path: Path) -> None:
         load_model(str(tmp_path), download=False)
 
 
-def test_a_second_round_fills_what_the_first_left() -> None:
+def test_a_second_round_of_segmentation_fills_empty_pixels() -> None:
     """Three queries: a sure one on the left, an unsure one on the right, and an unsure one over the sure one."""
     scores = torch.tensor([0.9, 0.4, 0.3])
     logits = torch.full((3, 3), -torch.inf)

@@ -48,7 +48,7 @@ def begun(folder: Path, model: str = "halves") -> Job:
     return begin_job(folder, model, open_scene(folder).frames)
 
 
-def test_made_masks_are_found_as_the_scenes_own(folder: Path) -> None:
+def test_masks_made_by_segment_are_found_with_the_scene(folder: Path) -> None:
     network = Halves()
     make_masks(open_scene(folder), begun(folder), network, silent)
     scene = open_scene(folder)
@@ -69,7 +69,7 @@ def test_made_masks_are_found_as_the_scenes_own(folder: Path) -> None:
     assert not [*(folder / "panoptic").glob("*.json")][1:], "made_by.json alone is left"
 
 
-def test_stopped_job_continues(folder: Path) -> None:
+def test_a_stopped_segment_run_continues(folder: Path) -> None:
     def stop(done: int, frames: int, made: int) -> None:
         if done == 2:
             raise KeyboardInterrupt
@@ -85,7 +85,7 @@ def test_stopped_job_continues(folder: Path) -> None:
     assert open_scene(folder).has_masks
 
 
-def test_other_masks_are_never_overwritten(folder: Path) -> None:
+def test_segment_never_overwrites_other_masks(folder: Path) -> None:
     make_masks(open_scene(folder), begun(folder), Halves(), silent)
     with raises_key("other-masks halves"):
         begun(folder, "another")
@@ -97,7 +97,7 @@ def test_other_masks_are_never_overwritten(folder: Path) -> None:
         assert [path.name for path in other.iterdir()] == [name]
 
 
-def test_masks_of_other_photos_are_not_finished_already(folder: Path) -> None:
+def test_segment_makes_masks_again_for_changed_photos(folder: Path) -> None:
     """Their number alone was looked at."""
     job = begun(folder)
     make_masks(open_scene(folder), job, Halves(), silent)
@@ -110,9 +110,7 @@ def test_masks_of_other_photos_are_not_finished_already(folder: Path) -> None:
     assert begun(folder).is_finished
 
 
-def test_finished_masks_in_a_folder_that_cannot_be_written_to_are_finished(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_segment_accepts_finished_masks_in_a_read_only_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     make_masks(open_scene(folder), begun(folder), Halves(), silent)
     monkeypatch.setattr(os, "access", lambda path, mode: False)  # as on a read-only share; root may write anywhere
     assert begun(folder).is_finished
@@ -121,7 +119,7 @@ def test_finished_masks_in_a_folder_that_cannot_be_written_to_are_finished(
         begun(folder)
 
 
-def test_a_damaged_frame_is_named(folder: Path) -> None:
+def test_segment_names_a_damaged_frame(folder: Path) -> None:
     def stop(done: int, frames: int, made: int) -> None:
         if done == 3:
             raise KeyboardInterrupt
@@ -133,7 +131,7 @@ def test_a_damaged_frame_is_named(folder: Path) -> None:
         make_masks(open_scene(folder), begun(folder), Halves(), silent)
 
 
-def test_an_empty_job_leaves_nothing_behind(folder: Path) -> None:
+def test_segment_without_frames_leaves_no_files(folder: Path) -> None:
     before = sorted(folder.iterdir())
     begun(folder).discard_if_empty()
     assert sorted(folder.iterdir()) == before
@@ -158,7 +156,7 @@ def strips(*parts: slice) -> torch.Tensor:
     return masks
 
 
-def test_stuff_is_fused_and_things_are_not() -> None:
+def test_segment_joins_stuff_regions_but_not_things() -> None:
     shares = [(0.8, 0.1, 0.1), (0.1, 0.9, 0.0001), (0.6, 0.2, 0.2), (0.1, 0.7, 0.2)]
     ids, found = merge_queries(logits(*shares), strips(slice(0, 2), slice(2, 4), slice(4, 6), slice(6, 8)), STUFF)
     assert ids.dtype == np.int32 and ids[0].tolist() == [1, 1, 2, 2, 1, 1, 3, 3, 0, 0]
@@ -166,18 +164,18 @@ def test_stuff_is_fused_and_things_are_not() -> None:
     np.testing.assert_allclose([one.score for one in found], [0.7, 0.9 / 1.0001, 0.7], rtol=1e-5)
 
 
-def test_hidden_segments_are_dropped() -> None:
+def test_segments_hidden_by_others_are_dropped() -> None:
     """Of the second chair only 2 of 4 columns are its own: too little."""
     ids, found = merge_queries(logits((0.1, 0.8, 0.1), (0.1, 0.7, 0.2)), strips(slice(0, 4), slice(2, 6)), STUFF)
     assert ids[0].tolist() == [1, 1, 1, 1, 0, 0, 0, 0, 0, 0] and len(found) == 1
 
 
-def test_empty_and_uncertain_queries_are_not_segments() -> None:
+def test_empty_or_uncertain_network_outputs_make_no_segment() -> None:
     ids, found = merge_queries(logits((0.1, 0.1, 0.8), (0.4, 0.35, 0.25)), strips(slice(0, 4), slice(4, 9)), STUFF)
     assert not ids.any() and found == []
 
 
-def test_weak_queries_are_kept_beside_the_masks() -> None:
+def test_uncertain_network_outputs_are_kept_as_detections() -> None:
     shares = logits((0.15, 0.05, 0.8), (0.05, 0.04, 0.91), (0.1, 0.85, 0.05))
     masks = strips(slice(0, 6), slice(0, 2), slice(4, 8))
     found = detections_of(shares, masks)

@@ -37,7 +37,7 @@ def folder(tmp_path: Path) -> Path:
     return write_tiny_scene(tmp_path / "scene", frames=3, size=(64, 48), ground_truth=False, masks="none")
 
 
-def test_a_model_is_loaded_from_a_folder(model: Path) -> None:
+def test_a_mask_network_is_loaded_from_a_folder(model: Path) -> None:
     network = load_model(str(model), download=False)
     assert [label.name for label in network.labels] == NAMES
     assert [label.is_thing for label in network.labels] == [False, False, True, True]
@@ -49,17 +49,17 @@ def test_a_model_is_loaded_from_a_folder(model: Path) -> None:
     np.testing.assert_array_equal(ids, again)
 
 
-def test_large_pictures_have_smaller_masks_of_the_same_shape(model: Path) -> None:
+def test_masks_of_large_pictures_are_smaller_with_the_same_aspect(model: Path) -> None:
     ids, *_ = load_model(str(model), download=False).segment(np.zeros((1000, 2000, 3), np.uint8))
     assert ids.shape == (640, 1280)
 
 
-def test_nothing_is_downloaded_without_consent() -> None:
+def test_no_network_is_downloaded_without_consent() -> None:
     with raises_key("not-downloaded nobody/no-such-model --download"):
         load_model("nobody/no-such-model", download=False)
 
 
-def test_a_silent_hub_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unreachable_hugging_face_hub_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     def model_info(_hub: object, name: str, *, revision: str | None, timeout: float) -> None:
         raise TimeoutError(f"{name} at {revision} after {timeout} s")
 
@@ -69,7 +69,7 @@ def test_a_silent_hub_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None
     assert "does not answer" in str(silent.value)
 
 
-def test_the_default_network_is_one_revision(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_default_network_is_pinned_to_one_revision(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
 
     def model_info(_hub: object, name: str, *, revision: str | None, timeout: float) -> None:
@@ -83,7 +83,7 @@ def test_the_default_network_is_one_revision(monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.parametrize(("name", "told"), [("nowhere", "no-model"), ("tests", "no-model")])
-def test_a_missing_model_gives_a_one_line_error(name: str, told: str) -> None:
+def test_a_missing_network_gives_a_one_line_error(name: str, told: str) -> None:
     with raises_key(told):
         load_model(name, download=False)
 
@@ -133,7 +133,7 @@ BROKEN: dict[str, tuple[str, Callable[[Path], object]]] = {
 
 
 @pytest.mark.parametrize(("told", "spoil"), BROKEN.values(), ids=BROKEN)
-def test_a_broken_network_is_refused(
+def test_a_network_with_broken_files_is_refused(
     told: str, spoil: Callable[[Path], object], model: Path, folder: Path, tmp_path: Path
 ) -> None:
     shutil.copytree(model, tmp_path / "broken")
@@ -158,7 +158,7 @@ def test_a_broken_network_is_refused(
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("inside", [False, True])
-def test_settings_that_make_endless_work_are_refused_and_others_not(
+def test_network_settings_that_mean_endless_work_are_refused(
     settings: dict[str, object], is_vast: bool, inside: bool, tmp_path: Path
 ) -> None:
     (tmp_path / "config.json").write_text(json.dumps({"backbone_config": settings} if inside else settings))
@@ -178,13 +178,13 @@ def test_settings_that_make_endless_work_are_refused_and_others_not(
     ids=repr,
 )
 @pytest.mark.parametrize("runs", [False, True])
-def test_lack_of_memory_is_not_laid_on_the_model(error: Exception, runs: bool) -> None:
+def test_lack_of_memory_is_not_reported_as_a_bad_network(error: Exception, runs: bool) -> None:
     with pytest.raises(type(error)) as raised, loading("tiny", runs=runs):
         raise error
     assert raised.value is error
 
 
-def test_a_defect_of_ours_is_not_laid_on_the_model(model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_internal_error_is_not_reported_as_a_bad_network(model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     network = load_model(str(model), download=False)
     picture = np.zeros((48, 80, 3), np.uint8)
     with raises_key("model-unusable"):  # by torch's own line
@@ -194,14 +194,14 @@ def test_a_defect_of_ours_is_not_laid_on_the_model(model: Path, monkeypatch: pyt
         network.segment(picture)
 
 
-def test_an_index_of_parts_in_its_folder_is_read(model: Path, tmp_path: Path) -> None:
+def test_network_weights_split_into_several_files_are_read(model: Path, tmp_path: Path) -> None:
     shutil.copytree(model, tmp_path / "parts")
     with_index(tmp_path / "parts", "part.safetensors")
     assert load_model(str(tmp_path / "parts"), download=False).labels
 
 
 @pytest.mark.parametrize("revision", ["", "@" + 40 * "a"])
-def test_garbled_weights_are_refused(
+def test_a_network_with_garbled_weights_is_refused(
     revision: str, model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As the hub's cache has them: a link in a snapshot to a file that is called by its digest."""

@@ -22,7 +22,7 @@ def everything(views: list) -> list[np.ndarray]:
     return [view.mask.ids > 0 for view in views]
 
 
-def test_rejected_pixels_give_geometry_without_a_label() -> None:
+def test_pixels_with_rejected_labels_still_give_points() -> None:
     views = [wall_view("a", 0.0)]
     keep = [square(0, 1, slice(0, 20), slice(0, 30)).astype(bool)]
     cloud = build_point_cloud(views, keep, CLASS_IDS, OPTIONS)
@@ -30,14 +30,14 @@ def test_rejected_pixels_give_geometry_without_a_label() -> None:
     assert (cloud.class_id[right] == WALL).all() and (cloud.class_id[cloud.xyz[:, 0] < -0.3] == 0).all()
 
 
-def test_point_without_majority_is_unknown_and_ties_go_to_the_lower_id() -> None:
+def test_a_point_without_a_majority_label_is_unknown() -> None:
     votes = np.array([[4.0, 3.0, 3.0], [2.0, 2.0, 0.0], [0.0, 0.0, 0.0], [0.0, 1.0, 9.0]])
     class_id, share = majority_vote(votes, (3, 5, 9), 0.5)
     assert class_id.tolist() == [0, 3, 0, 9]
     np.testing.assert_allclose(share, [0.4, 0.5, 0.0, 0.9], rtol=1e-6)
 
 
-def test_views_without_depth_are_refused() -> None:
+def test_a_point_cloud_of_views_without_depth_is_refused() -> None:
     views = [wall_view("a", 0.0, depth=0.0)]
     with pytest.raises(ValueError, match="depth"):
         build_point_cloud(views, everything(views), CLASS_IDS, OPTIONS)
@@ -51,7 +51,7 @@ def cloud_of(xyz: np.ndarray, class_id: list[int]) -> SemanticPointCloud:
     )  # fmt: skip
 
 
-def test_anchors_take_the_majority_of_their_voxel() -> None:
+def test_anchors_take_the_majority_label_of_their_voxel() -> None:
     xyz = np.array([[0.1, 0, 0], [0.2, 0, 0], [-0.1, 0, 0], [1.0, 0, 0], [1.1, 0, 0], [2.0, 0, 0]])
     cloud = cloud_of(xyz, [5, 5, 3, 6, 4, 0])
     instance = np.array([7, 8, 9, 2, 1, 4], np.int32)
@@ -63,7 +63,7 @@ def test_anchors_take_the_majority_of_their_voxel() -> None:
 
 
 @pytest.mark.parametrize("reach", [0.04, 0.1, 0.33])
-def test_nearest_is_exact_within_reach(reach: float) -> None:
+def test_the_nearest_point_within_reach_is_exact(reach: float) -> None:
     generator = np.random.default_rng(3)
     points = generator.uniform(-1, 1, (800, 3))
     queries = generator.uniform(-1.2, 1.2, (500, 3))
@@ -72,13 +72,13 @@ def test_nearest_is_exact_within_reach(reach: float) -> None:
     np.testing.assert_array_equal(found, np.where(distance <= reach, row, -1))
 
 
-def test_ties_go_to_the_lower_index_and_nan_finds_nothing() -> None:
+def test_equally_near_points_go_to_the_lower_index() -> None:
     index = CloudIndex(np.array([[0.1, 0.0, 0.0], [-0.1, 0.0, 0.0], [-0.1, 0.0, 0.0]]))
     queries = np.array([[0.0, 0.0, 0.0], [-0.1, 0.0, 0.0], [np.nan, 0.0, 0.0], [0.0, 0.0, 1e30]])
     assert index.nearest(queries, 0.2).tolist() == [0, 1, -1, -1]
 
 
-def test_pixels_take_the_nearest_labelled_point_within_reach() -> None:
+def test_pixels_take_the_label_of_the_nearest_point_in_reach() -> None:
     view = wall_view("a", 0.0)
     points = view.camera.unproject(view.depth)
     xyz = np.array([points[5, 5], points[5, 8], points[5, 6] + [0.01, 0, 0]])
@@ -105,7 +105,7 @@ def batches() -> list[np.ndarray]:
     return [CLOUD[:1500], CLOUD[1500:]]
 
 
-def test_seeds_are_the_means_of_the_cells_however_the_cloud_is_cut() -> None:
+def test_seed_points_are_cell_means_however_the_cloud_is_split() -> None:
     centres, spacing = seed_centres(batches, 0.25, 1000)
     whole, _ = seed_centres(lambda: [CLOUD], 0.25, 1000)
     assert spacing == 0.25 and len(centres) == 16
@@ -114,12 +114,12 @@ def test_seeds_are_the_means_of_the_cells_however_the_cloud_is_cut() -> None:
     np.testing.assert_allclose(centres[0], first, atol=1e-12)
 
 
-def test_the_cap_enlarges_the_spacing() -> None:
+def test_a_limit_on_points_enlarges_their_spacing() -> None:
     centres, spacing = seed_centres(batches, 0.02, 100)
     assert len(centres) <= 100 and spacing > 0.02
 
 
-def test_lloyd_steps_do_not_raise_the_quantisation_error() -> None:
+def test_lloyd_steps_never_raise_the_error_of_seed_points() -> None:
     def error(centres: np.ndarray) -> float:
         return float(((CLOUD[:, None] - centres[None]) ** 2).sum(-1).min(1).mean())
 

@@ -65,7 +65,7 @@ def says_to_lack(code: Path, environment: Path) -> tuple[str, ...]:
     return said.capabilities[NAME]
 
 
-def test_added_packages_are_found_and_reported(code: Path, environment: Path, part: PackageIndex) -> None:
+def test_packages_added_to_the_engine_are_found_and_reported(code: Path, environment: Path, part: PackageIndex) -> None:
     assert "pycolmap" in says_to_lack(code, environment)
     before = files_of(environment)
     folder = addition(code, environment, part).run()
@@ -80,7 +80,7 @@ def test_added_packages_are_found_and_reported(code: Path, environment: Path, pa
 
 
 @pytest.mark.parametrize("fault", ["cut", "garbage", "exchanged", "elsewhere"])
-def test_a_failure_leaves_the_engine_as_it_was(fault: str, code: Path, environment: Path, part: PackageIndex) -> None:
+def test_failed_adding_leaves_the_engine_alone(fault: str, code: Path, environment: Path, part: PackageIndex) -> None:
     before = files_of(environment)
     if fault == "exchanged":
         name, _ = part.wheels["pycolmap"]
@@ -92,7 +92,7 @@ def test_a_failure_leaves_the_engine_as_it_was(fault: str, code: Path, environme
     assert files_of(environment) == before
 
 
-def test_cancel_leaves_the_engine_as_it_was(code: Path, environment: Path, part: PackageIndex) -> None:
+def test_cancelled_adding_of_packages_keeps_the_engine(code: Path, environment: Path, part: PackageIndex) -> None:
     before, stop, ended = files_of(environment), StopSignal(), list[BaseException]()
     part.fault["pycolmap"] = "stall"
 
@@ -110,7 +110,7 @@ def test_cancel_leaves_the_engine_as_it_was(code: Path, environment: Path, part:
     assert ended and files_of(environment) == before
 
 
-def test_a_python_of_the_system_is_left_alone(code: Path, tmp_path: Path, part: PackageIndex) -> None:
+def test_packages_are_never_added_to_the_systems_python(code: Path, tmp_path: Path, part: PackageIndex) -> None:
     with raises_key("not-environment"):
         addition(code, tmp_path, part).run()
 
@@ -126,7 +126,7 @@ def test_added_packages_are_pinned_by_hash_for_every_system(name: str, root: Pat
         assert "==" not in line or line in pinned or line.startswith("setuptools")
 
 
-def test_the_handshake_names_every_capability() -> None:
+def test_the_handshake_names_every_ability_of_the_engine() -> None:
     said = answer()
     assert set(said.capabilities) == set(CAPABILITIES)
     missing = set(said.missing)

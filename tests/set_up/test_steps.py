@@ -50,7 +50,7 @@ def uvs_of(folder: Path) -> list[int]:
     return found
 
 
-def test_from_an_empty_environment_to_an_engine_that_answers(folder: Path, begin: Begin, index: PackageIndex) -> None:
+def test_a_set_up_makes_an_engine_that_answers(folder: Path, begin: Begin, index: PackageIndex) -> None:
     running = begin().wait()
     assert running.error is None and is_complete(environment_in(folder))
     assert running.python == python_in(environment_in(folder))
@@ -81,14 +81,14 @@ def test_an_interrupted_download_is_reported_and_continued(begin: Begin, index: 
     assert "numba" in index.downloads and "torch" not in index.downloads and not list(folder.glob("*/half"))
 
 
-def test_another_wheel_is_refused(begin: Begin, index: PackageIndex) -> None:
+def test_a_wheel_with_another_hash_is_refused(begin: Begin, index: PackageIndex) -> None:
     name, _ = index.wheels["numba"]
     index.wheels["numba"] = name, wheel("numba", name.split("-")[1], "other")[1]
     told = error_of(begin())
     assert worded("uv-failed").search(told) and "numba" in told and "\n" not in told
 
 
-def test_wheels_of_one_computer_serve_another_without_a_network(
+def test_downloaded_wheels_set_up_a_computer_without_a_network(
     folder: Path, code: Path, index: PackageIndex, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """pip collects tiny wheels; uv installs them while no index answers, and refuses a wheel that was changed."""
@@ -135,7 +135,7 @@ def test_wheels_of_one_computer_serve_another_without_a_network(
         raise RunningSetUp(offline, code, folder).wait().error or AssertionError
 
 
-def test_the_password_of_an_index_stays_out_of_log_and_message(begin: Begin, index: PackageIndex) -> None:
+def test_an_index_password_stays_out_of_log_and_messages(begin: Begin, index: PackageIndex) -> None:
     index.fault["scipy"] = "garbage"
     running = begin(url=index.url.replace("http://", "http://me:secret@"))
     assert "secret" not in error_of(running) and not any("secret" in label for label in running.labels)
@@ -143,7 +143,7 @@ def test_the_password_of_an_index_stays_out_of_log_and_message(begin: Begin, ind
     assert " pip install" in log and "secret" not in log
 
 
-def test_cancel_ends_uv_at_once(begin: Begin, index: PackageIndex, folder: Path) -> None:
+def test_cancelling_a_set_up_ends_uv_at_once(begin: Begin, index: PackageIndex, folder: Path) -> None:
     index.fault["torch"] = "stall"
     running = begin().wait(until=index.stalled.is_set)
     assert uvs_of(folder)
@@ -156,7 +156,7 @@ def test_cancel_ends_uv_at_once(begin: Begin, index: PackageIndex, folder: Path)
 
 
 @pytest.mark.slow
-def test_after_a_kill_the_next_set_up_waits_for_the_remaining_uv(
+def test_the_next_set_up_waits_for_uv_of_a_killed_one(
     begin: Begin, index: PackageIndex, folder: Path, code: Path, root: Path, tmp_path: Path
 ) -> None:
     """Two set-ups and a kill: the uv of the killed one holds the lock on, the other goes on after it."""
@@ -186,7 +186,7 @@ RunningSetUp(request, Path({str(code)!r}), Path({str(folder)!r})).wait()
 
 
 @pytest.mark.parametrize("mark", ["3.11.9 cpu\n", "3.11.9 cuda\n"])
-def test_unfit_environment_is_made_again(begin: Begin, folder: Path, mark: str) -> None:
+def test_a_set_up_replaces_an_unfit_environment(begin: Begin, folder: Path, mark: str) -> None:
     begin().wait()
     environment = environment_in(folder)
     (environment / "complete").write_text(mark)
@@ -199,7 +199,7 @@ def test_unfit_environment_is_made_again(begin: Begin, folder: Path, mark: str) 
 @pytest.mark.parametrize(
     ("answer", "told"), [("exit 1", "failed with exit status"), ("echo hello", "invalid response")]
 )
-def test_unusable_given_python_is_reported(begin: Begin, tmp_path: Path, answer: str, told: str) -> None:
+def test_a_set_up_reports_an_unusable_python(begin: Begin, tmp_path: Path, answer: str, told: str) -> None:
     python = tmp_path / "none"
     python.write_text(f"#!/bin/sh\n{answer}\n")
     python.chmod(0o755)
@@ -207,7 +207,7 @@ def test_unusable_given_python_is_reported(begin: Begin, tmp_path: Path, answer:
     assert worded("no-python").search(error) and told in error
 
 
-def test_full_disk_is_reported_first(begin: Begin, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_set_up_reports_a_full_disk_at_once(begin: Begin, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(steps, "NEEDED_BYTES", {"cpu": 10**18})
     told = error_of(begin())
     assert worded("disk-full").search(told) and "Make room" in told and not list(folder.glob("engine-*"))
@@ -219,13 +219,13 @@ def test_diverted_uv_is_refused(begin: Begin, folder: Path, tmp_path: Path, monk
     assert worded("uv-settings").search(error_of(begin())) and not list(folder.glob("*engine*"))
 
 
-def test_a_folder_that_cannot_be_written_is_reported(code: Path, tmp_path: Path) -> None:
+def test_a_set_up_reports_a_folder_that_cannot_be_written(code: Path, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     told = error_of(RunningSetUp(SetUpRequest(), code, tmp_path / "file" / "plgs"))
     assert worded("set-up-stopped").search(told) and os.fspath(tmp_path / "file") in told
 
 
-def test_the_command_says_why_it_ended(tmp_path: Path, root: Path) -> None:
+def test_engine_set_up_says_why_it_failed(tmp_path: Path, root: Path) -> None:
     command = [sys.executable, root / "engine" / "__main__.py", "set-up", tmp_path / "plgs"]
     refused = subprocess.run([*command, "--base-python", "/nowhere/python"], capture_output=True, text=True)
     assert refused.returncode == 2 and worded("no-python").search(refused.stderr)
@@ -236,7 +236,7 @@ def test_the_command_says_why_it_ended(tmp_path: Path, root: Path) -> None:
     assert removed.returncode == 0 and "No environment is left" in removed.stdout and not made.exists()
 
 
-def test_a_folder_with_other_files_is_neither_used_nor_emptied(tmp_path: Path) -> None:
+def test_a_set_up_keeps_a_folder_with_files_of_others(tmp_path: Path) -> None:
     """On macOS and Windows, a home has such a folder."""
     film = tmp_path / "home/Downloads/film.mp4"
     film.parent.mkdir(parents=True)

@@ -62,7 +62,7 @@ def variables(index_url: str) -> dict[str, str]:
     return uv_program.variables({"PIP_CONFIG_FILE": os.devnull}, index_url)
 
 
-def test_a_password_in_the_address_is_sent(host: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_password_in_the_index_address_is_sent(host: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     known = variables(f"http://me:p%40ss@{host}/simple")
     with pytest.raises(OSError, match="with the pinned hash"):
         uv_program.fetch(tmp_path, known)
@@ -73,20 +73,20 @@ def test_a_password_in_the_address_is_sent(host: str, tmp_path: Path, monkeypatc
 
 
 @pytest.mark.parametrize("url", ["http://me:secret@bad host/simple", "http://me:secret@host:port/simple", "nonsense"])
-def test_invalid_address_is_one_line_without_password(url: str, tmp_path: Path) -> None:
+def test_an_invalid_index_address_is_reported_without_its_password(url: str, tmp_path: Path) -> None:
     with pytest.raises(OSError, match="could not be downloaded") as error:
         uv_program.fetch(tmp_path, variables(url))
     assert "secret" not in str(error.value) and "\n" not in str(error.value)
 
 
-def test_a_folder_of_wheels_serves_without_an_index(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_set_up_from_a_folder_of_wheels_needs_no_index(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / NAME).write_bytes(content("another"))
     pin(monkeypatch, content("another"))
     offline = {**variables("http://127.0.0.1:9"), "UV_FIND_LINKS": f"/nowhere,{tmp_path}"}
     assert uv_program.fetch(tmp_path / "tools", offline).read_text() == "another"
 
 
-def test_the_users_settings_of_pip_serve_and_those_of_uv_come_first(tmp_path: Path) -> None:
+def test_settings_of_pip_are_used_unless_uv_has_its_own(tmp_path: Path) -> None:
     (tmp_path / "pip.conf").write_text(
         "[global]\nindex-url = http://mirror\nfind-links = /a\n  /b\n[install]\ncert=/c\n"
     )
@@ -102,7 +102,7 @@ def test_the_users_settings_of_pip_serve_and_those_of_uv_come_first(tmp_path: Pa
 
 @pytest.mark.parametrize("name", ["target", "prefix", "python", "system", "require-hashes"])
 @pytest.mark.parametrize("where", ["user", "system", "folder", "project", "named"])
-def test_a_setting_of_uv_that_sends_packages_elsewhere_is_found(name: str, where: str, tmp_path: Path) -> None:
+def test_a_setting_of_uv_that_redirects_packages_is_found(name: str, where: str, tmp_path: Path) -> None:
     folder = tmp_path / "above" / "engine"
     environ = {"XDG_CONFIG_HOME": str(tmp_path / "user"), "XDG_CONFIG_DIRS": str(tmp_path / "system")}
     path = {

@@ -30,7 +30,7 @@ def pinned(path: Path, platform: str) -> list[str]:
 @pytest.mark.slow
 @pytest.mark.parametrize("version", [(3, 11), (3, 13)])
 @pytest.mark.parametrize("system", SYSTEMS)
-def test_windows_and_macos_have_every_wheel(root: Path, tmp_path: Path, system: str, version: Version) -> None:
+def test_packages_have_wheels_for_windows_and_macos(root: Path, tmp_path: Path, system: str, version: Version) -> None:
     """pip chooses as it would there, from the package index; it downloads what describes the packages only."""
     assert version in pinned_versions(root)
     files = [requirement_file(root, "hashes", version), *(requirement_file(root, f"hashes-{name}") for name in ADDED)]

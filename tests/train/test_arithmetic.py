@@ -30,7 +30,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Input:
     return views_of(tmp_path_factory.mktemp("tiny") / "scene", size=(48, 36))
 
 
-def test_pictures_are_compared_as_by_the_kernel(tiny: Input, tmp_path: Path) -> None:
+def test_torch_and_kernel_compute_the_same_picture_loss(tiny: Input, tmp_path: Path) -> None:
     trainer = trainer_of(*tiny, TINY, tmp_path)
     target = trainer.target(0)
     placed, found = IN_TORCH.place(target, torch.device("cpu")), []
@@ -137,7 +137,7 @@ def test_devices_train_the_same(tiny: Input, tmp_path: Path, assigned: bool, mon
                 raise
 
 
-def test_only_the_largest_shares_of_a_pixel_are_copied() -> None:
+def test_only_the_largest_contributors_of_a_pixel_are_copied() -> None:
     coverage = torch.rand(7, 5, KEPT + 9, generator=torch.Generator().manual_seed(0)) + 1e-3
     kept, all_ = likeliest(coverage), coverage.numpy()
     least = np.sort(all_, axis=-1)[..., -KEPT, None]
@@ -148,7 +148,7 @@ def test_only_the_largest_shares_of_a_pixel_are_copied() -> None:
 
 @needs_gpu
 @pytest.mark.parametrize("assigned", [False, True])
-def test_a_gpu_trains_and_draws_as_the_cpu_does(tiny: Input, tmp_path: Path, assigned: bool) -> None:
+def test_training_on_a_gpu_matches_the_cpu(tiny: Input, tmp_path: Path, assigned: bool) -> None:
     preset = replace(TINY, linear_assignment=assigned, label_every=1)
     ours, theirs = (trainer_of(*tiny, preset, tmp_path) for _ in range(2))
     theirs.move_to("cuda")

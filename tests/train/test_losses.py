@@ -31,7 +31,7 @@ def assign_slots(probabilities: NDArray[np.floating], instance_ids: NDArray[np.i
     return target
 
 
-def test_a_photo_that_counts_half_leaves_the_volume_as_it_is() -> None:
+def test_the_weight_of_a_photo_does_not_change_the_volume_loss() -> None:
     random = torch.Generator().manual_seed(1)
     image, photo = (torch.rand(16, 16, 3, generator=random) for _ in range(2))
     scales = torch.full((5, 3), 0.5)
@@ -57,7 +57,7 @@ def plainly(depth: np.ndarray, alpha: np.ndarray, sensor: np.ndarray) -> float:
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000))
-def test_depth_loss_matches_the_formula(seed: int) -> None:
+def test_the_depth_loss_matches_its_formula(seed: int) -> None:
     random = np.random.default_rng(seed)
     alpha = random.uniform(0, 1, (5, 7))
     sensor = random.uniform(0.1, 8, (5, 7)) * (random.random((5, 7)) < random.choice([0.0, 0.5, 1.0]))
@@ -73,14 +73,14 @@ def gradient(drawn: float, measured: float) -> float:
     return float(depth.grad[0, 0])
 
 
-def test_depth_loss_pulls_towards_the_sensors_depth() -> None:
+def test_the_depth_loss_pulls_towards_the_sensors_depth() -> None:
     assert gradient(1.9, 2.0) < 0 < gradient(2.1, 2.0)
     assert gradient(1.9, 0.0) == 0, "a pixel without depth says nothing"
     assert gradient(5.0, 2.0) == 0, "what is wrong by more than its depth is an outlier"
     assert abs(gradient(1.9 + NOISY, 2.0 + NOISY)) < abs(gradient(1.9, 2.0)), "far depth is noisy"
 
 
-def test_a_view_without_depth_costs_nothing_and_can_be_trained_on() -> None:
+def test_a_view_without_depth_has_no_depth_loss() -> None:
     depth = torch.rand(3, 4, requires_grad=True)
     loss = depth_loss(depth, torch.rand(3, 4), torch.zeros(3, 4))
     loss.backward()
@@ -119,7 +119,7 @@ def pictures(height: int, width: int, seed: int) -> tuple[torch.Tensor, torch.Te
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(1, 2 * STRIP_ROWS + 15), st.integers(1, 40), st.integers(0, 99))
-def test_value_and_gradient_are_those_of_the_formula(height: int, width: int, seed: int) -> None:
+def test_the_picture_loss_and_its_gradient_match_the_formula(height: int, width: int, seed: int) -> None:
     image, photo = pictures(height, width, seed)
     for weights in ((1.0, 0.0), (0.0, 1.0), (1.0, -0.2)):
         ours, exact = image.clone().requires_grad_(), image.double().requires_grad_()
@@ -134,7 +134,7 @@ def test_value_and_gradient_are_those_of_the_formula(height: int, width: int, se
         torch.testing.assert_close(ours.grad.double(), exact.grad, rtol=1e-3, atol=2e-4 * size)
 
 
-def test_pictures_may_have_any_memory_layout() -> None:
+def test_losses_accept_pictures_of_any_memory_layout() -> None:
     image, photo = pictures(20, 31, 2)
     turned = image.permute(2, 0, 1).contiguous().permute(1, 2, 0)
     moments = PhotoMoments.of(photo.permute(2, 0, 1).contiguous().permute(1, 2, 0))
@@ -170,7 +170,7 @@ def plain_label_loss(coverage: torch.Tensor, alpha: torch.Tensor, first: int, *t
 
 
 @pytest.mark.parametrize("upstream", [(1.0, 1.0), (0.2, -3.5)])
-def test_losses_and_gradients_are_those_of_the_formula(upstream: tuple[float, float]) -> None:
+def test_label_losses_and_gradients_match_their_formulas(upstream: tuple[float, float]) -> None:
     height, width, classes, slots = 97, 131, 5, 7  # more than one band
     coverage, alpha = picture(height, width, classes + slots)
     semantic, assigned, matched = random_targets(height, width, classes, slots)
@@ -188,7 +188,7 @@ def test_losses_and_gradients_are_those_of_the_formula(upstream: tuple[float, fl
     torch.testing.assert_close(ours.grad.double(), exact.grad, rtol=1e-5, atol=0.0)
 
 
-def test_unlabelled_pixels_do_not_count_and_alpha_is_never_reached() -> None:
+def test_label_losses_ignore_unlabelled_pixels() -> None:
     coverage = torch.full((2, 2, 3), 0.2, requires_grad=True)
     alpha = torch.full((2, 2), 0.8, requires_grad=True)
     target, none = torch.tensor([[0, -1], [2, -1]]), torch.full((2, 2), -1)
@@ -199,14 +199,14 @@ def test_unlabelled_pixels_do_not_count_and_alpha_is_never_reached() -> None:
     assert (coverage.grad[:, 1] == 0).all() and (coverage.grad[:, 0] != 0).any()
 
 
-def test_without_any_target_losses_are_zero_with_a_gradient() -> None:
+def test_label_losses_without_targets_are_zero() -> None:
     coverage, none = torch.rand(2, 2, 3, requires_grad=True), torch.full((2, 2), -1)
     semantic, instance = label_losses(coverage, torch.ones(2, 2), 1, none, (none, none))
     (semantic + instance).backward()
     assert semantic.item() == 0 and instance.item() == 0 and (coverage.grad == 0).all()
 
 
-def test_improbable_targets_have_the_right_loss() -> None:
+def test_the_label_loss_is_right_for_very_improbable_targets() -> None:
     """Their product leaves float64 unless logarithms are taken on the way."""
     zeros, none = torch.zeros(40, 40, 2), torch.full((40, 40), -1)
     target = torch.zeros(40, 40, dtype=torch.int16)
@@ -214,13 +214,13 @@ def test_improbable_targets_have_the_right_loss() -> None:
     np.testing.assert_allclose([semantic.item(), instance.item()], -np.log(1e-8), rtol=1e-6)
 
 
-def test_nan_stays_nan() -> None:
+def test_a_nan_input_gives_a_nan_loss() -> None:
     coverage, target = torch.full((4, 4, 2), 0.5), torch.zeros(4, 4, dtype=torch.int16)
     coverage[1, 1] = float("nan")
     assert all(loss.isnan() for loss in label_losses(coverage, torch.ones(4, 4), 1, target, (target, target)))
 
 
-def test_the_number_of_threads_changes_no_bit() -> None:
+def test_losses_have_the_same_bits_with_any_number_of_threads() -> None:
     image, photo = pictures(3 * STRIP_ROWS + 7, 50, 4)
     coverage, alpha = picture(150, 170, 12)
     semantic, *instance = random_targets(150, 170, 5, 7)
@@ -241,7 +241,7 @@ def test_the_number_of_threads_changes_no_bit() -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10_000), st.integers(0, 6), st.integers(0, 5), st.integers(0, 3))
-def test_assigned_slots_match_plain_assignment(seed: int, slots: int, instances: int, first: int) -> None:
+def test_slots_of_segments_match_a_plain_implementation(seed: int, slots: int, instances: int, first: int) -> None:
     random = np.random.default_rng(seed)
     coverage = random.random((90, 101, first + slots), dtype=np.float32)
     alpha = random.uniform(0.1, 1.0, (90, 101)).astype(np.float32)

@@ -42,7 +42,7 @@ def test_a_restored_optimiser_continues_bit_for_bit() -> None:
         assert torch.equal(mine, theirs)
 
 
-def test_pruning_and_growing_keep_the_moments_of_the_anchors_that_stay() -> None:
+def test_pruning_and_growing_keep_the_moments_of_kept_anchors() -> None:
     optimiser = Optimiser(anchors_at(5), Decoders(SHAPE, 0), RATES, extent=2.0)
     take_steps(optimiser, 2)
     before = {name: tensor.clone() for name, tensor in optimiser.tensors().items()}
@@ -56,7 +56,7 @@ def test_pruning_and_growing_keep_the_moments_of_the_anchors_that_stay() -> None
     take_steps(optimiser, 1, start=2)
 
 
-def test_rows_that_are_seen_take_adams_step_and_the_others_none() -> None:
+def test_only_anchors_that_are_seen_take_an_adam_step() -> None:
     seen = torch.tensor([4, 0, 3])
     optimiser = Optimiser(anchors_at(5), Decoders(SHAPE, 0), RATES, extent=2.0)
     take_steps(optimiser, 3)
@@ -82,6 +82,6 @@ def test_rows_that_are_seen_take_adams_step_and_the_others_none() -> None:
             assert torch.equal(optimiser.tensors()[key][1:3], before[key][1:3])
 
 
-def test_rates_decay_log_linearly() -> None:
+def test_learning_rates_decay_log_linearly() -> None:
     assert learning_rate((1e-2, 1e-4), 0.5) == pytest.approx(1e-3)
     assert learning_rate((1e-2, 1e-4), 0.0) == pytest.approx(1e-2)

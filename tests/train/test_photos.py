@@ -25,26 +25,26 @@ GAIN = st.floats(0.6, 1.6)
 
 @settings(max_examples=15, deadline=None)
 @given(st.lists(st.tuples(GAIN, GAIN, GAIN), min_size=15, max_size=25), st.integers(0, 99))
-def test_gains_are_found_in_each_channel(gains: list[tuple[float, float, float]], seed: int) -> None:
+def test_exposure_gains_are_found_in_each_channel(gains: list[tuple[float, float, float]], seed: int) -> None:
     true = np.array(gains)
     found = exposure_gains(*walk(true, seed))
     np.testing.assert_allclose(found, true / np.exp(np.log(true).mean(axis=0)), rtol=0.03)
 
 
-def test_highlights_in_one_photo_do_not_make_it_count_as_bright() -> None:
+def test_highlights_do_not_make_a_photo_count_as_overexposed() -> None:
     photos_, rows, points = walk(np.ones((20, 3)))
     photos_[7][:, :12] = 235
     np.testing.assert_allclose(exposure_gains(photos_, rows, points), 1, rtol=0.03)
 
 
-def test_black_borders_and_pixels_without_a_point_do_not_count() -> None:
+def test_exposure_gains_ignore_black_borders() -> None:
     photos_, rows, points = walk(np.ones((20, 3)))
     photos_[3][:4] = 0
     rows[5][:] = -1
     np.testing.assert_allclose(exposure_gains(photos_, rows, points), 1, rtol=0.02)
 
 
-def test_gains_have_limits() -> None:
+def test_exposure_gains_have_limits() -> None:
     gains = np.ones((20, 3))
     gains[10:] = 0.12
     found = exposure_gains(*walk(gains))
@@ -59,7 +59,7 @@ def photos(count: int) -> list[np.ndarray]:
     return [np.clip(each + random.normal(0, 2, each.shape), 0, 255).astype(np.uint8) for each in windows]
 
 
-def test_a_blurred_photo_counts_less() -> None:
+def test_a_blurred_photo_has_less_weight_in_training() -> None:
     sharp = photos(9)
     assert (sharpness_weights(sharp) > 0.9).all()
     blurred = [*sharp[:4], cv2.blur(sharp[4], (15, 1)), *sharp[5:]]
@@ -69,13 +69,13 @@ def test_a_blurred_photo_counts_less() -> None:
     assert worse[4] == pytest.approx(LEAST_WEIGHT)
 
 
-def test_exposure_does_not_make_a_photo_blurred() -> None:
+def test_a_photos_exposure_does_not_change_its_measured_blur() -> None:
     sharp = photos(9)
     weights = sharpness_weights([*sharp[:4], (0.4 * sharp[4]).astype(np.uint8), *sharp[5:]])
     assert (weights > 0.85).all()
 
 
-def test_a_photo_is_compared_only_with_its_neighbours() -> None:
+def test_blur_is_measured_against_neighbouring_photos_only() -> None:
     """Half of the walk passes plain walls: there is less to see there, and nothing is wrong with the photos."""
     plain = [cv2.blur(photo, (9, 9)) for photo in photos(10)]
     weights = sharpness_weights([*photos(10), *plain])
@@ -83,5 +83,5 @@ def test_a_photo_is_compared_only_with_its_neighbours() -> None:
     assert sharpness_weights([]).shape == (0,) and sharpness_weights(plain[:1]).tolist() == [1.0]
 
 
-def test_black_photos_count() -> None:
+def test_black_photos_have_a_valid_training_weight() -> None:
     assert sharpness_weights([np.zeros((8, 8, 3), np.uint8)] * 3).min() >= LEAST_WEIGHT

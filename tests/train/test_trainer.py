@@ -60,7 +60,7 @@ def test_a_restored_trainer_continues_bit_for_bit(tiny: Input, tmp_path: Path) -
         assert facts == stored[STEPS][1] and resumed.finished
 
 
-def test_pictures_get_better(tiny: Input, tmp_path: Path) -> None:
+def test_training_lowers_the_picture_loss(tiny: Input, tmp_path: Path) -> None:
     trainer = trainer_of(*tiny, replace(TINY, steps=40), tmp_path)
     before = colour_error(tiny[0], trainer)
     losses = []
@@ -71,7 +71,7 @@ def test_pictures_get_better(tiny: Input, tmp_path: Path) -> None:
     assert colour_error(tiny[0], trainer) < 0.7 * before
 
 
-def test_label_losses_never_reach_opacity_or_shape(tiny: Input, tmp_path: Path) -> None:
+def test_label_losses_have_no_gradient_on_opacity_or_shape(tiny: Input, tmp_path: Path) -> None:
     trainer = trainer_of(*tiny, TINY, tmp_path)
     target = trainer.targets[0]
     gaussians = trainer._decode(target)
@@ -90,7 +90,7 @@ def test_label_losses_never_reach_opacity_or_shape(tiny: Input, tmp_path: Path) 
         assert all(p.grad is not None and p.grad.any() for p in taught.parameters())
 
 
-def test_channels_without_a_target_need_not_be_drawn(
+def test_label_channels_without_targets_are_not_drawn(
     tiny: Input, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The model is the same, bit for bit, after steps that draw all of them."""
@@ -107,7 +107,7 @@ def test_channels_without_a_target_need_not_be_drawn(
     assert_equal(whole_state(few)[0], whole_state(all_)[0])
 
 
-def test_pseudo_labels_stopped_halfway_are_made_again(tiny: Input, tmp_path: Path) -> None:
+def test_pseudo_labels_stopped_halfway_are_started_again(tiny: Input, tmp_path: Path) -> None:
     whole, stopped = (trainer_of(*tiny, TINY, tmp_path) for _ in range(2))
     for trainer in (whole, stopped):
         for _ in range(4):
@@ -136,7 +136,7 @@ def far_away(camera: Camera) -> np.ndarray:
     return pose
 
 
-def test_what_is_not_rendered_does_not_affect_pseudo_labels(tiny: Input, tmp_path: Path) -> None:
+def test_pseudo_labels_ignore_pixels_that_are_not_rendered(tiny: Input, tmp_path: Path) -> None:
     trainer = trainer_of(*tiny, TINY, tmp_path)
     first, *others = trainer.views
     trainer.views = [replace(first, camera=replace(first.camera, camera_to_world=far_away(first.camera))), *others]
@@ -146,7 +146,7 @@ def test_what_is_not_rendered_does_not_affect_pseudo_labels(tiny: Input, tmp_pat
     assert something is not None and (something >= 0).any()
 
 
-def test_pseudo_labels_give_segments_a_class_and_its_object(tiny: Input, tmp_path: Path) -> None:
+def test_pseudo_labels_give_each_segment_a_class_and_an_object(tiny: Input, tmp_path: Path) -> None:
     trainer = trainer_of(*tiny, TINY, tmp_path)
     trainer.refresh_pseudo_labels()
     channels = trainer.scene.channels
@@ -169,7 +169,7 @@ def test_pseudo_labels_give_segments_a_class_and_its_object(tiny: Input, tmp_pat
     assert all(labels is not None and labels.slots is None for labels in plain.pseudo)
 
 
-def test_border_pixels_have_no_gradient(tiny: Input, tmp_path: Path) -> None:
+def test_pixels_of_black_borders_have_no_gradient(tiny: Input, tmp_path: Path) -> None:
     trainer = trainer_of(*tiny, TINY, tmp_path)
     target = trainer.targets[0]
     image = torch.rand(target.photo.values.shape, requires_grad=True)
@@ -183,7 +183,7 @@ def test_border_pixels_have_no_gradient(tiny: Input, tmp_path: Path) -> None:
     assert image.grad is not None and not image.grad[border].any() and image.grad[~border].abs().min() > 0
 
 
-def test_the_rooms_colours_are_learnt_from_photos_of_many_exposures(tiny: Input, tmp_path: Path) -> None:
+def test_colours_are_learnt_from_photos_of_different_exposure(tiny: Input, tmp_path: Path) -> None:
     """Up to what all photos have in common, which nobody can tell from the room's own light."""
     views, classes = tiny
     gains = np.geomspace(0.25, 1.0, len(views))[np.random.default_rng(2).permutation(len(views))]
@@ -207,7 +207,7 @@ def test_the_rooms_colours_are_learnt_from_photos_of_many_exposures(tiny: Input,
     assert errors[True] < 0.85 * errors[False]
 
 
-def test_depth_is_fitted_to_the_sensors(tiny: Input, tmp_path: Path) -> None:
+def test_training_fits_depth_to_the_sensors(tiny: Input, tmp_path: Path) -> None:
     views, classes = tiny
     errors = {}
     for weight in (0.0, 0.5):
@@ -219,7 +219,7 @@ def test_depth_is_fitted_to_the_sensors(tiny: Input, tmp_path: Path) -> None:
     assert errors[0.5] < 0.8 * errors[0.0]
 
 
-def test_a_view_that_sees_nothing_is_harmless(tiny: Input, tmp_path: Path) -> None:
+def test_a_view_that_sees_nothing_does_not_break_training(tiny: Input, tmp_path: Path) -> None:
     trainer = trainer_of(*tiny, TINY, tmp_path)
     trainer.targets = [
         replace(target, camera=replace(target.camera, camera_to_world=far_away(target.camera)))
@@ -231,7 +231,7 @@ def test_a_view_that_sees_nothing_is_harmless(tiny: Input, tmp_path: Path) -> No
     assert all(torch.equal(after[name], before[name]) for name in before if name.startswith("model."))
 
 
-def test_a_diverged_scene_takes_no_further_steps(tiny: Input, tmp_path: Path) -> None:
+def test_a_diverged_training_takes_no_further_steps(tiny: Input, tmp_path: Path) -> None:
     trainer = trainer_of(*tiny, TINY, tmp_path)
     with torch.no_grad():
         trainer.scene.anchors.log_scale[0] = 90.0
@@ -241,7 +241,7 @@ def test_a_diverged_scene_takes_no_further_steps(tiny: Input, tmp_path: Path) ->
     assert_equal(trainer_state(trainer)[0], before)
 
 
-def test_anchors_are_never_more_than_allowed(tiny: Input, tmp_path: Path) -> None:
+def test_training_never_exceeds_the_limit_on_anchors(tiny: Input, tmp_path: Path) -> None:
     trainer = trainer_of(*tiny, TINY, tmp_path)
     most = len(trainer.scene.anchors) + 5
     trainer = trainer_of(*tiny, replace(TINY, most_anchors=most), tmp_path)
@@ -265,7 +265,7 @@ def test_a_finished_training_keeps_no_moments_and_can_be_restored(tiny: Input, t
     assert_equal(trainer_state(other)[0], tensors)
 
 
-def test_a_stored_state_that_does_not_fit_is_refused(tiny: Input, tmp_path: Path) -> None:
+def test_a_stored_training_state_that_does_not_fit_is_refused(tiny: Input, tmp_path: Path) -> None:
     views, classes = tiny
     trainer = trainer_of(views, classes, TINY, tmp_path)
     trainer.step()
@@ -316,12 +316,12 @@ def share_right(scene: StructuredScene) -> float:
     return float((shown == scene.anchors.initial_class[:, None]).all(dim=1)[known].float().mean())
 
 
-def test_decoders_predict_the_anchors_classes(scenes: list[StructuredScene]) -> None:
+def test_the_warm_start_teaches_decoders_the_anchors_classes(scenes: list[StructuredScene]) -> None:
     assert share_right(scenes[0]) > 0.97
     assert share_right(scenes[1]) < 0.5
 
 
-def test_the_same_seed_gives_the_same_decoders(scenes: list[StructuredScene]) -> None:
+def test_the_warm_start_gives_the_same_decoders_for_the_same_seed(scenes: list[StructuredScene]) -> None:
     first, again, other = (scene.decoders.state_dict() for scene in scenes[2:])
     assert all(torch.equal(first[name], again[name]) for name in first)
     assert not all(torch.equal(first[name], other[name]) for name in first)
@@ -330,7 +330,7 @@ def test_the_same_seed_gives_the_same_decoders(scenes: list[StructuredScene]) ->
 CHANNELS = LabelChannels(CLASS_IDS, (7, SPARE, NO_OBJECT, 3))
 
 
-def test_stuff_is_trained_as_no_object_and_unknown_pixels_are_not_trained() -> None:
+def test_stuff_is_trained_as_no_object() -> None:
     view = wall_view("a", 0.0, classes=square(CHAIR, WALL, slice(10, 20)).astype(np.int32))
     projected, matched = view.mask.ids.copy(), np.where(view.mask.ids == CHAIR, 7, 0).astype(np.int32)
     projected[:2] = 0

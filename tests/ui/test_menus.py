@@ -15,7 +15,7 @@ ROWS = [
 ]
 
 
-def test_all_words_are_searched_for_ignoring_case() -> None:
+def test_the_object_search_needs_all_words_and_ignores_case() -> None:
     names = [row.name for row in ROWS]
     assert shown_rows(names, "", 8) == [8, 8, 8, 8]
     assert shown_rows(names, "CHAIR", 8) == [8, 8, 0, 0]
@@ -31,7 +31,7 @@ def test_all_words_are_searched_for_ignoring_case() -> None:
         ("SCORE", ["chair 2", "Bin 1", "chair 10", "wall"]),
     ],
 )
-def test_the_list_can_be_sorted(order: str, names: list[str]) -> None:
+def test_the_object_list_can_be_sorted(order: str, names: list[str]) -> None:
     places = places_of(ROWS, order)
     assert [row.name for _, row in sorted(zip(places, ROWS, strict=True), key=lambda pair: pair[0])] == names
 

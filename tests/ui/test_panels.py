@@ -30,7 +30,7 @@ from tests.ui.drawn_panels import Layout, Pretended, drawn, followed_lift, tasks
 pytestmark = pytest.mark.usefixtures("extension")
 
 
-def test_texts_of_a_strangers_file_are_printable_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_text_of_an_unknown_file_is_shown_as_printable_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Files, folders and logs may hold characters that reverse or break a line, or command a terminal."""
     odd = "a\u202eb\u2028c\x1b[31md"
     lift = tiny_lift.write_tiny_lift(tmp_path / odd).path
@@ -68,7 +68,7 @@ def test_texts_of_a_strangers_file_are_printable_lines(tmp_path: Path, monkeypat
     assert sum("a?b?c?[31md" in line for line in seen) >= 15
 
 
-def test_a_lift_that_another_blender_began_shows_its_progress(tmp_path: Path) -> None:
+def test_the_panel_shows_progress_of_a_lift_of_another_blender(tmp_path: Path) -> None:
     _, follower = followed_lift(tmp_path / "lift")
     follower.progress.began, follower.progress.left_s = time.time() - 300.0, 100.0
     shown = drawn()
@@ -78,7 +78,7 @@ def test_a_lift_that_another_blender_began_shows_its_progress(tmp_path: Path) ->
     assert bar < shown.index("plgs.cancel_lift")
 
 
-def test_no_text_of_a_lift_is_cut_without_a_mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_texts_that_are_cut_in_the_panel_end_with_a_mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a sidebar as wide as Blender opens it, where the rows of a lift are one line high."""
     estimate = SimpleNamespace(seconds=3580.0, peak_bytes=110.4e9)
     monkeypatch.setattr(lift_panel, "estimate_of", lambda settings: estimate)
@@ -89,13 +89,13 @@ def test_no_text_of_a_lift_is_cut_without_a_mark(tmp_path: Path, monkeypatch: py
     assert "Stage 2 of 3: a lift of the long…" in shown and "First step (may compile for 2 min)" in shown
 
 
-def test_nothing_is_chosen_yet() -> None:
+def test_the_panel_without_a_scene_offers_to_choose_one() -> None:
     shown = drawn()
     assert "Choose a capture's folder" in shown and "plgs.lift_scene" in shown and "plgs.set_up_engine" in shown
 
 
 @pytest.mark.parametrize("code", ErrorCode)
-def test_a_bad_scene_shows_what_fixes_it(code: ErrorCode, tmp_path: Path) -> None:
+def test_the_panel_shows_how_to_fix_a_bad_scene(code: ErrorCode, tmp_path: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(tmp_path)
     for task in tasks_with(
         Pretended(
@@ -110,7 +110,7 @@ def test_a_bad_scene_shows_what_fixes_it(code: ErrorCode, tmp_path: Path) -> Non
     assert "set-up.log" in shown and ("plgs.show_preferences" in shown) >= (code is ErrorCode.NO_ENGINE)
 
 
-def test_a_lacking_part_shows_its_button(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_package_shows_the_button_that_adds_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In an environment that lacks a package of one button: that button is grey, the others are not."""
     bpy.context.scene.plgs.scene_folder = str(tmp_path)
     assert "plgs.add_to_engine" not in drawn()
@@ -133,7 +133,7 @@ def test_a_lacking_part_shows_its_button(tmp_path: Path, monkeypatch: pytest.Mon
     assert "plgs.cancel_adding" in shown and "plgs.add_to_engine" not in shown
 
 
-def test_an_error_of_the_engine_that_lacks_a_part_shows_its_button(tmp_path: Path) -> None:
+def test_an_engine_error_about_a_missing_package_shows_its_button(tmp_path: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(tmp_path)
     error = lacks_part("Record3D's depth needs the package pyliblzfse", "here", "record3d")
     task = tasks_with(Pretended(TaskState.FAILED, error), tmp_path)[0]
@@ -142,7 +142,7 @@ def test_an_error_of_the_engine_that_lacks_a_part_shows_its_button(tmp_path: Pat
     assert "Add to Engine (1 MB)" in drawn()
 
 
-def test_a_film_shows_its_progress_then_what_must_be_downloaded(tmp_path: Path) -> None:
+def test_the_panel_shows_what_a_film_needs_to_download(tmp_path: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(tmp_path / "film.mp4")
     follower: Any = Pretended(TaskState.RUNNING)
     registry.follow(FilmMaking(chosen_scene(bpy.context.scene.plgs), follower))
@@ -156,7 +156,7 @@ def test_a_film_shows_its_progress_then_what_must_be_downloaded(tmp_path: Path) 
     assert "downloaded first: packages: 134 MB" in shown and "Add to Engine (" in shown
 
 
-def test_photos_without_poses_show_the_button_that_finds_them(tmp_path: Path) -> None:
+def test_photos_without_poses_show_the_button_that_finds_poses(tmp_path: Path) -> None:
     for number in range(3):
         (tmp_path / f"{number}.jpg").touch()
     bpy.context.scene.plgs.scene_folder = str(tmp_path)
@@ -191,7 +191,7 @@ def test_running_tasks_show_their_progress(tmp_path: Path) -> None:
         (10, 60.0, 90.0, (1.0, "Almost done")),
     ],
 )
-def test_progress_is_one_true_number(
+def test_the_progress_bar_shows_the_share_of_the_expected_time(
     step: int, left_s: float | None, ago_s: float, expected: tuple[float, str], tmp_path: Path
 ) -> None:
     task = tasks_with(Pretended(TaskState.RUNNING), tmp_path)[0]
@@ -203,7 +203,7 @@ def test_progress_is_one_true_number(
     assert (round(share, 1), text) == expected
 
 
-def test_a_lift_that_was_cancelled_is_resumed_first_and_a_running_one_ends_with_blender(tmp_path: Path) -> None:
+def test_the_panel_of_a_cancelled_lift_shows_resume_first(tmp_path: Path) -> None:
     followed, follower = followed_lift(tmp_path / "lift")
     follower.is_own = True
     assert lifts.stops_with_blender(bpy.context.scene) and bpy.ops.plgs.quit.poll()
@@ -219,7 +219,7 @@ def test_a_lift_that_was_cancelled_is_resumed_first_and_a_running_one_ends_with_
     assert "plgs.place_lift" in drawn()
 
 
-def test_once_a_result_is_shown_the_steps_before_it_are_folded(tmp_path: Path) -> None:
+def test_panels_of_earlier_steps_close_once_a_result_is_shown(tmp_path: Path) -> None:
     assert "plgs.lift_scene" in drawn(steps=False)
     place_lift(tiny_lift.write_tiny_lift(tmp_path / "lift").path, bpy.context.scene)
     folded = drawn(steps=False)
@@ -228,14 +228,14 @@ def test_once_a_result_is_shown_the_steps_before_it_are_folded(tmp_path: Path) -
     assert folded.lstrip().startswith("Turns a filmed room into named objects")
 
 
-def test_other_classes_are_listed_last() -> None:
+def test_the_class_other_is_listed_last() -> None:
     names = ("otherprop 1", "chair 10", "chair 2", "otherfurniture")
     rows = [SimpleNamespace(name=name, class_name=name, points=9 - at, score=0.5) for at, name in enumerate(names)]
     assert result_panel.places_of(rows, "NAME") == [3, 1, 0, 2]
     assert result_panel.places_of(rows, "COUNT") == [2, 0, 1, 3]
 
 
-def test_a_finished_lift_is_shown(tmp_path: Path) -> None:
+def test_the_panel_shows_a_finished_lift(tmp_path: Path) -> None:
     lift = tiny_lift.write_tiny_lift(tmp_path / "lift").path
     settings = bpy.context.scene.plgs
     settings.lift_folder = str(lift)

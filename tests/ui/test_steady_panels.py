@@ -30,7 +30,7 @@ from tests.ui.drawn_panels import Pretended, drawn, height_of, tasks_with
 pytestmark = pytest.mark.usefixtures("extension")
 
 
-def test_survey_moves_no_import_button(tmp_path: Path) -> None:
+def test_reading_a_scene_does_not_move_the_import_button(tmp_path: Path) -> None:
     """It is read a moment after the folder was chosen, when the mouse may be on the button."""
 
     def above() -> str:
@@ -51,7 +51,7 @@ def rows_above(what: str) -> int:
     return above.count("\n")
 
 
-def test_survey_moves_nothing_below_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reading_a_scene_moves_no_button_below_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows that stand there from the start are filled; what varies in length is behind a row that tells of warnings."""
     bpy.context.scene.plgs.scene_folder = str(write_tiny_scene(tmp_path / "tiny"))
     chosen = chosen_scene(bpy.context.scene.plgs)
@@ -74,7 +74,7 @@ def test_survey_moves_nothing_below_it(tmp_path: Path, monkeypatch: pytest.Monke
     assert rows_above("plgs.lift_scene") == before and "\nTwo\n" in drawn()
 
 
-def test_the_frames_that_are_made_have_their_bar_where_import_was(tmp_path: Path) -> None:
+def test_progress_of_extracting_frames_replaces_the_import_button(tmp_path: Path) -> None:
     bpy.context.scene.plgs.scene_folder = str(tmp_path)
     before, at = height_of(scene_panel.PLGS_PT_scene), rows_above("plgs.import_scene")
     registry.follow(tasks_with(Pretended(TaskState.RUNNING), tmp_path)[1])
@@ -83,7 +83,7 @@ def test_the_frames_that_are_made_have_their_bar_where_import_was(tmp_path: Path
 
 
 @pytest.mark.parametrize("of", [{"frame": "0001"}, {"chosen": ChosenScene(Path("another"))}])
-def test_a_picture_or_another_scene_that_is_made_leaves_import_where_it_was(of: dict[str, Any], tmp_path: Path) -> None:
+def test_making_a_picture_does_not_move_the_import_button(of: dict[str, Any], tmp_path: Path) -> None:
     """Its bar is in *Frames*, where its button was pressed, and so are its warnings."""
     bpy.context.scene.plgs.scene_folder = str(tmp_path)
     at, pictures = rows_above("plgs.import_scene"), rows_above("plgs.show_picture Masks")
@@ -95,7 +95,7 @@ def test_a_picture_or_another_scene_that_is_made_leaves_import_where_it_was(of: 
     assert "odd" in shown
 
 
-def test_no_news_of_an_engine_moves_what_starts_a_lift(tmp_path: Path) -> None:
+def test_messages_of_the_engine_do_not_move_the_lift_button(tmp_path: Path) -> None:
     """Whether there is an engine, what a lift costs, that passes are baked: all comes while the mouse may be there."""
     lift = tiny_lift.write_tiny_lift(tmp_path / "lift").path
     settings = bpy.context.scene.plgs
@@ -120,7 +120,7 @@ def test_no_news_of_an_engine_moves_what_starts_a_lift(tmp_path: Path) -> None:
     assert bar < rows_above("plgs.cancel_lift"), "a second click on Start is on the bar"
 
 
-def test_a_lift_that_begins_or_ends_moves_nothing_below_it(tmp_path: Path) -> None:
+def test_a_starting_or_ending_lift_moves_no_button_below_it(tmp_path: Path) -> None:
     panel, settings = lift_panel.PLGS_PT_lift, bpy.context.scene.plgs
     assert "Not lifted yet" in drawn()
     before = height_of(panel)
@@ -140,7 +140,7 @@ def test_a_lift_that_begins_or_ends_moves_nothing_below_it(tmp_path: Path) -> No
     assert "plgs.place_lift" in drawn() and height_of(panel) == before
 
 
-def test_the_surface_that_is_made_by_itself_moves_no_list(tmp_path: Path) -> None:
+def test_making_a_mesh_automatically_does_not_move_the_lists(tmp_path: Path) -> None:
     """It begins and ends when nobody expects it; it fails in sight."""
     lift = tiny_lift.write_tiny_lift(tmp_path / "lift").path
     place_lift(lift, bpy.context.scene)
@@ -158,7 +158,7 @@ def test_the_surface_that_is_made_by_itself_moves_no_list(tmp_path: Path) -> Non
     assert "The disk is full. Make room." in shown.partition("plgs.show_all")[2].partition("Source Masks")[0]
 
 
-def test_edits_move_no_button(tmp_path: Path) -> None:
+def test_corrections_do_not_move_any_button(tmp_path: Path) -> None:
     lift = tiny_lift.write_tiny_lift(tmp_path / "lift").path
     place_lift(lift, bpy.context.scene)
     (root,) = lifts_in(bpy.context.scene)
@@ -199,7 +199,7 @@ def test_an_export_shows_its_progress_bar(
     assert drawn().partition(last)[0] == idle.partition(last)[0] and "The export was cancelled" in drawn()
 
 
-def test_frame_buttons_do_not_move(tmp_path: Path) -> None:
+def test_buttons_for_frames_do_not_move(tmp_path: Path) -> None:
     """The best view, a mask, a proposal: each makes a frame's camera the active one, which has pictures to choose."""
     scene = bpy.context.scene
     place_lift(tiny_lift.write_tiny_lift(tmp_path / "lift").path, scene)
@@ -209,7 +209,7 @@ def test_frame_buttons_do_not_move(tmp_path: Path) -> None:
     assert rows_above("plgs.go_to_best_view") == before
 
 
-def test_a_picture_that_is_made_leaves_its_buttons_live_and_refuses_another(tmp_path: Path) -> None:
+def test_only_one_picture_of_a_frame_is_made_at_a_time(tmp_path: Path) -> None:
     """A button that is grey while the mouse is on it stays so in Blender, although it may be pressed again."""
     scene = bpy.context.scene
     place_lift(tiny_lift.write_tiny_lift(tmp_path / "lift").path, scene)

@@ -16,13 +16,13 @@ from tests.scene.formats.test_scannet import sens
 FOOTPRINT = (Path(__file__).parent.parent / "footprint.py").read_text()
 
 
-def test_the_zip_is_installed_and_switched_on(window: Window) -> None:
+def test_the_zip_is_installed_and_enabled_in_the_window(window: Window) -> None:
     where = window.ask("__import__('sys').modules[EXTENSION].__file__")
     assert where == str(window.folder / "resources/extensions/user_default/plgs/__init__.py")
     assert window.ask("EXTENSION in bpy.context.preferences.addons and hasattr(bpy.context.scene, 'plgs')")
 
 
-def test_switching_off_and_on_and_reloading_leaves_nothing_behind(window: Window) -> None:
+def test_disabling_and_reloading_the_extension_leaves_nothing_behind(window: Window) -> None:
     """By name, for add-ons of Blender's own do leave something; tests/test_register.py looks at everything."""
     window.open_sidebar()
     window.run(FOOTPRINT)
@@ -60,12 +60,12 @@ def folders(window: Window) -> list[str]:
 @pytest.mark.parametrize(
     "names", [["panoptic.json"], pytest.param(["pose/0000.txt", "pose/0001.txt"], marks=pytest.mark.slow)]
 )
-def test_dropped_files_of_a_scene_open_it(window: Window, scene: Path, names: list[str]) -> None:
+def test_a_scene_file_dropped_on_the_window_opens_it(window: Window, scene: Path, names: list[str]) -> None:
     window.drop(*IN_THE_VIEW, *(scene / name for name in names))
     assert folders(window) == [str(scene), ""]
 
 
-def test_a_dropped_file_of_a_lift_opens_it(window: Window, scene: Path) -> None:
+def test_a_lift_file_dropped_on_the_window_opens_it(window: Window, scene: Path) -> None:
     lift = LiftFolder.create(scene.parent / "my lift", LiftRequest(scene=scene))
     window.drop(*IN_THE_VIEW, lift.path / "request.json")
     assert folders(window) == ["", str(lift.path)]
@@ -127,7 +127,7 @@ def test_the_engine_adds_pictures_and_a_cloud_while_the_window_keeps_working(win
 
 
 @pytest.mark.slow
-def test_depth_is_shown_and_undone(window: Window, archive: Path) -> None:
+def test_showing_a_depth_picture_can_be_undone(window: Window, archive: Path) -> None:
     window.open_sidebar()
     window.run(f"bpy.context.scene.plgs.scene_folder = {str(archive)!r}")
     window.press("plgs.import_scene")
@@ -162,7 +162,7 @@ def odd(work_folder: Path) -> tuple[Path, str]:
     return scene, mask.stem
 
 
-def test_a_finding_is_a_picture_and_buttons(window: Window, odd: tuple[Path, str]) -> None:
+def test_a_diagnosis_finding_shows_a_picture_and_buttons(window: Window, odd: tuple[Path, str]) -> None:
     scene, frame = odd
     window.open_sidebar()
     window.run(f"bpy.context.scene.plgs.scene_folder = {str(scene)!r}")

@@ -67,7 +67,7 @@ def lift(work_folder: Path) -> Path:
 
 
 @pytest.mark.parametrize(("kind", "shading"), [("SURFACE", "SOLID"), ("POINTS", "MATERIAL"), ("SPLATS", "MATERIAL")])
-def test_a_click_means_what_is_drawn(window: Window, lift: Path, kind: str, shading: str) -> None:
+def test_clicking_an_object_in_the_window_selects_it(window: Window, lift: Path, kind: str, shading: str) -> None:
     window.place(lift)
     window.run(_TOOLS + f"root.plgs.show_as, view.shading.type = {kind!r}, {shading!r}\n" + (
         "view.shading.color_type, view.shading.light = 'VERTEX', 'FLAT'\n" if shading == "SOLID" else ""

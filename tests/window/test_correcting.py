@@ -27,7 +27,7 @@ def kinds(lift: Path) -> list[str]:
     return [edit["kind"] for edit in edits if not edit.get("undone")]
 
 
-def test_points_are_painted(window: Window, mine: Path) -> None:
+def test_points_are_painted_with_the_mouse(window: Window, mine: Path) -> None:
     before = window.ask("points(1), points(2)")
     window.run(f"choose({CHAIR})")
     x, y = over(window, CABINET)
@@ -49,7 +49,7 @@ def test_points_are_painted(window: Window, mine: Path) -> None:
 
 
 @pytest.mark.slow
-def test_another_class_by_typing_its_name(window: Window, mine: Path) -> None:
+def test_an_objects_class_is_changed_by_typing_its_name(window: Window, mine: Path) -> None:
     window.run(f"choose({CHAIR})")
     at, height = window.press("plgs.reclass_instances")
     window.settle()
@@ -67,7 +67,7 @@ def test_another_class_by_typing_its_name(window: Window, mine: Path) -> None:
     assert window.ask(kind) == "chair" and kinds(mine) == []
 
 
-def test_the_objects_of_an_opened_file_are_read_by_themselves(window: Window, mine: Path) -> None:
+def test_objects_of_an_opened_file_are_read_automatically(window: Window, mine: Path) -> None:
     saved = str(mine / "lift.blend")
     window.run(f"bpy.ops.wm.save_as_mainfile(filepath={saved!r})")
     window.run("lists = sys.modules[EXTENSION + '.plgs_blender.results']; lists._kept.clear()")

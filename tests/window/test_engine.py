@@ -37,14 +37,14 @@ def preferences(window: Window) -> Iterator[Window]:
     window.run("bpy.ops.preferences.addon_expand(module=EXTENSION)")
 
 
-def test_the_engine_is_checked_automatically(preferences: Window) -> None:
+def test_the_window_checks_the_engine_automatically(preferences: Window) -> None:
     preferences.wait_for("engine.status().state.value == 'ready'")
     preferences.settle()
     preferences.screenshot("preferences")
     preferences.wait_for("not bpy.app.timers.is_registered(timer.tick)")  # at its next tick, on a busy machine later
 
 
-def test_a_set_up_is_followed_and_cancelled(preferences: Window) -> None:
+def test_the_window_shows_a_set_up_and_can_cancel_it(preferences: Window) -> None:
     assert preferences.ask("bpy.ops.plgs.set_up_engine.poll()") is False
     preferences.run("bpy.context.preferences.system.use_online_access = True")
     base = f"{sys.base_prefix}/bin/python{sys.version_info[0]}.{sys.version_info[1]}"

@@ -99,7 +99,7 @@ def end(window: Window) -> None:
 
 
 @pytest.mark.slow
-def test_undo_and_another_file_leave_the_lift_in_the_panel(window: Window, scene: Path) -> None:
+def test_a_running_lift_stays_in_the_panel_after_undo_or_opening_a_file(window: Window, scene: Path) -> None:
     lift = begin(window, scene, "through undo")
     window.run("bpy.ops.mesh.primitive_cube_add(); bpy.ops.ed.undo_push(message='cube')")
     window.move(500, 500)
@@ -118,7 +118,7 @@ def test_undo_and_another_file_leave_the_lift_in_the_panel(window: Window, scene
     assert window.ask("followed().can_be_resumed")
 
 
-def test_the_window_never_waits_while_it_lifts(window: Window, scene: Path) -> None:
+def test_the_window_stays_responsive_during_a_lift(window: Window, scene: Path) -> None:
     """Each call of Blender's into the extension, panels, timers and drawing included, with live previews before two
     cameras, one of a frame, then the user's own, and then of the view itself. Only the drawing over the view is not
     counted until the first picture is there: the processor, which stands in for a graphics card, compiles a shader for
@@ -153,7 +153,7 @@ def test_the_window_never_waits_while_it_lifts(window: Window, scene: Path) -> N
     assert not slow
 
 
-def test_closing_blender_ends_the_lift_unless_it_is_to_outlive_it(window: Window, scene: Path) -> None:
+def test_closing_blender_ends_a_lift_unless_it_may_go_on(window: Window, scene: Path) -> None:
     ending = begin(window, scene, "ends with Blender")
     window.quit()
     window.new_file()

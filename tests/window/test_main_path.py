@@ -48,7 +48,7 @@ def choose_scene(window: Window, scene: Path) -> None:
     assert window.ask("bpy.context.scene.plgs.scene_folder").rstrip("/") == str(scene)
 
 
-def test_cameras_are_imported(window: Window, scene: Path) -> None:
+def test_cameras_are_imported_in_the_window(window: Window, scene: Path) -> None:
     window.open_sidebar()
     choose_scene(window, scene)
     window.screenshot("scene")

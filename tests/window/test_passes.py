@@ -30,7 +30,7 @@ with bpy.context.temp_override(window=bpy.context.window_manager.windows[0]):
 """
 
 
-def test_the_compositor_opens_in_one_press(window: Window, work_folder: Path) -> None:
+def test_one_button_opens_the_passes_in_the_compositor(window: Window, work_folder: Path) -> None:
     lift = tiny_lift.write_tiny_lift(work_folder / "compositor" / "lift")
     window.place(lift.path)
     window.run(f"bpy.context.scene.plgs.lift_folder = {str(lift.path)!r}")

@@ -109,7 +109,7 @@ def in_view(window: Window, statements: str) -> None:
     window.settle(timeout=PATIENCE_S)
 
 
-def test_the_opening_view_and_its_colours(shown: Window, lift: Path) -> None:
+def test_the_first_view_of_a_lift_shows_its_colours(shown: Window, lift: Path) -> None:
     assert shown.run(_IN_VIEW + "    answer = [root.plgs.show_as, view.shading.type]\n") == ["SURFACE", "MATERIAL"]
     shown.screenshot(taken_of(lift, "opened"))
     seen = []
@@ -119,7 +119,7 @@ def test_the_opening_view_and_its_colours(shown: Window, lift: Path) -> None:
     assert all((one != other).any(axis=2).mean() > 0.05 for one, other in zip(seen, seen[1:], strict=False))
 
 
-def test_each_shading_shows_the_lift(shown: Window, lift: Path) -> None:
+def test_every_shading_mode_shows_the_lift(shown: Window, lift: Path) -> None:
     for kind in ("POINTS", "SPLATS", "SURFACE"):
         in_view(shown, f"bpy.ops.plgs.show_as(kind={kind!r})")
         assert shown.run(_IN_VIEW + "    answer = view.shading.type\n") == "MATERIAL"
@@ -154,14 +154,14 @@ def fitted_psnr(seen: NDArray[np.uint8], photo: NDArray[np.uint8]) -> float:
     return float(-10.0 * np.log10(np.mean(errors)))
 
 
-def test_the_best_view_is_shown(shown: Window, lift: Path) -> None:
+def test_the_best_view_of_an_object_is_shown(shown: Window, lift: Path) -> None:
     in_view(shown, f"bpy.ops.plgs.select_instance(instance={_SHOWN}.instance_id)")
     in_view(shown, "bpy.ops.plgs.go_to_best_view()")
     shown.screenshot(taken_of(lift, "best-view"))
 
 
 @of_the_sample
-def test_a_running_lift_is_shown(window: Window, scene: Path) -> None:
+def test_a_running_lift_is_shown_in_the_window(window: Window, scene: Path) -> None:
     window.open_sidebar()
     window.run(f"bpy.ops.plgs.import_scene(scene_folder={str(scene)!r})", timeout=PATIENCE_S)
     window.run(_LOOK_THROUGH)
@@ -176,13 +176,13 @@ def test_a_running_lift_is_shown(window: Window, scene: Path) -> None:
     window.wait_for(f"not {_RUNNING}", 20)
 
 
-def test_the_compositor_is_shown(shown: Window, lift: Path) -> None:
+def test_the_compositor_shows_the_passes(shown: Window, lift: Path) -> None:
     in_view(shown, "bpy.ops.plgs.show_passes()")
     shown.screenshot(taken_of(lift, "compositor"))
 
 
 @of_the_sample
-def test_an_import_is_shown(window: Window, scene: Path) -> None:
+def test_an_imported_scene_is_shown_in_the_window(window: Window, scene: Path) -> None:
     window.open_sidebar()
     window.run(f"bpy.ops.plgs.import_scene(scene_folder={str(scene)!r})", timeout=PATIENCE_S)
     window.wait_for(_IS_READ, PATIENCE_S)

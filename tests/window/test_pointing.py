@@ -32,7 +32,7 @@ def kinds(lift: Path) -> list[str]:
     return [edit["kind"] for edit in edits if not edit.get("undone")]
 
 
-def test_a_click_selects_what_is_seen(window: Window, mine: Path) -> None:
+def test_a_click_selects_the_object_under_the_mouse(window: Window, mine: Path) -> None:
     for number in (CHAIR, CABINET, CHAIR):
         window.click(*upon(window, number))
         window.settle()
@@ -62,7 +62,7 @@ def test_a_click_selects_what_is_seen(window: Window, mine: Path) -> None:
     assert window.ask(f"{ACTIVE}.name") == "Suzanne" and window.ask(SELECTED) == [0, CHAIR], "and Shift adds them"
 
 
-def test_a_click_on_the_floor_selects_nothing_anywhere(window: Window, mine: Path) -> None:
+def test_a_click_on_the_floor_selects_no_object(window: Window, mine: Path) -> None:
     chosen = "[lift().plgs.instance_index, bpy.ops.plgs.delete_selected.poll()]"
     for _ in range(2):
         window.click(*upon(window, CHAIR))
@@ -79,7 +79,7 @@ def test_a_click_on_the_floor_selects_nothing_anywhere(window: Window, mine: Pat
     assert window.ask("all(box.hide_get() for box in boxes().values())"), "only the selected one has a box"
 
 
-def test_keys_act_on_what_was_clicked(window: Window, mine: Path) -> None:
+def test_keys_act_on_the_object_that_was_clicked(window: Window, mine: Path) -> None:
     x, y = over(window, CHAIR)
     window.click(x, y)
     window.key("F2")
@@ -115,7 +115,7 @@ def test_keys_act_on_what_was_clicked(window: Window, mine: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_cutting_plane_is_ready_to_be_moved(window: Window, mine: Path) -> None:
+def test_a_new_cutting_plane_is_selected_with_the_move_tool(window: Window, mine: Path) -> None:
     window.click(*upon(window, CABINET))
     window.settle()
     window.press("plgs.place_cut")
@@ -129,7 +129,7 @@ def test_the_cutting_plane_is_ready_to_be_moved(window: Window, mine: Path) -> N
     assert kinds(mine) == ["split"] and not window.ask(f"{shown}.show_gizmo_object_translate")
 
 
-def test_the_keys_are_in_the_preferences(window: Window) -> None:
+def test_the_extensions_keys_are_in_blenders_preferences(window: Window) -> None:
     keys = "bpy.context.window_manager.keyconfigs.user.keymaps['Object Mode'].keymap_items"
     found = window.ask(f"sorted({{each.idname for each in {keys} if each.idname.startswith('plgs.')}})")
     assert found == [
@@ -137,7 +137,7 @@ def test_the_keys_are_in_the_preferences(window: Window) -> None:
     ]
 
 
-def test_a_double_click_in_the_list_renames(window: Window, work_folder: Path) -> None:
+def test_a_double_click_in_the_list_renames_an_object(window: Window, work_folder: Path) -> None:
     with shown_lift(window, work_folder / "list", "PLGS_PT_result", "Result") as lift:
         _, y = window.find_field("plgs.instances_search")
         left, _, width, _ = window._region("UI")

@@ -43,7 +43,7 @@ def lift(work_folder: Path) -> Path:
     return write_tiny_lift(work_folder / "shown", frames=4, bake=False).path
 
 
-def test_the_result_lies_in_the_free_part_of_the_view(window: Window, lift: Path) -> None:
+def test_a_placed_lift_fits_the_view_beside_the_panels(window: Window, lift: Path) -> None:
     window.open_sidebar()
     window.run(f"bpy.ops.plgs.place_lift(lift_folder={str(lift)!r})")
     window.settle()
@@ -57,7 +57,7 @@ def test_the_result_lies_in_the_free_part_of_the_view(window: Window, lift: Path
     assert window.ask(shown) == ["SOLID", "STUDIO", "MATERIAL"], "who turned to Solid shading stays there"
 
 
-def test_what_is_done_with_an_object_is_in_sight(window: Window, lift: Path) -> None:
+def test_the_buttons_for_a_selected_object_are_in_view(window: Window, lift: Path) -> None:
     """In a window 1000 pixels high, with the first steps folded; and few names and no boxes are drawn over the room."""
     window.open_sidebar()
     window.place(lift)
@@ -77,7 +77,7 @@ def test_what_is_done_with_an_object_is_in_sight(window: Window, lift: Path) -> 
     assert window.ask(f"{overlays}.show_overlays")
 
 
-def test_without_a_graphics_card_the_first_view_is_solid_with_the_colours(window: Window, lift: Path) -> None:
+def test_without_a_graphics_card_a_lift_opens_in_solid_shading(window: Window, lift: Path) -> None:
     """As this screen is drawn."""
     viewport = "__import__('sys').modules[EXTENSION + '.plgs_blender.viewport']"
     window.run(f"__import__('importlib').reload({viewport})")
@@ -90,7 +90,7 @@ def test_without_a_graphics_card_the_first_view_is_solid_with_the_colours(window
     assert window.ask(f"({shading}.type, {shading}.color_type)") == ["SOLID", "VERTEX"]
 
 
-def test_a_frame_fills_the_free_part_of_the_view(window: Window, lift: Path) -> None:
+def test_a_frames_picture_fits_the_view_beside_the_panels(window: Window, lift: Path) -> None:
     window.open_sidebar()
     window.run(f"bpy.ops.plgs.place_lift(lift_folder={str(lift)!r})")
     window.run(f"{VIEW}\n    bpy.ops.plgs.go_to_frame(frame='0001')")

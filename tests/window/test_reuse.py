@@ -26,7 +26,7 @@ def mine(window: Window, work_folder: Path, request: pytest.FixtureRequest) -> I
         yield lift
 
 
-def test_objects_are_made_keyed_and_undone(window: Window, mine: Path) -> None:
+def test_objects_are_made_animated_and_undone_in_the_window(window: Window, mine: Path) -> None:
     window.run(f"choose({CHAIR})")
     _, height = window.press("plgs.make_objects")
     made = "sorted(ob.name for ob in bpy.data.objects if ob.name.startswith('chair 1 ') and ' box' not in ob.name)"

@@ -59,7 +59,7 @@ def longest(window: Window) -> tuple[float, str]:
     return max((wait, call) for call, wait in waits.items())
 
 
-def test_the_window_does_not_wait_for_a_result(window: Window, lift: Path) -> None:
+def test_the_window_stays_responsive_while_a_result_is_placed(window: Window, lift: Path) -> None:
     window.open_sidebar()
     window.run(f"bpy.context.scene.plgs.lift_folder = {str(lift)!r}")
     window.settle()

@@ -86,9 +86,7 @@ def test_the_window_does_not_wait_for_a_second_engine_check(python: Python, monk
     assert "lacks torch" in (engine_environment.why_no_engine() or "")
 
 
-def test_programs_other_than_python_are_noticed(
-    python: Python, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_programs_other_than_python_are_told(python: Python, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     picture = tmp_path / "picture.png"
     picture.write_bytes(b"\x89PNG\r\n\x1a\n\0\0")
     executable_picture = tmp_path / "run.png"
@@ -115,9 +113,7 @@ def test_programs_other_than_python_are_noticed(
     assert "PLGS_ENGINE_PYTHON" in answer_of(None).fix
 
 
-def test_a_python_that_hangs_in_a_check_is_ended(
-    python: Python, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_python_that_hangs_in_check_is_ended(python: Python, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pid = tmp_path / "pid"
     choices.choose(python("hanging", f"echo $$ > {pid}.part; mv {pid}.part {pid}; exec sleep 600"))
     task = tasks.check()
@@ -174,9 +170,7 @@ def pretend(monkeypatch: pytest.MonkeyPatch, program: str) -> None:
     monkeypatch.setattr(tasks, "start_engine", start_engine)
 
 
-def test_a_finished_set_up_gets_its_python_checked(
-    online: None, python: Python, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_set_up_is_followed_by_an_engine_check(online: None, python: Python, monkeypatch: pytest.MonkeyPatch) -> None:
     pretend(monkeypatch, "")
     choices.choose(python())  # which is why somebody sets it up
     set_up = tasks.set_up(SetUpChoice())

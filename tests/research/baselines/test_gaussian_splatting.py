@@ -32,7 +32,7 @@ def some_gaussians(count: int = 30) -> StructuredScene:
     return StructuredScene(anchors, PlainDecoders(SHAPE), CHANNELS, 0.1)
 
 
-def test_gaussians_start_with_the_clouds_colours_and_without_labels() -> None:
+def test_plain_gaussians_start_with_the_clouds_colours() -> None:
     positions, rgb = np.array([[0, 0, 2], [0.3, 0, 2]], np.float32), np.array([[255, 0, 51], [0, 0, 0]], np.uint8)
     anchors = plain_gaussians(positions, np.array([5, 0]), rgb, SHAPE)
     drawn = decode(anchors, PlainDecoders(SHAPE), CAMERA, channels=torch.tensor([1, -1]))
@@ -44,7 +44,7 @@ def test_gaussians_start_with_the_clouds_colours_and_without_labels() -> None:
     assert drawn.cluster_loss.item() == pytest.approx(np.log(3))
 
 
-def test_small_gaussians_are_cloned_large_split_and_faint_removed() -> None:
+def test_gaussians_are_cloned_split_or_pruned_by_size_and_opacity() -> None:
     scene = some_gaussians(5)
     scene.anchors.feature[:, SCALE] = np.log(0.01) / SCALE_RATE
     scene.anchors.feature[1, SCALE] = np.log(0.5) / SCALE_RATE
@@ -64,7 +64,7 @@ def test_small_gaussians_are_cloned_large_split_and_faint_removed() -> None:
     assert all(float(sums.sum()) == 0 for sums in statistics.tensors().values())
 
 
-def test_stored_gaussians_are_drawn_the_same() -> None:
+def test_stored_plain_gaussians_are_drawn_the_same() -> None:
     scene = some_gaussians()
     again = from_tensors(*to_tensors(scene))
     assert isinstance(again.decoders, PlainDecoders)

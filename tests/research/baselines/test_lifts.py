@@ -44,7 +44,7 @@ def often(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("often")
-def test_plain_gaussians_learn_and_grow(tiny: Input, tmp_path: Path) -> None:
+def test_training_plain_gaussians_lowers_the_loss_and_adds_gaussians(tiny: Input, tmp_path: Path) -> None:
     trainer = trainer_of(*tiny, replace(PLAIN, steps=30), tmp_path)
     before, began_with = colour_error(tiny[0], trainer), len(trainer.scene.anchors)
     reports = []
@@ -79,7 +79,7 @@ def test_semantic_targets_come_from_the_chosen_source(tiny: Input, tmp_path: Pat
     assert any(not np.array_equal(one, other) for one, other in zip(projected, masks, strict=True))
 
 
-def test_without_matches_no_thing_is_taught_to_be_no_object(tiny: Input, tmp_path: Path) -> None:
+def test_an_unmatched_thing_is_not_trained_as_no_object(tiny: Input, tmp_path: Path) -> None:
     views, _ = tiny
     for labelled in (True, False):
         trainer = trainer_of(*tiny, replace(ALONE, labelled_start=labelled, semantic_targets="projected"), tmp_path)
@@ -94,7 +94,7 @@ def loss_of(tiny: Input, folder: Path, preset: BaselinePreset) -> tuple[float, f
     return report.semantic, report.instance
 
 
-def test_label_losses_have_their_parts(tiny: Input, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_label_loss_term_can_be_switched_off(tiny: Input, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     boxes = replace(TINY, objects="boxes", one_class_an_object=False, linear_assignment=True, label_every=1)
     semantic, instance = loss_of(tiny, tmp_path, boxes)
     without = replace(boxes, weights=replace(boxes.weights, cluster=0.0))
@@ -106,7 +106,7 @@ def test_label_losses_have_their_parts(tiny: Input, tmp_path: Path, monkeypatch:
     assert loss_of(tiny, tmp_path, replace(boxes, linear_assignment=False))[1] < instance
 
 
-def test_unlabelled_start_has_only_colours(tiny: Input, tmp_path: Path) -> None:
+def test_an_unlabelled_start_encodes_only_colours(tiny: Input, tmp_path: Path) -> None:
     labelled, bare = (
         prepared_for(*tiny, replace(TINY, labelled_start=known), tmp_path).scene for known in (True, False)
     )
@@ -115,7 +115,7 @@ def test_unlabelled_start_has_only_colours(tiny: Input, tmp_path: Path) -> None:
     assert labelled.anchors.feature[:, 3:].any()
 
 
-def test_a_segment_takes_the_class_that_it_shows_most_certainly() -> None:
+def test_a_segment_takes_its_most_certain_class() -> None:
     ids = np.array([[3, 3, 3, 0], [9, 9, 9, 9]])
     shown = np.zeros((2, 4, 3), np.float32)
     shown[0] = [[0.6, 0.4, 0.1], [0.6, 0.4, 0.1], [0.01, 0.99, 0.1], [1.0, 0.0, 0.1]]  # twice class 0, but unsurely

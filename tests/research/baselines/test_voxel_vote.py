@@ -19,7 +19,7 @@ def _labels() -> np.ndarray:
     return labels
 
 
-def test_the_majority_wins() -> None:
+def test_a_voxel_takes_the_majority_class() -> None:
     votes = VoxelVote(CLASSES)
     wrong = np.full_like(_labels(), WALL)
     for labels in (_labels(), wrong, _labels(), np.zeros_like(wrong)):
@@ -28,7 +28,7 @@ def test_the_majority_wins() -> None:
     assert (semantic == _labels()).mean() > 0.93  # a voxel is two pixels wide: only borders differ
 
 
-def test_objects_that_do_not_touch_are_two_instances() -> None:
+def test_voxels_that_do_not_touch_are_two_instances() -> None:
     votes = VoxelVote(CLASSES)
     votes.add(CAMERA, DEPTH, _labels())
     semantic, instance = votes.result().look_up(CAMERA, DEPTH)
@@ -37,7 +37,7 @@ def test_objects_that_do_not_touch_are_two_instances() -> None:
     assert not instance[semantic == WALL].any()
 
 
-def test_void_is_never_predicted() -> None:
+def test_the_voxel_vote_never_predicts_void() -> None:
     votes = VoxelVote(CLASSES)
     depth = DEPTH.copy()
     depth[:, 30:] = 0
@@ -50,7 +50,7 @@ def test_void_is_never_predicted() -> None:
     assert not nothing.any()
 
 
-def test_an_empty_vote_has_no_winners() -> None:
+def test_a_voxel_vote_without_views_is_refused() -> None:
     votes = VoxelVote(CLASSES)
     assert votes.is_empty
     votes.add(CAMERA, np.zeros_like(DEPTH), _labels())

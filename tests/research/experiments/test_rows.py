@@ -18,19 +18,19 @@ LETTER = "PLGS from zero features and random decoders"
 
 
 @pytest.mark.parametrize("row", [row for row in FOUND.rows if row.is_lift], ids=lambda row: row.slug)
-def test_each_row_has_valid_options(row) -> None:
+def test_every_experiment_row_has_valid_options(row) -> None:
     request = LiftRequest(scene=Path("/room"), options=row.options)
     is_as_the_preset = request.chosen_preset == LiftRequest(scene=Path("/room")).chosen_preset
     assert is_as_the_preset == (not row.options)
     assert row.options or row.name == "ours" or row.masks or row.depth_from
 
 
-def test_no_two_rows_are_the_same_lift() -> None:
+def test_no_two_experiment_rows_are_the_same_lift() -> None:
     lifts = [(tuple(row.options.items()), row.masks, row.depth_from) for row in FOUND.rows if row.is_lift]
     assert len(set(map(repr, lifts))) == len(lifts), "the later one is same_as the other"
 
 
-def test_every_method_of_a_row_is_measured() -> None:
+def test_every_method_named_in_an_experiment_row_exists() -> None:
     from research.baselines.voxel_vote import VOXEL_VOTE
     from research.baselines.without_a_lift import WITHOUT_A_LIFT
 
@@ -38,7 +38,7 @@ def test_every_method_of_a_row_is_measured() -> None:
     assert {row.method for row in FOUND.rows if row.method} <= set(WITHOUT_A_LIFT)
 
 
-def test_the_papers_ablations_are_there() -> None:
+def test_the_experiments_contain_the_papers_ablations() -> None:
     assert {"designs", "cost", "semantics", "instances", "tau", "neighbours", "departures"} <= set(FOUND.tables)
     plgs = FOUND.named("PLGS").options
     paper = LiftRequest(scene=Path("/room"), preset="paper").chosen_preset
@@ -49,7 +49,7 @@ def test_the_papers_ablations_are_there() -> None:
         assert getattr(mine, name) == getattr(paper, name), name
 
 
-def test_rows_and_tables_are_found_by_name() -> None:
+def test_experiment_rows_and_tables_are_found_by_name() -> None:
     assert [row.name for row in ROWS.chosen(["parts"])] == ["all of it", "without depth", "other masks"]
     assert [row.name for row in ROWS.chosen(["Ours", "without depth"])] == ["ours", "without depth"]
     assert ROWS.chosen([]) == ROWS.rows
@@ -76,7 +76,7 @@ def test_a_file_that_is_not_a_table_of_rows_is_refused(content: str, key: str, t
         read_rows(path)
 
 
-def test_scene_text_can_name_its_axis() -> None:
+def test_the_up_axis_can_follow_a_scenes_path() -> None:
     rooms = Path("rooms").resolve()
     assert scenes_from(["rooms/office", "rooms/kitchen:up=-y"]) == (
         SceneToLift("office", rooms / "office", "z"),
@@ -84,12 +84,12 @@ def test_scene_text_can_name_its_axis() -> None:
     )
 
 
-def test_a_colon_may_be_part_of_a_path() -> None:
+def test_a_colon_may_be_part_of_a_scenes_path() -> None:
     (scene,) = scenes_from(["C:rooms:up=y"], ["rooms"])
     assert (scene.folder.name, scene.up) == ("C:rooms", "y")
 
 
-def test_scenes_take_given_names() -> None:
+def test_scenes_of_an_experiment_take_given_names() -> None:
     scenes = scenes_from(["one/room", "two/room:up=y"], ["first", "second"])
     assert [(scene.name, scene.up) for scene in scenes] == [("first", "z"), ("second", "y")]
 
@@ -108,6 +108,6 @@ def test_scenes_take_given_names() -> None:
         ([""], None, "not-scene"),
     ],
 )
-def test_bad_scene_texts_are_refused(texts: list[str], names: list[str] | None, key: str) -> None:
+def test_bad_scene_arguments_of_an_experiment_are_refused(texts: list[str], names: list[str] | None, key: str) -> None:
     with raises_key(key):
         scenes_from(texts, names)

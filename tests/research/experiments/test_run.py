@@ -83,7 +83,7 @@ def test_every_scene_is_lifted_once(experiment: Experiment, behave: Behave, caps
     assert read_results(experiment.folder / "results.json") == first
 
 
-def test_rows_are_lifted_one_after_the_other(experiment: Experiment, behave: Behave) -> None:
+def test_an_experiment_lifts_its_rows_one_after_the_other(experiment: Experiment, behave: Behave) -> None:
     some = replace(experiment, scenes=experiment.scenes[:1], only=("ours", "parts", "input masks"), seeds=(0, 2))
     assert run(some) is ExitCode.FINISHED
     assert measured(some) == [
@@ -101,7 +101,7 @@ def test_rows_are_lifted_one_after_the_other(experiment: Experiment, behave: Beh
     )
 
 
-def test_finished_only_tables_lift_nothing(experiment: Experiment, behave: Behave) -> None:
+def test_tables_of_finished_rows_start_no_lift(experiment: Experiment, behave: Behave) -> None:
     assert run(replace(experiment, scenes=experiment.scenes[:1])) is ExitCode.FINISHED
     whole = replace(experiment, only=("ours", "parts"), only_finished=True)
     assert run(whole) is ExitCode.FINISHED
@@ -114,7 +114,7 @@ def test_finished_only_tables_lift_nothing(experiment: Experiment, behave: Behav
     assert sorted(path.parent.name for path in whole.folder.glob("*/request.json")) == ["office-preview"]
 
 
-def test_scenes_are_read_as_the_options_say(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
+def test_an_experiment_reads_scenes_as_the_options_say(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
     classes = tmp_path / "mine.toml"
     classes.write_text('[[class]]\nname = "cabinet"\ninto = "wall"\n')
     arguments = [str(experiment.scenes[0].folder), "-o", str(experiment.folder), "--only", "ours", "input masks"]
@@ -158,7 +158,7 @@ def test_failed_lift_is_resumed(experiment: Experiment, behave: Behave, capsys: 
     assert measured(experiment) == [("office", "ours"), ("kitchen", "ours")]
 
 
-def test_bad_input_is_reported_before_any_lift(experiment: Experiment, behave: Behave) -> None:
+def test_an_experiment_reports_bad_input_before_any_lift(experiment: Experiment, behave: Behave) -> None:
     with raises_key("shared-path --masks"):
         run(replace(experiment, masks="predictions"))
     with raises_key("bad-value steps"):
@@ -170,7 +170,7 @@ def test_bad_input_is_reported_before_any_lift(experiment: Experiment, behave: B
     assert not experiment.folder.exists()
 
 
-def test_unreadable_scene_is_a_row(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unreadable_scene_fails_row(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
     missing = SceneToLift("cellar", experiment.folder / "cellar")
     page = experiment.folder / "results.md"
     three = replace(experiment, scenes=(missing, *experiment.scenes), only=("ours", "input masks"))
@@ -184,7 +184,7 @@ def test_unreadable_scene_is_a_row(experiment: Experiment, behave: Behave, capsy
         assert sum("cellar" in line["failed"] for line in csv.DictReader(file)) == 2
 
 
-def test_masks_and_depth_are_found_by_patterns(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
+def test_an_experiment_finds_masks_by_path_patterns(experiment: Experiment, behave: Behave, tmp_path: Path) -> None:
     office, kitchen = experiment.scenes
     masks = tmp_path / "predictions" / "office"
     masks.mkdir(parents=True)
@@ -209,7 +209,7 @@ def test_masks_and_depth_are_found_by_patterns(experiment: Experiment, behave: B
     assert "depths/kitchen" in Path(failed.failed).as_posix()
 
 
-def test_a_foreign_folder_is_reported_before_any_lift(experiment: Experiment, behave: Behave) -> None:
+def test_an_experiment_refuses_a_strangers_folder_before_any_lift(experiment: Experiment, behave: Behave) -> None:
     foreign = experiment.folder / "kitchen-preview"
     foreign.mkdir(parents=True)
     (foreign / "notes.txt").touch()
@@ -223,7 +223,7 @@ def test_a_foreign_folder_is_reported_before_any_lift(experiment: Experiment, be
     assert not (experiment.folder / "office-preview").exists()
 
 
-def test_earlier_lifts_stay(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
+def test_earlier_lifts_are_kept(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
     page = experiment.folder / "results.md"
     assert run(replace(experiment, only=("ours", "input masks"))) is ExitCode.FINISHED
     capsys.readouterr()
@@ -238,7 +238,7 @@ def test_earlier_lifts_stay(experiment: Experiment, behave: Behave, capsys: pyte
     assert rows == ["without depth"], "lifts by other options are none of these"
 
 
-def test_experiment_runs_with_the_real_engine(
+def test_an_experiment_runs_with_the_real_engine(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path
 ) -> None:
     monkeypatch.setenv("PLGS_ENGINE_PYTHON", str(quick_python))

@@ -17,7 +17,7 @@ def of_table(name: str, results: Sequence[Result]) -> list[list[str]]:
     return cells("\n".join(Tables(ROWS, ROWS.rows, tuple(results)).lines(results[0].scene, rows)))
 
 
-def test_table_shows_the_papers_figures() -> None:
+def test_the_results_table_shows_the_papers_figures() -> None:
     heading, rule, *rows = of_table("systems", OFFICE)
     assert heading == [
         "", "mIoU %", "mIoU % true classes", "PQ-scene %", "mIoU % `pl_compat`", "mIoU % `pl_compat`, true classes",
@@ -36,13 +36,13 @@ def test_table_shows_the_papers_figures() -> None:
     ]  # fmt: skip
 
 
-def test_several_seeds_have_a_spread() -> None:
+def test_results_of_several_seeds_show_their_spread() -> None:
     seeds = ((0, 0.5), (1, 0.6))
     results = [replace(OFFICE[2], seed=seed, figures=OFFICE[2].figures._replace(pq=pq)) for seed, pq in seeds]
     assert of_table("parts", results)[2][:3] == ["all of it", "60.0 ± 0.0", "55.0 ± 7.1"]
 
 
-def test_one_section_per_scene() -> None:
+def test_the_results_have_one_section_for_each_scene() -> None:
     text = Tables(ROWS, ROWS.rows, (*OFFICE, KITCHEN)).markdown()
     assert [line for line in text.splitlines() if line[:1] in ("#", "*")] == [
         "### office", "**Systems**", "### kitchen", "**Systems**", "### Means: over the scenes", "**Systems**",
@@ -52,7 +52,7 @@ def test_one_section_per_scene() -> None:
     assert len({len(line) for line in office.splitlines() if line[:1] == "|"}) == 1
 
 
-def test_a_row_that_another_engine_lifted_is_marked() -> None:
+def test_results_lifted_by_another_engine_version_are_marked() -> None:
     own = replace(OFFICE[0], row="without depth")
     results = (OFFICE[0], OFFICE[1], replace(OFFICE[2], engine_version="0.0.9"), own)
     text = Tables(ROWS, ROWS.rows, results).markdown()
@@ -64,7 +64,7 @@ def test_a_row_that_another_engine_lifted_is_marked() -> None:
     assert "†" not in Tables(ROWS, ROWS.rows, OFFICE).markdown()
 
 
-def test_means_are_over_the_scenes_that_have_the_figure() -> None:
+def test_means_cover_only_scenes_that_have_the_figure() -> None:
     seeds = [replace(KITCHEN, seed=seed, figures=Figures(miou=miou, psnr=17.0)) for seed, miou in ((0, 0.3), (1, 0.5))]
     broken = [Result("hall", row, "preview", 0, 0, this_engine(), failed="no frames") for row in ("ours", "theirs")]
     text = Tables(ROWS, ROWS.rows, (*OFFICE, *seeds, *broken)).markdown()

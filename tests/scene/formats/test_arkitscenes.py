@@ -44,7 +44,7 @@ def write_video(folder: Path, kind: str) -> Path:
     return folder
 
 
-def test_pictures_far_from_any_pose_are_left_out(tmp_path: Path) -> None:
+def test_arkitscenes_pictures_far_in_time_from_any_pose_are_left_out(tmp_path: Path) -> None:
     write_video(tmp_path, "wide")
     path = tmp_path / "lowres_wide.traj"
     path.write_text("\n".join(path.read_text().splitlines()[:-2]))
@@ -63,7 +63,7 @@ def test_pictures_far_from_any_pose_are_left_out(tmp_path: Path) -> None:
         ("wide_intrinsics/first.pincam", "64 48 50 50 32 24", "no-time-stamp"),
     ],
 )
-def test_damaged_files_are_named(tmp_path: Path, file: str, content: str, told: str) -> None:
+def test_damaged_arkitscenes_files_are_named(tmp_path: Path, file: str, content: str, told: str) -> None:
     write_video(tmp_path, "wide")
     (tmp_path / file).write_text(content)
     refuses(told, tmp_path)

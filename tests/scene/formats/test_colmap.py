@@ -61,7 +61,7 @@ def write_depth(folder: Path) -> None:
         (folder / "stereo" / "depth_maps" / f"{image_name(i)}.geometric.bin").write_bytes(data)
 
 
-def test_text_pictures_and_points(tmp_path: Path) -> None:
+def test_a_colmap_text_model_is_read_with_pictures_and_points(tmp_path: Path) -> None:
     scene = open_scene(write_text(tmp_path))
     assert scene.format == "colmap" and not scene.has_depth and describe(scene).sparse_points == 6
     assert [frame.name for frame in scene.frames] == [f"img_{i + 5}" for i in range(6)]
@@ -76,7 +76,7 @@ def test_text_pictures_and_points(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("place", ["dense/0", "dense"])
-def test_depth_of_a_workspace_is_found(tmp_path: Path, place: str) -> None:
+def test_depth_maps_of_a_colmap_workspace_are_found(tmp_path: Path, place: str) -> None:
     """Its pictures are undistorted and of another size than the photos; empty folders are no depth."""
     write_text(tmp_path, ("RADIAL", (LENS.fx, LENS.cx, LENS.cy, -0.1, 0.03)))
     (tmp_path / "stereo" / "depth_maps").mkdir(parents=True)
@@ -91,7 +91,7 @@ def test_depth_of_a_workspace_is_found(tmp_path: Path, place: str) -> None:
     room.check_on_room(scene)
 
 
-def test_broken_dense_depth_is_reported(tmp_path: Path) -> None:
+def test_broken_colmap_depth_maps_are_reported(tmp_path: Path) -> None:
     """Some numbers that are no depth are none; a file of them is broken."""
     write_depth(write_text(tmp_path))
     path = tmp_path / "stereo" / "depth_maps" / f"{image_name(0)}.geometric.bin"
@@ -106,7 +106,7 @@ def test_broken_dense_depth_is_reported(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("place", ["sparse", "model", "."])
-def test_the_model_may_lie_elsewhere(tmp_path: Path, place: str) -> None:
+def test_a_colmap_model_is_found_in_its_usual_folders(tmp_path: Path, place: str) -> None:
     write_text(tmp_path)
     (tmp_path / place).mkdir(exist_ok=True)
     for file in (tmp_path / "sparse" / "0").iterdir():
@@ -133,7 +133,7 @@ def simple_fisheye(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray
         (("SIMPLE_RADIAL_FISHEYE", (LENS.fx, LENS.cx, LENS.cy, 0.04)), simple_fisheye),
     ],
 )
-def test_distorted_lenses_are_straightened(
+def test_colmap_pictures_of_distorted_lenses_are_undistorted(
     tmp_path: Path, model: tuple[str, tuple[float, ...]], bend: room.Bend
 ) -> None:
     write_text(tmp_path, model)
@@ -164,7 +164,7 @@ def binary(folder: Path) -> Path:
     return folder
 
 
-def test_binary_models_are_read(tmp_path: Path) -> None:
+def test_binary_colmap_models_are_read(tmp_path: Path) -> None:
     scene = open_scene(binary(tmp_path))
     room.check_colours(scene)
     assert scene.points is not None
@@ -181,7 +181,7 @@ def test_binary_models_are_read(tmp_path: Path) -> None:
         (17, "EQUIRECTANGULAR", 2), (18, "NEWEST", 4),
     ],
 )  # fmt: skip
-def test_other_camera_models_are_named_with_their_mend(tmp_path: Path, number: int, model: str, count: int) -> None:
+def test_unsupported_colmap_lenses_are_refused_with_advice(tmp_path: Path, number: int, model: str, count: int) -> None:
     values = [64.0] * count
     write_text(tmp_path / "text", (model, tuple(values)))
     cameras = binary(tmp_path / "binary") / "sparse" / "0" / "cameras.bin"
@@ -198,7 +198,7 @@ def test_the_test_pictures_of_gaussian_splatting_are_held_out(tmp_path: Path) ->
     assert [frame.name for frame in open_scene(tmp_path).test_frames] == ["img_6", "img_9"]
 
 
-def test_unregistered_pictures_are_reported(tmp_path: Path) -> None:
+def test_pictures_that_colmap_did_not_register_are_reported(tmp_path: Path) -> None:
     folder = write_text(tmp_path)
     first = folder / "images" / image_name(0)
     first.with_stem("extra").write_bytes(first.read_bytes())

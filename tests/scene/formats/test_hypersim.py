@@ -57,14 +57,14 @@ def write_hypersim(folder: Path, M: np.ndarray, table: bool = True, linear: bool
     return folder
 
 
-def test_a_tilted_lens_is_straightened(tmp_path: Path) -> None:
+def test_a_tilted_hypersim_lens_is_corrected(tmp_path: Path) -> None:
     scene = open_scene(write_hypersim(tmp_path / "ai_007_005", TILTED))
     assert not scene.frames[0].file_shows_colour
     # Depth takes the nearest pixel, up to 0.7 pixels aside: 2 cm at a slant.
     check_on_room(scene, tolerance=0.025, share=0.97, colour_step=60, colour_share=0.92)  # it is black at the corners
 
 
-def test_without_the_table_the_usual_lens_is_taken(tmp_path: Path) -> None:
+def test_without_its_camera_table_hypersim_uses_the_default_lens(tmp_path: Path) -> None:
     scene = open_scene(write_hypersim(tmp_path / "ai_001_001", USUAL, table=False, linear=True))
     assert any("metadata_camera_parameters.csv is missing" in warning for warning in scene.warnings)
     check_on_room(scene, tolerance=0.005, colour_step=255)

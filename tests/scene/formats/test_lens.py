@@ -38,7 +38,7 @@ ASSUMED: list[tuple[Callable[[Path], Path], str, str, str]] = [
 
 
 @pytest.mark.parametrize(("write", "told", "file", "text"), ASSUMED)
-def test_assumed_lens_is_warned(tmp_path: Path, write: Callable[[Path], Path], told: str, file: str, text: str) -> None:
+def test_assumed_lens_warns(tmp_path: Path, write: Callable[[Path], Path], told: str, file: str, text: str) -> None:
     place = write(tmp_path)
     before = open_scene(place)
     assert [told in warning for warning in before.warnings if "assumed" in warning] == [True] * bool(told)
@@ -62,13 +62,13 @@ def shown(lens: Distortion) -> np.ndarray:
 
 
 @pytest.mark.parametrize("count", [4, 5, 8, 12])
-def test_opencvs_numbers_are_those_of_its_own_projection(count: int) -> None:
+def test_opencv_distortion_matches_opencvs_own_projection(count: int) -> None:
     points = np.concatenate([GRID, np.ones((len(GRID), 1))], -1)
     expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), np.array(NUMBERS[:count]))
     np.testing.assert_allclose(shown(of_opencv(NUMBERS[:count])), expected[:, 0], atol=1e-12)
 
 
-def test_the_fisheye_is_opencvs() -> None:
+def test_fisheye_distortion_matches_opencv() -> None:
     k = NUMBERS[:4]
     expected = cv2.fisheye.distortPoints(GRID[:, None], np.eye(3), np.array(k))
     lenses = [
@@ -80,7 +80,7 @@ def test_the_fisheye_is_opencvs() -> None:
         np.testing.assert_allclose(shown(lens), expected[:, 0], atol=1e-9)
 
 
-def test_nerfstudios_k4_is_in_the_numerator() -> None:
+def test_nerfstudios_k4_is_read_as_nerfstudio_uses_it() -> None:
     """Its camera_utils.py: d = 1 + r (k1 + r (k2 + r (k3 + r k4))) for r = x^2 + y^2."""
     k1, k2, k3, k4, p1, p2 = NUMBERS[:6]
     x, y = GRID.T
@@ -94,7 +94,7 @@ def test_nerfstudios_k4_is_in_the_numerator() -> None:
     )
 
 
-def test_colmaps_thin_prism_counts_angles() -> None:
+def test_colmaps_thin_prism_fisheye_model_is_read_correctly() -> None:
     """Its models.h: with u, v = theta / r (x, y), du = u radial + 2 p1 uv + p2 (theta^2 + 2 u^2) + sx1 theta^2."""
     k1, k2, p1, p2, k3, k4, sx, sy = NUMBERS[:8]
     radius = np.hypot(*GRID.T)
@@ -108,7 +108,7 @@ def test_colmaps_thin_prism_counts_angles() -> None:
     np.testing.assert_allclose(shown(lens).T, [u + du, v + dv], atol=1e-12)
 
 
-def test_numbers_after_tums_intrinsics_are_opencvs(tmp_path: Path) -> None:
+def test_tum_distortion_numbers_are_read_as_opencvs(tmp_path: Path) -> None:
     test_tum.write_tum(tmp_path)
     lens, bend = test_tum.KINECT, of_opencv((-0.12, 0.05, 0.002, -0.003, 0.01))
     for i, view in enumerate(views()):
@@ -127,5 +127,5 @@ def test_numbers_after_tums_intrinsics_are_opencvs(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "extra", [{"b1": 0.4}, {"camera_model": "OPENCV_FISHEYE", "k5": 0.1}, {"equirectangular": True}]
 )
-def test_numbers_of_a_lens_that_no_formula_takes_are_refused(tmp_path: Path, extra: dict[str, object]) -> None:
+def test_distortion_numbers_of_an_unknown_lens_model_are_refused(tmp_path: Path, extra: dict[str, object]) -> None:
     refuses("lens-numbers", test_nerfstudio.write_scene(tmp_path, **extra))

@@ -37,7 +37,7 @@ def write_scene(folder: Path, depth: bool = True, **shared: Any) -> Path:
     return folder
 
 
-def test_frames_whose_pictures_are_missing_are_left_out(tmp_path: Path) -> None:
+def test_nerfstudio_frames_with_missing_pictures_are_left_out(tmp_path: Path) -> None:
     """instant-ngp's own sample names more pictures than it has."""
     write_scene(tmp_path)
     (tmp_path / "images" / "frame_9.png").unlink()
@@ -46,7 +46,7 @@ def test_frames_whose_pictures_are_missing_are_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("step", [None, 0.1, 0.001, 0.0002])
-def test_arrays_of_depth_and_scaled_poses_are_metres(tmp_path: Path, step: float | None) -> None:
+def test_nerfstudio_depth_arrays_and_scaled_poses_become_metres(tmp_path: Path, step: float | None) -> None:
     """A .npy has nerfstudio's factor, too, and ``applied_scale`` multiplied the poses, not the depth."""
     write_scene(tmp_path, applied_scale=0.5, depth_unit_scale_factor=step)
     path = tmp_path / "transforms.json"
@@ -61,7 +61,7 @@ def test_arrays_of_depth_and_scaled_poses_are_metres(tmp_path: Path, step: float
     room.check_on_room(open_scene(tmp_path))
 
 
-def test_names_relative_to_another_folder_are_found_beside_it(tmp_path: Path) -> None:
+def test_transforms_json_with_paths_of_another_folder_finds_its_pictures(tmp_path: Path) -> None:
     write_scene(tmp_path)
     path = tmp_path / "transforms.json"
     path.write_text(path.read_text().replace("./images/", "../../data/room/images/"))
@@ -88,7 +88,7 @@ def test_splits_of_nerfs_synthetic_scenes_are_used(tmp_path: Path) -> None:
     room.check_colours(scene)
 
 
-def test_instant_ngps_own_keys_are_read(tmp_path: Path) -> None:
+def test_keys_of_instant_ngp_in_transforms_json_are_read(tmp_path: Path) -> None:
     """Angles instead of focal lengths, images without suffix, depth in steps of its own."""
     angles = {"camera_angle_x": 2 * math.atan(32 / LENS.fx), "camera_angle_y": 2 * math.atan(24 / LENS.fy)}
     write_scene(tmp_path, **angles, fl_x=None, fl_y=None, camera_model=None, integer_depth_scale=1 / 2000)
@@ -102,7 +102,7 @@ def test_instant_ngps_own_keys_are_read(tmp_path: Path) -> None:
     room.check_on_room(open_scene(tmp_path))
 
 
-def test_intrinsics_of_larger_pictures_and_npy_depth_are_read(tmp_path: Path) -> None:
+def test_nerfstudio_intrinsics_of_larger_pictures_are_scaled(tmp_path: Path) -> None:
     write_scene(tmp_path, w=128, h=96, fl_x=2 * LENS.fx, fl_y=2 * LENS.fy, cx=2 * LENS.cx, cy=2 * LENS.cy)
     content = json.loads((tmp_path / "transforms.json").read_text())
     for frame in content["frames"]:
@@ -116,7 +116,7 @@ def test_intrinsics_of_larger_pictures_and_npy_depth_are_read(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("model", ["OPENCV", "OPENCV_FISHEYE"])
-def test_lens_distortion_is_removed(tmp_path: Path, model: str) -> None:
+def test_nerfstudio_lens_distortion_is_removed(tmp_path: Path, model: str) -> None:
     """test_lens.py compares the formulas with OpenCV's and nerfstudio's own."""
     bent = {"k1": -0.12, "k2": 0.05, "p1": 0.004, "p2": -0.003}
     if model == "OPENCV_FISHEYE":
@@ -134,7 +134,7 @@ def test_lens_distortion_is_removed(tmp_path: Path, model: str) -> None:
     assert scene.frames[0].depth((64, 48)).shape == (48, 64)
 
 
-def test_points_and_cameras_stand_upright_together(tmp_path: Path) -> None:
+def test_nerfstudio_points_and_cameras_are_turned_upright_together(tmp_path: Path) -> None:
     """nerfstudio leaves COLMAP's world turned as it was; sparse_pc.ply lies in the same world."""
     write_scene(tmp_path, ply_file_path="sparse_pc.ply")
     content = json.loads((tmp_path / "transforms.json").read_text())

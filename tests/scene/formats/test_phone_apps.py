@@ -58,7 +58,7 @@ def without_size(folder: Path, kind: str = "corrected_cameras", **other: float) 
 
 
 @pytest.mark.parametrize("scale", [1, 2])
-def test_a_size_that_cameras_do_not_say_is_inferred(tmp_path: Path, scale: int) -> None:
+def test_a_picture_size_missing_from_phone_scans_is_inferred(tmp_path: Path, scale: int) -> None:
     """Newer exports have no width and height in corrected_cameras. Its numbers may be for larger pictures."""
     write_polycam(tmp_path)
     lens = LENS.scaled(scale)
@@ -71,7 +71,7 @@ def test_a_size_that_cameras_do_not_say_is_inferred(tmp_path: Path, scale: int) 
 
 
 @pytest.mark.parametrize("kept", [3, 1, 0])
-def test_keyframes_that_were_not_optimised_are_counted(tmp_path: Path, kept: int) -> None:
+def test_polycam_keyframes_that_were_not_optimised_are_reported(tmp_path: Path, kept: int) -> None:
     """Their own cameras stand elsewhere, so they are no substitute, unless no keyframe was optimised."""
     keyframes = write_polycam(tmp_path, corrected=kept > 0) / "keyframes"
     names = sorted(path.stem for path in (keyframes / "cameras").iterdir())
@@ -108,7 +108,7 @@ def write_scanner_app(folder: Path) -> Path:
     return folder
 
 
-def test_a_scan_without_depth_and_a_picture_without_a_pose_are_read(tmp_path: Path) -> None:
+def test_phone_scans_may_lack_depth_or_a_pose(tmp_path: Path) -> None:
     for path in (*write_scanner_app(tmp_path).glob("*.png"), tmp_path / "frame_00004.json"):
         path.unlink()
     scene = open_scene(tmp_path)
@@ -124,7 +124,7 @@ def test_a_scan_without_depth_and_a_picture_without_a_pose_are_read(tmp_path: Pa
         ({"cameraPoseARFrame": [0.0]}, "wrong-type cameraPoseARFrame 16"),
     ],
 )
-def test_matrices_not_stored_row_by_row_are_refused(tmp_path: Path, changed: dict[str, object], told: str) -> None:
+def test_phone_scan_matrices_out_of_order_are_refused(tmp_path: Path, changed: dict[str, object], told: str) -> None:
     write_scanner_app(tmp_path)
     (tmp_path / "frame_00002.json").write_text(json.dumps(table(room.views()[1]) | changed))
     refuses(told, tmp_path)
@@ -170,7 +170,7 @@ def write_stray(folder: Path, older: bool = False, sideways: bool = False) -> Pa
     return folder
 
 
-def test_empty_columns_of_the_current_app_are_ignored(tmp_path: Path) -> None:
+def test_empty_columns_of_stray_scanners_csv_are_ignored(tmp_path: Path) -> None:
     write_stray(tmp_path)
     path = tmp_path / "odometry.csv"
     head, *rows = path.read_text().splitlines()
@@ -178,7 +178,7 @@ def test_empty_columns_of_the_current_app_are_ignored(tmp_path: Path) -> None:
     room.check_on_room(open_scene(tmp_path), colour_step=60)
 
 
-def test_pictures_come_in_any_order(tmp_path: Path) -> None:
+def test_pictures_of_a_phone_scan_may_come_in_any_order(tmp_path: Path) -> None:
     scene = open_scene(write_stray(tmp_path))
     last = scene.frames[5].read_colour(None)
     first = scene.frames[0].read_colour(None)

@@ -104,7 +104,7 @@ def inside(pixels: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", ["frame", "fisheye"])
-def test_metashape_projects_as_its_manual_says(tmp_path: Path, kind: str) -> None:
+def test_metashape_cameras_project_as_its_manual_says(tmp_path: Path, kind: str) -> None:
     capture = metashape.FORMAT.read(metashape_xml(tmp_path, BENT, kind), unwatched)
     assert capture.lost == ["IMG_2"] and [each.names for each in capture.left_out] == [("IMG_4",)]
     for i in (0, 1, 3, 5):
@@ -114,7 +114,7 @@ def test_metashape_projects_as_its_manual_says(tmp_path: Path, kind: str) -> Non
         assert near.sum() >= 20 and np.abs(pixels - expected)[near].max() < 0.01
 
 
-def test_metashape_is_opencv_with_p1_and_p2_swapped(tmp_path: Path) -> None:
+def test_metashape_distortion_is_opencvs_with_p1_and_p2_swapped(tmp_path: Path) -> None:
     """A second reader: OpenCV's own projection."""
     numbers = {name: BENT[name] for name in ("k1", "k2", "k3", "p1", "p2", "b1")}
     capture = metashape.FORMAT.read(metashape_xml(tmp_path, numbers), unwatched)
@@ -128,7 +128,7 @@ def test_metashape_is_opencv_with_p1_and_p2_swapped(tmp_path: Path) -> None:
     assert near.sum() >= 20 and np.abs(pixels - expected[:, 0])[near].max() < 0.01
 
 
-def test_metashape_on_the_earth_is_brought_to_the_ground(tmp_path: Path) -> None:
+def test_a_georeferenced_metashape_scene_is_moved_to_the_origin(tmp_path: Path) -> None:
     capture = metashape.FORMAT.read(metashape_xml(tmp_path, NONE, reference='GEOGCS["WGS 84"]'), unwatched)
     centres = np.array([shot.camera.centre for shot in capture.shots])
     eyes = np.array([room.elsewhere(room.views()[i]).eye for i in (0, 1, 3, 5)])
@@ -185,7 +185,7 @@ def converted(row: dict[str, float], points: np.ndarray) -> np.ndarray:
     return np.stack([u, v], axis=-1) * focal + middle
 
 
-def test_realityscans_table_projects_as_its_converters_say(tmp_path: Path) -> None:
+def test_realityscan_cameras_project_as_its_converters_say(tmp_path: Path) -> None:
     numbers = {"k1": -0.2, "k2": 0.07, "k3": -0.01, "k4": 0.002, "t1": 0.002, "t2": -0.001}
     folder = reality_csv(tmp_path, numbers)
     lines = [line.split(",") for line in (folder / "registration.csv").read_text().splitlines()]
@@ -198,7 +198,7 @@ def test_realityscans_table_projects_as_its_converters_say(tmp_path: Path) -> No
         assert near.sum() >= 20 and np.abs(pixels - expected)[near].max() < 0.01
 
 
-def test_a_word_among_realityscans_numbers_is_refused(tmp_path: Path) -> None:
+def test_a_word_among_the_numbers_of_a_realityscan_table_is_refused(tmp_path: Path) -> None:
     table = reality_csv(tmp_path, NONE, views=room.views()) / "registration.csv"
     table.write_text(table.read_text().replace("IMG_3.png,", "IMG_3.png,far"))
     assert refuses("not-numbers IMG_3", tmp_path).fix.startswith("Export Registration")
@@ -239,7 +239,7 @@ def bundle(folder: Path, has_list: bool = True) -> Path:
 
 
 @pytest.mark.parametrize("has_list", [True, False])
-def test_bundlers_file_projects_as_its_manual_says(tmp_path: Path, has_list: bool) -> None:
+def test_bundler_cameras_project_as_its_manual_says(tmp_path: Path, has_list: bool) -> None:
     capture = bundler.FORMAT.read(bundle(tmp_path, has_list), unwatched)
     assert capture.lost == ["IMG_2"]
     assert any(each.about == "numbering" for each in capture.inferred) is not has_list
@@ -256,7 +256,7 @@ def test_bundlers_file_projects_as_its_manual_says(tmp_path: Path, has_list: boo
         assert near.sum() >= 20 and np.abs(pixels - expected)[near].max() < 0.01
 
 
-def test_bundlers_points_are_seen_in_their_pictures(tmp_path: Path) -> None:
+def test_bundler_points_project_into_the_pictures_that_saw_them(tmp_path: Path) -> None:
     scene = open_scene(bundle(tmp_path))
     assert scene.format == "bundler" and scene.points is not None and scene.points.rgb[0].tolist() == [9, 8, 7]
     for frame in scene.frames:
@@ -278,9 +278,7 @@ def test_bundlers_points_are_seen_in_their_pictures(tmp_path: Path) -> None:
         ("\n1 0 0 ", "\n1 nan 0 ", "not-numbers"), ("\n9 8 7\n1 0 ", "\n9 8 nan\n1 0 ", "not-numbers"),
     ],
 )  # fmt: skip
-def test_bundlers_counts_and_points_that_are_no_numbers_give_a_one_line_error(
-    tmp_path: Path, was: str, now: str, told: str
-) -> None:
+def test_bad_numbers_in_a_bundler_file_give_a_one_line_error(tmp_path: Path, was: str, now: str, told: str) -> None:
     path = bundle(tmp_path) / "bundle.out"
     text = path.read_text()
     assert was in text

@@ -16,7 +16,7 @@ from tests.scene.refusing import refuses
 
 
 @pytest.mark.parametrize("odd", ["", ".", "/", "//", "\\", "..", "./."])
-def test_a_path_without_a_name_is_a_frame_too(odd: str) -> None:
+def test_a_frame_whose_path_has_no_file_name_gets_a_name(odd: str) -> None:
     """Random search found it in a COLMAP model: an image whose name was cut off."""
     names = frame_names(["a/0001.png", odd])
     assert names[0] == "0001" and names[1] and "/" not in names[1]
@@ -33,7 +33,7 @@ def test_each_format_has_its_own_name_and_says_what_it_looks_for() -> None:
     assert "Seventeen layouts are recognised" in readme and "Twelve kinds of masks are recognised" in readme
 
 
-def test_two_formats_in_one_folder_require_a_choice(tmp_path: Path) -> None:
+def test_a_folder_that_matches_two_formats_requires_a_choice(tmp_path: Path) -> None:
     test_colmap.write_text(test_nerfstudio.write_scene(tmp_path))
     refuses("several-formats nerfstudio colmap --format", tmp_path)
     for name in ("nerfstudio", "colmap"):
@@ -52,33 +52,33 @@ def test_two_formats_in_one_folder_require_a_choice(tmp_path: Path) -> None:
         (["rtabmap_poses.txt", "rgb/1.jpg", "rgb/2.jpg", "rgb/3.jpg"], "rtabmap groundtruth.txt", False),
     ],
 )
-def test_folder_without_scene_suggests_an_export(tmp_path: Path, files: list[str], told: str, code: bool) -> None:
+def test_a_folder_without_a_scene_suggests_an_export(tmp_path: Path, files: list[str], told: str, code: bool) -> None:
     for name in files:
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes(b"")
     assert (refuses(told, tmp_path).code is ErrorCode.NO_POSES) is code
 
 
-def test_a_folder_of_scenes_names_them(tmp_path: Path) -> None:
+def test_a_folder_of_several_scenes_is_refused_with_their_names(tmp_path: Path) -> None:
     (tmp_path / "notes").mkdir()
     test_nerfstudio.write_scene(tmp_path / "room_2")
     refuses("inner-scenes room_2", tmp_path)
 
 
 @pytest.mark.parametrize(("name", "told"), [("scan.zip", "archive"), ("Scaniverse.ply", "models-only")])
-def test_file_without_scene_is_refused(tmp_path: Path, name: str, told: str) -> None:
+def test_a_file_that_is_no_scene_is_refused(tmp_path: Path, name: str, told: str) -> None:
     (tmp_path / name).write_bytes(b"")
     refuses(told, tmp_path / name)
 
 
-def test_photos_that_cannot_be_read_say_so(tmp_path: Path) -> None:
+def test_photos_in_an_unsupported_file_format_are_refused(tmp_path: Path) -> None:
     (tmp_path / "IMG_1.HEIC").touch()
     refuses("photos-of-another-kind IMG_1.HEIC", tmp_path)
 
 
 @pytest.mark.parametrize("name", [each.name for each in FORMATS])
 @pytest.mark.parametrize("place", ["empty", "file.txt"])
-def test_a_named_format_that_is_not_there_is_a_one_line_error(tmp_path: Path, name: str, place: str) -> None:
+def test_a_format_option_that_does_not_fit_gives_a_one_line_error(tmp_path: Path, name: str, place: str) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "file.txt").write_text("1 2 3\n")
     with pytest.raises(PlgsError) as caught:

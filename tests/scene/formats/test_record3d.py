@@ -70,7 +70,7 @@ def write_r3d(path: Path, poses: list[list[float]] | None = None, **changes: Any
     return path
 
 
-def test_points_lie_on_the_room(tmp_path: Path) -> None:
+def test_points_of_a_record3d_scan_lie_on_the_walls(tmp_path: Path) -> None:
     write_r3d(tmp_path / "room.r3d")
     for place in (tmp_path / "room.r3d", tmp_path):
         scene = open_scene(place)
@@ -80,7 +80,7 @@ def test_points_lie_on_the_room(tmp_path: Path) -> None:
         assert not scene.frames[0].depth()[:3].any()
 
 
-def test_an_unpacked_folder_with_a_lens_for_each_frame_is_read(tmp_path: Path) -> None:
+def test_a_record3d_folder_with_a_lens_for_each_frame_is_read(tmp_path: Path) -> None:
     coefficients = [[LENS.fx, LENS.fy, LENS.cx, LENS.cy]] * 11
     write_r3d(tmp_path / "a.r3d", K=[1.0] * 9, perFrameIntrinsicCoeffs=coefficients, dw=DEPTH.width, dh=DEPTH.height)
     with zipfile.ZipFile(tmp_path / "a.r3d") as archive:
@@ -101,7 +101,7 @@ def write_exr_rgbd(folder: Path) -> Path:
     return folder
 
 
-def test_damaged_files_of_the_export_of_pictures_and_exr_files_are_refused(tmp_path: Path) -> None:
+def test_damaged_record3d_exports_of_pictures_and_exrs_are_refused(tmp_path: Path) -> None:
     folder = write_exr_rgbd(tmp_path)
     window = np.zeros(2, np.int32), np.array([192, 256], np.int32)  # one pixel more each way
     with OpenEXR.File(HEADER | {"displayWindow": window}, {"R": np.ones((256, 192), np.float32)}) as file:
@@ -112,7 +112,7 @@ def test_damaged_files_of_the_export_of_pictures_and_exr_files_are_refused(tmp_p
     refuses("lacks-field metadata", folder)
 
 
-def test_without_the_package_the_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_record3d_depth_says_which_package_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "liblzfse", None)
     scene = open_scene(write_r3d(tmp_path / "a.r3d"))
     scene.frames[0].read_colour(None)
@@ -120,7 +120,7 @@ def test_without_the_package_the_line_says_what_to_install(tmp_path: Path, monke
         scene.frames[0].depth()
 
 
-def test_depth_that_unpacks_to_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_record3d_depth_that_unpacks_to_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Read from an archive of some bytes; the library would take four gigabytes."""
     asked: list[bytes] = []
     monkeypatch.setitem(sys.modules, "liblzfse", SimpleNamespace(decompress=asked.append, error=BrokenStream))
@@ -144,12 +144,12 @@ ONE, END = USUAL[:-4], USUAL[-4:]
 @pytest.mark.parametrize(
     "data", [ONE[:4] + struct.pack("<I", 2**32 - 1) + ONE[8:] + END, ONE * 10_000 + END, b"", b"bvx", USUAL[:11]]
 )
-def test_streams_that_claim_too_much_or_nothing_reach_no_library(data: bytes) -> None:
+def test_record3d_streams_with_wrong_sizes_are_refused_before_unpacking(data: bytes) -> None:
     with pytest.raises(ValueError, match="unpacks to more than|cut off"):
         unpack_lzfse(data, 4800, lambda data: pytest.fail("unpacked"))
 
 
-def test_a_stream_that_unpacks_to_more_than_its_first_block_claims_is_refused() -> None:
+def test_record3d_streams_longer_than_they_claim_are_refused() -> None:
     assert unpack_lzfse(USUAL, 4800, lambda _: bytes(4800)) == bytes(4800)
     with pytest.raises(ValueError, match="unpacks to more than"):
         unpack_lzfse(ONE * 2 + END, 4800, lambda _: bytes(9600))

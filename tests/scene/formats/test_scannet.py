@@ -39,12 +39,12 @@ def scene(tmp_path: Path) -> Scene:
     return open_scene(tmp_path)
 
 
-def test_folders_points_lie_on_the_room(scene: Scene) -> None:
+def test_points_of_a_scannet_folder_lie_on_the_walls(scene: Scene) -> None:
     assert scene.format == "scannet" and scene.frames[0].name == "0_0000"
     room.check_on_room(scene)
 
 
-def test_the_extrinsic_of_the_depth_camera_is_applied(scene: Scene) -> None:
+def test_scannets_depth_camera_extrinsic_is_applied(scene: Scene) -> None:
     for i, view in enumerate(room.views()):
         room.write_grey(
             scene.folder / "depth" / f"0_{i:04d}.png", room.in_steps(room.look(moved(view), room.Lens()).depth, 1000)
@@ -92,7 +92,7 @@ def sens(compressed: bool = True, lost: int | None = None, beside: np.ndarray | 
 
 @pytest.mark.parametrize("compressed", [True, False])
 @pytest.mark.parametrize("place", ["", "scene0000_00.sens"])
-def test_sens_points_lie_on_the_room(tmp_path: Path, compressed: bool, place: str) -> None:
+def test_points_of_a_scannet_sens_lie_on_the_walls(tmp_path: Path, compressed: bool, place: str) -> None:
     (tmp_path / "scene0000_00.sens").write_bytes(sens(compressed, lost=2))
     scene = open_scene(tmp_path / place)
     assert scene.format == "sens" and [frame.name for frame in scene.frames] == ["0", "1", "3", "4", "5", "6"]
@@ -105,14 +105,14 @@ def test_sens_points_lie_on_the_room(tmp_path: Path, compressed: bool, place: st
     assert abs(np.median(off)) < 0.001 and np.median(np.abs(off)) < 0.008
 
 
-def test_depth_of_a_camera_beside_the_colour_camera_is_registered(tmp_path: Path) -> None:
+def test_scannet_depth_of_a_second_camera_is_registered_to_colour(tmp_path: Path) -> None:
     (tmp_path / "a.sens").write_bytes(sens(beside=BESIDE))
     scene = open_scene(tmp_path)
     assert scene.warnings == ()
     room.check_on_room(scene, tolerance=0.06, share=0.97)
 
 
-def test_folders_that_were_exported_come_first(tmp_path: Path) -> None:
+def test_exported_scannet_folders_are_preferred_to_the_sens_file(tmp_path: Path) -> None:
     (tmp_path / "a.sens").write_bytes(sens())
     (tmp_path / "pose").mkdir()
     (tmp_path / "color").mkdir()

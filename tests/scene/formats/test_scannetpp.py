@@ -70,7 +70,7 @@ def write_scannetpp(folder: Path, pack: Callable[[list[np.ndarray]], bytes]) -> 
 
 
 @pytest.mark.parametrize("pack", [one_stream, lz4_blocks, deflated_blocks])
-def test_points_lie_on_the_room(tmp_path: Path, pack: Callable[[list[np.ndarray]], bytes]) -> None:
+def test_points_of_a_scannetpp_scan_lie_on_walls(tmp_path: Path, pack: Callable[[list[np.ndarray]], bytes]) -> None:
     scene = open_scene(write_scannetpp(tmp_path, pack))
     assert scene.format == "scannetpp" and scene.frames[1].name == "frame_000001"
     assert "1 frame without a pose is left out: frame_000006" in scene.warnings
@@ -79,7 +79,7 @@ def test_points_lie_on_the_room(tmp_path: Path, pack: Callable[[list[np.ndarray]
     np.testing.assert_allclose(scene.frames[0].depth(), depths_with_a_flat_top()[0], atol=6e-4)  # behind: starts again
 
 
-def test_pictures_and_depth_may_be_extracted_from_their_archives(tmp_path: Path) -> None:
+def test_scannetpp_pictures_and_depth_may_be_extracted_already(tmp_path: Path) -> None:
     write_table(tmp_path)
     for i, view in enumerate(views()):
         write_colour(tmp_path / "rgb" / f"frame_{i:06d}.jpg", look(view, LENS).colour)
@@ -90,7 +90,7 @@ def test_pictures_and_depth_may_be_extracted_from_their_archives(tmp_path: Path)
 
 
 @pytest.mark.parametrize("pack", [one_stream, lz4_blocks, deflated_blocks])
-def test_truncated_depth_is_a_one_line_error(tmp_path: Path, pack: Callable[[list[np.ndarray]], bytes]) -> None:
+def test_cut_off_scannetpp_depth_is_a_one_line_error(tmp_path: Path, pack: Callable[[list[np.ndarray]], bytes]) -> None:
     path = write_scannetpp(tmp_path, pack) / "iphone" / "depth.bin"
     path.write_bytes(path.read_bytes()[:-2000])
     scene = open_scene(tmp_path)

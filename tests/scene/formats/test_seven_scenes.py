@@ -47,7 +47,7 @@ def write_seven(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("place", ["", "seq-01"])
-def test_raw_depth_is_registered_to_colour(tmp_path: Path, place: str) -> None:
+def test_raw_7_scenes_depth_is_registered_to_colour(tmp_path: Path, place: str) -> None:
     scene = open_scene(write_seven(tmp_path) / place)
     assert scene.format == "7scenes"
     assert scene.frames[0].name == ("frame-000000" if place else "seq-01_frame-000000")
@@ -59,7 +59,7 @@ def test_raw_depth_is_registered_to_colour(tmp_path: Path, place: str) -> None:
     assert np.median(np.abs(scene.frames[0].depth() - room.look(room.views()[0], COLOUR_LENS).depth)) < 0.008
 
 
-def test_registered_depth_is_used_if_it_exists(tmp_path: Path) -> None:
+def test_registered_7_scenes_depth_is_used_if_it_exists(tmp_path: Path) -> None:
     write_seven(tmp_path)
     for i, view in enumerate(room.views()):
         base = tmp_path / "seq-01" / f"frame-{i:06d}"
@@ -69,7 +69,7 @@ def test_registered_depth_is_used_if_it_exists(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("where", ["camera-intrinsics.txt", "scans/camera-intrinsics.txt"])
-def test_camera_intrinsics_txt_says_the_lens(tmp_path: Path, where: str) -> None:
+def test_the_lens_is_read_from_camera_intrinsics_txt(tmp_path: Path, where: str) -> None:
     lens = room.Lens()
     folder = tmp_path / "scans"
     for i, view in enumerate(room.views()):
@@ -110,7 +110,7 @@ def write_info(folder: Path, place: str = "", name: str = "info.txt", steps: int
     ("place", "opened", "name", "steps"),
     [("", "", "_info.txt", 4000), ("data", "", "info.txt", 1000), ("data", "data", "info.txt", 500)],
 )
-def test_info_txt_says_the_lenses(tmp_path: Path, place: str, opened: str, name: str, steps: int) -> None:
+def test_both_lenses_are_read_from_info_txt(tmp_path: Path, place: str, opened: str, name: str, steps: int) -> None:
     """BundleFusion, ScanNet's own reader, and 12-Scenes, whose frames lie in data; pictures of half the size."""
     write_info(tmp_path, place, name, steps)
     scene = open_scene(tmp_path / opened)
@@ -156,13 +156,13 @@ def test_both_lenses_of_intrinsic3d_are_read(tmp_path: Path) -> None:
     room.check_on_room(open_scene(tmp_path), tolerance=0.06, share=0.97, colour_step=60)
 
 
-def test_lost_frames_with_windows_line_ends_are_read(tmp_path: Path) -> None:
+def test_poses_of_lost_frames_with_windows_line_ends_are_read(tmp_path: Path) -> None:
     write_info(tmp_path)
     (tmp_path / "frame-000001.pose.txt").write_text("-1.#INF -1.#INF -1.#INF00 1.#INF\n" * 4)
     assert open_scene(tmp_path).warnings[0] == "1 frame without a pose is left out: frame-000001"
 
 
-def test_what_is_missing_is_named(tmp_path: Path) -> None:
+def test_missing_7_scenes_depth_files_are_named(tmp_path: Path) -> None:
     write_seven(tmp_path)
     for path in sorted(tmp_path.rglob("*.depth.png"))[2:]:
         path.unlink()
@@ -184,7 +184,7 @@ def write_nice(folder: Path, lens: room.Lens = NICE, steps: float = 6553.5) -> P
     return folder
 
 
-def test_the_camera_file_of_nice_slam_is_read(tmp_path: Path) -> None:
+def test_the_lens_is_read_from_a_nice_slam_camera_file(tmp_path: Path) -> None:
     lens = room.Lens()
     write_nice(tmp_path / "office0", lens, steps=1000.0)
     camera = {"w": 64, "h": 48, "fx": lens.fx, "fy": lens.fy, "cx": lens.cx - 0.5, "cy": lens.cy - 0.5, "scale": 1000.0}

@@ -40,7 +40,7 @@ def write_tum(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("by_number", [False, True])
-def test_numbered_poses_of_rtabmap_are_read(tmp_path: Path, by_number: bool) -> None:
+def test_numbered_poses_exported_by_rtabmap_are_read(tmp_path: Path, by_number: bool) -> None:
     lines = "#timestamp x y z qx qy qz qw id\n"
     for i, view in enumerate(views(), start=1):
         at = 1675933810.3 + i / 2
@@ -53,7 +53,7 @@ def test_numbered_poses_of_rtabmap_are_read(tmp_path: Path, by_number: bool) -> 
     check_on_room(scene)
 
 
-def test_the_lens_comes_from_the_name_or_a_file(tmp_path: Path) -> None:
+def test_the_tum_lens_comes_from_the_folder_name_or_calibration_txt(tmp_path: Path) -> None:
     bent = open_scene(write_tum(tmp_path / "rgbd_dataset_freiburg1_desk"))
     assert not bent.frames[0].file_shows_colour and any("undistorted" in warning for warning in bent.warnings)
     (tmp_path / "rgbd_dataset_freiburg1_desk" / "calibration.txt").write_text("52.5 52.5 31.5 23.5\n")
@@ -61,7 +61,7 @@ def test_the_lens_comes_from_the_name_or_a_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("depth_first", [True, False])
-def test_associations_are_read_in_either_order(tmp_path: Path, depth_first: bool) -> None:
+def test_tum_associations_are_read_in_either_column_order(tmp_path: Path, depth_first: bool) -> None:
     write_tum(tmp_path)
     lines = []
     for i in range(6):
@@ -73,7 +73,7 @@ def test_associations_are_read_in_either_order(tmp_path: Path, depth_first: bool
     check_on_room(open_scene(tmp_path))
 
 
-def test_time_stamps_come_from_file_names_without_depth(tmp_path: Path) -> None:
+def test_tum_time_stamps_come_from_picture_names_without_depth(tmp_path: Path) -> None:
     write_tum(tmp_path)
     for name in ("rgb.txt", "depth.txt"):
         (tmp_path / name).unlink()
@@ -82,13 +82,13 @@ def test_time_stamps_come_from_file_names_without_depth(tmp_path: Path) -> None:
     assert not open_scene(tmp_path).has_depth
 
 
-def test_icl_nuim_is_refused(tmp_path: Path) -> None:
+def test_icl_nuim_scenes_are_refused_with_advice(tmp_path: Path) -> None:
     write_tum(tmp_path)
     (tmp_path / "groundtruth.txt").write_text("1 0 0 0 0 0 0 1\n")
     refuses("whole-time-stamps", tmp_path)
 
 
-def test_a_world_with_another_up_axis_is_rotated(tmp_path: Path) -> None:
+def test_a_tum_scene_with_another_up_axis_is_rotated(tmp_path: Path) -> None:
     write_tum(tmp_path)
     text = "".join(
         tum_line(round(1305031102.171 + i / 30, 4), v.right, -v.up, v.forward, v.eye)

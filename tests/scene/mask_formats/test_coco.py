@@ -24,7 +24,7 @@ def change(folder: Path, edit: Callable[[dict[str, Any]], object]) -> None:
     (folder / "panoptic.json").write_text(json.dumps(content))
 
 
-def test_masks_come_back_as_they_were_written(folder: Path) -> None:
+def test_coco_panoptic_masks_are_read_back_as_written(folder: Path) -> None:
     content = json.loads((folder / "panoptic.json").read_text())
     scene = open_scene(folder)
     for frame, annotation in zip(scene.frames, content["annotations"], strict=True):
@@ -39,13 +39,13 @@ def test_masks_come_back_as_they_were_written(folder: Path) -> None:
             assert (mask.ids == segment["id"]).sum() == segment["area"]
 
 
-def test_the_folder_of_pngs_stands_for_the_table_beside_it(folder: Path) -> None:
+def test_naming_the_folder_of_coco_pngs_finds_the_json_beside_it(folder: Path) -> None:
     named, found = open_scene(folder, masks=folder / "panoptic"), open_scene(folder)
     assert named.classes == found.classes
     np.testing.assert_array_equal(named.frames[0].mask((64, 48)).ids, found.frames[0].mask((64, 48)).ids)
 
 
-def test_ids_use_all_three_channels(folder: Path) -> None:
+def test_coco_mask_ids_use_all_three_colour_channels(folder: Path) -> None:
     red_green_blue = (7, 8, 9)
     pixels = np.zeros((24, 32, 3), np.uint8)
     pixels[4:, :] = red_green_blue[::-1]
@@ -58,7 +58,7 @@ def test_ids_use_all_three_channels(folder: Path) -> None:
     assert mask.class_map()[10, 10] == 5
 
 
-def test_the_masks_own_class_table_is_used(folder: Path) -> None:
+def test_coco_masks_bring_their_own_class_table(folder: Path) -> None:
     change(folder, lambda c: c["categories"][0].pop("color"))
     change(folder, lambda c: c["categories"][1].update(isthing=True))
     classes = open_scene(folder).classes
@@ -67,7 +67,7 @@ def test_the_masks_own_class_table_is_used(folder: Path) -> None:
     assert classes[1].colour == PALETTE[24], "that of walls"
 
 
-def test_categories_that_start_at_0_are_shifted_by_one(folder: Path) -> None:
+def test_coco_categories_that_start_at_0_are_shifted_by_one(folder: Path) -> None:
     def shift(content: dict[str, Any]) -> None:
         for entry in content["categories"]:
             entry["id"] -= 1
@@ -82,7 +82,7 @@ def test_categories_that_start_at_0_are_shifted_by_one(folder: Path) -> None:
     assert after.frames[0].read_mask(None).segments == before.frames[0].read_mask(None).segments
 
 
-def test_ids_stay_whole_at_another_size(folder: Path) -> None:
+def test_resized_masks_keep_unblended_ids(folder: Path) -> None:
     frame = open_scene(folder).frames[0]
     own, large, small = frame.read_mask(None), frame.read_mask((64, 48)), frame.read_mask((16, 12))
     np.testing.assert_array_equal(large.ids, np.kron(own.ids, np.ones((2, 2), np.int32)))
@@ -90,7 +90,7 @@ def test_ids_stay_whole_at_another_size(folder: Path) -> None:
     assert large.segments == own.segments == small.segments
 
 
-def test_crowds_are_void_with_a_warning(folder: Path) -> None:
+def test_coco_crowds_become_void_with_a_warning(folder: Path) -> None:
     change(folder, lambda c: c["annotations"][1]["segments_info"][0].update(iscrowd=1))
     scene = open_scene(folder)
     crowd = json.loads((folder / "panoptic.json").read_text())["annotations"][1]["segments_info"][0]
@@ -100,7 +100,7 @@ def test_crowds_are_void_with_a_warning(folder: Path) -> None:
     assert "crowd segments (iscrowd) count as void: 0001" in scene.warnings
 
 
-def test_transformers_label_ids_are_taken(folder: Path) -> None:
+def test_coco_masks_with_label_ids_of_transformers_are_read(folder: Path) -> None:
     def rename(content: dict[str, Any]) -> None:
         for segment in content["annotations"][0]["segments_info"]:
             segment["label_id"] = segment.pop("category_id")
@@ -114,7 +114,7 @@ def test_transformers_label_ids_are_taken(folder: Path) -> None:
     assert {segment.score for segment in segments} == {1.0}
 
 
-def test_frames_are_found_by_the_images_table(folder: Path) -> None:
+def test_coco_masks_find_their_frames_by_the_images_list(folder: Path) -> None:
     def rename(content: dict[str, Any]) -> None:
         content["images"] = [{"id": i, "file_name": f"color/{i:04d}.jpg"} for i in range(3)]
         for i, annotation in enumerate(content["annotations"]):
@@ -125,13 +125,13 @@ def test_frames_are_found_by_the_images_table(folder: Path) -> None:
     assert [frame.name for frame in open_scene(folder).frames] == ["0000", "0001", "0002"]
 
 
-def test_annotations_of_other_images_are_skipped(folder: Path) -> None:
+def test_coco_annotations_of_other_images_are_skipped(folder: Path) -> None:
     other = {"image_id": "x", "file_name": "elsewhere.png", "segments_info": "whatever"}
     change(folder, lambda c: c["annotations"].append(other))
     assert check_scene(open_scene(folder)) == ()
 
 
-def test_a_grey_png_holds_the_ids_themselves(folder: Path) -> None:
+def test_a_grey_coco_png_holds_the_ids_themselves(folder: Path) -> None:
     mask = open_scene(folder).frames[1].read_mask(None)
     cv2.imwrite(str(folder / "panoptic" / "0001.png"), mask.ids.astype(np.uint16))
     np.testing.assert_array_equal(open_scene(folder).frames[1].read_mask(None).ids, mask.ids)

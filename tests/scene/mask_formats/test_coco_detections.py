@@ -69,7 +69,7 @@ def wrote(path: Path, content: Any) -> Path:
 
 
 @pytest.mark.parametrize("pack", [compressed, whole])
-def test_results_need_a_table(tmp_path: Path, pack: Any) -> None:
+def test_coco_results_without_a_class_table_are_refused(tmp_path: Path, pack: Any) -> None:
     _, truths = write_frames(tmp_path)
     masks = wrote(tmp_path / "predictions.json", results(truths, pack))
     row = '[[class]]\nid = {}\nname = "{}"\nthing = {}\n'
@@ -79,14 +79,14 @@ def test_results_need_a_table(tmp_path: Path, pack: Any) -> None:
 
 
 @pytest.mark.parametrize("name", ["file_name", "coco_url"])
-def test_instances_name_their_classes(tmp_path: Path, name: str) -> None:
+def test_coco_instances_bring_their_class_names(tmp_path: Path, name: str) -> None:
     _, truths = write_frames(tmp_path)
     for pack in (polygons, compressed):
         masks = wrote(tmp_path / "instances.json", instances(truths, name, pack))
         check_on_room(open_scene(tmp_path, masks), truths)
 
 
-def test_regions_of_sam_and_masklets_of_sav_number_objects(tmp_path: Path) -> None:
+def test_sam_and_sa_v_detections_number_objects(tmp_path: Path) -> None:
     _, truths = write_frames(tmp_path)
     found = {truth.name: [mask for _, _, mask in truth.regions()] for truth in truths}
     for name, masks in found.items():
@@ -117,7 +117,7 @@ def room(tmp_path: Path) -> Path:
     return tmp_path / "room"
 
 
-def test_detections_over_masks_overlap_and_leave_them_alone(room: Path) -> None:
+def test_detections_given_with_masks_leave_the_masks_unchanged(room: Path) -> None:
     """Their classes are the masks' by name or number; others are told and added; weak ones and crowds do not count."""
     left, upper = np.zeros((2, 48, 64), bool)
     left[:, :40], upper[:30] = True, True
@@ -174,7 +174,7 @@ def agreement(scene: Scene, class_name: str = "chair") -> float:
     return float(np.concatenate(inside).mean())
 
 
-def test_numbers_of_another_table_are_recognised_by_what_they_cover(room: Path) -> None:
+def test_detections_with_numbers_of_another_class_table_are_recognised(room: Path) -> None:
     """COCO's own id of a chair is 62, 5 in the room's masks."""
     scene = over_the_tiny_scene(room, chairs(room, category_id=62))
     assert agreement(scene) == 1.0 and any("coco:90" in told for told in scene.warnings)
@@ -182,7 +182,7 @@ def test_numbers_of_another_table_are_recognised_by_what_they_cover(room: Path) 
     assert any("only 0%" in told for told in over_the_tiny_scene(room, chairs(room, category_id=2)).warnings)
 
 
-def test_ids_of_pictures_are_recognised_by_what_the_detections_cover(room: Path) -> None:
+def test_image_ids_of_detections_are_matched_to_frames_by_content(room: Path) -> None:
     """The masks' table counts pictures from 1, the detections count as the frames' names do."""
     table = json.loads((room / "panoptic.json").read_text())
     table["images"] = [{"id": n + 1, "file_name": f"{n:04d}.jpg"} for n in range(3)]
@@ -197,7 +197,7 @@ def test_ids_of_pictures_are_recognised_by_what_the_detections_cover(room: Path)
     assert agreement(over_the_tiny_scene(room, named)) == 1.0
 
 
-def test_classes_may_be_words_and_a_folder_may_hold_one_file(room: Path) -> None:
+def test_detections_may_name_classes_in_words(room: Path) -> None:
     """As Grounded-SAM-2's demos write them, a file a picture."""
     for n, one in enumerate(chairs(room)):
         entry = {"class_name": "chair", "segmentation": one["segmentation"], "score": [0.5]}
@@ -221,14 +221,14 @@ def along_rows(mask: np.ndarray) -> dict[str, Any]:
         (lambda mask: {**compressed(mask), "size": [64, 48]}, "mask-shape"),
     ],
 )
-def test_shapes_in_other_units_are_reported(room: Path, change: Any, told: str) -> None:
+def test_detections_in_wrong_units_are_reported(room: Path, change: Any, told: str) -> None:
     found = [frame.mask().ids == one.id for frame in open_scene(room).frames for one in frame.mask().segments]
     with raises_key(told):
         over_the_tiny_scene(room, [a_detection(mask, segmentation=change(mask)) for mask in found])
     over_the_tiny_scene(room, [a_detection(mask, segmentation=whole(mask)) for mask in found])
 
 
-def test_pictures_that_are_not_frames_are_reported(room: Path) -> None:
+def test_detections_of_pictures_that_are_not_frames_are_reported(room: Path) -> None:
     upper = np.ones((48, 64), bool)
     scene = over_the_tiny_scene(room, [a_detection(upper), a_detection(upper, image_id=987)])
     assert len(scene.frames[1].layers()) == 1 and any("987" in told for told in scene.warnings)
@@ -261,7 +261,7 @@ BAD: dict[str, tuple[Any, str]] = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_files_give_a_one_line_error(room: Path, case: str) -> None:
+def test_bad_detection_files_give_a_one_line_error(room: Path, case: str) -> None:
     content, told = BAD[case]
     if isinstance(content, tuple):
         one = a_detection(np.ones((48, 64), bool))
@@ -273,7 +273,7 @@ def test_bad_files_give_a_one_line_error(room: Path, case: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "0", "PPPPPP0", "0" * 300])
-def test_compressed_runs_that_do_not_fill_the_picture_are_refused_when_read(room: Path, text: str) -> None:
+def test_run_lengths_that_do_not_fill_the_picture_are_refused(room: Path, text: str) -> None:
     given = {"segmentation": {"size": [48, 64], "counts": text}}
     if not text:
         with raises_key("bad-rle"):
@@ -285,7 +285,7 @@ def test_compressed_runs_that_do_not_fill_the_picture_are_refused_when_read(room
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 8))
-def test_layers_hold_every_segment_once_and_a_panoptic_picture_is_its_own_layer(seed: int, count: int) -> None:
+def test_overlapping_detections_are_kept_in_layers(seed: int, count: int) -> None:
     random = np.random.default_rng(seed)
     blurred = (cv2.blur(random.random((12, 16)), (5, 5)) for _ in range(count))
     inside = np.array([each > 0.5 for each in blurred])

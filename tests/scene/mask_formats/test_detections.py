@@ -76,7 +76,7 @@ SAM_3 = {"tracks": "out_obj_ids", "masks": "out_binary_masks", "scores": "out_pr
 
 
 @pytest.mark.parametrize("keys", [HUGGING_FACE, SAM_3])
-def test_the_tracks_of_sam_3_are_one_object_in_all_frames(tmp_path: Path, keys: Mapping[str, str]) -> None:
+def test_a_track_of_sam_3_is_one_object_in_all_frames(tmp_path: Path, keys: Mapping[str, str]) -> None:
     truths = write_tracks(tmp_path, keys, names=False)
     scene = open_scene(tmp_path)
     assert [each.name for each in scene.classes.categories] == ["object"]

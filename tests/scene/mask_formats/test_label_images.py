@@ -42,7 +42,7 @@ def write_pairs(folder: Path, kinds: tuple[str, str]) -> list[Truth]:
     return truths
 
 
-def test_pairs_of_images_need_a_table(tmp_path: Path) -> None:
+def test_label_image_pairs_need_a_class_table(tmp_path: Path) -> None:
     write_pairs(tmp_path, ("semantic_class", "semantic_instance"))
     refuses("no-class-names", tmp_path)
 
@@ -71,7 +71,7 @@ def test_masks_are_paired_by_frame_number(tmp_path: Path, frame: str, kinds: tup
     assert any("not named like their frames" in warning and wanted in warning for warning in scene.warnings)
 
 
-def test_things_without_an_instance_are_groups(tmp_path: Path) -> None:
+def test_thing_pixels_without_an_instance_may_be_several_objects(tmp_path: Path) -> None:
     write_pairs(tmp_path, ("semantic", "instance"))
     cv2.imwrite(str(tmp_path / "masks" / "instance" / "0000.png"), np.zeros((48, 64), np.uint8))
     segments = mask_of(open_scene(tmp_path, classes="nyu40")).segments
@@ -115,7 +115,7 @@ def write_probabilities(folder: Path, is_last: bool = False) -> list[Truth]:
     return write_arrays(folder, save)
 
 
-def test_classes_of_probabilities_may_be_the_last_axis_and_have_scores(tmp_path: Path) -> None:
+def test_probability_arrays_may_have_classes_on_the_last_axis(tmp_path: Path) -> None:
     truths = write_probabilities(tmp_path, is_last=True)
     scene = open_scene(tmp_path, classes="nyu40")
     check_on_room(scene, truths, NAMES, frozenset())
@@ -129,7 +129,7 @@ def header_of(shape: tuple[int, ...]) -> bytes:
     return file.getvalue()
 
 
-def test_an_unknown_format_is_answered_with_the_known_ones(tmp_path: Path) -> None:
+def test_an_unknown_mask_format_is_answered_with_the_known_ones(tmp_path: Path) -> None:
     write_masked_frames(tmp_path)
     refuses("no-known-masks coco arrays", tmp_path)
     refuses("unknown-format yolo coco", tmp_path, mask_format="yolo")
@@ -149,7 +149,7 @@ def classes_seen(scene: Scene) -> np.ndarray:
     return scene.frames[1].read_mask(None).class_map()
 
 
-def test_segments_are_the_pairs_that_occur(folder: Path) -> None:
+def test_every_pair_of_class_and_instance_is_a_segment(folder: Path) -> None:
     frame = open_scene(folder).frames[1]
     mask = frame.read_mask(None)
     truth = cv2.imread(str(folder / "gt" / "semantic" / "0001.png"), cv2.IMREAD_UNCHANGED)
@@ -160,7 +160,7 @@ def test_segments_are_the_pairs_that_occur(folder: Path) -> None:
     assert mask.ids.min() > 0 and check_scene(open_scene(folder)) == ()
 
 
-def test_two_chairs_are_two_segments(folder: Path) -> None:
+def test_two_chairs_in_label_images_are_two_segments(folder: Path) -> None:
     semantic, instance = np.full((24, 32), 5, np.uint16), np.zeros((24, 32), np.uint16)
     semantic[:4] = 0
     instance[4:, :10], instance[4:, 10:20] = 200, 201
@@ -173,7 +173,7 @@ def test_two_chairs_are_two_segments(folder: Path) -> None:
     assert (mask.ids[5, 25], mask.ids[5, 0], mask.ids[5, 15]) == (1, 2, 3)
 
 
-def test_the_set_without_augmentation_is_used_if_it_is_the_only_one_or_named(folder: Path) -> None:
+def test_panoptic_liftings_masks_without_augmentation_can_be_used(folder: Path) -> None:
     for kind in ("semantics", "instance"):
         (folder / f"m2f_{kind}").rename(folder / f"m2f_notta_{kind}")
     assert set(classes_seen(open_scene(folder)).ravel()) >= {1, 2}
@@ -186,7 +186,7 @@ def test_the_set_without_augmentation_is_used_if_it_is_the_only_one_or_named(fol
     assert (classes_seen(named) != 4).all() and named.warnings == ()
 
 
-def test_masks_may_lie_elsewhere(folder: Path, tmp_path: Path) -> None:
+def test_masks_of_panoptic_lifting_may_lie_in_another_folder(folder: Path, tmp_path: Path) -> None:
     for kind in ("semantics", "instance"):
         (tmp_path / "masks").mkdir(exist_ok=True)
         (folder / f"m2f_{kind}").rename(tmp_path / "masks" / f"m2f_{kind}")
@@ -196,7 +196,7 @@ def test_masks_may_lie_elsewhere(folder: Path, tmp_path: Path) -> None:
     refuses("no-masks", folder, masks=tmp_path / "nowhere")
 
 
-def test_coco_masks_may_be_named_by_file_or_folder(tmp_path: Path) -> None:
+def test_coco_masks_may_be_given_as_file_or_folder(tmp_path: Path) -> None:
     scene = write_tiny_scene(tmp_path / "scene", frames=5, size=(32, 24))
     (tmp_path / "masks").mkdir()
     (scene / "panoptic").rename(tmp_path / "masks" / "detector")

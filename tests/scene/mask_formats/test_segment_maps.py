@@ -50,7 +50,7 @@ def write_transformers(folder: Path, first: int = 1, void: int = 0) -> list[Trut
     return truths
 
 
-def test_transformers_classes_are_the_models(tmp_path: Path) -> None:
+def test_segment_maps_of_transformers_use_the_models_class_names(tmp_path: Path) -> None:
     truths = write_transformers(tmp_path)
     scene = open_scene(tmp_path)
     check_on_room(scene, truths, COCO_NAMES, CHAIRS)
@@ -60,7 +60,7 @@ def test_transformers_classes_are_the_models(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("table", "is_thing"), [("coco", True), ("cityscapes", False)])
-def test_things_are_those_of_the_table_with_the_models_names(tmp_path: Path, table: str, is_thing: bool) -> None:
+def test_things_come_from_the_table_with_the_models_class_names(tmp_path: Path, table: str, is_thing: bool) -> None:
     """A traffic light is a thing in COCO and stuff in Cityscapes; nothing in transformers' results says so."""
     scene, (truth, *_) = write_frames(tmp_path)
     labels = {label.name: label.id for label in known_table(table).labels}
@@ -72,7 +72,7 @@ def test_things_are_those_of_the_table_with_the_models_names(tmp_path: Path, tab
     assert [segment.is_thing for segment in mask_of(open_scene(scene)).segments] == [is_thing]
 
 
-def test_transformers_finding_nothing_is_void(tmp_path: Path) -> None:
+def test_a_picture_in_which_transformers_found_nothing_is_void(tmp_path: Path) -> None:
     write_transformers(tmp_path)
     save(tmp_path / "masks", "0001", np.full((48, 64), -1.0, np.float32), [])
     scene = open_scene(tmp_path)
@@ -80,7 +80,7 @@ def test_transformers_finding_nothing_is_void(tmp_path: Path) -> None:
     assert any("empty mask" in warning for warning in check_scene(scene))
 
 
-def test_transformers_pngs_are_read_with_a_named_table(tmp_path: Path) -> None:
+def test_pngs_of_transformers_are_read_with_a_named_class_table(tmp_path: Path) -> None:
     truths = write_transformers(tmp_path, first=0, void=-1)
     (tmp_path / "masks" / "config.json").unlink()
     for path in sorted((tmp_path / "masks").glob("*.npy")):
@@ -110,7 +110,7 @@ def write_detectron2(folder: Path, numbers: dict[int, int], things: set[int]) ->
 
 
 @pytest.mark.parametrize("is_apart", [False, True])
-def test_detectron2_counts_over_all_classes_or_things_and_stuff_separately(tmp_path: Path, is_apart: bool) -> None:
+def test_both_class_numberings_of_detectron2_are_read(tmp_path: Path, is_apart: bool) -> None:
     stuff_apart = {class_id: number - 79 for class_id, number in COCO_NUMBERS.items() if class_id != 5}
     numbers = COCO_NUMBERS | stuff_apart if is_apart else COCO_NUMBERS
     if is_apart:  # stuff 41 is a cabinet, thing 41 is a cup: here the chair is one
@@ -123,7 +123,7 @@ def test_detectron2_counts_over_all_classes_or_things_and_stuff_separately(tmp_p
     assert any("--classes coco" in warning for warning in open_scene(tmp_path).warnings)
 
 
-def test_detectron2_names_no_classes(tmp_path: Path) -> None:
+def test_masks_of_detectron2_need_a_class_table(tmp_path: Path) -> None:
     truths = write_detectron2(tmp_path, COCO_NUMBERS, {5})
     names = {one: f"class {number}" for one, number in COCO_NUMBERS.items()} | {0: ""}
     check_on_room(open_scene(tmp_path), truths, names, frozenset({"class 56"}))

@@ -88,19 +88,19 @@ def write_grounded(folder: Path) -> list[Truth]:
     return truths
 
 
-def test_a_palette_may_hold_classes_as_well(tmp_path: Path) -> None:
+def test_palette_pngs_that_may_be_classes_or_objects_need_a_choice(tmp_path: Path) -> None:
     write_palettes(tmp_path)
     refuses("several-formats sam2 palette --mask-format", tmp_path)
 
 
-def test_folders_of_objects_may_have_any_names(tmp_path: Path) -> None:
+def test_folders_of_tracked_objects_may_have_any_names(tmp_path: Path) -> None:
     truths = write_object_folders(tmp_path)
     for old, new in (("000", "chair"), ("012", "a cabinet")):
         (tmp_path / "masks" / old).rename(tmp_path / "masks" / new)
     assert tracks(open_scene(tmp_path), truths) == {1: {2}, 2: {1}}
 
 
-def test_amg_folders_are_pictures_even_where_their_names_are_numbers(tmp_path: Path) -> None:
+def test_numbered_folders_of_sams_amg_are_taken_for_frames(tmp_path: Path) -> None:
     """Their regions are no tracks and have no class, so that a table of classes changes nothing."""
     truths = write_pictures(tmp_path)
     for scene in (open_scene(tmp_path), open_scene(tmp_path, classes="coco")):
@@ -113,7 +113,7 @@ def test_amg_folders_are_pictures_even_where_their_names_are_numbers(tmp_path: P
     refuses("lacks-files PNGs metadata.csv 0001", tmp_path)
 
 
-def test_a_table_gives_objects_no_classes(tmp_path: Path) -> None:
+def test_a_class_table_gives_no_classes_to_numbered_objects(tmp_path: Path) -> None:
     """Of COCO's numbers, 7 is a truck."""
     truths = write_object_folders(tmp_path, 7)
     scene = open_scene(tmp_path, classes="coco")
