@@ -54,7 +54,7 @@ class ViewsOnCloud:
         return cls(views, point_of_pixel, seen)
 
     def and_also(self, others: ViewsOnCloud) -> ViewsOnCloud:
-        """Return these views followed by the others."""
+        """Return these views followed by ``others``."""
         rows = chained(self.point_of_pixel, others.point_of_pixel)
         return ViewsOnCloud(chained(self.views, others.views), rows, chained(self.seen, others.seen))
 
@@ -118,9 +118,10 @@ class MasksInSpace:
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """How views judge masks. ``judges`` float32 [M, V]: how much the judgement of view v on mask i counts, from 0 to 1,
-    where v resolves the mask as well as the mask's own view. ``inside`` sparse [M, M]: this weight if mask i lies
-    inside mask k of another view, or is k. ``contained`` float32 [M, V]: this weight if i lies inside a mask of v."""
+    """How V views judge M masks. ``judges`` float32 [M, V]: how much view v's judgement of mask i counts, from 0 to 1;
+    it is 1 if v resolves the mask as well as the view that it is from. ``inside`` sparse [M, M]: this weight if mask i
+    lies inside mask k of another view, or is k. ``contained`` float32 [M, V]: this weight if i lies inside a mask of
+    v."""
 
     inside: Any
     judges: NDArray[np.float32]

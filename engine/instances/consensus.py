@@ -26,10 +26,10 @@ from .records import ObjectMask, SceneObject
 @dataclass(frozen=True)
 class ConsensusOptions:
     """Masks are joined if more than the share ``agreement`` of the views that judge both are in favour. An object needs
-    masks in the share ``support`` of the views that see half of its points, at least ``min_masks``. If few views see
-    it, masks in all but one of these suffice, at least 2, if their mean agreement is ``sure``. Of more than
-    ``most_masks`` masks, only those of keyframes are joined; the others go to the object with most of their points. A
-    tracker counts as ``tracker`` views on each pair of masks that it followed, in favour if it gave both the same
+    masks in the share ``support`` of the views that see half of its points, and at least ``min_masks``. If few views
+    see it, masks in all views but one are enough (at least 2), if their mean agreement is ``sure``. If there are more
+    than ``most_masks`` masks, only those of keyframes are joined; any other goes to the object with most of its points.
+    A tracker counts as ``tracker`` views on each pair of masks that it followed, in favour if it gave both the same
     track. ``evidence``: how views' votes are weighted."""
 
     rules: JudgingRules = JudgingRules()
@@ -116,9 +116,9 @@ def join_agreeing(
     options: ConsensusOptions,
     progress: Progress = lambda *_: None,
 ) -> NDArray[np.int64]:
-    """Cluster the masks ``rows`` by ``join_weight``. Return the cluster of each, int64 [R], named by its lowest index.
-    Masks that no chain of positive weights links are never joined, so each linked part is clustered separately; no
-    array of all masks by all masks is needed."""
+    """Cluster the masks ``rows`` by ``join_weight``. Return each mask's cluster, int64 [R]: the lowest index of its
+    members. Only masks linked by a chain of positive weights are ever joined, so each linked part is clustered
+    separately, and no array of all masks by all masks is needed."""
     part = linked_parts(space, judgement, rows, options)
     cluster = np.arange(len(rows))
     order = np.argsort(part, kind="stable")
@@ -144,9 +144,9 @@ def join_weight(
 
 
 def join(weight: NDArray[np.floating], step: Callable[[], object] = lambda: None) -> NDArray[np.int64]:
-    """Cluster rows greedily: join the pair of clusters with the largest sum of ``weight`` (symmetric [M, M]) while it
-    is positive; ties go to the lower rows. Return each row's cluster, int64 [M], named by its lowest row. Calls
-    ``step`` before each join."""
+    """Cluster rows greedily: join the two clusters with the largest sum of ``weight`` (symmetric [M, M]) while it is
+    positive; ties go to the lower rows. Return each row's cluster, int64 [M]: the lowest of its rows. Calls ``step``
+    before each join."""
     weight = np.array(weight, np.float64)
     np.fill_diagonal(weight, -np.inf)
     cluster = np.arange(len(weight))
@@ -209,8 +209,8 @@ def tracks_of(space: MasksInSpace, rows: NDArray[np.intp]) -> NDArray[np.int64]:
 
 
 def pairwise(judgement: Agreement, rows: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return, for each two of the masks ``rows``, the (weighted) number of views that show both inside one mask, and of
-    those that judge both; float32 [R, R] each."""
+    """Return two float32 [R, R], for each pair of the masks ``rows``: how many views show both inside one mask, and how
+    many judge both. Views are weighted by `Agreement.judges`."""
     inside = judgement.inside[rows]
     judges = judgement.judges[rows]
     return (inside @ inside.T).toarray(), judges @ judges.T
@@ -246,8 +246,8 @@ def _is_supported(
 
 
 def agreements(favour: NDArray[np.floating], judging: NDArray[np.floating]) -> list[float | None]:
-    """Return the agreement of each of an object's m masks (see `ObjectMask`): its views in ``favour`` over those
-    ``judging``, both [m, m] by pair, summed over its pairs with the other masks; None if none judge."""
+    """Return the agreement (see `ObjectMask`) of each of an object's m masks. ``judging`` [m, m]: how many views judge
+    a pair of masks; ``favour`` [m, m]: how many of these are in favour. None for a mask that no view judges."""
     judged = judging.sum(1) - np.diag(judging)
     agreed = favour.sum(1) - np.diag(favour)
     return [float(yes) / float(all_) if all_ > 0 else None for yes, all_ in zip(agreed, judged, strict=True)]
@@ -260,9 +260,9 @@ WORTH_IT = 0.25
 
 
 def choose_keyframes(space: MasksInSpace, most_masks: int) -> NDArray[np.int64]:
-    """Return the indices of the views whose masks to join, ascending: all, if they have at most ``most_masks`` masks.
-    Else views are chosen evenly, and those are added without which surfaces would be seen too rarely, so that there may
-    be slightly more masks."""
+    """Return the indices of the views whose masks to join, ascending: all views, if they have at most ``most_masks``
+    masks. Otherwise views are chosen evenly, and any view without which surfaces would be seen too rarely is added, so
+    there may be slightly more masks."""
     views = space.sight.shape[0]
     if len(space.masks) <= most_masks:
         return np.arange(views)

@@ -32,15 +32,15 @@ class ObjectOverlap:
 
     @property
     def iou(self) -> NDArray[np.float64]:
-        """The intersection over union of their cells, float64 [A, B]."""
+        """The intersection over union of each old and each new object, counted in cells, float64 [A, B]."""
         union = self.old_cells[:, None] + self.new_cells[None, :] - self.common
         return self.common / np.maximum(union, 1)
 
 
 @dataclass(frozen=True)
 class LastingObjects:
-    """Which objects lasted, by id. ``old_of``: from a new object to the old one that it is. ``parts``: from other new
-    objects to the old one that they lie within. ``merged``: from old objects that are gone to the new one that they lie
+    """Which objects lasted, as maps of ids. ``old_of``: new object -> the same old object. ``parts``: any other new
+    object -> the old object that it lies within. ``merged``: old object that is gone -> the new object that it lies
     within."""
 
     old_of: dict[int, int]
@@ -71,7 +71,7 @@ def object_overlap(
 
 
 def lasting_objects(overlap: ObjectOverlap) -> LastingObjects:
-    """Assign new objects to old ones, one to one, with the largest sum of IoU, but no pair below LEAST_IOU."""
+    """Assign new objects to old objects, one to one, with the largest sum of IoU; no pair below LEAST_IOU."""
     iou = overlap.iou
     rows, columns = linear_sum_assignment(-np.where(iou >= LEAST_IOU, iou, 0.0))  # weak ones must not displace others
     pairs = [(row, column) for row, column in zip(rows, columns, strict=True) if iou[row, column] >= LEAST_IOU]
@@ -94,7 +94,7 @@ def lasting_objects(overlap: ObjectOverlap) -> LastingObjects:
 def _distinct(
     ids: NDArray[np.integer], cell: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return the distinct ids, and the distinct pairs of object (index in these) and cell, sorted by cell."""
+    """Return the distinct ids, and the distinct pairs of object and cell, sorted: indices of ids, and cells."""
     known, index = np.unique(ids.astype(np.int64), return_inverse=True)
     pairs, _ = distinct_rows(np.stack([cell, index.ravel()], axis=1))
     return known, pairs[:, 1], pairs[:, 0]

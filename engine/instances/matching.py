@@ -30,8 +30,8 @@ def pair_cost(local: OrientedBox, known: OrientedBox, terms: str = "IoU+IoM") ->
 
 
 def class_by_views(masks: Sequence[ObjectMask]) -> int:
-    """Return the class id with the most votes. The masks of a view share the square root of their pixels as votes, so
-    that a near view does not outvote the others. Ties go to the lower id."""
+    """Return the class id with the most votes. A view has as many votes as the square root of the pixels of its masks,
+    which share them by pixels, so that a near view does not outvote all others. Ties go to the lower id."""
     seen: dict[str, int] = {}
     for mask in masks:
         seen[mask.frame] = seen.get(mask.frame, 0) + mask.pixels
@@ -77,7 +77,7 @@ def update_instances(
 
 
 def _targets(cost: NDArray[np.float64], options: Matching) -> list[int | None]:
-    """Return the index of the global instance that each local one joins, None = a new one; ``cost`` [local, global]."""
+    """Return the index of the global instance that each local instance joins, None = a new one; ``cost`` [L, G]."""
     local, known = cost.shape
     if not known:
         return [None] * local

@@ -82,10 +82,9 @@ def held_back_agreement(
     kinds: ViewEvidence,
     frames: Sequence[Sequence[int]],
 ) -> NDArray[np.bool_]:
-    """Return whether each object is better described by one class than by a class per point, bool [objects + 1]. Each
-    of ``frames`` (indices of its views) is held back in turn: its classes must agree with the object's class, as voted
-    by the other frames, at least as well as with the classes that they vote for each point. Else as
-    ``vote_classes``."""
+    """Return whether one class describes each object at least as well as a class per point, bool [objects + 1]. Each of
+    ``frames`` (the indices of its views) is held back in turn, and what it shows is compared with the object's class,
+    and with each point's class, as the other frames vote. Other arguments as of ``vote_classes``."""
     ids, (points, classes, count) = np.asarray(class_ids), (len(object_of_point), len(class_ids), objects + 1)
     of_points, of_objects = np.zeros((points, classes)), np.zeros((count, classes))  # float64: residues must be 0
     said = []
@@ -125,7 +124,7 @@ def placed_objects(
     min_thickness: float,
 ) -> list[SceneObject]:
     """Return the objects with their points, boxes, and the pixel counts of their masks; each must have points. ``xyz``
-    [N, 3]: the cloud's points, metres; ``object_of_point`` int32 [N]: each one's object, 0 = none; ``min_thickness``:
+    [N, 3]: the cloud's points, metres; ``object_of_point`` int32 [N]: each point's object, 0 = none; ``min_thickness``:
     the shortest side of a box, metres."""
     pixels = {
         (view.name, int(segment)): int(count)
@@ -166,8 +165,8 @@ def regroup_pieces(
     progress: Progress = lambda *_: None,
 ) -> tuple[NDArray[np.int32], list[int]]:
     """Let the views vote on connected pieces of objects. Return each point's new object, int32 [N], from 1 (0 = none),
-    and the old object of each new one. ``xyz`` [N, 3], metres; ``object_of_point`` int32 [N], 0 = none;
-    ``class_of_object``: of objects 1, 2, ...; ``summaries``: what each view shows at the points."""
+    and for each new object the old object that it was part of. ``xyz`` [N, 3], metres; ``object_of_point`` int32 [N], 0
+    = none; ``class_of_object``: the class of objects 1, 2, ...; ``summaries``: what each view shows at the points."""
     piece, owner = _pieces(xyz, object_of_point, rules, progress)
     if not len(owner):
         return np.zeros(len(xyz), np.int32), []

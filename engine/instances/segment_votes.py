@@ -94,7 +94,7 @@ def view_labels(
 def member_labels(
     view: View, labels: PanopticLabels, object_of_segment: Mapping[tuple[str, int], int]
 ) -> NDArray[np.int16]:
-    """Return the labels of a view's own mask, int16 [H, W]: each segment's object's or, without one, its class's."""
+    """Return the label of each pixel of a view's mask, int16 [H, W]: of its segment's object or else its class."""
     present, inverse = numbered_labels(view.mask.ids)
     class_of = {segment.id: segment.class_id for segment in view.mask.segments}
     table = np.full(len(present), UNKNOWN_LABEL, np.int16)
@@ -107,9 +107,9 @@ def member_labels(
 def segment_labels(
     mask: PanopticMask, shown: NDArray[np.integer], count: int, agreement: float = AGREEMENT
 ) -> NDArray[np.int16]:
-    """Return the label of each pixel, int16 [H, W]. A segment takes the label that at least the share ``agreement`` of
-    its labelled pixels have in ``shown``, int [H, W], of ``count`` labels, -1 = unknown; if there is none, its pixels
-    keep theirs. Void is unknown."""
+    """Return the label of each pixel, int16 [H, W]. ``shown`` int [H, W] holds labels from 0 to ``count`` - 1, -1 =
+    unknown. If at least the share ``agreement`` of a segment's labelled pixels show one label, the whole segment takes
+    it; otherwise its pixels keep their labels. Void is unknown."""
     present, number = numbered_labels(mask.ids)  # ids may be as large as a PNG's colours
     segments, ids = len(present), number.reshape(mask.ids.shape)
     voting = (shown >= 0) & (mask.ids > 0)
@@ -170,7 +170,8 @@ def _votes(
 
 
 def _added(total: list[Any], parts: list[tuple[NDArray[np.int64], NDArray[np.float32]]]) -> list[Any]:
-    """Add ``parts`` to three sparse matrices: indices point * labels + label, int64 [n], and votes [3, n]."""
+    """Return the sparse matrices ``total`` [points, labels] plus ``parts``; a part has indices point * labels + label,
+    int64 [n], and the votes for each matrix, float32 [3, n]."""
     if not parts:
         return total
     cells = np.divmod(np.concatenate([pairs for pairs, _ in parts]), total[0].shape[1])

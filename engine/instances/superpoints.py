@@ -48,9 +48,9 @@ def trusted_superpoints(
     *,
     masks_are_weak: bool,
 ) -> NDArray[np.int64] | None:
-    """Return the superpoint of each of a cloud's points ``xyz`` [N, 3], ``spacing`` apart (metres), int64 [N], or None
-    if they would harm. They help if views agree too little to judge, or if ``masks_are_weak`` and held-back views agree
-    with them."""
+    """Return the superpoint of each of a cloud's points ``xyz`` [N, 3], metres, int64 [N], or None if superpoints would
+    harm. They are used if views agree too little to judge them, or if ``masks_are_weak`` and views that are held back
+    agree with them about as well as with points. ``spacing``: the distance between points, metres."""
     if len(xyz) < LEAST_POINTS:
         return None
     part = superpoints(xyz, spacing, seeing)
@@ -134,8 +134,9 @@ def _pieces(one: Any, two: Any, bend: Any, points: int, looseness: float, least:
 def held_back_agreement(
     part: NDArray[np.int64], seeing: ViewsOnCloud, class_ids: tuple[int, ...], kind: EvidenceKind
 ) -> tuple[float, float]:
-    """Return the share of what frames show that agrees with the votes of the other frames on each point, and with those
-    on its whole superpoint. A point that no other frame sees counts as its superpoint."""
+    """Return two shares, 0 to 1, of what frames show when held back in turn: what agrees with the votes of the other
+    frames on the same point, and with their votes on its whole superpoint. For a point that no other frame sees, the
+    superpoint's votes count in both."""
     ids, points = np.asarray(class_ids), len(part)
     said, total = votes_of_views(seeing, points, ids, kind)
     of_part = sparse.csr_matrix((np.ones(points), (part, np.arange(points)))) @ total

@@ -2,8 +2,8 @@
 
 A network that is unsure takes a thing for the class it has seen most. So if views contradict each other, votes for
 classes that are seldom shown count more, and weak detections also vote, to win back what the panoptic mask lost. Both
-spoil good masks. So it is measured: each view is held back in turn and compared with the votes of the others. All
-classes count alike in it, since walls and floors fill views, and even bad masks agree on these."""
+spoil good masks. So it is measured: each view is held back in turn and compared with the votes of the other views. All
+classes count alike, since even bad masks agree on walls and floors, which fill most views."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def agreement_of_views(
 def class_balance(
     seeing: ViewsOnCloud, points: int, class_ids: tuple[int, ...], kind: EvidenceKind, agreement: ViewAgreement
 ) -> ClassBalance:
-    """Return weights that favour votes for classes which views seldom show, or equal ones unless masks are weak."""
+    """Return weights that favour classes which views seldom show, if masks are weak; else all votes count alike."""
     if not agreement.is_weak:
         return UNBALANCED
     total = votes_of_views(seeing, points, np.asarray(class_ids), kind)[1].sum(0)

@@ -120,8 +120,8 @@ def bake_cameras(
     folder: LiftFolder, cameras: Path, events: EventWriter, stop: StopSignal, options: BakeOptions = BakeOptions()
 ) -> str:
     """Bake the views in the file ``cameras`` (see `job.cameras`) that are not baked yet; return a summary, as
-    `bake_frames`. A view that was baked from another camera of the same name is baked again. Raises PlgsError for a bad
-    camera or one that has the name of a frame, and whatever `bake_frames` raises."""
+    `bake_frames` does. A view that was baked earlier from another camera of the same name is baked again. Raises
+    PlgsError for a bad camera, for a camera with the name of a frame, and whatever `bake_frames` raises."""
 
     def views_in(scene: Scene) -> list[WantedView]:
         wanted = read_cameras(cameras)
@@ -212,8 +212,8 @@ def look_ahead(baker: FrameBaker, wanted: Sequence[WantedView], photos: Sequence
 
 
 def is_whole(passes: Path, notes: Mapping[str, str], layers: tuple[str, ...], shown: ShownFrame) -> bool:
-    """Whether the EXR file ``passes`` is undamaged, has these ``notes`` in its header (a missing note counts as ""),
-    the frame number and rate of ``shown``, and at least these FURTHER_LAYERS. Raises OSError."""
+    """Whether the EXR file ``passes`` is undamaged and has the ``notes`` in its header (a missing note counts as ""),
+    the frame number and rate of ``shown``, and at least the ``layers`` (from FURTHER_LAYERS). Raises OSError."""
     try:
         same = all((read_note(passes, name) or "") == text for name, text in notes.items())
         same = same and not is_cut(passes)
@@ -269,9 +269,9 @@ class _OwnFolder:
         return self._output / f"{view.name}.exr"
 
     def has(self, view: WantedView, notes: Mapping[str, str]) -> bool:
-        """Whether the folder already has this view, from the same camera and model, with these notes. Unless files may
-        be replaced, raises PlgsError if a file of the view's name was written or saved by another program, or shows
-        something else. Raises OSError."""
+        """Whether the folder already has this view, from the same camera and model, with these header notes. Raises
+        OSError and, unless files may be replaced, PlgsError if the view's file comes from another program, or shows
+        another camera or model."""
         path = self.path_of(view)
         if not os.path.lexists(path):
             return False
@@ -306,7 +306,7 @@ class _OwnFolder:
         write_exr(path, rendered, notes=notes, layers=layers, shown=view.shown, named_for=self._channels)
 
     def keep(self) -> None:
-        """Do nothing: such a folder has no manifest. (`_Result.keep` updates the lift's.)"""
+        """Do nothing: a folder outside the result has no manifest to update. See `_Result.keep`."""
 
 
 class _Result:

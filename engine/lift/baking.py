@@ -1,4 +1,4 @@
-"""Renders a lift's frames: writes passes and previews of the requested ones, and scores the held-out ones."""
+"""Renders a lift's frames: writes passes and previews of the requested frames, and scores the held-out frames."""
 
 from __future__ import annotations
 
@@ -161,8 +161,8 @@ def bake_and_evaluate(
     findings: Sequence[Finding] = (),
     scored: Size | None = None,
 ) -> None:
-    """Compare the lift with the masks of the training ``views`` and of those ``held_back``, which also calibrates
-    ``baker``; bake the frames ``wanted``; score the held-out frames (reduced to fit ``scored`` if they are not baked);
+    """Compare the lift with the masks of its training ``views`` and of the ``held_back`` views, and calibrate ``baker``
+    by it; bake the frames ``wanted``; score the held-out frames (reduced to fit ``scored`` if they are not baked);
     write the contact sheet and metrics.json, ``findings`` included. Ground truth is used for metrics.json only. Raises
     Cancelled, PlgsError, OSError."""
     baked_names = {frame.name for frame in wanted}
@@ -261,7 +261,7 @@ def corrected_scene(scene: StructuredScene, corrected: CorrectedResult) -> Struc
 
 
 def voted_labels(scene: StructuredScene, corrected: CorrectedResult) -> GaussianLabels:
-    """Return the Gaussians' labels: those voted by the views or, without votes, the decoders' likeliest."""
+    """Return the labels of all Gaussians as voted by the views or, if there was no vote, as the decoders give them."""
     if scene.voted is not None:
         return scene.voted
     labels, shares = zip(*_likeliest_of_chunks(scene, corrected), strict=True)
@@ -292,7 +292,7 @@ def _fill_of_scene(
 
 
 def _without_gone(after: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return the labels [G, K], where each removed label is replaced by the Gaussian's likeliest remaining one."""
+    """Return labels of G Gaussians, [G, K], likeliest first, with removed objects replaced by the next label."""
     first = np.take_along_axis(after, (after != GONE).argmax(axis=1)[:, None], axis=1)
     other = after[after != GONE][:1] if (after != GONE).any() else np.zeros(1, np.int32)
     return np.where(after != GONE, after, np.where(first != GONE, first, other))

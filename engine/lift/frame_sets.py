@@ -46,7 +46,7 @@ class FrameSets:
         return [*(frame.name for frame in self.training), *self.unreadable]
 
     def only(self, readable: Scene) -> FrameSets:
-        """Return these sets without the chosen frames that are missing in the scene ``readable``."""
+        """Return the same sets, without those chosen frames that the scene ``readable`` does not contain."""
         names = {frame.name for frame in readable.frames}
         gone = [frame for frame in self.chosen.frames if frame.name not in names]
         kept = tuple(frame for frame in self.all.frames if frame not in gone)
@@ -77,7 +77,7 @@ def sets_of_frames(
 
 
 def frames_to_bake(scene: Scene, bake: str) -> tuple[Frame, ...]:
-    """Return the frames whose passes are wanted: with "test" the held-out ones, with "all" every one, or "none"."""
+    """Return the frames whose passes were requested: for "test" the held-out frames, for "all" every frame."""
     return {"test": scene.test_frames, "all": scene.frames, "none": ()}[bake]
 
 
@@ -155,8 +155,8 @@ def check_memory(
 
 
 def check_disk(folder: Path, sizes: Iterable[tuple[int, int]], events: EventWriter) -> None:
-    """Check that ``folder`` has room for passes of these sizes (width, height) in pixels. Warns if they may not fit.
-    Raises PlgsError if they cannot fit."""
+    """Check that ``folder`` has room for one file of passes per entry of ``sizes`` (width, height, in pixels). Warns if
+    they may not fit. Raises PlgsError if they cannot fit."""
     there = next(each for each in (folder, *folder.absolute().parents) if each.exists())
     pixels, free = sum(width * height for width, height in sizes), shutil.disk_usage(there).free
     if free < pixels * LEAST_PIXEL:

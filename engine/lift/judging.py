@@ -71,8 +71,9 @@ def judge(
     progress: Callable[[int, int], object],
     scratch: Path | None = None,
 ) -> Judgement:
-    """Compare the finished lift with the masks of the views it was ``trained`` on and of those ``held_back``. ``draw``
-    renders it from a camera, with uncalibrated class shares as the confidence. Raises PlgsError, OSError, Cancelled."""
+    """Compare the finished lift with the masks of the views it was ``trained`` on and of the views ``held_back``.
+    ``draw`` renders it from a camera, with uncalibrated class shares as confidence. Raises PlgsError, OSError,
+    Cancelled."""
     every = chained(trained, held_back)
     samples: list[Samples] = []
     most = MOST_SAMPLES // (len(held_back) or len(trained))
@@ -100,7 +101,7 @@ def judge(
 
 
 def evenly(views: Sequence[View], most: int) -> Sequence[View]:
-    """Return at most ``most`` of the views, evenly spaced, as each view to compare must be rendered."""
+    """Return at most ``most`` of the views, evenly spaced: comparing a view costs a rendering."""
     return views[:: -(-len(views) // most) or 1]  # without views the step would be 0
 
 
@@ -131,7 +132,8 @@ LEAST_UNRESOLVED = 0.1
 
 @dataclass(frozen=True)
 class Unresolved:
-    """Shares of a picture's pixels, 0 to 1: ``coarse``, whose surface no photo resolves; ``empty``, without one."""
+    """Two shares of a picture's pixels, 0 to 1: ``coarse``: a surface that no photo shows in enough resolution;
+    ``empty``: no surface at all."""
 
     coarse: float
     empty: float

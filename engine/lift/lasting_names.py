@@ -65,7 +65,7 @@ def refuse_names_of_no_objects(request: LiftRequest, preset: Preset) -> None:
 
 
 def read_earlier(folder: Path) -> EarlierLift:
-    """Read the objects of the finished lift in ``folder``. Raises PlgsError if it is not one, or cannot be read."""
+    """Read the objects of the finished lift in ``folder``. Raises PlgsError if there is none, or it cannot be read."""
     lift = LiftFolder.open(folder)
     result = lift.result_path
     read_manifest(result)
@@ -160,8 +160,8 @@ def _changes(
 def keep_names(
     earlier: EarlierLift, prepared: PreparedLift, seen: NDArray[np.bool_], lifted: StructuredScene, classes: ClassTable
 ) -> tuple[PreparedLift, LastingNames]:
-    """Return the lift with the earlier lift's ids, and its objects' names. ``lifted`` is renumbered as well. Only
-    points in ``seen`` bool [N] are compared, since the earlier lift stored only such. Training does not depend on
+    """Return the lift with the earlier lift's ids, and its objects' names. ``lifted`` is renumbered as well. Only the
+    points where ``seen`` bool [N] are compared, since the earlier lift stored no others. Training does not depend on
     ids."""
     points = prepared.instance_of_point
     lasting = lasting_names(earlier, prepared.instances, prepared.cloud.xyz[seen], points[seen], classes)

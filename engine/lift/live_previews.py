@@ -125,8 +125,8 @@ class LivePreviews:
         return replace(lifted, anchors=lifted.anchors.select(rows), finest=finest)
 
     def _facing(self, xyz: NDArray[np.float32], eye: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which points ``xyz`` [N, 3] to draw, bool [N]: not those facing away from an ``eye`` outside the room.
-        If no such camera was requested, all."""
+        """Return which points ``xyz`` [N, 3] to draw, bool [N]. If a requested camera at ``eye`` is outside the room,
+        points that face away from it are left out, so that one sees into the room; otherwise all are drawn."""
         is_outside = np.linalg.norm(self._eyes - eye, axis=1).min() > OUTSIDE
         if self.surface is None or not self._fingerprint or not is_outside:
             return np.ones(len(xyz), np.bool_)
@@ -187,8 +187,8 @@ def points_picture(
 
 
 def fronts_of(surface: NDArray[np.float32], eyes: NDArray[np.float64]) -> tuple[cKDTree, NDArray[np.float64]]:
-    """Return a tree of up to MOST_POINTS points of a surface [N, 3], and their normals, float64 [n, 3]. A normal is
-    that of the plane through a point's neighbours, towards the nearest of the camera centres ``eyes`` [V, 3]."""
+    """Return a k-d tree of up to MOST_POINTS of the ``surface``'s points [N, 3], and their normals, float64 [n, 3]: of
+    the plane through each point's neighbours, turned towards the nearest camera centre in ``eyes`` [V, 3]."""
     xyz = surface[:: 1 + len(surface) // MOST_POINTS].astype(np.float64)
     tree = cKDTree(xyz)
     around = xyz[tree.query(xyz, min(NEIGHBOURS, len(xyz)))[1]].reshape(len(xyz), -1, 3)

@@ -171,8 +171,8 @@ def voted_points(
 def regrouped(
     cloud: SemanticPointCloud, object_of_point: NDArray[np.int32], found: VotedThings, progress: Progress
 ) -> tuple[NDArray[np.int32], list[SceneObject]]:
-    """Let the views vote on each connected piece of the objects. ``object_of_point`` int32 [N] is the number of the
-    thing in ``found`` that each point belongs to (0 = none). Return the same for the new objects, and those objects."""
+    """Let the views vote on each connected piece of the objects. ``object_of_point`` int32 [N]: the number of each
+    point's thing in ``found``, 0 = none. Return each point's new object, int32 [N], 0 = none, and the new objects."""
     rules, seeing = by_votes.PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing)), found.training
     classes = [one.class_id for one in found.things]
     owner, origin = by_votes.regroup_pieces(
@@ -204,7 +204,7 @@ def with_unowned(
 
 
 def labels_of(cloud: SemanticPointCloud, objects: Sequence[SceneObject]) -> PanopticLabels:
-    """Return the panoptic labels there are for the cloud's classes and these objects."""
+    """Return the numbering of panoptic labels for the cloud's classes and for these objects."""
     return PanopticLabels(cloud.class_ids, tuple(one.class_id for one in objects))
 
 
@@ -281,10 +281,10 @@ def masks_of_pieces(
 def without_fragments(
     owner: NDArray[np.int32], pieces: Sequence[SceneObject], seen: Sequence[ViewPoints]
 ) -> tuple[NDArray[np.int32], list[SceneObject]]:
-    """Keep the pieces that enough masks show; return each point's object, int32 [N], 0 = none, and the kept pieces,
-    with ids from 1. A piece needs as many masks as an object that the same views see. Pieces of a split object need as
-    many as one that all views see, since else they are the ragged edges of a few masks. ``owner`` int32 [N]: each
-    point's piece, from 1, 0 = none; a piece's ``id`` is that of the object it was part of."""
+    """Keep the pieces that enough masks show. Return each point's object, int32 [N], 0 = none, and the kept pieces,
+    with ids from 1. A piece needs as many masks as an object that the same views see. If its object was split, it needs
+    as many as an object that all views see; a piece with fewer is the ragged edge of a few masks. ``owner`` int32 [N]:
+    each point's piece, from 1, 0 = none; a piece's ``id`` is the id of the object that it was part of."""
     parts, size = Counter(one.id for one in pieces), np.bincount(owner, minlength=len(pieces) + 1)
     shares = (np.bincount(owner[one.row], minlength=len(size)) / np.maximum(size, 1) for one in seen)
     seeing = sum((share >= 0.5 for share in shares), np.zeros(len(size), np.int64))[1:]

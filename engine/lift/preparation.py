@@ -39,7 +39,7 @@ _LARGE = 2.0  # the multiple of the wanted spacing of points above which a lift 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PreparedLift(Matching):
     """What training starts from: the matching, the ``scene`` to train and its ``targets``. ``class_of_instance``: the
-    one class that each instance is shown with; None if every pixel decides its class on its own."""
+    class with which all of an instance is shown, by id; None if the class may differ from pixel to pixel."""
 
     scene: StructuredScene
     targets: Sequence[ViewTargets]
@@ -142,8 +142,8 @@ FEATURES = 32
 
 
 def label_channels(class_ids: tuple[int, ...], instances: Sequence[SceneObject], preset: Preset) -> LabelChannels:
-    """Return a channel for each class, a slot for each instance, one for "no object", and spare slots up to the
-    preset's minimum. Without matching, every slot but "no object" may be shown, as training decides what it means."""
+    """Return what the label channels mean: a channel for each class, a slot for each instance, a slot for "no object",
+    and spare slots up to the preset's minimum. Without matching, training decides which instance a slot is for."""
     if preset.objects == "none":
         return LabelChannels(class_ids, (*range(1, preset.instance_slots + 1), NO_OBJECT))
     ids = [instance.id for instance in instances]
@@ -186,9 +186,9 @@ def starting_scene(
     trained: Json = None,
     progress: Progress = lambda *_: None,
 ) -> StructuredScene:
-    """Return a scene of these anchors, with features, and with decoders drawn at random from ``seed``. If the preset
-    says so, they are fitted to the anchors, as seen from ``viewpoints`` [N, 3] (camera centres, metres), unless a model
-    with the facts ``trained`` will replace them."""
+    """Return a scene of the anchors ``start``, with features, and with decoders drawn at random from ``seed``. If the
+    preset says so, the decoders are fitted to the anchors, as seen from ``viewpoints`` [N, 3] (camera centres, metres).
+    This is skipped if a model with the facts ``trained`` will replace the scene."""
     feature = np.zeros((len(start.positions), FEATURES), np.float32)
     if preset.seeded_features:
         feature = seeded_features(start.rgb, start.classes, start.owners, features=FEATURES, seed=seed)

@@ -99,10 +99,10 @@ def run_lift(
     training: Callable[..., Trainer] = Trainer,
     sources: Sequence[str] = ("engine",),
 ) -> None:
-    """Do the lift that ``folder`` asks for or, with ``resume``, the rest of it. Methods other than PLGS replace
-    `prepare` by ``preparing`` and `Trainer` by ``training``, which take the same arguments, and name in ``sources`` the
+    """Do the lift that ``folder`` requests or, with ``resume``, the remaining part of it. Methods other than PLGS pass
+    their own ``preparing`` and ``training``, which take the arguments of `prepare` and `Trainer`, and ``sources``:
     folders whose code's digest goes into the manifest. Raises PlgsError if the input cannot be lifted, and Cancelled if
-    stopped; either way ``folder`` can be resumed."""
+    stopped; ``folder`` can be resumed after either."""
     request, stages = folder.request, StageReporter(events, stop, STAGES)
     preset = request.chosen_preset
     lasting_names.refuse_names_of_no_objects(request, preset)
@@ -239,8 +239,8 @@ def checked_frames(
 def ask_what_is_wrong(
     folder: LiftFolder, scene: Scene, size: Size, events: EventWriter, *, stops: bool
 ) -> tuple[Finding, ...]:
-    """Diagnose the scene, warn of each problem and return them all. Raises PlgsError if one makes a lift pointless,
-    ``stops`` is set and the request does not say to go on anyway."""
+    """Diagnose the scene, warn of each problem, and return the problems. Raises PlgsError if a problem makes the lift
+    pointless, unless ``stops`` is False or the request insists on the lift (--anyway)."""
     asked = diagnose_quickly(scene, size)
     log.info("diagnosed: %d of %d frames compared, %d findings", asked.looked, asked.frames, len(asked.findings))
     for finding in asked.findings:

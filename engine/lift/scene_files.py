@@ -81,9 +81,9 @@ def write_scene_files(
 def is_near_measured(
     cloud: SemanticPointCloud, owner: NDArray[np.int32], measured: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Return which points to write, bool [N]: those near a ``measured`` one (bool [N]), and all of an object without
-    any. The others lie on planes that hole filling extended far. ``owner`` int32 [N]: each point's object, 0 if
-    none."""
+    """Return which points to write, bool [N]: those near a point where ``measured`` bool [N], and all points of an
+    object that has no such point. Other points lie on planes that hole filling extended far beyond what was measured.
+    ``owner`` int32 [N]: each point's object, 0 = none."""
     near = is_within(max(FILLED, 2 * cloud.spacing), cloud.xyz, cloud.xyz[measured])
     return near | np.isin(owner, np.setdiff1d(owner, [0, *np.unique(owner[near])]))
 
@@ -130,7 +130,7 @@ def shown_instances(prepared: PreparedLift, names: Mapping[int, str]) -> ShownIn
 
 
 def _with_numbers(names: Mapping[int, str], lifted: StructuredScene) -> dict[int, str]:
-    """Add names such as "object 3" for shown slots without one, whose meaning training or clustering decides."""
+    """Return ``names`` by id, with "object 3" and the like for shown ids without a name (slots learnt by training)."""
     return {**names, **{one: f"object {one}" for one in lifted.channels.shown_ids if one not in names}}
 
 

@@ -112,7 +112,7 @@ def _class_of(segments: Sequence[_Segment]) -> int:
 
 
 def _segments(frames: Sequence[Frame], xyz: NDArray[np.floating], progress: Progress) -> list[_Segment]:
-    """Return the thing segments that contain the object's points, from the frames that see the most of these."""
+    """Return the thing segments that contain points ``xyz`` [n, 3], from the frames that see most of the points."""
     inside = []
     for number, frame in enumerate(frames):
         inside.append((-len(frame.camera.seen(xyz)[0]), number))

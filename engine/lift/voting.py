@@ -42,9 +42,9 @@ def vote_labels(
     scratch: Path | None = None,
 ) -> tuple[GaussianLabels, ObjectsInView]:
     """Let the training frames, reduced to fit ``vote_size``, vote on each Gaussian's labels. Return the labels, and how
-    well they show every object. If the masks agree, which outlines objects better than points do, there are two rounds:
-    first a mask's segments vote for the labels that matching gave them, then for those that the Gaussians of the first
-    round show there. Otherwise each pixel votes once, for the label of its point. What both rounds need is kept in
+    well they show every object. If the masks agree, they outline objects better than points do, and there are two
+    rounds: first each mask's segments vote for the labels that matching gave them, then for the labels that the
+    Gaussians show there. Otherwise each pixel votes once, for the label of its point. Data for both rounds is kept in
     temporary files in ``scratch``. Raises PlgsError if a file is bad, and what ``progress`` raises."""
     cloud, maps = prepared.cloud, prepared.label_maps
     assert maps is not None  # objects by agreement come with them

@@ -18,7 +18,7 @@ C1, C2 = 0.01**2, 0.03**2
 
 
 class PictureScores(NamedTuple):
-    """PSNR in decibels and SSIM of one view; those ``_fitted`` are measured after `fit_colours`."""
+    """PSNR in decibels and SSIM of one view; names with ``_fitted``: after the colours were fitted (`fit_colours`)."""
 
     psnr: float
     ssim: float

@@ -81,9 +81,9 @@ class PanopticEvaluation:
         gt_semantic: NDArray[np.integer],
         gt_instance: NDArray[np.integer],
     ) -> dict[Pair, int]:
-        """Count a view, given as class ids and instance ids, integers [H, W], 0 = void or none. Return its own shared
-        pixels. Classes that are not in the table count as void. Raises ValueError if an id is negative, or if shapes
-        differ; in ``pl_compat`` prediction and ground truth may have different sizes."""
+        """Count a view, given as class ids and instance ids, integers [H, W], 0 = void or none. Return its numbers of
+        shared pixels, by pair of segments. Classes that are not in the table count as void. Raises ValueError if an id
+        is negative, or if shapes differ; in ``pl_compat`` prediction and ground truth may have different sizes."""
         maps = [np.asarray(m) for m in (pred_semantic, pred_instance, gt_semantic, gt_instance)]
         if self.mode == "pl_compat":
             maps = [resize_nearest(m, COMPAT_SIZE) for m in maps]

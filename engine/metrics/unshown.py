@@ -42,8 +42,8 @@ class JudgedView(NamedTuple):
 
 @dataclass(frozen=True)
 class Unshown:
-    """A class (``whole_class``), or one object of it, that masks show and the lift does not. ``near``: how many nearby
-    views see the place; ``views``: how many of these give it this class. ``frame`` shows it best, as ``segment`` of
+    """A whole class (``whole_class``), or an object, that masks show and the lift does not. ``near``: how many nearby
+    views see the place; ``views``: how many of these show its class there. ``frame`` shows it best, as ``segment`` of
     ``pixels`` pixels at the frame's own size, with ``resolution`` pixels per centimetre. ``shown_as``: the class that
     the lift shows there most, "" = none. ``centre``: world metres."""
 
@@ -77,7 +77,7 @@ class _Candidate(NamedTuple):
         return np.asarray(np.median(self.xyz, axis=0))
 
     def holds(self, other: _Candidate) -> bool:
-        """Whether ``other`` is of the same class, and its centre lies in this one's box: they are the same thing."""
+        """Whether ``other`` is the same thing: of the same class, and its centre lies in the box around this one."""
         if self.class_id != other.class_id:
             return False
         low, high = self.xyz.min(axis=0) - MARGIN, self.xyz.max(axis=0) + MARGIN
@@ -132,7 +132,7 @@ def _missed(found: list[_Candidate], answers: _Answers, shown: set[int], classes
 
 
 def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
-    """Return the view's segments whose class the lift does not show there, and the classes of those that it does."""
+    """Return the view's segments whose class the lift does not show there, and the classes of the other segments."""
     view, shown = judged
     seen, xyz_of_pixels = view.depth > 0, view.camera.unproject(view.depth)
     candidates, kept = [], set()
@@ -188,8 +188,8 @@ class _Answers:
         )
 
     def of(self, number: int) -> tuple[int, int, float]:
-        """Return how many near views give a candidate its class, how many near views there are, and the largest share
-        of its points that the lift shows with this class in one of the former."""
+        """Return, for candidate ``number``, how many near views show its class there, how many near views there are,
+        and the largest share of its points that the lift shows with this class in a view of the first kind."""
         answers = np.array([[part[number] for part in row] for row in self._rows])
         resolution, named, kept = answers.T
         near = are_near(resolution, self.found[number].resolution)

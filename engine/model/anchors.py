@@ -97,9 +97,9 @@ def seeded_features(
     rgb: NDArray[np.uint8], class_id: NDArray[np.integer], instance_id: NDArray[np.integer], *, features: int, seed: int
 ) -> NDArray[np.float32]:
     """Return initial features that differ by colour and label, float32 [M, ``features``]. Three entries are ``rgb``
-    uint8 [M, 3], scaled to [-1, 1]. Half of the others are a random code of +-1 for the class, the other half one for
-    the instance, zeros for unknown ones (0); no two share a code. Scaffold-GS and the paper start from zero, and equal
-    anchors take thousands of steps to become different, but a lift on a CPU has only hundreds."""
+    uint8 [M, 3], scaled to [-1, 1]. Half of the other entries are a random code of +-1 for the class, the other half a
+    code for the instance; unknown labels (0) give zeros, and no two labels share a code. In Scaffold-GS and the paper
+    all start from zero, and take thousands of steps to become different, but a lift on a CPU has only hundreds."""
     seeded = np.zeros((len(rgb), features), np.float32)
     seeded[:, :3] = rgb.astype(np.float32) / 127.5 - 1.0
     half = 3 + (features - 3) // 2
@@ -110,8 +110,8 @@ def seeded_features(
 
 
 def _codes(labels: int, width: int, random: np.random.Generator) -> NDArray[np.float32]:
-    """Return a random code of +-1 for each label, float32 [``labels`` + 1, ``width``], zeros for label 0. No two labels
-    share one, if there are enough: nothing else would distinguish two identical chairs."""
+    """Return a random code of +-1 for each label, float32 [``labels`` + 1, ``width``], zeros for label 0. If there are
+    enough codes, no two labels share one: nothing else would distinguish two identical chairs."""
     sides = np.array([-1.0, 1.0], np.float32)
     codes = random.choice(sides, (labels + 1, width))
     codes[0] = 0.0

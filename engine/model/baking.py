@@ -49,9 +49,9 @@ class BakedGaussians:
     instance_id: NDArray[np.int32]
 
     def blended_colours(self) -> NDArray[np.float32]:
-        """Return the colour that one sees around each Gaussian, sRGB float32 [N, 3] in [0, 1]: the mean over its
-        nearest neighbours, weighted by opacity. A pixel blends many Gaussians, whose own colours scatter around it. It
-        is for viewers that draw Gaussians opaque."""
+        """Return the visible colour around each Gaussian, sRGB float32 [N, 3] in [0, 1]: the mean over its nearest
+        neighbours, weighted by opacity. A pixel blends many Gaussians, whose own colours scatter around it. Viewers
+        that draw Gaussians opaque should use it."""
         if not len(self.means):
             return self.colours
         tree, blended = cKDTree(self.means), np.empty_like(self.colours)
@@ -83,9 +83,9 @@ class BakedGaussians:
 def decided_labels(
     shown: NDArray[np.float32], channels: LabelChannels, thing_ids: frozenset[int]
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Return class and instance ids, int32 [N] each, for probabilities ``shown`` [N, C + U] from
-    ``shown_probabilities``. They are decided as for a pixel of the passes: if each object has one class, a thing
-    without object takes another class."""
+    """Return class and instance ids, int32 [N] each, from the probabilities ``shown`` [N, C + U] (see
+    `shown_probabilities`), by the rule for a pixel of the passes. If each object has one class, a Gaussian without an
+    object never shows a thing's class, but its next likely one."""
     classes = len(channels.class_ids)
     by_class, owned = shown[:, :classes], shown[:, classes:]
     column, rows = by_class.argmax(axis=1), np.arange(len(shown))

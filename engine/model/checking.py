@@ -90,7 +90,7 @@ def wanted_of_model(facts: Mapping[str, Any], anchors: int, labels: int | None) 
 
 
 def check_model(tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -> None:
-    """Raise ValueError unless ``from_tensors`` can make a scene of these that kernels can draw."""
+    """Raise ValueError unless ``from_tensors`` can make a scene from these arguments that kernels can draw."""
     voxel_size = facts["voxel_size"]
     if not isinstance(voxel_size, float | int) or not 1e-4 <= voxel_size <= 100:
         raise ValueError("voxel_size is not a valid length")

@@ -1,8 +1,8 @@
-"""Grows anchors where the rendering does not yet match the photos, and prunes those that stay transparent (Scaffold-GS,
-section 3.3).
+"""Grows anchors where the rendering does not yet match the photos, and prunes anchors that stay transparent
+(Scaffold-GS, section 3.3).
 
-It is decided by gradients of the projected Gaussian centres. Only the reconstruction loss, and the depth loss if there
-is one, reach these; label losses never do."""
+Both are decided by the gradients of the projected Gaussian centres, which only the reconstruction loss and the depth
+loss (if any) reach; label losses never do."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ from .neural_gaussians import NeuralGaussians
 
 @dataclass(frozen=True)
 class GrowthRules:
-    """When to grow and prune. ``gradient``: the threshold on a Gaussian's mean gradient of the projected centre, NDC
-    units, for level 0; level i takes 2^i times that, and cells of ``cell_voxels[i]`` voxels. ``opacity``: anchors with
-    a smaller mean summed opacity are pruned. ``visited_share``, ``seen_share``: visits needed to judge, as shares of
-    the steps between two rounds; ``least_visits`` always suffice (None: no such limit), else a short lift of many views
-    would never judge anchors that few views see."""
+    """When to grow and prune. ``gradient``: for level 0, the threshold on a Gaussian's mean gradient of the projected
+    centre, NDC units; level i takes 2^i times that, and cells of ``cell_voxels[i]`` voxels. ``opacity``: anchors with a
+    smaller mean summed opacity are pruned. ``seen_share``, ``visited_share``: how often a Gaussian or an anchor must
+    have been visible before it is grown or pruned, as a share of the steps between two rounds. ``least_visits`` are
+    always enough (None: no such limit); otherwise a short lift of many views would never decide on anchors that few
+    views see."""
 
     gradient: float = 2e-4
     cell_voxels: tuple[int, ...] = (16, 4, 1)
@@ -33,7 +34,7 @@ class GrowthRules:
     least_visits: int | None = None
 
     def enough(self, share: float, steps_between: int) -> float:
-        """Return the number of visits above which to judge, for this ``share`` of the steps between two rounds."""
+        """Return how many visits suffice to decide on an anchor: ``share`` of the steps between rounds, or fewer."""
         wanted = share * steps_between
         return wanted if self.least_visits is None else min(wanted, self.least_visits * share / self.visited_share)
 
@@ -79,7 +80,7 @@ class GrowthStatistics:
 
 @dataclass(frozen=True)
 class GrowthRound:
-    """The result of a round: which anchors to ``keep`` (bool [M]), and those ``grown``, to append."""
+    """The result of a round: which anchors to ``keep`` (bool [M]), and the new anchors ``grown``, to be appended."""
 
     keep: torch.Tensor
     grown: Anchors
@@ -105,8 +106,8 @@ def grow_and_prune(
     random: np.random.Generator,
     most_anchors: int,
 ) -> GrowthRound:
-    """Decide which anchors to add and to remove. Resets the statistics of those judged to 0, in place. No more than
-    ``most_anchors`` remain; if more could grow, ``random`` chooses among them."""
+    """Return which anchors to keep and which to add. Sets the statistics of anchors visited often enough back to 0, in
+    place. Not more than ``most_anchors`` remain in all; if more could grow, ``random`` chooses among them."""
     judged = statistics.visits > rules.enough(rules.visited_share, steps_between)
     keep = ~(judged & (statistics.opacity < rules.opacity * statistics.visits))
     seen = statistics.drawn > rules.enough(rules.seen_share, steps_between)

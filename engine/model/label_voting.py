@@ -78,9 +78,9 @@ def contributors(scene: StructuredScene, camera: Camera, count: int = CONTRIBUTO
 
 
 class LabelVotes:
-    """Counts the votes of views on the labels of a finished scene's G Gaussians. Each holds votes for at most
-    LABELS_HELD labels, so that memory does not grow with the number of labels. A further label replaces the one with
-    the fewest votes and inherits these ("space saving", Metwally et al. 2005), so a label with more than 1 /
+    """Counts the views' votes on the labels of a finished scene's G Gaussians. A Gaussian holds votes for at most
+    LABELS_HELD labels, so that memory does not grow with the number of labels. A further label replaces the label with
+    the fewest votes, and takes over its votes ("space saving", Metwally et al. 2005), so a label with more than 1 /
     LABELS_HELD of a Gaussian's votes is never lost."""
 
     def __init__(self, scene: StructuredScene, kind: EvidenceKind, prior: float = PRIOR) -> None:
@@ -141,7 +141,7 @@ def pixel_labels(scene: StructuredScene, voted: GaussianLabels, view: Contributo
 
 @device_function
 def _add_vote(labels: Any, votes: Any, label: Any, amount: Any) -> None:
-    """Add ``amount`` to one label among those that a Gaussian holds; ``labels`` and ``votes`` are [L] each."""
+    """Add ``amount`` votes for ``label`` to the labels and votes [L] that one Gaussian holds."""
     least = 0
     for column in range(len(labels)):
         if labels[column] == label or labels[column] < 0:

@@ -69,13 +69,13 @@ class ClipRange(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PanopticRendering:
-    """A rendered view, or some of its rows (``camera`` is then theirs), before its pixels' labels are decided.
+    """A rendered view, or a band of its rows (``camera`` is then the camera of these rows), before labels are decided.
     ``image`` float32 [H, W, 3]: sRGB in [0, 1], over black. ``alpha`` float32 [H, W]. ``depth`` float32 [H, W]: planar
     depth of the surface, metres, 0 = none. ``class_coverage`` float32 [H, W, C]: sum_i w_i * p_i(class) with a pixel's
     blending weights w_i; its sum over classes is alpha. ``instance_coverage`` float32 [H, W, S]: the same for
-    instances; the rest of alpha belongs to no object. Channels are in the order of ``class_ids`` and ``instance_ids``.
-    ``guessed`` float32 [H, W]: the share of the pixel that no photo saw, or that is empty; None if nothing was removed
-    from the scene."""
+    instances; what is left of alpha belongs to no object. Channels are in the order of ``class_ids`` and
+    ``instance_ids``. ``guessed`` float32 [H, W]: the share of the pixel that no photo saw or that is empty; None if
+    nothing was removed from the scene."""
 
     camera: Camera
     image: NDArray[np.float32]

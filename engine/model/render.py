@@ -70,8 +70,8 @@ def render_bands(
 def _filled(
     fill: SceneFill, camera: Camera, drawn: NeuralGaussians, rows: torch.Tensor, finest: torch.Tensor | None
 ) -> tuple[NeuralGaussians, torch.Tensor, torch.Tensor | None, torch.Tensor]:
-    """Add the fill to the decoded Gaussians, and leave out the removed ones. Return all, their rows in the scene's
-    labels, the side of their finest pixels, and which are guessed, float32 [N, 1]."""
+    """Leave out the decoded Gaussians of removed objects, and append the fill. Return the Gaussians, their rows in the
+    scene's labels, the side of the finest pixel at each (see `detail`), and which are guessed, float32 [N, 1]."""
     kept, new = ~fill.gone[rows], len(fill.means)
     fill = replace(fill, opacities=_opacities_seen(fill, camera))
     names = ("means", "scales", "quats", "opacities", "colours")
@@ -96,7 +96,8 @@ def _opacities_seen(fill: SceneFill, camera: Camera) -> torch.Tensor:
 
 
 def row_bands(camera: Camera, channels: int, most_bytes: int | None) -> list[tuple[int, int]]:
-    """Divide a picture into bands; return the first row of each, and one past its last. Only the last may be lower."""
+    """Divide a picture into bands of rows; return the first row and the last row + 1 of each. All have the same height,
+    except that the last may have fewer rows."""
     fitting = camera.height if most_bytes is None else most_bytes // (4 * max(channels, 1) * camera.width)
     count = -(-camera.height // max(fitting, TILE_ROWS))
     height = -(-camera.height // (count * TILE_ROWS)) * TILE_ROWS
@@ -116,7 +117,7 @@ class _Seen:
     near: float
 
     def reaching(self, rows: tuple[int, int]) -> _Seen:
-        """Choose only Gaussians that may cover these ``rows`` (first, and one past the last); a few more do no harm."""
+        """Choose the Gaussians that may cover a pixel of ``rows`` (first, last + 1); a few others are harmless."""
         first, end = rows
         touches = (self.row + self.reach >= first) & (self.row - self.reach <= end)
         return replace(self, chosen=self.chosen[touches[self.chosen]])

@@ -20,9 +20,9 @@ NO_OBJECT, SPARE = 0, -1
 
 @dataclass(frozen=True)
 class LabelChannels:
-    """What the label channels mean. ``class_ids``: of each semantic channel, ascending. ``slot_ids``: of each slot, an
-    instance id, ``NO_OBJECT`` or ``SPARE`` (trained, but never shown). ``class_of_slot``: the class of each slot's
-    instance (0 for other slots) if each object has one class; empty if every pixel decides on its own."""
+    """What the label channels mean. ``class_ids``: the class of each semantic channel, ascending. ``slot_ids``: for
+    each slot an instance id, ``NO_OBJECT``, or ``SPARE`` (trained, but never shown). ``class_of_slot``: the class of
+    each slot's instance (0 for other slots) if each instance has one class; empty if its pixels may differ in class."""
 
     class_ids: tuple[int, ...]
     slot_ids: tuple[int, ...]
@@ -40,15 +40,15 @@ class LabelChannels:
 
     @property
     def class_of_shown(self) -> dict[int, int]:
-        """The class of each of the ``shown_ids``; empty if pixels decide."""
+        """The class of each of the ``shown_ids``; empty if ``class_of_slot`` is."""
         return {self.slot_ids[slot]: self.class_of_slot[slot] for slot in self.instance_slots if self.class_of_slot}
 
 
 @dataclass(frozen=True, eq=False)
 class GaussianLabels:
-    """The likeliest labels of each Gaussian, as voted by the views, likeliest first. ``label`` int16 [G, K]: 0 to C - 1
-    are classes without an object, those from C on the ``shown_ids`` in order. ``share`` float32 [G, K]: their shares of
-    the votes, which sum to at most 1."""
+    """The labels voted for each of G Gaussians, the K likeliest, likeliest first. ``label`` int16 [G, K]: 0 to C - 1
+    are classes without an object, C and above the ``shown_ids`` in their order. ``share`` float32 [G, K]: the labels'
+    shares of the votes, which sum to at most 1."""
 
     label: torch.Tensor
     share: torch.Tensor

@@ -35,8 +35,8 @@ TINY_NORM = 1e-12
 class Pinhole:
     """A camera. ``rotation``: 3 x 3, row by row, world to camera (OpenCV axes); ``centre``: world, metres; ``focal``,
     ``principal`` (x, y), ``width``, ``height``: pixels; ``near``: metres. To draw only some rows of a picture,
-    ``height`` is their number, ``above`` the number of rows before them, ``whole_height`` that of all. With
-    ``is_orthographic`` all rays are parallel, and ``focal`` is in pixels per metre."""
+    ``height`` is their number, ``above`` the number of rows before them, and ``whole_height`` the height of the
+    picture. With ``is_orthographic`` all rays are parallel, and ``focal`` is in pixels per metre."""
 
     rotation: tuple[float, ...]
     centre: tuple[float, float, float]

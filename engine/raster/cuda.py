@@ -100,8 +100,8 @@ def _blended_labels(labels: Tensor, pinhole: Pinhole, about: dict[str, Any]) -> 
 
 @torch.no_grad()
 def _contributions(pinhole: Pinhole, about: dict[str, Any]) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the Gaussians that each pixel of the whole picture shows, front to back: indices int64 [A], where those of
-    each pixel begin int64 [P], and blending weights float32 [A]."""
+    """Return the Gaussians that each pixel of the whole picture shows, pixel by pixel, front to back: indices int64
+    [A], where each pixel's begin int64 [P], and blending weights float32 [A]."""
     from gsplat import rasterize_to_indices_in_range
 
     width, height = pinhole.width, pinhole.whole_height or pinhole.height

@@ -47,7 +47,8 @@ def seed_centres(batches: PointBatches, spacing: float, cap: int) -> tuple[NDArr
 
 
 def merged_points(batches: Iterable[NDArray[np.float64]], spacing: float) -> NDArray[np.float64]:
-    """Merge the batches' points [n, 3] that share a cell to one row (mean x, y, z, count): [K, 4], ordered by cell."""
+    """Merge all points [n, 3] of the batches that share a grid cell of side ``spacing`` (metres) to one row (mean x, y,
+    z, count). Return the rows, [K, 4], ordered by cell."""
     cells = np.zeros((0, 4))
     pending: list[NDArray[np.float64]] = []
     rows = 0
@@ -61,7 +62,8 @@ def merged_points(batches: Iterable[NDArray[np.float64]], spacing: float) -> NDA
 
 
 def merge_cells(rows: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
-    """Merge rows (mean x, y, z, weight) [n, 4] whose means share a cell to one row, ordered by cell."""
+    """Merge rows (mean x, y, z, weight) [n, 4] whose means share a grid cell of side ``spacing``, metres; return one
+    row per cell, ordered by cell."""
     if not len(rows):
         return rows
     keys, cell = np.unique(cell_keys(rows[:, :3], spacing), return_inverse=True)

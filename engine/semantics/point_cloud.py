@@ -79,8 +79,9 @@ def build_point_cloud(
     options: CloudOptions,
     progress: Progress | None = None,
 ) -> SemanticPointCloud:
-    """Cluster all pixels with depth; the labels of those in ``keep`` (bool [H, W] per view, in order) vote on the
-    clusters'. Reads one view at a time; only clusters stay in memory. Raises ValueError if no pixel has depth."""
+    """Cluster all pixels with depth. Labels of pixels in ``keep`` (bool [H, W] per view, in order) vote on the
+    clusters' labels. Reads views one at a time; only clusters stay in memory. Raises ValueError if no pixel has
+    depth."""
     report = progress or (lambda done, total: None)
     total, done = (2 + LLOYD_STEPS) * len(views), 0
     # The step in rows and columns between the pixels that are used.
@@ -136,7 +137,7 @@ class _Tally:
         return np.rint(self._rgb / np.maximum(self._members, 1)[:, None]).astype(np.uint8)
 
     def add(self, view: View, consistent: NDArray[np.bool_], stride: int) -> None:
-        """Count a view's pixels, every ``stride``-th by row and column; only ``consistent`` ones, bool [H, W], vote."""
+        """Count every ``stride``-th pixel of a view, by row and column; only pixels in ``consistent`` [H, W] vote."""
         nearest = self._index.nearest(_points(view, stride), self._spacing)
         found = nearest >= 0
         valid = view.depth[::stride, ::stride] > 0

@@ -111,8 +111,8 @@ def no_moments(parameter: torch.Tensor) -> Moments:
 
 
 class Optimiser:
-    """Adam for anchors and decoders. Moments are kept by parameter name, so they can be saved, restored, cut and
-    added."""
+    """Adam for anchors and decoders. Moments are kept by parameter name, so that they can be saved and restored, and
+    follow when anchors are added or removed."""
 
     def __init__(self, anchors: Anchors, decoders: Decoders, rates: Rates, extent: float) -> None:
         self.decoders, self.rates, self.extent, self.count = decoders, rates, extent, 0

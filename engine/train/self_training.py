@@ -66,9 +66,9 @@ def _packed(labels: torch.Tensor) -> bytes:
 def rendered_labels(
     mask: PanopticMask, rendering: PanopticRendering, channels: LabelChannels, least_region: int
 ) -> PseudoLabels:
-    """Make a view's pseudo labels. As in the paper, regions of at least ``least_region`` pixels take the class rendered
-    in most of these; if each object has a single class, segments take class and object. Pixels without a rendering do
-    not vote."""
+    """Make a view's pseudo labels. As in the paper, a region of at least ``least_region`` pixels takes the class that
+    most of its pixels are rendered with. If each object has a single class, segments take class and object instead.
+    Pixels where nothing is rendered do not vote."""
     if not channels.class_of_slot:
         class_ids = np.array(channels.class_ids, np.int32)
         coverage = rendering.class_coverage

@@ -59,7 +59,7 @@ def columns_of(labels: NDArray[np.integer], ids: tuple[int, ...], dtype: DTypeLi
 
 
 def slots_of(instances: NDArray[np.integer], known: NDArray[np.bool_], channels: LabelChannels) -> torch.Tensor:
-    """Return the slot of each instance id, int16; for id 0 that of "no object" where ``known``, otherwise -1."""
+    """Return the slot of each instance id, int16. Id 0 gives the slot of "no object" where ``known``, otherwise -1."""
     slots = columns_of(instances, tuple(max(slot, 0) for slot in channels.slot_ids), np.int16)
     return slots.masked_fill_(torch.from_numpy(known & (instances == 0)), channels.slot_ids.index(NO_OBJECT))
 

@@ -91,8 +91,8 @@ LARGEST_SCALE = 1.0
 @dataclass(frozen=True)
 class GrowthSchedule:
     """When anchors are added and pruned, as shares of all steps, as in Scaffold-GS: statistics from 500/30000 on, a
-    round of growth every 100/30000 from 1500/30000 to 15000/30000. In short lifts rounds are at least
-    ``at_least_steps`` apart, since a round judges an anchor by how often it was seen."""
+    round of growth every 100/30000 from 1500/30000 to 15000/30000. In short lifts, rounds are at least
+    ``at_least_steps`` apart, or too few views would have seen an anchor to decide on it."""
 
     statistics_from: float = 500 / 30000
     grow_from: float = 1500 / 30000
@@ -115,7 +115,7 @@ class StepReport:
     further: Mapping[str, float] = field(default_factory=dict)
 
     def numbers(self) -> dict[str, float]:
-        """Return all these numbers by name, for the log."""
+        """Return all fields by name, ``further`` terms included, for the log."""
         return {**{name: value for name, value in vars(self).items() if name != "further"}, **self.further}
 
 
@@ -278,8 +278,8 @@ class Trainer:
         return self.arithmetic.decode(anchors, decoders, target.camera, known_labels=no_labels(anchors))
 
     def _columns_to_draw(self, target: ViewTargets) -> NDArray[np.int64]:
-        """Return the label channels to render, ascending: those that the view's targets use, since the losses need no
-        others; all channels if linear assignment chooses slots by what is rendered."""
+        """Return the label channels to render, ascending: the channels that occur in the view's targets, since no loss
+        needs others, or all channels if linear assignment chooses slots by what is rendered."""
         if target.columns is not None:
             return target.columns
         classes, total = self._channel_counts()
@@ -292,7 +292,7 @@ class Trainer:
         return used[:-1].numpy().nonzero()[0]
 
     def _channel_counts(self) -> tuple[int, int]:
-        """Return the number of class channels, and that of all label channels (classes and slots)."""
+        """Return the number of class channels, and the number of all label channels (classes and slots)."""
         classes = len(self.scene.channels.class_ids)
         return classes, classes + self.scene.decoders.shape.instance_slots
 

@@ -47,7 +47,7 @@ def decode_natively(given: AnchorsInView, decoders: Decoders) -> NeuralGaussians
 
 
 class _Fixed(NamedTuple):
-    """The decoding's inputs that have no gradient."""
+    """The inputs of decoding that have no gradient, kept for the backward pass."""
 
     visible: NDArray[np.int64]
     position: NDArray[np.float32]

@@ -33,8 +33,8 @@ PAD_INDEX = BACKWARD_BATCH
 
 @device_function
 def copy_label_gradients(tile: Tile, size: Size, d_labels: Array, channels: Array, count: int, scratch: Array) -> None:
-    """Copy the gradients of a tile's labels to the scratch, patch by patch, with 0 outside the image. ``channels``
-    int32 [count] lists the channels to copy, out of those in ``d_labels`` [P * C]."""
+    """Copy the gradients of a tile's labels to the scratch, patch by patch, 0 outside the image. ``d_labels`` [P * C]
+    has all channels; ``channels`` int32 [count] lists those to copy."""
     padded = padded_channels(count)
     for patch in range(PATCHES):
         top, left = tile.top + (patch & -2), tile.left + (patch & 1) * PATCH_WIDTH
@@ -202,7 +202,7 @@ def whiten_tile(records: Array, at: int, tile: Tile, scratch: Array, own: int) -
 
 @inlined
 def strips_of(mask: int) -> int:
-    """From a bit mask of rows, return one in which bit 2 p is set if row 2 p or 2 p + 1 was, which are a strip."""
+    """Return a bit mask of strips: bit 2 p is set if ``mask``, a bit mask of rows, has row 2 p or row 2 p + 1."""
     return (mask | (mask >> 1)) & EVEN
 
 

@@ -126,8 +126,9 @@ def load_labels(
 
 @device_function
 def add_listed_labels(patch: int, end: int, scratch: Array, members: Array, batches: int, padded: int) -> int:
-    """Add weight * label to a patch's pixels for each Gaussian in its list, which ends before ``end``. ``members``
-    holds the offset of each one's labels, in vectors from scratch[batches:]. Return the end of the emptied list."""
+    """Add weight * label to a patch's pixels for each Gaussian in the patch's list, which ends before ``end``.
+    ``members`` has the offset of each Gaussian's labels, in vectors from scratch[batches:]. Return the end of the empty
+    list."""
     listed = patch * LISTED
     out = Rows(scratch, STRIP_LABELS + patch * TILE * padded, padded)
     weights = Factors(scratch, WEIGHTS + listed * TILE, 1, TILE)
@@ -250,11 +251,11 @@ def blend_four(
 def blend_patch(
     touching: int, at: int, scratch: Array, fields: int, members: Array, end: int, labels: tuple[int, int]
 ) -> Any:
-    """Blend those Gaussians of a batch that touch a patch, by the bit mask ``touching``. The patch's state is at
-    scratch[at:], the batch's fields at ``fields``. Gaussians that show on a pixel are appended to the patch's list at
-    ``end``, for their labels: weights to the scratch, offsets of labels to ``members``. ``labels``: the offset of the
-    first Gaussian's labels, and the length of one's, in vectors. Return the list's new end, and whether any pixel is
-    open."""
+    """Blend the Gaussians of a batch that touch a patch, as the bit mask ``touching`` says. The patch's state is at
+    scratch[at:], the batch's fields at scratch[fields:]. Gaussians that show on a pixel are appended to the patch's
+    list at ``end``, which is used for labels: weights go to the scratch, offsets of their labels to ``members``.
+    ``labels``: where the first Gaussian's labels begin, and how long each Gaussian's are, in vectors. Return the list's
+    new end, and whether any pixel is still open."""
     columns = v.load(scratch, at + COLUMNS)
     state = (
         v.load(scratch, at + TRANSMITTANCE),
