@@ -23,8 +23,8 @@ PAIRS_AT_A_TIME = 8192
 class ViewPoints:
     """What one view shows at the cloud's points that it sees. ``row`` int32 [n]: the points' indices, ascending;
     ``segment`` int32 [n]: the id of the segment that most of a point's pixels show (0 = void); ``pixels`` float32 [n]:
-    how many, at the mask's own size; ``resolution`` float32 [n]: their mean number per centimetre; ``share``: the
-    segment's `Segment.share`."""
+    how many pixels, at the mask's own size; ``resolution`` float32 [n]: how many per centimetre; ``share``: the weight
+    of the segment's votes (`Segment.share`)."""
 
     row: NDArray[np.int32]
     segment: NDArray[np.int32]
@@ -49,7 +49,7 @@ class ViewsOnCloud:
 
     @classmethod
     def of(cls, views: Sequence[View], point_of_pixel: Sequence[NDArray[np.int32]]) -> ViewsOnCloud:
-        """Make it from views and their points; ``seen`` is computed each time it is read."""
+        """Return the views with what they see of the cloud; ``seen`` is computed anew each time it is read."""
         seen = OnDemand(len(views), lambda number: view_points(views[number], point_of_pixel[number]))
         return cls(views, point_of_pixel, seen)
 

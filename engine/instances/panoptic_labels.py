@@ -122,9 +122,9 @@ class PanopticLabels:
 def decide_labels(
     votes: NDArray[np.floating], labels: PanopticLabels, least_share: float
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return the label of each row of votes [N, C + U] by the rule above, int32 [N], and its class's share of the
-    votes, float32 [N]. An object's votes also count for its class; to be shown, it needs the share ``least_share`` of
-    that class's votes. Ties go to the lower label; rows without votes are unknown."""
+    """Return the label of each row of votes [N, C + U], int32 [N], and its class's share of the votes, float32 [N], by
+    this module's rule: class first. An object's votes also count for its class; to be shown, it needs the share
+    ``least_share`` of that class's votes. Ties go to the lower label; rows without votes are unknown."""
     classes, column = len(labels.class_ids), labels.class_column
     by_class = np.array(votes[:, :classes], np.float32)
     for number in range(classes, len(labels)):

@@ -64,8 +64,9 @@ def trusted_superpoints(
 
 
 class RestOfSuperpoint:
-    """Acts as a matrix [N, N] that is multiplied by votes [N, labels]: each point gets the sum of the votes of all
-    other points in its superpoint, or with ``mean`` their mean, so that a picture can keep its label on its wall."""
+    """Acts as a matrix [N, N] that is multiplied by votes [N, labels]: each point gets the votes of all other points in
+    its superpoint. With ``mean``, it gets the superpoint's mean votes, so that a picture can keep its label on a
+    wall."""
 
     def __init__(self, part: NDArray[np.int64], mean: bool = False) -> None:
         self._member = sparse.csr_matrix((np.ones(len(part), np.float32), (part, np.arange(len(part)))))
@@ -77,8 +78,8 @@ class RestOfSuperpoint:
 
 
 def rest_of_superpoints(part: NDArray[np.int64], in_all: float) -> RestOfSuperpoint:
-    """Return the matrix by which points also get the votes of their superpoint ``part`` [N]: only the mean, if views
-    agree well, on the share ``in_all`` >= AGREEING of what they show."""
+    """Return the matrix by which points get the votes of their superpoint ``part`` [N]: only the mean votes, if views
+    agree well with each other (on a share ``in_all`` of at least AGREEING)."""
     return RestOfSuperpoint(part, mean=in_all >= AGREEING)
 
 

@@ -72,9 +72,9 @@ class BakeOptions:
 
 @dataclass(frozen=True, eq=False)
 class WantedView:
-    """A view to bake. ``name``: of its files. ``fingerprint``: of its camera; empty if the view is a frame, whose name
-    in the capture is then ``frame``. ``shown``: frame number and rate for the EXR header. ``previous``, ``following``:
-    cameras of the frames before and after, for the layer Vector; ``motion``: their fingerprint, empty for a frame."""
+    """A view to bake. ``name``: what its files are called. ``fingerprint``: its camera's, "" for a frame, whose name in
+    the capture is then ``frame``. ``shown``: frame number and rate for the EXR header. ``previous``, ``following``: the
+    cameras of the frames before and after, for the layer Vector; ``motion``: their fingerprint, "" for a frame."""
 
     name: str
     camera: Camera
@@ -330,7 +330,7 @@ class _Result:
         return self._listed().issuperset(files) and is_whole(files[0], wanted, self._layers, view.shown)
 
     def write(self, view: WantedView, rendered: BakedView, baker: FrameBaker, events: EventWriter) -> None:
-        """Write the view, replacing one of its name. Raises PlgsError if another program's file is there, OSError."""
+        """Write the view, replacing an older file. Raises PlgsError if the file is another program's, and OSError."""
         files = baked_files(self._folder, view.name)
         for path in files:  # a killed bake's are not listed; without passes, previews are not of a bake
             if os.path.lexists(path) and path not in self._listed() and not (files[0].exists() and is_own(files[0])):

@@ -99,7 +99,7 @@ def read_earlier(folder: Path) -> EarlierLift:
 
 @dataclass(frozen=True)
 class LastingNames:
-    """``id_of``: the final id for each id that matching gave. ``names``: by final id. ``changes``: for names.json."""
+    """``id_of``: the final id of each matched id. ``names``: names by final id. ``changes``: what names.json holds."""
 
     id_of: dict[int, int]
     names: dict[int, str]

@@ -39,7 +39,7 @@ LARGEST_GAP = 0.15
 @dataclass(frozen=True, eq=False)
 class ViewsToMatch:
     """The input of the matching: the ``views``, their semantic point ``cloud`` and the ``classes``. ``others``: views
-    that vote on labels, but whose masks are not joined to objects (the paper has none). ``scratch``: folder for big
+    that vote on labels, but whose masks are not joined to objects (not in the paper). ``scratch``: folder for big
     arrays."""
 
     views: Sequence[View]

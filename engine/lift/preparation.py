@@ -50,8 +50,8 @@ class PreparedLift(Matching):
 class ViewsToLift:
     """``views`` to train on, their ``classes``, the ``preset`` and the random ``seed``. ``others``: views that only
     vote. ``scratch``: the folder for temporary files with each view's arrays (None: the system's). ``trained``: facts
-    (from `to_tensors`) of a model that is restored after, if it has the same labels. ``show`` is called twice: with the
-    cloud and each point's instance int32 [N], first all 0, then as matched."""
+    (from `to_tensors`) of a trained model that will replace the scene if it has the same labels. ``show`` is called
+    twice, with the cloud and each point's instance int32 [N]: at first all 0, then as matched."""
 
     views: Sequence[View]
     classes: ClassTable
@@ -216,8 +216,8 @@ def starting_scene(
 
 @dataclass(frozen=True, eq=False)
 class Photos:
-    """The photos compared with each other. ``weights`` float64 [N]: how much each counts; ``gains`` float64 [N, 3] or
-    None: its exposure by channel."""
+    """The photos of N views compared with each other. ``weights`` float64 [N]: how much each photo counts in training.
+    ``gains`` float64 [N, 3] or None: each photo's exposure by channel, relative to the others."""
 
     weights: NDArray[np.float64]
     gains: NDArray[np.float64] | None = None

@@ -102,7 +102,7 @@ def run_lift(
     """Do the lift that ``folder`` requests or, with ``resume``, the remaining part of it. Methods other than PLGS pass
     their own ``preparing`` and ``training``, which take the arguments of `prepare` and `Trainer`, and ``sources``:
     folders whose code's digest goes into the manifest. Raises PlgsError if the input cannot be lifted, and Cancelled if
-    stopped; ``folder`` can be resumed after either."""
+    stopped; the lift can be resumed after that."""
     request, stages = folder.request, StageReporter(events, stop, STAGES)
     preset = request.chosen_preset
     lasting_names.refuse_names_of_no_objects(request, preset)

@@ -55,7 +55,7 @@ def write_scene_files(
 ) -> None:
     """Write the parts of the result that need no rendering. ``views`` were trained on; masks of views ``held_back``
     calibrate the points' confidence. Only points with ``seen`` bool [N] are written; Gaussians and anchors far from all
-    points go only into the model. ``names``: by id. Raises OSError if the disk is full, or what ``progress`` raises."""
+    points go only into the model. ``names`` by id. Raises OSError if the disk is full, and what ``progress`` raises."""
     cloud, owner = prepared.cloud, prepared.instance_of_point
     judged, listed, baked = (part_of(progress, part / 3, (part + 1) / 3, 100) for part in range(3))
     judging = watched(evenly(views, MOST_JUDGES), judged)

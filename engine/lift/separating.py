@@ -33,7 +33,7 @@ LEAST_FRAMES = 2
 @dataclass(frozen=True, eq=False)
 class PartsSeen:
     """The parts found. ``part`` int64 [n]: the part of each of the object's points ``xyz`` float32 [n, 3], metres; 0 is
-    the largest. ``class_of``: by part, the class that masks give most often. ``frames``: how many separate parts."""
+    the largest. ``class_of``: by part, the class that masks give most often. ``frames``: how many frames show parts."""
 
     part: NDArray[np.int64]
     class_of: dict[int, int]

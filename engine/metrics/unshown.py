@@ -61,8 +61,8 @@ class Unshown:
 
 
 class _Candidate(NamedTuple):
-    """A segment with enough pixels whose class the lift hardly shows there, as its own frame sees it. ``xyz`` float64
-    [n, 3]: up to POINTS of its points, world metres."""
+    """A segment with enough pixels, which the lift hardly shows with the segment's class. ``xyz`` float64 [n, 3]: up to
+    POINTS of its points, world metres."""
 
     resolution: float
     class_id: int
@@ -132,7 +132,7 @@ def _missed(found: list[_Candidate], answers: _Answers, shown: set[int], classes
 
 
 def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
-    """Return the view's segments whose class the lift does not show there, and the classes of the other segments."""
+    """Return the view's resolved segments whose class the lift hardly shows there, and the classes it shows."""
     view, shown = judged
     seen, xyz_of_pixels = view.depth > 0, view.camera.unproject(view.depth)
     candidates, kept = [], set()

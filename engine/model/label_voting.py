@@ -157,7 +157,7 @@ def _add_vote(labels: Any, votes: Any, label: Any, amount: Any) -> None:
 @compiled
 def _add_votes(gaussian: Any, weight: Any, label: Any, word: Any, power: Any, seen: Any, held: HeldVotes) -> None:
     """Add a view's votes to ``held``. A Gaussian with total weight w in the view gets w^``power`` votes, times the mean
-    of ``word`` [H, W], how much each pixel's vote counts. ``seen`` [G]: working memory, zeros before and after."""
+    over its pixels of ``word`` [H, W], a pixel's resolution factor. ``seen`` [G]: zeros, before and after."""
     height, width, count = weight.shape
     for y in range(height):
         for x in range(width):

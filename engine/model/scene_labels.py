@@ -17,7 +17,7 @@ MOST_BYTES = 1 << 30
 @dataclass(frozen=True, eq=False)
 class SceneLabels:
     """The probabilities of every Gaussian's labels, float32 [M * k, C + U]: of the classes, which sum to 1, then of the
-    U instances, which sum to 1 with that of no object."""
+    U instances, which sum to 1 together with "no object"."""
 
     probabilities: torch.Tensor
 

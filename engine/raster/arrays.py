@@ -96,7 +96,8 @@ class TileChannels(NamedTuple):
 
 class IsectGradients(NamedTuple):
     """The gradients of each intersection, in its slot: ``values`` float32 [T * GRADIENT_WIDTH], and ``labels`` float32
-    [T * ``used.padded``]. ``tiles`` int32 [T]: its tile, or -1 if nothing was blended and they are undefined."""
+    [T * ``used.padded``]. ``tiles`` int32 [T]: its tile, or -1 if nothing was blended; its gradients are then
+    undefined."""
 
     used: TileChannels
     tiles: Array

@@ -68,7 +68,7 @@ def what_fails(device: str) -> str | None:
 
 
 def rasterize_gsplat(gaussians: GaussianSet, pinhole: Pinhole, wanted: Wanted) -> Rendering:
-    """``rasterize`` by gsplat, without ``top_k`` and surface; float32 tensors. `what_is_missing` must return None."""
+    """Do what ``rasterize`` does, without ``top_k`` and surface, for float32 tensors, by gsplat (it must be there)."""
     assert wanted.top_k == 0, "the back end numba lists contributors"
     if not len(gaussians.means):
         return _nothing_drawn(gaussians, pinhole, wanted.means2d_grad)

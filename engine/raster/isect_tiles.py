@@ -73,8 +73,8 @@ def isect_tiles(
 
 
 def blending_workers(workers: int, isects: Intersections, longest: int) -> int:
-    """Return how many workers should blend. Each has memory for a list as long as the ``longest``; all together should
-    not have more of it than there are intersections."""
+    """Return how many workers should blend: so many that their memory, for a list of the ``longest`` length each, is
+    not more than for all intersections."""
     return min(workers, max(1, -(-len(isects.flatten_ids) // max(1, longest))))
 
 

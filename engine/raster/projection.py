@@ -73,7 +73,7 @@ def clamped(value: float, low: float, high: float) -> Any:
 
 @device_function
 def image_jacobian(camera: Array, x: float, y: float, z: float) -> Any:
-    """Return J R, 2x3, from small world offsets to pixels at camera point (x, y, z), and the clamped x/z and y/z."""
+    """Return the 2x3 matrix J R, from world offsets at camera point (x, y, z) to pixels, and the clamped slopes."""
     over_z = 1.0 if camera[21] > 0.0 else 1.0 / z
     u = clamped(x * over_z, camera[17], camera[18])
     v = clamped(y * over_z, camera[19], camera[20])

@@ -100,8 +100,8 @@ def assigned_slots(
 ) -> torch.Tensor:
     """Assign each thing segment to the slot that is rendered in it most probably, one to one (Hungarian algorithm).
     Return each pixel's slot, int16 [H, W], -1 = none. Slots are ``coverage``'s channels from ``first`` on; ``coverage``
-    divided by ``alpha`` is a probability. The slot ``no_object`` is left out. A device only returns the mean
-    probabilities."""
+    divided by ``alpha`` is a probability. The slot ``no_object`` is left out. CUDA copies back only a matrix of
+    means."""
     slots, segments = coverage.shape[-1] - first, len(things.pixels)
     row, slot_of_segment = torch.as_tensor(things.row).long(), np.full(segments + 1, NO_SLOT, np.int16)
     if slots and segments:

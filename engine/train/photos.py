@@ -59,8 +59,8 @@ def _log_colour_sums(
     photos: Sequence[NDArray[np.uint8]], point_of_pixel: Sequence[NDArray[np.int32]], points: int, fit: _Fit | None
 ) -> tuple[Any, NDArray[np.float64], NDArray[np.float64]]:
     """Return how many pixels of each photo show each point, sparse float64 [photos, points], and the sums of their log
-    colours by point, float64 [points, 3], and by photo [photos, 3]. Very dark or bright pixels are left out, as are
-    those far from a ``fit``."""
+    colours by point, float64 [points, 3], and by photo [photos, 3]. Leaves out pixels that are very dark or bright or,
+    with a ``fit``, that differ much from it."""
     from scipy import sparse
 
     by_point, by_photo = np.zeros((3, points)), np.zeros((len(photos), 3))

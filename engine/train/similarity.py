@@ -28,7 +28,7 @@ WINDOW_WEIGHTS = cv2.getGaussianKernel(WINDOW, SIGMA, cv2.CV_32F)
 
 
 def _blur(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return a picture [H, W, 3] convolved with the window, with zeros around it."""
+    """Return a picture [H, W, 3] convolved with SSIM's Gaussian window, with zeros around the picture."""
     blurred = cv2.sepFilter2D(picture, -1, WINDOW_WEIGHTS, WINDOW_WEIGHTS, borderType=cv2.BORDER_CONSTANT)
     return blurred.astype(np.float32, copy=False)
 
@@ -111,8 +111,8 @@ def _compare_strips(
 def _similarity(
     mean: Array, square: Array, product: Array, photo_mean: Array, photo_variance: Array, ssim: Array
 ) -> None:
-    """Compute ``ssim`` from blurred moments, all float32 [n]; replace ``mean``, ``square`` and ``product`` by
-    derivatives."""
+    """Compute ``ssim`` from blurred moments, all float32 [n]; replace ``mean``, ``square`` and ``product`` (of image
+    and photo) by SSIM's derivatives by them."""
     for i in range(len(ssim)):
         x, y = mean[i], photo_mean[i]
         luminance, structure = TWO * x * y + C1, TWO * (product[i] - x * y) + C2

@@ -38,8 +38,8 @@ def warm_start(
     progress: Progress = lambda *_: None,
 ) -> None:
     """Fit the colour, semantic and instance decoders, in place, to the initial anchors, and raise opacities a little.
-    ``colour`` uint8 [M, 3] and ``instance_id`` int32 [M] (0 = none) are the anchors'; the latter is None if no objects
-    are known. ``viewpoints`` float64 [N, 3]: camera centres, metres, from which colours are seen. Deterministic for a
+    The anchors have colours ``colour`` uint8 [M, 3] and instances ``instance_id`` int32 [M] (0 = none; None: no objects
+    are known). ``viewpoints`` float64 [N, 3]: camera centres, metres, from which colours are seen. Deterministic by
     ``seed``."""
     anchors, decoders = scene.anchors, scene.decoders
     random = np.random.default_rng([seed, 3])

@@ -48,7 +48,7 @@ STRIP_FIELDS = 4 * BATCH + TILE
 
 @device_function
 def origin_of(records: Array, at: int, tile: Tile) -> Any:
-    """Return the whitened offset s of a tile's first pixel from a Gaussian; in double, unlike all within the tile."""
+    """Return the whitened offset (s1, s2) of a tile's first pixel from a Gaussian's centre, computed in double."""
     dx = tile.left + 0.5 - np.float64(get(records, at + conventions.CENTRE_X))
     dx -= np.float64(get(records, at + conventions.CENTRE_X_LOW))
     dy = tile.top + 0.5 - np.float64(get(records, at + conventions.CENTRE_Y))

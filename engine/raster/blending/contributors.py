@@ -154,7 +154,7 @@ def find_surface(
     reach: Array,
 ) -> None:  # fmt: skip
     """Fill ``depth`` float32 [H * W], metres, 0 where nothing is drawn, in every ``workers``-th tile. ``reach`` float32
-    [2]: as of `Pinhole.surface_reach`. Other arguments as in `list_contributors`."""
+    [2] is `Pinhole.surface_reach`. The other arguments are those of `list_contributors`."""
     size = (width, depth.shape[0] // width)
     floats, members = scratches[0][worker], scratches[1][worker]
     for number in range(worker, isects.isect_offsets.shape[0] - 1, workers):

@@ -235,7 +235,7 @@ def alphas_of(four: Any, columns: Any, scratch: Array, fields: int) -> Any:
 def blend_four(
     four: Any, alphas: Any, state: Any, end: int, scratch: Array, fields: int, members: Array, labels: Any
 ) -> Any:
-    """Blend four Gaussians as ``blend_member``. Return state, list end, and whether any pixel is still open."""
+    """Blend four Gaussians, as ``blend_member`` does one. Return state, list end, and whether a pixel is open."""
     m0, m1, m2, m3 = four
     alpha0, alpha1, alpha2, alpha3 = alphas
     state, end = blend_member(m0, alpha0, state, end, scratch, fields, members, labels)
