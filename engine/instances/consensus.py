@@ -254,7 +254,7 @@ def agreements(favour: NDArray[np.floating], judging: NDArray[np.floating]) -> l
 
 
 SIGHTINGS = 5
-"""Keyframes that should see every point, if that many views see it at all."""
+"""How many keyframes should see each point, if as many views see it at all."""
 WORTH_IT = 0.25
 """A view is added when more than this share of its points are seen by too few keyframes."""
 

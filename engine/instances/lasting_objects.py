@@ -20,9 +20,8 @@ MOST_OF_IT = 0.5
 
 @dataclass(frozen=True, eq=False)
 class ObjectOverlap:
-    """The overlap of A old and B new objects, in grid cells. ``common`` int64 [A, B]: cells with points of both
-    ``old_ids[a]`` and ``new_ids[b]``; ``old_cells`` int64 [A], ``new_cells`` int64 [B]: all cells with points of
-    each."""
+    """The overlap of A old and B new objects, in grid cells. ``common`` int64 [A, B]: cells with points of old and new;
+    ``old_cells`` int64 [A], ``new_cells`` int64 [B]: all cells with points of each; ids in the same order."""
 
     old_ids: NDArray[np.int64]
     new_ids: NDArray[np.int64]

@@ -24,8 +24,8 @@ from .records import ObjectMask, SceneObject, fit_box
 class SegmentOptions:
     """Segments are eroded by the share ``erosion_share`` of the picture's width, rounded up to pixels, but at most by
     the share ``erosion_of_inradius`` of their inradius; with fewer than ``min_eroded`` points left, they are used
-    whole. Segments of fewer than ``min_points`` are not matched. ``voxel_size``, metres: points are thinned to one a
-    voxel."""
+    whole. Segments of fewer than ``min_points`` are not matched. Points are thinned to one per voxel of ``voxel_size``
+    metres."""
 
     voxel_size: float = 0.05
     erosion_share: float = 2 / 160

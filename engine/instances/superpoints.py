@@ -4,8 +4,7 @@ Points on one smooth or convex piece of surface are most often on one thing. If 
 more than their masks. If masks are good, it harms: a picture lies in the plane of its wall. So it is decided scene by
 scene: each view is held back in turn and compared with the votes of the others, by point and by superpoint.
 
-The pieces are those of Felzenszwalb and Huttenlocher (2004), on the angle between the normals of neighbouring
-points."""
+The pieces are found as by Felzenszwalb and Huttenlocher (2004), from angles between normals of neighbours."""
 
 from __future__ import annotations
 
@@ -33,10 +32,10 @@ REACH = 1.8
 PATCH = 12
 """The number of points that a normal is fitted to."""
 AGREEING = 0.78
-"""Views that agree with the others on less than this fraction of what they show are weak evidence. Two small
-networks' masks had 0.66 to 0.77, ICL's network 0.84, and good masks 0.81 to 0.86 (docs/experiments.md)."""
+"""Views that agree with the others on less than this share of what they show are weak evidence. Two small networks'
+masks had 0.66 to 0.77, ICL's network 0.84, and good masks 0.81 to 0.86 (docs/experiments.md)."""
 TOLERANCE = 0.02
-"""The loss of agreement at which superpoints are still trusted: about what voxels and ragged masks cost."""
+"""Superpoints are trusted although agreement falls by this share with them: about what voxels and ragged masks cost."""
 
 
 def trusted_superpoints(

@@ -30,7 +30,7 @@ EVENING = 0.35
 RAREST = 0.02
 """Classes with less than this fraction of the commonest class's votes are not favoured further."""
 STRAY = 0.001
-"""Classes with less than this fraction of the commonest class's votes are slips, and not favoured at all."""
+"""Classes with less than this fraction of the commonest class's votes count as errors, and are not favoured at all."""
 MAJORITY = 0.5
 """Share of the votes with which a class keeps a point or an object, unless common classes are doubtful."""
 

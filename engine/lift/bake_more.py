@@ -52,9 +52,9 @@ _SHOWS = {
     MODEL_NOTE: "another result of a lift", CORRECTIONS_NOTE: "other corrections", CAMERA_NOTE: "another camera",
     CHANNELS_NOTE: "other names of channels",
 }  # fmt: skip
-"""What a file shows whose note differs."""
+"""By header note, the words for what an earlier file shows if this note differs."""
 MOST_LOOKS, LOOK_WITHIN = 8, (96, 96)
-"""The number and size of views that are drawn before a bake, to estimate what the capture does not resolve."""
+"""How many views are rendered before a bake, and in which size, to estimate what the photos do not resolve."""
 
 
 @dataclass(frozen=True)

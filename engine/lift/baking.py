@@ -225,7 +225,7 @@ def score_corrected(
 
 
 KEPT = 6
-"""Labels that are corrected per Gaussian if its labels come from the decoders."""
+"""How many labels are kept per Gaussian, to correct them, if its labels come from the decoders."""
 CHUNK = 16384
 """Anchors that are decoded at once."""
 
@@ -269,7 +269,7 @@ def voted_labels(scene: StructuredScene, corrected: CorrectedResult) -> Gaussian
 
 
 OWNED = 0.3
-"""A Gaussian with more than this share of labels that are gone goes with the removed object."""
+"""A Gaussian of whose labels a larger share than this belongs to removed objects is removed as well."""
 
 
 def _fill_of_scene(

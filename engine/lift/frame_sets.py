@@ -28,8 +28,7 @@ FRAMES = "frames"
 class FrameSets:
     """``all``: the scene with every frame. ``chosen``: the scene with only the frames for training and the held-out
     ones. ``voting``: the other frames, which only vote on labels; empty if the preset does not use them.
-    ``unreadable``: names of frames chosen for training, but left out of ``all`` and ``chosen``, since a file cannot be
-    read."""
+    ``unreadable``: names of frames chosen for training, but left out of both scenes, since a file cannot be read."""
 
     all: Scene
     chosen: Scene

@@ -34,14 +34,14 @@ log = logging.getLogger("plgs.lift")
 EVERY_S = 2.0
 """Minimum seconds between two previews."""
 LARGEST_SHARE = 0.05
-"""The largest share of the time for previews, which sets the pause after each. The first is exempt: it may compile."""
+"""The largest share of the time for previews, which sets the pause after each (not after the first, which may
+compile)."""
 LONGEST_S, WATCHED_S = 15.0, 5.0
-"""Maximum seconds from one preview to the next, whatever share of the time they take: unasked, and when a camera is
-requested."""
+"""Maximum seconds between two previews, whatever share of the time they take: without and with a requested camera."""
 OUTSIDE = 1.0
-"""Metres from all of the scene's cameras beyond which a camera is taken to be outside the room: it sees no backs."""
+"""A requested camera farther than this, in metres, from all cameras of the scene counts as outside the room."""
 MOST_POINTS, NEIGHBOURS = 30_000, 12
-"""The most points whose normals tell front from back, and the neighbours of each that make its plane."""
+"""The most surface points that get a normal, and the number of a point's neighbours that its normal is fitted to."""
 NO_INSTANCES = ShownInstances({})
 SIZE_WITHIN = (480, 480)
 """The largest width and height of a preview in pixels."""

@@ -18,9 +18,9 @@ from ..model.structured import GaussianLabels, LabelChannels, StructuredScene
 from ..scene.view import NEAR, NEAR_SHARE
 
 LEAST_SHOWN = 0.5
-"""Least share of the pixels at an object's own points that show the object."""
+"""An object is shown too little if a smaller share than this of the pixels at its own points show it."""
 LEAST_WEIGHT = 0.2
-"""Least blending weight in such a pixel of a Gaussian that the object takes."""
+"""Least blending weight, in a pixel that does not show the object, with which a Gaussian counts as hiding it."""
 
 
 class ObjectsInView(NamedTuple):

@@ -198,8 +198,7 @@ def own_parts(preset: Preset) -> dict[str, str]:
 
 
 def finish(folder: LiftFolder, preset: Preset, stages: StageReporter, code: str, parts: Mapping[str, str]) -> None:
-    """Write the manifest, which completes the lift, with digests of ``code`` and registered ``parts``. Raises
-    OSError."""
+    """Write the manifest, which completes the lift, with digests of code and registered ``parts``. Raises OSError."""
     write_manifest(
         folder.result_path,
         versions={**library_versions(code), **parts},

@@ -24,7 +24,7 @@ STEPS = 1024
 BINS = 20
 """Bins of the fit, each with about equally many points."""
 LEAST_VIEWS, LEAST_SAMPLES, MOST_SAMPLES = 2, 200, 60_000
-"""Views that must name a point before it is judged; fewest points for a calibration; most points looked at."""
+"""Fewest views that must give a point a class, for it to count; fewest points for a calibration; most points used."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class _Named:
         self.agreeing = self.score = 0.0
 
     def add(self, view: View, *, is_judge: bool) -> None:
-        """Count the classes that the view's mask gives to the samples it sees; ``is_judge``: also its scores."""
+        """Count the classes that the view's mask gives to the samples it sees and, if ``is_judge``, sum its scores."""
         row, y, x = view.seen_of(self._xyz)
         mask, named = view.mask.ids[y, x], view.mask.class_map()[y, x]
         counts = named != VOID

@@ -18,17 +18,17 @@ LEAST_SEEN = 8
 LEAST_VIEWS_OF_OBJECT, LEAST_VIEWS_OF_CLASS = 3, 2
 """Near views that must show an object of a class shown elsewhere, and those for a class that is shown nowhere."""
 NAMES = 0.5
-"""Share of a segment's points to which a mask must give the class for it to name the segment."""
+"""A view's mask confirms a segment if it gives at least this share of the segment's points the segment's class."""
 AGREED = 2 / 3
-"""Share of the near views that must name the segment this way. Networks confuse some classes in half of their masks."""
+"""Share of the near views that must confirm a segment. Networks confuse some classes in half of their masks."""
 SHOWN = 0.1
 """Share of a segment's points below which the lift does not show the segment's class."""
 POINTS = 64
 """Points that represent a segment."""
 MOST_CANDIDATES = 500
-"""The most segments that are asked about, the best resolved first."""
+"""The most segments that are looked up in all views; those with the highest resolution are taken."""
 BEHIND = 0.05
-"""Share of the measured depth by which a hidden point lies behind it, and at least 5 cm."""
+"""A point is hidden if it lies behind the measured depth by more than this share of the depth, and at least 5 cm."""
 MARGIN = 0.1
 """Metres around an object within which another segment of its class shows the same object."""
 

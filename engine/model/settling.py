@@ -21,16 +21,15 @@ from .label_voting import Contributors
 from .structured import GaussianLabels, LabelChannels, StructuredScene
 
 REACH = 0.3
-"""Metres from an object's points within which it may own Gaussians that no mask named."""
+"""Metres from an object's points within which a Gaussian that no mask labelled may belong to the object."""
 LEAST_NAMED = 0.1
-"""Minimum share of what the views saw of a Gaussian that lies within masks, for it to count as named."""
+"""A Gaussian counts as labelled by masks if at least this share of its weight in the views lies within masks."""
 SHARPNESS = 2.0
-"""The power to which the shares of named Gaussians are raised."""
+"""The power to which the shares of Gaussians that masks labelled are raised."""
 
 
 class OwnedPoints(NamedTuple):
-    """Points of the semantic cloud: ``xyz`` float32 [N, 3], metres, and their object ``instance`` int32 [N], 0 =
-    none."""
+    """Points of the semantic cloud: ``xyz`` float32 [N, 3], metres; ``instance`` int32 [N], their object, 0 if none."""
 
     xyz: NDArray[np.float32]
     instance: NDArray[np.int32]

@@ -129,8 +129,7 @@ class Scratch(NamedTuple):
 
 
 class Tile(NamedTuple):
-    """A tile of the image: the pixel ``left``, ``top`` at its corner, its ``length`` intersections from ``first``
-    on."""
+    """A tile of the image: its corner pixel ``left``, ``top``, and its ``length`` intersections from ``first`` on."""
 
     left: int
     top: int

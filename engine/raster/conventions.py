@@ -20,12 +20,12 @@ ALPHA_MIN = 1.0 / 255.0
 TRANSMITTANCE_END = 1e-4
 """A Gaussian that would leave this transmittance or less is not blended, and the pixel ends."""
 CLAMP_MARGIN = 0.3
-"""Share of the half field of view by which a point may lie outside the image before the Jacobian is taken at a clamped
-point."""
+"""A point farther outside the image than this share of half the field of view is moved to that limit, where the
+Jacobian is taken."""
 NEAR_MEDIAN = 0.05
 """Contributors whose depth differs from a pixel's median by at most this share of it belong to the surface there."""
 USUAL_DISTANCE = 2.0
-"""Metres: an orthographic camera is at no distance from what it shows, so rules that need one take that of photos of a
+"""Metres: used as an orthographic camera's distance by rules that need one, since it has none; usual for photos of a
 room."""
 TINY_NORM = 1e-12
 """Quaternions shorter than this are divided by it instead of by their norm."""
@@ -56,8 +56,8 @@ class Pinhole:
 
     def slope_limits(self) -> tuple[float, float, float, float]:
         """(x low, x high, y low, y high): the range to which the slopes x/z and y/z are clamped before the Jacobian is
-        taken, the same for the whole picture, so that a Gaussian has the same footprint in all rows. 0 for parallel
-        rays."""
+        taken, the same in the whole picture, so that a Gaussian has the same footprint in all rows. 0 if rays are
+        parallel."""
         if self.is_orthographic:
             return 0.0, 0.0, 0.0, 0.0
         (fx, fy), (cx, cy) = self.focal, self.principal
@@ -80,7 +80,7 @@ PATCH_WIDTH, PATCH_HEIGHT = TILE // 2, 2
 """The number of pixels along a patch's sides. A patch fills one vector: eight columns of two rows."""
 assert (PATCH_WIDTH, PATCH_HEIGHT) == (8, 2), "the vector kernels alternate the rows of a patch, in pairs of lanes"
 BATCH = 64
-"""Gaussians of a tile that are blended together. They fill whole vectors, and are no more than the bits of a word."""
+"""How many Gaussians of a tile are blended together: they fill whole vectors, and have a bit each in a bit mask."""
 assert BATCH % TILE == 0 and BATCH <= 64
 PENDING = 2 * BATCH
 """A patch that lists more blended Gaussians than this adds up their labels before the next batch."""
@@ -107,7 +107,7 @@ GRADIENT_WIDTH = 16
 """Floats per gradient slot."""
 
 WHITENING = math.sqrt(0.5 * math.log2(math.e))
-"""s = WHITENING * L d."""
+"""The factor between L d and the whitened offset s (see above)."""
 REACH_OVER_LOG_OPACITY = np.float32(math.log2(255.0) + 1e-3)
 """Added to ``LOG_OPACITY``: the |s|^2 beyond which alpha < 1/255, rounded up by far more than the rounding of s and far
 less than a pixel."""

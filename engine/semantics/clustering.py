@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from .cloud_index import CloudIndex
 
 PointBatches = Callable[[], Iterable[NDArray[np.float64]]]
-"""Returns the primary cloud from its start each time it is called, in batches of world points, float64 [n, 3]."""
+"""A function that yields the primary cloud, from its start at each call, in batches of world points, float64 [n, 3]."""
 
 _PENDING_ROWS = 2_000_000
 """Rows of merged batches that are collected before they are merged with each other."""

@@ -80,7 +80,7 @@ def build_point_cloud(
     progress: Progress | None = None,
 ) -> SemanticPointCloud:
     """Cluster all pixels with depth. Labels of pixels in ``keep`` (bool [H, W] per view, in order) vote on the
-    clusters' labels. Reads views one at a time; only clusters stay in memory. Raises ValueError if no pixel has
+    clusters' labels. Only one view at a time and the clusters are in memory. Raises ValueError if no pixel has
     depth."""
     report = progress or (lambda done, total: None)
     total, done = (2 + LLOYD_STEPS) * len(views), 0

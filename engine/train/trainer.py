@@ -120,8 +120,7 @@ class StepReport:
 
 
 class Losses(NamedTuple):
-    """The losses of a step. ``total``, which is minimised, is the weighted sum of the others and of ``further``
-    terms."""
+    """The losses of a step. ``total``, to be minimised, is the weighted sum of the others and ``further`` terms."""
 
     total: torch.Tensor
     reconstruction: torch.Tensor

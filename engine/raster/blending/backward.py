@@ -92,7 +92,7 @@ assert PATCHES * LISTED <= conventions.MEMBERS
 NO_PATCH = PATCHES
 """A dummy patch that fills up a group of four. Nothing is ever blended on it."""
 EVEN = 0x5555
-"""The even bits of a word of patches: the left patches of the strips. Their numbers equal those of their first rows."""
+"""The even bits in a bit mask of patches: those of left patches. Bit 2 p is also that of the strip's first row, 2 p."""
 
 
 class PatchLists(NamedTuple):
