@@ -1,11 +1,10 @@
-"""Brings the depth maps that a network made of single photos into agreement: with a reconstruction's points, then with
+"""Bring the depth maps that a network made of single photos into agreement: with a reconstruction's points, then with
 each other.
 
-A network's map is right up to a scale and a shift of inverse depth, and drifts smoothly over the picture. The scale and
-shift follow from the points (`engine/scene/estimated_depth.py`). What is left is a smooth factor a frame, the values of
-a coarse grid, and what the shift was wrong by: those for which the points and the frames that see the same agree best.
-What then still contradicts the other frames, or lies on a blurred jump, is no depth.
-"""
+A network's map is right up to a scale and a shift of inverse depth, and drifts smoothly over the picture. Scale and
+shift follow from the points (`engine/scene/estimated_depth.py`). Then a smooth factor for each frame (on a coarse grid)
+and the remaining error of its shift are chosen so that the points, and the frames that see the same surface, agree
+best. Depth that still contradicts other frames, or lies on a blurred jump, is removed."""
 
 from __future__ import annotations
 
@@ -36,8 +35,8 @@ Depth = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Map:
-    """A frame's ``camera``, a function that reads the network's ``values``, float32 [H, W], and the frame's points:
-    their ``places`` [N, 2], x and y as fractions of the picture, and their ``depths`` [N]."""
+    """A network's depth map: the frame's ``camera``, a function that reads the ``values``, float32 [H, W], and the
+    frame's points: their ``places`` [N, 2], x and y as fractions of the picture, and their ``depths`` [N]."""
 
     camera: Camera
     values: Callable[[], NDArray[np.float32]]
@@ -47,7 +46,7 @@ class Map:
 
 @dataclass(frozen=True, eq=False)
 class _Fitted:
-    """A map after its ``fit`` to the points: its depth and camera at a small size, and a ``grid`` [rows, columns] of
+    """A map with its ``fit`` to the points: its depth and camera at a small size, and a ``grid`` [rows, columns] of
     logarithms of factors that correct the depth."""
 
     map: Map
@@ -57,15 +56,15 @@ class _Fitted:
     grid: Values
 
     def at(self, places: Values) -> Values:
-        """The logarithm of the small, corrected depth at ``places`` [N, 2], [N]; NaN where there is none."""
+        """The logarithm of the corrected depth at ``places`` [N, 2], [N], from the small map; NaN without depth."""
         depth = values_at(self.depth, places).astype(np.float64)
         index, weight = _corners(places)
         with np.errstate(divide="ignore"):
             return np.where(depth > 0.0, np.log(depth), np.nan) + (self.grid.ravel()[index] * weight).sum(axis=1)
 
     def terms(self, places: Values) -> tuple[NDArray[np.int64], Values]:
-        """How the logarithm of depth at each place depends on the frame's unknowns: their indices [N, 5], and the
-        derivatives [N, 5]. The unknowns are the values of the grid and the shift, scaled by the median depth."""
+        """Return how the logarithm of depth at each place depends on the frame's unknowns: their indices [N, 5], and
+        the derivatives [N, 5]. The unknowns are the values of the grid and the shift, scaled by the median depth."""
         index, weight = _corners(places)
         depth = np.exp(self.at(places)) / self.middle
         slope = -depth if self.fit.is_inverse else 1.0 / depth
@@ -78,7 +77,7 @@ class _Fitted:
         return float(np.median(self.map.depths))
 
     def changed(self, change: Values) -> _Fitted:
-        """The same map after ``change`` [rows * columns + 1] was added to its unknowns."""
+        """Return the same map with ``change`` [rows * columns + 1] added to its unknowns."""
         middle = self.middle
         shift = self.fit.shift + float(change[-1]) * (1.0 / middle if self.fit.is_inverse else middle)
         fit = replace(self.fit, shift=shift)
@@ -86,7 +85,7 @@ class _Fitted:
         return replace(self, fit=fit, depth=fit.depth(small), grid=self.grid + change[:-1].reshape(_GRID))
 
     def whole(self) -> Depth:
-        """The corrected depth at the map's full size."""
+        """Return the corrected depth at the map's full size, float32 [H, W]."""
         depth = self.fit.depth(self.map.values())
         index, weight = _corners(_places(depth.shape))
         factors = np.exp((self.grid.ravel()[index] * weight).sum(axis=1)).reshape(depth.shape)
@@ -94,7 +93,7 @@ class _Fitted:
 
 
 def agreeing_depth(maps: Mapping[str, Map], progress: Progress = unwatched) -> Iterator[tuple[str, Depth | None]]:
-    """Yields each frame's name and its depth, None if the map does not rise or fall with the depth of its points."""
+    """Yield each frame's name and its depth, or None if the map's values do not grow or fall with the points' depth."""
     found: dict[str, _Fitted] = {}
     for name, each in maps.items():
         values = each.values()
@@ -118,14 +117,14 @@ def agreeing_depth(maps: Mapping[str, Map], progress: Progress = unwatched) -> I
 
 
 def _places(shape: Sequence[int]) -> Values:
-    """The centres of the pixels of a picture of this shape (rows, columns), x and y as fractions of its size, float64
-    [rows * columns, 2]."""
+    """Return the centres of the pixels of a picture of this shape (rows, columns), x and y as fractions of its size,
+    float64 [rows * columns, 2]."""
     rows, columns = np.mgrid[0 : shape[0], 0 : shape[1]]
     return np.stack([(columns.ravel() + 0.5) / shape[1], (rows.ravel() + 0.5) / shape[0]], axis=-1)
 
 
 def _corners(places: Values) -> tuple[NDArray[np.int64], Values]:
-    """The four values of the grid around each place: their indices [N, 4], and their bilinear weights."""
+    """Return the four values of the grid around each place: their indices [N, 4], and their bilinear weights [N, 4]."""
     rows, columns = _GRID
     x, y = (places * [columns - 1, rows - 1]).clip(0, [columns - 1, rows - 1]).T
     left, top = np.minimum(x.astype(np.int64), columns - 2), np.minimum(y.astype(np.int64), rows - 2)
@@ -136,8 +135,8 @@ def _corners(places: Values) -> tuple[NDArray[np.int64], Values]:
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """Places of ``one`` frame that an ``other`` frame shows, and where it shows them. ``ratio`` is the logarithm of the
-    other's depth over the expected depth, and ``slope`` the growth of the expected depth with the depth in ``one``."""
+    """Points that two frames see: their places in ``one`` and in the ``other``. ``ratio`` is the logarithm of the
+    other's depth over the expected depth, and ``slope`` how the expected depth grows with the depth in ``one``."""
 
     one: Values
     other: Values
@@ -146,7 +145,7 @@ class _Seen:
 
 
 def _seen(one: _Fitted, other: _Fitted, places: Values) -> _Seen:
-    """What ``other`` shows of ``places`` [N, 2] of ``one``."""
+    """Find which of ``places`` [N, 2] in the frame ``one`` the frame ``other`` sees, and where."""
     depth, lens = np.exp(one.at(places)), one.camera
     x, y = ((places * lens.size) - [lens.cx, lens.cy]).T / np.array([[lens.fx], [lens.fy]])
     local = np.stack([x * depth, y * depth, depth], axis=-1)
@@ -160,7 +159,7 @@ def _seen(one: _Fitted, other: _Fitted, places: Values) -> _Seen:
 
 
 def _neighbours(fitted: Sequence[_Fitted]) -> list[tuple[int, int]]:
-    """Pairs of frames that see much of the same: each with those that show the most of it."""
+    """Return pairs of frames that see much of the same surfaces: each frame with those that see the most of its own."""
     few, pairs = _places((6, 8)), []
     for i, one in enumerate(fitted):
         shares = [(np.abs(_seen(one, other, few).ratio) < _SAME[0]).sum() / len(few) for other in fitted]
@@ -171,7 +170,7 @@ def _neighbours(fitted: Sequence[_Fitted]) -> list[tuple[int, int]]:
 
 
 def _solved(fitted: Sequence[_Fitted], pairs: Sequence[tuple[int, int]], same: float) -> list[_Fitted]:
-    """The frames after one round of robust least squares, with the factors for which points and frames agree best."""
+    """Do a round of robust least squares. Returns the frames with factors by which points and frames agree best."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.linalg import spsolve
 
@@ -181,7 +180,7 @@ def _solved(fitted: Sequence[_Fitted], pairs: Sequence[tuple[int, int]], same: f
     count = 0
 
     def add(terms: Sequence[tuple[int, NDArray[np.int64], Values]], target: Values, weight: float) -> None:
-        """Equations: the sum of each term's (frame, cells [N, K], weights [N, K]) is ``target`` [N]."""
+        """Add equations: the sum of each term's (frame, cells [N, K], weights [N, K]) is ``target`` [N]."""
         nonlocal count
         robust = weight / np.sqrt(1.0 + (target / _ROBUST) ** 2)
         for frame, index, share in terms:
@@ -218,8 +217,8 @@ def _solved(fitted: Sequence[_Fitted], pairs: Sequence[tuple[int, int]], same: f
 
 
 def _trusted(one: _Fitted, beside: Sequence[_Fitted]) -> Depth:
-    """The whole depth, without pixels on blurred jumps, and without those that more frames see through than agree
-    with."""
+    """Return the full-size depth without pixels on blurred jumps, and without those that more of the frames ``beside``
+    see through than agree with."""
     depth = one.whole()
     jumps = np.zeros(depth.shape, bool)
     for axis in (0, 1):

@@ -1,4 +1,4 @@
-"""A finished lift as arrays, for programs in Python: ``engine.read_lift``. Needs only NumPy."""
+"""Read a finished lift as arrays, for programs in Python: ``engine.read_lift``. Needs only NumPy."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _SH_DEGREE_0 = 0.5 / math.sqrt(math.pi)
 
 @dataclass(frozen=True, eq=False)
 class Gaussians:
-    """``xyz`` float32 [G, 3] world metres, ``scale`` float32 [G, 3] standard deviations in metres along the axes of
-    ``rotation``, float32 [G, 4] unit quaternions wxyz, ``opacity`` float32 [G] in [0, 1], ``rgb`` float32 [G, 3] sRGB
-    in [0, 1], ``class_id`` int32 [G] (0 = unknown), ``instance_id`` int32 [G] (0 = none)."""
+    """The Gaussians: ``xyz`` float32 [G, 3] world metres, ``scale`` float32 [G, 3] standard deviations in metres along
+    the axes of ``rotation``, float32 [G, 4] unit quaternions wxyz, ``opacity`` float32 [G] in [0, 1], ``rgb`` float32
+    [G, 3] sRGB in [0, 1], ``class_id`` int32 [G] (0 = unknown), ``instance_id`` int32 [G] (0 = none)."""
 
     xyz: NDArray[np.float32]
     scale: NDArray[np.float32]
@@ -39,8 +39,8 @@ class Gaussians:
 
 @dataclass(frozen=True, eq=False)
 class LiftArrays:
-    """What a lift found, with people's corrections, in its world: metres, z up. ``frames`` are those of the scene with
-    their cameras (OpenCV's axes, pixel centres at +0.5). ``metrics`` is metrics.json, of the lift as it was made."""
+    """What a lift found, after people's corrections, in its world: metres, z up. ``frames`` are those of the scene with
+    their cameras (OpenCV's axes, pixel centres at +0.5). ``metrics`` is metrics.json, of the uncorrected lift."""
 
     classes: ClassTable
     instances: tuple[Instance, ...]
@@ -52,7 +52,7 @@ class LiftArrays:
 
 
 def read_lift(folder: str | Path) -> LiftArrays:
-    """The result of a finished lift, without its pictures. Raises PlgsError if it is not finished or damaged."""
+    """Read the result of a finished lift, without its pictures. Raises PlgsError if it is not finished or damaged."""
     lift = LiftFolder.open(Path(folder))
     check_sizes(lift.result_path)
     corrected = read_corrected(lift.path)

@@ -1,5 +1,5 @@
-"""Names a scene and how to read it, for commands, requests and the panel; and the names of formats. A field's metadata
-holds `argparse` keywords for the command-line ``option`` that sets it."""
+"""The place of a scene and how to read it, for commands, requests and the panel; and the names of formats. A field's
+metadata holds `argparse` keywords for the command-line ``option`` that sets it."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ UP_OPTIONS: dict[str, UpAxis] = {"auto": "z", "z": "+z", "y": "y", "-y": "-y"}  
 
 
 def option(help: str, metavar: str, type: Any = str, **more: Any) -> dict[str, Any]:
-    """The metadata of a field that an option of the command line sets."""
+    """Return the metadata of a dataclass field that a command-line option sets."""
     return {"option": {"help": help, "metavar": metavar, "type": type, **more}}
 
 
 def _set_by(help: str, metavar: str, type: Any = str, default: Any = None) -> Any:
-    """A field that an option of the command line sets."""
+    """Declare a dataclass field that a command-line option sets."""
     return field(default=default, metadata=option(help, metavar, type))
 
 
 def up_axis(text: str) -> str:
-    """The meaning of a value of --up, for argparse: it raises ArgumentTypeError."""
+    """Parse a value of --up, for argparse. Raises ArgumentTypeError."""
     if text not in UP_OPTIONS:
         raise ArgumentTypeError(f"{text!r} is not one of {',  '.join(UP_OPTIONS)}")
     return UP_OPTIONS[text]
 
 
 def class_table(text: str) -> str:
-    """The name of a table of classes unchanged, or the absolute path of a file."""
+    """Return the name of a class table unchanged, or the absolute path of a file, for argparse."""
     return str(Path(text).resolve()) if text.endswith(".toml") else text
 
 
 @dataclass(frozen=True)
 class SceneSource:
-    """``scene`` is its folder or file; the other fields say how to read it. ``masks`` names panoptic masks outside the
-    folder. ``up`` is the upward axis of the poses' world; "z" leaves it to formats that know, "+z" is always the z
-    axis. ``scene_format`` and ``mask_format`` name formats that are otherwise recognised. ``depth`` is a folder of
-    depth maps, or a mesh, to use instead of the scene's. ``classes`` is the name of a table of the masks' classes, or
-    the path of a .toml file. ``detections`` is a JSON of possibly overlapping segments that are laid over the masks."""
+    """A scene and how to read it. ``scene`` is its folder or file. ``masks`` names panoptic masks outside the folder.
+    ``up`` is the upward axis of the poses' world; "z" leaves it to formats that know, "+z" is always the z axis.
+    ``scene_format`` and ``mask_format`` name formats that are otherwise recognised. ``depth`` is a folder of depth
+    maps, or a mesh, to use instead of the scene's. ``classes`` is the name of a table of the masks' classes, or the
+    path of a .toml file. ``detections`` is a JSON of possibly overlapping segments that are laid over the masks."""
 
     scene: Path
     masks: Path | None = _set_by("panoptic masks, if not in SCENE itself", "PATH", Path)
@@ -71,12 +71,12 @@ class SceneSource:
 
     @property
     def up_option(self) -> str:
-        """The --up value for this ``up``."""
+        """The --up value for this ``up`` axis."""
         return next(option for option, up in UP_OPTIONS.items() if up == self.up)
 
     @property
     def resolved(self) -> SceneSource:
-        """The same with absolute paths without links."""
+        """Return the same source with absolute paths, and links followed."""
         given: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(SceneSource)}
         paths = {name: value.resolve() for name, value in given.items() if isinstance(value, Path)}
         table = None if self.classes is None else class_table(self.classes)
@@ -84,7 +84,7 @@ class SceneSource:
 
 
 class FormatName(NamedTuple):
-    """The ``name`` that options use, the ``label`` for people, and the files that the format's reader looks for."""
+    """A format: the ``name`` that options use, the ``label`` for people, and the files that its reader looks for."""
 
     name: str
     label: str

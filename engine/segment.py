@@ -1,10 +1,9 @@
-"""Makes masks with a network (`engine/mask_networks.py`) for scenes without any: COCO panoptic, frame by frame.
-Existing masks are kept.
+"""Make masks with a network (`engine/mask_networks.py`) for scenes without any: COCO panoptic, frame by frame. Existing
+masks are kept.
 
 ``panoptic/<frame>.png`` and ``.json`` are written one by one; ``panoptic/made_by.json`` names the model.
 ``detections.json`` has every query that could be something, for ``lift --detections``: masks omit most of these.
-``panoptic.json`` is written last; until then, the scene counts as having no masks.
-"""
+``panoptic.json`` is written last; until then, the scene counts as having no masks."""
 
 from __future__ import annotations
 
@@ -42,24 +41,25 @@ VISIBLE = 0.8
 
 @dataclass(frozen=True)
 class MadeSegment:
-    """Its value ``id`` in the mask, the network's ``label``, and its score in [0, 1]."""
+    """A segment of a mask that a network made: its ``id`` there, the network's ``label``, and its score in [0, 1]."""
 
     id: int
     label: int
     score: float
 
     def to_json(self) -> dict[str, object]:
-        """Its entry in segments_info, for a table whose class ids count from 1."""
+        """Return its entry in COCO's segments_info, for a table whose class ids count from 1."""
         return {"id": self.id, "category_id": self.label + 1, "score": round(self.score, 4), "iscrowd": 0}
 
 
 def merge_queries(
     class_logits: torch.Tensor, mask_probabilities: torch.Tensor, stuff: Set[int], rounds: Rounds = (0.5,)
 ) -> tuple[NDArray[np.int32], list[MadeSegment]]:
-    """Segment ids, int32 [H, W] with 0 = none, and the segments. ``class_logits`` is float [Q, C + 1], with no object
-    as the last class, ``mask_probabilities`` float [Q, H, W]. A pixel goes to the query with the greatest score times
-    probability. ``stuff`` are labels with one segment per picture; its score is the mean of its queries', weighted by
-    pixels. ``rounds``: least scores, one a round."""
+    """Merge a network's queries into a mask. Returns segment ids, int32 [H, W] with 0 = none, and the segments.
+    ``class_logits`` is float [Q, C + 1], with "no object" as the last class, ``mask_probabilities`` float [Q, H, W]. A
+    pixel goes to the query with the greatest score times probability. ``stuff`` are labels with one segment per
+    picture, whose score is the mean of its queries' scores, weighted by pixels. ``rounds`` are minimum scores: a later
+    round fills what earlier ones left."""
     ids = np.zeros(mask_probabilities.shape[1:], np.int32)
     scores, labels = class_logits.softmax(-1).max(-1)
     found: dict[int, list[tuple[float, int]]] = {}
@@ -90,14 +90,14 @@ def merge_queries(
 
 @dataclass(frozen=True)
 class Detection:
-    """A query before the merge: the network's ``label``, its score in [0, 1], and its ``pixels``, bool [H, W]."""
+    """A network's query before merging: its ``label``, its score in [0, 1], and its ``pixels``, bool [H, W]."""
 
     label: int
     score: float
     pixels: NDArray[np.bool_]
 
     def to_json(self) -> dict[str, object]:
-        """Its class, score and run lengths as COCO has them, for a table whose class ids count from 1."""
+        """Return its class, score and run lengths as COCO has them, for a table whose class ids count from 1."""
         from pycocotools import mask as rle_tools
 
         runs = rle_tools.encode(np.asfortranarray(self.pixels, np.uint8))  # pycocotools takes column-major arrays only
@@ -106,7 +106,7 @@ class Detection:
 
 
 def detections_of(class_logits: torch.Tensor, mask_probabilities: torch.Tensor) -> list[Detection]:
-    """The queries whose likeliest class has LEAST_DETECTION or more, with the arguments of ``merge_queries``."""
+    """The queries whose most probable class reaches LEAST_DETECTION. The arguments are those of ``merge_queries``."""
     scores, labels = class_logits.softmax(-1)[:, :-1].max(-1)  # the best class even if "no object" is likelier
     inside = (mask_probabilities >= INSIDE).numpy()
     return [
@@ -125,7 +125,7 @@ Progress = Callable[[int, int, int], object]
 
 
 class Segmenter(Protocol):
-    """A network: its ``name``, its classes, and the mask of a picture with its detections (see `QueryNetwork`)."""
+    """A segmentation network: its ``name``, its classes, and a method that segments a picture (see `QueryNetwork`)."""
 
     @property
     def name(self) -> str: ...
@@ -138,7 +138,7 @@ class Segmenter(Protocol):
 
 @dataclass(frozen=True)
 class Job:
-    """The masks in a ``folder``: its note of what is ours, whether an earlier run began them, and whether they are
+    """The making of masks in a ``folder``: its note of what is ours, whether an earlier run began, and whether all are
     complete."""
 
     folder: Path
@@ -151,14 +151,14 @@ class Job:
         return self.folder / FOLDER
 
     def discard_if_empty(self) -> None:
-        """Remove the files of ``begin_job`` if there is no mask yet."""
+        """Remove the files that ``begin_job`` wrote if there is no mask yet."""
         if not self.is_begun:
             self.own.discard()
 
 
 def begin_job(folder: Path, model: str, frames: Sequence[Frame], wanted: Collection[str] | None = None) -> Job:
-    """Begin in ``folder``, or continue there, with masks of the frames ``wanted`` (None: all). Raises PlgsError for
-    masks of other programs, another model or other photos, and overwrites nothing."""
+    """Begin masks of the frames ``wanted`` (None: all) in ``folder``, or continue there. Raises PlgsError, and
+    overwrites nothing, for masks of other programs, another model or other photos."""
     made_by, of_files = folder / FOLDER / MADE_BY, digests_of_files([(frame.colour_path,) for frame in frames])
     named = [*zip((frame.name for frame in frames), of_files, strict=True)]
     photos = sha256(repr(named).encode()).hexdigest() if all(of_files) else ""  # not known
@@ -189,7 +189,7 @@ def begin_job(folder: Path, model: str, frames: Sequence[Frame], wanted: Collect
 
 
 def _left_out(table: Path) -> set[str] | None:
-    """The frames to which a finished run gave empty masks; None without a table."""
+    """Return the frames to which a finished run gave empty masks; None without its table."""
     content = read_note(table, "Delete this file, then start again.")
     if content is None:
         return None
@@ -200,7 +200,7 @@ def _left_out(table: Path) -> set[str] | None:
 def make_masks(
     scene: Scene, job: Job, network: Segmenter, progress: Progress, wanted: Collection[str] | None = None
 ) -> None:
-    """Make the missing masks of the frames ``wanted`` (None: all), then the table, in which the others have empty
+    """Make the missing masks of the frames ``wanted`` (None: all), then the table, in which all other frames have empty
     masks. Raises PlgsError, OSError."""
     job.own.remove(job.folder / TABLE)  # of fewer frames: their empty masks are replaced
     with job.own:

@@ -9,7 +9,7 @@ from types import ModuleType
 
 
 def _modules() -> tuple[ModuleType, ...]:
-    """The modules to register, in order. Imported late, because readers of results need none of them."""
+    """Return the modules to register, in order. They are imported late, as readers of results need none of them."""
     from . import compositing, corrections, moving, registry, settings, startup_file, timeline
     from .engine_environment import tasks
     from .inspecting import lists, selection
@@ -20,14 +20,14 @@ def _modules() -> tuple[ModuleType, ...]:
 
 
 def register() -> None:
-    """Called when the extension is enabled, before operators and panels."""
+    """Register all modules when the extension is enabled, before operators and panels."""
     from .lifecycle import register_modules
 
     register_modules(_modules())
 
 
 def unregister() -> None:
-    """Called when the extension is disabled, after operators and panels."""
+    """Unregister all modules when the extension is disabled, after operators and panels."""
     from .lifecycle import unregister_modules
 
     unregister_modules(_modules())

@@ -1,11 +1,10 @@
-"""The engine's cameras in Blender's terms: a scene's frames as camera objects with their photos in front of the view,
+"""Convert the engine's cameras to Blender's: a scene's frames as camera objects with their photos in front of the view,
 one moving camera, and one that overlooks a room.
 
 Blender's camera looks along -z with y up: OpenCV's axes with y and z reversed. Its intrinsics are a focal length and a
 sensor width in millimetres, and a shift in picture widths. We always fit the width (sensor_fit HORIZONTAL), so portrait
 pictures and off-centre principal points need no special case. If fx and fy differ, pixels are not square, which in
-Blender is a setting of the scene: its pixel aspect.
-"""
+Blender is a setting of the scene: its pixel aspect."""
 
 from __future__ import annotations
 
@@ -47,7 +46,8 @@ _DEFAULT_ROOM = np.array([[-2.0, -2.0, 0.0], [2.0, 2.0, 2.5]])
 
 @dataclass(frozen=True)
 class Lens:
-    """Millimetres on a sensor of SENSOR_WIDTH, shifts in picture widths, and the scene's pixel aspect."""
+    """Intrinsics in Blender's terms: focal length in millimetres on a sensor of SENSOR_WIDTH, shifts in picture widths,
+    and the scene's pixel aspect."""
 
     focal_length: float
     shift_x: float
@@ -56,7 +56,7 @@ class Lens:
 
 
 def lens_of(camera: Camera) -> Lens:
-    """The lens that gives exactly the camera's picture, even off-centre and with fx != fy."""
+    """Return the lens that gives exactly the camera's picture, even if off-centre or with fx != fy."""
     aspect = camera.fx / camera.fy
     return Lens(
         focal_length=camera.fx * SENSOR_WIDTH / camera.width,
@@ -67,12 +67,12 @@ def lens_of(camera: Camera) -> Lens:
 
 
 def pixel_aspect(fx: float, fy: float) -> tuple[float, float]:
-    """The scene's pixel aspect for focal lengths in pixels. Blender accepts no component below 1."""
+    """Return the scene's pixel aspect for focal lengths in pixels. Blender accepts no component below 1."""
     return (1.0, fx / fy) if fx >= fy else (fy / fx, 1.0)
 
 
 def object_matrix(camera: Camera) -> NDArray[np.float64]:
-    """`matrix_world` of the camera object, float64 [4, 4] metres."""
+    """Return `matrix_world` of the camera object, float64 [4, 4] metres."""
     return camera.camera_to_world @ _TURN
 
 
@@ -88,8 +88,8 @@ def camera_from(
 
 
 def overview_camera(xyz: NDArray[np.floating], normals: NDArray[np.floating]) -> Camera:
-    """A camera outside and above points [N, 3] in metres, whose picture of OVERVIEW_SIZE shows all points that face it.
-    It stands on the side that most points face. `normals` [N, 3] are zero where unknown."""
+    """Return a camera outside and above points [N, 3] in metres, whose picture of OVERVIEW_SIZE shows all points that
+    face it. It stands on the side that most points face. `normals` [N, 3] are zero where unknown."""
     if not len(xyz):
         xyz, normals = _DEFAULT_ROOM, np.zeros_like(_DEFAULT_ROOM)
     step = 1 + len(xyz) // _ENOUGH
@@ -103,7 +103,7 @@ def overview_camera(xyz: NDArray[np.floating], normals: NDArray[np.floating]) ->
 
 
 def _axes(azimuth: float) -> NDArray[np.float64]:
-    """Right, down and forward, the columns of float64 [3, 3], of a camera looking down from an azimuth."""
+    """Return right, down and forward, the columns of float64 [3, 3], of a camera looking down from an azimuth."""
     flat = -np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     forward = flat * np.cos(_ELEVATION) + np.array([0.0, 0.0, -np.sin(_ELEVATION)])
     right = np.array([flat[1], -flat[0], 0.0])
@@ -111,7 +111,7 @@ def _axes(azimuth: float) -> NDArray[np.float64]:
 
 
 def _framed(axes: NDArray[np.float64], xyz: NDArray[np.float64]) -> Camera:
-    """A camera with these axes, centred on the points and just far enough back to show them all."""
+    """Return a camera with these axes, centred on the points and just far enough back to show them all."""
     width, height = OVERVIEW_SIZE
     focal = _FOCAL_WIDTHS * width
     half = np.array([width, height]) / 2.0 * _MARGIN / focal
@@ -148,7 +148,7 @@ def place_camera(
     camera: Camera,
     display_size: float = _DISPLAY_SIZE,
 ) -> bpy.types.Object:
-    """Our camera object `key` with the engine camera's lens and pose; linked to `parent` if it is new."""
+    """Return our camera object `key` with the engine camera's lens and pose; if new, it is linked to `parent`."""
     data = owned.data(key, lambda: bpy.data.cameras.new(name))
     set_lens(data, camera)
     data.display_size = display_size
@@ -174,8 +174,8 @@ def place_frames(
     *,
     shows_photo: bool = True,
 ) -> list[bpy.types.Object]:
-    """One camera per frame in `parent`, with its data as properties and, perhaps hidden, the frame's photo in front of
-    its view. `made`: pictures, by frame name, that an engine made for frames without an image file."""
+    """Place one camera per frame in `parent`, with the frame's data as properties and, perhaps hidden, its photo in
+    front of the view. `made` gives pictures, by frame name, that an engine made for frames without an image file."""
     cameras = []
     for frame in frames:
         ob = place_camera(owned, parent, f"frame:{frame.name}", frame.name, camera=frame.camera)
@@ -191,7 +191,7 @@ def place_frames(
 
 
 def camera_seen(scene: bpy.types.Scene) -> Camera | None:
-    """The view of the scene's active camera; None if it is missing, not a perspective camera, or mirrored."""
+    """Return the view of the scene's active camera; None if it is missing, not a perspective camera, or mirrored."""
     ob = scene.camera
     if ob is None or ob.type != "CAMERA" or ob.data.type != "PERSP" or ob.matrix_world.is_negative:
         return None
@@ -199,7 +199,7 @@ def camera_seen(scene: bpy.types.Scene) -> Camera | None:
 
 
 def seen_by(ob: bpy.types.Object, render: bpy.types.RenderSettings) -> Camera:
-    """The view of a perspective, orthographic or equirectangular camera at the render's resolution."""
+    """Return the view of a perspective, orthographic or equirectangular camera at the render's resolution."""
     width, height = (
         max(1, side * render.resolution_percentage // 100) for side in (render.resolution_x, render.resolution_y)
     )
@@ -226,16 +226,16 @@ def seen_by(ob: bpy.types.Object, render: bpy.types.RenderSettings) -> Camera:
 
 
 def panorama_of(ob: bpy.types.Object) -> Any:
-    """The settings of a panoramic camera, None if Blender has none: they moved from Cycles' in Blender 5."""
+    """The settings of a panoramic camera, None if Blender has none: they are Cycles' before Blender 5."""
     return ob.data if hasattr(ob.data, "panorama_type") else getattr(ob.data, "cycles", None)
 
 
 def place_camera_path(
     owned: OwnedDataBlocks, parent: bpy.types.Collection, frames: Sequence[PosedFrame], times: Sequence[int]
 ) -> bpy.types.Object:
-    """A camera with one key per frame, at these frames of the timeline: an animation that other programs can read. The
-    pose moves linearly between frames, for motion blur. The lens jumps, because each picture has its own. Keys that the
-    user set on the camera are removed."""
+    """Place a camera with one key per frame, at these ``times`` of the timeline: an animation that other programs can
+    read. The pose moves linearly between frames, for motion blur. The lens jumps, because each picture has its own.
+    Keys that the user set on the camera are removed."""
     ob = place_camera(owned, parent, PATH, "Camera path", camera=frames[0].camera)
     ob.rotation_mode, ob.scale = "QUATERNION", (1.0, 1.0, 1.0)
     keys = np.array(times, np.float64)
@@ -259,7 +259,7 @@ def place_camera_path(
 
 
 def _new_action(owned: OwnedDataBlocks, part: str) -> bpy.types.Action:
-    """An empty action that replaces the one of an earlier placement."""
+    """Return an empty action that replaces the one from when the lift was placed before."""
     key = f"{PATH}:{part}"
     owned.drop("actions", key)
     action: bpy.types.Action = owned.block("actions", key, lambda: bpy.data.actions.new(f"Camera path {part}"))
@@ -273,7 +273,7 @@ def picture_of(frame: PosedFrame, made: Mapping[str, Path] | None = None) -> Pat
 
 
 def show_photo(ob: bpy.types.Object, owned: OwnedDataBlocks, picture: Path, *, asked: bool = False) -> None:
-    """Put a frame's photo in front of its camera's view: half transparent, to check it against the scene; but opaque if
+    """Put a frame's photo in front of its camera's view: half transparent, to compare it with the scene; but opaque if
     a user ``asked`` for it, until they ask again."""
     before = ob.data.background_images[0].alpha if ob.get(SHOWN) == PHOTO and ob.data.background_images else 0.0
     # Blender reads the pixels when somebody looks through the camera.
@@ -284,7 +284,7 @@ def show_photo(ob: bpy.types.Object, owned: OwnedDataBlocks, picture: Path, *, a
 
 
 def put_before(ob: bpy.types.Object, image: bpy.types.Image, what: str, alpha: float) -> None:
-    """Put an image in front of a frame camera's view in place of the one there, and record `what` it is."""
+    """Replace the image in front of a frame camera's view, and record `what` it shows. `alpha` is its opacity."""
     ob[SHOWN] = what
     data = ob.data
     for old in data.background_images:

@@ -1,4 +1,4 @@
-"""The scene that the user chose, how it is read, and the scene or lift that a file belongs to."""
+"""The scene that the user chose, how to read it, and the scene or lift to which a file belongs."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from ..engine.scene_source import MASK_FORMAT_NAMES, SCENE_FORMAT_NAMES, SceneSo
 
 
 def absolute(path: str) -> Path:
-    """The path made absolute, without a trailing slash; "//" stands for the .blend's folder."""
+    """Return the path made absolute, without a trailing slash; "//" stands for the .blend's folder."""
     full = bpy.path.abspath(path)
     return Path(os.path.abspath(full) if path.startswith("//") else full).absolute()  # "//../room" as Blender reads it
 
 
 def free_folder(beside: Path, ending: str) -> Path:
-    """A folder that does not exist yet, such as "room_lift" or "room_lift_2" ``beside`` "room"."""
+    """Return a folder that does not exist yet, such as "room_lift" or "room_lift_2" ``beside`` "room"."""
     number, folder = 1, beside.with_name(f"{beside.name}_{ending}")
     while folder.exists():
         number += 1
@@ -41,25 +41,25 @@ FILE_SUFFIXES = (".json", ".txt", ".jsonl", ".sens", ".r3d", ".log", ".bin", ".c
 
 
 def label_of(name: str) -> str:
-    """The format's name for users."""
+    """Return a format's label for users, given its name in options."""
     return next((each.label for each in SCENE_FORMAT_NAMES if each.name == name), name)
 
 
 def chosen_format(choice: str) -> str | None:
-    """The format that a choice of FORMAT_ITEMS or MASK_FORMAT_ITEMS names; None means that it is detected."""
+    """Return the format's name for a choice of FORMAT_ITEMS or MASK_FORMAT_ITEMS; None means that it is detected."""
     return None if choice in ("", AUTOMATIC) else choice
 
 
 @dataclass(frozen=True)
 class ChosenScene(SceneSource):
-    """A scene and its parts, with absolute paths."""
+    """A scene and how to read it, with absolute paths."""
 
     @classmethod
     def of(
         cls, folder: str, *, masks: str = "", up: UpAxis = "z", format: str = AUTOMATIC, depth: str = "",
         mask_format: str = AUTOMATIC, classes: str = "", detections: str = "",
     ) -> ChosenScene:  # fmt: skip
-        """From paths as users type them; empty ones mean no masks, no depth maps and no classes."""
+        """Return the scene for paths as users type them; "" means no masks, no depth maps and no classes."""
         paths = (absolute(path) if path else None for path in (masks, depth, detections))
         masks_path, depth_path, detections_path = paths
         table = str(absolute(classes)) if classes.endswith(".toml") else classes or None
@@ -75,7 +75,7 @@ class ChosenScene(SceneSource):
         return self.scene_format in (None, NAME) and has_lens and recognises(self.scene)
 
     def open_plain(self) -> PosedScene:
-        """Opens plain folders, reading only the headers of pictures. Raises PlgsError."""
+        """Open plain folders, reading only the headers of pictures. Raises PlgsError."""
         try:
             return open_plain_folders(self)
         except (OSError, ValueError) as error:  # ValueError: not a possible path on this system
@@ -83,7 +83,7 @@ class ChosenScene(SceneSource):
             raise PlgsError("bad-path", what, self.scene, "Choose other folders.") from error
 
     def arguments(self) -> list[str | Path]:
-        """This scene as arguments of the engine's commands."""
+        """Return this scene as arguments of the engine's commands."""
         arguments: list[str | Path] = [self.scene, f"--up={self.up_option}"]
         given = {"--masks": self.masks, "--format": self.scene_format, "--depth": self.depth}
         named = {"--mask-format": self.mask_format, "--classes": self.classes, "--detections": self.detections}
@@ -93,7 +93,7 @@ class ChosenScene(SceneSource):
 
 
 def as_texts(source: SceneSource) -> dict[str, str]:
-    """The arguments of `ChosenScene.of` besides the folder; unknown formats become AUTOMATIC."""
+    """Return the arguments of `ChosenScene.of`, except the folder, as text; unknown formats become AUTOMATIC."""
     paths = {"masks": source.masks, "depth": source.depth, "detections": source.detections}
     texts = {name: "" if path is None else str(path) for name, path in paths.items()}
     formats = ("format", source.scene_format, FORMAT_ITEMS), ("mask_format", source.mask_format, MASK_FORMAT_ITEMS)
@@ -103,7 +103,7 @@ def as_texts(source: SceneSource) -> dict[str, str]:
 
 
 def needs_engine(chosen: ChosenScene) -> PlgsError:
-    """The error for a scene that Blender cannot read without an engine."""
+    """Return the error for a scene that Blender cannot read without an engine."""
     what = "Blender alone reads only the folders color, pose and intrinsic, and this is another layout"
     return PlgsError("needs-engine", what, chosen.scene, "Set up the engine, which can read it.")
 
@@ -119,7 +119,7 @@ _HIGHEST = 3  # search at most this many folders up, as from result/passes/0001.
 
 
 def lift_or_scene(path: Path) -> tuple[Path | None, Path | None]:
-    """The lift's folder, or the scene's folder or file, that a path belongs to; the other is None."""
+    """Return the lift's folder, or the scene's folder or file, to which a path belongs; the other is None."""
     path = path.absolute()
     for folder in [path, *path.parents][: _HIGHEST + 1]:
         if (folder / "request.json").is_file():
@@ -128,7 +128,7 @@ def lift_or_scene(path: Path) -> tuple[Path | None, Path | None]:
 
 
 def scene_at(path: Path) -> Path:
-    """The scene's folder or file that a path belongs to. Raises PlgsError if the path does not exist."""
+    """Return the scene's folder or file to which a path belongs. Raises PlgsError if the path does not exist."""
     path = path.absolute()
     if not path.exists():
         raise PlgsError("file-missing", "there is no such file", path, "Choose the scene's folder, or a file in it.")

@@ -1,4 +1,4 @@
-"""Tools that correct an object: a cutting plane, painted points, and what an engine does: splits by views, removals."""
+"""Tools that correct an object: a cutting plane, painted points, and edits by an engine (splits by views, removals)."""
 
 from __future__ import annotations
 
@@ -81,9 +81,9 @@ Position = tuple[float, float]
 
 @dataclass(eq=False)
 class Painting:
-    """A painting session, which ends with Enter. ``xyz`` float32 [N, 3] are the lift's points, ``chosen`` bool [N] the
-    painted ones. ``drag``: the mouse's positions since its button was pressed; ``mouse``: its current one. ``is_box``:
-    the drag is a rectangle; ``is_eraser``: it removes points."""
+    """The state of painting points, which ends with Enter. ``xyz`` float32 [N, 3] are the lift's points, ``chosen``
+    bool [N] the painted ones. ``drag`` holds the mouse's positions since its button was pressed; ``mouse`` is its
+    current one. ``is_box``: the drag is a rectangle; ``is_eraser``: it removes points."""
 
     xyz: NDArray[np.float32]
     chosen: NDArray[np.bool_]
@@ -96,12 +96,12 @@ class Painting:
 
     @classmethod
     def of(cls, xyz: NDArray[np.float32]) -> Painting:
-        """A painting in which no point is chosen yet."""
+        """Return a painting in which no point is chosen yet."""
         return cls(xyz, np.zeros(len(xyz), bool))
 
     @classmethod
     def of_lift(cls, folder: Path) -> Painting:
-        """A painting of a lift's points, none of them chosen yet. Raises PlgsError."""
+        """Return a painting of a lift's points, none of them chosen yet. Raises PlgsError."""
         return cls.of(read_corrected(folder).points.xyz)
 
     def press(self, position: Position, *, is_box: bool, is_eraser: bool) -> None:
@@ -114,7 +114,8 @@ class Painting:
             self.drag.append(position)
 
     def release(self, to_view: NDArray[np.float64], size: tuple[int, int]) -> None:
-        """End the drag and find its points at once, so the view may be turned before the next one."""
+        """End the drag and find its points at once, so the view may be turned before the next one. ``to_view`` and
+        ``size`` are as in `visible`."""
         if self.drag:
             pick = boxed if self.is_box else painted
             self.chosen[pick(self.xyz, to_view, size, self.drag, self.radius)] = not self.is_eraser
@@ -149,8 +150,8 @@ now: list[Painting] = []
 def visible(
     xyz: NDArray[np.float32], to_view: NDArray[np.float64], size: tuple[int, int]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The points of [N, 3] that nothing hides in a view: their indices int64 [n] and pixels float64 [n, 2], y up.
-    ``to_view`` [4, 4] is the view's perspective matrix, ``size`` its width and height in pixels."""
+    """Return the points of [N, 3] that nothing hides in a view: their indices int64 [n] and pixels float64 [n, 2], y
+    up. ``to_view`` [4, 4] is the view's perspective matrix, ``size`` its width and height in pixels."""
     seen = np.c_[xyz, np.ones(len(xyz))] @ to_view.T
     depth = seen[:, 3]
     pixel = (seen[:, :2] / np.where(depth > 1e-6, depth, np.inf)[:, None] * 0.5 + 0.5) * np.array(size)
@@ -170,7 +171,7 @@ def painted(
     stroke: Sequence[Position],
     radius: float,
 ) -> NDArray[np.int64]:
-    """Indices of the ``visible`` points under a stroke: the brush's positions and its radius, in pixels."""
+    """Return the indices of the ``visible`` points under a stroke: the brush's positions and its radius, in pixels."""
     rows, pixel = visible(xyz, to_view, size)
     under = np.zeros(len(rows), bool)
     for position in stroke:
@@ -185,7 +186,7 @@ def boxed(
     drag: Sequence[Position],
     _: float = 0.0,
 ) -> NDArray[np.int64]:
-    """Indices of the ``visible`` points in the rectangle between the ends of a drag."""
+    """Return the indices of the ``visible`` points in the rectangle between the ends of a drag."""
     rows, pixel = visible(xyz, to_view, size)
     low, high = np.sort([drag[0], drag[-1]], axis=0)
     return rows[((pixel >= low) & (pixel <= high)).all(axis=1)]
@@ -193,19 +194,19 @@ def boxed(
 
 class EditByEngine(Task):
     """An edit of a placed lift that needs the photos or the masks. The engine writes it to the lift's file; then it is
-    shown. ``step``: the name of its undo step."""
+    shown. ``step`` is the name of its undo step."""
 
     edit_kind, step = "", ""
 
     def __init__(self, lift: Path, follower: TaskFollower, known: Collection[str]) -> None:
-        """``known``: the uids of the edits that existed before."""
+        """Follow an edit that the engine makes. ``known`` are the uids of the edits that existed before."""
         super().__init__(follower)
         self._lift, self._known = lift, known
         self._edit: Edit | None = None
 
     @property
     def has_finished(self) -> bool:
-        """Whether the edit was made; an engine may be stopped after writing it but before answering."""
+        """Whether the edit was made: also if an engine was stopped after writing it, before it answered."""
         return self._edit is not None
 
     @property
@@ -234,28 +235,28 @@ class EditByEngine(Task):
 
 
 class SplitByViews(EditByEngine):
-    """Splits one object."""
+    """A task that splits one object by the masks."""
 
     kind, label, cancel_operator = "split", "Reading the masks", "plgs.cancel_split"
     edit_kind, step = "split", "Split by Views"
 
     @property
     def message(self) -> str:
-        """One line about the resulting objects."""
+        """One line for the user about the resulting objects."""
         if self.was_cancelled:
             return "The split was cancelled"
         return plural(0 if self._edit is None else len(self._edit.made), "new object")
 
 
 class RemoveObjects(EditByEngine):
-    """Takes objects out of the room, and fills what was behind them."""
+    """A task that takes objects out of the room, and fills what was behind them."""
 
     kind, label, cancel_operator = "remove", "Removing objects", "plgs.cancel_removal"
     edit_kind, step = "remove", "Remove Objects"
 
     @property
     def message(self) -> str:
-        """One line about the removed objects."""
+        """One line for the user about the removed objects."""
         if self.was_cancelled:
             return "The removal was cancelled"
         return f"{plural(0 if self._edit is None else len(self._edit.objects), 'object')} removed"

@@ -1,4 +1,4 @@
-"""Errors and counts as users see them, with the panel's field names in place of command-line options."""
+"""Texts of errors and counts for users, with the panel's field names in place of command-line options."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ _PLAIN_WORD = re.compile(r"[a-z]+(?=[ ,:;.]?( |$))")
 
 
 def with_field_names(said: PlgsError | OSError | str) -> str:
-    """The engine's message in one printable line, with the panel's field names in place of command-line options. Paths
-    stay as they are. An option's placeholder, such as OUT, is removed with it."""
+    """Return the engine's message in one printable line, with the panel's field names in place of command-line options.
+    Paths stay as they are. An option's placeholder, such as OUT, is removed with it."""
     if not isinstance(said, PlgsError):
         return one_line(_for_panel(str(said)))
     what, fix = _for_panel(said.what), _for_panel(said.fix)
@@ -60,18 +60,18 @@ def with_field_names(said: PlgsError | OSError | str) -> str:
 
 
 def _for_panel(text: str) -> str:
-    """The text with buttons in place of commands, and fields in place of options."""
+    """Return the text with names of buttons in place of commands, and of fields in place of options."""
     text = _ADVISED.sub(lambda found: f"Press {_BUTTONS[found[1]]}", text)
     return _OPTION.sub(_name_in_panel, re.sub(_COMMAND, lambda found: _BUTTONS[found[1]], text))
 
 
 def sentence(text: str) -> str:
-    """The text with a capital first letter, unless it begins with a file name, a key or anything in quotes."""
+    """Return the text with a capital first letter, unless it begins with a file name, a key or anything in quotes."""
     return f"{text[0].upper()}{text[1:]}" if _PLAIN_WORD.match(text) else text
 
 
 def field_of_option(option: str) -> str | None:
-    """The property of the settings for a command-line option such as "--masks"."""
+    """Return the name of the settings' property for a command-line option such as "--masks", or None."""
     name = option.removeprefix("--")
     field = _FIELD_OF_OPTION.get(name, name.replace("-", "_"))
     return field if field in _fields() else None
@@ -86,5 +86,5 @@ def _name_in_panel(option: re.Match[str]) -> str:
 
 
 def _fields() -> Any:
-    """The properties of the panel's settings; importing their module here would make a cycle."""
+    """Return the properties of the panel's settings. Importing their module above would make a cycle."""
     return bpy.types.Scene.bl_rna.properties["plgs"].fixed_type.properties

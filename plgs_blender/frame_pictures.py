@@ -1,7 +1,6 @@
-"""A frame's photo, depth or masks in front of its camera's view, on demand, and the coloured cloud.
+"""Show a frame's photo, depth or masks in front of its camera's view, on demand, and the coloured cloud.
 
-Blender's Python decodes neither depth nor masks, so an engine writes them as files into one folder per scene.
-"""
+Blender's Python decodes neither depth nor masks, so an engine writes them as pictures into one folder per scene."""
 
 from __future__ import annotations
 
@@ -32,8 +31,8 @@ _MOST_BESIDE = 9  # maximum number of frame folders beside a scene
 
 
 def frames_folder(source: SceneSource) -> Path:
-    """The folder for a scene's pictures, which may not exist yet. It lies beside the scene, as lifts do: "room_frames",
-    or "room_frames_2" if that belongs to another scene. If that location is read-only, it lies in the user's cache.
+    """Return the folder for a scene's pictures, which may not exist yet. It lies beside the scene, as lifts do:
+    "room_frames", or "room_frames_2" if that belongs to another scene; if that place is read-only, in the user's cache.
     Raises PlgsError if no folder is left."""
     for folder in _candidates(source):
         try:
@@ -46,12 +45,12 @@ def frames_folder(source: SceneSource) -> Path:
 
 
 def made_before(source: SceneSource) -> MadeFrames | None:
-    """What an earlier run made of this scene, or None. Raises PlgsError."""
+    """Return what an earlier run made of this scene, or None. Raises PlgsError."""
     return made_of(frames_folder(source), source)
 
 
 def photos(made: MadeFrames | None, frames: Iterable[PosedFrame] = ()) -> dict[str, Path]:
-    """The pictures that were made, by frame name, without those older than their source in ``frames``."""
+    """Return the photos that were made, by frame name, without those older than their source in ``frames``."""
     known = {} if made is None else made.frames
     found = {name: each.colour for name, each in known.items() if each.colour is not None and each.colour.is_file()}
     sources = {frame.name: frame.colour_path for frame in frames}
@@ -69,7 +68,7 @@ def is_depth_current(made: MadeFrames, name: str) -> bool:
 
 
 def cloud_of(made: MadeFrames | None, frames: Iterable[PosedFrame]) -> Path | None:
-    """The cloud that was made; None if there is none, or if the depth of ``frames`` is newer."""
+    """Return the cloud's file; None if there is none, or if the depth of ``frames`` is newer."""
     if made is None or made.cloud is None or not made.cloud.is_file():
         return None
     sources = {frame.depth_path for frame in frames if frame.depth_path is not None}
@@ -77,8 +76,8 @@ def cloud_of(made: MadeFrames | None, frames: Iterable[PosedFrame]) -> Path | No
 
 
 def has_cameras_of(made: MadeFrames, frames: Iterable[PosedFrame]) -> bool:
-    """Whether an engine read the same cameras as ``frames`` has. It skips frames without a good mask or depth file,
-    unknown to Blender, so frames in only one of the two are ignored; but they must share at least one."""
+    """Whether an engine read the same cameras as ``frames`` has. Frames in only one of the two are ignored, as the
+    engine skips those without a good mask or depth file, but at least one must be in both."""
     cameras = {frame.name: frame.camera for frame in frames}
     both = [(cameras[stored.name], stored) for stored in made.scene.frames if stored.name in cameras]
     here = [(*one.size, one.fx, one.fy, one.cx, one.cy, *one.camera_to_world.ravel().tolist()) for one, _ in both]
@@ -87,7 +86,7 @@ def has_cameras_of(made: MadeFrames, frames: Iterable[PosedFrame]) -> bool:
 
 
 def scene_of(made: MadeFrames) -> PosedScene:
-    """A scene as an engine read it: its frames' cameras and pictures, and the points of the reconstruction."""
+    """Return a scene as an engine read it: its frames' cameras and pictures, and the points of the reconstruction."""
     folder = made.source.scene
     points = None if made.points is None or not made.points.is_file() else SparsePoints(*read_cloud(made.points))
     scene = made.scene
@@ -95,7 +94,7 @@ def scene_of(made: MadeFrames) -> PosedScene:
 
 
 def read_cloud(path: Path) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """A cloud's xyz float32 [N, 3] metres and rgb uint8 [N, 3] sRGB. Raises PlgsError."""
+    """Read a cloud: xyz float32 [N, 3] metres and rgb uint8 [N, 3] sRGB. Raises PlgsError."""
     fix = "Delete the file and import the scene again."
     try:
         stored = read_npz(path, fix, ("xyz", "rgb"))
@@ -127,7 +126,7 @@ _COLOURS = "colours"  # property of a mask picture: its colours as numbers
 
 
 def why_no_picture(scene: bpy.types.Scene) -> str | None:
-    """Why nothing can be shown in front of the active camera, or None. Never reads the disk."""
+    """Return why nothing can be shown in front of the active camera, or None. Never reads the disk."""
     ob = scene.camera
     if ob is None or "frame" not in ob or LIFT not in ob:
         return "Look through a frame's camera first: select it and press Ctrl+Numpad 0"
@@ -135,7 +134,7 @@ def why_no_picture(scene: bpy.types.Scene) -> str | None:
 
 
 def root_of(scene: bpy.types.Scene, ob: bpy.types.Object) -> bpy.types.Collection:
-    """The collection of the import or lift that a frame's camera belongs to. Raises PlgsError."""
+    """Return the collection of the import or lift to which a frame's camera belongs. Raises PlgsError."""
     root = next((each for each in lifts_in(scene) if each[LIFT] == ob.get(LIFT)), None)
     if root is None:
         raise PlgsError("scene-gone", "does not belong to any scene in this file", ob.name, "Import the scene again.")
@@ -143,7 +142,7 @@ def root_of(scene: bpy.types.Scene, ob: bpy.types.Object) -> bpy.types.Collectio
 
 
 def place_of_root(root: bpy.types.Collection) -> ChosenScene:
-    """The scene that an import's or lift's frames come from. Raises PlgsError if its lift folder is gone."""
+    """Return the scene from which an import's or lift's frames come. Raises PlgsError if its lift folder is gone."""
     if root.get(FOLDER):
         request = LiftFolder.open(absolute(root[FOLDER])).request
         return ChosenScene(**{each.name: getattr(request, each.name) for each in fields(ChosenScene)})
@@ -151,7 +150,7 @@ def place_of_root(root: bpy.types.Collection) -> ChosenScene:
 
 
 def picture_file(made: MadeFrame, what: str) -> Path | None:
-    """The photo, depth or masks that an engine made of a frame, unless the file is gone."""
+    """Return the photo, depth or masks that an engine made of a frame; None if the file is gone."""
     path = {PHOTO: made.colour, DEPTH: made.depth, MASKS: made.masks}[what]
     return path if path is not None and path.is_file() else None
 
@@ -181,13 +180,13 @@ def show_made(scene: bpy.types.Scene, ob: bpy.types.Object, what: str, made: Mad
 
 
 def colour_numbers(srgb: NDArray[np.floating]) -> NDArray[np.int32]:
-    """Colours [N, 3], 0..1, as numbers [N]."""
+    """Encode colours [N, 3], 0..1, as one number each, int32 [N]: 0xRRGGBB."""
     red, green, blue = np.rint(255.0 * srgb).astype(np.int32).T
     return red << 16 | green << 8 | blue
 
 
 def colours_shown(ob: bpy.types.Object) -> set[int] | None:
-    """The colours, as numbers, of the masks in front of a camera; None if unknown."""
+    """Return the colours, as numbers, of the masks in front of a camera; None if unknown."""
     image = ob.data.background_images[0].image if ob.data.background_images else None
     return None if image is None or _COLOURS not in image else {*image[_COLOURS]}
 

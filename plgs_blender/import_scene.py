@@ -1,4 +1,4 @@
-"""Shows a scene's frames in Blender before a lift, to check whether poses, lenses and pictures fit."""
+"""Show a scene's frames in Blender before a lift, to check whether poses, lenses and pictures fit."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def place_scene(
 ) -> bpy.types.Collection:
     """Put the frames of a scene into Blender's scene: one camera per frame, with its picture and timeline marker, a
     camera that moves along them, the points of the reconstruction, and what an engine ``made`` before, which lists the
-    cameras unless the folders are plain. With ``cloud``, the coloured cloud of the depth, if any, is wanted too.
-    Returns the collection, which a lift of the same frames fills, too. Its property MISSING lists what an engine must
+    cameras unless the folders are plain. With ``cloud``, the coloured cloud of the depth, if any, is placed too.
+    Returns the collection, which a lift of the same frames uses, too. Its property MISSING lists what an engine must
     still make. An existing lift keeps everything else. Raises PlgsError before anything changes."""
     is_plain = made is None or place.is_plain
     opened = place.open_plain() if made is None or is_plain else scene_of(made)
@@ -72,7 +72,8 @@ def room_of(root: bpy.types.Collection, scene: bpy.types.Scene) -> tuple[Quatern
 
 
 def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrames) -> None:
-    """Add the photos and the cloud that an engine made since the import. Unmoved views show all. Raises PlgsError."""
+    """Add the photos and the cloud that an engine made since the import. Views that the user has not moved show all.
+    Raises PlgsError."""
     owned = OwnedDataBlocks(root[LIFT], scene)
     cameras = {ob["frame"]: ob for key, ob in objects_by_key(root).items() if key.startswith("frame:")}
     for name, picture in photos(made).items():

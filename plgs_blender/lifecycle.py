@@ -1,12 +1,11 @@
-"""Registers and unregisters modules, and ends a process. A module may list:
+"""Register and unregister modules, and end a process. A module may list:
 
 - `CLASSES`;
 - `PROPERTIES`: (type of bpy.types, name, property group), such as (bpy.types.Scene, "plgs", PLGS_PG_settings);
 - `MENUS`: (name of a menu or header, "append" or "prepend", draw function);
 - `HANDLERS`: (name in bpy.app.handlers, function).
 
-A module may also have a `register` and an `unregister` of its own.
-"""
+A module may also have a `register` and an `unregister` of its own."""
 
 from __future__ import annotations
 
@@ -22,7 +21,7 @@ import bpy
 
 
 def list_classes(modules: Sequence[ModuleType]) -> None:
-    """Give each module the `CLASSES` in it, in order: those whose names begin with PLGS_."""
+    """Set each module's `CLASSES` to the classes in it whose names begin with PLGS_, in order."""
     for module in modules:
         vars(module)["CLASSES"] = [each for name, each in vars(module).items() if name.startswith("PLGS_")]
 
@@ -71,7 +70,7 @@ def end_process(code: int) -> NoReturn:
 
 
 def drop_session_folder(folder: Path) -> None:
-    """Delete this session's folder for temporary files, as closing Blender does. If Blender could not make one,
-    ``folder`` is shared by all programs and stays."""
+    """Delete this session's temporary folder, as Blender does when it closes. If Blender could not make one, ``folder``
+    is shared by all programs and stays."""
     if folder.name.startswith("blender_"):
         shutil.rmtree(folder, ignore_errors=True)

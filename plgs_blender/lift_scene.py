@@ -1,8 +1,8 @@
-"""Puts a finished lift into Blender: `place_lift` into an open scene, `save_lift` into a file.
+"""Put a finished lift into Blender: `place_lift` into an open scene, `save_lift` into a file.
 
 Only our own data is touched: a collection "PLGS <scene>" with its contents, our data-blocks, the timeline markers bound
-to our cameras, and scenes for the passes. Placing a lift again updates it; another lift of its scene hides it.
-"""
+to our cameras, and scenes for the passes. Placing a lift again updates it; placing another lift of the same scene hides
+the first."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ _OVERVIEW_SIZE = 0.4  # display size of the overview camera in metres
 
 def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
     """Put a finished lift into a scene, or update it there, and return its collection. The collection is found by the
-    folder of the lift or of its scene. If `scene` holds passes, the scene with their lift is filled. Raises PlgsError,
+    folder of the lift or of its scene. If `scene` holds passes, the scene with their lift is used. Raises PlgsError,
     before anything changes, if the lift is not finished or cannot be read."""
     result_of(place_room(result_of(reading_lift(lift)), scene)[1])
     return root_of_placed(lift, scene_to_fill(scene))
@@ -75,8 +75,8 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
 
 @dataclass(frozen=True, eq=False)
 class ReadLift:
-    """A result and data derived from its points [N]: their grid, their normals float32 [N, 3], and a camera outside the
-    room. ``gaussians`` are the rows of its splats; None if there are none or Blender reads them itself."""
+    """A result and data computed from its points [N]: their grid, their normals float32 [N, 3], and a camera outside
+    the room. ``gaussians`` are the rows of its splats; None if there are none or Blender reads them itself."""
 
     result: LiftResult
     grid: SurfaceGrid
@@ -103,7 +103,8 @@ def reading_lift(lift: Path) -> Generator[None, None, ReadLift]:
 
 
 def _placing_rest(read: ReadLift, placed: Placed) -> Generator[None, None, None]:
-    """Place the lists, the other boxes, the masks, meshes, splats and passes, unless the lift is removed meanwhile."""
+    """Place everything but cameras, points and first boxes: lists, other boxes, masks, meshes, splats and passes. Stop
+    if the lift is removed meanwhile."""
     for do in _objects_in_turn(read.result):
         found = placed.find()
         if found is None:
@@ -128,7 +129,7 @@ def _placing_rest(read: ReadLift, placed: Placed) -> Generator[None, None, None]
 
 
 def _objects_in_turn(result: LiftResult) -> Iterator[Callable[[bpy.types.Collection, bpy.types.Scene], None]]:
-    """List the objects, place the boxes that were not placed at once, then list the masks."""
+    """Yield functions that list the objects, place the boxes that were not placed at first, then list the masks."""
     yield partial(_list, result)
     own, others = shared_out(result.instances)
     for at in range(_AT_ONCE, len(own), _AT_ONCE):
@@ -154,7 +155,7 @@ def _list(result: LiftResult, root: bpy.types.Collection, scene: bpy.types.Scene
 def _place_late(
     place: Callable[..., object], instances: list[Instance], root: bpy.types.Collection, scene: bpy.types.Scene
 ) -> None:
-    """Place boxes, except those of objects that were corrected away meanwhile."""
+    """Place boxes, except those of objects that a correction has removed in the meantime."""
     listed = {row.instance_id for row in root.plgs.instances}
     owned, parent = OwnedDataBlocks(root[LIFT], scene), child_collection(root, "Instances")
     place(owned, parent, [one for one in instances if one.id in listed])
@@ -177,14 +178,14 @@ def _placing_splats(read: ReadLift, root: bpy.types.Collection, scene: bpy.types
 
 
 def _wants_splats(root: bpy.types.Collection, read: ReadLift) -> bool:
-    """Whether splats are placed. They would take a quarter of the file, so beside a surface, which is shown instead,
-    they wait until the user shows them."""
+    """Whether to place splats. They would take a quarter of the file, so if a surface is shown instead, they are placed
+    only when the user wants to see them."""
     with registered():
         return not read.meshes.parts or bool(root.plgs.show_as == looks.SPLATS)
 
 
 def _show(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
-    """Show what was placed in the way that its lists say."""
+    """Show the placed lift as its lists say."""
     looks.apply_visibility(root)
     if root.plgs.look != looks.PHOTO:
         looks.apply_look(root)
@@ -203,7 +204,7 @@ def _placing_passes(read: ReadLift, root: bpy.types.Collection, scene: bpy.types
 
 
 def place_room(read: ReadLift, scene: bpy.types.Scene) -> tuple[Placed, Generator[None, None, None]]:
-    """Place cameras, points and the first boxes. Returns where, and the remaining parts, the lists first."""
+    """Place cameras, points and the first boxes. Returns where, and a generator for the rest, the lists first."""
     result, grid, normals = read.result, read.grid, read.normals
     scene = scene_to_fill(scene)
     before = lifts_in(scene)
@@ -241,7 +242,7 @@ def place_room(read: ReadLift, scene: bpy.types.Scene) -> tuple[Placed, Generato
 
 
 def _show_instead(root: bpy.types.Collection, before: list[bpy.types.Collection], scene: bpy.types.Scene) -> None:
-    """Let the panels show a lift that was added to others, and hide those of the same scene, which fill its room."""
+    """Let the panels show a lift that was just added, and hide those of the same scene that were there ``before``."""
     for layer in scene.view_layers:
         choose_lift(root, scene, layer)
     for other in before:
@@ -250,7 +251,7 @@ def _show_instead(root: bpy.types.Collection, before: list[bpy.types.Collection]
 
 
 def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:
-    """Refill the passes scenes of a placed lift, after more frames were baked. Raises PlgsError."""
+    """Fill the passes scenes of a placed lift again, after more frames were baked. Raises PlgsError."""
     result, scene = result_of(_reading(lift)), scene_to_fill(scene)
     owned = OwnedDataBlocks(root_of_placed(result.folder, scene)[LIFT], scene)
     place_passes(owned, result)
@@ -258,8 +259,8 @@ def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:
 
 
 def placing_meshes_anew(lift: Path, scene: bpy.types.Scene, *, asked: bool = True) -> Generator[None, None, int]:
-    """After meshes were made, put them into the lift that is placed in `scene`, in parts. Show them if a user ``asked``
-    for them or has not chosen anything else. Returns their number. Raises PlgsError."""
+    """Put new meshes into the lift that is placed in `scene`, in parts. Show them if a user ``asked`` for them or has
+    not chosen anything else. Returns their number. Raises PlgsError."""
     scene = scene_to_fill(scene)
     placed = Placed(root_of_placed(lift, scene)[LIFT], scene.name)
     result = yield from _reading(lift)
@@ -282,7 +283,7 @@ def placing_meshes_anew(lift: Path, scene: bpy.types.Scene, *, asked: bool = Tru
 
 
 def _hide_surface_until_whole(placed: Placed) -> None:
-    """Hide a surface until all of it is placed, unless it is what the lift shows."""
+    """Hide a surface until all of it is placed, unless the lift is shown as a surface."""
     if (found := placed.find()) is not None:
         child_collection(found[0], looks.SHOWN_IN[looks.SURFACE])
         with registered():
@@ -300,14 +301,14 @@ def place_depth_clouds_anew(lift: Path, scene: bpy.types.Scene) -> int:
 
 
 def _reading(lift: Path) -> Generator[None, None, LiftResult]:
-    """The lift's result, if its passes have the layers that we show. Raises PlgsError."""
+    """Read the lift's result, and check that its passes have the layers that we show. Raises PlgsError."""
     result = yield from reading_result(lift)
     check_layers([*result.passes.values(), *result.shots.values()])
     return result
 
 
 def save_lift(lift: Path, blend: Path) -> None:
-    """Put a finished lift into a .blend, a new or an old one. Raises PlgsError; the file is then unchanged."""
+    """Put a finished lift into a .blend, new or existing. Raises PlgsError; the file is then unchanged."""
     blend = blend.absolute()
     read_result(lift)  # before another file is opened
     is_new = not blend.exists()
@@ -327,7 +328,7 @@ def save_lift(lift: Path, blend: Path) -> None:
 
 
 def open_blend(blend: Path, lift: Path, named_by: str = "--save") -> bpy.types.Scene:
-    """Open a file with its screens. Returns the scene with the lift, else the active one. Raises PlgsError."""
+    """Open a .blend with its screens. Returns the scene that has the lift, else the active one. Raises PlgsError."""
     if not blend.is_file():  # Blender would wait for whoever writes into a FIFO
         raise PlgsError("not-a-file", "is not a file", blend, f"Name another with {named_by}.")
     try:
@@ -345,7 +346,7 @@ def open_blend(blend: Path, lift: Path, named_by: str = "--save") -> bpy.types.S
 
 
 def _dress(scene: bpy.types.Scene, root: bpy.types.Collection) -> None:
-    """Show the whole room of a file that we created from the overview camera, behind the last frame."""
+    """In a file that we created, show the whole room from the overview camera, whose frame follows the others."""
     overview = overview_of(root)
     assert overview is not None
     places = places_of(root, scene)
@@ -360,8 +361,8 @@ def _dress(scene: bpy.types.Scene, root: bpy.types.Collection) -> None:
 
 
 def show_lift_as(root: bpy.types.Collection, scene: bpy.types.Scene, kind: str) -> None:
-    """Show a lift as POINTS, SPLATS or SURFACE. Splats are placed if they are missing, or are squares made by a Blender
-    without native splats. Raises PlgsError if they cannot be placed or no meshes were made."""
+    """Show a lift as POINTS, SPLATS or SURFACE. Splats are placed if they are missing, or were made as squares by a
+    Blender without native splats. Raises PlgsError if they cannot be placed or no meshes were made."""
     if kind == looks.SPLATS and (
         not looks.has(root, looks.SPLATS) or (are_outdated(root) and gaussians_of(root).is_file())
     ):

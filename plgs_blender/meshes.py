@@ -28,14 +28,14 @@ _LONGEST_HEADER = 8192
 
 
 def mesh_folder(lift: Path) -> Path:
-    """The folder into which the engine exports a lift's surface for Blender."""
+    """Return the folder into which the engine exports a lift's surface for Blender."""
     return lift / "exports" / SURFACE
 
 
 @dataclass(frozen=True, eq=False)
 class ReadMeshes:
-    """The surface of each (class, instance) of a lift, the fingerprint of the corrections that it was made with, and
-    the folder of its pictures, CLASS_INSTANCE.jpg."""
+    """A lift's surface as read: the part of each (class, instance), the fingerprint of the corrections when it was
+    made, and the folder of its pictures, CLASS_INSTANCE.jpg."""
 
     parts: Mapping[tuple[int, int], LabelledSurface]
     corrections: str = ""
@@ -58,7 +58,7 @@ def reading_meshes(lift: Path) -> Generator[None, None, ReadMeshes]:
 
 
 def placing_meshes(placed: Placed, result: LiftResult, read: ReadMeshes) -> Generator[None, None, int]:
-    """Place a lift's meshes, remove outdated ones, and return their number; 0 if the lift is removed meanwhile."""
+    """Place a lift's meshes in parts, remove outdated ones, and return their number; 0 if the lift is removed then."""
     instances = {one.id: one for one in result.instances}
     keys: list[str] = []
     for (class_id, instance_id), surface in read.parts.items():
@@ -95,12 +95,12 @@ def placing_meshes(placed: Placed, result: LiftResult, read: ReadMeshes) -> Gene
 
 
 def are_stale(root: bpy.types.Collection) -> bool:
-    """Whether corrections changed more than names since a lift's meshes were made."""
+    """Whether corrections have changed more than names since a lift's meshes were made."""
     return text_of(root, _OF_MESHES) != text_of(root, CORRECTIONS)
 
 
 def _fill(owned: OwnedDataBlocks, key: str, name: str, part: LabelledSurface) -> bpy.types.Mesh:
-    """Our mesh `key` with smooth triangles, and Col, class_id and instance_id at its vertices."""
+    """Fill our mesh `key` with smooth triangles, and Col, class_id and instance_id at its vertices; return it."""
     mesh: bpy.types.Mesh = owned.data(key, lambda: bpy.data.meshes.new(name))
     mesh.clear_geometry()
     set_faces(mesh, part.xyz, part.triangles)

@@ -1,10 +1,9 @@
-"""Identifies our data-blocks, and the collection "PLGS <scene>" that holds those of a lift.
+"""Identify our data-blocks, and the collection "PLGS <scene>" that holds those of a lift.
 
-Each block we make carries two custom properties: its lift and its key there ("frame:0012", "instance:3"). Names are
-only for users, who may change them. A second placement finds the blocks by these properties and refills them, so
-whatever refers to them (the active camera, a constraint, a marker) stays valid. `sweep` removes what the new result no
-longer has. Blocks without our properties are never touched.
-"""
+Each block that we make has two custom properties: its lift and its key there ("frame:0012", "instance:3"). Names are
+only for users, who may change them. When a lift is placed again, the blocks are found by these properties and refilled,
+so that references to them (the active camera, a constraint, a marker) stay valid. `sweep` removes those that the new
+result no longer has. Blocks without our properties are never touched."""
 
 from __future__ import annotations
 
@@ -33,38 +32,38 @@ _DATA = ("cameras", "pointclouds", "meshes", "materials", "node_groups", "images
 
 
 def tag(block: Any, lift: str, key: str) -> None:
-    """Mark a data-block or node as ours."""
+    """Mark a data-block or node as ours: store its `lift` and `key` in custom properties."""
     block[LIFT], block[KEY] = lift, key
 
 
 def untag(block: Any) -> None:
-    """Hand a block over to the user."""
+    """Remove our mark from a block, which then belongs to the user."""
     for name in (LIFT, KEY):
         if name in block:
             del block[name]
 
 
 def key_of(block: Any, lift: str) -> str | None:
-    """A block's key in this lift; None if it is not the lift's or is linked from another file."""
+    """Return a block's key in this lift; None if it is not the lift's or is linked from another file."""
     if getattr(block, "library", None) is not None or text_of(block, LIFT) != lift:
         return None
     return text_of(block, KEY) or None
 
 
 def text_of(block: Any, name: str) -> str:
-    """A custom property; empty if it is missing or not text."""
+    """Return a custom property; "" if it is missing or not text."""
     value = block.get(name)
     return value if isinstance(value, str) else ""
 
 
 def numbers_of(block: Any, name: str) -> list[float]:
-    """A custom property's numbers; empty if it is missing or not a list of numbers."""
+    """Return a custom property's numbers; [] if it is missing or not a list of numbers."""
     value = block.get(name)
     return [*value] if getattr(value, "typecode", "") == "d" else []  # Blender's arrays of doubles
 
 
 def originals(objects: Iterable[bpy.types.Object], lift: str) -> dict[str, bpy.types.Object]:
-    """The lift's objects by key. Duplicates, which carry the same properties, are the user's and are left out."""
+    """Return the lift's objects by key. Duplicates, which have the same properties, are the user's and left out."""
     found: dict[str, bpy.types.Object] = {}
     for ob in objects:
         key = text_of(ob, KEY)
@@ -76,7 +75,7 @@ def originals(objects: Iterable[bpy.types.Object], lift: str) -> dict[str, bpy.t
 
 
 def _age(ob: bpy.types.Object) -> tuple[bool, int, int, bool, int]:
-    """A rank, smaller for an original than for its duplicates, even after loading renumbered `session_uid`."""
+    """A rank that is smaller for an original than for its duplicates, even after loading renumbered `session_uid`."""
     is_astray = not any(LIFT in collection for collection in ob.users_collection)
     data = _copy_number(ob.data.name) if ob.data is not None else 0
     return ob.library is not None, data, _copy_number(ob.name), is_astray, ob.session_uid
@@ -88,7 +87,7 @@ def _copy_number(name: str) -> int:
 
 
 class OwnedDataBlocks:
-    """The blocks of one lift in one scene, during one placement."""
+    """Finds and makes the blocks of one lift in one scene, while the lift is placed there."""
 
     def __init__(self, lift: str, scene: bpy.types.Scene) -> None:
         self.lift = lift
@@ -102,8 +101,8 @@ class OwnedDataBlocks:
                 untag(ob)
 
     def object(self, key: str, name: str, data: bpy.types.ID, parent: bpy.types.Collection) -> bpy.types.Object:
-        """Our object `key` with this name and data. It goes into our collection `parent` if it is in no collection of
-        the scene; if the user moved it to another, it stays there."""
+        """Return our object `key`, made if missing, with this name and data. It goes into our collection `parent` if it
+        is in no collection of the scene; if the user moved it to another, it stays there."""
         ob = self._objects.get(key)
         if ob is None or ob.type != _OBJECT_TYPE[type(data).__name__]:
             ob = bpy.data.objects.new(name, data)
@@ -117,12 +116,12 @@ class OwnedDataBlocks:
         return ob
 
     def known(self, key: str) -> bpy.types.Object | None:
-        """Our object `key`, or None."""
+        """Return our object `key`, or None."""
         return self._objects.get(key)
 
     def data(self, key: str, create: Callable[[], Any]) -> Any:
-        """The data of our object `key`, to be filled again. `create` makes it if there is none, or if the user uses it,
-        too."""
+        """Return the data of our object `key`, to be filled again. `create` makes it if there is none, or if the user
+        uses it, too."""
         ob = self._objects.get(key)
         if ob is not None and ob.data is not None and ob.data.users <= 1 and key_of(ob.data, self.lift) is not None:
             return ob.data
@@ -138,7 +137,7 @@ class OwnedDataBlocks:
             bpy.data.batch_remove([ob, *([ob.data] if ob.data is not None and ob.data.users == 1 else [])])
 
     def block(self, kind: str, key: str, create: Callable[[], Any]) -> Any:
-        """Our block `key` of `bpy.data.<kind>`, made by `create` when missing."""
+        """Return our block `key` of `bpy.data.<kind>`, made by `create` if it is missing."""
         known = self._blocks_of(kind)
         if key not in known:
             known[key] = create()
@@ -157,39 +156,39 @@ class OwnedDataBlocks:
         self._kept.add(block)
 
     def keep_known(self, is_kept: Callable[[str], bool]) -> None:
-        """Protect our objects with such keys from `sweep`."""
+        """Protect our objects from `sweep` whose key `is_kept` accepts."""
         self._kept.update(ob for key, ob in self._objects.items() if is_kept(key))
 
     # All of a kind at once: each removal goes through the whole file, 20 ms with thousands of instances.
 
     def sweep(self) -> None:
-        """Remove the lift's objects that this placement did not use, then their unused data."""
+        """Remove the lift's objects that were not used while it was placed, then their unused data."""
         bpy.data.batch_remove([ob for ob in self._own_objects() if ob not in self._kept])
         self.sweep_data()
 
     def sweep_data(self) -> None:
-        """Remove the lift's data that neither this placement nor anything else uses."""
+        """Remove the lift's data that was not used while it was placed and that nothing else uses."""
         for kind in _DATA:
             for _ in range(2):  # a group of nodes may use another
                 own = [b for b in getattr(bpy.data, kind) if key_of(b, self.lift) is not None and b not in self._kept]
                 bpy.data.batch_remove([block for block in own if block.users - block.use_fake_user == 0])
 
     def sweep_only(self, *prefixes: str) -> None:
-        """`sweep` only objects whose key has one of these prefixes, and clouds and meshes without users."""
+        """Do as `sweep`, for objects whose key has one of these prefixes and unused clouds and meshes alone."""
         own = [ob for ob in self._own_objects() if ob[KEY].startswith(prefixes) and ob not in self._kept]
         theirs = {ob.data for ob in own if ob.data is not None and ob.data.users == 1}
         data = [each for each in (*bpy.data.pointclouds, *bpy.data.meshes) if key_of(each, self.lift) is not None]
         bpy.data.batch_remove([*own, *(each for each in data if not each.users or each in theirs)])
 
     def _blocks_of(self, kind: str) -> dict[str, Any]:
-        """Our blocks of `bpy.data.<kind>` by key, looked up once."""
+        """Return our blocks of `bpy.data.<kind>` by key; they are looked up only once."""
         if kind not in self._blocks:
             found = {key_of(block, self.lift): block for block in [*getattr(bpy.data, kind)][::-1]}
             self._blocks[kind] = {key: block for key, block in found.items() if key is not None}
         return self._blocks[kind]
 
     def _own_objects(self) -> list[bpy.types.Object]:
-        """Our objects in this scene or in none. A full copy of the scene keeps its copies of our objects."""
+        """Return our objects in this scene or in none. A full copy of the scene keeps its own copies of our objects."""
         ours = [ob for ob in bpy.data.objects if key_of(ob, self.lift) is not None]
         return [ob for ob in ours if ob in self.in_scene or not ob.users_scene]
 
@@ -213,27 +212,27 @@ _ROOT = "lift"
 
 
 def lifts_in(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
-    """The collections of the lifts that were placed in a scene."""
+    """Return the collections of the lifts that were placed in a scene."""
     return [c for c in scene.collection.children_recursive if text_of(c, LIFT) and text_of(c, KEY) == _ROOT]
 
 
 def folder_of(root: bpy.types.Collection) -> Path:
-    """The folder of a placed lift."""
+    """Return the folder of a placed lift, given its collection."""
     return absolute(text_of(root, FOLDER))
 
 
 def overview_of(root: bpy.types.Collection) -> bpy.types.Object | None:
-    """A lift's overview camera; None if the user removed it."""
+    """Return a lift's overview camera; None if the user removed it."""
     return next((ob for ob in root.all_objects if key_of(ob, root[LIFT]) == "overview"), None)
 
 
 def shows(root: bpy.types.Collection, lift: Path) -> bool:
-    """Whether a collection shows the result in this folder. Raises OSError."""
+    """Whether a collection shows the current result in this folder. Raises OSError."""
     return text_of(root, RESULT) == mark_of(lift) != ""
 
 
 def mark_of(lift: Path) -> str:
-    """What distinguishes a lift's result from others, for RESULT; empty without a result. Raises OSError."""
+    """A text that distinguishes a lift's result from earlier ones, stored as RESULT; "" without one. Raises OSError."""
     path, at = version_of(lift)
     if at is None:
         return ""
@@ -246,7 +245,7 @@ gone: set[str] = set()
 
 
 def note_gone(error: Exception) -> None:
-    """If this error says that a lift's folder is missing, note the lifts in it in `gone`."""
+    """If an error says that a lift's folder is missing, add all lifts in that folder to `gone`."""
     if isinstance(error, PlgsError) and error.key == "no-lift-folder":
         for root in (root for scene in bpy.data.scenes for root in lifts_in(scene)):
             if text_of(root, FOLDER) and str(folder_of(root)) == error.where:
@@ -254,12 +253,12 @@ def note_gone(error: Exception) -> None:
 
 
 def is_placed(lift: Path, scene: bpy.types.Scene) -> bool:
-    """Whether the lift's result is in `scene`."""
+    """Whether the lift's result was placed in `scene`."""
     return any(is_same_place(text_of(root, FOLDER), lift) for root in lifts_in(scene_to_fill(scene)))
 
 
 def root_of_placed(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
-    """The collection of the lift that is placed in `scene`. Raises PlgsError."""
+    """Return the collection of the lift that is placed in `scene`. Raises PlgsError."""
     for root in lifts_in(scene_to_fill(scene)):
         if is_same_place(text_of(root, FOLDER), lift):
             return root
@@ -268,13 +267,13 @@ def root_of_placed(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
 
 @dataclass(frozen=True)
 class Placed:
-    """Where a lift was placed, by names that stay valid after undo and after opening another file."""
+    """The place of a lift in the file, by names that stay valid after undo and after opening another file."""
 
     lift: str
     scene: str
 
     def find(self) -> tuple[bpy.types.Collection, bpy.types.Scene] | None:
-        """The lift's collection and its scene; None if either is gone."""
+        """Return the lift's collection and its scene; None if either is gone."""
         scene = bpy.data.scenes.get(self.scene)
         for root in lifts_in(scene) if scene is not None else ():
             if root[LIFT] == self.lift:
@@ -283,8 +282,8 @@ class Placed:
 
 
 def root_collection(scene_folder: Path, lift_folder: Path | None, scene: bpy.types.Scene) -> bpy.types.Collection:
-    """The collection of this lift, which may have been moved, or that of its scene if no other lift is in it, or a new
-    one. Without a lift, any of the scene. Raises OSError, and PlgsError for a bad path."""
+    """The collection for this lift, which may have been moved on disk: its own, that of its scene if no other lift is
+    in it, or a new one. Without a lift, any collection of the scene. Raises OSError, and PlgsError for a bad path."""
     _check_name(scene_folder)
     ours = [root for root in lifts_in(scene) if root.library is None and root.override_library is None]
     of_scene = [root for root in ours if is_same_place(text_of(root, SCENE), scene_folder)]
@@ -311,7 +310,7 @@ def root_collection(scene_folder: Path, lift_folder: Path | None, scene: bpy.typ
 
 
 def scene_to_fill(scene: bpy.types.Scene) -> bpy.types.Scene:
-    """The scene itself or, if it holds a lift's passes, the one with the lift. Raises PlgsError if that is gone."""
+    """The scene itself or, if it holds a lift's passes, the scene with the lift. Raises PlgsError if that is gone."""
     if KEY not in scene:
         return scene
     for other in bpy.data.scenes:
@@ -321,7 +320,7 @@ def scene_to_fill(scene: bpy.types.Scene) -> bpy.types.Scene:
 
 
 def _check_name(folder: Path) -> None:
-    """Raises PlgsError if Blender cannot store the path: it supports only UTF-8 and turns backslashes into slashes."""
+    """Raise PlgsError if Blender cannot store the path: it supports only UTF-8 and turns backslashes into slashes."""
     path = str(folder.absolute())
     is_text = path.isascii() or path.encode(errors="ignore") == os.fsencode(path)
     if not is_text or (os.sep == "/" and "\\" in path):
@@ -332,8 +331,8 @@ def _check_name(folder: Path) -> None:
 
 
 def is_same_place(stored: str, folder: Path) -> bool:
-    """Whether a path stored in a .blend means this folder. The stored path is not looked up on disk, as the file may
-    come from somebody else and name a disk that never answers."""
+    """Whether a path stored in a .blend is this folder. The stored path is not looked up on disk, as somebody else's
+    file may name a disk that never answers."""
     return bool(stored) and _normal(bpy.path.abspath(stored)) in (_normal(folder), _normal(folder.resolve()))
 
 
@@ -344,7 +343,8 @@ def _normal(path: str | Path) -> str:
 def child_collection(
     root: bpy.types.Collection, name: str, scene: bpy.types.Scene | None = None, hidden: bool = False
 ) -> bpy.types.Collection:
-    """Our collection `name` under the root. A ``hidden`` one starts with its eye and camera off in the scene."""
+    """Return our collection `name` under the root, made if missing. If ``hidden``, its eye and camera are first off in
+    the scene."""
     key = f"collection:{name}"
     for child in root.children:
         if key_of(child, root[LIFT]) == key:
@@ -358,7 +358,7 @@ def child_collection(
 
 
 def hide(collection: bpy.types.Collection, scene: bpy.types.Scene) -> None:
-    """Turn the eye and the camera of a collection off in a scene."""
+    """Hide a collection in a scene's viewports and renders (its eye and camera icons)."""
     collection.hide_render = True
     for view_layer in scene.view_layers:
         if view_layer.layer_collection is None:  # Blender 5 makes it when the scene is shown for the first time
@@ -374,5 +374,5 @@ def is_child(child: bpy.types.Collection, root: bpy.types.Collection, name: str)
 
 
 def layer_collections(top: bpy.types.LayerCollection) -> list[bpy.types.LayerCollection]:
-    """A layer's collection and all below it."""
+    """Return a layer collection and all below it."""
     return [top, *(found for child in top.children for found in layer_collections(child))]

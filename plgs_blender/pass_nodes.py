@@ -2,9 +2,8 @@
 effects.
 
 Nodes are found by their tag, so users may move, rename and link them. The group lays the ids' colours over the picture,
-shifts the hue inside the matte, outlines it, and cuts out the rest or the matte itself, in this order. All controls are
-inputs of the group, so they can be linked and animated.
-"""
+shifts the hue inside the matte, outlines it, and cuts out what is outside or inside of it, in this order. All controls
+are inputs of the group, so they can be linked and animated."""
 
 from __future__ import annotations
 
@@ -41,7 +40,7 @@ COLOURS = {"Outline colour": _OUTLINE, "Recolour to": _RECOLOUR, "Guessed colour
 
 
 def panoptic_group() -> bpy.types.NodeTree:
-    """The file's group, made if missing. A group that is linked or lacks an input is left alone."""
+    """Return the file's group, made if missing. A group that is linked or lacks an input is left alone."""
     wanted = {*PICTURES, *MATTES, *COLOURS, *CONTROLS}
     for group in bpy.data.node_groups:
         if group.get(KEY) == MARK and group.library is None:
@@ -130,7 +129,7 @@ class _Wiring:
         return result
 
     def _place(self, node: bpy.types.Node) -> bpy.types.Node:
-        """Arrange a node: rows of six, in the order of creation."""
+        """Arrange a node in rows of six, in the order of creation."""
         self._column += 1
         node.location = (200 * (self._column % 6), -220 * (self._column // 6))
         return node
@@ -155,7 +154,7 @@ _OUTPUTS = {
 
 
 def node_of(tree: bpy.types.NodeTree, key: str) -> bpy.types.Node:
-    """Our node `key`. Raises KeyError if the user removed it."""
+    """Return our node `key`. Raises KeyError if the user removed it."""
     for node in tree.nodes:
         if node.get(KEY) == key:
             return node
@@ -163,7 +162,7 @@ def node_of(tree: bpy.types.NodeTree, key: str) -> bpy.types.Node:
 
 
 def has_nodes(tree: bpy.types.NodeTree | None) -> bool:
-    """Whether our nodes were built before and none that we fill is missing."""
+    """Whether our nodes were built before and none of those that we update is missing."""
     keys = {node.get(KEY) for node in tree.nodes} if tree is not None else set()
     filled = {f"{what} {part}" for what in ("Instance", "Class") for part in ("palette", "scale")}
     return {PASSES, CRYPTO_INSTANCES, CRYPTO_CLASSES, *filled} <= keys
@@ -190,7 +189,7 @@ def use_image(tree: bpy.types.NodeTree, image: bpy.types.Image) -> None:
 
 
 def _link_guessed(tree: bpy.types.NodeTree) -> None:
-    """Link the layer Guessed to a group that takes it. Only files of lifts with removed objects have it."""
+    """Link the layer Guessed to a group that takes it. Only files of lifts with removed objects have this layer."""
     group = next((node for node in tree.nodes if node.get(KEY) == PANOPTIC), None)
     guessed = node_of(tree, PASSES).outputs.get("Guessed")
     if group is not None and guessed is not None and "Guessed matte" in group.inputs:
@@ -198,7 +197,7 @@ def _link_guessed(tree: bpy.types.NodeTree) -> None:
 
 
 def reading_nodes(tree: bpy.types.NodeTree) -> Iterator[bpy.types.Node]:
-    """The nodes that read the EXR of the current view."""
+    """Yield the nodes that read the EXR of the current view."""
     return (node_of(tree, key) for key in (PASSES, CRYPTO_INSTANCES, CRYPTO_CLASSES))
 
 
@@ -250,7 +249,7 @@ def _colour_code(make: _NodeBuilder, what: str, layer: str, row: float) -> None:
 
 
 def _show_panoptic(make: _NodeBuilder) -> None:
-    """Link the group's inputs, and its picture to the render result and the viewer."""
+    """Link the inputs of the group PLGS Panoptic, and its picture to the render result and the viewer."""
     node = make.add(PANOPTIC, NAME, 4.1, 200, "CompositorNodeGroup")
     node.node_tree, node.width = panoptic_group(), 200.0
     for name in ("Instance colours", "Class colours", "Instance matte", "Class matte", "Instance"):

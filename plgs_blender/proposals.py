@@ -1,4 +1,4 @@
-"""What may be wrong with a placed lift, and which of its frames are uncertain, kept for the panel."""
+"""Find what may be wrong with a placed lift, and which of its frames are uncertain, and keep it for the panel."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def kept_proposals(root: bpy.types.Collection) -> tuple[list[Proposal], str]:
 
 
 def proposal_of(root: bpy.types.Collection, instance: int) -> Proposal:
-    """The proposal for an object, or the most doubtful one if ``instance`` is 0. Raises PlgsError."""
+    """Return the proposal for an object, or the most doubtful one if ``instance`` is 0. Raises PlgsError."""
     for one in kept_proposals(root)[0]:
         if instance in (0, one.instance):
             return one
@@ -52,8 +52,8 @@ def proposal_of(root: bpy.types.Collection, instance: int) -> Proposal:
 
 
 def next_uncertain(root: bpy.types.Collection) -> tuple[str, int, int]:
-    """The most uncertain unvisited frame, the number of frames then visited, and their total. After the last frame it
-    starts again. Raises PlgsError."""
+    """Return the most uncertain unvisited frame, the number of frames visited with it, and of all frames. After the
+    last frame it starts again. Raises PlgsError."""
     folder = LiftFolder.open(folder_of(root))
     frames = known_scene(folder).frames
     drawn = doubt_of_frames(read_metrics(folder)) if (folder.result_path / "metrics.json").is_file() else {}

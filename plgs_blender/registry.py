@@ -1,8 +1,7 @@
 """The tasks that this Blender follows, each an engine command in its own process, and the timer that polls them.
 
 Tasks are kept here, not in an operator or a file, so they survive undo and opening another .blend. The timer runs in
-Blender's main thread between redraws, so nothing here waits, and there are no threads.
-"""
+Blender's main thread between redraws, so nothing here waits, and there are no threads."""
 
 from __future__ import annotations
 
@@ -27,7 +26,7 @@ _PARTS_S = 0.05  # seconds per poll after which no further part of an answer is 
 
 
 class Task:
-    """A followed task, and its outcome after its end. Each kind is a subclass, whose `done` takes the answer."""
+    """A followed engine command, and its outcome. Each kind is a subclass, whose `done` takes the answer."""
 
     kind: ClassVar[str]
     """The name of the kind. One task of a kind runs at a time, unless their keys differ."""
@@ -53,7 +52,7 @@ class Task:
 
     @property
     def key(self) -> Hashable:
-        """A new task replaces the one with the same key."""
+        """The key by which a new task replaces an older one."""
         return self.kind
 
     @property
@@ -62,7 +61,7 @@ class Task:
 
     @property
     def is_being_taken(self) -> bool:
-        """Whether `done` has parts left."""
+        """Whether `done` has not taken all parts of the answer yet."""
         return self._parts is not None and not self.is_taken
 
     @property
@@ -71,7 +70,7 @@ class Task:
 
     @property
     def has_finished(self) -> bool:
-        """Whether it succeeded and its answer was taken without an error."""
+        """Whether the task succeeded and its answer was taken without an error."""
         return self.state is TaskState.FINISHED and self.error is None
 
     @property
@@ -84,13 +83,13 @@ class Task:
 
     @property
     def took_s(self) -> float:
-        """Seconds since it began, even in another Blender or on a machine with a different clock."""
+        """The seconds since it began, even in another Blender or on a machine with a different clock."""
         began = self.progress.began or time.time()
         return max(time.monotonic() - self.began, time.time() - began)
 
     @property
     def left_s(self) -> float | None:
-        """Estimated seconds left, counted down since the engine's last estimate; None without one."""
+        """The estimated seconds left, counted down since the engine's last estimate; None without one."""
         estimate = self.progress.left_s
         return None if estimate is None else max(0.0, estimate - (time.monotonic() - self._estimated_at))
 
@@ -100,11 +99,11 @@ class Task:
 
     @property
     def error(self) -> PlgsError | None:
-        """Why the engine failed, else why its answer could not be taken."""
+        """The error of the engine, else the one that occurred when its answer was taken; or None."""
         return self.follower.error or self._problem
 
     def poll(self, scene: Any) -> bool:
-        """Process new events, including `done`. Returns whether there is news."""
+        """Process new events, and at the end call `done`. Returns whether anything changed."""
         has_news = self.follower.poll()
         if self.progress.left_s != self._estimated_left:
             self._estimated_left, self._estimated_at = self.progress.left_s, time.monotonic()
@@ -129,7 +128,7 @@ class Task:
 
     def done(self, scene: Any) -> Iterator[object] | None:
         """Take the answer into Blender, whose current scene is ``scene``. Called once, however the task ended. Slow
-        work yields between its parts, where the user may change everything. Raises PlgsError, OSError."""
+        work yields between its parts; there the user may change anything. Raises PlgsError, OSError."""
         return None
 
     def watch(self, scenes: Sequence[Any], has_news: bool) -> bool:
@@ -141,7 +140,7 @@ class Task:
         self.follower.cancel()
 
     def let_go(self) -> None:
-        """Stop following it and end its engine."""
+        """Stop following the task and end its engine."""
         if self.is_running:
             self.follower.kill()
             self.follower.close()
@@ -153,7 +152,7 @@ class SceneTask(Task):
         self.chosen = chosen
 
     def error_for(self, chosen: ChosenScene) -> PlgsError | None:
-        """Its error, if it concerns this scene."""
+        """Return its error, if it concerns this scene, else None."""
         return self.error if chosen == self.chosen else None
 
 
@@ -177,28 +176,28 @@ def follow(task: Kind) -> Kind:
 
 
 def latest(kind: type[Kind]) -> Kind | None:
-    """The last followed task of a kind, running or ended, or None."""
+    """Return the last followed task of a kind, running or ended, or None."""
     return next((task for task in reversed(_tasks.values()) if isinstance(task, kind)), None)
 
 
 def task_of(key: Hashable) -> Task | None:
-    """The task with this key."""
+    """Return the task with this key, or None."""
     return _tasks.get(key)
 
 
 def running(kind: type[Kind]) -> list[Kind]:
-    """The running tasks of a kind; `Task` stands for every kind."""
+    """Return the running tasks of a kind; `Task` stands for every kind."""
     return [task for task in _tasks.values() if isinstance(task, kind) and task.is_running]
 
 
 def refuse_second(kind: type[Task]) -> None:
-    """Raises PlgsError if a task of this kind is running."""
+    """Raise PlgsError if a task of this kind is running."""
     for task in running(kind):
         raise PlgsError("at-work", "an engine is already running", task.label, "Wait until it is done, or cancel it.")
 
 
 def poll_all(scene: Any) -> list[Task]:
-    """Poll all tasks once. Returns those with news."""
+    """Poll all tasks once. Returns those that changed."""
     return [task for task in list(_tasks.values()) if (task.is_running or not task.is_taken) and task.poll(scene)]
 
 
@@ -224,14 +223,14 @@ def wait_for(task: Task, scene: Any, report: Callable[[str], object] = lambda li
 
 
 def forget(key: Hashable) -> None:
-    """Forget a task and what it found."""
+    """Stop following the task with this key, and drop its outcome."""
     task = _tasks.pop(key, None)
     if task is not None:
         task.let_go()
 
 
 def forget_all() -> None:
-    """Forget all tasks. Their engines end, unless they should outlive Blender."""
+    """Stop following all tasks. Their engines end, unless they should outlive Blender."""
     for key in list(_tasks):
         forget(key)
 
@@ -249,13 +248,13 @@ def begin(task: Kind) -> Kind:
 
 
 def go_on() -> None:
-    """Start the timer if there is a window."""
+    """Start the timer that polls, if there is a window."""
     if not bpy.app.background and not bpy.app.timers.is_registered(tick):
         bpy.app.timers.register(tick, first_interval=TICK_S, persistent=True)
 
 
 def tick() -> float | None:
-    """Poll once. Returns the seconds until the next poll; None if nothing is left to follow."""
+    """Poll all tasks once. Returns the seconds until the next poll; None if nothing is left to follow."""
     try:
         _poll()
     except Exception:  # a bug of ours must not stop the timer
@@ -282,7 +281,7 @@ def _poll() -> None:
 
 
 def redraw_panels(*, views_too: bool = False) -> None:
-    """Redraw the sidebars of 3D views and the preferences; on request the views, which takes far longer."""
+    """Redraw the sidebars of 3D views and the preferences; with ``views_too`` the views, which takes far longer."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "PREFERENCES":
@@ -295,7 +294,7 @@ def redraw_panels(*, views_too: bool = False) -> None:
 
 @contextmanager
 def _in_window() -> Iterator[None]:
-    """Undo steps and view layers need a window, which Blender's timers do not have."""
+    """Give a ``with`` block a window, which undo steps and view layers need and Blender's timers do not have."""
     window = next(iter(bpy.context.window_manager.windows), None)
     if window is None:
         yield

@@ -1,4 +1,4 @@
-"""Reads a finished lift folder. Everything is checked before use, as somebody else may have written it. instances.json
+"""Read a finished lift folder. Everything is checked before use, as somebody else may have written it. instances.json
 is read in parts, so that the window does not freeze."""
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _DECODER = json.JSONDecoder(parse_constant=_refuse)  # NaN and Infinity, which J
 
 
 def reading_instances(path: Path) -> Generator[None, None, Listed]:
-    """`read_instances`, object by object. Raises PlgsError, including for more than MOST_INSTANCES objects."""
+    """Do as `read_instances`, object by object. Raises PlgsError, also for more than MOST_INSTANCES objects."""
     try:
         content: dict[str, Any] = {"instances": []}
         for key, value in _Reader(instances_text(path)).members():
@@ -78,14 +78,14 @@ _begun: dict[Version, Generator[None, None, Listed]] = {}  # what is being read
 
 
 def version_of(lift: Path) -> Version:
-    """The current version of a lift's instances.json."""
+    """Return a value that changes with a lift's instances.json."""
     path = lift / "result" / INSTANCES
     at = path.stat() if path.is_file() else None
     return path, at and (at.st_mtime_ns, at.st_size)
 
 
 def reading_listed(version: Version) -> Generator[None, None, Listed]:
-    """Parses an instances.json in parts; caches only the latest version. Raises PlgsError."""
+    """Parse an instances.json in parts; only the latest version is cached. Raises PlgsError."""
     listed = yield from reading_instances(version[0])
     _kept.clear()
     _kept[version] = listed
@@ -100,7 +100,7 @@ def listed_in(lift: Path) -> Listed:
 
 
 def begin_to_read(lift: Path) -> Version:
-    """Make ``read_on`` read this lift's instances.json, and nothing else, unless it is cached."""
+    """Make ``read_on`` read this lift's instances.json, and no other lift's, unless it is cached."""
     version = version_of(lift)
     parts = _begun.get(version)
     _begun.clear()
@@ -110,7 +110,7 @@ def begin_to_read(lift: Path) -> Version:
 
 
 def read_on(seconds: float) -> bool:
-    """Read on for about this many seconds. Returns whether anything is left. Raises PlgsError."""
+    """Continue reading for about this many seconds. Returns whether anything is left. Raises PlgsError."""
     until = time.monotonic() + seconds
     for version, parts in [*_begun.items()]:
         del _begun[version]
@@ -122,7 +122,7 @@ def read_on(seconds: float) -> bool:
 
 
 def refuse_too_many(found: Sequence[object], path: Path, most: int = MOST_INSTANCES, kind: str = "objects") -> None:
-    """Raises PlgsError if there are more objects, or more of another ``kind``, than Blender shows."""
+    """Raise PlgsError if there are more objects, or more of another ``kind``, than Blender can show."""
     if len(found) > most:
         fix = "Lift it again with a smaller most_instances, or with masks of fewer classes."
         raise PlgsError("too-many", f"has more than {most} {kind}, which are too many for Blender", path, fix)
@@ -135,7 +135,7 @@ class _Reader:
         self._text, self._at = text, 0
 
     def members(self) -> Iterator[tuple[str, Any]]:
-        """The keys and values of an object. The elements of its list of instances come one by one."""
+        """Yield the keys and values of an object. The elements of its list of instances are yielded one by one."""
         mark = self._mark("{") and ","
         while mark == ",":
             key = self._value()
@@ -152,7 +152,7 @@ class _Reader:
             raise ValueError("something follows the JSON object")
 
     def _mark(self, marks: str, *, needed: bool = True) -> str:
-        """Consume and return the next character if it is one of these; empty if it is another and not ``needed``."""
+        """Consume and return the next character if it is among ``marks``; "" if it is not and not ``needed``."""
         at = self._next()
         found = self._text[at : at + 1]
         if found and found in marks:
@@ -190,7 +190,7 @@ Result = TypeVar("Result")
 
 
 def result_of(parts: Generator[None, None, Result]) -> Result:
-    """Run all parts at once, and return their result."""
+    """Run all parts of a generator at once, and return its result."""
     while True:
         try:
             next(parts)
@@ -201,10 +201,10 @@ def result_of(parts: Generator[None, None, Result]) -> Result:
 @dataclass(frozen=True, eq=False)
 class LiftResult:
     """A finished lift with its corrections: its frames and its output. `passes` are the EXR files of frames, by frame
-    name; `shots` those of other cameras, by camera name. `not_shown`: what the masks show well and the lift lacks, in
-    words, with the frame that shows it best. `estimated`: see `Manifest`. `label_fingerprint` identifies the edits that
-    change more than names. `removed` are the objects that were taken out of the room; `splats` corrects the rows of
-    gaussians.ply."""
+    name; `shots` those of other cameras, by camera name. `not_shown`: objects that the masks show well and the lift
+    lacks, in words, each with the frame that shows it best. `estimated`: see `Manifest`. `label_fingerprint` identifies
+    the edits that change more than names. `removed` are the objects that were taken out of the room; `splats` corrects
+    the rows of gaussians.ply."""
 
     folder: Path
     scene: PosedScene
@@ -223,7 +223,7 @@ class LiftResult:
 
     @property
     def name(self) -> str:
-        """The scene's folder name, for display."""
+        """The name of the scene's folder, for display."""
         return self.scene.folder.name
 
 
@@ -233,7 +233,7 @@ def read_result(folder: Path) -> LiftResult:
 
 
 def reading_result(folder: Path) -> Generator[None, None, LiftResult]:
-    """`read_result` in parts, so that the window does not freeze. Raises PlgsError."""
+    """Do as `read_result` in parts, so that the window does not freeze. Raises PlgsError."""
     lift = LiftFolder.open(folder)
     lift.refuse_foreign()
     manifest = check_sizes(lift.result_path)

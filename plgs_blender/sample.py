@@ -1,4 +1,4 @@
-"""The small room that comes with the extension, for users who have no capture yet."""
+"""The small room that comes with the extension, for users who have no capture of their own."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _ONLY_FOR_RESEARCH = shutil.ignore_patterns("gt", "panoptic_second*")
 
 
 def own_sample() -> Path:
-    """A copy of the room in the user's home, because lifts lie beside their scene; made if there is none. Raises
+    """Return a copy of the room in the user's home, as lifts lie beside their scene; it is made if missing. Raises
     PlgsError, OSError."""
     folder = Path.home() / "PLGS Sample" / SAMPLE.name
     if folder.is_dir():

@@ -65,7 +65,7 @@ _is_unheard = False
 
 @contextmanager
 def unheard() -> Iterator[None]:
-    """In this block, a path in the settings may be written in another form without being looked at again."""
+    """In a ``with`` block, let code rewrite paths in the settings without the panel reading them again."""
     global _is_unheard
     _is_unheard = True
     try:
@@ -81,7 +81,7 @@ def _tell_of_scene(settings: SceneOptions, context: bpy.types.Context) -> None:
 
 
 def _take_defaults(settings: SceneOptions, context: bpy.types.Context) -> None:
-    """Show the studio's defaults in the fields that the user has left alone. Its file is checked when a lift starts."""
+    """Show the studio's defaults in fields that the user has not set. Its file is checked when a lift starts."""
     if isinstance(settings, PLGS_PG_settings) and settings.scene_folder and not _is_unheard:
         with suppress(PlgsError):
             defaults = studio()
@@ -104,7 +104,7 @@ def _tell_of_lift(settings: SceneOptions, context: bpy.types.Context) -> None:
 
 # fmt: off
 class SceneOptions:
-    """How a scene is read: properties of the settings and of operators."""
+    """Properties of the settings and of operators that say how to read a scene."""
 
     format: EnumProperty(options=_SKIP_SAVE, name="Format", items=FORMAT_ITEMS, default=AUTOMATIC,
         update=_tell_of_scene, description="The scene's layout, if it cannot be detected from its files")
@@ -124,7 +124,7 @@ class SceneOptions:
 
 
 class LiftOptions(SceneOptions):
-    """The options of a lift: properties of the settings and of the operator that starts one."""
+    """Properties of the settings and of the operator that starts a lift: the lift's options."""
 
     scene_folder: StringProperty(options=_PATH, name="Scene", subtype="DIR_PATH", update=_take_defaults,
         description="A capture's folder or file: ScanNet, transforms.json, COLMAP, Polycam, .r3d, .sens and others")
@@ -159,7 +159,7 @@ class LiftOptions(SceneOptions):
 
 
 class PLGS_PG_settings(LiftOptions, bpy.types.PropertyGroup):
-    """`scene.plgs`: what the panel shows and the operators start from."""
+    """The panel's settings, from which operators start: `scene.plgs`."""
 
     live_preview: BoolProperty(name="Live Preview", default=True,
         description="During a lift, show what the scene's active camera sees of the model in views through it. "
@@ -180,12 +180,12 @@ class PLGS_PG_settings(LiftOptions, bpy.types.PropertyGroup):
 
 
 def option_names(options: type) -> list[str]:
-    """The names of a class's properties, including those of its base classes."""
+    """Return the names of a class's properties, with those of its base classes."""
     return [name for each in reversed(options.__mro__) for name in each.__dict__.get("__annotations__", ())]
 
 
 def chosen_scene(settings: PLGS_PG_settings) -> ChosenScene:
-    """The scene that the settings name."""
+    """Return the scene that the settings name."""
     return ChosenScene.of(
         settings.scene_folder, masks=settings.masks, up=settings.up, format=settings.format, depth=settings.depth,
         mask_format=settings.mask_format, classes=settings.classes_table, detections=settings.detections,
@@ -193,12 +193,12 @@ def chosen_scene(settings: PLGS_PG_settings) -> ChosenScene:
 
 
 def chosen_lift(settings: PLGS_PG_settings) -> Path | None:
-    """The lift folder that the settings name, or None."""
+    """Return the lift folder that the settings name, or None."""
     return absolute(settings.lift_folder) if settings.lift_folder else None
 
 
 def request_of(settings: PLGS_PG_settings) -> LiftRequest:
-    """The lift request that the settings describe. Raises PlgsError if a value is out of range."""
+    """Return the lift request that the settings describe. Raises PlgsError if a value is out of range."""
     preset, options = asked_of_preset(settings)
     others = {name: getattr(settings, name) for name in ("fit", "anyway", "seed", "device")}
     others["bake"] = None if settings.bake == "usual" else settings.bake
@@ -206,7 +206,7 @@ def request_of(settings: PLGS_PG_settings) -> LiftRequest:
 
 
 def asked_of_preset(settings: PLGS_PG_settings) -> tuple[Any, dict[str, Any]]:
-    """The preset's name and its changed options; fields win over the text. Raises PlgsError for bad ones."""
+    """Return the preset's name and its changed options; fields win over the text. Raises PlgsError for bad ones."""
     changed = presets.parsed_options(settings.preset_options.split())
     if settings.steps:
         changed["steps"] = settings.steps
@@ -219,7 +219,7 @@ def asked_of_preset(settings: PLGS_PG_settings) -> tuple[Any, dict[str, Any]]:
 
 
 def why_no_options(settings: PLGS_PG_settings) -> str | None:
-    """What is wrong with the changed options, or None."""
+    """Return what is wrong with the changed options, or None."""
     try:
         asked_of_preset(settings)
     except PlgsError as error:
@@ -228,7 +228,7 @@ def why_no_options(settings: PLGS_PG_settings) -> str | None:
 
 
 def shown_preset(settings: PLGS_PG_settings) -> list[tuple[str, str, bool]]:
-    """Every option of the chosen preset: name, value, and whether the settings change it."""
+    """Return every option of the chosen preset: name, value, and whether the settings change it."""
     try:
         changed = presets.parsed_options(settings.preset_options.split())
     except PlgsError:

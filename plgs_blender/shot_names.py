@@ -1,4 +1,4 @@
-"""How the views of shots are named, and which of these names Blender can step through as one sequence."""
+"""Name the views of shots, and find which of these names Blender can step through as one sequence."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _LONGEST_NAME = 80  # maximum length of a shot's name, to which each view adds a
 
 
 def shot_name(camera: str, given: str = "", later: int = 0) -> str:
-    """The name of a camera's views, without their numbers: ``given``, else the names of the .blend and the camera. A
-    long one of these is cut, and ends in a number of the whole, so that other names stay other names. Raises PlgsError
-    for a given name that is too long. ``given`` may have fields: {shot} (the .blend's name
-    without its version), {camera}, {layer} ("passes"), {version} (the .blend's, such as 12 of "_v012", else 1, plus
-    ``later``), and at the end ".{frame:04d}", which all names have. Raises PlgsError for other fields."""
+    """Return the name of a camera's views, without their numbers: ``given``, else the names of the .blend and the
+    camera. If these are long they are cut, and end in a hash, so that different names stay different. ``given`` may
+    have fields: {shot} (the .blend's name without its version), {camera}, {layer} ("passes"), {version} (the .blend's,
+    such as 12 of "_v012", else 1, plus ``later``), and at the end ".{frame:04d}", which all names have. Raises
+    PlgsError for other fields and for a given name that is too long."""
     if "{" in given or "}" in given:
         given = _filled(given, camera, later)
     if len(given) > _LONGEST_NAME:
@@ -38,7 +38,7 @@ def shot_name(camera: str, given: str = "", later: int = 0) -> str:
 
 
 def next_versions_name(given: str) -> str:
-    """The given name of a shot (empty: that of the .blend and the camera) with a field for its version."""
+    """Return the given name of a shot ("": that of the .blend and the camera) with a field for its version."""
     return given if "{version" in given else f"{given or '{shot}_{camera}'}_v{{version:03d}}"
 
 
@@ -61,15 +61,15 @@ def _filled(template: str, camera: str, later: int) -> str:
 
 @dataclass(frozen=True)
 class NumberedNames:
-    """Names that Blender can step through: the `first` one, to open, with `numbers[i]` in it is the i-th name."""
+    """Names that Blender can step through: the i-th is the `first`, which is opened, with `numbers[i]` in it."""
 
     first: str
     numbers: tuple[int, ...]
 
 
 def numbered(names: Sequence[str]) -> NumberedNames | None:
-    """The names as one numbered sequence, possibly with gaps, or None. Blender replaces the last number in the opened
-    name, padded to its width: this must give all the others."""
+    """Return the names as one numbered sequence, possibly with gaps, or None. Blender replaces the last number in the
+    opened name, padded to its width: this must give all the other names."""
     parts = [_LAST_NUMBER.fullmatch(name) for name in names]
     if not parts or any(part is None for part in parts):
         return None
@@ -83,8 +83,8 @@ def numbered(names: Sequence[str]) -> NumberedNames | None:
 
 
 def sequences(names: Sequence[str]) -> dict[str, list[str]]:
-    """Names in groups that Blender can step through, by the text before the number: "shot" for "shot.0001", "shot
-    before 0" for "shot.-0001". A name that fits no group is a group of its own."""
+    """Group names that Blender can step through, by the text before the number: "shot" for "shot.0001", "shot before 0"
+    for "shot.-0001". A name that fits no group is a group of its own."""
     groups: dict[str, list[str]] = {}
     for name in names:
         parts, before = _LAST_NUMBER.fullmatch(name), BEFORE_0.fullmatch(name)

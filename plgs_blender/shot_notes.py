@@ -1,5 +1,5 @@
-"""The note of a shot in the folder of its cameras: whose it is, and what it shows, so that no bake overwrites another
-file's shot, or an earlier state of its own, unless it is asked to."""
+"""The note of a shot beside its cameras: whose it is, and what it shows. So a bake overwrites another file's shot, or
+an earlier state of its own, only if it is told to."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _CLAIM_S = 10.0  # seconds to wait while another bake claims a shot
 
 @dataclass(frozen=True)
 class ShotSource:
-    """The origin of a lift's shot: its ``camera`` in ``blend`` (unsaved: its Blender's temporary folder), and the
+    """What a shot shows: a ``camera`` of the file ``blend`` (unsaved: its Blender's temporary folder), and the
     fingerprints of the camera by names of ``frames``; the ``lift``'s name, the digest of its ``model`` and objects, its
-    ``corrections``, and the rate. Notes of version 0.1.0 have none of the latter."""
+    ``corrections``, and the rate. Notes of version 0.1.0 end with ``frames``."""
 
     blend: str
     camera: str
@@ -43,14 +43,14 @@ class ShotSource:
         return VERSION.sub("", self.blend), self.camera
 
     def of_lift(self, lift: Path) -> ShotSource:
-        """The same, with what is shown of a finished lift. Raises PlgsError."""
+        """Return the same, with what a finished lift adds. Raises PlgsError."""
         if not (lift / "result" / MANIFEST).is_file():
             return self
         model, corrected = lifted_digest(read_manifest(lift / "result")), read_corrected(lift)
         return dataclasses.replace(self, lift=lift.name, model=model, corrections=corrected.fingerprint)
 
     def changed_from(self, earlier: ShotSource) -> str:
-        """What an earlier state of the shot shows that this one does not; empty if the same."""
+        """Return what differs from an ``earlier`` state of the shot, in words; "" if nothing does."""
         if earlier.model and earlier.model != self.model:
             return f"the lift is another result, {self.lift} instead of {earlier.lift}"
         if earlier.model and earlier.corrections != self.corrections:
@@ -63,8 +63,8 @@ class ShotSource:
 
 @dataclass(frozen=True)
 class Claim:
-    """The record of a shot in a folder, and its text ``before`` (empty: there was none) and after a bake began.
-    ``made`` are the files and folders that are new. The frames ``left`` of a replaced shot show its earlier state."""
+    """The note of a shot in a folder, and its text ``before`` ("": there was none) and after a bake began. ``made`` are
+    files and folders that the bake created. The frames ``left`` of a replaced shot still show its earlier state."""
 
     path: Path
     before: str
@@ -120,7 +120,7 @@ def claim(folder: Path, name: str, source: ShotSource, *, cameras: Path, passes:
 
 
 def next_version(folder: Path, earlier: str, name: str) -> list[str]:
-    """Why a shot became the next version of an ``earlier`` one, and which of its frames it lacks. Raises PlgsError."""
+    """Say why a shot is the next version of an ``earlier`` one, and which frames it lacks. Raises PlgsError."""
     before, now = (read_record(ShotSource, _note(folder, each), _NOTE_FIX) for each in (earlier, name))
     lacking = [frame for frame in before.frames if frame not in now.frames]
     lines = [f"{name} is the next version of {earlier}: {now.changed_from(before)}"]

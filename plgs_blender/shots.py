@@ -1,7 +1,5 @@
-"""A user's camera over a frame range, as a bake needs it: each frame is a separate camera.
-
-The lift's world is Blender's, so a camera sees the lifted scene from its position among the lift's objects.
-"""
+"""A user's camera over a range of frames, in the form that a bake needs: each frame is a separate camera. The lift's
+world is Blender's, so a camera sees the lifted scene from its position among the lift's objects."""
 
 from __future__ import annotations
 
@@ -45,10 +43,10 @@ _LISTED = 8  # maximum number of cameras named in an error
 
 @dataclass(frozen=True)
 class Shot:
-    """``camera`` at every ``step``-th frame from ``first`` to ``last``, or ``only`` at these, which may lie between
-    whole ones. Its files are named ``given``, else after the .blend and the camera. ``motion``: whether the cameras one
-    frame before and after each are wanted, too. If markers switch the camera, ``cuts`` are the first frames of each,
-    with its name, in order: as in Blender, the first holds before its marker, too."""
+    """A ``camera`` at every ``step``-th frame from ``first`` to ``last``, or at the frames ``only``, which need not be
+    whole numbers. Its files are named by ``given``, else after the .blend and the camera. ``motion``: whether the
+    cameras one frame before and after each are needed, too. If markers switch the camera, ``cuts`` are the first frame
+    and the name of each, in order: as in Blender, the first camera holds before its marker, too."""
 
     camera: bpy.types.Object
     first: int
@@ -61,15 +59,15 @@ class Shot:
 
     @property
     def camera_name(self) -> str:
-        """What the shot is named after, if it is not given a name."""
+        """The name of the camera after which the shot is named unless it has a name of its own."""
         return CUTS if self.cuts else self.camera.name
 
     def named(self, later: int = 0) -> str:
-        """The shot's name; its version, if any, is that of the .blend plus ``later``."""
+        """Return the shot's name. Its version, if it has one, is that of the .blend plus ``later``."""
         return shot_name(self.camera_name, self.given, later)
 
     def camera_at(self, frame: float) -> str:
-        """The name of the camera that renders a frame."""
+        """Return the name of the camera that renders a frame."""
         return _camera_at_cut(self.cuts or ((0, self.camera.name),), frame)
 
     @property
@@ -78,8 +76,8 @@ class Shot:
 
     @property
     def warnings(self) -> list[str]:
-        """What Blender would render but a bake leaves out, and whether the shot's name lacks that of its file or
-        camera."""
+        """Return warnings about what Blender would render but a bake leaves out, and about a shot's name without that
+        of its file or camera."""
         scenes = self.camera.users_scene
         found = ["depth of field"] if self.camera.type == "CAMERA" and self.camera.data.dof.use_dof else []
         found += ["motion blur"] if any(scene.render.use_motion_blur for scene in scenes) else []
@@ -106,8 +104,8 @@ def shot_of(
     only: Sequence[float] = (),
     motion: bool = False,
 ) -> Shot:
-    """The named camera, or the active one, over the given range, else the scene's. ``given`` names its files, else
-    the studio's default does. Raises PlgsError."""
+    """Return the shot of the named or the active camera over the given range, else the scene's. ``given`` names its
+    files, by default as the studio's settings say. Raises PlgsError."""
     cuts = () if camera else _cuts_of(scene)
     wanted = camera or (cuts[0][1] if cuts else "")
     ob = scene.objects.get(wanted) if wanted else scene.camera
@@ -141,14 +139,14 @@ def _camera_at_cut(cuts: Sequence[tuple[int, str]], frame: float) -> str:
 
 
 def _cuts_of(scene: bpy.types.Scene) -> tuple[tuple[int, str], ...]:
-    """The frames of the markers that switch the camera, each with the camera's name, in order. A lift's own markers
-    show its frames, and are no cuts."""
+    """Return the frames of the markers that switch the camera, each with the camera's name, in order. A lift's own
+    markers do not count, as they only show its frames."""
     bound = [(marker.frame, marker.camera) for marker in scene.timeline_markers if marker.camera is not None]
     return tuple(sorted({frame: camera.name for frame, camera in bound if not is_of_lift(camera, scene)}.items()))
 
 
 def _cameras_to_choose(scene: bpy.types.Scene, wanted: str) -> str:
-    """The fix if ``wanted`` (empty: the active one) is not a camera: those to choose from, the likeliest first."""
+    """The advice if ``wanted`` ("": the active one) is not a camera: those to choose from, the likeliest first."""
     cameras = [ob for ob in scene.objects if ob.type == "CAMERA"]
     if not cameras:
         return "Add a camera, select it and press Ctrl+Numpad 0."
@@ -170,8 +168,8 @@ def write_view(lift: Path, scene: bpy.types.Scene) -> Path:
 
 
 def numbered_name(name: str, frame: float, digits: int = DIGITS) -> str:
-    """A frame's file name, as in Blender's own renders: "shot.0003" and "shot.-0003". Half a frame later it is
-    "shot.sub500.0003": programs count whole numbers only, so each part of a frame is a sequence of its own."""
+    """Return a frame's file name, as Blender itself names renders: "shot.0003" and "shot.-0003". Half a frame later it
+    is "shot.sub500.0003": programs count whole numbers only, so each fraction of a frame is a sequence of its own."""
     whole, part = divmod(round(1000 * frame), 1000)
     return f"{name}{f'.sub{part:03d}' if part else ''}.{'-' * (whole < 0)}{abs(whole):0{digits}d}"
 
@@ -205,24 +203,24 @@ class ShotReader:
 
     @property
     def progress(self) -> tuple[int, int]:
-        """The number of frames read, and of all to read: of a camera that stands still, those outside the shot, too."""
+        """The number of frames read, and of all to read, outside the shot, too, if the camera stands still."""
         return len(self._read) + self._checked, len(self._frames) + len(self._others)
 
     @property
     def cameras(self) -> list[BakeCamera]:
-        """The cameras read. If the camera is still over the scene's whole range, it is one camera, named after the
-        range's first frame, so that it has the same name in all parts of a shot."""
+        """Return the cameras read. If the camera stands still over the scene's whole range, it is one camera, named
+        after the range's first frame, so that it has the same name in all parts of a shot."""
         return [replace(each, name=numbered_name(self._shot, frame, self._digits)) for frame, each in self._shown]
 
     @property
     def _shown(self) -> list[tuple[float, BakeCamera]]:
-        """The frames to bake, each with its camera."""
+        """Return the frames to bake, each with its camera."""
         if self._stands_still:
             return [(self._first, replace(self._read[0], frame=self._first))]
         return list(zip(self._frames, self._read, strict=False))
 
     def read_for(self, seconds: float) -> bool:
-        """Continue reading for about ``seconds``, at least one frame. Returns whether it is done. Raises PlgsError."""
+        """Continue reading for about ``seconds``, at least one frame. Returns whether all is read. Raises PlgsError."""
         end = time.monotonic() + seconds
         scene = bpy.data.scenes.get(self._scene)
         if scene is None:
@@ -247,7 +245,7 @@ class ShotReader:
         return _camera_at(scene, self._camera(scene, frame), frame, "")
 
     def _read_one(self, scene: bpy.types.Scene) -> bool:
-        """Read the camera at one more frame. Returns whether any is left."""
+        """Read the camera at one more frame. Returns whether any frame is left."""
         if len(self._read) < len(self._frames):
             self._read.append(self._camera_with_motion(scene, self._frames[len(self._read)]))
             if len(self._read) < len(self._frames):
@@ -277,8 +275,8 @@ class ShotReader:
         return replace(now, previous=previous.pinhole, next=following.pinhole)
 
     def write(self, lift: Path, *, replace: bool = False, output: Path | None = None) -> Path:
-        """Once all frames are read: write the shot's cameras into the lift's folder or ``output``, and return the file.
-        Raises PlgsError, OSError."""
+        """Write the shot's cameras, once all frames are read, into the lift's folder or ``output``, and return the
+        file. Raises PlgsError, OSError."""
         blend = Path(self._source.blend)
         source = dataclasses.replace(
             self._source,
@@ -305,7 +303,7 @@ class ShotReader:
         return file
 
     def withdraw_unbaked(self, bake: TaskFollower) -> None:
-        """Undo `write` if the bake ended before its first view, as one does that the engine refuses."""
+        """Undo `write` if the bake ended before its first view, for example because the engine refused it."""
         if self._claimed is not None and bake.state is not TaskState.FINISHED and bake.progress.stage != "bake":
             with suppress(OSError, PlgsError):  # then a name stays taken, which another bake will say
                 self._claimed.withdraw()
@@ -330,7 +328,7 @@ def _may_move(scene: bpy.types.Scene, ob: bpy.types.Object) -> bool:
 
 @contextmanager
 def _frame_kept(scene: bpy.types.Scene) -> Iterator[None]:
-    """Restores the current frame and its camera at the end."""
+    """Restore the current frame and its camera at the end of a ``with`` block."""
     frame, part, camera = scene.frame_current, scene.frame_subframe, scene.camera
     try:
         yield
@@ -340,7 +338,7 @@ def _frame_kept(scene: bpy.types.Scene) -> Iterator[None]:
 
 
 def _check_lens(ob: bpy.types.Object, frame: float) -> None:
-    """Raises PlgsError for a camera whose picture cannot be baked."""
+    """Raise PlgsError for a camera whose picture cannot be baked."""
     at = f"{ob.name}, frame {frame}"
     if ob.type != "CAMERA":
         raise PlgsError("not-a-camera", "is not a camera", at, "Make a camera the scene's active one.")
@@ -377,8 +375,8 @@ def _camera_now(scene: bpy.types.Scene, ob: bpy.types.Object, frame: float, name
 
 
 def _rendered_part(camera: Camera, scene: bpy.types.Scene) -> tuple[Camera, tuple[int, int, int, int] | None]:
-    """The camera of the baked picture: the render region if Blender crops to it, else the whole picture with EEVEE's
-    overscan on all sides; and the picture's window within that. Raises PlgsError."""
+    """Return the camera of the baked picture, which is the render region if Blender crops to it, else the whole picture
+    with EEVEE's overscan on all sides; and the window of the rendered picture in it. Raises PlgsError."""
     # A region that is not cropped would be a data window, which Blender's compositor misplaces (centred in 4.5, upside
     # down in 5.2), so the whole picture is baked then.
     render, (width, height) = scene.render, camera.size
@@ -399,5 +397,5 @@ def _rendered_part(camera: Camera, scene: bpy.types.Scene) -> tuple[Camera, tupl
 
 
 def _pixels(share: float, size: int) -> int:
-    """The pixels of a render border, counted as Blender does: in single precision, truncated."""
+    """The pixels of a share of a picture's side, as Blender counts a render border: in single precision, truncated."""
     return int(np.float32(share) * np.float32(size))

@@ -1,4 +1,4 @@
-"""Exports the meshes that are shown, with Blender's own exporters: in seconds, as nothing is made anew."""
+"""Export the meshes that are shown with Blender's own exporters, in seconds, as nothing is computed again."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _FIX = "Choose a place that you may write to, on a disk with space."
 
 
 def why_not(form: str) -> str | None:
-    """What this Blender lacks for a form, or None."""
+    """Return what this Blender lacks to export a form, or None."""
     if form == "usd" and not bpy.app.build_options.usd:
         return "This Blender was built without OpenUSD. Use OpenUSD, Finer, or Blender's glTF"
     if form == "gltf" and "io_scene_gltf2" not in bpy.context.preferences.addons:
@@ -32,7 +32,7 @@ def why_not(form: str) -> str | None:
 
 
 def shown_meshes(root: bpy.types.Collection) -> list[bpy.types.Object]:
-    """The meshes of a lift's surface that its lists do not hide, and the extracted objects in place of others."""
+    """The meshes of a lift's surface that its lists show, with extracted objects in place of their own."""
     is_left_out = leaving_out(root.plgs)
     own = [ob for key, ob in objects_by_key(root).items() if key.startswith("mesh:") and len(ob.data.polygons)]
     ids = [np.array([[ob["instance_id"]], [ob["class_id"]]], np.int32) for ob in own]
@@ -42,7 +42,7 @@ def shown_meshes(root: bpy.types.Collection) -> list[bpy.types.Object]:
 
 def export_shown(root: bpy.types.Collection, scene: bpy.types.Scene, form: str, path: Path) -> int:
     """Write the meshes that are shown as "gltf" or "usd", named, with their pictures or colours, and return their
-    number. The scene is afterwards as it was. Raises PlgsError, for example if there are none."""
+    number. The scene is unchanged afterwards. Raises PlgsError, for example if there are none."""
     meshes = shown_meshes(root)
     if not meshes:
         raise PlgsError("no-meshes", "shows no meshes", root.name, "Make them first: press Surface.")
@@ -67,7 +67,7 @@ def export_shown(root: bpy.types.Collection, scene: bpy.types.Scene, form: str, 
 
 @contextmanager
 def _gathered(meshes: Sequence[bpy.types.Object], scene: bpy.types.Scene) -> Iterator[bpy.types.Collection]:
-    """A collection with only these objects, all visible, as long as the block lasts."""
+    """Yield a temporary collection with only these objects, all visible, for a ``with`` block."""
     collection = bpy.data.collections.new("PLGS export")
     scene.collection.children.link(collection)
     layer = scene.view_layers[0]
@@ -91,7 +91,7 @@ def _gathered(meshes: Sequence[bpy.types.Object], scene: bpy.types.Scene) -> Ite
 
 @contextmanager
 def _with_plain_materials(meshes: Sequence[bpy.types.Object]) -> Iterator[None]:
-    """Give meshes materials that exporters understand, matt and with the same picture or colours."""
+    """Give meshes simple matt materials with their pictures or colours, for exporters, in a ``with`` block."""
     before = [(ob, ob.material_slots[0].link, ob.data.materials[0]) for ob in meshes if ob.material_slots]
     made: dict[str, bpy.types.Material] = {}
     try:

@@ -1,8 +1,7 @@
 """Splats as objects: from 5.3 on, points that Blender itself draws as splats; and points as one mesh of squares, for
-imported clouds and, before 5.3, the lift's Gaussians. From outside, a room lies open, like a doll's house.
-
-The mesh has only vertices: the points. A modifier turns each into a square, so squares take no space in the file.
-"""
+imported clouds and, before 5.3, the lift's Gaussians. Squares that face away are hidden, so from outside a room lies
+open. The mesh has only vertices: the points. A modifier turns each into a square, so squares take no space in the
+file."""
 
 from __future__ import annotations
 
@@ -24,7 +23,7 @@ NAME = "Open room"
 
 
 def open_room(owned: OwnedDataBlocks, clouds: Iterable[bpy.types.Object]) -> None:
-    """Put the modifier on clouds that have the attribute `normal`; those that already have it keep their settings."""
+    """Put the modifier on clouds that have the attribute `normal`; those that already have it keep its settings."""
     for cloud in clouds:
         material, of_splats = (point_material(owned), "") if cloud.data.materials else (None, " of splats")
         group = owned.block("node_groups", f"open room{of_splats}", partial(_group, material))
@@ -35,7 +34,7 @@ def open_room(owned: OwnedDataBlocks, clouds: Iterable[bpy.types.Object]) -> Non
 
 
 def _group(material: bpy.types.Material | None) -> bpy.types.NodeTree:
-    """Delete a point if normal · (position - camera) > 0. Points with a zero normal stay."""
+    """Make the node group that deletes a point if normal · (position - camera) > 0. Points with a zero normal stay."""
     tree = new_geometry_group("PLGS open room")
     add = partial(add_node, tree)
     start, position = add("NodeGroupInput", 0, 0).outputs[0], add("GeometryNodeInputPosition", 1, -480).outputs[0]
@@ -55,7 +54,7 @@ def _group(material: bpy.types.Material | None) -> bpy.types.NodeTree:
 def read_attribute(
     tree: bpy.types.NodeTree, name: str, column: int, row: int, kind: str = "FLOAT_VECTOR"
 ) -> bpy.types.NodeSocket:
-    """The output of a new node that reads an attribute."""
+    """Add a node that reads an attribute, at this column and row, and return its output."""
     node = add_node(tree, "GeometryNodeInputNamedAttribute", column, row, name, data_type=kind)
     return next(socket for socket in node.outputs if socket.enabled and socket.name == "Attribute")
 
@@ -66,9 +65,9 @@ _KIND, _BASE = "GAUSSIAN_SPLAT", "radiance:base"
 
 @dataclass(frozen=True, eq=False)
 class Splats:
-    """``xyz`` float32 [N, 3] m; ``deviations`` float32 [N, 3] m along axes rotated by ``turns`` float32 [N, 4],
-    quaternions wxyz; ``opacity`` float32 [N]; ``rgb`` uint8 [N, 3] sRGB; ``normal`` float32 [N, 3]: a splat is hidden
-    if it points away from the camera; ``ids`` int32 [N], by attribute name."""
+    """Native splats: ``xyz`` float32 [N, 3] m; ``deviations`` float32 [N, 3] m along axes rotated by ``turns`` float32
+    [N, 4], quaternions wxyz; ``opacity`` float32 [N]; ``rgb`` uint8 [N, 3] sRGB; ``normal`` float32 [N, 3]: a splat is
+    hidden if it points away from the camera; ``ids`` int32 [N], by attribute name."""
 
     xyz: NDArray[np.float32]
     deviations: NDArray[np.float32]
@@ -88,7 +87,7 @@ def are_known() -> bool:
 def place_splats(
     owned: OwnedDataBlocks, parent: bpy.types.Collection, key: str, name: str, splats: Splats
 ) -> bpy.types.Object:
-    """Our object `key` with these splats, in the colours of their attribute Col; call `dye` after changing it."""
+    """Return our object `key` with these splats, in the colours of their attribute Col; to change it, call `dye`."""
     cloud: Any = owned.data(key, lambda: bpy.data.pointclouds.new(name))
     cloud.resize(len(splats.xyz))
     cloud.type = _KIND
@@ -114,7 +113,7 @@ def place_splats(
 
 
 def axes_of(turns: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The unit axes of Gaussians rotated by quaternions wxyz [M, 4], float32 [M, axis, xyz]."""
+    """Return the unit axes of Gaussians rotated by quaternions wxyz [M, 4], float32 [M, axis, xyz]."""
     w, x, y, z = turns.T / np.maximum(np.linalg.norm(turns, axis=1), 1e-12)
     return np.array(
         [
@@ -127,7 +126,7 @@ def axes_of(turns: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def dye(cloud: bpy.types.PointCloud) -> None:
-    """Give splats the colours of their attribute Col. Other clouds and meshes are left alone."""
+    """Give native splats the colours of their attribute Col. Other clouds and meshes are left alone."""
     base = cloud.attributes.get(_BASE)
     if base is None:
         return
@@ -148,8 +147,8 @@ _MODIFIER = "Squares"
 
 @dataclass(frozen=True, eq=False)
 class Squares:
-    """``xyz`` float32 [N, 3] m; half sides ``right`` and ``up`` float32 [N, 3] m, whose cross product is the front's
-    normal; ``rgb`` uint8 [N, 3] sRGB; ``opacity`` float32 [N]; ``ids`` int32 [N], by attribute name."""
+    """Squares: centres ``xyz`` float32 [N, 3] m; half sides ``right`` and ``up`` float32 [N, 3] m, whose cross product
+    is the front's normal; ``rgb`` uint8 [N, 3] sRGB; ``opacity`` float32 [N]; ``ids`` int32 [N], by attribute name."""
 
     xyz: NDArray[np.float32]
     right: NDArray[np.float32]
@@ -160,7 +159,7 @@ class Squares:
 
 
 def joined(parts: Sequence[Part]) -> Part:
-    """Concatenates records of arrays [N, ...], and of such arrays by name."""
+    """Concatenate records whose fields are arrays [N, ...], or dicts of such arrays."""
     columns: dict[str, Any] = {}
     for name in vars(parts[0]):
         values = [getattr(part, name) for part in parts]
@@ -180,7 +179,7 @@ def place_points(
     points: tuple[NDArray[np.float32], NDArray[np.uint8]],
     viewpoints: NDArray[np.float64],
 ) -> bpy.types.Object:
-    """Place points [N, 3] m with sRGB colours as squares in their surfaces, which face the viewpoints [V, 3]."""
+    """Place points [N, 3] m with sRGB colours as squares that lie in their surfaces and face the viewpoints [V, 3]."""
     xyz, rgb = points
     grid = SurfaceGrid.of(xyz)
     normal = grid.normals(viewpoints)
@@ -194,7 +193,7 @@ def place_points(
 def place_squares(
     owned: OwnedDataBlocks, parent: bpy.types.Collection, key: str, name: str, squares: Squares
 ) -> bpy.types.Object:
-    """Our object `key` with these squares: a mesh whose vertices are the points, with Col, right, up and opacity."""
+    """Return our object `key` with these squares, a mesh of their centres, with Col, right, up and opacity."""
     rgba = np.ones((len(squares.rgb), 4), np.float32)
     rgba[:, :3] = squares.rgb / np.float32(255)
     mesh: bpy.types.Mesh = owned.data(key, lambda: bpy.data.meshes.new(name))
@@ -223,7 +222,7 @@ def place_squares(
 
 
 def across(normal: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Two float32 [N, 3] that are perpendicular to the normals and each other; first x second = normal. All unit."""
+    """Return two unit vectors for each unit normal [N, 3], float32 [N, 3] each, with first x second = normal."""
     aside = np.where(np.abs(normal[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])  # not parallel
     right = np.cross(aside, normal)
     right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-12)
@@ -231,7 +230,8 @@ def across(normal: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np
 
 
 def _new_group() -> bpy.types.NodeTree:
-    """Extrude each vertex to its square, up before right, so that it shows its front. `corner` is in deviations."""
+    """Make the node group that extrudes each vertex to its square, along `up`, then `right`, so that it shows its
+    front. `corner` is in standard deviations."""
     tree = new_geometry_group("PLGS squares")
 
     def add(kind: str, column: int, row: int = 0, *inputs: object, **settings: object) -> bpy.types.Node:
@@ -264,7 +264,7 @@ def _new_group() -> bpy.types.NodeTree:
 
 
 def _away_in_renders(add: Any, maths: Any, normal: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
-    """Whether, in a render, a front faces away from the camera: Cycles sees through few transparent layers."""
+    """Say whether, in a render, a front faces away from the camera: Cycles sees through few transparent layers."""
     camera = add("GeometryNodeInputActiveCamera", 0, 5).outputs[0]
     eye = add("GeometryNodeObjectInfo", 1, 5, camera, transform_space="RELATIVE").outputs["Location"]
     way = maths("SUBTRACT", 2, 5, add("GeometryNodeInputPosition", 0, 6).outputs[0], eye)

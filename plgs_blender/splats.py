@@ -1,9 +1,8 @@
-"""The lift's Gaussians as splats: Blender's own from 5.3 on, before that one square per Gaussian.
+"""Show the lift's Gaussians as splats: Blender's own from 5.3 on, before that one square per Gaussian.
 
-A square lies as its Gaussian does if that is flat, else it is the Gaussian's shadow on the surface. Only its front is
-visible, so a room lies open from outside. Objects that cameras saw from both sides have a square for each. Material
-Preview, EEVEE and Cycles fade squares from the middle and blend overlaps; Solid shading draws them opaque.
-"""
+A flat Gaussian's square lies in its plane, another's is its projection onto the surface. Only its front is visible, so
+a room lies open from outside. Objects that cameras saw from both sides have a square for each. Material Preview, EEVEE
+and Cycles fade squares from the middle and blend overlaps; Solid shading draws them opaque."""
 
 from __future__ import annotations
 
@@ -49,8 +48,8 @@ MOST_SPLATS = 600_000
 
 @dataclass(frozen=True, eq=False)
 class Eyes:
-    """Positions of cameras [V]: ``positions`` float64 [V, 3] metres; ``ahead`` [V, 3], their unit viewing directions;
-    ``reach`` [V], the cosine of the angle to the picture's nearer edge."""
+    """The cameras that saw a lift: ``positions`` float64 [V, 3] metres; ``ahead`` [V, 3], their unit viewing
+    directions; ``reach`` [V], the cosine of half the angle of view."""
 
     positions: NDArray[np.float64]
     ahead: NDArray[np.float64]
@@ -64,7 +63,7 @@ class Eyes:
 
 
 def gaussians_of(root: bpy.types.Collection) -> Path:
-    """The file with the Gaussians of a placed lift, which may not exist."""
+    """Return the file with the Gaussians of a placed lift, which may not exist."""
     return Path(bpy.path.abspath(text_of(root, FOLDER))) / "result" / "gaussians.ply"
 
 
@@ -86,7 +85,7 @@ def place_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
 
 
 def placing_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene, rows: NDArray[np.void]) -> Iterator[None]:
-    """Put Gaussians from `read_gaussians` into a lift's collection in parts, unless it is removed meanwhile."""
+    """Put Gaussians from `read_gaussians` into a lift's collection, in parts. Stop if it is removed meanwhile."""
     placed = Placed(root[LIFT], scene.name)
     eyes = Eyes.of([ob for ob in root.all_objects if text_of(ob, KEY).startswith("frame:")])
     are_native = splat_objects.are_known()
@@ -112,7 +111,7 @@ def placing_gaussians(root: bpy.types.Collection, scene: bpy.types.Scene, rows: 
 
 @dataclass(frozen=True, eq=False)
 class SeenSurface:
-    """The positions of a lift's semantic points, and their unit normals float32 [N, 3]."""
+    """The surface that was seen: positions of a lift's semantic points, and their unit normals float32 [N, 3]."""
 
     grid: SurfaceGrid
     normals: NDArray[np.float32]
@@ -129,7 +128,7 @@ class SeenSurface:
         return cls(SurfaceGrid.of(xyz), normals)
 
     def facing(self, positions: NDArray[np.float32], eyes: Eyes) -> NDArray[np.float32]:
-        """Unit normals float32 [M, 3] at these positions [M, 3]: of a nearby point, else towards an eye."""
+        """Return unit normals float32 [M, 3] for positions [M, 3]: that of a nearby point, else towards a camera."""
         beside = self.grid.beside(positions)
         normal = np.zeros((len(positions), 3), np.float32)
         normal[beside >= 0] = self.normals[beside[beside >= 0]]
@@ -142,7 +141,7 @@ class SeenSurface:
 
 
 def seen(rows: NDArray[np.void], faintest: float) -> NDArray[np.int64]:
-    """Indices of the visible Gaussians of at least this opacity: at most MOST_SPLATS, those that cover most."""
+    """The indices of Gaussians of at least the opacity ``faintest``: at most MOST_SPLATS, those that cover most."""
     opacity, size = _opacity(rows), _size(rows)
     chosen = np.flatnonzero((opacity >= faintest) & np.isfinite(size).all(axis=0))
     if len(chosen) > MOST_SPLATS:
@@ -154,7 +153,7 @@ def seen(rows: NDArray[np.void], faintest: float) -> NDArray[np.int64]:
 
 
 def splats_of(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Splats:
-    """Gaussians [M] as native splats. Only those of no object have normals, so walls facing away are hidden."""
+    """Return Gaussians [M] as native splats. Those of no object get normals, so that walls facing away are hidden."""
     xyz, size, ids = _positions(rows), _size(rows).T, _ids(rows)
     normal = _fronts(_axes(rows), size, surface.facing(xyz, eyes))
     normal[ids["instance_id"] > 0] = 0.0
@@ -164,8 +163,8 @@ def splats_of(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Splat
 
 
 def squares(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Squares:
-    """The squares of Gaussians [M], as large as EXTENT standard deviations: flat ones as they lie, others as shadows on
-    the surface. Turned copies of those of objects that cameras see from behind follow."""
+    """The squares of Gaussians [M], as large as EXTENT standard deviations: flat ones in their plane, others projected
+    onto the surface. At the end, objects that cameras see from behind have their squares again, turned around."""
     middle, size = _positions(rows), np.minimum(_size(rows), _LARGEST).T
     axes = _axes(rows)
     first, second = across(_fronts(axes, size, surface.facing(middle, eyes)))
@@ -189,7 +188,7 @@ def squares(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Squares
 
 
 def _fronts(axes: NDArray[np.float32], size: NDArray[np.float32], facing: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Unit normals float32 [M, 3]: a flat Gaussian's own, on the side of `facing` [M, 3]; otherwise `facing`."""
+    """Return unit normals float32 [M, 3]: a flat Gaussian's own, on the side of `facing` [M, 3]; else `facing`."""
     # What is turned to the nearest eye shows others its back: a floor of such squares has holes.
     own = axes[np.arange(len(axes)), size.argmin(axis=1)]
     own = np.where(np.einsum("ij,ij->i", own, facing)[:, None] < 0.0, -own, own)
@@ -198,7 +197,7 @@ def _fronts(axes: NDArray[np.float32], size: NDArray[np.float32], facing: NDArra
 
 
 def seen_from_behind(middle: NDArray[np.float32], normal: NDArray[np.float32], eyes: Eyes) -> NDArray[np.int64]:
-    """Indices of the positions [M, 3] whose backs, opposite to the normals [M, 3], a camera sees."""
+    """Return the indices of the positions [M, 3] whose backs, opposite to the normals [M, 3], a camera sees."""
     normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.float32(1e-12))
     behind, count = np.zeros(len(middle), np.bool_), len(eyes.positions)
     for number in np.linspace(0, count - 1, min(count, _CAMERAS)).astype(np.int64):
@@ -218,7 +217,7 @@ def _opacity(rows: NDArray[np.void]) -> NDArray[np.float32]:
 
 
 def _size(rows: NDArray[np.void]) -> NDArray[np.float32]:
-    """Standard deviations along the three axes, float32 [3, N] in metres."""
+    """Return the standard deviations along the three axes, float32 [3, N] in metres."""
     return np.exp(np.stack([rows[f"scale_{axis}"] for axis in range(3)]))
 
 

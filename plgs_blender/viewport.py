@@ -1,5 +1,5 @@
-"""What editors show: a file that we create, 3D views of a lift, and a picture. Views that the user has set up keep
-their look."""
+"""What editors show: a file that we create, 3D views of a lift, and a picture. Views that the user set up keep their
+look."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SAME = 1e-3  # radians, and fractions of its distance, by which a view that the
 
 
 def start_file() -> bpy.types.Scene:
-    """Start an empty file in metres."""
+    """Start an empty file whose unit is metres, and return its scene."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene = bpy.context.scene
     scene.unit_settings.system, scene.unit_settings.length_unit = "METRIC", "METERS"
@@ -52,7 +52,7 @@ def start_file() -> bpy.types.Scene:
 
 
 def all_views() -> list[bpy.types.Area]:
-    """The 3D views of the file, in all its workspaces."""
+    """Return the 3D views of the file, in all its workspaces."""
     return [area for screen in bpy.data.screens for area in screen.areas if area.type == "VIEW_3D"]
 
 

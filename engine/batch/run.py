@@ -1,4 +1,4 @@
-"""A batch from its plan to its table."""
+"""Run a batch, from its plan to its table."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ STOPPED = "stopped"
 
 @dataclass
 class _Scene:
-    """The progress of a scene: the stages that follow, the submitted pieces, and the workers that cannot do it."""
+    """The state of a scene in a batch: stages to do, submitted pieces, and the workers that cannot do it."""
 
     job: SceneJob
     index: int
@@ -66,9 +66,9 @@ class _Scene:
 def run_batch(
     plan: BatchPlan, farm_options: FarmOptions, interrupts: Interrupts, events: EventWriter | None = None
 ) -> ExitCode:
-    """Do what is missing, show it on standard error and in ``events``, write the table and print it, with the rows of
-    earlier batches in the same folder. Failed scenes are rows with their reason; the exit code is that of the first of
-    them. Call it inside `interrupts.deferred()`. Raises PlgsError if nothing can begin, and OSError."""
+    """Do what a batch still needs, show it on standard error and in ``events``, write the table and print it, with the
+    rows of earlier batches in the same folder. Failed scenes are rows with their reason; the exit code is that of the
+    first of them. Call it inside `interrupts.deferred()`. Raises PlgsError if nothing can begin, and OSError."""
     refuse_foreign_below(plan.output, (RECORDS,))
     own_tables(plan.output)
     (plan.output / RECORDS).mkdir(parents=True, exist_ok=True)
@@ -100,12 +100,12 @@ def run_batch(
 
 
 def _turn(plan: BatchPlan) -> FileLock:
-    """The right to write rows and tables, which another batch may be writing; for ``with``."""
+    """The lock that a batch holds while it writes rows and tables, as another batch may write, too; for ``with``."""
     return FileLock(plan.output / RECORDS / "table.lock", _TABLE_S)
 
 
 class _Batch:
-    """The submitted pieces, and their outcomes."""
+    """The state of a running batch: the submitted pieces, and what came of them."""
 
     def __init__(self, plan: BatchPlan, farm: Farm, report: BatchReport, rows: dict[str, Row]) -> None:
         self._plan, self._farm, self._report, self._rows = plan, farm, report, rows
@@ -189,8 +189,8 @@ class _Batch:
             self._pins[future] = fit, time.monotonic()
 
     def _look_at_workers(self) -> None:
-        """Report if there has been no worker for long. A piece whose workers have all left goes to newer ones, also to
-        the same ones with new addresses; if none has come for long, `_submit` reports it."""
+        """Report if there has been no worker for long. If all workers for a piece have left, assign it to newer ones,
+        which may be the same with new addresses; if none has come for long, `_submit` reports it."""
         now = time.monotonic()
         if now < self._looked + _LOOK_S or self._farm.client.status != "running":
             return
@@ -224,13 +224,13 @@ class _Batch:
                 self._submit(piece)
 
     def _withdraw(self, future: Any) -> None:
-        """Withdraw the request for a piece. A worker that has begun it stops."""
+        """Cancel a submitted piece. A worker that has begun it stops."""
         del self._out[future]
         self._pins.pop(future, None)
         future.cancel()
 
     def _take_in(self) -> None:
-        """Handle the pieces that ended. If the scheduler was lost, submit the others again: they continue."""
+        """Handle the pieces that ended. If the scheduler was lost, submit all others again; they continue."""
         if self._farm.client.status != "running" or any(future.cancelled() for future in self._out):
             self._report.say("The scheduler is gone. Waiting for it to return.")
             reconnected(self._farm)
@@ -306,7 +306,6 @@ class _Batch:
         self._farm.client.subscribe_topic(TOPIC, hear)
 
     def _stop(self) -> None:
-        """Make all engines stop at their next step."""
         self._report.say("Stopping ...")
         lifts = {self._scenes[piece.scene].job.lift for piece in self._out.values()}
         with suppress(Exception):  # the scheduler may be gone
@@ -327,7 +326,7 @@ def _row(scene: _Scene, state: str, reason: str, code: int) -> Row:
 
 
 def lifted_metrics(metrics: Mapping[str, Json]) -> dict[str, Json]:
-    """The row of a metrics.json that scores the lift itself, without its classes; empty if there is none."""
+    """Return the entry of a metrics.json that scores the lift itself, without its classes; {} if there is none."""
     tables = metrics.get("tables")
     for table in tables if isinstance(tables, list) else []:
         if isinstance(table, dict) and table.get("name") == LIFTED and table.get("mode") in (STRICT, None):
@@ -339,7 +338,7 @@ BATCH = "batch"
 
 
 class BatchReport:
-    """Reports to a line of the terminal and to ``events`` alike. ``threads`` are those of a worker."""
+    """Reports a batch's progress in a line of the terminal and in ``events``. ``threads`` are those of a worker."""
 
     def __init__(self, events: EventWriter | None, threads: int) -> None:
         self._line, self._events = LiveLine(sys.stderr), events
@@ -349,7 +348,7 @@ class BatchReport:
             events.stage(BATCH, 1, 1, "Batch")
 
     def say(self, text: str) -> None:
-        """Print a line that stays."""
+        """Print a line of text that is not overwritten."""
         self._line.say(" ".join(text.splitlines()))
         if self._events is not None:
             self._events.warning(text)
@@ -363,7 +362,7 @@ class BatchReport:
         self._shown = done, scenes
 
     def ended(self, row: Row) -> None:
-        """Report a scene's row: the event "metric" with the name "scene"."""
+        """Report a scene's row as the event "metric" with the name "scene"."""
         about = f" in {row.seconds / 60:.1f} min" if row.state == Ended.DONE else ""
         about += f": {row.reason}" if row.reason else ""
         self._line.say(" ".join(f"{row.scene}: {row.state}{about}".splitlines()))
@@ -373,5 +372,5 @@ class BatchReport:
             self._events.metric("scene", figures | own)
 
     def end(self) -> None:
-        """Begin a new line for what is printed next."""
+        """End the live line, so that further output begins on a new line."""
         self._line.end()

@@ -15,7 +15,7 @@ from .tasks import EngineState, EngineStatus, running_set_up, status
 
 
 def why_no_engine() -> str | None:
-    """Why no engine can be started now, or None if one can. Never reads the disk."""
+    """Return why no engine can be started now, or None if one can. Never reads the disk."""
     engine = status()
     if not engine.is_usable and running_set_up() is not None:
         return "The engine is being set up: it takes some minutes"
@@ -23,7 +23,7 @@ def why_no_engine() -> str | None:
 
 
 def usable_python() -> Path:
-    """The last Python that answered or, without a window, one asked now, in 0.1 s. Raises PlgsError if none will do."""
+    """The last Python that answered or, without a window, one asked now, in 0.1 s. Raises PlgsError if none does."""
     known = status()
     if known.state is EngineState.READY and known.python is not None:
         return known.python
@@ -35,7 +35,7 @@ def usable_python() -> Path:
 
 
 def engine_python() -> Path | None:
-    """Same as `usable_python`, but None if there is none; `status` then says why."""
+    """Do as `usable_python`, but return None if there is none; `status` then says why."""
     known = status()
     try:
         if known.state is EngineState.CHECKING:  # the answer comes in a moment; a caller that needs it now may try

@@ -1,4 +1,4 @@
-"""The user's engine choices, stored in the add-on's preferences or, if it is not installed, for this session."""
+"""The user's choices for the engine, kept in the add-on's preferences or, without these, for this session."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ TORCH_BUILDS = [
 
 @dataclass(frozen=True)
 class SetUpChoice:
-    """What "Set Up Engine" installs."""
+    """The packages that "Set Up Engine" installs, and where from."""
 
     base_python: Path | None = None
     torch_build: str = "cpu"
     index_url: str = ""
 
     def arguments(self) -> list[str | Path]:
-        """The arguments of the engine's command."""
+        """The choice as arguments of the engine's set-up command."""
         arguments: list[str | Path] = ["--torch", self.torch_build]
         return arguments if self.base_python is None else [*arguments, "--base-python", self.base_python]
 
     def variables(self) -> dict[str, str]:
-        """The command's environment variables."""
+        """The choice as environment variables of the engine's set-up command."""
         # The URL may hold a password, which an argument would show in the list of processes.
         return {"PLGS_INDEX_URL": self.index_url} if self.index_url else {}
 
@@ -47,7 +47,7 @@ _file_of_preferences = ""
 
 
 def chosen_python() -> Path | None:
-    """The Python chosen with "Use This Python"; None lets PLGS choose."""
+    """Return the Python chosen with "Use This Python"; None lets PLGS choose."""
     return _path(_choices().engine_python)
 
 
@@ -57,7 +57,7 @@ def choose(python: Path | None) -> None:
 
 
 def set_up_choice(base_python: str = "", torch_build: str = "", index_url: str = "") -> SetUpChoice:
-    """What "Set Up Engine" installs; the preferences replace empty arguments."""
+    """Return what "Set Up Engine" installs; empty arguments are replaced by the preferences."""
     choices = _choices()
     return SetUpChoice(
         _path(base_python or choices.base_python),
@@ -67,8 +67,8 @@ def set_up_choice(base_python: str = "", torch_build: str = "", index_url: str =
 
 
 def studio() -> StudioDefaults:
-    """The studio's defaults, from the file that the variable names, else from the one in the preferences, which engines
-    that start later read, too. Raises PlgsError."""
+    """Return the studio's defaults, from the file that the variable names, else from the one in the preferences, which
+    engines started later read, too. Raises PlgsError."""
     global _file_of_preferences
     if os.environ.get(VARIABLE, "") == _file_of_preferences:  # not set by the user, who comes first
         _file_of_preferences = os.environ[VARIABLE] = str(_path(_choices().defaults_file) or "")
@@ -76,7 +76,7 @@ def studio() -> StudioDefaults:
 
 
 def own_python() -> Path:
-    """The Python that comes with this Blender."""
+    """Return the Python that comes with this Blender."""
     return Path(sys.executable)
 
 
@@ -85,7 +85,7 @@ def _choices() -> Any:
 
 
 def preferences() -> bpy.types.AddonPreferences | None:
-    """The extension's preferences; None if it is not installed."""
+    """Return the extension's preferences; None if it is not installed."""
     addon = bpy.context.preferences.addons.get(EXTENSION)
     return addon.preferences if addon is not None else None
 

@@ -1,4 +1,4 @@
-"""Checks which engine a Python has, sets the engine up, and removes it."""
+"""Check which engine a Python has, set the engine up, and remove it."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class EngineState(Enum):
 
 @dataclass(frozen=True)
 class EngineStatus:
-    """One line for the user, and a fix if the engine cannot be used. ``note`` mentions what is unusual but may work."""
+    """The engine's status: a line for the user, and a fix if it is unusable. ``note`` is about what may work."""
 
     state: EngineState
     message: str = ""
@@ -57,7 +57,7 @@ class EngineStatus:
 
     @property
     def is_usable(self) -> bool:
-        """Whether nothing known prevents its use."""
+        """Whether no known reason prevents its use."""
         return self.state not in (EngineState.MISSING, EngineState.FAILED)
 
 
@@ -66,7 +66,7 @@ _status = _UNKNOWN
 
 
 def status() -> EngineStatus:
-    """What is known about the engine. Never reads the disk."""
+    """Return what is known about the engine. Never reads the disk."""
     return _status
 
 
@@ -75,7 +75,7 @@ when_ready: list[Callable[[], object]] = []
 
 
 class EngineCheck(Task):
-    """Checks which engine a Python has."""
+    """A task that asks a Python which engine it has."""
 
     kind, label = "check", "Asking the engine"
 
@@ -107,7 +107,7 @@ class EngineCheck(Task):
 
 
 def _of_answer(choice: ChosenPython, answer: Mapping[str, Any] | None) -> EngineStatus:
-    """The status after a Python answered; None if it ended without an answer."""
+    """Return the status after a Python answered; ``answer`` is None if it ended without one."""
     engine = EngineAnswer.from_json(answer or {})
     if engine is None:
         message = f"{choice.python} answers, but not as a Python with this engine should"
@@ -133,7 +133,7 @@ def _failed(choice: ChosenPython, message: str, fix: str) -> EngineStatus:
 
 
 class SetUp(Task):
-    """Makes the engine's environment. After a cancel, the next set-up continues where this one stopped."""
+    """A task that makes the engine's environment. After a cancel, the next set-up continues where this one stopped."""
 
     kind, label, cancel_operator = "set-up", "Setting the engine up", "plgs.cancel_engine_set_up"
     counts_steps = False
@@ -162,7 +162,7 @@ class SetUp(Task):
             raise PlgsError("offline", "online access was switched off", "Set Up Engine", OFFLINE_FIX)
 
     def let_go(self) -> None:
-        """The engine ends within a second, after ending the programs it started."""
+        """End the engine within a second, after the programs that it started."""
         self.follower.close()
 
 
@@ -193,24 +193,24 @@ def check() -> EngineCheck | None:
 
 
 def ask_chosen() -> EngineCheck | None:
-    """`check` a newly chosen Python, and forget how the last set-up ended: it concerned the old one."""
+    """Check a newly chosen Python, and forget how the last set-up ended, as it concerned another one."""
     if running_set_up() is None:
         registry.forget(SetUp.kind)
     return check()
 
 
 def running_set_up() -> SetUp | None:
-    """The running set-up, or None."""
+    """Return the running set-up, or None."""
     return next(iter(registry.running(SetUp)), None)
 
 
 def log_path() -> Path:
-    """The path of the set-up's log, which may not exist."""
+    """Return the path of the set-up's log, which may not exist."""
     return environments_folder() / _LOG_NAME
 
 
 def why_no_set_up() -> str | None:
-    """Why the engine cannot be set up now, or None if it can. Never reads the disk."""
+    """Return why the engine cannot be set up now, or None if it can. Never reads the disk."""
     if running_set_up() is not None:
         return "The engine is already being set up"
     return None if bpy.app.online_access else f"Packages have to be downloaded. {OFFLINE_FIX}"

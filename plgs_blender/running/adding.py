@@ -1,4 +1,4 @@
-"""What the engine lacks for a capability, and adding it."""
+"""Find out which packages the engine lacks for a capability, and add them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ITEMS = [(name, CAPABILITIES[name].label, ", ".join(CAPABILITIES[name].packages)
 
 
 class Adding(Task):
-    """Adds packages to the engine. After a cancel or a failure, the engine is unchanged."""
+    """A task that adds packages to the engine. After a cancel or a failure, the engine is unchanged."""
 
     kind, label, cancel_operator = "add", "Adding to the engine", "plgs.cancel_adding"
     counts_steps = False
@@ -46,24 +46,24 @@ def lacking(name: str) -> tuple[str, ...]:
 
 
 def why_lacking(name: str) -> str | None:
-    """Why the engine cannot do it; None if it can or has not answered yet."""
+    """Return why the engine lacks a capability; None if it has it or has not answered yet."""
     packages = lacking(name)
     label = CAPABILITIES[name].label
     return f"{label}: the engine lacks {', '.join(packages)}. Add it to the engine" if packages else None
 
 
 def size_of(name: str) -> int:
-    """Approximate disk space that adding it takes, in bytes."""
+    """Return roughly how many bytes on disk the packages of a capability take."""
     return CAPABILITIES[name].size
 
 
 def why_not_added() -> str | None:
-    """Why nothing can be added now, or None. Never reads the disk."""
+    """Return why nothing can be added now, or None. Never reads the disk."""
     return "Something is already being added to the engine" if registry.running(Adding) else tasks.why_no_set_up()
 
 
 def add(name: str, python: Path, index_url: str = "") -> Adding:
-    """Start adding one of `ADDED` to the environment of ``python``. Raises PlgsError, OSError."""
+    """Start adding the packages for one of `ADDED` to the environment of ``python``. Raises PlgsError, OSError."""
     reason = why_not_added()
     if reason is not None:
         raise PlgsError("adding-refused", "nothing can be added to the engine now", CAPABILITIES[name].label, reason)

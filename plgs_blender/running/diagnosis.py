@@ -1,4 +1,4 @@
-"""The problems that an engine finds in a scene, and the fixed scene that it writes."""
+"""The problems that an engine finds in a scene, and the corrected scene that it writes."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from . import looking
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding: its ``cause`` in a word or two, a description with figures, its fix, and its picture. It is a
-    problem (``is_wrong``), which "Fix" can solve (``is_mended``), or a note. It concerns these ``frames``, or all if
-    there are none; a lift is better without those in ``leave_out``."""
+    """A finding of the diagnosis: its ``cause`` in a word or two, a description with figures, its fix, and its picture.
+    It is a problem (``is_wrong``), which "Fix" can solve (``is_mended``), or a note. It concerns these ``frames``, or
+    all if there are none; a lift is better without those in ``leave_out``."""
 
     cause: str
     text: str
@@ -42,14 +42,14 @@ class Finding:
 
 @dataclass(frozen=True)
 class FrameSplit:
-    """The contents of the splits.json at ``path``: the frames to train on, and the held-out ones."""
+    """The content of the splits.json at ``path``: the frames to train on, and the held-out ones."""
 
     path: Path
     train: tuple[str, ...]
     test: tuple[str, ...]
 
     def without(self, names: Iterable[str]) -> FrameSplit:
-        """The split without these frames."""
+        """Return the split without these frames."""
         gone = {*names}
         train, test = (tuple(name for name in part if name not in gone) for part in (self.train, self.test))
         return FrameSplit(self.path, train, test)
@@ -109,13 +109,13 @@ class Diagnosis(SceneTask):
 
 
 def diagnosis_of(chosen: ChosenScene) -> Diagnosis | None:
-    """The diagnosis of this scene; None if it was not measured or measuring was cancelled."""
+    """Return the diagnosis of this scene; None if it was not measured or measuring was cancelled."""
     known = registry.latest(Diagnosis)
     return known if known is not None and known.chosen == chosen and not known.was_cancelled else None
 
 
 def diagnose(settings: PLGS_PG_settings, mended: Path | None = None) -> Diagnosis:
-    """Let an engine measure the panel's scene, and write it fixed to ``mended``, if any. Raises PlgsError, OSError."""
+    """Let an engine measure the panel's scene and, if given, write ``mended``, corrected. Raises PlgsError, OSError."""
     registry.refuse_second(Diagnosis)
     chosen, python = chosen_scene(settings), usable_python()
     folder = Path(tempfile.mkdtemp(prefix="plgs-findings-"))
@@ -130,8 +130,8 @@ def diagnose(settings: PLGS_PG_settings, mended: Path | None = None) -> Diagnosi
 
 
 def leave_out(known: Diagnosis, finding: Finding) -> tuple[Path, Path | None]:
-    """Remove a finding's frames from the capture's splits.json; one that we did not write is renamed. Returns both
-    paths, the second None if there was none. Raises OSError, and PlgsError if no training frames would be left."""
+    """Remove a finding's frames from the capture's splits.json; one that we did not write is renamed first. Returns the
+    paths of both, the second perhaps None. Raises OSError, and PlgsError if no training frames would be left."""
     assert known.split is not None
     split = known.split.without(finding.leave_out)
     if not split.train:

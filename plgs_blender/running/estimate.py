@@ -1,4 +1,4 @@
-"""The cost of the lift that the panel describes, and the preset's values that it will use."""
+"""The estimated cost of the lift that the panel describes, and the preset's values that it will use."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ def learn_slowness() -> None:
 
 
 def bake_estimate(frames: int, size: tuple[int, int], layers: Collection[str]) -> BakeCost:
-    """The cost, on this computer, of baking these frames at ``size`` (width, height) pixels with further ``layers``."""
+    """Estimate the cost here of baking these frames at ``size`` (width, height) pixels with further ``layers``."""
     return predict_bake(frames, size, _slowness, layers)
 
 
 def estimate_of(settings: PLGS_PG_settings) -> Prediction | None:
-    """Time and memory of the lift that the settings describe; None if unknown. Never reads the disk."""
+    """Estimate time and memory of the lift that the settings describe; None if unknown. Never reads the disk."""
     survey = survey_of_panel(settings)
     if survey is None or survey.error is not None or not survey.sizes or why_no_options(settings):
         return None
@@ -54,7 +54,7 @@ NAMES = ("steps", "width", "height", "frames")
 
 
 def used_options(settings: PLGS_PG_settings) -> dict[str, int]:
-    """The values of NAMES that the lift will use, as far as known. Never reads the disk."""
+    """Return the values of NAMES that the lift will use, as far as known. Never reads the disk."""
     try:
         name, options = asked_of_preset(settings)
     except PlgsError:
@@ -70,7 +70,7 @@ def used_options(settings: PLGS_PG_settings) -> dict[str, int]:
 
 
 def _used(name: str, description: str, least: int = 0, **kinds: str) -> IntProperty:
-    """A property that shows the value that will be used; typing into it sets the setting of that name."""
+    """Declare a property that shows the value to be used; typing into it sets the setting of that name."""
 
     def read(shown: PLGS_PG_used_options) -> int:
         return used_options(shown.id_data.plgs)[name]
@@ -83,7 +83,7 @@ def _used(name: str, description: str, least: int = 0, **kinds: str) -> IntPrope
 
 
 class PLGS_PG_used_options(bpy.types.PropertyGroup):
-    """`scene.plgs_used`: the actual values behind the zeros of `scene.plgs`."""
+    """The actual values behind the zeros of `scene.plgs`: `scene.plgs_used`."""
 
     steps: _used("steps", "Training steps")
     width: _used("width", "Frames are scaled to fit this width", subtype="PIXEL")

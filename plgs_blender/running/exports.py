@@ -1,4 +1,4 @@
-"""Exports of finished lifts, including meshes and clouds in the scene."""
+"""Exports of finished lifts, also of meshes and clouds for the scene."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ OF_FRAMES = ("depth", "clouds", "coco", "instances", "scannet")
 
 
 class Export(Task):
-    """One export. Files written before a cancel stay. ``shown_in`` names the scene that its meshes or clouds go into.
-    If no user ``asked`` for it, the user's choice of what is shown stays, and an export by the user ends this one."""
+    """An export in progress. Files written before a cancel stay. ``shown_in`` names the scene for its meshes or clouds.
+    If no user ``asked`` for it, what the user chose to show stays, and an export by the user ends this one."""
 
     kind, label, cancel_operator = "export", "Exporting", "plgs.cancel_export"
 
@@ -55,17 +55,17 @@ class Export(Task):
 
     @property
     def is_for_scene(self) -> bool:
-        """Whether its result goes into a scene."""
+        """Whether its meshes or clouds go into a scene."""
         return bool(self._shown_in)
 
     @property
     def makes_meshes(self) -> bool:
-        """Whether its result is a scene's surface."""
+        """Whether it makes the surface that a scene shows."""
         return self.is_for_scene and self.form == SURFACE
 
     @property
     def message(self) -> str:
-        """One line about its success or cancellation."""
+        """One line for the user about its success or cancellation."""
         if self.was_cancelled:
             return "The export was cancelled"
         if self._shown_in:
@@ -117,7 +117,7 @@ def make_meshes(lift: Path, scene: bpy.types.Scene, frames: str = "all", *, aske
 
 
 def beside(lift: Path) -> Path:
-    """Where exports of a lift are proposed: its own name, beside it or, if nothing can be written there, at home."""
+    """Return where to propose exports of a lift: in its own name, beside it or, if that is read-only, at home."""
     return lift if os.access(lift.parent, os.W_OK) else Path.home() / lift.name
 
 
@@ -127,10 +127,10 @@ def is_busy() -> bool:
 
 
 def can_make_meshes_unasked() -> bool:
-    """Whether there is a window to show them, an engine, and no other export."""
+    """Whether meshes may be made unasked: there is a window to show them, an engine, and no other export."""
     return not bpy.app.background and engine_environment.why_no_engine() is None and not registry.running(Export)
 
 
 def making_meshes() -> Export | None:
-    """The running export whose meshes go into a scene."""
+    """Return the running export whose meshes go into a scene, or None."""
     return next((task for task in registry.running(Export) if task.makes_meshes), None)

@@ -1,9 +1,8 @@
-"""Imports the panel's scene into Blender, and shows one kind of picture (photo, depth or masks) for all frames.
+"""Import the panel's scene into Blender, and show one kind of picture (photo, depth or masks) for all frames.
 
-An engine makes what Blender cannot read. Its files are shown when it is done, in the import or lift with the same key,
+An engine makes what Blender cannot read. When it is done, its files are shown in the import or lift with the same key,
 so undo, another file or a removed camera do no harm. A frame's picture is made once its camera has been the scene's for
-a moment and nothing plays or renders: scrubbing stays fast, and a render keeps the pictures that it began with.
-"""
+a moment and nothing plays or renders: scrubbing stays fast, and a render keeps the pictures that it began with."""
 
 from __future__ import annotations
 
@@ -35,7 +34,7 @@ _NAMES = {"colour": "pictures", "cloud": "a coloured cloud"}
 
 @dataclass(frozen=True)
 class FrameOrder:
-    """The files of a scene that an engine should make, and where to show them. ``kinds`` are as in the engine's
+    """An order to an engine to make files of a scene's frames, and where to show them. ``kinds`` are as in the engine's
     command. ``lift`` is the key of an import or lift; without one, the engine first lists the cameras, which go into
     the Blender scene named ``scene``. With ``frame``, only that frame is made, and its picture ``shown_kind`` is shown.
     There is an undo step only if a user ``asked`` for it."""
@@ -92,7 +91,7 @@ class FrameMaking(Task):
                     frame_pictures.show_made(each, ob, order.shown_kind, made.frames[order.frame])
 
     def error_for(self, chosen: ChosenScene | None, lift: str) -> PlgsError | None:
-        """Its error, if it concerns this scene, or the import or lift with this key."""
+        """Return its error, if it concerns this scene, or the import or lift with this key."""
         is_of_it = self.order.chosen == chosen or (lift and self.order.lift == lift)
         return self.error if is_of_it else None
 
@@ -108,7 +107,7 @@ def make_frames(order: FrameOrder, python: Path) -> FrameMaking:
 
 
 def _place(chosen: ChosenScene, scene: bpy.types.Scene, made: MadeFrames | None, cloud: bool) -> bpy.types.Collection:
-    """Place the scene. In an untouched startup file, the views then turn to it. Raises PlgsError."""
+    """Place the scene. In an unchanged startup file, the views then turn to it. Raises PlgsError."""
     with taking_over(scene) as is_untouched:
         root = place_scene(chosen, scene, made, cloud=cloud)
     if is_untouched:
@@ -118,7 +117,7 @@ def _place(chosen: ChosenScene, scene: bpy.types.Scene, made: MadeFrames | None,
 
 def begin_import(scene: bpy.types.Scene, *, cloud: bool = True) -> FrameMaking | None:
     """Import the panel's scene. Plain folders are placed at once, and an engine, if any, makes what is missing. Cameras
-    of other layouts appear when it has read them. Returns its task, or None. Raises PlgsError, OSError."""
+    of other layouts appear when the engine has read them. Returns its task, or None. Raises PlgsError, OSError."""
     if not scene.plgs.scene_folder:
         raise PlgsError("no-scene", "no scene is chosen", "Scene", "Choose a capture's folder or file.")
     chosen = chosen_scene(scene.plgs)
@@ -141,13 +140,13 @@ def begin_import(scene: bpy.types.Scene, *, cloud: bool = True) -> FrameMaking |
 
 
 def imported(scene: bpy.types.Scene) -> bpy.types.Collection | None:
-    """The collection of the panel's scene, or None if it is not imported."""
+    """Return the collection of the panel's scene, or None if it is not imported."""
     folder = chosen_scene(scene.plgs).scene
     return next((root for root in lifts_in(scene) if is_same_place(root.get(SCENE, ""), folder)), None)
 
 
 def what_is_missing(root: bpy.types.Collection) -> str:
-    """A line about what an engine would add to an import; empty if nothing is missing."""
+    """Return a line about what an engine would add to an import; "" if nothing is missing."""
     missing = " and ".join(_NAMES[kind] for kind in root.get(MISSING, "").split())
     return f"An engine would add {missing}: {why_no_engine() or 'import again'}" if missing else ""
 
@@ -178,7 +177,7 @@ def show_picture(scene: bpy.types.Scene, shown_kind: str, *, asked: bool = True)
 
 
 def _picture_file(root: bpy.types.Collection, name: str, chosen: ChosenScene, made: MadeFrames | None) -> Path | None:
-    """The image file of a frame; None if an engine must make it. Raises PlgsError."""
+    """Return the image file of a frame; None if an engine must make it. Raises PlgsError."""
     if text_of(root, FOLDER):
         opened = known_scene(LiftFolder.open(absolute(root[FOLDER])))
     elif chosen.is_plain:
@@ -201,7 +200,7 @@ _tried: list[tuple[str, str]] = []
 
 
 def choose_picture(scene: bpy.types.Scene, kind: str, *, asked: bool = True) -> FrameMaking | None:
-    """`show_picture` for the active camera and every later one."""
+    """Do as `show_picture` for the active camera and, from now on, for every camera that becomes active."""
     making = show_picture(scene, kind, asked=asked)
     frame_pictures.root_of(scene, scene.camera)[_CHOSEN] = kind
     _tried[:] = [(scene.camera.name, kind)]
@@ -209,7 +208,7 @@ def choose_picture(scene: bpy.types.Scene, kind: str, *, asked: bool = True) -> 
 
 
 def wanted(scene: bpy.types.Scene) -> str:
-    """The picture that the scene's camera should show but does not; empty if it shows what was chosen."""
+    """Return the kind of picture that the scene's camera should show but does not; "" if it shows what was chosen."""
     if frame_pictures.why_no_picture(scene) is not None:
         return ""
     try:
@@ -221,7 +220,7 @@ def wanted(scene: bpy.types.Scene) -> str:
 
 
 def catch_up() -> float | None:
-    """Show the picture that the camera should show. Returns the seconds to wait while something else is going on."""
+    """Show the picture that the camera should show. Returns the seconds to wait if something else is going on."""
     scene, windows = bpy.context.scene, bpy.context.window_manager.windows
     kind = wanted(scene)
     if not kind:

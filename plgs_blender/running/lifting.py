@@ -1,4 +1,4 @@
-"""From the panel's settings to a lift, a bake or an export, and from a finished lift to objects in the scene."""
+"""Start a lift, a bake or an export from the panel's settings, and put a finished lift into the scene."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ from .survey import survey_of_panel, why_not_liftable
 
 
 def followed_lift(settings: PLGS_PG_settings) -> Lift | None:
-    """The lift that is shown, if it is followed."""
+    """Return the lift that the panel shows, if it is followed, else None."""
     folder = lifts.shown_lift(settings)
     return None if folder is None else lifts.lift_of(folder)
 
 
 def why_no_scene(settings: PLGS_PG_settings) -> str | None:
-    """Why the panel's scene cannot be used; None if it can or is not known yet. Never reads the disk."""
+    """Return why the panel's scene cannot be used; None if it can or is not known yet. Never reads the disk."""
     if not settings.scene_folder:
         return "Choose the scene's folder first"
     survey = survey_of_panel(settings)
@@ -47,7 +47,7 @@ def why_no_scene(settings: PLGS_PG_settings) -> str | None:
 
 
 def why_no_lift(settings: PLGS_PG_settings) -> str | None:
-    """Why the panel's lift cannot be started now, or None. Never reads the disk."""
+    """Return why the panel's lift cannot be started now, or None. Never reads the disk."""
     followed = followed_lift(settings)
     if followed is not None and followed.is_running:
         return "Passes of this lift are being baked" if followed.is_baking else "This lift is already running"
@@ -58,7 +58,7 @@ def why_no_lift(settings: PLGS_PG_settings) -> str | None:
 
 
 def why_no_device(settings: PLGS_PG_settings) -> str | None:
-    """Why the engine cannot lift on the panel's device, by its last answer; or None. Never reads the disk."""
+    """Return why the engine cannot lift on the panel's device, by its last answer; or None. Never reads the disk."""
     lacks = lacking("cuda") if settings.device == "cuda" else ()
     needs_torch = "torch for CUDA" in lacks
     fix = "Set the engine up with Torch: CUDA" if needs_torch else "Install gsplat with the engine's own Python"
@@ -66,8 +66,8 @@ def why_no_device(settings: PLGS_PG_settings) -> str | None:
 
 
 def earlier_lift(settings: PLGS_PG_settings) -> Path | None:
-    """The complete lift of the same scene, shown in Blender's scene (the chosen one, if several), whose
-    objects keep their names; or None."""
+    """Return the earlier lift of the same scene whose names the objects shall keep, or None. It must be complete and
+    placed in Blender's scene; of several it is the active one."""
     if not settings.keep_names or not settings.scene_folder:
         return None
     scene, folder = settings.id_data, absolute(settings.scene_folder)
@@ -114,8 +114,8 @@ def resume_lift(settings: PLGS_PG_settings, folder: str = "") -> Lift:
 
 
 def finer_preset(settings: PLGS_PG_settings, lift: LiftFolder) -> PresetName | None:
-    """The preset by which the panel would refine a lift: its own choice if that is better than the lift's, else the
-    next better one; None if the lift is no draft."""
+    """Return the preset with which the panel would refine a lift: its own choice if that is better than the lift's,
+    else the next better one; None if the lift is no draft."""
     if lift.request.preset != "draft":
         return None
     chosen: PresetName = settings.preset
@@ -123,7 +123,7 @@ def finer_preset(settings: PLGS_PG_settings, lift: LiftFolder) -> PresetName | N
 
 
 def refine_lift(settings: PLGS_PG_settings, folder: str = "") -> Lift:
-    """Go on from the finished draft in `folder`, else in that of the settings, by the panel's preset, or by Preview.
+    """Refine the finished draft in `folder`, else in that of the settings, with the panel's preset, or with Preview.
     Names and corrections stay. Raises OSError, and PlgsError if it is no finished draft, or an engine is at work."""
     lift = lift_at(settings, folder)
     known, preset = lifts.attach(lift.path), finer_preset(settings, lift)
@@ -138,7 +138,7 @@ def refine_lift(settings: PLGS_PG_settings, folder: str = "") -> Lift:
 
 
 class SceneFinding(Task):
-    """Compares the frames of a folder with those of a lift, which reads them from there if they match."""
+    """Compares the frames of a folder with those of a lift. If they match, the lift now reads them from there."""
 
     kind, label, undo_step = "find_scene", "Comparing the frames", "Find Scene"
 
@@ -159,8 +159,8 @@ class SceneFinding(Task):
 
 
 def find_scene(scene: bpy.types.Scene, place: Path, folder: str = "") -> SceneFinding:
-    """Let an engine record where the scene of the lift in `folder`, else of the settings' lift, is now. If the lift is
-    shown, its photos appear again. Raises PlgsError, including if it is another scene."""
+    """Let an engine change the path of the scene in the lift in `folder`, else in the settings' lift, to ``place``. If
+    the lift is shown, its photos appear again. Raises PlgsError, also if it is another scene."""
     registry.refuse_second(SceneFinding)
     lift = lift_at(scene.plgs, folder)
     follower = start_engine("find-scene", engine_environment.usable_python(), lift.path, place)
@@ -179,7 +179,7 @@ def join_lift(scene: bpy.types.Scene, folder: str = "") -> Lift:
 
 
 def bind_lift(scene: bpy.types.Scene, active: bpy.types.Object | None, folder: Path) -> str:
-    """Bind the lift that the panels show, and the panel, to the folder to which it was moved. Raises PlgsError."""
+    """Tell the lift that the panels show, and the panel, the folder to which it was moved. Raises PlgsError."""
     root = find_lift(scene, active=active)
     bind(root, folder)
     lift = lifts.attach(folder).folder
@@ -202,7 +202,7 @@ def cancel_lift(settings: PLGS_PG_settings, folder: str = "") -> None:
 
 
 def why_no_bake(settings: PLGS_PG_settings) -> str | None:
-    """Why the panel cannot bake passes now, or None. Never reads the disk."""
+    """Return why the panel cannot bake passes now, or None. Never reads the disk."""
     followed = followed_lift(settings)
     if followed is None or not (followed.has_result or followed.is_running):
         return "Passes are baked from a finished lift: lift the scene first, or choose a lift's folder"
@@ -253,7 +253,7 @@ def export_lift(settings: PLGS_PG_settings, form: str, output: str, frames: str,
 
 def make_depth_cloud(scene: bpy.types.Scene, frame: str, folder: str = "") -> exports.Export:
     """Let an engine make labelled points of what a frame's camera sees of a placed lift, and put them into the scene.
-    If ``frame`` is empty, use the active camera's current view. Raises PlgsError, OSError."""
+    If ``frame`` is "", use the active camera's current view. Raises PlgsError, OSError."""
     lift = lift_at(scene.plgs, folder).path
     root, python = root_of_placed(lift, scene), engine_environment.usable_python()
     if not frame and scene.camera is not None:
@@ -285,7 +285,7 @@ def log_of(settings: PLGS_PG_settings, folder: str = "") -> Path:
 
 
 def lift_at(settings: PLGS_PG_settings, folder: str = "") -> LiftFolder:
-    """The lift in `folder`, else the one that is shown. Raises PlgsError if there is none."""
+    """Return the lift in `folder`, else the one that is shown. Raises PlgsError if there is none."""
     path: Path | None = absolute(folder) if folder else lifts.shown_lift(settings)
     if path is None:
         raise PlgsError("no-lift", "no lift is chosen", "Lift Folder", "Start a lift, or choose the folder of one.")

@@ -48,7 +48,7 @@ _shown: dict[Path, tuple[str, NDArray[np.float32]]] = {}
 
 
 def follow_camera(lift: LiftFolder, scenes: Iterable[bpy.types.Scene]) -> None:
-    """Request a preview from the active camera of the first of these scenes that shows this lift."""
+    """Request a preview of a lift from the active camera of the first of these scenes that shows it."""
     wanted = next((view for scene in scenes if _shows(scene, lift.path) and (view := _view_of(scene))), None)
     if wanted is None or wanted == _asked.get(lift.path):
         return
@@ -60,8 +60,8 @@ def follow_camera(lift: LiftFolder, scenes: Iterable[bpy.types.Scene]) -> None:
 
 
 def show(lift: LiftFolder, picture: Path, camera: str) -> bool:
-    """Store the engine's newest picture if its camera, with this fingerprint, is the requested one; returns whether it
-    is. If another Blender requested another camera, ours is requested again."""
+    """Keep the engine's newest picture if it was rendered from the requested camera, whose fingerprint is ``camera``;
+    returns whether it was. If another Blender requested another camera, ours is requested again."""
     asked = _asked.get(lift.path)
     if asked is None or not picture.is_file():
         return False
@@ -76,7 +76,7 @@ def show(lift: LiftFolder, picture: Path, camera: str) -> bool:
 
 
 def picture_for(scene: bpy.types.Scene) -> NDArray[np.float32] | None:
-    """The picture to draw over the frame of the scene's camera or over its `own_view`; None if there is none yet."""
+    """The picture, float32 [H, W, 4], to draw over the frame of the scene's camera or of its `own_view`, or None."""
     for lift, (camera, pixels) in _shown.items():
         view = _view_of(scene) if _shows(scene, lift) else None
         if view is not None and view.fingerprint == camera:
@@ -85,15 +85,15 @@ def picture_for(scene: bpy.types.Scene) -> NDArray[np.float32] | None:
 
 
 def forget(lift: Path | None = None) -> None:
-    """Forget the previews of the lift in this folder, or of all lifts."""
+    """Drop the pictures of the lift in this folder, or of all lifts."""
     for kept in (_asked, _shown):
         for each in [lift] if lift is not None else list(kept):
             kept.pop(each, None)
 
 
 def _view_of(scene: bpy.types.Scene) -> PreviewCamera | None:
-    """The camera of the scene's 3D view, or the scene's camera if the view looks through one; None if it cannot be
-    rendered."""
+    """Return the camera of the scene's 3D view, or the scene's camera if the view looks through one; None if it cannot
+    be rendered."""
     own = own_view(scene)
     camera = own[1] if own is not None else camera_seen(scene)
     if camera is None:
@@ -112,7 +112,7 @@ def _shows(scene: bpy.types.Scene, lift: Path) -> bool:
 
 
 def _pixels_of(picture: Path) -> NDArray[np.float32] | None:
-    """An image file's pixels, float32 [H, W, 4]; None if the engine has just removed it."""
+    """Return an image file's pixels, float32 [H, W, 4]; None if the engine has just removed it."""
     try:
         image = bpy.data.images.load(str(picture), check_existing=False)
     except RuntimeError:
@@ -132,8 +132,9 @@ _SHOWN_RECENT = 8  # maximum number of recent lifts listed in the panel
 
 
 class Lift(Task):
-    """A followed lift, or a later bake of its frames, started here or elsewhere. ``lift_state`` and ``has_result`` are
-    as last read: a lift that was lifted again and stopped has its earlier result. ``shot`` is what it bakes."""
+    """A lift that is followed, or a later bake of its frames, started here or elsewhere. ``lift_state`` and
+    ``has_result`` are as last read: a lift that was stopped while lifting again has its earlier result. ``shot`` is
+    what is baked."""
 
     kind, cancel_operator = "lift", "plgs.cancel_lift"
     shot: ShotReader | None = None
@@ -155,7 +156,7 @@ class Lift(Task):
 
     @property
     def is_baking(self) -> bool:
-        """Whether it is a later bake of more frames, not the lift itself."""
+        """Whether this is a later bake of more frames, not the lift itself."""
         return self.follower.kind == BAKE
 
     @property
@@ -170,7 +171,7 @@ class Lift(Task):
 
     @property
     def message(self) -> str:
-        """One line about its success or cancellation."""
+        """One line for the user about its success or cancellation."""
         if self.is_baking:
             return "The passes are baked" if self.state is TaskState.FINISHED else "Baking was cancelled"
         if self.is_finished:
@@ -203,7 +204,7 @@ class Lift(Task):
         self.undo_step = "Show Result"
 
     def watch(self, scenes: Sequence[Any], has_news: bool) -> bool:
-        """Update the live preview."""
+        """Update the live preview. Returns whether 3D views need redrawing."""
         if not self.is_running:
             forget(self.folder.path)
             return True
@@ -215,7 +216,7 @@ class Lift(Task):
         return show(self.folder, progress.live_preview, progress.live_preview_camera)
 
     def let_go(self) -> None:
-        """Our own engine ends within a second, unless it should outlive Blender. The lift can be resumed."""
+        """End our own engine within a second, unless it should outlive Blender. The lift can be resumed."""
         self.follower.close()
 
 
@@ -228,13 +229,13 @@ recent: list[RecentLift] = []
 
 
 def lift_of(folder: Path) -> Lift | None:
-    """The lift in this folder (absolute); None if it is not followed."""
+    """Return the followed lift in this folder (absolute); None if it is not followed."""
     task = registry.task_of((Lift.kind, folder))
     return task if isinstance(task, Lift) else None
 
 
 def stops_with_blender(scene: Any) -> bool:
-    """Whether a lift is running that stops when Blender quits."""
+    """Whether a lift is running that ends when Blender quits."""
     return not scene.plgs.keep_running and any(each.follower.is_own for each in registry.running(Lift))
 
 
@@ -294,7 +295,7 @@ def attach(folder: Path) -> Lift:
 
 
 def shown_lift(settings: PLGS_PG_settings) -> Path | None:
-    """The folder of the panel's lift, else of the lift that the settings' scene shows, else None."""
+    """Return the folder of the panel's lift, else of the lift that the settings' scene shows, else None."""
     root = active_lift(settings.id_data, None)
     placed = "" if root is None else text_of(root, FOLDER)
     return chosen_lift(settings) or (absolute(placed) if placed else None)
@@ -321,8 +322,8 @@ def showing_lift(
     scene: Any, lift: LiftFolder, is_wanted: Callable[[Any], bool] = lambda scene: True
 ) -> Generator[None, None, Placed | None]:
     """Put a finished lift into the scene, copy its options to the panel and point the 3D views at it, in parts, so that
-    the window does not freeze. Returns where it is; None if the scene is gone when the lift is read, or no longer wants
-    it. Raises PlgsError."""
+    the window does not freeze. Returns where it is; None if, once the lift is read, the scene is gone or `is_wanted` is
+    false for it. Raises PlgsError."""
     name = scene.name
     read = yield from reading_lift(lift.path)
     scene = bpy.data.scenes.get(name)  # undo may have put another one in its place

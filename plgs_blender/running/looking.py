@@ -1,4 +1,4 @@
-"""What is read without the user asking: the chosen scene, the chosen lift, and the lifts of an opened file."""
+"""Read without being asked: the chosen scene, the chosen lift, and the lifts of an opened file."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ _PARTS_S = 0.02  # seconds of reading a list without a pause, and of the pause
 
 
 def look_at_scene(chosen: ChosenScene) -> None:
-    """Read what is in a scene's folder. `survey.survey_of` then has it; in a window, a moment later."""
+    """Read what is in a scene's folder. `survey.survey_of` then returns it; in a window, a moment later."""
     estimate.learn_slowness()
     # Without a window nothing polls an engine, and reading it here keeps nobody waiting.
     survey.look(chosen, None if bpy.app.background else engine_python())
 
 
 def find_own_lifts() -> None:
-    """Follow the lifts that the open file's scenes name or show, if this user's list has them, or they are beside the
-    file. Somebody else's file may name any path, such as a FIFO or a disk that never answers. Other paths, and the
-    scene's folder, are read only when the user asks."""
+    """Follow the lifts that the open file's scenes name or show, if they are in this user's list or beside the file.
+    Other paths, and the scene's folder, are read only when the user asks, as somebody else's file may name any path,
+    such as a FIFO or a disk that never answers."""
     for scene in bpy.data.scenes:
         folder = lifts.shown_lift(scene.plgs)
         if folder is not None and _is_own(folder):
@@ -43,8 +43,7 @@ def find_own_lifts() -> None:
 
 
 def _is_own(lift: Path) -> bool:
-    """Whether this user's list has a lift, or it moves along with the open file: it is in the file's folder or in that
-    one's, or it is one of them."""
+    """Whether a lift is in this user's list, or near the open file: the same as, beside, above or below its folder."""
     if str(lift) in remembered_lifts():
         return True
     here = absolute("//") if bpy.data.filepath else None
@@ -52,8 +51,8 @@ def _is_own(lift: Path) -> bool:
 
 
 def begin_to_read_objects() -> None:
-    """Start reading the objects of the lift that the open file shows: an edit would otherwise wait for them. Note which
-    of its lifts have changed or are gone. It reads a lift only if it is the user's own, and no link leads elsewhere."""
+    """Start reading the objects of the lift that the open file shows, so that edits need not wait for them. Note which
+    of its lifts have changed or are gone. Only the user's own lifts are read, and no links out of them are followed."""
     roots = [root for scene in (bpy.context.scene, *bpy.data.scenes) for root in lifts_in(scene)]
     shown = {folder_of(root): root for root in reversed(roots) if text_of(root, FOLDER)}
     corrections.outdated.clear()
@@ -84,7 +83,7 @@ def _on_lift_chosen(settings: PLGS_PG_settings) -> None:
 
 
 def _when_engine_is_ready() -> None:
-    """Look again at scenes that were chosen before: Blender alone sees less in them."""
+    """Read scenes that were chosen before once more, as Blender without an engine sees less in them."""
     for scene in bpy.data.scenes:
         seen = survey.survey_of_panel(scene.plgs)
         if seen is not None and seen.has_masks is None:

@@ -30,7 +30,7 @@ TABLE_ITEMS = [
 
 
 class PLGS_PG_mask_class(bpy.types.PropertyGroup):
-    """One class of the masks. `into` names the class that it counts as; empty means itself."""
+    """One class of the masks. `into` names the class that it counts as; "" means itself."""
 
     label: IntProperty(name="Number", description="Its number in the masks")
     into: StringProperty(name="Counts As",
@@ -51,7 +51,7 @@ def _take_known(masks: PLGS_PG_masks, context: bpy.types.Context) -> None:
 
 
 class PLGS_PG_masks(bpy.types.PropertyGroup):
-    """`scene.plgs_masks`: the list of classes, its file, and the network that makes masks."""
+    """The list of classes, its file, and the network that makes masks: `scene.plgs_masks`."""
 
     classes: CollectionProperty(type=PLGS_PG_mask_class)
     active: IntProperty()
@@ -75,7 +75,7 @@ def fill_classes(masks: PLGS_PG_masks, listed: Mapping[str, Any]) -> None:
 
 
 def edited_classes(masks: PLGS_PG_masks) -> dict[str, Any]:
-    """The rows as input of the engine's command ``classes --write``. Raises PlgsError."""
+    """Return the rows as input for the engine's command ``classes --write``. Raises PlgsError."""
     rows = [
         {"label": row.label, "name": row.name, "into": row.into or row.name, "is_thing": row.is_thing}
         for row in masks.classes
@@ -93,7 +93,7 @@ PROPERTIES = ((bpy.types.Scene, "plgs_masks", PLGS_PG_masks),)
 
 
 class ClassListing(SceneTask):
-    """Lists the classes in the rows of the scene named ``target``."""
+    """Lists the classes of masks in the rows of the scene named ``target``."""
 
     kind, label = "classes", "Reading the classes"
     undo_step = "PLGS Read Classes"
@@ -143,7 +143,7 @@ def write_classes(scene: bpy.types.Scene) -> ClassWriting:
 
 
 class Preparation(SceneTask):
-    """Prepares a scene. At the end the panel reads the scene again, if that is still the chosen one."""
+    """A task that prepares a scene. At its end the panel reads the scene again, if it is still the chosen one."""
 
     def done(self, scene: Any) -> None:
         settings = scene.plgs
@@ -152,7 +152,7 @@ class Preparation(SceneTask):
             looking.look_at_scene(chosen_scene(settings))
 
     def take_scene(self, settings: Any) -> None:
-        """Put the scene that it made, if any, into the settings."""
+        """Put the scene that the task made, if any, into the settings."""
 
 
 class MaskMaking(Preparation):
@@ -168,7 +168,7 @@ class PoseMaking(Preparation):
 
     @property
     def message(self) -> str:
-        """What it made; empty before that."""
+        """What was made, in a line; "" before that."""
         made = self.answer or {}
         return f"Poses of {made['posed']} of {made['photos']} photos" if "posed" in made else ""
 
@@ -187,14 +187,14 @@ class ScaleSetting(Preparation):
 
     @property
     def message(self) -> str:
-        """The scale; empty before it is set."""
+        """The scale in a line; "" before it is set."""
         made = self.answer or {}
         return f"Lengths are multiplied by {made['scale']:.4g}: import the scene again" if "scale" in made else ""
 
 
 class FilmMaking(Preparation):
-    """Makes what a film or photos lack. Then it starts the lift, if they are still the panel's scene. What was made
-    before a cancel is kept, and the next run continues."""
+    """Makes what a film or photos lack, then starts the lift, if they are still the panel's scene. What was made before
+    a cancel is kept, and the next run continues."""
 
     kind, label, cancel_operator = "prepare", "Preparing the film", "plgs.cancel_film"
 
@@ -212,8 +212,8 @@ def make_depth(chosen: ChosenScene, python: Path, model: str, *, download: bool)
 
 
 def prepare_film(settings: Any, film: Path, python: Path, model: str, *, download: bool) -> FilmMaking:
-    """Choose a film, or a folder of photos, and start an engine that makes what it lacks, with the network ``model``
-    for masks; the lift follows. Raises OSError, PlgsError."""
+    """Choose a film, or a folder of photos, as the scene, and start an engine that makes what it lacks, masks with the
+    network ``model``; the lift follows. Raises OSError, PlgsError."""
     registry.refuse_second(FilmMaking)
     settings.scene_folder = settings.masks = settings.detections = settings.depth = ""  # those of an earlier scene
     settings.scene_folder = str(film)
@@ -222,15 +222,15 @@ def prepare_film(settings: Any, film: Path, python: Path, model: str, *, downloa
 
 
 def set_scale(chosen: ChosenScene, python: Path, length: float, metres: float) -> ScaleSetting:
-    """Start an engine that scales the scene so that a ``length``, as it is now, becomes ``metres``. Raises OSError,
-    PlgsError."""
+    """Start an engine that scales the scene so that what is now ``length`` long becomes ``metres`` long. Raises
+    OSError, PlgsError."""
     registry.refuse_second(ScaleSetting)
     command: list[str | Path] = [chosen.scene, "--measured", str(length), str(metres)]
     return registry.begin(ScaleSetting(chosen, start_engine("scale", python, *command)))
 
 
 def _network(option: str, model: str, *, download: bool) -> list[str]:
-    """Arguments that name a network, by a folder's absolute path or a name, and say whether it may be fetched."""
+    """Return arguments that name a network, a folder's absolute path or a name, and say if it may be fetched."""
     if model and absolute(model).is_dir():  # the engine's working folder is not Blender's
         model = str(absolute(model))
     return [*([option, model] if model else []), *(["--download"] if download else [])]
@@ -238,8 +238,8 @@ def _network(option: str, model: str, *, download: bool) -> list[str]:
 
 def make_masks(chosen: ChosenScene, python: Path, model: str, *, download: bool, every: bool = False) -> MaskMaking:
     """Start an engine that makes masks of the frames that matter, or of ``every`` one. ``model`` is a folder or a name
-    on the Hugging Face Hub, which ``download`` allows fetching; empty: the engine's default. Raises OSError, and
-    PlgsError if one is already running or cannot be started."""
+    on the Hugging Face Hub, from which it is fetched only with ``download``; "" is the engine's default. Raises
+    OSError, and PlgsError if one is already running or cannot be started."""
     registry.refuse_second(MaskMaking)
     command: list[str | Path] = [chosen.scene, f"--up={chosen.up_option}", *([] if every else ["--frames=auto"])]
     command += [] if chosen.scene_format is None else ["--format", chosen.scene_format]

@@ -1,7 +1,5 @@
-"""What the panel's scene contains, and what can be done with it.
-
-An engine reads the pixels in the background; without one, only the headers of plain folders are read.
-"""
+"""What the panel's scene contains, and what can be done with it. An engine reads the pixels in the background; without
+one, only the headers of plain folders are read."""
 
 from __future__ import annotations
 
@@ -27,7 +25,7 @@ _GIVE = {"depth": "choose depth maps", "masks": "choose or make masks"}
 
 @dataclass(frozen=True)
 class Survey:
-    """What is known about a scene; nothing while an engine looks (``is_looking``). ``error`` says why it cannot be
+    """What is known about a scene; nothing while an engine reads it (``is_looking``). ``error`` says why it cannot be
     lifted. ``classes`` are names with sRGB colours, 0..1, and ``things`` the names of those with instances. ``sizes``
     are the sizes of images with their counts. In both, the commonest come first. ``depth_range`` is the nearest, median
     and farthest depth in metres, None if no engine has read the pixels; ``has_masks`` is None then, too.
@@ -58,7 +56,7 @@ class Survey:
 
 
 class SceneLook(SceneTask):
-    """Reads a scene's pixels, with an engine."""
+    """A task in which an engine reads a scene's pixels."""
 
     kind, label = "survey", "Looking at the frames"
 
@@ -72,12 +70,12 @@ _latest: Survey | None = None
 
 
 def survey_of(chosen: ChosenScene) -> Survey | None:
-    """What is known about this scene; None if it was never read."""
+    """Return what is known about this scene; None if it was never read."""
     return _latest if _latest is not None and _latest.chosen == chosen else None
 
 
 def survey_of_panel(settings: PLGS_PG_settings) -> Survey | None:
-    """What is known about the panel's scene."""
+    """Return what is known about the panel's scene, or None."""
     return survey_of(chosen_scene(settings)) if settings.scene_folder else None
 
 
@@ -99,7 +97,7 @@ def look(chosen: ChosenScene, python: Path | None) -> Survey:
 
 
 def _look_alone(chosen: ChosenScene) -> Survey | None:
-    """What Blender sees without an engine; None if an engine is needed and available. Raises PlgsError."""
+    """Return what Blender sees without an engine; None if an engine is needed and available. Raises PlgsError."""
     for path in (chosen.scene, chosen.masks, chosen.depth):
         if path is not None and not os.path.exists(path):
             raise PlgsError("file-missing", "there is no such file or folder", path, "Choose another one.")
@@ -126,7 +124,7 @@ def _of_plain(chosen: ChosenScene, scene: PosedScene) -> Survey:
 
 
 def _with_answer(survey: Survey, answer: Mapping[str, Any] | None, error: PlgsError | None) -> Survey:
-    """The survey with the answer of `engine inspect`, or its error."""
+    """Return the survey with the answer of `engine inspect`, or its error."""
     if error is not None or answer is None:
         unknown = PlgsError("bad-answer", "the engine did not say what is in it", survey.chosen.scene, "Look again.")
         return replace(survey, error=error or unknown)
@@ -169,13 +167,13 @@ def _colour(colour: Sequence[int]) -> Colour:
 
 
 def _is_of_all(answer: Mapping[str, Any], sizes: str) -> bool:
-    """Whether the counts of these sizes cover all frames."""
+    """Whether the frame counts of these ``sizes`` in an answer cover all frames."""
     count = sum(int(count) for _, count in answer[sizes])
     return count == int(answer["train_frames"]) + int(answer["test_frames"])
 
 
 def obstacles_to(survey: Survey, has_engine: bool) -> dict[str, str | None]:
-    """Why each thing cannot be done with a scene that was read without an error; None if it can be done."""
+    """Return why each thing cannot be done with a scene that was read without an error; None if it can be done."""
     has_pictures = survey.picture_files == survey.frames or has_engine
     has_cloud = survey.sparse_points > 0 or (survey.has_depth and has_engine)
     no_cloud = "the engine makes it from the depth: set it up" if survey.has_depth else "there are no depth maps"
@@ -188,7 +186,7 @@ def obstacles_to(survey: Survey, has_engine: bool) -> dict[str, str | None]:
 
 
 def why_not_liftable(survey: Survey) -> str | None:
-    """Why a scene without an error cannot be lifted; None if it can or is not known yet."""
+    """Return why a scene without an error cannot be lifted; None if it can or is not known yet."""
     has = {"depth": survey.has_depth, "masks": survey.has_masks}
     lacks = [what for what in has if has[what] is False]
     if not lacks or survey.is_looking or survey.error is not None:
