@@ -69,7 +69,7 @@ from plgs.engine.job.terminal import Interrupted, Interrupts, ask_engine, lift_i
 
 
 def script_arguments(argv: Sequence[str]) -> list[str]:
-    """The arguments for this script: all after ``--``. Without it, all of them, but only outside Blender."""
+    """Return the arguments for this script: all after ``--``. Without ``--``, all of them, but only outside Blender."""
     if "--" in argv:
         return list(argv[argv.index("--") + 1 :])
     blender = sys.modules.get("bpy")
@@ -77,7 +77,7 @@ def script_arguments(argv: Sequence[str]) -> list[str]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """The whole run; returns the exit code."""
+    """Run the whole script and return the exit code."""
     options = parse(arguments)
     try:
         with Interrupts() as interrupts:
@@ -98,7 +98,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
-    """The options; SystemExit(2) when they make no sense, SystemExit(0) after --help."""
+    """Parse the options. SystemExit(2) if they make no sense, SystemExit(0) after --help."""
     parser = Parser(prog="run_plgs.py", description="Lift a scene and put the result into a .blend.")
     parser.add_argument(
         "scene", type=Path, nargs="?", metavar="SCENE",
@@ -163,7 +163,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 def frame_range(text: str) -> list[float]:
-    """The frames of "1-250", "1-3:0.5" or "1001,1003"; for argparse, so it raises ArgumentTypeError."""
+    """Return the frames of "1-250", "1-3:0.5" or "1001,1003", for argparse: it raises ArgumentTypeError."""
     try:
         ranges = frame_numbers(text)
         if sum(map(len, ranges)) > MOST_FRAMES:
@@ -175,7 +175,7 @@ def frame_range(text: str) -> list[float]:
 
 
 def python_with_blender() -> Path | None:
-    """None when this Python has bpy, or else a Python that has it. Raises PlgsError when there is none."""
+    """Return a Python that has bpy, or None if this one does. Raises PlgsError if there is none."""
     if "bpy" in sys.modules or importlib.util.find_spec("bpy"):
         return None
     python = engine_python()
@@ -224,7 +224,7 @@ def lift_to_blend(options: argparse.Namespace, interrupts: Interrupts) -> int:
 
 
 def opened_file() -> Path | None:
-    """The .blend that Blender opened before this script; None without one, and in a Python that has bpy."""
+    """Return the .blend that Blender opened before this script; None without one, and in a Python that has bpy."""
     bpy = sys.modules.get("bpy")
     is_blender = bool(getattr(getattr(bpy, "app", None), "binary_path", ""))  # the module alone has none
     return Path(bpy.data.filepath) if bpy is not None and is_blender and bpy.data.filepath else None
@@ -248,7 +248,7 @@ def bake_camera(lift: LiftFolder, blend: Path, options: argparse.Namespace, inte
 
 
 def blend_path(options: argparse.Namespace) -> Path:
-    """Where the .blend goes. Raises PlgsError if it could not be written at the end."""
+    """Return the path of the .blend to write. Raises PlgsError if it could not be written at the end."""
     blend = (options.save or Path(options.output) / "lift.blend").absolute()
     is_in_lift = blend.parent == options.output.absolute()  # which need not exist yet
     if blend.suffix != ".blend" or blend.is_dir():
@@ -264,7 +264,7 @@ def blend_path(options: argparse.Namespace) -> Path:
 
 
 def refuse_no_blend(named: Path | None) -> None:
-    """Raises PlgsError, before anything is lifted, if --blend does not name a .blend."""
+    """Raise PlgsError, before anything is lifted, if --blend does not name a .blend."""
     if named is None:
         return
     what = "is not a Blender file" if named.is_file() else "is not there"
@@ -280,7 +280,8 @@ def is_blend(path: Path) -> bool:
 
 
 def build_blend(lift: LiftFolder, blend: Path) -> ExitCode:
-    """Make the .blend. An unexpected error becomes one line, and its details go to the log. Raises PlgsError."""
+    """Make the .blend of a finished lift. An unexpected error becomes one line, and its details go to the log. Raises
+    PlgsError."""
     lift.refuse_read_only()
     print("Building the .blend ...", file=sys.stderr, flush=True)
     try:

@@ -1,7 +1,5 @@
 """The user's actions. Each operator checks the context, calls one function of `plgs_blender`, and reports the outcome.
-
-From a script they take the same arguments as from their buttons.
-"""
+Called from a script, an operator takes the same arguments as from its button."""
 
 from __future__ import annotations
 

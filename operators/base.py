@@ -1,4 +1,4 @@
-"""Shared by operators: how they report errors, explain grey buttons, and start and cancel tasks."""
+"""What operators share: how they report errors, explain greyed-out buttons, and start and cancel tasks."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Method = TypeVar("Method", bound=Callable[..., set[str]])
 
 
 def argument(kind: Callable[..., Any], name: str, about: str = "", **more: Any) -> Any:
-    """An operator's property that Blender forgets after each call, as "not given" has a meaning of its own."""
+    """Declare an operator's property that Blender forgets after each call, as "not given" has a meaning of its own."""
     return kind(name=name, description=about, options={"SKIP_SAVE"}, **more)
 
 
@@ -32,17 +32,17 @@ file_argument = partial(argument, StringProperty, subtype="FILE_PATH")
 
 
 def panel_of(context: bpy.types.Context) -> Any | None:
-    """The settings of the button's panel, for `poll`; None in a script, which passes its own arguments."""
+    """Return the settings of the button's panel, for `poll`; None in a script, which passes its own arguments."""
     return getattr(context, "plgs_panel", None)
 
 
 def why_no_folder(context: bpy.types.Context) -> str | None:
-    """What is missing as long as the panel has no scene."""
+    """Return what is missing as long as the panel has no scene, else None."""
     return None if context.scene.plgs.scene_folder else "Choose the scene's folder first"
 
 
 def reporting(method: Method) -> Method:
-    """Decorates `execute`, `invoke` or `modal`: an expected error becomes one line for the user, and "cancelled"."""
+    """Decorate `execute`, `invoke` or `modal`: an expected error becomes one line for the user, and "cancelled"."""
 
     def answer(operator: Any, *given: Any) -> set[str]:
         try:
@@ -72,7 +72,7 @@ class Explained:
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        """Why it cannot be called now, or None. Never reads the disk."""
+        """Return why it cannot be called now, or None. Never reads the disk."""
         return None
 
     @classmethod
@@ -87,7 +87,7 @@ class Acts(Explained):
     """An operator that does its work at once."""
 
     def act(self, context: bpy.types.Context) -> str | None:
-        """Do it. Returns a line to report, if any. Raises PlgsError, OSError."""
+        """Do the operator's work. Returns a line to report, if any. Raises PlgsError, OSError."""
         raise NotImplementedError
 
     @reporting
@@ -139,7 +139,7 @@ class StartsTask(Explained):
         return self.report_outcome(context, task)
 
     def report_step(self, line: str) -> None:
-        """Called for each new step while a script waits for the task."""
+        """Report each new step while a script waits for the task."""
 
 
 class AsksFirst(StartsTask):
@@ -186,27 +186,27 @@ class CancelsTask(Explained):
 
 
 def cancels(kind: type[Task], about: str) -> type:
-    """Makes the operator that cancels tasks of a kind; ``about`` is its tooltip."""
+    """Make the operator that cancels tasks of a kind; ``about`` is its tooltip."""
     names = {"bl_idname": kind.cancel_operator, "bl_label": "Cancel", "bl_options": {"INTERNAL"}}
     name = f"PLGS_OT_{kind.cancel_operator.partition('.')[2]}"
     return type(name, (CancelsTask, bpy.types.Operator), {"__doc__": about, "cancelled_kind": kind, **names})
 
 
 def copy_given(operator: Any, options: type, settings: Any) -> None:
-    """Copy to the panel those of the options that a call gave."""
+    """Copy the options that a call gave explicitly to the panel."""
     for name in option_names(options):
         if operator.properties.is_property_set(name):
             setattr(settings, name, getattr(operator, name))
 
 
 def start_timer(operator: Any, context: bpy.types.Context, seconds: float) -> bpy.types.Timer:
-    """Call an operator's `modal` for each event, and at least this often."""
+    """Add a timer, so that an operator's `modal` is called at least this often."""
     manager = context.window_manager
     manager.modal_handler_add(operator)
     return manager.event_timer_add(seconds, window=context.window or manager.windows[0])  # None in a timer
 
 
 class OnLiftFolder:
-    """An operator on a lift that its folder names."""
+    """An operator on the lift in the folder `lift_folder`."""
 
     lift_folder: folder_argument("Lift Folder", "Folder of the lift; empty: the panel's")

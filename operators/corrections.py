@@ -1,4 +1,5 @@
-"""Corrects what a lift got wrong: names, classes, which points belong to which object; and answers proposals."""
+"""Operators that correct what a lift got wrong: names, classes, which points belong to which object; and answer
+proposals."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ _STEP = 1.2  # factor by which one step of the mouse wheel scales the brush
 
 
 def _class_choices(self: Any, context: bpy.types.Context, _text: str) -> list[str]:
-    """Suggestions for a dialog's class field."""
+    """Return suggestions for a dialog's class field: the classes of the lift."""
     try:
         root = find_lift(context.scene, self.lift, context.active_object)
         row = chosen_row(context.scene, context.active_object)
@@ -45,7 +46,8 @@ _class_argument = partial(
 
 
 class AsksForOne:
-    """An operator whose dialog shows only the property ``asked``, ready for typing. The others are for scripts."""
+    """An operator whose dialog shows only the property ``asked``, ready for typing. Its other properties are for
+    scripts."""
 
     asked: str
     layout: bpy.types.UILayout
@@ -306,7 +308,7 @@ class PLGS_OT_assign_points(OnLift, bpy.types.Operator):
         return base.RUNNING
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """Blender also calls this if it ends the painting itself."""
+        """End painting. Blender also calls this if it ends the operator itself."""
         correction_tools.now.clear()
         if context.window is not None:
             context.window.cursor_modal_restore()
@@ -349,7 +351,7 @@ class PLGS_OT_propose_corrections(OnLift, bpy.types.Operator):
 
 
 class OnProposal(OnLift):
-    """An operator on an instance's proposal."""
+    """An operator on the proposal about an instance."""
 
     instance: base.argument(IntProperty, "Instance", "Id of the instance; 0: the most doubtful one", min=0)
 

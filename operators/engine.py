@@ -1,4 +1,4 @@
-"""Setting up the engine, choosing its Python, checking it, and removing it."""
+"""Operators that set up the engine, choose its Python, check it, and remove it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _index_argument = partial(
 
 
 class AsksEngine(base.StartsTask):
-    """An operator that ends with the engine's answer."""
+    """An operator whose task ends with the engine's answer, which is reported."""
 
     def report_outcome(self, context: bpy.types.Context, task: Task | None) -> set[str]:
         if task is not None and task.is_running:

@@ -1,4 +1,4 @@
-"""Select, show, colour and view the instances and classes of a lift, and reuse them elsewhere."""
+"""Operators that select, show, colour and view the instances and classes of a lift, and reuse them elsewhere."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class OnLift(Acts):
 
     @staticmethod
     def room(scene: bpy.types.Scene) -> bpy.types.Scene:
-        """The scene whose lifts it works on."""
+        """Return the scene whose lifts the operator works on."""
         return scene
 
     @classmethod
@@ -32,19 +32,19 @@ class OnLift(Acts):
         return None if has_result else "This scene has no lift result yet"
 
     def root(self, context: bpy.types.Context) -> bpy.types.Collection:
-        """The lift's collection. Raises PlgsError."""
+        """Return the lift's collection. Raises PlgsError."""
         return find_lift(self.room(context.scene), self.lift, context.active_object)
 
     def act(self, context: bpy.types.Context) -> str | None:
         return self.act_on(context, self.root(context))
 
     def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str | None:
-        """Do it. Returns a line to report, if any. Raises PlgsError, OSError."""
+        """Do the operator's work on a lift. Returns a line to report, if any. Raises PlgsError, OSError."""
         raise NotImplementedError
 
 
 class OnInstance(OnLift):
-    """An operator on one instance of a lift."""
+    """An operator on one instance of a lift, given by its id."""
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
@@ -56,7 +56,7 @@ class OnInstance(OnLift):
 
 
 class OnInstances(OnLift):
-    """An operator on several instances."""
+    """An operator on several instances of a lift, by default the selected ones."""
 
     instances: text_argument(
         "Instances", "Ids such as 3 5, or all; empty: the selected boxes, the active one first, else the list's row"
@@ -64,7 +64,7 @@ class OnInstances(OnLift):
 
 
 class OnClass(OnLift):
-    """An operator on one class of a lift."""
+    """An operator on one class of a lift, given by its id."""
 
     class_id: argument(IntProperty, "Class", "Id of the class", min=0)
 

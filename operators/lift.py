@@ -1,4 +1,4 @@
-"""Start, watch, stop, resume, show and export a lift, and make its meshes."""
+"""Operators that start, watch, stop, resume, show and export a lift, and make its meshes."""
 
 from __future__ import annotations
 
@@ -200,7 +200,7 @@ class PLGS_OT_place_lift(base.OnLiftFolder, bpy.types.Operator):
         return base.PASSED_ON if goes_on else base.FINISHED
 
     def has_more(self) -> bool:
-        """Place as many parts as fit in an unnoticeable pause. Returns whether more may be left."""
+        """Place as many parts as fit in an unnoticeable pause. Returns whether there may be more."""
         began = time.monotonic()
         try:
             while time.monotonic() - began < _PART_S:
@@ -213,7 +213,7 @@ class PLGS_OT_place_lift(base.OnLiftFolder, bpy.types.Operator):
         return True
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """Blender also calls this when another file is opened."""
+        """Remove the timer. Blender also calls this when another file is opened."""
         PLGS_OT_place_lift._at_work = False
         context.window_manager.event_timer_remove(self._timer)
 
@@ -238,7 +238,7 @@ class OfShownLift(base.OnLiftFolder):
     """An operator on the lift that the panels show, unless its folder is given."""
 
     def lift_of(self, context: bpy.types.Context) -> str:
-        """The folder of the named lift, else of the panel's lift, else of the placed one, else ""."""
+        """Return the folder of the named lift, else of the panel's lift, else of the placed one, else ""."""
         if self.lift_folder or chosen_lift(context.scene.plgs) is not None:
             return str(self.lift_folder)
         root = active_lift(context.scene, context.active_object)
@@ -246,7 +246,7 @@ class OfShownLift(base.OnLiftFolder):
 
 
 class Exports(OfShownLift, base.StartsTask):
-    """An operator that exports a lift."""
+    """An operator that exports a lift as a task."""
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
@@ -274,7 +274,7 @@ class PLGS_OT_export_lift(ExportsFrames, base.ChoosesFile, bpy.types.Operator):
 
     @base.reporting
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Say what is lacking, else propose a new folder beside the lift."""
+        """Report what is lacking, or propose a new folder beside the lift and open the file browser."""
         lacking = why_lacking(self.form) if self.form in CAPABILITIES else None
         if lacking is not None:
             self.report({"ERROR"}, lacking)

@@ -1,4 +1,5 @@
-"""Preparation of a lift: poses for photos, masks and their classes, diagnosing the scene, and writing a fixed copy."""
+"""Operators that prepare a lift: poses for photos, masks and their classes, diagnosing the scene, and writing a fixed
+copy."""
 
 from __future__ import annotations
 
@@ -206,7 +207,7 @@ _NOTHING = "Nothing was found that can safely be fixed"
 
 
 class Measures(base.StartsTask):
-    """An operator that measures the panel's scene."""
+    """An operator that measures the panel's scene for problems."""
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
@@ -264,7 +265,7 @@ class PLGS_OT_fix_scene(Measures, bpy.types.Operator):
 
 
 class OnFinding(base.Acts):
-    """An operator on one finding about the panel's scene."""
+    """An operator on one finding about the panel's scene. It does its work at once."""
 
     number: base.argument(IntProperty, "Number", "Number of the finding, from 0", min=0)
 
@@ -274,7 +275,7 @@ class OnFinding(base.Acts):
         return None if known is not None and known.findings else "Diagnose the scene first"
 
     def finding(self, context: bpy.types.Context) -> tuple[Diagnosis, Finding]:
-        """The finding that the operator works on. Raises PlgsError."""
+        """Return the finding that the operator works on. Raises PlgsError."""
         known = _known(context)
         if known is None or self.number >= len(known.findings):
             raise PlgsError("no-finding", "there is no such finding", str(self.number), "Diagnose the scene again.")
@@ -333,7 +334,7 @@ class PLGS_OT_leave_out(OnFinding, bpy.types.Operator):
 
 
 def _known(context: bpy.types.Context) -> Diagnosis | None:
-    """What is known about the panel's scene."""
+    """Return the diagnosis of the panel's scene, or None."""
     settings = context.scene.plgs
     return diagnosis_of(chosen_scene(settings)) if settings.scene_folder else None
 

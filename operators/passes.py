@@ -1,4 +1,4 @@
-"""Baking panoptic passes of a finished lift, and using them in the compositor."""
+"""Operators that bake panoptic passes of a finished lift, and use them in the compositor."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
         return bake
 
     def run(self, context: bpy.types.Context, *, waits: bool) -> set[str]:
-        """As of every task; a button offers what to do with a shot that shows something else."""
+        """Run like every task. If the shot was baked before and shows something else, a button asks what to do."""
         try:
             return super().run(context, waits=waits)
         except PlgsError as error:
@@ -137,7 +137,7 @@ class PLGS_OT_bake_camera(BakesFinishedLift, bpy.types.Operator):
         return base.RUNNING
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """Clean up after another file was opened or the camera was read."""
+        """Remove the timer and the progress text, when the camera was read or another file is opened."""
         _show_progress(context, None)
         if self._timer is not None:
             context.window_manager.event_timer_remove(self._timer)

@@ -1,4 +1,4 @@
-"""The mouse in a 3D view of a lift: a click selects what is under it, and hovering shows its name."""
+"""Use the mouse in a 3D view of a lift: a click selects what is under it, and hovering shows its name."""
 
 from __future__ import annotations
 
@@ -52,12 +52,13 @@ class PLGS_OT_pick(InView, bpy.types.Operator):
 
 
 def _middle_of(event: bpy.types.Event) -> tuple[float, float]:
-    """The middle of the pixel under the mouse."""
+    """Return the middle of the pixel under the mouse, in the region."""
     return event.mouse_region_x + 0.5, event.mouse_region_y + 0.5
 
 
 def _is_in_front(context: bpy.types.Context, mouse: tuple[int, int], *, extend: bool) -> bool:
-    """Let Blender select what it finds at a pixel, and return whether that is not part of a lift's picture."""
+    """Let Blender select what it finds at a pixel. Returns whether that is not part of a lift's picture; if it is, the
+    selection is restored."""
     layer = context.view_layer
     before, active = [ob for ob in layer.objects if ob is not None and ob.select_get()], layer.objects.active
     if "FINISHED" not in bpy.ops.view3d.select(location=mouse, toggle=extend):
@@ -75,7 +76,7 @@ def _is_in_front(context: bpy.types.Context, mouse: tuple[int, int], *, extend: 
 
 
 def _lift_of(ob: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Collection | None:
-    """The lift that an object is part of. None for the user's objects, including copies of ours."""
+    """Return the lift that an object is part of; None for the user's objects, copies of ours included."""
     if not text_of(ob, LIFT):
         return None
     own = (root for root in lifts_in(scene) if root[LIFT] == ob[LIFT] and ob in objects_by_key(root).values())
@@ -97,7 +98,7 @@ class PLGS_OT_point_at(InView, bpy.types.Operator):
 
 
 class OnSelected(InView):
-    """A key's operator on the selected active object of a lift. On other objects the key is Blender's."""
+    """An operator with a key, on the selected active object of a lift. On other objects, Blender handles the key."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -105,7 +106,7 @@ class OnSelected(InView):
 
     @staticmethod
     def chosen(context: bpy.types.Context) -> tuple[bpy.types.Collection, int] | None:
-        """The lift and instance of the active object, if that is selected."""
+        """Return the lift and the instance of the active object, if that is selected, else None."""
         active = context.active_object
         root = None if active is None else _lift_of(active, context.scene)
         number = 0 if root is None else selection.selected_instance(root, active)

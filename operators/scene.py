@@ -1,4 +1,4 @@
-"""Imports frames into Blender before a lift: cameras, pictures and coloured points."""
+"""Operators that import frames into Blender before a lift: cameras, pictures and coloured points."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _PICTURES = [
 
 
 class ImportsScene(SceneOptions, base.StartsTask):
-    """An operator that imports the panel's scene, perhaps with an engine. Options not given are the panel's."""
+    """An operator that imports a scene, perhaps with an engine. Options that are not given are the panel's."""
 
     cloud: base.argument(BoolProperty, "Coloured Cloud", "Make a coloured cloud of the scene's depth", default=True)
 
@@ -54,7 +54,7 @@ class ImportsScene(SceneOptions, base.StartsTask):
 
 
 def _forget_other_scene(settings: Any) -> None:
-    """Clear the masks, detections, depth, up and format of the earlier scene before another one is chosen."""
+    """Clear the masks, detections, depth, up axis and format of the earlier scene before another one is chosen."""
     settings.scene_folder = ""  # otherwise each change would look at the earlier scene
     settings.masks, settings.detections, settings.depth = "", "", ""
     settings.up, settings.format = "z", AUTOMATIC

@@ -1,4 +1,4 @@
-"""One oriented box per instance, drawn as coloured lines and never rendered."""
+"""Oriented boxes, one per instance, drawn as coloured lines and never rendered."""
 
 from __future__ import annotations
 
@@ -32,22 +32,23 @@ BOX = " box"
 def place_boxes(
     owned: OwnedDataBlocks, parent: bpy.types.Collection, instances: Iterable[Instance], *, anew: bool = True
 ) -> list[bpy.types.Object]:
-    """One mesh object per instance, with the engine's name and its true size (object scale 1). The box of an unchanged
-    instance keeps the transform and name that the user gave it, and is not touched at all unless ``anew``. If there are
-    very many instances, those with the most points get objects of their own, and one object holds all other boxes."""
+    """Place one mesh object per instance, with the engine's name and its true size (object scale 1). The box of an
+    unchanged instance keeps the transform and name that the user gave it, and is not touched at all unless ``anew``. If
+    there are very many instances, those with the most points get objects of their own, and one object holds all other
+    boxes."""
     own, others = shared_out(instances)
     return [*(_place(owned, parent, one, anew) for one in own), *place_together(owned, parent, others)]
 
 
 def shared_out(instances: Iterable[Instance]) -> tuple[list[Instance], list[Instance]]:
-    """The instances that get a box object of their own, and the others."""
+    """Return the instances that get a box object of their own, and the others."""
     given = [*instances]
     most = {one.id for one in sorted(given, key=lambda one: (-one.points, one.id))[:MOST_BOXES]}
     return [one for one in given if one.id in most], [one for one in given if one.id not in most]
 
 
 def name_object(ob: bpy.types.Object, name: str) -> None:
-    """Give a mesh its instance's name, and a box that name with BOX."""
+    """Give a mesh its instance's name, and a box that name followed by BOX."""
     ob[NAME] = name
     ob.name = ob.data.name = f"{name}{BOX}" if text_of(ob, KEY).startswith(INSTANCE) else name
     ob[SHOWN] = ob.name
@@ -103,7 +104,7 @@ def set_faces(mesh: bpy.types.Mesh, xyz: NDArray[np.floating], faces: NDArray[np
 def place_together(
     owned: OwnedDataBlocks, parent: bpy.types.Collection, instances: Sequence[Instance]
 ) -> list[bpy.types.Object]:
-    """One object with the boxes of these instances; its vertices carry their ids and classes."""
+    """Place one object with the boxes of all these instances; its vertices have their ids and classes as attributes."""
     if not instances:
         return []
     mesh = owned.data(TOGETHER, lambda: bpy.data.meshes.new("Other boxes"))

@@ -1,10 +1,9 @@
-"""Semantic points and anchors as Blender point clouds, and the spacing and normals of surface points, which let a
-camera look into a room from outside.
+"""Semantic points and anchors as Blender point clouds, and the spacing and normals of surface points, with which a
+camera can look into a room from outside.
 
 Solid shading has one colour per object, so each class of semantic points is a cloud in the class's colour. The photos'
 colours are in the attribute Col, which the material shows in Cycles and EEVEE. Spacing and normals come from one grid
-of small cells instead of a neighbour search, so a million points take a moment.
-"""
+of small cells instead of a neighbour search, so a million points take only a moment."""
 
 from __future__ import annotations
 
@@ -35,9 +34,9 @@ _THICKNESS = 0.3
 
 @dataclass(frozen=True, eq=False)
 class SurfaceGrid:
-    """Points `xyz` float [N, 3] sorted into cells: `cell` int [N] is each point's cell, `count` int [C] the points per
-    cell. `side` is the length of a cell in the points' unit; 0 if there are too few points to have a spacing, which
-    then share one cell."""
+    """Points `xyz` float [N, 3] sorted into the cells of a grid: `cell` int [N] is each point's cell, `count` int [C]
+    the points per cell. `side` is the length of a cell in the points' unit. It is 0 if there are too few points to have
+    a spacing; they then share one cell."""
 
     xyz: NDArray[np.floating]
     cell: NDArray[np.int64]
@@ -55,17 +54,17 @@ class SurfaceGrid:
 
     @property
     def spacing(self) -> float:
-        """Typical distance between neighbours, in the points' unit."""
+        """The typical distance between neighbours, in the points' unit."""
         return self.side / _CELL
 
     def radii(self, smallest: float, largest: float) -> NDArray[np.float32]:
-        """Radii float32 [N], in the points' unit and within limits, at which points just touch."""
+        """Return radii float32 [N], in the points' unit and within limits, at which points just touch."""
         # A surface crosses a cell with about a face's area. Cells that it only grazes have few points.
         local = np.minimum(self.side / np.sqrt(np.maximum(self.count, 1)), 2.0 * self.spacing)
         return np.clip(_TOUCHING * local, smallest, largest).astype(np.float32)[self.cell]
 
     def beside(self, positions: NDArray[np.floating]) -> NDArray[np.int64]:
-        """The index of a point in the cell of each position [M, 3], int64 [M]; -1 for empty cells."""
+        """Return the index of a point in the cell of each position [M, 3], int64 [M]; -1 for empty cells."""
         if self.side == 0.0:
             return np.full(len(positions), -1, np.int64)
         low, high = self.xyz.min(axis=0), self.xyz.max(axis=0)
@@ -77,8 +76,8 @@ class SurfaceGrid:
         return np.where(inside & (known[at] == numbers[len(self.xyz) :]), first[at], -1)
 
     def normals(self, viewpoints: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Unit normals float32 [N, 3] of points that were seen from viewpoints [V, 3]; zeros without viewpoints. A
-        plane is fitted to each cell's points and turned towards the nearest viewpoint, because scanned surfaces face
+        """Return unit normals float32 [N, 3] of points that were seen from viewpoints [V, 3]; zeros without viewpoints.
+        A plane is fitted to each cell's points and turned towards the nearest viewpoint, because scanned surfaces face
         their cameras. If no plane fits, the normal is the direction to that viewpoint. This is coarse, but it tells the
         two sides of a wall apart."""
         if self.side == 0.0 or not len(viewpoints):
@@ -94,7 +93,7 @@ class SurfaceGrid:
         return normal.astype(np.float32)[self.cell]
 
     def _moments(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Mean [C, 3] and covariance [C, 3, 3] of the points of each cell."""
+        """Return mean [C, 3] and covariance [C, 3, 3] of the points of each cell."""
         middle = self.xyz.mean(axis=0, dtype=np.float64)  # sums of squares lose digits far from the origin
         local = [self.xyz[:, axis] - middle[axis] for axis in range(3)]
         mean = np.stack([np.bincount(self.cell, column) / self.count for column in local], axis=1)
@@ -107,7 +106,7 @@ class SurfaceGrid:
 
 
 def _point_spacing(xyz: NDArray[np.floating]) -> float:
-    """Typical distance between neighbours, from the cells that surfaces cross; 0 if all points coincide."""
+    """Return the typical distance between neighbours, from the cells that surfaces cross; 0 if all points coincide."""
     if len(xyz) < 2:
         return 0.0
     extent = float(max(np.ptp(xyz[:, axis]) for axis in range(3)))
@@ -121,7 +120,7 @@ def _point_spacing(xyz: NDArray[np.floating]) -> float:
 
 
 def _cell_numbers(xyz: NDArray[np.floating], side: float) -> NDArray[np.int64]:
-    """The number of each point's cell [N] in a grid with this side."""
+    """Return the number of each point's cell, int64 [N], in a grid whose cells have this side."""
     numbers = np.zeros(len(xyz), np.int64)
     for axis in range(3):
         column = xyz[:, axis]
@@ -131,7 +130,7 @@ def _cell_numbers(xyz: NDArray[np.floating], side: float) -> NDArray[np.int64]:
 
 
 def towards_nearest(points: NDArray[np.float64], viewpoints: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Vectors [N, 3] from each point to its nearest viewpoint."""
+    """Return the vectors [N, 3] from each point to its nearest viewpoint."""
     middle = viewpoints.mean(axis=0)  # differences of squares lose digits far from the origin
     views = viewpoints - middle
     nearest = np.empty(len(points), np.int64)
@@ -169,8 +168,8 @@ def place_semantic_points(
     normals: NDArray[np.float32],
     classes: ClassTable,
 ) -> list[bpy.types.Object]:
-    """One cloud for each class that has points, with Col, class_id, instance_id, confidence, entropy (in bits, between
-    the winner and all other labels) and normal [N, 3]."""
+    """Place one cloud for each class that has points, with Col, class_id, instance_id, confidence, entropy (in bits,
+    between the winner and all other labels) and normal [N, 3]."""
     radius = grid.radii(_SMALLEST, _LARGEST)
     placed = []
     # Sorted once, each class is one run. Comparing every point with every class takes a second with a million.
@@ -190,7 +189,7 @@ def place_semantic_points(
 
 
 def place_anchors(owned: OwnedDataBlocks, parent: bpy.types.Collection, anchors: Anchors) -> bpy.types.Object:
-    """One cloud of all anchors, with Col, class_id, instance_id, opacity and level."""
+    """Place one cloud of all anchors, with Col, class_id, instance_id, opacity and level."""
     radius = SurfaceGrid.of(anchors.xyz).radii(_SMALLEST, _LARGEST)
     attributes: Attributes = {
         "Col": ("FLOAT_COLOR", linear_rgba(anchors.rgb)),
@@ -207,12 +206,12 @@ def place_anchors(owned: OwnedDataBlocks, parent: bpy.types.Collection, anchors:
 
 
 def cloud_folder(lift: Path) -> Path:
-    """The folder into which the engine exports depth clouds for Blender."""
+    """Return the folder into which the engine exports depth clouds for Blender."""
     return lift / "exports" / "clouds"
 
 
 def place_depth_clouds(owned: OwnedDataBlocks, root: bpy.types.Collection, lift: Path) -> int:
-    """Place the depth clouds made of the lift, and return the number of their points. Raises PlgsError."""
+    """Place the depth clouds that were made of the lift, and return the number of their points. Raises PlgsError."""
     count = 0
     for path in sorted(cloud_folder(lift).glob("*.npz")):
         points = read_arrays(path, SemanticPoints)
@@ -227,7 +226,7 @@ def place_depth_clouds(owned: OwnedDataBlocks, root: bpy.types.Collection, lift:
 
 
 def _label_attributes(points: SemanticPoints, rows: NDArray[np.int64] | slice = slice(None)) -> Attributes:
-    """Attributes of every labelled point."""
+    """Return the attributes class_id, instance_id and the like of labelled points, by name."""
     return {
         "Col": ("FLOAT_COLOR", linear_rgba(points.rgb[rows])),
         "class_id": ("INT", points.class_id[rows]),
@@ -247,7 +246,7 @@ def _place(
     radius: NDArray[np.float32],
     attributes: Attributes,
 ) -> bpy.types.Object:
-    """Our cloud object `key`, whose points have radii float32 [N] in metres and these attributes."""
+    """Return our cloud object `key`, whose points have radii float32 [N] in metres and these attributes."""
     tag(cloud, owned.lift, key)
     set_attributes(cloud, {"radius": ("FLOAT", radius), **attributes})
     cloud.materials.append(point_material(owned))

@@ -1,4 +1,5 @@
-"""The differences between Blender 4.2 and 5.3, and nothing else: the rest of the extension needs no version checks."""
+"""The differences between Blender 4.2 and 5.3, and nothing else, so that the rest of the extension needs no version
+checks."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ BLEND_RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0
 
 
 def new_point_clouds(names: Sequence[str], xyz: Sequence[NDArray[np.float32]]) -> list[bpy.types.PointCloud]:
-    """Point cloud data-blocks with positions float32 [N, 3] in metres. Before 5.1 a cloud cannot be resized."""
+    """Make point clouds with positions float32 [N, 3] in metres. Before 5.1 a cloud cannot be resized."""
     if "resize" in bpy.types.PointCloud.bl_rna.functions:
         clouds = [bpy.data.pointclouds.new(name) for name in names]
         for cloud, own in zip(clouds, xyz, strict=True):
@@ -30,14 +31,14 @@ def new_point_clouds(names: Sequence[str], xyz: Sequence[NDArray[np.float32]]) -
 
 
 def forget_selection(mesh: bpy.types.Mesh) -> None:
-    """Drop a new mesh's record of what is selected in Edit Mode: it costs a byte per element."""
+    """Delete a new mesh's record of what is selected in Edit Mode, which takes a byte per element."""
     for name in (".select_vert", ".select_edge", ".select_poly"):
         if name in mesh.attributes:
             mesh.attributes.remove(mesh.attributes[name])
 
 
 def _clouds_by_nodes(counts: Sequence[int]) -> list[bpy.types.PointCloud]:
-    """Clouds that geometry nodes make from mesh vertices, in a temporary scene."""
+    """Make point clouds from mesh vertices with geometry nodes, in a temporary scene."""
     scene, group = bpy.data.scenes.new("PLGS conversion"), new_geometry_group("PLGS conversion")
     objects: list[bpy.types.Object] = []
     try:
@@ -61,7 +62,7 @@ def _clouds_by_nodes(counts: Sequence[int]) -> list[bpy.types.PointCloud]:
 
 
 def new_geometry_group(name: str) -> bpy.types.NodeTree:
-    """An empty geometry node group for a modifier, with one geometry input and one output."""
+    """Make an empty geometry node group for a modifier, with one geometry input and one output."""
     group = bpy.data.node_groups.new(name, "GeometryNodeTree")
     group.is_modifier = True
     for direction in ("INPUT", "OUTPUT"):
@@ -70,21 +71,21 @@ def new_geometry_group(name: str) -> bpy.types.NodeTree:
 
 
 def use_nodes(block: Any) -> bpy.types.NodeTree:
-    """The shader nodes of a material or world, enabled before 5.0, where they can be off."""
+    """Return the shader nodes of a material or world, enabled first before 5.0, where they can be off."""
     if bpy.app.version < (5, 0, 0):
         block.use_nodes = True
     return block.node_tree
 
 
 def compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
-    """The scene's compositor nodes, or None."""
+    """Return the scene's compositor nodes, or None."""
     if _COMPOSITOR_IS_A_GROUP:
         return scene.compositing_node_group
     return scene.node_tree if scene.use_nodes else None
 
 
 def new_compositor_tree(scene: bpy.types.Scene, name: str) -> bpy.types.NodeTree:
-    """An empty compositor for the scene, with one image output."""
+    """Make an empty compositor for the scene, with one image output."""
     if not _COMPOSITOR_IS_A_GROUP:
         scene.use_nodes = True
         scene.node_tree.nodes.clear()
@@ -100,7 +101,7 @@ COMPOSITE_OUTPUT = "NodeGroupOutput" if _COMPOSITOR_IS_A_GROUP else "CompositorN
 
 
 def new_node(tree: bpy.types.NodeTree, *kinds: str) -> bpy.types.Node:
-    """A node of the first of these kinds, newest first, that this Blender knows. Raises RuntimeError for none."""
+    """Add a node of the first of these kinds, newest first, that this Blender has. Raises RuntimeError for none."""
     # Before 4.5 a compositor refuses the new kinds, and writes a line to the terminal for each that is tried.
     for kind in kinds if bpy.app.version >= (4, 5) else kinds[::-1]:
         try:
@@ -111,7 +112,8 @@ def new_node(tree: bpy.types.NodeTree, *kinds: str) -> bpy.types.Node:
 
 
 def new_colour_mix(tree: bpy.types.NodeTree) -> tuple[bpy.types.Node, Any, Any, Any, Any]:
-    """A compositor node that mixes two colours, and its sockets: (node, factor, first, second, result)."""
+    """Add a compositor node that mixes two colours. Returns (node, factor, first, second, result): it and its
+    sockets."""
     node = new_node(tree, "ShaderNodeMix", "CompositorNodeMixRGB")
     if node.bl_idname == "ShaderNodeMix":
         node.data_type = "RGBA"
@@ -128,7 +130,7 @@ def _set_option(node: bpy.types.Node, socket: str, value: Any, name: str, earlie
 
 
 def new_dilation(tree: bpy.types.NodeTree, pixels: int) -> bpy.types.Node:
-    """A compositor node that grows a mask by whole pixels. Input Mask; output 0."""
+    """Add a compositor node that grows a mask by whole pixels. Its input is Mask, its output number 0."""
     node = tree.nodes.new("CompositorNodeDilateErode")
     _set_option(node, "Size", pixels, "distance", pixels)
     if "Type" not in node.inputs:
@@ -137,7 +139,7 @@ def new_dilation(tree: bpy.types.NodeTree, pixels: int) -> bpy.types.Node:
 
 
 def new_alpha_factor(tree: bpy.types.NodeTree) -> bpy.types.Node:
-    """A compositor node that multiplies a picture, including its alpha, by a mask. Inputs Image, Alpha; output 0."""
+    """Add a compositor node that multiplies a picture, alpha included, by a mask. Inputs Image, Alpha; output 0."""
     node = tree.nodes.new("CompositorNodeSetAlpha")
     _set_option(node, "Type", "Apply Mask", "mode", "APPLY")
     return node
@@ -149,7 +151,7 @@ takes the pixel whose corner is nearest."""
 
 
 def new_palette_lookup(tree: bpy.types.NodeTree) -> bpy.types.Node:
-    """A Map UV node that samples the nearest pixel without blending. Inputs Image, UV; output 0."""
+    """Add a Map UV node that samples the nearest pixel without blending. Inputs Image, UV; output 0."""
     node = tree.nodes.new("CompositorNodeMapUV")
     _set_option(node, "Interpolation", "Nearest", "filter_type", "NEAREST")
     return node
@@ -164,8 +166,8 @@ def add_keys(
     values: NDArray[np.floating],
     interpolation: str,
 ) -> None:
-    """Key a property of ``block`` with values [N] or [N, K] at frames [N], replacing the action's earlier keys of it.
-    The action is assigned to the block. Actions have no slots before 4.4; from 5.0 on their curves belong to one."""
+    """Key a property of ``block`` with values [N] or [N, K] at frames [N], replacing the action's earlier keys of it,
+    and assign the action to the block. Actions have no slots before 4.4; from 5.0 on their curves belong to a slot."""
     animation = block.animation_data_create()
     if animation.action != action:
         animation.action = action
@@ -198,13 +200,13 @@ def show_stored_colours(scene: bpy.types.Scene) -> None:
 
 
 def composite_without_gpu(scene: bpy.types.Scene) -> None:
-    """Composite on the CPU in full precision: ids stay whole, and no GPU is needed."""
+    """Composite on the CPU in full precision, so that ids stay whole numbers and no GPU is needed."""
     scene.render.compositor_device = "CPU"
     scene.render.compositor_precision = "FULL"
 
 
 def to_overlay(srgb: NDArray[np.float32]) -> NDArray[np.float32]:
-    """sRGB pixels [H, W, 4] as a shader must write them over a 3D view, which before 5.0 encodes them itself."""
+    """Return sRGB pixels [H, W, 4] as a shader must write them over a 3D view, which before 5.0 encodes them itself."""
     if bpy.app.version >= (5, 0, 0):
         return srgb
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)

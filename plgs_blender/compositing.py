@@ -1,4 +1,4 @@
-"""The compositor in a window: its workspace, the passes behind the nodes, the selected group and its matte."""
+"""Show the compositor in a window: its workspace, the passes behind the nodes, the selected group and its matte."""
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ class _Opened:
     eyes: dict[tuple[str, int], str]
 
     def go_back(self, window: bpy.types.Window, room: bpy.types.Scene) -> None:
-        """Show the room again, through the same cameras: Blender left the camera views, as a passes scene has none."""
+        """Show the room again, through the same cameras. Blender left the camera views, as a passes scene has no
+        camera."""
         window.scene = room
         for (screen, number), name in self.eyes.items():
             areas, camera = getattr(bpy.data.screens.get(screen), "areas", ()), room.objects.get(name)
@@ -76,8 +77,8 @@ def show_room(window: bpy.types.Window) -> None:
 
 
 def follow_workspace() -> None:
-    """In a window from which the compositor was opened, show the room outside the compositor's workspace, and the
-    passes in it. If the user chose another scene there, the window is left alone."""
+    """In a window from which the compositor was opened, show the room in all workspaces but the compositor's, and there
+    the passes. If the user chose another scene, the window is left alone."""
     windows = {window.as_pointer(): window for window in bpy.context.window_manager.windows}
     for address, opened in [*_opened.items()]:
         window = windows.get(address)
@@ -131,7 +132,7 @@ def show_compositor(window: bpy.types.Window, passes: bpy.types.Scene) -> None:
 
 
 def compositing_workspace() -> bpy.types.WorkSpace | None:
-    """The workspace Compositing, else the first with a compositor, else None."""
+    """Return the workspace Compositing, else the first with a compositor, else None."""
     spaces = bpy.data.workspaces
     with_compositor = (
         each for each in spaces if any(area.ui_type == _TREE for screen in each.screens for area in screen.areas)
@@ -178,7 +179,7 @@ _SHOWING = ("Recolour", "Outline", "Isolate", "Hold out")  # controls of the gro
 
 
 def compositors_of(root: bpy.types.Collection) -> Iterator[tuple[bpy.types.Scene, bpy.types.NodeTree]]:
-    """The scenes with a lift's passes and their nodes, the scene of its frames first, unless the user removed nodes."""
+    """The scenes with a lift's passes and their nodes, that of its frames first, unless the user removed nodes."""
     found = []
     for scene in bpy.data.scenes:
         key, tree = key_of(scene, root[LIFT]) or "", compat.compositor_tree(scene)
@@ -189,7 +190,7 @@ def compositors_of(root: bpy.types.Collection) -> Iterator[tuple[bpy.types.Scene
 
 
 def panoptic_of(scene: bpy.types.Scene) -> bpy.types.Node | None:
-    """The group node, which has the controls, in the compositor that opens from a scene; or None."""
+    """Return the group node, which has the controls, in the compositor that opens from a scene; or None."""
     passes = passes_scene_of(scene)
     return None if passes is None else _group_node(compat.compositor_tree(passes))
 
@@ -199,7 +200,7 @@ def _group_node(tree: bpy.types.NodeTree | None) -> bpy.types.Node | None:
 
 
 def _follow_choice(root: bpy.types.Collection) -> None:
-    """Let the matte follow the list's active row, if the lift says so and has passes."""
+    """Make the matte follow the list's active row, if the lift is set so and has passes."""
     if root.plgs.matte_follows and root.plgs.instance_index >= 0:
         with suppress(PlgsError):
             matte_instance(root, 0)
@@ -225,7 +226,7 @@ def matte_class(root: bpy.types.Collection, class_id: int) -> str:
 
 def _set(root: bpy.types.Collection, layer: str, name: str, by_class: float) -> None:
     """Set the matte in all passes scenes of the lift whose files have it. If no control makes it visible, it gets an
-    outline. Raises PlgsError for files of before the name."""
+    outline. Raises PlgsError if the files are older than the name."""
     compositors = [*compositors_of(root)]
     if not compositors:
         raise PlgsError("no-passes", "has no passes in a compositor", root.name, "Bake some in the Passes panel.")
@@ -245,8 +246,8 @@ def _set(root: bpy.types.Collection, layer: str, name: str, by_class: float) -> 
 
 
 def _has_matte(tree: bpy.types.NodeTree, layer: str, name: str) -> bool:
-    """Whether the manifest of the passes (Cryptomatte 1.2) has the name, as far as their file can be read: a node shows
-    black for a name that it lacks."""
+    """Whether the manifest of the passes (Cryptomatte 1.2) has the name; true if the file cannot be read. A node shows
+    black for a name that its file lacks."""
     image = node_of(tree, layer).image
     if image is None:
         return True

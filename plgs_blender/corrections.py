@@ -1,8 +1,7 @@
-"""Corrections of a placed lift, saved on disk, shown in the scene at once and undone with Blender's own undo.
+"""Correct a placed lift. Corrections are saved on disk, shown in the scene at once and undone with Blender's own undo.
 
 The lift's collection stores which edits the scene shows. Undo and redo change that along with everything else, and
-handlers here update the file to match. They never touch the edits of other programs.
-"""
+handlers here update the file to match. They never touch the edits of other programs."""
 
 from __future__ import annotations
 
@@ -124,7 +123,8 @@ def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> Non
 
 
 def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
-    """Apply an object's proposal, except BY_VIEWS, which needs an engine; or accept it. Raises OSError, PlgsError."""
+    """Apply an object's proposal, except BY_VIEWS, which needs an engine; with ``keep``, accept the object. Raises
+    OSError, PlgsError."""
     one = proposal_of(root, instance)
     if keep:
         return accept(root, [one.instance])
@@ -141,7 +141,7 @@ def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
 
 
 def remember(root: bpy.types.Collection, result: LiftResult | CorrectedResult) -> None:
-    """Store in the collection which edits the scene shows, and what is proposed now, if proposals were asked for."""
+    """Store in the collection which edits the scene shows and, if proposals were asked for, which there are now."""
     root[EDITS] = " ".join(each.uid for each in result.edits if not each.undone)
     root[CORRECTIONS] = result.label_fingerprint
     with suppress(OSError):
@@ -153,7 +153,7 @@ def remember(root: bpy.types.Collection, result: LiftResult | CorrectedResult) -
 
 
 def look_for_changes(root: bpy.types.Collection) -> None:
-    """Note in `outdated` whether a lift differs on disk from what the scene shows, in `gone` whether there is none.
+    """Add a lift to `outdated` if its files differ from what the scene shows, or to `gone` if its folder is missing.
     Raises PlgsError, OSError."""
     lift = folder_of(root)
     if not lift.is_dir():
@@ -167,8 +167,8 @@ def look_for_changes(root: bpy.types.Collection) -> None:
 
 
 def chosen_instances(root: bpy.types.Collection, named: str, context: bpy.types.Context) -> list[int]:
-    """The ids in a text such as "3 5"; all ids for "all"; for an empty text, those of the selected boxes, the active
-    one first, else of the list's active row. Raises PlgsError."""
+    """Return the ids in a text such as "3 5"; all ids for "all"; for "", those of the selected boxes, the active one
+    first, else of the list's active row. Raises PlgsError."""
     if named.strip() == "all":
         return [row.instance_id for row in root.plgs.instances]
     if named.strip():
@@ -181,12 +181,12 @@ def chosen_instances(root: bpy.types.Collection, named: str, context: bpy.types.
 
 
 def class_named(root: bpy.types.Collection, name: str) -> int:
-    """The id of the lift's class with this name or number. Raises PlgsError."""
+    """Return the id of the lift's class with this name or number. Raises PlgsError."""
     return making.class_of(listed_in(folder_of(root))[0], name)
 
 
 def class_choices(root: bpy.types.Collection, instance: int) -> list[str]:
-    """All class names of the lift, first those that most of the object's masks voted for. Raises PlgsError."""
+    """Return all class names of the lift, first those for which most of the object's masks voted. Raises PlgsError."""
     votes: dict[str, float] = {}
     for row in root.plgs.instances:
         if row.instance_id == instance:
@@ -197,8 +197,8 @@ def class_choices(root: bpy.types.Collection, instance: int) -> list[str]:
 
 
 def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
-    """Rename an object. If only this Blender changed the corrections, only the object's row, box and mesh change, as
-    one of their fields may call this; otherwise all is shown anew. Raises PlgsError, OSError."""
+    """Rename an object. If only this Blender changed the corrections, only the object's row, box and mesh are updated,
+    as one of their fields may call this; otherwise all is. Raises PlgsError, OSError."""
     made, result = _correct(root, lambda state, _: making.rename(state, instance, name))
     if root[LIFT] in outdated:  # then there is more to show
         show_corrections(root, result)
@@ -210,7 +210,7 @@ def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
 
 
 def _rename_by_field(root: bpy.types.Collection, instance: int, name: str) -> None:
-    """Apply a rename made in a list or the outliner. If that fails, restore the old name; `failed` says why."""
+    """Apply a rename made in a list or the outliner. If that fails, restore the old name; `failed` then says why."""
     failed.clear()
     try:
         rename(root, instance, name)
@@ -232,13 +232,13 @@ def _name_objects(root: bpy.types.Collection, instance: int, name: str) -> None:
 
 
 def reclass(root: bpy.types.Collection, instances: Sequence[int], class_name: str) -> Edit:
-    """Change the class of objects."""
+    """Change the class of objects. Raises PlgsError, OSError."""
     class_id = class_named(root, class_name)
     return edit(root, lambda state, _: making.reclass(state, instances, class_id))
 
 
 def merge(root: bpy.types.Collection, instances: Sequence[int]) -> Edit:
-    """Merge all objects into the first."""
+    """Merge all objects into the first. Raises PlgsError, OSError."""
     return edit(root, lambda state, _: making.merge(state, instances))
 
 
@@ -260,12 +260,12 @@ def delete_around(root: bpy.types.Collection, instances: Sequence[int]) -> None:
 
 
 def accept(root: bpy.types.Collection, instances: Sequence[int]) -> Edit:
-    """Mark objects as correct."""
+    """Mark objects as correct. Raises PlgsError, OSError."""
     return edit(root, lambda state, _: making.accept(state, instances))
 
 
 def split_parts(root: bpy.types.Collection, instance: int) -> Edit:
-    """Split an object into its connected parts."""
+    """Split an object into its connected parts. Raises PlgsError, OSError."""
     return _split(root, instance, making.parts_of)
 
 
@@ -287,7 +287,7 @@ def _split(
 
 
 def crop(root: bpy.types.Collection, instance: int) -> Edit:
-    """Give an object the points of its class that are inside its box, as the user left the box."""
+    """Give an object all points of its class inside its box, which the user may have moved or scaled."""
     box = selection.box_of(root, instance)
     return edit(root, lambda state, _: making.crop(state, instance, inside_box(box, state.xyz)))
 
@@ -295,7 +295,8 @@ def crop(root: bpy.types.Collection, instance: int) -> Edit:
 def assign(
     root: bpy.types.Collection, choose: Choose, instance: int, class_name: str = "", *, is_new: bool = False
 ) -> Edit:
-    """Assign the points that ``choose`` selects to an object or, without one, to a class or a new object of it."""
+    """Assign the points that ``choose`` selects to the object ``instance`` or, if that is 0, to a class or (``is_new``)
+    a new object of it."""
     class_id = 0 if instance else class_named(root, class_name)
 
     def make(state: Replay, first_id: int) -> Edit:
@@ -306,7 +307,7 @@ def assign(
 
 
 def in_region(name: str) -> Choose:
-    """Selects the points in the box of the object with this name. Raises PlgsError."""
+    """Return a function that selects the points in the box of the object with this name. Raises PlgsError."""
     region = bpy.data.objects.get(name)
     if region is None:
         raise PlgsError("no-object", "there is no such object", name, "Name an object whose box contains the points.")
@@ -314,7 +315,7 @@ def in_region(name: str) -> Choose:
 
 
 def inside_box(box: bpy.types.Object, xyz: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Which points [N, 3] lie within an object's current bounding box, bool [N]."""
+    """Return which points [N, 3] lie within an object's current bounding box, bool [N]."""
     corners = np.array([corner[:] for corner in box.bound_box])
     local = np.c_[xyz, np.ones(len(xyz))] @ np.array(box.matrix_world.inverted_safe()).T
     return ((local[:, :3] >= corners.min(axis=0)) & (local[:, :3] <= corners.max(axis=0))).all(axis=1)
@@ -322,7 +323,7 @@ def inside_box(box: bpy.types.Object, xyz: NDArray[np.float32]) -> NDArray[np.bo
 
 @bpy.app.handlers.persistent
 def _follow_undo(*_arguments: object) -> None:
-    """Repeat Blender's undo or redo in the file."""
+    """Repeat in the corrections' file what Blender's undo or redo changed."""
     failed.clear()
     for scene in bpy.data.scenes if _mine else ():
         for root in lifts_in(scene):

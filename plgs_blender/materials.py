@@ -1,7 +1,4 @@
-"""The colours and materials of a lift.
-
-They are unlit: photos already contain their light.
-"""
+"""The colours and materials of a lift. They are unlit, as photos already contain their light."""
 
 from __future__ import annotations
 
@@ -39,7 +36,7 @@ _LINEAR = np.where(_BYTES <= 0.04045, _BYTES / 12.92, ((_BYTES + 0.055) / 1.055)
 
 
 def linear_rgba(srgb: ArrayLike) -> NDArray[np.float32]:
-    """sRGB bytes 0..255 [..., 3] as linear colours with alpha 1, float32 [..., 4] (IEC 61966-2-1)."""
+    """Convert sRGB bytes 0..255 [..., 3] to linear colours with alpha 1, float32 [..., 4] (IEC 61966-2-1)."""
     value = np.asarray(srgb)
     rgba = np.ones((*value.shape[:-1], 4), np.float32)
     rgba[..., :3] = _LINEAR[value]
@@ -47,7 +44,7 @@ def linear_rgba(srgb: ArrayLike) -> NDArray[np.float32]:
 
 
 def object_colour(srgb: Sequence[int]) -> tuple[float, float, float, float]:
-    """One sRGB colour as an object's viewport colour, linear RGBA."""
+    """Convert one sRGB colour to an object's viewport colour, linear RGBA."""
     red, green, blue, alpha = linear_rgba(srgb).tolist()
     return red, green, blue, alpha
 
@@ -62,7 +59,7 @@ def point_material(owned: OwnedDataBlocks) -> bpy.types.Material:
 
 
 def clear_material(owned: OwnedDataBlocks) -> bpy.types.Material:
-    """The invisible material of the boxes' faces."""
+    """Return the invisible material of the boxes' faces."""
     material = owned.block("materials", "clear", lambda: bpy.data.materials.new("PLGS clear"))
     tree = use_nodes(material)
     if not any(node.bl_idname == "ShaderNodeBsdfTransparent" for node in tree.nodes):
@@ -75,8 +72,8 @@ def clear_material(owned: OwnedDataBlocks) -> bpy.types.Material:
 def surface_material(
     owned: OwnedDataBlocks, *, both_sides: bool = False, image: bpy.types.Image | None = None, of: str = ""
 ) -> bpy.types.Material:
-    """The meshes' material, in the colours of the attribute Col or, with an ``image`` ``of`` one mesh, of that image.
-    It is unlit, as photos contain their light; its value node LIT hands it over to the scene's lights. Backs are
+    """Return the meshes' material, in the colours of the attribute Col or, with an ``image`` ``of`` one mesh, of that
+    image. It is unlit, as photos contain their light; its value node LIT lets the scene's lights act on it. Backs are
     transparent, so that a room is open from outside, unless ``both_sides`` show."""
     name = "PLGS objects" if both_sides else "PLGS surfaces"
     key = f"objects {of}" if both_sides else f"surfaces {of}"
@@ -103,7 +100,7 @@ def let_catch(ob: bpy.types.Object, catcher: bpy.types.Material | None) -> None:
 
 
 def image_of(material: bpy.types.Material) -> bpy.types.Image | None:
-    """The image of a mesh's own material."""
+    """Return the image of a mesh's own material, or None."""
     return next((node.image for node in _pictures(material)), None)
 
 
@@ -135,15 +132,15 @@ def _mix_shaders(tree: bpy.types.NodeTree, column: int, factor: Any, first: Any,
 
 
 def _cast_no_light(material: bpy.types.Material) -> None:
-    """Stop Cycles from sampling surfaces as lights that only glow to be seen."""
+    """Stop Cycles from sampling surfaces as lights that emit only to be visible."""
     if hasattr(material, "cycles"):  # not in builds without Cycles
         material.cycles.emission_sampling = "NONE"
 
 
 def catcher_material(owned: OwnedDataBlocks, scene: bpy.types.Scene) -> bpy.types.Material:
-    """The material of shadow catchers, for the scene's current lights. Cycles takes its matt colours for bounced light
-    and reflections. EEVEE has no catchers: there it is transparent, and black where less light arrives than without a
-    shadow; its normal is the light's direction, so that walls facing away are not dark."""
+    """Return the material of shadow catchers, for the scene's current lights. Cycles uses its matt colours for bounced
+    light and reflections. EEVEE has no catchers: there it is transparent, and black where less light arrives than
+    without a shadow; its normal is the light's direction, so that walls facing away are not dark."""
     material = owned.block("materials", "catcher", lambda: bpy.data.materials.new("PLGS shadow catcher"))
     tree = use_nodes(material)
     if value_node(material, CATCHER) is None:
@@ -179,8 +176,8 @@ def catcher_material(owned: OwnedDataBlocks, scene: bpy.types.Scene) -> bpy.type
 
 
 def _light_of(scene: bpy.types.Scene) -> tuple[Vector, float]:
-    """The direction from the origin to the scene's strongest light, and the brightness of a white surface facing it. (A
-    sun of strength pi gives 1; a lamp's power spreads over a sphere, an area light's only forwards.)"""
+    """Return the direction from the origin to the scene's strongest light, and the brightness of a white surface facing
+    it. (A sun of strength pi gives 1; a lamp's power spreads over a sphere, an area light's over a hemisphere.)"""
     best, brightness = Vector((0.0, 0.0, 1.0)), 0.0
     for ob in scene.objects:
         if ob.type != "LIGHT" or ob.hide_render:
@@ -196,7 +193,7 @@ def _light_of(scene: bpy.types.Scene) -> tuple[Vector, float]:
 
 
 def splat_material(owned: OwnedDataBlocks) -> bpy.types.Material:
-    """The splats' material: unlit Col, fading from each square's middle by the attributes corner and opacity."""
+    """The squares' material: unlit Col, fading from each square's middle by the attributes corner and opacity."""
     material = owned.block("materials", "splats", lambda: bpy.data.materials.new("PLGS splats"))
     tree = use_nodes(material)
     if not any(node.bl_idname == "ShaderNodeAttribute" for node in tree.nodes):
@@ -222,7 +219,7 @@ def splat_material(owned: OwnedDataBlocks) -> bpy.types.Material:
 
 
 def value_node(material: bpy.types.Material, label: str) -> bpy.types.Node | None:
-    """The node whose `.outputs[0].default_value` sets CLASS_COLOURS, RELIEF or LIT."""
+    """Return the node whose `.outputs[0].default_value` sets CLASS_COLOURS, RELIEF or LIT, or None."""
     nodes = material.node_tree.nodes if material.node_tree else ()
     return next((node for node in nodes if node.label == label), None)
 
@@ -241,7 +238,7 @@ def _build_points(tree: bpy.types.NodeTree) -> None:
 
 
 def _mix(tree: bpy.types.NodeTree, column: int, row: int, blend: str, *colours: Any) -> Any:
-    """Mix two colours by a factor, which comes first, and return the output socket."""
+    """Add a node that mixes two colours by a factor, which is given first, and return its output socket."""
     node = add_node(tree, "ShaderNodeMix", column, row, *colours, data_type="RGBA", blend_type=blend)
     return next(socket for socket in node.outputs if socket.enabled)  # it has one for each type of data
 
@@ -260,7 +257,7 @@ def _add_value(tree: bpy.types.NodeTree, column: int, row: int, label: str, valu
 def add_node(
     tree: bpy.types.NodeTree, kind: str, column: float, row: float, *inputs: Any, **settings: Any
 ) -> bpy.types.Node:
-    """A new node with these settings. Inputs are linked to sockets or set to values; None leaves one as it is."""
+    """Add a node with these settings. Inputs are linked to sockets or set to values; None leaves one as it is."""
     node = tree.nodes.new(kind)
     node.location = (220 * column, row)
     for name, value in settings.items():  # first, because they decide which inputs there are

@@ -1,9 +1,7 @@
-"""Keeps a saved project whole when it is moved: our paths in a .blend are relative wherever Blender's own are, and a
-lift that was moved alone is bound to the collection that shows it.
-
-Blender makes all of its paths relative when a file is saved for the first time, and follows when it is saved elsewhere.
-It does not know of custom properties and of our settings, so handlers here do the same for those.
-"""
+"""Keep a saved project whole when it is moved: our paths in a .blend are relative wherever Blender's own are, and a
+lift that was moved alone is bound to the collection that shows it. Blender makes all of its paths relative when a file
+is saved for the first time, and updates them when it is saved elsewhere. It does not know about custom properties and
+our settings, so handlers here do the same for those."""
 
 from __future__ import annotations
 
@@ -108,8 +106,8 @@ def _after_failing(*_: object) -> None:
 
 
 def bind(root: bpy.types.Collection, folder: Path) -> None:
-    """Bind a placed lift to the folder to which it was moved, together with its scene and its pictures. Nothing is
-    placed anew. Raises PlgsError if the folder does not hold the lift that is shown."""
+    """Bind a placed lift to the folder to which it was moved, and also its scene and its pictures. Nothing is placed
+    again. Raises PlgsError if the folder does not hold the lift that is shown."""
     lift = LiftFolder.open(folder)
     if not shows(root, lift.path):
         fix = "Choose the folder of the lift that is shown, or open this one with Open Lift."

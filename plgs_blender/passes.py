@@ -1,8 +1,7 @@
 """Scenes with the baked passes as compositor layers: one for the lift's frames, and one for each baked user camera.
 
 In the scene of the lift's frames, each timeline frame is one view. The EXR files are an image sequence with gaps in its
-numbers, and a keyed offset maps frames to files. If the names are not numbered, `show_view` swaps images.
-"""
+numbers, and a keyed offset maps frames to files. If the names are not numbered, `show_view` swaps images."""
 
 from __future__ import annotations
 
@@ -51,7 +50,7 @@ _NEEDED |= {"CryptoInstance00.r", "CryptoClass00.r"}
 
 
 def check_layers(files: Iterable[Path]) -> None:
-    """Raises PlgsError if one of the passes' files is not an EXR or lacks a layer that the compositor reads."""
+    """Raise PlgsError if one of the passes' files is not an EXR or lacks a layer that the compositor reads."""
     for path in files:
         try:
             missing = _NEEDED - {*read_exr_header(path).channels}
@@ -62,7 +61,7 @@ def check_layers(files: Iterable[Path]) -> None:
 
 
 def size_of(path: Path) -> tuple[int, int]:
-    """Width and height of a passes file in pixels; 0, 0 if it is not an EXR, or too large for a picture."""
+    """Return width and height of a passes file in pixels; 0, 0 if it is not an EXR, or too large for a picture."""
     try:
         size = read_exr_header(path).size
     except PlgsError:
@@ -71,7 +70,7 @@ def size_of(path: Path) -> tuple[int, int]:
 
 
 def place_passes(owned: OwnedDataBlocks, result: LiftResult) -> bpy.types.Scene | None:
-    """Make or refill the scene "PLGS <name> passes". None if the lift's frames have no passes."""
+    """Make or refill the scene "PLGS <name> passes" and return it; None if the lift's frames have no passes."""
     if not result.passes:
         owned.drop("scenes", PASSES)
         return None
@@ -109,7 +108,7 @@ def place_shots(owned: OwnedDataBlocks, result: LiftResult, shot_scene: bpy.type
 
 
 def _counting_through(names: Collection[str], sequence: NumberedNames | None) -> Callable[[Any, Any], None]:
-    """Returns a function that makes timeline frame k show the k-th name."""
+    """Return a function that makes timeline frame k show the k-th name."""
     numbers = () if sequence is None else sequence.numbers
     return partial(_count_through, len(names), [number - k for k, number in enumerate(numbers, start=1)])
 
@@ -123,7 +122,7 @@ def _fill_scene(
     sequence: NumberedNames | None,
     count: Callable[[bpy.types.Scene, bpy.types.NodeTree], None],
 ) -> bpy.types.Scene:
-    """The scene for these files and its nodes, made if missing; ``count`` maps frames to files."""
+    """Return the scene for these files with its nodes, made if missing. ``count`` maps timeline frames to files."""
     name = f"PLGS {result.name} {key.removeprefix(SHOT)}"
     scene = owned.block("scenes", key, lambda: _new_scene(name))
     scene.name = name
@@ -147,7 +146,8 @@ def _fill_scene(
 
 
 def _begin_matte(lift: str, scene: bpy.types.Scene, tree: bpy.types.NodeTree, result: LiftResult) -> None:
-    """Give new nodes the matte and the controls of the lift's last compositor, else the selected object, else none."""
+    """Give new nodes the matte and controls of the lift's last compositor, else a matte of the selected object, else
+    none."""
     layers = (CRYPTO_INSTANCES, CRYPTO_CLASSES)
     for other in reversed(bpy.data.scenes):
         last = compat.compositor_tree(other) if other != scene and key_of(other, lift) else None
@@ -169,7 +169,7 @@ def _begin_matte(lift: str, scene: bpy.types.Scene, tree: bpy.types.NodeTree, re
 
 
 def _new_scene(name: str) -> bpy.types.Scene:
-    """A scene only for compositing: no camera, nothing rendered, colours unchanged."""
+    """Make a scene only for compositing: no camera, nothing rendered, colours unchanged."""
     scene = bpy.data.scenes.new(name)
     compat.show_stored_colours(scene)
     scene.render.use_compositing, scene.render.use_sequencer = True, False
@@ -212,7 +212,7 @@ def _one_pixel_of(image: bpy.types.Image) -> Iterator[None]:
 
 
 def _count_through(views: int, offsets: list[int], scene: bpy.types.Scene, tree: bpy.types.NodeTree) -> None:
-    """Timeline frame k shows file number k + offsets[k - 1]."""
+    """Make timeline frame k show file number k + offsets[k - 1]."""
     for node in reading_nodes(tree):
         node.frame_start, node.frame_duration = 1, views
         path = f'nodes["{bpy.utils.escape_identifier(node.name)}"].frame_offset'
@@ -227,14 +227,15 @@ def _count_through(views: int, offsets: list[int], scene: bpy.types.Scene, tree:
 
 
 def _count_on(first: int, last: int, _scene: bpy.types.Scene, tree: bpy.types.NodeTree) -> None:
-    """Each timeline frame shows the file with its number."""
+    """Make each timeline frame show the file with its number."""
     for node in reading_nodes(tree):
         node.frame_start, node.frame_duration, node.frame_offset = first, last - first + 1, first - 1
     node_of(tree, PASSES).use_auto_refresh = True
 
 
 def _take_after(scene: bpy.types.Scene, shot: bpy.types.Scene, numbers: Sequence[int], size: tuple[int, int]) -> None:
-    """Take the frame range and size of a shot's files, and the frame rate and pixel aspect of its scene."""
+    """Give a passes scene the frame range and size of a shot's files, and the frame rate and pixel aspect of its
+    scene."""
     scene.frame_start, scene.frame_end = min(numbers), max(numbers)
     scene.frame_step = math.gcd(*(number - min(numbers) for number in numbers)) or 1  # 0 if there is only one
     scene.frame_set(min(numbers))
@@ -276,7 +277,7 @@ def _mark_views(scene: bpy.types.Scene, names: Collection[str]) -> None:
 
 
 def open_passes(scene: bpy.types.Scene) -> bpy.types.Scene:
-    """The passes scene, at the active camera's view if that was baked. Raises PlgsError."""
+    """Return the passes scene, at the active camera's view if that was baked. Raises PlgsError."""
     passes = passes_scene_of(scene)
     if passes is None:
         raise PlgsError("no-passes", "has no passes", scene.name, "Bake them in the Passes panel.")
@@ -295,7 +296,7 @@ def is_shot(scene: bpy.types.Scene) -> bool:
 
 
 def passes_scene_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
-    """The scene itself if it holds passes, else its first lift's: the active camera's, else the frames', else any."""
+    """Return the scene itself if it holds passes, else its first lift's: the active camera's, the frames', or any."""
     if text_of(scene, LIFT) and (key_of(scene, scene[LIFT]) == PASSES or is_shot(scene)):
         return scene
     for root in lifts_in(scene):

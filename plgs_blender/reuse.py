@@ -1,9 +1,8 @@
-"""Extracts objects of a lift for use elsewhere, each into its own collection, which can be moved and be an asset.
+"""Extract objects of a lift for use elsewhere, each into its own collection, which can be moved and be an asset.
 
 A collection has one object with its origin at the foot of the instance's box: its surface with its semantic points
-hidden under it, or only the points if no meshes were made. All of it is the user's: no lift touches it, and extracting
-it again keeps its position. The lift's own version of the object is hidden, which leaves a hole.
-"""
+hidden under it, or only the points if no meshes were made. All of it is the user's: placing a lift never changes it,
+and extracting it again keeps its position. The lift's own version of the object is hidden, which leaves a hole."""
 
 from __future__ import annotations
 
@@ -69,7 +68,7 @@ def _select(objects: Sequence[bpy.types.Object]) -> None:
 
 
 def leave_holes(root: bpy.types.Collection) -> None:
-    """Hide the lift's own version of extracted instances."""
+    """Hide the lift's own version of each extracted instance."""
     made = {number for number, _ in _made(root)}
     if not made:
         return
@@ -106,20 +105,20 @@ def key_visibility(root: bpy.types.Collection, numbers: Sequence[int], scene: bp
 
 
 def extracted(root: bpy.types.Collection) -> list[bpy.types.Object]:
-    """The extracted surfaces of a lift."""
+    """Return the extracted surfaces of a lift."""
     objects = [ob for _, collection in _made(root) for ob in collection.objects]
     return [ob for ob in objects if PLACED in ob and ob.type == "MESH" and len(ob.data.polygons)]
 
 
 def _made(root: bpy.types.Collection) -> Iterable[tuple[int, bpy.types.Collection]]:
-    """The extracted instances of a lift, with their collections."""
+    """Yield the extracted instances of a lift, with their collections."""
     for top in bpy.data.collections:
         if text_of(top, OBJECTS) == root[LIFT]:
             yield from ((child[INSTANCE], child) for child in top.children if type(child.get(INSTANCE)) is int)
 
 
 def _top(root: bpy.types.Collection) -> bpy.types.Collection:
-    """The collection of a lift's extracted objects in the current scene."""
+    """Return the collection of a lift's extracted objects in the current scene."""
     scene = bpy.context.scene
     for top in scene.collection.children_recursive:
         if text_of(top, OBJECTS) == root[LIFT]:
@@ -164,7 +163,7 @@ def _fill(root: bpy.types.Collection, top: bpy.types.Collection, one: Instance) 
 
 
 def _points(root: bpy.types.Collection, one: Instance, inverse: Matrix) -> bpy.types.PointCloud | None:
-    """The instance's semantic points with all their attributes, in the pivot's space."""
+    """Return the instance's semantic points with all attributes, relative to the pivot; None without points."""
     for cloud in clouds_of(root):
         rows = ids_of(cloud.data, "instance_id") == one.id
         if "class_id" not in cloud or not rows.any():
@@ -193,7 +192,7 @@ def _column(data: bpy.types.PointCloud, name: str, kind: str) -> NDArray[Any]:
 
 
 def _surface(root: bpy.types.Collection, one: Instance, inverse: Matrix) -> bpy.types.Mesh | None:
-    """The instance's mesh in the pivot's space, if meshes were made."""
+    """Return the instance's mesh relative to the pivot, or None if no meshes were made."""
     for ob in surfaces_of(root):
         if ob.get("instance_id") == one.id:
             mesh = ob.data.copy()
@@ -232,8 +231,8 @@ def _mark_as_asset(collection: bpy.types.Collection, one: Instance) -> None:
 
 
 def picture_of_points(xyz: NDArray[np.floating], rgb: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Points [N, 3] with linear colours [N, 3], seen from above at the front right: a picture float32 [H, W, 4], sRGB,
-    lowest row first, transparent where empty."""
+    """Draw points [N, 3] with linear colours [N, 3], seen from above at the front right. Returns a picture float32 [H,
+    W, 4], sRGB, lowest row first, transparent where empty."""
     right, to_eye = np.array([[0.8, 0.6, 0.0], [0.54, -0.72, 0.44]])
     up = np.cross(to_eye, right)
     seen = (xyz - (xyz.min(axis=0) + xyz.max(axis=0)) / 2.0) @ np.stack([right, up, to_eye], axis=1)

@@ -1,4 +1,4 @@
-"""Bakes a shot from a terminal, or writes the job by which a farm does."""
+"""Bake a shot from a terminal, or write a job with which a render farm does so."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ def bake_shot_in_terminal(
     channels: str = "",
 ) -> ExitCode:
     """Bake what a camera of ``blend`` sees of a finished lift over ``frames`` (none: the file's range), with these
-    FURTHER_LAYERS, into the lift's result or the folder ``output``, with ``channels`` named for one of CHANNELS.
-    Progress goes to stderr and events to the descriptor ``echo``. ``name`` is the shot's; with ``replace``, it may be
-    that of another file's, and other programs' files in ``output`` are overwritten. Raises PlgsError, and Interrupted
-    after Ctrl-C, once the engine has ended."""
+    FURTHER_LAYERS, into the lift's result or the folder ``output``. ``channels`` is one of CHANNELS, and names the
+    channels for another program. Progress goes to stderr and events to the descriptor ``echo``. ``name`` is the shot's;
+    with ``replace``, it may be that of another file's, and other programs' files in ``output`` are overwritten. Raises
+    PlgsError, and Interrupted after Ctrl-C, once the engine has ended."""
     python = engine_python()
     scene = open_blend(blend.absolute(), lift.path, named_by="--blend")
     shot = shot_of(scene, camera, given=name, only=frames, motion="vector" in layers)

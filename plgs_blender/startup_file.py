@@ -1,4 +1,4 @@
-"""An untouched startup file takes over a capture's range, size, camera and colours; a user's own file keeps them."""
+"""Give an unchanged startup file a capture's range, size, camera and colours; a user's own file keeps its own."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ _RANGE, _SIZE, _ASPECT = (1, 250), (1920, 1080, 100), (1.0, 1.0)
 
 @contextmanager
 def taking_over(scene: bpy.types.Scene) -> Iterator[bool]:
-    """Wraps the placement of a capture or lift; yields whether the scene is an untouched startup scene. That then takes
-    the capture's range, size, pixel aspect, camera and colours, and its own objects are hidden. A range that was that
-    of our frames remains so. If placing fails, everything is restored."""
+    """Wrap the placing of a capture or lift; yields whether the scene is an unchanged startup scene. Such a scene takes
+    the capture's range, size, pixel aspect, camera and colours, and its own objects are hidden. In another scene, the
+    range follows our frames if it was theirs before. If placing fails, everything is restored."""
     is_untouched = _is_untouched(scene)
     follows = is_untouched or (scene.frame_start, scene.frame_end) == _span(scene)
     camera = scene.camera
@@ -116,7 +116,7 @@ def _is_startup_object(ob: bpy.types.Object) -> bool:
 
 
 def _hide_startup_objects(scene: bpy.types.Scene) -> None:
-    """Hide what is not ours in the views and, if it is in the way there, in renders."""
+    """Hide objects that are not ours in the views and, if they are in the way there, in renders."""
     for ob in scene.objects:
         if LIFT in ob:
             continue
@@ -129,7 +129,7 @@ def _hide_startup_objects(scene: bpy.types.Scene) -> None:
 
 
 def _use_size(scene: bpy.types.Scene) -> None:
-    """Take the size and pixel aspect of the first frame."""
+    """Set the scene's size and pixel aspect to those of the first frame."""
     numbers = _frame_numbers(scene)
     frame = next((ob for ob in sorted(numbers, key=numbers.__getitem__) if "frame" in ob), None)
     if frame is not None:
@@ -139,11 +139,11 @@ def _use_size(scene: bpy.types.Scene) -> None:
 
 
 def _span(scene: bpy.types.Scene) -> tuple[int, int] | None:
-    """The first and last timeline frame of the frames' cameras, or None. The overview comes after them."""
+    """Return the first and last timeline frame of the frames' cameras, or None. The overview comes after them."""
     numbers = [number for ob, number in _frame_numbers(scene).items() if "frame" in ob]
     return (min(numbers), max(numbers)) if numbers else None
 
 
 def _frame_numbers(scene: bpy.types.Scene) -> dict[bpy.types.Object, int]:
-    """The timeline frames of our cameras."""
+    """Return the timeline frames of our cameras."""
     return {ob: number for root in lifts_in(scene) for ob, number in places_of(root, scene).items()}

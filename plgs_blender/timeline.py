@@ -1,8 +1,8 @@
 """The lift's markers on the timeline: each is bound to one of our cameras, so scrubbing walks through the frames.
 
-At every frame change, Blender activates the bound marker's camera. So that a user's camera stays active, our markers
-are on the timeline only while one of our cameras is active, and otherwise wait as a property of these cameras.
-"""
+At every frame change, Blender activates the camera of the marker there. So that a user's camera stays active, our
+markers are on the timeline only while one of our cameras is active; otherwise their frames are kept in a property of
+these cameras ("waiting markers")."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def mark_timeline(
 ) -> list[int]:
     """Bind a marker to each frame's camera, at the number in the frame's name, and a last one to the overview, if any.
     They replace this lift's earlier ones, and come after the scene's range if it has a user's camera. Returns the
-    timeline frames of the lift's frames."""
+    frames of the timeline where they are."""
     markers, ours = scene.timeline_markers, _originals(scene, root[LIFT])
     for marker in [m for m in markers if m.camera in ours]:
         markers.remove(marker)
@@ -56,7 +56,7 @@ def mark_timeline(
 
 
 def places_of(root: bpy.types.Collection, scene: bpy.types.Scene) -> dict[bpy.types.Object, int]:
-    """The timeline frames of the lift's cameras, even while its markers wait."""
+    """Return the timeline frames of the lift's cameras, also if its markers are not on the timeline now."""
     own = _originals(scene, root[LIFT])
     ours = {m.camera: m.frame for m in scene.timeline_markers if m.camera in own}
     if not root.get(_ASIDE):
@@ -92,7 +92,7 @@ def follow_camera(scene: bpy.types.Scene, *_arguments: object) -> None:
 
 
 def _waiting(scene: bpy.types.Scene, lift: str) -> list[bpy.types.Object]:
-    """The cameras of a lift whose markers wait."""
+    """Return the cameras of a lift that keep their markers' frames, as these are not on the timeline."""
     return [ob for ob in _originals(scene, lift) if _PLACE in ob]
 
 
@@ -102,7 +102,7 @@ def is_of_lift(camera: bpy.types.Object, scene: bpy.types.Scene) -> bool:
 
 
 def _originals(scene: bpy.types.Scene, lift: str) -> set[bpy.types.Object]:
-    """The lift's own objects in a scene, without the user's copies of them."""
+    """Return the lift's own objects in a scene, without the user's copies of them."""
     return set(originals(scene.objects, lift).values())
 
 

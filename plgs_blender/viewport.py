@@ -64,8 +64,8 @@ def show_object_colours(shading: Any) -> None:
 
 
 def show_lift_colours(view: bpy.types.SpaceView3D) -> None:
-    """Show a lift's colours in a 3D view's Solid shading: splats and meshes with the attribute Col and open backs,
-    points in class colours, the only ones they have there, and boxes in coloured lines."""
+    """Show a lift's colours in a 3D view's Solid shading: splats and meshes by their attribute Col, with open backs;
+    points by class, as Solid shading has only one colour for them; and boxes as coloured lines."""
     view.shading.type = "SOLID"
     show_object_colours(view.shading)
     view.shading.color_type, view.shading.show_backface_culling = "VERTEX", True
@@ -79,8 +79,9 @@ _tries: list[int] = []
 
 
 def look_first() -> float | None:
-    """For a timer. When a file of ours is opened for the first time, open the sidebar's tab PLGS, and show materials if
-    there is a graphics card. Blender knows a tab once it has drawn it; until then, returns the seconds to wait."""
+    """Show the sidebar's tab PLGS when a file of ours is opened for the first time, and materials if there is a
+    graphics card. For a timer: Blender knows a tab only after drawing it, so until then the seconds to wait are
+    returned."""
     new = [root for scene in bpy.data.scenes for root in lifts_in(scene) if root.get(NEW)]
     bars = [region for area in all_views() for region in area.regions if region.type == "UI" and region.width > 1]
     _tries.append(0)
@@ -103,7 +104,7 @@ def look_first() -> float | None:
 
 
 def draws_in_software() -> bool:
-    """Whether there is no graphics card, so the CPU draws. Material Preview then takes a minute to start."""
+    """Whether the CPU draws because there is no graphics card. Material Preview then takes a minute to start."""
     try:
         return str(gpu.platform.device_type_get()) == "SOFTWARE"
     except SystemError:  # Blender has no window
@@ -125,7 +126,7 @@ def show_materials(view: bpy.types.SpaceView3D, *, always: bool = False) -> None
 
 
 def show_materials_in(scene: bpy.types.Scene) -> None:
-    """The same for all 3D views of windows that show this scene."""
+    """Do as `show_materials` for all 3D views of windows that show this scene."""
     for area in areas_of(scene):
         show_materials(area.spaces.active)
 
@@ -140,7 +141,7 @@ def show_room(areas: Iterable[bpy.types.Area], rotation: Quaternion, corners: ND
 
 
 def areas_that_show(scene: bpy.types.Scene, rotation: Quaternion, corners: NDArray[np.float64]) -> list[bpy.types.Area]:
-    """The 3D views that are still where `show_room` puts them with this rotation and these corners [N, 3]."""
+    """Return the 3D views that are still where `show_room` puts them with this rotation and these corners [N, 3]."""
     found = []
     for area in areas_of(scene):
         view, (_, location, distance) = area.spaces.active.region_3d, _pose(area, rotation, corners)
@@ -152,13 +153,13 @@ def areas_that_show(scene: bpy.types.Scene, rotation: Quaternion, corners: NDArr
 
 
 def areas_of(scene: bpy.types.Scene) -> list[bpy.types.Area]:
-    """The 3D views of the windows with this scene."""
+    """Return the 3D views of the windows with this scene."""
     windows = [window for window in bpy.context.window_manager.windows if window.scene == scene]
     return [area for window in windows for area in window.screen.areas if area.type == "VIEW_3D"]
 
 
 def own_view(scene: bpy.types.Scene) -> tuple[bpy.types.Area, Camera] | None:
-    """The scene's first 3D view, if in perspective, and what it sees; None if one looks through a camera."""
+    """Return the scene's first 3D view, if in perspective, and what it sees; None if one looks through a camera."""
     areas = [area for area in areas_of(scene) if _free_of_sidebar(area)[0].width > 1]
     if not areas or any(area.spaces.active.region_3d.view_perspective == "CAMERA" for area in areas):
         return None
@@ -189,7 +190,8 @@ def frame_room(area: bpy.types.Area, rotation: Quaternion, corners: NDArray[np.f
 
 
 def _pose(area: bpy.types.Area, rotation: Quaternion, corners: NDArray[np.float64]) -> tuple[Quaternion, Vector, float]:
-    """Rotation, location and distance of a 3D view that fits all corners into the part that the sidebar leaves free."""
+    """Return rotation, location and distance of a 3D view that fits all corners into the part left free by the
+    sidebar."""
     space = area.spaces.active
     window, covered = _free_of_sidebar(area)
     axes = np.array(rotation.to_matrix())  # columns: right, up, towards the eye
@@ -207,7 +209,7 @@ def _pose(area: bpy.types.Area, rotation: Quaternion, corners: NDArray[np.float6
 
 
 def _free_of_sidebar(area: bpy.types.Area) -> tuple[bpy.types.Region, float]:
-    """A 3D view's main region, and the fraction of its width that the sidebar covers at the right."""
+    """Return a 3D view's main region, and the fraction of its width that the sidebar covers at the right."""
     window = next(region for region in area.regions if region.type == "WINDOW")
     bar = next((region for region in area.regions if region.type == "UI"), None)
     covered = bar.width / window.width if bar is not None and bar.width > 1 and bar.x >= window.x else 0.0
@@ -236,7 +238,7 @@ def look_through(space: bpy.types.SpaceView3D, scene: bpy.types.Scene) -> None:
 
 
 def view_of(context: bpy.types.Context) -> tuple[bpy.types.SpaceView3D | None, float]:
-    """The 3D view that the user works in, else the screen's largest, else None; and its width divided by its height."""
+    """Return the 3D view that the user works in, else the screen's largest, else None; and its width / height."""
     areas = [area for area in context.screen.areas if area.type == "VIEW_3D"] if context.screen is not None else []
     if context.area is not None and context.area.type == "VIEW_3D":
         areas = [context.area]
@@ -249,7 +251,7 @@ def view_of(context: bpy.types.Context) -> tuple[bpy.types.SpaceView3D | None, f
 
 
 def load_finding(picture: Path) -> bpy.types.Image:
-    """Load a finding's picture in place of an earlier one. Raises OSError if its file is gone."""
+    """Load a finding's picture, which replaces the one loaded before. Raises OSError if its file is gone."""
     if not picture.is_file():
         raise OSError(f"the picture is gone, diagnose again: {picture}")
     image = bpy.data.images.load(str(picture), check_existing=False)

@@ -1,1 +1,1 @@
-"""Measures PLGS from outside: baselines, experiments and benches. It imports the engine; nothing imports it."""
+"""Measure PLGS from outside: baselines, experiments and benches. It imports the engine; nothing imports it."""

@@ -1,4 +1,4 @@
-"""``python -m research``, or ``python -I research/__main__.py``."""
+"""Run the command line: ``python -m research``, or ``python -I research/__main__.py``."""
 
 from __future__ import annotations
 

@@ -1,9 +1,7 @@
-"""``python -m research bench masks``: what a rule of the votes is worth, over many pairs of a scene and masks of it.
-
-A folder holds the pairs: ``FOLDER/SCENE/scene`` is a scene with ground truth, every other ``FOLDER/SCENE/MASKS`` holds
-masks of it, and perhaps ``detections.json`` to lay over them. Points are read by the held-out frames' own depth, so
-nothing is trained.
-"""
+"""The command ``python -m research bench masks``: measure what a change of the voting rules gains, over many pairs of a
+scene and masks of it. ``FOLDER/SCENE/scene`` is a scene with ground truth; every other ``FOLDER/SCENE/MASKS`` holds
+masks of it, and perhaps ``detections.json`` to lay over them. Labelled points are compared with the truth at the
+held-out frames' own depth, so nothing is trained."""
 
 from __future__ import annotations
 
@@ -53,7 +51,7 @@ def pairs_in(folder: Path, only: Sequence[str] = ()) -> dict[str, SceneSource]:
 
 
 def score_points(source: SceneSource, preset: Preset) -> Scores:
-    """Match the masks of a pair, and read the labelled points at the held-out frames. Raises PlgsError."""
+    """Match the masks of a pair, and score the labelled points in the held-out frames. Raises PlgsError."""
     scene = open_scene_to_lift(source)
     with TemporaryDirectory() as name, closing(EventWriter(Path(name, "events.jsonl"))) as events:
         progress = StageProgress("bench", events, StopSignal())
@@ -65,7 +63,8 @@ def score_points(source: SceneSource, preset: Preset) -> Scores:
 
 
 def read_points(matching: Matching, scene: Scene, preset: Preset) -> Scores:
-    """The scores of labelled points: a pixel of a held-out frame shows the nearest one to where its depth places it."""
+    """Score labelled points: each pixel of a held-out frame gets the label of the point nearest to its place by
+    depth."""
     cloud, evaluation = matching.cloud, PanopticEvaluation(scene.classes, "strict")
     points = LabelledPoints(cloud.xyz, np.where(cloud.class_id > 0, np.arange(1, len(cloud) + 1), 0).astype(np.int32))
     class_id, instance = (np.append(0, each) for each in (cloud.class_id, matching.instance_of_point))
@@ -81,7 +80,7 @@ def read_points(matching: Matching, scene: Scene, preset: Preset) -> Scores:
 
 
 def bench_masks(pairs: Mapping[str, SceneSource], preset: Preset, sizes: Sequence[int]) -> Iterator[Run]:
-    """Yields the scores so far after each pair of masks and each size."""
+    """Yield the scores so far after each pair of masks and each size."""
     run: Run = {}
     for name, source in pairs.items():
         for size in sizes:
@@ -90,7 +89,7 @@ def bench_masks(pairs: Mapping[str, SceneSource], preset: Preset, sizes: Sequenc
 
 
 def read_run(file: Path) -> Run:
-    """A stored run. Raises PlgsError if the file is none."""
+    """Read a stored run. Raises PlgsError if the file is none."""
     scores = read_object(file, "Give a file that --json wrote.")
     return {key: (number(one[0]) or 0.0, number(one[1]) or 0.0) for key, one in scores.items() if isinstance(one, list)}
 
@@ -101,8 +100,9 @@ def write_run(file: Path, run: Run) -> None:
 
 
 def differences(run: Run, before: Run) -> Iterator[str]:
-    """The lines of a Markdown table: each pair's mean over its sizes, and what was gained since ``before``, with half
-    the range over the sizes; the pair that lost most mIoU first. Last the mean, with its standard error."""
+    """Yield the lines of a Markdown table: each pair's mean over its sizes, and what was gained since ``before``, with
+    half the range over the sizes; the pair that lost most mIoU comes first. The last line is the mean, with its
+    standard error."""
     keys: dict[str, list[str]] = {}
     for key in run:
         keys.setdefault(key.rpartition(" ")[0], []).append(key)

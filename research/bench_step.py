@@ -1,4 +1,5 @@
-"""``python -m research bench step``: where the time of a training step goes, and how fast a lifted scene is drawn."""
+"""The command ``python -m research bench step``: measure where a training step's time goes, and how fast a lifted scene
+is drawn."""
 
 from __future__ import annotations
 
@@ -62,11 +63,9 @@ class MeasuringClock(StepClock):
 
 
 def bench_step(preset: Preset | None = None) -> dict[str, Any]:
-    """Prepare a lift of the bundled sample, measure its steps and its pictures, print the times and return them. Raises
-    PlgsError if the sample is missing.
-
-    A ``preset`` is lifted as it is. Without one the frames are enlarged, so that the rasteriser counts more.
-    """
+    """Prepare a lift of the bundled sample, measure its steps and its pictures, print the times and return them. A
+    ``preset`` is lifted as it is; without one the frames are enlarged, so that the rasteriser counts more. Raises
+    PlgsError if the sample is missing."""
     scene = open_scene(SAMPLE, None, up="z")
     if preset is None:
         preset = replace(PRESETS["standard"], size=SIZE, voxel_size=VOXEL_SIZE)
@@ -134,11 +133,9 @@ def _prepared(views: Sequence[View], classes: ClassTable, preset: Preset) -> Pre
 
 
 def typical(steps: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Mean milliseconds of each part over the middle half of the steps, by their whole time.
-
-    This is as robust against a disturbed step as a median, and the parts add up to the whole. Raises ValueError for no
-    steps.
-    """
+    """Return the mean milliseconds of each part over the middle half of the steps, sorted by their whole time. This is
+    as robust against a disturbed step as a median, and the parts add up to the whole. Raises ValueError without
+    steps."""
     if not steps:
         raise ValueError("no steps to report")
     ordered = sorted(steps, key=lambda parts: sum(parts.values()))
@@ -150,7 +147,7 @@ def typical(steps: Sequence[Mapping[str, float]]) -> dict[str, float]:
 def _frame_times(
     prepared: PreparedLift, trainer: Trainer, views: Sequence[View], classes: ClassTable, frames: int
 ) -> tuple[float, float]:
-    """Median milliseconds of drawing a panoptic frame, and of deciding it."""
+    """Return the median milliseconds of drawing a panoptic frame, and of deciding its labels."""
     seconds = []
     labels = scene_labels(trainer.scene)
     for view in [views[0], *islice(cycle(views), frames)]:  # the first picture only warms up

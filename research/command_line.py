@@ -1,7 +1,5 @@
-"""``python -m research``: experiments and benches, and the engine's own commands on lifts of baselines.
-
-What a command runs is imported when it is needed, so that --help and a typing error need no torch.
-"""
+"""The command ``python -m research``: experiments and benches, and the engine's own commands on lifts of baselines.
+What a command runs is imported when it is needed, so that --help and a typing error need no torch."""
 
 from __future__ import annotations
 
@@ -30,7 +28,7 @@ OF_THE_ENGINE = ("lift", "bake", "export", "evaluate", "presets")
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run a command and return its exit code. Bad arguments end with SystemExit(2), as with argparse."""
+    """Run a command and return its exit code. Bad arguments raise SystemExit(2), as with argparse."""
     if arguments[:1] and arguments[0] in OF_THE_ENGINE:
         with_baseline_options()
         return run_command(arguments, _parser_of_the_engine)
@@ -38,7 +36,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _parser_of_the_engine() -> argparse.ArgumentParser:
-    """The engine's parser, with lifts done by a process of this program, which knows the baselines."""
+    """Return the engine's parser, whose lifts are run by this program, which knows the baselines."""
     from .baselines.method import lift_baseline  # which registers the baselines' kinds of decoders
 
     parser = parser_of_the_engine()
@@ -119,7 +117,7 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
 
 
 def run_printing(options: argparse.Namespace) -> int:
-    """Print the lines of a command that answers with a table. Raises PlgsError, OSError."""
+    """Run a command that answers with a table, and print its lines. Raises PlgsError, OSError."""
     for line in options.lines(options):
         print(line, flush=True)
     return ExitCode.FINISHED

@@ -1,5 +1,5 @@
-"""How often pixels are right, by their confidence: against the ground truth of held-out frames, before and after the
-masks calibrated it."""
+"""Measure how often pixels of a given confidence are right, against the ground truth of held-out frames, before and
+after the masks calibrated the confidence."""
 
 from __future__ import annotations
 
@@ -23,20 +23,21 @@ right ones."""
 
 
 def reliability(probability: NDArray[np.floating], right: NDArray[np.floating]) -> Curve:
-    """The reliability curve of pixels [N] that are right (1) or wrong (0)."""
+    """Return the reliability curve of pixels [N] with a ``probability`` of being right, and whether they are (1 or 0).
+    By bin of probability, it has the count, the mean probability, and the fraction that is right."""
     number = np.clip((probability * BINS).astype(np.int64), 0, BINS - 1)  # 1.0 is in the last bin
     count = np.bincount(number, minlength=BINS)
     return np.stack([count, *(np.bincount(number, each, BINS) / np.maximum(count, 1) for each in (probability, right))])
 
 
 def error(curve: Curve) -> float:
-    """The expected calibration error."""
+    """Return the expected calibration error of a curve."""
     return float((curve[0] * np.abs(curve[1] - curve[2])).sum() / max(curve[0].sum(), 1))
 
 
 def pixels_of(lift: Path) -> NDArray[np.float32]:
-    """For all pixels of the held-out frames with ground truth, at the size of training: the share of the votes, the
-    confidence, and whether the pixel is right, float32 [3, N]. Raises PlgsError, OSError."""
+    """Return, for all pixels of the held-out frames with ground truth, at the size of training: the share of the votes,
+    the confidence, and whether the pixel is right, float32 [3, N]. Raises PlgsError, OSError."""
     folder, found = LiftFolder.open(lift), [np.zeros((3, 0), np.float32)]
     verify_lifted(folder.result_path)
     be_repeatable()
@@ -54,8 +55,8 @@ def pixels_of(lift: Path) -> NDArray[np.float32]:
 
 
 def reliability_table(lifts: Sequence[Path], picture: Path | None) -> Iterator[str]:
-    """Lines of Markdown: the expected calibration error of each lift and of all together; and a diagram. Raises
-    PlgsError, OSError."""
+    """Yield lines of Markdown: the expected calibration error of each lift and of all together; and draw a diagram into
+    the file ``picture``, if given. Raises PlgsError, OSError."""
     found = {lift.name: pixels_of(lift) for lift in lifts}
     found["all together"] = np.concatenate([*found.values()], axis=1)
     curves = {name: [reliability(each, pixels[2]) for each in pixels[:2]] for name, pixels in found.items()}
@@ -69,8 +70,8 @@ def reliability_table(lifts: Sequence[Path], picture: Path | None) -> Iterator[s
 
 
 def draw(path: Path, curves: dict[str, list[Curve]]) -> None:
-    """The diagram: the share of right pixels over the share of votes, and over the confidence. Needs matplotlib. Raises
-    OSError."""
+    """Draw the diagram: the share of right pixels over the share of votes, and over the confidence. Needs matplotlib.
+    Raises OSError."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7, 3.6), layout="constrained")

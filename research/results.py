@@ -1,4 +1,4 @@
-"""Results of lifts: read from finished lifts, and written to results.json and results.csv."""
+"""Read the results of finished lifts, and write them to results.json and results.csv."""
 
 from __future__ import annotations
 
@@ -24,9 +24,8 @@ class Figures(NamedTuple):
 
     ``miou``, ``miou_true`` (over the classes that the ground truth has) and ``pq`` are of the mode ``strict``;
     ``pq_frame`` is PQ frame by frame, ``id_changes`` how often an object changes its id over the held-out frames;
-    ``psnr_fitted`` is PSNR after a fit of the colours; ``fps`` panoptic frames per second, drawn and decided at the
-    frames' own size.
-    """
+    ``psnr_fitted`` is PSNR after a fit of the colours; ``fps`` is panoptic frames per second, drawn and decided at the
+    frames' own size."""
 
     miou: float | None = None
     miou_true: float | None = None
@@ -61,7 +60,7 @@ class Result:
 
 
 def read_result(scene: str, row: str, preset: str, lift: LiftFolder) -> Result:
-    """The figures of a finished lift. Raises PlgsError when its files cannot be read."""
+    """Return the figures of a finished lift. Raises PlgsError if its files cannot be read."""
     manifest = read_manifest(lift.result_path)
     content = read_object(lift.result_path / "metrics.json", "Delete it: the same command then makes it again.")
     tables = content.get("tables")
@@ -74,12 +73,12 @@ def read_result(scene: str, row: str, preset: str, lift: LiftFolder) -> Result:
 
 
 def this_engine() -> str:
-    """The version of the running engine, with the digest of its code, such as "0.1.0 1a2b3c4d"."""
+    """Return the version of the running engine, with the digest of its code, such as "0.1.0 1a2b3c4d"."""
     return f"{__version__} {code_digest(*SOURCES)}"
 
 
 def scores_by_method(tables: Sequence[Mapping[str, Json]]) -> dict[str, Figures]:
-    """The figures in the tables of metrics.json, by method. A table without a mode has no scores of labels."""
+    """Return the figures in the tables of metrics.json, by method. A table without a mode has no scores of labels."""
     rows: dict[str, Figures] = {}
     for table in tables:
         method = str(table.get("name"))
@@ -96,7 +95,7 @@ def scores_by_method(tables: Sequence[Mapping[str, Json]]) -> dict[str, Figures]
 
 
 def run_figures(events: Sequence[Event]) -> dict[str, float | None]:
-    """Frames per second of a lift's last run, and the most memory of all its runs."""
+    """Return frames per second of a lift's last run, and the peak memory of all its runs."""
     reported = [event.data["values"] for event in events if event.kind == "metric" and event.data.get("name") == "run"]
     values = [each for each in reported if isinstance(each, dict)]
     peaks = [peak for each in values if (peak := number(each.get("peak_bytes"))) is not None]
@@ -104,10 +103,8 @@ def run_figures(events: Sequence[Event]) -> dict[str, float | None]:
 
 
 def lifting_seconds(events: Sequence[Event]) -> float | None:
-    """How long a lift took, all its runs together; None if it never ran.
-
-    From the beginning of a run until the held-out frames are drawn: drawing and scoring them does not belong to a lift.
-    """
+    """Return how long a lift took, all its runs together; None if it never ran. A run counts from its beginning until
+    the held-out frames are drawn: drawing and scoring them does not belong to a lift."""
     runs: list[list[Event]] = []
     for event in events:
         if event.kind == "hello":
@@ -123,18 +120,18 @@ def lifting_seconds(events: Sequence[Event]) -> float | None:
 
 
 def number(value: Json) -> float | None:
-    """The number, or None for anything else."""
+    """Return the number, or None for anything else."""
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
 def results_text(results: Sequence[Result]) -> str:
-    """The text of results.json: shares in [0, 1], decibels, metres, seconds, null if nothing was measured."""
+    """Return the text of results.json: shares in [0, 1], decibels, metres, seconds, null if nothing was measured."""
     entries = [{**vars(result), "figures": result.figures._asdict()} for result in results]
     return to_text({"format": 2, "results": entries})
 
 
 def csv_text(results: Sequence[Result]) -> str:
-    """The text of results.csv: one line per result, with the same figures; empty where nothing was measured."""
+    """Return the text of results.csv: one line per result, with the same figures; empty where nothing was measured."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([*(name for name in vars(results[0]) if name != "figures"), *Figures._fields] if results else [])

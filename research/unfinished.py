@@ -1,4 +1,4 @@
-"""What a lift that is still in training would score if it ended now: a copy of it is finished without another step."""
+"""Score a lift that is still in training as if it ended now: a copy of it is finished without another step."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from engine.train.trainer import Trainer
 
 
 class EndedTraining(Trainer):
-    """A trainer that takes no further step."""
+    """A trainer that takes no further step, for finishing a lift as it is."""
 
     @property
     def finished(self) -> bool:
@@ -25,8 +25,8 @@ class EndedTraining(Trainer):
 
 
 def unfinished_scores(lift: Path) -> Iterator[str]:
-    """The step of the newest checkpoint, and the tables of scores on held-out frames. The lift may go on meanwhile.
-    Raises PlgsError, OSError."""
+    """Yield the step of the newest checkpoint, and the tables of scores on held-out frames. The lift may go on
+    meanwhile. Raises PlgsError, OSError."""
     folder = LiftFolder.open(lift)
     newest = folder.checkpoints.latest()
     if newest is None:

@@ -1,10 +1,9 @@
-"""What a hand-held camera with a structured-light sensor makes of exact colour, poses and depth.
+"""Degrade exact colour, poses and depth as a hand-held camera with a structured-light sensor would.
 
 All functions are pure: the same values and the same random stream give the same result. Colour is linear light, float32
 [H, W, 3] with 1 = white. ``linear`` and ``srgb`` convert it. Depth is planar z in metres, float64 [H, W], 0 = none.
 Such a sensor measures disparity: focal length times baseline over depth. So errors grow with the square of depth
-(Khoshelham and Elberink 2012). The constants of the Kinect are those of Nguyen, Izadi and Lovell 2012.
-"""
+(Khoshelham and Elberink 2012). The constants of the Kinect are those of Nguyen, Izadi and Lovell 2012."""
 
 from __future__ import annotations
 
@@ -78,10 +77,8 @@ class CaptureNoise:
 
 
 def drift(count: int, channels: int, length: float, random: np.random.Generator) -> Floats:
-    """Smooth random functions of the frame number, float64 [count, channels], roughly normal with deviation 1.
-
-    They are random Fourier features of a Gaussian kernel. Hands, auto exposure and trackers err slowly.
-    """
+    """Return smooth random functions of the frame number, float64 [count, channels], roughly normal with deviation 1.
+    They are random Fourier features of a Gaussian kernel: hands, auto exposure and trackers err slowly."""
     waves = 16
     frequencies = random.normal(size=(channels, waves)) / length
     phases = random.random((channels, waves)) * 2.0 * np.pi
@@ -89,11 +86,9 @@ def drift(count: int, channels: int, length: float, random: np.random.Generator)
 
 
 def colour_gains(count: int, noise: CaptureNoise, random: np.random.Generator) -> Floats:
-    """The factors of each frame's linear light, float64 [count, 3] (red, green, blue), from 1 / gain to gain.
-
+    """Return the factors of each frame's linear light, float64 [count, 3] (red, green, blue), from 1 / gain to gain.
     Auto exposure changes all channels together, automatic white balance each one. Both are logarithmic, so one stop up
-    is as likely as one stop down.
-    """
+    is as likely as one stop down."""
     tint = np.log1p(noise.white_balance)
     exposures = np.tanh(drift(count, 1, noise.exposure_frames, random)) * (np.log(noise.gain) - tint)
     tints = np.tanh(drift(count, 3, noise.white_balance_frames, random)) * tint
@@ -101,10 +96,8 @@ def colour_gains(count: int, noise: CaptureNoise, random: np.random.Generator) -
 
 
 def blurred_frames(count: int, noise: CaptureNoise, random: np.random.Generator) -> dict[int, Floats]:
-    """The motion of the blurred frames, float64 [2] (right, down) in shares of the width, by frame number.
-
-    The hand moves along a line while the shutter is open, in any direction, by ``blur_length``.
-    """
+    """Return the motion of the blurred frames, float64 [2] (right, down) in fractions of the width, by frame number.
+    The hand moves along a line while the shutter is open, in any direction, by ``blur_length``."""
     chosen = sorted(random.choice(count, round(noise.blurred * count), replace=False).tolist())
     lengths = random.uniform(*noise.blur_length, len(chosen)) / 640.0
     angles = random.uniform(0.0, np.pi, len(chosen))
@@ -113,7 +106,7 @@ def blurred_frames(count: int, noise: CaptureNoise, random: np.random.Generator)
 
 
 def motion_blur(light: Pixels, motion: Floats) -> Pixels:
-    """The mean of linear light [H, W, 3] over a straight motion, float64 [2] pixels, centred on the pixel."""
+    """Return the mean of linear light [H, W, 3] over a straight motion, float64 [2] pixels, centred on the pixel."""
     reach = int(np.ceil(np.abs(motion).max() / 2.0)) + 1
     kernel = np.zeros((2 * reach + 1, 2 * reach + 1))
     for share in np.linspace(-0.5, 0.5, 64):
@@ -125,11 +118,8 @@ def motion_blur(light: Pixels, motion: Floats) -> Pixels:
 
 
 def border_mask(size: Size, noise: CaptureNoise, random: np.random.Generator) -> Bools:
-    """The pixels that undistortion leaves black, bool [H, W].
-
-    Undistortion moves the picture's edges inwards by a parabola. It differs on each side, as lenses are not quite
-    centred. Interpolation adds a slight wave.
-    """
+    """Return the pixels that undistortion leaves black, bool [H, W]. Undistortion moves the picture's edges inwards by
+    a parabola. It differs on each side, as lenses are not quite centred. Interpolation adds a slight wave."""
     width, height = size
     narrow, wide = noise.border[0] * width, noise.border[1] * width
     insets = []
@@ -145,23 +135,22 @@ def border_mask(size: Size, noise: CaptureNoise, random: np.random.Generator) ->
 
 
 def pose_errors(count: int, noise: CaptureNoise, random: np.random.Generator) -> tuple[Floats, Floats]:
-    """The tracker's errors: shifts float64 [count, 3] in metres, turns float64 [count, 3] (axis times radians).
-
-    They change slowly along the path, as trackers drift and correct themselves. ``noise`` has their root mean squares.
-    """
+    """Return the tracker's errors: shifts float64 [count, 3] in metres, rotations float64 [count, 3] (axis times
+    radians). They change slowly along the path, as trackers drift and correct themselves. ``noise`` has their root mean
+    squares."""
     shifts = drift(count, 3, noise.pose_frames, random)
     turns = drift(count, 3, noise.pose_frames, random)
     return _with_rms(shifts, noise.pose_shift), _with_rms(turns, float(np.radians(noise.pose_turn)))
 
 
 def _with_rms(values: Floats, target: float) -> Floats:
-    """Vectors [count, 3] without their mean, scaled to a root mean square length. A mean would move the world."""
+    """Return vectors [count, 3] without their mean, which would move the world, scaled to a root mean square length."""
     centred = values - values.mean(0)
     return centred * (target / max(float(np.sqrt((centred**2).sum(-1).mean())), 1e-9))
 
 
 def misplaced(pose: Floats, shift: Floats, turn: Floats) -> Floats:
-    """A camera-to-world pose, float64 [4, 4], shifted in the world and turned about the camera's own centre."""
+    """Return a camera-to-world pose, float64 [4, 4], shifted in the world and rotated about the camera's own centre."""
     wrong = pose.copy()
     wrong[:3, :3] = pose[:3, :3] @ cv2.Rodrigues(turn)[0]
     wrong[:3, 3] += shift
@@ -169,25 +158,22 @@ def misplaced(pose: Floats, shift: Floats, turn: Floats) -> Floats:
 
 
 def linear(colour: NDArray[np.uint8]) -> Pixels:
-    """Linear light of 8-bit sRGB (IEC 61966-2-1)."""
+    """Convert 8-bit sRGB to linear light (IEC 61966-2-1)."""
     value = np.arange(256) / 255.0
     table = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
     return table.astype(np.float32)[colour]
 
 
 def srgb(light: Pixels) -> NDArray[np.uint8]:
-    """8-bit sRGB of linear light. Light brighter than white is clipped, as by a sensor's full wells."""
+    """Convert linear light to 8-bit sRGB. Light brighter than white is clipped, as by a sensor's full wells."""
     value = light.clip(0.0, 1.0)
     curve = np.where(value <= 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 1e-9) ** (1.0 / 2.4) - 0.055)
     return (curve * 255.0 + 0.5).astype(np.uint8)
 
 
 def half_size(depth: Floats, noise: CaptureNoise) -> Floats:
-    """Depth at half the size, as the sensor has fewer pixels than the camera.
-
-    Pixels of one surface are averaged in 1 / z, in which planes are linear. In a block with two surfaces, the nearest
-    one counts. Holes do not count.
-    """
+    """Return depth at half the size, as the sensor has fewer pixels than the camera. Pixels of one surface are averaged
+    in 1 / z, in which planes are linear. In a block with two surfaces, the nearest one counts. Holes do not count."""
     height, width = depth.shape
     even = np.pad(depth, ((0, height % 2), (0, width % 2)), mode="edge")
     blocks = even.reshape(even.shape[0] // 2, 2, even.shape[1] // 2, 2).swapaxes(1, 2).reshape(-1, 4)
@@ -199,7 +185,7 @@ def half_size(depth: Floats, noise: CaptureNoise) -> Floats:
 
 
 def flying_pixels(depth: Floats, noise: CaptureNoise, random: np.random.Generator) -> Floats:
-    """Depth with values between the two sides of an edge, where a pixel receives light from both surfaces."""
+    """Return depth with values between the two sides of an edge, where a pixel receives light from both surfaces."""
     square = np.ones((3, 3), np.uint8)
     nearest = cv2.erode(np.where(depth > 0.0, depth, np.inf), square)
     farthest = cv2.dilate(depth, square)
@@ -209,7 +195,7 @@ def flying_pixels(depth: Floats, noise: CaptureNoise, random: np.random.Generato
 
 
 def at_edges(depth: Floats, noise: CaptureNoise) -> Bools:
-    """Where depth jumps, bool [H, W]. 1 / z is linear on any plane, so slanted surfaces have no edges."""
+    """Return where depth jumps, bool [H, W]. 1 / z is linear on any plane, so slanted surfaces have no edges."""
     inverse = _inverse(depth)
     jumps = np.zeros(depth.shape, bool)
     for axis in (0, 1):
@@ -220,25 +206,26 @@ def at_edges(depth: Floats, noise: CaptureNoise) -> Bools:
 
 
 def deviation(depth: Floats, noise: CaptureNoise) -> Floats:
-    """The standard deviation of measured depth in metres, float64 [H, W]. It grows with the square of depth."""
+    """Return the standard deviation of measured depth in metres, float64 [H, W]. It grows with the square of depth."""
     return noise.depth_floor + noise.depth_growth * (depth - noise.depth_nearest) ** 2
 
 
 def noisy(depth: Floats, noise: CaptureNoise, random: np.random.Generator) -> Floats:
-    """Depth with axial noise. Neighbours' noise is correlated, as the sensor matches windows of its pattern."""
+    """Return depth with axial noise. Neighbours' noise is correlated, as the sensor matches windows of its pattern."""
     field = smooth_field(depth.shape, noise.depth_grain, random)
     return np.where(depth > 0.0, np.maximum(depth + deviation(depth, noise) * field, 0.01), 0.0)
 
 
 def quantised(depth: Floats, noise: CaptureNoise) -> Floats:
-    """Depth at whole steps of the sensor's disparity: 3 mm apart at 1 m, 46 mm at 4 m."""
+    """Return depth at whole steps of the sensor's disparity: 3 mm apart at 1 m, 46 mm at 4 m."""
     scale = noise.focal_baseline / noise.disparity_step
     steps = np.maximum(np.round(scale / np.maximum(depth, 1e-6)), 1.0)
     return np.where(depth > 0.0, scale / steps, 0.0)
 
 
 def holes(chance: Floats, noise: CaptureNoise, random: np.random.Generator) -> Bools:
-    """Where nothing comes back, bool [H, W], for a chance float64 [H, W]. Holes are blobs, not single pixels."""
+    """Return where no depth is measured, bool [H, W], for a chance float64 [H, W]. Holes are blobs, not single
+    pixels."""
     field = smooth_field(chance.shape, noise.hole_grain, random)
     uniform = 1.0 / (1.0 + np.exp(-1.702 * field))  # the logistic curve is within 0.01 of the normal distribution's
     return uniform < chance
@@ -247,11 +234,9 @@ def holes(chance: Floats, noise: CaptureNoise, random: np.random.Generator) -> B
 def chance_of_holes(
     depth: Floats, light: Pixels, rays: Floats, *, points: Floats, noise: CaptureNoise, waves: Floats
 ) -> Floats:
-    """The chance of a hole, float64 [H, W], from independent causes.
-
-    ``light`` float32 [H, W, 3] is linear colour at full exposure, ``rays`` float64 [H, W, 3] are lines of sight with
-    z = 1, ``points`` the surface in the world, and ``waves`` those of ``polish_waves``.
-    """
+    """Return the chance of a hole, float64 [H, W], from independent causes. ``light`` float32 [H, W, 3] is linear
+    colour at full exposure, ``rays`` float64 [H, W, 3] are lines of sight with z = 1, ``points`` the surface in the
+    world, and ``waves`` those of ``polish_waves``."""
     causes = (
         # A surface swallows light. The sensor's own lamp lights it, so exposure does not matter.
         _ramp((light @ LUMINANCE).astype(np.float64), *reversed(noise.dark)),
@@ -267,7 +252,8 @@ def chance_of_holes(
 
 
 def highlights(light: Pixels, noise: CaptureNoise) -> Floats:
-    """0 or 1, 1 at lamps and their mirror images: bright, colourless, and brighter than what surrounds them."""
+    """Return 1 at lamps and their mirror images (bright, colourless, brighter than their surroundings), else 0; [H,
+    W]."""
     level, above = noise.highlight
     luminance = light @ LUMINANCE
     around = cv2.GaussianBlur(luminance, (0, 0), 0.05 * light.shape[1])
@@ -276,24 +262,24 @@ def highlights(light: Pixels, noise: CaptureNoise) -> Floats:
 
 
 def polish_waves(noise: CaptureNoise, random: np.random.Generator) -> Floats:
-    """Waves that make places of the world polished, float64 [16, 4]: directions in 1 / metres, and phases."""
+    """Return waves that decide which places of the world are polished, float64 [16, 4]: directions in 1 / metres, and
+    phases."""
     count = 16
     directions = random.normal(size=(count, 3)) / noise.polished_size
     return np.concatenate([directions, random.random((count, 1)) * 2.0 * np.pi], -1)
 
 
 def polish(points: Floats, waves: Floats, noise: CaptureNoise) -> Floats:
-    """0 or 1, 1 on smooth patches that mirror the sensor's light away. They are the same in all frames."""
+    """Return 1 on smooth patches that mirror the sensor's light away, else 0; [H, W]. They are the same in all
+    frames."""
     value = np.cos(points @ waves[:, :3].T + waves[:, 3]).sum(-1) * np.sqrt(2.0 / len(waves))
     return (value > NormalDist().inv_cdf(1.0 - noise.polished)).astype(np.float64)
 
 
 def slant(depth: Floats, rays: Floats, noise: CaptureNoise) -> Floats:
-    """0..1, 1 where the line of sight grazes the surface, so that the pattern is stretched and dim.
-
-    The normal is that of the plane a x + b y + c = 1 / z through the pixel. The smaller of the gradients to both sides
-    counts, so that an edge is not a slant.
-    """
+    """Return how much the line of sight grazes the surface, 0..1, [H, W]: at 1, the pattern is stretched and dim. The
+    normal is that of the plane a x + b y + c = 1 / z through the pixel. The smaller of the gradients to both sides
+    counts, so that an edge is not a slant."""
     inverse = _inverse(depth)
     step_x, step_y = rays[0, 1, 0] - rays[0, 0, 0], rays[1, 0, 1] - rays[0, 0, 1]
     a, b = _lesser_gradient(inverse, 1) / step_x, _lesser_gradient(inverse, 0) / step_y
@@ -305,7 +291,8 @@ def slant(depth: Floats, rays: Floats, noise: CaptureNoise) -> Floats:
 
 
 def smooth_field(shape: tuple[int, ...], grain: float, random: np.random.Generator) -> Floats:
-    """Normal noise of mean 0 and deviation 1, float64 [H, W], correlated over ``grain`` pixels of an image 320 wide."""
+    """Return normal noise of mean 0 and deviation 1, float64 [H, W], correlated over ``grain`` pixels of an image 320
+    wide."""
     sigma = max(grain * shape[1] / 320.0, 0.5)
     margin = int(np.ceil(3.0 * sigma))
     white = random.normal(size=(shape[0] + 2 * margin, shape[1] + 2 * margin))
@@ -315,22 +302,22 @@ def smooth_field(shape: tuple[int, ...], grain: float, random: np.random.Generat
 
 
 def _ramp(values: Floats, zero: float, one: float) -> Floats:
-    """0 at ``zero``, 1 at ``one``, linear in between. Either one may be larger."""
+    """Map ``zero`` to 0 and ``one`` to 1, linear in between and clamped beyond. Either one may be larger."""
     return ((values - zero) / (one - zero)).clip(0.0, 1.0)
 
 
 def _lesser_gradient(values: Floats, axis: int) -> Floats:
-    """The difference to the neighbour before or after along ``axis``, whichever is smaller."""
+    """Return the difference to the neighbour before or after along ``axis``, whichever is smaller."""
     before, after = _gradients(values, axis)
     return np.where(np.abs(after) < np.abs(before), after, before)
 
 
 def _gradients(values: Floats, axis: int) -> tuple[Floats, Floats]:
-    """The differences to the neighbours before and after along ``axis``. At the rim both are the same."""
+    """The differences to the neighbours before and after along ``axis``. At the edge of the array both are the same."""
     steps = np.diff(values, axis=axis)
     return np.concatenate([steps.take([0], axis), steps], axis), np.concatenate([steps, steps.take([-1], axis)], axis)
 
 
 def _inverse(depth: Floats) -> Floats:
-    """1 / z, and 0 where there is no depth."""
+    """Return 1 / z, and 0 where there is no depth."""
     return np.where(depth > 0.0, 1.0 / np.maximum(depth, 1e-6), 0.0)

@@ -74,10 +74,9 @@ def write_hand_held(scene: Path, out: Path, seed: int, noise: CaptureNoise | Non
 
 
 def exposed(light: Pixels, gains: Floats, motion: Floats | None, black: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """The picture, uint8 [H, W, 3], of linear light after the shutter's blur, amplification, clipping and undistortion.
-
-    ``gains`` float64 [3], ``motion`` float64 [2] in shares of the width or None, ``black`` bool [H, W] is the border.
-    """
+    """Return the picture, uint8 [H, W, 3], of linear light after the shutter's blur, amplification, clipping and
+    undistortion. ``gains`` float64 [3], ``motion`` float64 [2] in fractions of the width or None, ``black`` bool [H, W]
+    is the border."""
     if motion is not None:
         light = capture_noise.motion_blur(light, motion * light.shape[1])
     colour = capture_noise.srgb(light * gains.astype(np.float32))
@@ -86,7 +85,7 @@ def exposed(light: Pixels, gains: Floats, motion: Floats | None, black: NDArray[
 
 
 def sensed_depth(frame: Frame, light: Pixels, waves: Floats, noise: CaptureNoise, seed: int) -> Floats:
-    """Depth as the sensor measures it, float64 [H / 2, W / 2] metres, 0 = none."""
+    """Return depth as the sensor measures it, float64 [H / 2, W / 2] metres, 0 = none."""
     exact = capture_noise.half_size(frame.read_depth(None).astype(np.float64), noise)
     height, width = exact.shape
     camera = frame.camera.resized(width, height)
@@ -101,7 +100,7 @@ def sensed_depth(frame: Frame, light: Pixels, waves: Floats, noise: CaptureNoise
 
 
 def lines_of_sight(camera: Camera) -> Floats:
-    """The ray of each pixel with z = 1 in the camera's axes, float64 [H, W, 3]."""
+    """Return the ray of each pixel with z = 1 in the camera's axes, float64 [H, W, 3]."""
     x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
     return np.stack([*np.meshgrid(x, y), np.ones((camera.height, camera.width))], -1)

@@ -1,11 +1,10 @@
-"""The regions that a network would draw for the true regions of a view: missed, split, merged, invented, ragged.
+"""Draw the regions that a network would find for the true regions of a view: missed, split, merged, invented, ragged.
 
-A network does not toss a coin for the class of every frame. It mistakes a sofa for a bed from one side, while it is
-small, over a stretch of neighbouring views, and then gets it right again. So the belief in each class is a smooth
-random function of the direction of view, the size in the picture and the place. The seed fixes it for each object.
-Flicker is added. All arithmetic is numpy's, term by term, and rounded before comparisons. So a seed gives the same
-pixels everywhere.
-"""
+A network does not choose the class anew in every frame. It mistakes a sofa for a bed from one side, while it is small,
+over a stretch of neighbouring views, and then gets it right again. So the belief in each class is a smooth random
+function of the direction of view, the size in the picture and the place, fixed by the seed for each object. Flicker is
+added. All arithmetic is numpy's, term by term, and rounded before comparisons, so that a seed gives the same pixels
+everywhere."""
 
 from __future__ import annotations
 
@@ -74,7 +73,7 @@ class BeliefNoise:
 
 @dataclass(frozen=True)
 class Sight:
-    """One region in one view. Its ``key`` is the same in all views, ``place`` is in world metres."""
+    """How a region appears in one view. ``key`` is the same in all views, ``place`` is in world metres."""
 
     key: str
     class_name: str
@@ -85,14 +84,14 @@ class Sight:
 
 
 def confusions(class_name: str, is_thing: dict[str, bool]) -> dict[str, float]:
-    """The classes of a scene that one of them is mistaken for: those of ``CONFUSIONS``, or else three of its kind."""
+    """The classes of a scene for which one of them is mistaken: those of ``CONFUSIONS``, or else three of its kind."""
     known = {other: weight for other, weight in CONFUSIONS.get(class_name, {}).items() if other in is_thing}
     alike = [other for other, thing in is_thing.items() if thing == is_thing[class_name] and other != class_name]
     return known or {str(other): 1.0 for other in stream("confusions", class_name).permutation(sorted(alike))[:3]}
 
 
 def believe(sight: Sight, is_thing: dict[str, bool], noise: BeliefNoise, seed: int, frame: str) -> tuple[str, float]:
-    """The class of those in ``is_thing`` that the network believes in, and its score in (0, 1)."""
+    """Return the class among ``is_thing`` that the network believes in, and its score in (0, 1)."""
     others = confusions(sight.class_name, is_thing)
     doublings = float(np.log2(max(sight.area, 1e-6) / noise.ordinary_area))
     gain = float(np.clip(noise.size_gain * doublings, -noise.size_gain_limit, noise.size_gain_limit))
@@ -110,7 +109,8 @@ def believe(sight: Sight, is_thing: dict[str, bool], noise: BeliefNoise, seed: i
 
 
 def _swing(sight: Sight, other: str, doublings: float, noise: BeliefNoise, seed: int) -> float:
-    """A smooth random function of the view, mean 0, deviation 1 (random Fourier features of a Gaussian kernel)."""
+    """Return a smooth random function's value at a view: mean 0, deviation 1 (random Fourier features of a Gaussian
+    kernel)."""
     waves = 12
     draw = stream(seed, "swing", sight.key, other)
     place = np.zeros(3) if sight.is_thing else np.array(sight.place) / noise.place_scale
@@ -123,7 +123,8 @@ def _swing(sight: Sight, other: str, doublings: float, noise: BeliefNoise, seed:
 
 @dataclass(frozen=True)
 class MaskNoise:
-    """Rates of a network's faults. Lengths are in pixels of the view, chances are per segment unless noted."""
+    """How often and how strongly a network errs. Lengths are in pixels of the view, chances are per segment unless
+    noted."""
 
     belief: BeliefNoise = field(default_factory=BeliefNoise)
     smallest_segment: int = 60
@@ -159,7 +160,7 @@ class MaskNoise:
 
 @dataclass(frozen=True)
 class Region:
-    """A segment in the making: its pixels, bool [H, W], and the class it is taken for."""
+    """A region that the network draws: its pixels, bool [H, W], and the class that it gets."""
 
     pixels: Bools
     class_name: str
@@ -178,10 +179,8 @@ class TrueRegion:
 def detect(
     regions: list[TrueRegion], is_thing: dict[str, bool], noise: MaskNoise, seed: int, frame: str
 ) -> tuple[Ids, list[Region]]:
-    """Segment ids, int32 [H, W], and the regions that the network sees. 0 is void, k + 1 is the k-th of them.
-
-    ``is_thing`` contains all classes that the network knows.
-    """
+    """Return segment ids, int32 [H, W], and the regions that the network sees. 0 is void, k + 1 is the k-th region.
+    ``is_thing`` contains all classes that the network knows."""
     random = stream(seed, "frame", frame)
     height, width = regions[0].pixels.shape
     kept, holes = _miss(regions, noise, random)
@@ -200,7 +199,8 @@ def detect(
 
 
 def _miss(regions: list[TrueRegion], noise: MaskNoise, random: np.random.Generator) -> tuple[list[TrueRegion], Bools]:
-    """The regions that are found, and the holes, bool [H, W], of missed ones. Neighbours swallow the other ones."""
+    """Return the regions that are found, and the holes, bool [H, W], that missed ones leave. Others are covered by
+    neighbours."""
     found: list[TrueRegion] = []
     swallowed: list[Bools] = []
     holes = np.zeros_like(regions[0].pixels)
@@ -233,7 +233,7 @@ def _classified(
     frame: str,
     random: np.random.Generator,
 ) -> list[Region]:
-    """One region, or its two parts, with the class of each."""
+    """Return one region, or its two parts, with the class of each."""
     name, score = believe(region.sight, is_thing, noise.belief, seed, frame)
     halves = random.random() < noise.split
     angle, shift, disagrees = random.random() * np.pi, random.normal() * 0.5, random.random() < noise.split_disagrees
@@ -254,7 +254,7 @@ def _classified(
 
 
 def _merge(seen: list[Region], noise: MaskNoise, random: np.random.Generator) -> list[Region]:
-    """All stuff of one class becomes one segment, and sometimes touching things of one class do."""
+    """Merge all stuff of one class into one segment, and sometimes touching things of one class."""
     merged: list[Region] = []
     for region in seen:
         partner = None
@@ -275,12 +275,13 @@ def _merge(seen: list[Region], noise: MaskNoise, random: np.random.Generator) ->
 
 
 def _grown(pixels: Bools) -> Bools:
-    """The region and all pixels within two of it, to the sides and diagonally."""
+    """Return the region and all pixels within two of it, to the sides and diagonally."""
     return cv2.dilate(pixels.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
 
 
 def _draw(seen: list[Region], holes: Bools, noise: MaskNoise, random: np.random.Generator) -> Ids:
-    """Draw as a low-resolution network does: shares of coarse cells, read at wandering places. The largest wins."""
+    """Draw like a low-resolution network: coverages of coarse cells, read at slightly displaced pixels; the largest
+    wins."""
     height, width = holes.shape
     shares = [_coarse(holes, noise.cell), *(_coarse(region.pixels, noise.cell) for region in seen)]
     bonuses = np.concatenate([[0.0], random.normal(size=len(seen)) * noise.bleed])
@@ -297,7 +298,7 @@ def _draw(seen: list[Region], holes: Bools, noise: MaskNoise, random: np.random.
 
 
 def _coarse(pixels: Bools, cell: int) -> NDArray[np.float64]:
-    """The share of each coarse cell that is covered, float64, slightly blurred as by a network's last layers."""
+    """Return the share of each coarse cell that is covered, float64, slightly blurred as by a network's last layers."""
     height, width = pixels.shape
     rows, columns = -(-height // cell), -(-width // cell)
     padded = np.pad(pixels, ((0, rows * cell - height), (0, columns * cell - width)), mode="edge")
@@ -311,7 +312,7 @@ def _coarse(pixels: Bools, cell: int) -> NDArray[np.float64]:
 
 
 def _read(field_: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The values of ``field_`` at columns x and rows y, bilinear and clamped to its edges."""
+    """Return the values of ``field_`` at columns x and rows y, bilinear and clamped to its edges."""
     x, y = np.clip(x, 0, field_.shape[1] - 1), np.clip(y, 0, field_.shape[0] - 1)
     left, top = np.minimum(x.astype(int), field_.shape[1] - 2), np.minimum(y.astype(int), field_.shape[0] - 2)
     fx, fy = x - left, y - top
@@ -321,7 +322,7 @@ def _read(field_: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.flo
 
 
 def _smooth_noise(height: int, width: int, length: int, random: np.random.Generator) -> NDArray[np.float64]:
-    """A random field [H, W] that varies over ``length`` pixels, with deviation about 1, rounded to 1/64."""
+    """Return a random field [H, W] that varies over ``length`` pixels, with deviation about 1, rounded to 1/64."""
     coarse = random.normal(size=(height // length + 3, width // length + 3))
     y, x = np.mgrid[0:height, 0:width] / float(length) + random.random()
     return np.round(_read(coarse, x, y) * 1.5 * 64) / 64
@@ -330,7 +331,7 @@ def _smooth_noise(height: int, width: int, length: int, random: np.random.Genera
 def _invent(
     height: int, width: int, is_thing: dict[str, bool], noise: MaskNoise, random: np.random.Generator
 ) -> list[Region]:
-    """Things that are not there, drawn as tilted ellipses."""
+    """Return things that are not there, drawn as tilted ellipses."""
     things = [name for name, thing in is_thing.items() if thing]
     y, x = np.mgrid[0:height, 0:width].astype(np.float64)
     invented = []

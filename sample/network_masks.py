@@ -44,7 +44,8 @@ def main() -> None:
 
 
 def write_masks(scene: Path, out: Path, seed: int, noise: MaskNoise, name: str = "panoptic") -> None:
-    """Raises PlgsError if the scene cannot be read."""
+    """Write masks of all frames of a scene, and their JSON, into ``out``. Raises PlgsError if the scene is
+    unreadable."""
     read = open_scene(scene)
     (out / name).mkdir(parents=True, exist_ok=True)
     images, annotations = [], []
@@ -73,8 +74,8 @@ def mask_of_frame(frame: Frame, classes: ClassTable, seed: int, noise: MaskNoise
 
 
 def true_regions(frame: Frame, classes: ClassTable) -> list[TrueRegion]:
-    """Every thing and every connected piece of stuff in the view, in a fixed order; void belongs to no region. Raises
-    PlgsError, and SystemExit without ground truth."""
+    """Return every thing and every connected piece of stuff in the view, in a fixed order; void belongs to no region.
+    Raises PlgsError, and SystemExit without ground truth."""
     if frame.read_ground_truth is None:
         raise SystemExit(f"no ground truth for {frame.colour_path}: made masks need it")
     truth = frame.read_ground_truth(None)
@@ -97,7 +98,7 @@ def true_regions(frame: Frame, classes: ClassTable) -> list[TrueRegion]:
 
 
 def _pieces(pixels: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
-    """Connected pieces, the largest first. Fragments go with the largest."""
+    """Return connected pieces, bool [H, W] each, the largest first. Fragments are added to the largest."""
     _, labels = cv2.connectedComponents(pixels.astype(np.uint8), connectivity=4)
     counts = np.bincount(labels.ravel())
     order = sorted(range(1, len(counts)), key=lambda label: (-counts[label], label))
@@ -109,7 +110,7 @@ def _pieces(pixels: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
 
 
 def _world_points(depth: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:
-    """World points [H, W, 3] of planar depth in metres."""
+    """Return world points [H, W, 3] of planar depth [H, W] in metres."""
     y, x = np.mgrid[0 : depth.shape[0], 0 : depth.shape[1]] + 0.5
     across = (x - camera.cx) / camera.fx * depth
     down = (y - camera.cy) / camera.fy * depth

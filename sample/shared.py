@@ -1,4 +1,4 @@
-"""What the sample's programs share: named random streams, and writing of pictures with clear errors."""
+"""What the sample's programs share: named random streams, and writing pictures with clear errors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 
 def stream(*parts: object) -> np.random.Generator:
-    """A random stream for the name ``parts``. No draw depends on the order of others."""
+    """Return a random generator seeded by the name ``parts``, so that draws do not depend on those for other names."""
     return np.random.default_rng(zlib.crc32("/".join(map(str, parts)).encode()))
 
 

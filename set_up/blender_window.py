@@ -52,7 +52,7 @@ def is_complete(suite: str) -> bool:
 
 
 def mirror() -> str:
-    """The address that this machine's own Debian packages come from."""
+    """Return the address from which this machine's own Debian packages come."""
     wanted = ["--format", "$(REPO_URI)", "Created-By: Packages", "Origin: Debian", "Label: Debian", "Component: main"]
     command = ["apt-get", "indextargets", *wanted]
     addresses = subprocess.run(command, capture_output=True, text=True, check=False).stdout.split()
@@ -62,7 +62,7 @@ def mirror() -> str:
 
 
 def make(suite: str) -> None:
-    """Make the tree from scratch."""
+    """Make the tree of a Debian ``suite`` from scratch."""
     started = time.monotonic()
     tree = tree_of(suite)
     if os.geteuid() != 0 or shutil.which("apt-get") is None:

@@ -53,7 +53,8 @@ _USER = re.compile(r"(?<=://)[^/@\s]+@")
 
 
 class Recipe(NamedTuple):
-    """What an environment holds: requirement files for each call of uv, and modules that must import at the end."""
+    """What an environment holds: requirement files for each call of uv, and modules that must be importable at the
+    end."""
 
     calls: tuple[tuple[str, ...], ...]
     modules: tuple[str, ...]
@@ -64,7 +65,7 @@ ENGINE_MODULES = ("torch", "open3d", "cv2", "OpenEXR", "numba", "scipy", "safete
 
 
 def recipe(environment: str, version: tuple[int, int]) -> Recipe:
-    """The recipe of `.venv` or `.venv-next` for a Python `version`; ValueError where Blender has no such Python."""
+    """Return the recipe of `.venv` or `.venv-next` for a Python `version`; ValueError if Blender has no such Python."""
     if version not in BLENDER:
         raise ValueError(f"no Blender runs on Python {version[0]}.{version[1]}")
     blender = BLENDER[version]
@@ -76,12 +77,12 @@ def recipe(environment: str, version: tuple[int, int]) -> Recipe:
 
 
 def constraints(version: tuple[int, int]) -> str:
-    """The file that pins the requirements' own dependencies."""
+    """Return the file that pins the requirements' own dependencies."""
     return f"constraints-{version[0]}.{version[1]}.txt"
 
 
 def stamp_text(environment: str, version: tuple[int, int], requirements: Path) -> str:
-    """The text of the stamp: the Python version and the SHA-256 of each requirement file."""
+    """Return the text of the stamp: the Python version and the SHA-256 of each requirement file."""
     names = [name for call in recipe(environment, version).calls for name in call] + [constraints(version)]
     lines = [f"{hashlib.sha256((requirements / name).read_bytes()).hexdigest()}  {name}" for name in names]
     return "\n".join([f"Python {version[0]}.{version[1]}", *lines, ""])
@@ -94,7 +95,7 @@ def is_complete(folder: Path, version: tuple[int, int], requirements: Path) -> b
 
 
 def missing_packages() -> list[str]:
-    """Debian packages of the system libraries that this machine lacks."""
+    """Return the Debian packages of needed system libraries that this machine lacks."""
     missing = []
     for library, package in LIBRARIES.items() if sys.platform.startswith("linux") else ():
         try:
@@ -105,14 +106,14 @@ def missing_packages() -> list[str]:
 
 
 def refuse_old_system() -> None:
-    """Stop where there are no wheels of Open3D for the system's C library."""
+    """Exit if the system's C library is too old for the wheels of Open3D."""
     name, release = platform.libc_ver()
     if name == "glibc" and tuple(int(part) for part in release.split(".")) < (2, 35):
         stop(f"Open3D needs glibc 2.35 (Ubuntu 22.04, Debian 12, Fedora 36, RHEL 10), but this system has {release}")
 
 
 def install_packages(packages: list[str]) -> None:
-    """Install Debian packages if we are root; else say in one line how to, and stop."""
+    """Install Debian packages if we are root; else say in one line how to, and exit."""
     apt = shutil.which("apt-get")
     line = f"apt-get install --no-install-recommends {' '.join(packages)}"
     if apt is None:
@@ -131,8 +132,8 @@ def install_packages(packages: list[str]) -> None:
 
 
 def find_python(uv: Path, environment: str) -> tuple[str, tuple[int, int]]:
-    """The Python for an environment, as `uv venv` takes it, and its version; ("", ...) where `.venv-next` gets none.
-    `.venv` has the first of BLENDER's versions that is on this computer. Else uv downloads it."""
+    """Return the Python for an environment, as `uv venv` takes it, and its version. For `.venv` it is the first of
+    BLENDER's versions that is on this computer, else one that uv downloads; `.venv-next` may have none: ("", ...)."""
     versions = list(BLENDER)
     if environment == ".venv-next":
         versions = [(3, 13)] if (ROOT / ".venv/bin/python3.11").exists() else []
@@ -149,8 +150,8 @@ def find_python(uv: Path, environment: str) -> tuple[str, tuple[int, int]]:
 
 
 def install_options(files: tuple[str, ...], version: tuple[int, int]) -> list[str]:
-    """Options of one `uv pip install` call. The index of CPU builds that the user named is for torch alone, which is
-    installed without its dependencies: the next call adds those."""
+    """Return the options of one `uv pip install` call. The index of CPU builds that the user named is for torch alone,
+    which is installed without its dependencies: the next call adds those."""
     options = ["--constraint", constraints(version)]
     for name in files:
         options += ["--requirement", name]
@@ -161,7 +162,7 @@ def install_options(files: tuple[str, ...], version: tuple[int, int]) -> list[st
 
 
 def make(folder: Path) -> None:
-    """Make the environment in `folder` from nothing. `.venv-next` only where its Python is there."""
+    """Make the environment in `folder` from nothing; `.venv-next` only if there is a Python for it."""
     started = time.monotonic()
     refuse_old_system()
     if setting := uv_program.diverted(os.environ, ROOT / "requirements"):
@@ -197,7 +198,7 @@ def make(folder: Path) -> None:
 
 
 def write_stamp(folder: Path, version: tuple[int, int]) -> None:
-    """Declare the environment complete. The stamp is renamed into place, so it is whole or absent."""
+    """Mark the environment as complete. The stamp is renamed into place, so it is whole or absent."""
     temporary = folder / f"{STAMP}.tmp"
     temporary.write_text(stamp_text(folder.name, version, ROOT / "requirements"))
     os.sync()  # after a power cut, the stamp must not outlive the files that uv wrote
@@ -205,7 +206,7 @@ def write_stamp(folder: Path, version: tuple[int, int]) -> None:
 
 
 def run(command: list[str], failure: str, *, cwd: Path = ROOT / "requirements", strict: bool = True) -> None:
-    """Run a command with its output in build/set-up.log. If it fails, show its end, and stop if `strict`."""
+    """Run a command with its output in build/set-up.log. If it fails, show the log's end, and exit if `strict`."""
     log_path = ROOT / "build" / "set-up.log"
     with log_path.open("ab") as log:
         log.write(_USER.sub("****@", f"\n$ {' '.join(command)}\n").encode())
@@ -229,7 +230,7 @@ def run(command: list[str], failure: str, *, cwd: Path = ROOT / "requirements", 
 
 @contextmanager
 def alone() -> Iterator[None]:
-    """Hold this folder's set-up lock. Wait for another set-up that holds it."""
+    """Hold the lock on this folder's set-up in a ``with`` block, after waiting for another set-up that holds it."""
     (ROOT / "build").mkdir(exist_ok=True)
     with (ROOT / "build" / "set-up.lock").open("w") as lock:
         os.set_inheritable(lock.fileno(), True)  # to uv, see `run`

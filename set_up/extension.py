@@ -21,7 +21,7 @@ OLDEST = (4, 2)
 
 
 def tool() -> list[str]:
-    """The command of Blender's extension tool. SystemExit if there is neither a Blender nor its module."""
+    """Return the command of Blender's extension tool. SystemExit if there is neither a Blender nor its module."""
     blender = shutil.which("blender")
     if blender and (version := version_of(blender)) >= OLDEST:
         return [blender, "--command", "extension"]
@@ -35,7 +35,7 @@ def tool() -> list[str]:
 
 
 def version_of(blender: str) -> tuple[int, int]:
-    """The version that a program says it has; 0, 0 if it says none within a minute."""
+    """Return the version that a program says it has; 0, 0 if it says none within a minute."""
     try:
         said = subprocess.run([blender, "--version"], capture_output=True, text=True, check=False, timeout=60).stdout
     except (OSError, subprocess.TimeoutExpired):
@@ -45,8 +45,8 @@ def version_of(blender: str) -> tuple[int, int]:
 
 
 def build(folder: Path) -> Path:
-    """Build the zip into `folder`, validate it, and return its path; beside it the index that *Get Extensions* reads.
-    SystemExit if the tool refuses it."""
+    """Build the zip into `folder`, validate it, and return its path. The index that *Get Extensions* reads is written
+    beside it. SystemExit if the tool refuses it."""
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.glob("plgs-*.zip"):
         old.unlink()
@@ -58,7 +58,7 @@ def build(folder: Path) -> Path:
 
 
 def ask(command: list[str]) -> None:
-    """Run the tool. If it fails, show its output and stop."""
+    """Run the tool. If it fails, show its output and exit."""
     process = subprocess.run(command, capture_output=True, text=True, check=False)
     if process.returncode != 0:
         raise SystemExit(f"extension: {' '.join(command)}\n{process.stdout}{process.stderr}")

@@ -1,4 +1,4 @@
-"""Correct: buttons for correcting a lift's objects, below its list."""
+"""The panel "Correct": buttons for correcting a lift's objects, below its list."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
     bl_idname, bl_label = "PLGS_PT_corrections", "Correct"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Results of an engine or an edit come below the buttons, which therefore never move."""
+        """Draw the panel. Results of an engine or an edit come below the buttons, which therefore never move."""
         root = active_lift(context.scene, context.active_object)
         layout = from_panel(self.layout.column(), context)
         column = layout.column(align=True)
@@ -73,7 +73,7 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
 
 
 def struck_through(text: str) -> str:
-    """The text with a stroke through each character (U+0336)."""
+    """Return the text with a stroke through each character (U+0336)."""
     return "".join(f"{each}\u0336" for each in text)
 
 
@@ -94,7 +94,7 @@ def _draw_proposals(layout: bpy.types.UILayout, context: bpy.types.Context, root
 
 
 class OfClasses:
-    """A menu of the lift's classes, as targets of painted points."""
+    """A menu of the lift's classes, one of which painted points shall get."""
 
     to: str
     layout: bpy.types.UILayout

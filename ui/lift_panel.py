@@ -1,4 +1,4 @@
-"""2 Lift: how much work to spend, what it will cost, and its progress."""
+"""The panel "2 Lift": how much work to spend, what it will cost, and its progress."""
 
 from __future__ import annotations
 
@@ -97,7 +97,8 @@ class PLGS_MT_recent_lifts(bpy.types.Menu):
 
 
 def _draw_running(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Lift) -> None:
-    """Draw a lift's progress in as many rows as `_draw_start`, with Cancel where no double or late click lands."""
+    """Draw a lift's progress in as many rows as `_draw_start`, with Cancel where no double or late click on Start hits
+    it."""
     folder, progress = followed.folder, followed.progress
     stage = f"Stage {progress.stage_index} of {progress.stage_count}: " if progress.stage_count > 1 else ""
     name = one_line(f"{stage}{folder.path.name}, {folder.request.preset}")
@@ -111,7 +112,7 @@ def _draw_running(layout: bpy.types.UILayout, context: bpy.types.Context, follow
 
 
 def _draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Lift | None) -> None:
-    """Draw Start and how the last lift ended. What comes and goes is below, so that the button never moves."""
+    """Draw Start and how the last lift ended. Rows that come and go are below, so that the button never moves."""
     settings = context.scene.plgs
     folder, estimate = chosen_lift(settings), estimate_of(settings)
     layout.prop(settings, "preset", expand=True)
@@ -177,7 +178,7 @@ def _draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
 
 
 def _draw_preview(row: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw the switch of the live preview, and a button that looks through the camera, where it appears."""
+    """Draw the live preview's switch, and a button that looks through the camera, in whose view it appears."""
     settings, view = context.scene.plgs, getattr(context.space_data, "region_3d", None)
     row.prop(settings, "live_preview", text="Preview", toggle=True, icon="HIDE_OFF")
     see = row.row(align=True)

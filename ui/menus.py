@@ -1,4 +1,4 @@
-"""A lift's menus: in the Object menu, where F3 finds them, and in the context menus of objects and rows."""
+"""The menus of a lift: in the Object menu, where F3 finds them, and in the context menus of objects and rows."""
 
 from __future__ import annotations
 

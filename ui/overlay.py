@@ -1,7 +1,6 @@
-"""Overlays of the 3D views: the live preview, the cameras' path, outlines, the cutting plane, names and a legend.
+"""Draw overlays of the 3D views: the live preview, the cameras' path, outlines, the cutting plane, names and a legend.
 
-Views are drawn many times a second, so everything comes from Blender's data: no disk access, no writing.
-"""
+Views are drawn many times a second, so everything comes from Blender's data: no disk access, no writing."""
 
 from __future__ import annotations
 
@@ -33,7 +32,7 @@ def _is_wanted(context: bpy.types.Context) -> bool:
 
 
 def _draw_in_space() -> None:
-    """POST_VIEW: in the scene's space, hidden by nearer things."""
+    """Draw in the scene's space, where nearer things hide it (POST_VIEW): the cameras' path and the cutting plane."""
     context = bpy.context
     for root in lifts_in(context.scene) if _is_wanted(context) else ():
         objects = objects_by_key(root)
@@ -56,7 +55,7 @@ def _draw_cameras_path(
 
 
 def _draw_on_top() -> None:
-    """POST_PIXEL: in the region's pixels, on top of everything."""
+    """Draw in the region's pixels, on top of everything (POST_PIXEL)."""
     context = bpy.context
     if not _is_wanted(context):
         return
@@ -97,7 +96,7 @@ def _draw_selected(context: bpy.types.Context, root: bpy.types.Collection) -> No
 
 
 def legend_of(context: bpy.types.Context, root: bpy.types.Collection) -> list[tuple[str, drawing.Colour | None]]:
-    """The legend of the view's colours: of the live preview, else of the masks shown, else of the lift; or empty."""
+    """Return the legend of the view's colours: of the live preview, the masks shown, or the lift; else []."""
     camera, lists = camera_of(context), root.plgs
     if camera is not None and camera == context.scene.camera:
         if lifts.picture_for(context.scene) is not None:
@@ -112,7 +111,7 @@ def legend_of(context: bpy.types.Context, root: bpy.types.Collection) -> list[tu
 
 
 def classes_of_scene(scene: bpy.types.Scene, *, stuff_only: bool = False) -> tuple[tuple[str, drawing.Colour], ...]:
-    """The classes of the panel's scene, as far as they are known."""
+    """Return the classes of the panel's scene with their colours, as far as they are known."""
     survey = survey_of_panel(scene.plgs)
     classes = survey.classes if survey is not None else ()
     return tuple(each for each in classes if not stuff_only or (survey is not None and each[0] not in survey.things))

@@ -1,4 +1,5 @@
-"""4 Passes: the panoptic layers of more frames, for the compositor. 5 Export: files for other programs, and meshes."""
+"""The panels "4 Passes": the panoptic layers of more frames, for the compositor; and "5 Export": files for other
+programs, and meshes."""
 
 from __future__ import annotations
 
@@ -76,7 +77,7 @@ class PLGS_PT_export(sidebar.Step, bpy.types.Panel):
     bl_idname, bl_label, bl_order, bl_options = "PLGS_PT_export", "5  Export", 50, {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        """A running export's bar replaces its button; its messages come below all buttons."""
+        """Draw the panel. A running export's bar replaces its button; its messages come below all buttons."""
         layout, export = self.layout, registry.latest(Export)
         running = export if export is not None and export.is_running else None
         scene = running.form if running is not None and running.is_for_scene else ""
@@ -111,7 +112,7 @@ class PLGS_MT_export(bpy.types.Menu):
 
 
 def _draw_shown(layout: bpy.types.UILayout) -> None:
-    """The forms that Blender writes itself from what is shown."""
+    """Draw the formats that Blender writes itself from what is shown."""
     layout.operator_context = "INVOKE_DEFAULT"
     for form, label in (("gltf", "glTF…"), ("usd", "OpenUSD…")):
         layout.operator("plgs.export_shown", text=label, icon="EXPORT").form = form

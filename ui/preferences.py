@@ -21,7 +21,7 @@ def _ask_again(preferences: bpy.types.AddonPreferences, context: bpy.types.Conte
 
 
 class PLGS_AP_preferences(bpy.types.AddonPreferences):
-    """Stored by Blender with its own preferences."""
+    """The add-on's preferences, which Blender stores with its own."""
 
     bl_idname = EXTENSION
 

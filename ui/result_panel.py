@@ -1,4 +1,4 @@
-"""3 Result: the searchable lists of a lift's instances, classes and masks, and how they are shown."""
+"""The panel "3 Result": the searchable lists of a lift's instances, classes and masks, and how they are shown."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SORTS = [
 
 
 class Searchable:
-    """A list with a choice of orders. The lift's `<list>_search` holds the search words."""
+    """A list that can be searched and sorted. The search words are in the lift's `<list>_search`."""
 
     order: Any
     bitflag_filter_item: int
@@ -45,13 +45,13 @@ class Searchable:
 
 
 def shown_rows(names: list[str], search: str, flag: int) -> list[int]:
-    """`flag` for each name that contains all words of `search`, ignoring case, and 0 for the others."""
+    """Return `flag` for each name that contains all words of `search`, ignoring case, and 0 for the others."""
     words = search.casefold().split()
     return [flag if all(word in name.casefold() for word in words) else 0 for name in names]
 
 
 def places_of(rows: Any, order: str) -> list[int]:
-    """Each row's position in the order NAME (2 before 10), COUNT or SCORE. "Other" classes come last."""
+    """Return each row's position in the order NAME (2 before 10), COUNT or SCORE. "Other" classes come last."""
     keys = {"NAME": _by_name, "COUNT": lambda row: -row.points, "SCORE": lambda row: -row.score}
     places = [0] * len(rows)
     ranks = [(is_rest(getattr(row, "class_name", row.name)), keys[order](row)) for row in rows]
@@ -66,7 +66,7 @@ def _by_name(row: Any) -> tuple[str, int]:
 
 
 def short_count(number: int) -> str:
-    """A count below ten million in at most four characters: 950, 9.5k, 27k, 1.2M."""
+    """Return a count below ten million in at most four characters: 950, 9.5k, 27k, 1.2M."""
     for unit, letter in ((1_000_000, "M"), (1_000, "k")):
         if number >= unit:
             # From 9.95 on, ".1f" would give a fifth character: 10.0k.
@@ -75,7 +75,8 @@ def short_count(number: int) -> str:
 
 
 def _swatch_name_numbers(layout: Any, row: Any, coloured: Any, *, can_be_renamed: bool) -> Any:
-    """Draw a row's first cells with the colour of `coloured`: itself or its class. Returns the layout of the rest."""
+    """Draw a row's first cells: the colour of `coloured` (the row or its class), the name, and numbers. Returns the
+    layout for further cells."""
     line = layout.row(align=True)
     swatch = line.row()
     swatch.ui_units_x = 0.9
@@ -96,7 +97,7 @@ def _draw_eye(line: Any, row: Any) -> None:
 
 
 def swatch_of(lists: Any, row: Any) -> Any:
-    """The row whose colour an instance has in the view: its class's if colours are by class, else its own."""
+    """Return the row whose colour an instance has in the view: its class's if colours are by class, else its own."""
     if lists.look != BY_CLASS:
         return row
     return next((each for each in lists.classes if each.class_id == row.class_id), row)
@@ -128,7 +129,7 @@ class PLGS_UL_classes(Searchable, bpy.types.UIList):
 
 
 class PLGS_UL_masks(bpy.types.UIList):
-    """The masks that made an instance; a click on a frame looks through its camera."""
+    """The masks that were matched to an instance; a click on a frame looks through its camera."""
 
     def draw_item(
         self, _context: Any, layout: Any, instance: Any, mask: Any, _icon: int, _active: Any, _name: str, index: int
@@ -161,7 +162,7 @@ _SURFACE_FROM = 0.55
 
 
 def _lift(context: bpy.types.Context) -> Any:
-    """The lift shown in the panels, or None before the first lift."""
+    """Return the lift shown in the panels, or None before the first lift."""
     root = active_lift(context.scene, context.active_object)
     return root if root is not None and len(root.plgs.classes) else None
 
@@ -256,7 +257,7 @@ def _draw_surface(cell: bpy.types.UILayout, root: bpy.types.Collection) -> None:
 
 
 class OfResult(Sidebar):
-    """A part of the result's panel, closed at first and shown once something has been lifted."""
+    """A subpanel of the result's panel, closed at first and shown once something has been lifted."""
 
     bl_parent_id, bl_options = "PLGS_PT_result", {"DEFAULT_CLOSED"}
 

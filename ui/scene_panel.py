@@ -1,4 +1,4 @@
-"""1 Scene: its folder, contents, problems and masks, and importing its cameras and images."""
+"""The panel "1 Scene": its folder, contents, problems and masks, and importing its cameras and images."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ class PLGS_PT_frames(sidebar.Step, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Without a frame's camera, the buttons are grey, not hidden, so that nothing below them moves."""
+        """Show the panel always: without a frame's camera its buttons are grey, so that nothing below them moves."""
         return bool(context.scene.plgs.scene_folder) or bool(lifts_in(context.scene))
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -196,7 +196,7 @@ def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey:
 
 
 def _facts(survey: Survey) -> tuple[str, ...]:
-    """One line for each of `_FACTS`, short enough for the default width of the sidebar."""
+    """Return one line for each of `_FACTS`, short enough for the default width of the sidebar."""
     frames = plural(survey.frames, "frame")
     if survey.left_out:
         frames += f", {survey.left_out} left out"
@@ -261,7 +261,7 @@ def _draw_links(layout: bpy.types.UILayout, frames: tuple[str, ...], number: int
 
 
 def _is_import(making: FrameMaking, context: bpy.types.Context) -> bool:
-    """Whether a task imports the panel's scene now, not another scene or one frame's picture."""
+    """Whether a task imports the panel's scene now, rather than another scene or one frame's picture."""
     settings, order = context.scene.plgs, making.order
     is_of_scene = bool(settings.scene_folder) and order.chosen == chosen_scene(settings)
     return making.is_running and is_of_scene and not order.frame

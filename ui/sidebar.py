@@ -39,7 +39,7 @@ class PLGS_PT_lift_panoptic_masks(Sidebar, bpy.types.Panel):
 
 
 def has_result(scene: bpy.types.Scene) -> bool:
-    """Whether the scene holds a lift's result."""
+    """Whether a lift's result was placed in the scene."""
     return any(len(root.plgs.classes) for root in lifts_in(scene))
 
 
@@ -50,13 +50,13 @@ def draw_way_back(bar: bpy.types.Panel | bpy.types.Header, context: bpy.types.Co
 
 
 class Step(Sidebar):
-    """One step of the workflow; `bl_order` sorts them."""
+    """A subpanel for one step of the workflow; `bl_order` sorts them."""
 
     bl_parent_id = PLGS_PT_lift_panoptic_masks.bl_idname
 
 
 class StepBefore(Step):
-    """A step before the result, collapsed once the result is shown."""
+    """A subpanel for a step before the result, collapsed once the result is shown."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -73,13 +73,13 @@ def draw_text(
 
 
 def lines_of(context: bpy.types.Context, text: str) -> list[str]:
-    """The text in lines that fit the sidebar, at least one."""
+    """Return the text in lines that fit the sidebar, at least one."""
     scale = context.preferences.system.ui_scale
     return textwrap.wrap(text, max(20, int(context.region.width / (_PIXELS_A_LETTER * scale)) - 5)) or [""]
 
 
 def fitted(context: bpy.types.Context, text: str) -> str:
-    """The text's first line, with an ellipsis if there are more."""
+    """Return the text's first line, with an ellipsis if there are more."""
     first, *more = lines_of(context, text)
     return f"{first}…" if more else first
 
@@ -136,7 +136,7 @@ def draw_warnings(layout: bpy.types.UILayout, context: bpy.types.Context, task: 
 
 
 def work_of(task: Task) -> str:
-    """What a running task is doing."""
+    """Return a text about what a running task is doing."""
     progress = task.progress
     if progress.stage == "train" and not progress.step:
         return "First step (may compile for 2 min)"  # once per computer
@@ -182,7 +182,7 @@ def draw_adding(layout: bpy.types.UILayout, context: bpy.types.Context, name: st
 
 
 def how_far(task: Task) -> tuple[float, str]:
-    """A task's completed fraction, of the whole if the engine estimates it, else of the stage; and its text."""
+    """Return a task's completed fraction, of the whole if the engine estimates it, else of the stage; and its text."""
     progress, took, left = task.progress, task.took_s, task.left_s
     if left is not None:
         share = took / max(took + left, 1e-9)  # both may be 0
@@ -195,7 +195,7 @@ def how_far(task: Task) -> tuple[float, str]:
 
 
 def from_panel(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.types.UILayout:
-    """Let the panel's settings decide which buttons in a layout are grey. Scripts are judged by their arguments."""
+    """A layout whose buttons are grey if the panel's settings forbid them. Scripts are judged by their arguments."""
     layout.context_pointer_set("plgs_panel", context.scene.plgs)
     return layout
 
@@ -210,7 +210,7 @@ def draw_log(layout: bpy.types.UILayout, lines: tuple[str, ...]) -> None:
 
 
 def duration(seconds: float) -> str:
-    """A duration such as "2 min 40 s" or "1 h 05 min"."""
+    """Return a duration such as "2 min 40 s" or "1 h 05 min"."""
     whole = max(0, round(seconds))
     if whole < 60:
         return f"{whole} s"
@@ -220,7 +220,7 @@ def duration(seconds: float) -> str:
 
 
 def amount(size: float) -> str:
-    """A number of bytes as "80 MB" or "2.1 GB"."""
+    """Return a number of bytes as "80 MB" or "2.1 GB"."""
     return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.0f} MB"
 
 

@@ -1,4 +1,4 @@
-"""Draws over 3D views with Blender's GPU module, and lays out labels at boxes and the legend, in pixels."""
+"""Draw over 3D views with Blender's GPU module, and lay out the labels of boxes and the legend, in pixels."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _DARK = (0.09, 0.095, 0.105)
 
 @dataclass(frozen=True, eq=False)
 class Mark:
-    """An outline as a picture float32 [H, W, 4] in sRGB, lowest row first, and the pixels that it is drawn over."""
+    """An outline as a picture float32 [H, W, 4] in sRGB, lowest row first, and where to draw it, in pixels."""
 
     key: tuple[Any, ...]
     pixels: NDArray[np.float32]
@@ -41,7 +41,8 @@ class Mark:
 
 @dataclass(frozen=True)
 class ViewRegion:
-    """A 3D view's region: sizes in pixels, toolbars at the `left` too, and the matrix from world to clip space."""
+    """A 3D view's region: its size in pixels, the width covered at the `left` too, and the matrix from world to clip
+    space."""
 
     width: int
     height: int
@@ -59,15 +60,15 @@ class ViewRegion:
         return cls(region.width, region.height, left, context.region_data.perspective_matrix.copy(), scale)
 
     def pixel_of(self, point: Vector) -> tuple[float, float] | None:
-        """The pixel of a world point, from the lower left; None if the point is behind the eye."""
+        """Return the pixel of a world point, from the lower left; None if the point is behind the viewer."""
         x, y, _, w = self.perspective @ Vector((*point, 1.0))
         return (self.width * (0.5 + 0.5 * x / w), self.height * (0.5 + 0.5 * y / w)) if w > 1e-6 else None
 
 
 @dataclass(frozen=True)
 class TextBox:
-    """A rectangle with a text and perhaps a `swatch` of colour before it; `instance` is the one named, or 0. Lengths
-    are in pixels, from the lower left corner; colours are sRGB 0..1."""
+    """A text on a rectangle, perhaps with a `swatch` of colour before it; `instance` is the one that it names, or 0.
+    Lengths are in pixels, from the lower left corner; colours are sRGB 0..1."""
 
     x: float
     y: float
@@ -91,8 +92,9 @@ def label_text_boxes(
     hovered: int = 0,
     keep_free: Sequence[Rectangle] = (),
 ) -> list[TextBox]:
-    """Names above the boxes of instances, as many as `place_labels` allows: first the `active` one, then the one under
-    the mouse, then those that look largest, known classes first. An active box out of view has a label that says so."""
+    """Return names above the boxes of instances, as many as `place_labels` allows: first the `active` one, then the one
+    under the mouse, then those that look largest, known classes first. If the active box is out of view, its label says
+    so."""
     size, padding = _TEXT * region.scale, _PADDING * region.scale
     height = size + 1.4 * padding
     found: list[tuple[tuple[bool, bool, bool, float], Any, str, tuple[float, float]]] = []
@@ -141,8 +143,9 @@ def place_labels(
     space: tuple[float, float],
     keep_free: Sequence[Rectangle] = (),
 ) -> dict[int, tuple[float, float]]:
-    """The lower left corners of labels above their anchors (x, y), by index, within a space (width, height), all in
-    pixels. None that would cover an earlier one or a rectangle in `keep_free`, or exceed the maximum, is kept."""
+    """Return the lower left corners of labels above their anchors (x, y), by index, within a space (width, height), all
+    in pixels. Labels that would cover an earlier one or a rectangle in `keep_free`, or exceed the maximum, are left
+    out."""
     placed: dict[int, tuple[float, float]] = {}
     taken, room = [*keep_free], _MOST_COVERED * space[0] * space[1]
     for index, ((x, y), width) in enumerate(zip(anchors, widths, strict=True)):
@@ -163,13 +166,13 @@ def place_labels(
 
 
 def shown_classes(rows: Any) -> list[tuple[str, Colour]]:
-    """The names and colours of the visible classes, those with most points first."""
+    """Return the names and colours of the visible classes, those with most points first."""
     shown = sorted((row for row in rows if row.visible), key=lambda row: (-row.points, row.name))
     return [(one_line(row.name), tuple(row.colour)) for row in shown]
 
 
 def legend_text_boxes(shown: Sequence[tuple[str, Colour | None]], region: ViewRegion) -> list[TextBox]:
-    """As many of the classes (names and colours) as fit into the lower left corner, in order."""
+    """Return the legend: as many of the classes (names and colours) as fit into the lower left corner, in order."""
     size, padding = _TEXT * region.scale, _PADDING * region.scale
     line = size + 1.2 * padding
     room = max(1, int((0.7 * region.height) / line))
@@ -192,7 +195,7 @@ def is_rest(class_name: str) -> bool:
 
 
 def _set_text_size(text: str, size: float) -> float:
-    """Set the size in which text is drawn, and return a text's width in it."""
+    """Set the size of the text to be drawn next, and return the width of ``text`` in it, in pixels."""
     blf.size(0, size)
     return float(blf.dimensions(0, text)[0])
 
@@ -207,7 +210,7 @@ _KEPT = 3
 
 
 def draw_outline(corners: Sequence[tuple[float, float]], colour: Colour) -> None:
-    """A closed line through at least three corners in pixels, in this colour with a dark edge."""
+    """Draw a closed line through at least three corners in pixels, in this colour with a dark edge."""
     if len(corners) < 3:
         return
     edges = [end for first in range(len(corners)) for end in (first, (first + 1) % len(corners))]
@@ -218,7 +221,7 @@ def draw_outline(corners: Sequence[tuple[float, float]], colour: Colour) -> None
 
 
 def draw_face(corners: Sequence[Vector], colour: tuple[float, float, float, float]) -> None:
-    """A face with four corners in metres, on top of everything."""
+    """Draw a face with four corners in metres, on top of everything."""
     shader = gpu.shader.from_builtin("UNIFORM_COLOR")
     shader.bind()
     shader.uniform_float("color", colour)
@@ -228,7 +231,8 @@ def draw_face(corners: Sequence[Vector], colour: tuple[float, float, float, floa
 
 
 def draw_path(points: Sequence[Vector]) -> None:
-    """A line through points in metres, hidden by nearer things. It breaks where a recording jumps to another part."""
+    """Draw a line through points in metres, hidden by nearer things. It breaks where a recording jumps to another
+    part."""
     steps = [(end - start).length for start, end in pairwise(points)]
     longest = _JUMP * float(np.median(steps)) if steps else 0.0
     edges = [end for number, step in enumerate(steps) if step <= longest for end in (number, number + 1)]
@@ -243,7 +247,7 @@ def draw_path(points: Sequence[Vector]) -> None:
 
 
 def draw_mark(mark: Mark | None) -> None:
-    """The outline of points, if any are in the view."""
+    """Draw the outline of points, if any are in the view."""
     if mark is not None:
         left, low, right, high = mark.place
         draw_picture(mark.pixels, [(left, low), (right, high)], blend="ALPHA")
@@ -252,7 +256,8 @@ def draw_mark(mark: Mark | None) -> None:
 def draw_picture(
     pixels: NDArray[np.float32], corners: Sequence[tuple[float, float] | None], blend: str = "NONE"
 ) -> None:
-    """A picture (float32 [H, W, 4], sRGB, lowest row first) over a rectangle in pixels, if no corner is None."""
+    """Draw a picture (float32 [H, W, 4], sRGB, lowest row first) over a rectangle in pixels, unless a corner is
+    None."""
     seen = [corner for corner in corners if corner is not None]
     if len(seen) != len(corners):
         return
@@ -269,7 +274,7 @@ def draw_picture(
 
 
 def _texture_of(pixels: NDArray[np.float32]) -> gpu.types.GPUTexture:
-    """The picture's texture. Blender's own image textures have mipmaps, which make them ten times slower to create."""
+    """Make the picture's texture. Blender's own image textures have mipmaps, which take ten times as long to create."""
     for picture, texture in uploaded:
         if picture is pixels:  # not ==, which would compare all values at each redraw
             return texture
@@ -337,7 +342,7 @@ def _draw_lines(
 
 
 def brightened(colour: Colour) -> Colour:
-    """The colour at full brightness, mixed with a quarter of white."""
+    """Return the colour at full brightness, mixed with a quarter of white."""
     strongest = max(*colour, 1e-3)
     red, green, blue = (0.25 + 0.75 * channel / strongest for channel in colour)
     return red, green, blue

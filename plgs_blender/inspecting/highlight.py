@@ -1,7 +1,6 @@
-"""Highlights in a 3D view: the outline of the selected instance, and that of a mask.
+"""Draw highlights in a 3D view: the outline of the selected instance, and that of a mask.
 
-Points are read once per selection, and an outline is computed once per view, because views are drawn often.
-"""
+Points are read once per selection, and an outline is computed once per view, because views are drawn often."""
 
 from __future__ import annotations
 
@@ -26,7 +25,8 @@ _CLOSED = 2  # cells by which gaps between points are closed
 
 @dataclass(frozen=True, eq=False)
 class Highlight:
-    """Points `xyz` float32 [N, 3] and their mean `radius` in world metres; `key` names their instance and clouds."""
+    """The points of an instance: `xyz` float32 [N, 3] and their mean `radius` in metres; `key` names it and its
+    clouds."""
 
     key: tuple[Any, ...]
     xyz: NDArray[np.float32]
@@ -38,7 +38,7 @@ _last_marks: list[Mark] = []
 
 
 def highlight_of(root: bpy.types.Collection, instance: int, visible: Any) -> Highlight:
-    """The points of an instance in the clouds for which `visible(object)` is true."""
+    """Return the points of an instance in the clouds for which `visible(object)` is true."""
     clouds = [cloud for cloud in clouds_of(root) if visible(cloud)]
     states = [(cloud.data.session_uid, len(cloud.data.points), *map(tuple, cloud.matrix_world)) for cloud in clouds]
     key = (root.session_uid, instance, *states)
@@ -50,8 +50,8 @@ def highlight_of(root: bpy.types.Collection, instance: int, visible: Any) -> Hig
 
 
 def highlight_of_mesh(root: bpy.types.Collection, ob: bpy.types.Object) -> Highlight:
-    """The vertices of an instance's mesh of triangles, and the middles of its edges and triangles: so dense that their
-    outline is the mesh's own."""
+    """Return the vertices of an instance's triangle mesh, and the middles of its edges and triangles: these are so
+    dense that their outline is the mesh's own."""
     data = ob.data
     key = (root.session_uid, ob.session_uid, len(data.vertices), *map(tuple, ob.matrix_world))
     if not _last or _last[0].key != key:
@@ -68,13 +68,13 @@ def highlight_of_mesh(root: bpy.types.Collection, ob: bpy.types.Object) -> Highl
 
 
 def forget() -> None:
-    """Clear the cache."""
+    """Clear the cache of outlines."""
     _last.clear()
     _last_marks.clear()
 
 
 def _points_of(cloud: bpy.types.Object, instance: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """World positions [n, 3] and radii [n] of an instance's points in a cloud."""
+    """Return world positions [n, 3] and radii [n] of an instance's points in a cloud."""
     mine = ids_of(cloud.data, "instance_id") == instance
     world = np.array(cloud.matrix_world, np.float32)
     xyz = values_of(cloud.data, "position")[mine] @ world[:3, :3].T + world[:3, 3]
@@ -82,8 +82,8 @@ def _points_of(cloud: bpy.types.Object, instance: int) -> tuple[NDArray[np.float
 
 
 def mark_of(seen: Highlight, view: Any, size: tuple[int, int], colour: Colour, tint: float = 0.1) -> Mark | None:
-    """The outline of points in a view (a RegionView3D) of `size` pixels, in an sRGB colour, filled with opacity `tint`;
-    None if no point is in the view. Nearer things do not hide it, as with Blender's own outlines."""
+    """Return the outline of points in a view (a RegionView3D) of `size` pixels, in an sRGB colour, filled with opacity
+    `tint`; None if no point is in the view. Nearer things do not hide it, as with Blender's own outlines."""
     lens, looks = np.array(view.window_matrix, np.float32), np.array(view.view_matrix, np.float32)
     key = (seen.key, lens.tobytes(), looks.tobytes(), size, colour)
     for mark in _last_marks:
@@ -113,7 +113,7 @@ def mark_of(seen: Highlight, view: Any, size: tuple[int, int], colour: Colour, t
 
 
 def _grown(mask: NDArray[np.bool_], times: int) -> NDArray[np.bool_]:
-    """A mask [H, W] grown by this many cells, by crosses and squares in turn, which keeps corners round."""
+    """Return a mask [H, W] grown by this many cells, by crosses and squares in turn, which keeps corners round."""
     for step in range(times):
         wide = mask.copy()
         wide[:, 1:] |= mask[:, :-1]
@@ -129,8 +129,8 @@ def _grown(mask: NDArray[np.bool_], times: int) -> NDArray[np.bool_]:
 def outline_in_space(
     camera: bpy.types.Object, outline: str, rectangle: tuple[float, float, float, float]
 ) -> list[list[Vector]]:
-    """The polygons of a mask's outline, or its rectangle if there is none (see `MatchedSegment`), as world points one
-    metre in front of a frame's camera. Empty if the user removed the lens properties from the camera."""
+    """Return the polygons of a mask's outline, or its rectangle if there is none (see `MatchedSegment`), as world
+    points one metre in front of a frame's camera; [] if the user removed the lens properties from the camera."""
     if any(name not in camera for name in ("width", "height", "fx", "fy", "cx", "cy")):
         return []
 

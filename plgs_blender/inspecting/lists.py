@@ -43,7 +43,7 @@ Update = Callable[[bpy.types.PropertyGroup, bpy.types.Context], None]
 
 
 def _applying(apply: Callable[[bpy.types.Collection], None]) -> Update:
-    """Called after a property has changed: ``apply`` it to its lift's collection."""
+    """Return a callback for a changed property, which calls ``apply`` with its lift's collection."""
     return lambda changed, _context: apply(changed.id_data)
 
 
@@ -82,7 +82,7 @@ def _update_catcher(lists: bpy.types.PropertyGroup, context: bpy.types.Context) 
 
 # fmt: off
 class PLGS_PG_mask(bpy.types.PropertyGroup):
-    """One mask that was matched to an instance. `rectangle` and `outline`: see `MatchedSegment`."""
+    """A mask that was matched to an instance. `rectangle` and `outline`: see `MatchedSegment`."""
 
     frame: StringProperty(name="Frame")
     segment: IntProperty(name="Segment", description="Id of the segment in the frame's mask")
@@ -97,7 +97,7 @@ class PLGS_PG_mask(bpy.types.PropertyGroup):
 
 
 class PLGS_PG_instance(bpy.types.PropertyGroup):
-    """One object of the lift. `known_name` is its name in the lift; a different `name` is a rename."""
+    """An object of the lift. `known_name` is its name in the lift; a different `name` is a rename."""
 
     name: StringProperty(name="Name", update=_update_name, description="Double-click to rename the object")
     known_name: StringProperty()
@@ -118,7 +118,7 @@ class PLGS_PG_instance(bpy.types.PropertyGroup):
 
 
 class PLGS_PG_class(bpy.types.PropertyGroup):
-    """One class that has points. `class_id` 0 means no class."""
+    """A class that has points. `class_id` 0 means no class."""
 
     name: StringProperty(name="Name")
     class_id: IntProperty(name="Id")
@@ -139,7 +139,7 @@ class PLGS_PG_unshown(bpy.types.PropertyGroup):
 
 
 class PLGS_PG_lift(bpy.types.PropertyGroup):
-    """`collection.plgs` of a lift's collection."""
+    """The lists and settings of a lift, kept in its collection: `collection.plgs`."""
 
     instances: CollectionProperty(type=PLGS_PG_instance)
     instance_index: IntProperty(name="Instance", default=-1, update=_update_selection)
@@ -189,7 +189,8 @@ PROPERTIES = ((bpy.types.Collection, "plgs", PLGS_PG_lift),)
 
 @contextmanager
 def registered() -> Iterator[None]:
-    """Register `collection.plgs` temporarily if the extension is disabled. Data written to it stays in the file."""
+    """Register `collection.plgs` for a ``with`` block if the extension is disabled. Data written to it stays in the
+    file."""
     if hasattr(bpy.types.Collection, "plgs"):
         yield
         return
@@ -201,7 +202,7 @@ def registered() -> Iterator[None]:
 
 
 def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult, *, anew: bool = True) -> None:
-    """List a result's classes and instances, whose masks are filled in later. Listed ``anew``, all are visible; else
+    """List a result's classes and instances, whose masks are filled in later. With ``anew``, all are visible; else
     unchanged instances keep their rows and stay hidden, because listing thousands takes long."""
     with registered(), looks.apply_colours.at_once(root), looks.apply_visibility.at_once(root):
         lists = root.plgs
@@ -252,7 +253,7 @@ def _fill_instances(rows: Any, instances: Sequence[Instance]) -> None:
 
 
 def _facts(one: Any, score: float, masks: list[tuple[str, int]]) -> tuple[Any, ...]:
-    """What an instance or its row says, for comparison."""
+    """Return the facts about an instance, or those in its row, for comparing the two."""
     return one.name, one.class_id, one.points, one.views, score, masks
 
 
@@ -271,7 +272,7 @@ def fill_masks(root: bpy.types.Collection, instances: Iterable[Instance], classe
 
 
 def fill_not_shown(root: bpy.types.Collection, result: LiftResult) -> None:
-    """List in the lift's collection what the masks show and the lift lacks."""
+    """List in the lift's collection the objects that the masks show and the lift lacks."""
     with registered():
         root.plgs.not_shown.clear()
         for text, frame in result.not_shown:
@@ -287,7 +288,7 @@ def best_view(masks: Sequence[MatchedSegment]) -> int:
 
 
 def _reason(mask: MatchedSegment) -> str:
-    """Why a mask was matched to its instance, short enough for a list."""
+    """Return why a mask was matched to its instance, short enough for a list."""
     if mask.agreement is not None:
         return f"{100 * mask.agreement:.0f} % agreement"
     if mask.cost is not None:

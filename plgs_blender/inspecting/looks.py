@@ -1,9 +1,9 @@
-"""Which parts of a lift are shown, how, and in which colours.
+"""Show or hide parts of a lift, and colour them.
 
 Materials, Solid shading and renders draw the attribute Col. While Col shows something else, the attribute `photo` keeps
 the photos' colours. Boxes, and the points of a class, are objects with their own visibility and colour. The points of
-an instance are part of its class's cloud; the attribute `plgs_hidden` marks hidden ones, and a modifier removes them.
-"""
+an instance are part of its class's cloud; the attribute `plgs_hidden` marks hidden ones, and a modifier removes
+them."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def apply_look(root: bpy.types.Collection) -> None:
 
 
 def apply_lit(root: bpy.types.Collection) -> None:
-    """Light the lift's meshes with the scene's lights or only with the photos', as its `lit` says."""
+    """Light the lift's meshes with the scene's lights, or show them unlit, as its `lit` says."""
     _set_in_materials(root, LIT, root.plgs.lit)
 
 
@@ -89,7 +89,7 @@ def _set_in_materials(root: bpy.types.Collection, label: str, value: float) -> N
 
 
 def apply_show_as(root: bpy.types.Collection) -> None:
-    """Show what the lift's `show_as` says and hide the rest, in views and renders."""
+    """Show what the lift's `show_as` says and hide everything else, in views and renders."""
     for kind, name in SHOWN_IN.items():
         for child in root.children:
             if is_child(child, root, name):
@@ -105,7 +105,7 @@ def shows_pictures(root: bpy.types.Collection) -> bool:
 
 
 def show_pictures_in(scene: bpy.types.Scene) -> None:
-    """Show the pictures of meshes in the 3D views with our Solid shading if lifts show nothing else there; what has no
+    """Show the pictures of meshes in 3D views with our Solid shading if lifts show nothing else there; what has no
     picture would be white. Crevices are darkened then, or a user's own object would be a silhouette."""
     roots = lifts_shown(scene, scene.view_layers[0])
     has_all = bool(roots) and all(map(shows_pictures, roots))
@@ -117,18 +117,18 @@ def show_pictures_in(scene: bpy.types.Scene) -> None:
 
 
 def lifts_shown(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Collection]:
-    """The scene's lifts whose collections are neither hidden nor excluded in a view layer."""
+    """Return the scene's lifts whose collections are neither hidden nor excluded in a view layer."""
     visible = {each.collection for each in layer_collections(layer.layer_collection) if each.is_visible}
     return [root for root in lifts_in(scene) if root in visible]
 
 
 def has(root: bpy.types.Collection, kind: str) -> bool:
-    """Whether the lift has what a value of `show_as` shows."""
+    """Whether the lift has the objects for a value of `show_as`."""
     return any(is_child(child, root, SHOWN_IN[kind]) and len(child.all_objects) for child in root.children)
 
 
 def _photo(data: Any) -> NDArray[np.float32]:
-    """The photos' linear colours float32 [N, 4], saved apart from Col on the first call."""
+    """Return the photos' linear colours float32 [N, 4], which the first call saves apart from Col."""
     if KEPT in data.attributes:
         return values_of(data, KEPT, "color", 4)
     colours = values_of(data, COLOUR, "color", 4)
@@ -142,7 +142,7 @@ def _photo(data: Any) -> NDArray[np.float32]:
 def _by_id(
     ids: NDArray[np.int32], palette: dict[int, NDArray[np.float32]], photo: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """The colours [N, 4] of ids [N]; a dark grey photo for ids that are not in the palette."""
+    """Return the colours [N, 4] of ids [N]; a dark grey version of the photo for ids that are not in the palette."""
     colours = np.ones_like(photo)
     colours[:, :3] = 0.35 * (photo[:, :3] @ _GREY)[:, None]
     for number, colour in palette.items():
@@ -151,7 +151,7 @@ def _by_id(
 
 
 class _Sureness:
-    """How certain the views were of the label at a position."""
+    """Colours positions by how certain the views were of the label there."""
 
     def __init__(self, coloured: list[bpy.types.Object]) -> None:
         clouds = [ob for ob in coloured if "confidence" in ob.data.attributes]
@@ -165,7 +165,8 @@ class _Sureness:
         self._mean = np.bincount(rows.ravel(), sure, len(self._cells)) / np.maximum(count, 1)
 
     def colours(self, ob: bpy.types.Object) -> NDArray[np.float32]:
-        """Linear colours float32 [N, 4], brighter where the views were less certain; dark where there are no points."""
+        """Return linear colours float32 [N, 4], brighter where the views were less certain; dark where there are no
+        points."""
         if "confidence" in ob.data.attributes:
             sure = _confidence(ob.data)
         else:
@@ -180,12 +181,12 @@ class _Sureness:
 
 
 def _confidence(data: Any) -> NDArray[np.float32]:
-    """The confidence of a cloud's points, float32 [N], 0..1."""
+    """Return the confidence of a cloud's points, float32 [N], 0..1."""
     return np.clip(np.nan_to_num(values_of(data, "confidence", "value", 1)[:, 0]), 0.0, 1.0)
 
 
 def _cells(xyz: NDArray[np.float32]) -> NDArray[np.int64]:
-    """The number of each position's cell, int64 [N]. Farther than 100 km from the origin, cells are shared."""
+    """The number of each position's cell, int64 [N]. More than 100 km from the origin, cells have equal numbers."""
     x, y, z = (np.floor(xyz / _CELL).astype(np.int64) + (1 << 20)).T  # 21 bits each, none negative
     return (x << 42) | (y << 21) | z
 
@@ -212,7 +213,7 @@ class _OnceForMany:
 
     @contextmanager
     def at_once(self, root: bpy.types.Collection) -> Iterator[None]:
-        """Change many rows, then update the objects once."""
+        """Delay the function in a ``with`` block that changes many rows, and call it once at the end."""
         self._waiting.append(root.name)
         try:
             yield
@@ -241,7 +242,7 @@ def apply_visibility(root: bpy.types.Collection) -> None:
 
 
 def _is_crumb(ob: bpy.types.Object, box: bpy.types.Object) -> NDArray[np.bool_]:
-    """Whether each point or vertex, bool [N], is a crumb: too far outside its instance's box."""
+    """Return which points or vertices are too far outside their instance's box to belong to it, bool [N]."""
     to_box = np.array(box.matrix_world.inverted() @ ob.matrix_world, np.float32)
     corners = np.array(box.bound_box, np.float32)
     margin = _CRUMBS * np.ptp(corners, axis=0)
@@ -287,7 +288,7 @@ def isolate(root: bpy.types.Collection, instance: int = 0) -> None:
 
 
 def hide(root: bpy.types.Collection, instances: Collection[int]) -> None:
-    """Hide instances."""
+    """Hide instances: their boxes, points and meshes."""
     with apply_visibility.at_once(root):
         for row in root.plgs.instances:
             row.visible = row.visible and row.instance_id not in instances
@@ -308,7 +309,7 @@ REMOVED = "plgs_removed"
 
 
 def removed_objects(root: bpy.types.Collection) -> dict[int, str]:
-    """The names of the objects that were taken out of a placed lift, by id."""
+    """Return the names of the objects that were taken out of a placed lift, by id."""
     try:
         content = json.loads(text_of(root, REMOVED) or "{}")
         return {int(number): str(name) for number, name in content.items()}
@@ -317,7 +318,7 @@ def removed_objects(root: bpy.types.Collection) -> dict[int, str]:
 
 
 def leaving_out(lists: bpy.types.PropertyGroup) -> Callable[[NDArray[np.int32], NDArray[np.int32]], Any]:
-    """Maps instances and classes, int32 [N] each, to whether each is hidden, bool [N]."""
+    """Return a function that maps instances and classes, int32 [N] each, to whether each is hidden, bool [N]."""
     alone = lists.isolated
     if alone:
         return lambda instance_id, class_id: instance_id != alone
@@ -328,7 +329,7 @@ def leaving_out(lists: bpy.types.PropertyGroup) -> Callable[[NDArray[np.int32], 
 
 
 def instances_left_out(lists: bpy.types.PropertyGroup, instances: Collection[int]) -> Any:
-    """Whether each of N instances is hidden: bool [N]."""
+    """Return which of N instances are hidden, bool [N]."""
     class_of = {row.instance_id: row.class_id for row in lists.instances}
     classes = np.array([class_of.get(instance, VOID) for instance in instances], np.int32)
     return leaving_out(lists)(np.array([*instances], np.int32), classes)
@@ -371,7 +372,7 @@ def _hide_points(root: bpy.types.Collection, cloud: bpy.types.Object, hidden: ND
 
 
 def _new_group(material: bpy.types.Material | None) -> bpy.types.NodeTree:
-    """A node group that deletes points whose attribute `plgs_hidden` is true and sets a material, if any."""
+    """Make a node group that deletes points whose attribute `plgs_hidden` is true and sets a material, if any."""
     tree = compat.new_geometry_group("PLGS hidden instances")
     start = add_node(tree, "NodeGroupInput", 0, 0).outputs[0]
     hidden = read_attribute(tree, HIDDEN, 1, 0, "BOOLEAN")

@@ -1,7 +1,5 @@
-"""The names shown in a 3D view, and what is under the mouse: a name's instance, or what the lift shows there.
-
-To Blender, a lift's points are one object per class and its splats are one object, so `rays` finds the instance.
-"""
+"""Find the names shown in a 3D view, and what is under the mouse: a name's instance, or what the lift draws there. To
+Blender, a lift's points are one object per class and its splats are one object, so `rays` finds the instance."""
 
 from __future__ import annotations
 
@@ -27,7 +25,7 @@ _MOST_KEPT = 16
 
 
 def camera_of(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The camera that a 3D view looks through, or None."""
+    """Return the camera that a 3D view looks through, or None."""
     view = context.space_data
     if view.region_3d.view_perspective != "CAMERA":
         return None
@@ -35,7 +33,7 @@ def camera_of(context: bpy.types.Context) -> bpy.types.Object | None:
 
 
 def outlined(context: bpy.types.Context, root: bpy.types.Collection) -> Any:
-    """The chosen instance's row, if the view looks through the camera of its chosen mask's frame."""
+    """Return the chosen instance's row if the view looks through the camera of its chosen mask's frame, else None."""
     lists, camera = root.plgs, camera_of(context)
     if camera is None or not 0 <= lists.instance_index < len(lists.instances):
         return None
@@ -48,7 +46,7 @@ def outlined(context: bpy.types.Context, root: bpy.types.Collection) -> Any:
 
 
 def outline_of(context: bpy.types.Context, row: Any, region: ViewRegion) -> list[list[tuple[float, float]]]:
-    """The polygons, in pixels, of the chosen mask in an `outlined` row."""
+    """Return the polygons, in pixels, of the chosen mask in a row from `outlined`."""
     mask, found = row.masks[row.mask_index], []
     for polygon in outline_in_space(camera_of(context), mask.outline, tuple(mask.rectangle)):
         corners = [at for at in map(region.pixel_of, polygon) if at is not None]
@@ -58,7 +56,7 @@ def outline_of(context: bpy.types.Context, row: Any, region: ViewRegion) -> list
 
 
 def names_to_draw(context: bpy.types.Context, root: bpy.types.Collection, region: ViewRegion) -> list[TextBox]:
-    """The names at a lift's boxes in the view that is being drawn, stored for `shown_names`."""
+    """Return the names at a lift's boxes in the view that is being drawn, and store them for `shown_names`."""
     key = context.region.as_pointer(), root.session_uid
     _drawn.pop(key, None)  # so that it becomes the newest
     _drawn[key] = region, _names(context, root, region) if root.plgs.show_labels else []
@@ -68,7 +66,7 @@ def names_to_draw(context: bpy.types.Context, root: bpy.types.Collection, region
 
 
 def shown_names(context: bpy.types.Context, root: bpy.types.Collection, region: ViewRegion) -> list[TextBox]:
-    """The names of a lift last drawn in the context's view."""
+    """Return the names that were last drawn for a lift in the context's view."""
     if not context.space_data.overlay.show_overlays:
         return []
     drawn = _drawn.get((context.region.as_pointer(), root.session_uid))
@@ -76,7 +74,7 @@ def shown_names(context: bpy.types.Context, root: bpy.types.Collection, region: 
 
 
 def _names(context: bpy.types.Context, root: bpy.types.Collection, region: ViewRegion) -> list[TextBox]:
-    """Names at the visible boxes; none covers an outlined mask."""
+    """Return names at the visible boxes; none covers an outlined mask."""
     boxes = _shown_boxes(context, root)
     row, free = outlined(context, root), list[Rectangle]()
     for polygon in outline_of(context, row, region) if row is not None else ():
@@ -88,7 +86,7 @@ def _names(context: bpy.types.Context, root: bpy.types.Collection, region: ViewR
 
 
 def _shown_boxes(context: bpy.types.Context, root: bpy.types.Collection) -> dict[int, bpy.types.Object]:
-    """The boxes, by instance, that are visible in the view, or would be if boxes were on."""
+    """Return the boxes, by instance, that are visible in the view, or would be if boxes were on."""
     boxes, space = boxes_of(root), context.space_data
     if space.local_view is not None:  # of objects that the user has chosen
         own = {instance_of(ob) for ob in objects_by_key(root).values() if instance_of(ob) and ob.local_view_get(space)}
@@ -109,14 +107,15 @@ class Picked:
 
 
 def forget() -> None:
-    """Clear the cache."""
+    """Clear the cache of names."""
     hovered.clear()
     _drawn.clear()
     rays.cached.clear()
 
 
 def what_is_under(context: bpy.types.Context, mouse: tuple[float, float]) -> Picked | None:
-    """What a 3D view shows at a pixel, from the lower left: a name's instance, else what a lift draws there or near."""
+    """Return what a 3D view shows at a pixel, from the lower left: a name's instance, else what a lift draws there or
+    near."""
     roots, space = lifts_shown(context.scene, context.view_layer), context.space_data
     region = ViewRegion.of(context)
     for root in roots:
@@ -128,7 +127,7 @@ def what_is_under(context: bpy.types.Context, mouse: tuple[float, float]) -> Pic
 
 
 def name_under(names: list[TextBox], mouse: tuple[float, float]) -> int:
-    """The instance whose name is under the mouse, or 0."""
+    """Return the instance whose name is under the mouse, or 0."""
     for box in names:
         if 0.0 <= mouse[0] - box.x < box.width and 0.0 <= mouse[1] - box.y < box.height:
             return box.instance
@@ -141,7 +140,7 @@ def drawn_under(
     mouse: tuple[float, float],
     space: bpy.types.SpaceView3D | None = None,
 ) -> Picked | None:
-    """What lifts draw at a pixel of a view, or None. Without a `space`, the window's visibility counts."""
+    """Return what lifts draw at a pixel of a view, or None. Without a `space`, visibility is that of the window."""
     parts = [(root, part) for root in roots for part in rays.parts_near(root, view, mouse, space)]
     first = rays.first_drawn([part for _, part in parts], mouse)
     return None if first is None else Picked(parts[first[0]][0], *first[1:])

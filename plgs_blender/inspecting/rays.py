@@ -1,7 +1,6 @@
-"""What a 3D view draws of a lift at a pixel: the first triangle, square, splat or point that a ray meets.
+"""Find what a 3D view draws of a lift at a pixel: the first triangle, square, splat or point that a ray meets.
 
-An object is projected when the mouse comes near it, and cached until the view or the object changes.
-"""
+An object is projected when the mouse comes near it, and cached until the view or the object changes."""
 
 from __future__ import annotations
 
@@ -40,7 +39,7 @@ Rows = tuple[tuple[float, ...], ...]
 
 
 def rows_of(matrix: Matrix) -> Rows:
-    """A matrix that can be hashed."""
+    """Return a matrix as a tuple of rows, which can be hashed."""
     return tuple(map(tuple, matrix))
 
 
@@ -68,8 +67,9 @@ class View:
         return cls(looks, lens, *size, tuple(eye), are_backs_open, not is_solid)
 
     def projected(self, xyz: NDArray[np.float32], world: Matrix) -> NDArray[np.float32]:
-        """Positions [N, 3] as X, Y, W and Z, float32 [N, 4]: they appear at the pixel X / W, Y / W, if W > 0, and Z is
-        their coordinate in metres along the view's axis, which points to the eye. All four are linear in space."""
+        """Project positions [N, 3] to X, Y, W and Z, float32 [N, 4]: they appear at the pixel X / W, Y / W, if W > 0,
+        and Z is their coordinate in metres along the view's axis, which points to the viewer. All four are linear in
+        the position."""
         to_eye = Matrix(self.looks) @ world
         whole, along = np.array(Matrix(self.lens) @ to_eye, np.float32), np.array(to_eye[2], np.float32)
         x, y, _, w = whole[:, :3] @ xyz.T + whole[:, 3:]
@@ -79,9 +79,10 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Projected:
-    """N flat elements of one `form` in a view: `corners` int32 [N, 3] are rows of `vertices` [M, 4], from
-    `View.projected`: an element's origin and the ends of its two axes. `bounds` float32 [4, N] in pixels: left, bottom,
-    right, top. `ids` int32 [N, 2], instances and classes. `opacity` float32 [N], at the centre."""
+    """N flat elements (squares, splats, triangles) of one `form`, projected into a view. `corners` int32 [N, 3] are
+    rows of `vertices` [M, 4], from `View.projected`: an element's origin and the ends of its two axes. `bounds` float32
+    [4, N] in pixels: left, bottom, right, top. `ids` int32 [N, 2], instances and classes. `opacity` float32 [N], at the
+    centre."""
 
     form: str
     vertices: NDArray[np.float32]
@@ -91,8 +92,8 @@ class Projected:
     opacity: NDArray[np.float32] | None = None
 
     def at(self, pixels: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int32]]:
-        """What the elements that may cover one of the pixels [P, 2] show at each: opacities and nearness, float32 [P,
-        n], and the elements' ids [n, 2]."""
+        """Return what the elements that may cover one of the pixels [P, 2] show at each: opacities and nearness,
+        float32 [P, n] each, and the elements' ids int32 [n, 2]."""
         (left, low), (right, high) = pixels.min(axis=0), pixels.max(axis=0)
         bounds = self.bounds
         rows = np.flatnonzero((bounds[0] <= right) & (bounds[2] >= left) & (bounds[1] <= high) & (bounds[3] >= low))
@@ -123,7 +124,8 @@ class Projected:
 
 
 def first_drawn(parts: Sequence[Projected], mouse: tuple[float, float]) -> tuple[int, int, int] | None:
-    """The index of the part that draws a pixel, or the nearest instance within MISS pixels, with instance and class."""
+    """Return the index of the part that draws a pixel, or the nearest instance within MISS pixels, with instance and
+    class; None if nothing is there."""
     for offsets in (_OFFSETS[:1], _OFFSETS[1:]) if parts else ():  # most often the mouse's own pixel is drawn
         found = [part.at(np.array(mouse, np.float32) + offsets) for part in parts]
         opacities, near = (np.concatenate([each[column] for each in found], axis=1) for column in (0, 1))
@@ -146,7 +148,7 @@ _MOST_KEPT = 64
 def parts_near(
     root: bpy.types.Collection, view: View, mouse: tuple[float, float], space: Any = None
 ) -> list[Projected]:
-    """The parts of a lift that a view draws near a pixel."""
+    """Return the parts of a lift that a view draws near a pixel, projected."""
     lists = root.plgs
     hidden = tuple(row.visible for row in (*lists.instances, *lists.classes))
     state = view, lists.isolated, hidden, root.get(CORRECTIONS)
@@ -165,7 +167,7 @@ def parts_near(
 
 
 def _is_near(ob: bpy.types.Object, view: View, mouse: tuple[float, float]) -> bool:
-    """Whether the object's bounding box covers a pixel or its neighbour. The box of splats ends at their centres."""
+    """Whether the object's bounding box is near a pixel. Always so for splats, whose box ends at their centres."""
     if _form_of(ob) == SPLAT:
         return True
     box = view.projected(np.array(ob.bound_box, np.float32), ob.matrix_world)
@@ -176,7 +178,7 @@ def _is_near(ob: bpy.types.Object, view: View, mouse: tuple[float, float]) -> bo
 
 
 def _projected(root: bpy.types.Collection, ob: bpy.types.Object, view: View) -> Projected:
-    """A lift's object in a view, without its hidden parts."""
+    """Project a lift's object into a view, without its hidden parts."""
     data, world = ob.data, ob.matrix_world
     xyz, opacity, form = values_of(data, "position"), None, _form_of(ob)
     ids = np.stack([ids_of(data, "instance_id"), ids_of(data, "class_id")], axis=1)
@@ -231,7 +233,8 @@ def _form_of(ob: bpy.types.Object) -> str:
 
 
 def _with_axes(middle: NDArray[np.float32], first: NDArray[Any], second: NDArray[Any]) -> NDArray[np.float32]:
-    """Vertices [3 N, 4] of elements that face the view, from their centres [N, 4] and axes [N, 2] in pixels times W."""
+    """Return vertices [3 N, 4] of elements that face the view, from their centres [N, 4] and axes [N, 2] in pixels
+    times W."""
     ends = [np.concatenate([middle[:, :2] + axis, middle[:, 2:]], axis=1) for axis in (first, second)]
     return np.concatenate([middle, *ends]).astype(np.float32)
 
@@ -239,7 +242,7 @@ def _with_axes(middle: NDArray[np.float32], first: NDArray[Any], second: NDArray
 def _axes_of_splats(
     view: View, world: Matrix, xyz: NDArray[np.float32], deviations: NDArray[np.float32], turns: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """The axes, in pixels times W [N, 2], whose squares sum to the covariance of Gaussians in the view."""
+    """Return the axes, two [N, 2] in pixels times W, whose squares sum to the covariance of Gaussians in the view."""
     axes = axes_of(turns) * deviations[:, :, None]
     middle = view.projected(xyz, world)
     ends = np.stack([view.projected(xyz + axes[:, at], world) for at in range(3)], axis=1) - middle[:, None]

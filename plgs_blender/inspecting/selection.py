@@ -1,8 +1,8 @@
-"""Finds a lift and its parts by our custom properties, and keeps the selection in the view and in the lists the same.
+"""Find a lift and its parts by our custom properties, and keep the selection in the view and in the lists the same.
 
 `follow_selected` makes the selected object's row active; `select_row` selects the active row's box. Each does nothing
-if both agree, so they cannot chase each other. Boxes that are not selected are hidden, unless the lift shows all.
-"""
+if the two agree already, so they cannot call each other forever. Boxes that are not selected are hidden, unless the
+lift shows all."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ CHOSEN = "plgs_chosen"
 
 
 def find_lift(scene: bpy.types.Scene, lift: str = "", active: bpy.types.Object | None = None) -> bpy.types.Collection:
-    """The lift with this folder or collection name, else `active_lift`. Raises PlgsError if there is none."""
+    """Return the lift with this folder or collection name, else `active_lift`. Raises PlgsError if there is none."""
     roots = lifts_in(scene)
     if lift:
         named = [root for root in roots if lift == root.name or is_same_place(text_of(root, FOLDER), absolute(lift))]
@@ -41,8 +41,7 @@ def find_lift(scene: bpy.types.Scene, lift: str = "", active: bpy.types.Object |
 
 
 def active_lift(scene: bpy.types.Scene, active: bpy.types.Object | None) -> bpy.types.Collection | None:
-    """The lift of an object, else the chosen one, else the scene's first lift with a result, else its first, else
-    None."""
+    """Return the lift of an object, else the chosen one, the scene's first lift with a result, its first, or None."""
     roots = lifts_in(scene)
     owns = (None if active is None else text_of(active, LIFT), scene.get(CHOSEN))
     of_object = [root for own in owns for root in roots if root[LIFT] == own]
@@ -59,7 +58,7 @@ def choose_lift(root: bpy.types.Collection, scene: bpy.types.Scene, layer: bpy.t
 
 
 def chosen_row(scene: bpy.types.Scene, active: bpy.types.Object | None) -> Any | None:
-    """The active row in the list of the lift shown in the panels, or None."""
+    """Return the active row in the list of the lift shown in the panels, or None."""
     root = active_lift(scene, active)
     if root is None or not 0 <= root.plgs.instance_index < len(root.plgs.instances):
         return None
@@ -67,18 +66,18 @@ def chosen_row(scene: bpy.types.Scene, active: bpy.types.Object | None) -> Any |
 
 
 def objects_by_key(root: bpy.types.Collection) -> dict[str, bpy.types.Object]:
-    """The lift's objects by key ("instance:3", "frame:0012"), even those moved to another collection of the scene."""
+    """Return the lift's objects by key ("instance:3", "frame:0012"), even those moved to another collection."""
     scenes = [scene for scene in bpy.data.scenes if root in scene.collection.children_recursive]
     return originals(chain(root.all_objects, *(scene.objects for scene in scenes)), root[LIFT])
 
 
 def boxes_of(root: bpy.types.Collection) -> dict[int, bpy.types.Object]:
-    """The boxes by instance id, without those that the user deleted."""
+    """Return the boxes by instance id, without those that the user deleted."""
     return {instance_of(ob): ob for ob in objects_by_key(root).values() if is_box(ob)}
 
 
 def box_of(root: bpy.types.Collection, instance: int) -> bpy.types.Object:
-    """The box of an instance (0: the list's active one). Raises PlgsError if it has none."""
+    """Return the box of an instance (0: the list's active one). Raises PlgsError if it has none."""
     row, objects = row_of(root, instance), objects_by_key(root)
     box = objects.get(f"{INSTANCE}{row.instance_id}")
     if box is None and TOGETHER in objects:
@@ -95,7 +94,7 @@ def is_box(ob: bpy.types.Object | None) -> bool:
 
 
 def instance_of(ob: bpy.types.Object | None) -> int:
-    """The id of the instance whose box or mesh an object is; 0 for any other object."""
+    """Return the id of the instance whose box or mesh an object is; 0 for any other object."""
     if ob is None or not text_of(ob, LIFT):
         return 0
     kind, _, number = text_of(ob, KEY).partition(":")
@@ -104,12 +103,12 @@ def instance_of(ob: bpy.types.Object | None) -> int:
 
 
 def clouds_of(root: bpy.types.Collection) -> list[bpy.types.Object]:
-    """The semantic points, one object per class, and the anchors."""
+    """Return the objects with semantic points, one per class, and the one with the anchors."""
     return [ob for key, ob in objects_by_key(root).items() if ob.type == "POINTCLOUD" and key != GAUSSIANS]
 
 
 def surfaces_of(root: bpy.types.Collection) -> list[bpy.types.Object]:
-    """The lift's splats and meshes: objects with a class at each vertex."""
+    """Return the lift's splats and meshes: objects with a class at each vertex."""
     of_kind = {key: ob for key, ob in objects_by_key(root).items() if ob.type == "MESH" or key == GAUSSIANS}
     return [ob for ob in of_kind.values() if "class_id" in ob.data.attributes]
 
@@ -123,14 +122,14 @@ def ids_of(cloud: Any, name: str) -> NDArray[np.int32]:
 
 
 def values_of(data: Any, name: str, field: str = "vector", width: int = 3) -> NDArray[np.float32]:
-    """An attribute of a cloud's points or a mesh's vertices, float32 [N, width]."""
+    """Return an attribute of a cloud's points or a mesh's vertices, float32 [N, width]."""
     values = np.empty(width * len(data.attributes[name].data), np.float32)
     data.attributes[name].data.foreach_get(field, values)
     return values.reshape(-1, width)
 
 
 def row_of(root: bpy.types.Collection, instance: int) -> Any:
-    """The row of an instance (0: the list's active one). Raises PlgsError."""
+    """Return the row of an instance (0: the list's active one). Raises PlgsError."""
     lists = root.plgs
     if instance == 0:
         if 0 <= lists.instance_index < len(lists.instances):
@@ -145,7 +144,7 @@ def row_of(root: bpy.types.Collection, instance: int) -> Any:
 
 
 def class_row_of(root: bpy.types.Collection, class_id: int) -> Any:
-    """The row of a class. Raises PlgsError."""
+    """Return the row of a class in the list. Raises PlgsError."""
     row = next((row for row in root.plgs.classes if row.class_id == class_id), None)
     if row is None:
         ids = ", ".join(str(row.class_id) for row in root.plgs.classes) or "none"
@@ -161,14 +160,14 @@ _MSGBUS_OWNER = object()
 
 
 def selected_instance(root: bpy.types.Collection, active: bpy.types.Object | None) -> int:
-    """The instance whose box or mesh is active and selected; 0 if it is not of this lift."""
+    """Return the instance whose box or mesh is active and selected; 0 if it is not of this lift."""
     if active is None or not instance_of(active) or active[LIFT] != root[LIFT]:
         return 0
     return instance_of(active) if active.select_get() else 0
 
 
 def selected_instances(root: bpy.types.Collection, layer: bpy.types.ViewLayer) -> list[int]:
-    """The instances of the selected boxes and meshes, the active one first."""
+    """Return the instances of the selected boxes and meshes, the active one first."""
     ours = [ob for ob in objects_by_key(root).values() if instance_of(ob) and ob.select_get(view_layer=layer)]
     ours.sort(key=lambda ob: ob != layer.objects.active)
     return [*dict.fromkeys(map(instance_of, ours))]
@@ -230,7 +229,7 @@ def select_row(root: bpy.types.Collection, layer: bpy.types.ViewLayer) -> None:
 
 def follow_selected(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
     """Make the selected object's row active in its lift's list. If nothing of a lift is selected, no row is active,
-    except that of a hidden object, whose box cannot be selected, and that of the object which is about to be cut."""
+    unless it is that of a hidden object, whose box cannot be selected, or of the object which is about to be cut."""
     for root in lifts_in(scene):
         lists = root.plgs
         number = next(iter(selected_instances(root, layer)), 0)
@@ -299,7 +298,7 @@ _followed: list[Any] = []  # the scene, active object and selection when the lis
 
 @bpy.app.handlers.persistent
 def follow(*_arguments: object) -> None:
-    """Update the lists of the windows' scenes to the selection there. Safe to call at any time."""
+    """Update the lists of the windows' scenes to the selection there. It is safe to call at any time."""
     for window in bpy.context.window_manager.windows:
         follow_selected(window.scene, window.view_layer)
 
@@ -325,7 +324,7 @@ def follow_name() -> None:
 
 @bpy.app.handlers.persistent
 def _after_update(scene: bpy.types.Scene, *_arguments: object) -> None:
-    """Follow a moment later, because the selection must not change during an update."""
+    """Update the lists a moment later, because the selection must not change during an update."""
     layer = bpy.context.view_layer
     if layer is None or layer.id_data != scene or bpy.app.background:
         return

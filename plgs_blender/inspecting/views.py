@@ -1,4 +1,4 @@
-"""Moves the view: to a whole lift, to an instance, and to the camera of a frame that saw it."""
+"""Move the view: to a whole lift, to an instance, and to the camera of a frame that saw it."""
 
 from __future__ import annotations
 
@@ -68,8 +68,9 @@ def best_frame(root: bpy.types.Collection, instance: int = 0) -> str:
 
 
 def mask_frame(root: bpy.types.Collection, instance: int, frame: str, segment: int = 0) -> str:
-    """Make one of the masks that made an instance the active one in its list, and return the mask's frame. It is the
-    mask of `frame` (with the id `segment`, unless 0), or the active mask if `frame` is empty. Raises PlgsError."""
+    """Make one of the masks that were matched to an instance the active one in its list, and return the mask's frame.
+    It is the mask of `frame` (with the id `segment`, unless 0), or the active mask if `frame` is "". Raises
+    PlgsError."""
     row = row_of(root, instance)
     chosen = [
         index
@@ -86,8 +87,8 @@ def mask_frame(root: bpy.types.Collection, instance: int, frame: str, segment: i
 def look_from_frame(
     root: bpy.types.Collection, frame: str, scene: bpy.types.Scene, view: Any = None
 ) -> bpy.types.Object:
-    """Let a 3D view (if any) look through a frame's camera, and return it. It becomes the scene's camera, at its
-    timeline frame, unless the scene's camera is the user's. Raises PlgsError if the frame's camera was deleted."""
+    """Let a 3D view (if any) look through a frame's camera, and return the camera. It becomes the scene's camera, at
+    its timeline frame, unless the scene's camera is the user's. Raises PlgsError if the frame's camera was deleted."""
     camera = objects_by_key(root).get(f"frame:{frame}")
     if camera is None or camera.name not in scene.objects:
         what = f"has no camera of frame {frame} any more"

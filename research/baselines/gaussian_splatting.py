@@ -2,8 +2,7 @@
 
 It uses the tensors of the structured scene, so that everything else can be the same. An anchor is one Gaussian, its
 offset is how far it has moved, in metres, and its feature holds everything else that is learnt, column by column, in
-units of its rate.
-"""
+units of its learning rate."""
 
 from __future__ import annotations
 
@@ -35,12 +34,10 @@ HARMONIC = 0.28209479177387814
 
 @dataclass(frozen=True)
 class PlainRules:
-    """When Gaussians are cloned, split and pruned (3DGS, section 5.2).
-
-    ``gradient`` of the projected centre in NDC units beyond which one is cloned, or split where it is larger than
-    ``dense_share`` of the scene's extent; below ``opacity`` it is removed. Opacities are reset to at most ``reset_to``
-    every ``reset_share`` of all steps, if these are at least ``reset_steps``: a shorter lift has no time to recover
-    them."""
+    """When Gaussians are cloned, split and pruned (3DGS, section 5.2). ``gradient`` of the projected centre in NDC
+    units above which a Gaussian is cloned, or split if it is larger than ``dense_share`` of the scene's extent; below
+    ``opacity`` it is removed. Opacities are reset to at most ``reset_to`` every ``reset_share`` of all steps, if these
+    are at least ``reset_steps``: a shorter lift has no time to recover."""
 
     gradient: float = 2e-4
     dense_share: float = 0.01
@@ -51,7 +48,7 @@ class PlainRules:
 
 
 class PlainDecoders(Decoders):
-    """Stands in for the decoders: it learns nothing, as labels are columns of the features."""
+    """A stand-in for the decoders that learns nothing, as labels are columns of the features."""
 
     kind = "3dgs"
     decodes_all_anchors = True  # they have moved away from where they started
@@ -62,28 +59,28 @@ class PlainDecoders(Decoders):
 
     @classmethod
     def of_labels(cls, classes: int, instance_slots: int) -> PlainDecoders:
-        """The decoders for that many labels."""
+        """Return the decoders for that many labels."""
         features = LABELS + classes + instance_slots
         return cls(DecoderShape(features, 1, classes, instance_slots, distance_input=False, label_view_input=False))
 
     @classmethod
     def sides(cls, shape: DecoderShape) -> dict[str, tuple[int, int]]:
-        """There are no networks."""
+        """Return no networks, as there are none."""
         return {}
 
     @classmethod
     def check_shape(cls, shape: DecoderShape) -> None:
-        """As ``Decoders.check_shape``."""
+        """Do as ``Decoders.check_shape``."""
         if (shape.gaussians_per_anchor, shape.features) != (1, LABELS + shape.classes + shape.instance_slots):
             raise ValueError("the number of columns does not match the labels")
 
     def label_logits(self, feature: torch.Tensor, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """As ``Decoders.label_logits``."""
+        """Return the labels' logits, as ``Decoders.label_logits`` does, from columns of the features."""
         logits = LABEL_RATE * feature[:, None, LABELS:]
         return logits[..., : self.shape.classes], logits[..., self.shape.classes :]
 
     def own_decoding(self, given: AnchorsInView) -> NeuralGaussians:
-        """The Gaussians look the same from every direction."""
+        """Return the Gaussians in view, which look the same from every direction."""
         anchors, visible, _, channels, known_labels = given
         feature = anchors.feature.index_select(0, visible)
         opacity = torch.sigmoid(OPACITY_RATE * feature[:, OPACITY])
@@ -115,8 +112,8 @@ register_head(PlainDecoders)
 def plain_gaussians(
     positions: NDArray[np.float32], classes: NDArray[np.integer], rgb: NDArray[np.uint8], shape: DecoderShape
 ) -> Anchors:
-    """Gaussians at ``positions`` [M, 3] metres of colours ``rgb`` uint8 [M, 3], without labels; ``classes`` [M], class
-    ids of the cloud (0 unknown), are only for the cluster loss."""
+    """Make Gaussians at ``positions`` [M, 3] metres with colours ``rgb`` uint8 [M, 3], without labels. ``classes`` [M],
+    class ids of the cloud (0 unknown), are only for the cluster loss."""
     count = len(positions)
     feature = np.zeros((count, shape.features), np.float32)
     feature[:, OPACITY] = _logit(0.1) / OPACITY_RATE  # 3DGS begins with opacity 0.1
@@ -142,10 +139,9 @@ def clone_split_prune(
     random: np.random.Generator,
     most: int,
 ) -> GrowthRound:
-    """One round of 3DGS's densification; the statistics are reset to zero in place. ``extent`` in metres.
-
-    A small Gaussian with a large gradient is cloned; a large one is replaced by two of 1/1.6 its size, drawn from it.
-    """
+    """Do one round of 3DGS's densification; the statistics are reset to zero in place. ``extent`` is in metres. A small
+    Gaussian with a large gradient is cloned; a large one is replaced by two of 1/1.6 its size, at positions drawn from
+    it."""
     feature = anchors.feature.detach()
     gradient = (statistics.gradient / statistics.drawn.clamp_min(1)).squeeze(1)  # some were never drawn
     scale = torch.exp(SCALE_RATE * feature[:, SCALE])
@@ -167,7 +163,7 @@ def clone_split_prune(
 
 
 def _split(anchors: Anchors, rows: torch.Tensor, random: np.random.Generator) -> Anchors:
-    """Two new Gaussians for each of ``rows`` int64 [n]."""
+    """Return two new Gaussians for each of ``rows`` int64 [n]."""
     halves = anchors.select(rows.repeat(2))
     scale = torch.exp(SCALE_RATE * halves.feature[:, SCALE])
     drawn = torch.from_numpy(random.standard_normal(tuple(scale.shape)).astype(np.float32)) * scale
@@ -177,7 +173,7 @@ def _split(anchors: Anchors, rows: torch.Tensor, random: np.random.Generator) ->
 
 
 def _rotated(quats: torch.Tensor, vectors: torch.Tensor) -> torch.Tensor:
-    """``vectors`` [n, 3] turned by ``quats`` wxyz [n, 4], not normalised."""
+    """Rotate ``vectors`` [n, 3] by ``quats`` wxyz [n, 4], which need not be normalised."""
     unit = functional.normalize(quats, dim=1)
     w, axis = unit[:, :1], unit[:, 1:]
     across = torch.linalg.cross(axis, vectors)

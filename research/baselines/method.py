@@ -1,4 +1,4 @@
-"""Lifts of baselines: PLGS, changed by the options of ``BaselinePreset``."""
+"""Lift baselines: PLGS, changed by the options of ``BaselinePreset``."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ from .options import BaselinePreset
 
 
 class SegmentTrainer(Trainer):
-    """Also keeps the segments of the input masks consistent, once ``FROM`` of the steps are done."""
+    """A trainer that also makes pixels of a segment of the input masks agree, once ``FROM`` of the steps are done."""
 
     def move_to(self, device: torch.device | str) -> None:
-        """Stays on the CPU, as kernels keep the segments consistent."""
+        """Move to a device, but stay on the CPU if segments are kept consistent, as kernels do that."""
         super().move_to("cpu" if self.preset.segment_consistency else device)
 
     def _keeps_segments(self) -> bool:
@@ -64,12 +64,12 @@ class SegmentTrainer(Trainer):
 
     @cached_property
     def _masks(self) -> dict[str, ThingSegments]:
-        """All segments of each view, by its name."""
+        """Return all segments of each view, by its name."""
         return {view.name: ThingSegments.of(view.mask.ids) for view in self.views}
 
 
 class SplattingTrainer(SegmentTrainer):
-    """3DGS: its own learning rates and growth."""
+    """The trainer of 3DGS, with its own learning rates and growth."""
 
     growth_schedule: ClassVar = GrowthSchedule(grow_from=500 / 30000)  # 3DGS's step 500 of 30 000
     rates: ClassVar = {**RATES, "feature": (0.0025, 0.0025), "offset": (1.6e-4, 1.6e-6)}  # 3DGS's, first and last
@@ -80,7 +80,7 @@ class SplattingTrainer(SegmentTrainer):
         return clone_split_prune(anchors, self.statistics, self.rules, extent=extent, random=random, most=most)
 
     def _after_step(self, with_labels: bool) -> None:
-        """Growth and, as long as Gaussians grow, resets of opacities."""
+        """Grow the model and, as long as Gaussians grow, reset opacities."""
         super()._after_step(with_labels)
         steps, every = self.preset.steps, round(self.rules.reset_share * self.preset.steps)
         is_due = every >= self.rules.reset_steps and self.step_number % every == 0
@@ -89,13 +89,13 @@ class SplattingTrainer(SegmentTrainer):
 
 
 def lift_baseline(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
-    """`run_lift` by the baseline that the preset's options name; without any, PLGS itself. Raises what `run_lift`
-    raises."""
+    """Do as `run_lift` with the baseline that the preset's options name; without any, PLGS itself. Raises what
+    `run_lift` raises."""
     run_lift(folder, events, stop, resume=resume, preparing=prepare_baseline, training=new_trainer, sources=SOURCES)
 
 
 def prepare_baseline(given: ViewsToLift, stages: StageReporter) -> PreparedLift:
-    """PLGS's start, with another scene, other targets or other label maps instead of its own."""
+    """Prepare a lift as PLGS does, then replace its scene, its targets or its label maps by the baseline's."""
     options, views = cast(BaselinePreset, given.preset), given.views
     has_own_start = options.representation != "structured" or not options.labelled_start
     first = replace(given, preset=replace(options, warm_start=False)) if has_own_start else given
@@ -111,7 +111,7 @@ def prepare_baseline(given: ViewsToLift, stages: StageReporter) -> PreparedLift:
 def new_trainer(
     scene: StructuredScene, targets: Sequence[ViewTargets], views: Sequence[View], preset: Preset, seed: int
 ) -> Trainer:
-    """The trainer of the preset's baseline."""
+    """Return the trainer of the preset's baseline."""
     options = cast(BaselinePreset, preset)
     kind: type[Trainer] = SplattingTrainer if options.representation == "plain" else SegmentTrainer
     return kind(scene, targets, views, preset, seed)
@@ -120,7 +120,7 @@ def new_trainer(
 def baseline_scene(
     prepared: PreparedLift, viewpoints: NDArray[np.float64], options: BaselinePreset, seed: int
 ) -> StructuredScene:
-    """The scene before the first step, of the kind that the options name."""
+    """Return the scene before the first step, of the kind that the options name."""
     channels = prepared.scene.channels
     start = starting_anchors(prepared.cloud, prepared.instance_of_point, options)
     if not options.labelled_start:
@@ -133,7 +133,7 @@ def baseline_scene(
 
 
 def with_semantic_targets(prepared: PreparedLift, views: Sequence[View], source: str) -> PreparedLift:
-    """Targets whose classes come from the input masks, or that have none."""
+    """Return targets whose classes come from the input masks, or that have none."""
     class_ids, targets = prepared.scene.channels.class_ids, prepared.targets
 
     def target(number: int) -> ViewTargets:
@@ -154,12 +154,9 @@ would become one. Panoptic Lifting starts it at its sixth epoch."""
 
 
 def segment_targets(coverage: torch.Tensor, alpha: torch.Tensor, classes: int, segments: ThingSegments) -> torch.Tensor:
-    """The class of each pixel's segment, int16 [H, W], -1 outside of all: the one with the largest mean log probability
-    over the segment's pixels, as the model currently shows it.
-
-    ``coverage`` float32 [H, W, C + S] holds blended probabilities, those of the C ``classes`` first; divided by
-    ``alpha`` [H, W] they are probabilities.
-    """
+    """Return the class of each pixel's segment, int16 [H, W], -1 outside of all: the class with the largest mean log
+    probability over the segment's pixels, as the model currently shows it. ``coverage`` float32 [H, W, C + S] holds
+    blended probabilities, those of the C ``classes`` first; divided by ``alpha`` [H, W] they are probabilities."""
     inside = segments.row.reshape(-1) >= 0
     row = segments.row.reshape(-1)[inside]
     shown = coverage.detach().reshape(-1, coverage.shape[-1]).numpy()[inside, :classes]

@@ -1,4 +1,5 @@
-"""Baselines that need no lift: the input masks as they are, and votes in voxels, on the held-out frames of a scene."""
+"""Score baselines that need no lift, on the held-out frames of a scene: the input masks as they are, and votes in
+voxels."""
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ WITHOUT_A_LIFT = (INPUT_MASKS, VOXEL_VOTE, VOXELS_ALONE)
 
 
 class _WithoutObjects(Report):
-    """Scores each answer of the voxels a second time, with all objects of a class merged into one."""
+    """A report that also scores each answer of the voxels with all objects of a class merged into one."""
 
     def add_labels(self, method: str, frame: str, view: PredictedView, truth: GroundTruth) -> None:
         super().add_labels(method, frame, view, truth)
@@ -30,7 +31,7 @@ WITH_IDS = (VOXEL_VOTE,)
 
 
 def scores_without_a_lift(source: SceneSource) -> dict[str, Figures]:
-    """Figures by method (WITHOUT_A_LIFT). Empty without ground truth. Raises PlgsError when a file is bad."""
+    """Return figures by method (WITHOUT_A_LIFT); {} without ground truth. Raises PlgsError if a file is bad."""
     scene = open_asked(source)
     report = _WithoutObjects(scene.classes)
     add_input_masks(report, scene)

@@ -1,1 +1,1 @@
-"""Lifts scenes in many ways, one after the other, and writes tables of how good the results are."""
+"""Lift scenes in many ways, one after the other, and write tables of how good the results are."""

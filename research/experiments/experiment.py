@@ -35,7 +35,7 @@ _NAME = re.compile(r"\w[\w .+-]*")
 
 @dataclass(frozen=True)
 class SceneToLift:
-    """A scene's folder (absolute), the axis of its poses that points up, and its name in the tables."""
+    """A scene's folder (absolute), the upward axis of its poses, and its name in the tables."""
 
     name: str
     folder: Path
@@ -43,12 +43,9 @@ class SceneToLift:
 
 
 def scenes_from(texts: Sequence[str], names: Sequence[str] | None = None) -> tuple[SceneToLift, ...]:
-    """The scenes of ``texts``, each ``SCENE`` or ``SCENE:up=AXIS``, called ``names``, or else like their
-    folders.
-
-    Raises PlgsError if an axis or a name is invalid, if two names are the same, or if there are more or fewer names
-    than scenes.
-    """
+    """Return the scenes of ``texts``, each ``SCENE`` or ``SCENE:up=AXIS``, with ``names``, or else named like their
+    folders. Raises PlgsError if an axis or a name is invalid, if two names are the same, or if there are more or fewer
+    names than scenes."""
     if names is not None and len(names) != len(texts):
         what = f"{len(names)} names for {len(texts)} scenes"
         raise PlgsError("unequal-counts", what, ",".join(names), "Give one name per scene.")
@@ -81,10 +78,10 @@ def _scene(text: str) -> SceneToLift:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Rows of the tables (``only`` some: of these names or tables) on ``scenes``, into ``folder``. All start from
-    ``preset`` (a name, or a file) with ``steps`` and the options ``sets`` (name=value); all scenes are read by
-    ``scene_format``, ``mask_format`` and ``classes``, from at most ``frames``, with ``fit`` and ``device``, as in a
-    LiftRequest. ``masks`` and ``depth`` are paths in which {scene} stands for the scene's name.
+    """Rows of the tables, all or ``only`` those with these names or in these tables, on ``scenes``, into ``folder``.
+    All lifts start from ``preset`` (a name, or a file) with ``steps`` and the options ``sets`` (name=value); all scenes
+    are read by ``scene_format``, ``mask_format`` and ``classes``, from at most ``frames``, with ``fit`` and ``device``,
+    as in a LiftRequest. ``masks`` and ``depth`` are paths in which {scene} stands for the scene's name.
     ``only_finished``: nothing more is lifted."""
 
     scenes: tuple[SceneToLift, ...]
@@ -110,11 +107,12 @@ class Experiment:
         return Path(self.preset).stem
 
     def masks_of(self, scene: SceneToLift, masks: str | None = None) -> Path | None:
-        """Where a scene's masks are: in ``masks`` of its folder, else as --masks says; None: in the scene itself."""
+        """Return where a scene's masks are: in ``masks`` of its folder, else as --masks says; None: in the scene
+        itself."""
         return scene.folder / masks if masks else of_scene(self.masks, scene.name)
 
     def source(self, scene: SceneToLift, masks: str | None = None) -> SceneSource:
-        """How a scene is read."""
+        """Return the scene and how it is read."""
         return SceneSource(
             scene.folder, self.masks_of(scene, masks), scene.up, self.scene_format,
             of_scene(self.depth, scene.name), self.mask_format, self.classes,
@@ -126,8 +124,8 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Task:
-    """One row on one scene with one seed; ``options``: those of the command ``lift``; ``depth_of``: the folder of the
-    lift whose rendered depth it takes."""
+    """One row on one scene with one seed. ``options`` are those of the command ``lift``; ``depth_of`` is the folder of
+    the lift whose rendered depth it uses."""
 
     scene: SceneToLift
     row: Row
@@ -142,7 +140,7 @@ class Task:
 
 
 def tasks_of(experiment: Experiment) -> Iterator[Task]:
-    """The lifts that the chosen rows need, row by row; those whose scene lacks the row's files are left out."""
+    """Yield the lifts that the chosen rows need, row by row, except those whose scene lacks the row's files."""
     wanted = [experiment.rows.lift_of(row) for row in experiment.rows.chosen(experiment.only)]
     wanted += [experiment.rows.named(row.depth_from) for row in wanted if row.depth_from]
     for row in dict.fromkeys(row.name for row in experiment.rows.rows if row in wanted and row.is_lift):
@@ -161,13 +159,13 @@ def has_files(row: Row, scene: SceneToLift) -> bool:
 
 
 def lift_folder(experiment: Experiment, scene: SceneToLift, row: Row, seed: int) -> Path:
-    """The folder that a row is lifted into."""
+    """Return the folder into which a row is lifted."""
     parts = [scene.name, experiment.preset_name, "" if row.name == FIRST else row.slug, f"seed{seed}" if seed else ""]
     return experiment.folder / "-".join(part for part in parts if part)
 
 
 def lift_options(experiment: Experiment, scene: SceneToLift, row: Row, seed: int) -> argparse.Namespace:
-    """The options of ``lift SCENE -o FOLDER/SCENE-PRESET-ROW --bake none --resume``."""
+    """Return the options of ``lift SCENE -o FOLDER/SCENE-PRESET-ROW --bake none --resume``."""
     output = lift_folder(experiment, scene, row, seed)
     return argparse.Namespace(
         **{name: getattr(experiment, name) for name in SHARED},

@@ -1,4 +1,4 @@
-"""The output of an experiment: results.json and .csv, and tables in Markdown."""
+"""Write the output of an experiment: results.json and .csv, and tables in Markdown."""
 
 from __future__ import annotations
 

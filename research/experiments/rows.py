@@ -20,7 +20,7 @@ _FIX = "Fix rows.toml."
 
 @dataclass(frozen=True)
 class Cited:
-    """The paper's figures, in per cent and decibels, for the scenes of ``dataset``."""
+    """The paper's figures for a row, in per cent and decibels, for the scenes of ``dataset``."""
 
     dataset: str
     miou: float | None = None
@@ -31,9 +31,9 @@ class Cited:
 
 @dataclass(frozen=True)
 class Row:
-    """A row of a table: a lift with ``options`` changed, with the scene's file ``masks`` instead of the usual ones, or
-    with the depth that the lift of the row ``depth_from`` renders instead of the sensor's. Or ``method``, which needs
-    no lift; or ``same_as``, the lift of another row; or, if ``is_cited``, the paper's figures."""
+    """A row of a table. It is a lift with ``options`` changed, with the scene's file ``masks`` instead of the usual
+    ones, or with the depth that the lift of the row ``depth_from`` renders instead of the sensor's. Or it is
+    ``method``, which needs no lift; ``same_as``, the lift of another row; or, if ``is_cited``, the paper's figures."""
 
     name: str
     table: str
@@ -56,7 +56,7 @@ class Row:
 
     @property
     def slug(self) -> str:
-        """Part of a folder's name."""
+        """The row's name in the names of folders."""
         return re.sub(r"\W+", "-", self.name.lower()).strip("-")
 
 
@@ -68,22 +68,22 @@ class Rows:
     tables: Mapping[str, str]
 
     def named(self, name: str) -> Row:
-        """The row with this name. Raises KeyError if there is none."""
+        """Return the row with this name. Raises KeyError if there is none."""
         return next(row for row in self.rows if row.name == name)
 
     def lift_of(self, row: Row) -> Row:
-        """The row whose lift this one shows."""
+        """Return the row whose lift this one shows: itself, or that of ``same_as``."""
         return self.named(row.same_as) if row.same_as else row
 
     def listed(self) -> Iterator[str]:
-        """One line for each row, grouped by table."""
+        """Yield a line for each table's heading and for each of its rows."""
         for table, heading in self.tables.items():
             yield f"{table}: {heading}"
             yield from (f"    {row.name}" for row in self.rows if row.table == table and not row.is_cited)
 
     def chosen(self, only: Sequence[str]) -> tuple[Row, ...]:
-        """The rows with these names, or in tables with these names; without any, all rows. Raises PlgsError, which
-        suggests the closest name."""
+        """Return the rows with these names, or in tables with these names; all rows without any. Raises PlgsError,
+        which suggests the closest name."""
         known = {name.casefold(): name for name in (*self.tables, *(row.name for row in self.rows))}
         for wanted in only:
             if wanted.casefold() not in known:
@@ -96,7 +96,7 @@ class Rows:
 
 
 def read_rows(path: Path = ROWS) -> Rows:
-    """Read a table of rows. Raises PlgsError when the file is none."""
+    """Read the rows in a file. Raises PlgsError if it holds none."""
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
         rows = tuple(_rows(content))

@@ -1,4 +1,4 @@
-"""Experiments: each row of the tables on each scene, each lift in its own process, one after the other."""
+"""Run experiments: each row of the tables on each scene, each lift in its own process, one after the other."""
 
 from __future__ import annotations
 
@@ -24,11 +24,9 @@ from .report import write_report
 
 def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
     """Lift what has not been lifted yet, print the tables of the chosen rows, and write a report of what is finished of
-    these scenes to the folder, which grows lift by lift.
-
-    A lift that fails becomes a row with its reason, and the others are still tried; returns the first failure's exit
-    code. Raises PlgsError before any lift for errors that concern all; Interrupted on Ctrl-C: the same call continues.
-    """
+    these scenes to the folder, which is updated after each lift. A lift that fails becomes a row with its reason, and
+    the others are still tried; returns the first failure's exit code. Raises PlgsError before any lift for errors that
+    concern all; Interrupted on Ctrl-C: the same call continues."""
     tasks = list(tasks_of(experiment))
     if experiment.only_finished:
         tasks = [task for task in tasks if has_manifest(task.options.output)]
@@ -77,13 +75,13 @@ def lifted(experiment: Experiment, task: Task, interrupts: Interrupts) -> Result
 
 
 def result_of(experiment: Experiment, task: Task) -> Result:
-    """The figures of a finished lift. Raises PlgsError when they cannot be read."""
+    """Return the figures of a finished lift. Raises PlgsError if they cannot be read."""
     lift = LiftFolder.open(task.options.output)
     return read_result(task.scene.name, task.row.name, experiment.preset_name, lift)
 
 
 def results_before(experiment: Experiment, others: list[Task]) -> Iterator[Result]:
-    """The figures of the lifts that are finished already. Unreadable ones are left out with a warning."""
+    """Yield the figures of those tasks that are finished already. Unreadable ones are left out with a warning."""
     for task in others:
         try:
             if is_finished(task):
@@ -93,14 +91,14 @@ def results_before(experiment: Experiment, others: list[Task]) -> Iterator[Resul
 
 
 def is_finished(task: Task) -> bool:
-    """Whether its lift, with exactly these options, is finished. Raises PlgsError when its folder cannot be read."""
+    """Whether a task's lift, with exactly these options, is finished. Raises PlgsError if its folder is unreadable."""
     if not has_manifest(task.options.output):
         return False
     return not request_from(task.options).differences(LiftFolder.open(task.options.output).request)
 
 
 def make_depth_maps(lift: Path, maps: Path) -> None:
-    """The rendered depth of all frames of a lift, written once. Raises PlgsError, also if the lift is not finished."""
+    """Write the rendered depth of all frames of a lift, once. Raises PlgsError, also if the lift is not finished."""
     if not has_manifest(lift):
         what = "the lift whose depth is needed is not finished"
         raise PlgsError("not-finished", what, lift, "Find out why that lift failed.")
@@ -112,8 +110,8 @@ def make_depth_maps(lift: Path, maps: Path) -> None:
 
 
 def results_without_a_lift(experiment: Experiment, errors: dict[str, PlgsError]) -> Iterator[Result]:
-    """Results that need no lift, if rows ask for them. If this fails, the rows carry the reason, which is also put into
-    ``errors``."""
+    """Yield results that need no lift, if rows ask for them. If a scene fails, its rows get the error as their reason,
+    and it is added to ``errors``."""
     wanted = experiment.rows.chosen(experiment.only)
     for scene in experiment.scenes:
         rows = [row for row in wanted if row.method and has_files(row, scene)]

@@ -15,7 +15,7 @@ from .rows import Cited, Row, Rows
 @dataclass(frozen=True)
 class Column:
     """How a figure (a field of Figures, or "steps") is shown: times ``factor``, with ``digits`` after the point.
-    ``best``: which of several seeds is shown, as for times, which other load only makes worse. Without it, mean and
+    ``best`` says which of several seeds is shown, as for times, which other load only makes worse; without it, mean and
     standard deviation are shown."""
 
     figure: str
@@ -25,7 +25,7 @@ class Column:
     best: Callable[[Sequence[float]], float] | None = None
 
     def values(self, seeds: Sequence[Result]) -> list[float]:
-        """The figures as shown, of the seeds in which they were measured."""
+        """Return the figures as shown, of the seeds in which they were measured."""
         found = [one.steps or None if self.figure == "steps" else getattr(one.figures, self.figure) for one in seeds]
         return [value * self.factor for value in found if value is not None]
 
@@ -58,8 +58,8 @@ MARK = "†"
 
 @dataclass(frozen=True)
 class Tables:
-    """Everything in the tables: the ``chosen`` rows of ``rows``, and the results so far. ``version`` of the
-    engine: lifts by other versions are marked. ``columns``: those shown."""
+    """Everything in the tables: the ``chosen`` rows of ``rows``, and the results so far. ``version`` is the engine's:
+    lifts by other versions are marked. ``columns`` are those shown."""
 
     rows: Rows
     chosen: tuple[Row, ...]
@@ -68,8 +68,9 @@ class Tables:
     columns: tuple[str, ...] = tuple(HEADINGS)
 
     def markdown(self) -> str:
-        """A section with tables for each scene, and one for the means over several scenes. It leaves out rows that are
-        not measured yet, tables whose rows all appear in another one and, after the first scene, the cited systems."""
+        """Return Markdown with a section of tables for each scene, and one for the means over several scenes. It leaves
+        out rows that are not measured yet, tables whose rows all appear in another one and, after the first scene, the
+        cited systems."""
         scenes = list(dict.fromkeys(result.scene for result in self.results))
         lines = [text for k, scene in enumerate(scenes) for text in self._of_scene(scene, with_cited=k == 0)]
         return "\n".join([*lines, *(self._means(scenes) if len(scenes) > 1 else ())])
@@ -82,14 +83,15 @@ class Tables:
             yield "\n".join(self.lines(scene, rows)) + "\n"
 
     def _of_tables(self, scenes: Sequence[str]) -> Iterator[tuple[str, list[Row]]]:
-        """The headings and rows of the tables that have a row of their own in one of the scenes."""
+        """Yield heading and rows of each table with a result of its own, not taken from another row, in one of the
+        scenes."""
         for table, heading in self.rows.tables.items():
             rows = [row for row in self.chosen if row.table == table]
             if any(self._tried(scene, row) and not row.same_as for row in rows for scene in scenes):
                 yield heading, rows
 
     def lines(self, scene: str, rows: Sequence[Row]) -> Iterator[str]:
-        """The table of some rows, as far as they were tried; nothing if none was."""
+        """Yield the lines of a table of those rows that were tried; none if none was."""
         rows = [row for row in rows if self._tried(scene, row) or row.is_cited]
         if all(row.is_cited for row in rows):
             return
@@ -120,8 +122,8 @@ class Tables:
             yield "\n".join(self._table(rows, [row.name for row in rows], cells)) + "\n"
 
     def _mean_cells(self, row: Row, scenes: Sequence[str]) -> dict[str, str]:
-        """The mean of each figure over the scenes that have it; for each scene it is the mean, or the best, of its
-        seeds."""
+        """Return the mean of each figure over the scenes that have it; for each scene it is the mean, or the best, of
+        its seeds."""
         measured = [seeds for scene in scenes if (seeds := self.measured(scene, row))]
         failed = sum(bool(self._failures(scene, row)) for scene in scenes)
         cells = {"scenes": str(len(measured)), "state": f"{failed} failed" if failed else ""}
@@ -135,7 +137,7 @@ class Tables:
     def _table(
         self, rows: Sequence[Row], names: Sequence[str], cells: Mapping[str, Mapping[str, str]]
     ) -> Iterator[str]:
-        """A table of the columns that have a figure; ``cells`` by row and column."""
+        """Yield the lines of a table with the columns that have a figure; ``cells`` are by row and column."""
         shown = [key for key in HEADINGS if key in self.columns and any(cells[row.name].get(key) for row in rows)]
         paper = ["in the paper"] if any(row.paper for row in rows) else []
         body = [
@@ -145,16 +147,16 @@ class Tables:
         yield from _aligned([["", *(HEADINGS[key] for key in shown), *paper], *body])
 
     def measured(self, scene: str, row: Row) -> list[Result]:
-        """The results of a row, seed by seed."""
+        """Return the results of a row that have figures, seed by seed."""
         return [result for result in self._tried(scene, row) if not result.failed]
 
     def _tried(self, scene: str, row: Row) -> list[Result]:
-        """The results of a row, and its failures."""
+        """Return the results of a row, and its failures."""
         name = self.rows.lift_of(row).measured_as
         return [result for result in self.results if (result.scene, result.row) == (scene, name)]
 
     def _failures(self, scene: str, row: Row) -> str:
-        """Why seeds of a row have no figures; empty if all were measured."""
+        """Return why seeds of a row have no figures; "" if all were measured."""
         reasons: dict[str, list[int]] = {}
         for result in self._tried(scene, row):
             if result.failed:
@@ -165,7 +167,7 @@ class Tables:
 
 
 def _cell(seeds: Sequence[Result], column: Column) -> str:
-    """A figure's mean and spread as text; empty if nothing was measured."""
+    """Return a figure's mean and spread as text; "" if nothing was measured."""
     values = column.values(seeds)
     if not values:
         return ""
@@ -174,7 +176,7 @@ def _cell(seeds: Sequence[Result], column: Column) -> str:
 
 
 def _cited(paper: Cited | None) -> str:
-    """The figures that the paper gives, such as "71.2 / 57.8 / 36.6 dB (Replica)"."""
+    """Return the figures that the paper gives, such as "71.2 / 57.8 / 36.6 dB (Replica)"."""
     if paper is None:
         return ""
     shares = [f"{value:.1f}" if value is not None else "-" for value in (paper.miou, paper.pq)]
