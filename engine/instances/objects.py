@@ -40,9 +40,9 @@ def vote_classes(
     class_ids: tuple[int, ...],
     kind: EvidenceKind,
 ) -> NDArray[np.float64]:
-    """Return the votes on the class of each object, float64 [objects + 1, C]; row 0 is for no object, and 0. ``views``:
-    what each view shows at the points it sees, and the class there, int32 [n], 0 = none. ``object_of_point`` int32 [N],
-    0 = none. An object's pixels in a view share the view's votes, whose number depends on ``kind``."""
+    """Return the votes on the class of each object, float64 [objects + 1, C]; row 0 (no object) is all 0. ``views``:
+    what each view shows at the points it sees, and its class for each, int32 [n], 0 = none. ``object_of_point`` int32
+    [N], 0 = none. The pixels of an object in a view share the view's votes, whose number depends on ``kind``."""
     ids = np.asarray(class_ids)
     votes = np.zeros((objects + 1, len(ids)))
     for view, shown in views:
@@ -84,7 +84,7 @@ def held_back_agreement(
 ) -> NDArray[np.bool_]:
     """Return whether one class describes each object at least as well as a class per point, bool [objects + 1]. Each of
     ``frames`` (the indices of its views) is held back in turn, and what it shows is compared with the object's class,
-    and with each point's class, as the other frames vote. Other arguments as of ``vote_classes``."""
+    and with each point's class, as the other frames vote. The other arguments are those of ``vote_classes``."""
     ids, (points, classes, count) = np.asarray(class_ids), (len(object_of_point), len(class_ids), objects + 1)
     of_points, of_objects = np.zeros((points, classes)), np.zeros((count, classes))  # float64: residues must be 0
     said = []

@@ -102,8 +102,8 @@ def _clip(polygon: list[list[float]], window: list[list[float]]) -> list[list[fl
 @dataclass(frozen=True)
 class ObjectMask:
     """A mask of an object: the ``segment`` of a ``frame``. ``pixels``: how many have depth, 0 until counted. ``cost``:
-    O of the match by boxes, None for the object's first mask. ``agreement``: the share of views in favour, among all
-    views that judge whether this and another of the object's masks are inside one mask; None if none do."""
+    O of the match by boxes, None for the object's first mask. ``agreement``: views judge for each other mask of the
+    object whether both masks are inside one; this is the share of judgements that say so, None if there are none."""
 
     frame: str
     segment: Segment

@@ -85,7 +85,7 @@ def view_labels(
     views: Sequence[View], point_of_pixel: Sequence[NDArray[np.int32]], label: NDArray[np.int32], count: int
 ) -> OnDemand[NDArray[np.int16]]:
     """Return the labels of each view's pixels, int16 [H, W], computed when read: ``segment_labels`` of the points'
-    labels. ``label`` int32 [N]: each point's, below ``count``, -1 = unknown; ``point_of_pixel`` int32 [H, W], -1 =
+    labels, ``label`` int32 [N], of ``count`` labels, -1 = unknown. ``point_of_pixel`` int32 [H, W] per view, -1 =
     none."""
     table = np.append(label, UNKNOWN_LABEL)
     return OnDemand(len(views), lambda n: segment_labels(views[n].mask, table[point_of_pixel[n]], count))

@@ -72,9 +72,9 @@ class BakeOptions:
 
 @dataclass(frozen=True, eq=False)
 class WantedView:
-    """A view to bake. ``name``: what its files are called. ``fingerprint``: its camera's, "" for a frame, whose name in
-    the capture is then ``frame``. ``shown``: frame number and rate for the EXR header. ``previous``, ``following``: the
-    cameras of the frames before and after, for the layer Vector; ``motion``: their fingerprint, "" for a frame."""
+    """A view to bake. ``name``: what its files are called. ``fingerprint``: identifies its camera; "" if the view is a
+    frame of the capture, called ``frame``. ``shown``: frame number and rate for the EXR header. ``previous``,
+    ``following``: cameras of the frames before and after, for the layer Vector; ``motion``: identifies both."""
 
     name: str
     camera: Camera
@@ -223,9 +223,9 @@ def is_whole(passes: Path, notes: Mapping[str, str], layers: tuple[str, ...], sh
 
 
 def frames_named(scene: Scene, names: Sequence[str]) -> list[Frame]:
-    """Return the frames that ``names`` select, in recording order, each once. A name is a frame's, "all", "test" (the
-    held-out frames, and a frame of that name), or a range such as "10-200:2" (see `frame_numbers`) of the last number
-    in frames' names (10 for frame_0010.colour). Raises PlgsError for a name or a range that matches no frame."""
+    """Return the frames that ``names`` select, in recording order, each once: by their own name, by "all", by "test"
+    (the held-out frames, and a frame of that name), or by a range such as "10-200:2" (see `frame_numbers`) of the last
+    number in their names (10 for frame_0010.colour). Raises PlgsError for a name or a range that matches no frame."""
     groups: dict[str, tuple[Frame, ...]] = {frame.name: (frame,) for frame in scene.frames}
     for name, group in (("all", scene.frames), ("test", scene.test_frames)):
         groups[name] = group + groups.get(name, ())
@@ -330,7 +330,7 @@ class _Result:
         return self._listed().issuperset(files) and is_whole(files[0], wanted, self._layers, view.shown)
 
     def write(self, view: WantedView, rendered: BakedView, baker: FrameBaker, events: EventWriter) -> None:
-        """Write the view, replacing an older file. Raises PlgsError if the file is another program's, and OSError."""
+        """Write the view, replacing an older file. Raises PlgsError if another program wrote that file, and OSError."""
         files = baked_files(self._folder, view.name)
         for path in files:  # a killed bake's are not listed; without passes, previews are not of a bake
             if os.path.lexists(path) and path not in self._listed() and not (files[0].exists() and is_own(files[0])):

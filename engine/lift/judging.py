@@ -32,8 +32,8 @@ MOST_NAMED = 5
 class Judgement:
     """How the lift compares with the masks. ``trained``, ``held_back``: mean IoU over the masks' classes, for training
     and for held-out views; None without such views. ``not_shown``: objects in masks that the lift lacks.
-    ``calibration``: from a class's share to the probability that it is right. ``doubt``: by view, the mean probability
-    of a wrong class."""
+    ``calibration``: turns the share of a class into a probability. ``doubt``: each view's mean probability that a class
+    is wrong."""
 
     trained: float | None
     held_back: float | None

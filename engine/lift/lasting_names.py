@@ -42,9 +42,9 @@ _FIX = "Name another finished lift with --names-from, or none."
 
 @dataclass(frozen=True, eq=False)
 class EarlierLift:
-    """What the earlier lift found. ``names``, ``class_names``: by instance id. ``xyz`` float32 [N, 3]: points in
-    metres, with ``instance_id`` int32 [N], 0 = none. ``largest_id``, ``last_numbers`` (by class name): the largest used
-    so far, lifts before it included. ``edits``: its corrections."""
+    """What the earlier lift found. ``names`` and ``class_names`` of the objects by id. ``xyz`` float32 [N, 3]: points
+    in metres, with ``instance_id`` int32 [N], 0 = none. ``largest_id`` and ``last_numbers`` (by class name): the
+    largest used so far, also by lifts before it. ``edits``: its corrections."""
 
     folder: Path
     names: Mapping[int, str]
@@ -196,7 +196,7 @@ def write_names(folder: LiftFolder, lasting: LastingNames, events: EventWriter) 
 
 
 def take_over_edits(folder: LiftFolder, earlier: EarlierLift) -> None:
-    """Add the earlier lift's corrections to this lift's, which has the same ids for the same objects. Corrections that
+    """Copy the earlier lift's corrections to this lift, in which the same objects have the same ids. Corrections that
     no longer apply are kept, too. Raises PlgsError if corrections cannot be read, and OSError."""
     if not earlier.edits:
         return

@@ -168,7 +168,7 @@ class StartingAnchors(NamedTuple):
 def starting_anchors(
     cloud: SemanticPointCloud, instance_of_point: NDArray[np.int32], preset: Preset
 ) -> StartingAnchors:
-    """Place an anchor in each occupied voxel of the point cloud, with the labels and colour there."""
+    """Place an anchor in each occupied voxel of the point cloud, with the labels and the colour of its points."""
     positions = voxelise(cloud.xyz, preset.voxel_size)
     classes, owners = label_anchors(cloud, instance_of_point, positions, preset.voxel_size)
     nearest = cloud.index().nearest(positions.astype(np.float64), 2 * preset.voxel_size)

@@ -382,7 +382,7 @@ def train(
 
 
 def remember_pace(paces: Sequence[float], trainer: Trainer) -> None:
-    """Store the median time of a step, to predict later lifts here. The few steps that compile hardly matter."""
+    """Store the median time of a step (compiling hardly changes a median), to predict later lifts on this computer."""
     if len(paces) < LEAST_STEPS:
         return
     megapixels = np.mean([view.camera.width * view.camera.height for view in trainer.views]) / 1e6

@@ -141,8 +141,8 @@ PREDICTIONS = "predictions"
 
 def score_folders(predictions: LabelFolder, truth: LabelFolder, *, ids_per_frame: bool = False) -> dict[str, object]:
     """Return the scores of all predicted frames, in the form of metrics.json. Each needs ground truth, to whose size it
-    is resized. ``ids_per_frame``: instance ids are valid only in their frame, like a detector's. Raises PlgsError if a
-    file is bad, or shows a different crop of the picture."""
+    is resized. ``ids_per_frame``: instance ids are valid only within a frame, as a detector gives them. Raises
+    PlgsError if a file is bad, or shows a different crop of the picture."""
     unknown = [name for name in predictions.readers if name not in truth.readers]
     if unknown:
         what = f"{len(unknown)} predicted frames have no ground truth, such as {unknown[0]}"

@@ -132,7 +132,7 @@ def _missed(found: list[_Candidate], answers: _Answers, shown: set[int], classes
 
 
 def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
-    """Return the view's resolved segments whose class the lift hardly shows there, and the classes it shows."""
+    """Return the view's resolved segments whose class the lift hardly shows, and classes of those that it shows."""
     view, shown = judged
     seen, xyz_of_pixels = view.depth > 0, view.camera.unproject(view.depth)
     candidates, kept = [], set()
@@ -188,8 +188,8 @@ class _Answers:
         )
 
     def of(self, number: int) -> tuple[int, int, float]:
-        """Return, for candidate ``number``, how many near views show its class there, how many near views there are,
-        and the largest share of its points that the lift shows with this class in a view of the first kind."""
+        """Return, for candidate ``number``: how many near views confirm its class, how many near views see it, and the
+        largest share of its points that the lift shows with this class in a view that confirms it."""
         answers = np.array([[part[number] for part in row] for row in self._rows])
         resolution, named, kept = answers.T
         near = are_near(resolution, self.found[number].resolution)

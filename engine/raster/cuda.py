@@ -68,7 +68,7 @@ def what_fails(device: str) -> str | None:
 
 
 def rasterize_gsplat(gaussians: GaussianSet, pinhole: Pinhole, wanted: Wanted) -> Rendering:
-    """Do what ``rasterize`` does, without ``top_k`` and surface, for float32 tensors, by gsplat (it must be there)."""
+    """Do what ``rasterize`` does, with gsplat, without ``top_k`` and surface, for float32 tensors on a CUDA device."""
     assert wanted.top_k == 0, "the back end numba lists contributors"
     if not len(gaussians.means):
         return _nothing_drawn(gaussians, pinhole, wanted.means2d_grad)
@@ -128,7 +128,7 @@ def alpha_cap() -> float:
 
 
 def _nothing_drawn(gaussians: GaussianSet, pinhole: Pinhole, want_means2d_grad: bool) -> Rendering:
-    """Return a black rendering, for an empty set: gsplat 1.5 would divide by zero there and crash the process."""
+    """Return a black rendering, for no Gaussians: gsplat 1.5 would divide by their number and crash the process."""
     height, width, labels = pinhole.height, pinhole.width, gaussians.labels
 
     def blank(depends_on: Iterable[Tensor], *shape: int) -> Tensor:

@@ -24,10 +24,10 @@ LLOYD_STEPS = 1
 
 @dataclass(frozen=True)
 class CloudOptions:
-    """``spacing``: of the clusters, metres (half the anchors' voxel size works well), enlarged until there are at most
-    ``cap``. A cluster whose winning class has less than the share ``majority`` of the votes is unknown. ``evidence``:
-    how many votes a view has on a cluster; the paper's choice is its "pixels". ``most_pixels``: about how many pixels
-    of all views to use, by taking every s-th row and column."""
+    """``spacing``: the distance of clusters, metres (half the anchors' voxel size works well), enlarged until at most
+    ``cap`` clusters are left. A cluster whose winning class has less than the share ``majority`` of the votes is
+    unknown. ``evidence``: how many votes a view has on a cluster; the paper's choice is its "pixels". ``most_pixels``:
+    about how many pixels of all views to use, by taking every s-th row and column."""
 
     spacing: float = 0.025
     cap: int = 200_000
@@ -189,7 +189,7 @@ def _voxels(points: NDArray[np.floating], voxel_size: float) -> tuple[NDArray[np
 
 
 def _majority(group: NDArray[np.int64], label: NDArray[np.int32], groups: int) -> NDArray[np.int32]:
-    """Return the most frequent label > 0 in each group, int32 [groups]; ``group``: of each member, -1 = in none."""
+    """Return the most frequent label > 0 of each group's members, int32 [groups]; ``group`` -1: in no group."""
     voting = (group >= 0) & (label > VOID)
     ids, column = np.unique(label[voting], return_inverse=True)
     votes = np.bincount(group[voting] * len(ids) + column.reshape(-1), minlength=groups * len(ids))

@@ -158,7 +158,7 @@ class Optimiser:
         anchors: Anchors,
         keep: torch.Tensor,  # bool [M], of the old anchors
     ) -> None:
-        """Continue with ``anchors``: first the old rows where ``keep``, then new ones, whose moments start at 0."""
+        """Continue with ``anchors``: the old ones where ``keep``, followed by new ones, whose moments start at 0."""
         self.anchors = anchors
         for name in Anchors.LEARNT:
             parameter, moments = getattr(anchors, name).requires_grad_(), self.moments.get(f"anchors.{name}")

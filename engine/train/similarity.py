@@ -87,8 +87,8 @@ def _compare_strips(
     gradient: NDArray[np.float32],
     sums: NDArray[np.float64],
 ) -> None:
-    """Compare ``image`` with ``photo`` in every ``workers``-th strip of rows. Fills ``gradient`` [H, W, 3] and ``sums``
-    [strips, 2], of |image - photo| and of SSIM. ``weights``: of L1 and of SSIM, for one value."""
+    """Compare ``image`` with ``photo`` in every ``workers``-th strip of rows. Fills ``gradient`` [H, W, 3] and, by
+    strip, ``sums`` [strips, 2] of |image - photo| and of SSIM. ``weights`` of L1 and of SSIM are those of one value."""
     for strip in range(worker, len(sums), workers):
         first, end = strip * STRIP_ROWS, min((strip + 1) * STRIP_ROWS, len(image))
         # the gradient depends on SSIM's slopes within the window's reach, and these on pixels as far again

@@ -222,7 +222,7 @@ def exponent_of(patch: int, slope: Any, scratch: Array, own: int) -> Any:
 
 @inlined
 def blended_alpha(patch: int, raw: Any, here: Any, scratch: Array) -> Any:
-    """Return alpha, not yet capped at 0.99, where the forward pass blended Gaussian ``here``, otherwise 0."""
+    """Return alpha, not yet capped at 0.99, where the forward pass blended the Gaussian at index ``here``, else 0."""
     blended = (raw >= v.broadcast(ALPHA_LEAST)) & (v.load(scratch, LAST + patch * PATCH_STRIDE) >= here)
     return v.select(blended, raw, v.broadcast(ZERO))
 

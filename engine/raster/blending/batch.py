@@ -100,7 +100,7 @@ def touched(first: Any, last: Any, square: Any, reach: Any) -> Any:
 
 @inlined
 def halves_touched(s1: Any, slope: Any, square: Any, reach: Any) -> Any:
-    """Return two bit masks, of the members that touch a row's left and right half. ``s1``: at the row's first pixel."""
+    """Return two bit masks: of sixteen Gaussians, those that reach a row's left half, and its right half."""
     left = touched(s1, fma(slope, broadcast(LEFT_END), s1), square, reach)
     right = touched(fma(slope, broadcast(MIDDLE), s1), fma(slope, broadcast(RIGHT_END), s1), square, reach)
     return movemask(left), movemask(right)

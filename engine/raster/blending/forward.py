@@ -65,7 +65,7 @@ def rows_of(field: int, scratch: Array) -> Any:
 
 @device_function
 def write_strip(pixel: int, columns: int, rows: int, width: int, scratch: Array, out: Blended) -> None:
-    """Write a strip, without labels, to ``out``; its first pixel has index ``pixel``, ``width`` is the image's."""
+    """Write a strip, without labels, to ``out``. ``pixel``: the index of its first pixel; ``width``: of the image."""
     final, last, red = rows_of(FINAL, scratch), rows_of(LAST, scratch), rows_of(PLANES, scratch)
     green, blue = rows_of(PLANES + TILE, scratch), rows_of(PLANES + 2 * TILE, scratch)
     depth = rows_of(PLANES + 3 * TILE, scratch)
