@@ -159,7 +159,8 @@ def _seen(one: _Fitted, other: _Fitted, places: Values) -> _Seen:
 
 
 def _neighbours(fitted: Sequence[_Fitted]) -> list[tuple[int, int]]:
-    """Return pairs of frames that see much of the same surfaces: each frame with those that see the most of its own."""
+    """Return pairs of frames that see much of the same surfaces: each frame with those that see most of what it
+    sees."""
     few, pairs = _places((6, 8)), []
     for i, one in enumerate(fitted):
         shares = [(np.abs(_seen(one, other, few).ratio) < _SAME[0]).sum() / len(few) for other in fitted]
@@ -217,8 +218,8 @@ def _solved(fitted: Sequence[_Fitted], pairs: Sequence[tuple[int, int]], same: f
 
 
 def _trusted(one: _Fitted, beside: Sequence[_Fitted]) -> Depth:
-    """Return the full-size depth without pixels on blurred jumps, and without those that more of the frames ``beside``
-    see through than agree with."""
+    """Return the full-size depth [H, W] without pixels on blurred jumps, and without pixels that more of the frames
+    ``beside`` see through than agree with."""
     depth = one.whole()
     jumps = np.zeros(depth.shape, bool)
     for axis in (0, 1):

@@ -106,7 +106,7 @@ class PlgsError(Exception):
 
     @property
     def problem(self) -> str:
-        """What is wrong and where, as `problem_of` puts them together."""
+        """The text of what is wrong and where, as `problem_of` joins them."""
         return problem_of(self.what, self.where)
 
 

@@ -64,7 +64,7 @@ class CloudBuilder:
         return ColouredCloud(mean[:, :3].astype(np.float32), np.rint(mean[:, 3:]).astype(np.uint8))
 
     def _merge(self, cells: NDArray[np.int64], sums: NDArray[np.float64]) -> None:
-        """Keep one row per cell, in the order of the cells, adding up the ``sums`` of equal ``cells``."""
+        """Keep one row per cell, in the order of the cells. The ``sums`` [N, 7] of equal ``cells`` [N] are added."""
         x, y, z = (cells + _SIDE).T
         _, first, cell = np.unique((x * 2 * _SIDE + y) * 2 * _SIDE + z, return_index=True, return_inverse=True)
         self._cells = cells[first]
@@ -150,7 +150,7 @@ def _refuse_nothing(scene: Scene, chosen: Collection[str], kinds: Collection[str
 
 
 def _make(scene: Scene, frame: Frame, folder: Path, kinds: Collection[str], made: MadeFrame) -> MadeFrame:
-    """Write one frame's pictures, and return them with those of an earlier run."""
+    """Write one frame's pictures. Returns their paths, together with those of an earlier run."""
     if "colour" in kinds and not frame.file_shows_colour:
         path = folder / "color" / f"{frame.name}.jpg"
         if made.colour is None or not is_newer(path, frame.colour_path):

@@ -168,7 +168,7 @@ def made_of(folder: Path, source: SceneSource) -> MadeFrames | None:
 
 
 def is_newer(path: Path, source: Path) -> bool:
-    """Whether a file is at least as new as its ``source``."""
+    """Whether a file is at least as new as ``source``."""
     try:
         return path.stat().st_mtime >= source.stat().st_mtime
     except OSError:

@@ -172,7 +172,7 @@ _MOST_SPREAD = 0.2
 
 @dataclass(frozen=True)
 class Scale:
-    """The unit of a reconstruction in ``metres``: the median of ``points`` points."""
+    """The unit of a reconstruction in ``metres``, the median over ``points`` points."""
 
     metres: float
     points: int

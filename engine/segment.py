@@ -106,7 +106,7 @@ class Detection:
 
 
 def detections_of(class_logits: torch.Tensor, mask_probabilities: torch.Tensor) -> list[Detection]:
-    """The queries whose most probable class reaches LEAST_DETECTION. The arguments are those of ``merge_queries``."""
+    """Return the queries whose most probable class reaches LEAST_DETECTION. Arguments: see ``merge_queries``."""
     scores, labels = class_logits.softmax(-1)[:, :-1].max(-1)  # the best class even if "no object" is likelier
     inside = (mask_probabilities >= INSIDE).numpy()
     return [

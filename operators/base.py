@@ -65,7 +65,7 @@ def reporting(method: Method) -> Method:
 
 
 class Explained:
-    """An operator whose disabled button explains why."""
+    """An operator whose button, when it is disabled, explains why."""
 
     poll_message_set: Callable[[str], None]
     report: Callable[[set[str], str], None]
@@ -84,7 +84,7 @@ class Explained:
 
 
 class Acts(Explained):
-    """An operator that does its work at once."""
+    """An operator that does its work in one call, without a task."""
 
     def act(self, context: bpy.types.Context) -> str | None:
         """Do the operator's work. Returns a line to report, if any. Raises PlgsError, OSError."""

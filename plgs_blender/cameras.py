@@ -111,7 +111,7 @@ def _axes(azimuth: float) -> NDArray[np.float64]:
 
 
 def _framed(axes: NDArray[np.float64], xyz: NDArray[np.float64]) -> Camera:
-    """Return a camera with these axes, centred on the points and just far enough back to show them all."""
+    """Return a camera with these axes [3, 3], centred on points [N, 3] and just far enough back to show them all."""
     width, height = OVERVIEW_SIZE
     focal = _FOCAL_WIDTHS * width
     half = np.array([width, height]) / 2.0 * _MARGIN / focal

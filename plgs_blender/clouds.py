@@ -246,7 +246,7 @@ def _place(
     radius: NDArray[np.float32],
     attributes: Attributes,
 ) -> bpy.types.Object:
-    """Return our cloud object `key`, whose points have radii float32 [N] in metres and these attributes."""
+    """Return our cloud object `key`, made if missing, with these attributes and radii float32 [N] in metres."""
     tag(cloud, owned.lift, key)
     set_attributes(cloud, {"radius": ("FLOAT", radius), **attributes})
     cloud.materials.append(point_material(owned))

@@ -71,7 +71,7 @@ def new_geometry_group(name: str) -> bpy.types.NodeTree:
 
 
 def use_nodes(block: Any) -> bpy.types.NodeTree:
-    """Return the shader nodes of a material or world, enabled first before 5.0, where they can be off."""
+    """Return the shader nodes of a material or world. Before 5.0 they can be off, and are turned on."""
     if bpy.app.version < (5, 0, 0):
         block.use_nodes = True
     return block.node_tree

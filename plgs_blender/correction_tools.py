@@ -96,7 +96,7 @@ class Painting:
 
     @classmethod
     def of(cls, xyz: NDArray[np.float32]) -> Painting:
-        """Return a painting in which no point is chosen yet."""
+        """Return a painting of points [N, 3] in which none is chosen yet."""
         return cls(xyz, np.zeros(len(xyz), bool))
 
     @classmethod
@@ -171,7 +171,8 @@ def painted(
     stroke: Sequence[Position],
     radius: float,
 ) -> NDArray[np.int64]:
-    """Return the indices of the ``visible`` points under a stroke: the brush's positions and its radius, in pixels."""
+    """Return the indices, int64 [n], of the ``visible`` points under a stroke, the brush's positions; ``radius`` is in
+    pixels."""
     rows, pixel = visible(xyz, to_view, size)
     under = np.zeros(len(rows), bool)
     for position in stroke:
@@ -186,7 +187,7 @@ def boxed(
     drag: Sequence[Position],
     _: float = 0.0,
 ) -> NDArray[np.int64]:
-    """Return the indices of the ``visible`` points in the rectangle between the ends of a drag."""
+    """Return the indices, int64 [n], of the ``visible`` points in the rectangle between the ends of a drag."""
     rows, pixel = visible(xyz, to_view, size)
     low, high = np.sort([drag[0], drag[-1]], axis=0)
     return rows[((pixel >= low) & (pixel <= high)).all(axis=1)]

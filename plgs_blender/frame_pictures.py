@@ -180,7 +180,7 @@ def show_made(scene: bpy.types.Scene, ob: bpy.types.Object, what: str, made: Mad
 
 
 def colour_numbers(srgb: NDArray[np.floating]) -> NDArray[np.int32]:
-    """Encode colours [N, 3], 0..1, as one number each, int32 [N]: 0xRRGGBB."""
+    """Encode colours [N, 3], 0..1, as one number each, 0xRRGGBB, int32 [N]."""
     red, green, blue = np.rint(255.0 * srgb).astype(np.int32).T
     return red << 16 | green << 8 | blue
 

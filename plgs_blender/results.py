@@ -54,7 +54,7 @@ _DECODER = json.JSONDecoder(parse_constant=_refuse)  # NaN and Infinity, which J
 
 
 def reading_instances(path: Path) -> Generator[None, None, Listed]:
-    """Do as `read_instances`, object by object. Raises PlgsError, also for more than MOST_INSTANCES objects."""
+    """Read instances.json object by object, as `read_instances`. Raises PlgsError, also for over MOST_INSTANCES."""
     try:
         content: dict[str, Any] = {"instances": []}
         for key, value in _Reader(instances_text(path)).members():
@@ -233,7 +233,7 @@ def read_result(folder: Path) -> LiftResult:
 
 
 def reading_result(folder: Path) -> Generator[None, None, LiftResult]:
-    """Do as `read_result` in parts, so that the window does not freeze. Raises PlgsError."""
+    """Read a lift as `read_result` does, in parts, so that the window does not freeze. Raises PlgsError."""
     lift = LiftFolder.open(folder)
     lift.refuse_foreign()
     manifest = check_sizes(lift.result_path)

@@ -38,7 +38,7 @@ def shot_name(camera: str, given: str = "", later: int = 0) -> str:
 
 
 def next_versions_name(given: str) -> str:
-    """Return the given name of a shot ("": that of the .blend and the camera) with a field for its version."""
+    """Return the name that a user gave a shot ("": that of the .blend and the camera), with a field for its version."""
     return given if "{version" in given else f"{given or '{shot}_{camera}'}_v{{version:03d}}"
 
 

@@ -39,7 +39,7 @@ class ShotSource:
 
     @property
     def origin(self) -> tuple[str, str]:
-        """The file, without the version in its name, and the camera."""
+        """The file, without its version number, and the camera."""
         return VERSION.sub("", self.blend), self.camera
 
     def of_lift(self, lift: Path) -> ShotSource:

@@ -146,7 +146,7 @@ def _cuts_of(scene: bpy.types.Scene) -> tuple[tuple[int, str], ...]:
 
 
 def _cameras_to_choose(scene: bpy.types.Scene, wanted: str) -> str:
-    """The advice if ``wanted`` ("": the active one) is not a camera: those to choose from, the likeliest first."""
+    """Return what to advise if ``wanted`` ("": the active one) is no camera: cameras to choose, the likeliest first."""
     cameras = [ob for ob in scene.objects if ob.type == "CAMERA"]
     if not cameras:
         return "Add a camera, select it and press Ctrl+Numpad 0."

@@ -23,7 +23,7 @@ NAME = "Open room"
 
 
 def open_room(owned: OwnedDataBlocks, clouds: Iterable[bpy.types.Object]) -> None:
-    """Put the modifier on clouds that have the attribute `normal`; those that already have it keep its settings."""
+    """Put the modifier on clouds that have the attribute `normal`; where it is already, its settings stay."""
     for cloud in clouds:
         material, of_splats = (point_material(owned), "") if cloud.data.materials else (None, " of splats")
         group = owned.block("node_groups", f"open room{of_splats}", partial(_group, material))
@@ -87,7 +87,7 @@ def are_known() -> bool:
 def place_splats(
     owned: OwnedDataBlocks, parent: bpy.types.Collection, key: str, name: str, splats: Splats
 ) -> bpy.types.Object:
-    """Return our object `key` with these splats, in the colours of their attribute Col; to change it, call `dye`."""
+    """Return our object `key` with these splats, coloured by their attribute Col. After changing Col, call `dye`."""
     cloud: Any = owned.data(key, lambda: bpy.data.pointclouds.new(name))
     cloud.resize(len(splats.xyz))
     cloud.type = _KIND
@@ -193,7 +193,7 @@ def place_points(
 def place_squares(
     owned: OwnedDataBlocks, parent: bpy.types.Collection, key: str, name: str, squares: Squares
 ) -> bpy.types.Object:
-    """Return our object `key` with these squares, a mesh of their centres, with Col, right, up and opacity."""
+    """Return our object `key` with these squares: a mesh of their centres, with Col, right, up and opacity."""
     rgba = np.ones((len(squares.rgb), 4), np.float32)
     rgba[:, :3] = squares.rgb / np.float32(255)
     mesh: bpy.types.Mesh = owned.data(key, lambda: bpy.data.meshes.new(name))

@@ -126,7 +126,7 @@ def show_materials(view: bpy.types.SpaceView3D, *, always: bool = False) -> None
 
 
 def show_materials_in(scene: bpy.types.Scene) -> None:
-    """Do as `show_materials` for all 3D views of windows that show this scene."""
+    """Show materials, as `show_materials` does, in all 3D views of windows that show this scene."""
     for area in areas_of(scene):
         show_materials(area.spaces.active)
 

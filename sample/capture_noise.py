@@ -158,14 +158,15 @@ def misplaced(pose: Floats, shift: Floats, turn: Floats) -> Floats:
 
 
 def linear(colour: NDArray[np.uint8]) -> Pixels:
-    """Convert 8-bit sRGB to linear light (IEC 61966-2-1)."""
+    """Convert 8-bit sRGB [H, W, 3] to linear light (IEC 61966-2-1)."""
     value = np.arange(256) / 255.0
     table = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
     return table.astype(np.float32)[colour]
 
 
 def srgb(light: Pixels) -> NDArray[np.uint8]:
-    """Convert linear light to 8-bit sRGB. Light brighter than white is clipped, as by a sensor's full wells."""
+    """Convert linear light [H, W, 3] to 8-bit sRGB. Light brighter than white is clipped, as by a sensor's full
+    wells."""
     value = light.clip(0.0, 1.0)
     curve = np.where(value <= 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 1e-9) ** (1.0 / 2.4) - 0.055)
     return (curve * 255.0 + 0.5).astype(np.uint8)

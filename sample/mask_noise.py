@@ -84,7 +84,8 @@ class Sight:
 
 
 def confusions(class_name: str, is_thing: dict[str, bool]) -> dict[str, float]:
-    """The classes of a scene for which one of them is mistaken: those of ``CONFUSIONS``, or else three of its kind."""
+    """Return the classes of a scene for which a class is mistaken, with weights: those of ``CONFUSIONS``, else three of
+    its kind."""
     known = {other: weight for other, weight in CONFUSIONS.get(class_name, {}).items() if other in is_thing}
     alike = [other for other, thing in is_thing.items() if thing == is_thing[class_name] and other != class_name]
     return known or {str(other): 1.0 for other in stream("confusions", class_name).permutation(sorted(alike))[:3]}
@@ -298,7 +299,7 @@ def _draw(seen: list[Region], holes: Bools, noise: MaskNoise, random: np.random.
 
 
 def _coarse(pixels: Bools, cell: int) -> NDArray[np.float64]:
-    """Return the share of each coarse cell that is covered, float64, slightly blurred as by a network's last layers."""
+    """The share of each coarse cell that is covered, float64 [h, w], slightly blurred as by a network's last layers."""
     height, width = pixels.shape
     rows, columns = -(-height // cell), -(-width // cell)
     padded = np.pad(pixels, ((0, rows * cell - height), (0, columns * cell - width)), mode="edge")

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def lift(options: argparse.Namespace) -> int:
-    """Lift a scene. With -o, a second process is the engine, and this one shows its progress; else this one is it."""
+    """Lift a scene: with -o by a second process, whose progress is shown, otherwise in this one."""
     if options.output:
         if options.relink is not None:
             fix = "Give LIFT, --scene and --resume, without -o."

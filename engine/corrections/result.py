@@ -113,8 +113,8 @@ class CorrectedResult:
         return Anchors(**{name: values[after != GONE] for name, values in vars(relabelled).items()})
 
     def splats(self, rows: NDArray[np.void]) -> NDArray[np.void]:
-        """Return the rows of gaussians.ply with their labels after the edits, without removed objects, and with the
-        Gaussians that replace these."""
+        """Return the rows [N] of gaussians.ply with their labels after the edits, without the Gaussians of removed
+        objects, and with those that replace them."""
         if not self.changes_labels:
             return rows
         parts = list[NDArray[np.void]]()

@@ -82,7 +82,7 @@ def side_by_side(pictures: Sequence[tuple[str, NDArray[np.uint8]]]) -> Picture:
 
 
 def _fitted(picture: NDArray[np.uint8]) -> Picture:
-    """Return the picture resized to a width of 480 pixels."""
+    """Return the picture, uint8 [H, W, 3], resized to a width of 480 pixels."""
     height, width = picture.shape[:2]
     size = (_WIDTH, max(1, round(height * _WIDTH / width)))
     shrinks = width > _WIDTH

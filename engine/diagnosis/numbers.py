@@ -79,8 +79,8 @@ def lens_findings(scene: Scene, findings: list[Finding]) -> list[Finding]:
 
 
 def number_findings(examined: Examined, lens_is_doubtful: bool = False) -> tuple[list[Finding], Assumption, Shift]:
-    """Return findings about a scene's numbers, what these mean, and the shift that depth needs, as fractions of the
-    picture."""
+    """Return findings about a scene's numbers, the assumption about what they mean, and the shift that depth needs, as
+    fractions of the picture."""
     cause = find_cause(examined.views, examined.pairs, lens_is_doubtful)
     assumed = Assumption() if cause is None else cause.assumed
     findings = [] if cause is None else [_cause_finding(examined, cause)]

@@ -88,7 +88,7 @@ def _depth_edges(depth: NDArray[np.float32]) -> Floats:
 
 
 def _contrast(grey: NDArray[np.uint8]) -> Floats:
-    """The strength of a picture's edges, with mean 0 and deviation 1. Square roots limit the weight of strong edges."""
+    """Return the strength of a picture's edges [H, W], with mean 0 and deviation 1; roots limit that of strong ones."""
     smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 0.8)
     x = cv2.Sobel(smooth, cv2.CV_32F, 1, 0)
     y = cv2.Sobel(smooth, cv2.CV_32F, 0, 1)

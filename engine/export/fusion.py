@@ -41,7 +41,8 @@ class Surface:
     triangles: NDArray[np.int64]
 
     def of(self, triangles: Ints) -> tuple[Surface, Ints]:
-        """Return the surface of these triangles [T, 3] alone, and which of the old vertices it has, [V]."""
+        """Return a surface of the ``triangles`` [T, 3] only, with the vertices that they use, whose old numbers are
+        returned, too, [V]."""
         is_used = np.zeros(len(self.xyz), np.bool_)
         is_used[triangles] = True
         used, number = np.flatnonzero(is_used), np.cumsum(is_used) - 1
@@ -184,7 +185,8 @@ def _fused(
     views: Sequence[SmallView], seen: Sequence[Sequence[NDArray[np.int32]]], slab: _Slab, grain: Grain,
     progress: Progress,
 ) -> Surface:  # fmt: skip
-    """Return the zero level within a slab. Blocks beside it are fused, too, as its outermost voxels need them."""
+    """Fuse the views within a slab, and return the surface there. ``seen`` are the blocks that each view changes.
+    Blocks beside the slab are fused, too, as its outermost voxels need them."""
     import open3d.core
     import open3d.t.geometry as geometry
 

@@ -46,7 +46,7 @@ class Texture:
 
 
 def jpeg_bytes(picture: NDArray[np.uint8]) -> bytes:
-    """Encode an RGB picture as JPEG without chroma subsampling. Raises PlgsError if that fails."""
+    """Encode an RGB picture, uint8 [H, W, 3], as JPEG without chroma subsampling. Raises PlgsError if that fails."""
     ways = [cv2.IMWRITE_JPEG_QUALITY, 93, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
     return image_bytes(picture, ".jpg", ways=ways)
 

@@ -68,8 +68,8 @@ def _add_model(stage: Usd.Stage, path: str, kind: str) -> Usd.Prim:
 
 
 def _add_component(stage: Usd.Stage, lift: FinishedLift, class_id: int, instance_id: int, what: str) -> str:
-    """Add the prim of an instance or class, if it does not exist. Returns the path for its child of this kind, whose
-    last name is unique, too, as other programs show only that."""
+    """Add the prim of an instance or class, if it does not exist, and return the path for its child, such as its mesh
+    (``what``). The last name of this path is unique, too, as other programs show only that."""
     is_object = instance_id and class_id != VOID
     group, name = ("Objects", f"object_{instance_id}") if is_object else ("Stuff", f"class_{class_id}")
     path = f"/Lift/{group}/{name}"
@@ -143,7 +143,7 @@ def _add_material(stage: Usd.Stage, path: str, picture: str = "") -> UsdShade.Ma
 
 
 def _add_field(stage: Usd.Stage, path: str, splats: NDArray[np.void]) -> Usd.Prim:
-    """Add Gaussians, given as rows of a splat file. Their colours are sRGB, as in training and in all viewers."""
+    """Add Gaussians [N], rows of a splat file, as a prim. Their colours are sRGB, as in training and in all viewers."""
     field = UsdVol.ParticleField3DGaussianSplat.Define(stage, path)
     Usd.ColorSpaceAPI.Apply(field.GetPrim()).CreateColorSpaceNameAttr("srgb_rec709_display")
     xyz, scales = columns(splats, "x y z"), np.exp(columns(splats, "scale_0 scale_1 scale_2"))

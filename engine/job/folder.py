@@ -237,7 +237,7 @@ class LiftFolder:
         return (self.path / NEXT).is_dir()
 
     def with_next_result(self) -> LiftFolder:
-        """This folder for an engine that writes the result: as a new one beside the old or as the only one."""
+        """Return this folder, or one for a new result beside the old, for an engine that writes the result."""
         return replace(self, result_name=NEXT) if self.is_lifted_again else self
 
     def drop_next_result(self) -> None:

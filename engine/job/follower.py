@@ -89,7 +89,7 @@ class TaskFollower:
 
     @property
     def exit_code(self) -> ExitCode:
-        """How an ended task ended, as the exit status of a command that ran it."""
+        """The outcome of an ended task, as the exit status of a command that ran it."""
         if self.state is TaskState.CANCELLED:
             return ExitCode.CANCELLED
         return ExitCode.FINISHED if self.error is None else self.error.exit_code

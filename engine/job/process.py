@@ -111,7 +111,7 @@ def missing_modules(python: Path, names: Sequence[str]) -> list[str]:
 
 
 def clean_environment(root: Path | None = None) -> dict[str, str]:
-    """This process's environment variables without those for its own Python. ``root`` becomes importable."""
+    """Return this process's environment variables but those for its own Python; modules in ``root`` can be imported."""
     environment = {name: value for name, value in os.environ.items() if name not in _FOREIGN}
     environment |= {"PYTHONNOUSERSITE": "1", "PYTHONUNBUFFERED": "1"}
     if root is not None:

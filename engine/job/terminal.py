@@ -34,7 +34,7 @@ STOP_SIGNALS = {getattr(signal, name): code for name, code in OF_SIGNALS.items()
 
 
 class Interrupted(KeyboardInterrupt):  # no `except Exception` on the way catches it, and asyncio does not either
-    """A signal asked this process to end, with this exit code."""
+    """A signal asked this process to end; ``exit_code`` is the exit status for it."""
 
     def __init__(self, signum: int) -> None:
         super().__init__(signum)

@@ -13,8 +13,7 @@ MOST_CELLS = 2**62
 
 def distinct_rows(rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the distinct rows of ``rows`` int64 [N, D] in lexical order, int64 [M, D], and the index of each row among
-    them, int64 [N]. It returns what ``numpy.unique`` with ``axis=0`` does, ten times as fast: a row is sorted as one
-    number."""
+    them, int64 [N]. The same as ``numpy.unique`` with ``axis=0``, ten times as fast: a row is sorted as one number."""
     lowest, highest = (rows.min(axis=0), rows.max(axis=0)) if len(rows) else (np.zeros(rows.shape[1], int),) * 2
     # Python's integers, as the product may exceed an int64
     extent = [high - low + 1 for low, high in zip(lowest.tolist(), highest.tolist(), strict=True)]

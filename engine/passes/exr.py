@@ -224,7 +224,7 @@ _NUKE |= {"vector.Z": "forward.u", "vector.W": "forward.v"}
 
 
 def _in_nuke(name: str) -> str:
-    """Return Nuke's name for one of our channels: its own for depth and motion, lower case for the others."""
+    """Return the name that Nuke has for one of our channels, for depth and motion, else ours in lower case."""
     _, dot, ours = name.partition(f"{LAYER}.")
     layer, _, axis = ours.partition(".")
     return _NUKE.get(f"{layer.lower()}.{axis}", f"{layer.lower()}.{axis}") if dot else name
@@ -292,7 +292,7 @@ def _header(path: Path) -> ExrHeader:
 
 
 def _channels(path: Path) -> dict[str, NDArray[Any]]:
-    """Read the channels of a file, by name. Raises ValueError if it is damaged."""
+    """Read the channels of a file, [H, W] each, by name. Raises ValueError if it is damaged."""
     import OpenEXR
 
     try:

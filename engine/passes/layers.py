@@ -331,11 +331,11 @@ def linear(encoded: NDArray[np.floating]) -> NDArray[np.float32]:
 
 @cache
 def _linear_light() -> NDArray[np.float32]:
-    """Return the linear values of LINEAR_STEPS + 1 encoded ones, evenly spaced from 0 to 1."""
+    """Return the linear values of LINEAR_STEPS + 1 sRGB values that are evenly spaced from 0 to 1, float32 [n]."""
     return linear(np.linspace(0.0, 1.0, LINEAR_STEPS + 1))
 
 
 def encoded(linear_values: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Encode linear values as sRGB: the inverse of ``linear``."""
+    """Encode linear values [...] as sRGB, float32 [...]: the inverse of ``linear``."""
     values = np.clip(linear_values, 0.0, 1.0)
     return np.where(values <= 0.0031308, values * 12.92, 1.055 * values ** (1 / 2.4) - 0.055).astype(np.float32)

@@ -63,7 +63,7 @@ def colour_picture(layers: PanopticLayers) -> Picture:
 
 @cache
 def _encoded_bytes() -> NDArray[np.uint8]:
-    """Return the sRGB byte of every linear value k / LINEAR_STEPS."""
+    """Return the sRGB byte of every linear value k / LINEAR_STEPS, uint8 [LINEAR_STEPS + 1]."""
     return np.rint(encoded(np.arange(LINEAR_STEPS + 1) / LINEAR_STEPS) * 255).astype(np.uint8)
 
 

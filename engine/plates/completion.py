@@ -78,7 +78,7 @@ def complete(texture: Texture, leaving: Leaving, staying: NDArray[np.floating]) 
 
 
 def _metres(mask: Mask, texel: float) -> NDArray[np.float64]:
-    """Return the distance of each texel from a mask, in metres."""
+    """Return the distance of each texel from a mask [h, w], float64 [h, w] in metres."""
     return np.asarray(distance_transform_edt(~mask) * texel)
 
 

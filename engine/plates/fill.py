@@ -64,7 +64,7 @@ def gaussians_of(texture: Texture, completed: Completed) -> Fill:
 
 
 def joined(fills: Sequence[Fill]) -> Fill:
-    """Join all fills into one."""
+    """Join several fills into one."""
     return Fill(**{name: np.concatenate([getattr(each, name) for each in [NOTHING, *fills]]) for name in vars(NOTHING)})
 
 

@@ -69,7 +69,7 @@ class Leaving:
 
 
 def leaving_points(views: Sequence[PlateView], points: NDArray[np.floating]) -> Leaving:
-    """Return the points on the objects, which have these semantic ``points`` [N, 3], that the photos show."""
+    """Return the points that the photos show on the objects with these semantic ``points`` [N, 3]."""
     inner = np.percentile(points, (2, 98), axis=0)
     points = points[((points >= inner[0] - 0.1) & (points <= inner[1] + 0.1)).all(axis=1)].astype(np.float64)
     parts = [points]

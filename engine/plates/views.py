@@ -40,7 +40,7 @@ class PlateView:
         return grown(self.leaves, GROWN)
 
     def also_without(self, cells: NDArray[np.int32]) -> PlateView:
-        """Return the same view with the pixels that show these cells marked as leaving, too."""
+        """Return the same view with the pixels that show these ``cells`` [N, 3] marked as leaving, too."""
         more = np.isin(cell_keys(cells_of(self.camera.unproject(self.depth).reshape(-1, 3))), cell_keys(cells))
         return replace(self, leaves=self.leaves | (more.reshape(self.depth.shape) & (self.depth > 0)))
 
@@ -51,7 +51,7 @@ def grown(mask: NDArray[np.bool_], by: int) -> NDArray[np.bool_]:
 
 
 def frames_around(frames: Sequence[Frame], low: NDArray[np.floating], high: NDArray[np.floating]) -> list[Frame]:
-    """Return the frames with depth in whose picture the box lies, hidden or not."""
+    """Return the frames with depth whose picture shows the box from ``low`` [3] to ``high`` [3], hidden or not."""
     sides = [np.linspace(*ends, _STEP) for ends in zip(low, high, strict=True)]
     inside = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 3)
     return [frame for frame in frames if frame.read_depth is not None and len(frame.camera.seen(inside)[0])]

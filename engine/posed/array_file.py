@@ -32,8 +32,8 @@ _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.r
 def read_npz(
     path: Path, fix: str, names: Collection[str] | None = None, most_bytes: int = MOST_BYTES
 ) -> dict[str, NDArray[Any]]:
-    """The arrays of a .npz by name: those of ``names``, or all. Raises PlgsError, with ``fix`` as the advice, for a
-    damaged file, a missing array, an array of objects, and more than ``most_bytes`` of unpacked numbers."""
+    """Read the arrays of an .npz, those of ``names`` or all, by name. Raises PlgsError, with ``fix`` as the advice, for
+    a damaged file, a missing array, an array of objects, and more than ``most_bytes`` of unpacked numbers."""
     try:
         with open_plain(path) as file, ZipFile(file) as archive:
             entries = {entry.filename.removesuffix(".npy"): entry for entry in archive.infolist()}
@@ -52,7 +52,7 @@ def read_npz(
 
 
 def read_npy(path: Path, fix: str, most_bytes: int = MOST_BYTES) -> NDArray[Any]:
-    """The array of a .npy. Raises PlgsError as ``read_npz`` does."""
+    """Read the array of a .npy of at most ``most_bytes``. Raises PlgsError as ``read_npz`` does."""
     with reading(path, fix):
         content = read_plain(path, most_bytes)
     try:
@@ -99,7 +99,7 @@ def array_headers(path: Path) -> dict[str, ArrayHeader]:
 
 
 def read_array(path: Path, name: str = "") -> NDArray[Any]:
-    """Return the array ``name`` of an .npz, or the one of an .npy, that holds a frame's masks. Raises PlgsError."""
+    """Read a frame's masks: the array ``name`` of an .npz, or the only one of an .npy. Raises PlgsError."""
     headers = array_headers(path)
     if name not in headers:
         what = f'there is no array called "{name}"'

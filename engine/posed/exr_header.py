@@ -64,7 +64,7 @@ def read_exr_header(path: Path) -> ExrHeader:
 
 
 def one_pixel_of(path: Path) -> bytes:
-    """Return an EXR of one black pixel with the channels and attributes of the one at ``path``. Raises PlgsError."""
+    """Return the bytes of an EXR of one black pixel with the channels and attributes of ``path``. Raises PlgsError."""
     header = read_exr_header(path)
     if int.from_bytes(header.start[4:], "little") & _TILED:
         raise PlgsError("exr-tiles", "the passes have tiles", path, _FIX)
@@ -78,7 +78,7 @@ def one_pixel_of(path: Path) -> bytes:
 
 
 def _attributes_of(path: Path) -> tuple[bytes, dict[bytes, tuple[bytes, bytes]]]:
-    """A file's first eight bytes, and its attributes. Raises PlgsError."""
+    """Read a file's first eight bytes, and its attributes (type and value by name). Raises PlgsError."""
     try:
         with reading(path), open_plain(path) as file:
             start, size = file.read(8), os.fstat(file.fileno()).st_size

@@ -101,14 +101,14 @@ class PlainFolders:
 
 
 def recognises(place: Path) -> bool:
-    """Whether at least two of the expected folders exist; then an error can name those that are missing."""
+    """Whether at least two of the folders exist, so that an error about the missing ones makes sense."""
     return sum((place / name).is_dir() for name in ("color", "pose", "intrinsic")) >= 2
 
 
 def read_folders(
     folder: Path, lens_of: Callable[[Path], Camera] | None = None, progress: Progress = unwatched
 ) -> PlainFolders:
-    """Read poses and pictures' headers, and lenses unless ``lens_of`` returns that of a picture. Raises PlgsError."""
+    """Read poses and headers of pictures. ``lens_of``, if given, returns a picture's lens. Raises PlgsError."""
     pictures = files_by_stem(folder / "color", {".jpg", ".jpeg", ".png"}, FOLDERS_FIX)
     pose_files = files_by_stem(folder / "pose", {".txt"}, FOLDERS_FIX)
     fix = "Add pose/<name>.txt, or remove their colour images."
@@ -152,7 +152,7 @@ def open_plain_folders(source: SceneSource) -> PosedScene:
 def complete_frames(
     frames: tuple[AnyFrame, ...], what: str, has: Callable[[AnyFrame], bool]
 ) -> tuple[tuple[AnyFrame, ...], tuple[str, ...]]:
-    """Return the frames that have ``what``, and warnings about the rest; all if most, or all to train on, lack it."""
+    """The frames that have ``what``, judged by ``has``, and warnings about others. All are kept if most lack it."""
     kept = tuple(frame for frame in frames if has(frame))
     lacking = [frame.name for frame in frames if not has(frame)]
     if not kept or not lacking:

@@ -27,8 +27,7 @@ def _ranged(default: Number, least: float = 0, most: float = math.inf) -> Number
 
 
 def _named(kind: str, default: Names, *known: str) -> Names:
-    """Declare a field for parts of a ``kind``, one or several names: ``known`` ones, or those of scripts
-    (``parts``)."""
+    """Declare a field that names one or more parts of a ``kind``: ``known`` ones, or parts of scripts (``parts``)."""
     value: Names = field(default=default, metadata={"part": kind, "choices": known})
     return value
 
@@ -37,8 +36,7 @@ def _named(kind: str, default: Names, *known: str) -> Names:
 class Matching:
     """The options of Algorithm 1. ``tau_new``: a segment whose smallest cost is above it becomes a new instance.
     ``rule``: "hybrid" takes the Hungarian partner if its cost is at most tau, else the best global instance if its cost
-    is, else a new one; "literal" is the text of Algorithm 1. ``cost``: the terms of O; the paper's ablation table has
-    each."""
+    is, else a new one; "literal" is the text of Algorithm 1. ``cost``: which terms of the cost O are used."""
 
     tau_new: float = _ranged(-0.1, -2.0, 0.0)
     rule: Literal["hybrid", "literal"] = "hybrid"

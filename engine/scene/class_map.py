@@ -135,7 +135,7 @@ def named_classes(labels: Sequence[ClassLabel], choice: ClassChoice | None) -> l
 
 
 def choice_of(rows: Sequence[NamedClass], void: frozenset[int] = frozenset()) -> ClassChoice:
-    """Return the choice that an edited list makes. Every class has its number, so no other table is needed."""
+    """The class choice (a classes.toml) for an edited list of classes. It names no table: each row has a number."""
     return ClassChoice(
         void=void,
         rows=tuple(

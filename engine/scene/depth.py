@@ -52,13 +52,14 @@ class DepthMap:
     beside: tuple[float, ...] = ()
 
     def __call__(self, size: Size | None = None) -> NDArray[np.float32]:
-        """Read depth at ``size`` (width, height), in the colour picture's pixels, or at its own. Raises PlgsError."""
+        """Read depth, float32 [H, W] m, in the colour picture at ``size`` (width, height) or its own. Raises
+        PlgsError."""
         depth = self.read()
         return resize_aligned(depth, size or (depth.shape[1], depth.shape[0]), self.alignment)
 
     @property
     def unusual(self) -> tuple[float, ...]:
-        """The unit, alignment and pose; empty if these are millimetres and those of the colour camera."""
+        """The unit, alignment and pose; () if the unit is millimetres and the colour camera took the depth."""
         is_usual = self.step in (None, MILLIMETRES) and self.alignment == Alignment()
         usual = () if is_usual else (float(self.step or 0.0), *map(float, astuple(self.alignment)))
         return (*usual, *self.beside)
@@ -240,7 +241,8 @@ def between_cameras(
 
 def seen_by_colour(depth: DepthMap, lens: Camera, colour: Camera, beside: NDArray[np.float64]) -> DepthMap | None:
     """Return depth that a camera with ``lens`` measured as the ``colour`` camera sees it; None if no sensor is built
-    that way. ``beside`` maps points of the first camera to points of the second, see ``between_cameras``."""
+    that way. ``beside`` float64 [4, 4] maps points of the first camera to points of the second, see
+    ``between_cameras``."""
     alignment = fitting_alignment(colour, lens)
     if alignment is None or np.abs(beside - np.eye(4)).max() < _ONE_PLACE:
         return None if alignment is None else replace(depth, alignment=alignment)
@@ -279,7 +281,7 @@ class Thumbnail:
 
     @classmethod
     def of(cls, name: str, camera: Camera, depth: NDArray[np.float32]) -> Thumbnail:
-        """Reduce a frame's depth to a thumbnail."""
+        """Reduce a frame's depth, float32 [H, W] in metres, to a thumbnail."""
         size = (_THUMBNAIL_WIDTH, max(1, round(_THUMBNAIL_WIDTH * camera.height / camera.width)))  # not 0 for panoramas
         return cls(name, camera.resized(*size), resize_nearest(depth, size))
 
@@ -325,7 +327,7 @@ def measure_overlap(
 
 
 def _share_seen(one: Thumbnail, other: Thumbnail, tolerance: float) -> tuple[float, float]:
-    """The fraction of one frame's points that project onto depth of the other, and the fraction that agrees with it."""
+    """Return the fraction of one frame's points that hit depth of the other, and the fraction that agrees with it."""
     valid = one.depth > 0.0
     points = one.camera.unproject(one.depth)[valid]
     if not len(points):

@@ -59,7 +59,7 @@ class DepthFit:
     error: float
 
     def depth(self, values: NDArray[Any]) -> NDArray[np.float32]:
-        """Return the depth of a map's values, float32, 0 = none."""
+        """Return the depth of a map's values [...], float32 [...], 0 = none."""
         line = self.scale * values.astype(np.float64) + self.shift
         depth = np.divide(1.0, line, out=np.zeros_like(line), where=line > 1e-9) if self.is_inverse else line
         good = np.isfinite(depth) & (depth > 0.0) & (depth <= self.farthest)

@@ -36,7 +36,7 @@ def evidence_of_pixels(kind: EvidenceKind) -> float:
 
 
 def evidence_of_resolution(kind: EvidenceKind, resolution: Amounts) -> Amounts:
-    """Return the factor of a view's votes by its ``resolution`` [...] in pixels per centimetre."""
+    """Return the factor, [...], by which a view's vote counts for its ``resolution`` [...] in pixels per centimetre."""
     return resolution ** _POWERS[kind][1]
 
 
@@ -55,7 +55,7 @@ def resolution_on(camera: Camera, depth: NDArray[np.floating], mask_scale: float
 
 
 def resolution_of(view: View) -> NDArray[np.float32]:
-    """Return the resolution of a view on each pixel's surface, float32 [H, W], as ``resolution_on``."""
+    """Return how many pixels per centimetre a view has on the surface at each of its pixels, float32 [H, W]."""
     return resolution_on(view.camera, view.depth, view.mask_scale)
 
 
@@ -65,5 +65,5 @@ def resolves(pixels: float, mask_scale: float) -> bool:
 
 
 def are_near(resolution: NDArray[np.floating], best: float) -> NDArray[np.bool_]:
-    """Which views of a point are near it, bool [V], by their ``resolution`` [V] and that of the ``best`` view."""
+    """Return which views of a point are near it, bool [V], by their ``resolution`` [V] and the ``best`` view's."""
     return resolution >= NEAR * best

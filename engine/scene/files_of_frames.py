@@ -74,7 +74,7 @@ def kept_pixels(folder: Path, names: Sequence[str]) -> dict[str, Path]:
 
 
 def _files(folder: Path, suffixes: Collection[str], fix: str) -> dict[str, Path]:
-    """Return the folder's ``files_by_stem`` or, for a rig, its ``mask_files`` by camera and stem."""
+    """Return the files in a folder by stem (``files_by_stem``) or, for a rig, by camera and stem."""
     inside = [path for path in mask_files(folder, *suffixes) if path.parent != folder]
     if not inside:
         return files_by_stem(folder, suffixes, fix)
@@ -156,7 +156,7 @@ def of_same_name(names: Sequence[str], files: Mapping[str, Value]) -> Mapping[st
 
 
 def _with_addition(names: Sequence[str], files: Mapping[str, Value]) -> dict[str, Value]:
-    """The files whose stems are the names plus one addition, or minus one beginning: the one that fits most frames."""
+    """Pair names with files that have the same addition, or lack the same beginning: the one that fits most frames."""
     ways: set[tuple[str, str, str]] = set()
     for name in names[:: max(1, len(names) // _NAMES_TRIED)]:
         for stem in files:

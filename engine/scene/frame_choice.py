@@ -103,7 +103,7 @@ def frames_to_mask(scene: Scene, progress: Progress = unwatched) -> tuple[Frame,
 
 
 def _cells_of(frame: Frame) -> NDArray[np.int64]:
-    """Return the distinct numbers of the grid cells whose surfaces a frame's depth shows."""
+    """Return the numbers of the grid cells whose surfaces a frame's depth shows, each once, int64 [n]."""
     size = size_within(frame.size, _SEEN_WITHIN)
     depth = frame.depth(size)
     place = np.floor(frame.camera.resized(*size).unproject(depth)[depth > 0] / CELL).astype(np.int64) + (1 << 20)

@@ -93,7 +93,7 @@ def made_depth(beside: Path, cameras: Mapping[str, Camera]) -> dict[str, DepthMa
 
 
 def scale_of(beside: Path) -> float:
-    """The factor that multiplies a scene's lengths, as `engine scale` wrote it; 1 without. Raises PlgsError."""
+    """The factor that multiplies a scene's lengths, from the file of `engine scale`; 1 without. Raises PlgsError."""
     content = read_note(beside / SCALE, _AGAIN)
     return 1.0 if content is None else record_of(_Scale, content, beside / SCALE, _AGAIN).scale
 

@@ -242,7 +242,7 @@ def with_mesh_depth(
 
 
 def _within(frame: Frame) -> Callable[[NDArray[np.float32]], NDArray[np.float32]]:
-    """Return a function that sets a frame's depth map to 0 where its pixels do not count."""
+    """Return a function that sets depth [H, W] of a frame to 0 at the pixels that do not count."""
     kept = frame.read_kept
     return (lambda depth: depth) if kept is None else lambda depth: depth * kept((depth.shape[1], depth.shape[0]))
 
@@ -262,7 +262,8 @@ def _contradicts(mesh: Mesh, look: Look) -> bool:
 def _standing(
     surface: Any, path: Path, frames: Sequence[Frame], turn: NDArray[np.float64]
 ) -> tuple[Mesh, tuple[Inferred, ...]]:
-    """Return the mesh, placed in the scene's world, and what was inferred. Raises PlgsError if it stands elsewhere."""
+    """Return the mesh, placed in the scene's world, and what was inferred. ``turn``, float64 [3, 3], takes the poses'
+    world to the scene's. Raises PlgsError if the mesh stands elsewhere."""
     looks = [_look(frame) for frame in evenly_spread([*frames], _LOOKED_AT)]
     worlds = [(turn, "in the poses' world"), (np.eye(3), "in the world of the scene, with z up")]
     if path.suffix.lower() == ".glb":

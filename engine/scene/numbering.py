@@ -75,7 +75,8 @@ class Asking:
 
 @dataclass(frozen=True)
 class _Shown:
-    """Statistics of frames: each class number's share of the pixels, and which part of these is in upper halves."""
+    """Statistics of some frames: the share of all pixels that each class number has, and which part of these pixels is
+    in the upper half of its picture."""
 
     shares: Mapping[int, float]
     upper: Mapping[int, float]

@@ -53,7 +53,7 @@ def open_scene(
     depth: Path | None = None, mask_format: str | None = None, classes: str | None = None,
     detections: Path | None = None,
 ) -> Scene:  # fmt: skip
-    """Open the scene in a folder or file as ``open_asked`` does; the arguments are the fields of a SceneSource."""
+    """Open the scene in a folder or file. The arguments are the fields of a SceneSource; see ``open_asked``."""
     return open_asked(SceneSource(folder, masks, up, scene_format, depth, mask_format, classes, detections))
 
 
@@ -177,7 +177,7 @@ def _inferred(
 def complete(
     frames: tuple[Frame, ...], lacks: str, has: Callable[[Frame], bool]
 ) -> tuple[tuple[Frame, ...], tuple[LeftOut, ...], tuple[str, ...]]:
-    """Return what `complete_frames` keeps, which frames it left out, and its other warnings."""
+    """Leave out frames that lack something (`complete_frames`). Returns the kept ones, those left out, and warnings."""
     kept, warnings = complete_frames(frames, lacks, has)
     names = {frame.name for frame in kept}
     gone = left_out(lacks, (frame.name for frame in frames if frame.name not in names))
@@ -308,7 +308,7 @@ def require_liftable(scene: Scene) -> None:
 
 
 def open_scene_to_lift(source: SceneSource, progress: Progress = unwatched) -> Scene:
-    """Open a scene as ``open_asked`` does, for a lift. Raises PlgsError, also if masks or depth are missing."""
+    """Open a scene for a lift, as ``open_asked`` does. Raises PlgsError, also if masks or depth are missing."""
     scene = open_asked(source, progress)
     require_liftable(scene)
     return scene

@@ -43,7 +43,7 @@ def opaque(path: Path) -> NDArray[np.bool_]:
 
 
 def decode_bytes(data: bytes, path: Path, as_colour: bool) -> NDArray[Any]:
-    """Decode an image's bytes, which come from the file ``path``, as ``decode`` does. Raises PlgsError."""
+    """Decode an image's bytes, read from the file ``path``, as ``decode`` does. Raises PlgsError."""
     import cv2
 
     check_image_bytes(data, path)
@@ -138,7 +138,8 @@ def resize_nearest(pixels: NDArray[Any], size: Size) -> NDArray[Any]:
 
 
 def nearest_pixels(stored: Size, size: Size) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Which rows and columns of a picture of the size ``stored`` (width, height) those of one of ``size`` show."""
+    """Return which row of a picture of size ``stored`` (width, height) to show in each row of one of ``size``, and
+    which columns."""
     centres = ((2 * np.arange(new) + 1) * old // (2 * new) for old, new in zip(stored, size, strict=True))
     columns, rows = centres  # in exact whole numbers
     return rows, columns
@@ -165,7 +166,7 @@ def values_at(pixels: NDArray[Any], places: NDArray[np.float64]) -> NDArray[Any]
 
 
 def distinct_ids(ids: NDArray[np.int32] | NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the distinct values (>= 0) of an array, ascending, void (0) included, and each one's pixel count."""
+    """The distinct values (>= 0) of an array, ascending, void (0) included, and the number of pixels of each, [n]."""
     # Counting is faster than sorting, unless the table is much larger than the picture.
     if int(ids.max(initial=0)) > ids.size + 65536:
         values, counts = np.unique(ids, return_counts=True)
@@ -233,7 +234,7 @@ def read_label_map(path: Path) -> NDArray[np.int64]:
 
 
 def whole_numbers(values: NDArray[np.generic], path: Path) -> NDArray[np.int64]:
-    """Return ids as int64, also from floats that are whole numbers. Raises PlgsError for other values."""
+    """Return ids as int64 [...], also from floats that are whole numbers. Raises PlgsError for others."""
     numbers = values.astype(np.int64) if values.dtype.kind in "biu" else None
     if values.dtype.kind == "f" and np.isfinite(values).all() and bool((values == np.floor(values)).all()):
         numbers = values.astype(np.int64)

@@ -214,7 +214,7 @@ class StoredArrays:
 
 
 def stored(arrays: Iterable[NDArray[Any]], folder: Path | None = None) -> OnDemand[NDArray[Any]]:
-    """Store the arrays on disk. Returns a sequence that reads each back on demand (see StoredArrays)."""
+    """Store the arrays on disk. Returns a sequence that reads each one back when it is needed (see StoredArrays)."""
     on_disk = StoredArrays(folder)
     for array in arrays:
         on_disk.append(array)

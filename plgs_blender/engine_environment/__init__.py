@@ -35,7 +35,7 @@ def usable_python() -> Path:
 
 
 def engine_python() -> Path | None:
-    """Do as `usable_python`, but return None if there is none; `status` then says why."""
+    """Return `usable_python`, or None if there is none; `status` then says why."""
     known = status()
     try:
         if known.state is EngineState.CHECKING:  # the answer comes in a moment; a caller that needs it now may try

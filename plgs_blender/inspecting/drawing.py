@@ -274,7 +274,8 @@ def draw_picture(
 
 
 def _texture_of(pixels: NDArray[np.float32]) -> gpu.types.GPUTexture:
-    """Make the picture's texture. Blender's own image textures have mipmaps, which take ten times as long to create."""
+    """Make a texture of a picture [H, W, 4]. Blender's own image textures have mipmaps, which take ten times as
+    long."""
     for picture, texture in uploaded:
         if picture is pixels:  # not ==, which would compare all values at each redraw
             return texture

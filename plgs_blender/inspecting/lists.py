@@ -230,7 +230,7 @@ def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult,
 
 
 def _fill_instances(rows: Any, instances: Sequence[Instance]) -> None:
-    """Fill rows, which may hold other instances, with these, sorted by id."""
+    """Fill rows, which may hold other instances, with these instances, sorted by id."""
     wanted, before = {one.id for one in instances}, [row.instance_id for row in rows]
     if before != sorted({*before}):  # a file that another program changed
         rows.clear()
@@ -253,7 +253,7 @@ def _fill_instances(rows: Any, instances: Sequence[Instance]) -> None:
 
 
 def _facts(one: Any, score: float, masks: list[tuple[str, int]]) -> tuple[Any, ...]:
-    """Return the facts about an instance, or those in its row, for comparing the two."""
+    """Return what an instance, or its row, says about the object, for comparing the two."""
     return one.name, one.class_id, one.points, one.views, score, masks
 
 

@@ -151,7 +151,7 @@ def _by_id(
 
 
 class _Sureness:
-    """Colours positions by how certain the views were of the label there."""
+    """Colours for positions by how certain the views were of the label there."""
 
     def __init__(self, coloured: list[bpy.types.Object]) -> None:
         clouds = [ob for ob in coloured if "confidence" in ob.data.attributes]

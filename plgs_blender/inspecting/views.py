@@ -118,7 +118,7 @@ def look_at_placed(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
 
 
 def look_at_room(root: bpy.types.Collection, overview: bpy.types.Object, areas: Iterable[bpy.types.Area]) -> None:
-    """Point these 3D views at a lift's points, except outliers, rotated as its overview camera."""
+    """Point these 3D views at a lift's points, outliers excepted, with the rotation of its overview camera."""
     # Bounds come from the points themselves, because a hidden cloud has no bounding box.
     clouds = [ob for ob in root.all_objects if ob.type == "POINTCLOUD" and "class_id" in ob]
     low, high = np.percentile(np.concatenate([values_of(ob.data, "position") for ob in clouds]), (1.0, 99.0), axis=0)

@@ -200,7 +200,7 @@ _tried: list[tuple[str, str]] = []
 
 
 def choose_picture(scene: bpy.types.Scene, kind: str, *, asked: bool = True) -> FrameMaking | None:
-    """Do as `show_picture` for the active camera and, from now on, for every camera that becomes active."""
+    """Show one kind of picture in front of the active camera and, from now on, of every camera that becomes active."""
     making = show_picture(scene, kind, asked=asked)
     frame_pictures.root_of(scene, scene.camera)[_CHOSEN] = kind
     _tried[:] = [(scene.camera.name, kind)]

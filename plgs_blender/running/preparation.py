@@ -212,8 +212,8 @@ def make_depth(chosen: ChosenScene, python: Path, model: str, *, download: bool)
 
 
 def prepare_film(settings: Any, film: Path, python: Path, model: str, *, download: bool) -> FilmMaking:
-    """Choose a film, or a folder of photos, as the scene, and start an engine that makes what it lacks, masks with the
-    network ``model``; the lift follows. Raises OSError, PlgsError."""
+    """Choose a film, or a folder of photos, as the scene, and start an engine that makes what it lacks (masks with the
+    network ``model``), after which the lift starts. Raises OSError, PlgsError."""
     registry.refuse_second(FilmMaking)
     settings.scene_folder = settings.masks = settings.detections = settings.depth = ""  # those of an earlier scene
     settings.scene_folder = str(film)

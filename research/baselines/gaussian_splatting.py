@@ -70,7 +70,7 @@ class PlainDecoders(Decoders):
 
     @classmethod
     def check_shape(cls, shape: DecoderShape) -> None:
-        """Do as ``Decoders.check_shape``."""
+        """Check the shape as ``Decoders.check_shape`` does."""
         if (shape.gaussians_per_anchor, shape.features) != (1, LABELS + shape.classes + shape.instance_slots):
             raise ValueError("the number of columns does not match the labels")
 

@@ -89,8 +89,8 @@ class SplattingTrainer(SegmentTrainer):
 
 
 def lift_baseline(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
-    """Do as `run_lift` with the baseline that the preset's options name; without any, PLGS itself. Raises what
-    `run_lift` raises."""
+    """Run `run_lift` with the baseline that the preset's options name; without one, PLGS itself. Raises what `run_lift`
+    raises."""
     run_lift(folder, events, stop, resume=resume, preparing=prepare_baseline, training=new_trainer, sources=SOURCES)
 
 
@@ -120,7 +120,7 @@ def new_trainer(
 def baseline_scene(
     prepared: PreparedLift, viewpoints: NDArray[np.float64], options: BaselinePreset, seed: int
 ) -> StructuredScene:
-    """Return the scene before the first step, of the kind that the options name."""
+    """The scene before the first step, of the kind that the options name. ``viewpoints`` [F, 3] are the cameras'."""
     channels = prepared.scene.channels
     start = starting_anchors(prepared.cloud, prepared.instance_of_point, options)
     if not options.labelled_start:

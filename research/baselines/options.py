@@ -10,7 +10,7 @@ from engine.presets.preset import PRESETS, Preset
 
 @dataclass(frozen=True)
 class BaselinePreset(Preset):
-    """A preset with these options in addition to the engine's; their defaults leave it as it is."""
+    """A preset with further options for baselines and ablations; their defaults change nothing."""
 
     representation: Literal["structured", "plain"] = "structured"
     """With "plain" it is 3DGS with labels on each Gaussian (``gaussian_splatting``)."""

@@ -57,7 +57,7 @@ def known_table(name: str) -> KnownTable:
 
 
 def numberings_of(table: str) -> tuple[str, ...]:
-    """Return the ``NUMBERINGS`` of a table, the usual one first; of a name that includes one, that name alone."""
+    """Return the ``NUMBERINGS`` of a table, the usual one first; if ``table`` names a numbering, only that."""
     return tuple(each for each in NUMBERINGS if base_of(each) == table) or (table,)
 
 

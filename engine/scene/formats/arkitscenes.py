@@ -93,7 +93,7 @@ def _read_trajectory(path: Path) -> dict[float, NDArray[np.float64]]:
 
 
 def _pose_at(poses: Mapping[float, NDArray[np.float64]], seconds: float) -> NDArray[np.float64] | None:
-    """Return the interpolated pose at this time; None if the poses around it are too far apart."""
+    """Return the interpolated pose, float64 [4, 4], at this time; None if the poses around it are too far apart."""
     import cv2
 
     times: Sequence[float] = [*poses]

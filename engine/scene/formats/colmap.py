@@ -160,7 +160,7 @@ def _points(model: ColmapModel, names: list[str], images: list[ColmapImage]) -> 
 
 
 def _read_dense(path: Path) -> NDArray[np.float32]:
-    """Read a depth map of COLMAP's stereo: the text "width&height&channels&", then float32 row by row."""
+    """Read a depth map [H, W] of COLMAP's stereo: the text "width&height&channels&", then float32 row by row."""
     data = read_file(path, _MOST_DEPTH)
     head = data[:64].split(b"&", 3)
     if len(head) < 4 or not all(part.isdigit() for part in head[:3]):

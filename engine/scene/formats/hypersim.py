@@ -83,7 +83,7 @@ def _source_pixels(projection: Projection) -> tuple[NDArray[np.float32], NDArray
 
 
 def _straighten(pixels: NDArray[Any], projection: Projection, smooth: bool) -> NDArray[Any]:
-    """Rectify a tilted picture to that of its pinhole; black beyond its edges. ``smooth`` interpolates."""
+    """Rectify a tilted picture [H, W, ...] to a pinhole camera's; black beyond its edges. ``smooth`` interpolates."""
     import cv2
 
     return cv2.remap(pixels, *_source_pixels(projection), cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST)

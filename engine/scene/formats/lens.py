@@ -48,7 +48,7 @@ def fitted(lens: Camera, picture: Path, fix: str) -> Camera:
 
 
 def assumed(whose: str, lens: Camera, file: str) -> Inferred:
-    """A note that no file describes the lens, so that of ``whose`` is assumed; the user can describe it in ``file``."""
+    """A note that the lens of ``whose`` camera is assumed, as no file describes it; ``file`` is where to do so."""
     values = " ".join(f"{value:.6g}" for value in (lens.fx, lens.fy, lens.cx - 0.5, lens.cy - 0.5))
     taken = f"{whose} lens is assumed ({values} for {shown_size(lens.size)})"
     return Inferred("lens", taken, f"no file says theirs; write it into {file} if it is another")

@@ -73,7 +73,7 @@ def read_rows(path: Path, fix: str, separator: str | None = None, titles: bool =
 
 
 def numbers(row: Row, path: Path, fix: str, count: int | None = None) -> NDArray[np.float64]:
-    """A row's words as numbers, float64, which may be inf or NaN. Raises PlgsError unless there are ``count``."""
+    """Return a row's words as numbers, float64 [count], perhaps inf or NaN. Raises PlgsError for another count."""
     try:
         values = np.array([float(word) for word in row.words])
     except ValueError as error:

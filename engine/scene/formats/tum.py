@@ -66,7 +66,7 @@ _KINECT = _Lens(525.0, 525.0, 319.5, 239.5)
 
 @dataclass(frozen=True)
 class _Stamped:
-    """An image, and when it was taken, in seconds."""
+    """An image, and the time when it was taken, in seconds."""
 
     time: float
     path: Path

@@ -131,7 +131,7 @@ class DetectionTable:
         return found
 
     def is_by_number(self, names: Sequence[str]) -> bool:
-        """Whether some pictures are known by numbers alone, and not all of these numbers are frames."""
+        """Whether some pictures are known by numbers alone, of which some are no frames."""
         images = {image for image, _ in self.entries} - self.names.keys() - {*names}
         return bool(images) and not images <= self._frames_of(images, names, {}).keys()
 
@@ -163,8 +163,8 @@ class DetectionTable:
 
 
 def _counts_of(runs: bytes) -> NDArray[np.int64]:
-    """Decode COCO's compressed run lengths: each number has five bits per character, lowest first, and from the fourth
-    on is stored minus the number two before it."""
+    """Decode COCO's compressed run lengths, int64 [runs]: each number has five bits per character, lowest first, and
+    from the fourth on is stored minus the number two before it."""
     characters = np.frombuffer(runs, np.uint8).astype(np.int64) - 48
     ends = np.flatnonzero(characters & 32 == 0)
     starts = np.concatenate([[0], ends[:-1] + 1])
@@ -245,7 +245,7 @@ def _polygon(values: Any, size: Size, context: str, path: Path) -> list[float]:
 
 
 def read_table(place: Path) -> DetectionTable:
-    """Read the detections in a file, or in a folder that has one such file, or one for each frame. Raises PlgsError."""
+    """Read the detections in a file, or in a folder with one such file or one for each frame. Raises PlgsError."""
     files = sorted(shown_files(place, "*.json")) if place.is_dir() else [place]
     if len(files) != 1:
         tables = [(path.stem, _table_of(path)) for path in files]
