@@ -94,7 +94,7 @@ def known_scene(folder: LiftFolder, classes: ClassTable | None = None) -> PosedS
     scene, known = folder.request.scene, read_known(folder)
     if known is None:
         fix = "Bake one of its frames, which writes the list."
-        raise PlgsError("early-lift", "an early version made this lift, with no list of frames", folder.path, fix)
+        raise PlgsError("early-lift", "an early PLGS made this lift, with no list of its frames", folder.path, fix)
     classes = classes or read_instances(folder.result_path / INSTANCES)[0]
     frames, warnings = known.posed_frames(scene), known.warnings[:_MOST_WARNINGS]
     if not os.path.exists(scene):

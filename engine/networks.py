@@ -21,7 +21,7 @@ from .job.atomic import sha256 as digest_of
 from .json_file import read_object
 from .known_networks import KNOWN
 
-ANOTHER = "Name another one, or fetch it again."
+ANOTHER = "Name another model, or download this one again."
 _IS_COMMIT = re.compile("[0-9a-f]{40}")
 _HUB_S = 15.0
 """Seconds within which huggingface.co must answer."""

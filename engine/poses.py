@@ -350,7 +350,7 @@ def _map(
         (out / MADE_BY).write_bytes(to_line(to_json(made)))
         read_model(out)  # what a lift will read
         if (folder / "sparse").exists():
-            raise PlgsError("exists", "there is a folder of this name already", folder / "sparse", "Move it away.")
+            raise PlgsError("exists", "the folder for the poses exists already", folder / "sparse", "Move it away.")
         out.parent.rename(folder / "sparse")
     if scale is None:
         events.warning(_WITHOUT_DEPTH + ".")

@@ -183,7 +183,7 @@ def begin_job(folder: Path, model: str, frames: Sequence[Frame], wanted: Collect
         with own.begin("masks", {"model": model}, among_others=True):
             write_atomically(made_by, json.dumps(record) + "\n")
     except OSError as error:
-        what = f"this cannot be written ({error.strerror})"
+        what = f"the masks cannot be written ({error.strerror})"
         raise PlgsError("unwritable", what, folder, "Name another with -o.") from error
     return Job(folder, own, False, False)
 

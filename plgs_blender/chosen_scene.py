@@ -79,8 +79,8 @@ class ChosenScene(SceneSource):
         try:
             return open_plain_folders(self)
         except (OSError, ValueError) as error:  # ValueError: not a possible path on this system
-            what = f"cannot be looked at ({error})"
-            raise PlgsError("bad-path", what, self.scene, "Choose other folders.") from error
+            what = f"cannot be read as a scene ({error})"
+            raise PlgsError("bad-path", what, self.scene, "Choose another folder.") from error
 
     def arguments(self) -> list[str | Path]:
         """Return this scene as arguments of the engine's commands."""

@@ -241,7 +241,7 @@ def _set(root: bpy.types.Collection, layer: str, name: str, by_class: float) -> 
         if not any(controls[each].default_value or controls[each].is_linked for each in _SHOWING):
             controls["Outline"].default_value = 1.0
     if without:
-        fix = "They were baked before it had this name or was there: bake them again."
+        fix = "Its passes were baked before the object had this name: bake them again."
         raise PlgsError("no-matte", f"has no matte of {name}", ", ".join(without), fix)
 
 

@@ -136,7 +136,7 @@ def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
         case "split":
             return split_parts(root, one.instance)
     if one.answer == BY_VIEWS:
-        raise PlgsError("needs-engine", "an engine has to read the masks", root.name, "Press Split by Views.")
+        raise PlgsError("needs-engine", "a split by views needs an engine", root.name, "Press Split by Views.")
     return delete(root, one.instance, around=True)
 
 

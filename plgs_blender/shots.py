@@ -81,7 +81,7 @@ class Shot:
         scenes = self.camera.users_scene
         found = ["depth of field"] if self.camera.type == "CAMERA" and self.camera.data.dof.use_dof else []
         found += ["motion blur"] if any(scene.render.use_motion_blur for scene in scenes) else []
-        warnings = [f"{what} is not baked: {self.camera.name} is sharp in the passes" for what in found]
+        warnings = [f"{what} of {self.camera.name} is not baked: the passes are sharp" for what in found]
         if any(scene.render.use_border and not scene.render.use_crop_to_border for scene in scenes):
             warnings.append("the render region is not cropped to, so whole pictures are baked")
         if self.cuts:
@@ -224,7 +224,7 @@ class ShotReader:
         end = time.monotonic() + seconds
         scene = bpy.data.scenes.get(self._scene)
         if scene is None:
-            raise PlgsError("camera-gone", "is gone", self._scene, "Bake it again.")
+            raise PlgsError("camera-gone", "was deleted meanwhile", self._scene, "Bake another.")
         with _frame_kept(scene):
             ob = self._camera(scene, self._first)
             if not self._read and len(self._cuts) == 1 and not _may_move(scene, ob):  # no need to evaluate each frame
@@ -238,7 +238,7 @@ class ShotReader:
         name = _camera_at_cut(self._cuts, frame)
         ob = scene.objects.get(name)
         if ob is None:
-            raise PlgsError("camera-gone", "is gone", f"{self._scene}: {name}", "Bake it again.")
+            raise PlgsError("camera-gone", "was deleted meanwhile", f"{self._scene}: {name}", "Bake another.")
         return ob
 
     def _seen(self, scene: bpy.types.Scene, frame: float) -> BakeCamera:

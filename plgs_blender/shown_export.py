@@ -48,7 +48,7 @@ def export_shown(root: bpy.types.Collection, scene: bpy.types.Scene, form: str, 
         raise PlgsError("no-meshes", "shows no meshes", root.name, "Make them first: press Surface.")
     lacking = why_not(form)
     if lacking is not None:
-        raise PlgsError("no-exporter", "this Blender cannot write it", path, lacking + ".")
+        raise PlgsError("no-exporter", "this Blender cannot write such a file", path, lacking + ".")
     path = path if path.suffix.lower() in SUFFIXES[form] else Path(f"{path}{SUFFIXES[form][0]}")
     with _gathered(meshes, scene) as collection, _with_plain_materials(meshes):
         write: Callable[..., object] = partial(bpy.ops.wm.usd_export, export_animation=False)

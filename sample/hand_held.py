@@ -109,9 +109,9 @@ def lines_of_sight(camera: Camera) -> Floats:
 def _copy(scene: Path, out: Path) -> None:
     """Copy the folder, including frames that nothing reads (without a pose, or in neither split)."""
     if out.exists():
-        raise PlgsError("exists", "this exists already", out, "Name a folder that does not exist yet.")
+        raise PlgsError("exists", "the output folder exists already", out, "Name a folder that does not exist yet.")
     if out.resolve().is_relative_to(scene.resolve()):
-        raise PlgsError("inside-scene", "this lies within the scene itself", out, "Name a folder elsewhere.")
+        raise PlgsError("inside-scene", "the output folder lies within the scene", out, "Name a folder elsewhere.")
     try:
         # Depth is written for the colour's lens, so it needs no lens of its own.
         shutil.copytree(scene, out, copy_function=shutil.copyfile, ignore=shutil.ignore_patterns("intrinsic_depth.txt"))

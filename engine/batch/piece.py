@@ -154,7 +154,7 @@ def _refuse_unfit_worker(piece: Piece) -> None:
     """Raise PlgsError if this worker cannot do the piece, with a code that says that another one may."""
     if engine_tag() != piece.engine:
         fix = f"Start workers with the engine {piece.engine}."
-        raise PlgsError("worker-other-engine", f"its engine is {engine_tag()}", ROOT, fix, code=ErrorCode.NO_ENGINE)
+        raise PlgsError("worker-other-engine", f"the worker has {engine_tag()}", ROOT, fix, code=ErrorCode.NO_ENGINE)
     needed = [piece.lift.parent] if piece.kind is Kind.LIFT else [piece.lift]
     if piece.kind is not Kind.BAKE:
         needed.insert(0, piece.request.scene)

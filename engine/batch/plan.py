@@ -135,7 +135,7 @@ def names_of(scenes: Sequence[Path], given: Sequence[str] = ()) -> list[str]:
             raise PlgsError("scene-twice", "the scene is given twice", scene, "Name it once.")
         if not _is_folder_name(name):
             fix = "Rename the scene, or name it in a table of scenes (--scenes)."
-            raise PlgsError("scene-unnamable", "its name cannot be used for a result folder", scene, fix)
+            raise PlgsError("scene-unnamable", "this scene's name cannot be used for a result folder", scene, fix)
         if folded.count(name.casefold()) > 1 or name.casefold() in (RECORDS, *TABLES):
             fix = "Rename the scene, or name it in a table of scenes (--scenes)."
             raise PlgsError("names-clash", f"two scenes, or files of the batch, are named {name!r}", scene, fix)

@@ -247,7 +247,7 @@ class _Batch:
             self._pins.pop(future, None)
             scene = self._scenes[piece.scene]
             if future.status == "error":
-                what = f"it crashed its workers ({type(future.exception()).__name__}: {future.exception()})"
+                what = f"its lift crashed the workers ({type(future.exception()).__name__}: {future.exception()})"
                 error = PlgsError("crashed", what, scene.job.lift, "Their logs may say more.", code=ErrorCode.INTERNAL)
                 self._fail(scene, error)
             else:

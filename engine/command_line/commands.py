@@ -33,9 +33,9 @@ def lift(options: argparse.Namespace) -> int:
     if options.output:
         if options.relink is not None:
             fix = "Give LIFT, --scene and --resume, without -o."
-            raise PlgsError("scene-option", "gives the scene of an existing lift folder", "--scene", fix)
+            raise PlgsError("scene-option", "is only for an existing lift folder", "--scene", fix)
         if options.refine is not None:
-            what = "goes on from a finished lift, but -o makes a new one"
+            what = "needs a finished lift, but -o makes a new one"
             raise PlgsError("refine-new", what, "--refine", "Give LIFT without -o, or --preset for a new lift.")
         return _lift_in_terminal(options)
     from .run_engine import run_engine
@@ -79,10 +79,10 @@ def bake(options: argparse.Namespace) -> ExitCode:
     folder = _opened(options.lift, options.relink)
     frames = options.frames if options.frames or options.cameras else ["all"]
     if options.channels != "blender" and options.output is None:
-        what, fix = "the lift's own passes are read by Blender", "Give a folder for passes with other names."
+        what, fix = "Blender cannot read passes with other channel names in a lift", "Name another folder with -o."
         raise PlgsError("channels-of-result", what, options.lift, fix, option="-o")
     if options.without and options.output is None:
-        what, fix = "a plate without objects would replace the passes with them", "Give a folder for the plate."
+        what, fix = "--without would replace the lift's own passes", "Give a folder for the new passes with -o."
         raise PlgsError("without-in-result", what, options.lift, fix, option="-o")
     if options.cameras is not None:
         if not options.cameras.is_file():  # perhaps a camera's name, as "--camera NAME" is read as "--cameras"
@@ -194,7 +194,7 @@ def classes(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
 
 def find_scene(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
     scene = _opened(options.lift, options.scene).request.scene
-    events.answer({"scene": scene}, f"The lift reads {scene}")
+    events.answer({"scene": scene}, f"The lift now reads the scene {scene}")
 
 
 def frames(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:

@@ -34,7 +34,7 @@ _FARTHEST = 10**9
 """Millimetres: the largest coordinate of a point."""
 _BOUNDS = {"least": -_FARTHEST, "most": _FARTHEST}
 _SHOWN = {"shown": True}
-MEND = "Repair it, or move it away to see the lift as the engine made it."
+MEND = "Repair the file, or move it away to see the lift as the engine made it."
 
 
 @dataclass(frozen=True)

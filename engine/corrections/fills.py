@@ -118,17 +118,17 @@ def write_fill(path: Path, fill: Fill) -> str:
 def read_fill(path: Path, digest: str = "") -> Fill:
     """Read a fill, whose file must have this SHA-256, if given. Raises PlgsError if it is missing or damaged."""
     if not path.is_file():
-        raise PlgsError("fill-missing", "the fill of a removed object is not there", path, _MAKE_ANEW)
+        raise PlgsError("fill-missing", "the points that fill a removed object's place are missing", path, _MAKE_ANEW)
     with reading(path, _MAKE_ANEW):
         content = read_plain(path, MOST_BYTES) if digest else b""
     if digest and sha256(content).hexdigest() != digest:
-        raise PlgsError("fill-changed", "the fill of a removed object was changed", path, _MAKE_ANEW)
+        raise PlgsError("fill-changed", "the points that fill a removed object's place changed", path, _MAKE_ANEW)
     arrays = read_npz(path, _MAKE_ANEW, [one.name for one in fields(Fill)])
     for one in fields(Fill):
         model, array = getattr(NOTHING, one.name), arrays[one.name]
         rows = len(array) if one.name == "cells" else len(arrays["xyz"])
         if array.shape != (rows, *model.shape[1:]) or array.dtype != model.dtype or not np.isfinite(array).all():
-            raise PlgsError("fill-damaged", f"the array {one.name} of a fill is damaged", path, _MAKE_ANEW)
+            raise PlgsError("fill-damaged", f"the array {one.name} of a filled hole is damaged", path, _MAKE_ANEW)
     if not (arrays["scale"] > 0).all() or (np.abs(arrays["xyz"]) > _FARTHEST).any() or (arrays["label"] == GONE).any():
-        raise PlgsError("fill-damaged", "the Gaussians of a fill are damaged", path, _MAKE_ANEW)
+        raise PlgsError("fill-damaged", "the Gaussians that fill a removed object's place are bad", path, _MAKE_ANEW)
     return Fill(**arrays)

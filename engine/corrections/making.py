@@ -181,7 +181,7 @@ def assign(
     classes = tuple(-one for one in before.tolist() if one <= 0 and one != label)
     rows = chosen & (state.label != label)
     if not rows.any():
-        raise PlgsError("same-points", "the chosen points already belong to it", CORRECTIONS, "Choose other points.")
+        raise PlgsError("same-points", "the chosen points belong to it already", CORRECTIONS, "Choose other points.")
     moved = _groups(state.xyz[rows], np.full(int(rows.sum()), label, np.int32))
     return Edit("assign", marks, classes=classes, moved=moved, made=made)
 
@@ -196,7 +196,7 @@ def crop(state: Replay, number: int, within: NDArray[np.bool_]) -> Edit:
         what = f"no point of {state.objects[number].name} is in the box"
         raise PlgsError("crop-empty", what, CORRECTIONS, "Move its box back.")
     if not inner.any() and not outer.any():
-        what = "it already has exactly the points in the box"
+        what = "the object already has exactly the points in its box"
         raise PlgsError("crop-same", what, CORRECTIONS, "Move or scale its box.")
     rows = inner | outer
     label = np.where(inner, number, -kind).astype(np.int32)

@@ -187,7 +187,7 @@ class Replay:
             after[np.isin(before, ids)] = edit.rest
         _take_moved(self.xyz[rows], after, groups)
         if edit.kind != "delete" and (after == before).all():
-            return "none of its points are here"
+            return "none of its points are in this lift"
         base = self.objects[ids[0]] if ids else None
         self.steps.append(step_of(self.xyz[rows], before, after))
         self.label[rows] = after

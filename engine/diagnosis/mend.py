@@ -60,7 +60,7 @@ def write_mended(scene: Scene, diagnosis: Diagnosis, out: Path) -> str | None:
     except OSError as error:
         own.discard()
         where = error.filename or out
-        what = f"this cannot be written ({error.strerror})"
+        what = f"the mended scene cannot be written ({error.strerror})"
         raise PlgsError("unwritable", what, where, "Choose another folder.") from error
     except BaseException:  # Ctrl-C as well
         own.discard()

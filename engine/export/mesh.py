@@ -209,7 +209,7 @@ def parts_of(lift: FinishedLift) -> list[Part]:
     parts = _cut(lift, *finished(lift))
     parts = [each for each in parts if lift.wants(each.class_id, each.instance_id)]
     if not parts:
-        what = "the rendered views show no such surface"
+        what = "no rendered view shows the surface of these objects"
         raise PlgsError("no-such-surface", what, lift.folder.path, "Export more frames.")
     return parts
 

@@ -36,11 +36,11 @@ def export(
     export are replaced or deleted (see `OwnFiles`). Raises PlgsError for a lift that is unfinished or damaged, bad
     cameras, and other files there; OSError."""
     if cameras is not None and kind != "clouds":
-        what = f"{kind} can only show the scene's frames"
+        what = f"the export {kind} can only show the scene's own frames"
         raise PlgsError("export-cameras", what, cameras, "Give --frames, or export clouds.", option="--cameras")
     if objects and kind not in BY_OBJECT:
-        what = f"{kind} shows whole frames"
-        fix = f"Export {', '.join(BY_OBJECT)}, or all objects."
+        what = f"the export {kind} cannot be limited to objects"
+        fix = f"Export {', '.join(BY_OBJECT)}, or leave out --objects."
         raise PlgsError("export-objects", what, folder.path, fix, option="--objects")
     if kind == "usd" and find_spec("pxr") is None:
         raise lacks_part("OpenUSD files need the package usd-core", output, "usd")
@@ -55,12 +55,12 @@ def export(
         facts["objects"] = [*objects]
     shared = folder.path.resolve() / "exports"
     if output.resolve() == shared:
-        what = "is the folder of all exports of the lift"
+        what = "is the folder of all exports of the lift, not of one"
         raise PlgsError("all-exports", what, output, f"Name a folder in it, such as {output / kind}.", option="-o")
     with OwnFiles(output).begin("export", facts, replaces=output.resolve().is_relative_to(shared)) as own:
         KINDS[kind](lift, output)
         if not folder.result_path.is_dir() or not os.path.samestat(read, folder.result_path.stat()):
-            what = "got a new result meanwhile, so what was written may mix two"
+            what = "the lift was made again meanwhile, so the export may mix two results"
             raise PlgsError("result-changed", what, folder.path, "Export it again.", code=ErrorCode.BUSY)
         own.remove_earlier()
     own.complete()

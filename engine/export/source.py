@@ -50,7 +50,7 @@ class FinishedLift:
         """Whether the scene is available. Without it, a surface shows the lift's colours, and a warning says so."""
         found = os.path.exists(self.folder.request.scene)
         if not found and self.warn is not None:
-            self.warn(f"The surface has no pictures: its scene is not at {self.folder.request.scene}.")
+            self.warn(f"The mesh has no textures, as its scene is not at {self.folder.request.scene}.")
         return found
 
     @property

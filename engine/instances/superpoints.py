@@ -56,7 +56,7 @@ def trusted_superpoints(
     by_point, by_part = held_back_agreement(part, seeing, class_ids, kind)
     are_trusted = by_point < AGREEING or (masks_are_weak and by_part >= by_point - TOLERANCE)
     log.info(
-        "a view that is held back agrees with the others by %.3f, and by %.3f with %d superpoints, which are%s used",
+        "held-out views agree with the others on %.3f of the points, on %.3f with %d superpoints: these are%s used",
         by_point, by_part, part.max() + 1, "" if are_trusted else " not",
     )  # fmt: skip
     return part if are_trusted else None

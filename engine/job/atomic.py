@@ -46,7 +46,7 @@ def write_atomically(path: Path, content: bytes | str | Callable[[Path], object]
         except FileNotFoundError as error:
             if callable(content):  # perhaps it wrote nothing
                 raise
-            what = "another process took over"
+            what = "another process wrote this file at the same time"
             raise PlgsError("taken-over", what, path, "Try again in a moment.", code=ErrorCode.BUSY) from error
     except BaseException as error:  # also Ctrl-C: it must not leave a part behind
         with suppress(OSError):  # as it fails on a disk that is read-only

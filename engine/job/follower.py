@@ -185,7 +185,7 @@ class TaskFollower:
         if not self.files.events.parent.is_dir():  # then the engine's own message does not tell what happened
             fix = "Restore it, or start again."
             where = self.files.events.parent
-            self._fail(PlgsError("folder-gone", "the folder is gone", where, fix, code=ErrorCode.INTERNAL))
+            self._fail(PlgsError("folder-gone", "the folder was deleted or moved", where, fix, code=ErrorCode.INTERNAL))
         elif self.error is not None:
             self._fail(self.error)
         elif code in (ExitCode.BAD_INPUT, ExitCode.INTERNAL_ERROR, ExitCode.BUSY):  # without an event: it never began

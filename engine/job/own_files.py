@@ -91,7 +91,7 @@ class OwnFiles:
             raise PlgsError("not-writable", "this folder cannot be written to", place, "Name another one.")
         is_same = self.begun == self._asked or (replaces and self.begun is not None and self.begun[0] == kind)
         if not (among_others or is_same) and self.folder.exists() and any(self.folder.iterdir()):
-            what = "the folder holds other files" if self.begun is None else "the folder holds other results of PLGS"
+            what = "the folder has files of others" if self.begun is None else "the folder has other results of PLGS"
             raise PlgsError("folder-used", what, self.folder, "Name a new or an empty folder.")
         return self
 

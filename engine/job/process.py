@@ -148,7 +148,7 @@ class ChildProcess:
             raise PlgsError("not-runnable", what, command[0], "Choose another Python.") from error
         except ValueError as error:
             fix = "Choose folders with different names."
-            raise PlgsError("bad-path", f"cannot take this path ({error})", command[0], fix) from error
+            raise PlgsError("bad-path", f"cannot be started with this path ({error})", command[0], fix) from error
 
     @property
     def pid(self) -> int:

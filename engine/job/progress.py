@@ -109,4 +109,4 @@ class StageReporter:
         yield StageProgress(name, self.events, self.stop, self.course)
         self.timings[name] = round(time.monotonic() - began, 3)
         took = time.process_time() - used
-        log.info("stage %s: %.2f s, %.2f s of processor time after %.2f s", name, self.timings[name], took, used)
+        log.info("stage %s: %.2f s; processor time %.2f s, before it %.2f s", name, self.timings[name], took, used)

@@ -49,8 +49,8 @@ CHANNELS_NOTE = "plgs/channels"
 MODEL_NOTE = "plgs/model"
 """Header attribute of a view of no frame, or in a folder of its own: the SHA-256 of the lift's model and objects."""
 _SHOWS = {
-    MODEL_NOTE: "another result of a lift", CORRECTIONS_NOTE: "other corrections", CAMERA_NOTE: "another camera",
-    CHANNELS_NOTE: "other names of channels",
+    MODEL_NOTE: "another lift result", CORRECTIONS_NOTE: "other corrections", CAMERA_NOTE: "another camera",
+    CHANNELS_NOTE: "other channel names",
 }  # fmt: skip
 """By header note, the words for what an earlier file shows if this note differs."""
 MOST_LOOKS, LOOK_WITHIN = 8, (96, 96)
@@ -196,7 +196,7 @@ def _bake(
         finally:
             destination.keep()
             report_unresolved(found, events, before=False)
-    there = f"; {len(asked) - len(wanted)} were there" if len(asked) > len(wanted) else ""
+    there = f"; {len(asked) - len(wanted)} were baked before" if len(asked) > len(wanted) else ""
     place = options.output or folder.passes_path
     return f"Baked {plural(len(wanted), 'view')} in {time.monotonic() - began:.0f} s{there}: {place}"
 
@@ -283,7 +283,7 @@ class _OwnFolder:
             return True
         if (other := self._other(view, notes)) and not self._replace:
             fix = "Give another folder or, with --shot, a name with {version}, or add --replace to overwrite it."
-            raise PlgsError("other-state", f"shows {other}", path, fix, option="--replace")
+            raise PlgsError("other-state", f"was baked with {other}", path, fix, option="--replace")
         return False
 
     def _other(self, view: WantedView, notes: Mapping[str, str]) -> str:
@@ -292,8 +292,8 @@ class _OwnFolder:
         wanted = {**self._model, **notes, CAMERA_NOTE: view.fingerprint}
         differing = [name for name, text in wanted.items() if (read_note(path, name) or "") != text]
         has_motion = read_note(path, MOTION_NOTE) not in (None, view.motion)
-        other = [_SHOWS[name] for name in differing] + ["another camera before or after it"] * has_motion
-        return " and ".join(other) or ("" if is_frame(path, view.shown) else "another number or rate of its frame")
+        other = [_SHOWS[name] for name in differing] + ["other cameras in the frames beside it"] * has_motion
+        return " and ".join(other) or ("" if is_frame(path, view.shown) else "another frame number or frame rate")
 
     def write(self, view: WantedView, rendered: BakedView, baker: FrameBaker, events: EventWriter) -> None:
         """Write the passes of a view. Raises OSError."""

@@ -52,7 +52,7 @@ class Judgement:
         """Log the calibration and all missing objects, and warn of the first few objects."""
         log.info("confidence: %s", self.calibration)
         if self.held_back is None:
-            log.info("no masks were held back: those that were trained on say how likely a class is right")
+            log.info("no masks were held out, so confidence is judged by the masks that were trained on")
         judges: Json = {"not_shown": [asdict(one) for one in self.not_shown]}
         lines = [f"{text} (see frame {frame})" for text, frame in not_shown({"masks_as_judges": judges})]
         for line in lines:

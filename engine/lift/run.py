@@ -71,7 +71,7 @@ CHECKPOINT_EVERY_S = 20.0
 CHECKPOINT_SHARE = 0.02
 """The largest share of the time for checkpoints: slow ones become rarer."""
 NO_VOTES = (
-    "the finished scene shows the label decoders, not the views' votes: "
+    "labels come from the trained decoders, not from votes of the views: "
     'votes need objects = "agreement", or a matcher that returns label_maps, and one_class_an_object = true'
 )
 VOTED, SIFTED = 0.8, 0.83
@@ -288,7 +288,7 @@ def begun_alike(checkpoint: Checkpoint | None, preset: Preset, events: EventWrit
     if checkpoint is None or before == wanted:
         return checkpoint
     differing = [name for name in wanted if not isinstance(before, dict) or before.get(name) != wanted[name]]
-    events.warning(f"it was begun with another {', '.join(differing)}: {TRAINED_ANEW}")
+    events.warning(f"the lift was begun with another {', '.join(differing)}: {TRAINED_ANEW}")
     return None
 
 

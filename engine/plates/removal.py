@@ -70,7 +70,7 @@ def _removal(folder: LiftFolder, objects: Sequence[str], progress: Progress) -> 
     lost = [edit for edit in corrected.edits if edit.kind == "remove" and edit.uid in corrected.not_applied]
     for edit in lost:
         if not {mark.id for mark in edit.objects}.isdisjoint(ids):
-            what = f"they were removed before, but {corrected.not_applied[edit.uid]}"
+            what = f"these objects were removed before, but {corrected.not_applied[edit.uid]}"
             raise PlgsError("removal-lost", what, folder.path / CORRECTIONS, "Put them back, then remove them again.")
     files = {str(file.path): file.sha256 for file in read_manifest(folder.result_path).files}
     decides = ids, corrected.fingerprint, files.get(MODEL), code_digest("engine")

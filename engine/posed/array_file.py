@@ -46,7 +46,7 @@ def read_npz(
     except PlgsError:
         raise
     except KeyError as error:
-        raise PlgsError("no-array", f"it has no array {error}", path, fix) from error
+        raise PlgsError("no-array", f"the file has no array {error}", path, fix) from error
     except Exception as error:  # zip, deflate and the parser of headers raise errors of many kinds
         raise PlgsError("array-unreadable", f"the arrays cannot be read ({_reason(error)})", path, fix) from error
 

@@ -19,7 +19,7 @@ _HEADER_SIZES = (2**18, 2**26)  # bytes read at first, and at most: Cryptomatte'
 _MOST_NUMBERS = 2**30  # maximum number of values in all channels, as the library reads them all
 _TILED, _DEEP, _PARTS = 0x200, 0x800, 0x1000  # flags of the version
 _HALF = 1  # the channel type of half floats
-_FIX = "Write this file again."
+_FIX = "Write it again as OpenEXR with one part and scan lines."
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def read_exr_header(path: Path) -> ExrHeader:
         )
         channels = _channels(attributes[b"channels"][1])
     except (KeyError, ValueError, IndexError, struct.error) as error:
-        raise PlgsError("exr-header", "the OpenEXR header is cut off or makes no sense", path, _FIX) from error
+        raise PlgsError("exr-header", "the OpenEXR header is cut off or invalid", path, _FIX) from error
     width, height = right - left + 1, bottom - top + 1
     if min(width, height) < 1 or width * height > LARGEST_PIXELS:
         raise PlgsError("bad-size", f"{width}x{height} is not a valid picture size", path, _FIX)
@@ -67,7 +67,7 @@ def one_pixel_of(path: Path) -> bytes:
     """Return the bytes of an EXR of one black pixel with the channels and attributes of ``path``. Raises PlgsError."""
     header = read_exr_header(path)
     if int.from_bytes(header.start[4:], "little") & _TILED:
-        raise PlgsError("exr-tiles", "the passes have tiles", path, _FIX)
+        raise PlgsError("exr-tiles", "this OpenEXR file has tiles, which are not read", path, _FIX)
     black = {b"dataWindow": bytes(16), b"displayWindow": bytes(16), b"compression": bytes(1)}  # one pixel, uncompressed
     content = header.start
     for name, (kind, value) in header.attributes.items():
@@ -93,7 +93,7 @@ def _attributes_of(path: Path) -> tuple[bytes, dict[bytes, tuple[bytes, bytes]]]
                     return start, _attributes(data)
     except MemoryError as error:
         raise PlgsError("no-memory", "no memory is left for the OpenEXR file", path, "Close other programs.") from error
-    raise PlgsError("exr-header", "the OpenEXR header is cut off or makes no sense", path, _FIX)
+    raise PlgsError("exr-header", "the OpenEXR header is cut off or invalid", path, _FIX)
 
 
 def _attributes(data: bytes) -> dict[bytes, tuple[bytes, bytes]]:

@@ -92,7 +92,7 @@ def check_image_bytes(data: bytes, path: Path) -> None:
 
 def _neither(data: bytes, path: Path) -> PlgsError:
     if not data:
-        return PlgsError("image-empty", "the image is empty", path, "Write this file again.")
+        return PlgsError("image-empty", "the image file is empty", path, "Save this image again.")
     return PlgsError("not-png-or-jpeg", "this is neither a PNG nor a JPEG image", path, "Convert it to one of the two.")
 
 
@@ -111,7 +111,7 @@ def _png_header(start: bytes, path: Path) -> ImageHeader:
         raise _truncated(path)
     width, height, bit_depth, kind = struct.unpack(">IIBB", start[16:26])
     if kind not in _PNG_CHANNELS or not width or not height:
-        raise PlgsError("png-header", "the PNG header makes no sense", path, "Write this file again.")
+        raise PlgsError("png-header", "the PNG header is invalid", path, "Save this image again.")
     _refuse_vast(width, height, path)
     return ImageHeader("png", width, height, bit_depth, _PNG_CHANNELS[kind], palette=kind == 3)
 
@@ -134,7 +134,7 @@ def _jpeg_header(file: BinaryIO, path: Path) -> ImageHeader:
                 raise _truncated(path)
             bit_depth, height, width, channels = struct.unpack(">BHHB", body)
             if not width or not height:
-                raise PlgsError("jpeg-header", "the JPEG header makes no sense", path, "Write this file again.")
+                raise PlgsError("jpeg-header", "the JPEG header is invalid", path, "Save this image again.")
             _refuse_vast(width, height, path)
             return ImageHeader("jpeg", width, height, bit_depth, channels, orientation=orientation)
         if marker[1] == 0xE1:  # APP1: Exif or XMP

@@ -78,7 +78,7 @@ def files_by_stem(folder: Path, suffixes: Collection[str], fix: str) -> dict[str
             continue
         stem = composed(path.stem)
         if stem in found:
-            raise PlgsError("two-files", f"there is {found[stem].name} as well", path, "Keep one of the two.")
+            raise PlgsError("two-files", f"{found[stem].name} has the same name, too", path, "Keep one of the two.")
         found[stem] = path
     if not found:
         raise PlgsError("no-files", f"the folder has no {' or '.join(sorted(suffixes))} files", folder, fix)
@@ -193,7 +193,7 @@ def check_memory(size: int, path: Path) -> None:
     """Raise PlgsError if the ``size`` bytes that the file ``path`` unpacks to exceed half of the free memory."""
     memory = main_memory() if size > _SMALL else None
     if memory is not None and size > _SHARE_OF_MEMORY * memory.free:
-        what = f"it takes {size / 1e9:.2g} GB of memory, but only {memory.free / 1e9:.2g} GB are free"
+        what = f"the file takes {size / 1e9:.2g} GB of memory, but only {memory.free / 1e9:.2g} GB are free"
         raise PlgsError("no-memory", what, path, "Close other programs, or use a computer with more memory.")
 
 

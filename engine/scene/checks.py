@@ -164,7 +164,7 @@ def _depth_facts(frame: Frame, depth: NDArray[np.float32]) -> DepthFacts:
     valid = depth[depth > 0.0]
     if not len(valid):
         where = frame.depth_path or frame.colour_path
-        raise PlgsError("depth-zero", "depth is 0 everywhere", where, "Give depth, or leave this frame out.")
+        raise PlgsError("depth-zero", "the depth map is 0 everywhere", where, "Give depth, or leave this frame out.")
     return DepthFacts(
         size=(depth.shape[1], depth.shape[0]),
         range=(float(valid.min()), float(np.median(valid[::_MEDIAN_STEP])), float(valid.max())),

@@ -128,7 +128,7 @@ def read_depth_array(path: Path) -> NDArray[Any]:
     while values.ndim > 2 and 1 in (values.shape[0], values.shape[-1]):  # [1, H, W] or [H, W, 1] of networks
         values = values[0] if values.shape[0] == 1 else values[..., 0]
     if values.ndim != 2 or values.dtype.kind not in "fiu" or not values.size:
-        raise PlgsError("depth-array", "depth is not a picture of numbers", path, "Save an array [height, width].")
+        raise PlgsError("depth-array", "depth is not one array of numbers", path, "Save an array [height, width].")
     return values
 
 

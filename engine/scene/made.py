@@ -103,11 +103,11 @@ def set_scale(scene: Scene, beside: Path, factor: float | None, measured: Sequen
     ``factor``, or follows from ``measured``: a length in the scene as it is now, and the true length in metres. Raises
     PlgsError for a factor beyond all use, OSError."""
     if scene.format == NAME:
-        raise PlgsError("has-unit", "the lengths of this layout are metres", scene.folder, "Correct its files.")
+        raise PlgsError("has-unit", "scenes of this format are in metres already", scene.folder, "Correct its files.")
     if measured is not None and measured[0] > 0.0:
         factor = scale_of(beside) * measured[1] / measured[0]
     if factor is None or not _SCALES[0] <= factor <= _SCALES[1]:
-        what = "a scale from 0.0001 to 10000 is needed"
+        what = "the scale must be from 0.0001 to 10000"
         raise PlgsError("bad-scale", what, beside, "Give positive lengths, the second in metres.")
     beside.mkdir(exist_ok=True)
     with OwnFiles(beside).begin("scale", {}, among_others=True) as own:

@@ -217,8 +217,8 @@ def open_masks(
         warnings += detections.warnings
         placed_apart = [name for name in detections.found if placed.get(name, Placement()) != Placement()]
         if placed_apart:
-            what = f"masks are turned, cut, straightened or partly ignored ({listed(placed_apart)}), but not detections"
-            fix = "Give masks and detections of the stored pictures, or no detections."
+            what = f"masks were turned, cut or undistorted to fit ({listed(placed_apart)}), which detections cannot be"
+            fix = "Give masks and detections that fit the stored pictures, or no detections."
             raise PlgsError("detections-placed", what, detections.path, fix, option="--detections")
         if more:
             join = f"to join one with a class of the masks, give it a [[class]] with name and into in {FILE_NAME}"

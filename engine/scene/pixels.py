@@ -239,14 +239,14 @@ def whole_numbers(values: NDArray[np.generic], path: Path) -> NDArray[np.int64]:
     if values.dtype.kind == "f" and np.isfinite(values).all() and bool((values == np.floor(values)).all()):
         numbers = values.astype(np.int64)
     if numbers is None or int(np.abs(numbers).max(initial=0)) > _LARGEST_ID:
-        raise PlgsError("not-ids", "these are not ids", path, f"Save whole numbers from 0 to {_LARGEST_ID}.")
+        raise PlgsError("not-ids", "the values are not ids", path, f"Save whole numbers from 0 to {_LARGEST_ID}.")
     return checked_ids(numbers, path)
 
 
 def _only_array(path: Path) -> str:
     names = list(array_headers(path))
     if len(names) != 1:
-        raise PlgsError("arrays", f"there are {len(names)} arrays in one file", path, "Save only the picture of ids.")
+        raise PlgsError("arrays", f"the mask holds {len(names)} arrays", path, "Save one array of ids.")
     return names[0]
 
 

@@ -117,7 +117,7 @@ class UvTask:
                     if code is not None and not new:
                         return output, code
                     if limit_s is not None and time.monotonic() - began > limit_s:
-                        raise PlgsError("silent", "does not answer", command[0], "Choose another one.")
+                        raise PlgsError("silent", "does not answer", command[0], "Choose another program.")
                     self._pause()
             finally:
                 process.kill()

@@ -100,7 +100,7 @@ class Diagnosis(SceneTask):
             split = answer["split"]
             self.split = FrameSplit(Path(split["path"]), *(tuple(map(str, split[key])) for key in ("train", "test")))
         except (ValueError, TypeError, KeyError) as fault:
-            what = f"the engine's findings are not understood ({fault!r})"
+            what = f"the engine's diagnosis cannot be read ({fault!r})"
             raise PlgsError("bad-answer", what, self.chosen.scene, "Diagnose again.") from fault
 
     def let_go(self) -> None:

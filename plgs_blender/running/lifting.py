@@ -128,7 +128,7 @@ def refine_lift(settings: PLGS_PG_settings, folder: str = "") -> Lift:
     lift = lift_at(settings, folder)
     known, preset = lifts.attach(lift.path), finer_preset(settings, lift)
     if not known.is_finished or preset is None:
-        what = "is not a finished draft"
+        what = "is not a finished draft, which alone can be refined"
         raise PlgsError("no-draft", what, lift.path, "Lift by another preset into another folder.")
     python = engine_environment.usable_python()
     lift = lift.refined(preset)

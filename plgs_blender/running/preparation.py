@@ -83,7 +83,7 @@ def edited_classes(masks: PLGS_PG_masks) -> dict[str, Any]:
     try:
         void = [int(word) for word in masks.void.split()]
     except ValueError as error:
-        what = "the void numbers cannot be read"
+        what = "the class numbers that count as void are not whole numbers"
         raise PlgsError("bad-void", what, masks.void, "Read the classes again.") from error
     return {"path": str(absolute(masks.path)), "rows": rows, "void": void}
 
@@ -109,7 +109,7 @@ class ClassListing(SceneTask):
         try:
             fill_classes(target.plgs_masks, self.answer)
         except (ValueError, TypeError, KeyError) as fault:
-            what = f"the engine's list is not understood ({fault!r})"
+            what = f"the engine's list of classes cannot be read ({fault!r})"
             raise PlgsError("bad-answer", what, self.chosen.scene, "Read the classes again.") from fault
 
 

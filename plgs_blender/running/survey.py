@@ -126,7 +126,7 @@ def _of_plain(chosen: ChosenScene, scene: PosedScene) -> Survey:
 def _with_answer(survey: Survey, answer: Mapping[str, Any] | None, error: PlgsError | None) -> Survey:
     """Return the survey with the answer of `engine inspect`, or its error."""
     if error is not None or answer is None:
-        unknown = PlgsError("bad-answer", "the engine did not say what is in it", survey.chosen.scene, "Look again.")
+        unknown = PlgsError("bad-answer", "the engine gave no answer about it", survey.chosen.scene, "Read it again.")
         return replace(survey, error=error or unknown)
     try:
         depth_range = answer["depth_range"]
@@ -157,8 +157,8 @@ def _with_answer(survey: Survey, answer: Mapping[str, Any] | None, error: PlgsEr
             left_out=sum(int(each["count"]) for each in answer["left_out"]),
         )
     except (ValueError, TypeError, KeyError) as fault:
-        what = f"the engine's answer is not understood ({fault!r})"
-        return replace(survey, error=PlgsError("bad-answer", what, survey.chosen.scene, "Look again."))
+        what = f"the engine's answer about the scene cannot be read ({fault!r})"
+        return replace(survey, error=PlgsError("bad-answer", what, survey.chosen.scene, "Read it again."))
 
 
 def _colour(colour: Sequence[int]) -> Colour:

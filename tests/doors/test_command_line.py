@@ -131,7 +131,7 @@ def test_bake_selects_frames_by_the_last_number_in_their_names(terminal: Termina
 def test_find_scene_mends_a_lift_whose_scene_moved(terminal: Terminal) -> None:
     (terminal.folder / "scans/room").rename(terminal.folder / "kitchen")
     said = terminal.run(ENGINE + "find-scene LIFT SCENE", LIFT="lifts/demo", SCENE="kitchen")
-    assert said.strip() == f"The lift reads {terminal.folder / 'kitchen'}"
+    assert said.strip() == f"The lift now reads the scene {terminal.folder / 'kitchen'}"
     request = json.loads((terminal.folder / "lifts/demo/request.json").read_text())
     assert (request["scene"], request["relative"]["scene"]) == (str(terminal.folder / "kitchen"), "../../kitchen")
     write_tiny_scene(terminal.folder / "other", 6, size=(80, 60))

@@ -54,7 +54,7 @@ def test_baking_a_changed_lift_makes_the_next_version_or_is_refused(room: Termin
 def test_bake_refuses_to_replace_frames_that_another_program_saved_again(room: Terminal) -> None:
     printed = ".venv/bin/python -m engine bake LIFT --frames all -o FOLDER"
     assert re.search(r"Baked 6 views in \d+ s: plate", room.run(printed, LIFT="lifts/demo", FOLDER="plate"))
-    assert "Baked 0 views in 0 s; 6 were there: plate" in room.run(printed, LIFT="lifts/demo", FOLDER="plate")
+    assert "Baked 0 views in 0 s; 6 were baked before: plate" in room.run(printed, LIFT="lifts/demo", FOLDER="plate")
     path = room.folder / "plate" / "0002.exr"
     with OpenEXR.File(str(path), separate_channels=True) as file:  # as a program does that keeps all attributes
         header = {**file.header(), "capDate": "2026:11:28 10:00:00"}

@@ -195,7 +195,7 @@ def _text_cameras(path: Path) -> dict[int, ColmapCamera]:
 
 def _checked_camera(camera: ColmapCamera, number: int, path: Path) -> ColmapCamera:
     if not (0 < camera.width < 2**16 and 0 < camera.height < 2**16 and np.isfinite(camera.parameters).all()):
-        raise PlgsError("bad-camera", f"camera {number} has numbers that no camera can have", path, EXPORT_AGAIN)
+        raise PlgsError("bad-camera", f"camera {number} has an impossible size or parameter", path, EXPORT_AGAIN)
     return camera
 
 

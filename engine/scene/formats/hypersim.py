@@ -158,7 +158,7 @@ def _read(place: Path, progress: Progress) -> Capture:
         positions = read_hdf5(camera / "camera_keyframe_positions.hdf5", 2)
         turns = read_hdf5(camera / "camera_keyframe_orientations.hdf5", 3)
         if positions.shape[1:] != (3,) or turns.shape != (len(positions), 3, 3):
-            raise PlgsError("poses-unpaired", "positions and orientations do not belong together", camera, _FIX)
+            raise PlgsError("poses-unpaired", "the positions and orientations of the camera do not match", camera, _FIX)
         pictures = list(_pictures(place / "images", camera.name))
         previews = shown_files(place / "images" / f"scene_{camera.name}_final_preview", "frame.*.tonemap.jpg")
         shown = {int(digits) for path in previews if (digits := path.name.split(".")[1]).isdecimal()}
@@ -195,7 +195,7 @@ def _shot(name: str, colour: Path, depth: Path, pose: NDArray[np.float64], rays:
     projection = Projection(width, height, tuple(rays.ravel().tolist()))
     lens = projection.pinhole()
     if not (np.isfinite([lens.fx, lens.fy, lens.cx, lens.cy]).all() and lens.fx > 0.0 and lens.fy > 0.0):
-        raise PlgsError("bad-camera", "no camera can have these camera parameters", colour, f"Correct {_PARAMETERS}.")
+        raise PlgsError("bad-camera", "the camera parameters are impossible", colour, f"Correct {_PARAMETERS}.")
     stored = partial(decode, colour, as_colour=True) if is_image else partial(tone_mapped, colour)
     read = (lambda: _straighten(stored(), projection, smooth=True)) if projection.is_tilted else stored
     depth_map = DepthMap(depth, partial(planar_depth, depth, projection))
@@ -231,7 +231,7 @@ def _read_rays(place: Path) -> tuple[NDArray[np.float64], tuple[Inferred, ...]]:
         raise PlgsError("bad-camera", what, path, "Download it again.") from error
     rays = np.array(values).reshape(3, 3)
     if not np.isfinite(rays).all() or abs(np.linalg.det(rays)) < 1e-9:
-        raise PlgsError("bad-camera", f"no camera can have the camera parameters of {name}", path, "Download it again.")
+        raise PlgsError("bad-camera", f"the camera parameters of {name} are impossible", path, "Download it again.")
     return rays, ()
 
 

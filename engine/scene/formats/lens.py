@@ -33,7 +33,7 @@ def pinhole(
     with ``fix`` as the advice, for intrinsics that no camera has; ``path`` and ``whose`` name their source."""
     fits = 0.0 <= cx <= width < 2**16 and 0.0 <= cy <= height < 2**16
     if not (fits and 0.0 < fx < 1e6 and 0.0 < fy < 1e6 and width >= 1.0 and height >= 1.0):
-        what = f"{whose} has intrinsics that no camera has with pictures of {width:.0f}x{height:.0f}"
+        what = f"{whose} has intrinsics that are impossible for pictures of {width:.0f}x{height:.0f}"
         raise PlgsError("bad-intrinsics", what, path, fix)
     return Camera(round(width), round(height), float(fx), float(fy), float(cx), float(cy), np.eye(4))
 

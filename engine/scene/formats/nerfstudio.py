@@ -248,7 +248,7 @@ def _depth(entry: dict[str, Any], lens: Camera, context: str, path: Path) -> Dep
         return npy_depth(depth_path)
     if not 0.0 < unit < 1.0 and not (is_array and unit == 1.0):
         fix = "Write one such as 0.001; or give 16-bit depth from another source with --depth MAPS."
-        raise PlgsError("bad-scale", f'"{scale}" is not the length of a step in metres', path, fix, option="--depth")
+        raise PlgsError("bad-scale", f'"{scale}" is not one depth step in metres', path, fix, option="--depth")
     return npy_depth(depth_path, unit) if is_array else png_depth(depth_path, lens, unit)
 
 

@@ -163,7 +163,7 @@ def _exr_shots(metadata: dict[str, Any], folder: Path, progress: Progress) -> It
 
 def _read_exr(path: Path) -> NDArray[np.float32]:
     if not read_exr_header(path).is_whole:  # read first: the library takes memory for all that a header claims
-        raise PlgsError("exr-part", "the OpenEXR file does not hold exactly its picture", path, _FIX)
+        raise PlgsError("exr-part", "the OpenEXR file does not hold exactly one picture", path, _FIX)
     import OpenEXR
 
     try:

@@ -148,7 +148,7 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
         fix = "Export it with ScanNet's SensReader, and name the folder."
         raise PlgsError("unknown-codec", "colour or depth is compressed in a way that is not known", path, fix)
     if not 0.0 < shift < 1e6 or max(depth_width, depth_height) > 2**14:
-        raise PlgsError("bad-header", "the header makes no sense", path, _FIX)
+        raise PlgsError("bad-header", "the header of this .sens file is invalid", path, _FIX)
     beside, warnings = between_cameras(matrices[3], matrices[1])
     return _Header(
         colour=_lens(colour_width, colour_height, matrices[0], path),

@@ -134,7 +134,7 @@ def _depth_file(base: Path) -> Path:
     """Return the depth file of the frame whose files begin with ``base``. Raises PlgsError for a .pgm."""
     pgm = base.with_name(f"{base.name}.depth.pgm")
     if pgm.is_file():
-        what = "depth is a .pgm"
+        what = "depth in .pgm files is not read"
         raise PlgsError("depth-pgm", what, pgm, "Convert all of them, e.g. with mogrify -format png *.depth.pgm.")
     return base.with_name(f"{base.name}.depth.png")
 

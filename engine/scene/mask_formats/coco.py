@@ -77,7 +77,7 @@ def _read(place: Path, names: Sequence[str], progress: Progress) -> MaskSource:
     content = read_json_object(table)
     labels = read_categories(content, table)
     if not labels:
-        raise PlgsError("no-classes", "there are no categories", table, "List the classes of the masks.")
+        raise PlgsError("no-classes", "the COCO JSON lists no categories", table, "List the classes of the masks.")
     folder = table.with_suffix("")
     if not folder.is_dir():
         what = "the folder of mask images is missing"

@@ -152,7 +152,7 @@ def _segment(info: dict[str, Any], key: str, name: str, table: Path) -> FoundSeg
     context = f"segment {number} of frame {name}"
     label = take_whole_number(info, key, context, table)
     if not 0 <= number < 2**24 or not 0 <= label < LARGEST_CLASS_ID:
-        raise PlgsError("bad-id", f"{context} has a number out of range", table, "Save the library's own numbers.")
+        raise PlgsError("bad-id", f"{context} has an impossible id or class", table, "Save the library's own numbers.")
     return FoundSegment(number, label, take_score(info, context, table))
 
 
