@@ -280,7 +280,7 @@ def is_blend(path: Path) -> bool:
 
 
 def build_blend(lift: LiftFolder, blend: Path) -> ExitCode:
-    """Make the .blend of a finished lift. An unexpected error becomes one line, and its details go to the log. Raises
+    """Make the .blend of a finished lift. An unexpected error is one line, with details in the log. Raises
     PlgsError."""
     lift.refuse_read_only()
     print("Building the .blend ...", file=sys.stderr, flush=True)

@@ -159,8 +159,7 @@ def _seen(one: _Fitted, other: _Fitted, places: Values) -> _Seen:
 
 
 def _neighbours(fitted: Sequence[_Fitted]) -> list[tuple[int, int]]:
-    """Return pairs of frames that see much of the same surfaces: each frame with those that see most of what it
-    sees."""
+    """Return pairs of frames that see the same surfaces: each frame with those that see most of what it sees."""
     few, pairs = _places((6, 8)), []
     for i, one in enumerate(fitted):
         shares = [(np.abs(_seen(one, other, few).ratio) < _SAME[0]).sum() / len(few) for other in fitted]

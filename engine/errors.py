@@ -65,7 +65,7 @@ class ErrorCode(StrEnum):
 
     @property
     def exit_code(self) -> ExitCode:
-        """The exit status of a process that ends with such an error."""
+        """The exit status of a process that ends with an error of this code."""
         match self:
             case ErrorCode.INTERNAL | ErrorCode.KILLED | ErrorCode.DISK_FULL:
                 return ExitCode.INTERNAL_ERROR

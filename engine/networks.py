@@ -129,8 +129,7 @@ def refuse_nan(values: Any, name: str) -> None:
 
 
 def _refuse_vast(content: object, path: Path, key: str = "") -> None:
-    """Raise PlgsError for a number in a model's settings, ``content``, that is so large that memory would not
-    suffice."""
+    """Raise PlgsError for a number in a model's settings, ``content``, that memory would not suffice for."""
     if isinstance(content, dict | list):
         for inner, each in content.items() if isinstance(content, dict) else ((key, each) for each in content):
             if inner not in _CLASSES:  # whose names are anything

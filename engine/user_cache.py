@@ -1,4 +1,4 @@
-"""Find the folder in which this system keeps the user's caches. Standard library only."""
+"""Find the folder of the user's caches, as this system defines it. Standard library only."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 def user_cache_folder(environ: Mapping[str, str] = os.environ) -> Path:
-    """Return the folder. It may not exist, and cannot be made if no home folder is known."""
+    """Return the folder of the user's caches. It may not exist, or be impossible to make if no home is known."""
     places = {"win32": ("LOCALAPPDATA", "AppData/Local"), "darwin": ("", "Library/Caches")}
     variable, below = places.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
     try:

@@ -1,5 +1,4 @@
-"""Operators that correct what a lift got wrong: names, classes, which points belong to which object; and answer
-proposals."""
+"""Operators that correct a lift: names, classes, which points belong to which object; and answer proposals."""
 
 from __future__ import annotations
 
@@ -46,8 +45,7 @@ _class_argument = partial(
 
 
 class AsksForOne:
-    """An operator whose dialog shows only the property ``asked``, ready for typing. Its other properties are for
-    scripts."""
+    """An operator whose dialog shows only the property ``asked``, ready for typing; its others are for scripts."""
 
     asked: str
     layout: bpy.types.UILayout

@@ -1,5 +1,4 @@
-"""Operators that prepare a lift: poses for photos, masks and their classes, diagnosing the scene, and writing a fixed
-copy."""
+"""Operators that prepare a lift: poses for photos, masks and their classes, diagnosis, and a fixed copy."""
 
 from __future__ import annotations
 

@@ -259,7 +259,7 @@ def place_camera_path(
 
 
 def _new_action(owned: OwnedDataBlocks, part: str) -> bpy.types.Action:
-    """Return an empty action that replaces the one from when the lift was placed before."""
+    """Return a new, empty action for ``part``, which replaces that of an earlier placement."""
     key = f"{PATH}:{part}"
     owned.drop("actions", key)
     action: bpy.types.Action = owned.block("actions", key, lambda: bpy.data.actions.new(f"Camera path {part}"))

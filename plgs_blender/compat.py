@@ -1,5 +1,4 @@
-"""The differences between Blender 4.2 and 5.3, and nothing else, so that the rest of the extension needs no version
-checks."""
+"""The differences between Blender 4.2 and 5.3, and nothing else, so that nothing else checks versions."""
 
 from __future__ import annotations
 
@@ -112,8 +111,7 @@ def new_node(tree: bpy.types.NodeTree, *kinds: str) -> bpy.types.Node:
 
 
 def new_colour_mix(tree: bpy.types.NodeTree) -> tuple[bpy.types.Node, Any, Any, Any, Any]:
-    """Add a compositor node that mixes two colours. Returns (node, factor, first, second, result): it and its
-    sockets."""
+    """Add a compositor node that mixes two colours. Returns it and its sockets: factor, first, second, result."""
     node = new_node(tree, "ShaderNodeMix", "CompositorNodeMixRGB")
     if node.bl_idname == "ShaderNodeMix":
         node.data_type = "RGBA"

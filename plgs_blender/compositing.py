@@ -39,8 +39,7 @@ class _Opened:
     eyes: dict[tuple[str, int], str]
 
     def go_back(self, window: bpy.types.Window, room: bpy.types.Scene) -> None:
-        """Show the room again, through the same cameras. Blender left the camera views, as a passes scene has no
-        camera."""
+        """Show the room again, through the same cameras; Blender left them, as a passes scene has no camera."""
         window.scene = room
         for (screen, number), name in self.eyes.items():
             areas, camera = getattr(bpy.data.screens.get(screen), "areas", ()), room.objects.get(name)

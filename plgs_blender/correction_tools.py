@@ -171,8 +171,7 @@ def painted(
     stroke: Sequence[Position],
     radius: float,
 ) -> NDArray[np.int64]:
-    """Return the indices, int64 [n], of the ``visible`` points under a stroke, the brush's positions; ``radius`` is in
-    pixels."""
+    """Return the indices, int64 [n], of ``visible`` points under a stroke of the brush; ``radius`` is in pixels."""
     rows, pixel = visible(xyz, to_view, size)
     under = np.zeros(len(rows), bool)
     for position in stroke:

@@ -185,7 +185,7 @@ def _wants_splats(root: bpy.types.Collection, read: ReadLift) -> bool:
 
 
 def _show(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
-    """Show the placed lift as its lists say."""
+    """Show or hide the parts of a placed lift as its lists say."""
     looks.apply_visibility(root)
     if root.plgs.look != looks.PHOTO:
         looks.apply_look(root)

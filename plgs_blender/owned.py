@@ -174,8 +174,7 @@ class OwnedDataBlocks:
                 bpy.data.batch_remove([block for block in own if block.users - block.use_fake_user == 0])
 
     def sweep_only(self, *prefixes: str) -> None:
-        """Remove objects as `sweep` does, if their key has one of these prefixes; and clouds and meshes without
-        users."""
+        """Remove objects as `sweep` does, if their key has one of these prefixes, and unused clouds and meshes."""
         own = [ob for ob in self._own_objects() if ob[KEY].startswith(prefixes) and ob not in self._kept]
         theirs = {ob.data for ob in own if ob.data is not None and ob.data.users == 1}
         data = [each for each in (*bpy.data.pointclouds, *bpy.data.meshes) if key_of(each, self.lift) is not None]

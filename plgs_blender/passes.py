@@ -146,8 +146,7 @@ def _fill_scene(
 
 
 def _begin_matte(lift: str, scene: bpy.types.Scene, tree: bpy.types.NodeTree, result: LiftResult) -> None:
-    """Give new nodes the matte and controls of the lift's last compositor, else a matte of the selected object, else
-    none."""
+    """Give new nodes the matte and controls of the last compositor, else a matte of the selected object, else none."""
     layers = (CRYPTO_INSTANCES, CRYPTO_CLASSES)
     for other in reversed(bpy.data.scenes):
         last = compat.compositor_tree(other) if other != scene and key_of(other, lift) else None
@@ -234,8 +233,7 @@ def _count_on(first: int, last: int, _scene: bpy.types.Scene, tree: bpy.types.No
 
 
 def _take_after(scene: bpy.types.Scene, shot: bpy.types.Scene, numbers: Sequence[int], size: tuple[int, int]) -> None:
-    """Give a passes scene the frame range and size of a shot's files, and the frame rate and pixel aspect of its
-    scene."""
+    """Give a passes scene the frame range and size of a shot's files, and its scene's frame rate and pixel aspect."""
     scene.frame_start, scene.frame_end = min(numbers), max(numbers)
     scene.frame_step = math.gcd(*(number - min(numbers) for number in numbers)) or 1  # 0 if there is only one
     scene.frame_set(min(numbers))

@@ -59,7 +59,7 @@ class Shot:
 
     @property
     def camera_name(self) -> str:
-        """The name of the camera after which the shot is named unless it has a name of its own."""
+        """The camera's name in the names of files: that of the one camera, or CUTS if markers switch cameras."""
         return CUTS if self.cuts else self.camera.name
 
     def named(self, later: int = 0) -> str:
@@ -146,7 +146,8 @@ def _cuts_of(scene: bpy.types.Scene) -> tuple[tuple[int, str], ...]:
 
 
 def _cameras_to_choose(scene: bpy.types.Scene, wanted: str) -> str:
-    """Return what to advise if ``wanted`` ("": the active one) is no camera: cameras to choose, the likeliest first."""
+    """Return the advice for a user whose ``wanted`` camera ("": the active one) is none: which to choose from, the
+    likeliest first."""
     cameras = [ob for ob in scene.objects if ob.type == "CAMERA"]
     if not cameras:
         return "Add a camera, select it and press Ctrl+Numpad 0."
@@ -203,7 +204,8 @@ class ShotReader:
 
     @property
     def progress(self) -> tuple[int, int]:
-        """The number of frames read, and of all to read, outside the shot, too, if the camera stands still."""
+        """The number of frames read so far, and of all to read. For a camera that stands still, these include frames
+        outside the shot."""
         return len(self._read) + self._checked, len(self._frames) + len(self._others)
 
     @property

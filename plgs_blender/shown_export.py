@@ -32,7 +32,7 @@ def why_not(form: str) -> str | None:
 
 
 def shown_meshes(root: bpy.types.Collection) -> list[bpy.types.Object]:
-    """The meshes of a lift's surface that its lists show, with extracted objects in place of their own."""
+    """The meshes of a lift's surface that its lists show; an extracted object takes the place of its own mesh."""
     is_left_out = leaving_out(root.plgs)
     own = [ob for key, ob in objects_by_key(root).items() if key.startswith("mesh:") and len(ob.data.polygons)]
     ids = [np.array([[ob["instance_id"]], [ob["class_id"]]], np.int32) for ob in own]

@@ -34,7 +34,7 @@ def open_room(owned: OwnedDataBlocks, clouds: Iterable[bpy.types.Object]) -> Non
 
 
 def _group(material: bpy.types.Material | None) -> bpy.types.NodeTree:
-    """Make the node group that deletes a point if normal · (position - camera) > 0. Points with a zero normal stay."""
+    """Make the node group that deletes points with normal · (position - camera) > 0, and sets ``material``, if any."""
     tree = new_geometry_group("PLGS open room")
     add = partial(add_node, tree)
     start, position = add("NodeGroupInput", 0, 0).outputs[0], add("GeometryNodeInputPosition", 1, -480).outputs[0]
@@ -264,7 +264,8 @@ def _new_group() -> bpy.types.NodeTree:
 
 
 def _away_in_renders(add: Any, maths: Any, normal: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
-    """Say whether, in a render, a front faces away from the camera: Cycles sees through few transparent layers."""
+    """Add nodes whose output tells whether, in a render, a front faces away from the camera; Cycles sees only through
+    few transparent layers."""
     camera = add("GeometryNodeInputActiveCamera", 0, 5).outputs[0]
     eye = add("GeometryNodeObjectInfo", 1, 5, camera, transform_space="RELATIVE").outputs["Location"]
     way = maths("SUBTRACT", 2, 5, add("GeometryNodeInputPosition", 0, 6).outputs[0], eye)

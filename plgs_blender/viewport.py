@@ -80,8 +80,7 @@ _tries: list[int] = []
 
 def look_first() -> float | None:
     """Show the sidebar's tab PLGS when a file of ours is opened for the first time, and materials if there is a
-    graphics card. For a timer: Blender knows a tab only after drawing it, so until then the seconds to wait are
-    returned."""
+    graphics card. For a timer: until Blender knows the tab, by drawing it, return the seconds to wait."""
     new = [root for scene in bpy.data.scenes for root in lifts_in(scene) if root.get(NEW)]
     bars = [region for area in all_views() for region in area.regions if region.type == "UI" and region.width > 1]
     _tries.append(0)
@@ -190,8 +189,7 @@ def frame_room(area: bpy.types.Area, rotation: Quaternion, corners: NDArray[np.f
 
 
 def _pose(area: bpy.types.Area, rotation: Quaternion, corners: NDArray[np.float64]) -> tuple[Quaternion, Vector, float]:
-    """Return rotation, location and distance of a 3D view that fits all corners into the part left free by the
-    sidebar."""
+    """Return rotation, location and distance of a 3D view that fits all corners beside the sidebar."""
     space = area.spaces.active
     window, covered = _free_of_sidebar(area)
     axes = np.array(rotation.to_matrix())  # columns: right, up, towards the eye

@@ -63,8 +63,7 @@ def score_points(source: SceneSource, preset: Preset) -> Scores:
 
 
 def read_points(matching: Matching, scene: Scene, preset: Preset) -> Scores:
-    """Score labelled points: each pixel of a held-out frame gets the label of the point nearest to its place by
-    depth."""
+    """Score labelled points: a pixel of a held-out frame gets the label of the point nearest to its place."""
     cloud, evaluation = matching.cloud, PanopticEvaluation(scene.classes, "strict")
     points = LabelledPoints(cloud.xyz, np.where(cloud.class_id > 0, np.arange(1, len(cloud) + 1), 0).astype(np.int32))
     class_id, instance = (np.append(0, each) for each in (cloud.class_id, matching.instance_of_point))

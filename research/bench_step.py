@@ -1,5 +1,4 @@
-"""The command ``python -m research bench step``: measure where a training step's time goes, and how fast a lifted scene
-is drawn."""
+"""The command ``python -m research bench step``: measure the parts of a training step, and the speed of drawing."""
 
 from __future__ import annotations
 

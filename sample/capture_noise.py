@@ -165,8 +165,7 @@ def linear(colour: NDArray[np.uint8]) -> Pixels:
 
 
 def srgb(light: Pixels) -> NDArray[np.uint8]:
-    """Convert linear light [H, W, 3] to 8-bit sRGB. Light brighter than white is clipped, as by a sensor's full
-    wells."""
+    """Convert linear light [H, W, 3] to 8-bit sRGB; light brighter than white is clipped, as by a sensor."""
     value = light.clip(0.0, 1.0)
     curve = np.where(value <= 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 1e-9) ** (1.0 / 2.4) - 0.055)
     return (curve * 255.0 + 0.5).astype(np.uint8)
@@ -225,8 +224,7 @@ def quantised(depth: Floats, noise: CaptureNoise) -> Floats:
 
 
 def holes(chance: Floats, noise: CaptureNoise, random: np.random.Generator) -> Bools:
-    """Return where no depth is measured, bool [H, W], for a chance float64 [H, W]. Holes are blobs, not single
-    pixels."""
+    """Return where no depth is measured, bool [H, W], for a chance float64 [H, W]; holes are blobs, not pixels."""
     field = smooth_field(chance.shape, noise.hole_grain, random)
     uniform = 1.0 / (1.0 + np.exp(-1.702 * field))  # the logistic curve is within 0.01 of the normal distribution's
     return uniform < chance
@@ -253,7 +251,7 @@ def chance_of_holes(
 
 
 def highlights(light: Pixels, noise: CaptureNoise) -> Floats:
-    """Return 1 at lamps and their mirror images (bright, colourless, brighter than their surroundings), else 0; [H,
+    """Return 1 at lamps and mirror images of them (bright, colourless, brighter than what is around), else 0; [H,
     W]."""
     level, above = noise.highlight
     luminance = light @ LUMINANCE
@@ -263,16 +261,14 @@ def highlights(light: Pixels, noise: CaptureNoise) -> Floats:
 
 
 def polish_waves(noise: CaptureNoise, random: np.random.Generator) -> Floats:
-    """Return waves that decide which places of the world are polished, float64 [16, 4]: directions in 1 / metres, and
-    phases."""
+    """Return waves by which places are polished, float64 [16, 4]: directions in 1 / metres, and phases."""
     count = 16
     directions = random.normal(size=(count, 3)) / noise.polished_size
     return np.concatenate([directions, random.random((count, 1)) * 2.0 * np.pi], -1)
 
 
 def polish(points: Floats, waves: Floats, noise: CaptureNoise) -> Floats:
-    """Return 1 on smooth patches that mirror the sensor's light away, else 0; [H, W]. They are the same in all
-    frames."""
+    """Return 1 on smooth patches that mirror the sensor's light away, the same in all frames, else 0; [H, W]."""
     value = np.cos(points @ waves[:, :3].T + waves[:, 3]).sum(-1) * np.sqrt(2.0 / len(waves))
     return (value > NormalDist().inv_cdf(1.0 - noise.polished)).astype(np.float64)
 
@@ -292,8 +288,7 @@ def slant(depth: Floats, rays: Floats, noise: CaptureNoise) -> Floats:
 
 
 def smooth_field(shape: tuple[int, ...], grain: float, random: np.random.Generator) -> Floats:
-    """Return normal noise of mean 0 and deviation 1, float64 [H, W], correlated over ``grain`` pixels of an image 320
-    wide."""
+    """Return normal noise, mean 0 and deviation 1, float64 [H, W], correlated over ``grain`` pixels of 320 across."""
     sigma = max(grain * shape[1] / 320.0, 0.5)
     margin = int(np.ceil(3.0 * sigma))
     white = random.normal(size=(shape[0] + 2 * margin, shape[1] + 2 * margin))

@@ -84,8 +84,8 @@ class Sight:
 
 
 def confusions(class_name: str, is_thing: dict[str, bool]) -> dict[str, float]:
-    """Return the classes of a scene for which a class is mistaken, with weights: those of ``CONFUSIONS``, else three of
-    its kind."""
+    """Return the classes with which a class is confused, with weights: those of ``CONFUSIONS``, else three of its
+    kind."""
     known = {other: weight for other, weight in CONFUSIONS.get(class_name, {}).items() if other in is_thing}
     alike = [other for other, thing in is_thing.items() if thing == is_thing[class_name] and other != class_name]
     return known or {str(other): 1.0 for other in stream("confusions", class_name).permutation(sorted(alike))[:3]}
@@ -110,8 +110,7 @@ def believe(sight: Sight, is_thing: dict[str, bool], noise: BeliefNoise, seed: i
 
 
 def _swing(sight: Sight, other: str, doublings: float, noise: BeliefNoise, seed: int) -> float:
-    """Return a smooth random function's value at a view: mean 0, deviation 1 (random Fourier features of a Gaussian
-    kernel)."""
+    """Return a smooth random function at a view: mean 0, deviation 1 (random Fourier features of a Gaussian kernel)."""
     waves = 12
     draw = stream(seed, "swing", sight.key, other)
     place = np.zeros(3) if sight.is_thing else np.array(sight.place) / noise.place_scale
@@ -124,8 +123,8 @@ def _swing(sight: Sight, other: str, doublings: float, noise: BeliefNoise, seed:
 
 @dataclass(frozen=True)
 class MaskNoise:
-    """How often and how strongly a network errs. Lengths are in pixels of the view, chances are per segment unless
-    noted."""
+    """How often and how strongly a network errs. Lengths are in pixels of the view, chances per segment, if not
+    said."""
 
     belief: BeliefNoise = field(default_factory=BeliefNoise)
     smallest_segment: int = 60
@@ -200,8 +199,7 @@ def detect(
 
 
 def _miss(regions: list[TrueRegion], noise: MaskNoise, random: np.random.Generator) -> tuple[list[TrueRegion], Bools]:
-    """Return the regions that are found, and the holes, bool [H, W], that missed ones leave. Others are covered by
-    neighbours."""
+    """Return the regions that are found, and the holes, bool [H, W], of missed ones that no neighbour covers."""
     found: list[TrueRegion] = []
     swallowed: list[Bools] = []
     holes = np.zeros_like(regions[0].pixels)
@@ -234,7 +232,7 @@ def _classified(
     frame: str,
     random: np.random.Generator,
 ) -> list[Region]:
-    """Return one region, or its two parts, with the class of each."""
+    """Return how the network draws a region: as one or split into two parts, each with its class."""
     name, score = believe(region.sight, is_thing, noise.belief, seed, frame)
     halves = random.random() < noise.split
     angle, shift, disagrees = random.random() * np.pi, random.normal() * 0.5, random.random() < noise.split_disagrees
@@ -281,8 +279,7 @@ def _grown(pixels: Bools) -> Bools:
 
 
 def _draw(seen: list[Region], holes: Bools, noise: MaskNoise, random: np.random.Generator) -> Ids:
-    """Draw like a low-resolution network: coverages of coarse cells, read at slightly displaced pixels; the largest
-    wins."""
+    """Draw like a low-resolution network: coverage of coarse cells, read at displaced pixels; the largest wins."""
     height, width = holes.shape
     shares = [_coarse(holes, noise.cell), *(_coarse(region.pixels, noise.cell) for region in seen)]
     bonuses = np.concatenate([[0.0], random.normal(size=len(seen)) * noise.bleed])

@@ -44,8 +44,7 @@ def main() -> None:
 
 
 def write_masks(scene: Path, out: Path, seed: int, noise: MaskNoise, name: str = "panoptic") -> None:
-    """Write masks of all frames of a scene, and their JSON, into ``out``. Raises PlgsError if the scene is
-    unreadable."""
+    """Write masks of all frames of a scene, and their JSON, into ``out``. Raises PlgsError for unreadable scenes."""
     read = open_scene(scene)
     (out / name).mkdir(parents=True, exist_ok=True)
     images, annotations = [], []

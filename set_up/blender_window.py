@@ -46,7 +46,7 @@ def stamp_text(suite: str) -> str:
 
 
 def is_complete(suite: str) -> bool:
-    """Whether the tree was completed, with the present packages."""
+    """Whether the tree was completed with the packages that the list has now."""
     stamp = tree_of(suite) / STAMP
     return stamp.is_file() and stamp.read_text() == stamp_text(suite)
 

@@ -53,8 +53,7 @@ _USER = re.compile(r"(?<=://)[^/@\s]+@")
 
 
 class Recipe(NamedTuple):
-    """What an environment holds: requirement files for each call of uv, and modules that must be importable at the
-    end."""
+    """What an environment holds: requirement files for each call of uv, and modules that must import at the end."""
 
     calls: tuple[tuple[str, ...], ...]
     modules: tuple[str, ...]

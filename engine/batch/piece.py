@@ -54,7 +54,7 @@ class Piece:
     is_resumed: bool = False
 
     def needs_engine(self) -> list[str | Path]:
-        """Return the command that starts the engine, except for a lift."""
+        """Return the command that starts the engine for any piece but a lift."""
         call: list[str | Path] = [*engine_call(Path(sys.executable))]
         match self.kind:
             case Kind.BAKE:
@@ -151,7 +151,7 @@ def memory_kills() -> int | None:
 
 
 def _refuse_unfit_worker(piece: Piece) -> None:
-    """Raise PlgsError if this worker cannot do the piece, with a code that says that another one may."""
+    """Raise PlgsError if this worker cannot do the piece. By the error's code, another worker may try it."""
     if engine_tag() != piece.engine:
         fix = f"Start workers with the engine {piece.engine}."
         raise PlgsError("worker-other-engine", f"the worker has {engine_tag()}", ROOT, fix, code=ErrorCode.NO_ENGINE)

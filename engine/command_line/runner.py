@@ -137,7 +137,7 @@ def drop_output() -> None:
 
 
 def failure_of(error: Exception, command: Command, files: TaskFiles | None = None) -> PlgsError:
-    """Return the PlgsError that reports another kind of error."""
+    """Return a PlgsError that tells the user about another kind of error."""
     where = Path(sys.executable) if files is None else files.log
     if isinstance(error, ModuleNotFoundError):
         fix = f"Set the environment up again with 'make set-up', then {command.again}."

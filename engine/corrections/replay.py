@@ -254,7 +254,7 @@ def in_millimetres(xyz: NDArray[np.floating]) -> NDArray[np.int64]:
 
 
 def _keys(millimetres: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return one number for each point [N, 3], int64 [N]: 21 bits per axis, which repeat beyond a kilometre."""
+    """Return one number for each point [N, 3], int64 [N], made of 21 bits per axis, which repeat beyond a kilometre."""
     x, y, z = (millimetres & ((1 << 21) - 1)).T
     return x << 42 | y << 21 | z
 

@@ -248,6 +248,6 @@ def put_back(lift: Path, objects: Sequence[int | str], listed: Listed | None = N
 
 
 def set_undone(lift: Path, undone: dict[str, bool]) -> None:
-    """Undo or redo edits: ``undone`` says by uid what they shall be. Raises PlgsError, OSError."""
+    """Undo or redo edits: ``undone`` maps their uids to whether they shall be undone. Raises PlgsError, OSError."""
     with editing(lift) as edits:
         edits[:] = [replace(edit, undone=undone.get(edit.uid, edit.undone)) for edit in edits]

@@ -39,7 +39,7 @@ class LabelAgreement(NamedTuple):
 
     @property
     def share(self) -> float:
-        """The fraction of the points that both views label that get the same label from both."""
+        """The fraction of points labelled by both views that have the same label in both."""
         return float(np.trace(self.counts) / max(self.counts.sum(), 1.0))
 
     @property

@@ -166,7 +166,8 @@ def _cause_texts(examined: Examined, cause: FoundCause) -> tuple[str, str, Figur
 
 
 def _agreement_figures(before: Agreement, after: Agreement) -> dict[str, float]:
-    """Return the fractions of all points that agree, whether another frame sees them or not, and the errors."""
+    """Return the fractions of all points that agree ``before`` and ``after``, whether another frame sees them or not,
+    and the errors, by name."""
     return {
         "agreeing_before": before.seen * before.share,
         "agreeing_after": after.seen * after.share,
@@ -178,8 +179,8 @@ def _agreement_figures(before: Agreement, after: Agreement) -> dict[str, float]:
 def _calibration_findings(
     examined: Examined, found: Calibration, assumed: Assumption, may_move: bool
 ) -> tuple[list[Finding], Assumption]:
-    """Return findings from the fit, in addition to the causes, and the assumption with them. ``may_move``: no shift of
-    depth explains the principal point."""
+    """Return findings from the fitted values, besides the cause, and the assumption with these values. ``may_move``
+    says that no shift of depth explains the principal point."""
     free = _values_off(examined, found, moved(assumed, found.values), may_move)
     again = calibrate(examined.views, examined.pairs, assumed, free, points=200) if free else None
     if again is None:

@@ -33,7 +33,7 @@ class Calibration(NamedTuple):
     deviations: Floats
 
     def of(self, name: str) -> float:
-        """Return one of the values, by its name."""
+        """Return one of the values, by its name, such as "unit"."""
         return float(self.values[_PARAMETERS.index(name)])
 
     def deviation(self, name: str) -> float:

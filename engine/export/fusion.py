@@ -41,8 +41,7 @@ class Surface:
     triangles: NDArray[np.int64]
 
     def of(self, triangles: Ints) -> tuple[Surface, Ints]:
-        """Return a surface of the ``triangles`` [T, 3] only, with the vertices that they use, whose old numbers are
-        returned, too, [V]."""
+        """Return the surface of ``triangles`` [T, 3] alone, and the old index of each of its vertices, [V]."""
         is_used = np.zeros(len(self.xyz), np.bool_)
         is_used[triangles] = True
         used, number = np.flatnonzero(is_used), np.cumsum(is_used) - 1
@@ -64,7 +63,7 @@ class Grain:
 
 @dataclass(frozen=True, eq=False)
 class SmallView:
-    """A small view: ``depth`` float32 [H, W] m, ``rgb`` uint8 [H, W, 3], ``label`` int64 [H, W], and its ``frame``."""
+    """A view, scaled down: ``depth`` float32 [H, W] m, ``rgb`` uint8 [H, W, 3], ``label`` int64 [H, W], ``frame``."""
 
     camera: Camera
     depth: NDArray[np.float32]

@@ -30,7 +30,7 @@ from ..scene_of_lift import scene_of_lift
 
 @dataclass(frozen=True, eq=False)
 class FinishedLift:
-    """A finished lift and its frames to export. Attributes are read on first use; it may raise PlgsError or OSError."""
+    """A finished lift and its frames to export. The first use of an attribute may raise PlgsError or OSError."""
 
     folder: LiftFolder
     names: Sequence[str]

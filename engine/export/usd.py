@@ -189,7 +189,7 @@ def _add_cameras(stage: Usd.Stage, frames: Sequence[Frame]) -> bool:
 
 
 def ascending_numbers(names: Sequence[str]) -> list[float]:
-    """The numbers in the names of frames; none if one is missing, or they do not ascend, as fractions of seconds."""
+    """Return the numbers in frames' names; [] if one has none or, as with fractions of seconds, they do not ascend."""
     numbers = [float(number) for name in names if (number := number_in(name)) is not None]
     ascend = len(numbers) == len(names) and all(one < following for one, following in pairwise(numbers))
     return numbers if ascend else []

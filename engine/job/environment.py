@@ -121,8 +121,7 @@ def _pins(path: Path, version: Version, platform: str) -> dict[str, str]:
 
 
 def _holds(marker: str, version: Version, platform: str, path: Path) -> bool:
-    """Whether an environment marker (PEP 508) applies. Only the markers in our files are known, as pip may be
-    missing."""
+    """Whether an environment marker (PEP 508) applies. Only those kinds that our files use are known."""
     match = _MARKER.fullmatch(marker)
     if match is None:
         what = f"has an unknown condition ({marker})"

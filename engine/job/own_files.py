@@ -112,7 +112,7 @@ class OwnFiles:
         return False
 
     def claim(self, path: Path) -> None:
-        """List a file that is about to be written, and its unfinished form. Raises PlgsError if it is not ours,
+        """List a file that is about to be written, and its temporary file. Raises PlgsError if it is not ours,
         OSError."""
         name, part = self._name(path), path.with_name(PART + path.name)
         self.refuse_foreign(path)
@@ -170,7 +170,7 @@ class OwnFiles:
                 self.remove(path)
 
     def remove(self, path: Path) -> None:
-        """Delete a file and its unfinished form if they are ours, and folders that become empty. Raises OSError."""
+        """Delete a file and its temporary file, if they are ours, and folders that become empty. Raises OSError."""
         if self.owns(path):
             path.unlink()
         part = path.with_name(PART + path.name)
@@ -227,7 +227,7 @@ def sha256(path: Path) -> str:
 
 
 def _possible(name: str) -> str:
-    """Return the relative path if a file in a folder can have it. Raises ValueError if it cannot."""
+    """Return ``name`` as a relative path. Raises ValueError if no file in a folder can have it."""
     path = inner_path(name)
     if max(len(os.fsencode(part)) for part in path.parts) > _LONGEST_PART or len(os.fsencode(path)) > _LONGEST_NAME:
         raise ValueError("a file's name is too long")

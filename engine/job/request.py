@@ -226,7 +226,7 @@ def add_set_option(parser: argparse.ArgumentParser) -> None:
 
 
 def preset_or_file(text: str) -> str:
-    """A preset's name, or the path of a preset file, for argparse. Raises ArgumentTypeError."""
+    """Return the name of a preset, or of a preset file, unchanged, for argparse. Raises ArgumentTypeError."""
     if text in PRESETS or text.endswith(".toml"):
         return text
     near = difflib.get_close_matches(text, PRESETS, 1)
@@ -252,7 +252,7 @@ def given_lift_options(options: argparse.Namespace) -> list[str]:
 
 
 def readable(arguments: Sequence[str]) -> list[str]:
-    """The arguments with values that begin with a dash joined, as in "--up=-y": argparse takes them for options."""
+    """Return the arguments with "--up -y" as "--up=-y", as argparse takes a value with a dash for an option."""
     joined: list[str] = []
     for argument in arguments:
         option = joined[-1] if joined else ""
@@ -264,7 +264,7 @@ def readable(arguments: Sequence[str]) -> list[str]:
 
 
 def picture_size(text: str) -> tuple[int, int]:
-    """(width, height) from "640x480", for argparse. Raises ArgumentTypeError."""
+    """Parse a text such as "640x480" as (width, height), for argparse. Raises ArgumentTypeError."""
     width, _, height = text.lower().partition("x")
     if not (width.isdecimal() and height.isdecimal()):
         raise argparse.ArgumentTypeError(f"{text!r} is not WIDTHxHEIGHT, such as 640x480")
@@ -272,7 +272,7 @@ def picture_size(text: str) -> tuple[int, int]:
 
 
 def number_of_frames(text: str) -> int:
-    """A number of frames from a number or "all" (0), for argparse. Raises ArgumentTypeError."""
+    """Parse a number of frames, or "all", which is 0, for argparse. Raises ArgumentTypeError."""
     if text.lower() == "all":
         return 0
     if not re.fullmatch(r"[0-9]{1,7}", text) or not int(text):

@@ -39,7 +39,7 @@ class Factors(NamedTuple):
 
 
 def begin_of(rows: Any, number: int) -> int:
-    """Return where a row of ``Rows`` or ``ListedRows`` begins. Kernels use the overload below, Python never this."""
+    """Return where a row of ``Rows`` or ``ListedRows`` begins, for kernels, which use the overload below."""
     raise NotImplementedError
 
 

@@ -30,8 +30,8 @@ def horizontal_sums(typing_context: Any, vectors: Any) -> Any:
 
 
 def _fold(builder: ir.IRBuilder, a: ir.Value | None, b: ir.Value | None, width: int, half: int) -> ir.Value | None:
-    """Add neighbouring halves of groups of ``width`` partial sums in a and b. Returns one vector of groups of
-    ``half``."""
+    """Add the two halves of each group of ``width`` partial sums in the vectors ``a`` and ``b``. Returns one vector of
+    groups of ``half``: those of a, then those of b."""
     if a is None:
         return None
     b = constant(0.0) if b is None else b

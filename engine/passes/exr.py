@@ -224,7 +224,7 @@ _NUKE |= {"vector.Z": "forward.u", "vector.W": "forward.v"}
 
 
 def _in_nuke(name: str) -> str:
-    """Return the name that Nuke has for one of our channels, for depth and motion, else ours in lower case."""
+    """Return Nuke's name for one of our channels if it is depth or motion, else our name in lower case."""
     _, dot, ours = name.partition(f"{LAYER}.")
     layer, _, axis = ours.partition(".")
     return _NUKE.get(f"{layer.lower()}.{axis}", f"{layer.lower()}.{axis}") if dot else name

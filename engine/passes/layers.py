@@ -301,7 +301,7 @@ def _columns(
     instance_classes: Mapping[int, int],
     unowned: Collection[int] = (),
 ) -> Columns:
-    """Return the channels to choose from, by ascending id."""
+    """Return which channels of a rendering stand for which classes and instances, by ascending id."""
     of_class, of_slot = _by_id(rendering.class_ids), _by_id(rendering.instance_ids)
     class_ids = [rendering.class_ids[column] for column in of_class]
     slot_ids = [rendering.instance_ids[column] for column in of_slot]

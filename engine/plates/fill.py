@@ -71,7 +71,8 @@ def joined(fills: Sequence[Fill]) -> Fill:
 def cleared_cells(
     centres: NDArray[np.floating], gone: NDArray[np.bool_], stays: NDArray[np.bool_]
 ) -> NDArray[np.int32]:
-    """The cells to clear, int32 [C, 3]: where Gaussians are ``gone``, bool [G], and not as many or more stay."""
+    """Return the cells to clear, int32 [C, 3]: of the cells at removed Gaussians and beside them, those in which more
+    Gaussians are ``gone``, bool [G], than stay, or in which none stays."""
     cells = with_neighbours(cells_of(centres[gone]))
     keys, owned = cell_keys(cells), [np.sort(cell_keys(cells_of(centres[own]))) for own in (gone, stays)]
     gone_in, stay_in = (np.searchsorted(own, keys, "right") - np.searchsorted(own, keys) for own in owned)

@@ -22,7 +22,7 @@ UPRIGHT = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """``origin`` [3] in metres; ``axes`` [3, 3]: two directions within the plane, and its normal, facing cameras."""
+    """A plane: ``origin`` [3] m; ``axes`` [3, 3]: two directions in it, and its normal, which faces the cameras."""
 
     origin: NDArray[np.float64]
     axes: NDArray[np.float64]

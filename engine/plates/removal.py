@@ -95,7 +95,7 @@ def _drop_unused(lift: Path) -> None:
 
 
 def fill_of(folder: LiftFolder, corrected: CorrectedResult, ids: Sequence[int], progress: Progress) -> Fill:
-    """What replaces objects of a lift. Raises PlgsError if its photos cannot be read, and what ``progress`` does."""
+    """Return what replaces removed objects. Raises PlgsError for unreadable photos, and what ``progress`` raises."""
     scene = scene_of_lift(folder)
     baker = read_baker(folder, scene.classes, corrected)
     points = {number: corrected.points.xyz[corrected.points.instance_id == number] for number in ids}

@@ -35,7 +35,8 @@ def matte_names(names: Mapping[int, str]) -> dict[int, str]:
 
 
 def name_bits(name: str) -> int:
-    """Return a name's Cryptomatte hash: MurmurHash3_32 of its UTF-8, one bit changed if it were no normal float."""
+    """Return a name's Cryptomatte hash: MurmurHash3_32 of its UTF-8, in which an exponent bit is flipped if the float
+    with these bits would not be a normal number."""
     hashed = murmur3(name.encode())
     return hashed ^ (1 << 23) if (hashed >> 23 & 255) in (0, 255) else hashed
 

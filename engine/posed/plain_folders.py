@@ -152,7 +152,8 @@ def open_plain_folders(source: SceneSource) -> PosedScene:
 def complete_frames(
     frames: tuple[AnyFrame, ...], what: str, has: Callable[[AnyFrame], bool]
 ) -> tuple[tuple[AnyFrame, ...], tuple[str, ...]]:
-    """The frames that have ``what``, judged by ``has``, and warnings about others. All are kept if most lack it."""
+    """Return the frames that have ``what``, as ``has`` tells, and warnings about the others. All frames are returned if
+    most, or all to train on, lack it."""
     kept = tuple(frame for frame in frames if has(frame))
     lacking = [frame.name for frame in frames if not has(frame)]
     if not kept or not lacking:

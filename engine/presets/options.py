@@ -52,7 +52,7 @@ class PresetOption:
 
     @property
     def allowed(self) -> list[str]:
-        """The valid texts, names of parts that scripts added included."""
+        """The texts that are valid now, with the names of parts that scripts have added."""
         return [*self.choices, *added_names(self.part)]
 
 

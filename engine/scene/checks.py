@@ -151,7 +151,7 @@ def _look(frame: Frame, unknown_truth: frozenset[int | str], keep_within: Size |
 
 
 def _check_colour(frame: Frame, decode: bool) -> int | None:
-    """Return the largest value of a 16-bit photo; None for other photos, and unless it is to be decoded."""
+    """Return the largest value of a 16-bit photo; None for other photos, and if it shall not ``decode``."""
     path, is_image = frame.colour_path, frame.colour_path.suffix.lower() in IMAGES
     if decode:
         frame.read_colour(None)

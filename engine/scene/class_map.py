@@ -69,7 +69,8 @@ OBJECT = ClassLabel(0, "object", is_thing=True)
 
 @dataclass(frozen=True)
 class ClassMap:
-    """``class_of`` maps each label of masks to its class id, 0 = void; ``others`` is the id of all others, or None."""
+    """What the labels of masks mean: ``class_of`` maps labels to class ids, 0 = void; ``others`` is the class id of any
+    other label, None if that is an error."""
 
     classes: ClassTable
     class_of: Mapping[int, int]

@@ -52,8 +52,8 @@ class DepthMap:
     beside: tuple[float, ...] = ()
 
     def __call__(self, size: Size | None = None) -> NDArray[np.float32]:
-        """Read depth, float32 [H, W] m, in the colour picture at ``size`` (width, height) or its own. Raises
-        PlgsError."""
+        """Read depth, float32 [H, W] in metres with 0 = none, in the colour picture at ``size`` (width, height), or at
+        the map's own size. Raises PlgsError."""
         depth = self.read()
         return resize_aligned(depth, size or (depth.shape[1], depth.shape[0]), self.alignment)
 

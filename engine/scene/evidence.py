@@ -36,7 +36,7 @@ def evidence_of_pixels(kind: EvidenceKind) -> float:
 
 
 def evidence_of_resolution(kind: EvidenceKind, resolution: Amounts) -> Amounts:
-    """Return the factor, [...], by which a view's vote counts for its ``resolution`` [...] in pixels per centimetre."""
+    """Return the factor, [...], that ``resolution`` [...], in pixels per centimetre, gives the votes of a view."""
     return resolution ** _POWERS[kind][1]
 
 
@@ -65,5 +65,6 @@ def resolves(pixels: float, mask_scale: float) -> bool:
 
 
 def are_near(resolution: NDArray[np.floating], best: float) -> NDArray[np.bool_]:
-    """Return which views of a point are near it, bool [V], by their ``resolution`` [V] and the ``best`` view's."""
+    """Return which views of a point are near it, bool [V]: those whose ``resolution`` [V] there is nearly as high as
+    that of the ``best`` view."""
     return resolution >= NEAR * best

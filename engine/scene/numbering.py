@@ -99,7 +99,7 @@ class _Reading:
 
     @property
     def usual(self) -> set[str]:
-        """The classes that frames with this table nearly always show."""
+        """The classes that occur in nearly all frames whose masks use this table."""
         return _USUAL[base_of(self.table)]
 
     @property
@@ -132,8 +132,8 @@ def numbered(source: MaskSource, choice: ClassChoice | None, where: Path, asking
 
 
 def _as_listed(source: MaskSource, choice: ClassChoice) -> MaskSource:
-    """Return the masks in that way of reading their numbers in which things and stuff agree best with the rows of the
-    choice, which come from an edited class list."""
+    """Return the masks as read in the way, of two, in which the kinds of their classes agree best with an edited
+    list."""
     rows = {row.id: row.thing for row in choice.rows}
     ways = [source] if source.apart is None else [source, source.apart]
     wrong_kinds = [sum(rows.get(n) != is_thing for n, is_thing in (way.kinds or {}).items()) for way in ways]
@@ -298,12 +298,12 @@ def _is_likelier(one: _Reading, other: _Reading, shown: _Shown) -> bool:
 
 
 def _usual(reading: _Reading, shown: _Shown) -> float:
-    """Return the fraction of the pixels with a class that frames of this table nearly always show."""
+    """Return which fraction of the pixels has one of the reading's ``usual`` classes."""
     return shown.share(reading, reading.usual)
 
 
 def _seen(reading: _Reading, shown: _Shown) -> int:
-    """Return how many of the classes occur that frames of this table nearly always show."""
+    """Return how many of the reading's ``usual`` classes occur."""
     return sum(shown.share(reading, {name}) >= _SEEN for name in reading.usual)
 
 

@@ -38,7 +38,7 @@ class EvidenceReader:
     known: ClassMap
 
     def __call__(self, size: Size | None = None) -> Evidence:
-        """Read the detections at ``size`` or the frame's own. Those of the same pixels share a vote by their scores."""
+        """Read the detections at ``size`` or the frame's own. Detections of the same pixels share one vote by score."""
         width, height = size or self.own
         total: dict[bytes, float] = {}
         for one in self.found:
@@ -115,7 +115,7 @@ def open_detections(path: Path, masks: Path, sizes: Mapping[str, Size], progress
 
 
 def _labels(table: DetectionTable, masks: Path) -> tuple[ClassLabel, ...] | None:
-    """Return the classes that the file names, or a classes.toml beside it, unless that is the masks'."""
+    """Return the classes that the file names, or a classes.toml beside it, but not the masks' own classes.toml."""
     path, labels = table.path, table.labels
     choice = find_class_choice(None, path.parent) if path.parent != masks else None
     if labels is None and choice is not None:

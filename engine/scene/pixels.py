@@ -138,8 +138,8 @@ def resize_nearest(pixels: NDArray[Any], size: Size) -> NDArray[Any]:
 
 
 def nearest_pixels(stored: Size, size: Size) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return which row of a picture of size ``stored`` (width, height) to show in each row of one of ``size``, and
-    which columns."""
+    """Return which row of a picture of size ``stored`` (width, height) each row of one of ``size`` shows, int64 [rows],
+    and likewise the columns, int64 [columns]."""
     centres = ((2 * np.arange(new) + 1) * old // (2 * new) for old, new in zip(stored, size, strict=True))
     columns, rows = centres  # in exact whole numbers
     return rows, columns
@@ -251,7 +251,7 @@ def _only_array(path: Path) -> str:
 
 
 def read_indices(path: Path) -> NDArray[np.int32]:
-    """Read a one-channel PNG's values, int32 [H, W], of a palette the indices, not colours. Raises PlgsError."""
+    """Read a one-channel PNG's values, int32 [H, W]; with a palette these are its indices. Raises PlgsError."""
     header = label_header(path)
     data = check_image_file(path)
     if header.palette:

@@ -27,7 +27,7 @@ def throw_away(path: Path, folder: Path) -> None:
 
 
 def empty_trash(folder: Path) -> None:
-    """Delete what was thrown away, as far as possible. This takes seconds."""
+    """Delete what `throw_away` moved aside, as far as possible. This takes seconds."""
     for path in sorted(folder.glob(f"{_TRASH}*")):
         shutil.rmtree(path, ignore_errors=True)
 

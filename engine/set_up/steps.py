@@ -88,7 +88,8 @@ class SetUp(UvTask):
         root: Path = ROOT,
         folder: Path | None = None,
     ) -> None:
-        """``folder`` holds environments, log and lock (None: the user's cache), ``root`` engine/ and requirements/."""
+        """Prepare a set-up. ``folder`` is for environments, log and lock (None: in the user's cache), ``root`` has
+        engine/ and requirements/."""
         self.request, self.root = request, root
         self.folder = folder or environments_folder()
         super().__init__(

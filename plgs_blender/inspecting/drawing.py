@@ -41,8 +41,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class ViewRegion:
-    """A 3D view's region: its size in pixels, the width covered at the `left` too, and the matrix from world to clip
-    space."""
+    """A 3D view's region: size in pixels, the width covered at the `left`, and the matrix from world to clip space."""
 
     width: int
     height: int
@@ -231,8 +230,7 @@ def draw_face(corners: Sequence[Vector], colour: tuple[float, float, float, floa
 
 
 def draw_path(points: Sequence[Vector]) -> None:
-    """Draw a line through points in metres, hidden by nearer things. It breaks where a recording jumps to another
-    part."""
+    """Draw a line through points in metres, hidden by nearer things, with gaps where the recording jumps."""
     steps = [(end - start).length for start, end in pairwise(points)]
     longest = _JUMP * float(np.median(steps)) if steps else 0.0
     edges = [end for number, step in enumerate(steps) if step <= longest for end in (number, number + 1)]
@@ -256,8 +254,7 @@ def draw_mark(mark: Mark | None) -> None:
 def draw_picture(
     pixels: NDArray[np.float32], corners: Sequence[tuple[float, float] | None], blend: str = "NONE"
 ) -> None:
-    """Draw a picture (float32 [H, W, 4], sRGB, lowest row first) over a rectangle in pixels, unless a corner is
-    None."""
+    """Draw a picture (float32 [H, W, 4], sRGB, lowest row first) over a rectangle in pixels, if all corners exist."""
     seen = [corner for corner in corners if corner is not None]
     if len(seen) != len(corners):
         return
@@ -274,8 +271,7 @@ def draw_picture(
 
 
 def _texture_of(pixels: NDArray[np.float32]) -> gpu.types.GPUTexture:
-    """Make a texture of a picture [H, W, 4]. Blender's own image textures have mipmaps, which take ten times as
-    long."""
+    """Make a texture of a picture [H, W, 4]. Blender's own image textures have mipmaps, which take ten times longer."""
     for picture, texture in uploaded:
         if picture is pixels:  # not ==, which would compare all values at each redraw
             return texture

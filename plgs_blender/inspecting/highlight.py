@@ -1,6 +1,5 @@
-"""Draw highlights in a 3D view: the outline of the selected instance, and that of a mask.
-
-Points are read once per selection, and an outline is computed once per view, because views are drawn often."""
+"""Draw highlights in a 3D view: the outline of the selected instance, and that of a mask. Points are read once per
+selection, and an outline is computed once per view, because views are drawn often."""
 
 from __future__ import annotations
 
@@ -25,8 +24,7 @@ _CLOSED = 2  # cells by which gaps between points are closed
 
 @dataclass(frozen=True, eq=False)
 class Highlight:
-    """The points of an instance: `xyz` float32 [N, 3] and their mean `radius` in metres; `key` names it and its
-    clouds."""
+    """An instance's points: `xyz` float32 [N, 3] and their mean `radius` in metres; `key` names it and its clouds."""
 
     key: tuple[Any, ...]
     xyz: NDArray[np.float32]

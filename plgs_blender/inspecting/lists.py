@@ -189,8 +189,7 @@ PROPERTIES = ((bpy.types.Collection, "plgs", PLGS_PG_lift),)
 
 @contextmanager
 def registered() -> Iterator[None]:
-    """Register `collection.plgs` for a ``with`` block if the extension is disabled. Data written to it stays in the
-    file."""
+    """Register `collection.plgs` for a ``with`` block, if the extension is off. Data written to it stays."""
     if hasattr(bpy.types.Collection, "plgs"):
         yield
         return

@@ -151,7 +151,7 @@ def _by_id(
 
 
 class _Sureness:
-    """Colours for positions by how certain the views were of the label there."""
+    """Colours that show how certain the views were of the label at a position."""
 
     def __init__(self, coloured: list[bpy.types.Object]) -> None:
         clouds = [ob for ob in coloured if "confidence" in ob.data.attributes]
@@ -165,7 +165,7 @@ class _Sureness:
         self._mean = np.bincount(rows.ravel(), sure, len(self._cells)) / np.maximum(count, 1)
 
     def colours(self, ob: bpy.types.Object) -> NDArray[np.float32]:
-        """Return linear colours float32 [N, 4], brighter where the views were less certain; dark where there are no
+        """Return linear colours float32 [N, 4], brighter where views were less certain; dark where there are no
         points."""
         if "confidence" in ob.data.attributes:
             sure = _confidence(ob.data)

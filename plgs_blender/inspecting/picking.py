@@ -33,7 +33,7 @@ def camera_of(context: bpy.types.Context) -> bpy.types.Object | None:
 
 
 def outlined(context: bpy.types.Context, root: bpy.types.Collection) -> Any:
-    """Return the chosen instance's row if the view looks through the camera of its chosen mask's frame, else None."""
+    """Return the chosen instance's row if the view looks through the camera of its chosen mask, else None."""
     lists, camera = root.plgs, camera_of(context)
     if camera is None or not 0 <= lists.instance_index < len(lists.instances):
         return None
@@ -114,8 +114,7 @@ def forget() -> None:
 
 
 def what_is_under(context: bpy.types.Context, mouse: tuple[float, float]) -> Picked | None:
-    """Return what a 3D view shows at a pixel, from the lower left: a name's instance, else what a lift draws there or
-    near."""
+    """Return what a 3D view shows at a pixel, from the lower left: a name's instance, else what a lift draws nearby."""
     roots, space = lifts_shown(context.scene, context.view_layer), context.space_data
     region = ViewRegion.of(context)
     for root in roots:

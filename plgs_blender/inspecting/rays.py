@@ -233,8 +233,7 @@ def _form_of(ob: bpy.types.Object) -> str:
 
 
 def _with_axes(middle: NDArray[np.float32], first: NDArray[Any], second: NDArray[Any]) -> NDArray[np.float32]:
-    """Return vertices [3 N, 4] of elements that face the view, from their centres [N, 4] and axes [N, 2] in pixels
-    times W."""
+    """Return vertices [3 N, 4] of elements facing the view, from centres [N, 4] and axes [N, 2] in pixels times W."""
     ends = [np.concatenate([middle[:, :2] + axis, middle[:, 2:]], axis=1) for axis in (first, second)]
     return np.concatenate([middle, *ends]).astype(np.float32)
 

@@ -304,8 +304,7 @@ def follow(*_arguments: object) -> None:
 
 
 def follow_name() -> None:
-    """Rename the active box's or mesh's instance if the user, not only Blender, changed its name, as in the
-    outliner."""
+    """Give the instance of the active box or mesh its object's name, if the user changed that, as in the outliner."""
     context = bpy.context
     ob = context.view_layer.objects.active if context.view_layer is not None else None
     if ob is None or not instance_of(ob) or ob.name == ob.get(SHOWN, ob.name):

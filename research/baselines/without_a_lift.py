@@ -1,5 +1,4 @@
-"""Score baselines that need no lift, on the held-out frames of a scene: the input masks as they are, and votes in
-voxels."""
+"""Score baselines without a lift, on the held-out frames of a scene: the input masks, and votes in voxels."""
 
 from __future__ import annotations
 

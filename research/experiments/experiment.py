@@ -107,8 +107,8 @@ class Experiment:
         return Path(self.preset).stem
 
     def masks_of(self, scene: SceneToLift, masks: str | None = None) -> Path | None:
-        """Return where a scene's masks are: in ``masks`` of its folder, else as --masks says; None: in the scene
-        itself."""
+        """Return where a scene's masks are: in ``masks`` of its folder, else as --masks says, else None (in the
+        scene)."""
         return scene.folder / masks if masks else of_scene(self.masks, scene.name)
 
     def source(self, scene: SceneToLift, masks: str | None = None) -> SceneSource:

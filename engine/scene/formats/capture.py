@@ -79,7 +79,7 @@ class Capture:
 
 
 def with_picture(picture: Path, make: Callable[[], Shot | None] | None) -> Found:
-    """The result of ``make`` (None: no pose), or the error if the header shows that ``picture`` is unreadable."""
+    """Return ``make()``, or None if ``make`` is None (no pose), or the error in the header of ``picture``."""
     return None if make is None else fault_of(picture) or make()
 
 

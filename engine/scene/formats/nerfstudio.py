@@ -139,7 +139,7 @@ def _frames(content: dict[str, Any], path: Path) -> tuple[list[dict[str, Any]], 
 
 
 def _shot(name: str, frame: Mapping[str, Any], path: Path) -> Shot | None:
-    """One frame from its own entry, which has the file's values for missing keys; None if its pose is not finite."""
+    """Return one frame. Keys that its entry lacks are taken from the file's. None if its pose is not finite."""
     entry, context = dict(frame), f"frame {name}"
     pose = finite_pose(take_array(entry, "transform_matrix", context, path, (4, 4), (3, 4)), path)
     if pose is None:

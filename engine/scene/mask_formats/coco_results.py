@@ -131,7 +131,7 @@ class DetectionTable:
         return found
 
     def is_by_number(self, names: Sequence[str]) -> bool:
-        """Whether some pictures are known by numbers alone, of which some are no frames."""
+        """Whether there are pictures that are known only by a number, and not by one of a frame."""
         images = {image for image, _ in self.entries} - self.names.keys() - {*names}
         return bool(images) and not images <= self._frames_of(images, names, {}).keys()
 

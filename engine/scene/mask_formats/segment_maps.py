@@ -62,7 +62,7 @@ def _read_mask(picture: Path, table: str, segments: Mapping[int, FoundSegment]) 
 
 
 def _key_of(place: Path) -> str | None:
-    """The key under which segments have their class, None in other files; transformers' if no file has a segment."""
+    """Return the key of a segment's class, "label_id" or "category_id"; None if these are other files."""
     if not place.is_dir():
         return None
     found = mask_files(place, ".json")

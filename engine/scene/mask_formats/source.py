@@ -132,8 +132,8 @@ def painted(masks: Iterable[NDArray[np.bool_]], segments: Sequence[FoundSegment]
 
 
 def painted_files(paths: Sequence[Path], segments: Sequence[FoundSegment], size: Size, fix: str) -> FoundMask:
-    """Paint PNGs of one object each over each other, the highest score on top. Raises PlgsError for one of another
-    ``size``."""
+    """Paint PNGs of one object each over each other, as ``painted`` does with masks. Raises PlgsError, also for a PNG
+    that is not of ``size`` (width, height)."""
     for path in paths:
         if label_header(path).size != size:
             raise PlgsError("other-size", f"this mask is not {shown_size(size)} like the others", path, fix)
