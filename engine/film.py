@@ -88,7 +88,7 @@ def _refuse_missing(source: Path, folder: Path, wish: Wish, events: EventWriter)
 
 
 def _missing(source: Path, folder: Path, wish: Wish) -> list[str]:
-    """What must still be made by a network, of "depth" and "masks", as far as this is known before there are poses."""
+    """Return which of "depth" and "masks" a network must still make, as far as this is known before poses exist."""
     from .segment import TABLE
 
     if Made.read(folder) is not None:

@@ -41,7 +41,7 @@ class StoredFrame:
     read: str = ""
 
     def posed(self, scene: Path) -> PosedFrame:
-        """Return the frame with paths in the folder ``scene``."""
+        """Return the posed frame, with paths in the scene's folder ``scene``."""
         camera = Camera(*self.size, *self.lens, np.array(self.camera_to_world))
         depth, colour = None if self.depth is None else scene / self.depth, scene / self.colour
         return PosedFrame(self.name, camera, self.held_out, colour, depth, file_shows_colour=self.is_picture)
@@ -59,7 +59,7 @@ class StoredScene:
     estimated: tuple[str, ...] = ()
 
     def posed_frames(self, scene: Path) -> tuple[PosedFrame, ...]:
-        """Return the frames with paths in the folder ``scene``."""
+        """Return the posed frames, with paths in the scene's folder ``scene``."""
         return tuple(frame.posed(scene) for frame in self.frames)
 
 

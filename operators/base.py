@@ -42,7 +42,7 @@ def why_no_folder(context: bpy.types.Context) -> str | None:
 
 
 def reporting(method: Method) -> Method:
-    """Decorate `execute`, `invoke` or `modal`: an expected error becomes one line for the user, and "cancelled"."""
+    """Decorate `execute`, `invoke` or `modal`: an expected error is reported in one line, and CANCELLED returned."""
 
     def answer(operator: Any, *given: Any) -> set[str]:
         try:

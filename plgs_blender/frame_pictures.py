@@ -68,7 +68,7 @@ def is_depth_current(made: MadeFrames, name: str) -> bool:
 
 
 def cloud_of(made: MadeFrames | None, frames: Iterable[PosedFrame]) -> Path | None:
-    """Return the cloud's file; None if there is none, or if the depth of ``frames`` is newer."""
+    """Return the file of the coloured cloud; None if none was made, or if the depth of ``frames`` is newer."""
     if made is None or made.cloud is None or not made.cloud.is_file():
         return None
     sources = {frame.depth_path for frame in frames if frame.depth_path is not None}

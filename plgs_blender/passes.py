@@ -294,7 +294,8 @@ def is_shot(scene: bpy.types.Scene) -> bool:
 
 
 def passes_scene_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
-    """Return the scene itself if it holds passes, else its first lift's: the active camera's, the frames', or any."""
+    """Return the scene itself if it holds passes, else a passes scene of its first lift: that of the active camera,
+    else that of the lift's frames, else any; None if there is none."""
     if text_of(scene, LIFT) and (key_of(scene, scene[LIFT]) == PASSES or is_shot(scene)):
         return scene
     for root in lifts_in(scene):

@@ -59,7 +59,7 @@ class Shot:
 
     @property
     def camera_name(self) -> str:
-        """The camera's name in the names of files: that of the one camera, or CUTS if markers switch cameras."""
+        """The name that stands for the camera in names of files: the camera's, or CUTS if markers switch cameras."""
         return CUTS if self.cuts else self.camera.name
 
     def named(self, later: int = 0) -> str:

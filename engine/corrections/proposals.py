@@ -54,8 +54,8 @@ class Proposal:
 
 @dataclass(frozen=True)
 class Proposals:
-    """The ``open`` proposals, worst first, and how many of ``all`` objects were corrected or accepted
-    (``looked_at``)."""
+    """The proposals about a lift that are ``open``, worst first, and how many of ``all`` its objects were looked at:
+    corrected or accepted."""
 
     open: tuple[Proposal, ...]
     looked_at: int

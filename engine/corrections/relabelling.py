@@ -69,7 +69,7 @@ class Step:
     fill: Fill | None = None
 
     def apply(self, xyz: NDArray[np.floating], label: Labels) -> None:
-        """Change the ``label`` [N] of points at ``xyz`` [N, 3] in place."""
+        """Apply the step to the ``label`` [N] of points at ``xyz`` [N, 3], in place."""
         rows_of = {source: np.flatnonzero(label == source) for source in (*self.table, *self.points)}  # before changes
         for source, target in self.table.items():
             label[rows_of[source]] = target

@@ -143,7 +143,8 @@ def _fits(pairs: list[tuple[Floats, Floats]], scale: float, shift: Shift) -> Flo
 def registration_findings(
     examined: Examined, found: Registration | None, calibration: Calibration | None
 ) -> tuple[list[Finding], Shift]:
-    """Return findings on an offset of depth from the pictures, and the shift against it, if depth's geometry agrees."""
+    """Return findings about an offset between depth and pictures, and the shift that corrects it. There is a shift only
+    if depth's own geometry agrees."""
     if found is None:
         return [], (0.0, 0.0)
     shift = None if calibration is None else _depth_shift(examined, found, calibration)

@@ -353,7 +353,8 @@ class Examined:
         return total[count > 0] / count[count > 0]
 
     def gained(self, before: Floats, after: Floats) -> Gain | None:
-        """Return the effect of a change in the pairs' values [P]. None with too few pairs or frames."""
+        """Return the effect of a change from ``before`` to ``after``, values of pairs [P]. None with too few pairs or
+        frames."""
         gains = after - before  # nan where one of them is unknown
         known, by_look = np.isfinite(gains), self.mean_by_look(gains)
         if known.sum() < _FEWEST_PAIRS or len(by_look) < _FEWEST_LOOKS:

@@ -176,7 +176,7 @@ def write_preview_request(path: Path, wanted: PreviewRequest) -> None:
 
 
 def read_preview_request(path: Path) -> PreviewRequest | None:
-    """What preview.json asks for; None if there is no such file. Raises PlgsError if it is not a camera."""
+    """The frame or camera that preview.json asks for; None without the file. Raises PlgsError if it names none."""
     if not path.exists():
         return None
     content = read_object(path, _PREVIEW_FIX)

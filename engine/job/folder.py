@@ -237,7 +237,8 @@ class LiftFolder:
         return (self.path / NEXT).is_dir()
 
     def with_next_result(self) -> LiftFolder:
-        """Return this folder, or one for a new result beside the old, for an engine that writes the result."""
+        """Return this folder for an engine that writes the result. If the lift is lifted again, the new result is
+        beside the old one."""
         return replace(self, result_name=NEXT) if self.is_lifted_again else self
 
     def drop_next_result(self) -> None:

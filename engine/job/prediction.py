@@ -145,7 +145,8 @@ def mesh_bytes(views: int, size: tuple[int, int]) -> int:
 
 
 def step_seconds(megapixels: float, millions_of_gaussians: float) -> float:
-    """Return the seconds of a training step on the machine where the constants were measured."""
+    """Return the seconds of a training step with pictures of this size and this number of Gaussians, on the machine
+    where the constants were measured."""
     return 0.03 + 0.55 * megapixels + 0.3625 * millions_of_gaussians
 
 
@@ -190,7 +191,7 @@ def _speed_path(cache: Path | None) -> Path:
 
 
 def _measured(path: Path) -> list[float]:
-    """Return the measured values; none if the file is missing or they are implausible."""
+    """Return the slowness in recent lifts from speed.json; [] if the file is missing or implausible."""
     try:
         return [*read_record(_Speed, path, "Delete it.").slowness]
     except PlgsError:

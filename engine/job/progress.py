@@ -40,7 +40,7 @@ class Course:
         self.began, self.seconds = time.monotonic(), dict(seconds)
 
     def leave_out(self, seconds: float) -> None:
-        """Leave these seconds out of the measured pace, as compiling kernels says nothing about later steps."""
+        """Exclude ``seconds`` from the measured pace, as kernels were compiled then, which happens only once."""
         self.began += seconds
 
     def skip(self, stage: str, share: float) -> None:
@@ -48,8 +48,8 @@ class Course:
         self.began -= share * self.seconds[stage]
 
     def left(self, stage: str, share: float, eta: float | None, now: float) -> float | None:
-        """Seconds left in the run when ``share`` of a stage is done and ``eta`` seconds of it are left; None for a
-        stage without a prediction."""
+        """Return the seconds left in the run when ``share`` of a stage is done and ``eta`` seconds of it are left; None
+        for a stage without a prediction."""
         if stage not in self.seconds:
             return None
         values, index = [*self.seconds.values()], [*self.seconds].index(stage)

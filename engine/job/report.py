@@ -72,7 +72,7 @@ def doubt_of_frames(metrics: Mapping[str, Json]) -> dict[str, float]:
 
 
 def _classes_text(tables: Iterable[Mapping[str, Json]]) -> Iterator[str]:
-    """One table for each method and mode that has classes."""
+    """Yield a table as text for each method and mode that has figures by class."""
     for table in tables:
         entries = [entry for entry in _list(table.get("per_class")) if isinstance(entry, dict)]
         if entries:

@@ -69,7 +69,8 @@ def studio_defaults(environ: Mapping[str, str] = os.environ) -> StudioDefaults:
 
 
 def filled_in(options: argparse.Namespace) -> argparse.Namespace:
-    """A command's options with the studio's defaults for those not given, which stderr lists. Raises PlgsError."""
+    """Return a command's options, with the studio's defaults for those that were not given. These are printed to
+    standard error. Raises PlgsError."""
     studio, given = studio_defaults(), vars(options)
     masks = studio.masks_of(given.get("scene"))
     defaults = {"preset": studio.preset, "masks": masks, "device": studio.device, "memory": studio.memory}

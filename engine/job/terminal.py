@@ -165,7 +165,7 @@ class LiveLine:
         self._write(printable(text) + "\n")
 
     def end(self) -> None:
-        """Leave the last state visible; what follows begins on a new line."""
+        """End the live line: its last state stays visible, and further output begins on a new line."""
         if not self._live:
             self._print_newest()
         elif self._shown:

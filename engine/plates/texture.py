@@ -195,7 +195,7 @@ def _look(
 
 
 def _framed(hole: Mask, seen: Mask, inside: Mask) -> Mask:
-    """Return the parts of the hole whose surroundings photos saw."""
+    """Return the parts of the hole whose surroundings photos saw, bool [h, w]."""
     part, count = components(hole)
     kept = np.zeros_like(hole)
     for number in range(1, count + 1):

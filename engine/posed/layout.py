@@ -86,8 +86,8 @@ def files_by_stem(folder: Path, suffixes: Collection[str], fix: str) -> dict[str
 
 
 def require_all(names: Sequence[str], present: Collection[str], what: str, where: Path, fix: str) -> None:
-    """Raise PlgsError unless all frames' ``names`` are ``present``. ``what`` says which files, ``where`` their
-    folder."""
+    """Raise PlgsError unless all frames in ``names`` are in ``present``, too. ``what`` says which files are missing
+    otherwise, ``where`` is the folder in which they should be."""
     lacking = [name for name in names if name not in present]
     if lacking:
         count = f"{len(lacking)} of {len(names)} frames have" if len(lacking) > 1 else "a frame has"

@@ -170,7 +170,8 @@ def left_out_warning(names: Sequence[str], what: str) -> str:
 
 
 def _read_lenses(folder: Path, sizes: Mapping[str, Size]) -> dict[str, Camera]:
-    """Each frame's intrinsics at its colour image's size, as a camera at the origin."""
+    """Read each frame's intrinsics, as a camera at the origin, at the size of its colour image. ``sizes`` are those
+    (width, height) by frame."""
     if not folder.is_dir():
         raise PlgsError("no-folder", "a folder is missing", folder, FOLDERS_FIX)
     shared_path = folder / "intrinsic_color.txt"

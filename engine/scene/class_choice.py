@@ -75,7 +75,8 @@ class ClassChoice:
 
 
 def find_class_choice(named: str | None, beside: Path) -> ClassChoice | None:
-    """The choice ``named`` (a table or a file), else classes.toml's in the folder ``beside``. Raises PlgsError."""
+    """Return the choice that ``named`` means (a table or a file), else that of a classes.toml in the folder ``beside``,
+    else None. Raises PlgsError."""
     if named is None:
         path = beside / FILE_NAME
         return read_class_choice(path) if path.is_file() else None

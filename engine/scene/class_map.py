@@ -175,7 +175,7 @@ def _only(names: Mapping[int, str], text: str, choice: ClassChoice) -> int | Non
 def _labels(
     labels: Sequence[ClassLabel], rows: Sequence[tuple[int, ClassRow]], choice: ClassChoice
 ) -> dict[int, ClassLabel]:
-    """Return the labels by number, with the names and kinds that the choice's numbered rows give them."""
+    """Return the labels by number, with the names and kinds (thing or stuff) that the choice's rows give them."""
     found = {label.id: label for label in labels}
     for number, row in rows:
         known = found.get(number)
@@ -193,7 +193,7 @@ def _labels(
 def _targets(
     labels: Mapping[int, ClassLabel], rows: Sequence[tuple[int, ClassRow]], choice: ClassChoice
 ) -> dict[int, str]:
-    """Return, by number, the names of the classes into which labels are merged."""
+    """Return, by label number, the name of the class into which a label is merged."""
     names, into = {number: label.name for number, label in labels.items()}, {}
     for number, row in rows:
         found = [] if row.into is None else named(names, row.into)

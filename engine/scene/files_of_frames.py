@@ -156,7 +156,8 @@ def of_same_name(names: Sequence[str], files: Mapping[str, Value]) -> Mapping[st
 
 
 def _with_addition(names: Sequence[str], files: Mapping[str, Value]) -> dict[str, Value]:
-    """Pair names with files that have the same addition, or lack the same beginning: the one that fits most frames."""
+    """Pair frames with files whose stems are the frames' names with the same addition, or without the same beginning.
+    Of several, the addition that fits most frames is used."""
     ways: set[tuple[str, str, str]] = set()
     for name in names[:: max(1, len(names) // _NAMES_TRIED)]:
         for stem in files:

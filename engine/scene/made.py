@@ -67,8 +67,9 @@ def read_note(path: Path, fix: str) -> dict[str, Any] | None:
 
 
 def layout_of(cameras: Mapping[str, Camera], scale: float = 1.0) -> dict[str, list[float]]:
-    """Return by frame what made depth depends on: the focal length as a fraction of the picture's width, and the
-    distance from the mean of all cameras, divided by ``scale``. No rotation of the world changes them."""
+    """Return two facts about each frame's camera on which depth from a network depends: the focal length as a fraction
+    of the picture's width, and the distance from the mean of all cameras, divided by ``scale``. Neither changes when
+    the world is rotated."""
     if not cameras:
         return {}
     middle = np.mean([camera.centre for camera in cameras.values()], axis=0)

@@ -64,7 +64,7 @@ class Placement:
         return np.ascontiguousarray(ids)
 
     def __repr__(self) -> str:
-        """Return a text for digests of masks."""
+        """Return a text for the digests of masks, which changes with the placement."""
         lens = None if self.lens is None else (self.lens[0].K.tolist(), self.lens[1])
         return f"{self.box} {self.turns} {lens} {self.kept}"
 
@@ -269,7 +269,7 @@ def placements(
 def _fits(
     source: MaskSource, ones: Mapping[str, Placement], others: Mapping[str, Placement], pictured: Mapping[str, Pictured]
 ) -> bool | None:
-    """Return ``fits_better`` for two placements of the same masks."""
+    """Whether the first of two placements of the same masks fits the pictures better, see ``fits_better``."""
     names = evenly_spread([*ones], _LOOKED_AT)
     read = ((name, ids) for name in names if (ids := _ids(source, name)) is not None)
     ways = [{name: replace(way[name], kept=None) for name in names} for way in (ones, others)]

@@ -308,7 +308,8 @@ def _seen(reading: _Reading, shown: _Shown) -> int:
 
 
 def _shown(source: MaskSource, choice: ClassChoice) -> _Shown:
-    """The statistics of some frames without void numbers. 0 counts as void only if no other void number occurs."""
+    """Return the statistics of some frames, without the numbers that mean void. 0 is taken as void only if no other
+    void number occurs in them."""
     names, counts, upper = list(source.masks), Counter[int](), Counter[int]()
     for name in evenly_spread(names, _LOOKED_AT):
         try:

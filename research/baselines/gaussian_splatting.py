@@ -65,7 +65,7 @@ class PlainDecoders(Decoders):
 
     @classmethod
     def sides(cls, shape: DecoderShape) -> dict[str, tuple[int, int]]:
-        """Return no networks, as there are none."""
+        """Return the sizes of the networks: there are none, as this has no decoders."""
         return {}
 
     @classmethod

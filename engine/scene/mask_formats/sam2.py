@@ -117,7 +117,7 @@ _LARGEST_OBJECT = 65535
 
 
 def _read_mask(array: Path, table: str, segments: Mapping[int, FoundSegment]) -> FoundMask:
-    """Read one frame. ``segments`` are by object number. Raises PlgsError for an object that is not among them."""
+    """Read one frame's mask. ``segments`` are by object number. Raises PlgsError for an object not among them."""
     ids = read_label_map(array)
     present = [int(value) for value in np.unique(ids) if value]
     unknown = [value for value in present if value not in segments]
@@ -143,7 +143,7 @@ def _read_grounded(place: Path, names: Sequence[str], progress: Progress) -> Mas
 
 
 def _by_frame(folder: Path, suffix: str) -> dict[str, Path]:
-    """Return the files by frame name, which follows "mask_" in theirs."""
+    """Return the files by frame; a file's name is "mask_" and the frame's name."""
     files = files_by_stem(folder, {suffix}, _GROUNDED_FIX)
     return {stem.removeprefix("mask_"): path for stem, path in files.items()}
 
