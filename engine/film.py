@@ -84,7 +84,7 @@ def _refuse_missing(source: Path, folder: Path, wish: Wish, events: EventWriter)
             raise PlgsError("lacks-parts", what, source, fix, code=ErrorCode.LACKS_PART, option=lacking[0])
         raise PlgsError("downloads", what, source, fix, option="--download")
     for line in networks:
-        events.warning(f"This is downloaded: {line}")
+        events.warning(f"Downloading now: {line}")
 
 
 def _missing(source: Path, folder: Path, wish: Wish) -> list[str]:

@@ -273,7 +273,7 @@ def _verify(lift: LiftFolder, paths: Iterable[str], listed: Mapping[str, ListedF
     files, size = [], 0
     for path in paths:
         if path not in listed:
-            raise PlgsError("not-listed", "is not listed", lift.manifest_path, MAKE_ANEW)
+            raise PlgsError("not-listed", f"does not list {path}", lift.manifest_path, MAKE_ANEW)
         size += listed[path].bytes
         if size > _MOST_HASHED and path not in _READ:
             break

@@ -162,7 +162,7 @@ def run_experiments(options: argparse.Namespace) -> int:
         with Interrupts() as interrupts:
             return run_experiment(experiment, interrupts)
     except Interrupted as error:
-        print("Stopped. The same command continues.", file=sys.stderr)
+        print("Stopped. Give the same command again to continue.", file=sys.stderr)
         return error.exit_code
 
 

@@ -318,7 +318,7 @@ class _Batch:
             time.sleep(_POLL_S)
         for name, scene in self._scenes.items():
             if name not in self._rows:
-                self._rows[name] = _row(scene, STOPPED, "the same command continues", ExitCode.CANCELLED)
+                self._rows[name] = _row(scene, STOPPED, "give the same command again", ExitCode.CANCELLED)
 
 
 def _row(scene: _Scene, state: str, reason: str, code: int) -> Row:

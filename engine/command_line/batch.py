@@ -137,7 +137,7 @@ def batch(options: argparse.Namespace) -> int:
         raise
     except Interrupted as error:
         state = "cancelled"
-        print(f"Stopped. The same command continues: {options.output}", file=sys.stderr)
+        print(f"Stopped. Give the same command again to continue: {options.output}", file=sys.stderr)
         return error.exit_code
     finally:
         if events is not None and own is not None:

@@ -253,7 +253,7 @@ def depth(options: argparse.Namespace, events: EventWriter, stop: StopSignal) ->
 
     scene, folder = _scene_of(options), scene_folder(options.scene)
     if scene.has_depth and not is_made(folder):
-        what = "this scene has depth that was measured or given"
+        what = "this scene already has measured or given depth"
         raise PlgsError("has-depth", what, scene.folder, "Lift it as it is.")
     depth_scene(scene, folder, Wish(depth=options.model, download=options.download), events, stop)
     answer: dict[str, Json] = {"folder": str(folder), "frames": len(scene.frames)}

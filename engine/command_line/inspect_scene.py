@@ -83,7 +83,7 @@ def _finding_lines(diagnosis: Diagnosis, folder: Path | None) -> Iterator[str]:
     views = diagnosis.agreement
     if views is not None:
         yield (
-            f"views     {views.share:.0%} of what two frames see lies where both place it, with a median error of "
+            f"views     {views.share:.0%} of what two frames see lies at one place in both, with a median error of "
             f"{views.error:.2%} ({diagnosis.looked} of {diagnosis.frames} frames compared)"
         )
     if diagnosis.untested:

@@ -219,7 +219,7 @@ def _add_frames(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--make", nargs="+", choices=FRAME_FILES, default=list(FRAME_FILES), help="what (default: all)")
     parser.add_argument("--frames", nargs="+", metavar="FRAME", help="only these frames; the cloud is made of all")
     request.add_scene_options(parser)
-    _make_task(parser, commands.frames, "What was made is kept: the same command continues.")
+    _make_task(parser, commands.frames, "What was made is kept. Give the same command again to continue.")
 
 
 def _add_classes(parser: argparse.ArgumentParser) -> None:
@@ -274,7 +274,7 @@ def _add_segment(parser: argparse.ArgumentParser) -> None:
         "all makes those later (default: all)",
     )  # fmt: skip
     request.add_options(parser, "up", "scene_format")
-    _make_task(parser, commands.segment, "The same command continues.")
+    _make_task(parser, commands.segment, "Give the same command again to continue.")
 
 
 def _add_prepare(parser: argparse.ArgumentParser) -> None:
@@ -288,7 +288,7 @@ def _add_prepare(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--masks-model", default=SEGMENT_MODEL, metavar="NAME|FOLDER", help="as segment --model")
     parser.add_argument("--depth-model", default=DEPTH[0].name, metavar="NAME|FOLDER", help="as depth --model")
     parser.add_argument("--have", nargs="+", choices=("depth", "masks"), default=(), help="what not to make")
-    _make_task(parser, commands.prepare, "The same command continues.")
+    _make_task(parser, commands.prepare, "Give the same command again to continue.")
 
 
 def _add_model(parser: argparse.ArgumentParser, network: str, default: str) -> None:
@@ -314,7 +314,7 @@ def _add_depth(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder or file")
     _add_model(parser, "a network for depth", DEPTH[0].name)
     request.add_options(parser, "up", "scene_format")
-    _make_task(parser, commands.depth, "The same command continues.")
+    _make_task(parser, commands.depth, "Give the same command again to continue.")
 
 
 def _add_scale(parser: argparse.ArgumentParser) -> None:
@@ -349,7 +349,7 @@ def _add_set_up(parser: argparse.ArgumentParser) -> None:
         help="only collect the wheels for this, and for all that 'add' can add, in DIR, for this system and Python",
     )  # fmt: skip
     either.add_argument("--remove", action="store_true", help="delete the environments in FOLDER instead")
-    _make_task(parser, commands.set_up, "What was downloaded is kept: the same command continues.")
+    _make_task(parser, commands.set_up, "Downloads are kept. Give the same command again to continue.")
 
 
 def _add_add(parser: argparse.ArgumentParser) -> None:

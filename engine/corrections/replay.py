@@ -97,7 +97,7 @@ class Replay:
         if not ids and (edit.kind != "assign" or not edit.classes):
             return "it names no object"
         if edit.kind == "merge" and len(ids) < 2:
-            return "it names one object only"
+            return "it names only one object"
         if edit.kind in MOVES and (reason := self._no_label(edit)):
             return reason
         if edit.kind in (*MOVES, "merge", "remove"):

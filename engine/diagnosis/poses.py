@@ -172,7 +172,7 @@ def _misplaced_finding(examined: Examined, rows: list[int]) -> Finding:
     return Finding(
         cause="frames out of place",
         text=f"{agrees} with no neighbour, although the neighbours agree with each other: {listed(names)}",
-        option="leave them out; --fix OUT does",
+        option="leave them out; --fix OUT writes a scene without them",
         figures={"frames": float(len(rows))},
         is_mended=True,
         frames=names,
@@ -273,7 +273,7 @@ def repeat_findings(scene: Scene, progress: Progress = unwatched) -> list[Findin
     finding = Finding(
         cause="repeated frames",
         text=f"{count} the picture of another ({pairs})",
-        option="leave them out; --fix OUT does",
+        option="leave them out; --fix OUT writes a scene without them",
         figures={"frames": float(len(repeated))},
         is_mended=True,
         frames=tuple(frames[number].name for number, _ in repeated),

@@ -71,7 +71,7 @@ class LiftFolder:
             _write_new(path / "request.json", request.to_json(path))
         except FileExistsError as error:
             fix = "Choose another output folder."
-            raise PlgsError("in-the-way", "is in the way", error.filename or path, fix) from error
+            raise PlgsError("in-the-way", "already exists", error.filename or path, fix) from error
         except OSError as error:
             fix = "Choose a folder that you can write to, on a disk with free space."
             raise PlgsError("unwritable", f"cannot be written ({error.strerror})", path, fix) from error
@@ -333,7 +333,7 @@ def refuse_used(path: Path) -> None:
     if not path.exists():
         return
     if not path.is_dir():
-        raise PlgsError("in-the-way", "is in the way", path, "Choose another output folder.")
+        raise PlgsError("in-the-way", "is not a folder", path, "Choose another output folder.")
     if (path / "request.json").exists():
         fix = "Add --resume to continue it, or choose another output folder."
         raise PlgsError("holds-lift", "already holds a lift", path, fix, option="--resume")

@@ -134,7 +134,7 @@ def lifted_digest(manifest: Manifest) -> str:
 def verify_of(result: Path, lift: Path) -> None:
     """Check the files by the manifest, and that the result is of the lift's request. Raises PlgsError."""
     if verify(result).request != request_digest(lift):
-        raise damaged("other-request", "is the result of another request", result / NAME)
+        raise damaged("other-request", "is the result of other options than request.json has", result / NAME)
 
 
 def verify_lifted(result: Path) -> Manifest:

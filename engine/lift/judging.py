@@ -59,7 +59,7 @@ class Judgement:
             log.info("not shown: %s", line)
         named = [*lines[:MOST_NAMED], *([f"and {len(lines) - MOST_NAMED} more"] if len(lines) > MOST_NAMED else [])]
         if named:
-            events.warning(f"some masks show objects that the lift does not: {'; '.join(named)}")
+            events.warning(f"masks show objects that the lift does not show: {'; '.join(named)}")
 
 
 def judge(

@@ -70,7 +70,7 @@ def read_split(path: Path, names: Sequence[str], dropped: Sequence[str]) -> Spli
     unknown = sorted((parts["train"] | parts["test"]) - {*names} - {*dropped})
     if unknown:
         fix = "Delete these names or the file; a frame's name is its colour image's without the suffix."
-        raise PlgsError("no-frame", f"it names frames that do not exist ({listed(unknown)})", path, fix)
+        raise PlgsError("no-frame", f"the file names frames that do not exist ({listed(unknown)})", path, fix)
     both = sorted(parts["train"] & parts["test"])
     if both:
         what = f"frames are in train and in test ({listed(both)})"

@@ -174,8 +174,8 @@ def paired(
             what = f"{how}: {names[0]} has {chosen[names[0]].path.name if names[0] in chosen else 'none'}"
             return source, (Inferred("numbering", f"masks are paired with frames {what}", f"they fit so; {_BY_NAMES}"),)
         if fits is None and error is None:
-            what = f"masks may be numbered otherwise than frames: {listed(lacking)} lack one, and some masks a frame"
-            doubts = (Inferred("numbering", what, "the pictures do not tell; rename the masks if so"),)
+            what = f"masks may be numbered otherwise than frames: {listed(lacking)} have no mask, some masks no frame"
+            doubts = (Inferred("numbering", what, "the pictures do not show it; if so, rename the masks"),)
     if error is not None:
         raise error
     return usual, doubts

@@ -139,7 +139,7 @@ def test_after_ctrl_c_unfinished_scenes_are_marked_stopped_in_the_table(shell: T
         wait_until(lambda: batch.poll() is not None or (events.exists() and '"train"' in events.read_text()))
         batch.send_signal(signal.SIGINT)
         assert batch.wait(60) == 130
-    assert "Stopped. The same command continues: out" in (tmp_path / "said.txt").read_text()
+    assert "Stopped. Give the same command again to continue: out" in (tmp_path / "said.txt").read_text()
     assert [row["state"] for row in rows_of(shell.folder / "out").values()] == ["stopped", "stopped", ""]
 
 

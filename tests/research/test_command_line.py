@@ -57,7 +57,7 @@ def test_ctrl_c_in_research_says_what_next(capsys: pytest.CaptureFixture[str], m
         assert code_of("experiments", "SCENE") == 130
     finally:
         signal.signal(signal.SIGINT, before)
-    assert capsys.readouterr().err.splitlines() == ["Stopped. The same command continues."]
+    assert capsys.readouterr().err.splitlines() == ["Stopped. Give the same command again to continue."]
 
 
 def test_bench_checks_file(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

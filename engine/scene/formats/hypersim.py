@@ -243,7 +243,7 @@ def _read_table(path: Path) -> list[dict[str, str]]:
                 for row in csv.DictReader(file, skipinitialspace=True)
             ]
     except (UnicodeDecodeError, csv.Error) as error:
-        raise PlgsError("not-table", "this is not a table", path, _FIX) from error
+        raise PlgsError("not-table", "this is not a CSV table", path, _FIX) from error
 
 
 FORMAT = SceneFormat(

@@ -56,7 +56,7 @@ def _read(place: Path, progress: Progress) -> Capture:
         match = re.fullmatch(r"frame_(\d+)", name)
         entry = table[name]
         if match is None or not isinstance(entry, dict):
-            raise PlgsError("not-a-frame", f'"{name[:40]}" is not a frame', path, _FIX)
+            raise PlgsError("not-a-frame", f'"{name[:40]}" is not the name of a frame', path, _FIX)
         if pictures and name not in pictures:
             continue  # only some were extracted
         pose, number, picture = None, int(match[1]), video.path if video else pictures[name]

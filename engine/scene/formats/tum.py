@@ -151,7 +151,7 @@ def _read_poses(path: Path) -> list[_Pose]:
     poses: list[_Pose] = []
     for row in read_rows(path, _POSE_FIX):
         if row.words[0].isdecimal():
-            raise PlgsError("whole-time-stamps", "time stamps are whole numbers, as in ICL-NUIM", path, _ICL_FIX)
+            raise PlgsError("whole-time-stamps", "time stamps are frame numbers, as in ICL-NUIM", path, _ICL_FIX)
         has_number = len(row.words) == 9 and row.words[8].isdecimal()
         values = numbers(row, path, _POSE_FIX, 9 if has_number else 8).tolist()
         time, tx, ty, tz, qx, qy, qz, qw = values[:8]
