@@ -1,5 +1,5 @@
-"""A Python for the engine's commands that runs each in a fork of a process which has imported the engine: to start one
-takes three seconds of a processor otherwise, more than all else of a tiny lift.
+"""A Python for the engine's commands that runs each in a fork of a process which has imported the engine and run its
+kernels once: to start one takes three seconds of a processor otherwise, more than all else of a tiny lift.
 
 forked_engine.py SOCKET is that process. It is not for tests of how an engine starts, or of what kills it.
 """
@@ -21,7 +21,7 @@ import json, os, socket, sys
 server = socket.socket(socket.AF_UNIX)
 server.connect({address!r})
 socket.send_fds(server, [b"."], [0, 1, 2])
-server.sendall(json.dumps([sys.argv[1:], os.getcwd(), dict(os.environ)]).encode() + b"\\n")
+server.sendall(json.dumps([sys.argv, os.getcwd(), dict(os.environ)]).encode() + b"\\n")
 sys.exit(int(server.makefile().readline()))
 """
 
@@ -35,7 +35,10 @@ def forked_engines(folder: Path) -> Iterator[Path]:
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(address))
         listening.listen()
-        server = subprocess.Popen([sys.executable, __file__, str(listening.fileno())], pass_fds=[listening.fileno()])
+        server = subprocess.Popen(
+            [sys.executable, __file__, str(listening.fileno())], pass_fds=[listening.fileno()],
+            env=os.environ | {"OMP_NUM_THREADS": "1"},
+        )  # fmt: skip
     try:
         yield python
     finally:
@@ -47,11 +50,11 @@ def serve(listening: socket.socket) -> None:
     """Run each command that comes, in a fork."""
     import OpenEXR
 
-    import engine.command_line.run_engine
-    import engine.export
-    import engine.lift  # noqa: F401 - so that forks have it
+    from engine.lift.warm_up import compile_rasteriser, lift_a_wall
 
     OpenEXR.set_global_thread_count(0)  # its threads do not follow into a fork, which would wait for them
+    compile_rasteriser()
+    lift_a_wall(lambda: None)
     while True:
         client, _ = listening.accept()
         _, descriptors, *_ = socket.recv_fds(client, 1, 3)
@@ -61,7 +64,7 @@ def serve(listening: socket.socket) -> None:
                 os.close(descriptor)
             client.close()
             continue
-        arguments, folder, environment = json.loads(asked)
+        (sys.executable, *arguments), folder, environment = json.loads(asked)
         child = os.fork()
         if child == 0:
             for number, descriptor in enumerate(descriptors):

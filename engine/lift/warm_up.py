@@ -35,13 +35,12 @@ class _Trainer(Trainer):
 
 
 def warm_up() -> None:
-    """Run every compiled function of a lift once: consistency, matching, projection, rendering with gradients, and
-    baking. Numba compiles one function at a time, so a second process compiles the rasteriser, which is half of the
-    work, and leaves it in the cache."""
+    """Run every compiled function of a lift once. Numba compiles one function at a time, so a second process compiles
+    the rasteriser, which is half of the work, and leaves it in the cache."""
     rasteriser = get_context("spawn").Process(target=compile_rasteriser)
     rasteriser.start()
     try:
-        _lift_a_wall(rasteriser.join)
+        lift_a_wall(rasteriser.join)
     finally:
         rasteriser.join()
 
@@ -62,7 +61,8 @@ def compile_rasteriser() -> None:
         picture.image.sum().backward()
 
 
-def _lift_a_wall(wait_for_rasteriser: Callable[[], object]) -> None:
+def lift_a_wall(wait_for_rasteriser: Callable[[], object]) -> None:
+    """Check, match, prepare, train and bake an invented scene, the rasteriser from when the wait for it is over."""
     classes = ClassTable(
         (Category(WALL, "wall", False, (200, 200, 200)), Category(PICTURE, "picture", True, (200, 0, 0)))
     )

@@ -1,5 +1,6 @@
 """A terminal in a folder that looks like the clone: the commands that the pages print run there as they stand."""
 
+import os
 import re
 import subprocess
 import sys
@@ -10,11 +11,12 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ("captures", "clean-plates", "command-line", "corrections", "farms", "masks", "passes", "scripting")
 """Pages whose commands the tests in this folder run, a file a page."""
-# The engine and `research` run in forks of a process that has imported them; what needs bpy has a process of its own.
+# Programs run in forks of a process that has imported the engine; what needs bpy has a process of its own.
 _PYTHON = """#!/bin/sh
 case "$1" in
     -m) part=$2; shift 2; exec "{quick}" "{root}/$part/__main__.py" "$@" ;;
-    *) exec "{own}" "$@" ;;
+    -c | *run_plgs.py) exec "{own}" "$@" ;;
+    *) exec "{quick}" "$@" ;;
 esac
 """
 
@@ -42,7 +44,10 @@ class Terminal:
         for name, value in names.items():
             command = re.sub(rf"(?<![\w.]){re.escape(name.removeprefix('id'))}(?![\w.])", str(value), command)
         command = " ".join([command, *more])
-        ran = subprocess.run(["/bin/bash", "-c", command], cwd=self.folder, capture_output=True, text=True)
+        environment = {"PLGS_ENGINE_PYTHON": str(self.folder / ".venv/bin/python"), **os.environ}
+        ran = subprocess.run(
+            ["/bin/bash", "-c", command], cwd=self.folder, env=environment, capture_output=True, text=True
+        )
         assert ran.returncode == code, f"{command}\n{ran.returncode}: {ran.stdout}{ran.stderr}"
         return ran.stdout + ran.stderr
 

@@ -65,7 +65,7 @@ def engine(quick_python: Path) -> Engine:
     def run(*arguments: object, code: int = 0, killed: int = 0, into: Path | None = None) -> str:
         program = [quick_python, ROOT / "engine/__main__.py"]
         program = [quick_python, "-c", _KILLED, str(killed)] if killed else program
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        environment = {**os.environ, "PLGS_ENGINE_PYTHON": str(quick_python)}
         ran = subprocess.run([*program, *map(str, arguments)], env=environment, capture_output=True, text=True)
         assert killed or ran.returncode == code, f"{ran.returncode}: {ran.stdout}{ran.stderr}"
         if into is not None:
