@@ -148,7 +148,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     if options.relink is not None and (not options.bakes_camera or options.scene is not None):
         parser.error("--scene belongs to --bake camera without SCENE")
     if options.bakes_camera:
-        options.bake = None  # of the lift itself: those are as they were, or the defaults
+        options.bake = None  # the lift's own passes: as they were, or the defaults
         given = given_lift_options(options)
         if options.scene is None and given:
             parser.error(f"without SCENE nothing is lifted: leave out {', '.join(given)}, or name SCENE")
@@ -226,7 +226,7 @@ def lift_to_blend(options: argparse.Namespace, interrupts: Interrupts) -> int:
 def opened_file() -> Path | None:
     """Return the .blend that Blender opened before this script; None without one, and in a Python that has bpy."""
     bpy = sys.modules.get("bpy")
-    is_blender = bool(getattr(getattr(bpy, "app", None), "binary_path", ""))  # the module alone has none
+    is_blender = bool(getattr(getattr(bpy, "app", None), "binary_path", ""))  # the bpy package has no such path
     return Path(bpy.data.filepath) if bpy is not None and is_blender and bpy.data.filepath else None
 
 

@@ -21,7 +21,7 @@ from .scene.formats.photos import is_film, photos_in, sorted_out
 from .scene.frame_choice import frames_to_mask
 from .scene.masks import MASK_FOLDER
 
-_POSE_S = 0.4  # processor seconds of COLMAP for a photo of one machine as ours: 72 photos took 22
+_POSE_S = 0.4  # processor seconds of COLMAP per photo; 72 photos took 22
 _MINUTE = 60.0
 
 
@@ -157,7 +157,7 @@ def mask_scene(scene: Scene, folder: Path, wish: Wish, events: EventWriter, stop
 
     def follow(done: int, frames: int, made: int) -> None:
         stop.check()
-        if made:  # those of an earlier run would spoil the pace
+        if made:  # masks kept from an earlier run took no time, and would spoil the estimate
             progress(done, frames)
 
     try:

@@ -121,7 +121,7 @@ def make_frames(
                 try:
                     add_to_cloud(builder, frame, in_cloud[frame.name])
                 except PlgsError as error:
-                    problem = error  # pictures come first; it is raised below
+                    problem = error  # raised below, after all pictures are made
             progress(position + 1, len(todo))
         is_new = in_cloud and problem is None
         found = builder.cloud()

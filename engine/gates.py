@@ -31,7 +31,7 @@ def read_plain(path: Path, most_bytes: int) -> bytes:
     try:
         with open_plain(path) as file:
             size = os.fstat(file.fileno()).st_size
-            content = file.read(most_bytes + 1) if size <= most_bytes else b""  # it may grow, and /proc says 0
+            content = file.read(most_bytes + 1) if size <= most_bytes else b""  # it may grow; files of /proc claim 0
     except MemoryError as error:
         raise OSError(errno.ENOMEM, "no memory is left for it", str(path)) from error
     if size > most_bytes or len(content) > most_bytes:

@@ -18,7 +18,7 @@ from .records import read_record, record_text
 from .result_files import INSTANCES, read_instances
 from .scene_source import SceneSource
 
-_MOST_WARNINGS = 1_000  # that are shown; a scene has tens
+_MOST_WARNINGS = 1_000  # maximum number of warnings shown; a scene has tens
 Row = tuple[float, float, float, float]
 
 

@@ -91,7 +91,7 @@ def _universal(kind: str, folder: Path, name: str) -> Look:
         how: dict[str, Any] = {"images": colour, "return_tensors": "pt", "input_data_format": "channels_last"}
         if task:
             how["task_inputs"] = ["panoptic"]
-        if kind.startswith("eomt"):  # pads without saying where
+        if kind.startswith("eomt"):  # it pads, but does not return where
             height, width = processor(**how, do_pad=False)["pixel_values"].shape[-2:]
             pixels = processor(**how, do_pad=True)["pixel_values"]
         else:
@@ -117,7 +117,7 @@ def _rf_detr(folder: Path, name: str) -> Look:
     with loading(name):
         size = dict(told.get("size") or {})
         width, height = (int(size.get(side, _RF_DETR_SIDE)) for side in ("width", "height"))
-        cv2.resize(np.zeros((1, 1, 3), np.uint8), (width, height))  # refuses a picture that is none
+        cv2.resize(np.zeros((1, 1, 3), np.uint8), (width, height))  # raises an error if the size is impossible
         mean = np.array(told.get("image_mean", (0.485, 0.456, 0.406)), np.float32).reshape(3)
         spread = np.array(told.get("image_std", (0.229, 0.224, 0.225)), np.float32).reshape(3)
 

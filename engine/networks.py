@@ -25,7 +25,7 @@ ANOTHER = "Name another model, or download this one again."
 _IS_COMMIT = re.compile("[0-9a-f]{40}")
 _HUB_S = 15.0
 """Seconds within which huggingface.co must answer."""
-_REPEATS = re.compile("layers?$|blocks$|^depths?$|^num_stages$")  # counts of parts, also in a list of one per stage
+_REPEATS = re.compile("layers?$|blocks$|^depths?$|^num_stages$")  # options that count layers or blocks (or list counts)
 _CLASSES = ("id2label", "label2id")
 _MOST_REPEATS = 1000
 _MOST_IN = {"config.json": 2**20, "preprocessor_config.json": 2**13}
@@ -132,7 +132,7 @@ def _refuse_vast(content: object, path: Path, key: str = "") -> None:
     """Raise PlgsError for a number in a model's settings, ``content``, that memory would not suffice for."""
     if isinstance(content, dict | list):
         for inner, each in content.items() if isinstance(content, dict) else ((key, each) for each in content):
-            if inner not in _CLASSES:  # whose names are anything
+            if inner not in _CLASSES:  # class names and their numbers are free
                 _refuse_vast(each, path, str(inner))
     elif isinstance(content, int):
         most = _MOST_REPEATS if _REPEATS.search(key) else _MOST_IN[path.name]

@@ -132,7 +132,7 @@ def is_done(folder: LiftFolder) -> bool:
     if manifest.settings.get("name", name) != name:
         return False
     lifted = manifest.masks
-    if not lifted and folder.is_lifted_again:  # scene.json tells only what that is lifted from
+    if not lifted and folder.is_lifted_again:  # scene.json may describe the scene of the new lift only
         return False
     lifted = lifted or masks_last_run(folder)
     if not lifted or not os.path.exists(folder.request.scene):
@@ -216,7 +216,7 @@ def _digests_of(frames: Sequence[Frame], progress: Progress = unwatched) -> list
     files = digests_of_files([(frame.colour_path, frame.depth_path) for frame in frames], progress)
     trusted = digests_of_files([(frame.confidence_path,) for frame in frames])
     return [
-        (found, trust and sha256(f"{trust} {frame.read_as}".encode()).hexdigest()[:16])  # "" stays: not known
+        (found, trust and sha256(f"{trust} {frame.read_as}".encode()).hexdigest()[:16])  # "" stays "": not known
         for frame, found, trust in zip(frames, files, trusted, strict=True)
     ]
 

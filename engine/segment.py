@@ -202,7 +202,7 @@ def make_masks(
 ) -> None:
     """Make the missing masks of the frames ``wanted`` (None: all), then the table, in which all other frames have empty
     masks. Raises PlgsError, OSError."""
-    job.own.remove(job.folder / TABLE)  # of fewer frames: their empty masks are replaced
+    job.own.remove(job.folder / TABLE)  # an earlier run's table, in which these frames may have empty masks
     with job.own:
         left_out = _make_masks(scene, job, network, progress, wanted)
     for frame in () if left_out else scene.frames:  # a run that makes masks of more frames needs them

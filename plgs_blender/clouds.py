@@ -69,7 +69,7 @@ class SurfaceGrid:
             return np.full(len(positions), -1, np.int64)
         low, high = self.xyz.min(axis=0), self.xyz.max(axis=0)
         inside = ((positions >= low) & (positions <= high)).all(axis=1)
-        both = np.concatenate([self.xyz, np.where(inside[:, None], positions, low)])  # numbers depend on all
+        both = np.concatenate([self.xyz, np.where(inside[:, None], positions, low)])  # numbers depend on all of them
         numbers = _cell_numbers(both, self.side)
         known, first = np.unique(numbers[: len(self.xyz)], return_index=True)
         at = np.minimum(np.searchsorted(known, numbers[len(self.xyz) :]), len(known) - 1)
@@ -87,7 +87,7 @@ class SurfaceGrid:
         normal = axes[:, :, 0]
         towards = towards_nearest(mean, viewpoints)
         normal *= np.where(np.einsum("ij,ij->i", normal, towards) < 0.0, -1.0, 1.0)[:, None]
-        no_plane = (self.count < 4) | (lengths[:, 0] > _THICKNESS * lengths[:, 1])  # three always lie in one
+        no_plane = (self.count < 4) | (lengths[:, 0] > _THICKNESS * lengths[:, 1])  # three points always lie in a plane
         distance = np.linalg.norm(towards, axis=1, keepdims=True)
         normal[no_plane] = (towards / np.maximum(distance, 1e-9))[no_plane]
         return normal.astype(np.float32)[self.cell]

@@ -55,9 +55,9 @@ def _clouds_by_nodes(counts: Sequence[int]) -> list[bpy.types.PointCloud]:
         layer.update()
         instances = (one for one in layer.depsgraph.object_instances if one.object.type == "POINTCLOUD")
         found = {one.parent.original: one.object.data.copy() for one in instances}
-        return [found.get(ob) or bpy.data.pointclouds.new("empty") for ob in objects]  # nodes make none of no points
+        return [found.get(ob) or bpy.data.pointclouds.new("empty") for ob in objects]  # no points make no cloud
     finally:
-        bpy.data.batch_remove([scene, group, *objects, *(ob.data for ob in objects)])  # each removal looks through all
+        bpy.data.batch_remove([scene, group, *objects, *(ob.data for ob in objects)])  # each call checks all data
 
 
 def new_geometry_group(name: str) -> bpy.types.NodeTree:

@@ -200,7 +200,7 @@ def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
     """Rename an object. If only this Blender changed the corrections, only the object's row, box and mesh are updated,
     as one of their fields may call this; otherwise all is. Raises PlgsError, OSError."""
     made, result = _correct(root, lambda state, _: making.rename(state, instance, name))
-    if root[LIFT] in outdated:  # then there is more to show
+    if root[LIFT] in outdated:  # the view lacks other edits, too
         show_corrections(root, result)
     row = selection.row_of(root, instance)
     row.known_name = row.name = made.name  # in this order, or setting `name` would rename again

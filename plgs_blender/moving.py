@@ -31,11 +31,11 @@ def relate(blend: Path) -> None:
     is_kept_absolute = bool(bpy.data.filepath) and not bpy.context.preferences.filepaths.use_relative_paths
     for store, path in _stored_paths():
         is_related = path.startswith("//")
-        if is_related and not bpy.data.filepath:  # by an earlier call for this file, which has no place yet
+        if is_related and not bpy.data.filepath:  # relative by an earlier call; an unsaved file has no folder
             continue
         if is_related or not is_kept_absolute:
             _change(store, path, _relative(str(absolute(path)), blend.parent))
-    if now.parent == blend.parent and not is_kept_absolute:  # else Blender changes them itself after us
+    if now.parent == blend.parent and not is_kept_absolute:  # otherwise Blender changes them itself
         for image in bpy.data.images:
             if text_of(image, LIFT) and image.library is None and image.filepath and not image.packed_file:
                 _change(partial(setattr, image, "filepath_raw"), image.filepath, _relative(image.filepath, now.parent))

@@ -27,7 +27,7 @@ KEY = "plgs_key"
 
 _OBJECT_TYPE = {"Camera": "CAMERA", "PointCloud": "POINTCLOUD", "Mesh": "MESH"}
 
-# Users stand before what they use: a background image is free only when its camera is gone.
+# Each kind comes before the kinds that it uses: an image has no user only when its camera is gone.
 _DATA = ("cameras", "pointclouds", "meshes", "materials", "node_groups", "images", "actions")
 
 
@@ -93,7 +93,7 @@ class OwnedDataBlocks:
         self.lift = lift
         self._kept: set[Any] = set()
         self._blocks: dict[str, dict[str, Any]] = {}
-        self.in_scene = set(scene.objects)  # and what has just been put there
+        self.in_scene = set(scene.objects)  # and the objects linked to it since
         own = self._own_objects()
         self._objects = originals(own, lift)
         for ob in own:

@@ -41,7 +41,7 @@ def make_objects(
     ``as_assets`` they become assets with a preview picture; with ``catch_shadows`` they show only the shadows of
     others. Raises PlgsError if one does not exist."""
     result = read_corrected(folder_of(root))
-    known = {one.id: one for one in (*result.instances, *result.removed)}  # the removed as their meshes still are
+    known = {one.id: one for one in (*result.instances, *result.removed)}  # removed instances still have meshes
     lost = [number for number in numbers if number not in known]
     if lost:
         ids = ", ".join(map(str, known)) or "none"

@@ -61,7 +61,7 @@ def _filled(template: str, camera: str, later: int) -> str:
 
 @dataclass(frozen=True)
 class NumberedNames:
-    """Names that Blender can step through: the i-th is the `first`, which is opened, with `numbers[i]` in it."""
+    """Names that Blender can step through: name i is `first` (the opened file) with `numbers[i]` as its number."""
 
     first: str
     numbers: tuple[int, ...]

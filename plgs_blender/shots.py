@@ -307,7 +307,7 @@ class ShotReader:
     def withdraw_unbaked(self, bake: TaskFollower) -> None:
         """Undo `write` if the bake ended before its first view, for example because the engine refused it."""
         if self._claimed is not None and bake.state is not TaskState.FINISHED and bake.progress.stage != "bake":
-            with suppress(OSError, PlgsError):  # then a name stays taken, which another bake will say
+            with suppress(OSError, PlgsError):  # then the name stays taken, and another bake reports that
                 self._claimed.withdraw()
 
 

@@ -189,7 +189,7 @@ def squares(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Squares
 
 def _fronts(axes: NDArray[np.float32], size: NDArray[np.float32], facing: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return unit normals float32 [M, 3]: a flat Gaussian's own, on the side of `facing` [M, 3]; else `facing`."""
-    # What is turned to the nearest eye shows others its back: a floor of such squares has holes.
+    # Squares turned to the nearest camera show others their back, so a floor of them would have holes.
     own = axes[np.arange(len(axes)), size.argmin(axis=1)]
     own = np.where(np.einsum("ij,ij->i", own, facing)[:, None] < 0.0, -own, own)
     thin, flat, _ = np.sort(size, axis=1).T

@@ -111,7 +111,7 @@ def lifting_seconds(events: Sequence[Event]) -> float | None:
             runs.append([])
         if runs:
             runs[-1].append(event)
-    lifts = [run for run in runs if run[0].data.get("task", "lift") == "lift"]  # the others baked more afterwards
+    lifts = [run for run in runs if run[0].data.get("task", "lift") == "lift"]  # other runs baked passes after the lift
     seconds = 0.0
     for run in lifts:
         ends = (event for event in run if event.kind == "stage" and event.data["name"] == "bake")

@@ -45,7 +45,7 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
         row.operator("plgs.split_instance", text="Split", icon="MOD_BOOLEAN").by = "CUT"
         row = layout.split(factor=0.28, align=True)
         row.operator("plgs.assign_points", text="Paint", icon="BRUSH_DATA").to = "INSTANCE"
-        row = row.split(factor=0.6, align=True)  # as wide as their words
+        row = row.split(factor=0.6, align=True)  # each button is as wide as its label
         row.menu(PLGS_MT_paint_new.bl_idname)
         row.menu(PLGS_MT_paint_class.bl_idname)
         layout.operator("plgs.crop_instance", icon="CUBE")

@@ -82,7 +82,7 @@ def _draw_selected(context: bpy.types.Context, root: bpy.types.Collection) -> No
         return
 
     def is_outlined(cloud: bpy.types.Object) -> bool:
-        # Hidden points lie on the visible surface or among the splats, so they give these their outline.
+        # Hidden points lie on the visible surface or splats, so the outline is computed from them.
         is_stand_in = lists.show_as != POINTS and "class_id" in cloud
         return is_stand_in or cloud.visible_in_viewport_get(context.space_data)
 

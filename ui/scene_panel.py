@@ -41,7 +41,7 @@ class PLGS_PT_scene(sidebar.StepBefore, bpy.types.Panel):
             row.operator("plgs.import_scene", icon="OUTLINER_OB_CAMERA")
         film = registry.latest(FilmMaking)
         if film is not None and (film.is_running or (settings.scene_folder and film.error_for(chosen_scene(settings)))):
-            sidebar.draw_task(layout, context, film)  # what it reports is of the film, which is no scene yet
+            sidebar.draw_task(layout, context, film)  # its events are about a film, which is no scene yet
             return
         survey = survey_of_panel(settings)
         if not settings.scene_folder:
@@ -188,7 +188,7 @@ def _draw_survey(layout: bpy.types.UILayout, context: bpy.types.Context, survey:
         column.label(text=fact, icon=icon if fact else "BLANK1")
     warnings = () if known is None else (*(text for text, doubtful in known.inferred if doubtful), *known.warnings)
     header, body = layout.panel("plgs_scene_details", default_closed=True)
-    # The first warning is seen without a click, its end and the others after one.
+    # The header shows the first warning; opening it shows its end and the others.
     first = f"{plural(len(warnings), 'warning')}: {warnings[0]}" if warnings else "Details"
     header.label(text=sidebar.fitted(context, with_field_names(first)), icon="ERROR" if warnings else "NONE")
     if body is not None and known is not None:

@@ -139,7 +139,7 @@ def work_of(task: Task) -> str:
     """Return a text about what a running task is doing."""
     progress = task.progress
     if progress.stage == "train" and not progress.step:
-        return "First step (may compile for 2 min)"  # once per computer
+        return "First step (may compile for 2 min)"  # kernels are compiled once per computer
     loss = "" if progress.loss is None else f", loss {progress.loss:.4f}"
     return f"{progress.label if progress.stage else task.label}{loss}"
 
@@ -176,7 +176,7 @@ def draw_adding(layout: bpy.types.UILayout, context: bpy.types.Context, name: st
         row = layout.row(align=True)
         button = row.operator("plgs.add_to_engine", text=f"Add to Engine ({amount(size_of(name))})", icon="IMPORT")
         button.capability = name
-        row.operator("plgs.check_engine", text="", icon="FILE_REFRESH")  # for users who added it by hand
+        row.operator("plgs.check_engine", text="", icon="FILE_REFRESH")  # for users who installed the packages by hand
         if (obstacle := why_not_added()) is not None:
             draw_text(layout, context, obstacle, "INFO")
 

@@ -188,7 +188,7 @@ def _close(farm: Farm) -> None:
     with suppress(Exception):  # a scheduler that is gone
         farm.client.close(timeout=2)
     for worker in farm.own:
-        worker.close()  # the worker takes that as our end, and clears its scratch folder
+        worker.close()  # a worker whose pipe closes ends, and clears its scratch folder
     give_up = time.monotonic() + END_S
     while time.monotonic() < give_up and any(worker.exit_code() is None for worker in farm.own):
         time.sleep(0.05)

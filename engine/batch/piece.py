@@ -212,7 +212,7 @@ class _Pulse:
             used = sum(self._process.cpu_times()[:2])  # user and system seconds
         except Error:  # it has ended
             return
-        if used - self._used > 0.01:  # more than a tick, in which Linux counts them
+        if used - self._used > 0.01:  # more than one tick of 10 ms, Linux's unit
             self._used = used
             self.beat()
         elif time.monotonic() - self._last > STALL_S:

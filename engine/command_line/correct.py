@@ -81,7 +81,7 @@ def correct(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
         events.answer(answer, "\n".join([*lines, found.progress]))
         return
 
-    folder.refuse_read_only()  # before what an edit computes
+    folder.refuse_read_only()  # before an edit is computed, which may take minutes
     if options.edit == "undo":
         edit, corrected = undo(folder.path)
     elif options.edit == "put-back":

@@ -401,7 +401,7 @@ def main(arguments: Sequence[str], parser: Callable[[], argparse.ArgumentParser]
         print(printable(f"error: {failure}"), file=sys.stderr)
         drop_output()
         return failure.exit_code
-    except RuntimeError as error:  # so says Python before 3.13, where later ones go on
+    except RuntimeError as error:  # raised by Python before 3.13 for links in a circle
         if not str(error).startswith("Symlink loop"):
             raise
         print(printable(f"error: a link leads to itself: {error}. Fix or remove it."), file=sys.stderr)

@@ -41,7 +41,7 @@ def run_engine(
             from ..scene_of_lift import is_done  # late: it needs numpy
 
             if is_done(folder):
-                folder.drop_next_result()  # its masks are the earlier ones again
+                folder.drop_next_result()  # it would lift the same masks again
                 print(f"This lift is finished already: {folder.result_path}")
                 return ExitCode.FINISHED
         elif state is not LiftState.NOT_STARTED:
@@ -58,7 +58,7 @@ def run_engine(
                 if studio.file is not None:
                     log.info("defaults of %s: %s", studio.file, studio)
                 if studio.memory is not None:
-                    os.environ.setdefault(SHARE, f"{studio.memory:g}")  # what a batch gave this engine counts
+                    os.environ.setdefault(SHARE, f"{studio.memory:g}")  # a batch's own setting takes precedence
                 if lift is not None:
                     return lift(folder, events, stop, resume=resume)
                 if state is LiftState.NOT_STARTED:  # refused at once, not only after torch was loaded

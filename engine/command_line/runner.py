@@ -30,7 +30,7 @@ from ..json_file import to_line
 Work = Callable[[EventWriter, StopSignal], object]
 
 _FULL = "Make room there"
-_NO_ROOM = {errno.ENOSPC: _FULL, errno.EDQUOT: _FULL, errno.EFBIG: "Raise the limit (ulimit -f)"}  # and what mends it
+_NO_ROOM = {errno.ENOSPC: _FULL, errno.EDQUOT: _FULL, errno.EFBIG: "Raise the limit (ulimit -f)"}  # errno: the fix
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def _do(command: Command, events: EventWriter, stop: StopSignal, terminal: TextI
         raise
     except PlgsError as error:
         failure = error
-        if (number := _number_without_room(error.what)) is not None:  # whatever could not be written
+        if (number := _number_without_room(error.what)) is not None:  # no room, whichever file could not be written
             fix = f"{_NO_ROOM[number]}, then {command.again}." + (f" Or: {error.fix}" if error.option else "")
             failure = PlgsError(error.key, error.what, error.where, fix, code=ErrorCode.DISK_FULL, option=error.option)
         if files is not None and "\n" in str(error.__cause__ or "").strip():

@@ -94,7 +94,7 @@ def label_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
         return [Finding("contradicting masks", text, option, figures=figures, picture=picture, stops=stops)]
     # The looks whose masks agree with the others' hardly more than by chance, if most agree well.
     kept = (labels.by_look - labels.chance) / max(labels.middle - labels.chance, 1e-6)
-    kept[~(labels.by_look < labels.middle - _LESS)] = 1.0  # so are nan: too few points say nothing
+    kept[~(labels.by_look < labels.middle - _LESS)] = 1.0  # also for NaN: too few points say nothing
     odd = np.flatnonzero(kept < _PROBABLY_FOREIGN).tolist() if (kept < _FOREIGN).any() else []  # only if one is certain
     return [_odd_masks(examined, labels, odd)] if odd else []
 

@@ -135,7 +135,7 @@ def _mended_depth(frame: Frame, mending: Mending) -> NDArray[np.float64]:
     places = np.stack([x, y], -1).reshape(1, -1, 2)
     depth = planar(depth.reshape(1, -1), places, _lens(frame.camera, mending.assumed), mending.assumed)
     depth = depth.reshape(height, width)
-    moved = np.zeros_like(depth)  # what comes from outside is unknown
+    moved = np.zeros_like(depth)  # depth that would come from outside the picture is unknown
     right, down = round(mending.depth_shift[0] * width), round(mending.depth_shift[1] * height)
     moved[max(down, 0) : height + min(down, 0), max(right, 0) : width + min(right, 0)] = depth[
         max(-down, 0) : height - max(down, 0), max(-right, 0) : width - max(right, 0)

@@ -23,7 +23,7 @@ GRAZED = (*STRAIGHT, (2.0, 8.0), (4.0, 12.0))
 """Slopes of a surface, and the number of voxels before and behind it, along the view's axis, that a view changes from
 that slope on. A view that grazes a floor must reach farther; otherwise the floor has holes. The cost is that round
 objects get thicker."""
-_STRIDE = 4  # Open3D looks for voxels at every fourth row and column, and refuses views that show none there
+_STRIDE = 4  # Open3D samples each fourth row and column for voxels, and raises an error if a view has none there
 _SIDE = 8  # voxels along a block
 MOST_BLOCKS = 3_000
 """Blocks of voxels in a slab. Each takes 18 KB, in the field and while its surface is found."""

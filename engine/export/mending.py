@@ -80,7 +80,7 @@ def without_flaps(surface: Surface, label: Ints, views: Sequence[SmallView], ste
     for view in views:
         vertex, pixel, depth = view.camera.seen(surface.xyz)
         column, row = pixel.astype(np.int64).T
-        # Outlines in a view are as wide as its pixels: it looks through a vertex only if it does all around.
+        # Outlines are uncertain by a pixel, so a view sees past a vertex only if all pixels around it do.
         nearest, farthest = cv2.erode(view.depth, around)[row, column], cv2.dilate(view.depth, around)[row, column]
         is_seen = (depth > nearest - OFF) & (depth < farthest + OFF) & (farthest > 0)
         through[vertex] += nearest > depth * (1 + OFF_SHARE) + OFF
@@ -125,7 +125,7 @@ def _rings(surface: Surface, rim: Ints, largest: float) -> tuple[Ints, NDArray[n
     is_hole = extent.max(axis=1) <= largest
     comes, goes = np.bincount(rim[:, 1], minlength=count), np.bincount(rim[:, 0], minlength=count)
     is_hole[ring[(comes != goes)[rim[:, 0]] | (comes != goes)[rim[:, 1]]]] = False
-    is_hole[ring[(reach < 2 * extent[ring].max(axis=1, keepdims=True)).all(axis=1)]] = False  # rims of scraps
+    is_hole[ring[(reach < 2 * extent[ring].max(axis=1, keepdims=True)).all(axis=1)]] = False  # rims of small pieces
     return ring, is_hole
 
 

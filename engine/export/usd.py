@@ -153,7 +153,7 @@ def _add_field(stage: Usd.Stage, path: str, splats: NDArray[np.void]) -> Usd.Pri
     field.CreateOpacitiesAttr(Vt.FloatArray.FromNumpy(opacities(splats)))
     field.CreateRadianceSphericalHarmonicsDegreeAttr(0)
     field.CreateRadianceSphericalHarmonicsCoefficientsAttr(_vectors(columns(splats, "f_dc_0 f_dc_1 f_dc_2")))
-    reach = 3 * scales.max(axis=1, keepdims=True)  # beyond three deviations, little is seen
+    reach = 3 * scales.max(axis=1, keepdims=True)  # beyond three standard deviations, a Gaussian is nearly invisible
     field.CreateExtentAttr(_vectors([(xyz - reach).min(axis=0), (xyz + reach).max(axis=0)]))
     return field.GetPrim()
 
@@ -204,7 +204,7 @@ def _set_camera(shown: UsdGeom.Camera, camera: Camera, time: Usd.TimeCode) -> No
     shown.CreateHorizontalApertureOffsetAttr().Set(FOCAL_LENGTH * (camera.width / 2 - camera.cx) / camera.fx, time)
     shown.CreateVerticalApertureOffsetAttr().Set(FOCAL_LENGTH * (camera.cy - camera.height / 2) / camera.fy, time)
     shown.CreateClippingRangeAttr(Gf.Vec2f(0.01, 1000.0))
-    # It has rows for columns.
+    # OpenUSD's matrices are transposed.
     shown.MakeMatrixXform().Set(Gf.Matrix4d((camera.camera_to_world @ _TO_USD).T.tolist()), time)
 
 

@@ -1,4 +1,4 @@
-"""The folder checkpoint/ with the latest complete state of a lift. Once there was one, there is one at every moment."""
+"""The folder checkpoint/: the latest complete state of a lift. After the first save, a kill always leaves one."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class CheckpointStore:
                 try:
                     return Checkpoint(folder, _verified_state(folder))
                 except PlgsError as error:
-                    damage = damage or error  # that of the newest
+                    damage = damage or error  # the error of the newest one
         if damage is not None:
             raise damage
         return None

@@ -66,7 +66,7 @@ class TaskFollower:
         """Start an engine and follow it. ``command`` is one from `engine_call`, to which the arguments for ``files``
         and its parent are added. Without ``stays_with_parent`` it continues when this process ends. ``variables`` are
         for its environment: values that must not appear in the list of processes. Raises PlgsError, OSError."""
-        reader = EventReader(files.events, from_end=True, hurried=True)  # without earlier runs
+        reader = EventReader(files.events, from_end=True, hurried=True)  # events of earlier runs are skipped
         if not is_locked(files.events):
             # Before the engine starts: a cancel file that is made from now on is meant for it.
             files.cancel.unlink(missing_ok=True)
@@ -182,7 +182,7 @@ class TaskFollower:
 
     def _end(self, code: int | None) -> None:
         """Note that the task has ended. ``code`` is the engine's exit code; None if another process started it."""
-        if not self.files.events.parent.is_dir():  # then the engine's own message does not tell what happened
+        if not self.files.events.parent.is_dir():  # the folder is gone, which the engine's own error does not say
             fix = "Restore it, or start again."
             where = self.files.events.parent
             self._fail(PlgsError("folder-gone", "the folder was deleted or moved", where, fix, code=ErrorCode.INTERNAL))

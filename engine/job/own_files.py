@@ -50,8 +50,8 @@ class OwnFiles:
         self.begun: _Run | None = None
         self._asked: _Run = ("", {})
         self._is_announced = False
-        self._digests: dict[str, set[str]] = {}  # of each path's contents, by a name that ignores case
-        self._kinds: dict[str, str] = {}  # by path as it was written
+        self._digests: dict[str, set[str]] = {}  # SHA-256 digests of each path's contents, by the path in one case
+        self._kinds: dict[str, str] = {}  # by the path as it was written
         self._latest: set[str] = set()  # what the run that began last wrote
         with suppress(FileNotFoundError, NotADirectoryError), open_plain(folder / NOTE, follow_link=False) as file:
             if os.fstat(file.fileno()).st_size > MOST_BYTES:
@@ -87,7 +87,7 @@ class OwnFiles:
         if not place.is_dir():
             what = "a folder is needed, but this is a file" if place.exists() else "this link leads nowhere"
             raise PlgsError("file-not-folder", what, place, "Name another one.")
-        if not os.access(place, os.W_OK):  # told before any work
+        if not os.access(place, os.W_OK):  # reported before any work
             raise PlgsError("not-writable", "this folder cannot be written to", place, "Name another one.")
         is_same = self.begun == self._asked or (replaces and self.begun is not None and self.begun[0] == kind)
         if not (among_others or is_same) and self.folder.exists() and any(self.folder.iterdir()):

@@ -38,7 +38,7 @@ WRITE_S = 2.0
 """Seconds to write the passes and previews of a megapixel."""
 PIXEL = 12.0
 """Bytes per pixel in a file of passes: up to 12 at 1920x1080, 14 at 320x240."""
-REMEMBERED = 5  # lifts, whose median counts
+REMEMBERED = 5  # maximum number of remembered lifts; their median is used
 MB = 1_000_000
 
 
@@ -109,7 +109,7 @@ def predict(
     scored = own if written else _megapixels_within(frame_size, preset.scored)
     steps = preset.for_views(views).last_step
     most = min(preset.most_anchors, MOST_ANCHORS_PER_POINT * preset.most_points)
-    gaussians = preset.gaussians_per_anchor * min(SURFACE / preset.voxel_size**2, most) / 1e6  # millions, as the sample
+    gaussians = preset.gaussians_per_anchor * min(SURFACE / preset.voxel_size**2, most) / 1e6  # in millions
     step = step_seconds(trained_on, gaussians)
     rounds = max(0, min(round(1 / preset.schedule.self_training_every), steps) - 1)
     voting = views if preset.shows_votes else 0

@@ -23,7 +23,7 @@ _CLASS_SHARES = (("iou", "IoU %"), *_SHARES[2:])
 _COUNTS = ("tp", "fp", "fn")
 _NO_METRICS = "There are no metrics: they need held-out frames with ground truth."
 _LARGEST = 1e15
-_MOST_ENTRIES = 5_000  # of a list that are shown; a lift writes hundreds
+_MOST_ENTRIES = 5_000  # maximum entries shown of a list; a lift writes hundreds
 _SHOWN = ("semantic_points.npz", "instances.json", "gaussians.ply", "metrics.json", "previews", "passes")
 
 

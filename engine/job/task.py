@@ -27,7 +27,7 @@ LOG_LINES = 40
 LOG_BYTES = 1 << 16
 """At most this many bytes at a log's end are read for them."""
 _LONGEST_LINE = 500
-_MOST_WARNINGS = 1_000  # of a task that are kept
+_MOST_WARNINGS = 1_000  # maximum number of warnings kept of a task
 _MOST = 1 << 62  # the largest count and number of seconds that is accepted
 _NO_LINK: int = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # O_NONBLOCK: a FIFO would wait
 

@@ -197,7 +197,7 @@ def prefetch(typing_context: Any, array: Any, index: Any) -> Any:
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         pointer = builder.bitcast(element_pointer(context, builder, signature.args[0], *arguments), BYTES_IR)
-        call(builder, "llvm.prefetch.p0", ir.VoidType(), [pointer, INT(0), INT(3), INT(1)])  # read, keep close, data
+        call(builder, "llvm.prefetch.p0", ir.VoidType(), [pointer, INT(0), INT(3), INT(1)])  # read, keep cached, data
         return context.get_dummy_value()
 
     return types.void(array, types.int64), emit

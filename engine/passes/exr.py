@@ -180,7 +180,7 @@ def write_exr(
     if named_for == "nuke":
         channels = {_in_nuke(name): plane for name, plane in channels.items() if "Combined" not in name}
         for name in {"forward.u", "forward.v"} & {*channels}:
-            channels[name] = -channels[name]  # to the next frame, where Blender has from it
+            channels[name] = -channels[name]  # Nuke's vectors point to the next frame, Blender's come from it
     header = frame_header(view.camera, shown, path.stem) | dict(notes or {})
     for matte in view.mattes:
         channels |= cryptomatte.channels(matte.layer.name, matte.ranks)

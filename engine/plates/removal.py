@@ -88,14 +88,14 @@ def _removal(folder: LiftFolder, objects: Sequence[str], progress: Progress) -> 
 def _drop_unused(lift: Path) -> None:
     """Delete the fills that no edit needs, not even an undone one, except the UNUSED newest."""
     fills = [path for path in (lift / FILLS).glob("*.npz") if re.fullmatch("[0-9a-f]{16}", path.stem)]
-    used = {edit.fill for edit in read_edits(lift)}  # as they are now: another process may have made one meanwhile
-    with suppress(OSError):  # another process does the same, or has one open: the removal is made all the same
+    used = {edit.fill for edit in read_edits(lift)}  # read again: another process may have added an edit
+    with suppress(OSError):  # another process deletes it too, or has it open: no reason to fail
         for path in sorted((path for path in fills if path.stem not in used), key=os.path.getmtime)[:-UNUSED]:
             path.unlink()
 
 
 def fill_of(folder: LiftFolder, corrected: CorrectedResult, ids: Sequence[int], progress: Progress) -> Fill:
-    """Return what replaces removed objects. Raises PlgsError for unreadable photos, and what ``progress`` raises."""
+    """Return what replaces objects ``ids``. Raises PlgsError for unreadable photos, and what ``progress`` raises."""
     scene = scene_of_lift(folder)
     baker = read_baker(folder, scene.classes, corrected)
     points = {number: corrected.points.xyz[corrected.points.instance_id == number] for number in ids}

@@ -120,7 +120,7 @@ def _behind(plane: Plane, view: PlateView) -> NDArray[np.float64]:
     ways, height = seen - view.camera.centre, plane.local(view.camera.centre[None])[0, 2]
     falls = -(ways @ plane.axes[2])
     times = height / np.where(falls > 1e-6, falls, np.inf)
-    found = times > 0.98  # at what leaves, or behind it
+    found = times > 0.98  # on the removed objects, or behind them
     ends = plane.local(view.camera.centre + times[found, None] * ways[found])[:, :2]
     return ends[np.linalg.norm(times[found, None] * ways[found], axis=1) < FARTHEST]
 

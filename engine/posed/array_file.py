@@ -64,7 +64,7 @@ def read_npy(path: Path, fix: str, most_bytes: int = MOST_BYTES) -> NDArray[Any]
 def _array(file: IO[bytes]) -> NDArray[Any]:
     """Read the array of a .npy. Memory is taken only for data that the file really has. Raises many kinds of errors."""
     values: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
-    if not values.dtype.itemsize:  # V0 or U0: a header of few bytes could claim any number of rows
+    if not values.dtype.itemsize:  # dtype V0 or U0: any number of rows would need no bytes
         raise ValueError("its numbers have no size")
     return values
 

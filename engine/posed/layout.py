@@ -24,7 +24,7 @@ def read_file(path: Path, most_bytes: int, fix: str = "Check that it exists.") -
     """The content of a regular file of at most ``most_bytes``. Raises PlgsError, with ``fix`` as the advice."""
     with reading(path, fix):
         size = path.stat().st_size
-        if size <= most_bytes:  # otherwise read_plain refuses it
+        if size <= most_bytes:  # otherwise read_plain raises an error
             check_memory(size, path)
         return read_plain(path, most_bytes)
 

@@ -248,7 +248,7 @@ def read_toml(path: Path, fix: str) -> dict[str, Any]:
 
 
 def read_preset_file(path: Path) -> tuple[str, dict[str, Json]]:
-    """Return the preset that a file changes, and its options. Raises PlgsError, which names the file and the option."""
+    """The name of the preset that a file builds on, and the options it changes. Raises PlgsError for a wrong file."""
     content = read_toml(path, _FIX)
     base = content.pop(BASE, None)
     if base not in PRESETS:

@@ -231,7 +231,7 @@ PRESETS: dict[str, Preset] = {
             "standard",
             steps=1500,
             size=(320, 320),
-            frames=900,  # Panoptic Lifting's number
+            frames=900,  # as many as Panoptic Lifting uses
             voxel_size=0.05,
             steps_a_view=15.0,
             vote_size=(640, 640),

@@ -183,9 +183,9 @@ def _labels(
             if row.name is None:
                 what = f"the class {number} has no name"
                 raise PlgsError("class-unnamed", what, choice.path or FILE_NAME, "Add name and thing.")
-            found[number] = ClassLabel(number, row.name, row.thing is not False)  # unless it says no
+            found[number] = ClassLabel(number, row.name, row.thing is not False)  # a thing by default
         else:
-            name = known.name if row.name is None or row.id is None else row.name  # else the name found it
+            name = known.name if row.name is None or row.id is None else row.name  # without an id, its name was the key
             found[number] = replace(known, name=name, is_thing=known.is_thing if row.thing is None else row.thing)
     return found
 

@@ -22,8 +22,8 @@ _FRAMES, _DETECTIONS = 8, 60  # maximum numbers of frames and of detections of e
 _ENOUGH, _TIMES = 0.3, 2.0
 """A table is recognised if this fraction of what detections cover has their class in it, and this many times more than
 with the masks' own numbers."""
-_CLASSES = 3  # that must agree with a table other than COCO's: with one or two, some table always does
-_HARDLY = 0.05  # a smaller fraction is told
+_CLASSES = 3  # least classes that must agree with a table other than COCO's: one or two agree with some by chance
+_HARDLY = 0.05  # a smaller fraction causes a warning
 _MEND = "if that is wrong, name their table in a classes.toml beside them"
 
 
@@ -75,7 +75,7 @@ def _compared(detections: Detections, source: MaskSource) -> tuple[Counter[tuple
             below = source.masks[name].read()
             size = below.ids.shape[1], below.ids.shape[0]
             pixels = [one.inside(detections.path, size) for one in ones]
-        except PlgsError:  # whoever reads it later says so
+        except PlgsError:  # the later reader reports the error
             continue
         areas = np.bincount(below.ids.ravel())
         for one, inside in zip(ones, pixels, strict=True):

@@ -114,7 +114,7 @@ class Evidence:
 
     @classmethod
     def of(cls, mask: PanopticMask) -> Evidence:
-        """Return the segments of a panoptic picture, which do not overlap."""
+        """Return a panoptic picture as evidence: its segments, as masks that do not overlap."""
         segments = tuple(one for one in mask.segments if (mask.ids == one.id).any())
         return cls(segments, np.array([mask.ids == one.id for one in segments]).reshape(-1, *mask.ids.shape))
 

@@ -65,7 +65,7 @@ def evenly_spread(listed: Sequence[Listed], most: int) -> list[Listed]:
 
 
 CELL = 0.4  # side in metres of the cubes of space whose surfaces are counted as one
-TIMES, LEFT = 5, 0.02  # how often each is to be seen, and what share of all these sightings may be missing
+TIMES, LEFT = 5, 0.02  # views wanted of each cube, and the share of all these views that may be missing
 _SEEN_WITHIN = (64, 64)  # maximum (width, height) in pixels at which a frame's depth is looked at
 _AROUND = 9  # frames with which a frame's sharpness is compared
 
@@ -114,7 +114,7 @@ def frame_detail(frame: Frame) -> float:
     """Return a frame's sharpness (`photo_detail`); the lowest value if its picture cannot be read."""
     try:
         return photo_detail(frame.read_colour(size_within(frame.size, LOOKED_AT_WITHIN)))
-    except PlgsError:  # whoever checks the chosen frames names it
+    except PlgsError:  # the later check of the chosen frames reports the error
         return -1.0
 
 

@@ -83,7 +83,7 @@ def _compared(files: Mapping[str, Path], masks: MaskSet) -> Joint:
         try:
             numbers = read_indices(files[name])
             classes = masks.readers[name]((numbers.shape[1], numbers.shape[0])).class_map()
-        except PlgsError:  # whoever reads it later says so
+        except PlgsError:  # the later reader reports the error
             continue
         joint.update(joined(numbers, classes))
     return joint

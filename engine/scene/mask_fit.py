@@ -163,7 +163,7 @@ def paired(
     doubts: tuple[Inferred, ...] = ()
     for how, source in sorted(ways, key=lambda way: -len(way[1].masks)):
         chosen = source.masks
-        # Where no name has its mask, the masks of the next frames are what the pairs have to be better than.
+        # If no mask has a picture's name, the pairs must fit better than the masks of the next frames do.
         moved = dict(zip(names, [*chosen.values()][1:], strict=False))
         against = usual if usual.masks else replace(source, masks=moved)
         common = evenly_spread([name for name in chosen if name in against.masks], _LOOKED_AT)
@@ -232,7 +232,7 @@ def placements(
     inferred: list[Inferred] = []
     turned = {name for name in found if turns_of(pictured[name].orientation)}
     turns = {name: replace(found[name], turns=turns_of(pictured[name].orientation)) for name in turned}
-    sideways = {  # a square one fits both ways, and is looked at
+    sideways = {  # a square one has the right size in both orientations; its content decides
         name for name in turned
         if turns[name].turns % 2
         and same_shape(source.masks[name].size[::-1], pictured[name].size)

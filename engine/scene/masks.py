@@ -144,7 +144,7 @@ def find_masks(source: SceneSource, scene: Path, pictured: Mapping[str, Pictured
     place = mask_place(scene, None if source.masks is None else Path(source.masks))
     kept = [each.kept.path for each in pictured.values() if each.kept is not None]
     are_kept = source.masks is None and place is not None and any(path.is_relative_to(place) for path in kept)
-    if place is None or (are_kept and place == scene / MASK_FOLDER):  # mask_path: these pictures are no classes
+    if place is None or (are_kept and place == scene / MASK_FOLDER):  # mask_path's pictures do not hold classes
         return MaskSet()
     sizes = {name: each.size for name, each in pictured.items()}
     detections, rest = None, progress

@@ -314,7 +314,7 @@ def _shown(source: MaskSource, choice: ClassChoice) -> _Shown:
     for name in evenly_spread(names, _LOOKED_AT):
         try:
             found = source.masks[name].read()
-        except PlgsError:  # whoever reads it later says so
+        except PlgsError:  # the later reader reports the error
             continue
         for counted, ids in ((counts, found.ids), (upper, found.ids[: len(found.ids) // 2])):
             pixels = dict(enumerate(np.bincount(ids.ravel()).tolist()))

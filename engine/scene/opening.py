@@ -61,7 +61,7 @@ def open_asked(source: SceneSource, progress: Progress = unwatched) -> Scene:
     """Open a scene. Images are decoded only to settle doubts about masks and depth maps, either of which may be missing
     (see ``require_liftable``). Raises PlgsError for the first problem; ``survey_scene`` also inspects the pixels."""
     is_on = gc.isenabled()
-    gc.disable()  # it would look at all frames so far again and again: a quarter of the time, and in long pauses
+    gc.disable()  # repeated collections over all frames would take a quarter of the time, in long pauses
     try:
         return _opened(source, progress)
     finally:
@@ -70,7 +70,7 @@ def open_asked(source: SceneSource, progress: Progress = unwatched) -> Scene:
 
 
 def _opened(source: SceneSource, progress: Progress) -> Scene:
-    parts = (0.0, 0.45), (0.45, 0.55), (0.55, 1.0)  # of the time, as in folders with COCO's masks
+    parts = (0.0, 0.45), (0.45, 0.55), (0.55, 1.0)  # shares of the time, measured on folders with COCO's masks
     of_shots, of_frames, of_masks = (part_of(progress, *part) for part in parts)
     place = Path(source.scene)
     for path in (place, source.masks, source.detections, source.depth):

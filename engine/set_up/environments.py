@@ -48,7 +48,7 @@ def remove_environments(folder: Path) -> None:
     if is_locked(folder / LOCK):
         raise PlgsError("being-set-up", "the engine is being set up", folder, "Wait until it is done, or cancel it.")
     for environment in sorted(folder.glob("engine-*")):
-        if (environment / "pyvenv.cfg").is_file():  # not something else with such a name
+        if (environment / "pyvenv.cfg").is_file():  # other folders may have such a name
             throw_away(environment, folder)
     for path in (folder / DOWNLOADS, folder / PYTHON, *folder.glob("uv-*")):
         throw_away(path, folder)

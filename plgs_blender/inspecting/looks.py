@@ -78,7 +78,7 @@ def apply_catcher(root: bpy.types.Collection, scene: bpy.types.Scene) -> None:
     for key, ob in objects_by_key(root).items():
         if key.startswith("mesh:") and (catcher is not None or ob.is_shadow_catcher):
             let_catch(ob, catcher)
-    scene.render.film_transparent |= catcher is not None  # never off again: the user may have set it
+    scene.render.film_transparent |= catcher is not None  # it is never switched off: the user may have set it
 
 
 def _set_in_materials(root: bpy.types.Collection, label: str, value: float) -> None:

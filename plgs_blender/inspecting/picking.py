@@ -88,7 +88,7 @@ def _names(context: bpy.types.Context, root: bpy.types.Collection, region: ViewR
 def _shown_boxes(context: bpy.types.Context, root: bpy.types.Collection) -> dict[int, bpy.types.Object]:
     """Return the boxes, by instance, that are visible in the view, or would be if boxes were on."""
     boxes, space = boxes_of(root), context.space_data
-    if space.local_view is not None:  # of objects that the user has chosen
+    if space.local_view is not None:  # it contains only objects that the user has chosen
         own = {instance_of(ob) for ob in objects_by_key(root).values() if instance_of(ob) and ob.local_view_get(space)}
         boxes = {number: box for number, box in boxes.items() if number in own}
     if root.plgs.show_boxes:

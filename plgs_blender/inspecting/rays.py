@@ -105,7 +105,7 @@ class Projected:
         )
         with np.errstate(divide="ignore", invalid="ignore"):
             along, aside = (y * c - x * d) / (a * d - b * c), (x * b - y * a) / (a * d - b * c)
-            if self.form == POINT:  # its four sides rise towards the eye
+            if self.form == POINT:  # a pyramid: its four sides rise towards the eye
                 along, aside = np.abs(along), np.abs(aside)
             w, near = (begin[:, at] + along * first[:, at] + aside * second[:, at] for at in (2, 3))
             return np.where(w > NEAREST, self._opacities(along, aside, rows), 0.0), near, self.ids[rows]
@@ -219,7 +219,7 @@ def _projected(root: bpy.types.Collection, ob: bpy.types.Object, view: View) -> 
     with np.errstate(divide="ignore", invalid="ignore"):
         places = ends[..., :2] / ends[..., 2:]
     kept &= is_before.any(axis=0) & np.isfinite(ends).all(axis=(0, 2))
-    # What reaches behind the eye may be seen anywhere.
+    # Figures that reach behind the eye may be drawn anywhere in the view.
     low, high = (np.where(is_before.all(axis=0)[:, None], each, far) for each, far in
                  ((places.min(axis=0), -np.inf), (places.max(axis=0), np.inf)))  # fmt: skip
     bounds = np.ascontiguousarray(np.concatenate([low, high], axis=1)[kept].T, np.float32)
@@ -247,7 +247,7 @@ def _axes_of_splats(
     ends = np.stack([view.projected(xyz + axes[:, at], world) for at in range(3)], axis=1) - middle[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         place = middle[:, :2] / middle[:, 2:3]
-    aside = ends[..., :2] - place[:, None] * ends[..., 2:3]  # how the place changes, times W
+    aside = ends[..., :2] - place[:, None] * ends[..., 2:3]  # the derivative of the position in the view, times W
     a, b, c = (np.einsum("nk,nk->n", aside[:, :, i], aside[:, :, j]) for i, j in ((0, 0), (0, 1), (1, 1)))
     a = np.sqrt(np.maximum(a, 1e-6))  # Cholesky's factor
     return np.stack([a, b / a], axis=1), np.stack([0.0 * a, np.sqrt(np.maximum(c - (b / a) ** 2, 1e-6))], axis=1)

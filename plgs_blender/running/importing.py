@@ -241,7 +241,7 @@ def _on_change(scene: bpy.types.Scene, *_arguments: object) -> None:
         return
     if bpy.app.timers.is_registered(catch_up):
         bpy.app.timers.unregister(catch_up)
-    bpy.app.timers.register(catch_up, first_interval=_REST_S)  # anew at each change, as the camera must rest
+    bpy.app.timers.register(catch_up, first_interval=_REST_S)  # anew at each change: the camera must stay so long
 
 
 HANDLERS = () if bpy.app.background else (("depsgraph_update_post", _on_change), ("frame_change_post", _on_change))

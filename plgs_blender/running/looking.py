@@ -60,7 +60,7 @@ def begin_to_read_objects() -> None:
     for folder, root in shown.items():
         if _is_own(folder):
             with suppress(PlgsError, OSError):  # an edit reads it again and reports the error
-                refuse_foreign(folder, f"result/{INSTANCES}")  # not the passes: there may be thousands
+                refuse_foreign(folder, f"result/{INSTANCES}")  # passes are not checked: there may be thousands
                 corrections.look_for_changes(root)
                 begin_to_read(folder)  # only the last, which the window shows
 

@@ -215,7 +215,7 @@ def prepare_film(settings: Any, film: Path, python: Path, model: str, *, downloa
     """Choose a film, or a folder of photos, as the scene, and start an engine that makes what it lacks (masks with the
     network ``model``), after which the lift starts. Raises OSError, PlgsError."""
     registry.refuse_second(FilmMaking)
-    settings.scene_folder = settings.masks = settings.detections = settings.depth = ""  # those of an earlier scene
+    settings.scene_folder = settings.masks = settings.detections = settings.depth = ""  # they belong to another scene
     settings.scene_folder = str(film)
     command: list[str | Path] = [film, *_network("--masks-model", model, download=download)]
     return registry.begin(FilmMaking(chosen_scene(settings), start_engine("prepare", python, *command)))

@@ -72,7 +72,7 @@ class SplattingTrainer(SegmentTrainer):
     """The trainer of 3DGS, with its own learning rates and growth."""
 
     growth_schedule: ClassVar = GrowthSchedule(grow_from=500 / 30000)  # 3DGS's step 500 of 30 000
-    rates: ClassVar = {**RATES, "feature": (0.0025, 0.0025), "offset": (1.6e-4, 1.6e-6)}  # 3DGS's, first and last
+    rates: ClassVar = {**RATES, "feature": (0.0025, 0.0025), "offset": (1.6e-4, 1.6e-6)}  # first and last rates of 3DGS
     rules: ClassVar = PlainRules()
 
     def _growth_round(self, random: np.random.Generator) -> GrowthRound:

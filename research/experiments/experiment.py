@@ -172,7 +172,7 @@ def lift_options(experiment: Experiment, scene: SceneToLift, row: Row, seed: int
         program=PROGRAM,
         scene=scene.folder,
         output=output,
-        set=[*experiment.sets, *shown_options(row.options)],  # the later one wins: a row is what its name says
+        set=[*experiment.sets, *shown_options(row.options)],  # the later one wins, so that a row's own options hold
         size=None,
         seed=seed,
         masks=experiment.masks_of(scene, row.masks),

@@ -78,7 +78,7 @@ def _names(path: Path, cameras: int) -> list[Path] | None:
 
 
 def _picture(line: str) -> str:
-    """Return the picture that a line of Bundler's list names, such as ``images/0001.jpg 0 1234.5``."""
+    """Return the picture's path in a line of Bundler's list: ``images/0001.jpg`` of ``images/0001.jpg 0 1234.5``."""
     words = line.strip().split(" ")
     ends = [at for at, word in enumerate(words, 1) if word.lower().endswith((".jpg", ".jpeg", ".png"))]
     return " ".join(words[: ends[0]]) if ends else words[0]

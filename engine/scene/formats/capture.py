@@ -79,7 +79,7 @@ class Capture:
 
 
 def with_picture(picture: Path, make: Callable[[], Shot | None] | None) -> Found:
-    """Return ``make()``, or None if ``make`` is None (no pose), or the error in the header of ``picture``."""
+    """Return ``make()``, None without ``make`` (no pose), or the error if the header of ``picture`` cannot be read."""
     return None if make is None else fault_of(picture) or make()
 
 

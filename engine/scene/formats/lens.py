@@ -70,7 +70,7 @@ class Distortion:
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        skew = (self.skew,) if self.skew else ()  # lifts of lenses without one remember the others alone
+        skew = (self.skew,) if self.skew else ()  # earlier lifts remember lenses without a skew
         return (*self.radial, *self.below, *self.tangential, *self.prism, *skew)
 
     @property

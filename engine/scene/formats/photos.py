@@ -63,7 +63,7 @@ def _is_measured(picture: Path) -> bool:
     try:
         header = read_image_header(picture) if picture.suffix.lower() == ".png" else None
     except PlgsError:
-        return False  # whoever reads the photos says what is wrong with it
+        return False  # the reader of the photos reports the error
     return header is not None and header.channels == 1 and header.bit_depth == 16
 
 

@@ -293,7 +293,7 @@ def _are_along_rows(segmentations: Sequence[dict[str, Any]]) -> bool:
         counts = each["counts"]
         numbers = [*size, *counts] if isinstance(size, list) and len(size) == 2 and len(counts) > 2 else [None]
         if not all(type(one) is int and 0 <= one <= _MOST_COMPARED for one in numbers):
-            continue  # it is refused later
+            continue  # the reader raises the error later
         if sum(counts) != size[0] * size[1] or sum(counts) > _MOST_COMPARED:
             continue
         values = np.repeat(np.arange(len(counts)) % 2 == 1, counts)
@@ -361,7 +361,7 @@ def _read(place: Path, names: Sequence[str], progress: Progress) -> MaskSource:
     sizes = {one.size for each in found.values() for one in each}
     masks = {}
     by_number = table.is_by_number(names)
-    for name in names:  # where nothing was detected, nothing is shown
+    for name in names:  # a frame without detections gets an empty mask
         detected = found.get(name, ())
         own = {one.size for one in detected} or sizes
         if not detected and (by_number or len(sizes) > 1):
