@@ -251,7 +251,7 @@ def view_of(context: bpy.types.Context) -> tuple[bpy.types.SpaceView3D | None, f
 def load_finding(picture: Path) -> bpy.types.Image:
     """Load a finding's picture, which replaces the one loaded before. Raises OSError if its file is gone."""
     if not picture.is_file():
-        raise OSError(f"the picture is gone, diagnose again: {picture}")
+        raise OSError(f"the finding's picture was deleted, diagnose again: {picture}")
     image = bpy.data.images.load(str(picture), check_existing=False)
     image.pack()  # the next diagnosis deletes the file
     name = f"PLGS finding {picture.stem}"

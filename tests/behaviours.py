@@ -18,7 +18,7 @@ BEHAVIOURS = {
     "a lift that was killed is resumed to the same bytes": (
         "test_kill_and_resume.py::test_a_lift_that_is_killed_and_resumed_has_the_same_bytes"
     ),
-    "a lift keeps the names of an earlier one": "lift/test_lasting_names.py::test_every_file_of_a_new_lift_keeps_ids",
+    "a lift keeps the names of an earlier one": "lift/test_lasting_names.py::test_a_new_lift_keeps_ids_in_all_files",
     "a lift finds a scene that was moved": "doors/test_command_line.py::test_find_scene_mends_a_lift_whose_scene_moved",
     "frames are baked later with the same bytes": "lift/test_bake_more.py::test_frames_baked_later_have_the_same_bytes",
     "any camera is baked": "lift/test_bake_more.py::test_any_camera_can_be_baked",

@@ -237,7 +237,7 @@ def test_a_lift_continues_without_its_terminal_and_says_so_in_its_log(root: Path
     process.stdout.readline()
     process.stdout.close()  # as `2>&1 | head -1` does
     wait_for(process, has_begun(out))
-    wait_for(process, lambda: "The terminal is gone. The work continues." in (out / "log.txt").read_text())
+    wait_for(process, lambda: "The terminal was closed. The work continues." in (out / "log.txt").read_text())
     process.send_signal(signal.SIGHUP)
     assert process.wait(PATIENCE_S) == 129
     lift = LiftFolder.open(out)

@@ -61,7 +61,7 @@ def test_a_lift_of_an_earlier_version_can_be_used(sample: Sample, name: str, tmp
         ("nerfstudio", "transforms.json", in_json(k1=0.2)),
     ],
 )
-def test_a_lift_refuses_other_pictures(sample: Sample, name: str, file: str, change: Change, tmp_path: Path) -> None:
+def test_a_lift_refuses_changed_pictures(sample: Sample, name: str, file: str, change: Change, tmp_path: Path) -> None:
     scene, path = sample(name), min(sample(name).glob(file))
     folder = LiftFolder.create(tmp_path / "lift", LiftRequest(scene=scene))
     remember_scene(folder, opened(scene, name))

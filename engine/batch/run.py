@@ -232,7 +232,7 @@ class _Batch:
     def _take_in(self) -> None:
         """Handle the pieces that ended. If the scheduler was lost, submit all others again; they continue."""
         if self._farm.client.status != "running" or any(future.cancelled() for future in self._out):
-            self._report.say("The scheduler is gone. Waiting for it to return.")
+            self._report.say("The scheduler does not answer any more. Waiting for it.")
             reconnected(self._farm)
             self._listen()
             pieces, self._out, self._pins = [*self._out.values()], {}, {}

@@ -236,7 +236,7 @@ class Watchdog:
     def _await_parent(self) -> None:
         assert self._parent_pipe is not None
         await_end(self._parent_pipe)
-        self._stop.ask("the process that started the engine is gone")
+        self._stop.ask("the process that started the engine has ended")
         self._asked.set()
 
     def _watch(self) -> None:

@@ -105,7 +105,7 @@ def follow(follower: TaskFollower, interrupts: Interrupts, line: LiveLine, echo:
             if line.is_lost and not is_told:
                 is_told = True
                 with suppress(OSError), os.fdopen(open_to_append(follower.files.log), "a", encoding="utf-8") as log:
-                    log.write("The terminal is gone. The work continues.\n")  # if there is room
+                    log.write("The terminal was closed. The work continues.\n")  # if there is room
             if interrupts.pending is not None and not is_asked:
                 is_asked = True
                 line.say("Stopping ...")

@@ -78,7 +78,7 @@ class Export(Task):
             return
         target = bpy.data.scenes.get(self._shown_in)
         if target is None:
-            what = "the scene is gone"
+            what = "this Blender scene was deleted meanwhile"
             raise PlgsError("scene-gone", what, self._shown_in, "Press the button again in another scene.")
         if self.form == SURFACE:
             self._placed = yield from placing_meshes_anew(self._lift, target, asked=self.asked)

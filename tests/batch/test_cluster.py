@@ -89,7 +89,7 @@ def test_a_scheduler_without_workers_is_reported(tmp_path: Path, address: str, m
         run(plan_of(tmp_path, "a"), FarmOptions(scheduler=address))
 
 
-def test_other_engine_version_unused(tmp_path: Path, farm: Farm, address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_engine_gets_no_work(tmp_path: Path, farm: Farm, address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     farm.workers(address, "another-engine")
     with distributed.Client(address) as client:
         client.wait_for_workers(1, timeout=PATIENCE_S)

@@ -185,9 +185,7 @@ def test_all_objects_with_a_name_are_exported(lift: LiftFolder, tmp_path: Path) 
     assert len(ids) > 1 and [one.id for one in FinishedLift(own, ["all"], objects=["seat"]).listed] == ids
 
 
-def test_exporting_unknown_objects_refused(
-    lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_exporting_unknown_objects_fails(lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     common = ["export", str(lift.path), "-o", str(tmp_path / "out"), "--objects"]
     assert main([*common, "throne", "--to", "splats"]) == 2 and main([*common, "floor", "--to", "coco"]) == 2
     told = capsys.readouterr().err

@@ -61,7 +61,7 @@ def test_an_object_on_whose_class_views_disagree_has_no_class() -> None:
     assert object_classes(votes, CLASS_IDS, np.array([False, True, False])).tolist() == [0, SOFA, SOFA]
 
 
-def test_held_out_views_tell_one_object_from_two_joined_ones() -> None:
+def test_held_out_views_reveal_two_objects_joined_into_one() -> None:
     """Points 0 to 3 are object 1. Where each view calls all of it one thing, a view agrees with the others' class as
     often as with their points; where its halves are two things in every view, it agrees with their points alone."""
     one = [showing([0, 1, 2, 3], [kind] * 4, [10] * 4) for kind in (SOFA, SOFA, CHAIR, WALL, SOFA)]

@@ -270,7 +270,7 @@ def test_a_bake_survives_every_disk_fault(rounds: Rounds) -> None:
 
 
 @pytest.mark.parametrize("rounds", FAULTS, indirect=True)
-def test_lift_survives_fault(
+def test_a_lift_survives_a_disk_fault(
     rounds: Rounds, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PLGS_CACHE_DIR", os.devnull + "/nowhere")

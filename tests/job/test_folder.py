@@ -149,7 +149,7 @@ def test_a_lift_cannot_run_again_while_its_passes_are_baked(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("spoil", ["empty", "foreign", "truncated", "of another request"])
-def test_a_result_is_replaced_only_by_a_result_of_this_request(tmp_path: Path, spoil: str) -> None:
+def test_a_result_is_replaced_only_by_one_of_the_same_request(tmp_path: Path, spoil: str) -> None:
     folder, other = new_lift(tmp_path), new_lift(tmp_path, "other", seed=5)
     for each in (folder, other):
         run_tiny(each)

@@ -271,7 +271,7 @@ def test_two_processes_can_bake_one_lift(lift: LiftFolder, tmp_path: Path, monke
     verify(lift.result_path)
 
 
-def test_a_bake_refuses_a_manifest_without_the_kind_of_labels(lift: LiftFolder) -> None:
+def test_a_bake_is_refused_if_the_manifest_lacks_its_label_setting(lift: LiftFolder) -> None:
     manifest = json.loads(lift.manifest_path.read_text())
     del manifest["settings"]["one_class_an_object"]
     lift.manifest_path.write_text(json.dumps(manifest))
@@ -377,9 +377,7 @@ def followers() -> Iterator[list[TaskFollower]]:
         follower.close()
 
 
-def test_bakes_run_together(
-    lift: LiftFolder, followers: list[TaskFollower], tmp_path: Path, quick_python: Path
-) -> None:
+def test_two_bakes_coexist(lift: LiftFolder, followers: list[TaskFollower], tmp_path: Path, quick_python: Path) -> None:
     """Two bake their views to the end, though a third is cancelled beside them."""
     names = {}
     for name, count in (("left", 40), ("right", 12), ("cancelled", 40)):

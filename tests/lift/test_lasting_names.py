@@ -104,7 +104,7 @@ def renumber(folder: LiftFolder) -> None:
     write_manifest(folder.result_path, versions={}, seed=0, settings=settings, timings={})
 
 
-def test_every_file_of_a_new_lift_keeps_ids(lifts: tuple[LiftFolder, LiftFolder]) -> None:
+def test_a_new_lift_keeps_ids_in_all_files(lifts: tuple[LiftFolder, LiftFolder]) -> None:
     first, again = lifts
     before, after = records_of(first), records_of(again)
     assert len(open_scene(again.request.scene).frames) == 2 * len(open_scene(first.request.scene).frames)

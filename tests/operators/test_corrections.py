@@ -227,7 +227,9 @@ def test_next_uncertain_frame_visits_each_frame_once(placed: bpy.types.Collectio
 
 
 @pytest.mark.skipif(find_spec("torch") is None, reason="the engine runs in another Python")
-def test_views_split_a_merge(lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path) -> None:
+def test_split_by_views_separates_merged_objects(
+    lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path
+) -> None:
     monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)
     mine = Path(shutil.copytree(lift.parent, tmp_path / "both")) / lift.name
     placed = lift_scene.place_lift(mine, bpy.context.scene)

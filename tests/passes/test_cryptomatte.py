@@ -48,7 +48,7 @@ def test_instance_mattes_cover_no_more_than_thing_classes() -> None:
     assert not chair_2[0, 3:5].any()
 
 
-def test_the_matte_of_an_object_of_one_class_is_its_own_coverage() -> None:
+def test_instance_mattes_hold_each_objects_own_coverage() -> None:
     found = mattes({3: CHAIR, 70001: WALL})
     assert coverage_of(found, "CryptoInstance", "chair 1")[EDGE] == pytest.approx(0.7, abs=STEP)
     assert not coverage_of(found, "CryptoInstance", "chair 2").any()  # what is stuff is not an object

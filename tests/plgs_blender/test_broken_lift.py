@@ -56,7 +56,7 @@ def test_a_lift_with_broken_passes_changes_nothing_in_blender(tmp_path: Path, co
         ("segments", ["x"]),
     ],
 )
-def test_a_lift_with_absurd_instances_changes_nothing(lift: Path, tmp_path: Path, name: str, value: object) -> None:
+def test_a_lift_with_absurd_instances_is_not_placed(lift: Path, tmp_path: Path, name: str, value: object) -> None:
     content = json.loads((lift / "result" / "instances.json").read_text())
     content["instances"][0][name] = value
     with_instances(lift, tmp_path, json.dumps(content))
@@ -70,7 +70,7 @@ def test_a_lift_with_absurd_instances_changes_nothing(lift: Path, tmp_path: Path
     ],
     ids=["absurd", "gigabytes"],
 )
-def test_a_lift_with_bad_positions_changes_nothing(lift: Path, tmp_path: Path, xyz: Callable, message: str) -> None:
+def test_a_lift_with_bad_positions_is_not_placed(lift: Path, tmp_path: Path, xyz: Callable, message: str) -> None:
     shutil.copytree(lift, tmp_path / "lift")
     path = tmp_path / "lift" / "result" / "semantic_points.npz"
     points = dict(np.load(path))
@@ -87,7 +87,7 @@ ROT = {
 
 @pytest.mark.parametrize("spoil", ROT.values(), ids=ROT)
 @pytest.mark.parametrize("name", ["semantic_points.npz", "anchors.npz", "instances.json", "passes/0004.exr"])
-def test_a_corrupt_lift_changes_nothing(lift: Path, tmp_path: Path, name: str, spoil: Callable[[bytes], bytes]) -> None:
+def test_corrupt_lifts_are_not_placed(lift: Path, tmp_path: Path, name: str, spoil: Callable[[bytes], bytes]) -> None:
     """As a disk leaves it, found by its checksum; or with a manifest that lists the rotten bytes."""
     shutil.copytree(lift, tmp_path / "lift")
     path, before = tmp_path / "lift" / "result" / name, contents()

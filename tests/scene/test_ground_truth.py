@@ -75,7 +75,7 @@ def test_ground_truth_that_fits_no_class_table_is_reported(folder: Path) -> None
         ("", "semantic_scannet", RAW, ""),
     ],
 )
-def test_named_truth_table_is_used(folder: Path, text: str, name: str, numbers: dict[int, int], told: str) -> None:
+def test_ground_truth_table_is_used(folder: Path, text: str, name: str, numbers: dict[int, int], told: str) -> None:
     before = renumber(folder, numbers, 255 if numbers is ADE else 0)
     if text:
         (folder / "gt" / "classes.toml").write_text(text)

@@ -86,7 +86,7 @@ def test_the_window_does_not_wait_for_a_second_engine_check(python: Python, monk
     assert "lacks torch" in (engine_environment.why_no_engine() or "")
 
 
-def test_programs_other_than_python_are_told(python: Python, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_program_that_is_no_python_is_named(python: Python, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     picture = tmp_path / "picture.png"
     picture.write_bytes(b"\x89PNG\r\n\x1a\n\0\0")
     executable_picture = tmp_path / "run.png"

@@ -104,7 +104,9 @@ def test_a_click_hits_the_surface_of_a_mesh(
 
 
 @pytest.mark.parametrize("is_perspective", [True, False])
-def test_clicks_hit_splats(extension: None, empty_file: None, lift: Path, tmp_path: Path, is_perspective: bool) -> None:
+def test_a_click_selects_the_object_of_the_nearest_splat(
+    extension: None, empty_file: None, lift: Path, tmp_path: Path, is_perspective: bool
+) -> None:
     """Squares, or Blender's own splats: a faint one of the cabinet is seen through, down to the chair's."""
     mine = Path(shutil.copytree(lift, tmp_path / "mine"))
     instance = np.array([CHAIR_ID, CABINET_ID], np.int32) == CHAIR_ID

@@ -106,7 +106,7 @@ TWO_POLYGONS = "0.250,0.100 0.750,0.100 0.750,0.600 0.250,0.600;0.000,0.000 1.00
 
 
 @pytest.mark.parametrize("outline", ["", TWO_POLYGONS])
-def test_an_outline_matches_the_photo(outline: str, root: bpy.types.Collection) -> None:
+def test_an_objects_outline_matches_the_photo(outline: str, root: bpy.types.Collection) -> None:
     camera = objects_by_key(root)["frame:0003"]
     scene = bpy.context.scene
     scene.camera = camera

@@ -170,7 +170,7 @@ def test_an_experiment_reports_bad_input_before_any_lift(experiment: Experiment,
     assert not experiment.folder.exists()
 
 
-def test_unreadable_scene_fails_row(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unreadable_scene_is_listed(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
     missing = SceneToLift("cellar", experiment.folder / "cellar")
     page = experiment.folder / "results.md"
     three = replace(experiment, scenes=(missing, *experiment.scenes), only=("ours", "input masks"))
