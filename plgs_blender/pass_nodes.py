@@ -27,10 +27,10 @@ CONTROLS = {
     "Overlay": "Opacity of the instances' or classes' colours over the picture",
     "Recolour": "How much the matte takes the hue of the colour below; it keeps its light and shade",
     "Outline": "Opacity of the line around the matte",
-    "Isolate": "How much everything but the matte is cut out",
-    "Hold out": "How much the matte itself is cut out",
-    "Clean plate": "How much the picture linked to Plate, the room without an object, replaces the picture",
-    "Difference": "How much of the difference from the plate is shown instead",
+    "Isolate": "How far everything outside the matte becomes transparent",
+    "Hold out": "How far the inside of the matte becomes transparent",
+    "Clean plate": "How far the picture linked to Plate (the room without an object) replaces the picture",
+    "Difference": "How far the difference between picture and plate replaces the picture",
     "Guessed": "Opacity of the colour below where no photo ever saw what is shown, as objects were removed",
 }
 """Factors of the group, 0 to 1, initially 0, with descriptions."""

@@ -173,7 +173,7 @@ def wait_for_workers(farm: Farm, seconds: float) -> None:
             )
             has = f"its workers run other engine versions ({', '.join(others)})" if others else "it has no workers"
             fix = f"Start some with this engine: python -m engine worker {farm.address}"
-            fix = fix if farm.slurm is None else "Look with squeue why their jobs do not run."
+            fix = fix if farm.slurm is None else "See with squeue why their jobs do not run."
             raise PlgsError("no-worker", f"{has}; this one is {engine_tag()}", farm.address, fix, option="--scheduler")
         farm.tend()
         time.sleep(0.2)

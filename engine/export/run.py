@@ -55,7 +55,7 @@ def export(
         facts["objects"] = [*objects]
     shared = folder.path.resolve() / "exports"
     if output.resolve() == shared:
-        what = "is the folder of all exports of the lift, not of one"
+        what = "is the folder of all exports of the lift; each needs its own"
         raise PlgsError("all-exports", what, output, f"Name a folder in it, such as {output / kind}.", option="-o")
     with OwnFiles(output).begin("export", facts, replaces=output.resolve().is_relative_to(shared)) as own:
         KINDS[kind](lift, output)

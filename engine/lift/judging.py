@@ -169,6 +169,6 @@ def report_unresolved(found: Sequence[tuple[str, Unresolved]], events: EventWrit
     if most.share >= LEAST_UNRESOLVED:
         coarse, empty, views = mean["coarse"], mean["empty"], "the views to bake" if before else "the baked views"
         events.warning(
-            f"the capture does not resolve {coarse + empty:.0%} of {views} ({most.share:.0%} of {worst}): {coarse:.0%} "
+            f"the photos do not resolve {coarse + empty:.0%} of {views} ({most.share:.0%} of {worst}): {coarse:.0%} "
             f"is shown more than {COARSER:.0f} times as large as in any photo, {empty:.0%} has no surface"
         )

@@ -138,7 +138,7 @@ def read_shown_instances(folder: LiftFolder, lifted: StructuredScene, corrected:
     """Return names and classes as a finished lift shows them, corrections included. Raises PlgsError, OSError."""
     settings = read_manifest(folder.result_path).settings
     if "one_class_an_object" not in settings:
-        raise PlgsError("kind-missing", "has no setting one_class_an_object", folder.manifest_path, LIFT_ANEW)
+        raise PlgsError("kind-missing", "does not say if each object has one class", folder.manifest_path, LIFT_ANEW)
     names, class_of = {one.id: one.name for one in corrected.instances}, corrected.class_of
     one_class = settings["one_class_an_object"] and settings.get("objects") != "none"
     if corrected.changes_labels:

@@ -170,9 +170,7 @@ def test_up_to_half_of_the_frames_may_lack_depth_mask_or_pose(
     assert main(["inspect", str(folder)]) == 2 and "depth" in capsys.readouterr().err
 
 
-def test_a_scannet_folders_depth_poses_and_split_are_as_described(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_depth_poses_and_split_of_a_scannet_folder_are_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = write_tiny_scene(tmp_path / "scan", 18, (64, 48), depth_size=(32, 24))
     (folder / "pose/0001.txt").write_text("inf " * 16)
     depth = cv2.imread(str(folder / "depth/0000.png"), cv2.IMREAD_UNCHANGED)

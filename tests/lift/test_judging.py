@@ -118,4 +118,4 @@ def test_a_large_share_of_unresolved_surface_gives_a_warning(tmp_path: Path) -> 
     events.close()
     figures, warning = map(json.loads, (tmp_path / "events.jsonl").read_text().splitlines())
     assert figures["values"]["most"] == pytest.approx(0.58)
-    assert "does not resolve 30% of the baked views (58% of b): 20% is shown" in warning["message"]
+    assert "do not resolve 30% of the baked views (58% of b): 20% is shown" in warning["message"]

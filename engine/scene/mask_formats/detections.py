@@ -73,7 +73,7 @@ def _read(place: Path, names: Sequence[str], progress: Progress) -> MaskSource:
             masks[name] = StoredMask(path, (shape[-1], shape[-2]), read)
         no_class = [name for name, path in files.items() if not _has(path, "classes")]
         if no_class and len(no_class) < len(files):
-            raise PlgsError("classes-partly", f"only other files have classes, not {listed(no_class)}", place, _FIX)
+            raise PlgsError("classes-partly", f"some files have classes, but not {listed(no_class)}", place, _FIX)
         return MaskSource(masks, labels, void=frozenset(), tells_no_class=bool(no_class))
     folders = {path.name: path for path in _folders(place)}
     there = require_most(names, folders, "folder of detections", place, _NAME_FIX)
