@@ -25,6 +25,7 @@ ANY_ANGLE = -1.0  # the cosine beyond which the room is left out: its floors and
 HOLE = 0.15  # the largest size in metres, along each axis, of a hole in an object that is closed
 WINDOW = 0.5  # the largest size in metres, along each axis, of a hole in the room that is closed
 _BESIDE = 0.075  # metres from an object's own surface within which the room's surface drops that object's triangles
+_SAME_PLACE = 1e-6  # metres
 _AROUND = 0.3  # metres within which an unlabelled vertex takes a neighbour's label
 _RIM = 5  # side in pixels of the square around each pixel of an object that belongs to its surface
 
@@ -58,7 +59,7 @@ def surface_to_view(views: list[SmallView], progress: Progress = unwatched) -> t
         np.concatenate([coarse.normal, fine.normal]),
         np.concatenate([coarse.triangles, fine.triangles + len(coarse.xyz)]),
     )
-    label = np.concatenate([coarse_label, fine_label[used]])
+    both, label = _joined(both, np.concatenate([coarse_label, fine_label[used]]), len(coarse.xyz))
     return both, without_crumbs(both, label, label % MOST_INSTANCES == 0, LEAST_PIECE)
 
 
@@ -88,6 +89,26 @@ def _is_double(room: tuple[Surface, Ints], objects: tuple[Surface, Ints]) -> NDA
         double[double] = ~is_rim[nearest]
         return double
     return np.zeros(len(double), np.bool_)
+
+
+def _joined(surface: Surface, label: Ints, coarse: int) -> tuple[Surface, Ints]:
+    """The surface and its labels [V] with the rims of objects among the first ``coarse`` vertices joined to those of
+    their own surfaces _BESIDE them, so that an object is in one piece. Other labels' vertices there move along."""
+    rim = np.unique(open_edges(surface.triangles))
+    rim = rim[label[rim] % MOST_INSTANCES > 0]
+    ours, own = rim[rim < coarse], rim[rim >= coarse]
+    if not len(ours) or not len(own):
+        return surface, label
+    apart = np.column_stack([surface.xyz, np.unique(label, return_inverse=True)[1]])  # labels are a metre apart
+    away, nearest = cKDTree(apart[own]).query(apart[ours], distance_upper_bound=_BESIDE)
+    ours, goal = ours[np.isfinite(away)], own[nearest[np.isfinite(away)]]
+    away, copy = cKDTree(surface.xyz[ours]).query(surface.xyz[:coarse], distance_upper_bound=_SAME_PLACE)
+    xyz, number, moves = surface.xyz.copy(), np.arange(len(surface.xyz)), np.flatnonzero(np.isfinite(away))
+    xyz[moves], number[ours] = surface.xyz[goal[copy[moves]]], goal
+    triangles = number[surface.triangles]
+    triangles = triangles[(triangles != np.roll(triangles, 1, axis=1)).all(axis=1)]
+    joined, used = replace(surface, xyz=xyz).of(triangles)
+    return joined, label[used]
 
 
 def _around(surface: Surface, label: Ints, kept: NDArray[np.bool_]) -> tuple[Surface, Ints]:

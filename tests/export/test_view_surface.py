@@ -8,6 +8,7 @@ import open3d.t.geometry as raycasting
 import pytest
 
 from engine.export.fusion import SmallView, Surface
+from engine.export.mending import pieces
 from engine.export.mesh import MOST_INSTANCES
 from engine.export.view_surface import OBJECTS, ROOM, surface_to_view
 from engine.scene import Camera
@@ -121,7 +122,9 @@ def test_coarse_triangles_at_an_objects_rim_belong_to_the_room() -> None:
 def test_the_mesh_has_no_gap_where_an_objects_depth_ends_early() -> None:
     whole = look_over_the_floor()
     partly = replace(whole, depth=np.where((whole.label == RUG) & (whole.depth > 2.5), np.float32(0), whole.depth))
-    surface, _ = surface_to_view([whole] + [partly] * (OBJECTS.least_views - 1))
+    surface, label = surface_to_view([whole] + [partly] * (OBJECTS.least_views - 1))
+    rug = surface.triangles[(label[surface.triangles] == RUG).all(axis=1)]
+    assert len(set(pieces(rug, len(label))[rug[:, 0]])) == 1, "the coarse rest of an object belongs to its own surface"
     scene = raycasting.RaycastingScene()
     scene.add_triangles(surface.xyz, surface.triangles.astype(np.uint32))
     rays = np.tile(np.array([0.05, 0, 1, 0, 0, -1], np.float32), (200, 1))
