@@ -52,11 +52,21 @@ def lift(options: argparse.Namespace) -> int:
     pipe = _parent_pipe(options, folder)
     own = getattr(options, "lift", None)  # set by another program that has its own way to lift
     resume = options.resume or options.refine is not None
-    return run_engine(folder, resume=resume, parent_pipe=pipe, echo=options.echo, lift=own)
+    code = run_engine(folder, resume=resume, parent_pipe=pipe, echo=options.echo, lift=own)
+    if code is ExitCode.FINISHED and pipe is None:
+        _print_made(folder)
+    return code
+
+
+def _print_made(lift: LiftFolder) -> None:
+    """Print how well a finished lift did, and its files."""
+    from ..job.report import estimated_text, made_files, metrics_text, read_metrics
+
+    told = estimated_text(lift)
+    print(metrics_text(read_metrics(lift)), *([told] if told else []), "", *made_files(lift), sep="\n")
 
 
 def _lift_in_terminal(options: argparse.Namespace) -> int:
-    from ..job.report import estimated_text, made_files, metrics_text, read_metrics
     from ..job.terminal import Interrupted, Interrupts, lift_in_terminal
 
     try:
@@ -66,8 +76,7 @@ def _lift_in_terminal(options: argparse.Namespace) -> int:
         print(f"Stopped. Give the same command with --resume to continue: {options.output}", file=sys.stderr)
         return error.exit_code
     if code is ExitCode.FINISHED:
-        told = estimated_text(lift)
-        print(metrics_text(read_metrics(lift)), *([told] if told else []), "", *made_files(lift), sep="\n")
+        _print_made(lift)
     return code
 
 

@@ -220,7 +220,7 @@ def test_resume_repairs_a_damaged_result_bit_for_bit(shell: Terminal) -> None:
     (result / "gaussians.ply").write_bytes(b"cut")
     (result / "passes/0002.exr").unlink()
     assert "lift LIFT --resume" in shell.run(ENGINE + "bake out", code=2)
-    shell.run(ENGINE + "lift out --resume")
+    assert "out/result/gaussians.ply" in shell.run(ENGINE + "lift out --resume")
     after = {path.relative_to(result): path.read_bytes() for path in result.rglob("*") if path.is_file()}
     assert before.keys() == after.keys()
     assert {name for name in before if before[name] != after[name]} <= {Path("manifest.json"), Path("metrics.json")}

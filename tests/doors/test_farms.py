@@ -191,7 +191,8 @@ def test_a_resumed_lift_ignores_new_studio_defaults(
     monkeypatch.setenv("PLGS_DEFAULTS", str(terminal.folder / "studio.toml"))
     before = (terminal.folder / "lifts/demo/request.json").read_bytes()
     for command in ("lift lifts/demo --resume", f"lift {lifted}/scans/room -o lifts/demo --resume --bake test"):
-        assert "finished already" in terminal.run(f".venv/bin/python -m engine {command}")
+        told = terminal.run(f".venv/bin/python -m engine {command}")
+        assert "finished already" in told and "demo/result/gaussians.ply" in told, "and what it made, as at first"
     assert worded("lift-begun").search(terminal.run(".venv/bin/python -m engine lift lifts/demo", code=2))
     assert (terminal.folder / "lifts/demo/request.json").read_bytes() == before
 
