@@ -43,8 +43,8 @@ class OnLift(Acts):
         raise NotImplementedError
 
 
-class OnInstance(OnLift):
-    """An operator on one instance of a lift, given by its id."""
+class OnChosen(OnLift):
+    """An operator on what is chosen in a lift; buttons are grey while nothing is."""
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
@@ -52,10 +52,14 @@ class OnInstance(OnLift):
             return "Choose an instance: click it in the view, or its row in the list"
         return super().why_not(context)
 
+
+class OnInstance(OnChosen):
+    """An operator on one instance of a lift, given by its id."""
+
     instance: argument(IntProperty, "Instance", "Id of the instance; 0: the one selected in the list", min=0)
 
 
-class OnInstances(OnLift):
+class OnInstances(OnChosen):
     """An operator on several instances of a lift, by default the selected ones."""
 
     instances: text_argument(

@@ -18,7 +18,7 @@ from ..plgs_blender.running import lifting
 from ..plgs_blender.shot_names import next_versions_name
 from ..plgs_blender.shots import ShotReader, shot_of
 from . import base
-from .inspect import OnClass, OnInstance
+from .inspect import OnClass, OnInstance, OnLift
 
 _FRAMES = [
     ("all", "All Frames", "Bake every frame that has no passes yet"),
@@ -192,6 +192,11 @@ def _show_progress(context: bpy.types.Context, text: str | None) -> None:
         context.workspace.status_text_set(text)
 
 
+def _why_no_passes(context: bpy.types.Context) -> str | None:
+    has_passes = passes_scene_of(context.scene) is not None
+    return None if has_passes else "This scene has no lift with passes: bake them first"
+
+
 class PLGS_OT_show_passes(base.Acts, bpy.types.Operator):
     """Open the Compositing workspace with the passes of the active camera, if any, else those of the lift's frames"""
 
@@ -199,8 +204,7 @@ class PLGS_OT_show_passes(base.Acts, bpy.types.Operator):
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        has_passes = passes_scene_of(context.scene) is not None
-        return None if has_passes else "This scene has no lift with passes: bake them first"
+        return _why_no_passes(context)
 
     def act(self, context: bpy.types.Context) -> None:
         target = open_passes(context.scene)
@@ -224,21 +228,29 @@ class PLGS_OT_show_room(base.Acts, bpy.types.Operator):
         show_room(context.window)
 
 
-class PLGS_OT_matte_instance(OnInstance, bpy.types.Operator):
+class _Matte(OnLift):
+    """An operator that chooses the matte, also in the scene of the passes."""
+
+    room = staticmethod(scene_to_fill)
+
+    @classmethod
+    def why_not(cls, context: bpy.types.Context) -> str | None:
+        return super().why_not(context) or (base.panel_of(context) and _why_no_passes(context))
+
+
+class PLGS_OT_matte_instance(_Matte, OnInstance, bpy.types.Operator):
     """Use this instance as the matte in the compositor"""
 
     bl_idname, bl_label, bl_options = "plgs.matte_instance", "Matte", {"REGISTER", "UNDO"}
-    room = staticmethod(scene_to_fill)  # from the scene of the passes, too
 
     def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str:
         return one_line(f"The compositor's matte is {compositing.matte_instance(root, self.instance)}")
 
 
-class PLGS_OT_matte_class(OnClass, bpy.types.Operator):
+class PLGS_OT_matte_class(_Matte, OnClass, bpy.types.Operator):
     """Use everything of this class as the matte in the compositor"""
 
     bl_idname, bl_label, bl_options = "plgs.matte_class", "Matte", {"REGISTER", "UNDO"}
-    room = staticmethod(scene_to_fill)  # from the scene of the passes, too
 
     def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str:
         return one_line(f"The compositor's matte is {compositing.matte_class(root, self.class_id)}")

@@ -21,6 +21,13 @@ _SHOWN = 4  # number of proposals shown at a time
 class PLGS_PT_corrections(OfResult, bpy.types.Panel):
     bl_idname, bl_label = "PLGS_PT_corrections", "Correct"
 
+    def draw_header_preset(self, _context: bpy.types.Context) -> None:
+        """Show what X or a menu began also while the panel is closed."""
+        for kind, name in ((RemoveObjects, "Removing"), (SplitByViews, "Views")):
+            task = registry.latest(kind)
+            if not draw_bar(self.layout, task, name) and task is not None and task.error is not None:
+                self.layout.label(icon="ERROR")
+
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel. Results of an engine or an edit come below the buttons, which therefore never move."""
         root = active_lift(context.scene, context.active_object)
@@ -64,17 +71,12 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
             if task is not None and not task.is_running:
                 draw_task(layout, context, task)
         for number, name in corrections.removed_objects(root).items() if root is not None else ():
-            row = layout.row(align=True)
-            row.label(text=struck_through(one_line(name)), icon="X")
+            row = self.layout.row(align=True)
+            row.label(text=one_line(name), icon="X")
             row.operator("plgs.make_objects", text="", icon="OUTLINER_COLLECTION").instances = str(number)
             row.operator("plgs.put_back", icon="LOOP_BACK").instance = number
         if root is not None:
             _draw_proposals(self.layout.column(), context, root)
-
-
-def struck_through(text: str) -> str:
-    """Return the text with a stroke through each character (U+0336)."""
-    return "".join(f"{each}\u0336" for each in text)
 
 
 def _draw_proposals(layout: bpy.types.UILayout, context: bpy.types.Context, root: bpy.types.Collection) -> None:

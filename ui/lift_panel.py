@@ -201,7 +201,7 @@ def _draw_ending(layout: bpy.types.UILayout, context: bpy.types.Context, followe
     if followed.has_result:
         row.operator("plgs.place_lift", icon="IMPORT").lift_folder = path
     if followed.is_finished and followed.folder.request.preset == "draft":
-        row.operator("plgs.refine_lift", icon="SHADERFX").lift_folder = path
+        layout.operator("plgs.refine_lift", icon="SHADERFX").lift_folder = path
     if followed.can_be_resumed:
         sidebar.from_panel(row, context).operator("plgs.lift_scene", text="Start Anew", icon="PLAY")
     if not followed.scene_is_there:

@@ -147,8 +147,11 @@ def work_of(task: Task) -> str:
 def draw_error(layout: bpy.types.UILayout, context: bpy.types.Context, error: PlgsError) -> bpy.types.UILayout:
     """Draw an error with the fields that it names and the button that fixes it, and return the box."""
     box = layout.box()
-    box.alert = True
-    draw_text(box, context, error, "ERROR")
+    is_offer = error.code is ErrorCode.LACKS_PART or error.option == "--download"
+    box.alert = not is_offer  # a download is a question, not a fault
+    lines: list[str | PlgsError] = [*with_field_names(error).split("; ")] if is_offer else [error]
+    for number, line in enumerate(lines):
+        draw_text(box, context, line, "ERROR" if not is_offer else "DOT" if number else "IMPORT")
     if error.code is ErrorCode.LACKS_PART and error.option in ADDED:
         draw_adding(box, context, error.option)
         return box

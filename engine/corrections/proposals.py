@@ -63,7 +63,7 @@ class Proposals:
 
     @property
     def progress(self) -> str:
-        return f"{self.looked_at} of {self.all} looked at"
+        return f"{self.looked_at} of {self.all} corrected or accepted"
 
 
 def proposals_of(corrected: CorrectedResult) -> Proposals:

@@ -170,7 +170,7 @@ def test_propose_lists_doubtful_objects_the_worst_first_until_they_are_accepted(
     write_arrays(lift.result_path / "semantic_points.npz", points)
     assert any("table 2: it has only 20 points; delete?" in line for line in proposed())
     shell.run(".venv/bin/python -m engine correct lifts/demo accept 6".replace("lifts/demo", "lift"), id6=1)
-    assert not any("chair 1" in line for line in proposed()) and proposed()[-1] == "1 of 3 looked at"
+    assert not any("chair 1" in line for line in proposed()) and proposed()[-1] == "1 of 3 corrected or accepted"
 
 
 def test_undo_reverts_the_last_edit(terminal: Terminal) -> None:

@@ -8,6 +8,7 @@ import bpy
 import pytest
 from plgs.plgs_blender.inspecting.lists import fill_not_shown
 from plgs.plgs_blender.lift_scene import place_lift
+from plgs.plgs_blender.passes import passes_scene_of
 from plgs.plgs_blender.results import read_result
 from tiny_lift import CABINET_NAME, CHAIR_NAME
 
@@ -30,6 +31,20 @@ def root(lift: Path) -> bpy.types.Collection:
 def test_every_inspect_button_without_a_lift_says_why_it_is_disabled(name: str) -> None:
     with pytest.raises(RuntimeError, match="no lift result yet"):
         getattr(bpy.ops.plgs, name)()
+
+
+def test_buttons_are_grey_while_nothing_is_chosen_and_the_matte_without_passes(root: bpy.types.Collection) -> None:
+    several = ("merge_instances", "reclass_instances", "accept_instances", "make_objects", "key_visibility")
+    buttons = [getattr(bpy.ops.plgs, name) for name in ("isolate_instance", *several)]
+    mattes = bpy.ops.plgs.matte_instance, bpy.ops.plgs.matte_class
+    with bpy.context.temp_override(plgs_panel=bpy.context.scene.plgs):
+        assert not any(each.poll() for each in buttons)
+    bpy.ops.plgs.select_instance(instance=1)
+    with bpy.context.temp_override(plgs_panel=bpy.context.scene.plgs):
+        assert all(each.poll() for each in (*buttons, *mattes))
+    bpy.data.scenes.remove(passes_scene_of(bpy.context.scene))  # type: ignore[arg-type]
+    with bpy.context.temp_override(plgs_panel=bpy.context.scene.plgs):
+        assert not any(each.poll() for each in mattes)
 
 
 @pytest.mark.parametrize("argument", ["", "PLGS tiny room", "folder"])

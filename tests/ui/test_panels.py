@@ -148,12 +148,13 @@ def test_the_panel_shows_what_a_film_needs_to_download(tmp_path: Path) -> None:
     registry.follow(FilmMaking(chosen_scene(bpy.context.scene.plgs), follower))
     shown = drawn()
     assert "Half of it" in shown and "plgs.cancel_film" in shown and "plgs.make_poses" not in shown
-    what = "this must be downloaded first: packages: 134 MB"
+    what = "this must be downloaded first: packages: 134 MB; network: 60 MB"
     follower.error = PlgsError("lacks-parts", what, "film.mp4", "", code=ErrorCode.LACKS_PART, option="colmap")
     follower.state, follower.is_running = TaskState.FAILED, False
     registry.latest(FilmMaking).is_taken = True  # type: ignore[union-attr]
     shown = drawn()
     assert "downloaded first: packages: 134 MB" in shown and "Add to Engine (" in shown
+    assert any(line.startswith("network: 60 MB") for line in shown.splitlines()), "a line each"
 
 
 def test_photos_without_poses_show_the_button_that_finds_poses(tmp_path: Path) -> None:

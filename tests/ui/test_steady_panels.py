@@ -167,7 +167,7 @@ def test_corrections_do_not_move_any_button(tmp_path: Path) -> None:
     registry.follow(SplitByViews(lift, Pretended(TaskState.RUNNING), ()))  # type: ignore[arg-type]
     assert rows_above("Views 50 %") == split == rows_above("plgs.cancel_split") - 1
     one = proposals.Proposal(1, "chair 1", 1.0, "few frames saw it", "delete")
-    root[proposals.PROPOSALS] = json.dumps({"open": [asdict(one)], "progress": "0 of 1 looked at"})
+    root[proposals.PROPOSALS] = json.dumps({"open": [asdict(one)], "progress": "0 of 1 corrected or accepted"})
     shown = drawn()
     assert "few frames saw it" in shown
     assert rows_above("plgs.undo_correction") == before + 1, "the cross that cancels is beside the bar, in the same row"
