@@ -149,7 +149,7 @@ def test_engine_depth_runs_a_depth_network_with_random_weights(
     assert record["model"] == str(model.resolve()) and "licence" in record
     assert main(["depth", str(folder), "--model", str(model)]) == 0
     assert main(["depth", str(ROOM), "--model", str(model)]) == 2
-    assert "has depth that was measured" in capsys.readouterr().err
+    assert "already has measured or given depth" in capsys.readouterr().err
     with raises_key("not-downloaded"):
         load_depth_network("nobody/no-such-network", download=False)
 

@@ -74,7 +74,7 @@ def test_missing_object_report_names_frame(scene_path: Path, tmp_path: Path, cap
     assert (chair.name, chair.whole_class, chair.shown_as) == ("chair", True, "wall")
     assert found.trained is not None and found.trained < 0.85
     line = f"chair: {chair.views} near views, shown as wall (see frame {chair.frame})"
-    assert warning_of(found, tmp_path / "events.jsonl").endswith(f"does not: {line}")
+    assert warning_of(found, tmp_path / "events.jsonl").endswith(f"does not show: {line}")
     assert json.loads(json.dumps(found.to_json()))["not_shown"][0]["name"] == "chair"
     with caplog.at_level(logging.INFO, "plgs.lift"):
         many = warning_of(replace(found, not_shown=(chair,) * 6), tmp_path / "many.jsonl")
