@@ -114,7 +114,7 @@ def make_depth(scene: Scene, folder: Path, network: DepthNetwork, follow: Follow
                 write_atomically(place / f"{name}.npy", partial(_save, only_depth(depth / np.float32(scale))))
         if len(lost) == len(maps):
             own.discard()  # so that another network can be tried
-            what = "no map rises or falls with the depth of the reconstruction's points"
+            what = "no depth map of this network follows the reconstruction's points"
             raise PlgsError("depth-unrelated", what, place, "Name another network with --model.")
         write_atomically(place / MADE_BY, json.dumps(about) + "\n")
         for name in maps:

@@ -158,7 +158,7 @@ def _check_weights(folder: Path) -> None:
     for path in folder.glob("*.safetensors"):
         digest = path.resolve().name  # the hub's cache links to files that are called by their SHA-256
         if path.is_symlink() and re.fullmatch("[0-9a-f]{64}", digest) and digest_of(path) != digest:
-            raise PlgsError("model-broken", "the model is not the hub's", path.resolve(), "Delete this file.")
+            raise PlgsError("model-broken", "the downloaded file was changed", path.resolve(), "Delete this file.")
 
 
 def _check_pin(pin: Path, pins: Mapping[str, Any], folder: Path) -> None:

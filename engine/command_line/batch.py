@@ -278,7 +278,7 @@ def _arguments(name: str, value: Any, folder: Path, where: str) -> Iterator[str]
         is_path = name in _PATHS or str(value).endswith(".toml")
         yield f"--{name}={folder / str(value) if is_path else value}"  # "=", as a value may begin with a dash
     elif value is not False:
-        raise PlgsError("row-value", f"{name} is {value!r}", where, _FIX)
+        raise PlgsError("row-value", f"{name} cannot be {value!r}", where, _FIX)
 
 
 def _rows(path: Path) -> list[Mapping[str, Any]]:

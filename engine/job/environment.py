@@ -124,7 +124,7 @@ def _holds(marker: str, version: Version, platform: str, path: Path) -> bool:
     """Whether an environment marker (PEP 508) applies. Only those kinds that our files use are known."""
     match = _MARKER.fullmatch(marker)
     if match is None:
-        what = f"has an unknown condition ({marker})"
+        what = f"has a condition that is not understood ({marker})"
         raise PlgsError("odd-condition", what, path, "Write it like the other lines.")
     subject, operator, text = match.groups()
     if subject == "sys_platform":

@@ -127,7 +127,7 @@ def fitted_map(
     values = _placed(path, placement)
     fit = fit_depth(values_at(values, pixels).astype(np.float64), depths)
     if fit is None:
-        what = "the map does not rise or fall with the depth of the reconstruction's points"
+        what = "the depth map does not follow the depth of the reconstruction's points"
         raise PlgsError("depth-unrelated", what, path, "Check that it belongs to this frame, or leave the frame out.")
     return fit.depth(values)
 

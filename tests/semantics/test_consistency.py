@@ -49,7 +49,7 @@ def test_neighbouring_views_are_the_nearest_in_recording_order() -> None:
     assert neighbour_indices(5, 10, 0) == []
 
 
-def test_views_far_apart_have_a_warning_of_sparse_neighbours() -> None:
+def test_views_far_apart_count_as_sparse() -> None:
     options = ConsistencyOptions()
     near = [wall_view(str(i), 0.2 * i) for i in range(4)]
     assert view_overlap(near[0], near[0], options) == 1.0

@@ -51,7 +51,7 @@ def assumed(whose: str, lens: Camera, file: str) -> Inferred:
     """A note that the lens of ``whose`` camera is assumed, as no file describes it; ``file`` is where to do so."""
     values = " ".join(f"{value:.6g}" for value in (lens.fx, lens.fy, lens.cx - 0.5, lens.cy - 0.5))
     taken = f"{whose} lens is assumed ({values} for {shown_size(lens.size)})"
-    return Inferred("lens", taken, f"no file says theirs; write it into {file} if it is another")
+    return Inferred("lens", taken, f"no file describes it; if it is different, write it into {file}")
 
 
 @dataclass(frozen=True)
