@@ -394,7 +394,7 @@ def refuse_unusable(source: Path) -> None:
 
 
 def _photos_in(source: Path) -> Path:
-    """Return the folder of a scene's photos. Raises PlgsError if there are no photos, or poses already."""
+    """Return the folder of a scene's photos. Raises PlgsError if there are no photos, or if they have poses already."""
     photos = photos_in(source) if source.is_dir() else None
     if photos is None:
         what = "this is neither a folder with photos nor a film"

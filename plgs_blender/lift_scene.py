@@ -346,7 +346,7 @@ def open_blend(blend: Path, lift: Path, named_by: str = "--save") -> bpy.types.S
 
 
 def _dress(scene: bpy.types.Scene, root: bpy.types.Collection) -> None:
-    """In a file that we created, show the whole room from the overview camera, whose frame follows the others."""
+    """In a file that we created, set the timeline, and show the whole room from the overview camera."""
     overview = overview_of(root)
     assert overview is not None
     places = places_of(root, scene)

@@ -161,7 +161,7 @@ def install_options(files: tuple[str, ...], version: tuple[int, int]) -> list[st
 
 
 def make(folder: Path) -> None:
-    """Make the environment in `folder` from nothing; `.venv-next` only if there is a Python for it."""
+    """Make the environment in `folder`, unless it is complete, or it is `.venv-next` and there is no Python for it."""
     started = time.monotonic()
     refuse_old_system()
     if setting := uv_program.diverted(os.environ, ROOT / "requirements"):

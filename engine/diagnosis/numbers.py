@@ -220,7 +220,7 @@ def _doubtful_unit(found: Calibration) -> Finding:
 
 
 def _values_off(examined: Examined, found: Calibration, mended: Assumption, may_move: bool) -> tuple[str, ...]:
-    """Return the names of the values that are certainly wrong."""
+    """The names of the values, such as "unit" and "focal", that deviate by more than their tolerance and noise."""
     left = agreement(examined.views, examined.pairs, mended).error
     pixels, focals = examined.looks[0].frame.size, np.median(examined.views.lens[:, :2], axis=0).tolist()
     x, y = (max(_OFF_PIXELS / p, _ABOVE_NOISE * left * focal) for p, focal in zip(pixels, focals, strict=True))

@@ -198,7 +198,7 @@ class FrameOrder(NamedTuple):
 
     @property
     def is_shuffled(self) -> bool:
-        """Whether a smooth recording was shuffled. Views from random places have no smooth path through them."""
+        """Whether the frames seem a smooth recording in shuffled order, not views from random places."""
         return self.rank > 1 / 6 and self.shortest * 4.0 < self.given and self.smoothness > 0.5
 
 

@@ -265,7 +265,7 @@ class Views:
 
 
 def lens_under(lens: Lens, assumed: Assumption) -> Lens:
-    """Return the intrinsics [F, 4] (fx, fy, cx, cy) under an assumption."""
+    """Return the intrinsics that ``lens`` [F, 4] (fx, fy, cx, cy) has if an `Assumption` is true, in the same form."""
     meant = lens.copy()
     meant *= assumed.lens_scale
     meant[:, :2] *= assumed.focal

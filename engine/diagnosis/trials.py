@@ -187,8 +187,8 @@ def agreement(views: Views, pairs: Pairs, assumed: Assumption) -> Agreement:
 
 
 def is_far_better(after: Agreement, before: Agreement) -> bool:
-    """Whether a correction is good enough: half of what two frames both see agrees, and 15 % more of it than before, or
-    no less of it with 30 % less error."""
+    """Whether a correction is good enough: half of what two frames both see agrees now; and 15 % more agrees than
+    before, or as much with 30 % less error."""
     more = after.mean > _BETTER * before.mean
     finer = after.mean >= _AS_GOOD * before.mean and after.error < _ERROR_LEFT * before.error
     return after.share >= _LEAST_SHARE and (more or finer)

@@ -112,7 +112,7 @@ class OwnFiles:
         return False
 
     def claim(self, path: Path) -> None:
-        """List a file that is about to be written, and its temporary file. Raises PlgsError if it is not ours,
+        """List a file, before it is written, as ours. Raises PlgsError if somebody else's file is there, and
         OSError."""
         name, part = self._name(path), path.with_name(PART + path.name)
         self.refuse_foreign(path)

@@ -82,7 +82,8 @@ def _window(
 
 
 def _taken(view: BakedView, at: NDArray[np.float64], slant: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
-    """Each layer's values at pixels ``at`` [N, 2] of a face, [..., N]. ``slant`` [N]: distance over planar depth."""
+    """Return each layer's values [..., N] at pixels ``at`` [N, 2] of a face. ``slant`` [N] is distance / planar
+    depth."""
     width = view.camera.width
     column, row = np.floor(at).astype(np.int64).T
     nearest = row * width + column

@@ -189,7 +189,7 @@ class Scene(PosedScene):
 
     @property
     def assumed_lens(self) -> str:
-        """The warning that the lens is assumed; "" if a file describes it."""
+        """Return the warning that the lens is assumed; "" if a file describes it."""
         return next((str(each) for each in self.inferred if each.about == "lens" and each.is_doubtful), "")
 
     @property

@@ -77,7 +77,7 @@ def _names(choice: ClassChoice | None, where: Path) -> dict[int, str]:
 
 
 def _compared(files: Mapping[str, Path], masks: MaskSet) -> Joint:
-    """Count how ground truth and masks agree in some frames. Unreadable files are skipped."""
+    """Return the pixels of each pair (ground truth's number, class) in some frames. Unreadable files are skipped."""
     joint = Counter[tuple[int, int]]()
     for name in evenly_spread([name for name in masks.readers if name in files], LOOKED_AT):
         try:
@@ -90,7 +90,7 @@ def _compared(files: Mapping[str, Path], masks: MaskSet) -> Joint:
 
 
 def joined(numbers: NDArray[np.integer], classes: NDArray[np.integer]) -> Counter[tuple[int, int]]:
-    """Count the pixels of each pair of a ground truth's number and a class, both [H, W], where neither is void."""
+    """Count the pixels of each pair (ground truth's number, class) of two maps [H, W], where neither is void."""
     pairs = numbers.astype(np.int64) << 32 | classes  # one number per pair: np.unique is slow on rows
     known = pairs[(classes != VOID) & ~np.isin(numbers, [*IGNORED])]
     values, counts = (found.tolist() for found in np.unique(known, return_counts=True))

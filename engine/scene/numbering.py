@@ -303,7 +303,7 @@ def _usual(reading: _Reading, shown: _Shown) -> float:
 
 
 def _seen(reading: _Reading, shown: _Shown) -> int:
-    """Return how many of the reading's ``usual`` classes occur."""
+    """Return how many of the reading's ``usual`` classes fill at least _SEEN of all pixels."""
     return sum(shown.share(reading, {name}) >= _SEEN for name in reading.usual)
 
 

@@ -97,7 +97,7 @@ def apply_show_as(root: bpy.types.Collection) -> None:
 
 
 def shows_pictures(root: bpy.types.Collection) -> bool:
-    """Whether a lift shows nothing but meshes with pictures that are cut from the photos."""
+    """Whether a lift is shown as meshes with textures from the photos, and as nothing else."""
     lists = root.plgs
     if (lists.show_as, lists.look, lists.catch_shadows) != (SURFACE, PHOTO, False):
         return False

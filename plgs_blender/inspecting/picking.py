@@ -33,7 +33,7 @@ def camera_of(context: bpy.types.Context) -> bpy.types.Object | None:
 
 
 def outlined(context: bpy.types.Context, root: bpy.types.Collection) -> Any:
-    """Return the chosen instance's row if the view looks through the camera of its chosen mask, else None."""
+    """The row of the list's active instance, if the view shows its chosen mask through that camera; else None."""
     lists, camera = root.plgs, camera_of(context)
     if camera is None or not 0 <= lists.instance_index < len(lists.instances):
         return None

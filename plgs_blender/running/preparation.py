@@ -75,7 +75,7 @@ def fill_classes(masks: PLGS_PG_masks, listed: Mapping[str, Any]) -> None:
 
 
 def edited_classes(masks: PLGS_PG_masks) -> dict[str, Any]:
-    """Return the rows as input for the engine's command ``classes --write``. Raises PlgsError."""
+    """Return the panel's table of classes as input for the engine's command ``classes --write``. Raises PlgsError."""
     rows = [
         {"label": row.label, "name": row.name, "into": row.into or row.name, "is_thing": row.is_thing}
         for row in masks.classes

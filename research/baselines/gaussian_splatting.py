@@ -48,7 +48,7 @@ class PlainRules:
 
 
 class PlainDecoders(Decoders):
-    """A stand-in for the decoders that learns nothing, as labels are columns of the features."""
+    """Replaces the decoders' networks in 3DGS: labels are columns of the features. It has nothing to train."""
 
     kind = "3dgs"
     decodes_all_anchors = True  # they have moved away from where they started

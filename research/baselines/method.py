@@ -133,7 +133,7 @@ def baseline_scene(
 
 
 def with_semantic_targets(prepared: PreparedLift, views: Sequence[View], source: str) -> PreparedLift:
-    """Return targets whose classes come from the input masks, or that have none."""
+    """Return ``prepared`` with targets that have the classes of the input masks (``source`` "masks"), or none."""
     class_ids, targets = prepared.scene.channels.class_ids, prepared.targets
 
     def target(number: int) -> ViewTargets:

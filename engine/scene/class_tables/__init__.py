@@ -62,7 +62,7 @@ def numberings_of(table: str) -> tuple[str, ...]:
 
 
 def base_of(table: str) -> str:
-    """The name of a table without its numbering."""
+    """Return a table's name without its numbering, the part after ":"."""
     return table.partition(":")[0]
 
 

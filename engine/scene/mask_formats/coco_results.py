@@ -218,7 +218,7 @@ def _without_empty(counts: list[int]) -> list[int]:
 
 
 def check_picture(size: Size, context: str, path: Path) -> None:
-    """Raise PlgsError for a size that no picture has."""
+    """Raise PlgsError if a picture's size is less than 1 or has more than LARGEST_PIXELS pixels."""
     if min(size) < 1 or size[0] * size[1] > LARGEST_PIXELS:
         what = f"the picture of {context} has {size[0]} x {size[1]} pixels"
         raise PlgsError("bad-picture-size", what, path, "Write its height and width in pixels.")
