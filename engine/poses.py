@@ -115,7 +115,7 @@ def map_photos(photos: Path, names: Sequence[str], workplace: Path, events: Even
     """Return the largest reconstruction of photos from one camera (pycolmap's Reconstruction), or None. Because of
     threading, the same photos may give slightly different poses. Raises PlgsError without pycolmap; Cancelled."""
     pycolmap = colmap(photos)
-    pycolmap.logging.minloglevel = 2  # errors only
+    pycolmap.logging.minloglevel = 3  # crashes only: other errors are told by what it finds
     pycolmap.set_random_seed(0)
     database, token = workplace / "photos.db", pycolmap.CancellationToken()
     lens = pycolmap.ImageReaderOptions()

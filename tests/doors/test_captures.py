@@ -453,6 +453,16 @@ def test_a_rgbd_video_of_the_sample_gets_its_poses_in_metres(
 
 @pytest.mark.slow
 @pytest.mark.skipif(find_spec("pycolmap") is None, reason="needs pycolmap (engine add colmap)")
+def test_unrelated_photos_are_refused_in_our_words_alone(shell: Terminal, tmp_path: Path) -> None:
+    for number in range(5):
+        noise = np.random.default_rng(number).integers(0, 255, (24, 32, 3), np.uint8)
+        cv2.imwrite(str(tmp_path / f"{number}.jpg"), cv2.resize(noise, (640, 480), interpolation=cv2.INTER_CUBIC))
+    told = shell.run(POSES, code=2, PHOTOS=tmp_path)
+    assert worded("poses-of-few").search(told) and "sparse model" not in told, "COLMAP has a line of its own"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(find_spec("pycolmap") is None, reason="needs pycolmap (engine add colmap)")
 @pytest.mark.parametrize("has_depth", [True, False])
 def test_poses_found_for_photos_are_written_to_sparse_0_beside_them(
     has_depth: bool, shell: Terminal, tmp_path: Path, capsys: pytest.CaptureFixture[str]
