@@ -151,9 +151,7 @@ def test_a_batch_without_workers_is_reported(tmp_path: Path, monkeypatch: pytest
 
 
 @pytest.mark.parametrize("lacked", [False, True])
-def test_a_killed_lift_in_a_batch_is_resumed_once(
-    lacked: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_killed_batch_lift_is_resumed_once(lacked: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where memory was short, with a worker less."""
     batch = Batch(tmp_path, monkeypatch, "one", "two")
     batch.end(batch.farm.asked[0], Ended.KILLED, "host one", lacked)

@@ -243,9 +243,7 @@ def test_a_command_ends_when_its_parent_process_ends(root: Path, tmp_path: Path,
 
 
 @pytest.mark.parametrize("command", ["lift", "inspect", "batch"])
-def test_a_link_to_itself_gives_a_one_line_error(
-    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_link_to_itself_is_a_one_line_error(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     output = [] if command == "inspect" else ["-o", tmp_path / "out"]
     assert code_of(command, tmp_path / "loop", *output) == 2

@@ -96,9 +96,7 @@ def test_two_processes_cannot_write_the_same_events_file(tmp_path: Path, capsys:
 
 
 @pytest.mark.parametrize("name", ["events.json", "missing/events.jsonl"])
-def test_an_events_file_in_a_bad_place_is_refused(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_events_file_at_a_bad_path_is_refused(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["handshake", "--events", str(tmp_path / name)]) == 2
     assert "--events" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

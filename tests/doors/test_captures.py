@@ -155,9 +155,7 @@ def test_inverted_poses_stop_a_lift_and_it_says_what_mends_them(
     assert "inverted poses" in told and "--fix" in told and "--anyway" in told
 
 
-def test_up_to_half_of_the_frames_may_lack_depth_mask_or_pose(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_up_to_half_of_frames_may_lack_depth_mask_or_pose(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = write_tiny_scene(tmp_path / "scan", 8)
     (folder / "pose/0000.txt").write_text("inf " * 16)
     (folder / "depth/0001.png").unlink()
@@ -434,9 +432,7 @@ def test_measured_depth_beside_photos_puts_their_poses_in_metres(
 
 @pytest.mark.slow
 @pytest.mark.skipif(find_spec("pycolmap") is None, reason="needs pycolmap (engine add colmap)")
-def test_a_rgbd_video_of_the_sample_gets_its_poses_in_metres(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_rgbd_video_of_the_sample_gets_poses_in_metres(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     true = open_scene(ROOT / "sample/room")
     pictures = [frame.read_colour(None)[..., ::-1] for frame in true.frames]
     depths = [frame.depth(frame.size) for frame in true.frames]

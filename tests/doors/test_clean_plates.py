@@ -346,9 +346,7 @@ def test_a_fill_is_not_reused_after_the_engine_changed(terminal: Terminal, monke
     assert len(names) == 2
 
 
-def test_only_the_last_four_plates_and_the_fills_in_use_are_kept(
-    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_the_last_four_plates_and_used_fills_are_kept(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plates.removal, "fill_of", lambda *_: NOTHING)
     folder = LiftFolder.open(terminal.folder / LIFT)
     one, other = (str(each.id) for each in engine.read_lift(folder.path).instances)
@@ -363,9 +361,7 @@ def test_only_the_last_four_plates_and_the_fills_in_use_are_kept(
     assert len(kept) == 6 and {edit.fill, "backup"} < kept
 
 
-def test_removing_from_a_read_only_lift_fails_before_it_computes(
-    terminal: Terminal, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_removing_from_a_read_only_lift_is_refused_at_once(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "access", lambda *_: False)
     with raises_key("read-only"):
         plates.remove(LiftFolder.open(terminal.folder / LIFT), ["chair 1"], pytest.fail)

@@ -184,7 +184,7 @@ def test_studio_defaults_are_used_and_the_first_line_names_their_file(shell: Ter
     assert ran.returncode == 2 and "presets" in ran.stderr, "other keys are refused"
 
 
-def test_a_resumed_lift_ignores_new_studio_defaults(
+def test_resuming_ignores_new_studio_defaults(
     terminal: Terminal, lifted: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (terminal.folder / "studio.toml").write_text('preset = "paper"\ndevice = "auto"\nmemory = 64\n')

@@ -366,9 +366,7 @@ def test_segment_writes_coco_panoptic_masks_and_never_overwrites_masks_of_others
     assert {path: path.read_bytes() for path in (shell.folder / "room/panoptic").iterdir()} == before
 
 
-def test_segment_first_makes_masks_of_a_few_frames_and_later_of_all(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_segment_makes_masks_of_a_few_frames_then_of_all(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("transformers")
     room = write_tiny_scene(tmp_path / "room", 40, (32, 24), masks="none", ground_truth=False)
     network, masks = save_tiny_mask2former(tmp_path / "network", sure=20.0), tmp_path / "made"

@@ -128,9 +128,7 @@ def test_events_survive_every_disk_fault(rounds: Rounds, request: pytest.Fixture
 
 
 @pytest.mark.parametrize("content", ["new", lambda part: part.write_text("new")], ids=["text", "function"])
-def test_an_atomically_written_file_survives_disk_fault(
-    rounds: Rounds, content: str | Callable[[Path], object]
-) -> None:
+def test_an_atomically_written_file_survives_a_fault(rounds: Rounds, content: str | Callable[[Path], object]) -> None:
     def replace(folder: Path) -> None:
         job.write_atomically(folder / "file", content)
 

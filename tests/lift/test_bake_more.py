@@ -377,7 +377,9 @@ def followers() -> Iterator[list[TaskFollower]]:
         follower.close()
 
 
-def test_two_bakes_coexist(lift: LiftFolder, followers: list[TaskFollower], tmp_path: Path, quick_python: Path) -> None:
+def test_two_bakes_finish_while_a_third_is_cancelled(
+    lift: LiftFolder, followers: list[TaskFollower], tmp_path: Path, quick_python: Path
+) -> None:
     """Two bake their views to the end, though a third is cancelled beside them."""
     names = {}
     for name, count in (("left", 40), ("right", 12), ("cancelled", 40)):

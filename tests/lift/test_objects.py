@@ -39,7 +39,7 @@ def piece(source: int, count: int) -> SceneObject:
         pytest.param(8, 0, 4, [1, 2], [0, 1], id="without masks there is no object"),
     ],
 )
-def test_few_masks_make_no_object(
+def test_objects_with_too_few_masks_are_removed(
     views: int, of_first: int, of_second: int, origin: list[int], owners: list[int]
 ) -> None:
     owner = np.array([1, 1, 2, 2], np.int32)
@@ -85,9 +85,7 @@ def test_object_matching_reports_its_progress(tmp_path: Path, monkeypatch: pytes
 
 
 @pytest.mark.parametrize("begin", PARTS[:-1:3])
-def test_matching_can_be_stopped_in_all_its_steps(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begin: float
-) -> None:
+def test_matching_can_be_stopped_at_every_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begin: float) -> None:
     """And leaves no file of its own."""
     monkeypatch.setattr(progress, "REPORT_EVERY_S", 0.0)
     (tmp_path / "scratch").mkdir()

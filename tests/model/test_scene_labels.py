@@ -27,7 +27,7 @@ def classes_of(slot_ids: tuple[int, ...]) -> tuple[int, ...]:
 
 @pytest.mark.parametrize("slot_ids", SLOTS)
 @pytest.mark.parametrize("one_class", [False, True])
-def test_stored_labels_draw_as_decoded(
+def test_drawing_with_stored_labels_gives_nearly_the_same_picture(
     slot_ids: tuple[int, ...], one_class: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is drawn from labels of finished Gaussians differs a little where objects are of one class: a product of

@@ -97,7 +97,7 @@ def projected(camera: BakeCamera, points: np.ndarray) -> tuple[np.ndarray, np.nd
         ("VERTICAL", (1.0, 1.8)),
     ],
 )
-def test_shot_cameras_match_render(
+def test_cameras_of_a_shot_agree_with_blenders_render(
     scene: bpy.types.Scene, fit: str, aspect: tuple[float, float], tmp_path: Path
 ) -> None:
     data = scene.camera.data

@@ -60,7 +60,9 @@ def test_ctrl_c_in_research_says_what_next(capsys: pytest.CaptureFixture[str], m
     assert capsys.readouterr().err.splitlines() == ["Stopped. Give the same command again to continue."]
 
 
-def test_bench_checks_file(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bench_refuses_an_unwritable_file_before_measuring(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     measured: list[str] = []
     monkeypatch.setattr("research.bench_step.bench_step", lambda preset: measured.append(preset) or {"ms": 1})
     for file in (tmp_path / "missing" / "figures.json", tmp_path):

@@ -82,9 +82,7 @@ def test_a_mesh_gives_depth(kind: str, surface: open3d.geometry.TriangleMesh, sa
     assert median < (0.013 if kind == "tenth.obj" else 0.006) and near > 0.8 and covered > 0.75
 
 
-def test_a_mesh_turned_inside_out_is_reported(
-    surface: open3d.geometry.TriangleMesh, sample: Scene, tmp_path: Path
-) -> None:
+def test_an_inside_out_mesh_is_reported(surface: open3d.geometry.TriangleMesh, sample: Scene, tmp_path: Path) -> None:
     turned = open3d.geometry.TriangleMesh(
         surface.vertices, open3d.utility.Vector3iVector(np.asarray(surface.triangles)[:, ::-1].copy())
     )

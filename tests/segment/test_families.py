@@ -111,9 +111,7 @@ def test_mask_networks_see_exactly_the_whole_picture(model: Path) -> None:
         {"image_std": None},
     ],
 )  # fmt: skip
-def test_unusable_preprocessor_settings_are_reported_as_the_models_fault(
-    settings: dict[str, object], tmp_path: Path
-) -> None:
+def test_unusable_preprocessor_settings_are_the_models_fault(settings: dict[str, object], tmp_path: Path) -> None:
     save_rf_detr(tmp_path)
     (tmp_path / "preprocessor_config.json").write_text(json.dumps(settings))
     with raises_key("model-unusable"):

@@ -90,9 +90,7 @@ def test_label_losses_have_no_gradient_on_opacity_or_shape(tiny: Input, tmp_path
         assert all(p.grad is not None and p.grad.any() for p in taught.parameters())
 
 
-def test_label_channels_without_targets_are_not_drawn(
-    tiny: Input, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_labels_without_targets_are_not_drawn(tiny: Input, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The model is the same, bit for bit, after steps that draw all of them."""
     few = trainer_of(*tiny, TINY, tmp_path)
     drawn = few._columns_to_draw(few.target(0))

@@ -238,7 +238,7 @@ def test_earlier_lifts_are_kept(experiment: Experiment, behave: Behave, capsys: 
     assert rows == ["without depth"], "lifts by other options are none of these"
 
 
-def test_an_experiment_runs_with_the_real_engine(
+def test_an_experiment_runs_the_real_engine(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path
 ) -> None:
     monkeypatch.setenv("PLGS_ENGINE_PYTHON", str(quick_python))
