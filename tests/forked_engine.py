@@ -14,8 +14,11 @@ import threading
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 
+NETWORKS = {"segment", "depth", "film"}
+"""Commands that run a network."""
 PYTHON = """#!{python} -IS
 import json, os, socket, sys
 server = socket.socket(socket.AF_UNIX)
@@ -47,14 +50,7 @@ def forked_engines(folder: Path) -> Iterator[Path]:
 
 
 def serve(listening: socket.socket) -> None:
-    """Run each command that comes, in a fork."""
-    import OpenEXR
-
-    from engine.lift.warm_up import compile_rasteriser, lift_a_wall
-
-    OpenEXR.set_global_thread_count(0)  # its threads do not follow into a fork, which would wait for them
-    compile_rasteriser()
-    lift_a_wall(lambda: None)
+    """Run each command that comes, in a fork. Nothing is imported before the first comes: perhaps none does."""
     while True:
         client, _ = listening.accept()
         _, descriptors, *_ = socket.recv_fds(client, 1, 3)
@@ -65,6 +61,10 @@ def serve(listening: socket.socket) -> None:
             client.close()
             continue
         (sys.executable, *arguments), folder, environment = json.loads(asked)
+        if arguments[:2] != ["-I", "-c"]:  # which only asks what can be imported, and does not wait long
+            import_engine()
+        if NETWORKS & {*arguments}:
+            import_for_transformers()
         child = os.fork()
         if child == 0:
             for number, descriptor in enumerate(descriptors):
@@ -77,6 +77,25 @@ def serve(listening: socket.socket) -> None:
         for descriptor in descriptors:
             os.close(descriptor)
         threading.Thread(target=await_end, args=(child, client), daemon=True).start()
+
+
+@cache
+def import_engine() -> None:
+    """Import all of it, and run its kernels once."""
+    import OpenEXR
+
+    from engine.lift.warm_up import compile_rasteriser, lift_a_wall
+
+    OpenEXR.set_global_thread_count(0)  # its threads do not follow into a fork, which would wait for them
+    compile_rasteriser()
+    lift_a_wall(lambda: None)
+
+
+@cache
+def import_for_transformers() -> None:
+    """Import what transformers imports of torch, but not transformers, which reads the environment when imported."""
+    import torch._dynamo
+    import torch.distributed.tensor  # noqa: F401
 
 
 def await_end(child: int, client: socket.socket) -> None:

@@ -11,6 +11,11 @@ from tests.tiny_scene import write_tiny_scene
 from tests.train.tiny_lift import TINY, lift_into, presets_as
 
 
+@pytest.fixture(autouse=True)
+def _engines_are_forks(quick_python: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PLGS_ENGINE_PYTHON", str(quick_python))
+
+
 @pytest.fixture(scope="session")
 def lifted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the tiny room `scans/room` and its lift `lifts/demo`, with its held-out frame baked."""

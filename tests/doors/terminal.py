@@ -44,7 +44,7 @@ class Terminal:
         for name, value in names.items():
             command = re.sub(rf"(?<![\w.]){re.escape(name.removeprefix('id'))}(?![\w.])", str(value), command)
         command = " ".join([command, *more])
-        environment = {"PLGS_ENGINE_PYTHON": str(self.folder / ".venv/bin/python"), **os.environ}
+        environment = {**os.environ, "PLGS_ENGINE_PYTHON": str(self.folder / ".venv/bin/python")}
         ran = subprocess.run(
             ["/bin/bash", "-c", command], cwd=self.folder, env=environment, capture_output=True, text=True
         )

@@ -1,6 +1,5 @@
 """No command deletes or overwrites a file that it did not write, wherever it writes, stopped and unstopped."""
 
-import os
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
@@ -65,8 +64,7 @@ def engine(quick_python: Path) -> Engine:
     def run(*arguments: object, code: int = 0, killed: int = 0, into: Path | None = None) -> str:
         program = [quick_python, ROOT / "engine/__main__.py"]
         program = [quick_python, "-c", _KILLED, str(killed)] if killed else program
-        environment = {**os.environ, "PLGS_ENGINE_PYTHON": str(quick_python)}
-        ran = subprocess.run([*program, *map(str, arguments)], env=environment, capture_output=True, text=True)
+        ran = subprocess.run([*program, *map(str, arguments)], capture_output=True, text=True)
         assert killed or ran.returncode == code, f"{ran.returncode}: {ran.stdout}{ran.stderr}"
         if into is not None:
             into.write_text(ran.stdout.splitlines()[-1])

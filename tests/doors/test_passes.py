@@ -202,7 +202,6 @@ def test_a_camera_of_your_blend_file_is_baked_under_the_shots_name(
 ) -> None:
     blend = shot_blend(terminal.folder)
     before = blend.read_bytes()
-    monkeypatch.setenv("PLGS_ENGINE_PYTHON", str(terminal.folder / ".venv/bin/python"))
     printed = CAMERA.replace("1-250", "1-3")
     terminal.run(printed, LIFT="lifts/demo")
     passes = terminal.folder / "lifts/demo/result/passes"
@@ -228,8 +227,7 @@ def test_a_camera_of_your_blend_file_is_baked_under_the_shots_name(
 
 
 @pytest.fixture
-def blend(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("PLGS_ENGINE_PYTHON", str(terminal.folder / ".venv/bin/python"))
+def blend(terminal: Terminal) -> Path:
     return shot_blend(terminal.folder)
 
 

@@ -142,7 +142,6 @@ def test_the_operators_of_the_page_lift_and_bake(
     terminal: Terminal, extension: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(terminal.folder)
-    monkeypatch.setenv("PLGS_ENGINE_PYTHON", str(terminal.folder / ".venv/bin/python"))
     lines = script("bpy.ops.plgs.import_scene").replace("sample/room", str(terminal.folder / "scans/room"))
     lines = lines.replace("lifts/room", str(terminal.folder / "lifts/room"))
     lines = lines.replace('preset="standard"', 'preset="preview", steps=3, preset_options="voxel_size=0.2"')

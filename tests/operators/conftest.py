@@ -19,6 +19,11 @@ def _switched_on(extension: None) -> None:
     """In an empty file."""
 
 
+@pytest.fixture(autouse=True)
+def _engines_are_forks(quick_python: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PLGS_ENGINE_PYTHON", str(quick_python))
+
+
 @pytest.fixture(scope="session")
 def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A scene of 8 small frames. Only for reading."""

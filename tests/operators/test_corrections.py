@@ -18,7 +18,7 @@ from plgs.engine.job import LiftFolder
 from plgs.engine.job.task import TaskProgress, TaskState
 from plgs.engine.result_files import write_arrays
 from plgs.engine.scene_of_lift import scene_of_lift
-from plgs.plgs_blender import correction_tools, corrections, engine_environment, lift_scene, registry
+from plgs.plgs_blender import correction_tools, corrections, lift_scene, registry
 from plgs.plgs_blender.correction_tools import Painting
 from plgs.plgs_blender.inspecting.selection import boxes_of, clouds_of, follow_selected, ids_of
 from plgs.plgs_blender.owned import lifts_in
@@ -228,10 +228,7 @@ def test_next_uncertain_frame_visits_each_frame_once(placed: bpy.types.Collectio
 
 
 @pytest.mark.skipif(find_spec("torch") is None, reason="the engine runs in another Python")
-def test_split_by_views_separates_merged_objects(
-    lift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path
-) -> None:
-    monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)
+def test_split_by_views_separates_merged_objects(lift: Path, tmp_path: Path) -> None:
     mine = Path(shutil.copytree(lift.parent, tmp_path / "both")) / lift.name
     placed = lift_scene.place_lift(mine, bpy.context.scene)
     count = points_of(placed, CHAIR)
@@ -326,10 +323,7 @@ def test_a_stopped_removal_of_an_object_changes_nothing(lift: Path, tmp_path: Pa
     registry.forget_all()
 
 
-def test_an_engine_process_removes_an_object_from_the_lift(
-    room: Path, tmp_path: Path, quick_python: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)
+def test_an_engine_process_removes_an_object_from_the_lift(room: Path, tmp_path: Path, quick_python: Path) -> None:
     quick = ["--steps", "5", "--set", "voxel_size=0.2", "--set", "warm_start=false", "--bake", "none"]
     command = [quick_python, ROOT / "engine/__main__.py", "lift", room, "-o", tmp_path / "lift", *quick]
     subprocess.run([*map(str, command)], check=True, capture_output=True)

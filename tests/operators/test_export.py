@@ -17,7 +17,7 @@ import pytest
 from plgs.engine.job.follower import TaskFollower
 from plgs.engine.job.process import EngineProcess
 from plgs.engine.job.task import TaskFiles
-from plgs.plgs_blender import engine_environment, registry
+from plgs.plgs_blender import registry
 from plgs.plgs_blender.lift_scene import place_lift
 from plgs.plgs_blender.running import exports
 from surface_file import write_surface
@@ -37,9 +37,7 @@ write_surface(Path(sys.argv[1]) / "mesh.ply")
 
 
 @pytest.fixture(autouse=True)
-def engine(monkeypatch: pytest.MonkeyPatch, quick_python: Path) -> Iterator[None]:
-    """The Python that runs the tests is the engine's."""
-    monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)
+def engine() -> Iterator[None]:
     yield
     registry.forget_all()
 

@@ -10,7 +10,7 @@ import bpy
 import cv2
 import numpy as np
 import pytest
-from plgs.plgs_blender import engine_environment, registry
+from plgs.plgs_blender import registry
 from plgs.plgs_blender.running.diagnosis import Diagnosis, diagnose, diagnosis_of, leave_out
 from plgs.plgs_blender.running.preparation import MaskMaking
 from plgs.plgs_blender.settings import chosen_scene
@@ -85,10 +85,9 @@ def test_make_masks_reports_a_missing_model(bare: Path) -> None:
 
 
 @pytest.mark.skipif(not HAS_TRANSFORMERS, reason="needs transformers (requirements/segment.txt)")
-def test_masks_are_made(bare: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path) -> None:
+def test_masks_are_made(bare: Path, tmp_path: Path) -> None:
     from tests.segment.tiny_mask2former import NAMES, save_tiny_mask2former
 
-    monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)
     bpy.context.scene.plgs.scene_folder = str(bare)
     model = save_tiny_mask2former(tmp_path / "model")
     assert bpy.ops.plgs.make_masks(model=str(model)) == {"FINISHED"}
@@ -175,11 +174,10 @@ def test_a_diagnosis_can_be_cancelled(inverted: Path) -> None:
 
 
 @pytest.mark.skipif(not HAS_TRANSFORMERS, reason="needs transformers (requirements/segment.txt)")
-def test_depth_is_made_and_a_length_is_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path) -> None:
+def test_depth_is_made_and_a_length_is_set(tmp_path: Path) -> None:
     from tests.depth.test_making import save_tiny_depth_network
     from tests.scene.test_depth import write_colmap
 
-    monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)
     folder = write_colmap(tmp_path / "room")
     bpy.context.scene.plgs.scene_folder = str(folder)
     model = save_tiny_depth_network(tmp_path / "model")
@@ -189,9 +187,7 @@ def test_depth_is_made_and_a_length_is_set(tmp_path: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.skipif(not HAS_TRANSFORMERS, reason="needs transformers (requirements/segment.txt)")
-def test_a_film_dropped_into_blender_is_prepared_and_lifted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_python: Path
-) -> None:
+def test_a_film_dropped_into_blender_is_prepared_and_lifted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its poses and its depth were made before, so that no COLMAP is needed."""
     from plgs.plgs_blender.running import lifting
 
@@ -203,7 +199,6 @@ def test_a_film_dropped_into_blender_is_prepared_and_lifted(
     film, begun = write_film(tmp_path), list[str]()
     folder, settings = film.with_suffix(""), bpy.context.scene.plgs
     make_depth(open_scene(folder), folder, rooms_network(), quiet)
-    monkeypatch.setattr(engine_environment, "usable_python", lambda: quick_python)
     monkeypatch.setattr(lifting, "start_lift", lambda settings: begun.append(settings.scene_folder))
     bpy.context.scene.plgs_masks.model = str(save_tiny_mask2former(tmp_path / "masks"))
     settings.depth = str(tmp_path / "of another scene")

@@ -1,6 +1,5 @@
 """Importing a scene's cameras, and what a dropped file opens."""
 
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,6 +8,7 @@ import pytest
 from plgs.engine.scene import open_scene
 from plgs.plgs_blender import registry
 from plgs.plgs_blender.cameras import SHOWN
+from plgs.plgs_blender.engine_environment import usable_python
 from plgs.plgs_blender.frame_pictures import MASKS
 from plgs.plgs_blender.owned import lifts_in
 from plgs.plgs_blender.running.survey import SceneLook, Survey, look, obstacles_to, survey_of
@@ -45,7 +45,7 @@ def test_placing_a_lift_uses_the_collection_of_its_imported_scene(lift: Path) ->
 
 def looked_at(settings: object) -> Survey:
     """What an engine finds in the panel's scene."""
-    look(chosen_scene(settings), Path(sys.executable))
+    look(chosen_scene(settings), usable_python())
     looking = registry.latest(SceneLook)
     registry.wait_for(looking, bpy.context.scene)
     survey = survey_of(chosen_scene(settings))

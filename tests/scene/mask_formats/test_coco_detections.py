@@ -35,8 +35,10 @@ def whole(mask: np.ndarray) -> dict[str, Any]:
 
 
 def polygons(mask: np.ndarray) -> list[list[float]]:
-    """The outline of each pixel's square in turn: exact, whatever the shape."""
-    return [[x, y, x + 1, y, x + 1, y + 1, x, y + 1] for y, x in np.argwhere(mask).tolist()]
+    """The outline of each run of pixels in a row: exact, whatever the shape."""
+    steps = np.diff(np.pad(mask.astype(int), ((0, 0), (1, 1))))
+    runs = zip(np.argwhere(steps == 1).tolist(), np.argwhere(steps == -1).tolist(), strict=True)
+    return [[x, y, end, y, end, y + 1, x, y + 1] for (y, x), (_, end) in runs]
 
 
 def detected(truth: Truth, pack: Any = compressed) -> Iterator[dict[str, Any]]:
