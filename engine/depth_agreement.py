@@ -1,10 +1,8 @@
 """Bring the depth maps that a network made of single photos into agreement: with a reconstruction's points, then with
-each other.
-
-A network's map is right up to a scale and a shift of inverse depth, and drifts smoothly over the picture. Scale and
-shift follow from the points (`engine/scene/estimated_depth.py`). Then a smooth factor for each frame (on a coarse grid)
-and the remaining error of its shift are chosen so that the points, and the frames that see the same surface, agree
-best. Depth that still contradicts other frames, or lies on a blurred jump, is removed."""
+each other. A network's map is right up to a scale and a shift of inverse depth, and drifts smoothly over the picture.
+Scale and shift follow from the points (`engine/scene/estimated_depth.py`). Then a smooth factor for each frame (on a
+coarse grid) and the remaining error of its shift are chosen so that the points, and the frames that see the same
+surface, agree best. Depth that still contradicts other frames, or lies on a blurred jump, is removed."""
 
 from __future__ import annotations
 
@@ -63,8 +61,8 @@ class _Fitted:
             return np.where(depth > 0.0, np.log(depth), np.nan) + (self.grid.ravel()[index] * weight).sum(axis=1)
 
     def terms(self, places: Values) -> tuple[NDArray[np.int64], Values]:
-        """Return how the logarithm of depth at each place depends on the frame's unknowns: their indices [N, 5], and
-        the derivatives [N, 5]. The unknowns are the values of the grid and the shift, scaled by the median depth."""
+        """Return how the logarithm of depth at ``places`` [N, 2] depends on the frame's unknowns: their indices and its
+        derivatives, [N, 5] each. The unknowns are the grid's values and the shift, in median depths."""
         index, weight = _corners(places)
         depth = np.exp(self.at(places)) / self.middle
         slope = -depth if self.fit.is_inverse else 1.0 / depth
@@ -93,7 +91,8 @@ class _Fitted:
 
 
 def agreeing_depth(maps: Mapping[str, Map], progress: Progress = unwatched) -> Iterator[tuple[str, Depth | None]]:
-    """Yield each frame's name and its depth, or None if the map's values do not grow or fall with the points' depth."""
+    """Yield each frame's name in ``maps`` and its agreed depth, or None if the map's values do not grow or fall with
+    the points' depth. ``progress`` is told the frames done."""
     found: dict[str, _Fitted] = {}
     for name, each in maps.items():
         values = each.values()
@@ -159,7 +158,7 @@ def _seen(one: _Fitted, other: _Fitted, places: Values) -> _Seen:
 
 
 def _neighbours(fitted: Sequence[_Fitted]) -> list[tuple[int, int]]:
-    """Return pairs of frames that see the same surfaces: each frame with those that see most of what it sees."""
+    """Return pairs (i, j) of frames' indices: each i with those j that see most of the surfaces that it sees."""
     few, pairs = _places((6, 8)), []
     for i, one in enumerate(fitted):
         shares = [(np.abs(_seen(one, other, few).ratio) < _SAME[0]).sum() / len(few) for other in fitted]
@@ -170,7 +169,8 @@ def _neighbours(fitted: Sequence[_Fitted]) -> list[tuple[int, int]]:
 
 
 def _solved(fitted: Sequence[_Fitted], pairs: Sequence[tuple[int, int]], same: float) -> list[_Fitted]:
-    """Do a round of robust least squares. Returns the frames with factors by which points and frames agree best."""
+    """Do a round of robust least squares. Returns the frames with corrections with which the points and the ``pairs``
+    of frames agree best. A pixel of a pair counts if the logarithms of its depths differ by less than ``same``."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.linalg import spsolve
 
@@ -217,8 +217,8 @@ def _solved(fitted: Sequence[_Fitted], pairs: Sequence[tuple[int, int]], same: f
 
 
 def _trusted(one: _Fitted, beside: Sequence[_Fitted]) -> Depth:
-    """Return the full-size depth [H, W] without pixels on blurred jumps, and without pixels that more of the frames
-    ``beside`` see through than agree with."""
+    """Return the frame's full-size depth [H, W], 0 on blurred jumps, and 0 where more of the frames ``beside`` see
+    through the surface than agree with it."""
     depth = one.whole()
     jumps = np.zeros(depth.shape, bool)
     for axis in (0, 1):

@@ -1,8 +1,7 @@
 """Make depth for the photos of a scene that has none, with a network. It is written to ``made_depth`` in the scene's
-folder, which every later command reads (`engine/scene/made.py`).
-
-Each photo's map is written at once, so that a stopped run can continue; all of them are then fitted to the
-reconstruction's points and to each other (`engine/depth_agreement.py`), and ``made_by.json`` is written last."""
+folder, which every later command reads (`engine/scene/made.py`). Each photo's map is written at once, so that a stopped
+run can continue; all of them are then fitted to the reconstruction's points and to each other
+(`engine/depth_agreement.py`), and ``made_by.json`` is written last."""
 
 from __future__ import annotations
 
@@ -46,8 +45,8 @@ class DepthNetwork:
 
 
 def load_depth_network(name: str, *, download: bool) -> DepthNetwork:
-    """Load the network in the folder ``name``, or of this name on the Hugging Face hub (any that transformers' class
-    AutoModelForDepthEstimation takes). It is fetched only with ``download``. Raises PlgsError."""
+    """Load the network in the folder ``name``, or of this name on the Hugging Face hub (any of transformers' class
+    AutoModelForDepthEstimation). It is fetched only with ``download``. Raises PlgsError if it cannot be loaded."""
     quiet_transformers(name, download, "segment", "depth is made")
     import transformers
 
@@ -72,8 +71,8 @@ def _map_of(name: str, network: Any, processor: Any, colour: NDArray[np.uint8]) 
 
 
 def make_depth(scene: Scene, folder: Path, network: DepthNetwork, follow: Follow) -> list[str]:
-    """Make the depth of every frame below ``folder``, or what an earlier run did not finish, and return warnings.
-    Raises PlgsError, also if there is depth from another network or for other photos; OSError."""
+    """Make the depth of every frame below ``folder``, continuing an earlier run; returns warnings. ``follow`` is called
+    with (done, total). Raises PlgsError for depth of another network or other photos, or too few points; OSError."""
     place, scale = folder / DEPTH_FOLDER, scale_of(folder)  # stored in the poses' own unit
     names = [frame.name for frame in scene.frames]
     photos = dict(zip(names, digests_of_files([(frame.colour_path,) for frame in scene.frames]), strict=True))

@@ -111,7 +111,7 @@ class PlgsError(Exception):
 
 
 def problem_of(what: str, where: str) -> str:
-    """Return one sentence with a subject: "room has no poses", or "no scheduler answers: HOST"."""
+    """Return a sentence of both: "room has no poses", or "no scheduler answers: HOST" if ``what`` has a subject."""
     if not where:
         return what
     return f"{where} {what}" if _LACKS_SUBJECT.match(what) else f"{what}: {where}"
@@ -125,7 +125,7 @@ def lacks_part(what: str, where: Path | str, name: str) -> PlgsError:
 
 @contextmanager
 def reading(path: Path, fix: str = "Check that it exists.") -> Iterator[None]:
-    """Turns an OSError into a PlgsError for ``path``, or for the file that the OSError names."""
+    """Turn an OSError in a ``with`` block into a PlgsError with the advice ``fix``, for ``path`` or the file named."""
     try:
         yield
     except OSError as error:

@@ -45,8 +45,8 @@ def scene_folder(source: Path) -> Path:
 
 
 def prepare(source: Path, wish: Wish, events: EventWriter, stop: StopSignal) -> Path:
-    """Make what a lift of a film or of photos lacks; returns the scene's folder. Raises PlgsError, before any work if
-    packages or networks are missing; OSError; Cancelled."""
+    """Make what ``source``, a film or a folder of photos, lacks: poses and, as wished, depth and masks. Returns the
+    scene's folder. Raises PlgsError, before any work if packages or networks are missing; OSError; Cancelled."""
     folder = scene_folder(source)
     if Made.read(folder) is None:
         refuse_unusable(source)
@@ -113,7 +113,8 @@ def say_terms(name: str, events: EventWriter) -> None:
 
 
 def depth_scene(scene: Scene, folder: Path, wish: Wish, events: EventWriter, stop: StopSignal) -> None:
-    """Make a scene's depth maps in ``folder``, or continue an earlier run. Raises PlgsError, OSError, Cancelled."""
+    """Make a scene's depth maps in ``folder`` with the network ``wish.depth``, or continue an earlier run. Raises
+    PlgsError if it cannot be loaded or does not fit the scene; OSError; Cancelled."""
     from .depth_making import load_depth_network, make_depth
 
     name = _resolved(wish.depth)
@@ -129,8 +130,9 @@ def depth_scene(scene: Scene, folder: Path, wish: Wish, events: EventWriter, sto
 
 
 def mask_scene(scene: Scene, folder: Path, wish: Wish, events: EventWriter, stop: StopSignal) -> int | None:
-    """Make a scene's masks in ``folder``, or continue an earlier run. Returns how many masks were made, or None if all
-    existed already. Raises PlgsError, OSError, Cancelled."""
+    """Make a scene's masks in ``folder`` with the network ``wish.masks``, or continue an earlier run. Returns how many
+    frames have them, or None if all had them before. Raises PlgsError if it cannot be loaded or other masks exist;
+    Cancelled."""
     from .mask_networks import load_model
     from .segment import MERGES, begin_job, make_masks
 

@@ -87,11 +87,10 @@ def make_frames(
     names: Collection[str] | None = None,
     progress: Progress = unwatched,
 ) -> MadeFrames:
-    """Write the ``kinds`` of files of the frames ``names`` (None: all) into ``folder``. frames.json lists all cameras
-    before the first picture is made, and the files at the end. A picture that an image file shows unchanged is not
-    written. Files of an earlier run are kept, unless their source is newer or the frame's camera differs, which means
-    that another scene is now at the path. Other people's files are always kept (see `OwnFiles`).
-
+    """Write the ``kinds`` of files (some of KINDS) of the frames ``names`` (None: all) into ``folder``. frames.json
+    lists all cameras before the first picture is made, and the files at the end. A picture that an image file shows
+    unchanged is not written. Files of an earlier run are kept, unless their source is newer or the frame's camera
+    differs, which means that another scene is now at the path. Other people's files are always kept (see `OwnFiles`).
     Raises PlgsError if the folder holds something else, a frame is missing, the scene has none of ``kinds``, or a file
     of the scene is bad. Bad depth for the cloud is reported after the pictures are written."""
     made, own = made_of(folder, source), OwnFiles(folder).begin("frames", {"scene": str(source.scene)}, replaces=True)
@@ -150,7 +149,7 @@ def _refuse_nothing(scene: Scene, chosen: Collection[str], kinds: Collection[str
 
 
 def _make(scene: Scene, frame: Frame, folder: Path, kinds: Collection[str], made: MadeFrame) -> MadeFrame:
-    """Write one frame's pictures. Returns their paths, together with those of an earlier run."""
+    """Write one frame's pictures into ``folder``. Returns them together with those of an earlier run, ``made``."""
     if "colour" in kinds and not frame.file_shows_colour:
         path = folder / "color" / f"{frame.name}.jpg"
         if made.colour is None or not is_newer(path, frame.colour_path):
@@ -172,7 +171,8 @@ def _make(scene: Scene, frame: Frame, folder: Path, kinds: Collection[str], made
 
 
 def cloud_strides(frames: Sequence[Frame]) -> dict[str, int]:
-    """Return the frames from which the cloud is made, evenly spread, and for each the step between the pixels used."""
+    """Return the names of the frames for the cloud, evenly spread over those with depth, each with the step between the
+    pixels of its picture that are used."""
     deep = [frame for frame in frames if frame.read_depth is not None]
     chosen = deep[:: -(-len(deep) // _CLOUD_FRAMES) or 1]  # a slice's step cannot be 0
     share = len(chosen) / _CLOUD_PIXELS
@@ -180,8 +180,8 @@ def cloud_strides(frames: Sequence[Frame]) -> dict[str, int]:
 
 
 def add_to_cloud(builder: CloudBuilder, frame: Frame, stride: int) -> None:
-    """Add every ``stride``-th pixel of a frame with depth, counted in the picture where that has more pixels than
-    depth. Raises PlgsError, OSError."""
+    """Add every ``stride``-th pixel of a frame's picture, or as densely of its depth if that is smaller. Raises
+    PlgsError for bad files, OSError."""
     depth = frame.depth(None)
     height, width = depth.shape
     # The stride is that of the picture; depth often has fewer pixels.

@@ -1,8 +1,7 @@
-"""Checks for everything that comes from other people: files, paths, texts, addresses. Standard library only.
-
-Only plain (regular) files are opened, and they are read only up to a given size: a FIFO would block the program that
-opens it, reading a device may have side effects, and a link may lead out of the folder. A file is refused by an OSError
-with its own message, which is reported like errors of the system."""
+"""Checks for everything that comes from other people: files, paths, texts, addresses. Standard library only. Only plain
+(regular) files are opened, and they are read only up to a given size: a FIFO would block the program that opens it,
+reading a device may have side effects, and a link may lead out of the folder. A file is refused by an OSError with its
+own message, which is reported like errors of the system."""
 
 from __future__ import annotations
 
@@ -21,7 +20,7 @@ _NO_LINK: int = getattr(os, "O_NOFOLLOW", 0)
 
 
 def open_plain(path: Path, *, follow_link: bool = True) -> BufferedReader:
-    """Open a plain file for reading. Raises OSError, also for other kinds and, unless ``follow_link``, for links."""
+    """Open a plain file for reading. Raises OSError, also for a folder, a device or, unless ``follow_link``, a link."""
     descriptor = _open(path, os.O_RDONLY, follow_link)
     return os.fdopen(descriptor, "rb")
 

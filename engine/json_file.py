@@ -53,30 +53,30 @@ def to_text(value: Mapping[str, object]) -> str:
 
 
 def read_value(path: Path, fix: str) -> Json:
-    """Read the JSON value in a file of ours. Raises PlgsError, with ``fix`` as the advice."""
+    """Read the JSON value in a file of ours. Raises PlgsError with the advice ``fix`` if it is missing or broken."""
     with reading(path, fix):
         value: Json = _parsed(read_plain(path, MOST_BYTES), path, fix)
     return value
 
 
 def read_object(path: Path, fix: str) -> dict[str, Json]:
-    """Read the JSON object in a file of ours. Raises PlgsError, with ``fix`` as the advice."""
+    """Read the JSON object in a file of ours. Raises PlgsError with the advice ``fix`` if it is missing or broken."""
     return _object(read_value(path, fix), path, fix)
 
 
 def read_json(path: Path) -> Any:
-    """Read the JSON value in a file that another program wrote. Raises PlgsError."""
+    """Read the JSON value in a file of another program. Raises PlgsError if it is missing, broken or too large."""
     with reading(path):
         return _parsed(read_plain(path, LARGEST_TABLE), path, _WRITE_AGAIN)
 
 
 def read_json_object(path: Path) -> dict[str, Any]:
-    """Read the JSON object in a file that another program wrote. Raises PlgsError."""
+    """Read the JSON object in a file of another program. Raises PlgsError if it is missing, broken or no object."""
     return _object(read_json(path), path, "Write it as {...}.")
 
 
 def parse_json_object(data: bytes, path: Path) -> dict[str, Any]:
-    """Parse the JSON object in bytes from the file ``path``, as ``read_json_object`` does. Raises PlgsError."""
+    """Parse the JSON object in ``data``, bytes of the file ``path``. Raises PlgsError if it is broken or no object."""
     return _object(_parsed(data, path, _WRITE_AGAIN), path, "Write it as {...}.")
 
 
@@ -131,7 +131,7 @@ def _kind_of(value: object) -> str:
 
 
 def take_list(entry: dict[str, Any], key: str, context: str, path: Path) -> list[Any]:
-    """Return ``entry[key]`` as a list. ``context`` says whose key it is ("annotation 3"). Raises PlgsError."""
+    """Return the list ``entry[key]``, else raise PlgsError. ``context`` says whose key it is ("annotation 3")."""
     value = _take(entry, key, context, path)
     if not isinstance(value, list):
         raise wrong_type(key, "a list", value, context, path)
@@ -139,7 +139,7 @@ def take_list(entry: dict[str, Any], key: str, context: str, path: Path) -> list
 
 
 def take_objects(entry: dict[str, Any], key: str, context: str, path: Path) -> list[dict[str, Any]]:
-    """Return ``entry[key]`` as a list of objects. Raises PlgsError."""
+    """Return ``entry[key]`` as a list of objects, else raise PlgsError. ``context`` says whose key it is."""
     value = take_list(entry, key, context, path)
     for item in value:
         if not isinstance(item, dict):
@@ -150,8 +150,8 @@ def take_objects(entry: dict[str, Any], key: str, context: str, path: Path) -> l
 def take_whole_number(
     entry: dict[str, Any], key: str, context: str, path: Path, *, least: int = -_LARGEST, most: int = _LARGEST
 ) -> int:
-    """Return ``entry[key]`` as a whole number (2 or 2.0, not true, not "2") in ``least``..``most``. Raises
-    PlgsError."""
+    """Return ``entry[key]`` as a whole number (2 or 2.0, not true, not "2") in ``least``..``most``, else raise
+    PlgsError. ``context`` says whose key it is."""
     value = _take(entry, key, context, path)
     whole = isinstance(value, int) or (isinstance(value, float) and value.is_integer())
     if isinstance(value, bool) or not whole:
@@ -164,7 +164,7 @@ def take_whole_number(
 def take_number(
     entry: dict[str, Any], key: str, context: str, path: Path, *, least: float = -1e300, most: float = 1e300
 ) -> float:
-    """Return ``entry[key]`` as a finite number between ``least`` and ``most``. Raises PlgsError."""
+    """Return ``entry[key]`` as a finite number in ``least``..``most``, else raise PlgsError about ``context``."""
     value = _take(entry, key, context, path)
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
         raise wrong_type(key, "a number", value, context, path)
@@ -174,7 +174,7 @@ def take_number(
 
 
 def take_text(entry: dict[str, Any], key: str, context: str, path: Path) -> str:
-    """Return ``entry[key]`` as a text that is not empty. Raises PlgsError."""
+    """Return ``entry[key]`` as a text that is not empty, else raise PlgsError. ``context`` says whose key it is."""
     value = _take(entry, key, context, path)
     if not isinstance(value, str) or not value:
         raise wrong_type(key, "a text", value, context, path)
@@ -185,7 +185,7 @@ def take_text(entry: dict[str, Any], key: str, context: str, path: Path) -> str:
 
 
 def take_flag(entry: dict[str, Any], key: str, context: str, path: Path) -> bool:
-    """Return ``entry[key]`` as true or false, which may be written 1 or 0. Raises PlgsError."""
+    """Return ``entry[key]`` as true or false, or written 1 or 0, else raise PlgsError. ``context`` says whose it is."""
     value = _take(entry, key, context, path)
     if value not in (0, 1) or isinstance(value, float):  # True and 1.0 equal 1
         raise wrong_type(key, "0 or 1", value, context, path)
@@ -199,7 +199,7 @@ def _take(entry: dict[str, Any], key: str, context: str, path: Path) -> Any:
 
 
 def wrong_type(key: str, wanted: str, value: object, context: str, path: Path) -> PlgsError:
-    """Return the error for a value of another type than ``wanted``."""
+    """Return the error for a ``value`` that is not ``wanted`` ("a list"). ``context`` says whose ``key`` it is."""
     what = f'"{key}" of {context} must be {wanted}, not {shown_json(value)}'
     return PlgsError("wrong-type", what, path, "Correct the file.")
 

@@ -51,7 +51,7 @@ def licence_of(name: str) -> dict[str, str | bool | None]:
 
 
 def listing(names: Iterable[str]) -> str:
-    """Return a line for each network that would be downloaded, with size and licence."""
+    """Return a line with size and licence for each of the networks ``names``, which would be downloaded."""
     known = ((name, known_network(name)) for name in names)
     return "\n".join(
         f"{name}, of a licence that is not known here"

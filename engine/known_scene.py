@@ -50,7 +50,7 @@ class StoredFrame:
 @dataclass(frozen=True)
 class StoredScene:
     """A scene's frames as they are stored, in recording order. ``layout`` names the format's reader; ``masks`` is the
-    digest of the masks that a lift was made from, "" where nothing was lifted. ``estimated``: see ``Manifest``."""
+    digest of a lift's masks, "" where nothing was lifted. ``estimated`` says what was not measured."""
 
     frames: tuple[StoredFrame, ...]
     masks: str = ""
@@ -64,7 +64,7 @@ class StoredScene:
 
 
 def stored_scene(scene: PosedScene, frames: Sequence[PosedFrame], masks: str = "") -> StoredScene:
-    """Return ``frames`` of a scene in the form in which they are stored."""
+    """Return ``frames`` of a scene in the form in which they are stored, with the digest of the ``masks``."""
     known = tuple(_stored(frame, scene.folder) for frame in frames)
     return StoredScene(known, masks, scene.format, scene.warnings, scene.estimated)
 
@@ -89,8 +89,8 @@ _BAKE_FIX = "Delete this file, then let an engine bake a frame of the lift, whic
 
 
 def known_scene(folder: LiftFolder, classes: ClassTable | None = None) -> PosedScene:
-    """Return the frames of a lift with their cameras, without pixels, and the classes of its result, read unless given.
-    Raises PlgsError for a lift without a list of its frames, and for a damaged one."""
+    """Return the frames of a lift with their cameras, without pixels, and its ``classes``, by default read from the
+    result. Raises PlgsError for a lift without a list of its frames, and for a damaged one."""
     scene, known = folder.request.scene, read_known(folder)
     if known is None:
         fix = "Bake one of its frames, which writes the list."
@@ -103,7 +103,7 @@ def known_scene(folder: LiftFolder, classes: ClassTable | None = None) -> PosedS
 
 
 def read_known(folder: LiftFolder) -> StoredScene | None:
-    """Read a lift's scene.json; None without the file. Raises PlgsError for a damaged one."""
+    """Read a lift's scene.json; None if it has none. Raises PlgsError for a damaged one."""
     path = folder.path / KNOWN_SCENE
     return read_record(StoredScene, path, _BAKE_FIX) if path.is_file() else None
 
@@ -155,7 +155,8 @@ class MadeFrames:
 
 
 def made_of(folder: Path, source: SceneSource) -> MadeFrames | None:
-    """Return what an earlier run made of this scene in ``folder``, or None. Raises PlgsError for other content."""
+    """Return what an earlier run made of this scene in ``folder``; None if it is new. Raises PlgsError for other
+    files."""
     if not folder.exists():
         return None
     if (folder / FILE).is_file():

@@ -39,8 +39,9 @@ class Gaussians:
 
 @dataclass(frozen=True, eq=False)
 class LiftArrays:
-    """What a lift found, after people's corrections, in its world: metres, z up. ``frames`` are those of the scene with
-    their cameras (OpenCV's axes, pixel centres at +0.5). ``metrics`` is metrics.json, of the uncorrected lift."""
+    """What a lift found, after people's corrections, in its world (metres, z up): objects (``instances``), labelled
+    ``points``, the model's ``anchors`` and ``gaussians``, and the scene's ``frames`` with cameras (OpenCV's axes, pixel
+    centres at +0.5). ``metrics`` is metrics.json, of the uncorrected lift."""
 
     classes: ClassTable
     instances: tuple[Instance, ...]

@@ -1,5 +1,4 @@
 """Networks of transformers that make masks: Mask2Former, OneFormer, EoMT (each query has a class and a mask), RF-DETR.
-
 transformers' own post-processing works at 384x384 for any aspect ratio, and gives one id to several stuff segments."""
 
 from __future__ import annotations
@@ -32,8 +31,8 @@ Look = Callable[[NDArray[np.uint8]], Queries]
 
 @dataclass(frozen=True)
 class QueryNetwork:
-    """A loaded segmentation network. ``name`` is the one that was given to `load_model`, ``labels`` are its classes,
-    and ``queries`` runs it on a picture, uint8 [H, W, 3] RGB. ``rounds``: see ``merge_queries``."""
+    """A loaded segmentation network, with the ``name`` given to `load_model` and its classes, ``labels``. ``queries``
+    maps a picture, uint8 [H, W, 3] RGB, to class and mask logits. ``rounds`` are minimum scores of queries."""
 
     name: str
     labels: tuple[ClassLabel, ...]
@@ -42,8 +41,8 @@ class QueryNetwork:
 
     @torch.inference_mode()
     def segment(self, colour: NDArray[np.uint8]) -> tuple[NDArray[np.int32], list[MadeSegment], list[Detection]]:
-        """Segment a picture, uint8 [H, W, 3] RGB. Returns ids int32 [H, W] and their segments (``merge_queries``), and
-        the detections that found no place in them (``detections_of``)."""
+        """Segment a picture, uint8 [H, W, 3] RGB. Returns segment ids, int32 [H, W] with 0 = none, the segments, and
+        all likely queries, also those that have no pixels in the ids."""
         width, height = size_within((colour.shape[1], colour.shape[0]), (_LARGEST_SIDE, _LARGEST_SIDE))
         stuff = frozenset(label.id for label in self.labels if not label.is_thing)
         with loading(self.name, runs=True):
@@ -59,8 +58,8 @@ def _resized(masks: torch.Tensor, size: tuple[int, ...]) -> torch.Tensor:
 
 
 def load_model(name: str, *, download: bool, rounds: Rounds = (0.5,)) -> QueryNetwork:
-    """Load the network in the folder ``name``, or of this name on the Hugging Face hub. It is fetched only with
-    ``download``; otherwise it must be on this computer already. Raises PlgsError."""
+    """Load the network in the folder ``name``, or of this name on the Hugging Face hub, fetched only with ``download``.
+    ``rounds`` are the minimum scores of queries. Raises PlgsError if it is missing, broken or of another kind."""
     quiet_transformers(name, download, "segment", "masks are made")
     folder = model_folder(name, download=download)
     labels = labels_of_config(folder / "config.json")
@@ -73,7 +72,7 @@ def load_model(name: str, *, download: bool, rounds: Rounds = (0.5,)) -> QueryNe
 
 
 def _universal(kind: str, folder: Path, name: str) -> Look:
-    """Load a network with transformers' "universal segmentation" outputs, and return the function that runs it."""
+    """Load the network in a folder as transformers' model type ``kind``, and return the function that runs it."""
     import transformers
 
     limits: dict[str, Any] = {"local_files_only": True, "trust_remote_code": False}
@@ -106,8 +105,8 @@ def _universal(kind: str, folder: Path, name: str) -> Look:
 
 
 def _rf_detr(folder: Path, name: str) -> Look:
-    """Load RF-DETR with masks, and return the function that runs it. The network scores each class by a sigmoid; only
-    the best class is kept, beside the score of "no object"."""
+    """Load RF-DETR with masks from its ``folder``, and return the function that runs it. The network scores each class
+    by a sigmoid; only the best class is kept, beside the score of "no object"."""
     import cv2
     from transformers import RfDetrForInstanceSegmentation
 

@@ -1,5 +1,4 @@
 """Load networks from a folder or, with the user's consent, from Hugging Face's hub: which are known, and their files.
-
 Only safetensors are read: no pickles, and no code that comes with a model. A name stands for one revision. transformers
 is imported late, when a network is loaded."""
 
@@ -34,7 +33,8 @@ _MOST_IN = {"config.json": 2**20, "preprocessor_config.json": 2**13}
 
 def quiet_transformers(name: str, download: bool, part: str, purpose: str) -> None:
     """Import transformers with its output switched off and, without ``download``, its access to the hub. Raises
-    PlgsError if it is not installed, or ``name`` is neither a folder nor a model's name."""
+    PlgsError if ``name`` is no folder or model's name, or it is not installed: then it names the ``purpose`` and the
+    engine's ``part``."""
     model = name.partition("@")[0]
     if not Path(name).is_dir() and (model.count("/") != 1 or model.startswith((".", "/", "~"))):
         fix = "Name a folder, or a model as OWNER/NAME or OWNER/NAME@REVISION."
@@ -79,7 +79,7 @@ def loading(name: str, *, runs: bool = False) -> Iterator[None]:
 
 def model_folder(name: str, *, download: bool) -> Path:
     """Return the folder with a model's files: ``name`` itself, or its files from the hub, which are fetched only with
-    ``download``. Raises PlgsError, OSError."""
+    ``download``. Raises PlgsError if they are missing or were changed, OSError."""
     from huggingface_hub import HfApi, constants, snapshot_download
 
     folder, (model, _, revision) = Path(name), name.partition("@")
@@ -107,7 +107,7 @@ def model_folder(name: str, *, download: bool) -> Path:
 
 
 def load_weights(kind: Any, folder: Path, name: str) -> Any:
-    """Load the network in a folder as transformers' class ``kind``, ready to run. Raises PlgsError."""
+    """Load the network in a folder as transformers' class ``kind``, ready to run. Raises PlgsError for bad weights."""
     limits: dict[str, Any] = {"local_files_only": True, "trust_remote_code": False, "use_safetensors": True}
     with loading(name):
         network, found = kind.from_pretrained(folder, output_loading_info=True, **limits)
@@ -123,7 +123,7 @@ def load_weights(kind: Any, folder: Path, name: str) -> Any:
 
 
 def refuse_nan(values: Any, name: str) -> None:
-    """Raise PlgsError if a tensor of a network holds NaN."""
+    """Raise PlgsError if the tensor ``values``, an output of the network ``name``, holds NaN."""
     if bool(values.isnan().any()):
         raise PlgsError("model-broken", "the model gives values that are not numbers", name, ANOTHER)
 
@@ -162,7 +162,8 @@ def _check_weights(folder: Path) -> None:
 
 
 def _check_pin(pin: Path, pins: Mapping[str, Any], folder: Path) -> None:
-    """Record the SHA-256 of a new revision's weights in the file ``pin``. Raises PlgsError if recorded ones differ."""
+    """Record the SHA-256 of a new revision's weights in the file ``pin``, which holds ``pins``. Raises PlgsError if
+    recorded ones differ."""
     weights = {path.name: digest_of(path) for path in sorted(folder.glob("*.safetensors"))}
     if (known := pins.get(folder.name)) is None:
         with suppress(OSError):  # a cache that others share may be read-only

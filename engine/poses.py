@@ -1,7 +1,6 @@
-"""Find the poses of photos and films with COLMAP (the package pycolmap), step by step so that it can be stopped.
-
-The result is a COLMAP model beside the photos: ``sparse/0``, where COLMAP itself puts it, with ``made_by.json`` in it.
-A reconstruction has no unit of length; measured depth in ``depth``, beside the photos, gives it one."""
+"""Find the poses of photos and films with COLMAP (the package pycolmap), step by step so that it can be stopped. The
+result is a COLMAP model beside the photos: ``sparse/0``, where COLMAP itself puts it, with ``made_by.json`` in it. A
+reconstruction has no unit of length; measured depth in ``depth``, beside the photos, gives it one."""
 
 from __future__ import annotations
 
@@ -41,8 +40,8 @@ from .scene.pixels import decode, write_image
 
 def write_pictures(film: Path, folder: Path, most: int, progress: Callable[[int, int], object]) -> None:
     """Write at most ``most`` pictures of a film as ``folder/images/NNNNNN.jpg``, numbered as in the film, and a
-    Record3D film's depth as ``folder/depth/NNNNNN.npy``. ``progress`` is called with (done, total). Raises PlgsError,
-    OSError."""
+    Record3D film's depth as ``folder/depth/NNNNNN.npy``. ``progress`` is called with (done, total). Raises PlgsError
+    for a film that cannot be decoded; OSError."""
     video, encoded = Video(film), encoded_depth(film)
     count = video.count()
     edges = np.linspace(0, count, min(most, count) + 1).astype(int)
@@ -112,7 +111,7 @@ def colmap(photos: Path) -> Any:
 
 
 def map_photos(photos: Path, names: Sequence[str], workplace: Path, events: EventWriter, stop: StopSignal) -> Any:
-    """Return the largest reconstruction of photos from one camera (pycolmap's Reconstruction), or None. Because of
+    """Return the largest reconstruction (pycolmap's) of the photos ``names`` of one camera, or None. Because of
     threading, the same photos may give slightly different poses. Raises PlgsError without pycolmap; Cancelled."""
     pycolmap = colmap(photos)
     pycolmap.logging.minloglevel = 3  # crashes only: other errors are told by what it finds
@@ -187,7 +186,7 @@ class Scale:
 def metres_per_length(model: Any, depths: Mapping[str, Path]) -> Scale | None:
     """Return the unit of a reconstruction: the median, over the points in all photos, of measured depth divided by
     depth in the reconstruction. None if too few have depth, or their ratios disagree. ``depths`` are files by the
-    photos' stems. Raises PlgsError."""
+    photos' stems. Raises PlgsError for a bad file."""
     ratios: list[NDArray[np.float64]] = []
     for image in model.images.values():
         path = depths.get(Path(image.name).stem)
@@ -248,7 +247,7 @@ class Made:
 
     @classmethod
     def read(cls, folder: Path) -> Made | None:
-        """Read the record of an earlier call in a folder; None without one. Raises PlgsError."""
+        """Read the record of an earlier call in a folder; None without one. Raises PlgsError if it is damaged."""
         path = folder / "sparse" / "0" / MADE_BY
         fix = "Move the folder sparse away, then make the poses again."
         content = read_note(path, fix)
@@ -317,7 +316,7 @@ def _photos(folder: Path) -> list[Path]:
 
 
 def _depths(folder: Path) -> Mapping[str, Path]:
-    """Return the measured depth beside photos, by their stems. Raises PlgsError, OSError."""
+    """Return the files of measured depth beside photos, by the photos' stems. Raises PlgsError, OSError."""
     return files_if_any(folder / "depth", {".png", ".npy"}, "Remove the folder depth.")
 
 
@@ -359,7 +358,8 @@ def _map(
 
 @contextmanager
 def _workplace(folder: Path) -> Iterator[Path]:
-    """Make a temporary folder for COLMAP's files on the disk of ``folder``, for a rename. Raises PlgsError, OSError."""
+    """Make a temporary folder in ``folder`` for COLMAP's files. Raises PlgsError if another call is at work,
+    OSError."""
     _remove_killed(folder)
     with tempfile.TemporaryDirectory(prefix=_WORK, dir=folder) as place, FileLock(Path(place) / _LOCK):
         yield Path(place)

@@ -1,9 +1,8 @@
-"""Read and write dataclasses ("records") as JSON files, checked against their annotations.
-
-A field is a text, a number, true or false, a path, a Literal, a tuple, a mapping from texts, another record, Json, or a
-union of these. A field with a default may be absent, and is left out when both it and the default are empty. Its
-metadata says more: ``least`` and ``most`` bound its numbers, ``longest`` its text, ``shown`` makes its text fit for one
-line, ``inside`` says that its path leads into the folder of the file, and ``apart`` that it is not in the file."""
+"""Read and write dataclasses ("records") as JSON files, checked against their annotations. A field is a text, a number,
+true or false, a path, a Literal, a tuple, a mapping from texts, another record, Json, or a union of these. A field with
+a default may be absent, and is left out when both it and the default are empty. Its metadata says more: ``least`` and
+``most`` bound its numbers, ``longest`` its text, ``shown`` makes its text fit for one line, ``inside`` says that its
+path leads into the folder of the file, and ``apart`` that it is not in the file."""
 
 from __future__ import annotations
 
@@ -26,7 +25,7 @@ _MOST_LISTED = 8  # keys that a message lists
 
 
 def to_json(record: Any, folder: Path | None = None) -> dict[str, Any]:
-    """Return a record's fields as a JSON object. Paths with ``inside`` become relative to ``folder``, the file's."""
+    """Return a record's fields as a JSON object. Paths with the metadata ``inside`` become relative to ``folder``."""
     content: dict[str, Any] = {}
     for each in fields(record):
         value = getattr(record, each.name)
@@ -40,13 +39,13 @@ def to_json(record: Any, folder: Path | None = None) -> dict[str, Any]:
 
 
 def record_text(record: Any, folder: Path | None = None, version: int = 1) -> str:
-    """Return the JSON text of a record, for a file that `read_record` reads. ``folder`` is as in `to_json`."""
+    """Return the JSON text of a record, for a file in ``folder`` that `read_record` reads with the same ``version``."""
     return to_text({"format": version, **to_json(record, folder)})
 
 
 def read_record(kind: type[Record], path: Path, fix: str, version: int = 1, **apart: Any) -> Record:
-    """Read a record of the class ``kind`` from a file of ours. ``apart`` gives the fields that are not in the file.
-    ``fix`` is the advice in the PlgsError that is raised for other content."""
+    """Read a record of the class ``kind`` from a file of ours in the format ``version``. ``apart`` gives the fields
+    that are not in the file. ``fix`` is the advice in the PlgsError that is raised for other content."""
     content: dict[str, Any] = read_object(path, fix)
     refuse_other_format(content, path, version)
     return record_of(kind, content, path, fix, **apart)
@@ -63,8 +62,9 @@ def refuse_other_format(content: dict[str, Any], path: Path | str, version: int 
 def record_of(
     kind: type[Record], content: Mapping[str, Any], path: Path | str, fix: str, context: str = "", **apart: Any
 ) -> Record:
-    """Return the record of the class ``kind`` that a JSON object of the file ``path`` holds. ``context`` is its
-    position there, such as "files[3]". Raises a PlgsError that names the file, the key and the expected value."""
+    """Return the record of the class ``kind`` from ``content``, a JSON object of the file ``path``, at ``context`` in
+    it ("files[3]"; "" for all of it). ``apart`` are values of fields that are not in ``content``. Other content raises
+    a PlgsError that names the key and the expected value, with ``fix`` as the advice."""
     declared, hints = _declared(cast(Any, kind)), _hints(cast(Any, kind))
     if unknown := sorted(content.keys() - declared.keys()):
         where = f" in {context}" if context else ""

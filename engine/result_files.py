@@ -1,7 +1,6 @@
-"""The objects and the labelled points of a result: instances.json, semantic_points.npz, anchors.npz.
-
-They are written and read only here, by the engine and by Blender. The same content gives the same bytes. Readers check
-all values in a file."""
+"""The objects and the labelled points of a result: instances.json, semantic_points.npz, anchors.npz. They are written
+and read only here, by the engine and by Blender. The same content gives the same bytes. Readers check all values in a
+file."""
 
 from __future__ import annotations
 
@@ -147,7 +146,7 @@ def npz_bytes(arrays: Mapping[str, NDArray[Any]], *, fast: bool = False) -> byte
 
 
 def read_arrays(path: Path, kind: type[Arrays]) -> Arrays:
-    """Read the arrays of a file, checked to have the right types and as many rows as the first. Raises PlgsError."""
+    """Read the arrays of a file, checked to have the right types and all as many rows, else raises PlgsError."""
     try:
         arrays = read_npz(path, MAKE_ANEW, [field.name for field in fields(kind)])
     except PlgsError as error:
@@ -177,7 +176,7 @@ def write_instances(path: Path, classes: ClassTable, instances: Sequence[Instanc
 
 
 def read_instances(path: Path, content: Any = None) -> Listed:
-    """The classes and the instances of a file, or of its ``content`` if that was read before. Raises PlgsError."""
+    """The classes and instances of a file, or of its ``content`` if read before. Raises PlgsError for a bad file."""
     content = content or read_object(path, MAKE_ANEW)
     try:
         if content["format"] != _FORMAT:
@@ -198,12 +197,12 @@ def read_instances(path: Path, content: Any = None) -> Listed:
 
 
 def instances_text(path: Path) -> str:
-    """Read the text of a file, to be parsed in parts. Raises one of ``BAD``."""
+    """Read the text of a file, to be parsed in parts. Raises OSError, ValueError."""
     return read_plain(path, MOST_BYTES).decode("utf-8-sig")
 
 
 def instance_of(entry: dict[str, Any]) -> Instance:
-    """Return the instance of an element of the file's list. Raises one of ``BAD``."""
+    """Return the instance of an element of the file's list. Raises one of the errors ``BAD`` if its form is wrong."""
     return Instance(
         id=_id(entry["id"], least=1),
         name=_text(entry["name"]),

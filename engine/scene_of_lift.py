@@ -39,7 +39,7 @@ def scene_of_lift(folder: LiftFolder) -> Scene:
 
 
 def opened_scene(folder: LiftFolder) -> Scene:
-    """Open the scene of a lift as its files are now. Raises PlgsError also if frames differ or most are gone."""
+    """Open a lift's scene as its files are now. Raises PlgsError for bad files, other cameras, or if most are gone."""
     scene, known = open_asked(folder.request), read_known(folder)
     if known is not None:
         _refuse_another(known, scene)
@@ -55,7 +55,7 @@ def _refuse_another(known: StoredScene, scene: Scene) -> None:
 
 
 def names_of_frames(folder: LiftFolder) -> tuple[str, ...]:
-    """Return the names of all frames of a lift's scene; () if unknown. Raises PlgsError."""
+    """Return the names of all frames of a lift's scene; () if unknown. Raises PlgsError for a damaged scene.json."""
     known = read_known(folder)
     return () if known is None else tuple(frame.name for frame in known.frames)
 
@@ -63,8 +63,8 @@ def names_of_frames(folder: LiftFolder) -> tuple[str, ...]:
 def remember_scene(
     folder: LiftFolder, scene: Scene, warn: Callable[[str], object] = lambda _: None, progress: Progress = unwatched
 ) -> str:
-    """Write the cameras and the files' digests of a lift's scene beside its request. Returns the digest of the masks.
-    An unfinished result whose passes show other masks or classes is moved, with a warning. Raises PlgsError,
+    """Write the cameras and the digests of the files of a lift's scene beside its request. Returns the masks' digest.
+    An unfinished result whose passes show other masks or classes is moved, which ``warn`` says. Raises PlgsError,
     OSError."""
     masks = digest_of_masks(scene, part_of(progress, 0.0, 0.5))
     are_others = masks_differ(masks_last_run(folder), scene, masks) or have_classes_changed(folder, scene)
@@ -110,7 +110,7 @@ def refuse_other_pictures(folder: LiftFolder, scene: Scene, progress: Progress =
 
 
 def another(differs: str, scene: Scene) -> PlgsError:
-    """Return the error for a scene other than the one that a lift was made from."""
+    """Return the error for a scene other than the one that a lift was made from; ``differs`` says in what."""
     return PlgsError("other-scene", f"this is another scene: {differs}", scene.folder, _ANOTHER)
 
 
@@ -123,8 +123,7 @@ def complete_known_scene(folder: LiftFolder, scene: Scene) -> None:
 
 def is_done(folder: LiftFolder) -> bool:
     """Whether nothing is left to lift, provided that no engine is running: the result is complete and unmodified, of
-    the requested preset, and of the present masks and classes. Raises PlgsError, also if the scene has otherwise
-    changed."""
+    the requested preset, and of the present masks and classes. Raises PlgsError if the scene has otherwise changed."""
     if not folder.has_result() or not folder.is_whole():
         return False
     manifest = read_manifest(folder.result_path)
@@ -154,14 +153,14 @@ def have_classes_changed(folder: LiftFolder, scene: Scene) -> bool:
 
 
 def masks_last_run(folder: LiftFolder) -> str:
-    """Return the digest of the masks when the lift last ran; "" if unknown. Raises PlgsError."""
+    """Return the digest of the masks when the lift last ran; "" if unknown. Raises PlgsError for a bad scene.json."""
     known = read_known(folder)
     return "" if known is None else known.masks
 
 
 def estimates_of(folder: LiftFolder) -> tuple[str, ...]:
-    """Return what was estimated in a lift's scene, and licences of networks, as known when the lift last ran. Raises
-    PlgsError."""
+    """Return sentences on what was estimated in a lift's scene, and networks' licences, as known when it last ran.
+    Raises PlgsError for a damaged scene.json."""
     known = read_known(folder)
     return () if known is None else known.estimated
 
@@ -175,7 +174,7 @@ def digest_of_masks(scene: Scene, progress: Progress = unwatched) -> str:
 
 
 def masks_differ(before: str, scene: Scene, now: str = "") -> bool:
-    """Whether a scene's masks, or their digest ``now``, differ from the digest ``before`` ("": unknown)."""
+    """Whether the masks of a scene, or their digest ``now``, differ from the digest ``before``; False if that is ""."""
     return before != "" and before != (now or digest_of_masks(scene))
 
 

@@ -1,8 +1,6 @@
 """Make masks with a network (`engine/mask_networks.py`) for scenes without any: COCO panoptic, frame by frame. Existing
-masks are kept.
-
-``panoptic/<frame>.png`` and ``.json`` are written one by one; ``panoptic/made_by.json`` names the model.
-``detections.json`` has every query that could be something, for ``lift --detections``: masks omit most of these.
+masks are kept. ``panoptic/<frame>.png`` and ``.json`` are written one by one; ``panoptic/made_by.json`` names the
+model. ``detections.json`` has every query that could be something, for ``lift --detections``: masks omit most of these.
 ``panoptic.json`` is written last; until then, the scene counts as having no masks."""
 
 from __future__ import annotations
@@ -106,7 +104,8 @@ class Detection:
 
 
 def detections_of(class_logits: torch.Tensor, mask_probabilities: torch.Tensor) -> list[Detection]:
-    """Return the queries whose most probable class reaches LEAST_DETECTION. Arguments: see ``merge_queries``."""
+    """Return the queries whose most probable class reaches LEAST_DETECTION, from class logits, float [Q, C + 1] with
+    "no object" last, and mask probabilities, float [Q, H, W]."""
     scores, labels = class_logits.softmax(-1)[:, :-1].max(-1)  # the best class even if "no object" is likelier
     inside = (mask_probabilities >= INSIDE).numpy()
     return [
@@ -138,8 +137,8 @@ class Segmenter(Protocol):
 
 @dataclass(frozen=True)
 class Job:
-    """The making of masks in a ``folder``: its note of what is ours, whether an earlier run began, and whether all are
-    complete."""
+    """The making of masks in a ``folder``. ``own`` records which files there are ours. ``is_begun``: an earlier run
+    began it; ``is_finished``: all masks that are wanted exist."""
 
     folder: Path
     own: OwnFiles
@@ -158,7 +157,7 @@ class Job:
 
 def begin_job(folder: Path, model: str, frames: Sequence[Frame], wanted: Collection[str] | None = None) -> Job:
     """Begin masks of the frames ``wanted`` (None: all) in ``folder``, or continue there. Raises PlgsError, and
-    overwrites nothing, for masks of other programs, another model or other photos."""
+    overwrites nothing, for masks of other programs, another ``model`` or other photos."""
     made_by, of_files = folder / FOLDER / MADE_BY, digests_of_files([(frame.colour_path,) for frame in frames])
     named = [*zip((frame.name for frame in frames), of_files, strict=True)]
     photos = sha256(repr(named).encode()).hexdigest() if all(of_files) else ""  # not known
@@ -201,7 +200,7 @@ def make_masks(
     scene: Scene, job: Job, network: Segmenter, progress: Progress, wanted: Collection[str] | None = None
 ) -> None:
     """Make the missing masks of the frames ``wanted`` (None: all), then the table, in which all other frames have empty
-    masks. Raises PlgsError, OSError."""
+    masks. ``progress`` is called with (done, total, made in this run). Raises PlgsError, OSError."""
     job.own.remove(job.folder / TABLE)  # an earlier run's table, in which these frames may have empty masks
     with job.own:
         left_out = _make_masks(scene, job, network, progress, wanted)

@@ -52,8 +52,8 @@ class FarmOptions:
 
 @dataclass
 class Farm:
-    """A connection to workers. ``own`` are the workers that this process started; one that ends is started again.
-    ``slurm`` is dask-jobqueue's cluster, if Slurm starts the workers."""
+    """A connection to workers: Dask's ``client``, the scheduler's ``address``. ``own`` are workers that this process
+    started; one that ends is restarted. ``slurm`` is dask-jobqueue's cluster, if Slurm starts the workers."""
 
     client: Any
     address: str
@@ -62,14 +62,14 @@ class Farm:
     slurm: Any = None
 
     def tend(self) -> None:
-        """Restart our own workers that have ended. Raises PlgsError."""
+        """Restart our own workers that have ended. Raises PlgsError if one cannot start."""
         for number, worker in enumerate(self.own):
             if worker.exit_code() is not None:
                 worker.close()
                 self.own[number] = _start_worker(self.address, self.options)
 
     def use_fewer(self, name: str) -> bool:
-        """Continue without one of our own workers: the named one, if it is ours. Returns False if only one is left."""
+        """Close one of our own workers: ``name`` if it is ours, else any. Returns False if only one is left."""
         if len(self.own) < 2:
             return False
         number = next((k for k, worker in enumerate(self.own) if f"plgs-{worker.pid}-" in name), -1)  # -1: any
@@ -77,7 +77,7 @@ class Farm:
         return True
 
     def workers(self) -> dict[str, dict[str, Any]]:
-        """Return the workers that run the same engine as this process, by address."""
+        """Return Dask's facts about the workers that run the same engine as this process, by address."""
         known = self.client.scheduler_info(n_workers=-1)["workers"]  # -1: all of them
         return {address: worker for address, worker in known.items() if engine_tag() in worker.get("resources", {})}
 
@@ -148,7 +148,7 @@ def _client(address: str, tls: Tls | None) -> Any:
 
 
 def reconnected(farm: Farm) -> None:
-    """Connect again to a scheduler that was restarted, and wait for its workers. Raises PlgsError."""
+    """Connect again to a scheduler that was restarted, and wait for its workers. Raises PlgsError after RETURN_S."""
     with suppress(Exception):  # the old connection is broken, and it does not matter how
         farm.client.close(timeout=1)
     give_up = time.monotonic() + RETURN_S
@@ -197,7 +197,8 @@ def _close(farm: Farm) -> None:
 
 
 def slurm_cluster(farm_options: FarmOptions) -> Any:
-    """dask-jobqueue's cluster, whose jobs run one worker each; ``refusals`` are sbatch's messages. Raises PlgsError."""
+    """dask-jobqueue's cluster of one worker a job; ``refusals`` are sbatch's messages. Raises PlgsError without
+    Slurm."""
     jobqueue, distributed = require_dask("dask_jobqueue"), require_dask()
     assert farm_options.slurm is not None
     if shutil.which("sbatch") is None:
@@ -292,7 +293,8 @@ class Tls:
 
 
 def security_for(address: str, tls: Tls | None, fix: str) -> Any:
-    """Dask's security settings for an address, or None. Raises PlgsError if they do not fit, or for no address."""
+    """Dask's settings for an address, None without ``tls``. Raises PlgsError, with ``fix``, for no address or one
+    without TLS."""
     if re.fullmatch(r"[a-z]+://[^\s/]+:[0-9]{1,5}", address) is None:  # Dask waits long, and ends with its own errors
         raise PlgsError("scheduler-address", "is not the address of a scheduler", address, fix)
     if tls is None:
@@ -304,7 +306,7 @@ def security_for(address: str, tls: Tls | None, fix: str) -> Any:
 
 
 def resources(gigabytes: float, threads: int) -> dict[str, float]:
-    """Return a worker's resources. One is the engine's tag, so that a worker with another engine gets no pieces."""
+    """Return a worker's resources by name. One is the engine's tag, so that other engines' workers get no pieces."""
     return {engine_tag(): 1.0, GIGABYTES: gigabytes, THREADS: float(threads)}
 
 
@@ -319,7 +321,7 @@ def run_worker(
 ) -> ExitCode:
     """Work for the scheduler at ``address`` until it has been gone for ``patience_s`` seconds. 0 means all memory and
     threads. A worker of a scheduler on this machine listens on this machine only. The engines that the worker started
-    end with it, at their last checkpoint. Raises PlgsError."""
+    end with it, at their last checkpoint. Raises PlgsError if the scheduler or ``tls`` cannot be used."""
     require_dask()
     fix = "Give the address that the scheduler prints, such as tcp://machine:8786."
     security = security_for(address, tls, fix)

@@ -41,8 +41,8 @@ class Kind(StrEnum):
 @dataclass(frozen=True)
 class Piece:
     """A piece of work on one scene's lift, for workers with the `engine_tag` ``engine``. ``names`` are the frames of a
-    BAKE, or the form of an EXPORT. ``tells_frames``: a LIFT returns its frames, for bakes. ``is_resumed``: its first
-    engine was ended by a signal."""
+    BAKE, or the form of an EXPORT. ``tells_frames``: a LIFT answers with its frames. ``is_resumed``: an engine began it
+    before."""
 
     kind: Kind
     scene: str
@@ -78,8 +78,9 @@ _ENDS = {ErrorCode.KILLED: Ended.KILLED, **dict.fromkeys(_WORKER_CODES, Ended.EL
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a piece ended, with its ``answer`` (for a lift its frames, for a score the metrics). ``lacked_memory``: its
-    engine was killed, perhaps for lack of memory."""
+    """How a piece ended: its ``seconds``, why (``reason``, ``exit_code``), on which ``worker``, with its ``answer``
+    (for a lift its frames, for a score the metrics). ``lacked_memory``: its engine was killed, perhaps for lack of
+    memory."""
 
     piece: Piece
     ended: Ended
@@ -100,8 +101,8 @@ def engine_tag() -> str:
 
 
 def do(piece: Piece, tell: Tell, threads: int = 0, worker: str = "", gigabytes: float = 0.0) -> Outcome:
-    """Do a piece with this many ``threads`` and ``gigabytes`` (0: all), or return at once if it is already done.
-    Problems of the scene or the machine are not raised but reported in the outcome."""
+    """Do a piece with this many ``threads`` and ``gigabytes`` (0: all), or return at once if it is done already.
+    ``tell`` gets its progress. Problems of the scene or the machine are not raised but in the outcome."""
     began, kills = time.monotonic(), memory_kills()
     variables = {"OMP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)} if threads else {}
     if gigabytes:
@@ -165,8 +166,8 @@ def _refuse_unfit_worker(piece: Piece) -> None:
 
 
 def _followed(piece: Piece, tell: Tell, variables: Mapping[str, str]) -> TaskFollower | None:
-    """Run the piece's engine and return its follower when it has ended; None if there was nothing to do. If another
-    engine works there, wait for its end first."""
+    """Run the piece's engine with these environment ``variables``, and return its follower when it has ended; None if
+    there was nothing to do. If another engine works there, wait for its end first."""
     reported = 0.0
     while True:
         follower = _started(piece, variables)
@@ -238,7 +239,7 @@ def _started(piece: Piece, variables: Mapping[str, str]) -> TaskFollower | None:
 
 
 def _lift_folder(piece: Piece) -> LiftFolder:
-    """Open the lift's folder, or create it. Raises PlgsError."""
+    """Open the piece's lift folder, or create it. Raises PlgsError if it is damaged or was asked for something else."""
     if not (piece.lift / "request.json").exists():
         try:
             return LiftFolder.create(piece.lift, piece.request)

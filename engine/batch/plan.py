@@ -50,7 +50,8 @@ class SceneJob:
 
 @dataclass(frozen=True)
 class BatchPlan:
-    """The jobs of a batch. ``chunk`` frames are baked in one piece; 0: only the lift bakes. ``exports``: see KINDS."""
+    """The ``jobs`` of a batch, whose lifts are in the folder ``output``. ``chunk`` frames are baked in one piece; 0:
+    only the lift bakes. ``exports`` are the formats to write."""
 
     output: Path
     jobs: tuple[SceneJob, ...]
@@ -68,8 +69,8 @@ class BatchPlan:
 
 @dataclass(frozen=True)
 class Row:
-    """A scene's row in the table of results. ``metrics`` are the lift's own, in the mode ``strict``; ``code`` is the
-    digest of the code that lifted it."""
+    """A scene's row in the table of results: how it ended (``state``), and why (``reason``, ``exit_code``). ``metrics``
+    are the lift's own, in the mode ``strict``; ``code`` is the digest of the code that lifted it."""
 
     scene: str
     state: str
@@ -117,7 +118,7 @@ def of_scene(path: Path | None, name: str) -> Path | None:
 
 
 def refuse_shared(option: str, path: Path | str | None, scenes: int) -> None:
-    """Raise PlgsError if several scenes would use the same path for files of one scene."""
+    """Raise PlgsError if several ``scenes`` would use the same ``path`` of an ``option`` for files of one scene."""
     if path is not None and SCENE not in str(path) and scenes > 1:
         fix = f"Write {SCENE} where the scene's name belongs, such as {option} 'predictions/{SCENE}'."
         raise PlgsError("shared-path", f"{option} names one path for {scenes} scenes", path, fix, option=option)
@@ -158,7 +159,7 @@ def _is_folder_name(name: str) -> bool:
 
 
 def done_before(plan: BatchPlan, job: SceneJob) -> Row | None:
-    """Return the row of an earlier batch with the same request, if its result and exports are still on disk."""
+    """Return the row of an earlier batch with the same request, None unless its result and exports still exist."""
     found = _read(_record(plan.output, job.name))
     if found is None or found[1].state != "done":
         return None
@@ -242,7 +243,7 @@ def write_tables(folder: Path, rows: Sequence[Row]) -> str:
 
 
 def own_tables(folder: Path) -> OwnFiles:
-    """Open the note of a batch's folder. Raises PlgsError if tables there are not ours or were changed; OSError."""
+    """Open the note of our files in a batch's folder. Raises PlgsError if tables are not ours or changed; OSError."""
     own = OwnFiles(folder).begin("tables", {}, among_others=True)
     for name in TABLES:
         own.refuse_foreign(folder / name)

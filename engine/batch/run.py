@@ -50,7 +50,8 @@ STOPPED = "stopped"
 
 @dataclass
 class _Scene:
-    """The state of a scene in a batch: stages to do, submitted pieces, and the workers that cannot do it."""
+    """A scene in a batch: ``stages`` of pieces to do, how many pieces are ``out`` on workers, what went ``wrong`` ("":
+    nothing), and by the address of a worker that is ``unfit`` for it, why."""
 
     job: SceneJob
     index: int

@@ -148,7 +148,8 @@ def batch(options: argparse.Namespace) -> int:
 
 
 def _asked_scenes(options: argparse.Namespace) -> list[argparse.Namespace]:
-    """Return the options of each scene, with its ``scene`` and ``scene_name`` ("" if not given). Raises PlgsError."""
+    """Return each scene's options, with ``scene`` and ``scene_name`` ("" if not given). Raises PlgsError without a
+    scene."""
     from ..batch.plan import refuse_shared
 
     if options.poses is not None:
@@ -210,7 +211,8 @@ def _job(own: argparse.Namespace, output: Path, name: str, bakes_all: bool) -> S
 
 
 def _farm_options(options: argparse.Namespace, gigabytes: Sequence[float], logs: Path) -> FarmOptions:
-    """Return the farm that the options ask for; by default as many workers here as memory and processors allow."""
+    """Return the farm that the options ask for; by default as many workers here as processors allow, and memory for
+    lifts of this many ``gigabytes``. ``logs`` is for Slurm's jobs."""
     from ..batch.cluster import FarmOptions
     from ..job.system import main_memory, usable_cpus
 
@@ -235,7 +237,7 @@ _FIX = "Write a column (CSV) or a key of a [[scene]] (TOML) 'scene', and others 
 
 def read_scene_table(path: Path, options: argparse.Namespace) -> list[argparse.Namespace]:
     """Return a copy of the command line's ``options`` for each scene of a table, changed as its row says, with
-    ``scene`` and ``scene_name`` ("" if not given). Paths are relative to the table's folder. Raises PlgsError."""
+    ``scene`` and ``scene_name`` ("" if not given). Paths are relative to the table. Raises PlgsError for a bad one."""
     found = []
     for number, row in enumerate(_rows(path), start=1):
         where = f"{path}, scene {number}"
@@ -266,7 +268,8 @@ class _RowParser(argparse.ArgumentParser):
 
 
 def _arguments(name: str, value: Any, folder: Path, where: str) -> Iterator[str]:
-    """Yield a cell as command-line arguments. Raises PlgsError for what is no text, number, true, or list."""
+    """Yield the option ``name`` with a cell's ``value`` as command-line arguments; paths are relative to ``folder``.
+    Raises PlgsError, which names the place ``where``, for what is no text, number, true, or list."""
     if isinstance(value, list):
         for each in value:
             yield from _arguments(name, each, folder, where)
@@ -282,7 +285,7 @@ def _arguments(name: str, value: Any, folder: Path, where: str) -> Iterator[str]
 
 
 def _rows(path: Path) -> list[Mapping[str, Any]]:
-    """Read a table's rows, one per scene, as options by name, without empty cells. Raises PlgsError."""
+    """Read a table's rows, one per scene, as options by name, without empty cells. Raises PlgsError for a bad table."""
     try:
         with reading(path, "Name a CSV or TOML file of scenes."):
             text = read_plain(path, _MOST_BYTES).decode("utf-8-sig")  # Excel writes a byte order mark

@@ -161,7 +161,7 @@ def evaluate(options: argparse.Namespace, events: EventWriter, stop: StopSignal)
 
 
 def _corrected_metrics(lift: LiftFolder, events: EventWriter, stop: StopSignal) -> dict[str, object] | None:
-    """The figures of a corrected lift, whose held-out frames are rendered again; None if it was not corrected."""
+    """The figures of a corrected lift, whose held-out frames are rendered again; None if nothing was corrected."""
     from ..corrections import CORRECTIONS, read_corrected
 
     if not (lift.path / CORRECTIONS).exists():
@@ -328,7 +328,8 @@ def warm_up(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
 
 def presets(options: argparse.Namespace) -> ExitCode:
     """Print the names of all presets or, as a file for --preset, one preset (a name or a file) with some options
-    changed. With --json: all options with their values in each preset, or the values of the one. Raises PlgsError."""
+    changed. With --json: all options with their values in each preset, or those of the one. Raises PlgsError for
+    unknown ones."""
     if options.name is not None or options.set:
         base, changed = chosen_options(options.name, parsed_options(options.set or ()))
         chosen = with_options(PRESETS[base], changed)

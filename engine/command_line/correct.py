@@ -103,8 +103,8 @@ def correct(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
 def _parts_seen(
     options: argparse.Namespace, folder: LiftFolder, progress: Callable[[int, int], object]
 ) -> PartsSeen | None:
-    """Return the parts of an object that the masks show, for a split by views, else None. Masks are read before the
-    edits are locked, as this takes long."""
+    """Return the parts of an object that the masks show if the edit is a split by views, else None. Masks are read
+    before the edits are locked, as this takes long."""
     if options.edit != "split" or not options.views:
         return None
     from ..corrections import making, replayed
@@ -117,7 +117,8 @@ def _parts_seen(
 def _edit(
     options: argparse.Namespace, folder: LiftFolder, seen: PartsSeen | None, state: Replay, first_id: int
 ) -> Edit:
-    """Make the edit that the options ask for. Raises PlgsError."""
+    """Make the edit of objects in ``state`` that the options ask for. ``seen`` are the parts for a split by views, else
+    None; ``first_id`` is the first unused id. Raises PlgsError for an edit that makes no sense."""
     from ..corrections import class_of_parts, making
 
     named = [options.id] if isinstance(options.id, str) else options.id

@@ -69,7 +69,7 @@ def inspect_scene(
 
 
 def _explanation(scene: Scene, refusal: PlgsError) -> Diagnosis:
-    """Return the diagnosis that explains why a scene is refused. Raises ``refusal`` if nothing explains it."""
+    """Return the diagnosis that explains why a scene is refused. Raises ``refusal`` itself if none does."""
     try:
         diagnosis = diagnose(scene)
     except PlgsError:

@@ -26,9 +26,10 @@ def run_engine(
     lift: Callable[..., None] | None = None,
     echo: int | None = None,
 ) -> ExitCode:
-    """Lift, and return how it ended. ``parent_pipe``: see Watchdog. ``lift`` is called instead of `run_lift`. ``echo``:
-    see EventWriter. Raises PlgsError, before anything is changed, if another engine is at work, or if the folder was
-    used and ``resume`` is not given. Later errors become an event, a line on standard error and an exit code."""
+    """Lift, and return how it ended. It stops when the pipe ``parent_pipe`` (a descriptor) ends. ``lift`` is called
+    instead of `run_lift`. Events are also written to the descriptor ``echo``. Raises PlgsError, before anything is
+    changed, if another engine is at work, or if the folder was used and ``resume`` is not given. Later errors become an
+    event, a line on standard error and an exit code."""
     folder.refuse_foreign()
     folder.refuse_read_only()
     with folder.lock():

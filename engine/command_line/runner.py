@@ -35,8 +35,9 @@ _NO_ROOM = {errno.ENOSPC: _FULL, errno.EDQUOT: _FULL, errno.EFBIG: "Raise the li
 
 @dataclass(frozen=True)
 class Command:
-    """A command to run: its ``kind``, its ``work``, and the messages for when it does not complete. ``parent_pipe``:
-    see Watchdog. ``echo``: see EventWriter. The files ``also_stops`` stop it as its own cancel file does."""
+    """A command to run: its ``kind``, its ``work``, and what its messages advise if it fails (``again``,
+    ``with_less_memory``) or is stopped. It ends with the pipe ``parent_pipe``; events also go to the descriptor
+    ``echo``. The files ``also_stops`` stop it as its own cancel file does."""
 
     kind: str
     work: Work
@@ -137,7 +138,7 @@ def drop_output() -> None:
 
 
 def failure_of(error: Exception, command: Command, files: TaskFiles | None = None) -> PlgsError:
-    """Return a PlgsError that tells the user about another kind of error."""
+    """Return a PlgsError about another kind of ``error``: memory, a disk, a missing module, or a bug."""
     where = Path(sys.executable) if files is None else files.log
     if isinstance(error, ModuleNotFoundError):
         fix = f"Set the environment up again with 'make set-up', then {command.again}."
@@ -163,7 +164,8 @@ def failure_of(error: Exception, command: Command, files: TaskFiles | None = Non
 
 
 def _number_of(error: Exception) -> int | None:
-    """The system's error number, or None. Rust's errors have it in their text; C++ libraries' have only its message."""
+    """The system's number of an error, else None. Rust's errors have it in their text; C++ libraries' have only its
+    message."""
     if isinstance(error, OSError) and error.errno is not None:
         return error.errno
     found = re.search(r"\(os error (\d+)\)", str(error))

@@ -1,8 +1,7 @@
-"""What people correct in a lift: typed edits beside its result, and the result after those corrections.
-
-`edits` reads and writes corrections.json, `making` makes edits, `replay` applies them to the objects and points of a
-result, `relabelling` says what becomes of every label, and `result` reads result and edits together. The engine and
-Blender both import this, so it needs only numpy."""
+"""What people correct in a lift: typed edits beside its result, and the result after those corrections. `edits` reads
+and writes corrections.json, `making` makes edits, `replay` applies them to the objects and points of a result,
+`relabelling` says what becomes of every label, and `result` reads result and edits together. The engine and Blender
+both import this, so it needs only numpy."""
 
 from __future__ import annotations
 

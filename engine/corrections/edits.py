@@ -1,9 +1,7 @@
 """One edit: what it does, when it was made, and what it refers to; and corrections.json, the edits of a lift in the
-order in which they were made.
-
-A label is one number for class and object together: the object's id, or minus the class where there is no object (0 is
-unknown). No edit is ever removed: an undone edit is marked as undone. Writers take turns, and each adds to what it has
-just read, so two Blenders that edit the same lift lose nothing."""
+order in which they were made. A label is one number for class and object together: the object's id, or minus the class
+where there is no object (0 is unknown). No edit is ever removed: an undone edit is marked as undone. Writers take
+turns, and each adds to what it has just read, so two Blenders that edit the same lift lose nothing."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
-"""What replaces removed objects: the cells of the room that are cleared, and new Gaussians and points.
-
-A fill is computed once, from the photos, by `engine/plates`, and kept in a file beside corrections.json. All programs
-that show the lift clear and fill with this module alone, so it needs only numpy."""
+"""What replaces removed objects: the cells of the room that are cleared, and new Gaussians and points. A fill is
+computed once, from the photos, by `engine/plates`, and kept in a file beside corrections.json. All programs that show
+the lift clear and fill with this module alone, so it needs only numpy."""
 
 from __future__ import annotations
 

@@ -1,7 +1,5 @@
-"""Make edits of the objects that exist now. Each edit is checked before it is made.
-
-All functions take the current state after all edits (``Replay``), and raise PlgsError for an edit that makes no
-sense."""
+"""Make edits of the objects that exist now. Each edit is checked before it is made. All functions take the current
+state after all edits (``Replay``), and raise PlgsError for an edit that makes no sense."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
-"""Change labels by edits, for anything with a position: a point, an anchor, a Gaussian.
-
-An edit of whole objects maps labels to labels. An edit of points names only the points; everything else follows the
-nearest point that had the same label before."""
+"""Change labels by edits, for anything with a position: a point, an anchor, a Gaussian. An edit of whole objects maps
+labels to labels. An edit of points names only the points; everything else follows the nearest point that had the same
+label before."""
 
 from __future__ import annotations
 

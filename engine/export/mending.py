@@ -1,8 +1,6 @@
-"""Clean up a fused surface and cut it by label.
-
-Small holes are closed; loose pieces, flaps and narrow strips at edges are removed; small pieces far from their object
-lose its label. The cut follows the smooth lines where labels change, not the triangles, so that parts meet without
-teeth."""
+"""Clean up a fused surface and cut it by label. Small holes are closed; loose pieces, flaps and narrow strips at edges
+are removed; small pieces far from their object lose its label. The cut follows the smooth lines where labels change,
+not the triangles, so that parts meet without teeth."""
 
 from __future__ import annotations
 

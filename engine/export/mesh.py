@@ -1,9 +1,8 @@
 """Export the lifted scene as meshes: rendered depth is fused into one surface, and cut into one mesh for each instance
-and stuff class.
-
-One truncated signed distance field collects all views (`fusion`). Each view then votes on the labels of the vertices
-that it sees. `mending` closes small holes, removes pieces far from their object, and cuts along the lines where labels
-change. The meshes are written as binary glTF 2.0 by our own writer, as open3d's leaves the buffer out."""
+and stuff class. One truncated signed distance field collects all views (`fusion`). Each view then votes on the labels
+of the vertices that it sees. `mending` closes small holes, removes pieces far from their object, and cuts along the
+lines where labels change. The meshes are written as binary glTF 2.0 by our own writer, as open3d's leaves the buffer
+out."""
 
 from __future__ import annotations
 

@@ -1,6 +1,5 @@
-"""Make textures for a surface, cut out of the photos: each triangle shows the pixels of the photo that sees it best.
-
-A simplified "Let There Be Color!" (Waechter, Moehrle, Goesele, ECCV 2014): each triangle chooses a view, and neighbours
+"""Make textures for a surface, cut out of the photos: each triangle shows the pixels of the photo that sees it best. A
+simplified "Let There Be Color!" (Waechter, Moehrle, Goesele, ECCV 2014): each triangle chooses a view, and neighbours
 prefer the same one; connected triangles of one view form a chart, a rectangle of its photo; seams between charts are
 levelled by least squares, here with a linear offset for each chart."""
 

@@ -1,9 +1,8 @@
-"""Finds which masks show the same object, by the agreement of views (ours, beyond the paper).
-
-Boxes cannot tell a chair from the table above it. Here two masks are joined if most views that see the surface of both
-show it inside one mask, whatever its class. So a view that merges or splits objects is outvoted, and a class that
-changes from view to view does no harm. The idea is the view consensus of MaskClustering (Yan et al., CVPR 2024), with
-sums in place of its schedule of thresholds. Of a long scan, only keyframes' masks are joined."""
+"""Finds which masks show the same object, by the agreement of views (ours, beyond the paper). Boxes cannot tell a chair
+from the table above it. Here two masks are joined if most views that see the surface of both show it inside one mask,
+whatever its class. So a view that merges or splits objects is outvoted, and a class that changes from view to view does
+no harm. The idea is the view consensus of MaskClustering (Yan et al., CVPR 2024), with sums in place of its schedule of
+thresholds. Of a long scan, only keyframes' masks are joined."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
-"""Algorithm 1: makes one global set of instances from the inconsistent instance masks of all views.
-
-See the paper's section "Consistent Instance Mask Generation". Where its text leaves a choice, there is an option. The
-defaults are those that measured best."""
+"""Algorithm 1: makes one global set of instances from the inconsistent instance masks of all views. See the paper's
+section "Consistent Instance Mask Generation". Where its text leaves a choice, there is an option. The defaults are
+those that measured best."""
 
 from __future__ import annotations
 

@@ -1,10 +1,8 @@
 """Panoptic labels, one number for class and object together, and the rule by which points, pixels and Gaussians decide
-which label they show: first the class, then the object of that class.
-
-A label is either an object, which implies the object's class, or a class alone: for stuff, and for things that belong
-to no object. The coverage of a class includes that of its objects. The class with the largest coverage wins; its
-largest object is shown if it has enough of the class's coverage, else the class alone. So no object is ever shown with
-a class other than its own."""
+which label they show: first the class, then the object of that class. A label is either an object, which implies the
+object's class, or a class alone: for stuff, and for things that belong to no object. The coverage of a class includes
+that of its objects. The class with the largest coverage wins; its largest object is shown if it has enough of the
+class's coverage, else the class alone. So no object is ever shown with a class other than its own."""
 
 from __future__ import annotations
 

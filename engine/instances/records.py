@@ -1,7 +1,6 @@
-"""Records of masks and objects, which the stages of a lift fill in, and boxes oriented about the up axis.
-
-The paper's boxes are "oriented around z-axis for simplification" (section "Consistent Instance Mask Generation"): the
-smallest rectangle around the points as seen from above, extended over their range of z."""
+"""Records of masks and objects, which the stages of a lift fill in, and boxes oriented about the up axis. The paper's
+boxes are "oriented around z-axis for simplification" (section "Consistent Instance Mask Generation"): the smallest
+rectangle around the points as seen from above, extended over their range of z."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """Converts instance segments to points in space (Algorithm 1, lines 2 to 6), and matched segments to the consistent
-instance masks M_match.
-
-Segments are eroded first: if a mask is one pixel too wide, depth of the background spoils its box and the matching."""
+instance masks M_match. Segments are eroded first: if a mask is one pixel too wide, depth of the background spoils its
+box and the matching."""
 
 from __future__ import annotations
 

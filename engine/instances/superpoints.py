@@ -1,10 +1,8 @@
-"""Superpoints: pieces of surface found by geometry alone, for masks that do not agree (ours, beyond the paper).
-
-Points on one smooth or convex piece of surface are most often on one thing. If views contradict each other, this tells
-more than their masks. If masks are good, it harms: a picture lies in the plane of its wall. So it is decided scene by
-scene: each view is held back in turn and compared with the votes of the others, by point and by superpoint.
-
-The pieces are found as by Felzenszwalb and Huttenlocher (2004), from angles between normals of neighbours."""
+"""Superpoints: pieces of surface found by geometry alone, for masks that do not agree (ours, beyond the paper). Points
+on one smooth or convex piece of surface are most often on one thing. If views contradict each other, this tells more
+than their masks. If masks are good, it harms: a picture lies in the plane of its wall. So it is decided scene by scene:
+each view is held back in turn and compared with the votes of the others, by point and by superpoint. The pieces are
+found as by Felzenszwalb and Huttenlocher (2004), from angles between normals of neighbours."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
-"""Detects masks that are weak, and changes how votes count there (ours, beyond the paper).
-
-A network that is unsure takes a thing for the class it has seen most. So if views contradict each other, votes for
-classes that are seldom shown count more, and weak detections also vote, to win back what the panoptic mask lost. Both
-spoil good masks. So it is measured: each view is held back in turn and compared with the votes of the other views. All
-classes count alike, since even bad masks agree on walls and floors, which fill most views."""
+"""Detects masks that are weak, and changes how votes count there (ours, beyond the paper). A network that is unsure
+takes a thing for the class it has seen most. So if views contradict each other, votes for classes that are seldom shown
+count more, and weak detections also vote, to win back what the panoptic mask lost. Both spoil good masks. So it is
+measured: each view is held back in turn and compared with the votes of the other views. All classes count alike, since
+even bad masks agree on walls and floors, which fill most views."""
 
 from __future__ import annotations
 

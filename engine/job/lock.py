@@ -1,8 +1,7 @@
 """Advisory locks of the operating system: they end with the process that holds them, however it ends. A disk that
-several machines share must lock for all of them, as NFS does.
-
-Several processes may bake one lift at once. Their locks are empty files in bake/ in the lift folder. They show which
-processes are at work, which view each one bakes, and which may change the manifest now."""
+several machines share must lock for all of them, as NFS does. Several processes may bake one lift at once. Their locks
+are empty files in bake/ in the lift folder. They show which processes are at work, which view each one bakes, and which
+may change the manifest now."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""Predict how long a lift will take and how much memory it needs, before it is begun.
-
-The constants were measured on lifts of the bundled sample (72 frames of 320x240) and of long captures made from it (100
-to 2000 frames of 1296x968) on two cores, relative to a training step. Finished lifts tell how much slower or faster
-this machine is. How much surface the cameras see is unknown in advance: the sample's is assumed."""
+"""Predict how long a lift will take and how much memory it needs, before it is begun. The constants were measured on
+lifts of the bundled sample (72 frames of 320x240) and of long captures made from it (100 to 2000 frames of 1296x968) on
+two cores, relative to a training step. Finished lifts tell how much slower or faster this machine is. How much surface
+the cameras see is unknown in advance: the sample's is assumed."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """Bakes (renders to EXR passes) further views of a finished lift: its own frames, bit for bit as the lift writes them,
-and views from any camera. Several processes may bake the same lift at once; each view is then baked by only one.
-
-The passes become part of the lift's result, or go into another folder, where no manifest lists them."""
+and views from any camera. Several processes may bake the same lift at once; each view is then baked by only one. The
+passes become part of the lift's result, or go into another folder, where no manifest lists them."""
 
 from __future__ import annotations
 

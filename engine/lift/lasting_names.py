@@ -1,6 +1,5 @@
-"""Keeps ids and names of an earlier lift of the same scene for objects that are still there.
-
-result/names.json lists what changed, and the ids and numbers that later lifts must not use again."""
+"""Keeps ids and names of an earlier lift of the same scene for objects that are still there. result/names.json lists
+what changed, and the ids and numbers that later lifts must not use again."""
 
 from __future__ import annotations
 

@@ -1,6 +1,5 @@
-"""Draws pictures of the points before training, and of the model during it, from a camera that the user chooses.
-
-They take a limited share of the time, draw no random numbers and do not influence training."""
+"""Draws pictures of the points before training, and of the model during it, from a camera that the user chooses. They
+take a limited share of the time, draw no random numbers and do not influence training."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""Finds which masks show the same object, and which points and pixels belong to it.
-
-The paper's method is Algorithm 1 on oriented boxes. In ours, masks of several views are joined to objects whatever
-their classes; then the views vote on each object's class, segments and points vote on the label of every pixel, and
-finally the views vote again on the connected pieces of each object."""
+"""Finds which masks show the same object, and which points and pixels belong to it. The paper's method is Algorithm 1
+on oriented boxes. In ours, masks of several views are joined to objects whatever their classes; then the views vote on
+each object's class, segments and points vote on the label of every pixel, and finally the views vote again on the
+connected pieces of each object."""
 
 from __future__ import annotations
 

@@ -1,6 +1,5 @@
-"""Checks that the finished scene shows every object where its points are, and relabels Gaussians where it does not.
-
-A Gaussian is about as large as a wall plug, and its label is blended from the votes of all pixels that it covers. So a
+"""Checks that the finished scene shows every object where its points are, and relabels Gaussians where it does not. A
+Gaussian is about as large as a wall plug, and its label is blended from the votes of all pixels that it covers. So a
 small object may have points, but no Gaussian with its label."""
 
 from __future__ import annotations

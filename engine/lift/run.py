@@ -1,7 +1,6 @@
-"""A lift from end to end: frames and input masks in, one consistent 3D panoptic scene out.
-
-The stages follow the paper's order: read the frames, check label consistency, match the instances, train the structured
-Gaussians, write the result, bake the passes, evaluate."""
+"""A lift from end to end: frames and input masks in, one consistent 3D panoptic scene out. The stages follow the
+paper's order: read the frames, check label consistency, match the instances, train the structured Gaussians, write the
+result, bake the passes, evaluate."""
 
 from __future__ import annotations
 

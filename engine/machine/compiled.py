@@ -1,8 +1,7 @@
-"""The decorator of every kernel, ``compiled``, and the cache of machine code.
-
-Numba only notices a change in a function's own file, but kernels are compiled into one another across files. So the
-cache folder is named after the text of all packages that have kernels: a new version never runs old code.
-``choose_cache_folder`` chooses where it is; the package itself may be read-only."""
+"""The decorator of every kernel, ``compiled``, and the cache of machine code. Numba only notices a change in a
+function's own file, but kernels are compiled into one another across files. So the cache folder is named after the text
+of all packages that have kernels: a new version never runs old code. ``choose_cache_folder`` chooses where it is; the
+package itself may be read-only."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""Arrays whose memory is reused: a training step that is as large as the last one allocates nothing.
-
-An array is free again when nothing refers to it any more, by Python's reference count. A tensor made from it counts, so
-what a caller keeps is never overwritten. Without reuse, the forward and backward passes of a room of 640x480 pixels
-with 46 labels take 16 to 37 % longer."""
+"""Arrays whose memory is reused: a training step that is as large as the last one allocates nothing. An array is free
+again when nothing refers to it any more, by Python's reference count. A tensor made from it counts, so what a caller
+keeps is never overwritten. Without reuse, the forward and backward passes of a room of 640x480 pixels with 46 labels
+take 16 to 37 % longer."""
 
 from __future__ import annotations
 

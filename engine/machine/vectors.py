@@ -1,9 +1,7 @@
 """Sixteen float32 at a time inside Numba: two types (``lanes`` and ``flags``) and the few operations the kernels need.
-
 Numba has no vector types, and LLVM does not vectorise the blending loops by itself. Each operation here is one
 ``@intrinsic`` that emits generic LLVM vector code, which LLVM turns into what the processor has: AVX-512, AVX2, SSE or
-NEON. ``+ - * /`` work on ``lanes``. ``fma`` is fused where the processor can, in the same way wherever it is used.
-"""
+NEON. ``+ - * /`` work on ``lanes``. ``fma`` is fused where the processor can, in the same way wherever it is used."""
 
 from __future__ import annotations
 

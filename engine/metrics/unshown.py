@@ -1,6 +1,5 @@
-"""Finds things that masks show clearly from nearby, but that the lift shows nowhere. Needs no ground truth.
-
-Candidates are segments with enough pixels; only views that are near them can confirm them (``scene/evidence.py``)."""
+"""Finds things that masks show clearly from nearby, but that the lift shows nowhere. Needs no ground truth. Candidates
+are segments with enough pixels; only views that are near them can confirm them (``scene/evidence.py``)."""
 
 from __future__ import annotations
 

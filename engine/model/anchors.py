@@ -1,8 +1,6 @@
 """Anchors: voxel centres that each own ``k`` neural Gaussians (see the paper's section "Structured Panoptic-Aware Scene
-Representation", and Scaffold-GS).
-
-An anchor never moves. Learnt are its feature, the offsets of its Gaussians, and six log scales: three scale the
-offsets, three limit the size of the Gaussians."""
+Representation", and Scaffold-GS). An anchor never moves. Learnt are its feature, the offsets of its Gaussians, and six
+log scales: three scale the offsets, three limit the size of the Gaussians."""
 
 from __future__ import annotations
 

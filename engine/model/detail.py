@@ -1,9 +1,8 @@
-"""Finds the finest detail that the training pictures show at each position, and limits what is drawn to it.
-
-Rasterising blurs each Gaussian by BLUR pixels squared, and training fits Gaussians under this blur. In a picture with
-smaller pixels, from nearby or of a larger size, the same blur covers less of the world, and cracks open. So a Gaussian
-keeps at least the blur of the training picture with the smallest pixels there, like the 3D smoothing filter of
-Mip-Splatting (arXiv 2311.16493)."""
+"""Finds the finest detail that the training pictures show at each position, and limits what is drawn to it. Rasterising
+blurs each Gaussian by BLUR pixels squared, and training fits Gaussians under this blur. In a picture with smaller
+pixels, from nearby or of a larger size, the same blur covers less of the world, and cracks open. So a Gaussian keeps at
+least the blur of the training picture with the smallest pixels there, like the 3D smoothing filter of Mip-Splatting
+(arXiv 2311.16493)."""
 
 from __future__ import annotations
 

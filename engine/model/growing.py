@@ -1,8 +1,6 @@
 """Grows anchors where the rendering does not yet match the photos, and prunes anchors that stay transparent
-(Scaffold-GS, section 3.3).
-
-Both are decided by the gradients of the projected Gaussian centres, which only the reconstruction loss and the depth
-loss (if any) reach; label losses never do."""
+(Scaffold-GS, section 3.3). Both are decided by the gradients of the projected Gaussian centres, which only the
+reconstruction loss and the depth loss (if any) reach; label losses never do."""
 
 from __future__ import annotations
 

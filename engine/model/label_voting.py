@@ -1,9 +1,7 @@
-"""Lets the masks of all views vote on each Gaussian's label.
-
-The label decoders are small networks, and blur small things: taps, switches, the edge of a stair. The masks are
-sharper. So the label of each pixel is a vote for the Gaussians that are blended there, in proportion to their blending
-weights. (LUDVIG, Marrie et al. 2024, averages a network's features this way.) Gaussians that no view saw keep their
-decoded labels."""
+"""Lets the masks of all views vote on each Gaussian's label. The label decoders are small networks, and blur small
+things: taps, switches, the edge of a stair. The masks are sharper. So the label of each pixel is a vote for the
+Gaussians that are blended there, in proportion to their blending weights. (LUDVIG, Marrie et al. 2024, averages a
+network's features this way.) Gaussians that no view saw keep their decoded labels."""
 
 from __future__ import annotations
 

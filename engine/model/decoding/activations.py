@@ -1,6 +1,5 @@
-"""Exponential, sigmoid and tanh of sixteen float32 values at a time; softmax and its backward pass.
-
-NaN stays NaN, so that a diverged scene is noticed."""
+"""Exponential, sigmoid and tanh of sixteen float32 values at a time; softmax and its backward pass. NaN stays NaN, so
+that a diverged scene is noticed."""
 
 from __future__ import annotations
 

@@ -1,6 +1,5 @@
-"""Takes the gradients of the drawn Gaussians and of the cluster loss back to anchors and decoders.
-
-Hidden layers are recomputed, which is cheaper than keeping them."""
+"""Takes the gradients of the drawn Gaussians and of the cluster loss back to anchors and decoders. Hidden layers are
+recomputed, which is cheaper than keeping them."""
 
 from __future__ import annotations
 

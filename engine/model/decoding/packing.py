@@ -1,7 +1,5 @@
 """The data of the decoder kernels: all weights packed into one flat array (gradients likewise), and named tuples of the
-other arrays.
-
-All arrays are flat. Of M anchors V are visible, with k Gaussians each; N of these are drawn."""
+other arrays. All arrays are flat. Of M anchors V are visible, with k Gaussians each; N of these are drawn."""
 
 from __future__ import annotations
 
