@@ -97,8 +97,6 @@ def _joined(surface: Surface, label: Ints, coarse: int) -> tuple[Surface, Ints]:
     rim = np.unique(open_edges(surface.triangles))
     rim = rim[label[rim] % MOST_INSTANCES > 0]
     ours, own = rim[rim < coarse], rim[rim >= coarse]
-    if not len(ours) or not len(own):
-        return surface, label
     apart = np.column_stack([surface.xyz, np.unique(label, return_inverse=True)[1]])  # labels are a metre apart
     away, nearest = cKDTree(apart[own]).query(apart[ours], distance_upper_bound=_BESIDE)
     ours, goal = ours[np.isfinite(away)], own[nearest[np.isfinite(away)]]
