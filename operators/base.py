@@ -87,7 +87,7 @@ class Acts(Explained):
     """An operator that does its work in one call, without a task."""
 
     def act(self, context: bpy.types.Context) -> str | None:
-        """Do the operator's work. Returns a line to report, if any. Raises PlgsError, OSError."""
+        """Do the operator's work. Returns a line to report, or None. Raises PlgsError or OSError, which is reported."""
         raise NotImplementedError
 
     @reporting

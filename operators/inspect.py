@@ -32,14 +32,15 @@ class OnLift(Acts):
         return None if has_result else "This scene has no lift result yet"
 
     def root(self, context: bpy.types.Context) -> bpy.types.Collection:
-        """Return the lift's collection. Raises PlgsError."""
+        """Return the lift's collection. Raises PlgsError if there is no such lift."""
         return find_lift(self.room(context.scene), self.lift, context.active_object)
 
     def act(self, context: bpy.types.Context) -> str | None:
         return self.act_on(context, self.root(context))
 
     def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str | None:
-        """Do the operator's work on a lift. Returns a line to report, if any. Raises PlgsError, OSError."""
+        """Do the operator's work on a lift. Returns a line to report, or None. Raises PlgsError or OSError, which is
+        reported."""
         raise NotImplementedError
 
 

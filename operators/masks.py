@@ -274,7 +274,7 @@ class OnFinding(base.Acts):
         return None if known is not None and known.findings else "Diagnose the scene first"
 
     def finding(self, context: bpy.types.Context) -> tuple[Diagnosis, Finding]:
-        """Return the finding that the operator works on. Raises PlgsError."""
+        """Return the finding that the operator works on. Raises PlgsError if it is gone."""
         known = _known(context)
         if known is None or self.number >= len(known.findings):
             raise PlgsError("no-finding", "there is no such finding", str(self.number), "Diagnose the scene again.")

@@ -75,7 +75,7 @@ class ChosenScene(SceneSource):
         return self.scene_format in (None, NAME) and has_lens and recognises(self.scene)
 
     def open_plain(self) -> PosedScene:
-        """Open plain folders, reading only the headers of pictures. Raises PlgsError."""
+        """Open plain folders, reading only the headers of pictures. Raises PlgsError if they are incomplete."""
         try:
             return open_plain_folders(self)
         except (OSError, ValueError) as error:  # ValueError: not a possible path on this system

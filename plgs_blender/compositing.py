@@ -214,7 +214,7 @@ def matte_instance(root: bpy.types.Collection, instance: int) -> str:
 
 
 def matte_class(root: bpy.types.Collection, class_id: int) -> str:
-    """Make a class the compositor's matte, and return its name. Raises PlgsError."""
+    """Make a class the compositor's matte, and return its name. Raises PlgsError if the passes lack it."""
     row = class_row_of(root, class_id)
     if row.class_id == 0:
         raise PlgsError("classless", "points without a class have no matte", root.name, "Choose a class in the list.")

@@ -31,7 +31,8 @@ _LARGER = 1.2  # size of the plane relative to the object
 
 
 def place_cut(root: bpy.types.Collection, instance: int) -> bpy.types.Object:
-    """Put an upright plane through the middle of an object's box, across its longest side. Raises PlgsError."""
+    """Put an upright plane through the middle of an object's box, across its longest side, and return it. Raises
+    PlgsError if the box is gone."""
     box = box_of(root, instance)
     owned = OwnedDataBlocks(root[LIFT], bpy.context.scene)
     mesh = owned.data(CUT, lambda: bpy.data.meshes.new("Cut"))
@@ -55,7 +56,7 @@ def place_cut(root: bpy.types.Collection, instance: int) -> bpy.types.Object:
 
 
 def split_by_cut(root: bpy.types.Collection, instance: int) -> Edit:
-    """Split an object by the plane of `place_cut` and remove the plane. Raises PlgsError."""
+    """Split an object by the plane of `place_cut` and remove the plane. Raises PlgsError without such a plane."""
     plane = objects_by_key(root).get(CUT)
     if plane is None:
         what = "there is no cutting plane"
@@ -101,7 +102,7 @@ class Painting:
 
     @classmethod
     def of_lift(cls, folder: Path) -> Painting:
-        """Return a painting of a lift's points, none of them chosen yet. Raises PlgsError."""
+        """Return a painting of a lift's points, none of them chosen yet. Raises PlgsError if they are unreadable."""
         return cls.of(read_corrected(folder).points.xyz)
 
     def press(self, position: Position, *, is_box: bool, is_eraser: bool) -> None:
@@ -227,7 +228,8 @@ class EditByEngine(Task):
 
     @classmethod
     def start(cls, root: bpy.types.Collection, *edit: str) -> Self:
-        """Let an engine make this edit of a placed lift. Raises PlgsError, OSError."""
+        """Let an engine make an edit, given as arguments of its command ``correct``. Raises PlgsError without an engine
+        or while an edit runs; OSError."""
         registry.refuse_second(cls)
         lift, python = folder_of(root), engine_environment.usable_python()
         known = {each.uid for each in read_edits(lift)}
@@ -268,5 +270,5 @@ def split_by_views(root: bpy.types.Collection, instance: int) -> SplitByViews:
 
 
 def remove_objects(root: bpy.types.Collection, instances: Sequence[int]) -> RemoveObjects:
-    """Start taking objects out of a placed lift. Raises PlgsError, OSError."""
+    """Start taking objects out of a placed lift. Raises PlgsError without an engine; OSError."""
     return RemoveObjects.start(root, "remove", *map(str, instances))

@@ -63,7 +63,8 @@ Choose = Callable[[NDArray[np.float32]], NDArray[np.bool_]]
 
 
 def edit(root: bpy.types.Collection, make: Make) -> Edit:
-    """Make an edit of a placed lift, and show it. Raises PlgsError, OSError."""
+    """Save an edit of a placed lift, which ``make`` returns, and show it. Raises PlgsError if it is impossible;
+    OSError."""
     made, result = _correct(root, make)
     show_corrections(root, result)
     return made
@@ -76,20 +77,22 @@ def _correct(root: bpy.types.Collection, make: Make) -> tuple[Edit, CorrectedRes
 
 
 def show_edit(root: bpy.types.Collection, uid: str, result: CorrectedResult) -> None:
-    """Show an edit that an engine made for this Blender, so that undo reverts it. Raises PlgsError."""
+    """Show the edit ``uid``, made by an engine for this Blender, by its ``result``, so that undo reverts it. Raises
+    PlgsError as `show_corrections` does."""
     _mine.setdefault(str(folder_of(root)), set()).add(uid)
     show_corrections(root, result)
 
 
 def undo_last(root: bpy.types.Collection) -> Edit:
-    """Undo the last edit in the file, whoever made it and whenever, and show the result. Raises PlgsError, OSError."""
+    """Undo the last edit in the file, whoever made it, and show the result. Raises PlgsError if there is none;
+    OSError."""
     undone, result = undo(folder_of(root), listed_in(folder_of(root)))
     show_corrections(root, result)
     return undone
 
 
 def put_back(root: bpy.types.Collection, instance: int) -> Edit:
-    """Put a removed object back, with all that were removed with it. Raises PlgsError, OSError."""
+    """Put a removed object back, with all that were removed with it. Raises PlgsError if none is removed; OSError."""
     undone, result = engine_put_back(folder_of(root), [instance], listed_in(folder_of(root)))
     show_corrections(root, result)
     return undone
@@ -124,7 +127,7 @@ def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> Non
 
 def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
     """Apply an object's proposal, except BY_VIEWS, which needs an engine; with ``keep``, accept the object. Raises
-    OSError, PlgsError."""
+    PlgsError if it has no proposal; OSError."""
     one = proposal_of(root, instance)
     if keep:
         return accept(root, [one.instance])
@@ -154,7 +157,7 @@ def remember(root: bpy.types.Collection, result: LiftResult | CorrectedResult) -
 
 def look_for_changes(root: bpy.types.Collection) -> None:
     """Add a lift to `outdated` if its files differ from what the scene shows, or to `gone` if its folder is missing.
-    Raises PlgsError, OSError."""
+    Raises PlgsError for a damaged file; OSError."""
     lift = folder_of(root)
     if not lift.is_dir():
         gone.add(root[LIFT])
@@ -168,7 +171,7 @@ def look_for_changes(root: bpy.types.Collection) -> None:
 
 def chosen_instances(root: bpy.types.Collection, named: str, context: bpy.types.Context) -> list[int]:
     """Return the ids in a text such as "3 5"; all ids for "all"; for "", those of the selected boxes, the active one
-    first, else of the list's active row. Raises PlgsError."""
+    first, else of the list's active row. Raises PlgsError for other texts, and if nothing is chosen."""
     if named.strip() == "all":
         return [row.instance_id for row in root.plgs.instances]
     if named.strip():
@@ -181,7 +184,7 @@ def chosen_instances(root: bpy.types.Collection, named: str, context: bpy.types.
 
 
 def class_named(root: bpy.types.Collection, name: str) -> int:
-    """Return the id of the lift's class with this name or number. Raises PlgsError."""
+    """Return the id of the lift's class with this name or number. Raises PlgsError if there is none."""
     return making.class_of(listed_in(folder_of(root))[0], name)
 
 
@@ -198,7 +201,7 @@ def class_choices(root: bpy.types.Collection, instance: int) -> list[str]:
 
 def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
     """Rename an object. If only this Blender changed the corrections, only the object's row, box and mesh are updated,
-    as one of their fields may call this; otherwise all is. Raises PlgsError, OSError."""
+    as one of their fields may call this; otherwise all is. Raises PlgsError for an impossible name; OSError."""
     made, result = _correct(root, lambda state, _: making.rename(state, instance, name))
     if root[LIFT] in outdated:  # the view lacks other edits, too
         show_corrections(root, result)
@@ -232,13 +235,13 @@ def _name_objects(root: bpy.types.Collection, instance: int, name: str) -> None:
 
 
 def reclass(root: bpy.types.Collection, instances: Sequence[int], class_name: str) -> Edit:
-    """Change the class of objects. Raises PlgsError, OSError."""
+    """Change the class of objects. Raises PlgsError for an unknown class or object; OSError."""
     class_id = class_named(root, class_name)
     return edit(root, lambda state, _: making.reclass(state, instances, class_id))
 
 
 def merge(root: bpy.types.Collection, instances: Sequence[int]) -> Edit:
-    """Merge all objects into the first. Raises PlgsError, OSError."""
+    """Merge all objects into the first. Raises PlgsError for fewer than two objects; OSError."""
     return edit(root, lambda state, _: making.merge(state, instances))
 
 
@@ -260,12 +263,12 @@ def delete_around(root: bpy.types.Collection, instances: Sequence[int]) -> None:
 
 
 def accept(root: bpy.types.Collection, instances: Sequence[int]) -> Edit:
-    """Mark objects as correct. Raises PlgsError, OSError."""
+    """Mark objects as correct. Raises PlgsError for an unknown object; OSError."""
     return edit(root, lambda state, _: making.accept(state, instances))
 
 
 def split_parts(root: bpy.types.Collection, instance: int) -> Edit:
-    """Split an object into its connected parts. Raises PlgsError, OSError."""
+    """Split an object into its connected parts. Raises PlgsError if it is in one piece; OSError."""
     return _split(root, instance, making.parts_of)
 
 
@@ -287,7 +290,9 @@ def _split(
 
 
 def crop(root: bpy.types.Collection, instance: int) -> Edit:
-    """Give an object all points of its class inside its box, which the user may have moved or scaled."""
+    """Give an object exactly those points in its box, which the user may have moved or scaled, that are its own or have
+    its class but no object. Its points outside keep the class but lose the object. Raises PlgsError if nothing
+    changes."""
     box = selection.box_of(root, instance)
     return edit(root, lambda state, _: making.crop(state, instance, inside_box(box, state.xyz)))
 
@@ -307,7 +312,8 @@ def assign(
 
 
 def in_region(name: str) -> Choose:
-    """Return a function that selects the points in the box of the object with this name. Raises PlgsError."""
+    """Return a function that selects the points in the box of the object ``name``. Raises PlgsError if none is called
+    so."""
     region = bpy.data.objects.get(name)
     if region is None:
         raise PlgsError("no-object", "there is no such object", name, "Name an object whose box contains the points.")

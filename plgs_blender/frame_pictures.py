@@ -45,7 +45,7 @@ def frames_folder(source: SceneSource) -> Path:
 
 
 def made_before(source: SceneSource) -> MadeFrames | None:
-    """Return what an earlier run made of this scene, or None. Raises PlgsError."""
+    """Return what an earlier run made of this scene, or None. Raises PlgsError if its notes are damaged."""
     return made_of(frames_folder(source), source)
 
 
@@ -94,7 +94,7 @@ def scene_of(made: MadeFrames) -> PosedScene:
 
 
 def read_cloud(path: Path) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Read a cloud: xyz float32 [N, 3] metres and rgb uint8 [N, 3] sRGB. Raises PlgsError."""
+    """Read a cloud: xyz float32 [N, 3] metres and rgb uint8 [N, 3] sRGB. Raises PlgsError for other files."""
     fix = "Delete the file and import the scene again."
     try:
         stored = read_npz(path, fix, ("xyz", "rgb"))
@@ -134,7 +134,8 @@ def why_no_picture(scene: bpy.types.Scene) -> str | None:
 
 
 def root_of(scene: bpy.types.Scene, ob: bpy.types.Object) -> bpy.types.Collection:
-    """Return the collection of the import or lift to which a frame's camera belongs. Raises PlgsError."""
+    """Return the collection of the import or lift to which a frame's camera belongs. Raises PlgsError for any other
+    camera."""
     root = next((each for each in lifts_in(scene) if each[LIFT] == ob.get(LIFT)), None)
     if root is None:
         raise PlgsError("scene-gone", "does not belong to any scene in this file", ob.name, "Import the scene again.")

@@ -87,7 +87,7 @@ class ReadLift:
 
 
 def reading_lift(lift: Path) -> Generator[None, None, ReadLift]:
-    """Read a lift in parts, so that the window does not freeze. Raises PlgsError."""
+    """Read a lift in parts, so that the window does not freeze. Raises PlgsError if it is unfinished or damaged."""
     result = yield from _reading(lift)
     yield
     splats = result.folder / "result" / "gaussians.ply"
@@ -251,7 +251,8 @@ def _show_instead(root: bpy.types.Collection, before: list[bpy.types.Collection]
 
 
 def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:
-    """Fill the passes scenes of a placed lift again, after more frames were baked. Raises PlgsError."""
+    """Fill the passes scenes of a placed lift again, after more frames were baked. Raises PlgsError if it is placed
+    nowhere."""
     result, scene = result_of(_reading(lift)), scene_to_fill(scene)
     owned = OwnedDataBlocks(root_of_placed(result.folder, scene)[LIFT], scene)
     place_passes(owned, result)
@@ -260,7 +261,7 @@ def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:
 
 def placing_meshes_anew(lift: Path, scene: bpy.types.Scene, *, asked: bool = True) -> Generator[None, None, int]:
     """Put new meshes into the lift that is placed in `scene`, in parts. Show them if a user ``asked`` for them or has
-    not chosen anything else. Returns their number. Raises PlgsError."""
+    not chosen anything else. Returns their number. Raises PlgsError if the lift is not there."""
     scene = scene_to_fill(scene)
     placed = Placed(root_of_placed(lift, scene)[LIFT], scene.name)
     result = yield from _reading(lift)
@@ -291,7 +292,7 @@ def _hide_surface_until_whole(placed: Placed) -> None:
 
 
 def place_depth_clouds_anew(lift: Path, scene: bpy.types.Scene) -> int:
-    """Put new depth clouds into a placed lift, and return the number of points. Raises PlgsError."""
+    """Put new depth clouds into a placed lift, and return the number of points. Raises PlgsError for a damaged file."""
     scene = scene_to_fill(scene)
     root = root_of_placed(lift, scene)
     owned = OwnedDataBlocks(root[LIFT], scene)
@@ -301,7 +302,7 @@ def place_depth_clouds_anew(lift: Path, scene: bpy.types.Scene) -> int:
 
 
 def _reading(lift: Path) -> Generator[None, None, LiftResult]:
-    """Read the lift's result, and check that its passes have the layers that we show. Raises PlgsError."""
+    """Read the lift's result, and check that its passes have the layers that we show. Raises PlgsError otherwise."""
     result = yield from reading_result(lift)
     check_layers([*result.passes.values(), *result.shots.values()])
     return result

@@ -93,7 +93,8 @@ def _before_saving(blend: str, *_: object) -> None:
 
 @bpy.app.handlers.persistent
 def _after_saving(blend: str, *_: object) -> None:
-    """Undo `relate` if the open file stayed where it was: saving failed, or a copy was saved elsewhere."""
+    """Restore the paths that `relate` changed before saving, if the open file stayed where it was: saving failed, or a
+    copy was saved elsewhere."""
     if not blend or Path(bpy.data.filepath).parent != Path(blend).absolute().parent:
         for store, before in _before:
             store(before)

@@ -258,7 +258,7 @@ def is_placed(lift: Path, scene: bpy.types.Scene) -> bool:
 
 
 def root_of_placed(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
-    """Return the collection of the lift that is placed in `scene`. Raises PlgsError."""
+    """Return the collection of the lift that is placed in `scene`. Raises PlgsError if it is not there."""
     for root in lifts_in(scene_to_fill(scene)):
         if is_same_place(text_of(root, FOLDER), lift):
             return root

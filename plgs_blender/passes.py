@@ -275,7 +275,7 @@ def _mark_views(scene: bpy.types.Scene, names: Collection[str]) -> None:
 
 
 def open_passes(scene: bpy.types.Scene) -> bpy.types.Scene:
-    """Return the passes scene, at the active camera's view if that was baked. Raises PlgsError."""
+    """Return the passes scene, at the active camera's view if that was baked. Raises PlgsError without passes."""
     passes = passes_scene_of(scene)
     if passes is None:
         raise PlgsError("no-passes", "has no passes", scene.name, "Bake them in the Passes panel.")

@@ -22,7 +22,7 @@ VISITED = "plgs_visited"
 
 
 def propose(root: bpy.types.Collection) -> Proposals:
-    """Find what may be wrong with a placed lift, and store it for the panel. Raises PlgsError."""
+    """Find what may be wrong with a placed lift, and store it for the panel. Raises PlgsError for a damaged lift."""
     return keep_proposals(root, read_corrected(folder_of(root)))
 
 
@@ -53,7 +53,7 @@ def proposal_of(root: bpy.types.Collection, instance: int) -> Proposal:
 
 def next_uncertain(root: bpy.types.Collection) -> tuple[str, int, int]:
     """Return the most uncertain unvisited frame, the number of frames visited with it, and of all frames. After the
-    last frame it starts again. Raises PlgsError."""
+    last frame it starts again. Raises PlgsError if the lift is damaged."""
     folder = LiftFolder.open(folder_of(root))
     frames = known_scene(folder).frames
     drawn = doubt_of_frames(read_metrics(folder)) if (folder.result_path / "metrics.json").is_file() else {}

@@ -85,7 +85,7 @@ def version_of(lift: Path) -> Version:
 
 
 def reading_listed(version: Version) -> Generator[None, None, Listed]:
-    """Parse an instances.json in parts; only the latest version is cached. Raises PlgsError."""
+    """Parse an instances.json in parts; only the latest version is cached. Raises PlgsError if it is damaged."""
     listed = yield from reading_instances(version[0])
     _kept.clear()
     _kept[version] = listed
@@ -110,7 +110,8 @@ def begin_to_read(lift: Path) -> Version:
 
 
 def read_on(seconds: float) -> bool:
-    """Continue reading for about this many seconds. Returns whether anything is left. Raises PlgsError."""
+    """Read on for about this many seconds. Returns whether anything is left. Raises PlgsError if the file is
+    damaged."""
     until = time.monotonic() + seconds
     for version, parts in [*_begun.items()]:
         del _begun[version]
@@ -122,7 +123,7 @@ def read_on(seconds: float) -> bool:
 
 
 def refuse_too_many(found: Sequence[object], path: Path, most: int = MOST_INSTANCES, kind: str = "objects") -> None:
-    """Raise PlgsError if there are more objects, or more of another ``kind``, than Blender can show."""
+    """Raise PlgsError if ``found``, the objects (or another ``kind``) in the file ``path``, are more than ``most``."""
     if len(found) > most:
         fix = "Lift it again with a smaller most_instances, or with masks of fewer classes."
         raise PlgsError("too-many", f"has more than {most} {kind}, which are too many for Blender", path, fix)
@@ -269,7 +270,8 @@ def reading_result(folder: Path) -> Generator[None, None, LiftResult]:
 
 
 def _verify(lift: LiftFolder, paths: Iterable[str], listed: Mapping[str, ListedFile]) -> None:
-    """Compare what Blender opens with the manifest's checksums, passes up to _MOST_HASHED. Raises PlgsError."""
+    """Raise PlgsError unless what Blender opens has the manifest's checksums; of passes, up to _MOST_HASHED are
+    checked."""
     files, size = [], 0
     for path in paths:
         if path not in listed:

@@ -14,7 +14,7 @@ _ONLY_FOR_RESEARCH = shutil.ignore_patterns("gt", "panoptic_second*")
 
 def own_sample() -> Path:
     """Return a copy of the room in the user's home, as lifts lie beside their scene; it is made if missing. Raises
-    PlgsError, OSError."""
+    PlgsError if the extension lacks it; OSError."""
     folder = Path.home() / "PLGS Sample" / SAMPLE.name
     if folder.is_dir():
         return folder

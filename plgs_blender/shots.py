@@ -105,7 +105,7 @@ def shot_of(
     motion: bool = False,
 ) -> Shot:
     """Return the shot of the named or the active camera over the given range, else the scene's. ``given`` names its
-    files, by default as the studio's settings say. Raises PlgsError."""
+    files, by default as the studio's settings say. Raises PlgsError for a bad range or no camera."""
     cuts = () if camera else _cuts_of(scene)
     wanted = camera or (cuts[0][1] if cuts else "")
     ob = scene.objects.get(wanted) if wanted else scene.camera
@@ -278,7 +278,7 @@ class ShotReader:
 
     def write(self, lift: Path, *, replace: bool = False, output: Path | None = None) -> Path:
         """Write the shot's cameras, once all frames are read, into the lift's folder or ``output``, and return the
-        file. Raises PlgsError, OSError."""
+        file. Raises PlgsError if another shot has the name; OSError."""
         blend = Path(self._source.blend)
         source = dataclasses.replace(
             self._source,
@@ -377,8 +377,9 @@ def _camera_now(scene: bpy.types.Scene, ob: bpy.types.Object, frame: float, name
 
 
 def _rendered_part(camera: Camera, scene: bpy.types.Scene) -> tuple[Camera, tuple[int, int, int, int] | None]:
-    """Return the camera of the baked picture, which is the render region if Blender crops to it, else the whole picture
-    with EEVEE's overscan on all sides; and the window of the rendered picture in it. Raises PlgsError."""
+    """Return the camera of the baked picture: the render region if Blender crops to it, else the whole picture with
+    EEVEE's overscan on all sides. Also return where the rendered picture lies in it, as left, top, width and height in
+    pixels; None if it fills it. Raises PlgsError for an empty region."""
     # A region that is not cropped would be a data window, which Blender's compositor misplaces (centred in 4.5, upside
     # down in 5.2), so the whole picture is baked then.
     render, (width, height) = scene.render, camera.size

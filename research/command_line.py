@@ -117,7 +117,8 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
 
 
 def run_printing(options: argparse.Namespace) -> int:
-    """Run a command that answers with a table, and print its lines. Raises PlgsError, OSError."""
+    """Run a command that answers with a table, and print its lines. Raises PlgsError and OSError as the command
+    does."""
     for line in options.lines(options):
         print(line, flush=True)
     return ExitCode.FINISHED
@@ -136,7 +137,7 @@ def _reliability(options: argparse.Namespace) -> Iterator[str]:
 
 
 def run_experiments(options: argparse.Namespace) -> int:
-    """Run the rows, one process each, and print the tables. Raises PlgsError."""
+    """Run the rows, one process each, and print the tables. Raises PlgsError for bad options."""
     from .experiments.experiment import SHARED, Experiment, scenes_from
     from .experiments.rows import read_rows
     from .experiments.run import run_experiment
@@ -167,7 +168,7 @@ def run_experiments(options: argparse.Namespace) -> int:
 
 
 def run_bench(options: argparse.Namespace) -> ExitCode:
-    """Run the bench, print its figures and write them to a file. Raises PlgsError."""
+    """Run the bench, print its figures and write them to a file. Raises PlgsError for bad options."""
     from .bench_step import bench_step
 
     if options.json is not None:

@@ -37,7 +37,7 @@ def error(curve: Curve) -> float:
 
 def pixels_of(lift: Path) -> NDArray[np.float32]:
     """Return, for all pixels of the held-out frames with ground truth, at the size of training: the share of the votes,
-    the confidence, and whether the pixel is right, float32 [3, N]. Raises PlgsError, OSError."""
+    the confidence, and whether the pixel is right, float32 [3, N]. Raises PlgsError for an unfinished lift; OSError."""
     folder, found = LiftFolder.open(lift), [np.zeros((3, 0), np.float32)]
     verify_lifted(folder.result_path)
     be_repeatable()
@@ -56,7 +56,7 @@ def pixels_of(lift: Path) -> NDArray[np.float32]:
 
 def reliability_table(lifts: Sequence[Path], picture: Path | None) -> Iterator[str]:
     """Yield lines of Markdown: the expected calibration error of each lift and of all together; and draw a diagram into
-    the file ``picture``, if given. Raises PlgsError, OSError."""
+    the file ``picture``, if given. Raises PlgsError for a bad lift; OSError."""
     found = {lift.name: pixels_of(lift) for lift in lifts}
     found["all together"] = np.concatenate([*found.values()], axis=1)
     curves = {name: [reliability(each, pixels[2]) for each in pixels[:2]] for name, pixels in found.items()}

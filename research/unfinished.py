@@ -26,7 +26,7 @@ class EndedTraining(Trainer):
 
 def unfinished_scores(lift: Path) -> Iterator[str]:
     """Yield the step of the newest checkpoint, and the tables of scores on held-out frames. The lift may go on
-    meanwhile. Raises PlgsError, OSError."""
+    meanwhile. Raises PlgsError if there is no checkpoint; OSError."""
     folder = LiftFolder.open(lift)
     newest = folder.checkpoints.latest()
     if newest is None:

@@ -45,7 +45,8 @@ def main() -> int:
 
 
 def write_hand_held(scene: Path, out: Path, seed: int, noise: CaptureNoise | None = None) -> str:
-    """Write the folder ``out``, and return a line about it. Raises PlgsError, OSError."""
+    """Write the folder ``out``, and return a line about it. Raises PlgsError if it exists or is inside ``scene``;
+    OSError."""
     noise = noise or CaptureNoise()
     frames = open_scene(scene).frames
     _copy(scene, out)

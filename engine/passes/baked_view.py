@@ -186,9 +186,9 @@ class BakedView:
 
 @dataclass(frozen=True)
 class ShownInstances:
-    """The instances that pictures and passes show: their ``names`` by id, and ``class_of``, the one class that each is
-    shown with, by id; None if every pixel decides on its own. ``unowned`` are ids of things that a person left without
-    an object."""
+    """The instances that pictures and passes show: their ``names`` by id. ``class_of`` is the one class of each, by id;
+    None if every pixel decides on its own. ``unowned`` are the thing classes of which a correction left points without
+    an object: their pixels may show no instance."""
 
     names: Mapping[int, str]
     class_of: Mapping[int, int] | None = None

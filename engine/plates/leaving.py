@@ -140,8 +140,9 @@ def leaving_gaussians(
     centres: NDArray[np.floating], label: NDArray[np.int32], share: NDArray[np.floating], leaving: Leaving,
     others: Others,
 ) -> NDArray[np.bool_]:  # fmt: skip
-    """Return which Gaussians are removed, bool [G]: those with enough ``share`` [G] of the objects' labels and, near
-    the objects, those of stuff (by their likeliest ``label`` [G]) that are on no surface of anything else."""
+    """Return which Gaussians, at ``centres`` [G, 3], go with the removed objects (``leaving``), bool [G]. These are
+    Gaussians whose labels belong to the objects by enough of their ``share`` [G], and nearby Gaussians of stuff (by
+    their likeliest ``label`` [G]) that lie on no surface of ``others``, the things that stay."""
     gone = share > OWNED
     low, high = leaving.low, leaving.high
     rows = np.flatnonzero(((centres > low - 0.15) & (centres < high + 0.15)).all(axis=1))

@@ -99,7 +99,8 @@ def array_headers(path: Path) -> dict[str, ArrayHeader]:
 
 
 def read_array(path: Path, name: str = "") -> NDArray[Any]:
-    """Read a frame's masks: the array ``name`` of an .npz, or the only one of an .npy. Raises PlgsError."""
+    """Read a frame's masks: the array ``name`` of an .npz, or the only one of an .npy. Raises PlgsError if it is
+    damaged or there is no such array."""
     headers = array_headers(path)
     if name not in headers:
         what = f'there is no array called "{name}"'

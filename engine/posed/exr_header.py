@@ -45,7 +45,7 @@ class ExrHeader:
 
 
 def read_exr_header(path: Path) -> ExrHeader:
-    """Read the header of an OpenEXR file. Raises PlgsError, also for a multi-part file."""
+    """Read the header of an OpenEXR file. Raises PlgsError for another or a damaged file, and one of several parts."""
     start, attributes = _attributes_of(path)
     try:
         (left, top, right, bottom), _ = (
@@ -64,7 +64,8 @@ def read_exr_header(path: Path) -> ExrHeader:
 
 
 def one_pixel_of(path: Path) -> bytes:
-    """Return the bytes of an EXR of one black pixel with the channels and attributes of ``path``. Raises PlgsError."""
+    """Return the bytes of an EXR of one black pixel with the channels and attributes of ``path``. Raises PlgsError if
+    that is no plain EXR."""
     header = read_exr_header(path)
     if int.from_bytes(header.start[4:], "little") & _TILED:
         raise PlgsError("exr-tiles", "this OpenEXR file has tiles, which are not read", path, _FIX)
@@ -78,7 +79,8 @@ def one_pixel_of(path: Path) -> bytes:
 
 
 def _attributes_of(path: Path) -> tuple[bytes, dict[bytes, tuple[bytes, bytes]]]:
-    """Read a file's first eight bytes, and its attributes (type and value by name). Raises PlgsError."""
+    """Read a file's first eight bytes, and its attributes (type and value by name). Raises PlgsError for another or a
+    damaged file."""
     try:
         with reading(path), open_plain(path) as file:
             start, size = file.read(8), os.fstat(file.fileno()).st_size

@@ -46,7 +46,8 @@ class ImageHeader:
 
 
 def read_image_header(path: Path) -> ImageHeader:
-    """Read the header of a PNG or JPEG and check that the file has an end. Raises PlgsError."""
+    """Read the header of a PNG or JPEG and check that the file has an end. Raises PlgsError for other files and cut-off
+    ones."""
     with reading(path), open_plain(path) as file:
         start = file.read(33)  # a PNG's signature and its whole IHDR
         if start.startswith(_PNG_SIGNATURE):
@@ -66,7 +67,7 @@ def read_image_header(path: Path) -> ImageHeader:
 
 
 def check_image_file(path: Path) -> bytes:
-    """Read an image's bytes and check that they are whole and, for a PNG, undamaged (checksums). Raises PlgsError."""
+    """Return an image's bytes. Raises PlgsError unless it is a whole PNG, with right checksums, or a whole JPEG."""
     data = _read(path)
     check_image_bytes(data, path)
     return data

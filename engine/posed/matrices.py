@@ -25,7 +25,7 @@ _FARTHEST = 10_000.0  # metres from the origin; farther away, 32-bit floats no l
 
 
 def read_matrix(path: Path, shapes: tuple[tuple[int, int], ...]) -> Matrix:
-    """Read a matrix of one of ``shapes`` from text; it may hold inf, never NaN. Raises PlgsError."""
+    """Read a matrix of one of ``shapes`` from text; it may hold inf, never NaN. Raises PlgsError for other text."""
     wanted = " or ".join(f"{rows}x{columns}" for rows, columns in shapes)
     text = read_text(path, _MOST_BYTES, f"Write {wanted} numbers.").replace(",", " ")
     text = re.sub(r"1\.#INF0*", "inf", text)  # as programs of Visual C++ before 2015 wrote it
@@ -46,7 +46,8 @@ def read_matrix(path: Path, shapes: tuple[tuple[int, int], ...]) -> Matrix:
 
 
 def take_array(entry: dict[str, Any], key: str, context: str, path: Path, *shapes: tuple[int, ...]) -> Matrix:
-    """Return ``entry[key]``, a JSON list of numbers or rows, as an array of one of ``shapes``. Raises PlgsError."""
+    """Return the JSON list ``entry[key]`` as an array of one of ``shapes``. Raises PlgsError for anything else; it
+    names the file ``path`` and the place ``context`` in it."""
     value = take_list(entry, key, context, path)
     try:
         numbers = np.array(value, np.float64)
@@ -59,9 +60,9 @@ def take_array(entry: dict[str, Any], key: str, context: str, path: Path, *shape
 
 
 def read_poses(files: Mapping[str, Path], progress: Progress = unwatched) -> dict[str, NDArray[np.float64] | None]:
-    """Read the camera-to-world pose, float64 [4, 4], in each frame's file. A pose is None if the file holds no matrix
-    or one with inf, which scanners write when tracking is lost. Raises PlgsError as ``rigid`` does, and if most of the
-    files that exist hold no pose."""
+    """Read the camera-to-world pose, float64 [4, 4], in each frame's file. A pose is None if the file is missing, or
+    holds no matrix or one with inf, which scanners write when tracking is lost. Raises PlgsError for a pose that is not
+    rigid, and if most of the files that exist hold no pose."""
     there = [name for name, path in files.items() if path.is_file()]
     found = of_most(there, lambda name: read_matrix(files[name], ((4, 4),)), part_of(progress, 0.0, 0.5))
     lost = {name for name, pose in found.items() if np.isinf(pose).any()}

@@ -108,7 +108,8 @@ def recognises(place: Path) -> bool:
 def read_folders(
     folder: Path, lens_of: Callable[[Path], Camera] | None = None, progress: Progress = unwatched
 ) -> PlainFolders:
-    """Read poses and headers of pictures. ``lens_of``, if given, returns a picture's lens. Raises PlgsError."""
+    """Read the poses and the headers of the pictures. ``lens_of``, if given, returns the lens for a picture; else the
+    folder's intrinsics are read. Raises PlgsError if files are missing or bad for most frames."""
     pictures = files_by_stem(folder / "color", {".jpg", ".jpeg", ".png"}, FOLDERS_FIX)
     pose_files = files_by_stem(folder / "pose", {".txt"}, FOLDERS_FIX)
     fix = "Add pose/<name>.txt, or remove their colour images."
@@ -128,7 +129,7 @@ def read_folders(
 
 
 def open_plain_folders(source: SceneSource) -> PosedScene:
-    """The posed frames of a scene in plain folders, with z up. Raises PlgsError."""
+    """The posed frames of a scene in plain folders, with z up. Raises PlgsError as `read_folders` does."""
     folder = source.scene
     found = read_folders(folder)
     for name, camera in found.cameras.items():

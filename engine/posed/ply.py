@@ -119,7 +119,7 @@ def read_gaussians(path: Path) -> NDArray[np.void]:
 
 
 def left_out(path: Path) -> int:
-    """Return how many rows of a splat file `read_gaussians` leaves out. Raises PlgsError."""
+    """Return how many rows of a splat file `read_gaussians` leaves out. Raises PlgsError for other files."""
     return _read(path, _MOST_OF_SPLATS, _SPLATS_FIX)[3][0] - len(read_gaussians(path))
 
 

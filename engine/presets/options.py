@@ -134,9 +134,8 @@ def parsed_options(texts: Iterable[str]) -> dict[str, Json]:
 
 
 def checked_options(options: Mapping[str, Json]) -> dict[str, Json]:
-    """Return checked options as JSON values, in the order of the presets' fields. Raises PlgsError like
-    ``parsed_options``, but accepts names of parts that this process lacks: reading a lift needs no script that made
-    it."""
+    """Return the options as checked JSON values, in the order of the presets' fields. Raises PlgsError for an unknown
+    name or a bad value. Unknown names of parts are accepted: a lift can be read without the script that made them."""
     checked = {name: checked_value(known_option(name), value, any_part=True) for name, value in options.items()}
     return {name: checked[name] for name in preset_options() if name in checked}
 
@@ -238,7 +237,7 @@ _FIX = "'python -m engine presets preview' prints one that can be changed."
 
 
 def read_toml(path: Path, fix: str) -> dict[str, Any]:
-    """Read a small TOML file. Raises PlgsError."""
+    """Read a small TOML file. Raises PlgsError with ``fix`` as the advice, if it is not TOML or unreadable."""
     try:
         return tomllib.loads(read_plain(path, MOST_BYTES).decode("utf-8"))
     except OSError as error:

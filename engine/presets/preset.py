@@ -204,13 +204,13 @@ class Preset:
 
     @property
     def can_vote(self) -> bool:
-        """Whether views can vote on Gaussians. That needs objects of one class each, found by agreement or by a
-        script's matcher."""
+        """Whether the frames' masks can vote on the label of each Gaussian. That needs objects of one class each, found
+        by the agreement of the masks or by a script's matcher."""
         return self.objects not in ("boxes", "none") and self.one_class_an_object
 
     @property
     def last_step(self) -> int:
-        """The number of steps that are done in total."""
+        """The number of training steps that are really done: the share ``trained`` of ``steps``."""
         return max(1, round(self.trained * self.steps))
 
     def views_of(self, train_frames: int) -> int:

@@ -76,7 +76,7 @@ class ClassChoice:
 
 def find_class_choice(named: str | None, beside: Path) -> ClassChoice | None:
     """Return the choice that ``named`` means (a table or a file), else that of a classes.toml in the folder ``beside``,
-    else None. Raises PlgsError."""
+    else None. Raises PlgsError if it is no table and no valid file."""
     if named is None:
         path = beside / FILE_NAME
         return read_class_choice(path) if path.is_file() else None

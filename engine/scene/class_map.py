@@ -208,7 +208,8 @@ def _targets(
 def _merged(
     labels: Mapping[int, ClassLabel], into: Mapping[int, str], choice: ClassChoice
 ) -> tuple[list[ClassLabel], dict[int, int]]:
-    """Merge labels. Returns the remaining classes in order of id, and each label's class id. Raises PlgsError."""
+    """Merge labels ``into`` classes, named by label. Returns the remaining classes in order of id, and each label's
+    class id. Raises PlgsError if several classes have such a name."""
     shift = 1 if 0 in labels else 0  # 0 is void here, so all move up by one
     class_of = {number: number + shift for number in labels if number not in into}
     final = {class_id: replace(labels[number], id=class_id) for number, class_id in class_of.items()}

@@ -53,7 +53,7 @@ class DepthMap:
 
     def __call__(self, size: Size | None = None) -> NDArray[np.float32]:
         """Read depth, float32 [H, W] in metres with 0 = none, in the colour picture at ``size`` (width, height), or at
-        the map's own size. Raises PlgsError."""
+        the map's own size. Raises PlgsError if the file is missing or damaged, or no sensor's."""
         depth = self.read()
         return resize_aligned(depth, size or (depth.shape[1], depth.shape[0]), self.alignment)
 
@@ -119,7 +119,7 @@ def npy_depth(path: Path, step: float | None = None) -> DepthMap:
 
 
 def read_depth_array(path: Path) -> NDArray[Any]:
-    """Read the numbers [H, W] in a .npy, or in an .npz's array "depth" (or its only one). Raises PlgsError."""
+    """Read numbers [H, W] from a .npy, or an .npz's "depth" (or only) array. Raises PlgsError for other files."""
     if path.suffix.lower() == ".npz":
         arrays = list(array_headers(path))
         values = read_array(path, "depth" if len(arrays) != 1 else arrays[0])
@@ -191,7 +191,8 @@ def open_depth(
     scene: Path, lenses: Mapping[str, Camera], progress: Progress
 ) -> tuple[dict[str, DepthMap], tuple[Inferred, ...]]:
     """Open the depth maps in a scene's folder ``depth``; only headers are read. ``lenses`` are the colour cameras by
-    frame. Returns the maps by frame, and what was inferred about their lens. Raises PlgsError."""
+    frame. Returns the maps by frame, and what was inferred about their lens. Raises PlgsError if most frames have no
+    readable map."""
     folder = scene / "depth"
     files = files_by_stem(folder, {".png"}, "Give 16-bit PNGs in millimetres, named like the colour images.")
     fix = "Add depth/<name>.png, or remove their colour images."
@@ -251,8 +252,9 @@ def seen_by_colour(depth: DepthMap, lens: Camera, colour: Camera, beside: NDArra
 
 
 def fitting_alignment(colour: Camera, depth: Camera) -> Alignment | None:
-    """Return the alignment of a colour camera with a depth camera at the same centre; None if no sensor is built that
-    way. Both see the ray (x, y, 1) at u = f x + c, so depth's u is a linear function of colour's."""
+    """Return the alignment of a colour camera with a depth camera at the same centre; None if the two pictures would
+    differ by more than any real sensor's. Both see the ray (x, y, 1) at u = f x + c, so depth's u is a linear function
+    of colour's."""
     x_scale = (depth.fx / depth.width) / (colour.fx / colour.width)
     y_scale = (depth.fy / depth.height) / (colour.fy / colour.height)
     x_shift = depth.cx / depth.width - x_scale * colour.cx / colour.width

@@ -137,14 +137,15 @@ def _metric_map(path: Path, placement: Placement) -> NDArray[np.float32]:
 
 
 def _placed(path: Path, placement: Placement) -> NDArray[np.float32]:
-    """Read a map's values placed in the picture, float32 [H, W], NaN beyond the photo's edges. Raises PlgsError."""
+    """Read a map's values placed in the picture, float32 [H, W], NaN beyond the photo's edges. Raises PlgsError if it
+    is unreadable."""
     values = read_map(path).astype(np.float32)
     shows = placement(np.ones(values.shape, np.int32))  # 0 may be a value of the map, so it cannot tell
     return np.where(shows > 0, placement(values), np.float32(np.nan))
 
 
 def read_map(path: Path) -> NDArray[Any]:
-    """Read a map as it is stored, numbers [H, W]. Raises PlgsError."""
+    """Read a map as it is stored, numbers [H, W]. Raises PlgsError for files that hold no map."""
     if path.suffix.lower() in _ARRAYS:
         return read_depth_array(path)
     return decode_depth(path, _FIX)

@@ -161,19 +161,20 @@ class Frame(PosedFrame):
     read_kept: Callable[[Size], NDArray[np.bool_]] | None = None
 
     def depth(self, size: Size | None = None) -> NDArray[np.float32]:
-        """Read the depth, float32 [H, W], of a frame that must have it (see ``read_depth``). Raises PlgsError."""
+        """Read the depth, float32 [H, W] in metres. Raises PlgsError if the frame has none, or its file is bad."""
         if self.read_depth is None:
             raise PlgsError("no-depth", "a frame has no depth", self.colour_path, "Give depth for every frame.")
         return self.read_depth(size)
 
     def mask(self, size: Size | None = None) -> PanopticMask:
-        """Read the mask of a frame that must have it (see ``read_mask``). Raises PlgsError."""
+        """Read the panoptic mask. Raises PlgsError if the frame has none, or its file is bad."""
         if self.read_mask is None:
             raise PlgsError("no-mask", "a frame has no mask", self.colour_path, "Give a panoptic mask for every frame.")
         return self.read_mask(size)
 
     def layers(self, size: Size | None = None) -> tuple[PanopticMask, ...]:
-        """Read the detections over the mask, as pictures without overlaps; () if there are none. Raises PlgsError."""
+        """Read the detections over the mask, sorted into masks without overlaps; () if there are none. Raises PlgsError
+        for a bad file."""
         return () if self.read_detections is None else self.read_detections(size).layers()
 
 

@@ -52,7 +52,7 @@ class Placement:
     kept: KeptPixels | None = None
 
     def __call__(self, ids: NDArray[Any]) -> NDArray[Any]:
-        """Map stored ids, or other values [H, W], into the picture. Raises PlgsError."""
+        """Map stored ids, or other values [H, W], into the picture. Raises PlgsError if little of it is left."""
         if self.box is not None:
             x, y, width, height = self.box
             ids = ids[y : y + height, x : x + width]
@@ -79,7 +79,7 @@ class KeptPixels:
     is_photo: bool = False
 
     def __call__(self, size: Size) -> NDArray[np.bool_]:
-        """Return the pixels that count, bool [H, W], at ``size`` (width, height). Raises PlgsError."""
+        """Return the pixels that count, bool [H, W], at ``size`` (width, height). Raises PlgsError for a bad file."""
         kept = opaque(self.path) if self.is_photo else inside(read_indices(self.path), self.path)
         if self.lens is not None:
             kept = undistorted(kept.astype(np.uint8), *self.lens, self.path, smooth=False) > 0

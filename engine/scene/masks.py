@@ -140,7 +140,8 @@ class MaskSet:
 
 
 def find_masks(source: SceneSource, scene: Path, pictured: Mapping[str, Pictured], progress: Progress) -> MaskSet:
-    """Find the masks of the frames, and the detections over them; an empty set if there are none. Raises PlgsError."""
+    """Find the masks of the frames in ``pictured``, and detections over them; an empty set without masks. Raises
+    PlgsError for bad files."""
     place = mask_place(scene, None if source.masks is None else Path(source.masks))
     kept = [each.kept.path for each in pictured.values() if each.kept is not None]
     are_kept = source.masks is None and place is not None and any(path.is_relative_to(place) for path in kept)
@@ -232,7 +233,8 @@ def open_masks(
 
 
 def open_mask_source(place: Path, names: Sequence[str], mask_format: str | None, progress: Progress) -> MaskSource:
-    """Open the masks as they are stored, without the user's class table. Raises PlgsError."""
+    """Open the masks as they are stored, without the user's class table. Raises PlgsError for none that a reader
+    knows."""
     reader = find_mask_format(place, mask_format)
     with reading(place, "Check that it exists, and its permissions."):
         return reader.read(place, names, progress)

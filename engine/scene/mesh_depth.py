@@ -100,7 +100,7 @@ def is_mesh(path: Path) -> bool:
 
 
 def read_mesh(path: Path) -> Any:
-    """Read a mesh's file as Open3D's RaycastingScene. Raises PlgsError."""
+    """Read a mesh's file as Open3D's RaycastingScene. Raises PlgsError if it holds no triangles."""
     import open3d
 
     with reading(path, _FIX):

@@ -38,12 +38,14 @@ def decode(path: Path, as_colour: bool) -> NDArray[Any]:
 
 
 def opaque(path: Path) -> NDArray[np.bool_]:
-    """Return which pixels of an image with transparency are not fully transparent, bool [H, W]. Raises PlgsError."""
+    """Return which pixels of an image with alpha are not fully transparent, bool [H, W]. Raises PlgsError if it is
+    damaged."""
     return np.asarray(decode(path, as_colour=False)[..., 3] > 0)
 
 
 def decode_bytes(data: bytes, path: Path, as_colour: bool) -> NDArray[Any]:
-    """Decode an image's bytes, read from the file ``path``, as ``decode`` does. Raises PlgsError."""
+    """Decode an image's bytes, read from the file ``path``, as ``decode`` does. Raises PlgsError if they are
+    damaged."""
     import cv2
 
     check_image_bytes(data, path)
@@ -95,7 +97,8 @@ class ColourReader:
     read: Callable[[], NDArray[np.uint8]]
 
     def __call__(self, size: Size | None = None) -> NDArray[np.uint8]:
-        """Read uint8 [H, W, 3] RGB at ``size`` (width, height), or at its own size. Raises PlgsError."""
+        """Read uint8 [H, W, 3] RGB at ``size`` (width, height), or at its own size. Raises PlgsError as ``read``
+        does."""
         pixels = self.read()
         return resize_colour(pixels, size) if size else pixels
 
@@ -225,7 +228,8 @@ def check_label_header(path: Path) -> Size:
 
 
 def read_label_map(path: Path) -> NDArray[np.int64]:
-    """Read the ids as stored, int64 [H, W]; in an array they may be negative. Raises PlgsError."""
+    """Read the ids as stored, int64 [H, W]; in an array they may be negative. Raises PlgsError for files without
+    ids."""
     if path.suffix.lower() == ".png":
         ids = read_indices(path).astype(np.int64)
         return ids if label_header(path).palette else checked_ids(ids, path)

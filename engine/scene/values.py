@@ -85,7 +85,7 @@ def by_colour(indices: NDArray[np.int32], path: Path, numbers: Mapping[bytes, in
 
 
 def palette_of(path: Path) -> bytes:
-    """Return the colours of a PNG's palette, 3 bytes each; b"" without one. Raises PlgsError."""
+    """Return the colours of a PNG's palette, 3 bytes each; b"" without one. Raises PlgsError if it is unreadable."""
     with reading(path), open_plain(path) as file:
         file.seek(8)
         while len(head := file.read(8)) == 8 and head[4:] not in (b"IDAT", b"IEND"):

@@ -74,7 +74,8 @@ class View:
     """A frame's pixels at the size of ``camera``: colour uint8 [H, W, 3], depth float32 [H, W] metres (0 = none) and
     mask. ``border`` bool [H, W] marks pixels of a black border and those that do not count; None if there are none.
     ``mask_scale`` is the side of a pixel in pixels of the frame's own mask. ``layers`` are the detections over the
-    mask, as pictures without overlaps (see ``Evidence``). ``frame`` names the frame of a layer."""
+    mask, sorted into masks without overlaps. A view that `layer` made of one of them has in ``frame`` the name of the
+    frame; others have ""."""
 
     name: str
     camera: Camera

@@ -40,7 +40,7 @@ class Addition(UvTask):
     ) -> None:
         """``environment`` is by default that of the Python that runs this; any other one must have a Python of the same
         version. ``tools`` is the folder for uv; None: the user's cache. ``wheels``: as in `SetUpRequest`. Raises
-        PlgsError."""
+        PlgsError for an unknown ``name`` and a missing folder."""
         if name not in ADDED:
             what = f'nothing called "{name}" can be added to an engine'
             raise PlgsError("not-addable", what, "add", f"Choose {', '.join(ADDED)}.")

@@ -183,7 +183,8 @@ class SetUp(UvTask):
             raise PlgsError("environment-failed", what, self.log_path, "Name another Python in the preferences.")
 
     def _install_packages(self, uv: Path, environment: Path, version: Version) -> None:
-        """Install torch, few of whose CPU builds have a pinned hash, then everything else by its hashes."""
+        """Install torch, which is checked against a pinned hash only if it comes from a folder of wheels, then
+        everything else, always checked."""
         install: list[str | Path] = [uv, "pip", "install", "--no-build", "--python", python_in(environment)]
         self._tell(3)
         if self.request.wheels is not None:

@@ -46,7 +46,9 @@ class EngineState(Enum):
 
 @dataclass(frozen=True)
 class EngineStatus:
-    """The engine's status: a line for the user, and a fix if it is unusable. ``note`` is about what may work."""
+    """The engine's ``state``, a ``message`` about it for the user, and a ``fix`` if it is unusable. ``note`` warns of
+    package versions that differ from the tested ones. ``answer`` is what the engine in ``python`` said, None without
+    one."""
 
     state: EngineState
     message: str = ""
@@ -57,7 +59,8 @@ class EngineStatus:
 
     @property
     def is_usable(self) -> bool:
-        """Whether no known reason prevents its use."""
+        """Whether the engine may be started: it was not found to be missing or broken, though it may not be checked
+        yet."""
         return self.state not in (EngineState.MISSING, EngineState.FAILED)
 
 
@@ -217,7 +220,8 @@ def why_no_set_up() -> str | None:
 
 
 def set_up(choice: SetUpChoice) -> SetUp:
-    """Start making the engine's environment, or continue it. Raises PlgsError, OSError."""
+    """Start making the engine's environment, or continue it. Raises PlgsError if one runs or this Blender is unfit;
+    OSError."""
     reason = why_no_set_up()
     if reason is not None:
         raise PlgsError("set-up-refused", "the engine cannot be set up now", "Set Up Engine", reason)
@@ -226,7 +230,7 @@ def set_up(choice: SetUpChoice) -> SetUp:
 
 
 def remove() -> Removal:
-    """Delete all environments that "Set Up Engine" made, and nothing else. Raises PlgsError, OSError."""
+    """Delete all environments that "Set Up Engine" made, and nothing else. Raises PlgsError while it runs; OSError."""
     if running_set_up() is not None:
         what = "the engine is being set up"
         raise PlgsError("being-set-up", what, environments_folder(), "Wait until it is done, or cancel it.")

@@ -129,7 +129,7 @@ def values_of(data: Any, name: str, field: str = "vector", width: int = 3) -> ND
 
 
 def row_of(root: bpy.types.Collection, instance: int) -> Any:
-    """Return the row of an instance (0: the list's active one). Raises PlgsError."""
+    """Return the row of an instance (0: the list's active one). Raises PlgsError if there is none."""
     lists = root.plgs
     if instance == 0:
         if 0 <= lists.instance_index < len(lists.instances):
@@ -144,7 +144,7 @@ def row_of(root: bpy.types.Collection, instance: int) -> Any:
 
 
 def class_row_of(root: bpy.types.Collection, class_id: int) -> Any:
-    """Return the row of a class in the list. Raises PlgsError."""
+    """Return the row of a class in the list. Raises PlgsError if the lift lacks the class."""
     row = next((row for row in root.plgs.classes if row.class_id == class_id), None)
     if row is None:
         ids = ", ".join(str(row.class_id) for row in root.plgs.classes) or "none"
@@ -304,7 +304,7 @@ def follow(*_arguments: object) -> None:
 
 
 def follow_name() -> None:
-    """Give the instance of the active box or mesh its object's name, if the user changed that, as in the outliner."""
+    """If the user renamed the active box or mesh, as in the outliner, rename the lift's instance that it shows."""
     context = bpy.context
     ob = context.view_layer.objects.active if context.view_layer is not None else None
     if ob is None or not instance_of(ob) or ob.name == ob.get(SHOWN, ob.name):

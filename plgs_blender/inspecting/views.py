@@ -69,8 +69,8 @@ def best_frame(root: bpy.types.Collection, instance: int = 0) -> str:
 
 def mask_frame(root: bpy.types.Collection, instance: int, frame: str, segment: int = 0) -> str:
     """Make one of the masks that were matched to an instance the active one in its list, and return the mask's frame.
-    It is the mask of `frame` (with the id `segment`, unless 0), or the active mask if `frame` is "". Raises
-    PlgsError."""
+    It is the mask of `frame` (with the id `segment`, unless 0), or the active mask if `frame` is "". Raises PlgsError
+    if there is no such mask."""
     row = row_of(root, instance)
     chosen = [
         index

@@ -91,7 +91,7 @@ class Diagnosis(SceneTask):
             self.undo_step = "PLGS Fix"
 
     def _read(self, answer: Mapping[str, Any]) -> None:
-        """Read the findings in the engine's answer. Raises PlgsError."""
+        """Read the findings in the engine's answer. Raises PlgsError if it has another form."""
         try:
             diagnosis = answer["diagnosis"]
             self.findings = tuple(_finding(entry, self._folder) for entry in diagnosis["findings"])

@@ -99,7 +99,7 @@ def export(
     asked: bool = True,
 ) -> Export:
     """Start an export of a finished lift into the folder ``output``, of ``frames`` or of a file of ``cameras``.
-    ``shown_in`` and ``asked`` are as in `Export`. Raises PlgsError, OSError."""
+    ``shown_in`` and ``asked`` are as in `Export`. Raises PlgsError if one is running; OSError."""
     if not asked or is_busy():
         registry.refuse_second(Export)
     registry.forget(Export.kind)
@@ -110,7 +110,8 @@ def export(
 
 
 def make_meshes(lift: Path, scene: bpy.types.Scene, frames: str = "all", *, asked: bool = True) -> Export:
-    """Let an engine make the meshes of a lift that is in the scene, and add them. Raises PlgsError, OSError."""
+    """Let an engine make the meshes of a lift that is in the scene, and add them. ``frames`` and ``asked`` are as in
+    `export`. Raises PlgsError without an engine; OSError."""
     root_of_placed(lift, scene)  # raises an error now, not when the meshes are made
     python = engine_environment.usable_python()
     return export(lift, SURFACE, mesh_folder(lift), python, [frames], shown_in=scene.name, asked=asked)

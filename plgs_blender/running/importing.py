@@ -63,7 +63,7 @@ class FrameMaking(Task):
         return not self.order.lift and self.is_running and self.progress.step > 0 and self._place_cameras()
 
     def _place_cameras(self) -> bool:
-        """Place the cameras, if they are ready. Returns whether it did. Raises PlgsError."""
+        """Place the cameras, if they are ready. Returns whether it did. Raises PlgsError for a damaged note."""
         made, target = made_of(self._folder, self.order.chosen.resolved), bpy.data.scenes.get(self.order.scene)
         if made is None or target is None:
             return False
@@ -117,7 +117,8 @@ def _place(chosen: ChosenScene, scene: bpy.types.Scene, made: MadeFrames | None,
 
 def begin_import(scene: bpy.types.Scene, *, cloud: bool = True) -> FrameMaking | None:
     """Import the panel's scene. Plain folders are placed at once, and an engine, if any, makes what is missing. Cameras
-    of other layouts appear when the engine has read them. Returns its task, or None. Raises PlgsError, OSError."""
+    of other layouts appear when the engine has read them. Returns the engine's task, None without one. Raises PlgsError
+    for a bad scene; OSError."""
     if not scene.plgs.scene_folder:
         raise PlgsError("no-scene", "no scene is chosen", "Scene", "Choose a capture's folder or file.")
     chosen = chosen_scene(scene.plgs)
@@ -154,7 +155,7 @@ def what_is_missing(root: bpy.types.Collection) -> str:
 def show_picture(scene: bpy.types.Scene, shown_kind: str, *, asked: bool = True) -> FrameMaking | None:
     """Show the photo, depth or masks of the active camera's frame in front of its view. If an engine must make the
     picture, return its task, which then shows it, with an undo step if a user ``asked``. Without an engine, an outdated
-    picture is shown. Raises PlgsError, OSError."""
+    picture is shown. Raises PlgsError without a frame's camera; OSError."""
     reason = frame_pictures.why_no_picture(scene)
     if reason is not None:
         raise PlgsError("other-camera", "the active camera is not a frame's", scene.name, f"{reason}.")
@@ -177,7 +178,7 @@ def show_picture(scene: bpy.types.Scene, shown_kind: str, *, asked: bool = True)
 
 
 def _picture_file(root: bpy.types.Collection, name: str, chosen: ChosenScene, made: MadeFrames | None) -> Path | None:
-    """Return the image file of a frame; None if an engine must make it. Raises PlgsError."""
+    """Return the image file of a frame; None if an engine must make it. Raises PlgsError if the frame is gone."""
     if text_of(root, FOLDER):
         opened = known_scene(LiftFolder.open(absolute(root[FOLDER])))
     elif chosen.is_plain:

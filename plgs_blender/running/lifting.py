@@ -169,7 +169,7 @@ def find_scene(scene: bpy.types.Scene, place: Path, folder: str = "") -> SceneFi
 
 def join_lift(scene: bpy.types.Scene, folder: str = "") -> Lift:
     """Follow the lift in `folder`, else the settings' lift, and copy its options to the settings. A finished lift is
-    put into the scene at the next polls, if the scene wants it. Raises PlgsError."""
+    put into the scene at the next polls, if the scene wants it. Raises PlgsError if there is no lift."""
     lift = lift_at(scene.plgs, folder)
     followed = lifts.attach(lift.path)
     adopt(scene.plgs, lift.request, lift.path)
@@ -179,7 +179,8 @@ def join_lift(scene: bpy.types.Scene, folder: str = "") -> Lift:
 
 
 def bind_lift(scene: bpy.types.Scene, active: bpy.types.Object | None, folder: Path) -> str:
-    """Tell the lift that the panels show, and the panel, the folder to which it was moved. Raises PlgsError."""
+    """Tell the shown lift and the panel the folder to which it was moved. Raises PlgsError if that holds another
+    lift."""
     root = find_lift(scene, active=active)
     bind(root, folder)
     lift = lifts.attach(folder).folder
@@ -212,7 +213,8 @@ def why_no_bake(settings: PLGS_PG_settings) -> str | None:
 
 
 def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Lift:
-    """Let an engine bake frames: "all", the held-out ones ("test"), or the "active" one. Raises PlgsError, OSError."""
+    """Let an engine bake frames: "all", held-out ones ("test"), or the "active" one. Raises PlgsError if none can;
+    OSError."""
     lift = lift_at(scene.plgs, folder)
     names = [frames]
     if frames == "active":
@@ -244,7 +246,8 @@ def bake_on_farm(scene: bpy.types.Scene, folder: str = "") -> Path:
 
 
 def export_lift(settings: PLGS_PG_settings, form: str, output: str, frames: str, folder: str = "") -> exports.Export:
-    """Let an engine export a finished lift into the folder ``output``. Raises PlgsError, OSError."""
+    """Let an engine write a finished lift in the format ``form``, as ``frames`` see it, into the folder ``output``.
+    Raises PlgsError without an engine; OSError."""
     lift = lift_at(settings, folder)
     if not output:
         raise PlgsError("folder-needed", "needs a folder", f"Export of {form}", "Choose where the files should go.")
@@ -253,7 +256,7 @@ def export_lift(settings: PLGS_PG_settings, form: str, output: str, frames: str,
 
 def make_depth_cloud(scene: bpy.types.Scene, frame: str, folder: str = "") -> exports.Export:
     """Let an engine make labelled points of what a frame's camera sees of a placed lift, and put them into the scene.
-    If ``frame`` is "", use the active camera's current view. Raises PlgsError, OSError."""
+    If ``frame`` is "", use the active camera's current view. Raises PlgsError without an engine; OSError."""
     lift = lift_at(scene.plgs, folder).path
     root, python = root_of_placed(lift, scene), engine_environment.usable_python()
     if not frame and scene.camera is not None:
@@ -265,7 +268,7 @@ def make_depth_cloud(scene: bpy.types.Scene, frame: str, folder: str = "") -> ex
 
 def showing_lift(scene: bpy.types.Scene, folder: str = "") -> Generator[None, None, Placed | None]:
     """Put the finished lift in `folder`, else the settings' lift, into the scene, part by part. Returns where it is;
-    None if the scene is gone by then. Raises PlgsError."""
+    None if the scene is gone by then. Raises PlgsError if the lift is not finished."""
     lift = lift_at(scene.plgs, folder)
     try:
         return (yield from lifts.showing_lift(scene, lift))

@@ -263,7 +263,8 @@ def bake(
     keep_running: bool = False,
 ) -> Lift:
     """Let an engine bake more passes of a finished lift: of frames ("test", "all", or names), or of the ``cameras`` in
-    a file, with these FURTHER_LAYERS. Other processes may bake it at the same time. Raises PlgsError, OSError."""
+    a file, with these FURTHER_LAYERS. Other processes may bake it at the same time. Raises PlgsError while another bake
+    ends; OSError."""
     known = lift_of(lift.path)
     if known is not None and known.is_running and known.follower.is_own:
         what, fix = "this Blender is already baking or lifting here", "Wait for it, or cancel it first."
@@ -323,7 +324,7 @@ def showing_lift(
 ) -> Generator[None, None, Placed | None]:
     """Put a finished lift into the scene, copy its options to the panel and point the 3D views at it, in parts, so that
     the window does not freeze. Returns where it is; None if, once the lift is read, the scene is gone or `is_wanted` is
-    false for it. Raises PlgsError."""
+    false for it. Raises PlgsError if the lift is unfinished or damaged."""
     name = scene.name
     read = yield from reading_lift(lift.path)
     scene = bpy.data.scenes.get(name)  # undo may have put another one in its place

@@ -123,7 +123,8 @@ class ClassWriting(SceneTask):
 
 
 def read_classes(scene: bpy.types.Scene, table: str = OWN_TABLE) -> ClassListing:
-    """Let an engine list the classes of the panel's scene. Raises PlgsError, OSError."""
+    """Let an engine list the classes of the panel's scene, by one of TABLE_ITEMS. Raises PlgsError without an engine;
+    OSError."""
     registry.refuse_second(ClassListing)
     chosen = chosen_scene(scene.plgs)
     more = [] if table == OWN_TABLE else ["--table", table]
@@ -213,7 +214,7 @@ def make_depth(chosen: ChosenScene, python: Path, model: str, *, download: bool)
 
 def prepare_film(settings: Any, film: Path, python: Path, model: str, *, download: bool) -> FilmMaking:
     """Choose a film, or a folder of photos, as the scene, and start an engine that makes what it lacks (masks with the
-    network ``model``), after which the lift starts. Raises OSError, PlgsError."""
+    network ``model``), after which the lift starts. Raises PlgsError while another film is prepared; OSError."""
     registry.refuse_second(FilmMaking)
     settings.scene_folder = settings.masks = settings.detections = settings.depth = ""  # they belong to another scene
     settings.scene_folder = str(film)
@@ -223,7 +224,7 @@ def prepare_film(settings: Any, film: Path, python: Path, model: str, *, downloa
 
 def set_scale(chosen: ChosenScene, python: Path, length: float, metres: float) -> ScaleSetting:
     """Start an engine that scales the scene so that what is now ``length`` long becomes ``metres`` long. Raises
-    OSError, PlgsError."""
+    PlgsError if one is already running; OSError."""
     registry.refuse_second(ScaleSetting)
     command: list[str | Path] = [chosen.scene, "--measured", str(length), str(metres)]
     return registry.begin(ScaleSetting(chosen, start_engine("scale", python, *command)))

@@ -101,7 +101,7 @@ class VoxelMap:
 
 
 def add_voxel_vote(report: Report, scene: Scene) -> None:
-    """Score the voxel vote on the held-out frames that have ground truth. Raises PlgsError."""
+    """Score the voxel vote on the held-out frames that have ground truth. Raises PlgsError for a bad file."""
     frames = [frame for frame in scene.test_frames if frame.read_ground_truth is not None]
     voxels = vote(scene) if frames else None
     if voxels is not None:
@@ -110,7 +110,7 @@ def add_voxel_vote(report: Report, scene: Scene) -> None:
 
 
 def vote(scene: Scene) -> VoxelMap | None:
-    """The voxels that the training views vote on, or None when no pixel could vote. Raises PlgsError."""
+    """The voxels that the training views vote on, or None when no pixel could vote. Raises PlgsError for a bad file."""
     votes = VoxelVote(scene.classes)
     frames = scene.train_frames
     for index in np.linspace(0, len(frames) - 1, min(len(frames), MOST_VOTERS)).round().astype(int):

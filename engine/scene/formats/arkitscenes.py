@@ -62,7 +62,7 @@ def _read(place: Path, progress: Progress) -> Capture:
 
 
 def _by_time(files: Mapping[str, Path]) -> dict[float, Path]:
-    """Return the files by the seconds at the end of their names. Raises PlgsError."""
+    """Return the files by the seconds at the end of their names. Raises PlgsError for a name without them."""
     found = {}
     for stem, path in files.items():
         try:
@@ -79,7 +79,7 @@ def _nearest(of_times: Mapping[float, Value], seconds: float) -> Value | None:
 
 
 def _read_trajectory(path: Path) -> dict[float, NDArray[np.float64]]:
-    """Read camera-to-world poses, float64 [4, 4], by ascending seconds. Raises PlgsError."""
+    """Read camera-to-world poses, float64 [4, 4], by ascending seconds. Raises PlgsError for other text."""
     import cv2
 
     found = {}

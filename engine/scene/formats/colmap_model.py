@@ -75,7 +75,7 @@ def has_model(folder: Path) -> bool:
 
 
 def read_model(folder: Path) -> ColmapModel:
-    """Read the model in ``folder``, the binary one if there are two. Raises PlgsError."""
+    """Read the model in ``folder``, the binary one if there are two. Raises PlgsError if it is damaged."""
     if (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file():
         cameras, images = _binary_cameras(folder / "cameras.bin"), _binary_images(folder / "images.bin")
     else:
@@ -164,7 +164,7 @@ def _as_points(
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield the lines that are not comments, with their numbers. Raises PlgsError."""
+    """Yield the lines that are not comments, with their numbers. Raises PlgsError for a file that is no text."""
     text = read_text(path, _MOST_TEXT, EXPORT_AGAIN)
     check_count(text.count("\n"), "lines", path, EXPORT_AGAIN, most=_MOST_LINES, room=len(text), made=_LINE_IN_MEMORY)
     return ((number, line) for number, line in enumerate(text.split("\n"), start=1) if not line.startswith("#"))

@@ -102,7 +102,7 @@ def planar_depth(path: Path, projection: Projection) -> NDArray[np.float32]:
 
 
 def tone_mapped(path: Path) -> NDArray[np.uint8]:
-    """Read a linear picture and tone map it to uint8 [H, W, 3] RGB. Raises PlgsError."""
+    """Read a linear picture and tone map it to uint8 [H, W, 3] RGB. Raises PlgsError if it is no colour picture."""
     linear = np.nan_to_num(read_hdf5(path, 3).astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
     if linear.shape[2] != 3:
         raise PlgsError("not-colour", "the picture does not have three channels", path, "Download it again.")
@@ -113,7 +113,8 @@ def tone_mapped(path: Path) -> NDArray[np.uint8]:
 
 
 def read_hdf5(path: Path, dimensions: int) -> NDArray[Any]:
-    """Read the numbers in the array called "dataset", which must have this many ``dimensions``. Raises PlgsError."""
+    """Read the numbers in the array called "dataset", which must have this many ``dimensions``. Raises PlgsError if it
+    is missing or damaged."""
     with _dataset(path, dimensions) as dataset:
         values: NDArray[Any] = dataset[()]
     return values

@@ -92,7 +92,7 @@ def _read(place: Path, progress: Progress) -> Capture:
 
 
 def _chunk(path: Path) -> tuple[ElementTree.Element, list[str]]:
-    """Return the first chunk that has cameras, and warnings. Raises PlgsError."""
+    """Return the first chunk that has cameras, and warnings. Raises PlgsError if the file has none."""
     text = read_text(path, LARGEST_TABLE, _FIX)
     if "<!DOCTYPE" in text or "<!ENTITY" in text:  # a few lines of these unpack to any size
         raise PlgsError("xml-entities", "the XML defines entities, as Metashape never does", path, _FIX)

@@ -99,7 +99,7 @@ class Video:
         self._lock = Lock()
 
     def frame(self, number: int) -> NDArray[np.uint8]:
-        """Return frame ``number``, counted from 0, uint8 [H, W, 3] RGB. Raises PlgsError."""
+        """Return frame ``number``, counted from 0, uint8 [H, W, 3] RGB. Raises PlgsError if it is missing."""
         with self._lock:
             self._go_to(number)
             good, pixels = self._capture.read()
@@ -110,13 +110,13 @@ class Video:
         return np.ascontiguousarray(pixels[..., ::-1])
 
     def _numbers(self, *properties: int) -> list[int]:
-        """Return numbers from its header, by OpenCV's ``properties``. Raises PlgsError."""
+        """Return numbers from its header, by OpenCV's ``properties``. Raises PlgsError if there is no video."""
         with self._lock:
             self._go_to(0)
             return [int(self._capture.get(each)) for each in properties]
 
     def size(self) -> Size:
-        """(width, height) of its pictures, from its header. Raises PlgsError."""
+        """(width, height) of its pictures, from its header. Raises PlgsError if it cannot be opened."""
         import cv2
 
         width, height = self._numbers(cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
@@ -134,7 +134,7 @@ class Video:
         return count
 
     def fps(self) -> float | None:
-        """Frames per second, from its header; None if it does not say. Raises PlgsError."""
+        """Frames per second, from its header; None if it does not say. Raises PlgsError if it is no video."""
         import cv2
 
         with self._lock:

@@ -167,7 +167,7 @@ def _lens(width: float, height: float, K: NDArray[np.float64], path: Path) -> Ca
 
 
 def _take(file: BinaryIO, layout: str, path: Path) -> tuple[float, ...]:
-    """Read the next values; ``layout`` is a format of ``struct``. Raises PlgsError."""
+    """Read the next values; ``layout`` is a format of ``struct``. Raises PlgsError if the file ends before."""
     size = struct.calcsize(layout)
     data = file.read(size)
     if len(data) < size:

@@ -100,7 +100,7 @@ def read_categories(
     content: dict[str, Any], table: Path, key: str = "categories", kind: str = "isthing", *, may_lack: bool = False
 ) -> tuple[ClassLabel, ...]:
     """The classes that a table lists under ``key``, by ascending id. ``kind`` is the key that says whether one is a
-    thing; if it ``may_lack``, the name decides. Raises PlgsError."""
+    thing; if it ``may_lack``, the name decides. Raises PlgsError for a repeated or impossible id."""
     found: dict[int, ClassLabel] = {}
     for position, entry in enumerate(take_objects(content, key, "the file", table)):
         context = f"category {position}"
@@ -141,7 +141,7 @@ def _entries_by_frame(content: dict[str, Any], table: Path, names: Sequence[str]
 
 
 def images_of(content: dict[str, Any], table: Path) -> dict[str, str]:
-    """Return the stem of each image's file, by the image's id as text. Raises PlgsError."""
+    """Return the stem of each image's file, by the image's id as text. Raises PlgsError for an image without either."""
     images: dict[str, str] = {}
     for position, image in enumerate(take_objects(content, "images", "the file", table) if "images" in content else ()):
         named = next((key for key in ("file_name", "coco_url") if key in image), None)  # LVIS has only the latter

@@ -225,7 +225,8 @@ def check_picture(size: Size, context: str, path: Path) -> None:
 
 
 def _whole_numbers(values: list[Any], key: str, count: int | None, context: str, path: Path) -> list[int]:
-    """Return ``values``, ``count`` of them, as whole numbers from 0 to LARGEST_PIXELS. Raises PlgsError."""
+    """Return the ``count`` whole numbers from 0 to LARGEST_PIXELS in ``values``. Raises PlgsError for other values; it
+    names the entry ``context``, its ``key`` and the file ``path``."""
     wrong = [one for one in values if type(one) is not int or not 0 <= one <= LARGEST_PIXELS]
     if wrong or (count is not None and len(values) != count):
         amount = "" if count is None else f"{count} "
@@ -234,7 +235,7 @@ def _whole_numbers(values: list[Any], key: str, count: int | None, context: str,
 
 
 def _polygon(values: Any, size: Size, context: str, path: Path) -> list[float]:
-    """Return the corners of a polygon as x, y, x, y, ..., moved into the picture. Raises PlgsError."""
+    """Return the corners of a polygon as x, y, x, y, ..., moved into the picture. Raises PlgsError for other lists."""
     numbers = values if isinstance(values, list) else []
     are_finite = all(type(one) in (int, float) and abs(one) < 1e300 for one in numbers)
     if len(numbers) < 6 or len(numbers) % 2 or not are_finite:
@@ -245,7 +246,8 @@ def _polygon(values: Any, size: Size, context: str, path: Path) -> list[float]:
 
 
 def read_table(place: Path) -> DetectionTable:
-    """Read the detections in a file, or in a folder with one such file or one for each frame. Raises PlgsError."""
+    """Read the detections in a file, or a folder with one file, or one for each frame. Raises PlgsError for other
+    files."""
     files = sorted(shown_files(place, "*.json")) if place.is_dir() else [place]
     if len(files) != 1:
         tables = [(path.stem, _table_of(path)) for path in files]

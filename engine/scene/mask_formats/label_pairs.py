@@ -55,7 +55,8 @@ def _read_pairs(place: Path, names: Sequence[str], progress: Progress) -> MaskSo
 def label_pairs(
     classes: Mapping[str, Path], instances: Mapping[str, Path], progress: Progress = unwatched
 ) -> dict[str, StoredMask]:
-    """Make masks from each frame's image of ``classes`` and, if there are any, of ``instances``. Raises PlgsError."""
+    """Make masks from each frame's image of ``classes`` and, if there are any, of ``instances``. Raises PlgsError if
+    the images of a frame differ in size or hold no ids."""
     masks = {}
     for name, path in watched([*classes.items()], progress):
         size, instance = label_map_size(path), instances.get(name)

@@ -149,7 +149,7 @@ def _by_frame(folder: Path, suffix: str) -> dict[str, Path]:
 
 
 def _objects_of(path: Path) -> dict[int, str]:
-    """Return the class of each object's number. Raises PlgsError."""
+    """Return the class of each object's number. Raises PlgsError for a table of another form."""
     labels: Any = read_json_object(path).get("labels")
     if not isinstance(labels, dict):
         raise wrong_type("labels", "an object", labels, "the file", path)

@@ -75,7 +75,7 @@ def _key_of(place: Path) -> str | None:
 
 
 def _segments_info(path: Path) -> list[dict[str, Any]]:
-    """Return the list of segments in a file: alone, or as "segments_info" of an object. Raises PlgsError."""
+    """Return a file's list of segments, the whole content or "segments_info" in it. Raises PlgsError if it has none."""
     data = read_file(path, LARGEST_TABLE)
     if data.lstrip().startswith(b"["):
         data = b'{"segments_info": ' + data + b"}"
@@ -107,7 +107,8 @@ def _read_detectron2(place: Path, names: Sequence[str], progress: Progress) -> M
 def _detectron2_source(
     pictures: Mapping[str, Path], tables: Mapping[str, Path], infos: Mapping[str, list[dict[str, Any]]], is_apart: bool
 ) -> MaskSource:
-    """Return the masks. With ``is_apart``, stuff is numbered separately, after COCO's things. Raises PlgsError."""
+    """Return the masks of the frames: ``pictures`` of ids, and the segments (``infos``) that the files ``tables`` list.
+    With ``is_apart``, stuff is numbered separately, after COCO's things. Raises PlgsError for a bad id or class."""
     kinds: dict[int, bool] = {}
     segments: dict[str, dict[int, FoundSegment]] = {}
     for name in infos:

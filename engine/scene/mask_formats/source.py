@@ -141,7 +141,7 @@ def painted_files(paths: Sequence[Path], segments: Sequence[FoundSegment], size:
 
 
 def pile(paths: Sequence[Path], segments: Sequence[FoundSegment], fix: str) -> StoredMask:
-    """Return a frame's mask that is stored as one PNG per segment. Raises PlgsError."""
+    """Return a frame's mask that is stored as one PNG per segment. Raises PlgsError if there is none of them."""
     size = label_header(paths[0]).size
     return StoredMask(paths[0], size, partial(painted_files, (*paths,), segments, size, fix))
 
