@@ -1,7 +1,6 @@
 """Turns a lift's result into Blender data-blocks. Start with `lift_scene.place_lift` and `lift_scene.save_lift`.
 
-They behave the same in a script, a test or an operator: no selection, mode or window matters.
-"""
+They behave the same in a script, a test or an operator: no selection, mode or window matters."""
 
 from __future__ import annotations
 

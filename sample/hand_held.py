@@ -3,8 +3,7 @@
 SCENE is a rendered scene, exact in colour, depth and poses. OUT shows it as a hand-held camera with a structured-light
 sensor would: exposure and white balance drift, some frames are blurred, undistortion leaves black borders, poses are
 slightly wrong, depth is coarse, noisy, quantised and full of holes. Ground truth, masks, split and intrinsics are
-copied. ``hand_held.json`` lists what was done to each frame, ``capture_noise.CaptureNoise`` how much.
-"""
+copied. ``hand_held.json`` lists what was done to each frame, ``capture_noise.CaptureNoise`` how much."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 SCENE is a scene with ground truth and depth, in any layout. It writes ``panoptic.json`` (COCO panoptic, a score per
 segment) and ``panoptic/*.png`` (segment id = R + 256 G + 65536 B, 0 = void). All other programs use the ground truth
-only for evaluation. ``BeliefNoise`` and ``MaskNoise`` of mask_noise.py say what a network gets wrong, and how often.
-"""
+only for evaluation. ``BeliefNoise`` and ``MaskNoise`` of mask_noise.py say what a network gets wrong, and how often."""
 
 from __future__ import annotations
 

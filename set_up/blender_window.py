@@ -4,8 +4,7 @@
     python set_up/blender_window.py sid         # Blender 5.2, in build/blender-sid
 
 Run it as root on a Debian. Packages come from the machine's own sources. A tree is complete when its stamp, which is
-written last, names the present packages. Any other tree is made again.
-"""
+written last, names the present packages. Any other tree is made again."""
 
 from __future__ import annotations
 

@@ -5,8 +5,7 @@
 
 `.venv` runs everything. `.venv-next` is for tests of the Blender side on the next Blender; it has no torch, because the
 engine runs in an environment of its own. An environment is complete when its stamp, which is written last, names the
-present requirements. Any other environment is made again.
-"""
+present requirements. Any other environment is made again."""
 
 from __future__ import annotations
 

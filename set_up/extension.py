@@ -3,8 +3,7 @@
     python set_up/extension.py FOLDER           # makes FOLDER/plgs-<version>.zip, index.json and index.html
 
 The tool belongs to the `blender` on PATH, if that is new enough to have one, else to the bpy module of the Python that
-runs this program.
-"""
+runs this program."""
 
 from __future__ import annotations
 

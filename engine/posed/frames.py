@@ -1,8 +1,7 @@
 """Posed cameras, and posed frames: all that Blender needs of a scene.
 
 One convention everywhere in the engine: OpenCV axes (x right, y down, z forward), camera-to-world matrices in metres,
-world z up, and pixel (i, j) centred at (i + 0.5, j + 0.5), so that ``cx = width / 2`` is the middle of the picture.
-"""
+world z up, and pixel (i, j) centred at (i + 0.5, j + 0.5), so that ``cx = width / 2`` is the middle of the picture."""
 
 from __future__ import annotations
 

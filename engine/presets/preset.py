@@ -3,8 +3,7 @@
 Each field is an option. It has the same name here, after --set, in a preset's file and in request.json; a field of a
 group is called ``group.field``. What neither a preset nor an experiment varies is a constant beside the code that uses
 it. Every schedule point is a fraction of the steps, so that a preset with 500 steps goes through the same stages as the
-paper's 30 000 (see its "Implementation Details").
-"""
+paper's 30 000 (see its "Implementation Details")."""
 
 from __future__ import annotations
 

@@ -9,8 +9,7 @@ cancel. It uses rounded boxes to decide what is ``visible``. It sums gradients i
 same, bit for bit. The blur of 0.3 px^2, the clamp margins, the near plane, the least alpha of 1/255 and the end of a
 pixel at 1e-4 agree.
 
-``docs/speed.md`` has measurements on a GPU.
-"""
+``docs/speed.md`` has measurements on a GPU."""
 
 from __future__ import annotations
 

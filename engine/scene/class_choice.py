@@ -3,8 +3,7 @@
 * ``table = "coco"``: the table of the masks' numbers, if their files have none: one of ``TABLES`` or ``NUMBERINGS``.
 * ``to = "reduced"``: maps the classes to the paper's 21. ``void = [255]``: numbers that mean nothing.
 * ``[[class]]``, for each class: ``id = 56``, the number in the masks, or a ``name`` that they have; ``thing = true``;
-  ``into = "seat"``, the class that it counts as ("void": nothing); ``colour = "#c8a064"``.
-"""
+  ``into = "seat"``, the class that it counts as ("void": nothing); ``colour = "#c8a064"``."""
 
 from __future__ import annotations
 

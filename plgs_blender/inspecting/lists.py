@@ -1,7 +1,6 @@
 """The lists of instances, their masks, and classes in a lift's collection, `collection.plgs`, saved in the .blend.
 
-Rows are copies of the result's instances.json, so panels and overlays never read a file.
-"""
+Rows are copies of the result's instances.json, so panels and overlays never read a file."""
 
 from __future__ import annotations
 

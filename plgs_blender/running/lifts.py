@@ -1,8 +1,7 @@
 """The lifts that this Blender follows, by folder, and the live preview of a running lift through the active camera.
 
 The engine renders the view that the lift folder's `preview.json` describes. Its picture is drawn over the camera's
-frame in the 3D views: no camera is changed, and nothing stays in the file.
-"""
+frame in the 3D views: no camera is changed, and nothing stays in the file."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """A baseline without a lift: a majority vote in voxels over the input masks.
 
 Every labelled pixel of the training views votes for its class in the 5 cm voxel it falls in. A test view is read back
-with its own depth, which a lifted model is not given: this baseline needs depth everywhere.
-"""
+with its own depth, which a lifted model is not given: this baseline needs depth everywhere."""
 
 from __future__ import annotations
 
@@ -67,8 +66,7 @@ class VoxelMap:
     """Occupied voxels: packed indices int64 [N], ascending; class ids and instance ids int32 [N].
 
     Masks give objects new names in every view, so ids cannot be voted on. An instance is a connected component (26
-    neighbours) of voxels of one thing class.
-    """
+    neighbours) of voxels of one thing class."""
 
     voxels: NDArray[np.int64]
     class_id: NDArray[np.int32]
@@ -78,8 +76,7 @@ class VoxelMap:
         """Class and instance ids, int32 [H, W] each, of a view whose depth, float32 [H, W] metres, is known.
 
         A point in an empty voxel takes the nearest occupied voxel's labels, a pixel without depth those of
-        the nearest pixel with depth, so that void is never predicted. Without any depth all is 0.
-        """
+        the nearest pixel with depth, so that void is never predicted. Without any depth all is 0."""
         from scipy.ndimage import distance_transform_edt
         from scipy.spatial import cKDTree
 

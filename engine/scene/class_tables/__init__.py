@@ -4,8 +4,7 @@ One CSV per table: ``id`` in the results of networks trained on it, ``name``, ``
 ``reduced``, the class of ``reduced.csv`` (0 = void). ``coco.csv`` counts from 0 to 132; ``coco_id`` is the category id
 in the data set's own files, 1 to 90 for things. ``cityscapes.csv`` has the 19 numbers that networks are trained on, and
 the data set's own as ``label_id``; ``nyu40.csv`` has those of ScanNet's 20 classes too. ``scannet.csv`` has the ids of
-ScanNet's raw labels, and ``scannet200.csv`` the commonest of them.
-"""
+ScanNet's raw labels, and ``scannet200.csv`` the commonest of them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """The formats of scenes: one reader each, which recognises its files by their names and reads posed pictures.
 
-A new format's ``SceneFormat`` goes into ``FORMATS``, and its name into ``engine/scene_source.py``.
-"""
+A new format's ``SceneFormat`` goes into ``FORMATS``, and its name into ``engine/scene_source.py``."""
 
 from __future__ import annotations
 

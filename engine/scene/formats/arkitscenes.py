@@ -6,8 +6,7 @@
   world-to-camera, OpenCV axes, z up. Poses between two are interpolated.
 * ``lowres_depth/``: 16-bit PNG in millimetres, 256x192; ``confidence/`` 0 to 2: pixels with 0 are dropped.
 
-See DATA.md of github.com/apple/ARKitScenes. It does not say where pixels count from; their corners are assumed.
-"""
+See DATA.md of github.com/apple/ARKitScenes. It does not say where pixels count from; their corners are assumed."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Bundler's ``.out`` file beside its photos, as Bundler, Metashape and RealityCapture write it.
 
 Its manual, "Output format": P = R X + t, looking along -z with y up; p = -P / P.z; p' = f (1 + k1 p^2 + k2 p^4) p in
-pixels from the picture's middle. Cameras have the order of the list of pictures; without a pose, f is 0.
-"""
+pixels from the picture's middle. Cameras have the order of the list of pictures; without a pose, f is 0."""
 
 from __future__ import annotations
 

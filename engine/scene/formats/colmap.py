@@ -3,8 +3,7 @@
 World-to-camera poses, OpenCV axes, pixel centres at +0.5; the world keeps the reconstruction's rotation and scale.
 Pictures listed in ``test.txt`` beside the model are held out. A dense workspace, here or in ``dense/0`` or ``dense``,
 has depth as well: ``stereo/depth_maps/<image>.geometric.bin`` (or ``.photometric.bin``), planar, in the
-reconstruction's unit. If `python -m engine poses` made the model, depth beside the photos, in ``depth``, is read.
-"""
+reconstruction's unit. If `python -m engine poses` made the model, depth beside the photos, in ``depth``, is read."""
 
 from __future__ import annotations
 

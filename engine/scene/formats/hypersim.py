@@ -6,8 +6,7 @@
 * ``images/scene_cam_00_final_preview/frame.0000.tonemap.jpg``, or ``scene_cam_00_final_hdf5/frame.0000.color.hdf5``,
   linear, which is tone mapped as the project's own tool does it.
 * ``metadata_camera_parameters.csv`` (of the project, for all scenes; in the scene's folder or one of the two above):
-  the rays of each pixel, ``M_cam_from_uv``. More than half of the scenes have a tilted lens: they are straightened.
-"""
+  the rays of each pixel, ``M_cam_from_uv``. More than half of the scenes have a tilted lens: they are straightened."""
 
 from __future__ import annotations
 

@@ -13,8 +13,7 @@ smaller than colour; pixels of the lowest confidence are dropped.
 * Stray Scanner: ``rgb.mp4``, ``odometry.csv``, ``camera_matrix.csv``, ``depth/000000.png`` (older scans: .npy),
   ``confidence/000000.png``. A line of the odometry describes a frame of the video: ``timestamp, frame, x, y, z, qx, qy,
   qz, qw``, OpenCV axes; newer files add ``fx, fy, cx, cy``. The matrix is for the video's size. The current app writes
-  two more columns without values; only the columns read here need numbers.
-"""
+  two more columns without values; only the columns read here need numbers."""
 
 from __future__ import annotations
 

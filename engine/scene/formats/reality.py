@@ -2,8 +2,7 @@
 
 A row a photo: ``#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2``. Angles are degrees; z is up. The focal
 length is that of a film 36 mm wide, and the principal point counts from the middle, in parts of the longer side ("XMP
-Camera Math" of its support; nerfstudio and Brush read it so). The distortion is Brown's, as OpenCV's; k4 is of r^8.
-"""
+Camera Math" of its support; nerfstudio and Brush read it so). The distortion is Brown's, as OpenCV's; k4 is of r^8."""
 
 from __future__ import annotations
 

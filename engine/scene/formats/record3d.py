@@ -6,8 +6,7 @@ Depth is LZFSE of float32 metres, confidence LZFSE of bytes 0 to 2; pixels with 
 takes as much memory as a stream asks for, so ``unpack_lzfse`` bounds the first block's claim and the number of blocks.
 
 Its export "EXR + JPG sequence" is a folder ``EXR_RGBD`` of ``metadata.json``, ``rgb/N.jpg`` or ``.png``, and
-``depth/N.exr`` with metres in the channel R.
-"""
+``depth/N.exr`` with metres in the channel R."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 ``results/frame000000.jpg`` and ``results/depth000000.png``; ``traj.txt``, 16 numbers per line: camera-to-world, OpenCV
 axes, metres, z up; line n is picture n. ``cam_params.json`` there or in the folder above gives fx fy cx cy (integer
-pixel centres) and the depth's steps per metre, 6553.5. Without it, a field of view of 90 degrees is assumed.
-"""
+pixel centres) and the depth's steps per metre, 6553.5. Without it, a field of view of 90 degrees is assumed."""
 
 from __future__ import annotations
 

@@ -17,8 +17,7 @@ Folders ``color/ depth/ pose/ intrinsic/``:
 The ``.sens`` is one file with a header, then frames of a pose, a JPEG or PNG, and compressed depth.
 Camera-to-world, OpenCV axes, metres, z up; -inf when tracking was lost. Colour and depth have intrinsics, with integer
 pixel centres, and extrinsics; depth is planar, 16 bits, ``depth_shift`` steps per metre. Frames are named by their
-number, as ScanNet's labels are.
-"""
+number, as ScanNet's labels are."""
 
 from __future__ import annotations
 

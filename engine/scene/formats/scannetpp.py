@@ -4,8 +4,7 @@ A frame has ``aligned_pose``, camera-to-world in the laser scan's frame, OpenCV 
 3x3. Pictures are ``rgb/frame_000000.jpg`` if they were extracted, else frames of ``rgb.mp4`` or ``rgb.mkv``. Depth
 is ``depth/frame_000000.png`` in millimetres if it was extracted, else ``depth.bin``, 256x192 per frame, planar: one raw
 deflate stream of float32 metres; or for each frame 4 bytes of size (little endian), then an LZ4 block of 16-bit
-millimetres or a raw deflate stream of float32 metres.
-"""
+millimetres or a raw deflate stream of float32 metres."""
 
 from __future__ import annotations
 

@@ -11,8 +11,7 @@ The lens is there or in the folder above, with integer pixel centres:
   pictures of the sizes that it says, and ``m_depthShift`` steps of depth per metre.
 * Without (7-Scenes): raw pictures of a Kinect. Poses and depth are the depth camera's, f 585; the colour camera, f
   525, is 2.5 cm beside it. Depth is read from ``frame-000000.depth.proj.png`` if that exists: there it is
-  registered to colour already. Else it is registered with a Kinect's calibration (LIRIS), as ACE does.
-"""
+  registered to colour already. Else it is registered with a Kinect's calibration (LIRIS), as ACE does."""
 
 from __future__ import annotations
 

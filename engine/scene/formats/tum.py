@@ -8,8 +8,7 @@
 * ``calibration.txt`` (ETH3D): ``fx fy cx cy`` with integer pixel centres, then OpenCV's distortion. Without it, TUM's
   lens is chosen by "freiburg1" to "freiburg3" in the folder's name; otherwise a Kinect's is assumed, with a warning.
 
-ICL-NUIM, whose stamps are whole numbers, is refused: its camera and world are mirrored in y.
-"""
+ICL-NUIM, whose stamps are whole numbers, is refused: its camera and world are mirrored in y."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """The formats of masks: one reader each, which recognises its files and reads segments.
 
-A new format's ``MaskFormat`` goes into ``MASK_FORMATS``, and its name into ``engine/scene_source.py``.
-"""
+A new format's ``MaskFormat`` goes into ``MASK_FORMATS``, and its name into ``engine/scene_source.py``."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 ``<frame>.npy`` or ``.npz``. Whole numbers [H, W] are classes; an .npz may also hold instances (``instance``). Floats
 [C, H, W] or [H, W, C] are probabilities, not necessarily normalised: the greatest wins. Channel k is the class k of the
-table that the user names. A segment's score is the mean probability of its pixels.
-"""
+table that the user names. A segment's score is the mean probability of its pixels."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 Exporters differ: a missing score counts as 1, ``label_id`` (transformers) as ``category_id``, and a palette-free grey
 PNG holds the ids themselves. Tables that would silently mix up segments are refused. Class ids are the category ids; a
-table that uses 0, which is void here, is shifted by one as a whole, in ground truth too.
-"""
+table that uses 0, which is void here, is shifted by one as a whole, in ground truth too."""
 
 from __future__ import annotations
 

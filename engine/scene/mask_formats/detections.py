@@ -6,8 +6,7 @@
   number a class, as with SAM 2.
 * ``<frame>/<k>_<class>_<score>.png``: black and white; the class is a number or a name.
 
-Of detections that overlap, the one with the highest score is on top. Class numbers count from 0.
-"""
+Of detections that overlap, the one with the highest score is on top. Class numbers count from 0."""
 
 from __future__ import annotations
 

@@ -5,8 +5,7 @@ mean nothing unless the table has them. Instance 0 is none: such a region may be
 
 Panoptic Lifting's network masks are folders ``<prefix>_semantics`` and ``<prefix>_instance`` of label images. Of two
 sets, that with test-time augmentation (``m2f_``) is preferred to ``m2f_notta_``, as that project's readers load it; the
-paper seems to use the other. A warning says how to choose.
-"""
+paper seems to use the other. A warning says how to choose."""
 
 from __future__ import annotations
 

@@ -5,8 +5,7 @@ Grounded-SAM-2's tracks do.
   whose number may be 0. The numbers are the same in all frames: ``classes.toml`` may give each one a class.
 * ``amg.py``: ``<frame>/<k>.png`` beside ``<frame>/metadata.csv``, which lists each k. A smaller region is on top.
 * Grounded-SAM-2: ``mask_data/mask_<frame>.npy`` (object numbers, 0 = none, the same in all frames). The ``labels`` of
-  ``json_data/mask_<frame>.json`` give each object's ``instance_id`` and ``class_name`` (free text from the prompt).
-"""
+  ``json_data/mask_<frame>.json`` give each object's ``instance_id`` and ``class_name`` (free text from the prompt)."""
 
 from __future__ import annotations
 

@@ -8,8 +8,7 @@
   model's ``config.json``, if that lies beside them.
 * detectron2: ``{id, isthing, category_id, score}``; ids outside the list are void. ``category_id`` counts without gaps
   from 0 over all classes, or over things and stuff apart (Panoptic FPN on COCO, stuff from 1): then one number is a
-  thing and a stuff class, or else the table that the user names decides (``numbering.py``).
-"""
+  thing and a stuff class, or else the table that the user names decides (``numbering.py``)."""
 
 from __future__ import annotations
 
