@@ -73,14 +73,13 @@ class MovedPoints:
 
 @dataclass(frozen=True)
 class Edit:
-    """One edit. Fields that its ``kind`` does not use are empty.
-
-    A rename has a ``name``. A reclass has a ``class_id``, as has a split whose first part changes its class. A merge
-    turns all ``objects`` into the first. A move gives points of the ``objects`` and of the stuff ``classes`` other
-    labels (``moved``); ``rest`` is the label of the objects' other points, None where they keep theirs. A removal takes
-    the ``objects`` out of the room; what is there instead is in the ``fill`` of this name, whose file has the SHA-256
-    ``digest``. ``raw`` is the entry as it was read, for kinds that this version does not know.
-    """
+    """A change of a lift's objects or labels that a person made, as it is kept in corrections.json: its ``kind``
+    ("rename", "merge" …), with a unique ``uid`` and the ``time``. Fields that its kind does not use are empty. A rename
+    has a ``name``. A reclass has a ``class_id``, as has a split whose first part changes its class. A merge turns all
+    ``objects`` into the first. A move gives points of the ``objects`` and of the stuff ``classes`` other labels
+    (``moved``), perhaps of objects that it ``made``; ``rest`` is the label of the objects' other points, None where
+    they keep theirs. A removal takes the ``objects`` out of the room; ``fill`` names the file of what is there instead,
+    and ``digest`` is its SHA-256. ``raw`` is the entry as it was read, for kinds that this version does not know."""
 
     kind: str = field(metadata=_SHOWN)
     objects: tuple[ObjectMark, ...] = ()
@@ -118,7 +117,7 @@ class _Unknown:
 
 
 def edit_of(entry: dict[str, Any], path: Path) -> Edit:
-    """Return the edit in an entry of corrections.json. Raises PlgsError if it is damaged."""
+    """Return the edit in an ``entry`` of corrections.json, at ``path``. Raises PlgsError if it is damaged."""
     for key in ("kind", "uid", "time"):
         if not entry.get(key):
             raise PlgsError("edit-incomplete", f"an edit has no '{key}'", path, MEND)
@@ -163,7 +162,7 @@ def read_edits(lift: Path) -> tuple[Edit, ...]:
 @contextmanager
 def editing(lift: Path) -> Iterator[list[Edit]]:
     """Give a ``with`` block the list of edits to change, and write it at the block's end. Other writers wait until
-    then. Raises PlgsError if the file cannot be read or is busy, and OSError; nothing is then written."""
+    then. Raises PlgsError if the file is damaged or busy, and OSError; nothing is then written."""
     folder = lift / "bake"
     folder.mkdir(exist_ok=True)
     try:

@@ -34,7 +34,7 @@ def rename(state: Replay, number: int, name: str) -> Edit:
 
 
 def class_of(classes: ClassTable, said: int | str) -> int:
-    """Return the class that a text names by its number, its unique name, or both, as in "3 chair". Raises PlgsError."""
+    """Return the class that ``said`` names by number, unique name or both ("3 chair"). Raises PlgsError if none."""
     names, text = {one.id: one.name for one in classes.categories}, str(said).strip()
     found = named(names, text) if isinstance(said, str) else []
     found = found or [number for number, name in names.items() if text in (str(number), f"{number} {name}")]
@@ -46,7 +46,7 @@ def class_of(classes: ClassTable, said: int | str) -> int:
 
 
 def object_of(state: Replay, said: int | str) -> int:
-    """Return the object that a text names by its id, its unique name, or both, as in "7 chair 1". Raises PlgsError."""
+    """Return the object that ``said`` names by id, unique name or both ("7 chair 1"). Raises PlgsError if none."""
     names, text = {number: one.name for number, one in state.objects.items()}, str(said).strip()
     found = [number for number, name in names.items() if text in (str(number), f"{number} {name}")]
     found = found or named(names, text)
@@ -59,7 +59,7 @@ def object_of(state: Replay, said: int | str) -> int:
 
 
 def reclass(state: Replay, numbers: Sequence[int], said: int | str) -> Edit:
-    """Give objects another class, see ``class_of``. Stuff has no objects: their points get a stuff class alone."""
+    """Give the objects ``numbers`` the class ``said``, a number or name. For stuff, only their points keep a label."""
     class_id = class_of(state.classes, said)
     marks = tuple(_mark(state, number) for number in _some(numbers))
     if not state.classes[class_id].is_thing:
@@ -68,7 +68,7 @@ def reclass(state: Replay, numbers: Sequence[int], said: int | str) -> Edit:
 
 
 def merge(state: Replay, numbers: Sequence[int]) -> Edit:
-    """Merge all objects into the first, which keeps its name and its class."""
+    """Merge the objects ``numbers`` into the first, which keeps its name and its class."""
     numbers = list(dict.fromkeys(numbers))
     if len(numbers) < 2:
         raise PlgsError("merge-one", "an object cannot be merged with itself", CORRECTIONS, "Name two or more objects.")
@@ -76,7 +76,7 @@ def merge(state: Replay, numbers: Sequence[int]) -> Edit:
 
 
 def delete(state: Replay, number: int, *, around: bool = True) -> Edit:
-    """Delete an object. Its points get the labels around them or, unless ``around``, its class without an object."""
+    """Delete an object. Its points get the labels near them or, unless ``around``, its class without an object."""
     mark = _mark(state, number)
     xyz, other = state.points_of(number), (state.label != number) & (state.label != 0)
     moved: tuple[MovedPoints, ...] = ()
@@ -154,7 +154,8 @@ def parts_of(xyz: NDArray[np.floating], gap: float = PART_GAP) -> NDArray[np.int
 
 
 def sides_of(xyz: NDArray[np.floating], point: Sequence[float], normal: Sequence[float]) -> NDArray[np.int64]:
-    """Return 1 for each point [n, 3] beyond the plane through ``point`` with ``normal``, else 0; int64 [n]."""
+    """Return 1 for each point [n, 3] beyond the plane through ``point``, the way ``normal`` leads, else 0; int64
+    [n]."""
     return ((xyz - np.asarray(point)) @ np.asarray(normal, np.float64) > 0).astype(np.int64)
 
 
@@ -162,7 +163,7 @@ def assign(
     state: Replay, chosen: NDArray[np.bool_], target: int, *, class_id: int = 0, name: str = "", new_id: int = 0
 ) -> Edit:
     """Give the ``chosen`` points, bool [N], to the object ``target``; if that is 0, to a new object ``new_id`` of the
-    class ``class_id``; if ``new_id`` is 0 too, to the class alone."""
+    class ``class_id``, with a ``name`` or a made one; if ``new_id`` is 0 too, to the class alone."""
     made: tuple[NewObject, ...] = ()
     if not chosen.any():
         raise PlgsError("no-points", "no points are chosen", CORRECTIONS, "Select points, or enlarge the region.")
@@ -226,7 +227,7 @@ def _some(numbers: Sequence[int]) -> list[int]:
 
 
 def _new_name(state: Replay, class_id: int, more: int = 0) -> str:
-    """Return a name such as "chair 7", with the next number of its class."""
+    """Return a name such as "chair 7", with the next number of its class, or ``more`` after it."""
     kind = state.classes[class_id].name
     names = [one.name.removeprefix(f"{kind} ") for one in state.objects.values()]
     return f"{kind} {max((int(name) for name in names if name.isdecimal()), default=0) + 1 + more}"

@@ -67,7 +67,7 @@ class Proposals:
 
 
 def proposals_of(corrected: CorrectedResult) -> Proposals:
-    """Return for each object the most doubtful proposal, if any; none for objects that an edit refers to."""
+    """Return each object's most doubtful proposal, if it has one and no edit refers to the object."""
     known = {one.id for one in corrected.instances}
     edits = [edit for edit in corrected.edits if not edit.undone and edit.uid not in corrected.not_applied]
     looked_at = {mark.id for edit in edits for mark in edit.objects} | {new.id for edit in edits for new in edit.made}

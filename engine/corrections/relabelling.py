@@ -68,7 +68,7 @@ class Step:
     fill: Fill | None = None
 
     def apply(self, xyz: NDArray[np.floating], label: Labels) -> None:
-        """Apply the step to the ``label`` [N] of points at ``xyz`` [N, 3], in place."""
+        """Apply the step to the ``label`` [N] of points at ``xyz`` [N, 3], in place; GONE marks what it removes."""
         rows_of = {source: np.flatnonzero(label == source) for source in (*self.table, *self.points)}  # before changes
         for source, target in self.table.items():
             label[rows_of[source]] = target
@@ -106,7 +106,7 @@ class Relabelling:
 
     @property
     def fills(self) -> list[tuple[int, Fill]]:
-        """The fills of removals, each with the index of the step that follows its removal."""
+        """The fills of removals, each with the number of steps up to its removal, after which it is added."""
         return [(number, step.fill) for number, step in enumerate(self.steps, start=1) if step.fill is not None]
 
     def of(self, xyz: NDArray[np.floating], label: Labels, first: int = 0) -> Labels:

@@ -52,7 +52,7 @@ class Replay:
         cls, classes: ClassTable, instances: Iterable[Instance], points: SemanticPoints,
         fill_of: Callable[[Edit], Fill] = lambda edit: NOTHING,
     ) -> Replay:  # fmt: skip
-        """Return the state before any edit: the result as the engine made it."""
+        """Return the state before any edit: a result as it was made. ``fill_of`` reads a removal's fill."""
         label = labels_of(points.class_id, points.instance_id)
         return cls(classes, points, label, {one.id: one for one in instances}, fill_of)
 
@@ -87,7 +87,7 @@ class Replay:
         return ObjectMark(number, len(points), *corners)  # type: ignore[arg-type]
 
     def apply(self, edit: Edit) -> str:
-        """Apply an edit. Returns why it cannot be applied, or ""."""
+        """Apply an edit. Returns "", or why it cannot be applied and changes nothing."""
         if edit.kind not in KINDS:
             return f"this version does not know the edit {edit.kind!r}"
         reasons = [reason for mark in edit.objects if (reason := self._missing(mark))]
@@ -215,7 +215,7 @@ class Replay:
         return Instance(number, name, class_id, kind, colour, none, none, yaw, rotation, views, score, 0, segments)
 
     def _fit(self, ids: Iterable[int]) -> None:
-        """Fit the boxes of objects to their points, and keep the axes of the boxes."""
+        """Fit the boxes of the objects ``ids`` to their points; each box keeps the directions of its axes."""
         for number in ids:
             points, one = self.points_of(number), self.objects[number]
             if len(points):
@@ -230,7 +230,7 @@ class Replay:
 
 
 def _take_moved(xyz: NDArray[np.float32], after: Labels, groups: Sequence[MovedPoints]) -> None:
-    """Relabel points [N, 3] that were moved: exactly the listed ones or, in another lift, those near them."""
+    """Give the points [N, 3] in ``groups`` their new labels in ``after``; in another lift, the points near those."""
     if not groups or not len(xyz):
         return
     wanted = np.concatenate([np.array(group.millimetres, np.int64).reshape(-1, 3) for group in groups])

@@ -42,7 +42,7 @@ class CorrectedResult:
 
     @property
     def names_in_mattes(self) -> dict[int, str]:
-        """The names of the objects in Cryptomatte, by id."""
+        """The objects' names as Cryptomatte has them, unique, by id."""
         return matte_names({one.id: one.name for one in self.instances})
 
     @property
@@ -101,7 +101,7 @@ class CorrectedResult:
         return changed, np.maximum(after, 0).astype(np.int32)
 
     def anchors(self) -> Anchors:
-        """Return the anchors after the edits, without those of removed objects. Raises PlgsError."""
+        """Return the anchors after the edits, without those of removed objects. Raises PlgsError for a damaged file."""
         anchors = result_files.read_arrays(self.folder / "result" / result_files.ANCHORS, Anchors)
         if not self.changes_labels:
             return anchors
@@ -128,7 +128,7 @@ class CorrectedResult:
 
 def read_corrected(lift: Path, listed: Listed | None = None, further: Sequence[Edit] = ()) -> CorrectedResult:
     """Read the result of the finished lift in this folder with its corrections, and with ``further`` edits that are not
-    saved. ``listed`` is the content of instances.json, if already read. Raises PlgsError."""
+    saved. ``listed`` is the content of instances.json, if already read. Raises PlgsError for a damaged file."""
     return _Result.read(lift, listed).corrected([*read_edits(lift), *further])
 
 
@@ -139,7 +139,7 @@ def _fingerprint(edits: Sequence[Edit], not_applied: Mapping[str, str], without:
 
 
 def replayed(lift: Path) -> Replay:
-    """Return the objects and points of a finished lift after its corrections. Raises PlgsError."""
+    """Return the objects and points of a finished lift after its corrections. Raises PlgsError for a damaged file."""
     return _Result.read(lift).replay(read_edits(lift))
 
 
@@ -154,13 +154,13 @@ class _Result:
 
     @classmethod
     def read(cls, lift: Path, listed: Listed | None = None) -> _Result:
-        """Read a finished lift's result. Raises PlgsError."""
+        """Read a finished lift's result. Raises PlgsError if it is damaged."""
         classes, made = listed or result_files.read_instances(lift / "result" / result_files.INSTANCES)
         points = result_files.read_arrays(lift / "result" / result_files.SEMANTIC_POINTS, SemanticPoints)
         return cls(lift, classes, made, points)
 
     def fill_of(self, edit: Edit) -> Fill:
-        """Read the fill of a removal. Raises PlgsError."""
+        """Read the fill of a removal. Raises PlgsError if it is missing or damaged."""
         return read_fill(path_of(self.lift, edit.fill), edit.digest)
 
     def replay(self, edits: Sequence[Edit]) -> Replay:
@@ -198,7 +198,7 @@ Make = Callable[[Replay, int], Edit]
 
 def correct(lift: Path, make: Make, listed: Listed | None = None) -> tuple[Edit, CorrectedResult]:
     """Add the edit that ``make`` returns to those of the lift in this folder. Returns the edit and the new result.
-    ``listed`` is as in ``read_corrected``. Raises PlgsError and OSError; nothing is then changed."""
+    ``listed`` is the content of instances.json, if read. Raises PlgsError, OSError; nothing is then changed."""
     with editing(lift) as edits:
         result = _Result.read(lift, listed)
         state = result.replay(edits)
@@ -213,8 +213,8 @@ def correct(lift: Path, make: Make, listed: Listed | None = None) -> tuple[Edit,
 
 
 def undo(lift: Path, listed: Listed | None = None) -> tuple[Edit, CorrectedResult]:
-    """Undo the last edit that is not undone, whoever made it. Returns the edit and the result without it. Raises
-    PlgsError if there is none, and OSError."""
+    """Undo the last edit that is not undone, whoever made it (``listed``: instances.json, if read). Returns the edit
+    and the result without it. Raises PlgsError if there is none, and OSError."""
     with editing(lift) as edits:
         last = max((index for index, edit in enumerate(edits) if not edit.undone), default=-1)
         if last < 0:
@@ -247,6 +247,6 @@ def put_back(lift: Path, objects: Sequence[int | str], listed: Listed | None = N
 
 
 def set_undone(lift: Path, undone: dict[str, bool]) -> None:
-    """Undo or redo edits: ``undone`` maps their uids to whether they shall be undone. Raises PlgsError, OSError."""
+    """Undo or redo edits: ``undone`` maps their uids to True or False. Raises PlgsError for a bad file, OSError."""
     with editing(lift) as edits:
         edits[:] = [replace(edit, undone=undone.get(edit.uid, edit.undone)) for edit in edits]

@@ -27,8 +27,8 @@ _WORST = 0.2  # relative depth error drawn in the strongest red
 
 
 def depth_errors(views: Views, one: int, other: int, assumed: Sequence[tuple[str, Assumption]]) -> Picture:
-    """Draw how well a frame's surfaces agree with another's depth, once for each assumption, with its caption. Green
-    agrees, yellow and red do not, and dark is not seen by the other frame."""
+    """Draw how well the surfaces of look ``one`` agree with the depth of ``other``, once for each (caption,
+    assumption). Green agrees, yellow and red do not, and dark is not seen by the other frame."""
     look = views.looks[one]
     height, width = look.depth.shape
     step = max(1, width // 240)
@@ -175,7 +175,7 @@ class Diagnosis:
 
 def write_findings(diagnosis: Diagnosis, folder: Path) -> dict[str, Any]:
     """Write findings.json and its pictures, and return its content. The folder must be new or empty, or hold findings,
-    which are replaced (see `OwnFiles`). Raises PlgsError."""
+    which are replaced. Raises PlgsError for other files in it, or if it cannot be written."""
     try:
         with OwnFiles(folder).begin("findings", {}, replaces=True) as own:
             entries = []

@@ -55,7 +55,7 @@ class LabelAgreement(NamedTuple):
 
 
 def measure_labels(examined: Examined, assumed: Assumption) -> LabelAgreement | None:
-    """Compare the labels of points whose depth agrees. Raises PlgsError."""
+    """Compare the classes of points whose depth agrees. None without masks. Raises PlgsError for a bad mask."""
     views, pairs, maps = examined.views, examined.pairs, examined.class_maps
     if maps is None:
         return None
@@ -82,7 +82,7 @@ def measure_labels(examined: Examined, assumed: Assumption) -> LabelAgreement | 
 
 
 def label_findings(examined: Examined, assumed: Assumption) -> list[Finding]:
-    """Return findings about masks that contradict each other. Raises PlgsError."""
+    """Return findings about masks that contradict each other. Raises PlgsError for a bad mask."""
     labels = measure_labels(examined, assumed)
     if labels is None or labels.counts.sum() < 10 * _FEWEST_POINTS:
         return []
@@ -153,7 +153,8 @@ Counts = defaultdict[int, Counter[str]]  # per class, its number of points ("all
 
 
 def measure_table(examined: Examined, assumed: Assumption, up: Floats) -> Counts:
-    """Count the points of each class that lie on floors, ceilings and walls, by their normals. Raises PlgsError."""
+    """Count each class's points on floors, ceilings and walls, by normals and ``up`` [3]. Raises PlgsError for
+    masks."""
     views, maps = examined.views, examined.class_maps
     if maps is None:
         return defaultdict(Counter)
@@ -177,7 +178,7 @@ def _kind(name: str) -> str | None:
 
 
 def table_findings(examined: Examined, assumed: Assumption, up: Floats) -> list[Finding]:
-    """Return findings about class ids whose meaning differs from the table's. Raises PlgsError."""
+    """Return findings about class names that do not fit the surfaces; ``up`` is [3]. Raises PlgsError for bad masks."""
     counts = measure_table(examined, assumed, up)
     classes = examined.scene.classes
     kind_of = {each.id: kind for each in classes.categories if (kind := _kind(each.name))}

@@ -32,7 +32,7 @@ def write_mended(scene: Scene, diagnosis: Diagnosis, out: Path) -> str | None:
     """Write the corrected scene to the folder ``out``, which must not exist, as a whole or not at all. The result is
     read again; if it is no improvement, it is deleted and the reason is returned, otherwise None. Colour images are
     hard links where they are files of their own, and PNGs otherwise. Depth is in millimetres, masks are COCO panoptic,
-    and ground truth is images of classes and instances. Raises PlgsError."""
+    and ground truth is images of classes and instances. Raises PlgsError for bad files."""
     if out.exists():
         raise PlgsError("exists", "the folder for the mended scene already exists", out, "Name a new one.")
     if out.resolve().is_relative_to(scene.folder.resolve()):
@@ -144,7 +144,7 @@ def _mended_depth(frame: Frame, mending: Mending) -> NDArray[np.float64]:
 
 
 def _link_group_masks(scene: Scene, frames: list[Frame], folder: Path) -> bool:
-    """Link masks with segments that may be several objects, which COCO panoptic lacks. False if there are none."""
+    """Link the scene's masks if segments may be several objects, which COCO panoptic lacks. Returns whether it did."""
     theirs = [path for path in scene.folder.glob("m2f_*") if path.is_dir()] if scene.folder.is_dir() else []
     if not theirs or not any(segment.is_group for frame in frames for segment in frame.mask(None).segments):
         return False

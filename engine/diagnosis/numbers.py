@@ -68,8 +68,8 @@ _ONLY_TOLD = ("lag", "mirrored")  # causes that users fix in their own files: on
 
 
 def lens_findings(scene: Scene, findings: list[Finding]) -> list[Finding]:
-    """Add to ``findings`` that the lens is assumed, the first hypothesis. This is "wrong", not a note, if a value is
-    off: then the lens is more likely to be the cause than values that files give."""
+    """Return a finding that the lens is assumed, if it is. It is "wrong", not a note, if ``findings`` say that a number
+    is off: then the lens is more likely to be the cause than values that files give."""
     if not scene.assumed_lens:
         return []
     is_wrong = any(finding.severity == "wrong" and finding.cause in NUMBER_CAUSES for finding in findings)
@@ -79,8 +79,8 @@ def lens_findings(scene: Scene, findings: list[Finding]) -> list[Finding]:
 
 
 def number_findings(examined: Examined, lens_is_doubtful: bool = False) -> tuple[list[Finding], Assumption, Shift]:
-    """Return findings about a scene's numbers, the assumption about what they mean, and the shift that depth needs, as
-    fractions of the picture."""
+    """Return findings about a scene's numbers, the assumption about what they mean, and the shift (x, y in fractions of
+    the picture) that depth needs. With ``lens_is_doubtful``, a cause in the lens comes first."""
     cause = find_cause(examined.views, examined.pairs, lens_is_doubtful)
     assumed = Assumption() if cause is None else cause.assumed
     findings = [] if cause is None else [_cause_finding(examined, cause)]
@@ -220,7 +220,7 @@ def _doubtful_unit(found: Calibration) -> Finding:
 
 
 def _values_off(examined: Examined, found: Calibration, mended: Assumption, may_move: bool) -> tuple[str, ...]:
-    """The names of the values, such as "unit" and "focal", that deviate by more than their tolerance and noise."""
+    """The names of fitted values ("unit", "focal" …) that are off by more than tolerance and noise after mending."""
     left = agreement(examined.views, examined.pairs, mended).error
     pixels, focals = examined.looks[0].frame.size, np.median(examined.views.lens[:, :2], axis=0).tolist()
     x, y = (max(_OFF_PIXELS / p, _ABOVE_NOISE * left * focal) for p, focal in zip(pixels, focals, strict=True))

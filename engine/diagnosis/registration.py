@@ -48,7 +48,7 @@ class Registration(NamedTuple):
 
 
 def measure_registration(looks: list[Look], photos: dict[int, Photo]) -> Registration | None:
-    """Find the scale and shift that bring depth's edges onto those of the pictures; None with too few edges."""
+    """Find the scale and shift that bring depth's edges onto those of ``photos`` (by frame); None with too few."""
     chosen: list[Look] = []  # at most 32 looks spread over the recording, each of a different place
     seen: list[Floats] = []
     for look in evenly_spread([look for look in looks if look.number in photos], _MOST):
@@ -97,7 +97,8 @@ def _contrast(grey: NDArray[np.uint8]) -> Floats:
 
 
 def _coarse(pairs: list[tuple[Floats, Floats]], scale: float) -> tuple[float, float, Shift]:
-    """Try all shifts on a grid 160 wide at one scale. Returns the fit, the scale and the shift of the best."""
+    """Try all shifts on a grid 160 wide at one scale of ``pairs`` (a frame's edges [N, 2] of depth, and contrast [H,
+    W]). Returns the best fit, its scale and its shift."""
     height = max(8, round(_WIDTH * pairs[0][1].shape[0] / pairs[0][1].shape[1]))
     total = np.zeros((height, _WIDTH))
     for edges, picture in pairs:
@@ -127,7 +128,7 @@ def _refined(pairs: list[tuple[Floats, Floats]], scale: float, shift: Shift) -> 
 
 
 def _fits(pairs: list[tuple[Floats, Floats]], scale: float, shift: Shift) -> Floats:
-    """Return the mean contrast under depth's edges for each picture; edges outside count as 0."""
+    """Return the mean contrast under the edges of each of ``pairs`` (edges, contrast); edges outside count as 0."""
     values = []
     for edges, picture in pairs:
         height, width = picture.shape
@@ -228,7 +229,8 @@ def measure_pictures(examined: Examined, assumed: Assumption) -> tuple[Taken, Ga
 
 
 def _correlations(examined: Examined, places: list[tuple[Floats, Floats]], taken: Taken) -> Floats:
-    """The correlation of greys where each pair of frames sees the same surface, float64 [P]; nan if that is small."""
+    """The correlation of greys in pictures ``taken`` so at the ``places`` that each pair of frames sees, float64 [P];
+    nan with too few places or too little contrast."""
     found = np.full(len(places), np.nan)
     for row, ((one, other), (mine, theirs)) in enumerate(zip(examined.pairs.tolist(), places, strict=True)):
         first, second = (examined.photos.get(examined.looks[look].number + taken.lag) for look in (one, other))

@@ -29,7 +29,7 @@ class Sample(NamedTuple):
     steps: tuple[int, ...]
 
     def numbers(self, count: int) -> list[int]:
-        """Return the indices of the examined frames, of ``count``."""
+        """Return the indices, ascending, of the frames to examine among ``count``."""
         if count <= self.most:
             return [*range(count)]
         starts = np.linspace(0, count - 1, self.groups).round().astype(int)
@@ -96,7 +96,7 @@ def load_looks(frames: Sequence[Frame], sample: Sample) -> list[Look]:
 
 
 def load_photos(frames: Sequence[Frame], sample: Sample) -> dict[int, Photo]:
-    """Load the pictures of the sample's frames, by the frames' indices. Raises PlgsError."""
+    """Load the pictures of the sample's frames, by the frames' indices. Raises PlgsError for bad files."""
     photos = {}
     for number in sample.numbers(len(frames)):
         grey = cv2.cvtColor(frames[number].read_colour(None), cv2.COLOR_RGB2GRAY)
@@ -313,7 +313,7 @@ class Gain(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Examined:
     """The loaded part of a scene. ``looks`` are the frames with depth, compared in ``pairs`` int64 [P, 2]; ``photos``
-    are by frame index. Masks are read at the size that frames have ``masks_within``, or at their own."""
+    are by frame index. Masks are read scaled down to fit into the size ``masks_within`` (None: at their own)."""
 
     scene: Scene
     looks: list[Look]
@@ -332,7 +332,8 @@ class Examined:
 
     @cached_property
     def class_maps(self) -> list[NDArray[np.int32]] | None:
-        """The class ids of each frame's mask, int32 [H, W <= 320]; None if a frame has no mask. Raises PlgsError."""
+        """The class ids of each look's mask, int32 [H, W <= 320]; None if one lacks it. Raises PlgsError for bad
+        ones."""
         if any(look.frame.read_mask is None for look in self.looks):
             return None
         maps, within = [], self.masks_within
@@ -373,7 +374,8 @@ class Examined:
 
 
 def examine(scene: Scene, sample: Sample = MANY, masks_within: Size | None = None) -> Examined | None:
-    """Load the data to compare. None if fewer than three frames have depth. Raises PlgsError."""
+    """Load the frames of a ``sample`` to compare. None if fewer than three have depth. Raises PlgsError for bad
+    ones."""
     looks = load_looks(scene.frames, sample)
     if len(looks) < 3:
         return None

@@ -56,7 +56,7 @@ def diagnose(scene: Scene, progress: Progress = unwatched) -> Diagnosis:
 def diagnose_quickly(scene: Scene, masks_within: Size | None = None) -> Diagnosis:
     """Check a scene for a second or two before a lift: order, axes, units, lens, up, pictures of other frames,
     contradicting masks, and the class table. What seems wrong in these few frames is measured again by `diagnose`.
-    Masks are read at the size that frames have ``masks_within``, or at their own. Raises PlgsError, OSError."""
+    Masks are read scaled down to fit into the size ``masks_within`` (None: at their own). Raises PlgsError, OSError."""
     examined, order = examine(scene, FEW, masks_within), measure_order(scene, Assumption())
     findings = [*order_findings(scene, order), *repeat_findings(scene)]
     if examined is None:

@@ -56,7 +56,7 @@ class _Linear(NamedTuple):
 
 
 def moved(base: Assumption, values: Floats) -> Assumption:
-    """Return an assumption that differs from ``base`` by ``values``, as in ``Calibration``."""
+    """Return ``base`` changed by ``values`` [6], fitted corrections in the order of ``_PARAMETERS``."""
     unit, focal, aspect, x, y, ray = values.tolist()
     return base._replace(
         unit=base.unit * float(np.exp(unit)),
@@ -70,7 +70,7 @@ def moved(base: Assumption, values: Floats) -> Assumption:
 def calibrate(
     views: Views, pairs: Pairs, base: Assumption, free: tuple[str, ...] = _PARAMETERS, points: int | None = None
 ) -> Calibration | None:
-    """Fit the ``free`` parameters, beginning with the assumption ``base``. None if too few points agree."""
+    """Fit the ``free`` parameters from the assumption ``base``, with some ``points`` a frame. None if too few agree."""
     columns = [_PARAMETERS.index(name) for name in free]
     values, deviations = np.zeros(len(_PARAMETERS)), np.full(len(_PARAMETERS), np.inf)
     for _ in range(_ROUNDS):
@@ -102,8 +102,8 @@ def _linearised(views: Views, pairs: Pairs, at: Assumption, columns: list[int], 
 
 
 def _solve(linear: _Linear, values: Floats, prior: Floats) -> tuple[Floats, Floats]:
-    """Solve weighted least squares from ``values`` [p] with precisions ``prior`` [p]. Returns step [p] and errors
-    [p]."""
+    """Solve weighted least squares from ``values`` [p], which tend to 0 with the precisions ``prior`` [p]. Returns the
+    step and the standard errors, [p] each."""
     noise = float(np.sqrt((linear.weights * linear.errors**2).sum() / linear.weights.sum()))
     precision = max(noise, _FINEST) ** -2
     weighted = precision * linear.slopes * linear.weights[:, None]
@@ -195,8 +195,8 @@ def is_far_better(after: Agreement, before: Agreement) -> bool:
 
 
 def find_cause(views: Views, pairs: Pairs, lens_is_doubtful: bool = False) -> FoundCause | None:
-    """Return the cause that explains the numbers of a scene best, or None. With ``lens_is_doubtful``, a cause in the
-    lens comes before others that explain them about as well."""
+    """Return the cause that explains the numbers of a scene best, None if none makes the views agree clearly better.
+    With ``lens_is_doubtful``, a cause in the lens comes before others that explain them about as well."""
     before = agreement(views, pairs, Assumption())
     best_of: dict[str, tuple[Agreement, Trial]] = {}
     for trial in _trials(views):
@@ -237,7 +237,7 @@ def _whose_lengths(views: Views, found: FoundCause) -> FoundCause:
 
 
 def _fitted(views: Views, pairs: Pairs, after: Agreement, trial: Trial) -> tuple[Agreement, Trial]:
-    """Return a trial with its free values fitted, unless that makes it worse."""
+    """Return ``trial`` with its free values fitted, and its agreement; or itself with ``after``, if that is worse."""
     calibration = calibrate(views, pairs, trial.assumed, trial.free, _POINTS) if trial.free else None
     if calibration is None:
         return after, trial

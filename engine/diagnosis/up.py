@@ -32,7 +32,7 @@ class UpAxis(NamedTuple):
 
 
 def measure_tilt(views: Views, assumed: Assumption) -> UpAxis | None:
-    """Find the up axis. Returns None if it does not clearly differ from z, or if surfaces or cameras do not show it."""
+    """Find the up axis. None if it does not clearly differ from z, or if surfaces or cameras do not show it."""
     held = -views.poses_of(assumed)[:, :3, 1].mean(0)  # pictures' y is down, and most are taken upright
     if np.linalg.norm(held) < _CLEARLY_UP:
         return None

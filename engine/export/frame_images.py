@@ -30,7 +30,7 @@ LEAST_COVERAGE = 0.5  # alpha below which a pixel gets no depth
 
 
 def export_coco(lift: FinishedLift, output: Path) -> None:
-    """Write COCO panoptic masks, as ``write_coco`` does. Raises PlgsError for ids that do not fit, OSError."""
+    """Write COCO panoptic masks of the lift's frames into ``output``. Raises PlgsError for ids above 4095, OSError."""
     shown = lift.views("semantic", "instance")
     views = ((frame.name, layers.semantic, layers.instance, frame.camera) for frame, layers in shown)
     photos = {frame.name: frame.colour_path.name for frame in lift.frames if frame.file_shows_colour}
@@ -82,8 +82,8 @@ def write_coco(
 def _segments(
     ids: Ids, classes: ClassTable, names: Mapping[int, str]
 ) -> list[tuple[dict[str, object], dict[str, Any]]]:
-    """Return a view's segments in order of id, with area, box (x, y, width, height) and run lengths. Things without an
-    instance are a crowd."""
+    """Return, for each segment in order of id, its COCO entry (id, class, area, box x, y, width, height, instance,
+    name) and its run lengths as COCO has them. Things without an instance are a crowd."""
     from pycocotools import mask as rle_tools  # late: no other export needs it
 
     segments = []
@@ -122,7 +122,7 @@ def export_label_images(lift: FinishedLift, output: Path) -> None:
 
 def export_scannet(lift: FinishedLift, output: Path) -> None:
     """Write label-filt/<frame>.png and instance-filt/<frame>.png, 16 bits, 0 = none, as in ScanNet's own folders, but
-    stuff has no instances. labels.tsv names the ids of the lift's classes. Raises as ``export_label_images``."""
+    stuff has no instances. labels.tsv names the classes' ids. Raises PlgsError for ids that do not fit, OSError."""
     for frame, layers in lift.views("semantic", "instance"):
         write_atomically(output / "label-filt" / f"{frame.name}.png", id_bytes(layers.semantic, output))
         write_atomically(output / "instance-filt" / f"{frame.name}.png", id_bytes(layers.instance, output))

@@ -63,7 +63,8 @@ class Grain:
 
 @dataclass(frozen=True, eq=False)
 class SmallView:
-    """A view, scaled down: ``depth`` float32 [H, W] m, ``rgb`` uint8 [H, W, 3], ``label`` int64 [H, W], ``frame``."""
+    """A view, scaled down: ``depth`` float32 [H, W] m, ``rgb`` uint8 [H, W, 3], ``label`` int64 [H, W], its
+    ``frame``."""
 
     camera: Camera
     depth: NDArray[np.float32]
@@ -106,7 +107,7 @@ class SmallView:
 
 def fuse(views: Sequence[SmallView], grain: Grain = Grain(), progress: Progress = unwatched) -> Surface:
     """Return the surface on which the signed distances of all views are zero. It is fused slab by slab, so that memory
-    does not grow with the room. Normals point towards the cameras. Raises what ``progress`` raises."""
+    does not grow with the room. Normals point towards the cameras."""
     finding, fusing = part_of(progress, 0.0, 0.2, 100), part_of(progress, 0.2, 0.9, 100)
     seen = [_blocks(view, grain) for view in watched(views, finding)]
     slabs = _slabs(np.concatenate([np.empty((0, 3), np.int32), *(each for found in seen for each in found)]))

@@ -188,7 +188,7 @@ def most_frequent(group: Ints, label: Ints, groups: int) -> Ints:
 
 
 def pieces(joined: Ints, count: int) -> Ints:
-    """The connected piece [count] of each vertex, as a number. Rows of ``joined`` [N, 2 or 3] connect vertices."""
+    """The number of each vertex's connected piece, int64 [count]. Rows of ``joined`` [N, 2 or 3] connect vertices."""
     first, last = joined[:, :-1].ravel(), joined[:, 1:].ravel()
     graph = coo_matrix((np.ones(len(first), np.int8), (first, last)), (count, count))
     return connected_components(graph, directed=False)[1].astype(np.int64)
@@ -282,8 +282,9 @@ def around_vertices(triangles: Ints, count: int) -> csr_matrix:
 
 
 def numbered(group: Ints, kind: Ints, groups: int) -> tuple[Ints, Ints]:
-    """Number the different pairs of a group and a kind (0 or more). Returns the number of each pair, [N], and the group
-    of each number. Most groups have one kind, so only pairs of other kinds than their group's last are sorted."""
+    """Number the different pairs of ``group`` and ``kind`` (0 or more), [N] each. Returns each pair's number, [N], and
+    each number's group. Most of the ``groups`` have one kind, so only pairs of other kinds than a group's last are
+    sorted."""
     usual = np.full(groups, -1, np.int64)
     usual[group] = kind
     is_usual = usual[group] == kind

@@ -120,8 +120,8 @@ class GlbBuffer:
         return len(self.views) - 1
 
     def add_array(self, values: NDArray[Any], code: int, dtype: str, target: int) -> int:
-        """Append an array [N] or [N, K] and return the index of its accessor. ``code`` and ``target`` are glTF's codes
-        for its type and use."""
+        """Append an array [N] or [N, K] and return the index of its accessor. ``dtype`` is NumPy's name of its type;
+        ``code`` and ``target`` are glTF's codes for type and use."""
         kind = "SCALAR" if values.ndim == 1 else f"VEC{values.shape[1]}"
         view = self.add(np.ascontiguousarray(values, dtype).tobytes())
         self.views[view]["target"] = target
@@ -198,7 +198,7 @@ def write_surface(
 
 
 def export_gltf(lift: FinishedLift, output: Path) -> None:
-    """Write lift.glb: the meshes of the wanted objects and stuff in one file, by name. Raises like ``export_mesh``."""
+    """Write lift.glb: the meshes of wanted objects and stuff, by name. Raises PlgsError without a surface, OSError."""
     write_atomically(output / "lift.glb", glb_bytes(watched(parts_of(lift), lift.part(TEXTURED, 1.0))))
     lift.progress(1, 1)
 
@@ -230,7 +230,7 @@ DRAWN, FUSED, LABELLED, MENDED, TEXTURED = 0.35, 0.5, 0.55, 0.65, 0.9
 
 
 def finished(lift: FinishedLift) -> tuple[Surface, NDArray[np.int64], Texture | None]:
-    """The surface of the views, mended and cut, its labels, int64 [V], and its texture. Raises PlgsError, OSError."""
+    """The surface, mended and cut, its labels, int64 [V], and its texture (None without photos). Raises PlgsError."""
     small = views_of(lift, WIDEST, MOST_VIEWS, lift.part(0.0, DRAWN))
     surface = fuse(small, progress=lift.part(DRAWN, FUSED))
     refuse_none(lift, surface)
@@ -267,7 +267,7 @@ def mended(
 
 
 def views_of(lift: FinishedLift, width: int, most: int, progress: Progress = unwatched) -> list[SmallView]:
-    """Return at most ``most`` of the lift's views, scaled to ``width`` pixels for fusion. Raises PlgsError, OSError."""
+    """Return at most ``most`` of the lift's views, scaled to ``width`` pixels. Raises PlgsError, OSError for files."""
     expect_memory(lift, width, most)
     views = []
     for frame, camera, layers in lift.small_views(width, most, progress):

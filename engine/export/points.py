@@ -29,7 +29,7 @@ _AXES = {"centre": "xyz", "size": "xyz", "rotation": "wxyz"}
 
 
 def export_boxes(lift: FinishedLift, output: Path) -> None:
-    """Write boxes.json and boxes.csv, which has a column for each number, such as size_x. Raises PlgsError, OSError."""
+    """Write boxes.json and boxes.csv, with a column for each number, such as size_x. Raises PlgsError, OSError."""
     boxes: list[dict[str, Any]] = [{field: getattr(one, field) for field in FIELDS} for one in lift.listed]
     content = {"up": "z", "unit": "m", "boxes": boxes}
     write_atomically(output / "boxes.json", json.dumps(content, indent=1, ensure_ascii=False) + "\n")
@@ -82,7 +82,7 @@ def export_splats(lift: FinishedLift, output: Path) -> None:
 
 
 def export_clouds(lift: FinishedLift, output: Path) -> None:
-    """Write <name>.npz for each camera: the semantic points of the lift that it sees. Raises PlgsError, OSError."""
+    """Write <name>.npz for each view: the semantic points of the lift that it sees. Raises PlgsError, OSError."""
     for name, camera, layers in lift.shown("combined", "depth", "semantic", "instance", "confidence"):
         height, width = layers.depth.shape
         seen = (layers.combined[..., 3] >= LEAST_COVERAGE) & (layers.depth > 0)

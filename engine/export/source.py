@@ -30,7 +30,8 @@ from ..scene_of_lift import scene_of_lift
 
 @dataclass(frozen=True, eq=False)
 class FinishedLift:
-    """A finished lift and its frames to export. The first use of an attribute may raise PlgsError or OSError."""
+    """A finished lift, and the ``names`` of its frames to export. The first use of an attribute may raise PlgsError,
+    OSError."""
 
     folder: LiftFolder
     names: Sequence[str]
@@ -73,7 +74,7 @@ class FinishedLift:
 
     @cached_property
     def _wanted(self) -> tuple[frozenset[int], frozenset[int]]:
-        """The ids of the classes and instances that the user named. Raises PlgsError for an unknown name."""
+        """The ids of classes and of instances that the user named. Raises PlgsError for an unknown name."""
         of_class = {each.id: each.name.casefold() for each in self.classes.categories}
         of_instance = {number: name.casefold() for number, name in self.instances.names.items()}
         unknown = [name for name in self.objects if name.casefold() not in {*of_class.values(), *of_instance.values()}]
@@ -160,7 +161,7 @@ class FinishedLift:
 
 
 def is_corrected(baked: Path, corrections: str) -> bool:
-    """Whether baked passes show these corrections. Damaged files count as if they did; their reader reports them."""
+    """Whether passes show the ``corrections`` of this fingerprint; so do damaged files, which their reader reports."""
     try:
         return (read_note(baked, CORRECTIONS_NOTE) or "") == corrections
     except ValueError:

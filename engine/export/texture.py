@@ -52,7 +52,7 @@ def jpeg_bytes(picture: NDArray[np.uint8]) -> bytes:
 
 def textured(surface: Surface, label: Ints, views: Sequence[SmallView], progress: Progress = unwatched) -> Texture:
     """The texture of a surface with labelled vertices [V] from the photos of the ``views``. Triangles that no photo
-    shows have their vertices' colours. Raises PlgsError if a photo cannot be read, and what ``progress`` raises."""
+    shows have their vertices' colours. Raises PlgsError if a photo cannot be read."""
     frames = [view.frame for view in views if view.frame is not None]
     rating, choosing, cutting, packing = (part_of(progress, part / 4, (part + 1) / 4, 100) for part in range(4))
     quality, gains = _qualities(surface, views, frames, rating)
@@ -180,8 +180,8 @@ def _charts(triangles: Ints, labels: Ints, view: Ints) -> tuple[Ints, Ints, Ints
 
 
 def _wedges(triangles: Ints, chart: Ints) -> tuple[Ints, Ints, Ints]:
-    """Number the wedges, which are pairs of a vertex and a chart that it is in. Returns each corner's wedge [T, 3], and
-    each wedge's vertex and chart [W]."""
+    """Number the wedges, which are pairs of a vertex and a chart that it is in. Returns each corner's wedge [T, 3], -1
+    without a chart, and each wedge's vertex and chart [W]."""
     shown = chart >= 0
     wedge = np.full(triangles.shape, -1, np.int64)
     corner, own = triangles[shown].ravel(), np.repeat(chart[shown], 3)

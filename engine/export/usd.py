@@ -31,7 +31,7 @@ def export_usd(lift: FinishedLift, output: Path) -> None:
     """Write lift.usdc, in metres, z up, with the pictures of its meshes in pictures/. /Lift is an assembly. In Objects
     and Stuff, each wanted instance and stuff class is a component, named after its lasting number and holds a
     ParticleField3DGaussianSplat and a mesh, and for an instance a box (a guide). Cameras holds the frames' cameras and
-    one that moves through them. SemanticsLabelsAPI names "class" and "instance". Raises as `parts_of`."""
+    one that moves through them. SemanticsLabelsAPI names "class" and "instance". Raises PlgsError without a surface."""
     parts = parts_of(lift)
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)

@@ -31,8 +31,8 @@ _RIM = 5  # side in pixels of the square around each pixel of an object that bel
 
 
 def export_surface(lift: FinishedLift, output: Path) -> None:
-    """Write mesh.ply for viewing, as `mesh.export_mesh` writes it, and its pictures. Raises PlgsError if it is empty,
-    OSError."""
+    """Write mesh.ply, the whole surface for viewing, with class_id and instance_id of each vertex, and its pictures.
+    Raises PlgsError if it is empty, OSError."""
     views = views_of(lift, WIDEST, MOST_VIEWS, lift.part(0.0, DRAWN))
     surface, label = surface_to_view(views, lift.part(DRAWN, MENDED))
     refuse_none(lift, surface)
@@ -78,7 +78,7 @@ def _labelled(
 
 
 def _is_double(room: tuple[Surface, Ints], objects: tuple[Surface, Ints]) -> NDArray[np.bool_]:
-    """Return which vertices of the room's surface show an object that has its own surface there, bool [V]."""
+    """Return which vertices of the surface ``room`` show an object that ``objects`` has, too, bool [V]."""
     double = room[1] % MOST_INSTANCES > 0
     if double.any() and len(objects[0].xyz):
         is_rim = np.zeros(len(objects[0].xyz) + 1, np.bool_)
