@@ -80,7 +80,7 @@ class ViewsOnCloud:
         return replace(self, seen=seen)
 
     def only(self, numbers: NDArray[np.integer]) -> ViewsOnCloud:
-        """Return the views with these indices, int [n]."""
+        """Return the views with the indices ``numbers``, int [n], in this order."""
         views, rows, seen = ([own[n] for n in numbers] for own in (self.views, self.point_of_pixel, self.seen))
         return ViewsOnCloud(views, rows, seen)
 
@@ -170,7 +170,7 @@ def view_points(view: View, point_of_pixel: NDArray[np.int32]) -> ViewPoints:
 
 
 def shown_classes(view: View, summary: ViewPoints) -> NDArray[np.int32]:
-    """Return the class id that a view shows at each of its points, int32 [n], 0 = none."""
+    """Return the class id that a ``view`` shows at each point of its ``summary``, int32 [n], 0 = none."""
     class_of = {segment.id: segment.class_id for segment in view.mask.segments}
     present, inverse = np.unique(summary.segment, return_inverse=True)
     return np.array([class_of.get(int(segment), 0) for segment in present], np.int32)[inverse.reshape(-1)]
@@ -180,7 +180,7 @@ def votes_of_views(
     seeing: ViewsOnCloud, points: int, class_ids: NDArray[np.int64], kind: EvidenceKind
 ) -> tuple[list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]], NDArray[np.float64]]:
     """Return each view's class votes: indices of its points, of the classes that it shows there (in ``class_ids`` [C]),
-    and weights of the votes, arrays [n]; and the sum over all views, float64 [points, C]."""
+    and the votes' weights (by ``kind``), arrays [n]; and the sum over all views, float64 [points, C]."""
     said = []
     total = np.zeros((points, len(class_ids)))  # float64: where a view is taken out, nothing must be left of it
     for view, seen in zip(seeing.views, seeing.seen, strict=True):
@@ -232,7 +232,7 @@ def _rows_of_ones(columns: Sequence[NDArray[np.int32]], width: int) -> Any:
 
 
 def judge_masks(space: MasksInSpace, rules: JudgingRules) -> tuple[Agreement, NDArray[np.bool_]]:
-    """Let all views judge all masks. Return the agreement, and which masks are sound, bool [M]: most judges show them
+    """Let all views judge all masks. Return the agreement, and which masks are sound, bool [M]: most judges show each
     inside one mask. A view's judgement of a mask does not count if the view shows it inside an under-segmented mask, or
     inside stuff where most views show a thing: such a view missed the object, and cannot tell what belongs together."""
     first = _first_judgement(space, rules)

@@ -65,7 +65,7 @@ def find_objects(
 
 def with_masks_of(found: FoundObjects, others: ViewsOnCloud, rules: JudgingRules) -> FoundObjects:
     """Add the masks of ``others``, views whose masks were not joined, each to the object that has at least the share
-    ``contained`` of its points."""
+    ``contained`` (of ``rules``) of its points."""
     masks = [list(one.masks) for one in found.objects]
     for view, seen in zip(others.views, others.seen, strict=True):
         for segment, rows in agreement.masks_of_view(view, seen, rules.min_points):
@@ -115,8 +115,8 @@ def join_agreeing(
     options: ConsensusOptions,
     progress: Progress = lambda *_: None,
 ) -> NDArray[np.int64]:
-    """Cluster the masks ``rows`` by ``join_weight``. Return each mask's cluster, int64 [R]: the lowest index of its
-    members. Only masks linked by a chain of positive weights are ever joined, so each linked part is clustered
+    """Cluster the masks with the indices ``rows``. Return each one's cluster, int64 [R]: the lowest position in
+    ``rows``. Only masks linked by a chain of positive weights are ever joined, so each linked part is clustered
     separately, and no array of all masks by all masks is needed."""
     part = linked_parts(space, judgement, rows, options)
     cluster = np.arange(len(rows))
@@ -175,7 +175,7 @@ def join(weight: NDArray[np.floating], step: Callable[[], object] = lambda: None
 def linked_parts(
     space: MasksInSpace, judgement: Agreement, rows: NDArray[np.intp], options: ConsensusOptions
 ) -> NDArray[np.int32]:
-    """Return the part of each of the masks ``rows``, int32 [R]. Between two parts, no ``join_weight`` is positive."""
+    """Return the part of each of the masks ``rows``, int32 [R]; no `join_weight` of two parts' masks is positive."""
     inside = judgement.inside[rows]
     judges = judgement.judges[np.ix_(rows, judgement.judges.any(0))]  # without views that judge nothing
     favour = (inside @ inside.T).tocoo()

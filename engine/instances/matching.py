@@ -48,7 +48,8 @@ def match_views(
     options: Matching,
     progress: Progress | None = None,
 ) -> list[SceneObject]:
-    """Run Algorithm 1 over the views in order. Return the global instances, with ids from 1 in order of appearance."""
+    """Run Algorithm 1 over the views in order, on segments of ``class_ids`` taken by ``segments``. Return the global
+    instances, with ids from 1 in order of appearance."""
     known: list[SceneObject] = []
     for done, view in enumerate(views, start=1):
         known = update_instances(known, local_instances(view, class_ids, segments), segments.voxel_size, options)
@@ -60,7 +61,8 @@ def match_views(
 def update_instances(
     known: list[SceneObject], local: list[SceneObject], voxel_size: float, options: Matching
 ) -> list[SceneObject]:
-    """Match a view's masks, ``local``, to the ``known`` instances; return a new list of the instances after that."""
+    """Match a view's masks, ``local``, to the ``known`` instances, whose points are thinned to ``voxel_size`` metres.
+    Return a new list of the instances after that."""
     updated = list(known)
     cost = np.array([[pair_cost(item.box, g.box, options.cost) for g in known] for item in local])
     for row, target in enumerate(_targets(cost.reshape(len(local), len(known)), options)):  # empty lists have no axis

@@ -64,9 +64,9 @@ def object_classes(
     is_one: NDArray[np.bool_],
     balance: ClassBalance = UNBALANCED,
 ) -> NDArray[np.int32]:
-    """Return the class with the most votes for each object, int32 [objects + 1]; ties go to the lower id. It is 0
-    without votes, and if the winner has less than ``LEAST_SHARE`` of them, unless ``is_one`` bool [objects + 1] (from
-    `held_back_agreement`) says that the views find it a single object."""
+    """Return each object's class, int32 [objects + 1], row 0 for no object: that of ``class_ids`` [C] with the most
+    ``votes`` [objects + 1, C], weighted by ``balance``; ties go to the lower id. It is 0 without votes, and if the
+    winner has less than ``LEAST_SHARE`` of them, unless ``is_one`` says that it is a single object."""
     votes = balance.of(votes)
     winner = np.asarray(class_ids, np.int32)[votes.argmax(1)]
     is_agreed = (votes.max(1) >= LEAST_SHARE * votes.sum(1)) | is_one

@@ -35,7 +35,8 @@ def objects_of_classes(
     wanted: NDArray[np.integer],
     least: NDArray[np.floating],
 ) -> NDArray[np.int64]:
-    """Return ``object_of_class``, int64 [N], for each row of ``shown`` [N, W], ``wanted`` [N] and ``least`` [N]."""
+    """Return, for each row of ``shown`` [N, W], the index of the object of class ``wanted`` [N] with the largest
+    coverage shown[row, columns[index]], int64 [N], or -1 if none has more than ``least`` [N]."""
     found = np.empty(len(shown), np.int64)
     classes, rows = class_of_object.astype(np.int64), np.ascontiguousarray(shown)
     _fill_objects(rows, columns, classes, wanted.astype(np.int64), least, found)

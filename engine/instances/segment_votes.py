@@ -53,8 +53,7 @@ def vote_panoptic_labels(
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Return the label int32 [N] and the confidence float32 [N] of a cloud's N ``points``. ``object_of_segment``: the
     object, 1 to U, of each mask, by frame and segment id. ``kind``: how views' votes are weighted. ``neighbours``: a
-    matrix [N, N] (sparse, or `RestOfSuperpoint`) of the shares in which points also get others' votes, or None. Raises
-    what ``progress`` raises."""
+    matrix [N, N] (sparse, or `RestOfSuperpoint`) of the shares in which points also get others' votes, or None."""
     views, point_of_pixel = seeing.views, seeing.point_of_pixel
     some, done = max(1, CELLS_AT_A_TIME // len(labels)), itertools.count(1)
     chosen = [slice(at, at + some) for at in range(0, points, some)]
@@ -84,9 +83,9 @@ def vote_panoptic_labels(
 def view_labels(
     views: Sequence[View], point_of_pixel: Sequence[NDArray[np.int32]], label: NDArray[np.int32], count: int
 ) -> OnDemand[NDArray[np.int16]]:
-    """Return the labels of each view's pixels, int16 [H, W], computed when read: ``segment_labels`` of the points'
-    labels, ``label`` int32 [N], of ``count`` labels, -1 = unknown. ``point_of_pixel`` int32 [H, W] per view, -1 =
-    none."""
+    """Return the labels of each view's pixels, int16 [H, W], computed when read: pixels take their points' ``label``
+    int32 [N], of ``count`` labels, -1 = unknown, and segments that mostly agree take one label. ``point_of_pixel``
+    int32 [H, W] per view, -1 = none."""
     table = np.append(label, UNKNOWN_LABEL)
     return OnDemand(len(views), lambda n: segment_labels(views[n].mask, table[point_of_pixel[n]], count))
 

@@ -47,7 +47,7 @@ def trusted_superpoints(
 ) -> NDArray[np.int64] | None:
     """Return the superpoint of each of a cloud's points ``xyz`` [N, 3], metres, int64 [N], or None if superpoints would
     harm. They are used if views agree too little to judge them, or if ``masks_are_weak`` and views that are held back
-    agree with them about as well as with points. ``spacing``: the distance between points, metres."""
+    agree with them about as well as with points. ``spacing``: between points, metres; ``kind``: of votes."""
     if len(xyz) < LEAST_POINTS:
         return None
     part = superpoints(xyz, spacing, seeing)
@@ -75,8 +75,8 @@ class RestOfSuperpoint:
 
 
 def rest_of_superpoints(part: NDArray[np.int64], in_all: float) -> RestOfSuperpoint:
-    """Return the matrix by which points get the votes of their superpoint ``part`` [N]: only the mean votes, if views
-    agree well with each other (on a share ``in_all`` of at least AGREEING)."""
+    """Return the matrix by which points get the votes of their superpoint ``part`` [N]: the mean votes, if views agree
+    well with each other (``in_all``, the share on which they do, is at least AGREEING), else the sum."""
     return RestOfSuperpoint(part, mean=in_all >= AGREEING)
 
 

@@ -76,7 +76,8 @@ def agreement_of_views(
 def class_balance(
     seeing: ViewsOnCloud, points: int, class_ids: tuple[int, ...], kind: EvidenceKind, agreement: ViewAgreement
 ) -> ClassBalance:
-    """Return weights that favour classes which views seldom show, if masks are weak; else all votes count alike."""
+    """Return weights of votes for ``class_ids`` that favour classes which views seldom show, if masks are weak by the
+    views' ``agreement``; else all votes count alike."""
     if not agreement.is_weak:
         return UNBALANCED
     total = votes_of_views(seeing, points, np.asarray(class_ids), kind)[1].sum(0)

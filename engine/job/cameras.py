@@ -104,7 +104,7 @@ class BakeCamera:
 
     @property
     def motion(self) -> str:
-        """A text that identifies the cameras of the frames before and after, for the layer Vector; "" without them."""
+        """A text that identifies the cameras of the frames before and after (for motion vectors); "" without them."""
         return " ".join(each.fingerprint for each in (self.previous, self.next) if each is not None)
 
     @property
@@ -143,8 +143,8 @@ def safe_name(text: str) -> str:
 
 
 def filled_name(template: str, shot: str, camera: str, version: int) -> str:
-    """Fill in a template for the names of a shot's files, without the number of the frame. Its field "layer" becomes
-    "passes", as one file holds all layers. Raises ValueError for a template with unknown fields."""
+    """Fill in a ``template`` for the names of a shot's files, without the number of the frame. Its field "layer"
+    becomes "passes", as one file holds all layers. Raises ValueError for a template with unknown fields."""
     words = {"shot": shot, "camera": camera, "layer": "passes"}
     template = _FRAME.sub("", template)
     rest = _FIELD.sub("", template)

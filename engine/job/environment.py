@@ -30,7 +30,7 @@ def environments_folder(environ: Mapping[str, str] = os.environ) -> Path:
 
 
 def environment_name(root: Path, version: Version) -> str:
-    """The name of the environment for these requirements and this Python. Raises PlgsError if those are missing."""
+    """The name of the environment for these requirements and this Python. Raises PlgsError if they are missing."""
     return f"engine-{version[0]}.{version[1]}-{digest(root, version)}"
 
 
@@ -45,7 +45,7 @@ def is_complete(environment: Path) -> bool:
 
 
 def made_environment(root: Path, environ: Mapping[str, str] = os.environ) -> Path | None:
-    """Return the complete environment for these requirements, or None; that of this Python if there are several."""
+    """Return the complete environment for these requirements, that of this Python if there are several; else None."""
     folder = environments_folder(environ)
     if not folder.is_dir():
         return None
@@ -85,7 +85,7 @@ def requirement_file(root: Path, name: str, version: Version | None = None) -> P
 
 
 def needed_packages(root: Path, version: Version, platform: str = sys.platform) -> dict[str, str | None]:
-    """The needed packages with their pinned versions, torch first; None for an unpinned one. Raises PlgsError."""
+    """The needed packages with pinned versions, torch first; None for an unpinned one. Raises PlgsError for no file."""
     needed: dict[str, str | None] = {}
     for name in _FILES:
         needed |= _pins(root / "requirements" / name, version, platform)
@@ -95,7 +95,7 @@ def needed_packages(root: Path, version: Version, platform: str = sys.platform) 
 
 
 def pinned_hashes(path: Path) -> Iterator[tuple[str, str | None, str]]:
-    """Yield the name, version and SHA-256 of each wheel in a file of hashes. Raises PlgsError."""
+    """Yield each wheel's name, version (or None) and SHA-256 in a file of hashes. Raises PlgsError for a bad file."""
     name = version = ""
     for line in _text(path).splitlines():
         if pin := re.match(r"([\w.-]+)==([^\s;]+)", line):
@@ -105,7 +105,7 @@ def pinned_hashes(path: Path) -> Iterator[tuple[str, str | None, str]]:
 
 
 def digest(root: Path, version: Version) -> str:
-    """Return a text that identifies an environment and changes with the requirements' text. Raises PlgsError."""
+    """Return a text that changes with the requirements for this version of Python. Raises PlgsError for no file."""
     paths = [root / "requirements" / name for name in _FILES] + [requirement_file(root, "constraints", version)]
     return hashlib.sha256("\n".join(_text(path) for path in paths).encode()).hexdigest()[:12]
 

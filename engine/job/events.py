@@ -48,7 +48,7 @@ _PROGRESS = b'"event": "progress"'
 
 @dataclass(frozen=True)
 class Event:
-    """One event. ``seq`` rises by one, ``time`` is in Unix seconds, ``data`` has the other keys (see EventWriter)."""
+    """One event. ``seq`` rises by one, ``time`` is in Unix seconds, ``data`` has the other keys of its ``kind``."""
 
     seq: int
     time: float
@@ -103,8 +103,8 @@ class EventWriter:
         eta_s: float | None = None,
         left_s: float | None = None,
     ) -> None:
-        """Report that ``step`` of ``steps`` of a stage is done. ``eta_s`` seconds of it and ``left_s`` of the run
-        remain."""
+        """Report that ``step`` of ``steps`` of a stage is done. It takes ``eta_s`` more seconds, the whole run
+        ``left_s``."""
         self._write("progress", stage=stage, step=step, steps=steps, loss=loss, eta_s=eta_s, left_s=left_s)
 
     def metric(self, name: str, values: Mapping[str, float | int | str | None]) -> None:

@@ -152,8 +152,7 @@ class LiftFolder:
         return is_locked(self.events_path)
 
     def lock(self) -> FileLock:
-        """The engine's lock, held while it writes here; for ``with``. Raises PlgsError if another has it, and
-        OSError."""
+        """The engine's lock for ``with``, held while it writes. Raises PlgsError if another has it, and OSError."""
         return FileLock(self.events_path)
 
     def refuse_foreign(self) -> None:
@@ -203,7 +202,7 @@ class LiftFolder:
         return codes[-1] if codes and isinstance(codes[-1], int) else None
 
     def is_whole(self) -> bool:
-        """Whether the result of a finished lift is exactly as it was written. It reads every byte."""
+        """Whether the lift is finished and its result exactly as it was written. It reads every byte."""
         return self._passes(verify)
 
     def prepare_run(self) -> None:
@@ -237,8 +236,7 @@ class LiftFolder:
         return (self.path / NEXT).is_dir()
 
     def with_next_result(self) -> LiftFolder:
-        """Return this folder for an engine that writes the result. If the lift is lifted again, the new result is
-        beside the old one."""
+        """Return this folder for an engine that writes a result: a new one beside the old one if it is lifted again."""
         return replace(self, result_name=NEXT) if self.is_lifted_again else self
 
     def drop_next_result(self) -> None:
@@ -248,9 +246,9 @@ class LiftFolder:
 
     def adopt_next_result(self) -> Path | None:
         """Replace the result by a finished new one, also if a kill interrupted this before. The new one must be
-        complete by its manifest, and of this lift's request. Returns where the earlier result is; None if it was
-        deleted, or nothing is new. Only the engine with the lock may call this. Raises OSError, and PlgsError if the
-        disk does not answer."""
+        complete by its manifest, and of this lift's request. Returns where the earlier result is now; None if it was
+        deleted, or if there is no new one. Only the engine with the lock may call this. Raises OSError, and PlgsError
+        if the disk does not answer."""
         new = self.with_next_result()
         if new is self or not new._passes(lambda result: verify_of(result, self.path)):
             return None
@@ -378,7 +376,7 @@ def refuse_foreign(lift: Path, *more: str) -> None:
 
 
 def refuse_foreign_below(lift: Path, folders: Sequence[str] = FOLDERS) -> None:
-    """Do the same as `refuse_foreign` for everything in the lift's ``folders``, before anything changes there."""
+    """Raise PlgsError if anything in the lift's ``folders`` is a link or the like, before anything changes there."""
     if folders is FOLDERS:
         refuse_foreign(lift)
     tops = [lift / name for name in folders]

@@ -139,7 +139,8 @@ class TaskFollower:
         self._process = None
 
     def _poll(self) -> bool:
-        """Poll once. Raises OSError or PlgsError if the folder cannot be read."""
+        """Read the new events once, and see whether the engine runs. Returns whether anything changed. Raises OSError
+        or PlgsError if the folder cannot be read."""
         code = None if self._process is None else self._process.exit_code()
         has_ended = not is_locked(self.files.events) if self._process is None else code is not None
         events = self._reader.poll()  # read after the check of the process, so that the last events are included

@@ -72,7 +72,7 @@ class EngineAnswer:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> EngineAnswer | None:
-        """Return the answer that `to_json` gave; None if ``data`` is something else, or of another format."""
+        """Return the answer from the JSON ``data`` of `to_json`; None if it is something else, or of another format."""
         known = {each.name for each in fields(cls)}
         try:
             refuse_other_format(dict(data), "", FORMAT)

@@ -121,8 +121,8 @@ class BakeLocks:
 
     @contextmanager
     def claim(self, view: str) -> Iterator[bool]:
-        """Whether this process may bake the view until the ``with`` ends; False if another process is baking it. Raises
-        PlgsError if the file system does not support locks."""
+        """Yield whether this process may bake the ``view`` within the ``with`` block; False if another is baking it.
+        Raises PlgsError if the file system does not support locks."""
         path = self._folder / f"view-{sha256(view.encode()).hexdigest()[:16]}.lock"  # so that any text is a name
         try:
             lock = FileLock(path, wait_s=0.0).__enter__()

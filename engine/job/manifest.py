@@ -22,7 +22,7 @@ MAKE_ANEW = "Make the result again: 'python -m engine lift LIFT --resume'."
 
 
 def damaged(key: str, what: str, path: Path) -> PlgsError:
-    """Return the error for a file of the result that has changed since it was written."""
+    """Return the error ``key`` for the file ``path`` of the result, which has changed since: ``what`` says how."""
     return PlgsError(key, what, path, MAKE_ANEW, code=ErrorCode.DAMAGED, option="--resume")
 
 
@@ -75,7 +75,8 @@ def add_files(result: Path, paths: Sequence[Path], frames: _Names | None = None)
 
 
 def drop_files(result: Path, paths: Sequence[Path]) -> None:
-    """Take files that are about to be made again out of the manifest. Otherwise like ``add_files``."""
+    """Take files that are about to be made again out of the manifest of a finished lift; its other entries stay. Raises
+    PlgsError without a manifest, OSError."""
     manifest = read_manifest(result)
     dropped = {PurePosixPath(path.relative_to(result)) for path in paths}
     _write(result, replace(manifest, files=tuple(file for file in manifest.files if file.path not in dropped)))
@@ -101,7 +102,7 @@ def read_manifest(result: Path) -> Manifest:
 
 
 def check_sizes(result: Path) -> Manifest:
-    """Return the manifest after checking that every listed file exists with the right size. Raises PlgsError."""
+    """Return the manifest if every listed file exists with the right size; else raise PlgsError."""
     manifest = read_manifest(result)
     for file in manifest.files:
         path = result / file.path
@@ -119,7 +120,7 @@ def check_sizes(result: Path) -> Manifest:
 
 
 def verify(result: Path) -> Manifest:
-    """The manifest, after comparing every file with its size and SHA-256. Raises PlgsError."""
+    """Return the manifest if every listed file has its size and SHA-256; else raise PlgsError."""
     manifest = check_sizes(result)
     verify_files(result, manifest.files)
     return manifest
@@ -132,13 +133,13 @@ def lifted_digest(manifest: Manifest) -> str:
 
 
 def verify_of(result: Path, lift: Path) -> None:
-    """Check the files by the manifest, and that the result is of the lift's request. Raises PlgsError."""
+    """Raise PlgsError unless the result's files are as its manifest says, and it is of the request of this ``lift``."""
     if verify(result).request != request_digest(lift):
         raise damaged("other-request", "is the result of other options than request.json has", result / NAME)
 
 
 def verify_lifted(result: Path) -> Manifest:
-    """The manifest after `check_sizes` and a check of the SHA-256 of all but passes and previews. Raises PlgsError."""
+    """Return the manifest if files have their sizes and, but for passes and previews, SHA-256; else raise PlgsError."""
     manifest = check_sizes(result)
     verify_files(result, (file for file in manifest.files if len(file.path.parts) == 1))  # others are in folders
     return manifest
@@ -154,7 +155,7 @@ def changed_files(result: Path) -> list[Path]:
 
 
 def verify_files(result: Path, files: Iterable[ListedFile]) -> None:
-    """Compare files with the SHA-256 listed for them. Raises PlgsError."""
+    """Raise PlgsError unless the files have the SHA-256 listed for them."""
     for file in files:
         path = result / file.path
         try:

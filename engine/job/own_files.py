@@ -81,7 +81,7 @@ class OwnFiles:
     def begin(self, kind: str, about: Mapping[str, Any], *, replaces: bool = False, among_others: bool = False) -> Self:
         """Set what the next run will write: a ``kind``, and ``about`` with the details, for the note. Unless it is
         written ``among_others``, the folder must be new, empty, or of an equal run; with ``replaces`` the same kind is
-        enough. Raises PlgsError, OSError."""
+        enough. Raises PlgsError for a folder of anything else, OSError."""
         self._asked = kind, json.loads(json.dumps(about))
         place = next(each for each in (self.folder, *self.folder.absolute().parents) if os.path.lexists(each))
         if not place.is_dir():
@@ -146,7 +146,7 @@ class OwnFiles:
         return kept
 
     def record(self, path: Path, written: Path) -> None:
-        """List the content of a claimed file, which is now complete at ``written``. Raises OSError."""
+        """List the content of the claimed file ``path``, which is now complete at ``written``. Raises OSError."""
         name, digest = self._name(path), sha256(written)
         self._append({"file": name, "sha256": digest})
         self._list(name, digest)
@@ -216,7 +216,7 @@ def guard_of(path: Path) -> OwnFiles | None:
 
 
 def foreign(path: Path, fix: str = "Move it away, or write into another folder.", option: str = "") -> PlgsError:
-    """Return the error for somebody else's file at a path where we would write."""
+    """Return the error for somebody else's file at a ``path`` where we would write. ``option`` names another place."""
     return PlgsError("foreign-file", "was not written by PLGS, or was changed since", path, fix, option=option)
 
 

@@ -97,7 +97,7 @@ def predict(
     classes: int = USUAL_CLASSES,
 ) -> Prediction:
     """Predict a lift of ``train_frames`` + ``test_frames`` pictures of ``frame_size`` (width, height) pixels. ``bake``
-    is as in a request; ``slowness``: see `machine_slowness`; ``masks_a_frame`` and ``classes`` describe the masks."""
+    says which frames are baked ("test", "all", "none"); this machine is ``slowness`` times slower than usual."""
     frames = train_frames + test_frames
     views = preset.views_of(train_frames)
     own = frame_size[0] * frame_size[1] / 1e6
@@ -156,7 +156,7 @@ def machine_slowness(cache: Path | None = None) -> float:
 
 
 def learn_slowness(seconds: float, megapixels: float, millions_of_gaussians: float, cache: Path | None = None) -> None:
-    """Remember how long a training step of a finished lift took here, in seconds. Raises OSError, PlgsError."""
+    """Remember how many seconds a training step of a finished lift took. Raises OSError, PlgsError for no lock."""
     path = _speed_path(cache)
     path.parent.mkdir(parents=True, exist_ok=True)
     with FileLock(path.with_suffix(".lock"), wait_s=20.0):  # as for the list of recent lifts

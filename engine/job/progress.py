@@ -40,7 +40,7 @@ class Course:
         self.began, self.seconds = time.monotonic(), dict(seconds)
 
     def leave_out(self, seconds: float) -> None:
-        """Exclude ``seconds`` from the measured pace, as kernels were compiled then, which happens only once."""
+        """Exclude ``seconds`` from the measured pace: kernels were compiled then, which happens only once."""
         self.began += seconds
 
     def skip(self, stage: str, share: float) -> None:

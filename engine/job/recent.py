@@ -38,8 +38,8 @@ class _Entry:
 
 
 def recent_lifts(cache: Path | None = None, most: int = MOST) -> list[RecentLift]:
-    """Return the listed lifts that still exist, newest first, with their `state_at_a_glance`. It takes a few
-    milliseconds and never raises: what cannot be read is left out."""
+    """Return at most ``most`` of the listed lifts that still exist, newest first, with their state at a glance. It
+    takes a few milliseconds and never raises: what cannot be read is left out."""
     lifts = []
     for path, touched in _entries(_list_path(cache))[:most]:
         try:

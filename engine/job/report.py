@@ -45,7 +45,7 @@ def metrics_text(metrics: Mapping[str, Json], *, per_class: bool = False) -> str
 
 
 def wrong_with_scene(metrics: Mapping[str, Json]) -> list[str]:
-    """Return the texts about problems that were found in the scene before it was lifted."""
+    """Return sentences on problems that were found in the scene before it was lifted."""
     entries = [entry for entry in _list(metrics.get("findings")) if isinstance(entry, dict)]
     return [f"{entry.get('cause')}: {entry.get('text')}" for entry in entries if entry.get("severity") == "wrong"]
 
@@ -90,12 +90,12 @@ def made_files(lift: LiftFolder) -> list[Path]:
 
 
 def estimated_text(lift: LiftFolder) -> str:
-    """What of a finished lift's scene was estimated, not measured, a line each; "" if nothing. Raises PlgsError."""
+    """What of a lift's scene was estimated, a line each; "" if nothing. Raises PlgsError for a damaged lift."""
     return "\n".join(printable(f"{line[:1].upper()}{line[1:]}") for line in read_manifest(lift.result_path).estimated)
 
 
 def read_metrics(lift: LiftFolder) -> dict[str, Json]:
-    """The content of metrics.json. Raises PlgsError."""
+    """The content of metrics.json. Raises PlgsError if it is missing or damaged."""
     return read_object(lift.result_path / "metrics.json", MAKE_ANEW)
 
 

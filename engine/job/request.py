@@ -240,7 +240,7 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
 
 
 def source_of(options: argparse.Namespace) -> SceneSource:
-    """The source that ``scene`` and the options of `add_scene_options` name."""
+    """The scene, and how to read it, that ``scene`` and the options of `add_scene_options` name."""
     given = {each.name: getattr(options, each.name) for each in fields(SceneSource)}
     return SceneSource(**{name: value for name, value in given.items() if value is not None})
 
@@ -282,7 +282,7 @@ def number_of_frames(text: str) -> int:
 
 def request_from(options: argparse.Namespace, base: LiftRequest | None = None) -> LiftRequest:
     """Return the request that ``scene`` and the options of `add_lift_options` ask for; what is not given comes from
-    ``base``. Raises PlgsError."""
+    ``base``. Raises PlgsError for bad values."""
     asked = {name: value for name in (*_FIELDS, "bake") if (value := getattr(options, name)) is not None}
     given: dict[str, Any] = {name: each.resolve() if isinstance(each, Path) else each for name, each in asked.items()}
     own = {name: value for name in ("steps", "size", "frames") if (value := getattr(options, name)) is not None}
@@ -295,7 +295,7 @@ def chosen_options(
     preset: str | None, changed: Mapping[str, Json], base: LiftRequest = DEFAULTS
 ) -> tuple[Any, dict[str, Json]]:
     """Return the name of a preset and its changed options: first those of ``preset`` (a name or a preset file), or of
-    ``base`` if it is None, then those in ``changed``. Raises PlgsError."""
+    ``base`` if it is None, then those in ``changed``. Raises PlgsError for unknown ones."""
     name, options = (base.preset, dict(base.options)) if preset is None else (preset, {})
     if name.endswith(".toml"):
         name, options = presets.read_preset_file(Path(name))

@@ -61,7 +61,7 @@ class StudioDefaults:
 
 
 def studio_defaults(environ: Mapping[str, str] = os.environ) -> StudioDefaults:
-    """Read the defaults from the file that an environment variable names; without it all are None. Raises PlgsError."""
+    """Read the defaults from the file that a variable names; without it all are None. Raises PlgsError for errors."""
     if not (named := environ.get(VARIABLE)):
         return StudioDefaults()
     file = Path(named).absolute()
@@ -69,8 +69,8 @@ def studio_defaults(environ: Mapping[str, str] = os.environ) -> StudioDefaults:
 
 
 def filled_in(options: argparse.Namespace) -> argparse.Namespace:
-    """Return a command's options, with the studio's defaults for those that were not given. These are printed to
-    standard error. Raises PlgsError."""
+    """Return a command's options, with the studio's defaults for those that were not given, which are printed to
+    standard error. Raises PlgsError for a bad file of defaults."""
     studio, given = studio_defaults(), vars(options)
     masks = studio.masks_of(given.get("scene"))
     defaults = {"preset": studio.preset, "masks": masks, "device": studio.device, "memory": studio.memory}

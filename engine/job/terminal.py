@@ -277,7 +277,7 @@ def _lacks_poses(error: PlgsError, options: argparse.Namespace) -> bool:
 
 
 def _prepare(options: argparse.Namespace, python: Path, interrupts: Interrupts) -> None:
-    """Let an engine make what photos or a film lack for a lift. ``options.scene`` becomes the folder with that."""
+    """Let an engine make what photos or a film lack for a lift. ``options.scene`` becomes the folder with it all."""
     have = [name for name in ("depth", "masks") if getattr(options, name) is not None]
     more = [*(["--have", *have] if have else []), *(["--download"] if getattr(options, "download", False) else [])]
     options.scene = Path(str(ask_engine(python, interrupts, "prepare", options.scene, *more)["folder"]))
@@ -294,7 +294,8 @@ def resumable(options: argparse.Namespace) -> LiftFolder | None:
 
 
 def ask_engine(python: Path, interrupts: Interrupts, kind: str, *arguments: str | Path) -> Mapping[str, Json]:
-    """Run the engine's command ``kind``, with progress on stderr. Returns its answer. Raises PlgsError, Interrupted."""
+    """Run the engine's command ``kind`` with progress on stderr; returns its answer. Raises its PlgsError,
+    Interrupted."""
     with interrupts.deferred():
         follower = TaskFollower.start([*engine_call(python), kind, *arguments], TaskFiles.temporary(), kind=kind)
         follow(follower, interrupts, LiveLine(sys.stderr))
