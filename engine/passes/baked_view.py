@@ -151,9 +151,9 @@ class Matte:
 
 @dataclass(frozen=True, eq=False)
 class BakedView:
-    """Everything that is written for a view, as ``camera`` sees it; the cameras of the previous and the next frame, if
-    known; ``guessed`` float32 [H, W], the share of each pixel that no photo ever saw or nothing covers, if objects were
-    removed from the scene, else None; ``normal`` float32 [3, H, W] as in `Surface` if it does not follow from the
+    """Everything that is written for a view, as ``camera`` sees it. ``previous`` and ``following`` are the cameras of
+    the frames before and after, if known. ``guessed`` float32 [H, W] is the share of each pixel that no photo ever saw,
+    None if no objects were removed. ``normal`` float32 [3, H, W] is as in `Surface`, if it does not follow from the
     depth."""
 
     camera: Camera
@@ -203,8 +203,7 @@ def bake_view(
     bands: Iterable[PanopticRendering], camera: Camera, classes: ClassTable, instances: ShownInstances
 ) -> BakedView:
     """Decide and rank ``bands`` (all rows of ``camera``'s picture, from the top) one after another, so that only one
-    band's coverage is in memory. Coverage is changed in place (see ``align_mattes``). Raises ValueError if there are no
-    bands."""
+    band's coverage is in memory. The bands are changed (see ``align_mattes``). Raises ValueError without bands."""
     shape = (2 * RANKS, camera.height, camera.width)
     of_instances, of_classes = np.empty(shape, np.float32), np.empty(shape, np.float32)
     layers: list[PanopticLayers] = []

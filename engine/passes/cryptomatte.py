@@ -91,7 +91,8 @@ def rank_pixels(
 
 @device_function
 def largest_first(coverage: Array, columns: Array, ids: Array, own_ids: Array, own_shares: Array) -> np.float32:
-    """Insert the coverages of a pixel into its ranks, largest first. Returns the sum of all that are not negligible."""
+    """Insert a pixel's coverages into its ranks (``own_ids``, ``own_shares``), largest first. Returns the sum of all
+    that are not negligible. ``ids`` are those of the ``columns`` of ``coverage`` that are ranked."""
     total, last = ZERO, RANKS - 1
     for rank in range(RANKS):
         own_ids[rank] = own_shares[rank] = ZERO
@@ -112,7 +113,7 @@ def largest_first(coverage: Array, columns: Array, ids: Array, own_ids: Array, o
 
 @device_function
 def fill(own_ids: Array, own_shares: Array, limit: float) -> None:
-    """Reduce the ranks' coverages so that their sum is at most ``limit``, filling it with the largest first."""
+    """Cut a pixel's ranks so that their shares sum to at most ``limit``, which is given to the largest first."""
     left = limit
     for rank in range(RANKS):
         value = min(own_shares[rank], left)
@@ -127,7 +128,7 @@ CRYPTO_INSTANCE, CRYPTO_CLASS = "CryptoInstance", "CryptoClass"
 
 @dataclass(frozen=True, eq=False)
 class MatteLayer:
-    """A Cryptomatte layer: the ``columns`` of the coverage that it shows, and the name of each."""
+    """A Cryptomatte layer: the ``columns`` of the coverage that it shows, and their ``names``, one each."""
 
     name: str
     columns: tuple[int, ...]

@@ -117,7 +117,7 @@ def frame_header(camera: Camera, shown: ShownFrame, name: str) -> dict[str, Any]
 
 
 def exact_rate(fps: float) -> Fraction | None:
-    """Return the exact frame rate that a rounded one means, such as 24000/1001 for 23.976; None if no camera has it."""
+    """Return the exact frame rate that a rounded one means (24000/1001 for 23.976); None if it is no camera's."""
     if not 0.0 < fps <= _LARGEST_RATE:
         return None
     ntsc = Fraction(1000 * round(fps), 1001)
@@ -244,7 +244,8 @@ def read_note(path: Path, name: str) -> str | None:
 
 
 def is_frame(path: Path, shown: ShownFrame) -> bool:
-    """Whether a baked view's header has the number and the rate of this frame. Raises ValueError, OSError."""
+    """Whether a baked view's header has the number and rate of this frame. Raises ValueError if it is damaged,
+    OSError."""
     attributes = _header(path).attributes
     number = number_in(path.stem) if shown.number is None else shown.number
     rate = exact_rate(shown.fps or 0.0)

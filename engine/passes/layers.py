@@ -79,8 +79,8 @@ class PanopticLayers(NamedTuple):
 
 @parallel_kernel
 def decide_pixels(worker: int, workers: int, pixels: Any, columns: Any, linear_light: Array, decided: Any) -> None:
-    """Decide every ``workers``-th chunk of pixels. ``linear_light`` float32 [N + 1]: linear values of 0, 1/N, ... 1
-    (sRGB-encoded)."""
+    """Decide every ``workers``-th chunk of ``pixels`` (Pixels, with their Columns) into ``decided`` (PanopticLayers).
+    ``linear_light`` float32 [N + 1] holds the linear values of the sRGB values 0, 1/N, ... 1."""
     count = len(pixels.alpha)
     has_labels, has_colour = len(decided.semantic) > 0, len(decided.combined) > 0
     for start in range(worker * CHUNK, count, workers * CHUNK):
@@ -155,8 +155,7 @@ def owned_class(coverage: Array, slots: Array, columns: Any, winner: int, most: 
 def best_slot(coverage: Array, alpha: Any, of_class: Any, columns: Any, winner: int) -> int:
     """Return the slot that a pixel of the class with index ``winner`` shows (the first if several tie), -1 for no
     object. ``coverage`` is that of all slots, ``of_class`` that of the class. If objects have one class throughout,
-    ``object_of_class`` decides. Otherwise it is the slot with the largest coverage, if that is more than the coverage
-    of no object."""
+    ``object_of_class`` decides. Otherwise it is the slot with the largest coverage, if "no object" has less."""
     best, most, instances = -1, ZERO, ZERO
     if columns.one_class:
         least = LEAST_SHARE_OF_CLASS * of_class
@@ -218,7 +217,7 @@ def raise_over_half(coverage: Array, columns: Array, winner: int, alpha: Any) ->
 
 @device_function
 def combine(pixels: Any, pixel: int, linear_light: Array, combined: Array) -> None:
-    """Write a pixel's colour in linear light, interpolated in the table ``linear_light``, and its alpha."""
+    """Write a pixel's linear colour, interpolated in the table ``linear_light``, and its alpha to ``combined``."""
     steps = len(linear_light) - 1
     for channel in range(3):
         value = min(max(pixels.image[pixel, channel], ZERO), ONE) * np.float32(steps)

@@ -83,8 +83,9 @@ def _metres(mask: Mask, texel: float) -> NDArray[np.float64]:
 
 
 def completed_labels(known_label: NDArray[np.int32], hole: Mask, seen: Mask) -> NDArray[np.int32]:
-    """Return the labels [h, w], continued into the hole from the nearest place that photos saw. If a label fills its
-    rectangle there, as a rug does, it fills the rest of it in the hole too, and the commonest label what is around."""
+    """Return the labels [h, w] of a texture, continued into the ``hole`` from the nearest texel that was ``seen``. A
+    label that fills its rectangle, as a rug does, fills all of it in the hole too; the commonest label fills what is
+    around."""
     label = known_label[tuple(distance_transform_edt(~seen, return_distances=False, return_indices=True))]
     kinds, counts = np.unique(known_label[seen], return_counts=True)
     edge = binary_dilation(hole, iterations=4) & seen
@@ -101,8 +102,8 @@ def completed_labels(known_label: NDArray[np.int32], hole: Mask, seen: Mask) -> 
 
 
 def spread(values: Colours, known: Mask, sigma: float) -> Colours:
-    """Blur ``values`` [h, w, 3] where they are known, and continue them elsewhere: a sum of blurs, each twice as wide
-    as the one before, and weighted so that it counts only where the narrower ones hardly reach."""
+    """Blur ``values`` [h, w, 3] by ``sigma`` texels where they are ``known``, and continue them elsewhere. It is a sum
+    of blurs, each twice as wide as the one before, and counting only where the narrower ones hardly reach."""
     total, weight = np.zeros_like(values), np.full(known.shape, 1e-12, np.float32)
     shown = np.where(known[..., None], values, 0).astype(np.float32)
     for octave in range(1 + max(0, int(np.log2(max(known.shape) / sigma)))):

@@ -29,8 +29,9 @@ POINTS_APART = 0.03
 def replaced_gaussians(
     centres: NDArray[np.floating], label: NDArray[np.int32], texture: Texture, completed: Completed, others: Others
 ) -> NDArray[np.bool_]:
-    """Return which of the lift's Gaussians a texture replaces, bool [G]: those on the plane where it is drawn, and
-    those behind it that belong to nothing else. ``label`` [G] is their likeliest label."""
+    """Return which of the lift's Gaussians, at ``centres`` [G, 3], the ``completed`` texture replaces, bool [G]: those
+    on the plane where it is drawn, and those behind it that are on none of the ``others``. ``label`` [G] is their
+    likeliest label."""
     gone = np.zeros(len(centres), np.bool_)
     local = texture.plane.local(centres)
     cell = np.floor((local[:, :2] - texture.low) / texture.texel).astype(int)
@@ -45,7 +46,8 @@ def replaced_gaussians(
 
 
 def gaussians_of(texture: Texture, completed: Completed) -> Fill:
-    """Return a fill without cells, with a new Gaussian for each texel that is drawn."""
+    """Return the fill of a texture: a new Gaussian for each texel that is drawn. It does not say which cells to
+    clear."""
     drawn, t = completed.fill, texture.texel
     xyz = texture.points()[drawn]
     every = max(1, round(POINTS_APART / t))
@@ -71,8 +73,8 @@ def joined(fills: Sequence[Fill]) -> Fill:
 def cleared_cells(
     centres: NDArray[np.floating], gone: NDArray[np.bool_], stays: NDArray[np.bool_]
 ) -> NDArray[np.int32]:
-    """Return the cells to clear, int32 [C, 3]: of the cells at removed Gaussians and beside them, those in which more
-    Gaussians are ``gone``, bool [G], than stay, or in which none stays."""
+    """Return the cells to clear of Gaussians, int32 [C, 3]. Of the cells at removed Gaussians and beside them, these
+    are those in which more Gaussians are ``gone`` than ``stays`` says, bool [G] each, or in which none stays."""
     cells = with_neighbours(cells_of(centres[gone]))
     keys, owned = cell_keys(cells), [np.sort(cell_keys(cells_of(centres[own]))) for own in (gone, stays)]
     gone_in, stay_in = (np.searchsorted(own, keys, "right") - np.searchsorted(own, keys) for own in owned)

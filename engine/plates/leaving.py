@@ -81,8 +81,8 @@ def leaving_points(views: Sequence[PlateView], points: NDArray[np.floating]) -> 
 
 
 def other_points(views: Sequence[PlateView], leaving: Leaving) -> Others:
-    """Return the points on anything else that the photos show within AROUND and beside the objects' outlines, one point
-    in each cell of THINNED."""
+    """Return what the photos show near the removed objects: points on anything else that are within AROUND of their box
+    or beside their outlines, one in each cell of THINNED."""
     low, high = leaving.low - AROUND, leaving.high + AROUND
     parts = []
     for view in views:
@@ -125,7 +125,8 @@ def support_of(leaving: Leaving, planes: Sequence[Plane]) -> float | None:
 def with_legs(
     views: Sequence[PlateView], leaving: Leaving, others: Others, planes: Sequence[Plane]
 ) -> tuple[list[PlateView], Leaving, Others]:
-    """Add the objects' legs to what is removed. Returns the views, the points that leave, and the others."""
+    """Count the legs that masks missed among the removed points. Returns the views, removed points and others after
+    that."""
     legs = legs_of(leaving, others, planes)
     if not legs.any():
         return list(views), leaving, others

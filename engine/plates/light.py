@@ -78,8 +78,8 @@ def _hemisphere() -> NDArray[np.float64]:
 
 
 class Light(NamedTuple):
-    """Logarithms of encoded brightness, float32 [h, w, 3]: what is ``expected`` without the removed objects, and what
-    they ``kept`` away (negative)."""
+    """Logarithms of encoded brightness, float32 [h, w, 3]: ``expected`` without the removed objects, and ``kept`` away
+    by them (negative)."""
 
     expected: Colours
     kept: Colours

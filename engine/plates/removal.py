@@ -56,14 +56,14 @@ def remove(folder: LiftFolder, objects: Sequence[str], progress: Progress = unwa
 
 
 def without(folder: LiftFolder, objects: Sequence[str], progress: Progress = unwatched) -> CorrectedResult:
-    """Return the corrected result without objects, as `remove` would leave it, but do not save the edit. Raises like
+    """Return the corrected result without objects, as `remove` makes it, but do not save the edit. Raises like
     `remove`."""
     edit, _ = _removal(folder, objects, progress)
     return read_corrected(folder.path, further=[replace(edit, uid=edit.fill)])  # the same plate has the same uid
 
 
 def _removal(folder: LiftFolder, objects: Sequence[str], progress: Progress) -> tuple[Edit, tuple[Edit, ...]]:
-    """The edit, whose fill is saved in a file, and the edits before it. A fill that was computed before is reused."""
+    """Return the edit that removes the objects, and the edits before it. The edit's fill is in a file, old or new."""
     folder.refuse_read_only()
     state, corrected = replayed(folder.path), read_corrected(folder.path)
     ids = sorted({making.object_of(state, each) for each in objects})
@@ -149,7 +149,7 @@ class _Room:
         self.centres, self.share = centres[drawn].astype(np.float64), share[drawn]
 
     def without(self, views: Sequence[PlateView], points: NDArray[np.floating], progress: Progress) -> Fill:
-        """Return what replaces the objects that consist of these points [N, 3]."""
+        """Return what replaces the objects whose points these [N, 3] are."""
         leaving = leaving_points(views, points)
         others = other_points(views, leaving)
         progress(1, 10)

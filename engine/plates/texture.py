@@ -166,7 +166,8 @@ def _look(
     plane: Plane, solid: Sequence[Plane], views: Sequence[PlateView], start: NDArray[np.float64],
     end: NDArray[np.float64], texel: float,
 ) -> Texture | None:  # fmt: skip
-    """What the photos show of a rectangle of a plane; None if they show nothing of it, or a thing's side."""
+    """Return the texture, in texels of ``texel`` metres, of the rectangle from ``start`` to ``end`` of a plane. None if
+    the photos show nothing of it, or it is a thing's side. What is behind a ``solid`` plane is not inside."""
     w, h = np.ceil((end - start) / texel).astype(int).tolist()
     xyz = grid(plane, start, texel, (h, w)).reshape(-1, 3)
     sums, inside = _Sums(h * w), np.ones(h * w, np.bool_)
@@ -195,7 +196,7 @@ def _look(
 
 
 def _framed(hole: Mask, seen: Mask, inside: Mask) -> Mask:
-    """Return the parts of the hole whose surroundings photos saw, bool [h, w]."""
+    """Return the parts of the ``hole`` whose surroundings are mostly ``seen`` by photos, bool [h, w]."""
     part, count = components(hole)
     kept = np.zeros_like(hole)
     for number in range(1, count + 1):

@@ -52,7 +52,8 @@ def read_npz(
 
 
 def read_npy(path: Path, fix: str, most_bytes: int = MOST_BYTES) -> NDArray[Any]:
-    """Read the array of a .npy of at most ``most_bytes``. Raises PlgsError as ``read_npz`` does."""
+    """Read the array of a .npy of at most ``most_bytes``. Raises PlgsError, with ``fix`` as the advice, for other
+    files."""
     with reading(path, fix):
         content = read_plain(path, most_bytes)
     try:
@@ -82,7 +83,7 @@ class ArrayHeader:
 
 
 def array_headers(path: Path) -> dict[str, ArrayHeader]:
-    """Return the headers of an .npz's arrays by name; "" is that of a .npy. Raises PlgsError, also for pickles."""
+    """Return the headers of an .npz's arrays by name; "" is that of a .npy. Raises PlgsError for damage and pickles."""
     try:
         with reading(path), open_plain(path) as file:
             if path.suffix.lower() == ".npy":

@@ -19,8 +19,9 @@ PALETTE = tuple((red, green, blue) for red, green, blue in map(bytes.fromhex, _W
 
 @dataclass(frozen=True)
 class ClassLabel:
-    """A class with its number in the masks' own files: ``id`` may be 0 there, and ``colour`` None. The ``name`` is the
-    file's, on one printable line, so that it can be shown and written anywhere."""
+    """A class with its number in the masks' own files, ``id``, which may be 0. A thing has instances, stuff has none.
+    ``name`` is the file's, on one printable line, so that it can be shown anywhere. ``colour`` is sRGB bytes or
+    None."""
 
     id: int
     name: str
@@ -33,8 +34,8 @@ class ClassLabel:
 
 @dataclass(frozen=True)
 class Category:
-    """One class of a scene. ``id`` is at least 1, as in the masks' own table; ``colour`` is sRGB, three bytes; ``name``
-    is as in ClassLabel."""
+    """A class of a scene. ``id`` is at least 1; ``colour`` is three sRGB bytes; ``is_thing`` and ``name``: see
+    ClassLabel."""
 
     id: int
     name: str

@@ -141,9 +141,9 @@ class SparsePoints:
 
 @dataclass(frozen=True, eq=False)
 class PosedFrame:
-    """One picture and the camera that took it. ``colour_path`` and ``depth_path`` are the files of its pixels.
-    ``file_shows_colour`` says that ``colour_path`` is an image of the frame as it is, not a video, an archive, or a
-    picture that must be undistorted."""
+    """One picture and the camera that took it; ``held_out``: it tests the lift and does not train it. ``colour_path``
+    and ``depth_path`` are the files of its pixels. ``file_shows_colour`` says that ``colour_path`` is an image of the
+    frame as it is, not a video, an archive, or a picture that must be undistorted."""
 
     name: str
     camera: Camera
@@ -160,8 +160,9 @@ class PosedFrame:
 @dataclass(frozen=True, eq=False)
 class PosedScene:
     """A scene's posed frames in recording order, the classes of its masks, and warnings for the user. ``folder`` is the
-    folder or single file that the user named; ``format`` is the name of its reader. ``turn``, float64 [3, 3], is the
-    rotation that was applied to make z point up, or None. ``estimated``: see ``Manifest``."""
+    folder or single file that the user named; ``format`` is the name of its reader. ``points`` are its
+    reconstruction's, if any. ``turn``, float64 [3, 3], is the rotation that made z point up, or None. ``estimated``
+    says what was not measured."""
 
     folder: Path
     frames: tuple[PosedFrame, ...]

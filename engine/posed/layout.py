@@ -30,7 +30,7 @@ def read_file(path: Path, most_bytes: int, fix: str = "Check that it exists.") -
 
 
 def read_text(path: Path, most_bytes: int, fix: str) -> str:
-    """The content of a text file in UTF-8. Raises PlgsError; ``fix`` is the advice for other files."""
+    """The content of a text file in UTF-8. Raises PlgsError for other files, with ``fix`` as the advice."""
     try:
         return read_file(path, most_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -95,7 +95,8 @@ def require_all(names: Sequence[str], present: Collection[str], what: str, where
 
 
 def require_most(names: Sequence[str], present: Collection[str], what: str, where: Path, fix: str) -> list[str]:
-    """Return the ``names`` of frames that are in ``present``. Raises like ``require_all`` if over half are missing."""
+    """Return the ``names`` of frames that are in ``present``. Raises PlgsError like `require_all` if over half are
+    missing."""
     there = [name for name in names if name in present]
     if 2 * len(there) < len(names):
         require_all(names, present, what, where, fix)

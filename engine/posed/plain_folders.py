@@ -44,8 +44,8 @@ def find_split(folder: Path, names: Sequence[str], lost: Sequence[str]) -> Split
 
 
 def default_split(names: Sequence[str]) -> Split:
-    """Hold out every 8th frame for testing: the 5th, the 13th, ..., at most 40. With fewer than five frames none is
-    held out. The first and last frames see surfaces that no other frame sees, so training keeps them."""
+    """Hold out every 8th of the frames ``names`` for testing: the 5th, the 13th, ..., at most 40; none of fewer than
+    five. The first and last frames see surfaces that no other frame sees, so training keeps them."""
     every = max(_EVERY, -(-len(names) // _MOST))
     test = names[_FIRST::every]
     train = tuple(name for index, name in enumerate(names) if index % every != _FIRST)

@@ -138,8 +138,9 @@ def _read(path: Path, most_bytes: int, fix: str) -> tuple[bytes, int, dict[str, 
 
 @dataclass(frozen=True)
 class PlyHeader:
-    """The header of a PLY. ``end`` is where the data begins, 0 if the file is no PLY. ``elements`` holds for each kind
-    of element the count and the numpy types of properties by name, "" for lists, unknown types and repeated names."""
+    """The header of a PLY, in its ``form`` (ascii, binary). ``end`` is where the data begins, 0 if the file is no PLY.
+    ``elements`` holds for each kind of element the count and the numpy types of properties by name, "" for lists,
+    unknown types and repeated names."""
 
     form: str
     end: int

@@ -28,8 +28,7 @@ _BOOLEANS = {"true": True, "yes": True, "on": True, "false": False, "no": False,
 @dataclass(frozen=True)
 class PresetOption:
     """One option of a preset. ``length``: the number of values in a list; ``least`` and ``most`` bound a number, or
-    each one in a list; ``choices``: the allowed texts; ``part``: the kind of parts that may be named as well
-    (``parts``)."""
+    each one in a list; ``choices``: the allowed texts; ``part``: a kind of `Parts` that may be named as well."""
 
     name: str
     kind: Literal["bool", "int", "float", "choice", "ints", "names"]
@@ -183,7 +182,7 @@ def _is_name(option: PresetOption, value: Json, any_part: bool) -> bool:
 
 
 def _number(option: PresetOption, value: Json) -> float | int | None:
-    """Return the number, or None for anything that is not a number or is out of range."""
+    """Return the number, or None for a value that is not a number or out of the option's range."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not option.least <= value <= option.most:
         return None
     if option.kind == "float":

@@ -88,8 +88,7 @@ class Growth:
 class SegmentVoting:
     """How segments vote on labels. ``rounds``: how often segments take the label of their points and vote again.
     ``neighbours``: neighbouring points on a thing share votes. ``near``: near views may overrule others on what they
-    show as a whole. ``superpoints``: points share their superpoint's votes, if held-back views agree with the
-    result."""
+    show as a whole. ``superpoints``: points share their superpoint's votes, if held-back views agree."""
 
     rounds: int = _ranged(2)
     neighbours: bool = True

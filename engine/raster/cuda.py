@@ -67,7 +67,7 @@ def what_fails(device: str) -> str | None:
 
 
 def rasterize_gsplat(gaussians: GaussianSet, pinhole: Pinhole, wanted: Wanted) -> Rendering:
-    """Do what ``rasterize`` does, with gsplat, without ``top_k`` and surface, for float32 tensors on a CUDA device."""
+    """Draw Gaussians as ``rasterize`` does, but by gsplat on a CUDA device: float32, without ``top_k`` and surface."""
     assert wanted.top_k == 0, "the back end numba lists contributors"
     if not len(gaussians.means):
         return _nothing_drawn(gaussians, pinhole, wanted.means2d_grad)

@@ -133,7 +133,7 @@ COMPILATION = "10 s"
 
 
 def rasterize_native(gaussians: GaussianSet, pinhole: Pinhole, wanted: Wanted) -> Rendering:
-    """Do what ``rasterize`` does, for float32 tensors on the CPU, with ``torch.get_num_threads()`` threads."""
+    """Draw Gaussians as ``rasterize`` does: float32 tensors on the CPU, with ``torch.get_num_threads()`` threads."""
     count = gaussians.means.shape[0]
     on_image = memory.several(((count, 2), np.float32), (count, np.bool_))
     # the kernels write to the array; the tensor is an input so that a gradient can reach it

@@ -24,7 +24,7 @@ class GaussianSet(NamedTuple):
 
 
 class Wanted(NamedTuple):
-    """What to return besides layers: ``top_k`` contributors per pixel, the ``surface``, ``means2d``'s gradient."""
+    """What to return besides layers: ``top_k`` contributors per pixel, the ``surface``, the gradient of ``means2d``."""
 
     top_k: int
     surface: bool

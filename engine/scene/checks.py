@@ -37,7 +37,8 @@ _POSE_RULES = "camera-to-world with x right, y down, z forward, in metres"
 
 @dataclass(frozen=True)
 class DepthFacts:
-    """A frame's depth: nearest, median and farthest in metres, and the ``share`` of pixels that have depth."""
+    """A frame's depth: its ``range`` is the nearest, median and farthest in metres, ``share`` that of pixels with
+    depth."""
 
     size: Size
     range: tuple[float, float, float]
@@ -46,7 +47,8 @@ class DepthFacts:
 
 @dataclass(frozen=True)
 class MaskFacts:
-    """A frame's mask: the number of ``segments`` with pixels, the ids of others, and (class id, fraction) pairs."""
+    """A frame's mask: the number of ``segments`` with pixels, the ids of others (``unpainted``), and the share of each
+    class, as pairs (class id, share)."""
 
     size: Size
     segments: int
@@ -57,8 +59,7 @@ class MaskFacts:
 @dataclass(frozen=True)
 class FrameFacts:
     """What was measured on one frame's pixels; None where it has none. ``unknown_truth`` are classes of the ground
-    truth that the masks' table lacks. ``brightest`` is the largest value of a 16-bit photo; None for other photos and
-    those not decoded."""
+    truth that the masks' table lacks. ``brightest`` is the largest value of a 16-bit photo, None if not decoded."""
 
     name: str
     depth: DepthFacts | None

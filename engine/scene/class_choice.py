@@ -27,7 +27,8 @@ _NAMES = (*TABLES, *NUMBERINGS)
 
 @dataclass(frozen=True)
 class ClassRow:
-    """The user's choice for one class. Fields that are not set are None."""
+    """The user's choice for one class, found by ``id`` or ``name``: whether it is a ``thing``, the class ``into`` which
+    it is merged, its ``colour`` ("#rrggbb"). Fields that are not set are None."""
 
     id: int | None = field(default=None, metadata={"least": 0, "most": LARGEST_CLASS_ID})
     name: str | None = None
@@ -50,7 +51,7 @@ class ClassRow:
 
 @dataclass(frozen=True)
 class _Content:
-    """The top-level keys of a classes.toml."""
+    """The top-level keys of a classes.toml, which `ClassChoice` explains."""
 
     table: str | None = None
     to: Literal["reduced"] | None = None
@@ -59,7 +60,9 @@ class _Content:
 
 @dataclass(frozen=True)
 class ClassChoice:
-    """The content of a classes.toml. ``path`` is None if the user named a table instead of a file."""
+    """The content of a classes.toml: the ``table`` that the numbers belong to, whether classes are mapped
+    ``to_reduced``, the paper's 21, numbers that are ``void``, and the ``rows``. ``path`` is None if the user named a
+    table, not a file."""
 
     path: Path | None = None
     table: str | None = None

@@ -69,8 +69,8 @@ OBJECT = ClassLabel(0, "object", is_thing=True)
 
 @dataclass(frozen=True)
 class ClassMap:
-    """What the labels of masks mean: ``class_of`` maps labels to class ids, 0 = void; ``others`` is the class id of any
-    other label, None if that is an error."""
+    """What the labels of masks mean: ``class_of`` maps them to ids in ``classes``, 0 = void; ``others`` is the class id
+    of any other label, None if that is an error. ``merges``: several labels may have one class."""
 
     classes: ClassTable
     class_of: Mapping[int, int]
@@ -122,7 +122,7 @@ def class_map(
 
 
 def named_classes(labels: Sequence[ClassLabel], choice: ClassChoice | None) -> list[NamedClass]:
-    """The classes of masks as an editable list, in order of their numbers. Raises PlgsError for a wrong choice."""
+    """The classes of masks as an editable list, in order of their numbers. Raises PlgsError for unknown names."""
     known = class_map(labels, choice, Path(FILE_NAME), objects=False)
     choice = choice or ClassChoice()
     labels = labels if choice.labels is None else choice.labels
@@ -160,7 +160,8 @@ def _numbered(labels: Sequence[ClassLabel], choice: ClassChoice) -> list[tuple[i
 
 
 def _only(names: Mapping[int, str], text: str, choice: ClassChoice) -> int | None:
-    """Return the number whose name is ``text``, or None. Raises PlgsError if several have it."""
+    """Return the number whose name is ``text``, or None. Raises PlgsError, naming the file of ``choice``, if several
+    have it."""
     found = named(names, text)
     if len(found) > 1:
         what = f'several classes have names that differ from "{text}" only in capitals ({listed(found)})'
@@ -193,7 +194,8 @@ def _labels(
 def _targets(
     labels: Mapping[int, ClassLabel], rows: Sequence[tuple[int, ClassRow]], choice: ClassChoice
 ) -> dict[int, str]:
-    """Return, by label number, the name of the class into which a label is merged."""
+    """Return, by label number, the name of the class into which the choice's ``rows`` merge a label; others are left
+    out."""
     names, into = {number: label.name for number, label in labels.items()}, {}
     for number, row in rows:
         found = [] if row.into is None else named(names, row.into)

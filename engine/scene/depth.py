@@ -40,8 +40,8 @@ class DepthMap:
     """One frame's depth, in the file ``path``. ``read`` returns planar depth, float32 [H, W] metres with 0 = none, at
     its own size. ``alignment`` maps colour pixels to depth pixels. ``fault`` is the error if the header shows that the
     file is unreadable. ``step`` is a value's unit in metres, None for files that store lengths. ``confidence`` is the
-    file that says which pixels to trust. ``beside`` is the depth camera's pose in the colour camera's axes, if they
-    differ."""
+    file that says which pixels to trust. ``beside`` is the depth camera's pose in the colour camera's axes, () if
+    equal."""
 
     path: Path
     read: Callable[[], NDArray[np.float32]]
@@ -108,7 +108,7 @@ def _read_png(path: Path, unit: float) -> NDArray[np.float32]:
 
 
 def npy_depth(path: Path, step: float | None = None) -> DepthMap:
-    """Open the depth in a .npy file. Numbers count ``step`` metres; None: floats are metres, whole numbers
+    """Open the depth in a .npy file, in steps of ``step`` metres; None: floats are metres, whole numbers
     millimetres."""
 
     def read() -> NDArray[np.float32]:
@@ -229,9 +229,8 @@ def open_depth(
 def between_cameras(
     depth: NDArray[np.float64], colour: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """Return the transform from points of the depth camera to points of the colour camera, float64 [4, 4], from both
-    extrinsics as ScanNet's tools use them (``depthToColor`` of its calibration), and warnings if no sensor is built
-    so."""
+    """Return the transform from points of the depth camera to points of the colour camera, float64 [4, 4], and warnings
+    if no sensor is built so. The arguments are both extrinsics of ScanNet (its calibration's ``depthToColor``)."""
     is_rigid = np.isfinite(depth).all() and np.abs(depth[:3, :3] @ depth[:3, :3].T - np.eye(3)).max() < 0.01
     if np.abs(colour - depth).max() < _ONE_PLACE:
         return np.eye(4), ()
@@ -242,8 +241,7 @@ def between_cameras(
 
 def seen_by_colour(depth: DepthMap, lens: Camera, colour: Camera, beside: NDArray[np.float64]) -> DepthMap | None:
     """Return depth that a camera with ``lens`` measured as the ``colour`` camera sees it; None if no sensor is built
-    that way. ``beside`` float64 [4, 4] maps points of the first camera to points of the second, see
-    ``between_cameras``."""
+    that way. ``beside`` float64 [4, 4] maps points of the first camera to points of the second."""
     alignment = fitting_alignment(colour, lens)
     if alignment is None or np.abs(beside - np.eye(4)).max() < _ONE_PLACE:
         return None if alignment is None else replace(depth, alignment=alignment)

@@ -30,8 +30,8 @@ _MEND = "if that is wrong, name their table in a classes.toml beside them"
 def fitted(
     detections: Detections, source: MaskSource, labels: Sequence[ClassLabel]
 ) -> tuple[Detections, tuple[Inferred, ...]]:
-    """Return the detections, read in the way that fits the masks of ``source`` with the classes ``labels`` best, and
-    what was inferred."""
+    """Return the detections as read in the way that fits the masks of ``source`` best, and what was inferred.
+    ``labels`` are the masks' classes."""
     inferred = []
     covered, overlap = _compared(detections, source)
     if detections.otherwise is not None:

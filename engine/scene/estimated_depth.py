@@ -102,7 +102,8 @@ def _fit_line(values: Values, depths: Values, inverse: bool) -> DepthFit | None:
 
 
 def _relative_errors(values: Values, depths: Values, scale: Any, shift: Any, inverse: bool) -> Values:
-    """Return errors relative to the depth; inf where there is none."""
+    """Return the errors, relative to ``depths``, of the depth that scale and shift make of ``values``; inf where none
+    is."""
     line = scale * values + shift
     with np.errstate(divide="ignore", invalid="ignore"):
         found = 1.0 / line if inverse else line
@@ -110,7 +111,8 @@ def _relative_errors(values: Values, depths: Values, scale: Any, shift: Any, inv
 
 
 def _refined(values: Values, depths: Values, scale: float, shift: float, inverse: bool) -> tuple[float, float]:
-    """Refine scale and shift by least squares of the relative errors over the points that agree with the line."""
+    """Return scale and shift refined by least squares of the relative errors, over the points that agree with them.
+    With ``inverse`` they give 1 / depth."""
     errors = _relative_errors(values, depths, scale, shift, inverse)
     near = errors <= max(_CLOSE, 3.0 * float(np.median(errors)))
     weight = depths[near] if inverse else 1.0 / depths[near]  # makes all targets 1, so that errors are relative
@@ -229,8 +231,8 @@ def _fitting(
     pictured: Mapping[str, Pictured],
     seen: Mapping[str, tuple[Values, Values]],
 ) -> tuple[Mapping[str, Path], dict[str, Placement], tuple[Inferred, ...]]:
-    """Return the pairing of frames and maps, with turns and lenses, that fits the points ``seen`` best, and what was
-    inferred."""
+    """Return the pairing of frames and maps, the maps' placements, and what was inferred: those that fit the points
+    ``seen`` best, else the ``files`` and ``usual`` placements. ``find`` returns the maps of other frame names."""
     ways: list[tuple[Mapping[str, Path], dict[str, Placement], tuple[Inferred, ...]]] = []
     bent = any(each.lens for each in usual.values())
     straight = {name: Placement() for name in usual}

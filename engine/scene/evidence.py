@@ -41,8 +41,8 @@ def evidence_of_resolution(kind: EvidenceKind, resolution: Amounts) -> Amounts:
 
 
 def evidence(kind: EvidenceKind, pixels: NDArray[np.floating], resolution: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Weights of a view's votes, float64 [n], by the segments' ``pixels`` [n] and ``resolution`` [n] in pixels per
-    cm."""
+    """Weights of a view's votes, float64 [n], by ``pixels`` [n] and ``resolution`` [n] (pixels per cm) of its
+    segments."""
     of_pixels = np.power(np.asarray(pixels, np.float64), evidence_of_pixels(kind))
     return of_pixels * evidence_of_resolution(kind, np.asarray(resolution, np.float64))
 
@@ -60,11 +60,11 @@ def resolution_of(view: View) -> NDArray[np.float32]:
 
 
 def resolves(pixels: float, mask_scale: float) -> bool:
-    """Whether a view resolves a segment with this many ``pixels``, counted in the view."""
+    """Whether a view resolves a segment with this many ``pixels`` of the view. ``mask_scale`` is as in `View`."""
     return pixels * mask_scale**2 >= LEAST_PIXELS
 
 
 def are_near(resolution: NDArray[np.floating], best: float) -> NDArray[np.bool_]:
-    """Return which views of a point are near it, bool [V]: those whose ``resolution`` [V] there is nearly as high as
-    that of the ``best`` view."""
+    """Return which views of a point are near, bool [V]: those whose ``resolution`` [V] there almost reaches the
+    ``best``."""
     return resolution >= NEAR * best

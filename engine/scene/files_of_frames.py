@@ -29,7 +29,7 @@ _MASK_WORDS = frozenset(
 
 
 def files_if_any(folder: Path, suffixes: Collection[str], fix: str) -> dict[str, Path]:
-    """Return what ``files_by_stem`` finds, or an empty dict if there is no such folder."""
+    """Return the files of a folder by stem, as ``files_by_stem`` does, or {} if there is no such folder."""
     return files_by_stem(folder, suffixes, fix) if folder.is_dir() else {}
 
 
@@ -87,8 +87,7 @@ def files_of_frames(
     folder: Path, names: Sequence[str], suffixes: Collection[str], *, what: str, fix: str, progress: Progress
 ) -> dict[str, Path]:
     """Return the file in ``folder`` of each frame in ``names``. Frames whose file is missing, empty, or a truncated
-    image are left out. Raises PlgsError as ``files_by_stem`` does and, if these are over half, as ``require_most`` and
-    ``of_most``."""
+    image are left out. Raises PlgsError if these are over half, or two files have one name."""
     files = of_same_name(names, _files(folder, suffixes, fix))
     return of_most(require_most(names, files, what, folder, fix), lambda name: whole_file(files[name]), progress)
 

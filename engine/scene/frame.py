@@ -18,8 +18,8 @@ from ..posed.plain_folders import left_out_warning
 
 @dataclass(frozen=True)
 class Inferred:
-    """Something that was inferred because no file says it: what was ``taken``, and the ``reason``. If it
-    ``is_doubtful``, users get it as a warning, too."""
+    """Something that was inferred as no file says it: ``about`` which subject, what was ``taken``, and the ``reason``.
+    If it ``is_doubtful``, users get it as a warning, too."""
 
     about: Literal[
         "format", "lens", "principal point", "depth's lens", "units", "axes", "numbering", "split", "up axis",
@@ -63,10 +63,11 @@ def left_out(lacks: str, names: Iterable[str]) -> tuple[LeftOut, ...]:
 
 @dataclass(frozen=True)
 class Segment:
-    """One region of a panoptic mask: its value ``id`` in the pixels, its class, and the detector's score in [0, 1].
-    ``is_group`` marks a region of a thing's class without an instance: it may be several objects, so it gives its
-    pixels a class but creates no object. ``track`` is the object's id in all frames, None without a tracker. A
-    detection with several classes is a segment for each; ``share`` is the part of its vote that this class gets."""
+    """One region of a panoptic mask: its value ``id`` in the pixels, its class (a thing, or stuff), and the detector's
+    score in [0, 1]. ``is_group`` marks a region of a thing's class without an instance: it may be several objects, so
+    it gives its pixels a class but creates no object. ``track`` is the object's id in all frames, None without a
+    tracker. A detection with several classes is a segment for each; ``share`` is the part of its vote that this class
+    gets."""
 
     id: int
     class_id: int
@@ -89,8 +90,7 @@ def mapped(ids: NDArray[np.integer], values: Mapping[int, float], other: NDArray
 
 @dataclass(frozen=True, eq=False)
 class PanopticMask:
-    """A panoptic mask: segment ids, int32 [H, W] with 0 = void, and segments. Ids differ between views; tracks
-    don't."""
+    """A panoptic mask: segment ids, int32 [H, W], 0 = void, and segments. Ids differ between views; tracks don't."""
 
     ids: NDArray[np.int32]
     segments: tuple[Segment, ...]

@@ -42,7 +42,8 @@ table whose 0 is a wall is recognised by its other numbers."""
 
 @dataclass(frozen=True)
 class Numbers:
-    """What ground truth's numbers mean: ``class_of`` maps them to the masks' classes; ``names`` are their table's."""
+    """What ground truth's numbers mean: ``class_of`` maps them to the masks' classes, ``names`` to their own
+    table's."""
 
     class_of: Mapping[int, int]
     names: Mapping[int, str] = field(default_factory=dict)
@@ -98,9 +99,9 @@ def joined(numbers: NDArray[np.integer], classes: NDArray[np.integer]) -> Counte
 
 
 def refuse_other_numbers(joint: Joint, classes: ClassTable, where: Path, fix: str = "") -> tuple[Inferred, ...]:
-    """Raise PlgsError if numbers agree with the masks far better as those of another table than as ids of ``classes``:
-    a table must not be chosen because it scores best. Returns a doubt if they hardly agree at all. ``fix`` tells how to
-    name a table, if that is not done in a file beside the ground truth."""
+    """Raise PlgsError if the numbers counted in ``joint`` agree with the masks far better as those of another table
+    than as ids of ``classes``: a table must not be chosen because it scores best. Returns a doubt if they hardly agree
+    at all. ``fix`` tells how to name a table, if that is not done in a file beside the ground truth."""
     total, numbers = sum(joint.values()), {number for number, _ in joint}
     own = sum(pixels for (number, class_id), pixels in joint.items() if number == class_id)
     if total < _FEWEST or len(numbers) < 2 or len({class_id for _, class_id in joint}) < 2:

@@ -60,8 +60,7 @@ def _fill_specks(filled: Depths, depth: Depths, speck: Pixels) -> None:
 
 
 def _fill_one(filled: Depths, depth: Depths, inside: Pixels, own: Pixels) -> None:
-    """Fill one hole, ``inside`` bool [h, w], in ``filled``, with ``own`` its segment. All arrays are crops around
-    it."""
+    """Fill one hole, ``inside`` bool [h, w], in ``filled``; ``own`` is its segment. All arrays are crops around it."""
     import cv2
 
     size = 2 * RING + 1

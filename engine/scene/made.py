@@ -68,9 +68,8 @@ def read_note(path: Path, fix: str) -> dict[str, Any] | None:
 
 
 def layout_of(cameras: Mapping[str, Camera], scale: float = 1.0) -> dict[str, list[float]]:
-    """Return two facts about each frame's camera on which depth from a network depends: the focal length as a fraction
-    of the picture's width, and the distance from the mean of all cameras, divided by ``scale``. Neither changes when
-    the world is rotated."""
+    """Return two facts about each frame's camera on which depth from a network depends: the focal length divided by the
+    picture's width, and the distance from the mean of all cameras, divided by ``scale``. Rotations change neither."""
     if not cameras:
         return {}
     middle = np.mean([camera.centre for camera in cameras.values()], axis=0)
@@ -95,7 +94,8 @@ def made_depth(beside: Path, cameras: Mapping[str, Camera]) -> dict[str, DepthMa
 
 
 def scale_of(beside: Path) -> float:
-    """The factor that multiplies a scene's lengths, from the file of `engine scale`; 1 without. Raises PlgsError."""
+    """The factor that multiplies a scene's lengths, from the file of `engine scale` in ``beside``; 1 without. Raises
+    PlgsError if that is damaged."""
     content = read_note(beside / SCALE, _AGAIN)
     return 1.0 if content is None else record_of(_Scale, content, beside / SCALE, _AGAIN).scale
 
@@ -122,7 +122,8 @@ def set_scale(scene: Scene, beside: Path, factor: float | None, measured: Sequen
 
 
 def estimates(beside: Path, masks: Path, *, has_made_depth: bool, has_unit: bool) -> Iterator[Inferred]:
-    """Yield what the notes in the folders say about depth, lengths and masks that were not measured."""
+    """Yield what in a scene was estimated and not measured: depth, lengths and masks, by the notes in the folders.
+    ``has_made_depth`` says whether a network's depth is used, ``has_unit`` whether the format gives metres."""
     if has_made_depth and (made := MadeDepth.read(beside)) is not None:
         taken = f"estimated: depth is made of the photos by {made.model}"
         yield Inferred("depth", taken, "it is fitted to the reconstruction's points; what disagrees has none")

@@ -71,8 +71,8 @@ class Placement:
 
 @dataclass(frozen=True)
 class KeptPixels:
-    """The pixels of a frame that count, from a picture like the photo as taken that is black elsewhere, and the photo's
-    lens. With ``is_photo`` it is the photo itself, transparent elsewhere."""
+    """The pixels of a frame that count: those not black in the picture ``path``, which is like the photo as taken with
+    the photo's ``lens``. With ``is_photo`` it is the photo itself, and those that are not transparent."""
 
     path: Path
     lens: tuple[Camera, Distortion] | None = None
@@ -130,7 +130,7 @@ def fits_better(pairs: Iterable[tuple[Ids, Ids, Read, Size]]) -> bool | None:
 
 
 def _ids(source: MaskSource, name: str) -> Ids | None:
-    """Return a mask's ids, or None if it cannot be read, which later readers report."""
+    """Return the ids [H, W] of the frame ``name``'s mask, None if it cannot be read; later readers report that."""
     try:
         return source.masks[name].read().ids
     except PlgsError:
@@ -141,7 +141,8 @@ def paired(
     names: Sequence[str], open_source: Callable[[Sequence[str]], MaskSource], pictured: Mapping[str, Pictured]
 ) -> tuple[MaskSource, tuple[Inferred, ...]]:
     """Pair masks with the frames ``names``: by name, or by numbers counted otherwise if more frames then have a mask
-    and these fit the pictures better. Returns the masks, and what was inferred. Raises what ``open_source`` raises."""
+    and these fit the pictures better. Returns the masks, and what was inferred. ``open_source`` opens the masks of such
+    names; what it raises is raised."""
     try:
         usual, error = open_source(names), None
     except PlgsError as raised:
@@ -269,7 +270,7 @@ def placements(
 def _fits(
     source: MaskSource, ones: Mapping[str, Placement], others: Mapping[str, Placement], pictured: Mapping[str, Pictured]
 ) -> bool | None:
-    """Whether the first of two placements of the same masks fits the pictures better, see ``fits_better``."""
+    """Whether the placements ``ones`` fit the pictures better than ``others``: True, False, or None if unsure."""
     names = evenly_spread([*ones], _LOOKED_AT)
     read = ((name, ids) for name in names if (ids := _ids(source, name)) is not None)
     ways = [{name: replace(way[name], kept=None) for name in names} for way in (ones, others)]
@@ -281,7 +282,8 @@ def _fits(
 def _boxes(
     source: MaskSource, found: Mapping[str, Placement], pictured: Mapping[str, Pictured]
 ) -> dict[str, tuple[int, int, int, int]]:
-    """The part of each mask that shows its picture, as (x, y, width, height), for masks padded with empty borders."""
+    """Return the part of each mask that shows its picture, (x, y, width, height), for masks with empty borders as
+    padding."""
     ways: list[dict[str, tuple[int, int, int, int]]] = [{}, {}]
     for name, mask in source.masks.items():
         (width, height), (across, down) = mask.size, pictured[name].size

@@ -184,7 +184,7 @@ def _agreement(mesh: Mesh, look: Look) -> float:
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A mesh, tried with some ``axes`` and unit: the share of the frames' pixels that it fills (``covered``), the share
-    seen from ``behind``, and each compared frame's agreement (`_agreement`), NaN where too little can be seen."""
+    seen from ``behind``, and by frame how its outlines agree with edges (`_agreement`), NaN if that is unknown."""
 
     mesh: Mesh
     axes: str

@@ -61,7 +61,8 @@ _CONTRADICTED = f"Name the network's table with --classes, or write {FILE_NAME} 
 
 @dataclass(frozen=True)
 class Asking:
-    """The words of messages about a numbering: ``whose`` numbers they are, and how a user names a ``table``."""
+    """The words of messages about a numbering: ``whose`` numbers they are, and how a user names a ``table`` with
+    ``option``."""
 
     whose: str = "the masks'"
     table: str = "--classes {}"
@@ -112,9 +113,9 @@ Numbered = tuple[MaskSource, ClassChoice | None, tuple[Inferred, ...]]
 
 
 def numbered(source: MaskSource, choice: ClassChoice | None, where: Path, asking: Asking | None = None) -> Numbered:
-    """Return the masks, and the choice of classes with the numbering that they use of the choice's table, and what was
-    inferred. A table is not applied to masks that number objects. Raises PlgsError if every numbering would make things
-    stuff, or if another table fits."""
+    """Return the masks, the choice of classes with the numbering found for its table, and what was inferred. Masks that
+    number objects get no table. ``where`` and ``asking`` are for messages. Raises PlgsError if every numbering would
+    make things stuff, or if another table fits."""
     if choice is None and source.tells_no_class:
         return source, None, (Inferred("numbering", "all are of the class object", _OBJECTS.format(FILE_NAME)),)
     if choice is None:
@@ -132,8 +133,7 @@ def numbered(source: MaskSource, choice: ClassChoice | None, where: Path, asking
 
 
 def _as_listed(source: MaskSource, choice: ClassChoice) -> MaskSource:
-    """Return the masks as read in the way, of two, in which the kinds of their classes agree best with an edited
-    list."""
+    """Return the masks as read in that way, of two, whose kinds of classes agree best with an edited list."""
     rows = {row.id: row.thing for row in choice.rows}
     ways = [source] if source.apart is None else [source, source.apart]
     wrong_kinds = [sum(rows.get(n) != is_thing for n, is_thing in (way.kinds or {}).items()) for way in ways]
@@ -266,7 +266,7 @@ def _other_tables(chosen: _Reading, choice: ClassChoice, shown: _Shown) -> list[
 
 
 def _told(readings: list[_Reading], choice: ClassChoice, shown: _Shown) -> tuple[_Reading, str | None, list[_Reading]]:
-    """The reading that the masks point to, the reason, and all that fit. The reason is None if they are ambiguous."""
+    """Return the reading that the masks point to, the reason (None if they are ambiguous), and all that fit."""
     if len(readings) == 1:
         return readings[0], "this alone fits what is a thing in the files", readings
     fitting = [each for each in readings if not _unknown(each, shown, choice)]

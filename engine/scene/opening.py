@@ -296,7 +296,7 @@ def _alike_names(named: Iterable[tuple[str, str]]) -> list[list[str]]:
 
 
 def require_liftable(scene: Scene) -> None:
-    """Raise PlgsError if a scene lacks the masks or depth that a lift needs."""
+    """Raise PlgsError if a scene has no masks or no depth, both of which a lift needs."""
     if not scene.has_depth:
         fix = "Make depth (engine depth, Make Depth), or give a mesh or a folder of depth maps with --depth."
         without = [frame.name for frame in scene.frames if frame.read_depth is None]
@@ -308,7 +308,7 @@ def require_liftable(scene: Scene) -> None:
 
 
 def open_scene_to_lift(source: SceneSource, progress: Progress = unwatched) -> Scene:
-    """Open a scene for a lift, as ``open_asked`` does. Raises PlgsError, also if masks or depth are missing."""
+    """Open a scene for a lift, as ``open_asked`` does. Raises PlgsError also if it has no masks or no depth."""
     scene = open_asked(source, progress)
     require_liftable(scene)
     return scene

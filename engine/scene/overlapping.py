@@ -63,7 +63,7 @@ class EvidenceReader:
 
 @dataclass(frozen=True)
 class Detections:
-    """The detections of a scene's frames, the frames' ``sizes`` (width, height), and the ``labels``, None if unnamed.
+    """The detections ``found`` by frame, the frames' ``sizes`` (width, height), and the ``labels``, None if unnamed.
     Their pictures' ids may be readable in two ways: ``by_table`` says whether those of the masks' table were assumed,
     and ``otherwise`` are the detections as read the other way."""
 

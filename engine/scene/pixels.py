@@ -205,8 +205,8 @@ def label_map_size(path: Path) -> Size:
 
 
 def label_header(path: Path) -> ImageHeader:
-    """Return the header of a PNG of labels, which has one channel, perhaps with a palette, or equal channels. Raises
-    PlgsError for other files."""
+    """Return the header of a PNG of labels, with one channel, perhaps a palette, or equal channels. Raises PlgsError
+    for others."""
     header = read_image_header(path)
     is_grey = header.channels == 1 or (header.format == "png" and equal_channels(decode(path, False)) is not None)
     if header.format != "png" or not is_grey:

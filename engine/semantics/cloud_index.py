@@ -23,8 +23,7 @@ class CloudIndex:
 
     def nearest(self, queries: NDArray[np.floating], reach: float) -> NDArray[np.int32]:
         """Return the index of the nearest point within ``reach`` metres of each query [..., 3], int32 [...], -1 = none.
-        Halfway between two points the lower index is taken; of more equally near ones, the tree always takes the
-        same."""
+        Of two equally near points the lower index is taken; of more, always the same."""
         flat = np.asarray(queries, np.float64).reshape(-1, 3)
         found = np.full(len(flat), -1, np.int32)
         usable = np.isfinite(flat).all(axis=1)
@@ -51,7 +50,7 @@ class LabelledPoints:
         self._label = np.append(labels[known], 0).astype(np.int32)  # the last is that of row -1, no point
 
     def project(self, camera: Camera, depth: NDArray[np.float32], reach: float) -> NDArray[np.int32]:
-        """Return for each pixel the label of the point nearest to its surface, int32 [H, W], 0 (no supervision) if none
-        is within ``reach`` metres (twice the anchors' voxel size) or without depth. ``depth`` float32 [H, W],
+        """Return the label of the point nearest to each pixel's surface, int32 [H, W]; 0 (no supervision) if none is
+        within ``reach`` metres (twice the anchors' voxel size) or without depth. ``depth`` is float32 [H, W],
         metres."""
         return self._label[self._index.nearest_of_pixels(camera, depth, reach)]

@@ -78,8 +78,8 @@ def views_are_sparse(views: Sequence[View], options: ConsistencyOptions) -> bool
 
 
 class LabelledDepth(NamedTuple):
-    """A view's arrays for the kernel: ``depth`` float32 [H, W], metres, ``label`` int32 [H, W], and ``intrinsics`` (fx,
-    fy, cx, cy) in pixels."""
+    """A view's arrays for the kernel: ``depth`` float32 [H, W] metres, ``label`` int32 [H, W], ``intrinsics`` in
+    pixels."""
 
     depth: NDArray[np.float32]
     label: NDArray[np.int32]

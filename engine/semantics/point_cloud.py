@@ -80,8 +80,7 @@ def build_point_cloud(
     progress: Progress | None = None,
 ) -> SemanticPointCloud:
     """Cluster all pixels with depth. Labels of pixels in ``keep`` (bool [H, W] per view, in order) vote on the
-    clusters' labels. Only one view at a time and the clusters are in memory. Raises ValueError if no pixel has
-    depth."""
+    clusters' labels. Only one view at a time and the clusters are in memory. Raises ValueError without depth."""
     report = progress or (lambda done, total: None)
     total, done = (2 + LLOYD_STEPS) * len(views), 0
     # The step in rows and columns between the pixels that are used.

@@ -57,7 +57,7 @@ class Addition(UvTask):
         self._use_packages(index_url, wheels, self._downloads)
 
     def run(self) -> Path:
-        """Install the packages and return their folder. Raises PlgsError; Cancelled when asked to stop."""
+        """Install the packages and return their folder. Raises PlgsError if that fails; Cancelled."""
         if not (self.environment / "pyvenv.cfg").is_file():  # other Pythons belong to the system or to Blender
             fix = "Set up the engine, or install the packages that requirements/ pins into your own Python."
             what = "packages can be added only to a virtual environment"

@@ -123,7 +123,7 @@ class UvTask:
                 process.kill()
 
     def _tell(self, step: int, detail: str = "") -> None:
-        """Report that a step begins, or more about it."""
+        """Report that a step (its number) begins, or ``detail``, more about it."""
         label = f"{self._labels[step - 1]}: {detail}" if detail else self._labels[step - 1]
         if (step, label) != (self._step, self._label):
             self._step, self._label = step, label

@@ -25,7 +25,8 @@ from .targets import ViewTargets
 
 
 class Arithmetic(NamedTuple):
-    """One implementation: its functions and its rasteriser. ``place`` moves a view's targets to the device in use."""
+    """One implementation: functions that ``decode`` anchors, ``compare`` pictures and ``move_rows`` by Adam, the
+    rasteriser's ``backend``, and ``place``, which moves a view's targets to a device."""
 
     decode: Callable[..., NeuralGaussians]
     backend: Backend
@@ -57,7 +58,7 @@ def compare_in_torch(
 
 @torch.no_grad()
 def move_rows_in_torch(parameter: torch.Tensor, moments: Moments, rows: torch.Tensor, count: int, rate: float) -> None:
-    """Do in torch, on any device, what ``move_rows`` does on the CPU."""
+    """Do one Adam step for these ``rows`` of one parameter, as ``move_rows`` does, but in torch, on any device."""
     if parameter.grad is None:
         return
     step, root = rate / (1 - BETA_1 ** (count + 1)), math.sqrt(1 - BETA_2 ** (count + 1))

@@ -43,7 +43,7 @@ class _Fit(NamedTuple):
 
 
 def _least_squares(seen: Any, by_point: NDArray[np.float64], by_photo: NDArray[np.float64]) -> _Fit:
-    """Return the least-squares fit, given the sums that `_log_colour_sums` returns. Eliminates the points first."""
+    """Return the least-squares fit, given what `_log_colour_sums` returns. Eliminates the points first."""
     from scipy import sparse
 
     pixels = np.maximum(np.asarray(seen.sum(0)).reshape(-1), 1)

@@ -37,8 +37,9 @@ def trainer_state(trainer: Trainer) -> tuple[dict[str, torch.Tensor], dict[str, 
 
 
 def restore(trainer: Trainer, tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -> None:
-    """Restore a state into ``trainer``, which was made for the same input, preset and seed. If the state is damaged or
-    of another lift, raises ValueError, KeyError or TypeError, and leaves the trainer unchanged."""
+    """Restore a state (the ``tensors`` and ``facts`` of `trainer_state`) into ``trainer``, which was made for the same
+    input, preset and seed. Raises ValueError, KeyError or TypeError for a damaged state or one of another lift, and
+    leaves the trainer unchanged."""
     scene = from_tensors(_under("model.", tensors), facts["model"])
     _check(trainer, scene, tensors, facts)
     trainer.scene = scene

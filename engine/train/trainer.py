@@ -103,8 +103,8 @@ class GrowthSchedule:
 
 @dataclass(frozen=True)
 class StepReport:
-    """What a step reports: its loss, the parts of it (no label losses in a step that does not train labels), the number
-    of Gaussians drawn, and ``further`` terms of the loss by name, weights included."""
+    """What a step reports: its ``loss``, the loss's parts (0 for labels that it does not train), the number of
+    Gaussians drawn, and ``further`` terms of the loss by name, weights included."""
 
     step: int
     loss: float

@@ -131,7 +131,7 @@ def _shot(
 
 
 def _lens(colmap: ColmapModel, number: int) -> tuple[Camera, Distortion]:
-    """Return a camera at the origin with the lens's intrinsics, and its distortion."""
+    """Return the lens ``number`` of the model as a camera at the origin, and its distortion."""
     camera, folder = colmap.cameras[number], colmap.folder
     model, values = camera.model, camera.parameters
     alone = 1 if model.startswith(("SIMPLE", "RADIAL")) else 2  # one focal length, or fx and fy

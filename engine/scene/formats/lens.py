@@ -48,7 +48,7 @@ def fitted(lens: Camera, picture: Path, fix: str) -> Camera:
 
 
 def assumed(whose: str, lens: Camera, file: str) -> Inferred:
-    """A note that the lens of ``whose`` camera is assumed, as no file describes it; ``file`` is where to do so."""
+    """A note that the lens of ``whose`` camera is assumed, as no file describes it; ``file`` is where a user can."""
     values = " ".join(f"{value:.6g}" for value in (lens.fx, lens.fy, lens.cx - 0.5, lens.cy - 0.5))
     taken = f"{whose} lens is assumed ({values} for {shown_size(lens.size)})"
     return Inferred("lens", taken, f"no file describes it; if it is different, write it into {file}")

@@ -194,7 +194,8 @@ def _read_colour(archive: _Archive, name: str) -> NDArray[np.uint8]:
 def _read_depth(
     archive: _Archive, name: str, confidence: str | None, size: Size | None, camera: Camera
 ) -> NDArray[np.float32]:
-    """Read planar depth, float32 [H, W] metres, 0 = none. ``size`` is None if the metadata lacks it."""
+    """Read planar depth, float32 [H, W] metres, 0 = none. ``name`` and ``confidence`` are entries of the archive;
+    ``size`` is that of depth, None if not given."""
     width, height = size or max(_DEPTH_SIZES)  # the largest bounds what is unpacked
     values = np.frombuffer(_unpacked(archive, name, 4, min(width * height, _MOST_DEPTHS)), "<f4")
     if size is None:  # that of a sensor, in the picture's orientation

@@ -86,7 +86,7 @@ class _Header:
 
 @dataclass(frozen=True)
 class _Block:
-    """A range of bytes in the file."""
+    """The ``size`` bytes from ``start`` on in the file ``path``."""
 
     path: Path
     start: int

@@ -116,7 +116,7 @@ class _DepthStream:
                 return np.frombuffer(depth, "<f4").reshape(_HEIGHT, _WIDTH)
 
     def _unpack(self, size: int) -> bytes:
-        """Unpack the next ``size`` bytes of the stream. Raises ValueError at its end."""
+        """Unpack the next ``size`` bytes of the stream. Raises ValueError if it ends before."""
         assert self._file is not None
         parts, left = [], size
         while left:

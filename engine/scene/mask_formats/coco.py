@@ -40,7 +40,8 @@ _LARGEST_SEGMENT_ID = 256**3 - 1  # the ids are R + 256 G + 65536 B
 
 
 def _read_mask(png: Path, table: str, segments: tuple[FoundSegment, ...], crowd_ids: frozenset[int]) -> FoundMask:
-    """Read one frame's mask. Regions of ``crowd_ids``, which are uncounted objects, become void."""
+    """Read one frame's mask with these ``segments``; those of ``crowd_ids``, which are uncounted objects, become void.
+    ``table`` is the JSON's name, for messages."""
     ids = _read_ids(png)
     found, _ = distinct_ids(ids)
     unknown = sorted({*found.tolist()} - {0} - {segment.id for segment in segments} - crowd_ids)

@@ -51,8 +51,8 @@ _EVERY = 4  # SA-V has masklets for every fourth frame of its videos
 
 @dataclass(frozen=True)
 class DetectedSegment:
-    """``label`` is the class's number in the file (None: no class), ``score`` in 0..1, ``runs`` compressed run lengths
-    as in COCO for a picture of ``size`` (width, height). ``track``: see Segment."""
+    """A detection. ``label`` is its class's number in the file (None: no class), ``score`` in 0..1, ``runs`` compressed
+    run lengths as in COCO for a picture of ``size`` (width, height). ``track`` is its object's number in all frames."""
 
     label: int | None
     score: float
@@ -287,7 +287,7 @@ def _checked(table: DetectionTable) -> DetectionTable:
 
 
 def _are_along_rows(segmentations: Sequence[dict[str, Any]]) -> bool:
-    """Whether the outlines of run lengths are far shorter along rows. Then COCO's order, down columns, gives
+    """Whether outlines of run lengths are far shorter when read along rows; COCO's order, down columns, gives
     stripes."""
     as_columns = as_rows = seen = 0
     for each in segmentations:

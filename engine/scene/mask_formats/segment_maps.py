@@ -47,8 +47,7 @@ _COCO_THINGS = 80
 
 
 def _read_mask(picture: Path, table: str, segments: Mapping[int, FoundSegment]) -> FoundMask:
-    """Read one frame's mask; ``segments`` are by id in the picture. Raises PlgsError for an id that is not among
-    them."""
+    """Read one frame's mask; ``segments`` are by id in the picture. Raises PlgsError for other ids."""
     ids = read_label_map(picture)
     present = np.unique(ids)
     void = {0, *([255, 65535] if picture.suffix.lower() == ".png" else [])}  # a PNG holds -1 as its largest value

@@ -28,8 +28,8 @@ IGNORED = frozenset({0, 255, 65535})  # labels that mean nothing in most label i
 @dataclass(frozen=True)
 class FoundSegment:
     """A region of a stored mask: its value ``id`` >= 1 in the pixels, its class ``label`` in the masks' numbering, its
-    score in 0..1. ``has_instance`` is False if it is the whole area of a class, perhaps several objects; ``track``: see
-    Segment."""
+    score in 0..1. ``has_instance`` is False for the whole area of a class. ``track`` is its object's id in all
+    frames."""
 
     id: int
     label: int
@@ -132,8 +132,8 @@ def painted(masks: Iterable[NDArray[np.bool_]], segments: Sequence[FoundSegment]
 
 
 def painted_files(paths: Sequence[Path], segments: Sequence[FoundSegment], size: Size, fix: str) -> FoundMask:
-    """Paint PNGs of one object each over each other, as ``painted`` does with masks. Raises PlgsError, also for a PNG
-    that is not of ``size`` (width, height)."""
+    """Paint the PNGs ``paths``, one per segment, over each other: the highest score, then the smallest, on top. Raises
+    PlgsError, also for a PNG that is not of ``size`` (width, height)."""
     for path in paths:
         if label_header(path).size != size:
             raise PlgsError("other-size", f"this mask is not {shown_size(size)} like the others", path, fix)
