@@ -105,9 +105,7 @@ def set_scale(scene: Scene, beside: Path, factor: float | None, measured: Sequen
     ``factor``, or follows from ``measured``: a length in the scene as it is now, and the true length in metres. Raises
     PlgsError for a factor beyond all use, OSError."""
     if scene.format == NAME:
-        raise PlgsError(
-            "has-unit", "scenes of this format are in metres", scene.folder, "Correct the lengths in its files."
-        )
+        raise PlgsError("has-unit", "scenes of this format are in metres", scene.folder, "Correct the lengths there.")
     if measured is not None and measured[0] > 0.0:
         factor = scale_of(beside) * measured[1] / measured[0]
     if factor is None or not _SCALES[0] <= factor <= _SCALES[1]:
