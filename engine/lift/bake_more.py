@@ -93,7 +93,7 @@ def bake_frames(
     stop: StopSignal,
     options: BakeOptions = BakeOptions(),
 ) -> str:
-    """Bake the ``frames`` ("test", "all", names or ranges) that are not baked yet; return a summary to show to the
+    """Bake the ``frames`` ("test", "all", names or ranges) that are not baked yet; return a sentence on it for the
     user. A bake that is stopped keeps its finished views. Raises PlgsError if the scene can no longer be read or lacks
     a frame, and Cancelled if stopped."""
 
@@ -118,9 +118,9 @@ def bake_frames(
 def bake_cameras(
     folder: LiftFolder, cameras: Path, events: EventWriter, stop: StopSignal, options: BakeOptions = BakeOptions()
 ) -> str:
-    """Bake the views in the file ``cameras`` (see `job.cameras`) that are not baked yet; return a summary, as
-    `bake_frames` does. A view that was baked earlier from another camera of the same name is baked again. Raises
-    PlgsError for a bad camera, for a camera with the name of a frame, and whatever `bake_frames` raises."""
+    """Bake the views in the file ``cameras`` (see `job.cameras`) that are not baked yet; return a sentence on it for
+    the user. A view that was baked earlier from another camera of the same name is baked again. Raises PlgsError for a
+    bad camera, for a camera with the name of a frame, and whatever `bake_frames` raises."""
 
     def views_in(scene: Scene) -> list[WantedView]:
         wanted = read_cameras(cameras)
@@ -201,7 +201,7 @@ def _bake(
 
 
 def look_ahead(baker: FrameBaker, wanted: Sequence[WantedView], photos: Sequence[Camera], events: EventWriter) -> None:
-    """Before a bake, warn if the photos resolve too little of the views, judged by a few small renderings."""
+    """Before a bake, warn if the ``photos`` resolve too little of the ``wanted`` views, by a few small renderings."""
     free, found = [view for view in wanted if view.fingerprint], []
     for view in free[:: -(-len(free) // MOST_LOOKS) or 1]:
         small = view.camera.resized(*size_within(view.camera.size, LOOK_WITHIN))
@@ -295,7 +295,7 @@ class _OwnFolder:
         return " and ".join(other) or ("" if is_frame(path, view.shown) else "another frame number or frame rate")
 
     def write(self, view: WantedView, rendered: BakedView, baker: FrameBaker, events: EventWriter) -> None:
-        """Write the passes of a view. Raises OSError."""
+        """Write the passes of a view, as ``baker`` ``rendered`` it. Raises OSError."""
         self._output.mkdir(parents=True, exist_ok=True)
         path, layers = self.path_of(view), {*self._layers}
         if path.exists() and is_own(path) and not self._other(view, {CORRECTIONS_NOTE: ""} | baker.notes):
@@ -305,7 +305,7 @@ class _OwnFolder:
         write_exr(path, rendered, notes=notes, layers=layers, shown=view.shown, named_for=self._channels)
 
     def keep(self) -> None:
-        """Do nothing: a folder outside the result has no manifest to update. See `_Result.keep`."""
+        """Do nothing: a folder outside the result has no manifest to update."""
 
 
 class _Result:
@@ -324,7 +324,7 @@ class _Result:
         return baked_files(self._folder, view.name)[0]
 
     def has(self, view: WantedView, notes: Mapping[str, str]) -> bool:
-        """Whether the result already has this view, from its camera and with these notes. Raises PlgsError, OSError."""
+        """Whether the result has this view, from its camera and with these header notes. Raises PlgsError, OSError."""
         files, wanted = baked_files(self._folder, view.name), {**notes, **_notes_of(view, self._layers)}
         return self._listed().issuperset(files) and is_whole(files[0], wanted, self._layers, view.shown)
 

@@ -67,7 +67,7 @@ class FrameBaker:
         self.instances, self.colours = instances, instances.colours
 
     def render(self, camera: Camera, clip: ClipRange | None = None) -> BakedView:
-        """Render the model from ``camera``, at the camera's size. Nothing is taken from a frame's input mask."""
+        """Render the model from ``camera``, at its size, within the depths ``clip``. No frame's input mask is used."""
         if camera.projection == "equirectangular":
             along = (clip or ClipRange())._replace(along_rays=True)
             return panorama(camera, lambda face: self.render(face, along))
@@ -82,12 +82,13 @@ class FrameBaker:
         return {name: text for name, text in notes.items() if text}
 
     def layers(self, camera: Camera, clip: ClipRange | None = None, wanted: Collection[str] = ()) -> PanopticLayers:
-        """Render only the ``wanted`` layers (see `decide`) and no Cryptomatte. Faster if no label layer is wanted."""
+        """Render the ``wanted`` layers (none: all) in the range ``clip``, no Cryptomatte. Faster without label
+        layers."""
         layers = self.decided(camera, clip, wanted)
         return layers._replace(confidence=self.calibration(layers.confidence))
 
     def decided(self, camera: Camera, clip: ClipRange | None = None, wanted: Collection[str] = ()) -> PanopticLayers:
-        """Return the same as ``layers``, but with the classes' blended shares in place of calibrated probabilities."""
+        """Render the ``wanted`` layers (none: all), with classes' blended shares as confidence, not calibrated ones."""
         scene, labels = self.lifted, self.labels
         if wanted and FROM_LABELS.isdisjoint(wanted):
             gaussians = len(scene.anchors) * scene.anchors.gaussians_per_anchor
@@ -111,7 +112,7 @@ class FrameBaker:
 
 
 def read_baker(folder: LiftFolder, classes: ClassTable, corrected: CorrectedResult) -> FrameBaker:
-    """Return a FrameBaker for a finished, corrected lift. Raises PlgsError if files cannot be read, and OSError."""
+    """Return a FrameBaker for a finished lift with its corrections. Raises PlgsError for damaged files, OSError."""
     lifted = corrected_scene(read_model(folder), corrected)
     shown = read_shown_instances(folder, lifted, corrected)
     path = folder.result_path / "metrics.json"
@@ -133,7 +134,7 @@ def baked_files(folder: LiftFolder, frame: str) -> tuple[Path, Path, Path, Path]
 
 def names_of_files(folder: LiftFolder) -> dict[str, str]:
     """Return file names by frame name. Numbers are padded with zeros to the longest, at least DIGITS digits ("3":
-    "0003"); all frames keep their names if two files would clash. Empty if the frames are unknown. Raises PlgsError."""
+    "0003"); all frames keep their names if two would clash. Empty for unknown frames. Raises PlgsError if damaged."""
     found = {name: _NUMBERED.fullmatch(name) for name in names_of_frames(folder)}
     digits = max([DIGITS, *(len(match[2]) for match in found.values() if match)])
     padded = {name: match[1] + match[2].zfill(digits) if match else name for name, match in found.items()}
@@ -164,7 +165,7 @@ def bake_and_evaluate(
     """Compare the lift with the masks of its training ``views`` and of the ``held_back`` views, and calibrate ``baker``
     by it; bake the frames ``wanted``; score the held-out frames (reduced to fit ``scored`` if they are not baked);
     write the contact sheet and metrics.json, ``findings`` included. Ground truth is used for metrics.json only. Raises
-    Cancelled, PlgsError, OSError."""
+    Cancelled, OSError; PlgsError for bad files of the scene."""
     baked_names = {frame.name for frame in wanted}
     frames = wanted or scene.test_frames  # wanted frames include the held-out ones, or are empty
     shown = {frame.name for frame in evenly_spread(scene.test_frames, MOST_ROWS)}
@@ -205,7 +206,8 @@ def bake_and_evaluate(
 def score_corrected(
     folder: LiftFolder, corrected: CorrectedResult, progress: Callable[[int, int], object]
 ) -> dict[str, object]:
-    """Return the metrics of a finished lift with its corrections, as in metrics.json. Raises PlgsError, OSError."""
+    """Return a finished lift's metrics with its corrections, as in metrics.json. Raises PlgsError if its scene has
+    changed or is gone, OSError."""
     be_repeatable()
     scene, metrics = opened_scene(folder), read_metrics(folder)
     names = metrics.get("test_frames")
@@ -261,7 +263,7 @@ def corrected_scene(scene: StructuredScene, corrected: CorrectedResult) -> Struc
 
 
 def voted_labels(scene: StructuredScene, corrected: CorrectedResult) -> GaussianLabels:
-    """Return the labels of all Gaussians as voted by the views or, if there was no vote, as the decoders give them."""
+    """Return the labels of all Gaussians, as the views voted or, if ``scene`` has no votes, from the decoders."""
     if scene.voted is not None:
         return scene.voted
     labels, shares = zip(*_likeliest_of_chunks(scene, corrected), strict=True)
@@ -275,7 +277,7 @@ OWNED = 0.3
 def _fill_of_scene(
     after: NDArray[np.int32], share: NDArray[np.float32], corrected: CorrectedResult
 ) -> tuple[SceneFill, NDArray[np.int32]]:
-    """Return the Gaussians that replace the removed objects, and their labels [P, K], of which only the first counts.
+    """Return the Gaussians that replace removed objects, and their labels int32 [P, K], of which only the first counts.
     ``after`` and ``share`` [G, K] are the corrected labels of the scene's own Gaussians and their shares."""
     parts, labels = [], []
     for first, fill in corrected.relabelling.fills:

@@ -12,10 +12,10 @@ from ..raster.cuda import what_fails, what_is_missing
 
 
 def usable_device(device: str, stages: StageReporter) -> str:
-    """Return the device for a lift: "cuda" if requested and working, otherwise "cpu". "auto" also gives "cpu", since no
-    version of ours has run on a GPU yet; the stage "check" says so. For "cuda" that stage draws a test picture. gsplat
-    may compile its code for it; *Cancel* then ends the process, and the next try starts over. Raises PlgsError if a
-    requested "cuda" does not work."""
+    """Return the device for a lift: "cuda" if ``device`` asks for it and it works, otherwise "cpu". "auto" also gives
+    "cpu", since no version of ours has run on a GPU yet; the stage "check" says so. For "cuda" that stage draws a test
+    picture. gsplat may compile its code for it; *Cancel* then ends the process, and the next try starts over. Raises
+    PlgsError if a requested "cuda" does not work."""
     if device == "auto":
         found = torch.cuda.is_available()
         why = "--device cuda is experimental, never run by us on a GPU" if found else "torch finds no CUDA device here"
@@ -27,7 +27,7 @@ def usable_device(device: str, stages: StageReporter) -> str:
 
 
 def _refuse_missing(where: str, stages: StageReporter) -> None:
-    """Raise PlgsError unless a test picture can be drawn on the CUDA device."""
+    """Raise PlgsError, about the request ``where``, unless a test picture can be drawn on the CUDA device."""
     on_cpu = "or lift with --device cpu."
     if not torch.backends.cuda.is_built():
         fix = f"Make an engine with set-up FOLDER --torch cuda (Torch in the preferences' Set-Up Options), {on_cpu}"

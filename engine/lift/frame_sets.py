@@ -81,7 +81,7 @@ def frames_to_bake(scene: Scene, bake: str) -> tuple[Frame, ...]:
 
 
 def frames_to_vote(scene: Scene, chosen: Scene, preset: Preset) -> tuple[Frame, ...]:
-    """Return the frames that only vote: neither held out nor in ``chosen``; none if the preset does not vote."""
+    """Return the frames that only vote: neither held out nor in ``chosen``; none unless the preset has them vote."""
     if preset.objects in ("boxes", "none") or not preset.all_frames_vote:
         return ()
     training = {frame.name for frame in chosen.train_frames}
@@ -175,14 +175,14 @@ def _too_much(needed: int, memory: MainMemory) -> str:
 
 
 def masks_a_frame(scene: Scene) -> float:
-    """Return the mean number of segments in LOOKED_AT frames' masks. Raises PlgsError if most are unreadable."""
+    """Return the mean number of segments in LOOKED_AT frames' masks. Raises PlgsError if most masks are unreadable."""
     looked_at = {frame.name: frame for frame in evenly_spread(scene.train_frames, LOOKED_AT)}
     masks = of_most(list(looked_at), lambda name: looked_at[name].mask(size_within(looked_at[name].size, (64, 64))))
     return float(np.mean([len(mask.segments) for mask in masks.values()]))
 
 
 def predicted_lift(scene: Scene, preset: Preset, masks: float, bake: str = "test") -> Prediction:
-    """Predict a lift's memory and time for ``masks`` segments per frame, as if all frames were of the largest size."""
+    """Predict a lift's memory and time for ``masks`` segments per frame, with all frames as large as the largest."""
     size = max((frame.size for frame in scene.frames), key=lambda size: size[0] * size[1])
     counts = len(scene.train_frames), len(scene.test_frames)
     return predict(*counts, size, preset, bake=bake, masks_a_frame=masks, classes=len(scene.classes.categories))
@@ -194,7 +194,7 @@ def _peak(scene: Scene, preset: Preset, masks: float) -> int:
 
 
 def _advice(scene: Scene, request: LiftRequest, preset: Preset, *, masks: float, most: int, fewer: int | None) -> str:
-    """Return the text of an error's fix: the options, besides those of the request, with which the lift would fit."""
+    """Return the text of an error's fix: options besides the request's that make the lift fit (``fewer`` frames do)."""
     found = [] if fewer is None else [f"--frames {fewer} (--fit finds such a number)"]
     sides = [(width, width * 3 // 4) for width in (640, 320, 200) if width < preset.size[0]]
     size = next((size for size in sides if _peak(scene, replace(preset, size=size), masks) <= most), None)

@@ -159,8 +159,8 @@ def _changes(
 def keep_names(
     earlier: EarlierLift, prepared: PreparedLift, seen: NDArray[np.bool_], lifted: StructuredScene, classes: ClassTable
 ) -> tuple[PreparedLift, LastingNames]:
-    """Return the lift with the earlier lift's ids, and its objects' names. ``lifted`` is renumbered as well. Only the
-    points where ``seen`` bool [N] are compared, since the earlier lift stored no others. Training does not depend on
+    """Return the lift with the earlier lift's ids, and its objects' names. ``lifted`` is renumbered in place. Only
+    points with ``seen`` bool [N] are compared, since the earlier lift stored no others. Training does not depend on
     ids."""
     points = prepared.instance_of_point
     lasting = lasting_names(earlier, prepared.instances, prepared.cloud.xyz[seen], points[seen], classes)
@@ -209,7 +209,7 @@ def take_over_edits(folder: LiftFolder, earlier: EarlierLift) -> None:
 
 
 def report_edits(folder: LiftFolder, earlier: EarlierLift, events: EventWriter) -> None:
-    """Warn which of the earlier lift's corrections apply to this finished lift, and which do not. Raises PlgsError."""
+    """Warn which of the earlier lift's corrections apply to this lift, and which not. Raises PlgsError if damaged."""
     if not earlier.edits:
         return
     corrected = read_corrected(folder.path)

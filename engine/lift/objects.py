@@ -87,7 +87,7 @@ def segment_options(preset: Preset) -> SegmentOptions:
 @dataclass(frozen=True, eq=False)
 class VotedThings:
     """The ``things`` that several views agree on. ``training``: the views whose masks were joined to objects;
-    ``everyone``: all views that vote, their detections included."""
+    ``everyone``: all views that vote, their detections included; how well they agree, and the weights of classes."""
 
     things: list[SceneObject]
     training: ViewsOnCloud
@@ -189,8 +189,8 @@ def with_unowned(
     seeing: ViewsOnCloud,
     classes: ClassTable,
 ) -> tuple[NDArray[np.int32], list[SceneObject]]:
-    """Add objects for connected points of a thing's class that belong to none (see ``unowned_pieces``). ``owner`` int32
-    [N] is each point's object among ``things``, 0 = none. Return the new owners and the longer list of objects."""
+    """Add objects for connected points of a thing's class that belong to none but that masks show. ``owner`` int32 [N]
+    is each point's object among ``things``, 0 = none. Return the new owners and the longer list of objects."""
     is_alone = (owner == 0) & np.isin(cloud.class_id, sorted(classes.thing_ids))
     class_of_point = np.where(is_alone, cloud.class_id, VOID).astype(np.int32)
     rules = by_votes.PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing), fragment=0.0)

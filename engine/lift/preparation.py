@@ -226,7 +226,7 @@ class Photos:
 def compared_photos(
     views: Sequence[View], placed: Sequence[View], matching: Matching, preset: Preset, scratch: Path | None = None
 ) -> Photos:
-    """Compare the views' photos by sharpness and exposure, as far as the preset asks. ``placed`` as in `targets_of`."""
+    """Compare the views' photos by sharpness and exposure, as preset; ``placed`` have holes in their depth filled."""
     weights = sharpness_weights(view.colour for view in views) if preset.weigh_sharpness else np.ones(len(views))
     if not preset.fit_exposure:
         return Photos(weights)

@@ -197,7 +197,7 @@ def own_parts(preset: Preset) -> dict[str, str]:
 
 
 def finish(folder: LiftFolder, preset: Preset, stages: StageReporter, code: str, parts: Mapping[str, str]) -> None:
-    """Write the manifest, which completes the lift, with digests of code and registered ``parts``. Raises OSError."""
+    """Write the manifest, which completes the lift, with digests: ``code`` and, by name, ``parts``. Raises OSError."""
     write_manifest(
         folder.result_path,
         versions={**library_versions(code), **parts},
@@ -215,7 +215,7 @@ def checked_frames(
     folder: LiftFolder, preset: Preset, checkpoint: Checkpoint | None, progress: StageProgress, events: EventWriter
 ) -> tuple[FrameSets, bool, tuple[Finding, ...]]:
     """Open and check the requested scene. Return its frames by purpose, whether the masks have changed since the lift
-    began, and the problems found. Raises PlgsError."""
+    began, and the problems found. Raises PlgsError if the scene cannot be lifted."""
     request = folder.request
     if preset.labels == "votes" and not preset.can_vote:
         events.warning(NO_VOTES)
@@ -281,7 +281,7 @@ def training_options(preset: Preset) -> dict[str, Json]:
 
 
 def begun_alike(checkpoint: Checkpoint | None, preset: Preset, events: EventWriter) -> Checkpoint | None:
-    """Return the checkpoint, if this preset can go on training from it; otherwise None, and warn."""
+    """Return the checkpoint, if this preset can go on training from it; otherwise None, with a warning why not."""
     wanted = training_options(preset)
     before = {} if checkpoint is None else checkpoint.state.get(TRAINING, wanted)  # earlier versions refined nothing
     if checkpoint is None or before == wanted:

@@ -55,7 +55,7 @@ def write_scene_files(
 ) -> None:
     """Write the parts of the result that need no rendering. ``views`` were trained on; masks of views ``held_back``
     calibrate the points' confidence. Only points with ``seen`` bool [N] are written; Gaussians and anchors far from all
-    points go only into the model. ``names`` by id. Raises OSError if the disk is full, and what ``progress`` raises."""
+    points go only into the model. ``names`` are the objects', by id. Raises OSError if the disk is full."""
     cloud, owner = prepared.cloud, prepared.instance_of_point
     judged, listed, baked = (part_of(progress, part / 3, (part + 1) / 3, 100) for part in range(3))
     judging = watched(evenly(views, MOST_JUDGES), judged)
@@ -96,7 +96,7 @@ def is_within(reach: float, xyz: NDArray[np.floating], others: NDArray[np.floati
 
 def shown_by_depth(cloud: SemanticPointCloud, views: Sequence[View], progress: Progress) -> NDArray[np.bool_]:
     """Return which points of the cloud are confirmed by the measured depth of some view, bool [N]. The others come from
-    hole filling. Raises what ``progress`` raises."""
+    hole filling."""
     left = np.arange(len(cloud))
     for view in watched(views, progress):
         left = np.delete(left, view.seen_of(cloud.xyz[left], max(NEAR, cloud.spacing))[0])
@@ -115,7 +115,7 @@ def write_model(folder: LiftFolder, lifted: StructuredScene) -> None:
 
 
 def read_model(folder: LiftFolder) -> StructuredScene:
-    """Read the model that `write_model` wrote, bit for bit. Raises PlgsError if the file is damaged or not known."""
+    """Read the model of a lift, bit for bit as it was written. Raises PlgsError if it is damaged or of unknown form."""
     path = folder.result_path / MODEL
     try:
         tensors, notes = read_tensors(path)
@@ -135,7 +135,7 @@ def _with_numbers(names: Mapping[int, str], lifted: StructuredScene) -> dict[int
 
 
 def read_shown_instances(folder: LiftFolder, lifted: StructuredScene, corrected: CorrectedResult) -> ShownInstances:
-    """Return names and classes as a finished lift shows them, corrections included. Raises PlgsError, OSError."""
+    """Return objects' names and classes as a finished, corrected lift shows them. Raises PlgsError, OSError."""
     settings = read_manifest(folder.result_path).settings
     if "one_class_an_object" not in settings:
         raise PlgsError("kind-missing", "does not say if each object has one class", folder.manifest_path, LIFT_ANEW)

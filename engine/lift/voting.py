@@ -45,7 +45,7 @@ def vote_labels(
     well they show every object. If the masks agree, they outline objects better than points do, and there are two
     rounds: first each mask's segments vote for the labels that matching gave them, then for the labels that the
     Gaussians show there. Otherwise each pixel votes once, for the label of its point. Data for both rounds is kept in
-    temporary files in ``scratch``. Raises PlgsError if a file is bad, and what ``progress`` raises."""
+    temporary files in ``scratch``. Raises PlgsError if a file is bad."""
     cloud, maps = prepared.cloud, prepared.label_maps
     assert maps is not None  # objects by agreement come with them
     labels = labels_of(cloud, prepared.instances)

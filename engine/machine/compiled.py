@@ -48,7 +48,7 @@ def choose_cache_folder(name: str) -> Path:
 
 
 def _make(folder: Path) -> str | None:
-    """Make the folder. Returns why kernels cannot be kept in it, or None if they can."""
+    """Make the folder. Returns why kernels cannot be kept in it; None if they can."""
     try:
         missing = [each for each in (folder, *folder.parents) if not each.exists()]
         for each in reversed(missing):

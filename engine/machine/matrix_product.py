@@ -52,8 +52,8 @@ def _begin_of(rows, number):
 
 @device_function
 def add_four_rows(out: Any, factors: Any, source: Any, a: int, c: int, count: int) -> None:
-    """Add rows ``a`` to a + 3 and columns ``c`` to c + 15 of the product to ``out``. The sums are separate variables,
-    because registers have no index; with AVX2 they take half of the registers."""
+    """Add rows ``a`` to a + 3 and columns ``c`` to c + 15 of the product, a sum of ``count`` terms, to ``out``. The
+    sums are separate variables, because registers have no index; with AVX2 they take half of the registers."""
     o0, o1, o2, o3 = begin_of(out, a) + c, begin_of(out, a + 1) + c, begin_of(out, a + 2) + c, begin_of(out, a + 3) + c
     s0, s1, s2, s3 = load(out.values, o0), load(out.values, o1), load(out.values, o2), load(out.values, o3)
     values, across, at = factors.values, factors.across, factors.start + a * factors.across

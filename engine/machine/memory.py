@@ -70,7 +70,7 @@ def empty(shape: int | tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
 
 
 def several(*wanted: tuple[int | tuple[int, ...], DTypeLike]) -> tuple[NDArray[Any], ...]:
-    """Return an uninitialised array, as ``empty`` does, for each pair of a shape and a dtype."""
+    """Return an uninitialised array in reused, aligned memory for each pair of a shape and a dtype."""
     return tuple(empty(shape, dtype) for shape, dtype in wanted)
 
 

@@ -69,7 +69,7 @@ class Samples(NamedTuple):
 
 
 def samples_of(view: View, class_id: NDArray[np.int32], share: NDArray[np.float32], most: int) -> Samples:
-    """Return up to ``most`` evenly chosen pixels of a view with depth and a class in ``class_id`` int32 [H, W]."""
+    """Return up to ``most`` evenly chosen pixels of a view with depth and class; ``class_id``, ``share`` are [H, W]."""
     seen = np.flatnonzero((view.depth > 0) & (class_id > 0))
     seen = seen[:: max(1, -(-len(seen) // max(most, 1)))]
     xyz = view.camera.unproject(view.depth).reshape(-1, 3)[seen]
@@ -132,8 +132,8 @@ class _Named:
 
 
 def fitted(share: NDArray[np.floating], right: NDArray[np.floating]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the isotonic fit to samples [N], in bins of about equally many: ascending shares, and how often each is
-    right; begins at (0, 0)."""
+    """Return the isotonic fit to samples' ``share`` and ``right`` (0 to 1) [N], in bins of about equally many:
+    ascending shares from 0, and how often each is right."""
     edges = np.unique(np.quantile(share, np.linspace(0, 1, BINS + 1)[1:-1]))
     number = np.searchsorted(edges, share, side="right")
     count = np.bincount(number, minlength=len(edges) + 1)

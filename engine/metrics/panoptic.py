@@ -36,7 +36,9 @@ Pair = tuple[Segment, Segment]
 
 @dataclass(frozen=True)
 class ClassScore:
-    """The scores of one class, in [0, 1]. ``iou`` (or ``pq``, ``sq``, ``rq``) is None if it is not part of the mean."""
+    """One class's scores in [0, 1], None where not part of the mean: IoU; panoptic quality ``pq``, the product of
+    segmentation quality ``sq`` and recognition quality ``rq``. ``tp``, ``fp``, ``fn``: matched, wrong, missed
+    segments."""
 
     class_id: int
     name: str
@@ -284,7 +286,7 @@ class IdChanges:
         self._changes: Counter[Segment] = Counter()
 
     def add(self, pixels: Mapping[Pair, int]) -> None:
-        """Count the next frame; ``pixels`` as for ``FrameQuality.add``."""
+        """Count the next frame: the number of pixels that each predicted and true segment share."""
         predicted, true = Counter[Segment](), Counter[Segment]()
         for (p, t), shared in pixels.items():
             predicted[p] += shared

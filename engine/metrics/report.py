@@ -124,7 +124,7 @@ class Report:
 
 def add_input_masks(report: Report, scene: Scene, within: Size | None = None) -> None:
     """Score the input masks of the held-out frames that have ground truth, as a method of its own, at a size that fits
-    ``within`` (None: their own). Raises PlgsError."""
+    ``within`` (None: their own). Raises PlgsError if a file is bad."""
     first_id = 1
     for frame in scene.test_frames:
         if frame.read_ground_truth is not None:

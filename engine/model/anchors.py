@@ -122,8 +122,9 @@ def _codes(labels: int, width: int, random: np.random.Generator) -> NDArray[np.f
 
 
 class AnchorsInView(NamedTuple):
-    """The rows ``visible`` of ``anchors``, to be decoded as seen from ``centre``. ``channels``: the semantic channel of
-    each anchor's class, for the cluster loss. ``known_labels``: labels decoded earlier, used in place of new ones."""
+    """The rows ``visible`` int64 [V] of ``anchors``, to be decoded as seen from ``centre`` [3]. ``channels`` [M]:
+    semantic channels of anchors' classes, for the cluster loss. ``known_labels``, decoded earlier, are used as they
+    are."""
 
     anchors: Anchors
     visible: torch.Tensor  # int64 [V], without repetitions

@@ -157,7 +157,7 @@ class Decoders(nn.Module):
     """Whether all anchors are decoded; otherwise only those whose position the camera sees."""
 
     def own_decoding(self, given: AnchorsInView) -> NeuralGaussians | None:
-        """Return what ``decode_rows`` should return, in kinds with a decoding of their own; None in all others."""
+        """Return the decoded Gaussians, in kinds of decoders with a decoding of their own; None in all others."""
         return None
 
 

@@ -40,8 +40,8 @@ def decode(
     known_labels: torch.Tensor | None = None,  # [M * k, L]
     in_torch: bool = False,
 ) -> NeuralGaussians:
-    """Decode the Gaussians of all anchors that ``camera`` can see, and drop those with opacity <= 0. ``channels`` and
-    ``known_labels`` as in ``AnchorsInView``; ``in_torch`` uses no compiled kernel."""
+    """Decode the Gaussians of all anchors that ``camera`` can see, and drop those with opacity <= 0. ``channels`` [M]
+    of classes ask for the cluster loss; ``known_labels`` replace decoded ones; ``in_torch``: no kernels."""
     position = anchors.position
     centre = torch.from_numpy(camera.centre.copy()).to(position.dtype).to(position.device, non_blocking=True)
     if decoders.decodes_all_anchors:

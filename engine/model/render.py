@@ -29,8 +29,8 @@ REACH = 3.5
 
 @torch.no_grad()
 def render_view(scene: StructuredScene, camera: Camera, labels: ShownLabels | None = None) -> PanopticRendering:
-    """Render colour, depth and label coverage of a view, at the camera's size. ``labels``: what ``shown_labels``
-    returns for the scene, to decode labels only once for many views."""
+    """Render colour, depth and label coverage of a view, at the camera's size. ``labels``: the scene's labels, decoded
+    before by `shown_labels` for many views."""
     (rendering,) = render_bands(scene, camera, labels, most_bytes=None)
     return rendering
 
@@ -46,8 +46,8 @@ def render_bands(
     want_surface: bool = True,
 ) -> Iterator[PanopticRendering]:
     """Render a view in bands of rows, from the top, so that memory does not grow with labels times pixels.
-    ``most_bytes`` limits the label coverage of a band; None: one band. ``labels`` as for ``render_view``. Without
-    ``want_surface``, depth is 0. ``clip``: only Gaussians in this range of depth."""
+    ``most_bytes`` limits the label coverage of a band; None: one band. ``labels``: decoded before, for many views.
+    Without ``want_surface``, depth is 0. ``clip``: only Gaussians in this range of depth."""
     if labels is None and scene.voted is not None:
         labels = shown_labels(scene)
     known = None if labels is None else no_labels(scene.anchors)

@@ -40,7 +40,7 @@ def take_rows(
 
 
 def decode_in_torch(given: AnchorsInView, decoders: Decoders) -> NeuralGaussians:
-    """Do what ``decode_rows`` does, in torch on any device."""
+    """Decode the anchors in ``given`` to Gaussians in plain torch, on any device."""
     anchors, visible, centre, channels, known_labels = given
     position = anchors.position.index_select(0, visible)
     feature = take_rows(anchors.feature, visible)

@@ -23,7 +23,7 @@ CHUNKS = 32
 
 
 def decode_natively(given: AnchorsInView, decoders: Decoders) -> NeuralGaussians:
-    """Do what ``decode_rows`` does, for float32 tensors on the CPU, with ``torch.get_num_threads()`` threads."""
+    """Decode ``given`` with compiled kernels: float32 on the CPU, with ``torch.get_num_threads()`` threads."""
     anchors, visible, centre, channels, known_labels = given
     layout = packing.layout_of(decoders.shape)
     labels = torch.empty(0, 0) if known_labels is None else known_labels

@@ -234,9 +234,10 @@ class Work(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """Anchors that are decoded together: ``listed`` holds ``rows`` indices into ``visible``. The first ``drawing`` of
-    them draw a Gaussian; the others only have a cluster loss. ``gaussians`` are drawn, the m-th at index ``first`` + m;
-    it is Gaussian owners[2 m + 1] of row owners[2 m]."""
+    """Anchors that are decoded together. ``listed`` has their places in the list of visible anchors; ``rows`` is their
+    number. The first ``drawing`` of them draw a Gaussian; the others only have a cluster loss. The number of drawn
+    Gaussians is ``gaussians``; the m-th is drawn Gaussian ``first`` + m of the view, made by anchor listed[owners[2 m]]
+    as its Gaussian owners[2 m + 1]."""
 
     listed: Array
     rows: int
