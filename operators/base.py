@@ -32,7 +32,7 @@ file_argument = partial(argument, StringProperty, subtype="FILE_PATH")
 
 
 def panel_of(context: bpy.types.Context) -> Any | None:
-    """Return the settings of the button's panel, for `poll`; None in a script, which passes its own arguments."""
+    """Return the settings of the button's panel, for `poll`; None in a script, which passes arguments."""
     return getattr(context, "plgs_panel", None)
 
 
@@ -193,14 +193,15 @@ def cancels(kind: type[Task], about: str) -> type:
 
 
 def copy_given(operator: Any, options: type, settings: Any) -> None:
-    """Copy the options that a call gave explicitly to the panel."""
+    """Copy those of the ``options`` (properties of a class) that a call gave explicitly from the operator to the
+    panel."""
     for name in option_names(options):
         if operator.properties.is_property_set(name):
             setattr(settings, name, getattr(operator, name))
 
 
 def start_timer(operator: Any, context: bpy.types.Context, seconds: float) -> bpy.types.Timer:
-    """Add a timer, so that an operator's `modal` is called at least this often."""
+    """Add a timer, so that an operator's `modal` is called at least every so many seconds."""
     manager = context.window_manager
     manager.modal_handler_add(operator)
     return manager.event_timer_add(seconds, window=context.window or manager.windows[0])  # None in a timer

@@ -148,7 +148,8 @@ def place_camera(
     camera: Camera,
     display_size: float = _DISPLAY_SIZE,
 ) -> bpy.types.Object:
-    """Return our camera object `key` with the engine camera's lens and pose; if new, it is linked to `parent`."""
+    """Return our camera object `key` with the engine camera's lens and pose; new ones go to `parent`. `display_size`:
+    metres."""
     data = owned.data(key, lambda: bpy.data.cameras.new(name))
     set_lens(data, camera)
     data.display_size = display_size

@@ -21,7 +21,8 @@ def absolute(path: str) -> Path:
 
 
 def free_folder(beside: Path, ending: str) -> Path:
-    """Return a folder that does not exist yet, such as "room_lift" or "room_lift_2" ``beside`` "room"."""
+    """Return a folder that does not exist yet: "room_lift" or "room_lift_2" for ``beside`` "room", ``ending``
+    "_lift"."""
     number, folder = 1, beside.with_name(f"{beside.name}_{ending}")
     while folder.exists():
         number += 1

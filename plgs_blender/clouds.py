@@ -58,7 +58,7 @@ class SurfaceGrid:
         return self.side / _CELL
 
     def radii(self, smallest: float, largest: float) -> NDArray[np.float32]:
-        """Return radii float32 [N], in the points' unit and within limits, at which points just touch."""
+        """Return radii float32 [N], at which points just touch, within limits (in the points' unit)."""
         # A surface crosses a cell with about a face's area. Cells that it only grazes have few points.
         local = np.minimum(self.side / np.sqrt(np.maximum(self.count, 1)), 2.0 * self.spacing)
         return np.clip(_TOUCHING * local, smallest, largest).astype(np.float32)[self.cell]
@@ -169,7 +169,7 @@ def place_semantic_points(
     classes: ClassTable,
 ) -> list[bpy.types.Object]:
     """Place one cloud for each class that has points, with Col, class_id, instance_id, confidence, entropy (in bits,
-    between the winner and all other labels) and normal [N, 3]."""
+    between the winner and all other labels) and `normals` [N, 3]. The `grid` of the points gives their radii."""
     radius = grid.radii(_SMALLEST, _LARGEST)
     placed = []
     # Sorted once, each class is one run. Comparing every point with every class takes a second with a million.

@@ -29,8 +29,9 @@ _MSGBUS_OWNER = object()
 
 @dataclass
 class _Opened:
-    """A window from which the compositor was opened: the names of what it showed then, and of its last workspace.
-    ``eyes`` are the cameras that its 3D views looked through, by screen and area index."""
+    """What a window showed before the compositor was opened in it: the names of its ``workspace`` and scene (``room``),
+    and the cameras that its 3D views looked through (``eyes``), by screen and area index. ``passes`` is the scene that
+    was opened, ``last`` the window's last workspace."""
 
     workspace: str
     room: str
@@ -140,7 +141,7 @@ def compositing_workspace() -> bpy.types.WorkSpace | None:
 
 
 def select_group(passes: bpy.types.Scene) -> None:
-    """Select only the panoptic group's node, unless the user has removed it."""
+    """Select only the node of the group "PLGS Panoptic", unless the user has removed it."""
     tree = compat.compositor_tree(passes)
     group = _group_node(tree)
     if tree is not None and group is not None:
@@ -206,7 +207,8 @@ def _follow_choice(root: bpy.types.Collection) -> None:
 
 
 def matte_instance(root: bpy.types.Collection, instance: int) -> str:
-    """Make an instance (0: the list's active one) the compositor's matte, and return its name. Raises PlgsError."""
+    """Make an instance (0: the active one) the compositor's matte, and return its name. Raises PlgsError if passes lack
+    it."""
     row = row_of(root, instance)
     names = matte_names({each.instance_id: each.name for each in root.plgs.instances})
     _set(root, CRYPTO_INSTANCES, names[row.instance_id], by_class=0.0)
@@ -224,8 +226,9 @@ def matte_class(root: bpy.types.Collection, class_id: int) -> str:
 
 
 def _set(root: bpy.types.Collection, layer: str, name: str, by_class: float) -> None:
-    """Set the matte in all passes scenes of the lift whose files have it. If no control makes it visible, it gets an
-    outline. Raises PlgsError if the files are older than the name."""
+    """Make ``name`` the matte of a ``layer`` in all passes scenes of the lift whose files have it. ``by_class`` is 1
+    for a class, 0 for an instance. If no control shows it, it gets an outline. Raises PlgsError if files are older than
+    the name."""
     compositors = [*compositors_of(root)]
     if not compositors:
         raise PlgsError("no-passes", "has no passes in a compositor", root.name, "Bake some in the Passes panel.")

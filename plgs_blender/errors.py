@@ -71,7 +71,7 @@ def sentence(text: str) -> str:
 
 
 def field_of_option(option: str) -> str | None:
-    """Return the name of the settings' property for a command-line option such as "--masks", or None."""
+    """Return the settings' property for a command-line option such as "--masks"; None if it has none."""
     name = option.removeprefix("--")
     field = _FIELD_OF_OPTION.get(name, name.replace("-", "_"))
     return field if field in _fields() else None

@@ -94,7 +94,7 @@ def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrame
 def _place_clouds(
     owned: OwnedDataBlocks, root: bpy.types.Collection, opened: PosedScene, made: MadeFrames | None, cloud: bool
 ) -> list[str]:
-    """Place the reconstruction's points and the cloud, if any. Returns what an engine must still make."""
+    """Place the reconstruction's points and the cloud, if any. Returns what an engine must still make, as kinds."""
     eyes = np.array([frame.camera.centre for frame in opened.frames])
     if opened.points is not None and len(opened.points):
         points = np.asarray(opened.points.xyz, np.float32), opened.points.rgb

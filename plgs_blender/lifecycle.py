@@ -42,7 +42,7 @@ def register_modules(modules: Sequence[ModuleType]) -> None:
 
 
 def unregister_modules(modules: Sequence[ModuleType]) -> None:
-    """Undo `register_modules` in reverse order, so that nothing refers to a removed class."""
+    """Unregister what `register_modules` registered, in reverse order, so that nothing refers to a removed class."""
     for module in reversed(modules):
         if hasattr(module, "unregister"):
             module.unregister()

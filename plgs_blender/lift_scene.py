@@ -155,7 +155,8 @@ def _list(result: LiftResult, root: bpy.types.Collection, scene: bpy.types.Scene
 def _place_late(
     place: Callable[..., object], instances: list[Instance], root: bpy.types.Collection, scene: bpy.types.Scene
 ) -> None:
-    """Place boxes, except those of objects that a correction has removed in the meantime."""
+    """Call ``place`` with the boxes' collection and those ``instances`` that no correction has removed in the
+    meantime."""
     listed = {row.instance_id for row in root.plgs.instances}
     owned, parent = OwnedDataBlocks(root[LIFT], scene), child_collection(root, "Instances")
     place(owned, parent, [one for one in instances if one.id in listed])
@@ -329,7 +330,8 @@ def save_lift(lift: Path, blend: Path) -> None:
 
 
 def open_blend(blend: Path, lift: Path, named_by: str = "--save") -> bpy.types.Scene:
-    """Open a .blend with its screens. Returns the scene that has the lift, else the active one. Raises PlgsError."""
+    """Open a .blend with its screens. Returns the scene that has the lift, else the active one. Raises PlgsError if it
+    is no readable .blend; ``named_by`` is the option that named it."""
     if not blend.is_file():  # Blender would wait for whoever writes into a FIFO
         raise PlgsError("not-a-file", "is not a file", blend, f"Name another with {named_by}.")
     try:

@@ -238,7 +238,8 @@ def _build_points(tree: bpy.types.NodeTree) -> None:
 
 
 def _mix(tree: bpy.types.NodeTree, column: int, row: int, blend: str, *colours: Any) -> Any:
-    """Add a node that mixes two colours by a factor, which is given first, and return its output socket."""
+    """Add a node that mixes two colours by a factor (``colours``: the factor, then both), and return its output
+    socket."""
     node = add_node(tree, "ShaderNodeMix", column, row, *colours, data_type="RGBA", blend_type=blend)
     return next(socket for socket in node.outputs if socket.enabled)  # it has one for each type of data
 
@@ -257,7 +258,7 @@ def _add_value(tree: bpy.types.NodeTree, column: int, row: int, label: str, valu
 def add_node(
     tree: bpy.types.NodeTree, kind: str, column: float, row: float, *inputs: Any, **settings: Any
 ) -> bpy.types.Node:
-    """Add a node with these settings. Inputs are linked to sockets or set to values; None leaves one as it is."""
+    """Add a node with these settings. ``inputs`` are, in order, sockets to link or values; None leaves one as it is."""
     node = tree.nodes.new(kind)
     node.location = (220 * column, row)
     for name, value in settings.items():  # first, because they decide which inputs there are

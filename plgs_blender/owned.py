@@ -369,7 +369,7 @@ def hide(collection: bpy.types.Collection, scene: bpy.types.Scene) -> None:
 
 
 def is_child(child: bpy.types.Collection, root: bpy.types.Collection, name: str) -> bool:
-    """Whether `child_collection` made this collection for this name."""
+    """Whether `child_collection` made `child` as the collection `name` of this root."""
     return key_of(child, root[LIFT]) == f"collection:{name}"
 
 

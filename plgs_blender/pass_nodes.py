@@ -189,7 +189,7 @@ def use_image(tree: bpy.types.NodeTree, image: bpy.types.Image) -> None:
 
 
 def _link_guessed(tree: bpy.types.NodeTree) -> None:
-    """Link the layer Guessed to a group that takes it. Only files of lifts with removed objects have this layer."""
+    """Link the passes' layer Guessed to our group, if both have it. Only lifts with removed objects have this layer."""
     group = next((node for node in tree.nodes if node.get(KEY) == PANOPTIC), None)
     guessed = node_of(tree, PASSES).outputs.get("Guessed")
     if group is not None and guessed is not None and "Guessed matte" in group.inputs:
@@ -234,7 +234,7 @@ def build(tree: bpy.types.NodeTree, lift: str, image: bpy.types.Image) -> None:
 
 
 def _colour_code(make: _NodeBuilder, what: str, layer: str, row: float) -> None:
-    """Turn ids into colours: the id is an index into a palette one pixel high, sampled without interpolation."""
+    """Add nodes that turn the ids of a ``layer`` into colours: they are indices into a palette one pixel high."""
     palette = make.add(f"{what} palette", f"{what} palette", 1.5, row - 170, "CompositorNodeImage")
     scale = make.add(f"{what} scale", "Id to place", 1.5, row, "ShaderNodeMath", "CompositorNodeMath")
     scale.operation = "MULTIPLY_ADD"

@@ -61,7 +61,7 @@ def check_layers(files: Iterable[Path]) -> None:
 
 
 def size_of(path: Path) -> tuple[int, int]:
-    """Return width and height of a passes file in pixels; 0, 0 if it is not an EXR, or too large for a picture."""
+    """Return width and height of a passes file in pixels; 0, 0 if it is no EXR or too large."""
     try:
         size = read_exr_header(path).size
     except PlgsError:
@@ -108,7 +108,7 @@ def place_shots(owned: OwnedDataBlocks, result: LiftResult, shot_scene: bpy.type
 
 
 def _counting_through(names: Collection[str], sequence: NumberedNames | None) -> Callable[[Any, Any], None]:
-    """Return a function that makes timeline frame k show the k-th name."""
+    """Return a function that makes timeline frame k show the k-th of these names, whose numbers ``sequence`` gives."""
     numbers = () if sequence is None else sequence.numbers
     return partial(_count_through, len(names), [number - k for k, number in enumerate(numbers, start=1)])
 
@@ -122,7 +122,8 @@ def _fill_scene(
     sequence: NumberedNames | None,
     count: Callable[[bpy.types.Scene, bpy.types.NodeTree], None],
 ) -> bpy.types.Scene:
-    """Return the scene for these files with its nodes, made if missing. ``count`` maps timeline frames to files."""
+    """Return our scene `key` with nodes that show the files, made if missing. ``count`` is called with the scene and
+    its nodes, and maps timeline frames to files; ``sequence`` gives the files' numbers, if they can be one."""
     name = f"PLGS {result.name} {key.removeprefix(SHOT)}"
     scene = owned.block("scenes", key, lambda: _new_scene(name))
     scene.name = name
@@ -233,7 +234,8 @@ def _count_on(first: int, last: int, _scene: bpy.types.Scene, tree: bpy.types.No
 
 
 def _take_after(scene: bpy.types.Scene, shot: bpy.types.Scene, numbers: Sequence[int], size: tuple[int, int]) -> None:
-    """Give a passes scene the frame range and size of a shot's files, and its scene's frame rate and pixel aspect."""
+    """Give a passes scene the range of the files' ``numbers``, their ``size``, and the frame rate and pixel aspect of
+    ``shot``."""
     scene.frame_start, scene.frame_end = min(numbers), max(numbers)
     scene.frame_step = math.gcd(*(number - min(numbers) for number in numbers)) or 1  # 0 if there is only one
     scene.frame_set(min(numbers))
@@ -294,8 +296,8 @@ def is_shot(scene: bpy.types.Scene) -> bool:
 
 
 def passes_scene_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
-    """Return the scene itself if it holds passes, else a passes scene of its first lift: that of the active camera,
-    else that of the lift's frames, else any; None if there is none."""
+    """Return the scene itself if it holds passes, else a passes scene of its first lift: the active camera's, the
+    lift's frames', or any; None without one."""
     if text_of(scene, LIFT) and (key_of(scene, scene[LIFT]) == PASSES or is_shot(scene)):
         return scene
     for root in lifts_in(scene):

@@ -103,7 +103,8 @@ class Task:
         return self.follower.error or self._problem
 
     def poll(self, scene: Any) -> bool:
-        """Process new events, and at the end call `done`. Returns whether anything changed."""
+        """Process the engine's new events, and call `done` at the end. Returns whether anything changed since the last
+        call."""
         has_news = self.follower.poll()
         if self.progress.left_s != self._estimated_left:
             self._estimated_left, self._estimated_at = self.progress.left_s, time.monotonic()
@@ -128,11 +129,13 @@ class Task:
 
     def done(self, scene: Any) -> Iterator[object] | None:
         """Take the answer into Blender, whose current scene is ``scene``. Called once, however the task ended. Slow
-        work yields between its parts; there the user may change anything. Raises PlgsError, OSError."""
+        work yields between its parts; there the user may change anything. What it raises, PlgsError or OSError, becomes
+        `error`."""
         return None
 
     def watch(self, scenes: Sequence[Any], has_news: bool) -> bool:
-        """Called at every tick with all scenes of the file. Returns whether 3D views need redrawing."""
+        """Called at every tick with all scenes of the file; ``has_news``: `poll` found a change. Returns whether 3D
+        views need redrawing."""
         return False
 
     def cancel(self) -> None:
@@ -163,7 +166,8 @@ _tasks: dict[Hashable, Task] = {}
 def start_engine(
     kind: str, python: Path, *arguments: str | Path, variables: Mapping[str, str] | None = None
 ) -> TaskFollower:
-    """Start the engine's command ``kind``; it ends when this Blender does. Raises PlgsError, OSError."""
+    """Start the engine's command ``kind``, with environment ``variables``; it ends with this Blender. Raises PlgsError,
+    OSError if it cannot."""
     command = [*engine_call(python), kind, *arguments]
     return TaskFollower.start(command, TaskFiles.temporary(), kind=kind, variables=variables or {})
 

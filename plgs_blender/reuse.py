@@ -163,7 +163,8 @@ def _fill(root: bpy.types.Collection, top: bpy.types.Collection, one: Instance) 
 
 
 def _points(root: bpy.types.Collection, one: Instance, inverse: Matrix) -> bpy.types.PointCloud | None:
-    """Return the instance's semantic points with all attributes, relative to the pivot; None without points."""
+    """Return the instance's semantic points, transformed by ``inverse`` to its own pivot, with all attributes; or
+    None."""
     for cloud in clouds_of(root):
         rows = ids_of(cloud.data, "instance_id") == one.id
         if "class_id" not in cloud or not rows.any():
@@ -192,7 +193,7 @@ def _column(data: bpy.types.PointCloud, name: str, kind: str) -> NDArray[Any]:
 
 
 def _surface(root: bpy.types.Collection, one: Instance, inverse: Matrix) -> bpy.types.Mesh | None:
-    """Return the instance's mesh relative to the pivot, or None if no meshes were made."""
+    """Return the instance's mesh, transformed by ``inverse`` to its own pivot; None if no meshes were made."""
     for ob in surfaces_of(root):
         if ob.get("instance_id") == one.id:
             mesh = ob.data.copy()

@@ -43,7 +43,8 @@ class ShotSource:
         return VERSION.sub("", self.blend), self.camera
 
     def of_lift(self, lift: Path) -> ShotSource:
-        """Return this source with the facts about the finished ``lift`` filled in. Raises PlgsError otherwise."""
+        """Return this source with the facts about ``lift`` filled in; unchanged if that is not finished. Raises
+        PlgsError for damage."""
         if not (lift / "result" / MANIFEST).is_file():
             return self
         model, corrected = lifted_digest(read_manifest(lift / "result")), read_corrected(lift)

@@ -105,7 +105,8 @@ def shot_of(
     motion: bool = False,
 ) -> Shot:
     """Return the shot of the named or the active camera over the given range, else the scene's. ``given`` names its
-    files, by default as the studio's settings say. Raises PlgsError for a bad range or no camera."""
+    files (else the studio's settings); ``only`` and ``motion``: see `Shot`. Raises PlgsError for a bad range or no
+    camera."""
     cuts = () if camera else _cuts_of(scene)
     wanted = camera or (cuts[0][1] if cuts else "")
     ob = scene.objects.get(wanted) if wanted else scene.camera
@@ -305,7 +306,8 @@ class ShotReader:
         return file
 
     def withdraw_unbaked(self, bake: TaskFollower) -> None:
-        """Undo `write` if the bake ended before its first view, for example because the engine refused it."""
+        """Take back what `write` wrote, if the bake ended before its first view, for example as the engine refused
+        it."""
         if self._claimed is not None and bake.state is not TaskState.FINISHED and bake.progress.stage != "bake":
             with suppress(OSError, PlgsError):  # then the name stays taken, and another bake reports that
                 self._claimed.withdraw()
@@ -400,5 +402,6 @@ def _rendered_part(camera: Camera, scene: bpy.types.Scene) -> tuple[Camera, tupl
 
 
 def _pixels(share: float, size: int) -> int:
-    """The pixels of a share of a picture's side, as Blender counts a render border: in single precision, truncated."""
+    """The pixels of a ``share`` of ``size`` pixels, as Blender counts a render border: in single precision,
+    truncated."""
     return int(np.float32(share) * np.float32(size))

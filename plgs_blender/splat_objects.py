@@ -159,7 +159,7 @@ class Squares:
 
 
 def joined(parts: Sequence[Part]) -> Part:
-    """Concatenate records whose fields are arrays [N, ...], or dicts of such arrays."""
+    """Concatenate records of one class, field by field: arrays [N, ...], or dicts of such arrays."""
     columns: dict[str, Any] = {}
     for name in vars(parts[0]):
         values = [getattr(part, name) for part in parts]
@@ -264,8 +264,7 @@ def _new_group() -> bpy.types.NodeTree:
 
 
 def _away_in_renders(add: Any, maths: Any, normal: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
-    """Add nodes whose output tells whether, in a render, a front faces away from the camera; Cycles sees only through
-    few transparent layers."""
+    """Add nodes whose output says if a front faces away from the camera in a render; in views it is false."""
     camera = add("GeometryNodeInputActiveCamera", 0, 5).outputs[0]
     eye = add("GeometryNodeObjectInfo", 1, 5, camera, transform_space="RELATIVE").outputs["Location"]
     way = maths("SUBTRACT", 2, 5, add("GeometryNodeInputPosition", 0, 6).outputs[0], eye)

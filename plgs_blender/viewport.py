@@ -189,7 +189,7 @@ def frame_room(area: bpy.types.Area, rotation: Quaternion, corners: NDArray[np.f
 
 
 def _pose(area: bpy.types.Area, rotation: Quaternion, corners: NDArray[np.float64]) -> tuple[Quaternion, Vector, float]:
-    """Return rotation, location and distance of a 3D view that fits all corners beside the sidebar."""
+    """Return rotation, location and distance with which a 3D view shows all corners [N, 3] beside the sidebar."""
     space = area.spaces.active
     window, covered = _free_of_sidebar(area)
     axes = np.array(rotation.to_matrix())  # columns: right, up, towards the eye

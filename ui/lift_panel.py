@@ -158,7 +158,7 @@ def _beside_quit(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
 
 
 def _draw_used(column: bpy.types.UILayout, context: bpy.types.Context, name: str) -> None:
-    """Draw the value that a lift will use, with a button that restores the preset's."""
+    """Draw the value of the option `name` that a lift will use, with a button that restores the preset's."""
     row = column.row(align=True)
     row.prop(context.scene.plgs_used, name)
     if getattr(context.scene.plgs, name):

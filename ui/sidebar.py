@@ -85,7 +85,7 @@ def fitted(context: bpy.types.Context, text: str) -> str:
 
 
 def draw_task(layout: bpy.types.UILayout, context: bpy.types.Context, task: Task) -> None:
-    """Draw any task: its progress and Cancel while it runs, then its error and the fix."""
+    """Draw any task: its progress and Cancel while it runs, then its error, if any, and the fix."""
     if task.is_running:
         draw_progress(layout, task)
         if task.cancel_operator:
@@ -185,7 +185,8 @@ def draw_adding(layout: bpy.types.UILayout, context: bpy.types.Context, name: st
 
 
 def how_far(task: Task) -> tuple[float, str]:
-    """Return a task's completed fraction, of the whole if the engine estimates it, else of the stage; and its text."""
+    """Return a task's completed fraction (of the whole if the engine estimates it, else of the stage), and a text such
+    as "3 of 8" or the time left."""
     progress, took, left = task.progress, task.took_s, task.left_s
     if left is not None:
         share = took / max(took + left, 1e-9)  # both may be 0
@@ -204,7 +205,7 @@ def from_panel(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.ty
 
 
 def draw_log(layout: bpy.types.UILayout, lines: tuple[str, ...]) -> None:
-    """Draw the end of a log in small text."""
+    """Draw the lines, the end of a log, in small text."""
     column = layout.column(align=True)
     column.scale_y = 0.7
     column.active = False

@@ -24,7 +24,8 @@ TORCH_BUILDS = [
 
 @dataclass(frozen=True)
 class SetUpChoice:
-    """The packages that "Set Up Engine" installs, and where from."""
+    """What "Set Up Engine" installs: the build of torch ("cpu" or "cuda"), from the package index ``index_url`` ("":
+    the usual one), for ``base_python`` (None: this Blender's or another)."""
 
     base_python: Path | None = None
     torch_build: str = "cpu"

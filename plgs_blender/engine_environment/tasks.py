@@ -220,7 +220,7 @@ def why_no_set_up() -> str | None:
 
 
 def set_up(choice: SetUpChoice) -> SetUp:
-    """Start making the engine's environment, or continue it. Raises PlgsError if one runs or this Blender is unfit;
+    """Start or continue making the engine's environment. Raises PlgsError while one is made and if Blender is offline;
     OSError."""
     reason = why_no_set_up()
     if reason is not None:

@@ -32,7 +32,8 @@ _DARK = (0.09, 0.095, 0.105)
 
 @dataclass(frozen=True, eq=False)
 class Mark:
-    """An outline as a picture float32 [H, W, 4] in sRGB, lowest row first, and where to draw it, in pixels."""
+    """An outline as a picture float32 [H, W, 4] in sRGB, lowest row first, and its rectangle in the region, in pixels.
+    `key` says what it outlines, for a cache."""
 
     key: tuple[Any, ...]
     pixels: NDArray[np.float32]
@@ -41,7 +42,8 @@ class Mark:
 
 @dataclass(frozen=True)
 class ViewRegion:
-    """A 3D view's region: size in pixels, the width covered at the `left`, and the matrix from world to clip space."""
+    """A 3D view's region: size in pixels, the width that the toolbar covers at the `left`, the matrix from world to
+    clip space, and the `scale` of Blender's interface."""
 
     width: int
     height: int
@@ -67,7 +69,8 @@ class ViewRegion:
 @dataclass(frozen=True)
 class TextBox:
     """A text on a rectangle, perhaps with a `swatch` of colour before it; `instance` is the one that it names, or 0.
-    Lengths are in pixels, from the lower left corner; colours are sRGB 0..1."""
+    Lengths are in pixels, from the lower left corner; `size` is the text's, `ink` its colour, `ground` the rectangle's;
+    colours are sRGB 0..1."""
 
     x: float
     y: float
@@ -91,8 +94,8 @@ def label_text_boxes(
     hovered: int = 0,
     keep_free: Sequence[Rectangle] = (),
 ) -> list[TextBox]:
-    """Return names above the boxes of instances, as many as `place_labels` allows: first the `active` one, then the one
-    under the mouse, then those that look largest, known classes first. If the active box is out of view, its label says
+    """Return names of the lists' `rows` above their boxes, as many as `place_labels` allows: the `active` one, the
+    `hovered` one, then those that look largest, known classes first. An active box out of view has a label that says
     so."""
     size, padding = _TEXT * region.scale, _PADDING * region.scale
     height = size + 1.4 * padding
@@ -165,7 +168,7 @@ def place_labels(
 
 
 def shown_classes(rows: Any) -> list[tuple[str, Colour]]:
-    """Return the names and colours of the visible classes, those with most points first."""
+    """Return the names and colours of those classes in the rows that are visible, those with most points first."""
     shown = sorted((row for row in rows if row.visible), key=lambda row: (-row.points, row.name))
     return [(one_line(row.name), tuple(row.colour)) for row in shown]
 
@@ -254,7 +257,8 @@ def draw_mark(mark: Mark | None) -> None:
 def draw_picture(
     pixels: NDArray[np.float32], corners: Sequence[tuple[float, float] | None], blend: str = "NONE"
 ) -> None:
-    """Draw a picture (float32 [H, W, 4], sRGB, lowest row first) over a rectangle in pixels, if all corners exist."""
+    """Draw a picture (float32 [H, W, 4], sRGB, lowest row first) over the rectangle of these corners, in pixels; not if
+    one is None. `blend` is a mode of gpu.state.blend_set."""
     seen = [corner for corner in corners if corner is not None]
     if len(seen) != len(corners):
         return

@@ -96,7 +96,8 @@ class PLGS_PG_mask(bpy.types.PropertyGroup):
 
 
 class PLGS_PG_instance(bpy.types.PropertyGroup):
-    """An object of the lift. `known_name` is its name in the lift; a different `name` is a rename."""
+    """An object of the lift. `known_name` is its name in the lift; a different `name` is a rename. `best_mask` and
+    `mask_index` are rows of `masks`."""
 
     name: StringProperty(name="Name", update=_update_name, description="Double-click to rename the object")
     known_name: StringProperty()
@@ -251,7 +252,7 @@ def _fill_instances(rows: Any, instances: Sequence[Instance]) -> None:
 
 
 def _facts(one: Any, score: float, masks: list[tuple[str, int]]) -> tuple[Any, ...]:
-    """Return what an instance, or its row, says about the object, for comparing the two."""
+    """Return the facts about an instance by which it is compared with its row in the list (`one` is either)."""
     return one.name, one.class_id, one.points, one.views, score, masks
 
 
@@ -286,7 +287,7 @@ def best_view(masks: Sequence[MatchedSegment]) -> int:
 
 
 def _reason(mask: MatchedSegment) -> str:
-    """Return why a mask was matched to its instance, short enough for a list."""
+    """Return why a mask was matched to its instance, such as "84 % agreement", for a list."""
     if mask.agreement is not None:
         return f"{100 * mask.agreement:.0f} % agreement"
     if mask.cost is not None:

@@ -123,7 +123,7 @@ def lifts_shown(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.
 
 
 def has(root: bpy.types.Collection, kind: str) -> bool:
-    """Whether the lift has the objects for a value of `show_as`."""
+    """Whether the lift has objects to show as `kind`, a value of `show_as`: points, splats or a surface."""
     return any(is_child(child, root, SHOWN_IN[kind]) and len(child.all_objects) for child in root.children)
 
 
@@ -329,7 +329,7 @@ def leaving_out(lists: bpy.types.PropertyGroup) -> Callable[[NDArray[np.int32], 
 
 
 def instances_left_out(lists: bpy.types.PropertyGroup, instances: Collection[int]) -> Any:
-    """Return which of N instances are hidden, bool [N]."""
+    """Return which of the N `instances` are hidden by the lift's lists, bool [N]."""
     class_of = {row.instance_id: row.class_id for row in lists.instances}
     classes = np.array([class_of.get(instance, VOID) for instance in instances], np.int32)
     return leaving_out(lists)(np.array([*instances], np.int32), classes)

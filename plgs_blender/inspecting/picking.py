@@ -25,7 +25,7 @@ _MOST_KEPT = 16
 
 
 def camera_of(context: bpy.types.Context) -> bpy.types.Object | None:
-    """Return the camera that a 3D view looks through, or None."""
+    """Return the camera that a 3D view looks through, None if it looks through none."""
     view = context.space_data
     if view.region_3d.view_perspective != "CAMERA":
         return None
@@ -33,7 +33,8 @@ def camera_of(context: bpy.types.Context) -> bpy.types.Object | None:
 
 
 def outlined(context: bpy.types.Context, root: bpy.types.Collection) -> Any:
-    """The row of the list's active instance, if the view shows its chosen mask through that camera; else None."""
+    """The row of the list's active instance, if the view looks through the camera of the frame of the row's chosen
+    mask, which is then outlined; else None."""
     lists, camera = root.plgs, camera_of(context)
     if camera is None or not 0 <= lists.instance_index < len(lists.instances):
         return None
@@ -139,7 +140,8 @@ def drawn_under(
     mouse: tuple[float, float],
     space: bpy.types.SpaceView3D | None = None,
 ) -> Picked | None:
-    """Return what lifts draw at a pixel of a view, or None. Without a `space`, visibility is that of the window."""
+    """Return what lifts draw at a pixel of a view, or None. Hidden is what the `space` hides, or without one the
+    window."""
     parts = [(root, part) for root in roots for part in rays.parts_near(root, view, mouse, space)]
     first = rays.first_drawn([part for _, part in parts], mouse)
     return None if first is None else Picked(parts[first[0]][0], *first[1:])

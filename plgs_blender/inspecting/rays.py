@@ -45,9 +45,9 @@ def rows_of(matrix: Matrix) -> Rows:
 
 @dataclass(frozen=True)
 class View:
-    """How a view of `width` by `height` pixels draws: its matrices, as in RegionView3D; the world position `eye` of the
-    scene's camera, which decides which walls of points are removed; whether backs are hidden; and whether squares fade,
-    which they do not in Solid shading."""
+    """How a view of `width` by `height` pixels draws: its view and window matrices (`looks`, `lens`), as in
+    RegionView3D; the world position `eye` of the scene's camera, which decides which walls of points are removed;
+    whether backs are hidden; and whether squares fade, which they do not in Solid shading."""
 
     looks: Rows
     lens: Rows
@@ -124,8 +124,8 @@ class Projected:
 
 
 def first_drawn(parts: Sequence[Projected], mouse: tuple[float, float]) -> tuple[int, int, int] | None:
-    """Return the index of the part that draws a pixel, or the nearest instance within MISS pixels, with instance and
-    class; None if nothing is there."""
+    """Return the index in `parts` of what is drawn at a pixel (else of the nearest instance within MISS pixels), and
+    its instance and class; None if nothing is there."""
     for offsets in (_OFFSETS[:1], _OFFSETS[1:]) if parts else ():  # most often the mouse's own pixel is drawn
         found = [part.at(np.array(mouse, np.float32) + offsets) for part in parts]
         opacities, near = (np.concatenate([each[column] for each in found], axis=1) for column in (0, 1))
@@ -148,7 +148,8 @@ _MOST_KEPT = 64
 def parts_near(
     root: bpy.types.Collection, view: View, mouse: tuple[float, float], space: Any = None
 ) -> list[Projected]:
-    """Return the parts of a lift that a view draws near a pixel, projected."""
+    """Return the parts of a lift that a view draws near the pixel `mouse`, projected. Parts hidden in `space` are left
+    out."""
     lists = root.plgs
     hidden = tuple(row.visible for row in (*lists.instances, *lists.classes))
     state = view, lists.isolated, hidden, root.get(CORRECTIONS)

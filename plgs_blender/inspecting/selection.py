@@ -41,7 +41,8 @@ def find_lift(scene: bpy.types.Scene, lift: str = "", active: bpy.types.Object |
 
 
 def active_lift(scene: bpy.types.Scene, active: bpy.types.Object | None) -> bpy.types.Collection | None:
-    """Return the lift of an object, else the chosen one, the scene's first lift with a result, its first, or None."""
+    """Return the active object's lift, else the chosen one, the scene's first with a result, its first; None without
+    any."""
     roots = lifts_in(scene)
     owns = (None if active is None else text_of(active, LIFT), scene.get(CHOSEN))
     of_object = [root for own in owns for root in roots if root[LIFT] == own]
@@ -58,7 +59,7 @@ def choose_lift(root: bpy.types.Collection, scene: bpy.types.Scene, layer: bpy.t
 
 
 def chosen_row(scene: bpy.types.Scene, active: bpy.types.Object | None) -> Any | None:
-    """Return the active row in the list of the lift shown in the panels, or None."""
+    """Return the active row in the list of the lift shown in the panels, None without any."""
     root = active_lift(scene, active)
     if root is None or not 0 <= root.plgs.instance_index < len(root.plgs.instances):
         return None
@@ -122,7 +123,7 @@ def ids_of(cloud: Any, name: str) -> NDArray[np.int32]:
 
 
 def values_of(data: Any, name: str, field: str = "vector", width: int = 3) -> NDArray[np.float32]:
-    """Return an attribute of a cloud's points or a mesh's vertices, float32 [N, width]."""
+    """Return the values of the attribute `name` of a cloud's points or a mesh's vertices, float32 [N, width]."""
     values = np.empty(width * len(data.attributes[name].data), np.float32)
     data.attributes[name].data.foreach_get(field, values)
     return values.reshape(-1, width)
@@ -197,7 +198,8 @@ def select_instance(
 
 
 def select_nothing(root: bpy.types.Collection, class_id: int, layer: bpy.types.ViewLayer) -> None:
-    """Deselect all objects, including in the lift's list, and make a class the active row in the list of classes."""
+    """Deselect all objects, also in the lift's list, and make the class `class_id` the active row in its list (none:
+    -1)."""
     deselect_all(layer)
     layer.objects.active, root.plgs.instance_index = None, -1
     hide_unselected(root, layer)
@@ -254,7 +256,8 @@ def hide_unselected(root: bpy.types.Collection, layer: bpy.types.ViewLayer) -> N
 
 
 def _is_left_out(root: bpy.types.Collection, row: Any) -> bool:
-    """Whether an instance is hidden in the lift's lists."""
+    """Whether the row's instance is hidden in the lift's lists, by its own eye, its class's, or as another is
+    isolated."""
     lists = root.plgs
     if lists.isolated:
         return bool(lists.isolated != row.instance_id)

@@ -26,9 +26,9 @@ from . import looking
 
 @dataclass(frozen=True)
 class Finding:
-    """A finding of the diagnosis: its ``cause`` in a word or two, a description with figures, its fix, and its picture.
-    It is a problem (``is_wrong``), which "Fix" can solve (``is_mended``), or a note. It concerns these ``frames``, or
-    all if there are none; a lift is better without those in ``leave_out``."""
+    """A finding of the diagnosis: its ``cause`` in a word or two, a ``text`` with figures, and how to fix it
+    (``option``). It is a problem (``is_wrong``), which "Fix" can solve (``is_mended``), or a note. It concerns
+    ``frames`` (none: all); a lift is better without those in ``leave_out``."""
 
     cause: str
     text: str

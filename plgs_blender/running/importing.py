@@ -107,7 +107,8 @@ def make_frames(order: FrameOrder, python: Path) -> FrameMaking:
 
 
 def _place(chosen: ChosenScene, scene: bpy.types.Scene, made: MadeFrames | None, cloud: bool) -> bpy.types.Collection:
-    """Place the scene. In an unchanged startup file, the views then turn to it. Raises PlgsError."""
+    """Place the scene. In an unchanged startup file, the views then turn to it. Raises PlgsError if it is
+    unreadable."""
     with taking_over(scene) as is_untouched:
         root = place_scene(chosen, scene, made, cloud=cloud)
     if is_untouched:

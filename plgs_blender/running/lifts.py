@@ -203,7 +203,7 @@ class Lift(Task):
         self.undo_step = "Show Result"
 
     def watch(self, scenes: Sequence[Any], has_news: bool) -> bool:
-        """Update the live preview. Returns whether 3D views need redrawing."""
+        """Update the live preview of the lift in these scenes. Returns whether 3D views need redrawing."""
         if not self.is_running:
             forget(self.folder.path)
             return True
@@ -302,7 +302,8 @@ def shown_lift(settings: PLGS_PG_settings) -> Path | None:
 
 
 def look_at(folder: Path) -> Lift | None:
-    """Follow the lift in a folder, if there is one; `refusals` then says what is wrong with it. Never raises."""
+    """Follow the lift in a folder and return it; None if there is none, or what is wrong with it is put into
+    `refusals`."""
     known = lift_of(folder)
     if known is not None:
         return known

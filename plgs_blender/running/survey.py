@@ -167,13 +167,14 @@ def _colour(colour: Sequence[int]) -> Colour:
 
 
 def _is_of_all(answer: Mapping[str, Any], sizes: str) -> bool:
-    """Whether the frame counts of these ``sizes`` in an answer cover all frames."""
+    """Whether the frames counted in ``answer[sizes]`` (pairs of a size and its count) are all frames of the scene."""
     count = sum(int(count) for _, count in answer[sizes])
     return count == int(answer["train_frames"]) + int(answer["test_frames"])
 
 
 def obstacles_to(survey: Survey, has_engine: bool) -> dict[str, str | None]:
-    """Return why each thing cannot be done with a scene that was read without an error; None if it can be done."""
+    """Return why Cameras, Pictures, Coloured cloud and Lift, the keys, cannot be had of a readable scene; None if they
+    can."""
     has_pictures = survey.picture_files == survey.frames or has_engine
     has_cloud = survey.sparse_points > 0 or (survey.has_depth and has_engine)
     no_cloud = "the engine makes it from the depth: set it up" if survey.has_depth else "there are no depth maps"
