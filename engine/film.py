@@ -131,8 +131,7 @@ def depth_scene(scene: Scene, folder: Path, wish: Wish, events: EventWriter, sto
 
 def mask_scene(scene: Scene, folder: Path, wish: Wish, events: EventWriter, stop: StopSignal) -> int | None:
     """Make a scene's masks in ``folder`` with the network ``wish.masks``, or continue an earlier run. Returns how many
-    frames have them, or None if all had them before. Raises PlgsError if it cannot be loaded or other masks exist;
-    Cancelled."""
+    frames have them, or None if all had them before. Raises PlgsError if it cannot be loaded or others exist."""
     from .mask_networks import load_model
     from .segment import MERGES, begin_job, make_masks
 

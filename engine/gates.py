@@ -115,7 +115,7 @@ def table_cell(value: object) -> object:
 
 
 def markdown_cell(text: object) -> str:
-    """Return ``one_line(text)`` for a cell of a Markdown table: it cannot end a column or begin an HTML tag."""
+    """Return ``one_line(text)`` for a cell of a Markdown table, in which it cannot end a column or begin a tag."""
     return one_line(text).replace("\\", "\\\\").replace("|", "\\|").replace("<", "&lt;")
 
 

@@ -24,10 +24,11 @@ Row = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class StoredFrame:
-    """A frame as it is stored. ``size`` is (width, height) in pixels, ``lens`` fx, fy, cx, cy in pixels with centres at
-    +0.5. ``camera_to_world`` has OpenCV's axes and metres. ``colour`` and ``depth`` are paths, relative if they lie in
-    the scene's folder. ``is_picture`` says that the file at ``colour`` shows the frame as it is. ``files`` is the
-    digest of both when the lift last ran, ``read`` that of confidence and of how all are read; "" is not compared."""
+    """A frame as it is stored, ``held_out`` from training or not. ``size`` is (width, height) in pixels, ``lens`` fx,
+    fy, cx, cy in pixels with centres at +0.5. ``camera_to_world`` has OpenCV's axes and metres. ``colour`` and
+    ``depth`` are paths, relative if they lie in the scene's folder. ``is_picture`` says that the file at ``colour``
+    shows the frame as it is. ``files`` is the digest of both when the lift last ran, ``read`` that of confidence and of
+    how all are read; "" is not compared."""
 
     name: str = field(metadata={"shown": True})
     held_out: bool
@@ -155,8 +156,7 @@ class MadeFrames:
 
 
 def made_of(folder: Path, source: SceneSource) -> MadeFrames | None:
-    """Return what an earlier run made of this scene in ``folder``; None if it is new. Raises PlgsError for other
-    files."""
+    """Return what an earlier run made of this scene in ``folder``; None if new. Raises PlgsError for other files."""
     if not folder.exists():
         return None
     if (folder / FILE).is_file():
@@ -169,7 +169,7 @@ def made_of(folder: Path, source: SceneSource) -> MadeFrames | None:
 
 
 def is_newer(path: Path, source: Path) -> bool:
-    """Whether a file is at least as new as ``source``."""
+    """Whether a file is there and at least as new as ``source``."""
     try:
         return path.stat().st_mtime >= source.stat().st_mtime
     except OSError:

@@ -64,8 +64,9 @@ def is_here(name: str) -> bool:
 
 @contextmanager
 def loading(name: str, *, runs: bool = False) -> Iterator[None]:
-    """Turn errors of transformers and its libraries in a ``with`` block into PlgsError: for files that they cannot load
-    or, if ``runs``, for a network that they cannot run. Errors of our own code while it ``runs`` are bugs and stay."""
+    """Turn errors of transformers and its libraries in a ``with`` block into PlgsError about ``name``: files that they
+    cannot load or, if ``runs``, a network that they cannot run. Errors of our own code while it ``runs`` are bugs and
+    stay."""
     try:
         yield
     except Exception as error:  # they have dozens of kinds, some of their own
@@ -174,7 +175,7 @@ def _check_pin(pin: Path, pins: Mapping[str, Any], folder: Path) -> None:
 
 
 def _ask_hub(hub: Any, model: str, revision: str | None) -> None:
-    """Raise PlgsError if the hub does not answer or lacks the model; a download would wait for a silent hub."""
+    """Raise PlgsError if the hub does not answer or lacks this revision; a download would wait for a silent hub."""
     from huggingface_hub.errors import RepositoryNotFoundError, RevisionNotFoundError
 
     try:

@@ -152,7 +152,7 @@ def map_photos(photos: Path, names: Sequence[str], workplace: Path, events: Even
 
 def _followed(work: Callable[[], Any], token: Any, stop: StopSignal) -> Any:
     """Return the result of ``work``, which runs in its own thread: COLMAP would block the main thread, which must
-    receive signals. Raises what ``work`` raises; Cancelled."""
+    receive signals. ``token`` stops it. Raises what it raises; Cancelled."""
     with ThreadPoolExecutor(1) as pool:
         found = pool.submit(work)
         try:
@@ -316,7 +316,7 @@ def _photos(folder: Path) -> list[Path]:
 
 
 def _depths(folder: Path) -> Mapping[str, Path]:
-    """Return the files of measured depth beside photos, by the photos' stems. Raises PlgsError, OSError."""
+    """Return the files of measured depth beside photos, by the photos' stems. Raises PlgsError if one stem has two."""
     return files_if_any(folder / "depth", {".png", ".npy"}, "Remove the folder depth.")
 
 
@@ -358,8 +358,7 @@ def _map(
 
 @contextmanager
 def _workplace(folder: Path) -> Iterator[Path]:
-    """Make a temporary folder in ``folder`` for COLMAP's files. Raises PlgsError if another call is at work,
-    OSError."""
+    """Make a temporary folder in ``folder`` for COLMAP's files. Raises PlgsError if another call is at work there."""
     _remove_killed(folder)
     with tempfile.TemporaryDirectory(prefix=_WORK, dir=folder) as place, FileLock(Path(place) / _LOCK):
         yield Path(place)

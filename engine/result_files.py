@@ -99,7 +99,8 @@ class MatchedSegment:
 @dataclass(frozen=True)
 class Instance:
     """One object: ``centre`` and ``size`` of its box in world metres, ``yaw`` in radians about +z, ``rotation`` the
-    same as a quaternion wxyz, ``colour`` sRGB bytes, ``score`` in [0, 1], ``points`` the number of points it owns."""
+    same as a quaternion wxyz, ``colour`` sRGB bytes, ``score`` in [0, 1], ``points`` the number of points it owns,
+    ``views`` of views with ``segments`` of it."""
 
     id: int
     name: str

@@ -64,8 +64,7 @@ def remember_scene(
     folder: LiftFolder, scene: Scene, warn: Callable[[str], object] = lambda _: None, progress: Progress = unwatched
 ) -> str:
     """Write the cameras and the digests of the files of a lift's scene beside its request. Returns the masks' digest.
-    An unfinished result whose passes show other masks or classes is moved, which ``warn`` says. Raises PlgsError,
-    OSError."""
+    An unfinished result whose passes show other masks or classes is moved, with a warning. Raises PlgsError."""
     masks = digest_of_masks(scene, part_of(progress, 0.0, 0.5))
     are_others = masks_differ(masks_last_run(folder), scene, masks) or have_classes_changed(folder, scene)
     if are_others and not folder.is_lifted_again and any(folder.passes_path.glob("*.exr")):

@@ -14,7 +14,7 @@ UP_OPTIONS: dict[str, UpAxis] = {"auto": "z", "z": "+z", "y": "y", "-y": "-y"}  
 
 
 def option(help: str, metavar: str, type: Any = str, **more: Any) -> dict[str, Any]:
-    """Return the metadata of a dataclass field that a command-line option sets: `argparse` keywords."""
+    """Return the metadata of a dataclass field that a command-line option sets: `argparse` keywords for it."""
     return {"option": {"help": help, "metavar": metavar, "type": type, **more}}
 
 

@@ -124,7 +124,7 @@ Progress = Callable[[int, int, int], object]
 
 
 class Segmenter(Protocol):
-    """A segmentation network: its ``name``, its classes, and a method that segments a picture (see `QueryNetwork`)."""
+    """A segmentation network: its ``name``, its classes, and a method that segments a picture."""
 
     @property
     def name(self) -> str: ...
@@ -200,7 +200,7 @@ def make_masks(
     scene: Scene, job: Job, network: Segmenter, progress: Progress, wanted: Collection[str] | None = None
 ) -> None:
     """Make the missing masks of the frames ``wanted`` (None: all), then the table, in which all other frames have empty
-    masks. ``progress`` is called with (done, total, made in this run). Raises PlgsError, OSError."""
+    masks. ``progress`` is called with (done, total, made in this run). Raises PlgsError for a bad file, OSError."""
     job.own.remove(job.folder / TABLE)  # an earlier run's table, in which these frames may have empty masks
     with job.own:
         left_out = _make_masks(scene, job, network, progress, wanted)

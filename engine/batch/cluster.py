@@ -197,8 +197,7 @@ def _close(farm: Farm) -> None:
 
 
 def slurm_cluster(farm_options: FarmOptions) -> Any:
-    """dask-jobqueue's cluster of one worker a job; ``refusals`` are sbatch's messages. Raises PlgsError without
-    Slurm."""
+    """dask-jobqueue's cluster, one worker a job; ``refusals`` are sbatch's messages. Raises PlgsError without Slurm."""
     jobqueue, distributed = require_dask("dask_jobqueue"), require_dask()
     assert farm_options.slurm is not None
     if shutil.which("sbatch") is None:
@@ -293,8 +292,8 @@ class Tls:
 
 
 def security_for(address: str, tls: Tls | None, fix: str) -> Any:
-    """Dask's settings for an address, None without ``tls``. Raises PlgsError, with ``fix``, for no address or one
-    without TLS."""
+    """Dask's settings for an address, None without ``tls``. Raises PlgsError, with ``fix``, for a bad address or
+    files."""
     if re.fullmatch(r"[a-z]+://[^\s/]+:[0-9]{1,5}", address) is None:  # Dask waits long, and ends with its own errors
         raise PlgsError("scheduler-address", "is not the address of a scheduler", address, fix)
     if tls is None:
@@ -306,7 +305,7 @@ def security_for(address: str, tls: Tls | None, fix: str) -> Any:
 
 
 def resources(gigabytes: float, threads: int) -> dict[str, float]:
-    """Return a worker's resources by name. One is the engine's tag, so that other engines' workers get no pieces."""
+    """Return a worker's resources by name: memory, threads, and the engine's tag: other engines get no pieces."""
     return {engine_tag(): 1.0, GIGABYTES: gigabytes, THREADS: float(threads)}
 
 

@@ -41,7 +41,7 @@ class Kind(StrEnum):
 @dataclass(frozen=True)
 class Piece:
     """A piece of work on one scene's lift, for workers with the `engine_tag` ``engine``. ``names`` are the frames of a
-    BAKE, or the form of an EXPORT. ``tells_frames``: a LIFT answers with its frames. ``is_resumed``: an engine began it
+    BAKE, or the form of an EXPORT. ``tells_frames``: a LIFT answers with its frames. ``is_resumed``: it was begun
     before."""
 
     kind: Kind

@@ -113,7 +113,7 @@ def _files_in(top: Path, output: Path) -> Iterator[Path]:
 
 
 def of_scene(path: Path | None, name: str) -> Path | None:
-    """Return a path with {scene} replaced by the scene's name."""
+    """Return a path with {scene} replaced by the scene's name; None for None."""
     return None if path is None else Path(str(path).replace(SCENE, name))
 
 

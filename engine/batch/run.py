@@ -50,8 +50,8 @@ STOPPED = "stopped"
 
 @dataclass
 class _Scene:
-    """A scene in a batch: ``stages`` of pieces to do, how many pieces are ``out`` on workers, what went ``wrong`` ("":
-    nothing), and by the address of a worker that is ``unfit`` for it, why."""
+    """A scene in a batch: ``stages`` of pieces to do, how many pieces are ``out`` on workers, what is ``wrong`` with
+    the scene ("": nothing), and by the addresses of workers that are ``unfit`` for it, why."""
 
     job: SceneJob
     index: int

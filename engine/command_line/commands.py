@@ -235,7 +235,7 @@ def poses(options: argparse.Namespace, events: EventWriter, stop: StopSignal) ->
 
 
 def _scene_of(options: argparse.Namespace) -> Scene:
-    """Open the scene of a command that changes only files beside it. Raises PlgsError."""
+    """Open the scene of a command that changes only files beside it. Raises PlgsError if it cannot be read."""
     from ..scene import open_scene
 
     return open_scene(options.scene, up=options.up or "z", scene_format=options.scene_format)

@@ -98,11 +98,12 @@ def run_bake(
     echo: int | None = None,
 ) -> ExitCode:
     """Bake more of a finished lift, frames ("test", "all", or their names) or the cameras in a file, and return how it
-    ended. ``layers``, ``output``, ``channels`` and ``replace`` are those of ``BakeOptions``. The objects ``without``
-    are not shown, as if they had been removed. Whatever happens, the lift stays finished and earlier passes are kept.
-    If another process is baking already, both bake at the same time: this one has its events in ``files`` or, if no
-    program follows it (no ``parent_pipe``), in its own folder below bake/. The lift's file 'cancel' stops all of them.
-    If no program follows it, standard output says what was baked. The other arguments are as in `run_engine`."""
+    ended. ``layers`` are written besides the usual ones, into ``output`` (None: the result), with the names of
+    ``channels``; ``replace`` overwrites others' files there. The objects ``without`` are not shown, as if they had been
+    removed. Whatever happens, the lift stays finished and earlier passes are kept. If another process is baking
+    already, both bake at the same time: this one has its events in ``files`` or, if no program follows it (no
+    ``parent_pipe``), in its own folder below bake/. The lift's file 'cancel' stops all of them. If no program follows
+    it, standard output says what was baked. Events also go to the descriptor ``echo``."""
     baked = list[str]()
 
     def work(events: EventWriter, stop: StopSignal) -> None:

@@ -51,7 +51,7 @@ class Command:
 
 
 def run_in_terminal(command: Command, *, as_json: bool = False) -> ExitCode:
-    """Run a command with progress on standard error and its answer on standard output. Returns how it ended."""
+    """Run a command, with progress on standard error, its answer on standard output. Returns how it ended."""
     events, stop = ShownEvents(sys.stderr, as_json=as_json), StopSignal()
     try:
         with Interrupts() as interrupts, Watchdog(stop, events, parent_pipe=command.parent_pipe):
@@ -103,7 +103,7 @@ def run_task(command: Command, files: TaskFiles | None, *, as_json: bool = False
 
 
 def _do(command: Command, events: EventWriter, stop: StopSignal, terminal: TextIO, files: TaskFiles | None) -> ExitCode:
-    """Do the work. An error becomes an event, a line for the user, and an exit code."""
+    """Do the command's work. An error becomes an event, a line for the user on ``terminal``, and an exit code."""
     try:
         stop.check()
         command.work(events, stop)
@@ -164,8 +164,7 @@ def failure_of(error: Exception, command: Command, files: TaskFiles | None = Non
 
 
 def _number_of(error: Exception) -> int | None:
-    """The system's number of an error, else None. Rust's errors have it in their text; C++ libraries' have only its
-    message."""
+    """The system's number of an error, else None. Rust's have it in their text; C++ libraries' only its message."""
     if isinstance(error, OSError) and error.errno is not None:
         return error.errno
     found = re.search(r"\(os error (\d+)\)", str(error))

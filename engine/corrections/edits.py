@@ -38,7 +38,7 @@ MEND = "Repair the file, or move it away to see the lift as the engine made it."
 @dataclass(frozen=True)
 class ObjectMark:
     """An object as it was when it was edited, so that it can be recognised in another lift: its id, its number of
-    points, and the corners of their upright box in metres (without the outermost points)."""
+    points, and the corners ``low`` and ``high`` of their upright box in metres (without the outermost points)."""
 
     id: int = field(metadata={"least": 1})
     points: int
@@ -48,7 +48,7 @@ class ObjectMark:
 
 @dataclass(frozen=True)
 class NewObject:
-    """An object that an edit creates."""
+    """An object that an edit creates: its id, name and class."""
 
     id: int = field(metadata={"least": 1})
     name: str = field(metadata=_SHOWN)

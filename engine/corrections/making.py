@@ -154,8 +154,7 @@ def parts_of(xyz: NDArray[np.floating], gap: float = PART_GAP) -> NDArray[np.int
 
 
 def sides_of(xyz: NDArray[np.floating], point: Sequence[float], normal: Sequence[float]) -> NDArray[np.int64]:
-    """Return 1 for each point [n, 3] beyond the plane through ``point``, the way ``normal`` leads, else 0; int64
-    [n]."""
+    """Return 1 for points [n, 3] beyond the plane through ``point``, the way ``normal`` leads, else 0; int64 [n]."""
     return ((xyz - np.asarray(point)) @ np.asarray(normal, np.float64) > 0).astype(np.int64)
 
 
@@ -187,7 +186,7 @@ def assign(
 
 def crop(state: Replay, number: int, within: NDArray[np.bool_]) -> Edit:
     """Give an object exactly the points ``within``, bool [N], that are its own or have its class but no object. Its
-    other points keep the class but lose the object. Raises PlgsError if nothing changes."""
+    points outside keep the class but lose the object. Raises PlgsError if nothing changes."""
     mark, kind = _mark(state, number), state.class_of(number)
     own = state.label == number
     inner, outer = within & (state.label == -kind), own & ~within

@@ -38,9 +38,9 @@ TOUCHING = 0.1
 
 @dataclass(frozen=True)
 class Proposal:
-    """A suggestion about one object. ``doubt`` is in (0, 1]. ``answer`` is the edit that would correct it: reclass (to
-    ``class_id``), split, split by views, delete, or merge (with ``other``). ``frame`` shows it best, "" without a
-    mask."""
+    """A suggestion about the object ``instance``. ``doubt`` is in (0, 1], ``reason`` a text. ``answer`` is the edit
+    that would correct it: reclass (to ``class_id``), split, split by views, delete, or merge (with ``other``).
+    ``frame`` shows it best, "" without a mask."""
 
     instance: int
     name: str
@@ -181,7 +181,7 @@ _BEHIND = 0.15
 
 
 def entropy_of(confidence: NDArray[np.floating]) -> NDArray[np.float64]:
-    """The entropy in bits [N] of a class that is right with this probability [N]: 0 is certain, 1 undecided."""
+    """The entropy in bits [N] of a class that is right with the probability ``confidence`` [N]: 0 is certain."""
     share = np.clip(confidence.astype(np.float64), 1e-6, 1 - 1e-6)
     return np.asarray(np.where(share < 0.5, 1.0, -share * np.log2(share) - (1 - share) * np.log2(1 - share)))
 

@@ -95,7 +95,7 @@ def step_of(xyz: NDArray[np.float32], before: Labels, after: Labels) -> Step:
 
 @dataclass(frozen=True, eq=False)
 class Relabelling:
-    """The changes of labels that all edits make, in order."""
+    """The changes of labels that all edits make: ``steps``, in order."""
 
     steps: tuple[Step, ...] = ()
 

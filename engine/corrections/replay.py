@@ -32,8 +32,8 @@ OUTER = (0.5, 99.5)
 @dataclass(eq=False)
 class Replay:
     """The objects and points after some edits. ``label`` int32 [N] is the label of each of the ``points``.
-    ``not_applied`` gives, by the uid of an edit, why it could not be applied. ``removed`` are objects that were taken
-    out of the room. ``fill_of`` reads a removal's fill; it may raise PlgsError."""
+    ``not_applied`` gives, by the uid of an edit, why it could not be applied. ``removed`` are objects taken out of the
+    room, ``accepted`` ids that a person confirmed. ``fill_of`` reads a removal's fill; it may raise PlgsError."""
 
     classes: ClassTable
     points: SemanticPoints

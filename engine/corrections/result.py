@@ -145,7 +145,7 @@ def replayed(lift: Path) -> Replay:
 
 @dataclass(frozen=True, eq=False)
 class _Result:
-    """A result as the engine made it, before corrections."""
+    """The objects and points of the ``lift``'s result as the engine made it, before corrections."""
 
     lift: Path
     classes: ClassTable
@@ -224,7 +224,7 @@ def undo(lift: Path, listed: Listed | None = None) -> tuple[Edit, CorrectedResul
 
 
 def put_back(lift: Path, objects: Sequence[int | str], listed: Listed | None = None) -> tuple[Edit, CorrectedResult]:
-    """Undo the removals of objects, given by ids or names. Returns the last of these edits and the result without them.
+    """Undo the removals of ``objects``, ids or names. Returns the last of these edits and the result without them.
     Raises PlgsError if one of the objects is not removed, and OSError; nothing is then changed."""
     with editing(lift) as edits:
         result = _Result.read(lift, listed)

@@ -49,7 +49,7 @@ def depth_errors(views: Views, one: int, other: int, assumed: Sequence[tuple[str
 
 
 def edges_on(grey: NDArray[np.uint8], edges: Floats, moved: Floats) -> Picture:
-    """Draw depth's ``edges``, float64 [N, 2] as fractions of the picture, where they are and where they fit
+    """Draw depth's ``edges``, float64 [N, 2] as fractions of the picture ``grey``, there and where they fit
     (``moved``)."""
     panels = []
     for caption, points in (("depth's edges as they lie", edges), ("where they fit", moved)):

@@ -31,7 +31,7 @@ foreign ones agree, and no conclusion is possible."""
 
 class LabelAgreement(NamedTuple):
     """How well masks agree. ``counts`` float64 [C, C]: points of one class in one view and of another in the other
-    view, without void. ``by_look`` float64 [F]: fraction of a frame's points with the same class in others, nan for too
+    view, without void. ``by_look`` float64 [F]: fraction of a frame's points with the same class in others; nan: too
     few."""
 
     counts: Floats
@@ -142,8 +142,7 @@ _OPTION = (
 
 
 class Suiting(NamedTuple):
-    """How well the surfaces of some classes fit the classes' names: the number of points, and the fraction that
-    fits."""
+    """How well surfaces of some classes fit these classes' names: the ``points``, and the ``share`` that fits."""
 
     points: int
     share: float
@@ -153,8 +152,8 @@ Counts = defaultdict[int, Counter[str]]  # per class, its number of points ("all
 
 
 def measure_table(examined: Examined, assumed: Assumption, up: Floats) -> Counts:
-    """Count each class's points on floors, ceilings and walls, by normals and ``up`` [3]. Raises PlgsError for
-    masks."""
+    """Count each class's points that are on floors, ceilings and walls by their normals and the direction ``up`` [3].
+    Raises PlgsError for a bad mask."""
     views, maps = examined.views, examined.class_maps
     if maps is None:
         return defaultdict(Counter)
@@ -178,7 +177,8 @@ def _kind(name: str) -> str | None:
 
 
 def table_findings(examined: Examined, assumed: Assumption, up: Floats) -> list[Finding]:
-    """Return findings about class names that do not fit the surfaces; ``up`` is [3]. Raises PlgsError for bad masks."""
+    """Return findings about class names that do not fit the surfaces; ``up`` float64 [3] is the vertical. Raises
+    PlgsError for a bad mask."""
     counts = measure_table(examined, assumed, up)
     classes = examined.scene.classes
     kind_of = {each.id: kind for each in classes.categories if (kind := _kind(each.name))}

@@ -140,7 +140,7 @@ def _round(steps: float) -> str:
 
 
 def _cause_texts(examined: Examined, cause: FoundCause) -> tuple[str, str, Figures]:
-    """Return what is wrong, how to fix it in the user's files, and the numbers."""
+    """Return what is wrong, how to fix it in the user's files, and the numbers, for the ``cause`` that was found."""
     now = cause.assumed
     width, height = examined.scene.frames[0].size
     if cause.cause == "unit":
@@ -230,7 +230,7 @@ def _values_off(examined: Examined, found: Calibration, mended: Assumption, may_
 
 
 def _measured(examined: Examined, found: Calibration, free: set[str]) -> list[tuple[str, str, str, Figures]]:
-    """Return (cause, sentence, what to do, figures) for each number that is wrong."""
+    """Return (cause, sentence, what to do, figures) for each of the numbers ``free`` that the fit ``found`` wrong."""
     measured: list[tuple[str, str, str, Figures]] = []
     if "unit" in free:
         factor = float(np.exp(found.of("unit")))

@@ -128,7 +128,8 @@ def _ranks(values: Floats) -> Floats:
 
 
 def _measure_gap(distances: Floats, numbers: NDArray[np.int64]) -> Gap | None:
-    """Find the frame where two parts of the recording are farthest apart, by pairs' distances and frames [P, 2]."""
+    """Find the frame where two parts of the recording are farthest apart, by distances [P] and frames [P, 2] of pairs.
+    None with too few pairs."""
     known = np.isfinite(distances)
     first, last = numbers.min(1), numbers.max(1)
     found = []
@@ -231,7 +232,7 @@ def measure_order(scene: Scene, assumed: Assumption) -> FrameOrder | None:
 
 
 def _walk(distances: Floats, start: int) -> list[int]:
-    """Return the order of a walk that begins at ``start`` and always goes to the nearest unvisited frame."""
+    """Return the order of a walk that begins at ``start`` and goes to the nearest unvisited frame each time."""
     left = distances.copy()
     path = [start]
     for _ in range(len(distances) - 1):

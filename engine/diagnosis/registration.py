@@ -128,7 +128,8 @@ def _refined(pairs: list[tuple[Floats, Floats]], scale: float, shift: Shift) -> 
 
 
 def _fits(pairs: list[tuple[Floats, Floats]], scale: float, shift: Shift) -> Floats:
-    """Return the mean contrast under the edges of each of ``pairs`` (edges, contrast); edges outside count as 0."""
+    """Return the mean contrast [pairs] under the edges of each of ``pairs`` (edges, contrast), moved by ``scale`` and
+    ``shift``; edges outside count as 0."""
     values = []
     for edges, picture in pairs:
         height, width = picture.shape
@@ -144,8 +145,8 @@ def _fits(pairs: list[tuple[Floats, Floats]], scale: float, shift: Shift) -> Flo
 def registration_findings(
     examined: Examined, found: Registration | None, calibration: Calibration | None
 ) -> tuple[list[Finding], Shift]:
-    """Return findings about an offset between depth and pictures, and the shift that corrects it. There is a shift only
-    if depth's own geometry agrees."""
+    """Return findings about an offset between depth and pictures, and the shift that corrects it: (0, 0) unless depth's
+    own geometry, the ``calibration``, agrees."""
     if found is None:
         return [], (0.0, 0.0)
     shift = None if calibration is None else _depth_shift(examined, found, calibration)
@@ -158,7 +159,7 @@ def registration_findings(
 
 
 def _depth_shift(examined: Examined, found: Registration, calibration: Calibration) -> Shift | None:
-    """Return the shift that depth needs, if its geometry and the pictures' edges both say that it was moved."""
+    """Return the shift that depth needs, None unless its geometry and the pictures' edges both say so."""
     if abs(found.scale - 1.0) >= _SCALED or found.certainty < _CORROBORATED:
         return None
     shift = -np.array([calibration.of("x"), calibration.of("y")])  # moving depth is the opposite of moving the centre

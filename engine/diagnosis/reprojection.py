@@ -59,7 +59,7 @@ class Look:
 
 @dataclass(frozen=True, eq=False)
 class Photo:
-    """A frame's picture. ``grey`` uint8 [H, W] is at most 320 pixels wide."""
+    """The picture of the scene's frame ``number``. ``grey`` uint8 [H, W] is at most 320 pixels wide."""
 
     number: int
     name: str
@@ -217,7 +217,7 @@ class Views:
     def world_points(
         self, assumed: Assumption, lens: Lens, poses: Floats, points: int | None = None
     ) -> tuple[Floats, NDArray[np.bool_]]:
-        """Return the frames' points in the world, float64 [F, M, 3], and which of them exist, bool [F, M]."""
+        """Return the frames' first ``points`` in the world, float64 [F, M, 3], and which of them exist, bool [F, M]."""
         places, values = self.places[:, :points], self.values[:, :points]
         depth = planar(values, places, lens, assumed)
         rays = (places - lens[:, None, 2:]) / lens[:, None, :2]
@@ -225,7 +225,7 @@ class Views:
         return np.matmul(local, poses[:, :3, :3].swapaxes(1, 2)) + poses[:, None, :3, 3], values > 0.0
 
     def depth_at(self, looks: NDArray[np.int64], place: Floats, wanted: NDArray[np.bool_]) -> Floats:
-        """Depth at ``place`` [P, M, 2] of the pictures ``looks`` [P], interpolated between pixels; 0 at edges,
+        """Depth at ``place`` [P, M, 2] of pictures ``looks`` [P] where ``wanted``, interpolated; 0 at edges and
         outside."""
         found = np.zeros(wanted.shape)
         width, height = self.size[looks, 0].astype(np.int64)[:, None], self.size[looks, 1].astype(np.int64)[:, None]
@@ -246,7 +246,7 @@ class Views:
         return found
 
     def surface_at(self, look: int, local: Floats, assumed: Assumption, lens: Lens) -> Surface:
-        """Return the surface of a frame where points, float64 [N, 3] in its camera's axes, project to."""
+        """Return the surface of frame ``look`` onto which ``local``, points float64 [N, 3] in camera axes, project."""
         safe = np.where(local[:, 2] > 1e-6, local[:, 2], 1.0)
         place = local[:, :2] / safe[:, None] * lens[:2] + lens[2:]
         step = np.maximum(1.0, np.round(self.size[look] / _NORMAL_GRAIN)) / self.size[look]
@@ -332,8 +332,8 @@ class Examined:
 
     @cached_property
     def class_maps(self) -> list[NDArray[np.int32]] | None:
-        """The class ids of each look's mask, int32 [H, W <= 320]; None if one lacks it. Raises PlgsError for bad
-        ones."""
+        """The class ids of each look's mask, int32 [H, W <= 320]; None if one has no mask. Raises PlgsError for a bad
+        mask."""
         if any(look.frame.read_mask is None for look in self.looks):
             return None
         maps, within = [], self.masks_within
@@ -354,8 +354,7 @@ class Examined:
         return total[count > 0] / count[count > 0]
 
     def gained(self, before: Floats, after: Floats) -> Gain | None:
-        """Return the effect of a change from ``before`` to ``after``, values of pairs [P]. None with too few pairs or
-        frames."""
+        """Return the effect of a change of pairs' values [P] from ``before`` to ``after``; None with too few pairs."""
         gains = after - before  # nan where one of them is unknown
         known, by_look = np.isfinite(gains), self.mean_by_look(gains)
         if known.sum() < _FEWEST_PAIRS or len(by_look) < _FEWEST_LOOKS:
@@ -374,8 +373,8 @@ class Examined:
 
 
 def examine(scene: Scene, sample: Sample = MANY, masks_within: Size | None = None) -> Examined | None:
-    """Load the frames of a ``sample`` to compare. None if fewer than three have depth. Raises PlgsError for bad
-    ones."""
+    """Load the frames of a ``sample`` to compare, masks within a size. None if fewer than three have depth. Raises
+    PlgsError for a bad file."""
     looks = load_looks(scene.frames, sample)
     if len(looks) < 3:
         return None

@@ -26,8 +26,9 @@ _STEEPEST = 5.0  # largest slope of a point on a surface; a larger one means tha
 
 class Calibration(NamedTuple):
     """The fitted corrections. ``values`` float64 [6] are relative to the assumption, in the order of ``_PARAMETERS``,
-    with their standard errors: the logarithms of the factors of depth, of the focal lengths and of fx alone, the
-    principal point's shift in fractions of width and height, and the part of the ray's length that is in depth."""
+    with their standard errors, ``deviations``: the logarithms of the factors of depth, of the focal lengths and of fx
+    alone, the principal point's shift in fractions of width and height, and the part of the ray's length that is in
+    depth."""
 
     values: Floats
     deviations: Floats

@@ -63,8 +63,7 @@ class Grain:
 
 @dataclass(frozen=True, eq=False)
 class SmallView:
-    """A view, scaled down: ``depth`` float32 [H, W] m, ``rgb`` uint8 [H, W, 3], ``label`` int64 [H, W], its
-    ``frame``."""
+    """A view, scaled down: ``depth`` float32 [H, W] m, ``rgb`` uint8 [H, W, 3], ``label`` int64 [H, W]; its frame."""
 
     camera: Camera
     depth: NDArray[np.float32]

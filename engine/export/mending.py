@@ -283,8 +283,7 @@ def around_vertices(triangles: Ints, count: int) -> csr_matrix:
 
 def numbered(group: Ints, kind: Ints, groups: int) -> tuple[Ints, Ints]:
     """Number the different pairs of ``group`` and ``kind`` (0 or more), [N] each. Returns each pair's number, [N], and
-    each number's group. Most of the ``groups`` have one kind, so only pairs of other kinds than a group's last are
-    sorted."""
+    each number's group. Most of the ``groups`` have one kind, so only other pairs are sorted."""
     usual = np.full(groups, -1, np.int64)
     usual[group] = kind
     is_usual = usual[group] == kind

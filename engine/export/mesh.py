@@ -129,8 +129,8 @@ class GlbBuffer:
         return len(self._accessors) - 1
 
     def add_vertices(self, arrays: Mapping[str, NDArray[Any]]) -> dict[str, int]:
-        """Append vertex attributes, float32 [N] or [N, K]. Returns their accessors; POSITION gets limits, as glTF
-        asks."""
+        """Append vertex attributes by name, float32 [N] or [N, K]. Returns their accessors; POSITION also gets
+        limits."""
         found = {name: self.add_array(values, FLOAT, "<f4", VERTICES) for name, values in arrays.items()}
         xyz = arrays["POSITION"]
         limits = {"min": xyz.min(axis=0).tolist(), "max": xyz.max(axis=0).tolist()}
@@ -230,7 +230,7 @@ DRAWN, FUSED, LABELLED, MENDED, TEXTURED = 0.35, 0.5, 0.55, 0.65, 0.9
 
 
 def finished(lift: FinishedLift) -> tuple[Surface, NDArray[np.int64], Texture | None]:
-    """The surface, mended and cut, its labels, int64 [V], and its texture (None without photos). Raises PlgsError."""
+    """The surface, mended and cut, its labels int64 [V], its texture (None: no photos). Raises PlgsError if empty."""
     small = views_of(lift, WIDEST, MOST_VIEWS, lift.part(0.0, DRAWN))
     surface = fuse(small, progress=lift.part(DRAWN, FUSED))
     refuse_none(lift, surface)
@@ -280,7 +280,7 @@ def views_of(lift: FinishedLift, width: int, most: int, progress: Progress = unw
 
 
 def expect_memory(lift: FinishedLift, width: int, most: int) -> None:
-    """Warn if this many views of this width are likely to need more memory than is free."""
+    """Warn if ``most`` views of this width are likely to need more memory than is free."""
     memory, sizes = main_memory(), [frame.size for frame in lift.frames] or [(1, 1)]
     height = round(max(high * width / max(wide, width) for wide, high in sizes))
     needed = mesh_bytes(min(most, len(lift.frames)), (width, height))

@@ -47,7 +47,8 @@ NEIGHBOURS = 30  # the number of nearest points that a normal is fitted to
 
 
 def export_points(lift: FinishedLift, output: Path) -> None:
-    """Write points.ply: semantic points with colours, normals, ids and confidence. Raises PlgsError, OSError."""
+    """Write points.ply: semantic points with colours, normals, ids, confidence. Raises PlgsError for a damaged lift,
+    OSError."""
     points = lift.corrected.points
     centres = np.array([frame.camera.centre for frame in lift.scene.frames])
     columns = {
@@ -82,7 +83,7 @@ def export_splats(lift: FinishedLift, output: Path) -> None:
 
 
 def export_clouds(lift: FinishedLift, output: Path) -> None:
-    """Write <name>.npz for each view: the semantic points of the lift that it sees. Raises PlgsError, OSError."""
+    """Write <name>.npz for each view: semantic points that it sees. Raises PlgsError for a damaged lift, OSError."""
     for name, camera, layers in lift.shown("combined", "depth", "semantic", "instance", "confidence"):
         height, width = layers.depth.shape
         seen = (layers.combined[..., 3] >= LEAST_COVERAGE) & (layers.depth > 0)
@@ -92,8 +93,7 @@ def export_clouds(lift: FinishedLift, output: Path) -> None:
 
 
 def point_normals(xyz: NDArray[np.float32], centres: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Unit normals of points [N, 3] from their neighbours, facing the nearest camera of ``centres`` [F, 3], float32 [N,
-    3]."""
+    """Unit normals float32 [N, 3] of points [N, 3] from their neighbours, facing the nearest of ``centres`` [F, 3]."""
     from open3d.geometry import KDTreeSearchParamKNN, PointCloud
     from open3d.utility import Vector3dVector
     from scipy.spatial import KDTree

@@ -30,8 +30,7 @@ from ..scene_of_lift import scene_of_lift
 
 @dataclass(frozen=True, eq=False)
 class FinishedLift:
-    """A finished lift, and the ``names`` of its frames to export. The first use of an attribute may raise PlgsError,
-    OSError."""
+    """A finished lift, and the ``names`` of frames to export. The first use of an attribute may raise PlgsError."""
 
     folder: LiftFolder
     names: Sequence[str]
@@ -128,8 +127,7 @@ class FinishedLift:
             self.progress(number, len(self.shots))
 
     def views(self, *wanted: str) -> Iterator[tuple[Frame, PanopticLayers]]:
-        """Yield every frame with its layers in the lift, at the frame's own size. ``wanted`` names layers (none:
-        all)."""
+        """Yield every frame with its layers in the lift, at the frame's size. ``wanted`` names layers (none: all)."""
         result = self.folder.result_path
         listed = {result / file.path: file for file in read_manifest(result).files}
         names = names_of_files(self.folder)

@@ -21,17 +21,17 @@ _COLOUR_SPACE = "srgb_rec709_display"
 
 
 def columns(rows: NDArray[np.void], names: str) -> NDArray[np.float32]:
-    """Return columns of a splat file by their names (separated by blanks), float32 [N, K]."""
+    """Return the columns ``names`` (separated by blanks) of ``rows`` [N] of a splat file, float32 [N, K]."""
     return np.stack([rows[name] for name in names.split()], axis=1).astype(np.float32)
 
 
 def opacities(rows: NDArray[np.void]) -> NDArray[np.float32]:
-    """Return the opacity from 0 to 1 of each Gaussian, float32 [N]."""
+    """Return the opacity from 0 to 1 of each Gaussian, rows of a splat file, float32 [N]."""
     return (1 / (1 + np.exp(-rows["opacity"].astype(np.float64)))).astype(np.float32)
 
 
 def unit_turns(rows: NDArray[np.void]) -> NDArray[np.float32]:
-    """Return the rotations as unit quaternions in the order w, x, y, z, float32 [N, 4]."""
+    """Return the rotations of Gaussians, rows of a splat file, as unit quaternions wxyz, float32 [N, 4]."""
     turns = columns(rows, "rot_0 rot_1 rot_2 rot_3")
     return turns / np.maximum(np.linalg.norm(turns, axis=1, keepdims=True), np.float32(1e-12))
 

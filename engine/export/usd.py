@@ -82,7 +82,7 @@ def _add_component(stage: Usd.Stage, lift: FinishedLift, class_id: int, instance
 
 
 def _label(prim: Usd.Prim, lift: FinishedLift, class_id: int, instance_id: int) -> None:
-    """Give the prim of an instance or a class its name and labels."""
+    """Give the prim of an instance or, if ``instance_id`` is 0, of a class its name and labels."""
     class_name = lift.classes[class_id].name if class_id in lift.classes else ""
     instance = lift.instances.names.get(instance_id, "") if class_id != VOID else ""
     prim.SetDisplayName(instance or class_name or "unlabelled")

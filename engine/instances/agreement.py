@@ -49,7 +49,7 @@ class ViewsOnCloud:
 
     @classmethod
     def of(cls, views: Sequence[View], point_of_pixel: Sequence[NDArray[np.int32]]) -> ViewsOnCloud:
-        """Return the views with what they see of the cloud; ``seen`` is computed anew each time it is read."""
+        """Return the views with what they see of the cloud by ``point_of_pixel``; computed anew whenever it is read."""
         seen = OnDemand(len(views), lambda number: view_points(views[number], point_of_pixel[number]))
         return cls(views, point_of_pixel, seen)
 
@@ -203,8 +203,7 @@ def masks_of_view(view: View, seen: ViewPoints, min_points: int) -> Iterator[tup
 
 
 def masks_in_space(seeing: ViewsOnCloud, points: int, min_points: int, kind: EvidenceKind = "views") -> MasksInSpace:
-    """Return all masks with at least ``min_points`` of the cloud's ``points``; ``kind`` tells how votes are
-    weighted."""
+    """Return all masks with at least ``min_points`` of the cloud's ``points``; ``kind`` says how votes count."""
     summaries = seeing.seen
     masks: list[ObjectMask] = []
     view_of_mask: list[int] = []

@@ -56,7 +56,7 @@ class FoundObjects:
 def find_objects(
     seeing: ViewsOnCloud, points: int, options: ConsensusOptions, progress: Progress = lambda *_: None
 ) -> FoundObjects:
-    """Return the objects on which views agree, in a cloud of ``points`` points. Raises what ``progress`` raises."""
+    """Return the objects on which the views in ``seeing`` agree, in a cloud of ``points`` points."""
     space = agreement.masks_in_space(seeing, points, options.rules.min_points, options.evidence)
     keyframes = choose_keyframes(space, options.most_masks)
     found = objects_of_masks(space.of_views(keyframes), options, progress)
@@ -245,8 +245,8 @@ def _is_supported(
 
 
 def agreements(favour: NDArray[np.floating], judging: NDArray[np.floating]) -> list[float | None]:
-    """Return the agreement (see `ObjectMask`) of each of an object's m masks. ``judging`` [m, m]: how many views judge
-    a pair of masks; ``favour`` [m, m]: how many of these are in favour. None for a mask that no view judges."""
+    """Return, for each of an object's m masks, the share of views' judgements that join it with another mask; None for
+    a mask that no view judges. ``judging`` [m, m]: how many views judge a pair; ``favour`` [m, m]: how many join it."""
     judged = judging.sum(1) - np.diag(judging)
     agreed = favour.sum(1) - np.diag(favour)
     return [float(yes) / float(all_) if all_ > 0 else None for yes, all_ in zip(agreed, judged, strict=True)]

@@ -84,7 +84,8 @@ def held_back_agreement(
 ) -> NDArray[np.bool_]:
     """Return whether one class describes each object at least as well as a class per point, bool [objects + 1]. Each of
     ``frames`` (the indices of its views) is held back in turn, and what it shows is compared with the object's class,
-    and with each point's class, as the other frames vote. The other arguments are those of ``vote_classes``."""
+    and with each point's class, as the other frames vote. ``views``, ``object_of_point`` and ``class_ids`` are as in
+    `vote_classes`; ``kinds`` say how views' votes count."""
     ids, (points, classes, count) = np.asarray(class_ids), (len(object_of_point), len(class_ids), objects + 1)
     of_points, of_objects = np.zeros((points, classes)), np.zeros((count, classes))  # float64: residues must be 0
     said = []

@@ -47,7 +47,7 @@ def objects_of_classes(
 def _fill_objects(
     shown: Array, columns: Array, class_of_object: Array, wanted: Array, least: Array, found: Array
 ) -> None:
-    """The compiled loop of ``objects_of_classes``, which fills ``found`` [N]."""
+    """The compiled loop of ``objects_of_classes``, with the same arguments, which fills ``found`` [N]."""
     for row in range(len(shown)):
         found[row] = object_of_class(shown[row], columns, class_of_object, wanted[row], least[row])
 

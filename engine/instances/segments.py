@@ -116,7 +116,7 @@ def edge_distance(ids: NDArray[np.int32]) -> NDArray[np.float32]:
 
 
 def thin(points: NDArray[np.float64], voxel_size: float) -> NDArray[np.float64]:
-    """Return the mean of the points in each occupied voxel, [n, 3] to [m, 3], metres, in lexicographic order."""
+    """Return the mean of the points in each voxel of a side of ``voxel_size``, [n, 3] to [m, 3], metres, sorted."""
     _, voxel = distinct_rows(np.floor(points / voxel_size).astype(np.int64))
     count = np.bincount(voxel)
     return np.column_stack([np.bincount(voxel, points[:, axis]) / count for axis in range(3)])
@@ -154,7 +154,7 @@ def vote_instances(
 
 
 def instance_map(view: View, instance_of_segment: Mapping[tuple[str, int], int]) -> NDArray[np.int32]:
-    """Return the matched instance of each pixel of a view's mask, int32 [H, W], 0 = none."""
+    """Return the instance, by ``instance_of_segment``, of each pixel of a view's mask, int32 [H, W], 0 = none."""
     present, inverse = np.unique(view.mask.ids, return_inverse=True)
     ids = np.array([instance_of_segment.get((view.name, int(segment)), 0) for segment in present], np.int32)
     return ids[inverse.reshape(view.mask.ids.shape)]

@@ -84,7 +84,7 @@ class EventWriter:
         return max((event.seq for event in _parsed(content[:whole].splitlines())), default=0)
 
     def hello(self, *, threads: int, resumed: bool, task: str = "lift") -> None:
-        """Report that a run of ``task`` ("lift", "bake", "inspect" …) begins, with this many compute threads."""
+        """Report that a run of ``task`` ("lift", "bake" …) begins or is ``resumed``, with this many compute threads."""
         about = {"engine_version": __version__, "pid": os.getpid(), "machine": platform.node()}
         about["python"] = platform.python_version()
         self._write("hello", task=task, **about, threads=threads, resumed=resumed)
@@ -103,8 +103,7 @@ class EventWriter:
         eta_s: float | None = None,
         left_s: float | None = None,
     ) -> None:
-        """Report that ``step`` of ``steps`` of a stage is done. It takes ``eta_s`` more seconds, the whole run
-        ``left_s``."""
+        """Report that ``step`` of ``steps`` of a stage is done. It takes ``eta_s`` more, the run ``left_s`` seconds."""
         self._write("progress", stage=stage, step=step, steps=steps, loss=loss, eta_s=eta_s, left_s=left_s)
 
     def metric(self, name: str, values: Mapping[str, float | int | str | None]) -> None:
@@ -116,7 +115,7 @@ class EventWriter:
         self._write("preview", path=self._relative(path), **({"camera": camera} if camera else {}))
 
     def artifact(self, path: Path, kind: str) -> None:
-        """Report that a file of the result was written."""
+        """Report that a file of the result was written, of a ``kind`` such as "pass"."""
         self._write("artifact", path=self._relative(path), kind=kind)
 
     def warning(self, message: str) -> None:

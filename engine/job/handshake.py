@@ -164,7 +164,7 @@ def _version(package: str) -> str | None:
 
 
 def _cuda_of_torch() -> str | None:
-    """Return the CUDA version in torch's version.py, which is read as text because importing torch takes a second."""
+    """Return the CUDA version in torch's version.py, read as text, as importing torch is slow; None for a CPU build."""
     torch = importlib.util.find_spec("torch")
     if torch is None or torch.origin is None:
         return None

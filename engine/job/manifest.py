@@ -28,9 +28,10 @@ def damaged(key: str, what: str, path: Path) -> PlgsError:
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a finished lift made, and how. ``timings`` are seconds by stage. ``frames`` gives the original names of
-    frames whose files are named otherwise, by file name. ``masks`` is the digest of the masks that were lifted; "" if
-    unknown. ``request`` is that of the lift's request.json. ``estimated`` says what was not measured, and licences."""
+    """What a finished lift made, and how: ``versions`` are those of libraries, ``settings`` all options' final values.
+    ``timings`` are seconds by stage. ``frames`` gives the original names of frames whose files are named otherwise, by
+    file name. ``masks`` is the digest of the masks that were lifted; "" if unknown. ``request`` is that of the lift's
+    request.json. ``estimated`` says what was not measured, and licences."""
 
     engine_version: str
     versions: _Facts
@@ -87,8 +88,7 @@ def _write(result: Path, manifest: Manifest) -> None:
 
 
 def read_manifest(result: Path) -> Manifest:
-    """Read the manifest of a result folder, without checking its files. Raises PlgsError if there is no complete
-    one."""
+    """Read a result's manifest, without checking its files. Raises PlgsError if there is no complete one."""
     path = result / NAME
     if not path.is_file():
         what = "does not exist, so this lift is not finished"

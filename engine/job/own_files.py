@@ -112,8 +112,7 @@ class OwnFiles:
         return False
 
     def claim(self, path: Path) -> None:
-        """List a file, before it is written, as ours. Raises PlgsError if somebody else's file is there, and
-        OSError."""
+        """List a file as ours, before it is written. Raises PlgsError if somebody else's file is there, OSError."""
         name, part = self._name(path), path.with_name(PART + path.name)
         self.refuse_foreign(path)
         if os.path.lexists(part) and _folded(name) not in self._digests:
@@ -210,7 +209,7 @@ GUARDS: list[OwnFiles] = []
 
 
 def guard_of(path: Path) -> OwnFiles | None:
-    """Return the note of the folder that contains ``path``, if a ``with`` block keeps one now."""
+    """Return the note of the folder that contains ``path``, if a ``with`` block keeps one now, else None."""
     whole = path.absolute()
     return next((each for each in reversed(GUARDS) if whole.is_relative_to(each.folder.absolute())), None)
 

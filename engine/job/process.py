@@ -46,7 +46,7 @@ class Origin(StrEnum):
 
 @dataclass(frozen=True)
 class ChosenPython:
-    """The Python that runs the engine, why it was chosen, and what to do if it is unfit."""
+    """The Python that runs the engine, why it was chosen (``origin``), and the ``fix`` to do if it is unfit."""
 
     python: Path
     origin: Origin
@@ -80,7 +80,7 @@ def choose_python(
 
 
 def engine_python(root: Path = ROOT, environ: Mapping[str, str] = os.environ, chosen: Path | None = None) -> Path:
-    """Return the Python from `choose_python`, within 0.1 s. Raises PlgsError if there is none, or it lacks packages."""
+    """Return the Python that runs the engine, within 0.1 s. Raises PlgsError if there is none, or it lacks packages."""
     choice = choose_python(root, environ, chosen)
     what = "the engine's Python does not exist"
     if choice.python.exists():

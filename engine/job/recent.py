@@ -51,7 +51,7 @@ def recent_lifts(cache: Path | None = None, most: int = MOST) -> list[RecentLift
 
 
 def remembered_lifts(cache: Path | None = None) -> list[str]:
-    """Return the listed paths, newest first, without checking them."""
+    """Return the paths listed in ``cache`` (None: the user's), newest first, without checking them."""
     return [path for path, _ in _entries(_list_path(cache))]
 
 

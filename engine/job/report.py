@@ -51,7 +51,7 @@ def wrong_with_scene(metrics: Mapping[str, Json]) -> list[str]:
 
 
 def not_shown(metrics: Mapping[str, Json]) -> list[tuple[str, str]]:
-    """The objects that the masks show clearly in close-ups and the lift lacks: for each, its text and the frames."""
+    """The objects that the masks show in close-ups and the lift lacks: a text on each, and its frames as a text."""
     judges = metrics.get("masks_as_judges")
     entries = _list(judges.get("not_shown")) if isinstance(judges, dict) else []
     found = []

@@ -78,8 +78,7 @@ class Interrupts:
 
     @contextmanager
     def deferred(self) -> Iterator[None]:
-        """Hold signals back in a ``with`` block. Interrupted is raised at its end if one came and nothing else is
-        raised."""
+        """Hold signals back in a ``with`` block. If one came, Interrupted is raised at its end, unless an error is."""
         self._deferred = True
         try:
             yield
@@ -294,8 +293,7 @@ def resumable(options: argparse.Namespace) -> LiftFolder | None:
 
 
 def ask_engine(python: Path, interrupts: Interrupts, kind: str, *arguments: str | Path) -> Mapping[str, Json]:
-    """Run the engine's command ``kind`` with progress on stderr; returns its answer. Raises its PlgsError,
-    Interrupted."""
+    """Run the engine's command ``kind``, progress on stderr; return its answer. Raises its PlgsError, Interrupted."""
     with interrupts.deferred():
         follower = TaskFollower.start([*engine_call(python), kind, *arguments], TaskFiles.temporary(), kind=kind)
         follow(follower, interrupts, LiveLine(sys.stderr))

@@ -72,8 +72,8 @@ def judge(
     scratch: Path | None = None,
 ) -> Judgement:
     """Compare the finished lift with the masks of the views it was ``trained`` on and of the views ``held_back``.
-    ``draw`` renders it from a camera, with uncalibrated class shares as confidence. Raises PlgsError for bad files,
-    OSError."""
+    ``draw`` renders it from a camera, with uncalibrated class shares as confidence. Raises PlgsError, OSError for bad
+    files."""
     every = chained(trained, held_back)
     samples: list[Samples] = []
     most = MOST_SAMPLES // (len(held_back) or len(trained))
@@ -106,8 +106,7 @@ def evenly(views: Sequence[View], most: int) -> Sequence[View]:
 
 
 def read_held_back(scene: Scene, size: Size, scratch: Path | None = None) -> StoredViews:
-    """Load the held-out frames with masks and depth, reduced to fit ``size``. Raises PlgsError for bad ones,
-    OSError."""
+    """Load the held-out frames with masks and depth, reduced to fit ``size``. Raises PlgsError for bad files."""
     masked = [frame for frame in scene.test_frames if frame.read_mask is not None and frame.read_depth is not None]
     return StoredViews(read_ahead(masked, lambda frame: load_view(frame, size_within(frame.size, size))), scratch)
 

@@ -263,8 +263,7 @@ def masks_of_pieces(
     masks: Sequence[ObjectMask], seeing: ViewsOnCloud, owner: NDArray[np.int32], count: int
 ) -> list[tuple[ObjectMask, ...]]:
     """Return the masks of each of ``count`` pieces, in the order of the views. A mask counts for the piece with most of
-    its points; masks of views that only vote do not count. ``owner`` int32 [N]: each point's piece, from 1, 0 =
-    none."""
+    its points; those of views that only vote do not. ``owner`` int32 [N]: each point's piece, from 1, 0 = none."""
     number_of = {view.name: number for number, view in enumerate(seeing.views)}
     members: list[list[ObjectMask]] = [[] for _ in range(count)]
     own = (mask for mask in masks if mask.frame in number_of)

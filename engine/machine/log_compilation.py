@@ -13,8 +13,7 @@ log = logging.getLogger("plgs.machine")
 
 
 def log_compilation(what: str, how_long: str) -> Callable[[], None]:
-    """Log that ``what`` is being compiled, and ``how_long`` it takes, the first time. Call what it returns at the
-    end."""
+    """Log that ``what`` is being compiled, and ``how_long`` it takes, the first time. Call the result at the end."""
     # An empty file beside the machine code records that it was compiled.
     stamp = CACHE_FOLDER / f"compiled-{what.replace(' ', '-')}-{_target()}"
     if stamp.exists():

@@ -37,8 +37,7 @@ Pair = tuple[Segment, Segment]
 @dataclass(frozen=True)
 class ClassScore:
     """One class's scores in [0, 1], None where not part of the mean: IoU; panoptic quality ``pq``, the product of
-    segmentation quality ``sq`` and recognition quality ``rq``. ``tp``, ``fp``, ``fn``: matched, wrong, missed
-    segments."""
+    segmentation (``sq``) and recognition quality (``rq``). ``tp``, ``fp``, ``fn``: matched, wrong, missed segments."""
 
     class_id: int
     name: str
@@ -53,9 +52,10 @@ class ClassScore:
 
 @dataclass(frozen=True)
 class PanopticScores:
-    """Means over classes, each in [0, 1], and the classes that they include, by ascending id. ``miou_true``: the mean
-    IoU over only the classes that the ground truth has, as is common in the field. A class that is wrongly predicted
-    then costs only the pixels that it takes from true classes."""
+    """Means over classes, each in [0, 1]: IoU, panoptic, segmentation and recognition quality; and the classes that
+    they include, by ascending id. ``miou_true``: the mean IoU over only the classes that the ground truth has, as is
+    common in the field. A class that is wrongly predicted then costs only the pixels that it takes from true
+    classes."""
 
     mode: Mode
     miou: float
@@ -83,9 +83,10 @@ class PanopticEvaluation:
         gt_semantic: NDArray[np.integer],
         gt_instance: NDArray[np.integer],
     ) -> dict[Pair, int]:
-        """Count a view, given as class ids and instance ids, integers [H, W], 0 = void or none. Return its numbers of
-        shared pixels, by pair of segments. Classes that are not in the table count as void. Raises ValueError if an id
-        is negative, or if shapes differ; in ``pl_compat`` prediction and ground truth may have different sizes."""
+        """Count a view, given as predicted and true class ids (semantic) and instance ids, integers [H, W], 0 = none.
+        Return its numbers of shared pixels, by pair of segments. Classes that are not in the table count as void.
+        Raises ValueError if an id is negative, or if shapes differ; in ``pl_compat`` prediction and ground truth may
+        have different sizes."""
         maps = [np.asarray(m) for m in (pred_semantic, pred_instance, gt_semantic, gt_instance)]
         if self.mode == "pl_compat":
             maps = [resize_nearest(m, COMPAT_SIZE) for m in maps]
@@ -150,7 +151,7 @@ class PanopticEvaluation:
 
 @dataclass(frozen=True)
 class _ClassAreas:
-    """The number of pixels of each class in the prediction, in the ground truth, and in both at once."""
+    """The pixels of each class in the prediction, the ground truth and both at once, and their number in ``total``."""
 
     predicted: Counter[int]
     true: Counter[int]
@@ -184,7 +185,7 @@ class _ClassAreas:
 
 @dataclass(frozen=True)
 class _Matches:
-    """By class: the sum of the matched pairs' IoU, and the numbers of matched and unmatched segments."""
+    """By class: the sum of matched pairs' IoU; the numbers of matched (``tp``), wrong and missed segments."""
 
     iou: dict[int, float]
     tp: Counter[int]

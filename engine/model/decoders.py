@@ -52,7 +52,7 @@ def run_side_by_side(
 
 
 def drawn_layer(inputs: int, outputs: int, generator: torch.Generator) -> nn.Linear:
-    """Return a linear layer with random weights from ``generator``."""
+    """Return a linear layer of these numbers of inputs and outputs, with random weights from ``generator``."""
     layer = nn.Linear(inputs, outputs)
     bound = inputs**-0.5  # as nn.Linear draws its own
     with torch.no_grad():
@@ -131,7 +131,8 @@ class Decoders(nn.Module):
         position: torch.Tensor,  # [V, 3], metres
         camera_centre: torch.Tensor,  # [3], metres
     ) -> torch.Tensor:
-        """Append the direction from the camera (and the distance, metres) to the features: [V, F + 3 or 4]."""
+        """Append the direction from the camera (and the distance) to ``feature`` of anchors at ``position``: [V, F + 3
+        or 4]."""
         towards = position - camera_centre
         distance = towards.norm(dim=1, keepdim=True).clamp_min(1e-6)
         parts = [feature, towards / distance]

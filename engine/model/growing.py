@@ -66,7 +66,7 @@ class GrowthStatistics:
         width: int,
         height: int,
     ) -> None:
-        """Add one training step. Gradients are converted to NDC units. No anchor may occur twice in ``gaussians``."""
+        """Add a step: the gradients of Gaussians where ``drawn``, converted to NDC units. No anchor may occur twice."""
         opacities, rows = gaussians.all_opacities, gaussians.rows(self.gradient.shape[1])
         self.visits.index_add_(0, gaussians.visible, opacities.new_ones(len(opacities)))
         self.opacity.index_add_(0, gaussians.visible, opacities.clamp_min(0).sum(dim=1))

@@ -37,7 +37,7 @@ class NeuralGaussians:
     cluster_loss: torch.Tensor
 
     def rows(self, k: int) -> torch.Tensor:
-        """Return the index of each Gaussian among the scene's M * k, int64 [N]."""
+        """Return the index of each Gaussian among all of the scene, with ``k`` to an anchor, int64 [N]."""
         return self.visible.index_select(0, self.kept // k) * k + self.kept % k
 
     def drawn_by(

@@ -75,7 +75,7 @@ def shown_probabilities(
 
 
 def shown_labels(scene: StructuredScene) -> ShownLabels | None:
-    """Return the labels that a finished scene's Gaussians show: the voted labels or, without a vote, `scene_labels`."""
+    """Return the labels that a finished scene's Gaussians show: voted or decoded; None if each view decodes its own."""
     return scene_labels(scene) if scene.voted is None else VotedLabels.of_scene(scene.voted, scene.channels)
 
 

@@ -91,7 +91,7 @@ def write_colours(batch: Batch, head: Any, sizes: Any, mine: Array, colours: Arr
 
 @device_function
 def write_known_labels(batch: Batch, k: int, visible: Array, labelling: Labelling, labels: Array) -> None:
-    """Copy the labels that were decoded earlier to those of the drawn Gaussians."""
+    """Copy the labels ``known``, decoded earlier, to those of the drawn Gaussians of a batch."""
     channels = labelling.known_channels
     for m in range(batch.gaussians):
         anchor = visible[batch.listed[batch.owners[2 * m]]]

@@ -47,7 +47,7 @@ def decode_natively(given: AnchorsInView, decoders: Decoders) -> NeuralGaussians
 
 
 class _Fixed(NamedTuple):
-    """The inputs of decoding that have no gradient, kept for the backward pass."""
+    """The inputs of decoding without a gradient, kept for the backward pass: which anchors, the camera, the layout."""
 
     visible: NDArray[np.int64]
     position: NDArray[np.float32]
