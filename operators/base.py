@@ -193,8 +193,8 @@ def cancels(kind: type[Task], about: str) -> type:
 
 
 def copy_given(operator: Any, options: type, settings: Any) -> None:
-    """Copy those of the ``options`` (properties of a class) that a call gave explicitly from the operator to the
-    panel."""
+    """Copy to the panel those of the ``options`` (properties of a class) that a call of the operator gave
+    explicitly."""
     for name in option_names(options):
         if operator.properties.is_property_set(name):
             setattr(settings, name, getattr(operator, name))

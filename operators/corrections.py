@@ -186,8 +186,7 @@ class PLGS_OT_split_instance(OnInstance, bpy.types.Operator):
 
 
 class PLGS_OT_split_by_views(base.StartsTask, OnInstance, bpy.types.Operator):
-    """Split the object into the parts that the masks of at least two frames separate, each with the class of its
-    masks"""
+    """Split the object into the parts that the masks of at least two frames separate, each with its masks' class"""
 
     bl_idname, bl_label = "plgs.split_by_views", "Split by Views"
 

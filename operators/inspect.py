@@ -39,8 +39,7 @@ class OnLift(Acts):
         return self.act_on(context, self.root(context))
 
     def act_on(self, context: bpy.types.Context, root: bpy.types.Collection) -> str | None:
-        """Do the operator's work on a lift. Returns a line to report, or None. Raises PlgsError or OSError, which is
-        reported."""
+        """Do the operator's work on a lift. Returns a line to report, or None. A PlgsError or OSError is reported."""
         raise NotImplementedError
 
 
@@ -226,8 +225,7 @@ class PLGS_OT_go_to_frame(OnLift, bpy.types.Operator):
 
 
 class PLGS_OT_make_objects(OnInstances, bpy.types.Operator):
-    """Turn each selected object into a mesh in its own collection, which you can move and reuse. It leaves a hole in
-    the lift"""
+    """Turn each selected object into a mesh in its own collection, to move and reuse. It leaves a hole in the lift"""
 
     bl_idname, bl_label, bl_options = "plgs.make_objects", "Make Objects", {"REGISTER", "UNDO"}
 

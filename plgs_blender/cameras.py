@@ -148,7 +148,7 @@ def place_camera(
     camera: Camera,
     display_size: float = _DISPLAY_SIZE,
 ) -> bpy.types.Object:
-    """Return our camera object `key` with the engine camera's lens and pose; new ones go to `parent`. `display_size`:
+    """Return our camera object `key` with the engine camera's lens and pose; if new, in `parent`. `display_size`:
     metres."""
     data = owned.data(key, lambda: bpy.data.cameras.new(name))
     set_lens(data, camera)

@@ -21,8 +21,7 @@ def absolute(path: str) -> Path:
 
 
 def free_folder(beside: Path, ending: str) -> Path:
-    """Return a folder that does not exist yet: "room_lift" or "room_lift_2" for ``beside`` "room", ``ending``
-    "_lift"."""
+    """Return a folder that does not exist yet: "room_lift", "room_lift_2" for ``beside`` "room", ``ending`` "_lift"."""
     number, folder = 1, beside.with_name(f"{beside.name}_{ending}")
     while folder.exists():
         number += 1

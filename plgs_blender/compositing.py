@@ -207,8 +207,8 @@ def _follow_choice(root: bpy.types.Collection) -> None:
 
 
 def matte_instance(root: bpy.types.Collection, instance: int) -> str:
-    """Make an instance (0: the active one) the compositor's matte, and return its name. Raises PlgsError if passes lack
-    it."""
+    """Make an instance (0: the active one) the compositor's matte, and return its name. Raises PlgsError if it has
+    none."""
     row = row_of(root, instance)
     names = matte_names({each.instance_id: each.name for each in root.plgs.instances})
     _set(root, CRYPTO_INSTANCES, names[row.instance_id], by_class=0.0)
@@ -227,8 +227,7 @@ def matte_class(root: bpy.types.Collection, class_id: int) -> str:
 
 def _set(root: bpy.types.Collection, layer: str, name: str, by_class: float) -> None:
     """Make ``name`` the matte of a ``layer`` in all passes scenes of the lift whose files have it. ``by_class`` is 1
-    for a class, 0 for an instance. If no control shows it, it gets an outline. Raises PlgsError if files are older than
-    the name."""
+    for a class, 0 for an instance. If no control shows it, it gets an outline. Raises PlgsError if files lack it."""
     compositors = [*compositors_of(root)]
     if not compositors:
         raise PlgsError("no-passes", "has no passes in a compositor", root.name, "Bake some in the Passes panel.")

@@ -228,8 +228,7 @@ class EditByEngine(Task):
 
     @classmethod
     def start(cls, root: bpy.types.Collection, *edit: str) -> Self:
-        """Let an engine make an edit, given as arguments of its command ``correct``. Raises PlgsError if none can;
-        OSError."""
+        """Let an engine make an edit: arguments of its command ``correct``. Raises PlgsError if none can; OSError."""
         registry.refuse_second(cls)
         lift, python = folder_of(root), engine_environment.usable_python()
         known = {each.uid for each in read_edits(lift)}

@@ -63,7 +63,7 @@ Choose = Callable[[NDArray[np.float32]], NDArray[np.bool_]]
 
 
 def edit(root: bpy.types.Collection, make: Make) -> Edit:
-    """Save an edit of a placed lift, which ``make`` returns, and show it. Raises PlgsError if it is impossible;
+    """Save an edit of a placed lift, which ``make`` returns, and show it. Raises PlgsError if ``make`` does;
     OSError."""
     made, result = _correct(root, make)
     show_corrections(root, result)
@@ -84,8 +84,7 @@ def show_edit(root: bpy.types.Collection, uid: str, result: CorrectedResult) -> 
 
 
 def undo_last(root: bpy.types.Collection) -> Edit:
-    """Undo the last edit in the file, whoever made it, and show the result. Raises PlgsError if there is none;
-    OSError."""
+    """Undo the last edit in the file, whoever made it, and show the result. Raises PlgsError without any; OSError."""
     undone, result = undo(folder_of(root), listed_in(folder_of(root)))
     show_corrections(root, result)
     return undone
@@ -290,9 +289,8 @@ def _split(
 
 
 def crop(root: bpy.types.Collection, instance: int) -> Edit:
-    """Give an object exactly those points in its box, which the user may have moved or scaled, that are its own or have
-    its class but no object. Its points outside keep the class but lose the object. Raises PlgsError if nothing
-    changes."""
+    """Give an object exactly those points in its box, which users may move or scale, that are its own or have its class
+    but no object. Its points outside keep the class but lose the object. Raises PlgsError if nothing changes."""
     box = selection.box_of(root, instance)
     return edit(root, lambda state, _: making.crop(state, instance, inside_box(box, state.xyz)))
 
@@ -312,8 +310,8 @@ def assign(
 
 
 def in_region(name: str) -> Choose:
-    """Return a function that selects the points in the box of the object ``name``. Raises PlgsError if none is called
-    so."""
+    """Return a function that selects the points in the box of the object ``name``. Raises PlgsError if there is
+    none."""
     region = bpy.data.objects.get(name)
     if region is None:
         raise PlgsError("no-object", "there is no such object", name, "Name an object whose box contains the points.")

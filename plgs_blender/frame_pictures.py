@@ -134,8 +134,7 @@ def why_no_picture(scene: bpy.types.Scene) -> str | None:
 
 
 def root_of(scene: bpy.types.Scene, ob: bpy.types.Object) -> bpy.types.Collection:
-    """Return the collection of the import or lift to which a frame's camera belongs. Raises PlgsError for any other
-    camera."""
+    """Return the collection of the import or lift to which a frame's camera belongs. Raises PlgsError for others."""
     root = next((each for each in lifts_in(scene) if each[LIFT] == ob.get(LIFT)), None)
     if root is None:
         raise PlgsError("scene-gone", "does not belong to any scene in this file", ob.name, "Import the scene again.")

@@ -155,8 +155,7 @@ def _list(result: LiftResult, root: bpy.types.Collection, scene: bpy.types.Scene
 def _place_late(
     place: Callable[..., object], instances: list[Instance], root: bpy.types.Collection, scene: bpy.types.Scene
 ) -> None:
-    """Call ``place`` with the boxes' collection and those ``instances`` that no correction has removed in the
-    meantime."""
+    """Call ``place`` with the boxes' collection and those ``instances`` that no correction has removed since."""
     listed = {row.instance_id for row in root.plgs.instances}
     owned, parent = OwnedDataBlocks(root[LIFT], scene), child_collection(root, "Instances")
     place(owned, parent, [one for one in instances if one.id in listed])
@@ -252,8 +251,7 @@ def _show_instead(root: bpy.types.Collection, before: list[bpy.types.Collection]
 
 
 def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:
-    """Fill the passes scenes of a placed lift again, after more frames were baked. Raises PlgsError if it is placed
-    nowhere."""
+    """Fill a lift's passes scenes again, after more frames were baked. Raises PlgsError if the lift is not placed."""
     result, scene = result_of(_reading(lift)), scene_to_fill(scene)
     owned = OwnedDataBlocks(root_of_placed(result.folder, scene)[LIFT], scene)
     place_passes(owned, result)

@@ -238,8 +238,7 @@ def _build_points(tree: bpy.types.NodeTree) -> None:
 
 
 def _mix(tree: bpy.types.NodeTree, column: int, row: int, blend: str, *colours: Any) -> Any:
-    """Add a node that mixes two colours by a factor (``colours``: the factor, then both), and return its output
-    socket."""
+    """Add a node that mixes two colours by a factor (``colours``: factor, then both), and return its output socket."""
     node = add_node(tree, "ShaderNodeMix", column, row, *colours, data_type="RGBA", blend_type=blend)
     return next(socket for socket in node.outputs if socket.enabled)  # it has one for each type of data
 

@@ -181,7 +181,7 @@ def _new_scene(name: str) -> bpy.types.Scene:
 def _images(
     owned: OwnedDataBlocks, key: str, files: Mapping[str, Path], sequence: NumberedNames | None
 ) -> bpy.types.Image:
-    """Make images that read the files, without loading one: one for the whole sequence, or one per file. Returns the
+    """Make images that read the files, without loading any: one for a whole sequence, or one per file. Returns the
     first."""
     if sequence is not None:
         files = {"": next(path for path in files.values() if path.stem == sequence.first)}
@@ -234,8 +234,7 @@ def _count_on(first: int, last: int, _scene: bpy.types.Scene, tree: bpy.types.No
 
 
 def _take_after(scene: bpy.types.Scene, shot: bpy.types.Scene, numbers: Sequence[int], size: tuple[int, int]) -> None:
-    """Give a passes scene the range of the files' ``numbers``, their ``size``, and the frame rate and pixel aspect of
-    ``shot``."""
+    """Give a passes scene the range of the files' ``numbers``, their ``size``, and ``shot``'s rate and pixel aspect."""
     scene.frame_start, scene.frame_end = min(numbers), max(numbers)
     scene.frame_step = math.gcd(*(number - min(numbers) for number in numbers)) or 1  # 0 if there is only one
     scene.frame_set(min(numbers))

@@ -103,8 +103,7 @@ class Task:
         return self.follower.error or self._problem
 
     def poll(self, scene: Any) -> bool:
-        """Process the engine's new events, and call `done` at the end. Returns whether anything changed since the last
-        call."""
+        """Process the engine's new events, and call `done` at the end. Returns whether anything has changed."""
         has_news = self.follower.poll()
         if self.progress.left_s != self._estimated_left:
             self._estimated_left, self._estimated_at = self.progress.left_s, time.monotonic()
@@ -129,8 +128,7 @@ class Task:
 
     def done(self, scene: Any) -> Iterator[object] | None:
         """Take the answer into Blender, whose current scene is ``scene``. Called once, however the task ended. Slow
-        work yields between its parts; there the user may change anything. What it raises, PlgsError or OSError, becomes
-        `error`."""
+        work yields between its parts; there the user may change anything. A PlgsError or OSError becomes `error`."""
         return None
 
     def watch(self, scenes: Sequence[Any], has_news: bool) -> bool:

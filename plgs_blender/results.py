@@ -110,8 +110,7 @@ def begin_to_read(lift: Path) -> Version:
 
 
 def read_on(seconds: float) -> bool:
-    """Read on for about this many seconds. Returns whether anything is left. Raises PlgsError if the file is
-    damaged."""
+    """Read on for about so many seconds. Returns whether anything is left. Raises PlgsError if the file is damaged."""
     until = time.monotonic() + seconds
     for version, parts in [*_begun.items()]:
         del _begun[version]
@@ -270,8 +269,7 @@ def reading_result(folder: Path) -> Generator[None, None, LiftResult]:
 
 
 def _verify(lift: LiftFolder, paths: Iterable[str], listed: Mapping[str, ListedFile]) -> None:
-    """Raise PlgsError unless what Blender opens has the manifest's checksums; of passes, up to _MOST_HASHED are
-    checked."""
+    """Raise PlgsError unless what Blender opens has the manifest's checksums (of passes, at most _MOST_HASHED)."""
     files, size = [], 0
     for path in paths:
         if path not in listed:

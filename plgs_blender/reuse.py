@@ -163,8 +163,8 @@ def _fill(root: bpy.types.Collection, top: bpy.types.Collection, one: Instance) 
 
 
 def _points(root: bpy.types.Collection, one: Instance, inverse: Matrix) -> bpy.types.PointCloud | None:
-    """Return the instance's semantic points, transformed by ``inverse`` to its own pivot, with all attributes; or
-    None."""
+    """Return an instance's points, transformed by ``inverse`` to its own pivot, with all attributes; None without
+    any."""
     for cloud in clouds_of(root):
         rows = ids_of(cloud.data, "instance_id") == one.id
         if "class_id" not in cloud or not rows.any():

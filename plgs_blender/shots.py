@@ -105,7 +105,7 @@ def shot_of(
     motion: bool = False,
 ) -> Shot:
     """Return the shot of the named or the active camera over the given range, else the scene's. ``given`` names its
-    files (else the studio's settings); ``only`` and ``motion``: see `Shot`. Raises PlgsError for a bad range or no
+    files (else the studio's settings); ``only`` and ``motion``: see `Shot`. Raises PlgsError without range or
     camera."""
     cuts = () if camera else _cuts_of(scene)
     wanted = camera or (cuts[0][1] if cuts else "")
@@ -147,8 +147,8 @@ def _cuts_of(scene: bpy.types.Scene) -> tuple[tuple[int, str], ...]:
 
 
 def _cameras_to_choose(scene: bpy.types.Scene, wanted: str) -> str:
-    """Return the advice for a user whose ``wanted`` camera ("": the active one) is none: which to choose from, the
-    likeliest first."""
+    """Return advice for a user whose ``wanted`` camera ("": the active one) is none: the cameras, the likeliest
+    first."""
     cameras = [ob for ob in scene.objects if ob.type == "CAMERA"]
     if not cameras:
         return "Add a camera, select it and press Ctrl+Numpad 0."
@@ -205,8 +205,7 @@ class ShotReader:
 
     @property
     def progress(self) -> tuple[int, int]:
-        """The number of frames read so far, and of all to read. For a camera that stands still, these include frames
-        outside the shot."""
+        """The number of frames read so far, and of all to read; for a camera at rest, also frames outside the shot."""
         return len(self._read) + self._checked, len(self._frames) + len(self._others)
 
     @property
@@ -306,8 +305,7 @@ class ShotReader:
         return file
 
     def withdraw_unbaked(self, bake: TaskFollower) -> None:
-        """Take back what `write` wrote, if the bake ended before its first view, for example as the engine refused
-        it."""
+        """Take back what `write` wrote, if the bake ended before its first view, as when the engine refused it."""
         if self._claimed is not None and bake.state is not TaskState.FINISHED and bake.progress.stage != "bake":
             with suppress(OSError, PlgsError):  # then the name stays taken, and another bake reports that
                 self._claimed.withdraw()
@@ -402,6 +400,5 @@ def _rendered_part(camera: Camera, scene: bpy.types.Scene) -> tuple[Camera, tupl
 
 
 def _pixels(share: float, size: int) -> int:
-    """The pixels of a ``share`` of ``size`` pixels, as Blender counts a render border: in single precision,
-    truncated."""
+    """The pixels of a ``share`` of ``size`` pixels, as Blender counts a render border: as float32, truncated."""
     return int(np.float32(share) * np.float32(size))

@@ -1,5 +1,4 @@
-"""What editors show: a file that we create, 3D views of a lift, and a picture. Views that the user set up keep their
-look."""
+"""What editors show: a file that we create, 3D views of a lift, and a picture. Views that a user set up keep theirs."""
 
 from __future__ import annotations
 

@@ -133,8 +133,7 @@ def _prepared(views: Sequence[View], classes: ClassTable, preset: Preset) -> Pre
 
 def typical(steps: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Return the mean milliseconds of each part over the middle half of the steps, sorted by their whole time. This is
-    as robust against a disturbed step as a median, and the parts add up to the whole. Raises ValueError without
-    steps."""
+    as robust against a disturbed step as a median, and the parts add up to the whole. Raises ValueError for none."""
     if not steps:
         raise ValueError("no steps to report")
     ordered = sorted(steps, key=lambda parts: sum(parts.values()))

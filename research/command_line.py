@@ -117,8 +117,7 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
 
 
 def run_printing(options: argparse.Namespace) -> int:
-    """Run a command that answers with a table, and print its lines. Raises PlgsError and OSError as the command
-    does."""
+    """Run a command that answers with a table, and print its lines. Raises what the command raises."""
     for line in options.lines(options):
         print(line, flush=True)
     return ExitCode.FINISHED

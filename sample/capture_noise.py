@@ -136,8 +136,8 @@ def border_mask(size: Size, noise: CaptureNoise, random: np.random.Generator) ->
 
 def pose_errors(count: int, noise: CaptureNoise, random: np.random.Generator) -> tuple[Floats, Floats]:
     """Return the tracker's errors: shifts float64 [count, 3] in metres, rotations float64 [count, 3] (axis times
-    radians). They change slowly along the path, as trackers drift and correct themselves. ``noise`` has their root mean
-    squares."""
+    radians). They change slowly along the path, as trackers drift and correct themselves. ``noise`` has their sizes
+    (RMS)."""
     shifts = drift(count, 3, noise.pose_frames, random)
     turns = drift(count, 3, noise.pose_frames, random)
     return _with_rms(shifts, noise.pose_shift), _with_rms(turns, float(np.radians(noise.pose_turn)))
@@ -251,8 +251,7 @@ def chance_of_holes(
 
 
 def highlights(light: Pixels, noise: CaptureNoise) -> Floats:
-    """Return 1 at lamps and mirror images of them (bright, colourless, brighter than what is around), else 0; [H,
-    W]."""
+    """Return 1 at lamps and mirror images of them (bright, colourless, brighter than around), else 0; [H, W]."""
     level, above = noise.highlight
     luminance = light @ LUMINANCE
     around = cv2.GaussianBlur(luminance, (0, 0), 0.05 * light.shape[1])

@@ -44,7 +44,7 @@ def main() -> int:
 
 
 def write_hand_held(scene: Path, out: Path, seed: int, noise: CaptureNoise | None = None) -> str:
-    """Write the folder ``out``, and return a line about it. Raises PlgsError if it exists or is inside ``scene``;
+    """Write the folder ``out``, and return a line about it. Raises PlgsError if it exists or is in ``scene``;
     OSError."""
     noise = noise or CaptureNoise()
     frames = open_scene(scene).frames
@@ -75,8 +75,8 @@ def write_hand_held(scene: Path, out: Path, seed: int, noise: CaptureNoise | Non
 
 def exposed(light: Pixels, gains: Floats, motion: Floats | None, black: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Return the picture, uint8 [H, W, 3], of linear light after the shutter's blur, amplification, clipping and
-    undistortion. ``gains`` float64 [3], ``motion`` float64 [2] in fractions of the width or None, ``black`` bool [H, W]
-    is the border."""
+    undistortion. ``gains`` float64 [3], ``motion`` float64 [2] in fractions of the width or None, ``black`` bool [H,
+    W]: borders."""
     if motion is not None:
         light = capture_noise.motion_blur(light, motion * light.shape[1])
     colour = capture_noise.srgb(light * gains.astype(np.float32))

@@ -84,8 +84,7 @@ class Sight:
 
 
 def confusions(class_name: str, is_thing: dict[str, bool]) -> dict[str, float]:
-    """Return the classes with which a class is confused, with weights: those of ``CONFUSIONS``, else three of its
-    kind."""
+    """Return the classes that a class is taken for, with weights: those of ``CONFUSIONS``, else three of its kind."""
     known = {other: weight for other, weight in CONFUSIONS.get(class_name, {}).items() if other in is_thing}
     alike = [other for other, thing in is_thing.items() if thing == is_thing[class_name] and other != class_name]
     return known or {str(other): 1.0 for other in stream("confusions", class_name).permutation(sorted(alike))[:3]}
@@ -123,8 +122,7 @@ def _swing(sight: Sight, other: str, doublings: float, noise: BeliefNoise, seed:
 
 @dataclass(frozen=True)
 class MaskNoise:
-    """How often and how strongly a network errs. Lengths are in pixels of the view, chances per segment, if not
-    said."""
+    """How often and how strongly a network errs. Lengths are pixels of the view, chances per segment, unless said."""
 
     belief: BeliefNoise = field(default_factory=BeliefNoise)
     smallest_segment: int = 60

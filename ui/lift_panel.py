@@ -97,8 +97,7 @@ class PLGS_MT_recent_lifts(bpy.types.Menu):
 
 
 def _draw_running(layout: bpy.types.UILayout, context: bpy.types.Context, followed: Lift) -> None:
-    """Draw a lift's progress in as many rows as `_draw_start`, with Cancel where no double or late click on Start hits
-    it."""
+    """Draw a lift's progress in as many rows as `_draw_start`, with Cancel where no late click on Start hits it."""
     folder, progress = followed.folder, followed.progress
     stage = f"Stage {progress.stage_index} of {progress.stage_count}: " if progress.stage_count > 1 else ""
     name = one_line(f"{stage}{folder.path.name}, {folder.request.preset}")

@@ -45,8 +45,7 @@ def _draw_in_space() -> None:
 def _draw_cameras_path(
     context: bpy.types.Context, root: bpy.types.Collection, objects: dict[str, bpy.types.Object]
 ) -> None:
-    """Draw the path of those frames' cameras that are visible (`objects` by key), unless it is off or a camera's
-    view."""
+    """Draw the path of visible frame cameras (`objects` by key), unless that is off or the view a camera's."""
     is_off = len(root.plgs.classes) > 0 and not root.plgs.show_cameras
     if is_off or context.region_data.view_perspective == "CAMERA":
         return
@@ -112,8 +111,7 @@ def legend_of(context: bpy.types.Context, root: bpy.types.Collection) -> list[tu
 
 
 def classes_of_scene(scene: bpy.types.Scene, *, stuff_only: bool = False) -> tuple[tuple[str, drawing.Colour], ...]:
-    """Return the classes of the panel's scene with their colours, as far as they are known; with ``stuff_only``, no
-    things."""
+    """Return the classes of the panel's scene with their colours, as far as known; with ``stuff_only``, no things."""
     survey = survey_of_panel(scene.plgs)
     classes = survey.classes if survey is not None else ()
     return tuple(each for each in classes if not stuff_only or (survey is not None and each[0] not in survey.things))

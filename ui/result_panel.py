@@ -75,8 +75,8 @@ def short_count(number: int) -> str:
 
 
 def _swatch_name_numbers(layout: Any, row: Any, coloured: Any, *, can_be_renamed: bool) -> Any:
-    """Draw a row's first cells: the colour of `coloured` (the row or its class), the name, and numbers. Returns the
-    layout for more."""
+    """Draw a row's first cells: the colour of `coloured` (the row or its class), name, numbers. Returns the layout for
+    more."""
     line = layout.row(align=True)
     swatch = line.row()
     swatch.ui_units_x = 0.9
@@ -97,8 +97,7 @@ def _draw_eye(line: Any, row: Any) -> None:
 
 
 def swatch_of(lists: Any, row: Any) -> Any:
-    """Return the row whose colour an instance has in the view: its class's row if colours are by class, else its
-    own."""
+    """Return the row whose colour an instance has in the view: its class's if colours are by class, else its own."""
     if lists.look != BY_CLASS:
         return row
     return next((each for each in lists.classes if each.class_id == row.class_id), row)

@@ -1,5 +1,5 @@
-"""Make a baked view: its layers and mattes, from a rendering in bands of rows, and the world position and normal of the
-rendered surface."""
+"""Make a baked view: its layers and mattes, from a rendering in bands of rows, and the surface's world position and
+normal."""
 
 from __future__ import annotations
 
@@ -153,8 +153,7 @@ class Matte:
 class BakedView:
     """Everything that is written for a view, as ``camera`` sees it. ``previous`` and ``following`` are the cameras of
     the frames before and after, if known. ``guessed`` float32 [H, W] is the share of each pixel that no photo ever saw,
-    None if no objects were removed. ``normal`` float32 [3, H, W] is as in `Surface`, if it does not follow from the
-    depth."""
+    None if no objects were removed. ``normal`` float32 [3, H, W] is as in `Surface`, if depth does not give it."""
 
     camera: Camera
     layers: PanopticLayers

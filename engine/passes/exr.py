@@ -136,7 +136,7 @@ def _box(left: int, top: int, width: int, height: int) -> tuple[NDArray[np.int32
 
 
 def _to_ndc(camera: Camera, left: int, top: int, width: int, height: int) -> NDArray[np.float64]:
-    """The transform from the engine's camera space to NDC, float64 [4, 4]; z becomes 1 / depth, or stays in parallel
+    """The transform from the engine's camera space to NDC, float64 [4, 4]; z becomes 1 / depth, except in parallel
     views."""
     if camera.projection == "orthographic":
         scale, middle = (
@@ -237,15 +237,13 @@ def further_layers(path: Path) -> set[str]:
 
 
 def read_note(path: Path, name: str) -> str | None:
-    """Return an attribute of a baked view's header, or None. Raises ValueError if the file is damaged, and OSError if
-    it cannot be read."""
+    """Return an attribute of a baked view's header, None without it. Raises ValueError if that is damaged, OSError."""
     kind, value = _header(path).attributes.get(name.encode(), (b"", b""))
     return value.decode() if kind == b"string" else None
 
 
 def is_frame(path: Path, shown: ShownFrame) -> bool:
-    """Whether a baked view's header has the number and rate of this frame. Raises ValueError if it is damaged,
-    OSError."""
+    """Whether a baked view's header has this frame's number and rate. Raises ValueError if it is damaged, OSError."""
     attributes = _header(path).attributes
     number = number_in(path.stem) if shown.number is None else shown.number
     rate = exact_rate(shown.fps or 0.0)

@@ -82,8 +82,7 @@ def _window(
 
 
 def _taken(view: BakedView, at: NDArray[np.float64], slant: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
-    """Return each layer's values [..., N] at pixels ``at`` [N, 2] of a face. ``slant`` [N] is distance / planar
-    depth."""
+    """Return the layers' values [..., N] at pixels ``at`` [N, 2]. ``slant`` [N] is distance / planar depth."""
     width = view.camera.width
     column, row = np.floor(at).astype(np.int64).T
     nearest = row * width + column

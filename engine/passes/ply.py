@@ -1,5 +1,4 @@
-"""Write PLY files, binary little endian: tables of named columns, and splats that viewers of 3D Gaussian Splatting
-open."""
+"""Write PLY files, binary little endian: tables of named columns, and splats that viewers of 3DGS open."""
 
 from __future__ import annotations
 

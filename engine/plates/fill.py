@@ -30,8 +30,7 @@ def replaced_gaussians(
     centres: NDArray[np.floating], label: NDArray[np.int32], texture: Texture, completed: Completed, others: Others
 ) -> NDArray[np.bool_]:
     """Return which of the lift's Gaussians, at ``centres`` [G, 3], the ``completed`` texture replaces, bool [G]: those
-    on the plane where it is drawn, and those behind it that are on none of the ``others``. ``label`` [G] is their
-    likeliest label."""
+    on the plane where it is drawn, and those behind that are on no ``others``. ``label`` [G]: the likeliest."""
     gone = np.zeros(len(centres), np.bool_)
     local = texture.plane.local(centres)
     cell = np.floor((local[:, :2] - texture.low) / texture.texel).astype(int)
@@ -46,8 +45,7 @@ def replaced_gaussians(
 
 
 def gaussians_of(texture: Texture, completed: Completed) -> Fill:
-    """Return the fill of a texture: a new Gaussian for each texel that is drawn. It does not say which cells to
-    clear."""
+    """Return the fill of a texture: a new Gaussian for each texel that is drawn. It clears no cells."""
     drawn, t = completed.fill, texture.texel
     xyz = texture.points()[drawn]
     every = max(1, round(POINTS_APART / t))

@@ -87,8 +87,7 @@ class Light(NamedTuple):
 
 def fit_light(texture: Texture, level: Colours, label: NDArray[np.int32], good: Mask, blocked: Blocked) -> Light:
     """Fit the ``level`` [h, w, 3], log brightness, of the texels that are ``good``: a colour for each label, light that
-    changes smoothly (a quadric), and less of it where things block it. Texels far from the fit, as stains, count
-    less."""
+    changes smoothly (a quadric), and less of it where things block it. Texels far from the fit count less."""
     kinds = np.unique(label[good])
     y, x = np.mgrid[0 : label.shape[0], 0 : label.shape[1]] * texture.texel
     x, y = x - x[good].mean(), y - y[good].mean()

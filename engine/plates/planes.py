@@ -41,8 +41,7 @@ class Plane:
 
 
 def find_planes(xyz: NDArray[np.floating], towards: NDArray[np.floating]) -> list[Plane]:
-    """Find the planes of points [N, 3], largest first, by RANSAC. ``towards`` [N, 3] are directions to their
-    cameras."""
+    """Find the planes of points [N, 3], largest first, by RANSAC. ``towards`` [N, 3] points to their cameras."""
     random = np.random.default_rng(0)
     left, least = np.arange(len(xyz)), max(LEAST_POINTS, int(LEAST_SHARE * len(xyz)))
     planes: list[Plane] = []

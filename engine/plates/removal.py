@@ -56,8 +56,7 @@ def remove(folder: LiftFolder, objects: Sequence[str], progress: Progress = unwa
 
 
 def without(folder: LiftFolder, objects: Sequence[str], progress: Progress = unwatched) -> CorrectedResult:
-    """Return the corrected result without objects, as `remove` makes it, but do not save the edit. Raises like
-    `remove`."""
+    """Return the corrected result without objects, as `remove` makes it, but save no edit. Raises like `remove`."""
     edit, _ = _removal(folder, objects, progress)
     return read_corrected(folder.path, further=[replace(edit, uid=edit.fill)])  # the same plate has the same uid
 

@@ -42,8 +42,7 @@ Mask = NDArray[np.bool_]
 class Texture:
     """A rectangle of a plane, of [h, w] texels with sides of ``texel`` metres; ``low`` [2] is its corner in the plane.
     Per texel: ``colour`` [h, w, 3]; ``seen`` by a photo; ``hidden`` in every photo by removed objects; ``label`` int32
-    (see PlateView); ``inside`` the room and some photo's view; ``open`` where photos look through the plane, as in a
-    door."""
+    (see PlateView); ``inside`` the room and some photo's view; ``open`` where photos look through the plane."""
 
     plane: Plane
     low: NDArray[np.float64]

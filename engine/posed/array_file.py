@@ -52,8 +52,7 @@ def read_npz(
 
 
 def read_npy(path: Path, fix: str, most_bytes: int = MOST_BYTES) -> NDArray[Any]:
-    """Read the array of a .npy of at most ``most_bytes``. Raises PlgsError, with ``fix`` as the advice, for other
-    files."""
+    """Read the array of a .npy of at most ``most_bytes``. Raises PlgsError, with ``fix`` as advice, for others."""
     with reading(path, fix):
         content = read_plain(path, most_bytes)
     try:

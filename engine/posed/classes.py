@@ -20,8 +20,7 @@ PALETTE = tuple((red, green, blue) for red, green, blue in map(bytes.fromhex, _W
 @dataclass(frozen=True)
 class ClassLabel:
     """A class with its number in the masks' own files, ``id``, which may be 0. A thing has instances, stuff has none.
-    ``name`` is the file's, on one printable line, so that it can be shown anywhere. ``colour`` is sRGB bytes or
-    None."""
+    ``name`` is the file's, on one printable line, to be shown anywhere. ``colour`` is sRGB bytes or None."""
 
     id: int
     name: str
@@ -34,8 +33,7 @@ class ClassLabel:
 
 @dataclass(frozen=True)
 class Category:
-    """A class of a scene. ``id`` is at least 1; ``colour`` is three sRGB bytes; ``is_thing`` and ``name``: see
-    ClassLabel."""
+    """A class of a scene. ``id`` is at least 1; ``colour`` is three sRGB bytes; see ClassLabel for the others."""
 
     id: int
     name: str

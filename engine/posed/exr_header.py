@@ -79,8 +79,7 @@ def one_pixel_of(path: Path) -> bytes:
 
 
 def _attributes_of(path: Path) -> tuple[bytes, dict[bytes, tuple[bytes, bytes]]]:
-    """Read a file's first eight bytes, and its attributes (type and value by name). Raises PlgsError for another or a
-    damaged file."""
+    """Read a file's first eight bytes, and its attributes (type and value by name). Raises PlgsError for damage."""
     try:
         with reading(path), open_plain(path) as file:
             start, size = file.read(8), os.fstat(file.fileno()).st_size

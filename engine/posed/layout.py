@@ -61,8 +61,7 @@ def shown_files(folder: Path, pattern: str = "*") -> Iterator[Path]:
 
 def files_by_stem(folder: Path, suffixes: Collection[str], fix: str) -> dict[str, Path]:
     """Return the files of ``folder`` with one of ``suffixes`` (lower case, with the dot), in natural order, by stem
-    (`composed`). Raises PlgsError, with ``fix`` as the advice, if the folder or such files are missing, or a stem
-    repeats."""
+    (`composed`). Raises PlgsError, with ``fix`` as the advice, if folder or files are missing, or a stem repeats."""
     if not folder.is_dir():
         raise PlgsError("no-folder", "a folder is missing", folder, fix)
     with reading(folder, "Check its permissions."):
@@ -95,7 +94,7 @@ def require_all(names: Sequence[str], present: Collection[str], what: str, where
 
 
 def require_most(names: Sequence[str], present: Collection[str], what: str, where: Path, fix: str) -> list[str]:
-    """Return the ``names`` of frames that are in ``present``. Raises PlgsError like `require_all` if over half are
+    """Return the ``names`` of frames that are in ``present``. Raises PlgsError like `require_all` if most are
     missing."""
     there = [name for name in names if name in present]
     if 2 * len(there) < len(names):

@@ -1,5 +1,4 @@
-"""Parse, check, set and print the options of a preset by name, such as ``weights.depth``; and read presets in TOML
-files."""
+"""Parse, check, set and print the options of a preset by name, such as ``weights.depth``; and read presets in TOML."""
 
 from __future__ import annotations
 

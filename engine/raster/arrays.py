@@ -96,8 +96,7 @@ class TileChannels(NamedTuple):
 
 class IsectGradients(NamedTuple):
     """The gradients of each intersection, in its slot: ``values`` float32 [T * GRADIENT_WIDTH], and ``labels`` float32
-    [T * ``used.padded``]. ``tiles`` int32 [T]: its tile, or -1 if nothing was blended; its gradients are then
-    undefined."""
+    [T * ``used.padded``]. ``tiles`` int32 [T]: its tile, -1 if nothing was blended; gradients are then undefined."""
 
     used: TileChannels
     tiles: Array
@@ -119,8 +118,7 @@ class GaussianGradients(NamedTuple):
 
 class Scratch(NamedTuple):
     """The workers' working memory. ``next_one`` int64 [1]: the next tile to take, shared. Per worker: ``floats``
-    float32 [workers, n], ``members`` int32 [workers, MEMBERS]; ``counts`` int64 [workers, PATCHES] for the backward
-    pass."""
+    float32 [workers, n], ``members`` int32 [workers, MEMBERS]; ``counts`` int64 [workers, PATCHES] for going back."""
 
     next_one: Array
     floats: Array

@@ -61,8 +61,8 @@ class _Content:
 @dataclass(frozen=True)
 class ClassChoice:
     """The content of a classes.toml: the ``table`` that the numbers belong to, whether classes are mapped
-    ``to_reduced``, the paper's 21, numbers that are ``void``, and the ``rows``. ``path`` is None if the user named a
-    table, not a file."""
+    ``to_reduced``, the paper's 21, numbers that are ``void``, and the ``rows``. ``path`` is None if a table was
+    named."""
 
     path: Path | None = None
     table: str | None = None

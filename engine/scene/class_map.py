@@ -194,7 +194,7 @@ def _labels(
 def _targets(
     labels: Mapping[int, ClassLabel], rows: Sequence[tuple[int, ClassRow]], choice: ClassChoice
 ) -> dict[int, str]:
-    """Return, by label number, the name of the class into which the choice's ``rows`` merge a label; others are left
+    """Return the name of the class into which the choice's ``rows`` merge a label, by label number; others are left
     out."""
     names, into = {number: label.name for number, label in labels.items()}, {}
     for number, row in rows:

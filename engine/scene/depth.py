@@ -40,8 +40,7 @@ class DepthMap:
     """One frame's depth, in the file ``path``. ``read`` returns planar depth, float32 [H, W] metres with 0 = none, at
     its own size. ``alignment`` maps colour pixels to depth pixels. ``fault`` is the error if the header shows that the
     file is unreadable. ``step`` is a value's unit in metres, None for files that store lengths. ``confidence`` is the
-    file that says which pixels to trust. ``beside`` is the depth camera's pose in the colour camera's axes, () if
-    equal."""
+    file that says which pixels to trust. ``beside`` is the depth camera's pose in the colour's axes, () if equal."""
 
     path: Path
     read: Callable[[], NDArray[np.float32]]
@@ -108,8 +107,7 @@ def _read_png(path: Path, unit: float) -> NDArray[np.float32]:
 
 
 def npy_depth(path: Path, step: float | None = None) -> DepthMap:
-    """Open the depth in a .npy file, in steps of ``step`` metres; None: floats are metres, whole numbers
-    millimetres."""
+    """Open the depth in a .npy file, in steps of ``step`` metres; None: floats are metres, integers millimetres."""
 
     def read() -> NDArray[np.float32]:
         values = read_depth_array(path)
@@ -191,8 +189,7 @@ def open_depth(
     scene: Path, lenses: Mapping[str, Camera], progress: Progress
 ) -> tuple[dict[str, DepthMap], tuple[Inferred, ...]]:
     """Open the depth maps in a scene's folder ``depth``; only headers are read. ``lenses`` are the colour cameras by
-    frame. Returns the maps by frame, and what was inferred about their lens. Raises PlgsError if most frames have no
-    readable map."""
+    frame. Returns the maps by frame, and what was inferred about their lens. Raises PlgsError if most have no map."""
     folder = scene / "depth"
     files = files_by_stem(folder, {".png"}, "Give 16-bit PNGs in millimetres, named like the colour images.")
     fix = "Add depth/<name>.png, or remove their colour images."
@@ -250,9 +247,8 @@ def seen_by_colour(depth: DepthMap, lens: Camera, colour: Camera, beside: NDArra
 
 
 def fitting_alignment(colour: Camera, depth: Camera) -> Alignment | None:
-    """Return the alignment of a colour camera with a depth camera at the same centre; None if the two pictures would
-    differ by more than any real sensor's. Both see the ray (x, y, 1) at u = f x + c, so depth's u is a linear function
-    of colour's."""
+    """Return the alignment of a colour camera with a depth camera at the same centre; None if the pictures differ by
+    more than any sensor's. Both see the ray (x, y, 1) at u = f x + c, so depth's u is a linear function of colour's."""
     x_scale = (depth.fx / depth.width) / (colour.fx / colour.width)
     y_scale = (depth.fy / depth.height) / (colour.fy / colour.height)
     x_shift = depth.cx / depth.width - x_scale * colour.cx / colour.width

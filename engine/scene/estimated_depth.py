@@ -102,8 +102,8 @@ def _fit_line(values: Values, depths: Values, inverse: bool) -> DepthFit | None:
 
 
 def _relative_errors(values: Values, depths: Values, scale: Any, shift: Any, inverse: bool) -> Values:
-    """Return the errors, relative to ``depths``, of the depth that scale and shift make of ``values``; inf where none
-    is."""
+    """Return the errors, relative to ``depths``, of what scale and shift make of ``values``; inf where that is no
+    depth."""
     line = scale * values + shift
     with np.errstate(divide="ignore", invalid="ignore"):
         found = 1.0 / line if inverse else line
@@ -139,8 +139,7 @@ def _metric_map(path: Path, placement: Placement) -> NDArray[np.float32]:
 
 
 def _placed(path: Path, placement: Placement) -> NDArray[np.float32]:
-    """Read a map's values placed in the picture, float32 [H, W], NaN beyond the photo's edges. Raises PlgsError if it
-    is unreadable."""
+    """Read a map placed in the picture, float32 [H, W], NaN beyond the photo's edges. Raises PlgsError if it is bad."""
     values = read_map(path).astype(np.float32)
     shows = placement(np.ones(values.shape, np.int32))  # 0 may be a value of the map, so it cannot tell
     return np.where(shows > 0, placement(values), np.float32(np.nan))

@@ -41,8 +41,7 @@ def evidence_of_resolution(kind: EvidenceKind, resolution: Amounts) -> Amounts:
 
 
 def evidence(kind: EvidenceKind, pixels: NDArray[np.floating], resolution: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Weights of a view's votes, float64 [n], by ``pixels`` [n] and ``resolution`` [n] (pixels per cm) of its
-    segments."""
+    """Weights of votes, float64 [n], by the segments' ``pixels`` [n] and ``resolution`` [n] (pixels per cm)."""
     of_pixels = np.power(np.asarray(pixels, np.float64), evidence_of_pixels(kind))
     return of_pixels * evidence_of_resolution(kind, np.asarray(resolution, np.float64))
 
@@ -65,6 +64,5 @@ def resolves(pixels: float, mask_scale: float) -> bool:
 
 
 def are_near(resolution: NDArray[np.floating], best: float) -> NDArray[np.bool_]:
-    """Return which views of a point are near, bool [V]: those whose ``resolution`` [V] there almost reaches the
-    ``best``."""
+    """Return which views of a point are near, bool [V]: their ``resolution`` [V] there almost reaches the ``best``."""
     return resolution >= NEAR * best

@@ -69,8 +69,7 @@ def says_what_counts(folder: Path) -> bool:
 
 
 def kept_pixels(folder: Path, names: Sequence[str]) -> dict[str, Path]:
-    """The black-and-white picture of each frame that has one; white marks pixels that count. Raises PlgsError without
-    any PNGs."""
+    """The black-and-white picture of each frame that has one; white pixels count. Raises PlgsError without any PNGs."""
     return {name: path for name, path in of_same_name(names, _files(folder, {".png"}, "")).items() if name in {*names}}
 
 

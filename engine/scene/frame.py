@@ -66,8 +66,7 @@ class Segment:
     """One region of a panoptic mask: its value ``id`` in the pixels, its class (a thing, or stuff), and the detector's
     score in [0, 1]. ``is_group`` marks a region of a thing's class without an instance: it may be several objects, so
     it gives its pixels a class but creates no object. ``track`` is the object's id in all frames, None without a
-    tracker. A detection with several classes is a segment for each; ``share`` is the part of its vote that this class
-    gets."""
+    tracker. A detection with several classes is a segment for each; ``share`` is this class's part of its vote."""
 
     id: int
     class_id: int
@@ -173,8 +172,7 @@ class Frame(PosedFrame):
         return self.read_mask(size)
 
     def layers(self, size: Size | None = None) -> tuple[PanopticMask, ...]:
-        """Read the detections over the mask, sorted into masks without overlaps; () if there are none. Raises PlgsError
-        for a bad file."""
+        """Read the detections over the mask, as masks without overlaps; () without any. Raises PlgsError for damage."""
         return () if self.read_detections is None else self.read_detections(size).layers()
 
 

@@ -42,8 +42,7 @@ table whose 0 is a wall is recognised by its other numbers."""
 
 @dataclass(frozen=True)
 class Numbers:
-    """What ground truth's numbers mean: ``class_of`` maps them to the masks' classes, ``names`` to their own
-    table's."""
+    """What ground truth's numbers mean: ``class_of`` maps them to the masks' classes, ``names`` to their table's."""
 
     class_of: Mapping[int, int]
     names: Mapping[int, str] = field(default_factory=dict)

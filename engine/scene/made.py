@@ -44,8 +44,7 @@ class MadeDepth:
 
     @classmethod
     def read(cls, beside: Path) -> MadeDepth | None:
-        """Read the note in a scene's folder; None if no depth was made, or not all of it. Raises PlgsError if the note
-        is damaged."""
+        """Read the note in the folder ``beside``; None if not all depth was made. Raises PlgsError if it is damaged."""
         path = beside / DEPTH_FOLDER / MADE_BY
         content = read_note(path, _AGAIN)
         return None if content is None else record_of(cls, content, path, _AGAIN)

@@ -282,8 +282,7 @@ def _fits(
 def _boxes(
     source: MaskSource, found: Mapping[str, Placement], pictured: Mapping[str, Pictured]
 ) -> dict[str, tuple[int, int, int, int]]:
-    """Return the part of each mask that shows its picture, (x, y, width, height), for masks with empty borders as
-    padding."""
+    """Return the part of each mask that shows its picture, (x, y, width, height), for masks padded with borders."""
     ways: list[dict[str, tuple[int, int, int, int]]] = [{}, {}]
     for name, mask in source.masks.items():
         (width, height), (across, down) = mask.size, pictured[name].size

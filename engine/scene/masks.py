@@ -233,8 +233,7 @@ def open_masks(
 
 
 def open_mask_source(place: Path, names: Sequence[str], mask_format: str | None, progress: Progress) -> MaskSource:
-    """Open the masks as they are stored, without the user's class table. Raises PlgsError for none that a reader
-    knows."""
+    """Open masks as they are stored, without the user's class table. Raises PlgsError for none that a reader knows."""
     reader = find_mask_format(place, mask_format)
     with reading(place, "Check that it exists, and its permissions."):
         return reader.read(place, names, progress)

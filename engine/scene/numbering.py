@@ -61,7 +61,7 @@ _CONTRADICTED = f"Name the network's table with --classes, or write {FILE_NAME} 
 
 @dataclass(frozen=True)
 class Asking:
-    """The words of messages about a numbering: ``whose`` numbers they are, and how a user names a ``table`` with
+    """Words of messages about a numbering: ``whose`` numbers they are, and how users name a ``table`` with
     ``option``."""
 
     whose: str = "the masks'"

@@ -38,14 +38,12 @@ def decode(path: Path, as_colour: bool) -> NDArray[Any]:
 
 
 def opaque(path: Path) -> NDArray[np.bool_]:
-    """Return which pixels of an image with alpha are not fully transparent, bool [H, W]. Raises PlgsError if it is
-    damaged."""
+    """Return where an image with alpha is not fully transparent, bool [H, W]. Raises PlgsError if it is damaged."""
     return np.asarray(decode(path, as_colour=False)[..., 3] > 0)
 
 
 def decode_bytes(data: bytes, path: Path, as_colour: bool) -> NDArray[Any]:
-    """Decode an image's bytes, read from the file ``path``, as ``decode`` does. Raises PlgsError if they are
-    damaged."""
+    """Decode an image's bytes, which come from ``path``, as ``decode`` does. Raises PlgsError if they are damaged."""
     import cv2
 
     check_image_bytes(data, path)
@@ -97,8 +95,7 @@ class ColourReader:
     read: Callable[[], NDArray[np.uint8]]
 
     def __call__(self, size: Size | None = None) -> NDArray[np.uint8]:
-        """Read uint8 [H, W, 3] RGB at ``size`` (width, height), or at its own size. Raises PlgsError as ``read``
-        does."""
+        """Read uint8 [H, W, 3] RGB at ``size`` (width, height), or at its own size. Raises what ``read`` raises."""
         pixels = self.read()
         return resize_colour(pixels, size) if size else pixels
 
@@ -205,8 +202,8 @@ def label_map_size(path: Path) -> Size:
 
 
 def label_header(path: Path) -> ImageHeader:
-    """Return the header of a PNG of labels, with one channel, perhaps a palette, or equal channels. Raises PlgsError
-    for others."""
+    """Return the header of a PNG of labels: one channel, perhaps a palette, or equal channels. Raises PlgsError for
+    others."""
     header = read_image_header(path)
     is_grey = header.channels == 1 or (header.format == "png" and equal_channels(decode(path, False)) is not None)
     if header.format != "png" or not is_grey:
@@ -228,8 +225,7 @@ def check_label_header(path: Path) -> Size:
 
 
 def read_label_map(path: Path) -> NDArray[np.int64]:
-    """Read the ids as stored, int64 [H, W]; in an array they may be negative. Raises PlgsError for files without
-    ids."""
+    """Read ids as stored, int64 [H, W]; in an array they may be negative. Raises PlgsError for files without ids."""
     if path.suffix.lower() == ".png":
         ids = read_indices(path).astype(np.int64)
         return ids if label_header(path).palette else checked_ids(ids, path)

@@ -128,9 +128,8 @@ def load_view(frame: Frame, size: Size | None = None) -> View:
 
 
 def read_ahead(frames: Sequence[Frame], read: Callable[[Frame], Read]) -> Iterator[Read]:
-    """Yield ``read(frame)`` of each frame in order, reading a few frames ahead in threads, as decoding a picture
-    releases Python's lock. Frames of one file, such as a video, are read one by one. An error is raised at its frame's
-    turn."""
+    """Yield ``read(frame)`` of each frame in order, reading a few frames ahead in threads, as decoding releases
+    Python's lock. Frames of one file, such as a video, are read one by one. Errors are raised at their frame's turn."""
     if not all(frame.file_shows_colour for frame in frames):
         yield from map(read, frames)
         return

@@ -51,6 +51,5 @@ class LabelledPoints:
 
     def project(self, camera: Camera, depth: NDArray[np.float32], reach: float) -> NDArray[np.int32]:
         """Return the label of the point nearest to each pixel's surface, int32 [H, W]; 0 (no supervision) if none is
-        within ``reach`` metres (twice the anchors' voxel size) or without depth. ``depth`` is float32 [H, W],
-        metres."""
+        within ``reach`` metres (twice the anchors' voxel size) or without depth. ``depth`` float32 [H, W] metres."""
         return self._label[self._index.nearest_of_pixels(camera, depth, reach)]

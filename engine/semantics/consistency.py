@@ -78,8 +78,7 @@ def views_are_sparse(views: Sequence[View], options: ConsistencyOptions) -> bool
 
 
 class LabelledDepth(NamedTuple):
-    """A view's arrays for the kernel: ``depth`` float32 [H, W] metres, ``label`` int32 [H, W], ``intrinsics`` in
-    pixels."""
+    """A view's arrays for a kernel: ``depth`` float32 [H, W] metres, ``label`` int32 [H, W], ``intrinsics`` pixels."""
 
     depth: NDArray[np.float32]
     label: NDArray[np.int32]

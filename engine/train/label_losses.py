@@ -28,8 +28,7 @@ def label_losses(
     """Return L_sem without L_cluster, and L_ins, as scalars: the mean of -log of the rendered probability of the target
     label over the pixels with a target, 0 if there is none. ``coverage`` has channels for ``classes`` (C), then S
     slots; ``semantic`` and ``instance`` hold target channels. L_ins adds a pixel's two instance targets, from linear
-    assignment and M_match. ``alpha``, a mere divisor, gets no gradient: only the reconstruction loss may change
-    opacity."""
+    assignment and M_match. ``alpha``, a mere divisor, gets no gradient: only L_recon changes opacity."""
     losses: tuple[torch.Tensor, torch.Tensor] = _LabelLosses.apply(coverage, alpha, classes, semantic, *instance)
     return losses
 
@@ -100,8 +99,7 @@ def assigned_slots(
 ) -> torch.Tensor:
     """Assign each thing segment to the slot that is rendered in it most probably, one to one (Hungarian algorithm).
     Return each pixel's slot, int16 [H, W], -1 = none. Slots are ``coverage``'s channels from ``first`` on; ``coverage``
-    divided by ``alpha`` is a probability. The slot ``no_object`` is left out. CUDA copies back only a matrix of
-    means."""
+    divided by ``alpha`` is a probability. The slot ``no_object`` is left out. CUDA copies back only means."""
     slots, segments = coverage.shape[-1] - first, len(things.pixels)
     row, slot_of_segment = torch.as_tensor(things.row).long(), np.full(segments + 1, NO_SLOT, np.int16)
     if slots and segments:

@@ -21,7 +21,7 @@ from .targets import ViewTargets, columns_of, slots_of
 
 
 def pseudo_label_steps(every: float, steps: int) -> frozenset[int]:
-    """Return the steps after which to make pseudo labels: multiples of the share ``every`` of ``steps``, not the
+    """Return the steps after which pseudo labels are made: multiples of the share ``every`` of ``steps`` but the
     last."""
     points = (round(number * every * steps) for number in range(1, math.ceil(1 / every)))
     return frozenset(point for point in points if 0 < point < steps)
@@ -30,8 +30,7 @@ def pseudo_label_steps(every: float, steps: int) -> frozenset[int]:
 @dataclass(frozen=True)
 class PseudoLabels:
     """The pseudo labels of one view, compressed by zlib to about a hundredth. ``classes``: the semantic channel of each
-    pixel, int16 of ``shape`` (H, W), -1 = none; ``slots``: the instance slot, or None if the regions got only
-    classes."""
+    pixel, int16 of ``shape`` (H, W), -1 = none; ``slots``: the instance slot, None if regions got only classes."""
 
     shape: tuple[int, int]
     classes: bytes

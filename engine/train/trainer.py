@@ -223,8 +223,8 @@ class Trainer:
     def step(self, check: Callable[[], None] = lambda: None) -> StepReport:
         """Make pseudo labels if they are due, do one optimisation step on one view, then add and prune anchors if due.
         Between steps, and when ``check`` raises, the state is complete: training continues bit for bit from a
-        checkpoint. Raises what ``check`` raises and, before it changes anything, FloatingPointError if the loss is not
-        finite."""
+        checkpoint. Raises what ``check`` raises and, before it changes anything, FloatingPointError for a loss of inf
+        or NaN."""
         if self.step_number in self.pseudo_label_steps:
             self.refresh_pseudo_labels(check)
         epoch, position = divmod(self.step_number, len(self.targets))  # each epoch has a new random order of all views
@@ -340,8 +340,7 @@ class Trainer:
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return L_sem without L_cluster, and L_ins (linear assignment and M_match). ``columns``: the label channels
         that were rendered. Gradients stop at the blending weights, so labels do not change opacity, shape or colour
-        decoders. They do change the anchors' features, which all decoders share, so that labels follow what photos
-        show."""
+        decoders. They do change the anchors' features, which all decoders share, so that labels follow photos."""
         of_classes, total = self._channel_counts()
         classes = int(np.searchsorted(columns, of_classes))
         drawn_column = torch.full((total + 1,), -1, dtype=torch.int16)  # the last means no target

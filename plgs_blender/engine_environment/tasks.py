@@ -47,8 +47,7 @@ class EngineState(Enum):
 @dataclass(frozen=True)
 class EngineStatus:
     """The engine's ``state``, a ``message`` about it for the user, and a ``fix`` if it is unusable. ``note`` warns of
-    package versions that differ from the tested ones. ``answer`` is what the engine in ``python`` said, None without
-    one."""
+    package versions that differ from the tested ones. ``answer`` is what the engine in ``python`` said, if it did."""
 
     state: EngineState
     message: str = ""
@@ -59,8 +58,7 @@ class EngineStatus:
 
     @property
     def is_usable(self) -> bool:
-        """Whether the engine may be started: it was not found to be missing or broken, though it may not be checked
-        yet."""
+        """Whether the engine may be started: it was not found to be missing or broken, or is not checked yet."""
         return self.state not in (EngineState.MISSING, EngineState.FAILED)
 
 
@@ -220,8 +218,7 @@ def why_no_set_up() -> str | None:
 
 
 def set_up(choice: SetUpChoice) -> SetUp:
-    """Start or continue making the engine's environment. Raises PlgsError while one is made and if Blender is offline;
-    OSError."""
+    """Start, or continue, making an environment. Raises PlgsError if one is made or Blender is offline; OSError."""
     reason = why_no_set_up()
     if reason is not None:
         raise PlgsError("set-up-refused", "the engine cannot be set up now", "Set Up Engine", reason)

@@ -95,8 +95,7 @@ def label_text_boxes(
     keep_free: Sequence[Rectangle] = (),
 ) -> list[TextBox]:
     """Return names of the lists' `rows` above their boxes, as many as `place_labels` allows: the `active` one, the
-    `hovered` one, then those that look largest, known classes first. An active box out of view has a label that says
-    so."""
+    `hovered` one, then those that look largest, known classes first. The label of an active box out of view says so."""
     size, padding = _TEXT * region.scale, _PADDING * region.scale
     height = size + 1.4 * padding
     found: list[tuple[tuple[bool, bool, bool, float], Any, str, tuple[float, float]]] = []
@@ -146,8 +145,7 @@ def place_labels(
     keep_free: Sequence[Rectangle] = (),
 ) -> dict[int, tuple[float, float]]:
     """Return the lower left corners of labels above their anchors (x, y), by index, within a space (width, height), all
-    in pixels. Labels that would cover an earlier one or a rectangle in `keep_free`, or exceed the maximum, are left
-    out."""
+    in pixels. Labels that would cover an earlier one or a rectangle in `keep_free`, or are too many, are left out."""
     placed: dict[int, tuple[float, float]] = {}
     taken, room = [*keep_free], _MOST_COVERED * space[0] * space[1]
     for index, ((x, y), width) in enumerate(zip(anchors, widths, strict=True)):

@@ -165,8 +165,7 @@ class _Sureness:
         self._mean = np.bincount(rows.ravel(), sure, len(self._cells)) / np.maximum(count, 1)
 
     def colours(self, ob: bpy.types.Object) -> NDArray[np.float32]:
-        """Return linear colours float32 [N, 4], brighter where views were less certain; dark where there are no
-        points."""
+        """Return linear colours float32 [N, 4], brighter where views were less certain; dark without points."""
         if "confidence" in ob.data.attributes:
             sure = _confidence(ob.data)
         else:

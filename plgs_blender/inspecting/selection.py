@@ -41,8 +41,7 @@ def find_lift(scene: bpy.types.Scene, lift: str = "", active: bpy.types.Object |
 
 
 def active_lift(scene: bpy.types.Scene, active: bpy.types.Object | None) -> bpy.types.Collection | None:
-    """Return the active object's lift, else the chosen one, the scene's first with a result, its first; None without
-    any."""
+    """Return the active object's lift, else the chosen one, the scene's first with a result, its first, or None."""
     roots = lifts_in(scene)
     owns = (None if active is None else text_of(active, LIFT), scene.get(CHOSEN))
     of_object = [root for own in owns for root in roots if root[LIFT] == own]
@@ -198,8 +197,7 @@ def select_instance(
 
 
 def select_nothing(root: bpy.types.Collection, class_id: int, layer: bpy.types.ViewLayer) -> None:
-    """Deselect all objects, also in the lift's list, and make the class `class_id` the active row in its list (none:
-    -1)."""
+    """Deselect all objects, also in the lift's list, and make a class the active row in its list (-1: none)."""
     deselect_all(layer)
     layer.objects.active, root.plgs.instance_index = None, -1
     hide_unselected(root, layer)
@@ -256,8 +254,7 @@ def hide_unselected(root: bpy.types.Collection, layer: bpy.types.ViewLayer) -> N
 
 
 def _is_left_out(root: bpy.types.Collection, row: Any) -> bool:
-    """Whether the row's instance is hidden in the lift's lists, by its own eye, its class's, or as another is
-    isolated."""
+    """Whether a row's instance is hidden in the lists, by its or its class's eye, or as another is isolated."""
     lists = root.plgs
     if lists.isolated:
         return bool(lists.isolated != row.instance_id)

@@ -63,8 +63,8 @@ def why_not_added() -> str | None:
 
 
 def add(name: str, python: Path, index_url: str = "") -> Adding:
-    """Start adding the packages for one of `ADDED` to the environment of ``python``. Raises PlgsError if that is
-    refused; OSError."""
+    """Start adding packages for one of `ADDED` to the environment of ``python``. Raises PlgsError if refused;
+    OSError."""
     reason = why_not_added()
     if reason is not None:
         raise PlgsError("adding-refused", "nothing can be added to the engine now", CAPABILITIES[name].label, reason)

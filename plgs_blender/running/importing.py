@@ -97,8 +97,7 @@ class FrameMaking(Task):
 
 
 def make_frames(order: FrameOrder, python: Path) -> FrameMaking:
-    """Start an engine that makes the files. Raises OSError, and PlgsError if one is already running or cannot be
-    started."""
+    """Start an engine that makes the files. Raises PlgsError if one is running or cannot be started; OSError."""
     registry.refuse_second(FrameMaking)
     folder = frame_pictures.frames_folder(order.chosen.resolved)
     command: list[str | Path] = [*order.chosen.arguments(), "-o", folder, "--make", *order.kinds]
@@ -107,8 +106,7 @@ def make_frames(order: FrameOrder, python: Path) -> FrameMaking:
 
 
 def _place(chosen: ChosenScene, scene: bpy.types.Scene, made: MadeFrames | None, cloud: bool) -> bpy.types.Collection:
-    """Place the scene. In an unchanged startup file, the views then turn to it. Raises PlgsError if it is
-    unreadable."""
+    """Place the scene. In an unchanged startup file, views then turn to it. Raises PlgsError if it is unreadable."""
     with taking_over(scene) as is_untouched:
         root = place_scene(chosen, scene, made, cloud=cloud)
     if is_untouched:

@@ -179,8 +179,7 @@ def join_lift(scene: bpy.types.Scene, folder: str = "") -> Lift:
 
 
 def bind_lift(scene: bpy.types.Scene, active: bpy.types.Object | None, folder: Path) -> str:
-    """Tell the shown lift and the panel the folder to which it was moved. Raises PlgsError if that holds another
-    lift."""
+    """Tell the shown lift and the panel the folder it was moved to. Raises PlgsError if that holds another lift."""
     root = find_lift(scene, active=active)
     bind(root, folder)
     lift = lifts.attach(folder).folder
@@ -213,7 +212,7 @@ def why_no_bake(settings: PLGS_PG_settings) -> str | None:
 
 
 def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Lift:
-    """Let an engine bake frames: "all", held-out ones ("test"), or the "active" one. Raises PlgsError if none can;
+    """Let an engine bake frames: "all", the held-out ("test") or the "active". Raises PlgsError if it cannot;
     OSError."""
     lift = lift_at(scene.plgs, folder)
     names = [frames]

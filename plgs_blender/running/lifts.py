@@ -91,8 +91,7 @@ def forget(lift: Path | None = None) -> None:
 
 
 def _view_of(scene: bpy.types.Scene) -> PreviewCamera | None:
-    """Return the camera of the scene's 3D view, or the scene's camera if the view looks through one; None if it cannot
-    be rendered."""
+    """Return the camera of the scene's 3D view, or the scene's camera if the view looks through one; else None."""
     own = own_view(scene)
     camera = own[1] if own is not None else camera_seen(scene)
     if camera is None:
@@ -262,8 +261,8 @@ def bake(
     keep_running: bool = False,
 ) -> Lift:
     """Let an engine bake more passes of a finished lift: of frames ("test", "all", or names), or of the ``cameras`` in
-    a file, with these FURTHER_LAYERS. Other processes may bake it at the same time. Raises PlgsError while another bake
-    ends; OSError."""
+    a file, with these FURTHER_LAYERS. Other processes may bake it too. Raises PlgsError while another bake ends;
+    OSError."""
     known = lift_of(lift.path)
     if known is not None and known.is_running and known.follower.is_own:
         what, fix = "this Blender is already baking or lifting here", "Wait for it, or cancel it first."
@@ -302,8 +301,7 @@ def shown_lift(settings: PLGS_PG_settings) -> Path | None:
 
 
 def look_at(folder: Path) -> Lift | None:
-    """Follow the lift in a folder and return it; None if there is none, or what is wrong with it is put into
-    `refusals`."""
+    """Follow the lift in a folder and return it; None if there is none, or if `refusals` now says what is wrong."""
     known = lift_of(folder)
     if known is not None:
         return known

@@ -123,7 +123,7 @@ class ClassWriting(SceneTask):
 
 
 def read_classes(scene: bpy.types.Scene, table: str = OWN_TABLE) -> ClassListing:
-    """Let an engine list the classes of the panel's scene, by one of TABLE_ITEMS. Raises PlgsError without an engine;
+    """Let an engine list the panel's scene's classes, by one of TABLE_ITEMS. Raises PlgsError without an engine;
     OSError."""
     registry.refuse_second(ClassListing)
     chosen = chosen_scene(scene.plgs)
@@ -249,7 +249,6 @@ def make_masks(chosen: ChosenScene, python: Path, model: str, *, download: bool,
 
 
 def make_poses(chosen: ChosenScene, python: Path) -> PoseMaking:
-    """Start an engine that finds poses. Raises OSError, and PlgsError if one is already running or cannot be
-    started."""
+    """Start an engine that finds poses. Raises PlgsError if one is already running or cannot be started; OSError."""
     registry.refuse_second(PoseMaking)
     return registry.begin(PoseMaking(chosen, start_engine("poses", python, chosen.scene)))

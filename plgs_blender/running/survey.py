@@ -173,7 +173,7 @@ def _is_of_all(answer: Mapping[str, Any], sizes: str) -> bool:
 
 
 def obstacles_to(survey: Survey, has_engine: bool) -> dict[str, str | None]:
-    """Return why Cameras, Pictures, Coloured cloud and Lift, the keys, cannot be had of a readable scene; None if they
+    """Return why the keys (Cameras, Pictures, Coloured cloud, Lift) cannot be had of a readable scene, None if they
     can."""
     has_pictures = survey.picture_files == survey.frames or has_engine
     has_cloud = survey.sparse_points > 0 or (survey.has_depth and has_engine)

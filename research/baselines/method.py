@@ -89,7 +89,7 @@ class SplattingTrainer(SegmentTrainer):
 
 
 def lift_baseline(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
-    """Run `run_lift` with the baseline that the preset's options name; without one, PLGS itself. Raises what `run_lift`
+    """Run `run_lift` with the baseline that the preset's options name, else PLGS itself. Raises what `run_lift`
     raises."""
     run_lift(folder, events, stop, resume=resume, preparing=prepare_baseline, training=new_trainer, sources=SOURCES)
 

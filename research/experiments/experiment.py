@@ -1,4 +1,4 @@
-"""An experiment, its scenes, and the lifts that it needs: which row on which scene, in which folder, with which
+"""An experiment, its scenes, and the lifts that it needs: which row on which scene, in which folder, by which
 options."""
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ class Experiment:
         return Path(self.preset).stem
 
     def masks_of(self, scene: SceneToLift, masks: str | None = None) -> Path | None:
-        """Return where a scene's masks are: in ``masks`` of its folder, else as --masks says, else None (in the
+        """Return where a scene's masks are: in ``masks`` of its folder, else where --masks says, else None (the
         scene)."""
         return scene.folder / masks if masks else of_scene(self.masks, scene.name)
 

@@ -83,8 +83,7 @@ class Tables:
             yield "\n".join(self.lines(scene, rows)) + "\n"
 
     def _of_tables(self, scenes: Sequence[str]) -> Iterator[tuple[str, list[Row]]]:
-        """Yield heading and rows of each table with a result of its own, not taken from another row, in one of the
-        scenes."""
+        """Yield heading and rows of each table with a result of its own, not another row's, in one of the scenes."""
         for table, heading in self.rows.tables.items():
             rows = [row for row in self.chosen if row.table == table]
             if any(self._tried(scene, row) and not row.same_as for row in rows for scene in scenes):
@@ -122,8 +121,8 @@ class Tables:
             yield "\n".join(self._table(rows, [row.name for row in rows], cells)) + "\n"
 
     def _mean_cells(self, row: Row, scenes: Sequence[str]) -> dict[str, str]:
-        """Return the mean of each figure over the scenes that have it; for each scene it is the mean, or the best, of
-        its seeds."""
+        """Return each figure's mean over the scenes that have it; for each scene it is the mean, or the best, of its
+        seeds."""
         measured = [seeds for scene in scenes if (seeds := self.measured(scene, row))]
         failed = sum(bool(self._failures(scene, row)) for scene in scenes)
         cells = {"scenes": str(len(measured)), "state": f"{failed} failed" if failed else ""}

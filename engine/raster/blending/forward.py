@@ -127,8 +127,8 @@ def load_labels(
 @device_function
 def add_listed_labels(patch: int, end: int, scratch: Array, members: Array, batches: int, padded: int) -> int:
     """Add weight * label to a patch's pixels for each Gaussian in the patch's list, which ends before ``end``.
-    ``members`` has the offset of each Gaussian's labels, in vectors from scratch[batches:]. Return the end of the empty
-    list."""
+    ``members`` has the offset of each Gaussian's labels, in vectors from scratch[batches:]. Return the emptied list's
+    end."""
     listed = patch * LISTED
     out = Rows(scratch, STRIP_LABELS + patch * TILE * padded, padded)
     weights = Factors(scratch, WEIGHTS + listed * TILE, 1, TILE)
@@ -208,8 +208,7 @@ def blend_member(
 
 @inlined
 def take_four(mask: int, missing: int) -> Any:
-    """Return the indices of ``mask``'s four lowest set bits (``missing`` if it has fewer), and the mask without
-    them."""
+    """Return the indices of ``mask``'s four lowest set bits (``missing`` for fewer), and the mask without them."""
     first = v.trailing_zeros(mask)  # callers have at least one bit
     mask &= mask - 1
     second = min(v.trailing_zeros(mask), missing)  # an empty mask has 64 zeros

@@ -36,8 +36,7 @@ _VOID = {"cityscapes:0-33": frozenset({*range(7), 9, 10, 14, 15, 16, 18, 29, 30}
 
 @dataclass(frozen=True)
 class KnownTable:
-    """A public table: ``labels`` by id, their class among the paper's 21 (``reduced``, maybe empty), and ``void``
-    ids."""
+    """A public table: ``labels``, their class among the paper's 21 by id (``reduced``, maybe empty), ``void`` ids."""
 
     labels: tuple[ClassLabel, ...]
     reduced: dict[int, int]

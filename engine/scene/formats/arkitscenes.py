@@ -78,7 +78,7 @@ def _nearest(of_times: Mapping[float, Value], seconds: float) -> Value | None:
 
 
 def _read_trajectory(path: Path) -> dict[float, NDArray[np.float64]]:
-    """Read camera-to-world poses, float64 [4, 4], by ascending seconds. Raises PlgsError for other text."""
+    """Read camera-to-world poses, float64 [4, 4], by ascending seconds. Raises PlgsError for other texts."""
     import cv2
 
     found = {}

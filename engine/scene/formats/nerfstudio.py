@@ -263,7 +263,7 @@ _PLY_FIX = "Write a PLY whose first element is vertex, with x, y, z."
 
 
 def read_ply_points(path: Path) -> SparsePoints:
-    """Read the vertices of a PLY (ASCII or binary) as points, white if it has no colours. Raises PlgsError for other
+    """Read the vertices of a PLY (ASCII or binary) as points, white without colours. Raises PlgsError for other
     files."""
     data = read_file(path, _MOST_BYTES)
     header = ply_header(data)

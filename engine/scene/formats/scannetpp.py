@@ -89,8 +89,7 @@ class _DepthStream:
         self._next = 0
 
     def frame(self, number: int) -> NDArray[np.float32]:
-        """Read the depth of frame ``number``, float32 [192, 256] metres, 0 = none. Raises PlgsError if it is
-        missing."""
+        """Read the depth of frame ``number``, float32 [192, 256] metres, 0 = none. Raises PlgsError without it."""
         try:
             if self._blocks is None:
                 with self._lock:

@@ -139,8 +139,8 @@ def _depth_file(base: Path) -> Path:
 
 
 def _own_lens_shot(lenses: tuple[Path, Path], name: str, base: Path, pose: NDArray[np.float64], picture: Path) -> Shot:
-    """Return the frame ``name``, whose colour and depth have the files ``lenses``, perhaps the same. Its files begin
-    with ``base``."""
+    """Return the frame ``name``, with files that begin with ``base``; ``lenses`` are colour's and depth's lens
+    files."""
     colour, depth = lenses
     lens = read_intrinsics(colour, read_image_header(picture).size)
     measured = png_depth(_depth_file(base), lens)

@@ -246,8 +246,7 @@ def _polygon(values: Any, size: Size, context: str, path: Path) -> list[float]:
 
 
 def read_table(place: Path) -> DetectionTable:
-    """Read the detections in a file, or a folder with one file, or one for each frame. Raises PlgsError for other
-    files."""
+    """Read the detections in a file, or a folder with one, or one for each frame. Raises PlgsError for other files."""
     files = sorted(shown_files(place, "*.json")) if place.is_dir() else [place]
     if len(files) != 1:
         tables = [(path.stem, _table_of(path)) for path in files]
@@ -287,8 +286,7 @@ def _checked(table: DetectionTable) -> DetectionTable:
 
 
 def _are_along_rows(segmentations: Sequence[dict[str, Any]]) -> bool:
-    """Whether outlines of run lengths are far shorter when read along rows; COCO's order, down columns, gives
-    stripes."""
+    """Whether outlines of run lengths are far shorter if read along rows; COCO's order, down columns, gives stripes."""
     as_columns = as_rows = seen = 0
     for each in segmentations:
         size: Any = each.get("size")

@@ -28,8 +28,7 @@ IGNORED = frozenset({0, 255, 65535})  # labels that mean nothing in most label i
 @dataclass(frozen=True)
 class FoundSegment:
     """A region of a stored mask: its value ``id`` >= 1 in the pixels, its class ``label`` in the masks' numbering, its
-    score in 0..1. ``has_instance`` is False for the whole area of a class. ``track`` is its object's id in all
-    frames."""
+    score in 0..1. ``has_instance`` is False for the whole area of a class. ``track``: its object's id in all frames."""
 
     id: int
     label: int
