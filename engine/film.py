@@ -88,7 +88,7 @@ def _refuse_missing(source: Path, folder: Path, wish: Wish, events: EventWriter)
 
 
 def _missing(source: Path, folder: Path, wish: Wish) -> list[str]:
-    """Return which of "depth" and "masks" a network must still make, as far as this is known before poses exist."""
+    """Return which of "depth" and "masks" must still be made by ``wish``, as far as is known before poses exist."""
     from .segment import TABLE
 
     if Made.read(folder) is not None:

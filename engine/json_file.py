@@ -164,7 +164,8 @@ def take_whole_number(
 def take_number(
     entry: dict[str, Any], key: str, context: str, path: Path, *, least: float = -1e300, most: float = 1e300
 ) -> float:
-    """Return ``entry[key]`` as a finite number in ``least``..``most``, else raise PlgsError about ``context``."""
+    """Return the finite number ``entry[key]`` in ``least``..``most``, or raise PlgsError; ``context`` says whose it
+    is."""
     value = _take(entry, key, context, path)
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
         raise wrong_type(key, "a number", value, context, path)

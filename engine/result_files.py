@@ -100,7 +100,7 @@ class MatchedSegment:
 class Instance:
     """One object: ``centre`` and ``size`` of its box in world metres, ``yaw`` in radians about +z, ``rotation`` the
     same as a quaternion wxyz, ``colour`` sRGB bytes, ``score`` in [0, 1], ``points`` the number of points it owns,
-    ``views`` of views with ``segments`` of it."""
+    ``views`` that of the frames whose masks show it, by ``segments``."""
 
     id: int
     name: str

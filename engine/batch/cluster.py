@@ -272,7 +272,7 @@ class Tls:
     certificate: Path
 
     def security(self, *, in_a_shell: bool = False) -> Any:
-        """Dask's security settings; ``in_a_shell`` quotes workers' paths. Raises PlgsError for unusable files."""
+        """Dask's security settings; ``in_a_shell`` quotes paths for a job script. Raises PlgsError for bad files."""
         ca, own = str(self.ca), str(self.certificate)
         try:
             ssl.create_default_context(cafile=ca).load_cert_chain(own)

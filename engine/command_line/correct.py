@@ -64,7 +64,7 @@ def add_correct(parser: argparse.ArgumentParser, make_task: AddTask) -> None:
 
 
 def correct(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
-    """Make the edit and answer with it, or list the edits or proposals."""
+    """Do what ``options.edit`` names: make an edit and answer with it, undo one, or list the edits or proposals."""
     from ..corrections import correct, proposals_of, put_back, read_corrected, undo
     from ..job.progress import StageProgress
 

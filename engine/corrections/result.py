@@ -23,10 +23,10 @@ from .replay import Replay
 
 @dataclass(frozen=True, eq=False)
 class CorrectedResult:
-    """The objects and points of a result after the edits. ``made`` are the objects as the engine made them, ``removed``
-    those that were taken out of the room. ``accepted`` are ids of objects that a person confirmed. ``not_applied``
-    gives, by the uid of an edit, why it was not applied. ``fingerprint`` identifies the edits that change what is
-    shown; it is "" without any."""
+    """The objects (``instances``) and points of a result after the ``edits``; ``relabelling`` changes other labels.
+    ``made`` are the objects as the engine made them, ``removed`` those that were taken out of the room. ``accepted``
+    are ids of objects that a person confirmed. ``not_applied`` gives, by the uid of an edit, why it was not applied.
+    ``fingerprint`` identifies the edits that change what is shown; it is "" without any."""
 
     folder: Path
     classes: ClassTable
@@ -86,8 +86,8 @@ class CorrectedResult:
     def ids_of(
         self, before: NDArray[np.int32], after: NDArray[np.int32], class_id: NDArray[np.int32]
     ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Return the class and instance ids, int32 [N] each, from labels [N] ``before`` and ``after`` the edits.
-        ``class_id`` [N] is the class before."""
+        """Return class and instance ids after the edits, int32 [N] each, of points with the labels ``before`` and
+        ``after`` them, [N] each. ``class_id`` [N] is the class before."""
         kinds, made = self.class_of, {one.id: one.class_id for one in self.made}
         changed = class_id.copy()
         moved = before != after
@@ -154,7 +154,7 @@ class _Result:
 
     @classmethod
     def read(cls, lift: Path, listed: Listed | None = None) -> _Result:
-        """Read a finished lift's result. Raises PlgsError if it is damaged."""
+        """Read a finished lift's result; ``listed`` is its instances.json, if read. Raises PlgsError if damaged."""
         classes, made = listed or result_files.read_instances(lift / "result" / result_files.INSTANCES)
         points = result_files.read_arrays(lift / "result" / result_files.SEMANTIC_POINTS, SemanticPoints)
         return cls(lift, classes, made, points)

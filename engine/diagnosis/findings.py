@@ -63,7 +63,7 @@ def edges_on(grey: NDArray[np.uint8], edges: Floats, moved: Floats) -> Picture:
 
 
 def level_surfaces(look: Look, cosine: Floats, caption: str) -> Picture:
-    """Draw a frame's points by the cosine [N] of their normals with up: level surfaces green, upright ones blue."""
+    """Draw a frame's points by the ``cosine`` [N] of their normals with up, level ones green, upright ones blue."""
     height, width = look.depth.shape
     far = max(float(look.depth.max()), 1e-6)
     panel = np.repeat((60.0 + 120.0 * look.depth[..., None] / far).astype(np.uint8), 3, axis=2)

@@ -217,7 +217,7 @@ class Views:
     def world_points(
         self, assumed: Assumption, lens: Lens, poses: Floats, points: int | None = None
     ) -> tuple[Floats, NDArray[np.bool_]]:
-        """Return the frames' first ``points`` in the world, float64 [F, M, 3], and which of them exist, bool [F, M]."""
+        """Return the frames' first ``points`` in the world, float64 [F, M, 3], and whether each exists, bool [F, M]."""
         places, values = self.places[:, :points], self.values[:, :points]
         depth = planar(values, places, lens, assumed)
         rays = (places - lens[:, None, 2:]) / lens[:, None, :2]

@@ -137,7 +137,7 @@ _LAGS = (-2, -1, 1, 2)
 
 
 class Trial(NamedTuple):
-    """A ``cause`` to try, with the assumption that follows. ``free`` names the values to fit if this trial is best."""
+    """A ``cause`` to try and what is ``assumed`` then. ``free`` names the values to fit if this trial is best."""
 
     cause: str
     assumed: Assumption
@@ -157,8 +157,8 @@ class Agreement(NamedTuple):
 
 
 class FoundCause(NamedTuple):
-    """A cause that was found, the assumption with it, and how well views agree before and after. ``rival`` is a cause
-    that explains the scene about as well, None if there is none."""
+    """A cause that was found, what is ``assumed`` with it, and how well views agree before and after. ``rival`` is a
+    cause that explains the scene about as well, None if there is none."""
 
     cause: str
     assumed: Assumption
@@ -188,8 +188,8 @@ def agreement(views: Views, pairs: Pairs, assumed: Assumption) -> Agreement:
 
 
 def is_far_better(after: Agreement, before: Agreement) -> bool:
-    """Whether a correction is good enough: half of what two frames both see agrees now; and 15 % more agrees than
-    before, or as much with 30 % less error."""
+    """Whether a correction is good enough: half of what two frames see agrees ``after`` it, and 15 % more than
+    ``before``, or as much with 30 % less error."""
     more = after.mean > _BETTER * before.mean
     finer = after.mean >= _AS_GOOD * before.mean and after.error < _ERROR_LEFT * before.error
     return after.share >= _LEAST_SHARE and (more or finer)

@@ -33,8 +33,8 @@ def export(
     With a file of ``cameras``, which only clouds support, write what these see instead. The formats BY_OBJECT can be
     limited to ``objects`` with these names (instances or classes). The folder must be new or empty, or hold this very
     export, complete or not; one in the lift's own folder ``exports`` may hold any export. Only files of the earlier
-    export are replaced or deleted (see `OwnFiles`). Raises PlgsError for a lift that is unfinished or damaged, bad
-    cameras, and other files there; OSError."""
+    export are replaced or deleted; ``warn`` is called with warnings. Raises PlgsError for a lift that is unfinished or
+    damaged, bad cameras, and other files there; OSError."""
     if cameras is not None and kind != "clouds":
         what = f"the export {kind} can only show the scene's own frames"
         raise PlgsError("export-cameras", what, cameras, "Give --frames, or export clouds.", option="--cameras")

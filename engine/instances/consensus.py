@@ -24,12 +24,12 @@ from .records import ObjectMask, SceneObject
 
 @dataclass(frozen=True)
 class ConsensusOptions:
-    """Masks are joined if more than the share ``agreement`` of the views that judge both are in favour. An object needs
-    masks in the share ``support`` of the views that see half of its points, and at least ``min_masks``. If few views
-    see it, masks in all views but one are enough (at least 2), if their mean agreement is ``sure``. If there are more
-    than ``most_masks`` masks, only those of keyframes are joined; any other goes to the object with most of its points.
-    A tracker counts as ``tracker`` views on each pair of masks that it followed, in favour if it gave both the same
-    track. ``evidence``: how views' votes are weighted."""
+    """Masks are joined if more than the share ``agreement`` of the views that judge both (by ``rules``) are in favour.
+    An object needs masks in the share ``support`` of the views that see half of its points, and at least ``min_masks``.
+    If few views see it, masks in all views but one are enough (at least 2), if their mean agreement is ``sure``. If
+    there are more than ``most_masks`` masks, only those of keyframes are joined; any other goes to the object with most
+    of its points. A tracker counts as ``tracker`` views on each pair of masks that it followed, in favour if it gave
+    both the same track. ``evidence``: how views' votes are weighted."""
 
     rules: JudgingRules = JudgingRules()
     agreement: float = 0.35

@@ -53,7 +53,7 @@ def object_overlap(
     new_xyz: NDArray[np.floating],
     new_id: NDArray[np.integer],
 ) -> ObjectOverlap:
-    """Return the overlap of objects, by points [N, 3] and [M, 3], metres, with ids [N] and [M] (0 = none)."""
+    """Return the overlap of old and new objects, by points [N, 3] and [M, 3], metres, and ids [N], [M] (0 = none)."""
     cells = np.floor(np.concatenate([old_xyz[old_id > 0], new_xyz[new_id > 0]]) / CELL).astype(np.int64)
     _, cell = distinct_rows(cells)
     count = int((old_id > 0).sum())

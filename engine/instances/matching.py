@@ -29,8 +29,8 @@ def pair_cost(local: OrientedBox, known: OrientedBox, terms: str = "IoU+IoM") ->
 
 
 def class_by_views(masks: Sequence[ObjectMask]) -> int:
-    """Return the class id with the most votes. A view has as many votes as the square root of the pixels of its masks,
-    which share them by pixels, so that a near view does not outvote all others. Ties go to the lower id."""
+    """Return the class id with the most votes of the masks. A view has as many votes as the square root of the number
+    of its masks' pixels, shared by pixels, so that a near view does not outvote all others. Ties go to the lower id."""
     seen: dict[str, int] = {}
     for mask in masks:
         seen[mask.frame] = seen.get(mask.frame, 0) + mask.pixels

@@ -128,8 +128,8 @@ def vote_instances(
     points: int,
     instance_of_segment: Mapping[tuple[str, int], int],
 ) -> NDArray[np.int32]:
-    """Return each point's instance by a vote of the views, int32 [points], 0 = none; ties go to the lower id. In each
-    view a point's pixels share one vote among their instances, so that near views do not outvote others.
+    """Return each point's instance by a vote of the views' segments, int32 [points], 0 = none; ties go to the lower id.
+    In each view a point's pixels share one vote among their instances, so that near views do not outvote others.
     ``point_of_pixel`` returns the point nearest to each pixel's surface, int32 [H, W], -1 = none."""
     rows, ids, weights = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0)]
     for view in views:

@@ -132,9 +132,9 @@ def _pieces(one: Any, two: Any, bend: Any, points: int, looseness: float, least:
 def held_back_agreement(
     part: NDArray[np.int64], seeing: ViewsOnCloud, class_ids: tuple[int, ...], kind: EvidenceKind
 ) -> tuple[float, float]:
-    """Return two shares, 0 to 1, of what frames show when held back in turn: what agrees with the votes of the other
-    frames on the same point, and with their votes on its whole superpoint. For a point that no other frame sees, the
-    superpoint's votes count in both."""
+    """Return two shares, 0 to 1, of the classes that frames show when held back in turn: what agrees with the votes of
+    the other frames on the same point, and with their votes on its whole superpoint. For a point that no other frame
+    sees, the superpoint's votes count in both."""
     ids, points = np.asarray(class_ids), len(part)
     said, total = votes_of_views(seeing, points, ids, kind)
     of_part = sparse.csr_matrix((np.ones(points), (part, np.arange(points)))) @ total

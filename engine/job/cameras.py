@@ -88,9 +88,9 @@ PreviewRequest = str | PreviewCamera
 
 @dataclass(frozen=True)
 class BakeCamera:
-    """A camera to bake from: ``name`` of the file, ``pinhole``, the range of planar depths in metres that is drawn, the
-    number of the ``frame`` and the rate, the ``display`` window in the picture (left, top, width, height), and the
-    cameras of the ``previous`` and the ``next`` frame."""
+    """A camera to bake from: ``name`` of the file, ``pinhole``, the planar depths in metres that are drawn (``near`` to
+    ``far``), the number of the ``frame`` and the rate (``fps``), the ``display`` window in the picture (left, top,
+    width, height), and the cameras of the ``previous`` and the ``next`` frame."""
 
     name: str
     pinhole: PreviewCamera
@@ -258,7 +258,7 @@ class _Entry:
 
     @property
     def camera(self) -> BakeCamera:
-        """The camera. Raises ValueError if it cannot be drawn."""
+        """The camera of the entry, to bake from. Raises ValueError if it cannot be drawn."""
         pinhole = _drawable(PreviewCamera(self.camera_to_world, self._lens(), self.width, self.height, self.projection))
         near, far = self.clip or (0.0, None)
         far = math.inf if far is None else far

@@ -240,7 +240,7 @@ def start_bake(
     """Start an engine that bakes more of a finished lift: frames ("test", "all", or names), or the ``cameras`` in a
     file, with these FURTHER_LAYERS. ``channels`` is one of CHANNELS, and names the channels for another program. With
     ``replace`` it overwrites other programs' files in ``output``. If another process is baking already, both bake, each
-    with its own events. Raises PlgsError, OSError."""
+    with its own events. Raises PlgsError if it cannot start, OSError."""
     command: list[str | Path] = [*engine_call(python), "bake", lift.path]
     given = {"--cameras": [cameras], "-o": [output], "--frames": frames, "--layers": layers, "--channels": [channels]}
     for option, values in given.items():

@@ -74,7 +74,7 @@ class BakeCost(NamedTuple):
 
 
 def predict_bake(frames: int, size: tuple[int, int], slowness: float = 1.0, layers: Collection[str] = ()) -> BakeCost:
-    """Predict the cost of baking this many frames of ``size`` (width, height) pixels, with these FURTHER_LAYERS."""
+    """Predict the cost of baking ``frames`` of ``size`` (width, height) with these FURTHER_LAYERS on this machine."""
     megapixels = size[0] * size[1] / 1e6
     pixel = PIXEL * (1.0 + sum(_MORE[layer] for layer in layers))
     seconds = slowness * frames * (_render_s(megapixels) + WRITE_S * megapixels)
@@ -150,7 +150,7 @@ def step_seconds(megapixels: float, millions_of_gaussians: float) -> float:
 
 
 def machine_slowness(cache: Path | None = None) -> float:
-    """Return how many times slower this machine is by its recent lifts; 1 before the first. Never raises."""
+    """Return how many times slower this machine is than the measured one, by recent lifts; 1 without. Never raises."""
     measured = _measured(_speed_path(cache))
     return median(measured) if measured else 1.0
 

@@ -132,7 +132,8 @@ class ChildProcess:
         stdin: int = subprocess.DEVNULL,
         keep_open: Sequence[int] = (),
     ) -> None:
-        """Start ``command``. On POSIX, descriptors in ``keep_open`` stay open in it. Raises PlgsError if that fails."""
+        """Start ``command`` in ``cwd``. On POSIX, descriptors in ``keep_open`` stay open. Raises PlgsError if it
+        fails."""
         try:
             self._process = subprocess.Popen(
                 [str(part) for part in command],
@@ -207,5 +208,5 @@ def engine_call(python: Path, root: Path = ROOT, program: str = "engine") -> lis
 
 
 def engine_command(python: Path, lift: Path, *, resume: bool, program: str = "engine") -> list[str | Path]:
-    """Return the command that starts or resumes a lift in the folder ``lift``."""
+    """Return the command that starts or, with ``resume``, resumes a lift in the folder ``lift``."""
     return [*engine_call(python, program=program), "lift", lift, *(["--resume"] if resume else [])]

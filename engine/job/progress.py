@@ -23,7 +23,7 @@ _SURE = 0.2
 
 
 def unwatched(done: int, total: int) -> None:
-    """Take progress and do nothing: the default where nobody follows the work."""
+    """Take progress and do nothing: the default callback where nobody follows the work."""
 
 
 def part_of(whole: Progress, begin: float, end: float, steps: int = 0) -> Progress:

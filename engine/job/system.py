@@ -27,7 +27,7 @@ _NEW_GROUP, _NO_WINDOW = 0x200, 0x8000000
 
 
 def try_lock(descriptor: int, shared: bool = False) -> bool:
-    """Try to lock the open file, for this process alone or ``shared`` with others, and return whether it is locked. On
+    """Try to lock the file open as ``descriptor``, alone or ``shared`` with others, and return whether it is locked. On
     Windows all locks are exclusive. Raises OSError if the file system does not support locks."""
     try:
         if WINDOWS:

@@ -86,10 +86,11 @@ class TaskFiles:
 
 @dataclass
 class TaskProgress:
-    """The state of a run. Stages count from 1 (``stage_index``); ``step`` of ``steps`` of this one are done, ``eta_s``
-    seconds of it remain, and ``left_s`` of the whole run, if known. ``began`` is the start in Unix seconds.
-    ``live_preview`` is a picture of the growing model; it was replaced ``live_previews`` times, lastly as seen by the
-    camera with the fingerprint ``live_preview_camera``. ``previews`` are the pictures that stay."""
+    """The state of a run, in the stage ``stage``, for people ``label``. Stages count from 1 (``stage_index``); ``step``
+    of ``steps`` of this one are done, ``eta_s`` seconds of it remain, and ``left_s`` of the whole run, if known.
+    ``began`` is the start in Unix seconds. ``live_preview`` is a picture of the growing model; it was replaced
+    ``live_previews`` times, lastly as seen by the camera with the fingerprint ``live_preview_camera``. ``previews`` are
+    the pictures that stay."""
 
     stage: str = ""
     label: str = "Starting"
@@ -196,7 +197,8 @@ class StopSignal:
         return self._reason
 
     def ask(self, reason: str, exit_code: ExitCode = ExitCode.CANCELLED) -> None:
-        """Ask the task to stop: the next check raises Cancelled, and the process ends with this code."""
+        """Ask the task to stop: the next check raises Cancelled for this reason, and the process ends with this
+        code."""
         self.exit_code = exit_code
         self._reason = reason
 

@@ -76,7 +76,7 @@ def sets_of_frames(
 
 
 def frames_to_bake(scene: Scene, bake: str) -> tuple[Frame, ...]:
-    """Return the frames whose passes were requested: for "test" the held-out frames, for "all" every frame."""
+    """Return the frames whose passes ``bake`` requests: for "test" the held-out ones, for "all" every frame."""
     return {"test": scene.test_frames, "all": scene.frames, "none": ()}[bake]
 
 

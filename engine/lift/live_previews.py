@@ -70,7 +70,7 @@ class LivePreviews:
         self._fronts: tuple[cKDTree, NDArray[np.float64]] | None = None
 
     def __call__(self, lifted: StructuredScene) -> None:
-        """Render the model to the preview file if a preview is due. Raises OSError if the disk is full."""
+        """Render the model ``lifted`` to the preview file if a preview is due. Raises OSError if the disk is full."""
         began = self._clock()
         if began < self._due:
             return

@@ -124,7 +124,7 @@ def objects_by_agreement(given: ViewsToMatch, preset: Preset, progress: StagePro
 
 
 def voted_things(given: ViewsToMatch, kinds: ViewEvidence, progress: StageProgress) -> VotedThings:
-    """Return the objects that views agree on and vote to be things. Takes ``progress`` from 0 to 40 %."""
+    """Return the objects that views agree on and vote, by ``kinds`` of votes, to be things. Progress is 0 to 40 %."""
     cloud = given.cloud
     training = on_cloud(given.views, cloud, given.scratch, progress.part(0.0, 0.1))
     training = training.looked_at(progress.part(0.1, 0.15))
@@ -249,7 +249,7 @@ def thing_objects(
     kinds: ViewEvidence,
     balance: ClassBalance,
 ) -> list[SceneObject]:
-    """Return those of the ``found`` objects that the views vote to be things, with new ids from 1."""
+    """Return those of the ``found`` objects that the views in ``seeing`` vote to be things, with new ids from 1."""
     shown = [(seen, shown_classes(view, seen)) for view, seen in zip(seeing.views, seeing.seen, strict=True)]
     asked = found.object_of_point, len(found.objects), cloud.class_ids
     votes = by_votes.vote_classes(shown, *asked, kinds.objects)

@@ -237,8 +237,8 @@ def checked_frames(
 def ask_what_is_wrong(
     folder: LiftFolder, scene: Scene, size: Size, events: EventWriter, *, stops: bool
 ) -> tuple[Finding, ...]:
-    """Diagnose the scene, warn of each problem, and return the problems. Raises PlgsError if a problem makes the lift
-    pointless, unless ``stops`` is False or the request insists on the lift (--anyway)."""
+    """Diagnose the scene, with masks within ``size``, warn of each problem, and return the problems. Raises PlgsError
+    if a problem makes the lift pointless, unless ``stops`` is False or the request insists on the lift (--anyway)."""
     asked = diagnose_quickly(scene, size)
     log.info("diagnosed: %d of %d frames compared, %d findings", asked.looked, asked.frames, len(asked.findings))
     for finding in asked.findings:
@@ -264,7 +264,7 @@ def read_views(
 
 
 def warn_if_long(course: Course, events: EventWriter) -> None:
-    """Warn if the lift is predicted to take longer than LONG_S seconds."""
+    """Warn if the lift is predicted, by its ``course``, to take longer than LONG_S seconds."""
     seconds = sum(course.seconds.values())
     if seconds > LONG_S:
         hours = f"{seconds / 3600:.1f} h"
@@ -381,7 +381,7 @@ def train(
 
 
 def remember_pace(paces: Sequence[float], trainer: Trainer) -> None:
-    """Store the median time of a step (compiling hardly changes a median), to predict later lifts on this computer."""
+    """Store the median of ``paces``, seconds of steps (compiling hardly changes it), to predict later lifts here."""
     if len(paces) < LEAST_STEPS:
         return
     megapixels = np.mean([view.camera.width * view.camera.height for view in trainer.views]) / 1e6

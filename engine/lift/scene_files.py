@@ -106,7 +106,8 @@ def shown_by_depth(cloud: SemanticPointCloud, views: Sequence[View], progress: P
 
 
 def write_model(folder: LiftFolder, lifted: StructuredScene) -> None:
-    """Write model.safetensors: tensors and, in its header under "plgs", the JSON facts that make them a scene."""
+    """Write model.safetensors: tensors of ``lifted`` and, in its header under "plgs", facts to make it a scene
+    again."""
     tensors, facts = to_tensors(lifted)
     contiguous: dict[str, torch.Tensor] = {name: tensor.contiguous() for name, tensor in tensors.items()}
     content = save(contiguous, metadata={"plgs": json.dumps(facts, sort_keys=True)})

@@ -88,7 +88,7 @@ def vote_labels(
 
 @dataclass(frozen=True, eq=False)
 class _VotingFrame:
-    """What a frame needs to vote: the Gaussians that make up each pixel, the mask, and the depth with holes filled."""
+    """What a frame needs to vote: the Gaussians that make up each pixel (``seen``), mask, depth with holes filled."""
 
     seen: Contributors
     mask: PanopticMask

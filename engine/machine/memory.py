@@ -57,7 +57,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def empty(shape: int | tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-    """Return an uninitialised array like ``np.empty``, but aligned to a cache line and in reused memory."""
+    """Return an uninitialised array of this shape and dtype, aligned to a cache line and in reused memory."""
     global _calls
     kind = np.dtype(dtype)
     size = max(kind.itemsize * (math.prod(shape) if isinstance(shape, tuple) else shape), LEAST_STEP)

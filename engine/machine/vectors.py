@@ -24,7 +24,7 @@ intrinsic: Any = extending.intrinsic
 def element_pointer(
     context: Any, builder: ir.IRBuilder, array_type: types.Array, array: ir.Value, index: ir.Value
 ) -> ir.Value:
-    """Emit a pointer to the element at this index of a contiguous array. The index is not checked."""
+    """Emit a pointer to element ``index`` of a contiguous ``array``. The index is not checked."""
     data = context.make_array(array_type)(context, builder, array).data
     return builder.gep(data, [index])
 
@@ -88,7 +88,7 @@ def constant(value: float) -> ir.Constant:
 
 
 def call(builder: ir.IRBuilder, name: str, result: ir.Type, arguments: list[ir.Value]) -> ir.Value:
-    """Emit a call of one of LLVM's intrinsic functions."""
+    """Emit a call of LLVM's intrinsic function ``name`` with these ``arguments``, which gives the type ``result``."""
     signature = ir.FunctionType(result, [argument.type for argument in arguments])
     return builder.call(cgutils.get_or_insert_function(builder.module, signature, name), arguments)
 

@@ -107,7 +107,7 @@ class _Named:
         self.agreeing = self.score = 0.0
 
     def add(self, view: View, *, is_judge: bool) -> None:
-        """Count the classes that the view's mask gives to the samples it sees and, if ``is_judge``, sum its scores."""
+        """Count the classes that a view's mask gives to the samples it sees; if ``is_judge``, also sum its scores."""
         row, y, x = view.seen_of(self._xyz)
         mask, named = view.mask.ids[y, x], view.mask.class_map()[y, x]
         counts = named != VOID

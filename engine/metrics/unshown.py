@@ -33,7 +33,7 @@ MARGIN = 0.1
 
 
 class JudgedView(NamedTuple):
-    """A view, and the classes that the lift shows in it, int32 [H, W], 0 = none."""
+    """A view, and the classes ``shown`` by the lift in it, int32 [H, W], 0 = none."""
 
     view: View
     shown: NDArray[np.int32]
@@ -41,10 +41,10 @@ class JudgedView(NamedTuple):
 
 @dataclass(frozen=True)
 class Unshown:
-    """A whole class (``whole_class``), or an object, that masks show and the lift does not. ``near``: how many nearby
-    views see the place; ``views``: how many of these show its class there. ``frame`` shows it best, as ``segment`` of
-    ``pixels`` pixels at the frame's own size, with ``resolution`` pixels per centimetre. ``shown_as``: the class that
-    the lift shows there most, "" = none. ``centre``: world metres."""
+    """A whole class (``whole_class``), or an object of it, that masks show and the lift does not. ``near``: how many
+    nearby views see the place; ``views``: how many of these show its class there. ``frame`` shows it best, as
+    ``segment`` of ``pixels`` pixels at the frame's own size, with ``resolution`` pixels per centimetre. ``shown_as``:
+    the class that the lift shows there most, "" = none. ``centre``: world metres."""
 
     class_id: int
     name: str

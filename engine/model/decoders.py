@@ -62,8 +62,8 @@ def drawn_layer(inputs: int, outputs: int, generator: torch.Generator) -> nn.Lin
 
 
 class Decoders(nn.Module):
-    """The paper's opacity, covariance, colour, semantic and instance decoders. Other kinds are subclasses with another
-    ``kind``, made available by ``register_head``."""
+    """The paper's opacity, covariance, colour, semantic and instance decoders, of the sizes ``shape``. Other kinds are
+    subclasses with another ``kind``, made available by ``register_head``."""
 
     kind: ClassVar[str] = "structured"
     shape: DecoderShape

@@ -17,11 +17,11 @@ from .neural_gaussians import NeuralGaussians
 @dataclass(frozen=True)
 class GrowthRules:
     """When to grow and prune. ``gradient``: for level 0, the threshold on a Gaussian's mean gradient of the projected
-    centre, NDC units; level i takes 2^i times that, and cells of ``cell_voxels[i]`` voxels. ``opacity``: anchors with a
-    smaller mean summed opacity are pruned. ``seen_share``, ``visited_share``: how often a Gaussian or an anchor must
-    have been visible before it is grown or pruned, as a share of the steps between two rounds. ``least_visits`` are
-    always enough (None: no such limit); otherwise a short lift of many views would never decide on anchors that few
-    views see."""
+    centre, NDC units; level i takes 2^i times that, cells of ``cell_voxels[i]`` voxels, and a random ``keep_share[i]``
+    of the candidates. ``opacity``: anchors with a smaller mean summed opacity are pruned. ``seen_share``,
+    ``visited_share``: how often a Gaussian or an anchor must have been visible before it is grown or pruned, as a share
+    of the steps between two rounds. ``least_visits`` are always enough (None: no such limit); otherwise a short lift of
+    many views would never decide on anchors that few views see."""
 
     gradient: float = 2e-4
     cell_voxels: tuple[int, ...] = (16, 4, 1)
@@ -32,7 +32,8 @@ class GrowthRules:
     least_visits: int | None = None
 
     def enough(self, share: float, steps_between: int) -> float:
-        """Return how many visits suffice to decide on an anchor: ``share`` of the steps between rounds, or fewer."""
+        """Return how many visits suffice to decide on an anchor: the ``share`` of the steps between rounds, or fewer if
+        ``least_visits`` are set."""
         wanted = share * steps_between
         return wanted if self.least_visits is None else min(wanted, self.least_visits * share / self.visited_share)
 
@@ -104,8 +105,9 @@ def grow_and_prune(
     random: np.random.Generator,
     most_anchors: int,
 ) -> GrowthRound:
-    """Return which anchors to keep and which to add. Sets the statistics of anchors visited often enough back to 0, in
-    place. Not more than ``most_anchors`` remain in all; if more could grow, ``random`` chooses among them."""
+    """Return which anchors to keep and which to add, after ``steps_between`` steps. New ones lie in cells of some
+    voxels of ``voxel_size`` metres. Sets the statistics of anchors visited often enough back to 0, in place. Not more
+    than ``most_anchors`` remain in all; if more could grow, ``random`` chooses among them."""
     judged = statistics.visits > rules.enough(rules.visited_share, steps_between)
     keep = ~(judged & (statistics.opacity < rules.opacity * statistics.visits))
     seen = statistics.drawn > rules.enough(rules.seen_share, steps_between)

@@ -123,7 +123,7 @@ class _Seen:
         return replace(self, chosen=self.chosen[touches[self.chosen]])
 
     def of(self, values: torch.Tensor) -> torch.Tensor:
-        """Return the rows of ``values`` [N, ...] for the chosen Gaussians."""
+        """Return the rows of ``values`` [N, ...], one for each Gaussian seen, for the chosen Gaussians."""
         return values if len(self.chosen) == len(values) else values.index_select(0, self.chosen)
 
 

@@ -22,7 +22,7 @@ class SceneLabels:
     probabilities: torch.Tensor
 
     def of(self, rows: torch.Tensor) -> torch.Tensor:
-        """Return the probabilities of the Gaussians with these indices int64 [N], float32 [N, C + U]."""
+        """Return the probabilities of the Gaussians with the indices ``rows`` int64 [N], float32 [N, C + U]."""
         return self.probabilities.index_select(0, rows)
 
 
@@ -42,7 +42,7 @@ class VotedLabels:
         return cls(voted, classes, torch.tensor([*range(classes), *of_instance]))
 
     def of(self, rows: torch.Tensor) -> torch.Tensor:
-        """Return the probabilities of the Gaussians with these indices int64 [N], float32 [N, C + U]."""
+        """Return the probabilities of the Gaussians with the indices ``rows`` int64 [N], float32 [N, C + U]."""
         label = self.voted.label.index_select(0, rows).long()
         share = self.voted.share.index_select(0, rows)
         table = share.new_zeros(len(rows), len(self.class_of_label))

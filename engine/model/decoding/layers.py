@@ -80,7 +80,7 @@ def list_anchors(
 
 @inlined
 def list_batch(number: int, k: int, visible: Array, batches: Batches, labelling: Labelling, numbers: Array) -> Any:
-    """Return batch ``number`` as a ``Batch``; its lists are kept in ``numbers`` int64 [BATCH * (1 + 2 k)]."""
+    """Return batch ``number`` of ``visible`` anchors; its lists are kept in ``numbers`` int64 [BATCH * (1 + 2 k)]."""
     listed, owners = numbers[:BATCH], numbers[BATCH:]
     rows, drawing, gaussians = list_anchors(number, k, visible, batches.opacities, labelling, listed, owners)
     return Batch(listed, rows, drawing, owners, batches.starts[number], gaussians)
@@ -88,7 +88,7 @@ def list_batch(number: int, k: int, visible: Array, batches: Batches, labelling:
 
 @device_function
 def collect_inputs(listed: Array, rows: int, anchors: AnchorArrays, sizes: Any, mine: Array) -> None:
-    """Copy the decoders' inputs (see ``Sizes``) of the listed anchors to the start of a worker's scratch ``mine``."""
+    """Copy feature, direction and distance of the ``listed`` anchors to the start of a worker's scratch ``mine``."""
     seen, position, centre = sizes.features, anchors.position, anchors.centre
     for i in range(rows):
         anchor = anchors.visible[listed[i]]
