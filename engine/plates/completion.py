@@ -33,6 +33,9 @@ DEEP = 0.25
 """Share of light that other things block, from which on a shadow says nothing about the light beside it."""
 FAINTER = 1 / 4
 """How much less a blur counts than one half as wide (1/64: the ring around the chair is 0.7 dB worse)."""
+EXTREME = 1
+"""Per cent of what photos saw that is darker or brighter than anything that is guessed: light that is continued over a
+large hole could become anything (the television's hole: 1.7 dB)."""
 LEAST_CHANGE = 0.01
 """Least change of brightness (log) for which a texel that photos saw is drawn anew: 1 %, which nobody sees."""
 
@@ -57,7 +60,8 @@ def complete(texture: Texture, leaving: Leaving, staying: NDArray[np.floating]) 
     if hole.any():
         hole = hole | (seen & ~good & (_metres(hole, 1) <= EDGE + 3))
     below = texture.below(leaving)
-    if (hole.sum() * t * t < LEAST_HOLE and not below.any()) or good.sum() < LEAST_KNOWN:
+    nothing = hole.sum() * t * t < LEAST_HOLE and not (below | (good & texture.poorly)).any()
+    if nothing or good.sum() < LEAST_KNOWN:
         return None
     label = completed_labels(texture.label, hole, good)
     level, blocked = np.log(texture.colour + DARK), blocked_light(texture, leaving.xyz, staying)
@@ -71,9 +75,10 @@ def complete(texture: Texture, leaving: Leaving, staying: NDArray[np.floating]) 
     change = evened * (rest - here) - light.kept
     brighter = good & (np.abs(change).max(axis=-1) > LEAST_CHANGE)
     colour = np.where(brighter[..., None], np.exp(level + change) - DARK, texture.colour)
-    guess = np.exp(light.expected + rest) - DARK
+    limits = np.percentile(level[good], (EXTREME, 100 - EXTREME), axis=0)
+    guess = np.exp((light.expected + rest).clip(*limits)) - DARK
     colour = np.where(hole[..., None], guess, colour).clip(0, 1).astype(np.float32)
-    fill = hole | brighter | (good & (_metres(hole, t) < RIM) if hole.any() else False)
+    fill = hole | brighter | (good & texture.poorly) | (good & (_metres(hole, t) < RIM) if hole.any() else False)
     return Completed(colour, label, fill, hole) if fill.any() else None
 
 

@@ -26,6 +26,9 @@ CONTEXT = 0.7
 """Metres of the plane around the hole, which show its light and its pattern."""
 MOSTLY = 0.4
 """Of the photos that show something before a texel, the share that show what leaves before it, where it hides it."""
+POORLY = 3.0
+"""Where this many times as many photos show what leaves before a texel as show the texel itself, the lift shows it
+badly, and the photos' colours replace the lift's."""
 FRAMED = 0.5
 """Least share of a hole's edge at which photos saw the plane. A plane that merely passes by has less."""
 GRAZING = 0.05
@@ -42,7 +45,8 @@ Mask = NDArray[np.bool_]
 class Texture:
     """A rectangle of a plane, of [h, w] texels with sides of ``texel`` metres; ``low`` [2] is its corner in the plane.
     Per texel: ``colour`` [h, w, 3]; ``seen`` by a photo; ``hidden`` in every photo by removed objects; ``label`` int32
-    (see PlateView); ``inside`` the room and some photo's view; ``open`` where photos look through the plane."""
+    (see PlateView); ``inside`` the room and some photo's view; ``open`` where photos look through the plane;
+    ``poorly`` seen: most photos that look there show removed objects."""
 
     plane: Plane
     low: NDArray[np.float64]
@@ -53,6 +57,7 @@ class Texture:
     label: NDArray[np.int32]
     inside: Mask
     open: Mask
+    poorly: Mask
 
     def points(self) -> NDArray[np.float64]:
         """Return the centre of each texel in the world, [h, w, 3]."""
@@ -100,7 +105,7 @@ def texture_around(
     coarse = _look(plane, solid, views, start, end, COARSE)
     if coarse is None:
         return None
-    near = coarse.hole() | (coarse.below(leaving) & binary_dilation(coarse.seen, np.ones((5, 5))))
+    near = coarse.hole() | coarse.poorly | (coarse.below(leaving) & binary_dilation(coarse.seen, np.ones((5, 5))))
     y, x = np.nonzero(near)
     if not len(x):
         return None
@@ -129,7 +134,7 @@ class _Sums:
 
     def __init__(self, count: int) -> None:
         self.colour, self.weight = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
-        self.covered, self.hidden = np.zeros(count, np.int32), np.zeros(count, np.int32)
+        self.shown, self.covered, self.hidden = np.zeros((3, count), np.int32)
         self.open = np.zeros(count, np.bool_)
         self.votes: dict[int, NDArray[np.float32]] = {}
 
@@ -156,6 +161,7 @@ class _Sums:
             sampled = map_coordinates(view.colour[..., channel], pixel.T[::-1] - 0.5, order=1, mode="nearest")
             self.colour[rows, channel] += strength * sampled
         self.weight[rows] += strength
+        self.shown[rows] += 1
         kind = view.label[row[good], column[good]]
         for one in np.unique(kind).tolist():
             self.votes.setdefault(one, np.zeros(len(xyz), np.float32))[rows[kind == one]] += strength[kind == one]
@@ -190,8 +196,10 @@ def _look(
     is_open = sums.open & (sums.weight == 0)
     hidden = (sums.hidden >= MOSTLY * sums.covered) & (sums.hidden > 0) & (sums.weight == 0) & inside & ~is_open
     colour = (sums.colour / np.maximum(sums.weight, 1e-9)[:, None]).reshape(h, w, 3)
-    hidden, inside, is_open = (each.reshape(h, w) for each in (hidden, inside, is_open))
-    return Texture(plane, start, texel, colour, seen & (label != 0), hidden, label, inside, is_open)
+    poorly = sums.hidden > POORLY * sums.shown
+    hidden, inside, is_open, poorly = (each.reshape(h, w) for each in (hidden, inside, is_open, poorly))
+    seen &= label != 0
+    return Texture(plane, start, texel, colour, seen, hidden, label, inside, is_open, seen & poorly)
 
 
 def _framed(hole: Mask, seen: Mask, inside: Mask) -> Mask:

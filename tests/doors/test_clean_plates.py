@@ -20,7 +20,10 @@ from engine.corrections.fills import NOTHING, path_of, read_fill
 from engine.job import LiftFolder, LiftRequest
 from engine.lift_arrays import Gaussians
 from engine.passes.exr import PanopticLayers, read_exr, read_note
-from engine.plates.completion import completed_labels
+from engine.plates.completion import complete, completed_labels
+from engine.plates.leaving import Leaving
+from engine.plates.planes import Plane
+from engine.plates.texture import Texture
 from engine.scene import open_scene
 from tests import tiny_scene
 from tests.doors.terminal import ROOT, Terminal
@@ -178,6 +181,22 @@ def shadowed(tmp_path_factory: pytest.TempPathFactory) -> list[Gaussians]:
         patch.setattr(socket, "getaddrinfo", refuse)
         plates.remove(lift, ["chair 1"])
     return [before, engine.read_lift(lift.path).gaussians]
+
+
+def test_what_is_guessed_is_never_brighter_than_what_photos_saw() -> None:
+    """A wall that grows brighter towards a hole at its end, beyond which photos saw only a narrow strip."""
+    seen = np.ones((60, 80), bool)
+    seen[2:-2, 30:-2] = False
+    x = np.arange(80) / 80
+    colour = np.broadcast_to((0.1 * np.exp(4 * x) * (x < 0.4) + 0.3 * (x > 0.4))[None, :, None], (60, 80, 3))
+    flat, nowhere = Plane(np.zeros(3), np.eye(3)), np.zeros_like(seen)
+    label, inside = np.full(seen.shape, -FLOOR_ID, np.int32), np.ones_like(seen)
+    wall = Texture(
+        flat, np.zeros(2), 0.02, colour.astype(np.float32), seen, ~seen, label, inside, nowhere, poorly=nowhere
+    )
+    done = complete(wall, Leaving.of(np.full((9, 3), 5.0)), np.zeros((0, 3)))
+    assert done is not None and done.hole.sum() > 2000
+    assert 0.2 < done.colour[done.hole].min() and done.colour[done.hole].max() <= colour[:, :30].max()
 
 
 def test_removing_an_object_removes_its_shadow(shadowed: list[Gaussians]) -> None:
