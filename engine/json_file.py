@@ -43,12 +43,12 @@ def plain(value: object) -> Json:
 
 
 def to_line(value: Mapping[str, object]) -> bytes:
-    """Return the object as one line of UTF-8 with its newline. Characters of paths that UTF-8 lacks are escaped."""
+    """Return the object as a line of JSON, UTF-8 with its newline. Characters of paths that UTF-8 lacks are escaped."""
     return (json.dumps(plain(value), ensure_ascii=False, allow_nan=False) + "\n").encode(errors="backslashreplace")
 
 
 def to_text(value: Mapping[str, object]) -> str:
-    """The object as indented text."""
+    """Return the object as indented JSON text."""
     return json.dumps(plain(value), ensure_ascii=False, allow_nan=False, indent=1) + "\n"
 
 

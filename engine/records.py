@@ -88,7 +88,7 @@ def record_of(
 
 
 def check_record(record: Any, fix: str) -> None:
-    """Raise PlgsError, with ``fix`` as the advice, if a field has a value that `read_record` would refuse."""
+    """Raise PlgsError, with ``fix`` as the advice, if a field's value is not as its annotation and metadata say."""
     hints = _hints(cast(Any, type(record)))
     for each in _declared(cast(Any, type(record))).values():
         value = getattr(record, each.name)

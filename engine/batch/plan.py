@@ -98,8 +98,8 @@ def state_of_files(request: LiftRequest, output: Path) -> str:
 
 
 def _files_in(top: Path, output: Path) -> Iterator[Path]:
-    """Yield the file itself, or all files in a folder, also behind links, but each folder only once. Hidden files,
-    lifts and ``output`` are skipped."""
+    """Yield ``top`` itself if it is a file, else all files in it, also behind links, but each folder only once. Hidden
+    files, lifts and ``output`` are skipped."""
     seen = {os.path.realpath(output)} - {os.path.realpath(top)}  # a scene may itself be the output folder
     if top.is_file():
         yield top

@@ -148,7 +148,8 @@ def batch(options: argparse.Namespace) -> int:
 
 
 def _asked_scenes(options: argparse.Namespace) -> list[argparse.Namespace]:
-    """Return each scene's options, with ``scene`` and ``scene_name`` ("" if not given). Raises PlgsError for none."""
+    """Return each scene's options, with ``scene`` and ``scene_name`` ("" if not given). Raises PlgsError without a
+    scene, or if several would share a path."""
     from ..batch.plan import refuse_shared
 
     if options.poses is not None:

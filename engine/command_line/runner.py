@@ -51,7 +51,8 @@ class Command:
 
 
 def run_in_terminal(command: Command, *, as_json: bool = False) -> ExitCode:
-    """Run a command, with progress on standard error, its answer on standard output. Returns how it ended."""
+    """Run a command, with progress on standard error and its answer on standard output, as text or ``as_json``. Returns
+    how it ended."""
     events, stop = ShownEvents(sys.stderr, as_json=as_json), StopSignal()
     try:
         with Interrupts() as interrupts, Watchdog(stop, events, parent_pipe=command.parent_pipe):
@@ -89,7 +90,8 @@ def run_at(command: Command, files: TaskFiles, terminal: TextIO) -> ExitCode:
 
 
 def run_task(command: Command, files: TaskFiles | None, *, as_json: bool = False) -> ExitCode:
-    """Run a command in the terminal or, given ``files``, with its events there. Raises PlgsError if they are in use."""
+    """Run a command in the terminal (its answer ``as_json``) or, given ``files``, with its events there. Raises
+    PlgsError if they are in use."""
     if files is not None:
         with FileLock(files.events), output_to(files.log) as terminal:
             return run_at(command, files, terminal)

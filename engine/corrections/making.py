@@ -59,7 +59,8 @@ def object_of(state: Replay, said: int | str) -> int:
 
 
 def reclass(state: Replay, numbers: Sequence[int], said: int | str) -> Edit:
-    """Give the objects ``numbers`` the class ``said``, a number or name. For stuff, only their points keep a label."""
+    """Give the objects ``numbers`` the class ``said``, its number or name. A stuff class has no objects: their points
+    get it alone."""
     class_id = class_of(state.classes, said)
     marks = tuple(_mark(state, number) for number in _some(numbers))
     if not state.classes[class_id].is_thing:

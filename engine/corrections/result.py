@@ -154,7 +154,8 @@ class _Result:
 
     @classmethod
     def read(cls, lift: Path, listed: Listed | None = None) -> _Result:
-        """Read a finished lift's result; ``listed`` is its instances.json, if read. Raises PlgsError if damaged."""
+        """Read a finished lift's result; ``listed`` is its instances.json, if read. Raises PlgsError if it is
+        damaged."""
         classes, made = listed or result_files.read_instances(lift / "result" / result_files.INSTANCES)
         points = result_files.read_arrays(lift / "result" / result_files.SEMANTIC_POINTS, SemanticPoints)
         return cls(lift, classes, made, points)

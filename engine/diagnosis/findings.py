@@ -49,8 +49,8 @@ def depth_errors(views: Views, one: int, other: int, assumed: Sequence[tuple[str
 
 
 def edges_on(grey: NDArray[np.uint8], edges: Floats, moved: Floats) -> Picture:
-    """Draw depth's ``edges``, float64 [N, 2] as fractions of the picture ``grey``, there and where they fit
-    (``moved``)."""
+    """Draw depth's ``edges``, float64 [N, 2] as fractions of the picture ``grey`` [H, W], where they are, and ``moved``
+    to where they fit."""
     panels = []
     for caption, points in (("depth's edges as they lie", edges), ("where they fit", moved)):
         panel = np.repeat(_fitted(grey)[..., None] // 2 + 40, 3, axis=2)

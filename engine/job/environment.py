@@ -85,7 +85,8 @@ def requirement_file(root: Path, name: str, version: Version | None = None) -> P
 
 
 def needed_packages(root: Path, version: Version, platform: str = sys.platform) -> dict[str, str | None]:
-    """The needed packages with pinned versions, torch first; None for an unpinned one. Raises PlgsError for no file."""
+    """The needed packages with their pinned versions, torch first; None for an unpinned one. Raises PlgsError if a file
+    of requirements is missing."""
     needed: dict[str, str | None] = {}
     for name in _FILES:
         needed |= _pins(root / "requirements" / name, version, platform)
@@ -105,7 +106,8 @@ def pinned_hashes(path: Path) -> Iterator[tuple[str, str | None, str]]:
 
 
 def digest(root: Path, version: Version) -> str:
-    """Return a text that changes with the requirements for this version of Python. Raises PlgsError for no file."""
+    """Return a text that changes with the requirements for this version of Python. Raises PlgsError if a file is
+    missing."""
     paths = [root / "requirements" / name for name in _FILES] + [requirement_file(root, "constraints", version)]
     return hashlib.sha256("\n".join(_text(path) for path in paths).encode()).hexdigest()[:12]
 

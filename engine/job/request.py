@@ -240,7 +240,7 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
 
 
 def source_of(options: argparse.Namespace) -> SceneSource:
-    """The scene, and how to read it, that ``scene`` and the options of `add_scene_options` name."""
+    """Return where a scene is and how to read it, from a command's ``scene`` and options of `add_scene_options`."""
     given = {each.name: getattr(options, each.name) for each in fields(SceneSource)}
     return SceneSource(**{name: value for name, value in given.items() if value is not None})
 

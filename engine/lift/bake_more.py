@@ -58,9 +58,10 @@ MOST_LOOKS, LOOK_WITHIN = 8, (96, 96)
 
 @dataclass(frozen=True)
 class BakeOptions:
-    """``layers``: names from FURTHER_LAYERS to write besides the usual ones. ``output``: the folder for the passes
-    (None: the lift's result); other programs' files there are overwritten only with ``replace``. ``channels``: one of
-    CHANNELS; for the result always "blender". ``corrected``: what to show, by default the lift with its corrections."""
+    """What a bake writes, and where. ``layers``: names from FURTHER_LAYERS to write besides the usual ones. ``output``:
+    the folder for the passes (None: the lift's result); other programs' files there are overwritten only with
+    ``replace``. ``channels``: one of CHANNELS; for the result always "blender". ``corrected``: what to show, by default
+    the lift with its corrections."""
 
     layers: tuple[str, ...] = ()
     output: Path | None = None

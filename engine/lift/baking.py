@@ -133,7 +133,8 @@ def baked_files(folder: LiftFolder, frame: str) -> tuple[Path, Path, Path, Path]
 
 def names_of_files(folder: LiftFolder) -> dict[str, str]:
     """Return file names by frame name. Numbers are padded with zeros to the longest, at least DIGITS digits ("3":
-    "0003"); all frames keep their names if two would clash. Empty for unknown frames. Raises PlgsError if damaged."""
+    "0003"); all frames keep their names if two would clash. Empty for unknown frames. Raises PlgsError for a damaged
+    scene.json."""
     found = {name: _NUMBERED.fullmatch(name) for name in names_of_frames(folder)}
     digits = max([DIGITS, *(len(match[2]) for match in found.values() if match)])
     padded = {name: match[1] + match[2].zfill(digits) if match else name for name, match in found.items()}

@@ -98,7 +98,8 @@ def read_earlier(folder: Path) -> EarlierLift:
 
 @dataclass(frozen=True)
 class LastingNames:
-    """``id_of``: the final id of each matched id. ``names``: names by final id. ``changes``: what names.json holds."""
+    """Lasting names. ``id_of``: the final id of each matched id. ``names``: by final id. ``changes``: for
+    names.json."""
 
     id_of: dict[int, int]
     names: dict[int, str]
@@ -208,7 +209,8 @@ def take_over_edits(folder: LiftFolder, earlier: EarlierLift) -> None:
 
 
 def report_edits(folder: LiftFolder, earlier: EarlierLift, events: EventWriter) -> None:
-    """Warn which of the earlier lift's corrections apply to this lift, and which not. Raises PlgsError if damaged."""
+    """Warn which of the earlier lift's corrections apply to this lift, and which not. Raises PlgsError for a damaged
+    file."""
     if not earlier.edits:
         return
     corrected = read_corrected(folder.path)

@@ -87,7 +87,8 @@ def segment_options(preset: Preset) -> SegmentOptions:
 @dataclass(frozen=True, eq=False)
 class VotedThings:
     """The ``things`` that several views agree on. ``training``: the views whose masks were joined to objects;
-    ``everyone``: all views that vote, their detections included; how well they agree, and the weights of classes."""
+    ``everyone``: all views that vote, their detections included. ``agreement``: how well these agree; ``balance``: how
+    much votes for each class count."""
 
     things: list[SceneObject]
     training: ViewsOnCloud

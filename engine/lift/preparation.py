@@ -226,7 +226,8 @@ class Photos:
 def compared_photos(
     views: Sequence[View], placed: Sequence[View], matching: Matching, preset: Preset, scratch: Path | None = None
 ) -> Photos:
-    """Compare the views' photos by sharpness and exposure, as preset; ``placed`` have holes in their depth filled."""
+    """Compare the views' photos by sharpness and exposure, if the preset asks for it. ``placed``: the views with holes
+    in depth filled; ``matching`` tells what they show."""
     weights = sharpness_weights(view.colour for view in views) if preset.weigh_sharpness else np.ones(len(views))
     if not preset.fit_exposure:
         return Photos(weights)

@@ -95,7 +95,8 @@ def is_within(reach: float, xyz: NDArray[np.floating], others: NDArray[np.floati
 
 
 def shown_by_depth(cloud: SemanticPointCloud, views: Sequence[View], progress: Progress) -> NDArray[np.bool_]:
-    """Return which points of the cloud the measured depth of a view confirms, bool [N]; others fill holes."""
+    """Return which points of the cloud are confirmed by the measured depth of a view, bool [N]; others come from hole
+    filling."""
     left = np.arange(len(cloud))
     for view in watched(views, progress):
         left = np.delete(left, view.seen_of(cloud.xyz[left], max(NEAR, cloud.spacing))[0])
@@ -135,7 +136,8 @@ def _with_numbers(names: Mapping[int, str], lifted: StructuredScene) -> dict[int
 
 
 def read_shown_instances(folder: LiftFolder, lifted: StructuredScene, corrected: CorrectedResult) -> ShownInstances:
-    """Return objects' names and classes as a finished, corrected lift shows them. Raises PlgsError if damaged."""
+    """Return objects' names and classes as a finished, corrected lift shows them. Raises PlgsError for damaged
+    files."""
     settings = read_manifest(folder.result_path).settings
     if "one_class_an_object" not in settings:
         raise PlgsError("kind-missing", "does not say if each object has one class", folder.manifest_path, LIFT_ANEW)

@@ -167,5 +167,5 @@ def score_folders(predictions: LabelFolder, truth: LabelFolder, *, ids_per_frame
 
 
 def unscored(predictions: LabelFolder, truth: LabelFolder) -> int:
-    """Return how many frames with ground truth have no prediction."""
+    """Return how many frames of the ``truth`` have no prediction."""
     return len(truth.readers.keys() - predictions.readers.keys())

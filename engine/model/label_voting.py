@@ -94,7 +94,7 @@ class LabelVotes:
         self, view: Contributors, label: NDArray[np.int16], sensor: NDArray[np.float32], mask_scale: float = 1.0
     ) -> None:
         """Count a view's votes: ``label`` int16 [H, W] (-1 = no vote). Pixels whose rendered depth contradicts
-        ``sensor`` float32 [H, W], metres (0 = unknown), do not vote. Masks are ``mask_scale`` times as wide."""
+        ``sensor`` float32 [H, W], metres (0 = unknown), do not vote. Pixels are ``mask_scale`` mask pixels wide."""
         gap = np.maximum(DEPTH_GAP_M, DEPTH_GAP_SHARE * sensor)
         votes = (label >= 0) & ((sensor <= 0) | (np.abs(view.depth - sensor) <= gap))
         shown = np.where(votes, label, -1).astype(np.int16)

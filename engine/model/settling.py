@@ -56,7 +56,8 @@ class NamedGaussians:
 def settled(
     scene: StructuredScene, voted: GaussianLabels, are_named: NDArray[np.bool_], points: OwnedPoints
 ) -> GaussianLabels:
-    """Return the labels ``voted``, corrected by this module's two rules. ``are_named`` bool [G]: within masks."""
+    """Return the labels ``voted``, corrected by this module's two rules. ``are_named`` bool [G]: whether enough of a
+    Gaussian lies within masks."""
     label, share = voted.label.numpy(), voted.share.numpy()
     rows = np.flatnonzero(~are_named)
     centres = gaussian_centres(scene.anchors)[rows]

@@ -172,8 +172,9 @@ class Packed(NamedTuple):
 
 
 class Labelling(NamedTuple):
-    """``channels`` int64 [M]: the channel of each anchor's class for the cluster loss, -1 = none; empty without that
-    loss. ``known`` float32 [M * k * known_channels]: labels to use instead of decoding them; empty to decode."""
+    """For labels: ``channels`` int64 [M]: the channel of each anchor's class for the cluster loss, -1 = none; empty
+    without that loss. ``known`` float32 [M * k * known_channels]: labels to use instead of decoding them; empty to
+    decode."""
 
     channels: Array
     known: Array
