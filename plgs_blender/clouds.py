@@ -227,7 +227,7 @@ def place_depth_clouds(owned: OwnedDataBlocks, root: bpy.types.Collection, lift:
 
 
 def _label_attributes(points: SemanticPoints, rows: NDArray[np.int64] | slice = slice(None)) -> Attributes:
-    """Return the attributes class_id, instance_id and the like of labelled points, by name."""
+    """Return the attributes (class_id, instance_id and others), by name, of these ``rows`` of labelled points."""
     return {
         "Col": ("FLOAT_COLOR", linear_rgba(points.rgb[rows])),
         "class_id": ("INT", points.class_id[rows]),

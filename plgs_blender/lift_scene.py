@@ -204,7 +204,7 @@ def _placing_passes(read: ReadLift, root: bpy.types.Collection, scene: bpy.types
 
 
 def place_room(read: ReadLift, scene: bpy.types.Scene) -> tuple[Placed, Generator[None, None, None]]:
-    """Place cameras, points and the first boxes. Returns their place, and a generator that places everything else."""
+    """Place cameras, points and the first boxes. Returns where they are, and a generator that places the rest."""
     result, grid, normals = read.result, read.grid, read.normals
     scene = scene_to_fill(scene)
     before = lifts_in(scene)

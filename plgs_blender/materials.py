@@ -100,7 +100,7 @@ def let_catch(ob: bpy.types.Object, catcher: bpy.types.Material | None) -> None:
 
 
 def image_of(material: bpy.types.Material) -> bpy.types.Image | None:
-    """Return the image of a mesh's own material, or None."""
+    """Return the image that a mesh's own material shows, None if it shows none."""
     return next((node.image for node in _pictures(material)), None)
 
 

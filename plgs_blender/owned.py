@@ -227,7 +227,7 @@ def overview_of(root: bpy.types.Collection) -> bpy.types.Object | None:
 
 
 def shows(root: bpy.types.Collection, lift: Path) -> bool:
-    """Whether a collection shows the current result in this folder. Raises OSError."""
+    """Whether a collection shows the current result in this folder. Raises OSError if that is unreadable."""
     return text_of(root, RESULT) == mark_of(lift) != ""
 
 

@@ -160,7 +160,8 @@ def _cameras_to_choose(scene: bpy.types.Scene, wanted: str) -> str:
 
 
 def write_view(lift: Path, scene: bpy.types.Scene) -> Path:
-    """Write the active camera's current view into the lift's folder, and return the file. Raises PlgsError, OSError."""
+    """Write the active camera's current view into the lift's folder, and return the file. Raises PlgsError without one;
+    OSError."""
     now = scene.frame_current
     ob = shot_of(scene, first=now, last=now, step=1).camera
     bpy.context.view_layer.update()  # a script may just have moved it

@@ -139,7 +139,7 @@ def _use_size(scene: bpy.types.Scene) -> None:
 
 
 def _span(scene: bpy.types.Scene) -> tuple[int, int] | None:
-    """Return the first and last timeline frame of the frames' cameras, or None. The overview comes after them."""
+    """Return the first and last timeline frame of the frames' cameras, None without any. The overview's is later."""
     numbers = [number for ob, number in _frame_numbers(scene).items() if "frame" in ob]
     return (min(numbers), max(numbers)) if numbers else None
 

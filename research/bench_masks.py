@@ -51,7 +51,8 @@ def pairs_in(folder: Path, only: Sequence[str] = ()) -> dict[str, SceneSource]:
 
 
 def score_points(source: SceneSource, preset: Preset) -> Scores:
-    """Match the masks of a pair, and score the labelled points in the held-out frames. Raises PlgsError."""
+    """Match the masks of a pair, and score the labelled points in the held-out frames. Raises PlgsError if files are
+    bad."""
     scene = open_scene_to_lift(source)
     with TemporaryDirectory() as name, closing(EventWriter(Path(name, "events.jsonl"))) as events:
         progress = StageProgress("bench", events, StopSignal())

@@ -24,7 +24,8 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
 @dataclass(frozen=True)
 class CaptureNoise:
-    """How much a capture differs from a rendering. ``*_frames`` are correlation lengths in frames."""
+    """How much a capture differs from a rendering: a number per effect, explained below it. ``*_frames``: correlation
+    lengths."""
 
     gain: float = 2.0
     """Largest factor by which exposure and white balance together brighten or darken linear light."""

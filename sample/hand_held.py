@@ -85,7 +85,8 @@ def exposed(light: Pixels, gains: Floats, motion: Floats | None, black: NDArray[
 
 
 def sensed_depth(frame: Frame, light: Pixels, waves: Floats, noise: CaptureNoise, seed: int) -> Floats:
-    """Return depth as the sensor measures it, float64 [H / 2, W / 2] metres, 0 = none."""
+    """Return depth as the sensor measures it, float64 [H / 2, W / 2] metres, 0 = none. ``light`` [H, W, 3] is
+    linear."""
     exact = capture_noise.half_size(frame.read_depth(None).astype(np.float64), noise)
     height, width = exact.shape
     camera = frame.camera.resized(width, height)

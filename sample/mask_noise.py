@@ -43,7 +43,7 @@ CONFUSIONS: dict[str, dict[str, float]] = {
 
 @dataclass(frozen=True)
 class BeliefNoise:
-    """How unsure the network is of classes. Logits are in nats."""
+    """How unsure the network is of classes; each number is explained below it. Logits are in nats."""
 
     thing_margin: float = 2.4
     """Lead of the true class over an ordinary wrong one, for a thing of ordinary size."""
@@ -109,7 +109,8 @@ def believe(sight: Sight, is_thing: dict[str, bool], noise: BeliefNoise, seed: i
 
 
 def _swing(sight: Sight, other: str, doublings: float, noise: BeliefNoise, seed: int) -> float:
-    """Return a smooth random function at a view: mean 0, deviation 1 (random Fourier features of a Gaussian kernel)."""
+    """Return the swing of the belief in class ``other`` at a ``sight``, ``doublings`` of the ordinary size away: a
+    smooth random function of mean 0, deviation 1."""
     waves = 12
     draw = stream(seed, "swing", sight.key, other)
     place = np.zeros(3) if sight.is_thing else np.array(sight.place) / noise.place_scale
@@ -294,7 +295,8 @@ def _draw(seen: list[Region], holes: Bools, noise: MaskNoise, random: np.random.
 
 
 def _coarse(pixels: Bools, cell: int) -> NDArray[np.float64]:
-    """The share of each coarse cell that is covered, float64 [h, w], slightly blurred as by a network's last layers."""
+    """Return how much of each coarse cell (``cell`` pixels) is covered, float64 [h, w], slightly blurred as by a
+    network."""
     height, width = pixels.shape
     rows, columns = -(-height // cell), -(-width // cell)
     padded = np.pad(pixels, ((0, rows * cell - height), (0, columns * cell - width)), mode="edge")

@@ -59,8 +59,9 @@ def fit_rows(
     worker: int, workers: int, inverse: Array, step: int, lens: Array, pose: Array, is_parallel: bool, position: Array,
     normal: Array,
 ) -> None:  # fmt: skip
-    """Fit a plane at each pixel of every ``workers``-th row. ``lens`` float64 [4]: fx, fy, cx, cy; ``pose`` float64 [4,
-    4], camera to world. If rays are parallel, ``inverse`` is the depth itself."""
+    """Fit a plane at each pixel of every ``workers``-th row, and fill ``position`` and ``normal``. ``inverse`` is the
+    inverse depth, for parallel rays the depth itself, taken from pixels ``step`` apart. ``lens`` float64 [4]: fx, fy,
+    cx, cy; ``pose`` float64 [4, 4], camera to world."""
     height, width = inverse.shape
     for row in range(worker, height, workers):
         for column in range(width):

@@ -120,8 +120,8 @@ BACKGROUND, TEXT, FAINT = (24, 25, 28), (232, 232, 230), (150, 152, 156)
 
 @dataclass(frozen=True, eq=False)
 class SheetRow:
-    """A row of the sheet, for one held-out frame: ``photo`` uint8 [H, W, 3], ``mask_classes`` int32 [H, W] of the input
-    mask, and the baked layers, all of the same size."""
+    """A row of the sheet, for the held-out frame ``name``: ``photo`` uint8 [H, W, 3], ``mask_classes`` int32 [H, W] of
+    the input mask, and the baked layers, all of the same size."""
 
     name: str
     photo: Picture

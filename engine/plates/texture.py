@@ -73,7 +73,7 @@ class Texture:
         return _framed(self.hidden | rim, self.seen, self.inside) & ~self.open
 
     def below(self, leaving: Leaving) -> Mask:
-        """Return the texels below the removed objects, bool [h, w]."""
+        """Return the texels of the plane that lie straight below the removed objects, bool [h, w]."""
         local = self.plane.local(leaving.xyz)
         h, w = self.seen.shape
         x, y = np.floor((local[:, :2] - self.low) / self.texel).astype(int).T
@@ -118,7 +118,8 @@ def texture_around(
 
 
 def _behind(plane: Plane, view: PlateView) -> NDArray[np.float64]:
-    """The points [N, 2] of the plane that the view's rays would reach if the removed objects were not in the way."""
+    """Return where on the plane the view's rays that meet removed objects would end without them, [N, 2] in its
+    axes."""
     measured = np.where(view.leaves, view.depth, 0)[::EVERY, ::EVERY]
     seen = view.camera.resized(measured.shape[1], measured.shape[0]).unproject(measured)[measured > 0]
     ways, height = seen - view.camera.centre, plane.local(view.camera.centre[None])[0, 2]

@@ -25,7 +25,7 @@ def added_names(kind: str) -> list[str]:
 
 
 def is_name(value: object) -> bool:
-    """Whether a value can be the name of a part."""
+    """Whether a value can be the name of a part: letters, digits and underscores."""
     return isinstance(value, str) and re.fullmatch(r"\w+", value) is not None
 
 

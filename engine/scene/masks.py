@@ -41,9 +41,9 @@ class OtherClasses(PlgsError):
 
 @dataclass(frozen=True)
 class MaskReader:
-    """Reads one frame's mask and gives its segments the classes of ``known``. Labels in ``void`` are ignored unless the
-    table has them. ``fuses`` joins stuff of one class into one segment. ``table`` is what messages call the class
-    table, ``others`` what else they suggest. ``placement`` maps the mask into the picture."""
+    """Reads one frame's ``stored`` mask and gives segments the classes of ``known``. Labels in ``void`` are ignored
+    unless the table has them. ``fuses`` joins stuff of one class into one segment. ``table`` is what messages call the
+    class table, ``others`` what else they suggest. ``placement`` maps the mask into the picture."""
 
     stored: StoredMask
     known: ClassMap

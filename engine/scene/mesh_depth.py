@@ -95,7 +95,7 @@ class Mesh:
 
 
 def is_mesh(path: Path) -> bool:
-    """Whether ``--depth`` names a mesh, not a folder of maps."""
+    """Whether the path given as depth (``--depth``) is a mesh's file, not a folder of maps; the suffix decides."""
     return path.suffix.lower() in MESHES and not path.is_dir()
 
 

@@ -324,7 +324,7 @@ class Trainer:
         return Losses(total, reconstruction, semantic, instance, further)
 
     def _as_photographed(self, image: torch.Tensor, target: ViewTargets) -> torch.Tensor:
-        """Return the rendered image with the photo's exposure, and with its black border, where no gradient flows."""
+        """Return the rendered image with the photo's exposure, and its black border, which gets no gradient."""
         if target.gain is None and target.border is None:
             return image
         photo = photo_values(target.photo)

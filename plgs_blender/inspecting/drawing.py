@@ -246,7 +246,7 @@ def draw_path(points: Sequence[Vector]) -> None:
 
 
 def draw_mark(mark: Mark | None) -> None:
-    """Draw the outline of points, if any are in the view."""
+    """Draw the outline of points as `mark_of` returned it; None, if the points are out of view, draws nothing."""
     if mark is not None:
         left, low, right, high = mark.place
         draw_picture(mark.pixels, [(left, low), (right, high)], blend="ALPHA")

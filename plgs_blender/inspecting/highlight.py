@@ -66,7 +66,7 @@ def highlight_of_mesh(root: bpy.types.Collection, ob: bpy.types.Object) -> Highl
 
 
 def forget() -> None:
-    """Clear the cache of outlines."""
+    """Forget the computed outlines of points, so that they are computed anew."""
     _last.clear()
     _last_marks.clear()
 

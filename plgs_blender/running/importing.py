@@ -49,7 +49,7 @@ class FrameOrder:
 
 
 class FrameMaking(Task):
-    """Makes files of a scene's frames with an engine."""
+    """A task in which an engine makes files of a scene's frames, as its `FrameOrder` says."""
 
     kind, label, cancel_operator = "frames", "Making frames", "plgs.cancel_frames"
 

@@ -66,8 +66,8 @@ def why_no_device(settings: PLGS_PG_settings) -> str | None:
 
 
 def earlier_lift(settings: PLGS_PG_settings) -> Path | None:
-    """Return the earlier lift of the same scene whose names the objects shall keep, or None. It must be complete and
-    placed in Blender's scene; of several it is the active one."""
+    """Return the earlier lift of the same scene whose names the objects shall keep; None if that is off or there is
+    none. It must be complete and placed in Blender's scene; the active one comes first."""
     if not settings.keep_names or not settings.scene_folder:
         return None
     scene, folder = settings.id_data, absolute(settings.scene_folder)

@@ -34,7 +34,8 @@ from .options import BaselinePreset
 
 
 class SegmentTrainer(Trainer):
-    """A trainer that also makes pixels of a segment of the input masks agree, once ``FROM`` of the steps are done."""
+    """A trainer that also teaches all pixels of an input mask's segment one class, once ``FROM`` of the steps are
+    done."""
 
     def move_to(self, device: torch.device | str) -> None:
         """Move to a device, but stay on the CPU if segments are kept consistent, as kernels do that."""
@@ -111,7 +112,8 @@ def prepare_baseline(given: ViewsToLift, stages: StageReporter) -> PreparedLift:
 def new_trainer(
     scene: StructuredScene, targets: Sequence[ViewTargets], views: Sequence[View], preset: Preset, seed: int
 ) -> Trainer:
-    """Return the trainer of the preset's baseline."""
+    """Return a trainer of the kind that the preset's options name: PLGS's or 3DGS's, perhaps with consistent
+    segments."""
     options = cast(BaselinePreset, preset)
     kind: type[Trainer] = SplattingTrainer if options.representation == "plain" else SegmentTrainer
     return kind(scene, targets, views, preset, seed)
@@ -133,7 +135,8 @@ def baseline_scene(
 
 
 def with_semantic_targets(prepared: PreparedLift, views: Sequence[View], source: str) -> PreparedLift:
-    """Return ``prepared`` with targets that have the classes of the input masks (``source`` "masks"), or none."""
+    """Return ``prepared`` with other targets for classes: those of the input masks (``source`` "masks"), or none
+    ("none")."""
     class_ids, targets = prepared.scene.channels.class_ids, prepared.targets
 
     def target(number: int) -> ViewTargets:

@@ -54,7 +54,8 @@ def copy_label_gradients(tile: Tile, size: Size, d_labels: Array, channels: Arra
 
 @device_function
 def add_label_gradients(padded: int, scratch: Array, lists: PatchLists) -> None:
-    """Add each patch's sums over pixels of weight * label gradient to the label gradients of its Gaussians."""
+    """Add each patch's sums over pixels of weight * label gradient to the label gradients of the Gaussians in its
+    list."""
     for patch in range(PATCHES):
         count, listed = v.get(lists.counts, patch), patch * LISTED
         if count == 0:
@@ -129,7 +130,7 @@ def start_worker(scratch: Array, counts: Array) -> None:
 
 @inlined
 def store_strip(upper: Any, lower: Any, at: int, scratch: Array) -> None:
-    """Store values of two rows of a tile in the layout of the two patches side by side that the rows make up."""
+    """Store values of an ``upper`` and a ``lower`` row at scratch[at:], in the layout of the strip's two patches."""
     left, right = interleave2(upper, lower)
     v.store(scratch, at, left)
     v.store(scratch, at + PATCH_STRIDE, right)
@@ -208,21 +209,23 @@ def strips_of(mask: int) -> int:
 
 @inlined
 def whitened(patch: int, slope: Any, scratch: Array, own: int) -> Any:
-    """Return the whitened coordinate s1 (see `conventions`) of the sixteen pixels of a patch."""
+    """Return s1 (see `conventions`) of a patch's pixels, for the Gaussian whitened at scratch[own:], with L11 =
+    ``slope``."""
     row, side = patch & -2, patch & 1
     return v.fma(slope, v.load(scratch, COLUMNS + side * TILE), v.load_pairs(scratch, own + S1_LEFT + row))
 
 
 @inlined
 def exponent_of(patch: int, slope: Any, scratch: Array, own: int) -> Any:
-    """Return log2 of the current Gaussian's alpha at the sixteen pixels of a patch."""
+    """Return log2 of the alpha of the Gaussian whitened at scratch[own:], with L11 = ``slope``, at a patch's pixels."""
     s1 = whitened(patch, slope, scratch, own)
     return v.fnmadd(s1, s1, v.load_pairs(scratch, own + EXPONENTS + (patch & -2)))
 
 
 @inlined
 def blended_alpha(patch: int, raw: Any, here: Any, scratch: Array) -> Any:
-    """Return alpha, not yet capped at 0.99, where the forward pass blended the Gaussian at index ``here``, else 0."""
+    """Return ``raw`` alpha (not capped at 0.99) where a patch's pixels blended the Gaussian at index ``here``, else
+    0."""
     blended = (raw >= v.broadcast(ALPHA_LEAST)) & (v.load(scratch, LAST + patch * PATCH_STRIDE) >= here)
     return v.select(blended, raw, v.broadcast(ZERO))
 
@@ -236,8 +239,9 @@ def keep_alpha(patch: int, raw: Any, scratch: Array) -> None:
 
 @device_function
 def fill_alphas(slope: float, index: float, patches: int, scratch: Array, own: int) -> None:
-    """Compute alpha (RAW_ALPHAS) and 1 / (1 - alpha) (OVERS) on the patches in the bit mask, the same bits as in the
-    forward pass. Patches are taken in fours, whose instructions do not wait for each other."""
+    """Compute a Gaussian's RAW_ALPHAS and OVERS, 1 / (1 - alpha), on the patches in the bit mask, the same bits as in
+    the forward pass. ``index`` is its place in the tile's list. Patches are taken in fours, which do not wait for each
+    other."""
     slopes, here = v.broadcast(slope), v.broadcast(index)
     while patches != 0:
         (p0, p1, p2, p3), patches = take_four(patches, NO_PATCH)
@@ -256,7 +260,8 @@ def fill_alphas(slope: float, index: float, patches: int, scratch: Array, own: i
 def blend_gaussian_backward(
     records: Array, at: int, member: int, patches: int, scratch: Array, own: int, lists: PatchLists
 ) -> Any:
-    """Undo the blending of one Gaussian on the patches in the bit mask. Return its gradients as one vector."""
+    """Undo the blending of the Gaussian whose record is at records[at:], the batch's ``member``, on the patches in the
+    bit mask. Return its gradients as one vector, and add it to the patches' ``lists`` if they are wanted."""
     slope = v.broadcast_load(records, at + conventions.L11)
     red, green = v.broadcast_load(records, at + conventions.RED), v.broadcast_load(records, at + conventions.GREEN)
     blue, depth = v.broadcast_load(records, at + conventions.BLUE), v.broadcast_load(records, at + conventions.DEPTH)

@@ -48,7 +48,7 @@ STRIP_FIELDS = 4 * BATCH + TILE
 
 @device_function
 def origin_of(records: Array, at: int, tile: Tile) -> Any:
-    """Return the whitened offset (s1, s2) of a tile's first pixel from a Gaussian's centre, computed in double."""
+    """Return the whitened offset (s1, s2) of a tile's first pixel from the Gaussian with its record at records[at:]."""
     dx = tile.left + 0.5 - np.float64(get(records, at + conventions.CENTRE_X))
     dx -= np.float64(get(records, at + conventions.CENTRE_X_LOW))
     dy = tile.top + 0.5 - np.float64(get(records, at + conventions.CENTRE_Y))
@@ -100,7 +100,8 @@ def touched(first: Any, last: Any, square: Any, reach: Any) -> Any:
 
 @inlined
 def halves_touched(s1: Any, slope: Any, square: Any, reach: Any) -> Any:
-    """Return two bit masks: of sixteen Gaussians, those that reach a row's left half, and its right half."""
+    """Return bit masks of the sixteen Gaussians that reach a row's left half, and of those that reach its right
+    half."""
     left = touched(s1, fma(slope, broadcast(LEFT_END), s1), square, reach)
     right = touched(fma(slope, broadcast(MIDDLE), s1), fma(slope, broadcast(RIGHT_END), s1), square, reach)
     return movemask(left), movemask(right)

@@ -41,7 +41,8 @@ def strip_floats(channels: int) -> int:
 
 @device_function
 def start_strip(columns: int, rows: int, channels: int, scratch: Array) -> None:
-    """Initialise a strip with ``columns`` and ``rows`` inside the image: nothing blended, pixels outside closed."""
+    """Initialise a strip in the scratch: nothing blended; pixels beyond its ``columns`` and ``rows`` in the image
+    closed."""
     left, right = interleave2(v.lane_numbers(), v.lane_numbers())
     row, _ = interleave2(v.broadcast(ZERO), v.broadcast(ONE))
     in_rows = row < v.broadcast(F(rows))
@@ -59,13 +60,14 @@ def start_strip(columns: int, rows: int, channels: int, scratch: Array) -> None:
 
 @inlined
 def rows_of(field: int, scratch: Array) -> Any:
-    """Return one field of the strip's pixels as two vectors, the upper and the lower row."""
+    """Return a ``field`` (an offset in STATE) of the strip's pixels as two vectors: the upper and the lower row."""
     return deinterleave2(v.load(scratch, STATE + field), v.load(scratch, STATE + PATCH_STRIDE + field))
 
 
 @device_function
 def write_strip(pixel: int, columns: int, rows: int, width: int, scratch: Array, out: Blended) -> None:
-    """Write a strip, without labels, to ``out``. ``pixel``: the index of its first pixel; ``width``: of the image."""
+    """Write a strip's ``rows`` and ``columns`` to ``out``, without labels. ``pixel``: its first one; ``width``: the
+    image's."""
     final, last, red = rows_of(FINAL, scratch), rows_of(LAST, scratch), rows_of(PLANES, scratch)
     green, blue = rows_of(PLANES + TILE, scratch), rows_of(PLANES + 2 * TILE, scratch)
     depth = rows_of(PLANES + 3 * TILE, scratch)
@@ -76,7 +78,8 @@ def write_strip(pixel: int, columns: int, rows: int, width: int, scratch: Array,
 
 @inlined
 def write_row(pixel: int, columns: int, state: Any, out: Blended) -> None:
-    """Write one row of a strip, ``columns`` pixels, to ``out``."""
+    """Write ``columns`` pixels of a row to ``out``, from index ``pixel`` on. ``state``: final, last, red, green, blue,
+    depth."""
     final, last, red, green, blue, own_depth = state
     inside = v.lane_numbers() < v.broadcast(F(columns))
     v.masked_store(out.final, pixel, final, inside)
@@ -116,7 +119,8 @@ def copy_labels(gaussian: int, labels: Array, channels: int, scratch: Array, at:
 def load_labels(
     first: int, count: int, flatten_ids: Array, labels: Array, channels: int, scratch: Array, at: int
 ) -> None:
-    """Copy the labels of the ``count`` Gaussians flatten_ids[first:], padded to whole vectors, to scratch[at:]."""
+    """Copy ``labels`` of the ``count`` Gaussians flatten_ids[first:], ``channels`` each, padded to whole vectors, to
+    scratch[at:]."""
     for m in range(count):
         ahead = int(v.get(flatten_ids, first + min(m + batch.AHEAD, count - 1))) * channels
         for c in range(0, channels, TILE):
@@ -171,7 +175,8 @@ def scratch_size(channels: int, longest: int) -> int:
 
 @inlined
 def exponent_of(m: int, columns: Any, scratch: Array, fields: int) -> Any:
-    """Return log2 of the alpha of the batch's Gaussian ``m`` at the sixteen pixels of a patch."""
+    """Return log2 of the alpha of member ``m`` of the batch (its fields at scratch[fields:]) at the sixteen pixels of a
+    patch, which are in these ``columns``."""
     first = v.load_pairs(scratch, STRIP + batch.STRIP_S1 + 2 * m)
     s1 = v.fma(v.broadcast_load(scratch, fields + batch.SLOPE + m), columns, first)
     return v.fnmadd(s1, s1, v.load_pairs(scratch, STRIP + batch.STRIP_EXPONENTS + 2 * m))
@@ -179,7 +184,7 @@ def exponent_of(m: int, columns: Any, scratch: Array, fields: int) -> Any:
 
 @inlined
 def seen_alpha(raw: Any) -> Any:
-    """Return alpha as it is blended: at most 0.99, and 0 if below 1/255."""
+    """Return ``raw`` alpha as it is blended: at most 0.99, and 0 if below 1/255."""
     return v.select(raw >= v.broadcast(ALPHA_LEAST), v.minimum(raw, v.broadcast(ALPHA_CAP)), v.broadcast(ZERO))
 
 
@@ -187,8 +192,8 @@ def seen_alpha(raw: Any) -> Any:
 def blend_member(
     m: int, alpha: Any, state: Any, end: int, scratch: Array, fields: int, members: Array, labels: Any
 ) -> Any:
-    """Blend Gaussian ``m`` of the batch on a patch, given its ``alpha`` at the pixels. Return the patch's state, and
-    the end of its list of blended Gaussians. A pixel whose transmittance becomes too small is closed, and stays so."""
+    """Blend member ``m`` of the batch on a patch, given its ``alpha`` at the pixels. Return the patch's new ``state``,
+    and the ``end`` of its list of blended ones. A pixel with too little transmittance is closed, and stays so."""
     transmittance, final, last, red, green, blue, depth = state
     after = v.fnmadd(alpha, transmittance, transmittance)
     blended = (alpha > v.broadcast(ZERO)) & (after > v.broadcast(ENDED))
@@ -222,7 +227,8 @@ def take_four(mask: int, missing: int) -> Any:
 
 @inlined
 def alphas_of(four: Any, columns: Any, scratch: Array, fields: int) -> Any:
-    """Return the alphas, as they are blended, of four Gaussians of the batch at a patch's pixels."""
+    """Return the alphas, as they are blended, of ``four`` members of the batch at a patch's pixels. Others:
+    `exponent_of`."""
     m0, m1, m2, m3 = four
     e0, e1 = exponent_of(m0, columns, scratch, fields), exponent_of(m1, columns, scratch, fields)
     e2, e3 = exponent_of(m2, columns, scratch, fields), exponent_of(m3, columns, scratch, fields)
@@ -234,7 +240,8 @@ def alphas_of(four: Any, columns: Any, scratch: Array, fields: int) -> Any:
 def blend_four(
     four: Any, alphas: Any, state: Any, end: int, scratch: Array, fields: int, members: Array, labels: Any
 ) -> Any:
-    """Blend four Gaussians, as ``blend_member`` does one. Return state, list end, and whether a pixel is open."""
+    """Blend ``four`` members as ``blend_member`` does one. Return state, list end, and whether any pixel is still
+    open."""
     m0, m1, m2, m3 = four
     alpha0, alpha1, alpha2, alpha3 = alphas
     state, end = blend_member(m0, alpha0, state, end, scratch, fields, members, labels)

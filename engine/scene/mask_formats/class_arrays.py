@@ -63,7 +63,7 @@ def _is_channels_last(shape: tuple[int, ...]) -> bool:
 
 
 def _name_of(path: Path) -> str | None:
-    """Return the name of the array of classes in a file; None if it has none."""
+    """Return the name of the array of classes in an .npz ("" for a .npy); None if there is no such array."""
     headers = array_headers(path)
     if any("mask" in name for name in headers):
         return None
