@@ -152,7 +152,7 @@ def map_photos(photos: Path, names: Sequence[str], workplace: Path, events: Even
 
 def _followed(work: Callable[[], Any], token: Any, stop: StopSignal) -> Any:
     """Return the result of ``work``, which runs in its own thread: COLMAP would block the main thread, which must
-    receive signals. ``token`` stops it. Raises what it raises; Cancelled."""
+    receive signals. ``token`` stops it, if asked to. Raises its error, or Cancelled."""
     with ThreadPoolExecutor(1) as pool:
         found = pool.submit(work)
         try:
@@ -257,7 +257,8 @@ class Made:
 def make_poses(source: Path, events: EventWriter, stop: StopSignal, pictures: int | None = None) -> Made:
     """Find the poses of the photos in a folder, or of a film's pictures, and write them beside the photos. A film's
     ``pictures`` (by default at most 150) go into a folder of the film's name. Existing files are never overwritten;
-    poses of an earlier call are reused. Raises PlgsError, also if the input has changed since; OSError; Cancelled."""
+    poses of an earlier call are reused. Raises PlgsError if none are found or the input has changed since;
+    Cancelled."""
     made = Made.read(source.with_suffix("") if is_film(source) else source)
     if made is not None:
         _refuse_changed(made, source)

@@ -152,7 +152,7 @@ def memory_kills() -> int | None:
 
 
 def _refuse_unfit_worker(piece: Piece) -> None:
-    """Raise PlgsError if this worker cannot do the piece. By the error's code, another worker may try it."""
+    """Raise PlgsError if this worker has another engine or lacks the piece's folders: then another may do it."""
     if engine_tag() != piece.engine:
         fix = f"Start workers with the engine {piece.engine}."
         raise PlgsError("worker-other-engine", f"the worker has {engine_tag()}", ROOT, fix, code=ErrorCode.NO_ENGINE)

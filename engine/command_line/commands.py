@@ -309,7 +309,7 @@ def set_up(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -
 
 
 def add(options: argparse.Namespace, events: EventWriter, stop: StopSignal) -> None:
-    """Add packages to this engine, from the same index as `set_up`."""
+    """Add packages to this engine. They come from PLGS_INDEX_URL, if set."""
     from ..job.handshake import ALSO_ADDED
     from ..set_up import Addition
 

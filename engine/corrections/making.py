@@ -77,7 +77,7 @@ def merge(state: Replay, numbers: Sequence[int]) -> Edit:
 
 
 def delete(state: Replay, number: int, *, around: bool = True) -> Edit:
-    """Delete an object. Its points get the labels near them or, unless ``around``, its class without an object."""
+    """Delete object ``number``. Its points get labels near them or, unless ``around``, its class without an object."""
     mark = _mark(state, number)
     xyz, other = state.points_of(number), (state.label != number) & (state.label != 0)
     moved: tuple[MovedPoints, ...] = ()
@@ -90,16 +90,16 @@ def delete(state: Replay, number: int, *, around: bool = True) -> Edit:
 
 
 def remove(state: Replay, numbers: Sequence[int], fill: str, digest: str) -> Edit:
-    """Take objects out of the room. What replaces them is in the file named ``fill`` with the SHA-256 ``digest``."""
+    """Take the objects ``numbers`` out of the room. The file ``fill``, with the SHA-256 ``digest``, replaces them."""
     return Edit("remove", tuple(_mark(state, number) for number in _some(numbers)), fill=fill, digest=digest)
 
 
 def split(
     state: Replay, number: int, part: NDArray[np.integer], first_id: int, class_of: Mapping[int, int] | None = None
 ) -> Edit:
-    """Split an object. ``part`` int [n] is the part of each of its points in their order, 0 for what stays. The other
-    parts become new objects with ids from ``first_id`` on. ``class_of`` gives a part's class, by default the object's.
-    Raises PlgsError if only one part would result."""
+    """Split object ``number``. ``part`` int [n] is the part of each of its points in their order, 0 for what stays. The
+    other parts become new objects with ids from ``first_id`` on. ``class_of`` gives a part's class, by default the
+    object's. Raises PlgsError if only one part would result."""
     mark, one = _mark(state, number), state.objects[number]
     parts = [int(each) for each in np.unique(part)]
     class_of = {each: kind for each, kind in (class_of or {}).items() if kind != one.class_id}
@@ -186,8 +186,8 @@ def assign(
 
 
 def crop(state: Replay, number: int, within: NDArray[np.bool_]) -> Edit:
-    """Give an object exactly the points ``within``, bool [N], that are its own or have its class but no object. Its
-    points outside keep the class but lose the object. Raises PlgsError if nothing changes."""
+    """Give object ``number`` exactly the points ``within``, bool [N], that are its own or have its class but no object.
+    Its points outside keep the class but lose the object. Raises PlgsError if nothing changes."""
     mark, kind = _mark(state, number), state.class_of(number)
     own = state.label == number
     inner, outer = within & (state.label == -kind), own & ~within

@@ -80,7 +80,7 @@ def proposals_of(corrected: CorrectedResult) -> Proposals:
 
 
 def _doubts(corrected: CorrectedResult, one: Instance) -> list[Proposal]:
-    """Return all proposals about an object."""
+    """Return all proposals about the object ``one``, each with its doubt."""
     best = max(one.segments, key=lambda segment: segment.share, default=None)
     frame, found, votes = best.frame if best else "", [], dict[int, float]()
     mine = corrected.points.instance_id == one.id

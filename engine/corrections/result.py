@@ -47,7 +47,7 @@ class CorrectedResult:
 
     @property
     def left_unowned(self) -> frozenset[int]:
-        """The classes that edits gave to points while taking them from an object."""
+        """The ids of the classes that edits gave to points which they took from an object without a new one."""
         applied = [edit for edit in self.edits if edit.uid not in self.not_applied]
         rests = [edit.rest or 0 for edit in applied if edit.kind == "delete" and not edit.moved]
         return frozenset(-each for each in (*rests, *(one.label for edit in applied for one in edit.moved)) if each < 0)

@@ -140,7 +140,7 @@ def export_depth(lift: FinishedLift, output: Path) -> None:
 
 
 def labels_text(classes: ClassTable, instances: ShownInstances) -> str:
-    """Return the meaning of the ids as JSON text."""
+    """Return, as JSON text, what the ids of classes and instances in exported images mean."""
     class_of, colours = instances.class_of or {}, instances.colours
     listed = [
         {"id": one, "name": name, "class_id": class_of.get(one), "colour": colours[one]}

@@ -159,7 +159,8 @@ class FinishedLift:
 
 
 def is_corrected(baked: Path, corrections: str) -> bool:
-    """Whether passes show the ``corrections`` of this fingerprint; so do damaged files, which their reader reports."""
+    """Whether the passes ``baked`` show the ``corrections``, a fingerprint. True for damaged ones: readers report
+    them."""
     try:
         return (read_note(baked, CORRECTIONS_NOTE) or "") == corrections
     except ValueError:

@@ -67,8 +67,8 @@ def request_digest(lift: Path) -> str:
 
 def add_files(result: Path, paths: Sequence[Path], frames: _Names | None = None) -> None:
     """Add new or changed files to the manifest of a finished lift. Its other entries stay. The result is complete
-    before and after, even if the process is killed in between. ``frames`` is as in `Manifest`. Raises PlgsError if
-    there is no manifest, and OSError."""
+    before and after, even if the process is killed in between. ``frames`` are original names by file name. Raises
+    PlgsError without a manifest, OSError."""
     manifest = read_manifest(result)
     files = {file.path: file for file in (*manifest.files, *(ListedFile.of(path, result) for path in paths))}
     names = {**manifest.frames, **(frames or {})}

@@ -23,8 +23,8 @@ _FIX = "Correct it, or let PLGS_DEFAULTS and the preferences name another file."
 @dataclass(frozen=True)
 class StudioDefaults:
     """Defaults from a studio's ``file``. ``preset`` is a name or a preset file; ``masks`` a path, with {scene} for the
-    scene's name; ``names`` a template, as for --shot; ``memory`` the GB that a lift, or a worker of a batch, may
-    use."""
+    scene's name; ``names`` a template of file names (--shot); ``memory`` the GB that a lift, or a worker of a batch,
+    may use."""
 
     preset: str | None = None
     masks: str | None = None

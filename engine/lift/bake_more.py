@@ -121,7 +121,7 @@ def bake_cameras(
 ) -> str:
     """Bake the views in the file ``cameras`` (see `job.cameras`) that are not baked yet; return a sentence on it for
     the user. A view that was baked earlier from another camera of the same name is baked again. Raises PlgsError for a
-    bad camera, for a camera with the name of a frame, and whatever `bake_frames` raises."""
+    bad camera, one with the name of a frame, or a scene that is gone; Cancelled."""
 
     def views_in(scene: Scene) -> list[WantedView]:
         wanted = read_cameras(cameras)

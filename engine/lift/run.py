@@ -292,8 +292,8 @@ def begun_alike(checkpoint: Checkpoint | None, preset: Preset, events: EventWrit
 
 
 def names_before(folder: LiftFolder, made: LiftFolder, checkpoint: Checkpoint | None) -> Path | None:
-    """Return the folder of the lift whose object names to keep, or None: the requested one or, if this folder is lifted
-    again with another preset, this folder itself, since training may then give other objects."""
+    """Return the folder of the lift whose objects' names to keep, None without any: the requested one, or ``folder``
+    itself if it is lifted again, into ``made``, with another preset, which may give other objects."""
     if made == folder or checkpoint is not None:
         return folder.request.names_from
     name = folder.request.chosen_preset.name

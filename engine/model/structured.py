@@ -100,7 +100,7 @@ class StructuredScene:
 
 
 def to_tensors(scene: StructuredScene) -> tuple[dict[str, torch.Tensor], dict[str, object]]:
-    """Return the tensors by name, and JSON facts, from which ``from_tensors`` restores the scene."""
+    """Return the scene's tensors by name, and JSON facts, of which `from_tensors` makes the same scene again."""
     tensors = {f"anchors.{name}": tensor for name, tensor in scene.anchors.tensors().items()}
     tensors |= {f"decoders.{name}": tensor.detach() for name, tensor in scene.decoders.state_dict().items()}
     if scene.voted is not None:
