@@ -257,8 +257,7 @@ class Made:
 def make_poses(source: Path, events: EventWriter, stop: StopSignal, pictures: int | None = None) -> Made:
     """Find the poses of the photos in a folder, or of a film's pictures, and write them beside the photos. A film's
     ``pictures`` (by default at most 150) go into a folder of the film's name. Existing files are never overwritten;
-    poses of an earlier call are reused. Raises PlgsError if none are found or the input has changed since;
-    Cancelled."""
+    poses of an earlier call are reused. Raises PlgsError if none are found or the input has changed; Cancelled."""
     made = Made.read(source.with_suffix("") if is_film(source) else source)
     if made is not None:
         _refuse_changed(made, source)

@@ -267,8 +267,7 @@ def mended(
 
 
 def views_of(lift: FinishedLift, width: int, most: int, progress: Progress = unwatched) -> list[SmallView]:
-    """Return at most ``most`` of the lift's views, scaled to ``width`` pixels. Raises PlgsError or OSError for
-    files."""
+    """Return at most ``most`` of the lift's views, ``width`` pixels wide. Raises PlgsError or OSError for bad files."""
     expect_memory(lift, width, most)
     views = []
     for frame, camera, layers in lift.small_views(width, most, progress):

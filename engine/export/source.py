@@ -159,8 +159,7 @@ class FinishedLift:
 
 
 def is_corrected(baked: Path, corrections: str) -> bool:
-    """Whether the passes ``baked`` show the ``corrections``, a fingerprint. True for damaged ones: readers report
-    them."""
+    """Whether the passes ``baked`` show the ``corrections``, a fingerprint. True for damaged ones: readers say so."""
     try:
         return (read_note(baked, CORRECTIONS_NOTE) or "") == corrections
     except ValueError:

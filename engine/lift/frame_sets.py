@@ -28,8 +28,8 @@ FRAMES = "frames"
 class FrameSets:
     """A scene's frames by purpose. ``all``: the scene with every frame. ``chosen``: the scene with only the frames for
     training and the held-out ones. ``voting``: the other frames, which only vote on labels; empty if the preset does
-    not use them. ``unreadable``: names of frames chosen for training, but left out of both scenes, since a file cannot
-    be read."""
+    not use them. ``unreadable``: names of frames chosen for training, but left out of both scenes for unreadable
+    files."""
 
     all: Scene
     chosen: Scene
