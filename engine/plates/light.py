@@ -60,12 +60,11 @@ def _stopped(start: NDArray[np.float64], ways: NDArray[np.float64], solid: NDArr
     if not near.any():
         return hits
     low = solid[near].min(axis=0)
-    blocks = np.zeros(((solid[near].max(axis=0) - low) / BLOCK).astype(int) + 1, np.bool_)
-    blocks[tuple(((solid[near] - low) / BLOCK).astype(int).T)] = True
+    blocks = np.zeros(((solid[near].max(axis=0) - low) / BLOCK).astype(int) + 3, np.bool_)  # with a rim, for what is
+    blocks[tuple(((solid[near] - low) / BLOCK).astype(int).T + 1)] = True  # outside
     for far in np.arange(BLOCK, FARTHEST, STEP):
-        cell = np.floor((start[:, None] + far * ways - low) / BLOCK).astype(np.int32)
-        inside = ((cell >= 0) & (cell < blocks.shape)).all(axis=-1)
-        hits[inside] |= blocks[tuple(cell[inside].T)]
+        cell = (np.floor((start[:, axis, None] + far * ways[:, axis] - low[axis]) / BLOCK) + 1 for axis in range(3))
+        hits |= blocks[tuple(np.clip(at, 0, blocks.shape[axis] - 1).astype(int) for axis, at in enumerate(cell))]
     return hits
 
 
