@@ -110,6 +110,12 @@ def quick_python(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture
+def engines_are_forks(quick_python: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a command or an operator starts is no fresh engine."""
+    monkeypatch.setenv("PLGS_ENGINE_PYTHON", str(quick_python))
+
+
+@pytest.fixture
 def plgs() -> ModuleType:
     """The extension's root package; `from plgs.plgs_blender import …` works at the top of a test too."""
     if not HAS_BLENDER:

@@ -105,13 +105,14 @@ def _calls(node: ast.AST, names: Sequence[str], known: Texts) -> Iterator[tuple[
         for each in field if isinstance(field, list) else [field]:
             if isinstance(each, ast.AST):
                 yield from _calls(each, names, texts)
-                texts = _after([each], texts)
+                texts = _after([each], texts) if isinstance(each, ast.stmt) else texts
 
 
 def _after(block: Sequence[ast.AST], known: Texts) -> Texts:
     """What names stand for after these statements."""
-    texts = dict(known)
-    for node in _assignments(block):
+    assignments = [*_assignments(block)]
+    texts = dict(known) if assignments else known
+    for node in assignments:
         target, value = node.targets[0], node.value
         is_pair = isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple)
         for name, given in zip(target.elts, value.elts, strict=False) if is_pair else [(target, value)]:
@@ -130,8 +131,9 @@ def _assignments(block: Sequence[ast.AST]) -> Iterator[ast.Assign]:
         elif not isinstance(node, ast.FunctionDef | ast.ClassDef):
             for _, field in ast.iter_fields(node):
                 yield from _assignments(
-                    [each for each in field if isinstance(each, ast.AST)] if isinstance(field, list) else []
-                )
+                    [each for each in field if isinstance(each, ast.AST) and not isinstance(each, ast.expr)]
+                    if isinstance(field, list) else []
+                )  # fmt: skip
 
 
 def _text(node: ast.AST, texts: Texts) -> str:

@@ -12,8 +12,8 @@ from tests.train.tiny_lift import TINY, lift_into, presets_as
 
 
 @pytest.fixture(autouse=True)
-def _engines_are_forks(quick_python: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PLGS_ENGINE_PYTHON", str(quick_python))
+def _engines_are_forks(engines_are_forks: None) -> None:
+    """Of every test."""
 
 
 @pytest.fixture(scope="session")

@@ -20,8 +20,8 @@ def _switched_on(extension: None) -> None:
 
 
 @pytest.fixture(autouse=True)
-def _engines_are_forks(quick_python: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PLGS_ENGINE_PYTHON", str(quick_python))
+def _engines_are_forks(engines_are_forks: None) -> None:
+    """Of every test."""
 
 
 @pytest.fixture(scope="session")

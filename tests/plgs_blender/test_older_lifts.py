@@ -17,7 +17,7 @@ ARCHIVE = Path(__file__).parents[1] / "data" / "lift_0_1_0.zip"
 
 
 @pytest.fixture
-def lift(tmp_path: Path) -> Path:
+def lift(tmp_path: Path, engines_are_forks: None) -> Path:
     shutil.unpack_archive(ARCHIVE, tmp_path)
     return tmp_path / "lift_0_1_0" / "lift"
 
