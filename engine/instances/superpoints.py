@@ -75,8 +75,8 @@ class RestOfSuperpoint:
 
 
 def rest_of_superpoints(part: NDArray[np.int64], in_all: float) -> RestOfSuperpoint:
-    """Return the matrix by which points get the votes of their superpoint ``part`` [N]: the mean votes, if views agree
-    well with each other (``in_all``, the share on which they do, is at least AGREEING), else the sum."""
+    """Return the matrix by which points get the votes of their superpoint ``part`` [N]: its mean votes, if views agree
+    well (``in_all``, the share on which they do, is at least AGREEING), else those of all its other points."""
     return RestOfSuperpoint(part, mean=in_all >= AGREEING)
 
 

@@ -96,7 +96,7 @@ def needed_packages(root: Path, version: Version, platform: str = sys.platform) 
 
 
 def pinned_hashes(path: Path) -> Iterator[tuple[str, str | None, str]]:
-    """Yield each wheel's name, version (or None) and SHA-256 in a file of hashes. Raises PlgsError for a bad file."""
+    """Yield each wheel's name, version and SHA-256 in a file of hashes. Raises PlgsError if it cannot be read."""
     name = version = ""
     for line in _text(path).splitlines():
         if pin := re.match(r"([\w.-]+)==([^\s;]+)", line):
