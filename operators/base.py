@@ -107,11 +107,12 @@ class StartsTask(Explained):
     """Whether a click gets its own undo step, so that a later undo keeps what it set."""
 
     def begin(self, context: bpy.types.Context) -> Task | None:
-        """Start the task; return None if there is nothing to wait for. Raises PlgsError, OSError."""
+        """Start the task; return None if there is nothing to wait for. Raises PlgsError or OSError if it cannot
+        start."""
         raise NotImplementedError
 
     def report_outcome(self, context: bpy.types.Context, task: Task | None) -> set[str]:
-        """Report the outcome, if there is one yet, and return Blender's status. Raises PlgsError, OSError."""
+        """Report the outcome, if there is one yet, and return Blender's status. Raises the task's error."""
         if task is None or task.is_running:
             return FINISHED
         if task.error is not None:

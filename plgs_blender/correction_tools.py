@@ -264,7 +264,8 @@ class RemoveObjects(EditByEngine):
 
 
 def split_by_views(root: bpy.types.Collection, instance: int) -> SplitByViews:
-    """Start splitting an object of a placed lift into the parts that the masks separate. Raises PlgsError, OSError."""
+    """Start splitting an object of a placed lift into the parts that masks separate. Raises PlgsError without an
+    engine."""
     return SplitByViews.start(root, "split", str(instance), "--views")
 
 

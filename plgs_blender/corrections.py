@@ -98,7 +98,7 @@ def put_back(root: bpy.types.Collection, instance: int) -> Edit:
 
 
 def show_corrections(root: bpy.types.Collection, result: CorrectedResult) -> None:
-    """Show a placed lift as corrected; what the user moved or renamed stays. Raises PlgsError."""
+    """Show a placed lift as corrected; what the user moved or renamed stays. Raises PlgsError if splats are gone."""
     scene, layer = bpy.context.scene, bpy.context.view_layer
     owned = OwnedDataBlocks(root[LIFT], scene)
     own = selection.objects_by_key(root).items()
@@ -188,7 +188,7 @@ def class_named(root: bpy.types.Collection, name: str) -> int:
 
 
 def class_choices(root: bpy.types.Collection, instance: int) -> list[str]:
-    """Return all class names of the lift, first those for which most of the object's masks voted. Raises PlgsError."""
+    """Return all class names of the lift, first those for which most of the object's masks voted."""
     votes: dict[str, float] = {}
     for row in root.plgs.instances:
         if row.instance_id == instance:

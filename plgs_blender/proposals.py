@@ -43,7 +43,8 @@ def kept_proposals(root: bpy.types.Collection) -> tuple[list[Proposal], str]:
 
 
 def proposal_of(root: bpy.types.Collection, instance: int) -> Proposal:
-    """Return the proposal for an object, or the most doubtful one if ``instance`` is 0. Raises PlgsError."""
+    """Return the proposal for an object, or for ``instance`` 0 the most doubtful one. Raises PlgsError if there is
+    none."""
     for one in kept_proposals(root)[0]:
         if instance in (0, one.instance):
             return one

@@ -93,7 +93,8 @@ def reading_listed(version: Version) -> Generator[None, None, Listed]:
 
 
 def listed_in(lift: Path) -> Listed:
-    """A lift's instances.json, cached: edits come in series, and many objects take half a second. Raises PlgsError."""
+    """A lift's instances.json, cached: edits come in series, and many objects take half a second. Raises PlgsError for
+    damage."""
     version = begin_to_read(lift)
     read_on(math.inf)
     return _kept[version]
@@ -233,7 +234,8 @@ def read_result(folder: Path) -> LiftResult:
 
 
 def reading_result(folder: Path) -> Generator[None, None, LiftResult]:
-    """Read a lift as `read_result` does, in parts, so that the window does not freeze. Raises PlgsError."""
+    """Read a lift as `read_result` does, in parts, so that the window does not freeze. Raises PlgsError if that
+    does."""
     lift = LiftFolder.open(folder)
     lift.refuse_foreign()
     manifest = check_sizes(lift.result_path)

@@ -74,7 +74,8 @@ class Claim:
     left: tuple[str, ...] = ()
 
     def withdraw(self) -> None:
-        """Leave all as it was, unless another bake has claimed more frames since then. Raises OSError, PlgsError."""
+        """Leave all as it was, unless another bake has claimed more frames since then. Raises OSError if a file cannot
+        be changed."""
         lock = self.path.with_suffix(".lock")
         with FileLock(lock, _CLAIM_S):
             if self.path.read_text(encoding="utf-8") != self.text:
@@ -121,7 +122,8 @@ def claim(folder: Path, name: str, source: ShotSource, *, cameras: Path, passes:
 
 
 def next_version(folder: Path, earlier: str, name: str) -> list[str]:
-    """Say why a shot is the next version of an ``earlier`` one, and which frames it lacks. Raises PlgsError."""
+    """Say why a shot is the next version of an ``earlier`` one, and which frames it lacks. Raises PlgsError for bad
+    notes."""
     before, now = (read_record(ShotSource, _note(folder, each), _NOTE_FIX) for each in (earlier, name))
     lacking = [frame for frame in before.frames if frame not in now.frames]
     lines = [f"{name} is the next version of {earlier}: {now.changed_from(before)}"]

@@ -223,7 +223,8 @@ class ShotReader:
         return list(zip(self._frames, self._read, strict=False))
 
     def read_for(self, seconds: float) -> bool:
-        """Continue reading for about ``seconds``, at least one frame. Returns whether all is read. Raises PlgsError."""
+        """Read on for about ``seconds``, at least one frame. Returns whether all is read. Raises PlgsError if the
+        camera is gone."""
         end = time.monotonic() + seconds
         scene = bpy.data.scenes.get(self._scene)
         if scene is None:

@@ -145,7 +145,8 @@ def pose_errors(count: int, noise: CaptureNoise, random: np.random.Generator) ->
 
 
 def _with_rms(values: Floats, target: float) -> Floats:
-    """Return vectors [count, 3] without their mean, which would move the world, scaled to a root mean square length."""
+    """Return vectors [count, 3] without their mean, which would move the world, scaled to the root mean square
+    ``target``."""
     centred = values - values.mean(0)
     return centred * (target / max(float(np.sqrt((centred**2).sum(-1).mean())), 1e-9))
 

@@ -239,7 +239,7 @@ def decide(
     unowned: Collection[int] = (),
 ) -> PanopticLayers:
     """Decide what every pixel of a rendering shows. ``wanted``: the layers to make (none: all); the others are empty.
-    ``unowned`` are ids of things that a person left without an object.
+    ``unowned`` are thing classes that show also without an object.
 
     The class is the one with the largest coverage (never void; ties go to the lower id). Its probability is its share
     of the classes' coverage. A pixel of a thing class shows the instance with the largest coverage, unless "no object"

@@ -130,7 +130,7 @@ def _groups(points: Sequence[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
 
 
 class _Room:
-    """The Gaussians and objects of a lift from which the objects with these ``ids`` are removed."""
+    """A lift's Gaussians and the objects that stay in the room, when those with these ``ids`` are removed."""
 
     def __init__(self, baker: FrameBaker, corrected: CorrectedResult, ids: Sequence[int]) -> None:
         scene = baker.lifted

@@ -95,7 +95,8 @@ def class_map(
 ) -> ClassMap:  # fmt: skip
     """The classes of masks whose files have ``labels`` (None: no classes), after the user's ``choice``. ``more`` are
     classes of detections that no table lists. A table that uses the number 0, which is void here, is shifted by one as
-    a whole. With ``objects``, labels number objects; those without a name get the class "object". Raises PlgsError."""
+    a whole. With ``objects``, labels number objects; those without a name get the class "object". Raises PlgsError if
+    several have a name."""
     choice = choice or ClassChoice()
     labels = (*((labels if choice.labels is None else choice.labels) or ()), *more)
     rows = _numbered(labels, choice)

@@ -261,7 +261,8 @@ def _fitting(
 def _error(
     files: Mapping[str, Path], placements: Mapping[str, Placement], seen: Mapping[str, tuple[Values, Values]]
 ) -> float:
-    """Return the median relative depth error of points in some frames' maps; 1 if nothing fits."""
+    """Return the median relative error of depth from the ``files`` at the points ``seen`` in some frames; 1 if nothing
+    fits."""
     errors = []
     for name in evenly_spread([name for name in files if len(seen[name][1]) >= LEAST_POINTS], _LOOKED_AT):
         pixels, depths = seen[name]

@@ -263,7 +263,7 @@ def _standing(
     surface: Any, path: Path, frames: Sequence[Frame], turn: NDArray[np.float64]
 ) -> tuple[Mesh, tuple[Inferred, ...]]:
     """Return the mesh, placed in the scene's world, and what was inferred. ``turn``, float64 [3, 3], takes the poses'
-    world to the scene's. Raises PlgsError if the mesh stands elsewhere."""
+    world to the scene's. Raises PlgsError if it stands elsewhere."""
     looks = [_look(frame) for frame in evenly_spread([*frames], _LOOKED_AT)]
     worlds = [(turn, "in the poses' world"), (np.eye(3), "in the world of the scene, with z up")]
     if path.suffix.lower() == ".glb":

@@ -81,7 +81,8 @@ def image_bytes(
 
 
 def largest_of_16_bits(path: Path) -> int | None:
-    """Return the largest colour value of a 16-bit PNG without alpha; None for other images. Raises PlgsError."""
+    """Return the largest colour value of a 16-bit PNG without alpha; None for other images. Raises PlgsError for
+    damage."""
     if read_image_header(path).bit_depth != 16:
         return None
     pixels = decode(path, as_colour=False)
@@ -251,7 +252,8 @@ def _only_array(path: Path) -> str:
 
 
 def read_indices(path: Path) -> NDArray[np.int32]:
-    """Read a one-channel PNG's values, int32 [H, W]; with a palette these are its indices. Raises PlgsError."""
+    """Read a one-channel PNG's values, int32 [H, W]; with a palette its indices. Raises PlgsError for damage and
+    colours."""
     header = label_header(path)
     data = check_image_file(path)
     if header.palette:

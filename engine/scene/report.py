@@ -121,7 +121,8 @@ class ClassList:
 
 def list_classes(source: SceneSource, table: str | None = None) -> ClassList:
     """The classes in the masks' files and in a classes.toml beside them. With ``table`` (see ``TABLES``), the list
-    starts over with that table's classes, for masks whose files name none. The scene is opened. Raises PlgsError."""
+    starts over with that table's classes, for masks whose files name none. The scene is opened. Raises PlgsError for
+    masks without classes."""
     path = class_list_path(source.scene, source.masks)
     scene = open_asked(replace(source, up="z", classes=table))
     place, names = _place_of_masks(source.scene, source.masks), [frame.name for frame in scene.frames]

@@ -34,7 +34,8 @@ class CloudIndex:
         return found.reshape(queries.shape[:-1])
 
     def nearest_of_pixels(self, camera: Camera, depth: NDArray[np.float32], reach: float) -> NDArray[np.int32]:
-        """Return the point nearest to each pixel's surface, int32 [H, W], -1 = none. ``depth`` [H, W] in metres."""
+        """Return the index of the point nearest to each pixel's surface, within ``reach``, int32 [H, W], -1 = none;
+        ``depth`` [H, W], metres."""
         valid = depth > 0
         found = np.full(depth.shape, -1, np.int32)
         found[valid] = self.nearest(camera.unproject(depth)[valid], reach)

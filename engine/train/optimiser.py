@@ -50,8 +50,8 @@ def adam_step(
     parameters: Sequence[torch.Tensor], moments: Sequence[Moments], count: int, rate: float, *, eps: float, fused: bool
 ) -> None:
     """Move ``parameters`` by one Adam step, update ``moments`` in place and clear the gradients. ``count``: earlier
-    steps. If a parameter has no gradient, its moments only decay. Used in place of torch's own class Adam, which
-    imports torch's compiler and takes 3 s for it."""
+    steps; ``fused``: in one kernel. If a parameter has no gradient, its moments only decay. Used in place of torch's
+    own class Adam, which imports torch's compiler and takes 3 s for it."""
     gradients = [torch.zeros_like(each) if each.grad is None else each.grad for each in parameters]
     means, squares = [mean for mean, _ in moments], [square for _, square in moments]
     counts = [each.new_full((), float(count)) for each in parameters]

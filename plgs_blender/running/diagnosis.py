@@ -115,7 +115,8 @@ def diagnosis_of(chosen: ChosenScene) -> Diagnosis | None:
 
 
 def diagnose(settings: PLGS_PG_settings, mended: Path | None = None) -> Diagnosis:
-    """Let an engine measure the panel's scene and, if given, write ``mended``, corrected. Raises PlgsError, OSError."""
+    """Let an engine measure the panel's scene and, if given, write ``mended``, corrected. Raises PlgsError without an
+    engine."""
     registry.refuse_second(Diagnosis)
     chosen, python = chosen_scene(settings), usable_python()
     folder = Path(tempfile.mkdtemp(prefix="plgs-findings-"))

@@ -238,7 +238,8 @@ def bake_shot(scene: bpy.types.Scene, shot: ShotReader, folder: str = "", *, rep
 
 
 def bake_on_farm(scene: bpy.types.Scene, folder: str = "") -> Path:
-    """Write a farm job that bakes the active camera's range, and return the file. Raises PlgsError, OSError."""
+    """Write a farm job that bakes the active camera's range, and return it. Raises PlgsError if this file is unsaved;
+    OSError."""
     lift = lift_at(scene.plgs, folder)
     read_manifest(lift.result_path)
     return write_farm_job(scene, lift, shot_of(scene, given=scene.plgs.shot))

@@ -97,7 +97,8 @@ def look(chosen: ChosenScene, python: Path | None) -> Survey:
 
 
 def _look_alone(chosen: ChosenScene) -> Survey | None:
-    """Return what Blender sees without an engine; None if an engine is needed and available. Raises PlgsError."""
+    """Return what Blender sees without an engine; None if an engine is needed and there. Raises PlgsError if it is
+    missing."""
     for path in (chosen.scene, chosen.masks, chosen.depth):
         if path is not None and not os.path.exists(path):
             raise PlgsError("file-missing", "there is no such file or folder", path, "Choose another one.")

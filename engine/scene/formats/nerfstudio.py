@@ -188,7 +188,8 @@ def _beside(path: Path, name: str) -> Path | None:
 
 
 def _lens(entry: dict[str, Any], size: Size, context: str, path: Path) -> Camera:
-    """A camera at the origin, at its intrinsics' size, which may not be the image's ``size``. Raises PlgsError."""
+    """Return a camera at the origin, at its intrinsics' size, perhaps not the image's ``size``. Raises PlgsError
+    without any."""
     width, height = (
         take_number(entry, key, context, path) if key in entry else float(side)
         for key, side in zip("wh", size, strict=True)

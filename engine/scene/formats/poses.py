@@ -84,7 +84,8 @@ def numbers(row: Row, path: Path, fix: str, count: int | None = None) -> NDArray
 
 
 def matrix_rows(path: Path, fix: str) -> Iterator[NDArray[np.float64]]:
-    """Yield matrices, float64 [4, 4], from 16 numbers per line, or 12 without the last row. Raises PlgsError."""
+    """Yield matrices, float64 [4, 4], from lines of 16 numbers, or 12 without the last row. Raises PlgsError for
+    others."""
     for row in read_rows(path, fix):
         values = numbers(row, path, fix)
         if len(values) not in (12, 16):

@@ -216,7 +216,7 @@ def _read_depth(
 
 
 def _unpacked(archive: _Archive, name: str, step: int, most: int) -> bytes:
-    """Unpack a file of the archive to a multiple of ``step`` bytes, at most ``most``. Raises PlgsError."""
+    """Unpack a file of the archive to a multiple of ``step`` bytes, at most ``most``. Raises PlgsError for damage."""
     data = archive.read(name)
     try:
         import liblzfse

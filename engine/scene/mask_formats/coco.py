@@ -141,7 +141,7 @@ def _entries_by_frame(content: dict[str, Any], table: Path, names: Sequence[str]
 
 
 def images_of(content: dict[str, Any], table: Path) -> dict[str, str]:
-    """Return the stem of each image's file, by the image's id as text. Raises PlgsError for an image without either."""
+    """Return the stem of each image's file, by the image's id as text. Raises PlgsError for names that are no text."""
     images: dict[str, str] = {}
     for position, image in enumerate(take_objects(content, "images", "the file", table) if "images" in content else ()):
         named = next((key for key in ("file_name", "coco_url") if key in image), None)  # LVIS has only the latter

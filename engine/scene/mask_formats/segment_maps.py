@@ -168,7 +168,8 @@ def _add(found: dict[int, FoundSegment], one: FoundSegment, name: str, table: Pa
 
 def labels_of_config(config: Path, fused: Set[int] = frozenset()) -> tuple[ClassLabel, ...]:
     """The classes that ``id2label`` of a config.json names. Whether one is a thing follows from its name in public
-    tables or else from ``fused``, the classes that were fused at some time, which are stuff. Raises PlgsError."""
+    tables or else from ``fused``, the classes that were fused at some time, which are stuff. Raises PlgsError without
+    it."""
     names = read_json_object(config).get("id2label")
     fix = "Copy the model's config.json there, or remove it and name a table with --classes."
     if not isinstance(names, dict) or not names:
