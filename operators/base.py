@@ -107,8 +107,7 @@ class StartsTask(Explained):
     """Whether a click gets its own undo step, so that a later undo keeps what it set."""
 
     def begin(self, context: bpy.types.Context) -> Task | None:
-        """Start the task; return None if there is nothing to wait for. Raises PlgsError or OSError if it cannot
-        start."""
+        """Start the task; return None if there is nothing to wait for. Raises PlgsError or OSError if it cannot."""
         raise NotImplementedError
 
     def report_outcome(self, context: bpy.types.Context, task: Task | None) -> set[str]:
@@ -194,8 +193,7 @@ def cancels(kind: type[Task], about: str) -> type:
 
 
 def copy_given(operator: Any, options: type, settings: Any) -> None:
-    """Copy to the panel those of the ``options`` (properties of a class) that a call of the operator gave
-    explicitly."""
+    """Copy to the panel those of the ``options`` (a class with properties) that a call gave explicitly."""
     for name in option_names(options):
         if operator.properties.is_property_set(name):
             setattr(settings, name, getattr(operator, name))

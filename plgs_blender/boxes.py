@@ -34,8 +34,7 @@ def place_boxes(
 ) -> list[bpy.types.Object]:
     """Place one mesh object per instance, with the engine's name and its true size (object scale 1). The box of an
     unchanged instance keeps the transform and name that the user gave it, and is not touched at all unless ``anew``. If
-    there are very many instances, those with the most points get objects of their own, and one object holds all
-    others."""
+    there are very many instances, those with the most points get objects of their own, and one holds all others."""
     own, others = shared_out(instances)
     return [*(_place(owned, parent, one, anew) for one in own), *place_together(owned, parent, others)]
 

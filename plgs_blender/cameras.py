@@ -148,8 +148,8 @@ def place_camera(
     camera: Camera,
     display_size: float = _DISPLAY_SIZE,
 ) -> bpy.types.Object:
-    """Return our camera object `key` with the engine camera's lens and pose; if new, in `parent`. `display_size`:
-    metres."""
+    """Return our camera object `key` with the engine camera's lens and pose, new ones in `parent`. `display_size`:
+    m."""
     data = owned.data(key, lambda: bpy.data.cameras.new(name))
     set_lens(data, camera)
     data.display_size = display_size
@@ -176,7 +176,8 @@ def place_frames(
     shows_photo: bool = True,
 ) -> list[bpy.types.Object]:
     """Place one camera per frame in `parent`, with the frame's data as properties and, perhaps hidden, its photo in
-    front of the view. `made` gives pictures, by frame name, that an engine made for frames without an image file."""
+    front of the view. `made` gives pictures, by frame name, that an engine made for frames without an image file.
+    ``shows_photo``: they are not hidden."""
     cameras = []
     for frame in frames:
         ob = place_camera(owned, parent, f"frame:{frame.name}", frame.name, camera=frame.camera)

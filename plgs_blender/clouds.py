@@ -211,8 +211,7 @@ def cloud_folder(lift: Path) -> Path:
 
 
 def place_depth_clouds(owned: OwnedDataBlocks, root: bpy.types.Collection, lift: Path) -> int:
-    """Place the depth clouds that were made of a lift; return their number of points. Raises PlgsError for a bad
-    file."""
+    """Place the depth clouds made of a lift, and return their number of points. Raises PlgsError for a bad file."""
     count = 0
     for path in sorted(cloud_folder(lift).glob("*.npz")):
         points = read_arrays(path, SemanticPoints)

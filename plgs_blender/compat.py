@@ -15,7 +15,8 @@ BLEND_RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0
 
 
 def new_point_clouds(names: Sequence[str], xyz: Sequence[NDArray[np.float32]]) -> list[bpy.types.PointCloud]:
-    """Make point clouds with positions float32 [N, 3] in metres. Before 5.1 a cloud cannot be resized."""
+    """Make point clouds with these names and positions float32 [N, 3] in metres. Before 5.1 a cloud cannot be
+    resized."""
     if "resize" in bpy.types.PointCloud.bl_rna.functions:
         clouds = [bpy.data.pointclouds.new(name) for name in names]
         for cloud, own in zip(clouds, xyz, strict=True):
@@ -37,7 +38,7 @@ def forget_selection(mesh: bpy.types.Mesh) -> None:
 
 
 def _clouds_by_nodes(counts: Sequence[int]) -> list[bpy.types.PointCloud]:
-    """Make point clouds from mesh vertices with geometry nodes, in a temporary scene."""
+    """Make point clouds with so many points each from mesh vertices with geometry nodes, in a temporary scene."""
     scene, group = bpy.data.scenes.new("PLGS conversion"), new_geometry_group("PLGS conversion")
     objects: list[bpy.types.Object] = []
     try:

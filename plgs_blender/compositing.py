@@ -207,8 +207,7 @@ def _follow_choice(root: bpy.types.Collection) -> None:
 
 
 def matte_instance(root: bpy.types.Collection, instance: int) -> str:
-    """Make an instance (0: the active one) the compositor's matte, and return its name. Raises PlgsError if it has
-    none."""
+    """Make an instance (0: the active one) the compositor's matte; return its name. Raises PlgsError if it has none."""
     row = row_of(root, instance)
     names = matte_names({each.instance_id: each.name for each in root.plgs.instances})
     _set(root, CRYPTO_INSTANCES, names[row.instance_id], by_class=0.0)

@@ -264,8 +264,7 @@ class RemoveObjects(EditByEngine):
 
 
 def split_by_views(root: bpy.types.Collection, instance: int) -> SplitByViews:
-    """Start splitting an object of a placed lift into the parts that masks separate. Raises PlgsError without an
-    engine."""
+    """Start splitting an object into the parts that masks separate. Raises PlgsError without an engine."""
     return SplitByViews.start(root, "split", str(instance), "--views")
 
 

@@ -63,8 +63,7 @@ Choose = Callable[[NDArray[np.float32]], NDArray[np.bool_]]
 
 
 def edit(root: bpy.types.Collection, make: Make) -> Edit:
-    """Save an edit of a placed lift, which ``make`` returns, and show it. Raises PlgsError if ``make`` does;
-    OSError."""
+    """Save an edit of a lift, which ``make`` returns, and show it. Raises PlgsError if ``make`` does; OSError."""
     made, result = _correct(root, make)
     show_corrections(root, result)
     return made
@@ -310,8 +309,7 @@ def assign(
 
 
 def in_region(name: str) -> Choose:
-    """Return a function that selects the points in the box of the object ``name``. Raises PlgsError if there is
-    none."""
+    """Return a function that selects the points in the object ``name``'s box. Raises PlgsError if there is none."""
     region = bpy.data.objects.get(name)
     if region is None:
         raise PlgsError("no-object", "there is no such object", name, "Name an object whose box contains the points.")

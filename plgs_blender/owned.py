@@ -120,8 +120,8 @@ class OwnedDataBlocks:
         return self._objects.get(key)
 
     def data(self, key: str, create: Callable[[], Any]) -> Any:
-        """Return the data of our object `key`, to be filled again. `create` makes it if it is missing or used by the
-        user."""
+        """Return the data of our object `key`, to be filled again. `create` makes it if it is missing or a user uses
+        it."""
         ob = self._objects.get(key)
         if ob is not None and ob.data is not None and ob.data.users <= 1 and key_of(ob.data, self.lift) is not None:
             return ob.data
@@ -343,8 +343,7 @@ def _normal(path: str | Path) -> str:
 def child_collection(
     root: bpy.types.Collection, name: str, scene: bpy.types.Scene | None = None, hidden: bool = False
 ) -> bpy.types.Collection:
-    """Return our collection `name` in the root, made if missing. If ``hidden``, its eye and camera are off in the scene
-    at first."""
+    """Return our collection `name` in the root, made if missing. If ``hidden``, its eye and camera are off at first."""
     key = f"collection:{name}"
     for child in root.children:
         if key_of(child, root[LIFT]) == key:

@@ -181,8 +181,7 @@ def _new_scene(name: str) -> bpy.types.Scene:
 def _images(
     owned: OwnedDataBlocks, key: str, files: Mapping[str, Path], sequence: NumberedNames | None
 ) -> bpy.types.Image:
-    """Make images that read the files, without loading any: one for a whole sequence, or one per file. Returns the
-    first."""
+    """Make images that read the files, without loading any: one for a sequence, or one per file. Returns the first."""
     if sequence is not None:
         files = {"": next(path for path in files.values() if path.stem == sequence.first)}
     images = []

@@ -43,8 +43,7 @@ def kept_proposals(root: bpy.types.Collection) -> tuple[list[Proposal], str]:
 
 
 def proposal_of(root: bpy.types.Collection, instance: int) -> Proposal:
-    """Return the proposal for an object, or for ``instance`` 0 the most doubtful one. Raises PlgsError if there is
-    none."""
+    """Return the proposal for an object, or for 0 the most doubtful one. Raises PlgsError if there is none."""
     for one in kept_proposals(root)[0]:
         if instance in (0, one.instance):
             return one

@@ -93,7 +93,7 @@ def reading_listed(version: Version) -> Generator[None, None, Listed]:
 
 
 def listed_in(lift: Path) -> Listed:
-    """A lift's instances.json, cached: edits come in series, and many objects take half a second. Raises PlgsError for
+    """A lift's instances.json, cached: edits come in series, and it takes up to half a second. Raises PlgsError for
     damage."""
     version = begin_to_read(lift)
     read_on(math.inf)
@@ -234,8 +234,7 @@ def read_result(folder: Path) -> LiftResult:
 
 
 def reading_result(folder: Path) -> Generator[None, None, LiftResult]:
-    """Read a lift as `read_result` does, in parts, so that the window does not freeze. Raises PlgsError if that
-    does."""
+    """Read a lift as `read_result` does, in parts, so that the window does not freeze. Raises what that does."""
     lift = LiftFolder.open(folder)
     lift.refuse_foreign()
     manifest = check_sizes(lift.result_path)

@@ -163,8 +163,7 @@ def _fill(root: bpy.types.Collection, top: bpy.types.Collection, one: Instance) 
 
 
 def _points(root: bpy.types.Collection, one: Instance, inverse: Matrix) -> bpy.types.PointCloud | None:
-    """Return an instance's points, transformed by ``inverse`` to its own pivot, with all attributes; None without
-    any."""
+    """Return an instance's points, moved by ``inverse`` to its own pivot, with their attributes; None without any."""
     for cloud in clouds_of(root):
         rows = ids_of(cloud.data, "instance_id") == one.id
         if "class_id" not in cloud or not rows.any():

@@ -105,8 +105,7 @@ def shot_of(
     motion: bool = False,
 ) -> Shot:
     """Return the shot of the named or the active camera over the given range, else the scene's. ``given`` names its
-    files (else the studio's settings); ``only`` and ``motion``: see `Shot`. Raises PlgsError without range or
-    camera."""
+    files (else the studio does); ``only`` and ``motion``: see `Shot`. Raises PlgsError without range or camera."""
     cuts = () if camera else _cuts_of(scene)
     wanted = camera or (cuts[0][1] if cuts else "")
     ob = scene.objects.get(wanted) if wanted else scene.camera
@@ -147,8 +146,7 @@ def _cuts_of(scene: bpy.types.Scene) -> tuple[tuple[int, str], ...]:
 
 
 def _cameras_to_choose(scene: bpy.types.Scene, wanted: str) -> str:
-    """Return advice for a user whose ``wanted`` camera ("": the active one) is none: the cameras, the likeliest
-    first."""
+    """Return advice for a user whose ``wanted`` camera ("": the active one) is none: cameras, the likeliest first."""
     cameras = [ob for ob in scene.objects if ob.type == "CAMERA"]
     if not cameras:
         return "Add a camera, select it and press Ctrl+Numpad 0."
@@ -160,8 +158,8 @@ def _cameras_to_choose(scene: bpy.types.Scene, wanted: str) -> str:
 
 
 def write_view(lift: Path, scene: bpy.types.Scene) -> Path:
-    """Write the active camera's current view into the lift's folder, and return the file. Raises PlgsError without one;
-    OSError."""
+    """Write the active camera's current view into the lift's folder, and return the file. Raises PlgsError without an
+    active camera; OSError."""
     now = scene.frame_current
     ob = shot_of(scene, first=now, last=now, step=1).camera
     bpy.context.view_layer.update()  # a script may just have moved it
@@ -171,8 +169,9 @@ def write_view(lift: Path, scene: bpy.types.Scene) -> Path:
 
 
 def numbered_name(name: str, frame: float, digits: int = DIGITS) -> str:
-    """Return a frame's file name, as Blender itself names renders: "shot.0003" and "shot.-0003". Half a frame later it
-    is "shot.sub500.0003": programs count whole numbers only, so each fraction of a frame is a sequence of its own."""
+    """Return a frame's file name, with at least ``digits`` digits, as Blender itself names renders: "shot.0003" and
+    "shot.-0003". Half a frame later it is "shot.sub500.0003": programs count whole numbers only, so each fraction of a
+    frame is a sequence of its own."""
     whole, part = divmod(round(1000 * frame), 1000)
     return f"{name}{f'.sub{part:03d}' if part else ''}.{'-' * (whole < 0)}{abs(whole):0{digits}d}"
 
@@ -223,8 +222,8 @@ class ShotReader:
         return list(zip(self._frames, self._read, strict=False))
 
     def read_for(self, seconds: float) -> bool:
-        """Read on for about ``seconds``, at least one frame. Returns whether all is read. Raises PlgsError if the
-        camera is gone."""
+        """Read on for about ``seconds``, at least one frame. Returns whether all is read. Raises PlgsError without
+        camera."""
         end = time.monotonic() + seconds
         scene = bpy.data.scenes.get(self._scene)
         if scene is None:

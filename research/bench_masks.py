@@ -51,8 +51,7 @@ def pairs_in(folder: Path, only: Sequence[str] = ()) -> dict[str, SceneSource]:
 
 
 def score_points(source: SceneSource, preset: Preset) -> Scores:
-    """Match the masks of a pair and score labelled points in held-out frames (`read_points`). Raises PlgsError for bad
-    files."""
+    """Match the masks of a pair and score labelled points (`read_points`). Raises PlgsError for bad files."""
     scene = open_scene_to_lift(source)
     with TemporaryDirectory() as name, closing(EventWriter(Path(name, "events.jsonl"))) as events:
         progress = StageProgress("bench", events, StopSignal())
@@ -64,8 +63,7 @@ def score_points(source: SceneSource, preset: Preset) -> Scores:
 
 
 def read_points(matching: Matching, scene: Scene, preset: Preset) -> Scores:
-    """Return mIoU and PQ, in per cent, of labelled points: a held-out pixel gets the label of the point nearest to
-    it."""
+    """Return mIoU and PQ, in per cent, of labelled points: a held-out pixel gets the label of the nearest point."""
     cloud, evaluation = matching.cloud, PanopticEvaluation(scene.classes, "strict")
     points = LabelledPoints(cloud.xyz, np.where(cloud.class_id > 0, np.arange(1, len(cloud) + 1), 0).astype(np.int32))
     class_id, instance = (np.append(0, each) for each in (cloud.class_id, matching.instance_of_point))

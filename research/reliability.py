@@ -70,8 +70,7 @@ def reliability_table(lifts: Sequence[Path], picture: Path | None) -> Iterator[s
 
 
 def draw(path: Path, curves: dict[str, list[Curve]]) -> None:
-    """Draw the share of right pixels over the share of votes, and over the confidence. Needs matplotlib. Raises
-    OSError."""
+    """Draw the share of right pixels over share of votes and confidence, with matplotlib. Raises OSError."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7, 3.6), layout="constrained")

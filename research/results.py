@@ -60,7 +60,7 @@ class Result:
 
 
 def read_result(scene: str, row: str, preset: str, lift: LiftFolder) -> Result:
-    """Return the figures of a finished lift. Raises PlgsError if its files cannot be read."""
+    """Return the figures of a finished lift, for a row on a scene. Raises PlgsError if its files cannot be read."""
     manifest = read_manifest(lift.result_path)
     content = read_object(lift.result_path / "metrics.json", "Delete it: the same command then makes it again.")
     tables = content.get("tables")

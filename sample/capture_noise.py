@@ -24,8 +24,7 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
 @dataclass(frozen=True)
 class CaptureNoise:
-    """How much a capture differs from a rendering: a number per effect, explained below it. ``*_frames``: correlation
-    lengths."""
+    """How much a capture differs from a rendering: numbers, explained below each. ``*_frames``: correlation lengths."""
 
     gain: float = 2.0
     """Largest factor by which exposure and white balance together brighten or darken linear light."""
@@ -137,16 +136,14 @@ def border_mask(size: Size, noise: CaptureNoise, random: np.random.Generator) ->
 
 def pose_errors(count: int, noise: CaptureNoise, random: np.random.Generator) -> tuple[Floats, Floats]:
     """Return the tracker's errors: shifts float64 [count, 3] in metres, rotations float64 [count, 3] (axis times
-    radians). They change slowly along the path, as trackers drift and correct themselves. ``noise`` has their sizes
-    (RMS)."""
+    radians). They change slowly, as trackers drift and correct themselves. ``noise`` has their sizes (RMS)."""
     shifts = drift(count, 3, noise.pose_frames, random)
     turns = drift(count, 3, noise.pose_frames, random)
     return _with_rms(shifts, noise.pose_shift), _with_rms(turns, float(np.radians(noise.pose_turn)))
 
 
 def _with_rms(values: Floats, target: float) -> Floats:
-    """Return vectors [count, 3] without their mean, which would move the world, scaled to the root mean square
-    ``target``."""
+    """Return vectors [count, 3] without their mean, which would move the world, scaled to the RMS ``target``."""
     centred = values - values.mean(0)
     return centred * (target / max(float(np.sqrt((centred**2).sum(-1).mean())), 1e-9))
 

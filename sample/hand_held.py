@@ -44,8 +44,7 @@ def main() -> int:
 
 
 def write_hand_held(scene: Path, out: Path, seed: int, noise: CaptureNoise | None = None) -> str:
-    """Write the folder ``out``, and return a line about it. Raises PlgsError if it exists or is in ``scene``;
-    OSError."""
+    """Write the folder ``out``; return a line about it. Raises PlgsError if it exists or is in ``scene``; OSError."""
     noise = noise or CaptureNoise()
     frames = open_scene(scene).frames
     _copy(scene, out)
@@ -75,8 +74,8 @@ def write_hand_held(scene: Path, out: Path, seed: int, noise: CaptureNoise | Non
 
 def exposed(light: Pixels, gains: Floats, motion: Floats | None, black: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Return the picture, uint8 [H, W, 3], of linear light after the shutter's blur, amplification, clipping and
-    undistortion. ``gains`` float64 [3], ``motion`` float64 [2] in fractions of the width or None, ``black`` bool [H,
-    W]: borders."""
+    undistortion. ``gains`` float64 [3], ``motion`` float64 [2] in parts of the width or None, ``black`` [H, W]:
+    borders."""
     if motion is not None:
         light = capture_noise.motion_blur(light, motion * light.shape[1])
     colour = capture_noise.srgb(light * gains.astype(np.float32))
@@ -85,8 +84,7 @@ def exposed(light: Pixels, gains: Floats, motion: Floats | None, black: NDArray[
 
 
 def sensed_depth(frame: Frame, light: Pixels, waves: Floats, noise: CaptureNoise, seed: int) -> Floats:
-    """Return depth as the sensor measures it, float64 [H / 2, W / 2] metres, 0 = none. ``light`` [H, W, 3] is
-    linear."""
+    """Return depth as the sensor measures it, float64 [H / 2, W / 2] metres, 0 = none. ``light`` is linear."""
     exact = capture_noise.half_size(frame.read_depth(None).astype(np.float64), noise)
     height, width = exact.shape
     camera = frame.camera.resized(width, height)

@@ -295,8 +295,7 @@ def _draw(seen: list[Region], holes: Bools, noise: MaskNoise, random: np.random.
 
 
 def _coarse(pixels: Bools, cell: int) -> NDArray[np.float64]:
-    """Return how much of each coarse cell (``cell`` pixels) is covered, float64 [h, w], slightly blurred as by a
-    network."""
+    """Return how much of each coarse cell (``cell`` pixels) is covered, float64 [h, w], slightly blurred."""
     height, width = pixels.shape
     rows, columns = -(-height // cell), -(-width // cell)
     padded = np.pad(pixels, ((0, rows * cell - height), (0, columns * cell - width)), mode="edge")

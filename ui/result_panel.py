@@ -75,8 +75,7 @@ def short_count(number: int) -> str:
 
 
 def _swatch_name_numbers(layout: Any, row: Any, coloured: Any, *, can_be_renamed: bool) -> Any:
-    """Draw a row's first cells: the colour of `coloured` (the row or its class), name, numbers. Returns the layout for
-    more."""
+    """Draw a row's first cells: the colour of `coloured` (row or class), name, numbers. Returns the layout for more."""
     line = layout.row(align=True)
     swatch = line.row()
     swatch.ui_units_x = 0.9

@@ -1,5 +1,4 @@
-"""Make a baked view: its layers and mattes, from a rendering in bands of rows, and the surface's world position and
-normal."""
+"""Make a baked view: layers and mattes, from a rendering in bands of rows, and the surface's position and normal."""
 
 from __future__ import annotations
 

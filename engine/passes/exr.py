@@ -136,8 +136,7 @@ def _box(left: int, top: int, width: int, height: int) -> tuple[NDArray[np.int32
 
 
 def _to_ndc(camera: Camera, left: int, top: int, width: int, height: int) -> NDArray[np.float64]:
-    """The transform from the engine's camera space to NDC, float64 [4, 4]; z becomes 1 / depth, except in parallel
-    views."""
+    """The transform from our camera space to NDC, float64 [4, 4]; z becomes 1 / depth, except in parallel views."""
     if camera.projection == "orthographic":
         scale, middle = (
             [camera.fx / width, camera.fy / height, 1.0],

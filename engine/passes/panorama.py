@@ -22,8 +22,7 @@ _MARGIN = 2
 
 
 def _turned(*axes: int) -> NDArray[np.float64]:
-    """Return a rotation, float64 [4, 4], whose columns are these axes of the camera: 1, 2, 3 for x, y, z, -1 for -x,
-    etc."""
+    """Return a rotation, float64 [4, 4], whose columns are these axes of the camera: 1, 2, 3: x, y, z; -1: -x, etc."""
     turn = np.eye(4)
     turn[:3, :3] = np.stack([np.sign(axis) * np.eye(3)[abs(axis) - 1] for axis in axes], axis=1)
     return turn

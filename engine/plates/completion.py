@@ -89,8 +89,7 @@ def _metres(mask: Mask, texel: float) -> NDArray[np.float64]:
 
 def completed_labels(known_label: NDArray[np.int32], hole: Mask, seen: Mask) -> NDArray[np.int32]:
     """Return the labels [h, w] of a texture, continued into the ``hole`` from the nearest texel that was ``seen``. A
-    label that fills its rectangle, as a rug does, fills all of it in the hole too; the commonest fills what is
-    around."""
+    label that fills its rectangle, as a rug does, fills it in the hole too; the commonest fills the rest."""
     label = known_label[tuple(distance_transform_edt(~seen, return_distances=False, return_indices=True))]
     kinds, counts = np.unique(known_label[seen], return_counts=True)
     edge = binary_dilation(hole, iterations=4) & seen

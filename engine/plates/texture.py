@@ -118,8 +118,7 @@ def texture_around(
 
 
 def _behind(plane: Plane, view: PlateView) -> NDArray[np.float64]:
-    """Return where on the plane the view's rays that meet removed objects would end without them, [N, 2] in its
-    axes."""
+    """Return where on the plane, [N, 2], a view's rays that meet removed objects would end without them."""
     measured = np.where(view.leaves, view.depth, 0)[::EVERY, ::EVERY]
     seen = view.camera.resized(measured.shape[1], measured.shape[0]).unproject(measured)[measured > 0]
     ways, height = seen - view.camera.centre, plane.local(view.camera.centre[None])[0, 2]

@@ -46,8 +46,7 @@ class ImageHeader:
 
 
 def read_image_header(path: Path) -> ImageHeader:
-    """Read the header of a PNG or JPEG and check that the file has an end. Raises PlgsError for cut-off and other
-    files."""
+    """Read the header of a PNG or JPEG and check that the file has an end. Raises PlgsError for others."""
     with reading(path), open_plain(path) as file:
         start = file.read(33)  # a PNG's signature and its whole IHDR
         if start.startswith(_PNG_SIGNATURE):

@@ -94,8 +94,7 @@ def require_all(names: Sequence[str], present: Collection[str], what: str, where
 
 
 def require_most(names: Sequence[str], present: Collection[str], what: str, where: Path, fix: str) -> list[str]:
-    """Return the ``names`` of frames that are in ``present``. Raises PlgsError like `require_all` if most are
-    missing."""
+    """Return the ``names`` of frames that are in ``present``. Raises like `require_all` if over half are missing."""
     there = [name for name in names if name in present]
     if 2 * len(there) < len(names):
         require_all(names, present, what, where, fix)

@@ -106,8 +106,7 @@ def _is_orthogonal(rotation: Matrix) -> bool:
 
 
 def read_intrinsics(path: Path, size: Size) -> Camera:
-    """Read the intrinsic matrix (3x3 or 4x4) of a picture of this ``size`` from a text file. Raises PlgsError for
-    others."""
+    """Read the intrinsic matrix (3x3 or 4x4) for pictures of this ``size`` from a file. Raises PlgsError for others."""
     return as_lens(read_matrix(path, ((3, 3), (4, 4), (3, 4))), size, path)
 
 

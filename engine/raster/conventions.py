@@ -56,8 +56,7 @@ class Pinhole:
 
     def slope_limits(self) -> tuple[float, float, float, float]:
         """(x low, x high, y low, y high): the range to which the slopes x/z and y/z are clamped before the Jacobian is
-        taken, the same in the whole picture, so that a Gaussian's footprint is the same in all rows. 0 for parallel
-        rays."""
+        taken, the same in the whole picture, so that a Gaussian has one footprint in all rows. 0 for parallel rays."""
         if self.is_orthographic:
             return 0.0, 0.0, 0.0, 0.0
         (fx, fy), (cx, cy) = self.focal, self.principal

@@ -97,8 +97,7 @@ def list_visible(boxes: Array, depth_bits: Array, keys: Array, gaussian_offsets:
 
 @parallel_kernel
 def count_tiles(worker: int, workers: int, order: Array, boxes: Array, columns: int, counts: Array) -> None:
-    """Count how often each tile occurs in the ``boxes`` of the worker's part of ``order``; ``counts`` int64 [workers,
-    tiles]."""
+    """Count each tile in the ``boxes`` of the worker's part of ``order``; ``counts`` int64 [workers, tiles]."""
     first, end = chunk_range(worker, workers, order.shape[0])
     for k in range(first, end):
         i = order[k]

@@ -37,8 +37,7 @@ _POSE_RULES = "camera-to-world with x right, y down, z forward, in metres"
 
 @dataclass(frozen=True)
 class DepthFacts:
-    """A frame's depth: its ``range`` (nearest, median, farthest, in metres), and the ``share`` of pixels that have
-    any."""
+    """A frame's depth: its ``range`` (nearest, median, farthest, in metres), and the ``share`` of pixels with any."""
 
     size: Size
     range: tuple[float, float, float]
@@ -197,8 +196,7 @@ def _pixel_warnings(facts: Sequence[FrameFacts]) -> Iterable[str]:
 
 
 def _colour_warnings(brightest: Mapping[str, int]) -> Iterable[str]:
-    """Yield warnings about 16-bit photos, into which cameras write 10, 12 or 14 bits. None is brightened: it may be
-    dark."""
+    """Yield warnings about 16-bit photos, into which cameras write 10, 12 or 14 bits. None is brightened."""
     name = max(brightest, key=brightest.__getitem__, default="")
     bits = next((bits for bits in _BITS if 0 < brightest.get(name, 0) < 1 << bits), None)  # 0: a covered lens
     if bits is not None:

@@ -60,9 +60,8 @@ class _Content:
 
 @dataclass(frozen=True)
 class ClassChoice:
-    """The content of a classes.toml: the ``table`` that the numbers belong to, whether classes are mapped
-    ``to_reduced``, the paper's 21, numbers that are ``void``, and the ``rows``. ``path`` is None if a table was
-    named."""
+    """The content of a classes.toml: the ``table`` of the numbers, whether classes are mapped ``to_reduced``, the
+    paper's 21, numbers that are ``void``, and the ``rows``. ``path`` is None for a named table."""
 
     path: Path | None = None
     table: str | None = None

@@ -161,8 +161,7 @@ def _numbered(labels: Sequence[ClassLabel], choice: ClassChoice) -> list[tuple[i
 
 
 def _only(names: Mapping[int, str], text: str, choice: ClassChoice) -> int | None:
-    """Return the number whose name is ``text``, or None. Raises PlgsError, naming the file of ``choice``, if several
-    have it."""
+    """Return the number whose name is ``text``, or None. Raises PlgsError (about ``choice``) if several have it."""
     found = named(names, text)
     if len(found) > 1:
         what = f'several classes have names that differ from "{text}" only in capitals ({listed(found)})'
@@ -195,8 +194,7 @@ def _labels(
 def _targets(
     labels: Mapping[int, ClassLabel], rows: Sequence[tuple[int, ClassRow]], choice: ClassChoice
 ) -> dict[int, str]:
-    """Return the name of the class into which the choice's ``rows`` merge a label, by label number; others are left
-    out."""
+    """Return the name of the class into which ``rows`` merge a label, by its number; others are left out."""
     names, into = {number: label.name for number, label in labels.items()}, {}
     for number, row in rows:
         found = [] if row.into is None else named(names, row.into)
@@ -232,7 +230,8 @@ def _merged(
 def _reduced(
     labels: Mapping[int, ClassLabel], into: Mapping[int, str], choice: ClassChoice
 ) -> tuple[list[ClassLabel], dict[int, int]]:
-    """Return the paper's 21 classes, and each label's class among them. Raises PlgsError for labels without a match."""
+    """Return the paper's 21 classes, and each label's class among them: that which ``into`` names, else that of its own
+    name or number. Raises PlgsError for labels without a match."""
     final = list(known_table(REDUCED).labels)
     by_name = {label.name: label.id for label in final} | {"void": VOID}
     table = {} if choice.table is None else known_table(choice.table).reduced

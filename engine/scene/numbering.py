@@ -61,8 +61,7 @@ _CONTRADICTED = f"Name the network's table with --classes, or write {FILE_NAME} 
 
 @dataclass(frozen=True)
 class Asking:
-    """Words of messages about a numbering: ``whose`` numbers they are, and how users name a ``table`` with
-    ``option``."""
+    """Words of messages about a numbering: ``whose`` they are, and how users name a ``table`` with ``option``."""
 
     whose: str = "the masks'"
     table: str = "--classes {}"

@@ -81,8 +81,7 @@ def image_bytes(
 
 
 def largest_of_16_bits(path: Path) -> int | None:
-    """Return the largest colour value of a 16-bit PNG without alpha; None for other images. Raises PlgsError for
-    damage."""
+    """Return the largest colour value of a 16-bit PNG without alpha; None for others. Raises PlgsError for damage."""
     if read_image_header(path).bit_depth != 16:
         return None
     pixels = decode(path, as_colour=False)
@@ -203,8 +202,7 @@ def label_map_size(path: Path) -> Size:
 
 
 def label_header(path: Path) -> ImageHeader:
-    """Return the header of a PNG of labels: one channel, perhaps a palette, or equal channels. Raises PlgsError for
-    others."""
+    """Return the header of a PNG of labels: one channel, a palette, or equal channels. Raises PlgsError for others."""
     header = read_image_header(path)
     is_grey = header.channels == 1 or (header.format == "png" and equal_channels(decode(path, False)) is not None)
     if header.format != "png" or not is_grey:
@@ -252,8 +250,7 @@ def _only_array(path: Path) -> str:
 
 
 def read_indices(path: Path) -> NDArray[np.int32]:
-    """Read a one-channel PNG's values, int32 [H, W]; with a palette its indices. Raises PlgsError for damage and
-    colours."""
+    """Read a one-channel PNG's values, int32 [H, W], or palette indices. Raises PlgsError for other files."""
     header = label_header(path)
     data = check_image_file(path)
     if header.palette:

@@ -62,8 +62,7 @@ def merged_points(batches: Iterable[NDArray[np.float64]], spacing: float) -> NDA
 
 
 def merge_cells(rows: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
-    """Merge rows (mean x, y, z, weight) [n, 4] whose means share a cell of side ``spacing`` metres; return a row per
-    cell."""
+    """Merge rows (mean x, y, z, weight) [n, 4] whose means share a cell of side ``spacing`` metres; a row per cell."""
     if not len(rows):
         return rows
     keys, cell = np.unique(cell_keys(rows[:, :3], spacing), return_inverse=True)

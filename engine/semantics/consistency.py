@@ -88,7 +88,8 @@ class LabelledDepth(NamedTuple):
 def _compare(
     view: View, label: NDArray[np.int32], others: Sequence[tuple[View, NDArray[np.int32]]], options: ConsistencyOptions
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Return how many neighbours agree with each pixel's label, and how many see it labelled: int32 [H, W] each."""
+    """Return how many of the ``others`` (views and their labels) agree with each pixel's label, and how many see it
+    labelled: int32 [H, W] each."""
     agree = np.zeros(view.depth.shape, np.int32)
     seen = np.zeros(view.depth.shape, np.int32)
     share, metres = options.depth_tolerance_share, options.depth_tolerance_m
@@ -106,7 +107,9 @@ def _compare(
 def _warp_and_compare(
     one: LabelledDepth, two: LabelledDepth, relative: Any, metres: Any, share: Any, agree: Any, seen: Any
 ) -> None:
-    """Warp view ``one`` to ``two`` by depth, w(u) of the paper, compare labels, and add to ``agree`` and ``seen``."""
+    """Warp view ``one`` to ``two`` by depth, w(u) of the paper, compare labels, and add to ``agree`` and ``seen``.
+    ``relative`` [4, 4] takes points from ``one``'s camera to ``two``'s; depths may differ by ``metres`` or the
+    ``share``."""
     fx, fy, cx, cy = one.intrinsics
     gx, gy, hx, hy = two.intrinsics
     depth, label = one.depth, one.label

@@ -100,7 +100,7 @@ class SetUp(UvTask):
         self._variables["UV_PYTHON_INSTALL_DIR"] = str(self.folder / PYTHON)
 
     def run(self) -> Path:
-        """Do all steps; return the environment's Python, or the folder of wheels. Raises PlgsError if one fails;
+        """Do all steps and return the environment's Python, or the folder of wheels. Raises PlgsError if a step fails;
         Cancelled."""
         try:
             refuse_others(self.folder)

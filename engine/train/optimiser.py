@@ -71,8 +71,8 @@ def move_rows(
     count: int,
     rate: float,
 ) -> None:
-    """Do what ``adam_step`` does, but only for these ``rows`` of one parameter, float32 on the CPU. Other rows and
-    their moments do not change. Clears the gradient."""
+    """Do one Adam step, as ``adam_step`` does, but only for these ``rows`` of one parameter, float32 on the CPU. Other
+    rows and their moments do not change. Clears the gradient."""
     if parameter.grad is None:
         return
     tensors = (*moments, parameter.grad.contiguous(), parameter.detach())
@@ -89,7 +89,8 @@ def _move_rows(
     worker: int, workers: int, rows: Array, columns: int, factors: Array, moments: tuple[Array, Array],
     gradient: Array, values: Array,
 ) -> None:  # fmt: skip
-    """The compiled loop of ``move_rows``, for one of several threads. Arrays are flat, [M * columns]."""
+    """Do one thread's part of ``move_rows``, compiled. ``moments``, ``gradient`` and ``values`` are flat, [M *
+    ``columns``]; ``factors`` [7] are Adam's constants in the order in which they are read."""
     mean, square = moments
     keep_mean, add_mean, keep_square, add_square = factors[0], factors[1], factors[2], factors[3]
     rate, over_root, epsilon = broadcast(factors[4]), broadcast(factors[5]), broadcast(factors[6])

@@ -21,8 +21,7 @@ from .targets import ViewTargets, columns_of, slots_of
 
 
 def pseudo_label_steps(every: float, steps: int) -> frozenset[int]:
-    """Return the steps after which pseudo labels are made: multiples of the share ``every`` of ``steps`` but the
-    last."""
+    """Return after which steps pseudo labels are made: multiples of the share ``every`` of ``steps`` but the last."""
     points = (round(number * every * steps) for number in range(1, math.ceil(1 / every)))
     return frozenset(point for point in points if 0 < point < steps)
 

@@ -75,7 +75,8 @@ def view_targets(
     gain: NDArray[np.float64] | None = None,
 ) -> ViewTargets:
     """Make the targets of ``view`` from the class and instance ids of its pixels, int32 [H, W]. Instance 0 means "no
-    object" where there is a class, and is trained if ``teach_no_object``. ``matched_instance`` None: none is known."""
+    object" where there is a class, and is trained if ``teach_no_object``. ``matched_instance`` None: none is known.
+    ``weight`` and ``gain`` are as in ViewTargets."""
     matched = torch.full(projected_class.shape, -1, dtype=torch.int16)
     if matched_instance is not None:
         matched = slots_of(matched_instance, (projected_class != 0) & teach_no_object, channels)

@@ -37,8 +37,7 @@ NOISY = 4.0
 
 
 class StepClock:
-    """A profiler, called after each part of a training step. This one does nothing; ``research/bench_step.py``
-    measures."""
+    """A profiler, called after every part of a step. This one does nothing; research/bench_step.py's does."""
 
     def start(self) -> None:
         """Called when a step begins."""
@@ -223,8 +222,8 @@ class Trainer:
     def step(self, check: Callable[[], None] = lambda: None) -> StepReport:
         """Make pseudo labels if they are due, do one optimisation step on one view, then add and prune anchors if due.
         Between steps, and when ``check`` raises, the state is complete: training continues bit for bit from a
-        checkpoint. Raises what ``check`` raises and, before it changes anything, FloatingPointError for a loss of inf
-        or NaN."""
+        checkpoint. Raises what ``check`` raises and, before any change, FloatingPointError if the loss is not
+        finite."""
         if self.step_number in self.pseudo_label_steps:
             self.refresh_pseudo_labels(check)
         epoch, position = divmod(self.step_number, len(self.targets))  # each epoch has a new random order of all views

@@ -281,8 +281,7 @@ def size_cameras(root: bpy.types.Collection) -> None:
 
 
 def isolate(root: bpy.types.Collection, instance: int = 0) -> None:
-    """Show only one instance (0: the list's active one), or all if it already is alone. Raises PlgsError if it is
-    unknown."""
+    """Show only one instance (0: the list's active one), or all if it is alone. Raises PlgsError if it is unknown."""
     number = row_of(root, instance).instance_id
     root.plgs.isolated = 0 if root.plgs.isolated == number else number
 

@@ -81,8 +81,8 @@ class View:
 class Projected:
     """N flat elements (squares, splats, triangles) of one `form`, projected into a view. `corners` int32 [N, 3] are
     rows of `vertices` [M, 4], from `View.projected`: an element's origin and the ends of its two axes. `bounds` float32
-    [4, N] in pixels: left, bottom, right, top. `ids` int32 [N, 2]: instance, class. `opacity` float32 [N], in the
-    middle."""
+    [4, N] in pixels: left, bottom, right, top. `ids` int32 [N, 2]: instance, class. `opacity` float32 [N], its
+    middle's."""
 
     form: str
     vertices: NDArray[np.float32]
@@ -148,8 +148,7 @@ _MOST_KEPT = 64
 def parts_near(
     root: bpy.types.Collection, view: View, mouse: tuple[float, float], space: Any = None
 ) -> list[Projected]:
-    """Return the parts of a lift that a view draws near the pixel `mouse`, projected. What `space` hides is left
-    out."""
+    """Return the parts of a lift that a view draws near a pixel, projected. What `space` hides is left out."""
     lists = root.plgs
     hidden = tuple(row.visible for row in (*lists.instances, *lists.classes))
     state = view, lists.isolated, hidden, root.get(CORRECTIONS)

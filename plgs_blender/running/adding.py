@@ -63,8 +63,7 @@ def why_not_added() -> str | None:
 
 
 def add(name: str, python: Path, index_url: str = "") -> Adding:
-    """Start adding packages for one of `ADDED` to the environment of ``python``. Raises PlgsError if refused;
-    OSError."""
+    """Start adding packages for one of `ADDED` to ``python``'s environment. Raises PlgsError if refused; OSError."""
     reason = why_not_added()
     if reason is not None:
         raise PlgsError("adding-refused", "nothing can be added to the engine now", CAPABILITIES[name].label, reason)

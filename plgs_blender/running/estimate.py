@@ -70,8 +70,7 @@ def used_options(settings: PLGS_PG_settings) -> dict[str, int]:
 
 
 def _used(name: str, description: str, least: int = 0, **kinds: str) -> IntProperty:
-    """Declare a property that shows the value of the option ``name`` that will be used; typing into it sets the
-    option."""
+    """Declare a property that shows the option ``name``'s value that will be used; typing into it sets the option."""
 
     def read(shown: PLGS_PG_used_options) -> int:
         return used_options(shown.id_data.plgs)[name]

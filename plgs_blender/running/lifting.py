@@ -212,8 +212,7 @@ def why_no_bake(settings: PLGS_PG_settings) -> str | None:
 
 
 def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Lift:
-    """Let an engine bake frames: "all", the held-out ("test") or the "active". Raises PlgsError if it cannot;
-    OSError."""
+    """Let an engine bake frames: "all", held-out ("test") or the "active". Raises PlgsError if none can; OSError."""
     lift = lift_at(scene.plgs, folder)
     names = [frames]
     if frames == "active":
@@ -238,8 +237,8 @@ def bake_shot(scene: bpy.types.Scene, shot: ShotReader, folder: str = "", *, rep
 
 
 def bake_on_farm(scene: bpy.types.Scene, folder: str = "") -> Path:
-    """Write a farm job that bakes the active camera's range, and return it. Raises PlgsError if this file is unsaved;
-    OSError."""
+    """Write a farm job that bakes the active camera's range, and return its path. Raises PlgsError if this file was
+    never saved, or the lift is not finished; OSError."""
     lift = lift_at(scene.plgs, folder)
     read_manifest(lift.result_path)
     return write_farm_job(scene, lift, shot_of(scene, given=scene.plgs.shot))

@@ -75,8 +75,7 @@ def fill_classes(masks: PLGS_PG_masks, listed: Mapping[str, Any]) -> None:
 
 
 def edited_classes(masks: PLGS_PG_masks) -> dict[str, Any]:
-    """Return the panel's classes as input for the engine's command ``classes --write``. Raises PlgsError for a bad
-    void."""
+    """Return the panel's classes as input for the engine's ``classes --write``. Raises PlgsError for a bad void."""
     rows = [
         {"label": row.label, "name": row.name, "into": row.into or row.name, "is_thing": row.is_thing}
         for row in masks.classes
@@ -124,8 +123,7 @@ class ClassWriting(SceneTask):
 
 
 def read_classes(scene: bpy.types.Scene, table: str = OWN_TABLE) -> ClassListing:
-    """Let an engine list the panel's scene's classes, by one of TABLE_ITEMS. Raises PlgsError without an engine;
-    OSError."""
+    """Let an engine list the panel's scene's classes, by one of TABLE_ITEMS. Raises PlgsError if none can; OSError."""
     registry.refuse_second(ClassListing)
     chosen = chosen_scene(scene.plgs)
     more = [] if table == OWN_TABLE else ["--table", table]
@@ -134,8 +132,8 @@ def read_classes(scene: bpy.types.Scene, table: str = OWN_TABLE) -> ClassListing
 
 
 def write_classes(scene: bpy.types.Scene) -> ClassWriting:
-    """Let an engine write the rows into classes.toml beside the masks. Raises PlgsError for a bad row or without an
-    engine."""
+    """Let an engine write the rows into classes.toml beside the masks. Raises PlgsError for a bad void, and if none
+    can."""
     registry.refuse_second(ClassWriting)
     chosen = chosen_scene(scene.plgs)
     edited = json.dumps(edited_classes(scene.plgs_masks))
@@ -207,8 +205,7 @@ class FilmMaking(Preparation):
 
 
 def make_depth(chosen: ChosenScene, python: Path, model: str, *, download: bool) -> DepthMaking:
-    """Start an engine that makes depth. ``model``, ``download``: as in `make_masks`. Raises PlgsError if one runs;
-    OSError."""
+    """Start an engine that makes depth; arguments as in `make_masks`. Raises PlgsError if one runs; OSError."""
     registry.refuse_second(DepthMaking)
     command: list[str | Path] = [chosen.scene, f"--up={chosen.up_option}"]
     command += _network("--model", model, download=download)

@@ -97,8 +97,8 @@ def look(chosen: ChosenScene, python: Path | None) -> Survey:
 
 
 def _look_alone(chosen: ChosenScene) -> Survey | None:
-    """Return what Blender sees without an engine; None if an engine is needed and there. Raises PlgsError if it is
-    missing."""
+    """Return what Blender sees without an engine; None if one is needed and there. Raises PlgsError if it is not
+    there."""
     for path in (chosen.scene, chosen.masks, chosen.depth):
         if path is not None and not os.path.exists(path):
             raise PlgsError("file-missing", "there is no such file or folder", path, "Choose another one.")
@@ -174,7 +174,7 @@ def _is_of_all(answer: Mapping[str, Any], sizes: str) -> bool:
 
 
 def obstacles_to(survey: Survey, has_engine: bool) -> dict[str, str | None]:
-    """Return why the keys (Cameras, Pictures, Coloured cloud, Lift) cannot be had of a readable scene, None if they
+    """Return why each key (Cameras, Pictures, Coloured cloud, Lift) cannot be had of a readable scene; None if it
     can."""
     has_pictures = survey.picture_files == survey.frames or has_engine
     has_cloud = survey.sparse_points > 0 or (survey.has_depth and has_engine)

@@ -34,8 +34,7 @@ from .options import BaselinePreset
 
 
 class SegmentTrainer(Trainer):
-    """A trainer that also teaches all pixels of an input mask's segment one class, once ``FROM`` of the steps are
-    done."""
+    """A trainer that also teaches all pixels of an input mask's segment one class, after ``FROM`` of the steps."""
 
     def move_to(self, device: torch.device | str) -> None:
         """Move to a device, but stay on the CPU if segments are kept consistent, as kernels do that."""
@@ -90,8 +89,7 @@ class SplattingTrainer(SegmentTrainer):
 
 
 def lift_baseline(folder: LiftFolder, events: EventWriter, stop: StopSignal, *, resume: bool) -> None:
-    """Run `run_lift` with the baseline that the preset's options name, else PLGS itself. Raises what `run_lift`
-    raises."""
+    """Run `run_lift`, which may raise, with the baseline that the preset's options name, else PLGS itself."""
     run_lift(folder, events, stop, resume=resume, preparing=prepare_baseline, training=new_trainer, sources=SOURCES)
 
 
@@ -112,8 +110,7 @@ def prepare_baseline(given: ViewsToLift, stages: StageReporter) -> PreparedLift:
 def new_trainer(
     scene: StructuredScene, targets: Sequence[ViewTargets], views: Sequence[View], preset: Preset, seed: int
 ) -> Trainer:
-    """Return a trainer of the kind that the preset's options name: PLGS's or 3DGS's, perhaps with consistent
-    segments."""
+    """Return the trainer that the preset's options name: PLGS's, perhaps with consistent segments, or 3DGS's."""
     options = cast(BaselinePreset, preset)
     kind: type[Trainer] = SplattingTrainer if options.representation == "plain" else SegmentTrainer
     return kind(scene, targets, views, preset, seed)
@@ -135,8 +132,7 @@ def baseline_scene(
 
 
 def with_semantic_targets(prepared: PreparedLift, views: Sequence[View], source: str) -> PreparedLift:
-    """Return ``prepared`` with other targets for classes: those of the input masks (``source`` "masks"), or none
-    ("none")."""
+    """Return ``prepared`` with other classes as targets: the input masks' (``source`` "masks") or "none"."""
     class_ids, targets = prepared.scene.channels.class_ids, prepared.targets
 
     def target(number: int) -> ViewTargets:

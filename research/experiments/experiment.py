@@ -1,5 +1,4 @@
-"""An experiment, its scenes, and the lifts that it needs: which row on which scene, in which folder, by which
-options."""
+"""An experiment, its scenes, and the lifts that it needs: which row on which scene, where, by which options."""
 
 from __future__ import annotations
 
@@ -107,12 +106,12 @@ class Experiment:
         return Path(self.preset).stem
 
     def masks_of(self, scene: SceneToLift, masks: str | None = None) -> Path | None:
-        """Return where a scene's masks are: in ``masks`` of its folder, else where --masks says, else None (the
-        scene)."""
+        """Return where a scene's masks are: at the path ``masks`` in its folder, else where --masks says, else None,
+        which means in the scene itself."""
         return scene.folder / masks if masks else of_scene(self.masks, scene.name)
 
     def source(self, scene: SceneToLift, masks: str | None = None) -> SceneSource:
-        """Return the scene and how it is read."""
+        """Return a scene and how this experiment reads it. ``masks`` is as in `masks_of`."""
         return SceneSource(
             scene.folder, self.masks_of(scene, masks), scene.up, self.scene_format,
             of_scene(self.depth, scene.name), self.mask_format, self.classes,

@@ -60,7 +60,8 @@ def run_experiment(experiment: Experiment, interrupts: Interrupts) -> ExitCode:
 
 
 def lifted(experiment: Experiment, task: Task, interrupts: Interrupts) -> Result:
-    """The figures of a task, which is lifted first if it is not finished. Raises PlgsError, Cancelled, Interrupted."""
+    """Return the figures of a task, which is lifted first if it is not finished. Raises PlgsError if that fails;
+    Cancelled, Interrupted."""
     if experiment.only_finished:
         return result_of(experiment, task)
     if task.depth_of is not None:
@@ -98,7 +99,8 @@ def is_finished(task: Task) -> bool:
 
 
 def make_depth_maps(lift: Path, maps: Path) -> None:
-    """Write the rendered depth of all frames of a lift, once. Raises PlgsError, also if the lift is not finished."""
+    """Write the rendered depth of all frames of a lift into the folder ``maps``, unless it is there. Raises PlgsError
+    if the lift is not finished."""
     if not has_manifest(lift):
         what = "the lift whose depth is needed is not finished"
         raise PlgsError("not-finished", what, lift, "Find out why that lift failed.")

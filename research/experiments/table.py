@@ -121,8 +121,7 @@ class Tables:
             yield "\n".join(self._table(rows, [row.name for row in rows], cells)) + "\n"
 
     def _mean_cells(self, row: Row, scenes: Sequence[str]) -> dict[str, str]:
-        """Return each figure's mean over the scenes that have it; for each scene it is the mean, or the best, of its
-        seeds."""
+        """Return each figure's mean over the scenes that have it; for a scene it is the mean, or best, of its seeds."""
         measured = [seeds for scene in scenes if (seeds := self.measured(scene, row))]
         failed = sum(bool(self._failures(scene, row)) for scene in scenes)
         cells = {"scenes": str(len(measured)), "state": f"{failed} failed" if failed else ""}

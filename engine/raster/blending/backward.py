@@ -54,8 +54,7 @@ def copy_label_gradients(tile: Tile, size: Size, d_labels: Array, channels: Arra
 
 @device_function
 def add_label_gradients(padded: int, scratch: Array, lists: PatchLists) -> None:
-    """Add each patch's sums over pixels of weight * label gradient to the label gradients of the Gaussians in its
-    list."""
+    """Add each patch's sums over pixels of weight * label gradient to the label gradients of its list's Gaussians."""
     for patch in range(PATCHES):
         count, listed = v.get(lists.counts, patch), patch * LISTED
         if count == 0:
@@ -209,8 +208,7 @@ def strips_of(mask: int) -> int:
 
 @inlined
 def whitened(patch: int, slope: Any, scratch: Array, own: int) -> Any:
-    """Return s1 (see `conventions`) of a patch's pixels, for the Gaussian whitened at scratch[own:], with L11 =
-    ``slope``."""
+    """Return s1 (see `conventions`) of a patch's pixels, for the Gaussian at scratch[own:] with L11 = ``slope``."""
     row, side = patch & -2, patch & 1
     return v.fma(slope, v.load(scratch, COLUMNS + side * TILE), v.load_pairs(scratch, own + S1_LEFT + row))
 
@@ -224,8 +222,7 @@ def exponent_of(patch: int, slope: Any, scratch: Array, own: int) -> Any:
 
 @inlined
 def blended_alpha(patch: int, raw: Any, here: Any, scratch: Array) -> Any:
-    """Return ``raw`` alpha (not capped at 0.99) where a patch's pixels blended the Gaussian at index ``here``, else
-    0."""
+    """Return ``raw`` (not capped) alpha where a patch's pixels blended the Gaussian at index ``here``, else 0."""
     blended = (raw >= v.broadcast(ALPHA_LEAST)) & (v.load(scratch, LAST + patch * PATCH_STRIDE) >= here)
     return v.select(blended, raw, v.broadcast(ZERO))
 
@@ -240,8 +237,7 @@ def keep_alpha(patch: int, raw: Any, scratch: Array) -> None:
 @device_function
 def fill_alphas(slope: float, index: float, patches: int, scratch: Array, own: int) -> None:
     """Compute a Gaussian's RAW_ALPHAS and OVERS, 1 / (1 - alpha), on the patches in the bit mask, the same bits as in
-    the forward pass. ``index`` is its place in the tile's list. Patches are taken in fours, which do not wait for each
-    other."""
+    the forward pass. ``index`` is its place in the tile's list. Patches are taken in fours, for speed."""
     slopes, here = v.broadcast(slope), v.broadcast(index)
     while patches != 0:
         (p0, p1, p2, p3), patches = take_four(patches, NO_PATCH)

@@ -31,8 +31,7 @@ def scratch_sizes(longest: int) -> tuple[int, int]:
 
 @device_function
 def any_alive(floats: Array) -> bool:
-    """Whether any pixel of the tile, whose state is in the scratch ``floats``, can still show Gaussians further
-    back."""
+    """Whether any pixel of the tile, with its state in the scratch ``floats``, can still show what is further back."""
     for at in range(0, TILE * TILE, TILE):
         if v.movemask(v.load(floats, TRANSMITTANCE + at) > v.broadcast(ENDED)) != 0:
             return True
@@ -41,8 +40,7 @@ def any_alive(floats: Array) -> bool:
 
 @device_function
 def blend_row(records: Array, at: int, r: int, floats: Array, to: int) -> bool:
-    """Blend the Gaussian at records[at:] on a tile's row ``r``; write weights to floats[to:]. Return whether any is
-    above 0."""
+    """Blend the Gaussian records[at:] on a tile's row ``r``; write weights to floats[to:]. Return if any is above 0."""
     s1 = v.fma(v.broadcast_load(records, at + L11), v.lane_numbers(), v.broadcast_load(floats, OWN + S1_LEFT + r))
     alpha = seen_alpha(v.exp2(v.fnmadd(s1, s1, v.broadcast_load(floats, OWN + EXPONENTS + r))))
     before = v.load(floats, TRANSMITTANCE + r * TILE)
@@ -126,8 +124,7 @@ def list_contributors(
 
 @device_function
 def sum_near_median(count: int, records: Array, floats: Array, members: Array, reach: Array) -> None:
-    """Compute each pixel's median depth and the sums for the mean near it (within ``reach``), from ``count`` listed
-    pairs."""
+    """Compute pixels' median depth and the sums for the mean near it (``reach``), from ``count`` listed pairs."""
     share, metres = v.broadcast(reach[0]), v.broadcast(reach[1])
     for at in range(TOTAL, LISTED, TILE):
         v.store(floats, at, v.broadcast(ZERO))

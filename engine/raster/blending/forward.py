@@ -41,8 +41,7 @@ def strip_floats(channels: int) -> int:
 
 @device_function
 def start_strip(columns: int, rows: int, channels: int, scratch: Array) -> None:
-    """Initialise a strip in the scratch: nothing blended; pixels beyond its ``columns`` and ``rows`` in the image
-    closed."""
+    """Initialise a strip in the scratch: nothing blended; pixels beyond its ``columns`` and ``rows`` closed."""
     left, right = interleave2(v.lane_numbers(), v.lane_numbers())
     row, _ = interleave2(v.broadcast(ZERO), v.broadcast(ONE))
     in_rows = row < v.broadcast(F(rows))
@@ -66,7 +65,7 @@ def rows_of(field: int, scratch: Array) -> Any:
 
 @device_function
 def write_strip(pixel: int, columns: int, rows: int, width: int, scratch: Array, out: Blended) -> None:
-    """Write a strip's ``rows`` and ``columns`` to ``out``, without labels. ``pixel``: its first one; ``width``: the
+    """Write ``rows`` x ``columns`` of a strip to ``out``, without labels. ``pixel``: its first; ``width``: the
     image's."""
     final, last, red = rows_of(FINAL, scratch), rows_of(LAST, scratch), rows_of(PLANES, scratch)
     green, blue = rows_of(PLANES + TILE, scratch), rows_of(PLANES + 2 * TILE, scratch)
@@ -78,8 +77,7 @@ def write_strip(pixel: int, columns: int, rows: int, width: int, scratch: Array,
 
 @inlined
 def write_row(pixel: int, columns: int, state: Any, out: Blended) -> None:
-    """Write ``columns`` pixels of a row to ``out``, from index ``pixel`` on. ``state``: final, last, red, green, blue,
-    depth."""
+    """Write ``columns`` pixels of a row to ``out`` at ``pixel``. ``state``: final, last, red, green, blue, depth."""
     final, last, red, green, blue, own_depth = state
     inside = v.lane_numbers() < v.broadcast(F(columns))
     v.masked_store(out.final, pixel, final, inside)
@@ -119,8 +117,7 @@ def copy_labels(gaussian: int, labels: Array, channels: int, scratch: Array, at:
 def load_labels(
     first: int, count: int, flatten_ids: Array, labels: Array, channels: int, scratch: Array, at: int
 ) -> None:
-    """Copy ``labels`` of the ``count`` Gaussians flatten_ids[first:], ``channels`` each, padded to whole vectors, to
-    scratch[at:]."""
+    """Copy the ``channels`` labels of ``count`` Gaussians flatten_ids[first:], padded to vectors, to scratch[at:]."""
     for m in range(count):
         ahead = int(v.get(flatten_ids, first + min(m + batch.AHEAD, count - 1))) * channels
         for c in range(0, channels, TILE):
@@ -131,8 +128,8 @@ def load_labels(
 @device_function
 def add_listed_labels(patch: int, end: int, scratch: Array, members: Array, batches: int, padded: int) -> int:
     """Add weight * label to a patch's pixels for each Gaussian in the patch's list, which ends before ``end``.
-    ``members`` has the offset of each Gaussian's labels, in vectors from scratch[batches:]. Return the emptied list's
-    end."""
+    ``members`` has the offset of each Gaussian's labels, from scratch[batches:], in vectors. Return the list's end, now
+    empty."""
     listed = patch * LISTED
     out = Rows(scratch, STRIP_LABELS + patch * TILE * padded, padded)
     weights = Factors(scratch, WEIGHTS + listed * TILE, 1, TILE)
@@ -227,8 +224,7 @@ def take_four(mask: int, missing: int) -> Any:
 
 @inlined
 def alphas_of(four: Any, columns: Any, scratch: Array, fields: int) -> Any:
-    """Return the alphas, as they are blended, of ``four`` members of the batch at a patch's pixels. Others:
-    `exponent_of`."""
+    """Return the alphas, as blended, of ``four`` members at a patch's pixels; arguments are as in `exponent_of`."""
     m0, m1, m2, m3 = four
     e0, e1 = exponent_of(m0, columns, scratch, fields), exponent_of(m1, columns, scratch, fields)
     e2, e3 = exponent_of(m2, columns, scratch, fields), exponent_of(m3, columns, scratch, fields)
@@ -240,8 +236,7 @@ def alphas_of(four: Any, columns: Any, scratch: Array, fields: int) -> Any:
 def blend_four(
     four: Any, alphas: Any, state: Any, end: int, scratch: Array, fields: int, members: Array, labels: Any
 ) -> Any:
-    """Blend ``four`` members as ``blend_member`` does one. Return state, list end, and whether any pixel is still
-    open."""
+    """Blend ``four`` members as ``blend_member`` does one. Return state, list end, and whether any pixel is open."""
     m0, m1, m2, m3 = four
     alpha0, alpha1, alpha2, alpha3 = alphas
     state, end = blend_member(m0, alpha0, state, end, scratch, fields, members, labels)

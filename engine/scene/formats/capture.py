@@ -29,8 +29,7 @@ _NOT_IN_NAMES = re.compile(r'[\x00-\x1f<>:"|?*]')
 class Shot:
     """One posed picture. ``camera`` has its pose in the format's own world, with OpenCV's axes, in metres.
     ``read_colour`` returns uint8 [H, W, 3] RGB at the camera's size; it is None if ``colour_path`` is that image.
-    Readers remove the ``distortion`` from colour and depth. ``kept_pixels`` is a picture, black where pixels don't
-    count."""
+    Readers remove the ``distortion`` from colour and depth. ``kept_pixels``: a picture, black where none counts."""
 
     name: str
     camera: Camera

@@ -188,8 +188,7 @@ def _beside(path: Path, name: str) -> Path | None:
 
 
 def _lens(entry: dict[str, Any], size: Size, context: str, path: Path) -> Camera:
-    """Return a camera at the origin, at its intrinsics' size, perhaps not the image's ``size``. Raises PlgsError
-    without any."""
+    """Return a camera at the origin, at its intrinsics' size, perhaps not the image's. Raises PlgsError without any."""
     width, height = (
         take_number(entry, key, context, path) if key in entry else float(side)
         for key, side in zip("wh", size, strict=True)
@@ -264,8 +263,7 @@ _PLY_FIX = "Write a PLY whose first element is vertex, with x, y, z."
 
 
 def read_ply_points(path: Path) -> SparsePoints:
-    """Read the vertices of a PLY (ASCII or binary) as points, white without colours. Raises PlgsError for other
-    files."""
+    """Read the vertices of a PLY (ASCII or binary) as points, white without colours. Raises PlgsError for others."""
     data = read_file(path, _MOST_BYTES)
     header = ply_header(data)
     if not header.end:

@@ -64,7 +64,8 @@ class Row(NamedTuple):
 
 
 def read_rows(path: Path, fix: str, separator: str | None = None, titles: bool = False) -> Iterator[Row]:
-    """The non-empty rows of a text file, with the row of ``titles`` if requested. Raises PlgsError with ``fix``."""
+    """Yield the non-empty rows of a text file, with the row of ``titles`` if asked. ``separator`` None: spaces. Raises
+    PlgsError, with ``fix`` as the advice, if it is no text."""
     for number, line in enumerate(read_text(path, LARGEST_TABLE, fix).splitlines(), start=1):
         words = [word.strip() for word in line.partition("#")[0].split(separator)]
         # TUM's column titles are comments; some tools remove the #.
@@ -73,7 +74,8 @@ def read_rows(path: Path, fix: str, separator: str | None = None, titles: bool =
 
 
 def numbers(row: Row, path: Path, fix: str, count: int | None = None) -> NDArray[np.float64]:
-    """Return a row's words as numbers, float64 [count], perhaps inf or NaN. Raises PlgsError for another count."""
+    """Return a row's words as numbers, float64 [count], perhaps inf or NaN. Raises PlgsError for other words or another
+    count, with ``fix`` as the advice."""
     try:
         values = np.array([float(word) for word in row.words])
     except ValueError as error:
@@ -84,8 +86,7 @@ def numbers(row: Row, path: Path, fix: str, count: int | None = None) -> NDArray
 
 
 def matrix_rows(path: Path, fix: str) -> Iterator[NDArray[np.float64]]:
-    """Yield matrices, float64 [4, 4], from lines of 16 numbers, or 12 without the last row. Raises PlgsError for
-    others."""
+    """Yield matrices, float64 [4, 4], from lines of 16 numbers, or 12 (no last row). Raises PlgsError for others."""
     for row in read_rows(path, fix):
         values = numbers(row, path, fix)
         if len(values) not in (12, 16):

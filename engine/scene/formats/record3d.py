@@ -85,8 +85,7 @@ class _Archive:
 
 
 def _find(place: Path) -> Path | None:
-    """Return the archive or the folder it was unpacked to: ``place`` itself, or the only archive in it; None without
-    one."""
+    """Return the archive or the folder it was unpacked to: ``place``, or the only archive in it; None without one."""
     is_unpacked = (place / "metadata").is_file() and (place / "rgbd").is_dir()
     return place if is_unpacked else only_file(place, ".r3d")
 

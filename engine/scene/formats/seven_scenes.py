@@ -110,7 +110,7 @@ def _info_lens(info: dict[str, str], kind: str, path: Path) -> Camera:
 def _capture(
     place: Path, progress: Progress, shot: _Reader, warnings: tuple[str, ...] = (), inferred: tuple[Inferred, ...] = ()
 ) -> Capture:
-    """Return all frames, with None for those whose pose is missing or not finite."""
+    """Return all frames, which ``shot`` opens; None for those whose pose is missing or not finite."""
     kinds = ("frame-*.pose.txt", "frame-*.color.*")
     files = {path for folder in _folders(place) for kind in kinds for path in shown_files(folder, kind)}
     bases = {path.with_name(path.name.partition(".")[0]) for path in files}
@@ -139,8 +139,7 @@ def _depth_file(base: Path) -> Path:
 
 
 def _own_lens_shot(lenses: tuple[Path, Path], name: str, base: Path, pose: NDArray[np.float64], picture: Path) -> Shot:
-    """Return the frame ``name``, with files that begin with ``base``; ``lenses`` are colour's and depth's lens
-    files."""
+    """Return the frame ``name``, whose files begin with ``base``; ``lenses`` are the lens files of colour and depth."""
     colour, depth = lenses
     lens = read_intrinsics(colour, read_image_header(picture).size)
     measured = png_depth(_depth_file(base), lens)

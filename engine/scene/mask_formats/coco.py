@@ -55,7 +55,7 @@ def _read_mask(png: Path, table: str, segments: tuple[FoundSegment, ...], crowd_
 
 
 def _read_ids(png: Path) -> NDArray[np.int32]:
-    """Read the segment ids as stored, int32 [H, W]."""
+    """Read the segment ids that a PNG stores in grey values or in its colours, int32 [H, W]."""
     pixels = decode(png, as_colour=False)
     if pixels.ndim == 2:
         return pixels.astype(np.int32)

@@ -112,7 +112,8 @@ class DetectionTable:
         return {name: tuple(each) for name, each in found.items()}, (warning,) if others else ()
 
     def _frames_of(self, images: set[str], names: Sequence[str], stems: Mapping[str, str]) -> dict[str, str]:
-        """The frame of each picture by its id: by file name, by the id as a frame's name or number, or by index."""
+        """Return the frame of ``names`` for each picture by its id: by the stem of its file, by the id as a frame's
+        name or number, or by index in a video."""
         if self.video_frames:
             step = 1 if self.video_frames == len(names) else _EVERY
             if step == _EVERY and not _EVERY * (self.video_frames - 1) < len(names) <= _EVERY * self.video_frames:
@@ -131,7 +132,7 @@ class DetectionTable:
         return found
 
     def is_by_number(self, names: Sequence[str]) -> bool:
-        """Whether there are pictures that are known only by a number, and not by one of a frame."""
+        """Whether pictures are known only by a number that belongs to no frame of ``names``: they cannot be matched."""
         images = {image for image, _ in self.entries} - self.names.keys() - {*names}
         return bool(images) and not images <= self._frames_of(images, names, {}).keys()
 

@@ -157,7 +157,7 @@ def _segment(info: dict[str, Any], key: str, name: str, table: Path) -> FoundSeg
 
 
 def _add(found: dict[int, FoundSegment], one: FoundSegment, name: str, table: Path) -> None:
-    """Add the segment ``one`` of frame ``name`` to those ``found``, with the next id from 1. Fused stuff may come in
+    """Add the segment ``one`` of frame ``name`` to those ``found``, with the next id. Fused stuff may come in
     pieces."""
     if one.id not in found:
         found[one.id] = FoundSegment(len(found) + 1, one.label, one.score)
@@ -168,8 +168,7 @@ def _add(found: dict[int, FoundSegment], one: FoundSegment, name: str, table: Pa
 
 def labels_of_config(config: Path, fused: Set[int] = frozenset()) -> tuple[ClassLabel, ...]:
     """The classes that ``id2label`` of a config.json names. Whether one is a thing follows from its name in public
-    tables or else from ``fused``, the classes that were fused at some time, which are stuff. Raises PlgsError without
-    it."""
+    tables or else from ``fused``, the classes that were ever fused, which are stuff. Raises PlgsError without it."""
     names = read_json_object(config).get("id2label")
     fix = "Copy the model's config.json there, or remove it and name a table with --classes."
     if not isinstance(names, dict) or not names:
