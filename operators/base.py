@@ -72,7 +72,7 @@ class Explained:
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        """Return why it cannot be called now, or None. Never reads the disk."""
+        """Return why it cannot be called now, None if it can. Never reads the disk."""
         return None
 
     @classmethod

@@ -106,7 +106,7 @@ class OnSelected(InView):
 
     @staticmethod
     def chosen(context: bpy.types.Context) -> tuple[bpy.types.Collection, int] | None:
-        """Return the lift and the instance of the active object, if that is selected, else None."""
+        """Return the lift and the instance of the active object; None if that is not selected or not of a lift."""
         active = context.active_object
         root = None if active is None else _lift_of(active, context.scene)
         number = 0 if root is None else selection.selected_instance(root, active)

@@ -78,7 +78,7 @@ def use_nodes(block: Any) -> bpy.types.NodeTree:
 
 
 def compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
-    """Return the scene's compositor nodes, or None."""
+    """Return the scene's compositor nodes, None if it has none."""
     if _COMPOSITOR_IS_A_GROUP:
         return scene.compositing_node_group
     return scene.node_tree if scene.use_nodes else None

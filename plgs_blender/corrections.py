@@ -244,7 +244,7 @@ def merge(root: bpy.types.Collection, instances: Sequence[int]) -> Edit:
 
 
 def delete(root: bpy.types.Collection, instance: int, *, around: bool) -> Edit:
-    """Delete an object. Its points join what is around them, or belong to no object."""
+    """Delete an object. Its points join what is ``around`` them or, if that is False, belong to no object."""
     return edit(root, lambda state, _: making.delete(state, instance, around=around))
 
 

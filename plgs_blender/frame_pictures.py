@@ -45,7 +45,7 @@ def frames_folder(source: SceneSource) -> Path:
 
 
 def made_before(source: SceneSource) -> MadeFrames | None:
-    """Return what an earlier run made of this scene, or None. Raises PlgsError if its notes are damaged."""
+    """Return what an earlier run made of this scene, None without one. Raises PlgsError if its notes are damaged."""
     return made_of(frames_folder(source), source)
 
 
@@ -126,7 +126,7 @@ _COLOURS = "colours"  # property of a mask picture: its colours as numbers
 
 
 def why_no_picture(scene: bpy.types.Scene) -> str | None:
-    """Return why nothing can be shown in front of the active camera, or None. Never reads the disk."""
+    """Return why nothing can be shown in front of the active camera, None if it can. Never reads the disk."""
     ob = scene.camera
     if ob is None or "frame" not in ob or LIFT not in ob:
         return "Look through a frame's camera first: select it and press Ctrl+Numpad 0"

@@ -116,7 +116,7 @@ class OwnedDataBlocks:
         return ob
 
     def known(self, key: str) -> bpy.types.Object | None:
-        """Return our object `key`, or None."""
+        """Return our object `key`, None if there is none."""
         return self._objects.get(key)
 
     def data(self, key: str, create: Callable[[], Any]) -> Any:

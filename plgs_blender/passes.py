@@ -226,7 +226,7 @@ def _count_through(views: int, offsets: list[int], scene: bpy.types.Scene, tree:
 
 
 def _count_on(first: int, last: int, _scene: bpy.types.Scene, tree: bpy.types.NodeTree) -> None:
-    """Make each timeline frame show the file with its number."""
+    """Make each timeline frame show the file with its number, from ``first`` to ``last``."""
     for node in reading_nodes(tree):
         node.frame_start, node.frame_duration, node.frame_offset = first, last - first + 1, first - 1
     node_of(tree, PASSES).use_auto_refresh = True

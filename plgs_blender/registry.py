@@ -153,7 +153,7 @@ class SceneTask(Task):
         self.chosen = chosen
 
     def error_for(self, chosen: ChosenScene) -> PlgsError | None:
-        """Return its error, if it concerns this scene, else None."""
+        """Return the task's error if it has one and concerns this scene, else None."""
         return self.error if chosen == self.chosen else None
 
 
@@ -178,12 +178,12 @@ def follow(task: Kind) -> Kind:
 
 
 def latest(kind: type[Kind]) -> Kind | None:
-    """Return the last followed task of a kind, running or ended, or None."""
+    """Return the last followed task of a kind, running or ended; None if none was followed."""
     return next((task for task in reversed(_tasks.values()) if isinstance(task, kind)), None)
 
 
 def task_of(key: Hashable) -> Task | None:
-    """Return the task with this key, or None."""
+    """Return the task with this key, None if none is followed."""
     return _tasks.get(key)
 
 

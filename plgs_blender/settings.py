@@ -193,7 +193,7 @@ def chosen_scene(settings: PLGS_PG_settings) -> ChosenScene:
 
 
 def chosen_lift(settings: PLGS_PG_settings) -> Path | None:
-    """Return the lift folder that the settings name, or None."""
+    """Return the lift folder that the settings name, None if they name none."""
     return absolute(settings.lift_folder) if settings.lift_folder else None
 
 
@@ -220,7 +220,7 @@ def asked_of_preset(settings: PLGS_PG_settings) -> tuple[Any, dict[str, Any]]:
 
 
 def why_no_options(settings: PLGS_PG_settings) -> str | None:
-    """Return what is wrong with the changed options, or None."""
+    """Return what is wrong with the changed options, None if they are right."""
     try:
         asked_of_preset(settings)
     except PlgsError as error:

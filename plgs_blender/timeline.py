@@ -92,7 +92,7 @@ def follow_camera(scene: bpy.types.Scene, *_arguments: object) -> None:
 
 
 def _waiting(scene: bpy.types.Scene, lift: str) -> list[bpy.types.Object]:
-    """Return the cameras of a lift that keep their markers' frames, as these are not on the timeline."""
+    """Return the lift's cameras that remember their markers' frames, as the markers are not on the timeline now."""
     return [ob for ob in _originals(scene, lift) if _PLACE in ob]
 
 

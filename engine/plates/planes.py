@@ -58,7 +58,7 @@ def find_planes(xyz: NDArray[np.floating], towards: NDArray[np.floating]) -> lis
 
 
 def _largest(xyz: NDArray[np.floating], random: np.random.Generator) -> tuple[NDArray[np.float64], float] | None:
-    """Return normal and offset of the plane with most of the points [N, 3], or None."""
+    """Return normal and offset of the plane with most of the points [N, 3]; None if they span no plane."""
     sample = xyz[random.permutation(len(xyz))[:SAMPLE]].astype(np.float64)
     near = cKDTree(sample).query_ball_point(sample[random.integers(len(sample), size=TRIES)], _SEED_REACH)
     corners = np.array([random.choice(ball, 3) for ball in near])

@@ -78,7 +78,7 @@ def _read(path: Path) -> bytes:
 
 
 def check_image_bytes(data: bytes, path: Path) -> None:
-    """Check an image's bytes as ``check_image_file`` does; ``path`` is its file. Only PNG and JPEG are accepted."""
+    """Check that an image's bytes are a whole PNG or JPEG. Raises PlgsError otherwise, for its file ``path``."""
     if data.startswith(_PNG_SIGNATURE):
         _png_header(data[:33], path)
         _check_png_chunks(data, path)

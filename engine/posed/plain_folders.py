@@ -35,7 +35,7 @@ class Split:
 
 def find_split(folder: Path, names: Sequence[str], lost: Sequence[str]) -> Split:
     """Return the split of the frames ``names`` by ``splits.json`` in ``folder``, or the default one without that file.
-    ``lost`` names frames without a pose. Raises PlgsError as ``read_split`` does, or if none is left to train on."""
+    ``lost`` names frames without a pose. Raises PlgsError for a bad file, or if none is left to train on."""
     table = folder / "splits.json"
     split = read_split(table, names, lost) if table.is_file() else default_split(names)
     if not split.train:

@@ -104,8 +104,9 @@ def survey_scene(scene: Scene, progress: Progress = unwatched, keep_within: Size
 
 
 def _readable(scene: Scene, tick: Progress, keep_within: Size | None) -> tuple[list[_Look], Scene, tuple[str, ...]]:
-    """Return the facts of the frames, the scene without unreadable frames, and warnings that name these. Raises
-    PlgsError also if memory runs out, and for a wrong class table or an unreadable ground truth."""
+    """Return the facts of the frames, the scene without unreadable frames, and warnings that name these. ``tick`` and
+    ``keep_within``: see `survey_scene`. Raises PlgsError for too many of these, if memory runs out, and for a wrong
+    class table or an unreadable ground truth."""
     looks: dict[str, _Look] = {}
     errors: dict[str, PlgsError] = {}
     total = len(scene.frames)

@@ -71,13 +71,13 @@ class ClassChoice:
 
     @property
     def labels(self) -> tuple[ClassLabel, ...] | None:
-        """The classes of the named table, or None."""
+        """The classes of the named table, None if none is named."""
         return None if self.table is None else known_table(self.table).labels
 
 
 def find_class_choice(named: str | None, beside: Path) -> ClassChoice | None:
     """Return the choice that ``named`` means (a table or a file), else that of a classes.toml in the folder ``beside``,
-    else None. Raises PlgsError if it is no table and no valid file."""
+    else None: the user chose nothing. Raises PlgsError if ``named`` is no table and no valid file."""
     if named is None:
         path = beside / FILE_NAME
         return read_class_choice(path) if path.is_file() else None

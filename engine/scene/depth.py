@@ -52,7 +52,7 @@ class DepthMap:
 
     def __call__(self, size: Size | None = None) -> NDArray[np.float32]:
         """Read depth, float32 [H, W] in metres with 0 = none, in the colour picture at ``size`` (width, height), or at
-        the map's own size. Raises PlgsError if the file is missing or damaged, or no sensor's."""
+        the map's own size. Raises PlgsError if the file is missing or damaged."""
         depth = self.read()
         return resize_aligned(depth, size or (depth.shape[1], depth.shape[0]), self.alignment)
 
@@ -88,7 +88,8 @@ def png_depth(path: Path, lens: Camera, unit: float = MILLIMETRES) -> DepthMap:
 
 
 def fault_of(path: Path) -> PlgsError | None:
-    """Return why a file cannot be read, by ``whole_file``, or None. Raises PlgsError if memory runs out."""
+    """Return the error that tells why a file is empty or cut off, None if it is whole. Raises PlgsError if memory runs
+    out."""
     try:
         whole_file(path)
     except PlgsError as error:
@@ -227,7 +228,8 @@ def between_cameras(
     depth: NDArray[np.float64], colour: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], tuple[str, ...]]:
     """Return the transform from points of the depth camera to points of the colour camera, float64 [4, 4], and warnings
-    if no sensor is built so. The arguments are both extrinsics of ScanNet (its calibration's ``depthToColor``)."""
+    if they stand too far apart for a sensor. The arguments are both extrinsics of ScanNet (its calibration's
+    ``depthToColor``)."""
     is_rigid = np.isfinite(depth).all() and np.abs(depth[:3, :3] @ depth[:3, :3].T - np.eye(3)).max() < 0.01
     if np.abs(colour - depth).max() < _ONE_PLACE:
         return np.eye(4), ()
@@ -237,8 +239,9 @@ def between_cameras(
 
 
 def seen_by_colour(depth: DepthMap, lens: Camera, colour: Camera, beside: NDArray[np.float64]) -> DepthMap | None:
-    """Return depth that a camera with ``lens`` measured as the ``colour`` camera sees it; None if no sensor is built
-    that way. ``beside`` float64 [4, 4] maps points of the first camera to points of the second."""
+    """Return depth that a camera with ``lens`` measured as the ``colour`` camera sees it; None if the two pictures
+    differ by more than any sensor's. ``beside`` float64 [4, 4] maps points of the first camera to points of the
+    second."""
     alignment = fitting_alignment(colour, lens)
     if alignment is None or np.abs(beside - np.eye(4)).max() < _ONE_PLACE:
         return None if alignment is None else replace(depth, alignment=alignment)

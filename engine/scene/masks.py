@@ -159,8 +159,8 @@ def find_masks(source: SceneSource, scene: Path, pictured: Mapping[str, Pictured
 
 
 def mask_place(scene: Path, masks: Path | None) -> Path | None:
-    """Return where a scene's masks are: the named path, else the scene's own folder or its subfolder ``masks``. A
-    folder of COCO panoptic PNGs is replaced by its JSON table, without which they mean nothing."""
+    """Return where a scene's masks are: the named path, else the scene's own folder or its subfolder ``masks``, else
+    None. A folder of COCO panoptic PNGs is replaced by its JSON table, without which they mean nothing."""
     if masks is not None:
         table = masks.with_name(f"{masks.name}.json")
         return table if masks.name.startswith("panoptic") and masks.is_dir() and table.is_file() else masks

@@ -57,7 +57,7 @@ class UvTask:
         self._variables = found
 
     def _get_uv(self, tools: Path) -> Path:
-        """The path of uv in ``tools``. Raises PlgsError, also if uv's settings would install packages elsewhere."""
+        """The path of uv in ``tools``. Raises PlgsError without it, and if its settings would install elsewhere."""
         if setting := uv_program.diverted(os.environ, self._cwd):
             fix = f"Remove it, or set UV_CONFIG_FILE to a file without it, then {self._again}"
             what = "a setting of uv keeps packages out of the engine's environment"

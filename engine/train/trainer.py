@@ -202,7 +202,7 @@ class Trainer:
         return self.step_number >= self.preset.last_step
 
     def follow_anchors(self) -> None:
-        """Recompute what is derived from the anchors, after some were added or removed."""
+        """Recompute the anchors' initial channels, after some anchors were added or removed."""
         anchors = self.scene.anchors
         channels = columns_of(anchors.initial_class.numpy(force=True), self.scene.channels.class_ids)
         self.initial_channels = channels.to(anchors.position.device)

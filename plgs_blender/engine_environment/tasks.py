@@ -194,14 +194,15 @@ def check() -> EngineCheck | None:
 
 
 def ask_chosen() -> EngineCheck | None:
-    """Check a newly chosen Python, and forget how the last set-up ended, as it concerned another one."""
+    """Check a newly chosen Python, and forget how the last set-up ended, which concerned another. None: none is
+    chosen."""
     if running_set_up() is None:
         registry.forget(SetUp.kind)
     return check()
 
 
 def running_set_up() -> SetUp | None:
-    """Return the running set-up, or None."""
+    """Return the running set-up, None if none runs."""
     return next(iter(registry.running(SetUp)), None)
 
 

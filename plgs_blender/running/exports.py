@@ -133,5 +133,5 @@ def can_make_meshes_unasked() -> bool:
 
 
 def making_meshes() -> Export | None:
-    """Return the running export whose meshes go into a scene, or None."""
+    """Return the running export whose meshes go into a scene, None if none runs."""
     return next((task for task in registry.running(Export) if task.makes_meshes), None)

@@ -59,7 +59,8 @@ class FrameMaking(Task):
         self._folder = folder
 
     def watch(self, scenes: Sequence[Any], has_news: bool) -> bool:
-        """Place the cameras as soon as the engine has read them, while it still makes pictures."""
+        """Place the cameras as soon as the engine has read them, while it makes pictures. Returns whether it placed
+        any."""
         return not self.order.lift and self.is_running and self.progress.step > 0 and self._place_cameras()
 
     def _place_cameras(self) -> bool:
@@ -91,7 +92,7 @@ class FrameMaking(Task):
                     frame_pictures.show_made(each, ob, order.shown_kind, made.frames[order.frame])
 
     def error_for(self, chosen: ChosenScene | None, lift: str) -> PlgsError | None:
-        """Return its error, if it concerns this scene, or the import or lift with this key."""
+        """Return its error, if it concerns this scene, or the import or lift with this key; else None."""
         is_of_it = self.order.chosen == chosen or (lift and self.order.lift == lift)
         return self.error if is_of_it else None
 
@@ -200,7 +201,8 @@ _tried: list[tuple[str, str]] = []
 
 
 def choose_picture(scene: bpy.types.Scene, kind: str, *, asked: bool = True) -> FrameMaking | None:
-    """Show one kind of picture in front of the active camera and, from now on, of every camera that becomes active."""
+    """Show one kind of picture before the active camera and, from now on, each that becomes active. Returns as
+    `show_picture`."""
     making = show_picture(scene, kind, asked=asked)
     frame_pictures.root_of(scene, scene.camera)[_CHOSEN] = kind
     _tried[:] = [(scene.camera.name, kind)]

@@ -47,7 +47,7 @@ def why_no_scene(settings: PLGS_PG_settings) -> str | None:
 
 
 def why_no_lift(settings: PLGS_PG_settings) -> str | None:
-    """Return why the panel's lift cannot be started now, or None. Never reads the disk."""
+    """Return why the panel's lift cannot be started now, None if it can. Never reads the disk."""
     followed = followed_lift(settings)
     if followed is not None and followed.is_running:
         return "Passes of this lift are being baked" if followed.is_baking else "This lift is already running"
@@ -80,7 +80,8 @@ def earlier_lift(settings: PLGS_PG_settings) -> Path | None:
 def start_lift(settings: PLGS_PG_settings, *, in_that_folder: bool = False, names_from: str = "") -> Lift:
     """Start the lift that the settings describe, in their lift folder. If that already holds a lift, use a new folder
     beside the scene or, with ``in_that_folder``, refuse. Objects keep their names in the lift ``names_from``, else in
-    `earlier_lift`. Raises PlgsError, OSError; then no folder is left behind."""
+    `earlier_lift`. Raises PlgsError without a scene or an engine and for bad options, OSError; then no folder is left
+    behind."""
     if not settings.scene_folder:
         what = "no scene is chosen"
         raise PlgsError("no-scene", what, "Scene", "Choose a capture's folder or file.")
@@ -160,7 +161,7 @@ class SceneFinding(Task):
 
 def find_scene(scene: bpy.types.Scene, place: Path, folder: str = "") -> SceneFinding:
     """Let an engine change the path of the scene in the lift in `folder`, else in the settings' lift, to ``place``. If
-    the lift is shown, its photos appear again. Raises PlgsError, also if it is another scene."""
+    the lift is shown, its photos appear again. Raises PlgsError without an engine."""
     registry.refuse_second(SceneFinding)
     lift = lift_at(scene.plgs, folder)
     follower = start_engine("find-scene", engine_environment.usable_python(), lift.path, place)
@@ -202,7 +203,7 @@ def cancel_lift(settings: PLGS_PG_settings, folder: str = "") -> None:
 
 
 def why_no_bake(settings: PLGS_PG_settings) -> str | None:
-    """Return why the panel cannot bake passes now, or None. Never reads the disk."""
+    """Return why the panel cannot bake passes now, None if it can. Never reads the disk."""
     followed = followed_lift(settings)
     if followed is None or not (followed.has_result or followed.is_running):
         return "Passes are baked from a finished lift: lift the scene first, or choose a lift's folder"

@@ -75,7 +75,7 @@ def survey_of(chosen: ChosenScene) -> Survey | None:
 
 
 def survey_of_panel(settings: PLGS_PG_settings) -> Survey | None:
-    """Return what is known about the panel's scene, or None."""
+    """Return what is known about the panel's scene, None if it was never read."""
     return survey_of(chosen_scene(settings)) if settings.scene_folder else None
 
 

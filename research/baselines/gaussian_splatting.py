@@ -59,7 +59,7 @@ class PlainDecoders(Decoders):
 
     @classmethod
     def of_labels(cls, classes: int, instance_slots: int) -> PlainDecoders:
-        """Return the decoders for that many labels."""
+        """Return the decoders for this many classes and instance slots."""
         features = LABELS + classes + instance_slots
         return cls(DecoderShape(features, 1, classes, instance_slots, distance_input=False, label_view_input=False))
 

@@ -36,7 +36,7 @@ _GAP = 0.25  # maximum seconds between two poses to interpolate between them
 
 
 def _folder(place: Path) -> Path | None:
-    """Return the folder with the trajectory: the given one, or its subfolder of frames."""
+    """Return the folder with the trajectory: the given one, or its subfolder of frames; None without one."""
     inside = [each for each in shown_files(place, "*_frames")] if place.is_dir() else []
     return next((each for each in (place, *inside) if (each / _TRAJECTORY).is_file()), None)
 

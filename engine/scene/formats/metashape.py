@@ -44,7 +44,7 @@ class _World(NamedTuple):
 
 
 def _file(place: Path) -> Path | None:
-    """Return the file with Metashape's cameras: ``place`` itself, or the first one in that folder."""
+    """Return the file with Metashape's cameras: ``place`` itself, or the first one in that folder; None without one."""
     files = [place] if place.is_file() else sorted(shown_files(place, "*.xml"))
     return next((each for each in files if each.suffix.lower() == ".xml" and each.is_file() and _is_its(each)), None)
 

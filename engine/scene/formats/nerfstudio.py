@@ -179,7 +179,7 @@ def _image_path(path: Path, name: str) -> Path:
 
 def _beside(path: Path, name: str) -> Path | None:
     """Find an image whose name is relative to another folder: return the file below the JSON's folder that the last
-    parts of its name give, or None."""
+    parts of its name give, None if there is none."""
     parts = [part for part in name.split("/") if part not in ("", ".", "..")]
     tails = (path.parent.joinpath(*parts[start:]) for start in range(1, len(parts)))
     paths = (tail.with_name(tail.name + suffix) for tail in tails for suffix in ("", *_IMAGES))

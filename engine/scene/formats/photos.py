@@ -44,7 +44,7 @@ def pictures_by_stem(place: Path) -> dict[str, Path]:
 
 def picture_of(photos: Mapping[str, Path], label: str) -> Path | None:
     """Return which of ``pictures_by_stem`` is meant by another program's label for a camera: a name or a path, perhaps
-    of Windows, with or without its suffix."""
+    of Windows, with or without its suffix; None if none is."""
     name = PurePosixPath(label.replace("\\", "/"))
     return photos.get(name.name) or photos.get(name.stem)
 

@@ -142,7 +142,7 @@ def _cameras(
 
 
 def _exr_folder(place: Path) -> Path | None:
-    """Return the folder with pictures and OpenEXR files: ``place`` itself, or its subfolder."""
+    """Return the folder with pictures and OpenEXR files: ``place`` itself, or its subfolder; None without one."""
     for folder in (place, place / "EXR_RGBD"):
         if (folder / _EXPORTED).is_file() and (folder / "rgb").is_dir() and (folder / "depth").is_dir():
             return folder

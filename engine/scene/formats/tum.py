@@ -110,7 +110,7 @@ def _read(place: Path, progress: Progress) -> Capture:
 
 
 def _pairs(place: Path) -> list[tuple[_Stamped, _Stamped | None]]:
-    """Return the colour images in order of time, each with the depth image closest in time."""
+    """Return the colour images in order of time, each with the depth image closest in time, None if that is too far."""
     lists = [place / name for name in ("associations.txt", "associated.txt") if (place / name).is_file()]
     if lists:
         pairs = []

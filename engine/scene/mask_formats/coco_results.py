@@ -92,8 +92,8 @@ class DetectionTable:
         self, frames: Mapping[str, Size | None], images: Mapping[str, str], progress: Progress = unwatched
     ) -> tuple[dict[str, tuple[DetectedSegment, ...]], tuple[str, ...]]:
         """Return the detections of the ``frames``, by name, and a warning about pictures that are not frames. The
-        frames' sizes are given where known; ``images`` are further names of pictures by id. Raises PlgsError, also
-        without any match."""
+        frames' sizes are given where known; ``images`` are further names of pictures by id. Raises PlgsError for bad
+        entries and without any match."""
         frame_of = self._frames_of({image for image, _ in self.entries}, [*frames], {**images, **self.names})
         others = sorted({image for image, _ in self.entries} - frame_of.keys())
         if others and not frame_of:

@@ -93,7 +93,7 @@ _BOTH = "masks with test-time augmentation are used; for those without, name m2f
 
 
 def _semantics_of(place: Path) -> Path | None:
-    """Return the folder of class images: ``place`` itself or a subfolder."""
+    """Return the folder of class images: ``place`` itself or a subfolder; None without one."""
     if place.name.endswith("_semantics"):
         return place if place.is_dir() else None
     return next((each for each in (place / "m2f_semantics", place / "m2f_notta_semantics") if each.is_dir()), None)

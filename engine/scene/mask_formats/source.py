@@ -132,7 +132,7 @@ def painted(masks: Iterable[NDArray[np.bool_]], segments: Sequence[FoundSegment]
 
 def painted_files(paths: Sequence[Path], segments: Sequence[FoundSegment], size: Size, fix: str) -> FoundMask:
     """Paint the PNGs ``paths``, one per segment, over each other: the highest score, then the smallest, on top. Raises
-    PlgsError, also for a PNG that is not of ``size`` (width, height)."""
+    PlgsError for bad files and ones not of ``size`` (width, height)."""
     for path in paths:
         if label_header(path).size != size:
             raise PlgsError("other-size", f"this mask is not {shown_size(size)} like the others", path, fix)
