@@ -25,6 +25,7 @@ from ..scene import VOID, ClassTable, OnDemand, Progress, View, stored
 from ..scene.hole_filling import fill_holes
 from ..semantics.cloud_index import LabelledPoints
 from ..semantics.consistency import ConsistencyOptions, consistency_masks, views_are_sparse
+from ..semantics.free_space import in_free_space
 from ..semantics.point_cloud import CloudOptions, SemanticPointCloud, build_point_cloud, label_anchors, voxelise
 from ..train.photos import exposure_gains, sharpness_weights
 from ..train.targets import ViewTargets, view_targets
@@ -70,7 +71,7 @@ def prepare(given: ViewsToLift, stages: StageReporter) -> PreparedLift:
     with stages.stage("prepare") as progress:
         channels = label_channels(used_classes(views), matching.instances, preset)
         viewpoints = np.array([view.camera.centre for view in views])
-        start = starting_anchors(matching.cloud, matching.instance_of_point, preset)
+        start = starting_anchors(matching.cloud, matching.instance_of_point, views, preset)
         asked = start, channels, viewpoints, preset
         scene = starting_scene(*asked, seed=given.seed, trained=given.trained, progress=progress)
         targets = targets_of(given, placed, matching, photos, channels)
@@ -166,10 +167,13 @@ class StartingAnchors(NamedTuple):
 
 
 def starting_anchors(
-    cloud: SemanticPointCloud, instance_of_point: NDArray[np.int32], preset: Preset
+    cloud: SemanticPointCloud, instance_of_point: NDArray[np.int32], views: Sequence[View], preset: Preset
 ) -> StartingAnchors:
-    """Place an anchor in each occupied voxel of the point cloud, with the labels and the colour of its points."""
+    """Place an anchor in each occupied voxel of the point cloud, with the labels and the colour of its points; if the
+    preset's ``free_space`` is true, only where the depth of the ``views`` shows no free space."""
     positions = voxelise(cloud.xyz, preset.voxel_size)
+    if preset.free_space:
+        positions = positions[~in_free_space(positions, views)]
     classes, owners = label_anchors(cloud, instance_of_point, positions, preset.voxel_size)
     nearest = cloud.index().nearest(positions.astype(np.float64), 2 * preset.voxel_size)
     rgb = np.where(nearest[:, None] >= 0, cloud.rgb[nearest], 128).astype(np.uint8)  # grey if none is near

@@ -179,6 +179,8 @@ class Preset:
     """Frames that are not trained on also vote on the classes of objects and points."""
     fill_holes: bool = True
     """Planar holes in the depth are filled before pixels are unprojected."""
+    free_space: bool = True
+    """No Gaussians start where the measured depth of most views goes on behind them."""
     segment_voting: SegmentVoting = SegmentVoting()
     linear_assignment: bool = False
     """In each step, a view's segments are assigned to slots by what is drawn."""
@@ -262,6 +264,7 @@ PRESETS: dict[str, Preset] = {
             steps_a_view=0.0,
             all_frames_vote=False,
             fill_holes=False,
+            free_space=False,
             linear_assignment=True,
             fit_exposure=False,
             weigh_sharpness=False,

@@ -65,7 +65,7 @@ def evenly_spread(listed: Sequence[Listed], most: int) -> list[Listed]:
 
 
 CELL = 0.4  # side in metres of the cubes of space whose surfaces are counted as one
-TIMES, LEFT = 5, 0.02  # views wanted of each cube, and the share of all these views that may be missing
+TIMES, LEFT = 5, 0.005  # views wanted of each cube, and the share of all these views that may be missing
 _SEEN_WITHIN = (64, 64)  # maximum (width, height) in pixels at which a frame's depth is looked at
 _AROUND = 9  # frames with which a frame's sharpness is compared
 

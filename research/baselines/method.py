@@ -100,8 +100,7 @@ def prepare_baseline(given: ViewsToLift, stages: StageReporter) -> PreparedLift:
     first = replace(given, preset=replace(options, warm_start=False)) if has_own_start else given
     prepared = prepare(first, stages)
     if has_own_start:
-        viewpoints = np.array([view.camera.centre for view in views])
-        prepared = replace(prepared, scene=baseline_scene(prepared, viewpoints, options, given.seed))
+        prepared = replace(prepared, scene=baseline_scene(prepared, views, options, given.seed))
     if options.semantic_targets != "projected":
         prepared = with_semantic_targets(prepared, views, options.semantic_targets)
     return prepared
@@ -117,17 +116,18 @@ def new_trainer(
 
 
 def baseline_scene(
-    prepared: PreparedLift, viewpoints: NDArray[np.float64], options: BaselinePreset, seed: int
+    prepared: PreparedLift, views: Sequence[View], options: BaselinePreset, seed: int
 ) -> StructuredScene:
-    """The scene before the first step, of the kind that the options name. ``viewpoints`` [F, 3] are the cameras'."""
+    """The scene before the first step, of the kind that the options name."""
     channels = prepared.scene.channels
-    start = starting_anchors(prepared.cloud, prepared.instance_of_point, options)
+    start = starting_anchors(prepared.cloud, prepared.instance_of_point, views, options)
     if not options.labelled_start:
         start = start._replace(classes=np.zeros_like(start.classes), owners=np.zeros_like(start.owners))
     if options.representation == "plain":
         decoders = PlainDecoders.of_labels(len(channels.class_ids), len(channels.slot_ids))
         gaussians = plain_gaussians(start.positions, start.classes, start.rgb, decoders.shape)
         return StructuredScene(gaussians, decoders, channels, options.voxel_size)
+    viewpoints = np.array([view.camera.centre for view in views])
     return starting_scene(start, channels, viewpoints, options, seed=seed)
 
 
