@@ -30,7 +30,7 @@ from tests.tiny_scene import CABINET_ID, CHAIR_ID, write_tiny_scene
 from tests.train.tiny_lift import TINY, prepared_for, warnings_in
 
 LARGE, SMALL = (128, 96), (64, 48)
-PRESET = replace(TINY, steps=30, vote_size=LARGE)
+PRESET = replace(TINY, steps=30, vote_size=LARGE, free_space=False)  # Gaussians in the air, so that decoders smear
 
 
 @pytest.fixture(scope="module")
