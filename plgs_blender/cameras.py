@@ -148,8 +148,8 @@ def place_camera(
     camera: Camera,
     display_size: float = _DISPLAY_SIZE,
 ) -> bpy.types.Object:
-    """Return our camera object `key` with the engine camera's lens and pose, new ones in `parent`. `display_size`:
-    m."""
+    """Return our camera object `key` with an engine camera's lens and pose, made in `parent` if missing. `display_size`
+    is how large it is drawn, in metres."""
     data = owned.data(key, lambda: bpy.data.cameras.new(name))
     set_lens(data, camera)
     data.display_size = display_size

@@ -93,8 +93,7 @@ class ChosenScene(SceneSource):
 
 
 def as_texts(source: SceneSource) -> dict[str, str]:
-    """Return a source as the arguments of `ChosenScene.of`, except the folder, as text; unknown formats become
-    AUTOMATIC."""
+    """Return a source as the arguments of `ChosenScene.of`, except the folder, as text; unknown formats: AUTOMATIC."""
     paths = {"masks": source.masks, "depth": source.depth, "detections": source.detections}
     texts = {name: "" if path is None else str(path) for name, path in paths.items()}
     formats = ("format", source.scene_format, FORMAT_ITEMS), ("mask_format", source.mask_format, MASK_FORMAT_ITEMS)

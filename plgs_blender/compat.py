@@ -15,8 +15,7 @@ BLEND_RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0
 
 
 def new_point_clouds(names: Sequence[str], xyz: Sequence[NDArray[np.float32]]) -> list[bpy.types.PointCloud]:
-    """Make point clouds with these names and positions float32 [N, 3] in metres. Before 5.1 a cloud cannot be
-    resized."""
+    """Make point clouds with these names and positions float32 [N, 3] in metres. Before 5.1 none can be resized."""
     if "resize" in bpy.types.PointCloud.bl_rna.functions:
         clouds = [bpy.data.pointclouds.new(name) for name in names]
         for cloud, own in zip(clouds, xyz, strict=True):

@@ -308,8 +308,8 @@ def _reading(lift: Path) -> Generator[None, None, LiftResult]:
 
 
 def save_lift(lift: Path, blend: Path) -> None:
-    """Put a finished lift into a .blend, new or existing. If that fails, the file is unchanged, and PlgsError is
-    raised."""
+    """Put a finished lift into a .blend, new or existing. Raises PlgsError if that fails; the file is then
+    unchanged."""
     blend = blend.absolute()
     read_result(lift)  # before another file is opened
     is_new = not blend.exists()

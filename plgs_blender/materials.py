@@ -219,7 +219,7 @@ def splat_material(owned: OwnedDataBlocks) -> bpy.types.Material:
 
 
 def value_node(material: bpy.types.Material, label: str) -> bpy.types.Node | None:
-    """Return the node whose `.outputs[0].default_value` sets ``label``: CLASS_COLOURS, RELIEF or LIT; None without
+    """Return the node whose first output's default value sets ``label``: CLASS_COLOURS, RELIEF or LIT; None without
     it."""
     nodes = material.node_tree.nodes if material.node_tree else ()
     return next((node for node in nodes if node.label == label), None)

@@ -120,8 +120,7 @@ class OwnedDataBlocks:
         return self._objects.get(key)
 
     def data(self, key: str, create: Callable[[], Any]) -> Any:
-        """Return the data of our object `key`, to be filled again. `create` makes it if it is missing or a user uses
-        it."""
+        """Return the data of our object `key`, to be filled again. `create` makes it if it is missing or a user's."""
         ob = self._objects.get(key)
         if ob is not None and ob.data is not None and ob.data.users <= 1 and key_of(ob.data, self.lift) is not None:
             return ob.data

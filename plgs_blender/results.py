@@ -93,8 +93,8 @@ def reading_listed(version: Version) -> Generator[None, None, Listed]:
 
 
 def listed_in(lift: Path) -> Listed:
-    """A lift's instances.json, cached: edits come in series, and it takes up to half a second. Raises PlgsError for
-    damage."""
+    """A lift's instances.json, cached: edits come in series, and it takes up to half a second. Raises PlgsError if
+    bad."""
     version = begin_to_read(lift)
     read_on(math.inf)
     return _kept[version]

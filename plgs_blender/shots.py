@@ -105,7 +105,8 @@ def shot_of(
     motion: bool = False,
 ) -> Shot:
     """Return the shot of the named or the active camera over the given range, else the scene's. ``given`` names its
-    files (else the studio does); ``only`` and ``motion``: see `Shot`. Raises PlgsError without range or camera."""
+    files (else the studio does); ``only`` and ``motion``: see `Shot`. Raises PlgsError for a bad range, and without a
+    camera."""
     cuts = () if camera else _cuts_of(scene)
     wanted = camera or (cuts[0][1] if cuts else "")
     ob = scene.objects.get(wanted) if wanted else scene.camera
@@ -223,7 +224,7 @@ class ShotReader:
 
     def read_for(self, seconds: float) -> bool:
         """Read on for about ``seconds``, at least one frame. Returns whether all is read. Raises PlgsError without
-        camera."""
+        one."""
         end = time.monotonic() + seconds
         scene = bpy.data.scenes.get(self._scene)
         if scene is None:

@@ -54,8 +54,7 @@ def _group(material: bpy.types.Material | None) -> bpy.types.NodeTree:
 def read_attribute(
     tree: bpy.types.NodeTree, name: str, column: int, row: int, kind: str = "FLOAT_VECTOR"
 ) -> bpy.types.NodeSocket:
-    """Add a node that reads the attribute ``name`` of this ``kind`` (a data type), in this column and row, and return
-    its output."""
+    """Add a node that reads the attribute ``name`` of this data type (``kind``), and return its output."""
     node = add_node(tree, "GeometryNodeInputNamedAttribute", column, row, name, data_type=kind)
     return next(socket for socket in node.outputs if socket.enabled and socket.name == "Attribute")
 

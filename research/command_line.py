@@ -184,8 +184,7 @@ def run_bench(options: argparse.Namespace) -> ExitCode:
 
 
 def run_masks(options: argparse.Namespace) -> ExitCode:
-    """Score pairs of scene and masks, and print how scores differ from a stored run. Raises PlgsError for bad
-    options."""
+    """Score pairs of scene and masks; print how scores differ from a stored run. Raises PlgsError for bad options."""
     from .bench_masks import STORED, bench_masks, differences, pairs_in, read_run, write_run
 
     if options.json is not None:

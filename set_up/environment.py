@@ -204,8 +204,7 @@ def write_stamp(folder: Path, version: tuple[int, int]) -> None:
 
 
 def run(command: list[str], failure: str, *, cwd: Path = ROOT / "requirements", strict: bool = True) -> None:
-    """Run a command with its output in build/set-up.log. If it fails, show ``failure`` and the log's end, and exit if
-    `strict`."""
+    """Run a command, logged in build/set-up.log. If it fails, show the log's end and ``failure``; exit if `strict`."""
     log_path = ROOT / "build" / "set-up.log"
     with log_path.open("ab") as log:
         log.write(_USER.sub("****@", f"\n$ {' '.join(command)}\n").encode())

@@ -125,8 +125,7 @@ def support_of(leaving: Leaving, planes: Sequence[Plane]) -> float | None:
 def with_legs(
     views: Sequence[PlateView], leaving: Leaving, others: Others, planes: Sequence[Plane]
 ) -> tuple[list[PlateView], Leaving, Others]:
-    """Count the legs that masks missed among the removed points. Returns the views, removed points and others with that
-    change."""
+    """Count the legs that masks missed among the removed points. Returns the new views, removed points and others."""
     legs = legs_of(leaving, others, planes)
     if not legs.any():
         return list(views), leaving, others

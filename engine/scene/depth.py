@@ -88,8 +88,8 @@ def png_depth(path: Path, lens: Camera, unit: float = MILLIMETRES) -> DepthMap:
 
 
 def fault_of(path: Path) -> PlgsError | None:
-    """Return the error that tells why a file is empty or cut off, None if it is whole. Raises PlgsError if memory runs
-    out."""
+    """Return an error that tells why a file is empty or cut off, None if it is whole. Raises PlgsError if memory is
+    full."""
     try:
         whole_file(path)
     except PlgsError as error:
@@ -240,8 +240,7 @@ def between_cameras(
 
 def seen_by_colour(depth: DepthMap, lens: Camera, colour: Camera, beside: NDArray[np.float64]) -> DepthMap | None:
     """Return depth that a camera with ``lens`` measured as the ``colour`` camera sees it; None if the two pictures
-    differ by more than any sensor's. ``beside`` float64 [4, 4] maps points of the first camera to points of the
-    second."""
+    differ by more than any sensor's. ``beside`` float64 [4, 4] maps points of the one camera to the other."""
     alignment = fitting_alignment(colour, lens)
     if alignment is None or np.abs(beside - np.eye(4)).max() < _ONE_PLACE:
         return None if alignment is None else replace(depth, alignment=alignment)

@@ -102,8 +102,7 @@ def _fit_line(values: Values, depths: Values, inverse: bool) -> DepthFit | None:
 
 
 def _relative_errors(values: Values, depths: Values, scale: Any, shift: Any, inverse: bool) -> Values:
-    """Return the errors, relative to ``depths``, of what scale and shift make of ``values``; inf if that is no
-    depth."""
+    """Return the errors, relative to ``depths``, of what scale and shift make of ``values``; inf for no depth."""
     line = scale * values + shift
     with np.errstate(divide="ignore", invalid="ignore"):
         found = 1.0 / line if inverse else line
@@ -261,8 +260,7 @@ def _fitting(
 def _error(
     files: Mapping[str, Path], placements: Mapping[str, Placement], seen: Mapping[str, tuple[Values, Values]]
 ) -> float:
-    """Return the median relative error of depth from ``files`` at the points ``seen`` in some frames; 1 if none
-    fits."""
+    """Return the median relative error of ``files``' depth at the points ``seen`` in some frames; 1 if none fits."""
     errors = []
     for name in evenly_spread([name for name in files if len(seen[name][1]) >= LEAST_POINTS], _LOOKED_AT):
         pixels, depths = seen[name]

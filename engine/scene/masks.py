@@ -182,8 +182,7 @@ def open_masks(
 ) -> MaskSet:
     """Open the masks at ``place`` of the frames ``names``, reading only headers and tables. ``mask_format`` names their
     format; None recognises it. ``classes``: see ``find_class_choice``. With ``pictured``, some masks and pictures are
-    compared if names, sizes or lenses leave a doubt. ``detections`` lie over the masks. Raises PlgsError for bad
-    files."""
+    compared if names, sizes or lenses are doubtful. ``detections`` lie over masks. Raises PlgsError for bad files."""
     inferred: tuple[Inferred, ...] = ()
     placed: dict[str, Placement] = {}
     if pictured is None:

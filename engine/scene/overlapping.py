@@ -115,8 +115,7 @@ def open_detections(path: Path, masks: Path, sizes: Mapping[str, Size], progress
 
 
 def _labels(table: DetectionTable, masks: Path) -> tuple[ClassLabel, ...] | None:
-    """Return the classes that the file names, or a classes.toml beside it that is not the masks' own; None without
-    either."""
+    """Return the classes that the file names, or a classes.toml beside it, if not the masks'; None without either."""
     path, labels = table.path, table.labels
     choice = find_class_choice(None, path.parent) if path.parent != masks else None
     if labels is None and choice is not None:

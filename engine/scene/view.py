@@ -109,8 +109,7 @@ class View:
 
 
 def load_view(frame: Frame, size: Size | None = None) -> View:
-    """Read a frame at ``size`` (width, height), or at its own. Raises PlgsError for a bad file and without depth or
-    mask."""
+    """Read a frame at ``size`` (None: its own). Raises PlgsError if a file is bad, or depth or mask is missing."""
     width, height = size or frame.size
     colour = frame.read_colour(None)
     border = border_mask(colour)

@@ -108,8 +108,7 @@ def _warp_and_compare(
     one: LabelledDepth, two: LabelledDepth, relative: Any, metres: Any, share: Any, agree: Any, seen: Any
 ) -> None:
     """Warp view ``one`` to ``two`` by depth, w(u) of the paper, compare labels, and add to ``agree`` and ``seen``.
-    ``relative`` [4, 4] takes points from ``one``'s camera to ``two``'s; depths may differ by ``metres`` or the
-    ``share``."""
+    ``relative`` [4, 4] takes points from ``one``'s camera to ``two``'s; ``metres`` or ``share`` is the tolerance."""
     fx, fy, cx, cy = one.intrinsics
     gx, gy, hx, hy = two.intrinsics
     depth, label = one.depth, one.label

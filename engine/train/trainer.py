@@ -220,10 +220,9 @@ class Trainer:
         return self._placed[number]
 
     def step(self, check: Callable[[], None] = lambda: None) -> StepReport:
-        """Make pseudo labels if they are due, do one optimisation step on one view, then add and prune anchors if due.
-        Between steps, and when ``check`` raises, the state is complete: training continues bit for bit from a
-        checkpoint. Raises what ``check`` raises and, before any change, FloatingPointError if the loss is not
-        finite."""
+        """Make pseudo labels if they are due, optimise once on one view, then add and prune anchors if due. Between
+        steps, and when ``check`` raises, the state is complete: training continues bit for bit from a checkpoint.
+        Raises what ``check`` raises and, before any change, FloatingPointError if the loss is not finite."""
         if self.step_number in self.pseudo_label_steps:
             self.refresh_pseudo_labels(check)
         epoch, position = divmod(self.step_number, len(self.targets))  # each epoch has a new random order of all views

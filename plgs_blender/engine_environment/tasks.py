@@ -194,7 +194,7 @@ def check() -> EngineCheck | None:
 
 
 def ask_chosen() -> EngineCheck | None:
-    """Check a newly chosen Python, and forget how the last set-up ended, which concerned another. None: none is
+    """Check a newly chosen Python; forget the last set-up's end, which concerned another. Returns None if none is
     chosen."""
     if running_set_up() is None:
         registry.forget(SetUp.kind)

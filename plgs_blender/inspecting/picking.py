@@ -115,8 +115,7 @@ def forget() -> None:
 
 
 def what_is_under(context: bpy.types.Context, mouse: tuple[float, float]) -> Picked | None:
-    """Return what a 3D view shows at a pixel (from the lower left): a name's instance, else what a lift draws, or
-    None."""
+    """Return what a 3D view shows at a pixel (from the lower left): a name's instance, a lift's drawing, or None."""
     roots, space = lifts_shown(context.scene, context.view_layer), context.space_data
     region = ViewRegion.of(context)
     for root in roots:
@@ -141,8 +140,7 @@ def drawn_under(
     mouse: tuple[float, float],
     space: bpy.types.SpaceView3D | None = None,
 ) -> Picked | None:
-    """Return what lifts draw at a pixel of a view, None for nothing. Hidden is what the `space` (None: the window)
-    hides."""
+    """Return what lifts draw at a pixel of a view, or None. What the `space` hides (None: the window) is left out."""
     parts = [(root, part) for root in roots for part in rays.parts_near(root, view, mouse, space)]
     first = rays.first_drawn([part for _, part in parts], mouse)
     return None if first is None else Picked(parts[first[0]][0], *first[1:])

@@ -80,9 +80,8 @@ class View:
 @dataclass(frozen=True, eq=False)
 class Projected:
     """N flat elements (squares, splats, triangles) of one `form`, projected into a view. `corners` int32 [N, 3] are
-    rows of `vertices` [M, 4], from `View.projected`: an element's origin and the ends of its two axes. `bounds` float32
-    [4, N] in pixels: left, bottom, right, top. `ids` int32 [N, 2]: instance, class. `opacity` float32 [N], its
-    middle's."""
+    rows of `vertices` [M, 4], from `View.projected`: an element's origin and the ends of its two axes. `bounds` [4, N]
+    in pixels: left, bottom, right, top. `ids` int32 [N, 2]: instance, class. `opacity` float32 [N] at its middle."""
 
     form: str
     vertices: NDArray[np.float32]

@@ -273,8 +273,7 @@ def _select(root: bpy.types.Collection, box: bpy.types.Object, layer: bpy.types.
 
 
 def _select_box(root: bpy.types.Collection, number: int, layer: bpy.types.ViewLayer) -> None:
-    """Select only the box of the instance ``number``. If it cannot be selected, no object of the lift stays
-    selected."""
+    """Select only the box of the instance ``number``. If that cannot be, no object of the lift stays selected."""
     box, selected = boxes_of(root).get(number), [ob for ob in layer.objects if ob is not None and ob.select_get()]
     if box is not None and _select(root, box, layer):
         deselect_all(layer, but=box)

@@ -115,8 +115,8 @@ def diagnosis_of(chosen: ChosenScene) -> Diagnosis | None:
 
 
 def diagnose(settings: PLGS_PG_settings, mended: Path | None = None) -> Diagnosis:
-    """Let an engine measure the panel's scene and write it, corrected, to ``mended``, if given. Raises PlgsError if
-    none can."""
+    """Let an engine measure the panel's scene and, if given, write ``mended``, corrected. Raises PlgsError without
+    one."""
     registry.refuse_second(Diagnosis)
     chosen, python = chosen_scene(settings), usable_python()
     folder = Path(tempfile.mkdtemp(prefix="plgs-findings-"))

@@ -59,8 +59,7 @@ class FrameMaking(Task):
         self._folder = folder
 
     def watch(self, scenes: Sequence[Any], has_news: bool) -> bool:
-        """Place the cameras as soon as the engine has read them, while it makes pictures. Returns whether it placed
-        any."""
+        """Place the cameras as soon as the engine has read them, while it makes pictures. Returns whether it did."""
         return not self.order.lift and self.is_running and self.progress.step > 0 and self._place_cameras()
 
     def _place_cameras(self) -> bool:

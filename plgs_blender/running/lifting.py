@@ -80,8 +80,8 @@ def earlier_lift(settings: PLGS_PG_settings) -> Path | None:
 def start_lift(settings: PLGS_PG_settings, *, in_that_folder: bool = False, names_from: str = "") -> Lift:
     """Start the lift that the settings describe, in their lift folder. If that already holds a lift, use a new folder
     beside the scene or, with ``in_that_folder``, refuse. Objects keep their names in the lift ``names_from``, else in
-    `earlier_lift`. Raises PlgsError without a scene or an engine and for bad options, OSError; then no folder is left
-    behind."""
+    `earlier_lift`. Raises PlgsError without a scene or an engine and for bad options, OSError; then no folder is
+    left."""
     if not settings.scene_folder:
         what = "no scene is chosen"
         raise PlgsError("no-scene", what, "Scene", "Choose a capture's folder or file.")
@@ -213,7 +213,8 @@ def why_no_bake(settings: PLGS_PG_settings) -> str | None:
 
 
 def bake_passes(scene: bpy.types.Scene, frames: str, folder: str = "") -> Lift:
-    """Let an engine bake frames: "all", held-out ("test") or the "active". Raises PlgsError if none can; OSError."""
+    """Let an engine bake ``frames`` of a finished lift: "all", the held-out ones ("test"), or the "active" one. Raises
+    PlgsError without an engine, or if the active camera is no frame's; OSError."""
     lift = lift_at(scene.plgs, folder)
     names = [frames]
     if frames == "active":

@@ -75,8 +75,7 @@ def show(lift: LiftFolder, picture: Path, camera: str) -> bool:
 
 
 def picture_for(scene: bpy.types.Scene) -> NDArray[np.float32] | None:
-    """The picture, float32 [H, W, 4], to draw over the frame of the scene's camera or of its `own_view`; None without
-    one."""
+    """The picture, [H, W, 4], to draw over the frame of the scene's camera or of its `own_view`; None without one."""
     for lift, (camera, pixels) in _shown.items():
         view = _view_of(scene) if _shows(scene, lift) else None
         if view is not None and view.fingerprint == camera:

@@ -123,7 +123,8 @@ class ClassWriting(SceneTask):
 
 
 def read_classes(scene: bpy.types.Scene, table: str = OWN_TABLE) -> ClassListing:
-    """Let an engine list the panel's scene's classes, by one of TABLE_ITEMS. Raises PlgsError if none can; OSError."""
+    """Let an engine list the classes of the panel's scene's masks. ``table`` is one of TABLE_ITEMS, from which the list
+    starts. Raises PlgsError without an engine; OSError."""
     registry.refuse_second(ClassListing)
     chosen = chosen_scene(scene.plgs)
     more = [] if table == OWN_TABLE else ["--table", table]
@@ -132,8 +133,7 @@ def read_classes(scene: bpy.types.Scene, table: str = OWN_TABLE) -> ClassListing
 
 
 def write_classes(scene: bpy.types.Scene) -> ClassWriting:
-    """Let an engine write the rows into classes.toml beside the masks. Raises PlgsError for a bad void, and if none
-    can."""
+    """Let an engine write the rows to classes.toml beside the masks. Raises PlgsError for a bad void or no engine."""
     registry.refuse_second(ClassWriting)
     chosen = chosen_scene(scene.plgs)
     edited = json.dumps(edited_classes(scene.plgs_masks))

@@ -97,8 +97,7 @@ def look(chosen: ChosenScene, python: Path | None) -> Survey:
 
 
 def _look_alone(chosen: ChosenScene) -> Survey | None:
-    """Return what Blender sees without an engine; None if one is needed and there. Raises PlgsError if it is not
-    there."""
+    """Return what Blender sees without engine; None if one is needed and there. Raises PlgsError if there is none."""
     for path in (chosen.scene, chosen.masks, chosen.depth):
         if path is not None and not os.path.exists(path):
             raise PlgsError("file-missing", "there is no such file or folder", path, "Choose another one.")
@@ -174,8 +173,7 @@ def _is_of_all(answer: Mapping[str, Any], sizes: str) -> bool:
 
 
 def obstacles_to(survey: Survey, has_engine: bool) -> dict[str, str | None]:
-    """Return why each key (Cameras, Pictures, Coloured cloud, Lift) cannot be had of a readable scene; None if it
-    can."""
+    """Return why a readable scene cannot give each key (Cameras, Pictures, Coloured cloud, Lift); None if it can."""
     has_pictures = survey.picture_files == survey.frames or has_engine
     has_cloud = survey.sparse_points > 0 or (survey.has_depth and has_engine)
     no_cloud = "the engine makes it from the depth: set it up" if survey.has_depth else "there are no depth maps"

@@ -82,7 +82,7 @@ def result_of(experiment: Experiment, task: Task) -> Result:
 
 
 def results_before(experiment: Experiment, others: list[Task]) -> Iterator[Result]:
-    """Yield the figures of those tasks that are finished already. Unreadable ones are left out with a warning."""
+    """Yield the figures of those tasks that are finished already. Unreadable ones are left out, with a warning."""
     for task in others:
         try:
             if is_finished(task):

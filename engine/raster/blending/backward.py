@@ -222,7 +222,7 @@ def exponent_of(patch: int, slope: Any, scratch: Array, own: int) -> Any:
 
 @inlined
 def blended_alpha(patch: int, raw: Any, here: Any, scratch: Array) -> Any:
-    """Return ``raw`` (not capped) alpha where a patch's pixels blended the Gaussian at index ``here``, else 0."""
+    """Return ``raw`` alpha, not capped, where a patch's pixels blended the Gaussian at index ``here``, else 0."""
     blended = (raw >= v.broadcast(ALPHA_LEAST)) & (v.load(scratch, LAST + patch * PATCH_STRIDE) >= here)
     return v.select(blended, raw, v.broadcast(ZERO))
 

@@ -65,8 +65,7 @@ def rows_of(field: int, scratch: Array) -> Any:
 
 @device_function
 def write_strip(pixel: int, columns: int, rows: int, width: int, scratch: Array, out: Blended) -> None:
-    """Write ``rows`` x ``columns`` of a strip to ``out``, without labels. ``pixel``: its first; ``width``: the
-    image's."""
+    """Write ``rows`` x ``columns`` of a strip, except labels, to ``out`` from ``pixel`` on. ``width``: the image's."""
     final, last, red = rows_of(FINAL, scratch), rows_of(LAST, scratch), rows_of(PLANES, scratch)
     green, blue = rows_of(PLANES + TILE, scratch), rows_of(PLANES + 2 * TILE, scratch)
     depth = rows_of(PLANES + 3 * TILE, scratch)
@@ -128,8 +127,8 @@ def load_labels(
 @device_function
 def add_listed_labels(patch: int, end: int, scratch: Array, members: Array, batches: int, padded: int) -> int:
     """Add weight * label to a patch's pixels for each Gaussian in the patch's list, which ends before ``end``.
-    ``members`` has the offset of each Gaussian's labels, from scratch[batches:], in vectors. Return the list's end, now
-    empty."""
+    ``members`` has the offset of each Gaussian's labels, from scratch[batches:], in vectors. Return the empty list's
+    end."""
     listed = patch * LISTED
     out = Rows(scratch, STRIP_LABELS + patch * TILE * padded, padded)
     weights = Factors(scratch, WEIGHTS + listed * TILE, 1, TILE)

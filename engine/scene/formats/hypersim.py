@@ -89,8 +89,8 @@ def _straighten(pixels: NDArray[Any], projection: Projection, smooth: bool) -> N
 
 
 def planar_depth(path: Path, projection: Projection) -> NDArray[np.float32]:
-    """Read planar depth, float32 [H, W] metres, 0 = none, from distances to the centre. Raises PlgsError if sizes
-    differ."""
+    """Read planar depth, float32 [H, W] metres, 0 = none, from a file of distances to the camera's centre. Raises
+    PlgsError if it is bad or of another size than ``projection``."""
     distance = read_hdf5(path, 2).astype(np.float64)
     if distance.shape != (projection.height, projection.width):
         raise PlgsError("other-size", "depth and colour differ in size", path, "Download the scene again.")

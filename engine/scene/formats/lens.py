@@ -39,8 +39,8 @@ def pinhole(
 
 
 def fitted(lens: Camera, picture: Path, fix: str) -> Camera:
-    """Return ``lens`` scaled to the size of an image file. Raises PlgsError, with ``fix`` as the advice, if the aspect
-    ratios differ."""
+    """Return ``lens`` scaled to the size of an image file. Raises PlgsError, with ``fix`` as advice, if the shapes
+    differ."""
     size = read_image_header(picture).size
     if not same_shape(size, lens.size):
         what = f"the picture is {shown_size(size)}, but its camera is {shown_size(lens.size)}"

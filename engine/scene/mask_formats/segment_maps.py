@@ -157,8 +157,7 @@ def _segment(info: dict[str, Any], key: str, name: str, table: Path) -> FoundSeg
 
 
 def _add(found: dict[int, FoundSegment], one: FoundSegment, name: str, table: Path) -> None:
-    """Add the segment ``one`` of frame ``name`` to those ``found``, with the next id. Fused stuff may come in
-    pieces."""
+    """Add ``one`` of frame ``name`` to the segments ``found``, with the next id. Fused stuff may come in pieces."""
     if one.id not in found:
         found[one.id] = FoundSegment(len(found) + 1, one.label, one.score)
     elif found[one.id].label != one.label:
