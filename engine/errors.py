@@ -124,7 +124,7 @@ def lacks_part(what: str, where: Path | str, name: str) -> PlgsError:
 
 
 @contextmanager
-def reading(path: Path, fix: str = "Check that it exists.") -> Iterator[None]:
+def reading(path: Path, fix: str = "Check that it exists, and that you may read it.") -> Iterator[None]:
     """Turn an OSError in a ``with`` block into a PlgsError with the advice ``fix``, for ``path`` or the file named."""
     try:
         yield

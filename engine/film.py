@@ -164,7 +164,7 @@ def mask_scene(scene: Scene, folder: Path, wish: Wish, events: EventWriter, stop
     try:
         make_masks(scene, job, network, follow, wanted)
     except OSError as error:
-        fix = "Make room there, then continue."
+        fix = "Make room, or let PLGS write there, then continue."
         what = f"masks cannot be written ({error.strerror})"
         raise PlgsError("unwritable", what, job.folder, fix, code=ErrorCode.DISK_FULL) from error
     return count

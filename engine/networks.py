@@ -99,7 +99,7 @@ def model_folder(name: str, *, download: bool) -> Path:
         except PlgsError as error:
             if download:
                 raise
-            fix = "Add --download to fetch it from huggingface.co, or name a folder that holds it."
+            fix = "Add --download to fetch the model from huggingface.co, or name a folder that holds it."
             what = "the model is not on this computer"
             raise PlgsError("not-downloaded", what, name, fix, option="--download") from error
         _check_pin(pin, pins, folder)
@@ -138,7 +138,7 @@ def _refuse_vast(content: object, path: Path, key: str = "") -> None:
     elif isinstance(content, int):
         most = _MOST_REPEATS if _REPEATS.search(key) else _MOST_IN[path.name]
         if content > most:
-            raise PlgsError("model-vast", f"{key[:40]!r} is {content}, but at most {most} is read", path, ANOTHER)
+            raise PlgsError("model-vast", f"{key[:40]!r} is {content}, but at most {most} is allowed", path, ANOTHER)
 
 
 def _check_weights(folder: Path) -> None:
@@ -159,7 +159,7 @@ def _check_weights(folder: Path) -> None:
     for path in folder.glob("*.safetensors"):
         digest = path.resolve().name  # the hub's cache links to files that are called by their SHA-256
         if path.is_symlink() and re.fullmatch("[0-9a-f]{64}", digest) and digest_of(path) != digest:
-            raise PlgsError("model-broken", "the downloaded file was changed", path.resolve(), "Delete this file.")
+            raise PlgsError("model-broken", "the file was changed", path.resolve(), "Delete it, then download again.")
 
 
 def _check_pin(pin: Path, pins: Mapping[str, Any], folder: Path) -> None:
@@ -171,7 +171,7 @@ def _check_pin(pin: Path, pins: Mapping[str, Any], folder: Path) -> None:
             write_atomically(pin, json.dumps({**pins, folder.name: weights}, indent=1) + "\n")
     elif known != weights:
         what = f"the weights of revision {folder.name} are not those that were downloaded first"
-        raise PlgsError("model-broken", what, pin, f"Delete {pin.parent}, then fetch it again with --download.")
+        raise PlgsError("model-broken", what, pin, f"Delete {pin.parent}, then fetch the model with --download.")
 
 
 def _ask_hub(hub: Any, model: str, revision: str | None) -> None:
@@ -182,7 +182,7 @@ def _ask_hub(hub: Any, model: str, revision: str | None) -> None:
         hub.model_info(model, revision=revision, timeout=_HUB_S)
     except (RepositoryNotFoundError, RevisionNotFoundError) as error:
         what = f"huggingface.co does not offer the model ({type(error).__name__})"
-        raise PlgsError("no-model", what, model, "Check the name, or name a folder that holds it.") from error
+        raise PlgsError("no-model", what, model, "Check the name, or name a folder that holds the model.") from error
     except Exception as error:  # of httpx, or of whatever the hub's library uses in its place
         what = f"huggingface.co does not answer ({type(error).__name__})"
         fix = "Check the connection, or name a folder that holds the model."

@@ -112,8 +112,7 @@ SCENE_FORMAT_NAMES = (
 )
 
 _LOOKS_FOR_MASKS = {
-    "coco-detections": "a JSON of COCO's results, of COCO's or LVIS's instances, or of SA-V's masklets, or one such "
-    "file a frame",
+    "coco-detections": "a .json, or one a frame: results as of COCO, instances of COCO or LVIS, masklets of SA-V",
     "coco": "panoptic.json and the PNGs in panoptic",
     "panoptic-lifting": "m2f_semantics and m2f_instance",
     "grounded-sam2": "mask_data/mask_<frame>.npy and json_data/mask_<frame>.json",

@@ -161,7 +161,7 @@ def begin_job(folder: Path, model: str, frames: Sequence[Frame], wanted: Collect
     made_by, of_files = folder / FOLDER / MADE_BY, digests_of_files([(frame.colour_path,) for frame in frames])
     named = [*zip((frame.name for frame in frames), of_files, strict=True)]
     photos = sha256(repr(named).encode()).hexdigest() if all(of_files) else ""  # not known
-    fix = "Remove these, or write into another folder."
+    fix = "Remove these masks, or write into another folder."
     own = OwnFiles(folder)
     if (content := read_note(made_by, fix)) is not None:
         if content.get("model") != model or content.get("frames") != len(frames):
@@ -183,7 +183,7 @@ def begin_job(folder: Path, model: str, frames: Sequence[Frame], wanted: Collect
             write_atomically(made_by, json.dumps(record) + "\n")
     except OSError as error:
         what = f"the masks cannot be written ({error.strerror})"
-        raise PlgsError("unwritable", what, folder, "Name another with -o.") from error
+        raise PlgsError("unwritable", what, folder, "Name another folder with -o.") from error
     return Job(folder, own, False, False)
 
 

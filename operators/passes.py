@@ -223,7 +223,7 @@ class PLGS_OT_show_room(base.Acts, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> None:
         if context.window is None:
-            what = "there is no window to show it in"
+            what = "there is no window to show the scene in"
             raise PlgsError("no-window", what, context.scene.name, "Open this file in a window.")
         show_room(context.window)
 

@@ -93,7 +93,7 @@ def key_visibility(root: bpy.types.Collection, numbers: Sequence[int], scene: bp
         frames = sorted(frame_of[name] for name in frame_of if name in showing.get(number, ()))
         if not frames:
             what = f"no frame shows instance {number}"
-            raise PlgsError("never-seen", what, root.name, "Show the result, or choose another one.")
+            raise PlgsError("never-seen", what, root.name, "Show the result, or choose another instance.")
         every = np.array(sorted(frame_of.values()), float)
         hidden = ~np.isin(every, frames)
         for ob in objects.get(number, ()):

@@ -115,7 +115,7 @@ def _copy(scene: Path, out: Path) -> None:
         # Depth is written for the colour's lens, so it needs no lens of its own.
         shutil.copytree(scene, out, copy_function=shutil.copyfile, ignore=shutil.ignore_patterns("intrinsic_depth.txt"))
     except OSError as error:
-        raise PlgsError("not-copied", f"the scene cannot be copied ({error})", out, "Make it writable.") from error
+        raise PlgsError("not-copied", f"the scene cannot be copied ({error})", out, "Check its disk.") from error
 
 
 if __name__ == "__main__":

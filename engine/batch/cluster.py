@@ -168,13 +168,12 @@ def wait_for_workers(farm: Farm, seconds: float) -> None:
     while not farm.workers():
         if time.monotonic() > give_up:
             known = farm.client.scheduler_info(n_workers=-1)["workers"].values()
-            others = sorted(
-                {name for worker in known for name in worker.get("resources", {}) if name.startswith("plgs-")}
-            )
-            has = f"its workers run other engine versions ({', '.join(others)})" if others else "it has no workers"
+            names = {name for worker in known for name in worker.get("resources", {})}
+            others = sorted(name for name in names if name.startswith("plgs-"))
+            has = f"only workers of {', '.join(others)}, not of {engine_tag()}" if others else "no workers"
             fix = f"Start some with this engine: python -m engine worker {farm.address}"
             fix = fix if farm.slurm is None else "See with squeue why their jobs do not run."
-            raise PlgsError("no-worker", f"{has}; this one is {engine_tag()}", farm.address, fix, option="--scheduler")
+            raise PlgsError("no-worker", f"the scheduler has {has}", farm.address, fix, option="--scheduler")
         farm.tend()
         time.sleep(0.2)
 

@@ -180,7 +180,7 @@ def assign(
     classes = tuple(-one for one in before.tolist() if one <= 0 and one != label)
     rows = chosen & (state.label != label)
     if not rows.any():
-        raise PlgsError("same-points", "the chosen points belong to it already", CORRECTIONS, "Choose other points.")
+        raise PlgsError("same-points", "no chosen point would change object or class", CORRECTIONS, "Choose others.")
     moved = _groups(state.xyz[rows], np.full(int(rows.sum()), label, np.int32))
     return Edit("assign", marks, classes=classes, moved=moved, made=made)
 

@@ -54,7 +54,7 @@ def write_coco(
     for number, (name, semantic, instance, camera) in enumerate(views, start=1):
         if max(int(semantic.max(initial=0)), int(instance.max(initial=0))) >= MOST_COCO_IDS:
             what = f"{name}: class and instance ids must be below {MOST_COCO_IDS} for COCO panoptic"
-            raise PlgsError("coco-ids", what, folder, "Export instances instead: they have 16 bits each.")
+            raise PlgsError("coco-ids", what, folder, "Export the form instances instead: it holds ids up to 65535.")
         ids = np.where(semantic == VOID, 0, semantic * MOST_COCO_IDS + instance)
         colours = ids.astype("<u4").view(np.uint8).reshape(*ids.shape, 4)[..., :3]  # lowest byte: R
         write_atomically(folder / "panoptic" / f"{name}.png", image_bytes(colours))
@@ -153,6 +153,6 @@ def labels_text(classes: ClassTable, instances: ShownInstances) -> str:
 def id_bytes(ids: Ids, output: Path) -> bytes:
     """Return ids int32 [H, W] as a 16-bit PNG. Raises PlgsError for ids from 65536 on."""
     if int(ids.max(initial=0)) >= MOST_IDS:
-        fix = "Export COCO or points instead."
+        fix = "Export the form points instead."
         raise PlgsError("id-too-large", f"the id {int(ids.max())} does not fit into 16 bits", output, fix)
     return image_bytes(ids.astype(np.uint16))

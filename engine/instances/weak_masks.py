@@ -67,7 +67,7 @@ def agreement_of_views(
     by_class, all_said = np.mean(agreed[asked > 0] / asked[asked > 0]), sum(weight.sum() for _, _, weight in said)
     found = ViewAgreement(float(by_class), float(agreed.sum() / asked.sum()), float(agreed.sum() / all_said))
     log.info(
-        "held-out views agree with the others on %.3f of a class's points and %.3f of all: the masks are %s",
+        "held-out views agree with the others on %.3f of points (mean over classes; %.3f of all): the masks are %s",
         found.by_class, found.in_all, "weak" if found.is_weak else "good",
     )  # fmt: skip
     return found

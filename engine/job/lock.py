@@ -86,7 +86,7 @@ def _try_lock(descriptor: int, path: Path, shared: bool = False) -> bool:
         return try_lock(descriptor, shared)
     except OSError as error:
         fix = "Put the lift on a local disk, or on a shared one with locks: NFS 4, or NFS 3 with lockd."
-        raise PlgsError("no-file-locks", f"its file system cannot lock files ({error.strerror})", path, fix) from error
+        raise PlgsError("no-file-locks", f"cannot be locked on its disk ({error.strerror})", path, fix) from error
 
 
 class BakeLocks:

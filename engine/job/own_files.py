@@ -86,9 +86,9 @@ class OwnFiles:
         place = next(each for each in (self.folder, *self.folder.absolute().parents) if os.path.lexists(each))
         if not place.is_dir():
             what = "a folder is needed, but this is a file" if place.exists() else "this link leads nowhere"
-            raise PlgsError("file-not-folder", what, place, "Name another one.")
+            raise PlgsError("file-not-folder", what, place, "Name another folder.")
         if not os.access(place, os.W_OK):  # reported before any work
-            raise PlgsError("not-writable", "this folder cannot be written to", place, "Name another one.")
+            raise PlgsError("not-writable", "this folder cannot be written to", place, "Name another folder.")
         is_same = self.begun == self._asked or (replaces and self.begun is not None and self.begun[0] == kind)
         if not (among_others or is_same) and self.folder.exists() and any(self.folder.iterdir()):
             what = "the folder has files of others" if self.begun is None else "the folder has other results of PLGS"

@@ -160,15 +160,16 @@ def check_disk(folder: Path, sizes: Iterable[tuple[int, int]], events: EventWrit
     there = next(each for each in (folder, *folder.absolute().parents) if each.exists())
     pixels, free = sum(width * height for width, height in sizes), shutil.disk_usage(there).free
     if free < pixels * LEAST_PIXEL:
-        what = f"the passes need at least {_gb(pixels * LEAST_PIXEL)}, but only {_gb(free)} of the disk is free"
+        what = f"the passes need at least {_gb(pixels * LEAST_PIXEL)}, but only {_gb(free)} is free on this disk"
         raise PlgsError("disk-full", what, folder, "Make room there, or bake fewer frames.", code=ErrorCode.DISK_FULL)
     if free < pixels * PIXEL:
-        events.warning(f"the passes need about {_gb(pixels * PIXEL)}, but only {_gb(free)} of the disk is free")
+        events.warning(f"the passes need about {_gb(pixels * PIXEL)}, but {there} has only {_gb(free)} free: make room")
 
 
 def _warn_of_other_programs(needed: int, memory: MainMemory, events: EventWriter) -> None:
     if needed > memory.free:
-        events.warning(f"the lift needs about {_gb(needed)} of memory, but only {_gb(memory.free)} is free")
+        need = f"the lift needs about {_gb(needed)} of memory"
+        events.warning(f"{need}, but only {_gb(memory.free)} is free: close other programs")
 
 
 def _too_much(needed: int, memory: MainMemory) -> str:

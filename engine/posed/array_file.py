@@ -104,7 +104,7 @@ def read_array(path: Path, name: str = "") -> NDArray[Any]:
     headers = array_headers(path)
     if name not in headers:
         what = f'there is no array called "{name}"'
-        raise PlgsError("no-array", what, path, f"It has {', '.join(headers) or 'none'}.")
+        raise PlgsError("no-array", what, path, f"Give one of its arrays that name: {', '.join(headers) or 'none'}.")
     if not name and path.suffix.lower() == ".npy":
         return read_npy(path, _SAVE_FIX, LARGEST_PICTURE)
     return read_npz(path, _SAVE_FIX, [name], LARGEST_PICTURE)[name]

@@ -39,7 +39,7 @@ def find_split(folder: Path, names: Sequence[str], lost: Sequence[str]) -> Split
     table = folder / "splits.json"
     split = read_split(table, names, lost) if table.is_file() else default_split(names)
     if not split.train:
-        raise PlgsError("no-training-frame", "no frame is left to train on", table, "Name frames in train.")
+        raise PlgsError("no-training-frame", '"train" names no frame with a pose', table, "Name frames with poses.")
     return split
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from ..errors import PlgsError
+from ..errors import PlgsError, reading
 from ..gates import read_plain
 from ..json_file import Json
 from .parts import added_names, is_name
@@ -124,7 +124,7 @@ def parsed_options(texts: Iterable[str]) -> dict[str, Json]:
     for text in texts:
         name, separator, value = text.partition("=")
         if not separator:
-            what = "is not an option"
+            what = "has no value"
             raise PlgsError("no-option", what, f"--set {text}", "Write name=value, such as weights.depth=0.")
         option = known_option(name.strip())
         found[option.name] = checked_value(option, value.strip())
@@ -235,11 +235,11 @@ _FIX = "'python -m engine presets preview' prints one that can be changed."
 
 
 def read_toml(path: Path, fix: str) -> dict[str, Any]:
-    """Read a small TOML file. Raises PlgsError with ``fix`` as the advice, if it is not TOML or unreadable."""
+    """Read a small TOML file. Raises PlgsError if it is unreadable, or, with the advice ``fix``, not TOML."""
+    with reading(path, "Give a small TOML file that you may read."):
+        content = read_plain(path, MOST_BYTES)
     try:
-        return tomllib.loads(read_plain(path, MOST_BYTES).decode("utf-8"))
-    except OSError as error:
-        raise PlgsError("unreadable", f"cannot be read ({error.strerror})", path, fix) from error
+        return tomllib.loads(content.decode("utf-8"))
     except (ValueError, RecursionError) as error:  # broken TOML, broken UTF-8, nested too deeply
         raise PlgsError("not-toml", f"is not TOML ({error})", path, fix) from error
 

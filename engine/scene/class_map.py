@@ -183,7 +183,7 @@ def _labels(
         if known is None:
             if row.name is None:
                 what = f"the class {number} has no name"
-                raise PlgsError("class-unnamed", what, choice.path or FILE_NAME, "Add name and thing.")
+                raise PlgsError("class-unnamed", what, choice.path or FILE_NAME, "Add name and thing to its [[class]].")
             found[number] = ClassLabel(number, row.name, row.thing is not False)  # a thing by default
         else:
             name = known.name if row.name is None or row.id is None else row.name  # without an id, its name was the key

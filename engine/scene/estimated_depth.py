@@ -199,7 +199,7 @@ def with_estimated_depth(
         read = partial(fitted_map, placement=place, pixels=pixels, depths=depths)
         kept.append(_with_depth(frame, files[frame.name], read))
     if seen and not any(not frame.held_out for frame in kept):
-        fix = f"Each needs {LEAST_POINTS} points of the reconstruction."
+        fix = f"Each needs {LEAST_POINTS} points: take more photos, or give a mesh with --depth."
         raise PlgsError("few-points", "no frame to train on sees enough points to fit depth to", folder, fix)
     return tuple(kept), (*mapless, *left_out(f"{LEAST_POINTS} points of the reconstruction in view", blind)), inferred
 

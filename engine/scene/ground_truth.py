@@ -117,7 +117,7 @@ def refuse_other_numbers(joint: Joint, classes: ClassTable, where: Path, fix: st
     if best >= _ENOUGH * total and own < _REFUTED * best:
         likely = [table for table, pixels in found.items() if pixels >= _EQUAL * best]
         shares = f"{best / total:.0%} of the pixels then agree with the masks, {own / total:.0%} as class ids"
-        what = f"its numbers look like {listed(likely, 3)}, not like class ids of the masks ({shares})"
+        what = f"the ground truth's numbers look like {listed(likely, 3)}, not like class ids of the masks ({shares})"
         named = f"{_ASKING.advice(*likely[:3]).capitalize()}."
         raise PlgsError("truth-numbers", what, where, fix or named)
     if own >= _POOR * total:

@@ -112,7 +112,7 @@ def in_one_table(predictions: LabelFolder, truth: LabelFolder) -> tuple[ClassTab
         return ClassTable(tuple(merged[class_id] for class_id in sorted(merged))), predictions
     class_of = classes_by_name({each.id: each.name for each in own.categories}, true)
     if not class_of:
-        what = f"its classes have different names from those in {predictions.folder}"
+        what = f"no class name of {predictions.folder} is in the ground truth"
         raise PlgsError("other-classes", what, truth.folder, "Use one class table for both.")
     free = count(max(true.ids) + 1)
     others = tuple(replace(each, id=next(free)) for each in own.categories if each.id not in class_of)

@@ -277,7 +277,7 @@ def _alike(frames: Iterable[str], classes: ClassTable) -> Iterable[str]:
     """Yield warnings about names that are equal, or differ only in case."""
     for found in _alike_names((name, name) for name in frames):
         what = f"frames {listed(found)} have names that differ only in capitals"
-        yield f"{what}: on a disk of Windows or macOS the passes of one take the place of the other's"
+        yield f"{what}: rename all but one, as their passes replace each other on disks of Windows and macOS"
     for found in _alike_names((each.name, f"{each.id} {each.name}") for each in classes.categories):
         if len({named.partition(" ")[2] for named in found}) == 1:
             what, how = "the same name", "with its number in the masks as id"

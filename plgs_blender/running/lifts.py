@@ -267,7 +267,7 @@ def bake(
         what, fix = "this Blender is already baking or lifting here", "Wait for it, or cancel it first."
         raise PlgsError("blender-busy", what, lift.path, fix, code=ErrorCode.BUSY)
     if known is not None and known.is_being_taken:
-        raise PlgsError("being-placed", "its result is being placed", lift.path, "Wait a moment.", code=ErrorCode.BUSY)
+        raise PlgsError("being-placed", "is being placed in Blender", lift.path, "Wait a moment.", code=ErrorCode.BUSY)
     if not lift.manifest_path.is_file():
         _refuse_running(lift)
     ties = not keep_running

@@ -126,7 +126,7 @@ def _of_plain(chosen: ChosenScene, scene: PosedScene) -> Survey:
 def _with_answer(survey: Survey, answer: Mapping[str, Any] | None, error: PlgsError | None) -> Survey:
     """Return the survey with the answer of `engine inspect`, or its error."""
     if error is not None or answer is None:
-        unknown = PlgsError("bad-answer", "the engine gave no answer about it", survey.chosen.scene, "Read it again.")
+        unknown = PlgsError("bad-answer", "the engine did not answer", survey.chosen.scene, "Read the scene again.")
         return replace(survey, error=error or unknown)
     try:
         depth_range = answer["depth_range"]

@@ -114,7 +114,8 @@ def _own_split(content: dict[str, Any], frames: Mapping[str, Mapping[str, Any]],
     if not held_out:
         return None
     if not train:
-        raise PlgsError("no-training-frame", "no frame is left to train on", path, "Name frames in train_filenames.")
+        fix = "Hold out fewer frames, or name others in train_filenames."
+        raise PlgsError("no-training-frame", "no frame is left to train on", path, fix)
     return Split(tuple(name for name in frames if name in train), tuple(name for name in frames if name in held_out))
 
 

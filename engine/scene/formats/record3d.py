@@ -93,7 +93,7 @@ def _find(place: Path) -> Path | None:
 def _read(place: Path, progress: Progress) -> Capture:
     path, exported = _find(place), _exr_folder(place)
     if path is None and exported is None:
-        raise PlgsError("not-one-file", "there is no .r3d file, or more than one", place, "Name the file.")
+        raise PlgsError("not-one-file", "there is no .r3d file, or more than one", place, "Name a .r3d file.")
     if path is None and exported:
         metadata = read_json_object(exported / _EXPORTED)
         found = list(_exr_shots(metadata, exported, progress))

@@ -81,7 +81,7 @@ def _read_parameters(place: Path) -> tuple[Camera, float] | None:
     if not isinstance(camera, dict):
         raise PlgsError("lacks-field", 'the file has no "camera"', path, "Add it, or remove the file.")
     width, height, fx, fy, cx, cy, scale = (take_number(camera, key, "camera", path) for key in _PARAMETERS)
-    fix = "Correct it, or remove the file."
+    fix = "Correct the numbers, or remove the file."
     if scale <= 0.0:
         raise PlgsError("bad-scale", "the depth's scale is not above 0", path, fix)
     return pinhole(width, height, fx, fy, cx + 0.5, cy + 0.5, path=path, fix=fix), 1.0 / scale

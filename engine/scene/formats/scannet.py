@@ -104,7 +104,7 @@ class _Block:
 def _read_sens(place: Path, progress: Progress) -> Capture:
     path = only_file(place, ".sens")
     if path is None:
-        raise PlgsError("not-one-file", "there is no .sens file, or more than one", place, "Name the file.")
+        raise PlgsError("not-one-file", "there is no .sens file, or more than one", place, "Name a .sens file.")
     with open_plain(path) as file:
         header = _read_header(file, path)
         fits = fitting_alignment(header.colour, header.depth) is not None

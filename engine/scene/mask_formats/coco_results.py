@@ -253,10 +253,10 @@ def read_table(place: Path) -> DetectionTable:
         tables = [(path.stem, _table_of(path)) for path in files]
         entries = [(name, entry) for name, table in tables for _, entry in table.entries]
         sizes = {name: next(iter(table.sizes.values())) for name, table in tables if len(table.sizes) == 1}
-        labels = {table.labels for _, table in tables}
+        labels = {table.labels: name for name, table in tables}
         if len(labels) > 1:
-            fix = "Give all files the same list."
-            raise PlgsError("classes-differ", "the files name different classes", place, fix)
+            what = "the categories of {}.json and {}.json differ".format(*labels.values())
+            raise PlgsError("classes-differ", what, place, "Write the same categories into all files.")
         return _checked(DetectionTable(place, entries, {}, sizes, next(iter(labels), None)))
     return _checked(_table_of(files[0]))
 
