@@ -172,7 +172,7 @@ def painted(
     stroke: Sequence[Position],
     radius: float,
 ) -> NDArray[np.int64]:
-    """Return the indices, int64 [n], of ``visible`` points under a stroke of the brush; ``radius`` is in pixels."""
+    """Return the indices, int64 [n], of `visible` points within ``radius`` pixels of a ``stroke`` of the brush."""
     rows, pixel = visible(xyz, to_view, size)
     under = np.zeros(len(rows), bool)
     for position in stroke:
@@ -187,7 +187,7 @@ def boxed(
     drag: Sequence[Position],
     _: float = 0.0,
 ) -> NDArray[np.int64]:
-    """Return the indices, int64 [n], of the ``visible`` points in the rectangle between the ends of a drag."""
+    """Return the indices, int64 [n], of the `visible` points in the rectangle between a drag's ends."""
     rows, pixel = visible(xyz, to_view, size)
     low, high = np.sort([drag[0], drag[-1]], axis=0)
     return rows[((pixel >= low) & (pixel <= high)).all(axis=1)]

@@ -126,7 +126,7 @@ _COLOURS = "colours"  # property of a mask picture: its colours as numbers
 
 
 def why_no_picture(scene: bpy.types.Scene) -> str | None:
-    """Return why nothing can be shown in front of the active camera, None if it can. Never reads the disk."""
+    """Return why nothing can be shown in front of the active camera, None if something can. Never reads the disk."""
     ob = scene.camera
     if ob is None or "frame" not in ob or LIFT not in ob:
         return "Look through a frame's camera first: select it and press Ctrl+Numpad 0"

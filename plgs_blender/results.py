@@ -93,8 +93,7 @@ def reading_listed(version: Version) -> Generator[None, None, Listed]:
 
 
 def listed_in(lift: Path) -> Listed:
-    """A lift's instances.json, cached: edits come in series, and it takes up to half a second. Raises PlgsError if
-    bad."""
+    """A lift's instances.json, cached: edits come in series, and reading takes long. Raises PlgsError if it is bad."""
     version = begin_to_read(lift)
     read_on(math.inf)
     return _kept[version]

@@ -178,7 +178,7 @@ class GroundTruthReader:
         return GroundTruth(semantic, instance)
 
     def unknown(self) -> frozenset[int | str]:
-        """Return the classes in the file that the masks lack, by name or id, not void. Raises PlgsError if bad."""
+        """Return the classes in the file that the masks lack, by name or id. Raises PlgsError if it is bad."""
         check_image_file(self.instance)
         found, _ = distinct_ids(read_indices(self.semantic))
         lacking = frozenset(found.tolist()) - frozenset(self.class_of) - (IGNORED if self.names else {VOID})

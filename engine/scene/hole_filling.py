@@ -45,7 +45,8 @@ def fill_holes(depth: Depths, segments: NDArray[np.int32]) -> Depths:
 
 
 def _fill_specks(filled: Depths, depth: Depths, speck: Pixels) -> None:
-    """Fill all small holes at once in ``filled``, with the mean of the 5x5 pixels around each if these are flat."""
+    """Fill all small holes (``speck``) at once in ``filled``, with the mean of the 5x5 pixels around if these are
+    flat."""
     import cv2
 
     if not speck.any():

@@ -58,7 +58,7 @@ def size_of(name: str) -> int:
 
 
 def why_not_added() -> str | None:
-    """Return why nothing can be added now, None if it can. Never reads the disk."""
+    """Return why nothing can be added now, None if something can. Never reads the disk."""
     return "Something is already being added to the engine" if registry.running(Adding) else tasks.why_no_set_up()
 
 
