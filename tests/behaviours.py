@@ -31,7 +31,7 @@ BEHAVIOURS = {
     "frames of ten layouts": ("doors/test_captures.py::test_the_layout_is_recognised_by_the_files_in_it"),
     "frames of Record3D": "scene/formats/test_record3d.py::test_points_of_a_record3d_scan_lie_on_the_walls",
     "frames of ScanNet's archives": "scene/formats/test_scannet.py::test_points_of_a_scannet_sens_lie_on_the_walls",
-    "frames of ScanNet++": "scene/formats/test_scannetpp.py::test_points_of_a_scannetpp_scan_lie_on_walls",
+    "frames of ScanNet++": "scene/formats/test_scannetpp.py::test_points_of_a_scannetpp_scan_lie_on_the_walls",
     "frames of 7-Scenes": "scene/formats/test_seven_scenes.py::test_raw_7_scenes_depth_is_registered_to_colour",
     "bad scenes and masks are one line": "scene/test_bad_input.py",
     "files of others stay": "doors/test_files_of_others.py::test_no_command_deletes_files_of_other_people",
@@ -39,12 +39,12 @@ BEHAVIOURS = {
         "doors/test_captures.py::test_inspect_writes_a_mended_scene_and_your_files_stay_as_they_are"
     ),
     "exports: clouds": "export/test_export.py::test_depth_clouds_hold_a_point_for_each_pixel",
-    "exports: COCO panoptic": "export/test_export.py::test_coco_is_exported",
-    "exports: label images": "export/test_export.py::test_labels_are_exported",
-    "exports: ScanNet": "export/test_export.py::test_scannet_is_exported",
-    "exports: boxes": "export/test_export.py::test_bounding_boxes_are_exported",
-    "exports: depth maps": "export/test_export.py::test_depth_maps_are_exported",
-    "exports: meshes": "export/test_export.py::test_meshes_are_exported",
+    "exports: COCO panoptic": "export/test_export.py::test_exported_coco_masks_hold_the_drawn_ids",
+    "exports: label images": "export/test_export.py::test_exported_label_images_hold_the_drawn_ids",
+    "exports: ScanNet": "export/test_export.py::test_a_scannet_export_holds_drawn_ids_and_class_names",
+    "exports: boxes": "export/test_export.py::test_exported_boxes_equal_those_of_the_lifts_objects",
+    "exports: depth maps": "export/test_export.py::test_exported_depth_maps_are_finite_floats",
+    "exports: meshes": "export/test_export.py::test_exported_meshes_have_the_labels_and_colours_of_the_room",
     "run_plgs.py lifts a scene into a .blend": (
         "doors/test_command_line.py::test_run_plgs_lifts_the_scene_and_puts_the_result_into_a_blend"
     ),
@@ -56,12 +56,12 @@ BEHAVIOURS = {
     "the panel's buttons: import": "operators/test_scene.py::test_import_scene_adds_cameras_without_lifting",
     "the panel's buttons: lift": "operators/test_lift.py::test_the_lift_operator_in_a_script_waits_for_the_lift",
     "the panel's buttons: resume": "operators/test_lift.py::test_a_cancelled_lift_is_resumed_by_the_operator",
-    "the panel's buttons: masks": "operators/test_masks.py::test_masks_are_made",
+    "the panel's buttons: masks": "operators/test_masks.py::test_make_masks_writes_masks_with_the_networks_classes",
     "the panel's buttons: corrections": ("operators/test_corrections.py::test_undo_brings_back_a_deleted_object"),
     "the panel's buttons: passes": (
         "operators/test_passes.py::test_the_compositor_opens_with_passes_of_the_active_camera"
     ),
-    "the panel's buttons: export": "operators/test_export.py::test_the_engine_exports_every_format",
+    "the panel's buttons: export": "operators/test_export.py::test_export_lift_writes_boxes_and_coco_masks",
     "the panel shows a lift that is finished": "ui/test_panels.py::test_the_panel_shows_a_finished_lift",
 }
 

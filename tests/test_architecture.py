@@ -210,7 +210,7 @@ def test_dependencies_between_the_parts_of_the_engine_run_one_way() -> None:
     assert wrong == []
 
 
-def test_every_allowed_dependency_exists() -> None:
+def test_every_dependency_that_is_allowed_is_used() -> None:
     """The tables name parts that exist and imports that are used; what is needed no more is taken out of them."""
     engine: dict[str, set[str]] = {part: set() for part in ENGINE_MAY_IMPORT}
     for path in modules_under("engine"):
@@ -279,7 +279,7 @@ def test_the_extension_needs_nothing_but_blender_numpy_and_the_standard_library(
     assert lines_where(lambda i: not i.is_relative and first(i.module) not in allowed, *EXTENSION) == []
 
 
-def test_blender_imports_only_the_listed_lines_of_the_engine() -> None:
+def test_blender_imports_only_the_listed_parts_of_the_engine() -> None:
     """Only with NumPy, and no readers of foreign formats. This limit may only be lowered."""
     core = _core_of_the_extension()
     allowed = {target.removeprefix("engine.") for target in EXTENSION_MAY_IMPORT["plgs_blender"]}
@@ -341,7 +341,7 @@ def test_few_functions_take_six_positional_parameters() -> None:
     assert len(many) <= 15, many
 
 
-def test_file_system_calls_are_in_one_module() -> None:
+def test_calls_that_differ_between_systems_are_in_one_module() -> None:
     """The rights of folders are asked in a branch that Windows does not reach."""
     alone = {"fcntl", "msvcrt", "resource", "pwd", "grp", "termios"}
     calls = {"fork", "getpgid", "getuid", "killpg", "mkfifo", "sched_getaffinity", "setsid", "sysconf", "SIGKILL"}

@@ -65,14 +65,14 @@ def test_a_lift_is_read_as_arrays(lift: LiftFolder) -> None:
     assert read.metrics == {"tables": []} and read.frames[0].camera.size == (32, 24)
 
 
-def test_a_damaged_lift_is_refused(lift: LiftFolder) -> None:
+def test_a_damaged_lift_is_not_read_as_arrays(lift: LiftFolder) -> None:
     finish(lift)
     (lift.result_path / "gaussians.ply").write_bytes(b"ply")
     with raises_key("other-bytes"):
         engine.read_lift(lift.path)
 
 
-def test_lift_arrays_need_only_numpy(root: Path) -> None:
+def test_reading_a_lift_as_arrays_needs_only_numpy(root: Path) -> None:
     code = "import sys, engine; engine.read_lift; print({'torch', 'cv2', 'scipy', 'open3d'} & {*sys.modules})"
     run = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "set()"

@@ -94,7 +94,7 @@ def test_resuming_a_finished_lift_only_repairs_the_blend(run: Run, tmp_path: Pat
     ("behaviour", "number", "code"),
     [("patient", signal.SIGINT, 130), ("holds the lock", signal.SIGINT, 130), ("patient", signal.SIGTERM, 143)],
 )
-def test_signal_ends_all_processes(run: Run, tmp_path: Path, behaviour: str, number: signal.Signals, code: int) -> None:
+def test_a_signal_ends_the_engine(run: Run, tmp_path: Path, behaviour: str, number: signal.Signals, code: int) -> None:
     out = tmp_path / "out"
     process = run(behaviour, tmp_path / "scene", "-o", out)
     wait_for(process, has_begun(out))

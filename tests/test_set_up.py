@@ -85,7 +85,7 @@ def workshop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[list[str]]
     return commands
 
 
-def test_broken_set_up_is_repaired(tmp_path: Path, workshop: list[list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cut_off_set_up_is_redone(tmp_path: Path, workshop: list[list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
     note: Callable[..., None] = environment.run
 
     def cut_off(command: list[str], failure: str, **options: object) -> None:
@@ -109,7 +109,7 @@ def test_broken_set_up_is_repaired(tmp_path: Path, workshop: list[list[str]], mo
     assert workshop == []
 
 
-def test_cpu_package_index_is_used_only_for_torch(workshop: list[list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_cpu_index_is_used_only_for_torch(workshop: list[list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TORCH_INDEX", "file:///cpu-builds")
     environment.main(["make", ".venv"])
     asked = [("torch.txt" in command, "file:///cpu-builds" in command) for command in workshop if "pip" in command]

@@ -47,7 +47,7 @@ def test_another_worker_resumes_the_lift_of_a_killed_worker(tmp_path: Path, farm
 
 
 @pytest.mark.parametrize(("number", "kind"), [(signal.SIGTERM, "usual"), (signal.SIGSTOP, "impatient")])
-def test_killed_engine_is_resumed(number: signal.Signals, kind: str, tmp_path: Path, farm: Farm, address: str) -> None:
+def test_a_killed_lift_is_resumed(number: signal.Signals, kind: str, tmp_path: Path, farm: Farm, address: str) -> None:
     plan = plan_of(tmp_path, "a")
     farm.workers(address, kind)
     pause(plan.jobs[0])
@@ -89,7 +89,7 @@ def test_a_batch_finishes_when_one_of_its_workers_hangs(tmp_path: Path, farm: Fa
     assert rows_of(plan)["a"]["state"] == "done" and len(hellos(plan.output / "a")) == 1
 
 
-def test_batch_survives_scheduler_restart(tmp_path: Path, farm: Farm) -> None:
+def test_a_batch_survives_a_restart_of_its_scheduler(tmp_path: Path, farm: Farm) -> None:
     scheduler, port = farm.scheduler()
     address = f"tcp://127.0.0.1:{port}"
     plan = plan_of(tmp_path, "a", "b", "c")

@@ -115,7 +115,7 @@ def test_an_invalid_scheduler_address_is_refused(address: str, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("options", ["--slurm --scheduler tcp://a:1", "--workers 2 --scheduler tcp://a:1", "--queue q"])
-def test_conflicting_batch_options_refused(options: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_conflicting_options_are_refused(options: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["batch", str(tmp_path / "a"), "-o", str(tmp_path / "out"), *options.split()]) == ExitCode.BAD_INPUT
     assert capsys.readouterr().err.count("\n") == 1 and not (tmp_path / "out").exists()
 

@@ -35,7 +35,7 @@ def test_a_scene_name_that_would_leave_the_output_folder_is_refused(name: str, t
 
 
 @pytest.mark.parametrize("other", ["y/room", "y/Room", "y/ROOM.zip"])
-def test_two_scenes_with_same_name_are_refused(other: str, tmp_path: Path) -> None:
+def test_two_scenes_of_the_same_name_are_refused(other: str, tmp_path: Path) -> None:
     for scene in (tmp_path / "x" / "room", tmp_path / other):
         scene.mkdir(parents=True) if not scene.suffix else (scene.parent.mkdir(), scene.touch())
     with raises_key("names-clash"):
@@ -109,7 +109,7 @@ def _changes_its_state(touched: str, request: LiftRequest, folder: Path) -> bool
         ("coco/a.png", False),
     ],
 )
-def test_changed_masks_redo_scene(touched: str, is_read: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_changed_masks_redo_lifts(touched: str, is_read: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The whole folder around the mask file, or a folder named like the class table, does not count."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "scene").mkdir()

@@ -52,7 +52,7 @@ def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
             os.killpg(int(job), signal.SIGKILL)
 
 
-def test_slurm_batch_is_refused_without_slurm_installed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_slurm_batch_is_refused_without_slurm_installed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     with raises_key("no-slurm"):
         slurm_cluster(FarmOptions(2, "", {}))
@@ -109,7 +109,7 @@ def test_paths_in_slurm_job_scripts_are_quoted_for_the_shell(slurm: Path, monkey
     assert {str(ca), str(own), f"PYTHONPATH={odd}"} < {*said} and "PYTHONHOME=/nowhere" not in said
 
 
-def test_slurm_job_imports_nothing_from_its_folder(
+def test_a_slurm_job_imports_nothing_from_its_folder(
     slurm: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     for name in ("dask", "distributed", "engine"):

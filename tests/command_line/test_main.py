@@ -67,7 +67,7 @@ def test_wrong_command_line_arguments_are_refused(capsys: pytest.CaptureFixture[
 
 
 @pytest.mark.parametrize("text", ["-5", "0", "5-2", "1e3", "many", "9" * 5000])
-def test_invalid_frame_number_is_refused(text: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_an_invalid_number_of_frames_is_refused(text: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert code_of("lift", tmp_path, "-o", tmp_path / "out", "--frames", text) == 2
     told = capsys.readouterr().err
     assert "argument --frames" in told and "number" in told
@@ -157,7 +157,7 @@ def test_inspect_uses_the_masks_named_in_the_studio_defaults(
 
 
 @pytest.mark.parametrize("form", [["--up", "-y"], ["--up=-y"]])
-def test_up_axis_may_be_negative(capsys: pytest.CaptureFixture[str], tmp_path: Path, form: list[str]) -> None:
+def test_the_up_axis_may_be_negative(capsys: pytest.CaptureFixture[str], tmp_path: Path, form: list[str]) -> None:
     assert code_of("inspect", *form, write_tiny_scene(tmp_path / "scene", frames=6)) == 0
     assert "not -y" in capsys.readouterr().out
 
@@ -206,7 +206,7 @@ def test_evaluate_prints_the_scores(capsys: pytest.CaptureFixture[str], tmp_path
 
 @pytest.mark.parametrize("name", ["model.safetensors", "instances.json"])
 @pytest.mark.parametrize("change", [None, b"cut", b"as long, but rotten"])
-def test_export_names_damaged_file(
+def test_evaluate_bake_and_export_name_a_damaged_result_file(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, change: bytes | None
 ) -> None:
     lift = new_lift(tmp_path)

@@ -77,7 +77,7 @@ def test_scenes_with_unusual_folder_names_are_read(odd: str, root: Path, tmp_pat
 
 
 @pytest.mark.parametrize("command", ["inspect", "frames"])
-def test_every_command_refuses_paths_that_are_not_utf8(command: str, root: Path, tmp_path: Path, scene: Path) -> None:
+def test_inspect_and_frames_refuse_paths_not_in_utf8(command: str, root: Path, tmp_path: Path, scene: Path) -> None:
     place = os.fsencode(tmp_path) + b"/b\xff"
     shutil.copytree(os.fsencode(scene), place)
     code, _, told = said_by(root, tmp_path, command, place, *(("-o", "made") if command == "frames" else ()))

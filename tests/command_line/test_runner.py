@@ -33,7 +33,7 @@ def followed(files: TaskFiles, *arguments: str | Path) -> TaskFollower:
     return follower
 
 
-def test_events_of_any_command_end_with_its_answer(tmp_path: Path) -> None:
+def test_events_of_inspect_and_frames_end_with_their_answer(tmp_path: Path) -> None:
     room, files = write_tiny_scene(tmp_path / "room", frames=9), TaskFiles.temporary(tmp_path)
     inspected = followed(files, "inspect", room)
     assert inspected.state is TaskState.FINISHED and inspected.kind == "inspect" and inspected.error is None
@@ -230,7 +230,7 @@ def test_a_lift_without_a_manifest_is_not_a_success(tmp_path: Path) -> None:
     assert run_engine(folder, lift=lambda folder, events, stop, *, resume: None) is ExitCode.INTERNAL_ERROR
 
 
-def test_lift_cancelled_before_start_can_be_resumed(tmp_path: Path) -> None:
+def test_a_lift_cancelled_before_its_start_can_be_resumed(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     folder.task_files.ask_to_cancel()
     assert run_engine(folder, lift=tiny_lift) is ExitCode.CANCELLED
@@ -238,7 +238,7 @@ def test_lift_cancelled_before_start_can_be_resumed(tmp_path: Path) -> None:
     assert run_engine(folder, resume=True, lift=tiny_lift) is ExitCode.FINISHED
 
 
-def test_resume_starts_unstarted_lifts_and_keeps_finished(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_resume_starts_a_new_lift_and_keeps_a_finished_one(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     folder = new_lift(tmp_path)
     assert run_engine(folder, resume=True, lift=tiny_lift) is ExitCode.FINISHED  # nothing to go on with: it starts
     before = folder.events_path.read_bytes()

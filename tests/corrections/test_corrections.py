@@ -143,7 +143,7 @@ def test_a_damaged_corrections_file_gives_a_one_line_error_and_is_kept(lift: Pat
     assert (lift / CORRECTIONS).read_text() == text
 
 
-def test_objects_whose_class_is_likely_wrong_are_proposed_first(lift: Path) -> None:
+def test_doubt_of_a_class_grows_with_contradicting_masks_and_low_confidence(lift: Path) -> None:
     result = read_corrected(lift)
     segments = tuple(MatchedSegment(str(k), 1, kind, 1.0, None, 1.0, 9, 0.1, (0.0, 0.0, 1.0, 1.0))
                      for k, kind in enumerate([CHAIR] * 4 + [TABLE] * 6))  # fmt: skip

@@ -57,7 +57,7 @@ def test_six_hundred_edits_that_fit_no_object_compare_points_only_a_few_times(
         (2, {"rest": 77}, "there is no object 77"),
     ],
 )
-def test_impossible_edit_warns(lift: Path, original: bytes, number: int, changed: dict[str, object], told: str) -> None:
+def test_impossible_edits_warn(lift: Path, original: bytes, number: int, changed: dict[str, object], told: str) -> None:
     content = json.loads(original)
     content["edits"][number].update(changed)
     (lift / CORRECTIONS).write_text(json.dumps(content))

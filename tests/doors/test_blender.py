@@ -60,7 +60,7 @@ def test_points_assigned_to_a_class_belong_to_no_object(shown: Path) -> None:
     assert {*after.class_id[lost].tolist()} == {1}
 
 
-def test_frames_that_were_not_held_out_come_last_in_the_list(shown: Path) -> None:
+def test_next_uncertain_frame_shows_frames_without_doubt_last(shown: Path) -> None:
     path = shown / "result/metrics.json"
     metrics = json.loads(path.read_text())
     drawn = {"0001": 0.2, "0005": 0.7, "0003": 0.4}

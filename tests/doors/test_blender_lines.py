@@ -53,7 +53,7 @@ def test_every_blender_command_line_printed_in_the_docs_is_found() -> None:
 
 @pytest.mark.parametrize(("page", "line"), LINES)
 @pytest.mark.parametrize("is_broken", [True, False], ids=["broken clone", "no lift"])
-def test_a_printed_command_exits_with_error(page: str, line: str, is_broken: bool, blend: Path, tmp_path: Path) -> None:
+def test_a_failed_command_exits_with_error(page: str, line: str, is_broken: bool, blend: Path, tmp_path: Path) -> None:
     for name in ("engine", "plgs_blender", "operators", "ui", "run_plgs.py", "__init__.py"):
         if not (is_broken and name == "plgs_blender"):
             (tmp_path / name).symlink_to(ROOT / name)

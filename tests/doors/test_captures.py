@@ -432,7 +432,7 @@ def test_measured_depth_beside_photos_puts_their_poses_in_metres(
 
 @pytest.mark.slow
 @pytest.mark.skipif(find_spec("pycolmap") is None, reason="needs pycolmap (engine add colmap)")
-def test_a_rgbd_video_of_the_sample_gets_poses_in_metres(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_rgbd_video_of_the_sample_gets_poses_in_metres(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     true = open_scene(ROOT / "sample/room")
     pictures = [frame.read_colour(None)[..., ::-1] for frame in true.frames]
     depths = [frame.depth(frame.size) for frame in true.frames]

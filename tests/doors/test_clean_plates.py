@@ -86,7 +86,7 @@ def test_no_pixel_of_a_bake_shows_a_removed_object(removed: Terminal) -> None:
     assert not {name for name, plane in channels.items() if not np.isfinite(plane).all()}
 
 
-def test_all_passes_show_the_floor_behind_a_removed_object(removed: Terminal) -> None:
+def test_passes_show_the_floor_behind_a_removed_object(removed: Terminal) -> None:
     before, after, was = before_and_after(removed)
     assert (after.combined[..., 3][was] > 0.8).mean() > 0.9, "the hole is filled"
     assert (after.semantic[was] == FLOOR_ID).mean() > 0.4 and (after.semantic[was] > 0).all()

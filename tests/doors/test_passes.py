@@ -112,6 +112,9 @@ def test_normals_are_of_length_one_and_face_the_camera(baked: Terminal) -> None:
     shown = np.linalg.norm(normal, axis=-1) > 0
     assert shown.mean() > 0.9
     np.testing.assert_allclose(np.linalg.norm(normal[shown], axis=-1), 1.0, atol=0.01)
+    position = np.stack([planes[f"PLGS.Position.{axis}"] for axis in "XYZ"], axis=-1).astype(np.float64)
+    camera = next(one.camera for one in engine.read_lift(baked.folder / "lifts/demo").frames if one.name == FRAME)
+    assert (((camera.camera_to_world[:3, 3] - position) * normal).sum(axis=-1)[shown] > 0).mean() > 0.99
 
 
 def test_the_vector_pass_points_to_the_previous_and_the_next_frame(baked: Terminal) -> None:

@@ -21,14 +21,14 @@ from tests.conftest import HAS_BLENDER
 from tests.export.conftest import run
 from tests.raises_key import raises_key, worded
 
+Truth = dict[str, tuple[np.ndarray, np.ndarray]]
+
 
 def test_engine_export_offers_every_format() -> None:
     assert tuple(KINDS) == EXPORTS
 
 
-def test_depth_clouds_hold_a_point_for_each_pixel(
-    lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Path
-) -> None:
+def test_depth_clouds_hold_a_point_for_each_pixel(lift: LiftFolder, truth: Truth, tmp_path: Path) -> None:
     run(lift, "clouds", tmp_path, "--frames", "test")
     (path,) = tmp_path.glob("*.npz")
     points = read_arrays(path, SemanticPoints)
@@ -68,7 +68,7 @@ def test_point_clouds_are_exported_for_any_camera(lift: LiftFolder, tmp_path: Pa
     assert main([*common, "--to", "coco"]) == 2 and not (tmp_path / "other").exists()
 
 
-def test_coco_is_exported(lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Path) -> None:
+def test_exported_coco_masks_hold_the_drawn_ids(lift: LiftFolder, truth: Truth, tmp_path: Path) -> None:
     run(lift, "coco", tmp_path)
     content = json.loads((tmp_path / "panoptic.json").read_text())
     images = {image["id"]: image for image in content["images"]}
@@ -111,7 +111,7 @@ def test_coco_is_exported(lift: LiftFolder, truth: dict[str, tuple[np.ndarray, n
         assert np.array_equal(mask.decode(one["segmentation"]) > 0, instance == one["instance_id"])
 
 
-def test_labels_are_exported(lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Path) -> None:
+def test_exported_label_images_hold_the_drawn_ids(lift: LiftFolder, truth: Truth, tmp_path: Path) -> None:
     run(lift, "instances", tmp_path)
     for name, (semantic, instance) in truth.items():
         for folder, ids in (("class", semantic), ("instance", instance)):
@@ -124,7 +124,7 @@ def test_labels_are_exported(lift: LiftFolder, truth: dict[str, tuple[np.ndarray
     assert {one["class_id"] for one in labels["instances"]} <= {one["id"] for one in labels["classes"]}
 
 
-def test_scannet_is_exported(lift: LiftFolder, truth: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Path) -> None:
+def test_a_scannet_export_holds_drawn_ids_and_class_names(lift: LiftFolder, truth: Truth, tmp_path: Path) -> None:
     run(lift, "scannet", tmp_path, "--frames", "0001", "test")
     assert {path.stem for path in (tmp_path / "label-filt").iterdir()} == {"0001", "0004"}
     for folder, which in (("label-filt", 0), ("instance-filt", 1)):
@@ -149,7 +149,7 @@ def test_open3d_reads_exported_points(lift: LiftFolder, tmp_path: Path) -> None:
     assert floor.any() and np.median(normals[floor, 2]) > 0.9  # up, towards the cameras
 
 
-def test_bounding_boxes_are_exported(lift: LiftFolder, tmp_path: Path) -> None:
+def test_exported_boxes_equal_those_of_the_lifts_objects(lift: LiftFolder, tmp_path: Path) -> None:
     run(lift, "boxes", tmp_path)
     records = json.loads((lift.result_path / "instances.json").read_text())["instances"]
     boxes = json.loads((tmp_path / "boxes.json").read_text())["boxes"]
@@ -176,7 +176,7 @@ def test_splats_are_exported_and_chosen_by_name(lift: LiftFolder, tmp_path: Path
     assert 0 < kept.sum() < len(kept)
 
 
-def test_all_objects_with_a_name_are_exported(lift: LiftFolder, tmp_path: Path) -> None:
+def test_all_objects_of_one_name_are_exported(lift: LiftFolder, tmp_path: Path) -> None:
     """The last of them alone was."""
     own = LiftFolder.open(shutil.copytree(lift.path, tmp_path / "lift"))
     ids = [one.id for one in FinishedLift(own, ["all"]).listed]
@@ -185,14 +185,14 @@ def test_all_objects_with_a_name_are_exported(lift: LiftFolder, tmp_path: Path) 
     assert len(ids) > 1 and [one.id for one in FinishedLift(own, ["all"], objects=["seat"]).listed] == ids
 
 
-def test_exporting_unknown_objects_fails(lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unknown_objects_are_not_exported(lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     common = ["export", str(lift.path), "-o", str(tmp_path / "out"), "--objects"]
     assert main([*common, "throne", "--to", "splats"]) == 2 and main([*common, "floor", "--to", "coco"]) == 2
     told = capsys.readouterr().err
     assert 'nothing called "throne"' in told and "coco cannot be limited" in told and not (tmp_path / "out").exists()
 
 
-def test_depth_maps_are_exported(lift: LiftFolder, tmp_path: Path) -> None:
+def test_exported_depth_maps_are_finite_floats(lift: LiftFolder, tmp_path: Path) -> None:
     run(lift, "depth", tmp_path)
     for path in sorted(tmp_path.glob("*.npy")):
         depth = np.load(path)
@@ -200,7 +200,7 @@ def test_depth_maps_are_exported(lift: LiftFolder, tmp_path: Path) -> None:
     assert len(list(tmp_path.glob("*.npy"))) > 1
 
 
-def test_meshes_are_exported(lift: LiftFolder, tmp_path: Path) -> None:
+def test_exported_meshes_have_the_labels_and_colours_of_the_room(lift: LiftFolder, tmp_path: Path) -> None:
     open3d = pytest.importorskip("open3d")
     run(lift, "mesh", tmp_path)
     surface = open3d.io.read_triangle_mesh(str(tmp_path / "mesh.ply"))
@@ -250,7 +250,7 @@ def test_exporting_meshes_of_a_lift_without_surface_is_refused(
     assert "show no s" in error and "Export more frames" in error and "Traceback" not in error
 
 
-def test_an_export_to_an_invalid_folder_is_refused(
+def test_an_export_to_a_file_or_of_an_unknown_frame_is_refused(
     lift: LiftFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").touch()

@@ -134,7 +134,7 @@ def check_in_blender(lifted: FinishedLift, meshes: Mapping[str, Any], folder: Pa
         assert shift_y * camera.width == pytest.approx(camera.cy - camera.height / 2, abs=1e-2)
 
 
-def test_usd_has_gaussians_and_cameras(lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_usd_holds_gaussians_and_cameras(lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usd = pytest.importorskip("pxr.Usd")
     from pxr import Gf, UsdGeom, UsdSemantics, UsdVol
 
@@ -190,7 +190,7 @@ def test_time_stamps_in_frame_names_are_not_taken_for_frame_numbers() -> None:
     assert ascending_numbers(["1305031102.95", "1305031103.05"]) == ascending_numbers(["1", "last"]) == []
 
 
-def test_usd_export_names_the_missing_package(
+def test_a_usd_export_names_the_missing_package(
     lift: LiftFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("engine.export.run.find_spec", lambda name: None)

@@ -64,7 +64,7 @@ def test_splats_in_ply_are_floats_that_other_programs_read(rows: NDArray[np.void
 
 
 @pytest.mark.parametrize("value", [np.nan, 3e9, -3e9])
-def test_exports_leave_out_gaussians_with_impossible_ids(rows: NDArray[np.void], tmp_path: Path, value: float) -> None:
+def test_gaussians_with_impossible_ids_are_not_read(rows: NDArray[np.void], tmp_path: Path, value: float) -> None:
     columns = {name: rows[name].astype(np.float32) for name in rows.dtype.names or ()}
     columns["instance_id"][3] = value
     write_ply_table(tmp_path / "splats.ply", columns)

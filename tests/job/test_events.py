@@ -141,7 +141,7 @@ def a_long_run(path: Path) -> EventWriter:
     return writer
 
 
-def test_a_reader_in_a_hurry_gets_the_newest_progress_first(tmp_path: Path) -> None:
+def test_a_hurried_reader_skips_old_progress_and_keeps_every_warning(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     writer = a_long_run(path)
     reader, polls, seen = EventReader(path, hurried=True), 0, []
@@ -235,7 +235,7 @@ def test_a_failed_bake_leaves_the_lift_in_the_state_finished(
 
 @posix
 @pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999", "1" + "0" * 400, '"x"', "null"])
-def test_events_with_invalid_numbers_are_skipped(folder: LiftFolder, number: str) -> None:
+def test_invalid_numbers_in_progress_events_are_ignored(folder: LiftFolder, number: str) -> None:
     line = f'{{"seq": 1, "time": 0, "event": "progress", "step": {number}, "steps": 9, "loss": 1, "eta_s": {number}}}'
     folder.events_path.write_text(line + "\n")
     watcher = watch(folder)
@@ -246,7 +246,7 @@ def test_events_with_invalid_numbers_are_skipped(folder: LiftFolder, number: str
 
 @posix
 @pytest.mark.parametrize("number", [errno.EIO, errno.ESTALE])
-def test_lift_survives_a_disk_that_hangs_briefly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+def test_following_survives_a_briefly_hung_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int) -> None:
     folder, now = new_lift(tmp_path), [0.0]
     writer = EventWriter(folder.events_path)
     writer.hello(threads=1, resumed=False)

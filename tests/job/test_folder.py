@@ -49,7 +49,7 @@ def test_a_folder_with_other_files_is_refused_for_a_lift(tmp_path: Path) -> None
 
 
 @pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root may write everywhere")
-def test_a_read_only_lift_folder_is_reported(tmp_path: Path) -> None:
+def test_a_lift_in_a_read_only_folder_is_refused(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
     with raises_key("unwritable"):
         new_lift(tmp_path)
@@ -149,7 +149,7 @@ def test_a_lift_cannot_run_again_while_its_passes_are_baked(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("spoil", ["empty", "foreign", "truncated", "of another request"])
-def test_a_result_is_replaced_only_by_one_of_the_same_request(tmp_path: Path, spoil: str) -> None:
+def test_a_result_is_replaced_only_by_a_whole_one_of_the_same_request(tmp_path: Path, spoil: str) -> None:
     folder, other = new_lift(tmp_path), new_lift(tmp_path, "other", seed=5)
     for each in (folder, other):
         run_tiny(each)

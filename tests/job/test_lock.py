@@ -86,7 +86,7 @@ def test_a_disk_without_file_locks_is_refused(tmp_path: Path, monkeypatch: pytes
         assert "NFS 4" in refused.value.fix and "\n" not in str(refused.value)
 
 
-def test_a_locked_lift_counts_as_running(tmp_path: Path) -> None:
+def test_a_locked_lift_runs_and_only_one_bake_claims_each_view(tmp_path: Path) -> None:
     lift = new_lift(tmp_path)
     with lift.lock():
         assert lift.state() is LiftState.RUNNING

@@ -61,7 +61,7 @@ def test_links_in_a_lift_change_no_files_outside(name: str, make: Callable[[Path
             LiftFolder.open(folder.path)
 
 
-def test_foreign_files_beside_a_lift_are_left_alone(tmp_path: Path) -> None:
+def test_a_users_link_beside_a_lift_does_not_stop_it(tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     (folder.path / "lift.blend").symlink_to(tmp_path / "elsewhere.blend")
     assert run_engine(folder, lift=tiny_lift) == 0
@@ -96,7 +96,7 @@ def test_events_cannot_name_files_elsewhere(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", ["../x", "/etc/passwd", "\\\\host\\share\\x", "..\\x", "c:\\x"])
-def test_manifests_and_checkpoints_cannot_be_links_either(path: str, tmp_path: Path) -> None:
+def test_manifests_and_checkpoints_cannot_name_files_elsewhere(path: str, tmp_path: Path) -> None:
     folder = new_lift(tmp_path)
     run_engine(folder, lift=tiny_lift)
     manifest = folder.manifest_path

@@ -128,7 +128,7 @@ def _lives(pid: int) -> bool:
 @pytest.mark.parametrize(
     ("body", "told"), [("true", "not-a-python"), ('echo "$@"', "not-a-python"), ("sleep 9", "silent")]
 )
-def test_a_program_not_python_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, told: str) -> None:
+def test_programs_other_than_python_fail(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, told: str) -> None:
     script = tmp_path / "python"
     script.write_text(f"#!/bin/sh\nexec {body}\n" if told == "silent" else f"#!/bin/sh\n{body}\n")
     script.chmod(0o755)
@@ -150,7 +150,7 @@ def test_a_path_that_cannot_be_an_argument_is_refused(tmp_path: Path) -> None:
         ChildProcess([sys.executable, "a\0b"], cwd=tmp_path, environment={}, output=log)
 
 
-def test_modules_in_current_folder_are_never_run(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_modules_in_the_current_folder_never_run(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A scene of somebody else's may hold a folder `importlib`, and be where the engine is started."""
     for name in ("importlib", "json", "engine", "argparse", "torch"):
         (tmp_path / name).mkdir()

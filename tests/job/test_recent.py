@@ -92,7 +92,7 @@ def test_engines_that_end_together_lose_no_recent_lift(tmp_path: Path, root: Pat
     assert {lift.folder.path for lift in recent_lifts(tmp_path)} == {path for each in paths for path in each}
 
 
-def test_the_users_cache_folder_is_found(tmp_path: Path) -> None:
+def test_the_cache_folder_follows_environment_variables(tmp_path: Path) -> None:
     assert notes_folder({"PLGS_CACHE_DIR": str(tmp_path)}) == tmp_path
     if sys.platform == "linux":
         assert notes_folder({"XDG_CACHE_HOME": str(tmp_path)}) == tmp_path / "plgs"

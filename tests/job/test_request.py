@@ -99,7 +99,7 @@ def test_bad_values_in_request_json_are_refused(tmp_path: Path, change: dict[str
 @pytest.mark.parametrize(
     "content", [b"", b"{", b"[]", b"\xff\xfe{}", b"null", b"[" * 100_000, b" " * ((1 << 26) + 1)], ids=range(7)
 )
-def test_a_request_json_that_is_not_one_is_refused(tmp_path: Path, content: bytes) -> None:
+def test_a_damaged_request_json_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "request.json"
     path.write_bytes(content)
     with raises_key("* request.json"):

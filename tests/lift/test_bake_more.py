@@ -139,7 +139,7 @@ def test_only_a_finished_lift_can_be_baked(lift: LiftFolder) -> None:
 
 
 @pytest.mark.parametrize("failure", [Cancelled("asked to"), OSError(28, "No space left on device")])
-def test_result_stays_complete_in_a_bake(lift: LiftFolder, failure: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stopped_bake_keeps_the_result(lift: LiftFolder, failure: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
     render, rendered = FrameBaker.render, []
 
     def render_three(self: FrameBaker, *arguments: Any) -> object:
@@ -279,7 +279,7 @@ def test_a_bake_is_refused_if_the_manifest_lacks_its_label_setting(lift: LiftFol
         bake(lift, "0002")
 
 
-def test_views_without_a_number_in_their_name_are_baked_last(
+def test_objects_without_classes_have_the_same_mattes_in_a_later_bake(
     finished: dict[str, LiftFolder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(PRESETS, "preview", TINY)

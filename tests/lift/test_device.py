@@ -59,7 +59,7 @@ def test_without_gsplat_the_error_says_how_to_get_it(stages: StageReporter, monk
     usable_device("cpu", stages)
 
 
-def test_broken_gsplat_is_found_early(stages: StageReporter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_broken_gsplat_is_refused(stages: StageReporter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[str] = []
 
     def compile_and_fail(where: str) -> str:
@@ -78,7 +78,7 @@ def test_broken_gsplat_is_found_early(stages: StageReporter, tmp_path: Path, mon
     ("found", "why"),
     [(True, "--device cuda is experimental, never run by us on a GPU"), (False, "torch finds no CUDA device here")],
 )
-def test_device_auto_chooses_only_tested_devices(
+def test_device_auto_chooses_the_cpu_and_says_why(
     found: bool, why: str, stages: StageReporter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: found)

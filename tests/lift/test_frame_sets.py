@@ -57,7 +57,7 @@ def test_frames_are_chosen_again_without_a_checkpoint(
 
 
 @pytest.mark.parametrize("frames", [[], "0001", [1], None])
-def test_checkpoint_without_names_is_refused(frames: object, scene: Scene, events: EventWriter, tmp_path: Path) -> None:
+def test_a_checkpoint_must_name_its_frames(frames: object, scene: Scene, events: EventWriter, tmp_path: Path) -> None:
     with raises_key("checkpoint-frames"):
         chosen(scene, events, tmp_path, {"frames": frames})
 
@@ -132,7 +132,7 @@ def test_the_option_fit_trains_on_fewer_frames(long_scene: Scene, events: EventW
     assert str(frames) in warnings_in(tmp_path / "events.jsonl")[0]
 
 
-def test_the_memory_error_says_when_no_option_can_help(long_scene: Scene, events: EventWriter) -> None:
+def test_a_lift_far_too_large_for_memory_is_refused_despite_fit(long_scene: Scene, events: EventWriter) -> None:
     with raises_key("too-much"):
         frames_that_fit(long_scene, replace(PAPER, fit=True), MainMemory(10_000_000, 10_000_000), events)
 

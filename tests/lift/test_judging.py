@@ -68,7 +68,7 @@ def warning_of(found: Judgement, path: Path) -> str:
     return str(warning.data["message"])
 
 
-def test_missing_object_report_names_frame(scene_path: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_missing_object_names_its_frame(scene_path: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     found = judged(scene_path, without_chair)
     (chair,) = found.not_shown
     assert (chair.name, chair.whole_class, chair.shown_as) == ("chair", True, "wall")

@@ -83,7 +83,7 @@ def test_a_lift_writes_its_points_and_anchors(lifts: Lifts) -> None:
     assert set(np.unique(anchors.level)) <= {0, 1, 2, 3}
 
 
-def test_splats_lie_near_measured_surface(lifts: Lifts, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_splats_and_points_stay_near_measured_surface(lifts: Lifts, monkeypatch: pytest.MonkeyPatch) -> None:
     """As if no depth showed one half of the room. Its anchors are not listed, but the model keeps them."""
     monkeypatch.setattr(progress, "REPORT_EVERY_S", 0.0)
     every = read_arrays(lifts.done.result_path / "semantic_points.npz", SemanticPoints).xyz[:, 0]

@@ -44,14 +44,14 @@ def home(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterato
     away.rename(made)
 
 
-def test_lift_moved_with_its_scene_finds_it(home: Path) -> None:
+def test_a_lift_moved_with_its_scene_finds_it(home: Path) -> None:
     (home.parent / "found").rename(home / "room")
     folder = LiftFolder.open(home / "lift")
     assert folder.request.scene == home / "room"
     assert all(frame.read_colour(None).any() for frame in scene_of_lift(folder).frames)
 
 
-def test_lift_moved_without_its_scene_works(home: Path) -> None:
+def test_a_lift_moved_without_its_scene_can_be_baked_and_exported(home: Path) -> None:
     lift = home / "lift"
     folder = LiftFolder.open(lift)
     assert not folder.passes_path.exists(), "bake=none"

@@ -76,7 +76,7 @@ def test_unregistered_matchers_and_losses_can_be_read_but_not_used(tmp_path: Pat
             register_matcher(name, no_objects)
 
 
-def test_a_resumed_lift_uses_the_losses_of_its_checkpoint(tmp_path: Path) -> None:
+def test_the_training_log_of_a_resumed_lift_lists_each_step_once(tmp_path: Path) -> None:
     for done, step in ((0, 1), (1, 2), (2, 3), (2, 3)):  # the third was lost, and is done again
         log = TrainingLog(tmp_path / "training.csv", done)
         log.add({"step": step, "loss": 0.5 + done})

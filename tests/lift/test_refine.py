@@ -61,7 +61,7 @@ def test_a_refined_draft_equals_a_preview_and_keeps_corrections(
     assert read_manifest(draft.result_path).settings["name"] == "standard"
 
 
-def test_refining_to_coarser_refused(lifts: tuple[LiftFolder, LiftFolder], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_refinement_must_be_finer(lifts: tuple[LiftFolder, LiftFolder], capsys: pytest.CaptureFixture[str]) -> None:
     before = files(lifts[1])
     asked = replace(lifts[1].request, preset="paper")
     (lifts[1].path / "request.json").write_text(asked.to_json(lifts[1].path))

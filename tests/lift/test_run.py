@@ -144,7 +144,7 @@ def test_the_manifest_names_the_version_of_the_code(stages: StageReporter, tmp_p
 
 
 @pytest.mark.parametrize(("seconds", "said"), [(3599.0, None), (90000.0, "predicted to take 25.0 h in all here")])
-def test_long_lift_gives_a_warning(seconds: float, said: str | None, stages: StageReporter, tmp_path: Path) -> None:
+def test_a_long_lift_gives_a_warning(seconds: float, said: str | None, stages: StageReporter, tmp_path: Path) -> None:
     run.warn_if_long(Course({"train": seconds - 1, "bake": 1.0}), stages.events)
     told = warnings_in(tmp_path / "events.jsonl")
     assert [each for each in told if said and said in each] == told and bool(told) == bool(said)

@@ -74,7 +74,7 @@ def test_splitting_an_object_by_views_can_be_stopped(stops_after: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_splitting_by_inexact_masks_gives_two_complete_parts(seed: int) -> None:
+def test_splitting_by_inexact_masks_puts_95_percent_of_points_right(seed: int) -> None:
     rng = np.random.default_rng(seed)
     frames = [frame(f"{at}", at, 0.1 + 0.05 * rng.standard_normal(), TWO) for at in np.linspace(-0.6, 0.6, 9)]
     part = parts_by_views(frames, xyz := board()).part

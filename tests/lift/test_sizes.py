@@ -81,7 +81,7 @@ def test_the_preset_paper_builds_the_papers_model(lift: LiftFolder) -> None:
     assert scene.voted is None
 
 
-def test_unusual_scene_sizes_are_baked_and_scored(lift: LiftFolder) -> None:
+def test_a_lift_of_preset_paper_is_baked_and_scored(lift: LiftFolder) -> None:
     assert [path.suffix for path in lift.passes_path.iterdir()] == [".exr"]
     tables = json.loads((lift.result_path / "metrics.json").read_text())["tables"]
     assert {"lifted"} <= {table["name"] for table in tables}

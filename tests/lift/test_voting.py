@@ -72,7 +72,7 @@ def voted(scene: Scene, prepared: PreparedLift, preset: Preset, progress: Callab
 
 
 @pytest.mark.parametrize(("masks_agree", "rounds"), [(True, 2), (False, 1)])
-def test_voted_labels_fit_masks_better(lifted: tuple[Scene, PreparedLift], masks_agree: bool, rounds: int) -> None:
+def test_voted_labels_fit_the_masks_better(lifted: tuple[Scene, PreparedLift], masks_agree: bool, rounds: int) -> None:
     scene, prepared = lifted[0], replace(lifted[1], masks_agree=masks_agree)
     calls: list[tuple[int, int]] = []
     after = voted(scene, prepared, PRESET, lambda *count: calls.append(count))

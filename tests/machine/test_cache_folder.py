@@ -32,7 +32,7 @@ def test_a_new_cache_folder_is_private_to_the_user(cache: Path) -> None:
 
 
 @pytest.mark.parametrize("unsafe", ["kernels", "plgs", ".cache", "home"])
-def test_cache_folder_writable_by_others_is_unused(cache: Path, unsafe: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_shared_cache_folder_is_not_used(cache: Path, unsafe: str, caplog: pytest.LogCaptureFixture) -> None:
     folder = choose_cache_folder("kernels")
     next(each for each in (folder, *folder.parents) if each.name == unsafe).chmod(0o777)
     own = choose_cache_folder("kernels")
@@ -62,7 +62,7 @@ def test_a_cache_folder_in_a_sticky_folder_such_as_tmp_is_used(cache: Path, tmp_
     assert choose_cache_folder("kernels") == cache / "plgs" / "kernels"
 
 
-def test_kernel_cache_is_never_a_shared_folder(cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_without_a_cache_a_private_folder_is_made(cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setattr(compiled_kernels, "user_cache_folder", lambda: tmp_path / "file")
     monkeypatch.setenv("TMPDIR", str(tmp_path))

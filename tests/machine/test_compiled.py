@@ -54,7 +54,7 @@ def test_two_processes_compile_one_kernel_without_mix_up(tmp_path: Path, monkeyp
     assert later.load("integers") == b"for integers" and later.load("floats") in (None, b"for floats")
 
 
-def test_the_kernel_cache_is_renewed_only_by_changed_sources_or_pins(tmp_path: Path) -> None:
+def test_the_code_digest_changes_only_with_sources_or_pins(tmp_path: Path) -> None:
     files = {
         "engine/lift.py": True,
         "engine/deep/new.py": True,

@@ -84,7 +84,7 @@ def test_the_calibration_curve_is_monotone_and_unbiased() -> None:
     ("share", "right"), [((0.2, 0.1), (0.1, 0.2)), ((0.1, 0.2), (0.2, 0.1)), ((0.1,), (1.5,)), ((0.1,), ()),
                          ((float("nan"),), (0.5,)), (("x",), (0.5,))],
 )  # fmt: skip
-def test_a_damaged_calibration_file_is_refused(share: tuple[float, ...], right: tuple[float, ...]) -> None:
+def test_an_impossible_calibration_is_refused(share: tuple[float, ...], right: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match="."):
         Calibration(share, right)
 

@@ -88,7 +88,7 @@ def shares(votes: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("kind", "pixels", "resolution"), [("pixels", 1, 0), ("root", 0.5, 0), ("density", 0, 2)])
-def test_votes_are_summed_weights(scene: StructuredScene, kind: EvidenceKind, pixels: float, resolution: float) -> None:
+def test_votes_add_up_over_views(scene: StructuredScene, kind: EvidenceKind, pixels: float, resolution: float) -> None:
     """In two views of flat surfaces, one nearer than the other."""
     votes, expected = LabelVotes(scene, kind, 0.0), np.zeros((GAUSSIANS, LABELS))
     for seed, (camera, metres) in enumerate(((CAMERA, 2.0), (moved(0.3), 1.0))):

@@ -52,7 +52,7 @@ def test_the_export_operator_offers_every_format_of_the_engine(root: Path) -> No
 
 
 @needs_engine
-def test_the_engine_exports_every_format(lift: Path, tmp_path: Path) -> None:
+def test_export_lift_writes_boxes_and_coco_masks(lift: Path, tmp_path: Path) -> None:
     boxes = tmp_path / "boxes"
     assert bpy.ops.plgs.export_lift(form="boxes", directory=str(boxes), lift_folder=str(lift)) == {"FINISHED"}
     with (boxes / "boxes.csv").open(newline="") as file:
@@ -66,7 +66,7 @@ def test_the_engine_exports_every_format(lift: Path, tmp_path: Path) -> None:
 
 
 @needs_engine
-def test_failed_export_is_reported(lift: Path, tmp_path: Path) -> None:
+def test_an_export_without_a_folder_or_to_a_file_is_refused(lift: Path, tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match=worded("folder-needed")):
         bpy.ops.plgs.export_lift(form="coco", lift_folder=str(lift))
     (tmp_path / "file").touch()

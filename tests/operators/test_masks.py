@@ -85,7 +85,7 @@ def test_make_masks_reports_a_missing_model(bare: Path) -> None:
 
 
 @pytest.mark.skipif(not HAS_TRANSFORMERS, reason="needs transformers (requirements/segment.txt)")
-def test_masks_are_made(bare: Path, tmp_path: Path) -> None:
+def test_make_masks_writes_masks_with_the_networks_classes(bare: Path, tmp_path: Path) -> None:
     from tests.segment.tiny_mask2former import NAMES, save_tiny_mask2former
 
     bpy.context.scene.plgs.scene_folder = str(bare)
@@ -174,7 +174,7 @@ def test_a_diagnosis_can_be_cancelled(inverted: Path) -> None:
 
 
 @pytest.mark.skipif(not HAS_TRANSFORMERS, reason="needs transformers (requirements/segment.txt)")
-def test_depth_is_made_and_a_length_is_set(tmp_path: Path) -> None:
+def test_make_depth_and_set_scale_write_depth_and_its_scale(tmp_path: Path) -> None:
     from tests.depth.test_making import save_tiny_depth_network
     from tests.scene.test_depth import write_colmap
 

@@ -85,7 +85,7 @@ def test_importing_an_archive_adds_its_pictures_and_a_point_cloud(own: Path) -> 
     assert {each.name for each in (own / "scans").iterdir()} == {"one.sens", "two.sens", "one_frames"}
 
 
-def test_plain_folder_imports_without_engine(
+def test_a_plain_folder_is_imported_without_an_engine(
     room: Path, own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nor has Blender the packages that only the engine's Python has."""
@@ -120,7 +120,7 @@ def test_extracted_frames_are_reused_at_the_next_import(own: Path, monkeypatch: 
     assert bpy.data.collections["PLGS one.sens"]["plgs_missing"] == "colour cloud", "the scene is newer"
 
 
-def test_clouds_made_with_other_poses_stay_away(room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cloud_of_other_poses_is_not_shown(room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Depth was older than the cloud, so it stayed where the cameras had been."""
     place = Path(shutil.copytree(room, tmp_path / "room"))
     bpy.ops.plgs.import_scene(scene_folder=str(place))

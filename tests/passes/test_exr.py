@@ -72,7 +72,7 @@ def test_a_system_error_while_writing_an_exr_names_the_file() -> None:
     assert refused.value.filename == "/proc/0001.exr"
 
 
-def test_invalid_exr_is_refused(tmp_path: Path) -> None:
+def test_an_exr_with_inexact_ids_or_without_passes_is_refused(tmp_path: Path) -> None:
     view = _baked()
     layers = view.layers._replace(instance=np.full((6, 8), 1 << 24, np.int32))
     with pytest.raises(ValueError, match="exact"):
@@ -96,7 +96,7 @@ def test_invalid_exr_is_refused(tmp_path: Path) -> None:
         ("wide", ShownFrame(display=(-1, 2, 4, 3)), {}),
     ],
 )
-def test_exr_header_has_frame_and_camera(name: str, shown: ShownFrame, noted: dict[str, Any], tmp_path: Path) -> None:
+def test_exr_headers_hold_frame_and_camera(name: str, shown: ShownFrame, noted: dict[str, Any], tmp_path: Path) -> None:
     view, path = _baked(), tmp_path / f"{name}.exr"
     camera = replace(view.camera, fy=view.camera.fy * 1.5)
     write_exr(path, replace(view, camera=camera), shown=shown)

@@ -54,7 +54,7 @@ def test_preview_pictures_of_a_frame_are_written(tmp_path: Path) -> None:
     assert instance[0, 3].tolist() == [52, 54, 58]
 
 
-def test_the_contact_sheet_shows_all_previews(tmp_path: Path) -> None:
+def test_the_contact_sheet_has_a_row_for_each_frame(tmp_path: Path) -> None:
     layers = decide(made_rendering(), CLASSES)
     photo = np.full((6, 8, 3), 200, np.uint8)
     row = SheetRow("0001", photo, layers.semantic, layers)

@@ -61,7 +61,7 @@ def test_every_pixel_of_a_panorama_shows_what_its_ray_hits(turned: int, part: fl
     assert (vectors[0, 80:100, 175:185] < 0).all(), "what is ahead goes left"
 
 
-def test_an_orthographic_surface_is_a_plane_with_its_normal() -> None:
+def test_a_plane_seen_orthographically_has_its_true_normal() -> None:
     camera = Camera(60, 40, 20.0, 25.0, 31.0, 19.0, tiny_pose(1, 6), "orthographic")
     x, y = (np.arange(60) + 0.5 - 31.0) / 20.0, (np.arange(40)[:, None] + 0.5 - 19.0) / 25.0
     depth = (30.0 + 0.4 * x - 0.2 * y).astype(np.float32)

@@ -30,7 +30,7 @@ def test_depth_and_normals_of_a_room_of_boxes_are_accurate(index: int) -> None:
     assert np.median(surface.normal[2][floor]) == pytest.approx(1.0, abs=1e-4)
 
 
-def test_pixels_without_alpha_have_no_position_or_normal() -> None:
+def test_pixels_without_depth_have_no_position_or_normal() -> None:
     depth = np.full((120, 160), 2.0, np.float32)
     depth[40:60, 50:90] = 0.0
     surface = surface_of(depth, camera(0))

@@ -337,7 +337,7 @@ def test_an_instances_json_of_another_format_version_is_named(tmp_path: Path) ->
             read(path)
 
 
-def test_a_lift_with_a_million_objects_is_refused_before_reading(tmp_path: Path) -> None:
+def test_a_lift_with_200000_objects_is_refused_before_reading(tmp_path: Path) -> None:
     path = tmp_path / "instances.json"
     several = json.dumps(ONE)[:-1] + ', "segments": []}'
     path.write_text(PLAIN[: PLAIN.index("[{", 100) + 1] + ",".join([several] * 200_000))

@@ -136,7 +136,7 @@ def test_two_lifts_of_one_scene_have_separate_collections(lift: Path, tmp_path: 
     assert lifts_shown(scene, bpy.context.view_layer) == [second]
 
 
-def test_renamed_lift_is_found_again(lift: Path) -> None:
+def test_a_renamed_lift_is_found_again(lift: Path) -> None:
     root = lift_scene.place_lift(lift, bpy.context.scene)
     before = counts()
     root.name = "My room"

@@ -169,7 +169,7 @@ def test_a_baked_shot_has_a_scene_with_its_own_frame_range(tmp_path: Path) -> No
     assert len([each for each in bpy.data.scenes if "passes" in each.name]) == 1
 
 
-def test_a_shot_with_overscan_is_placed(tmp_path: Path) -> None:
+def test_a_shot_with_overscan_is_shown_in_its_display_window(tmp_path: Path) -> None:
     lift = write_tiny_lift(tmp_path / "lift")
     bake_shot(lift, {"wide.0001": 3}, overscan=4)
     lift_scene.place_lift(lift.path, bpy.context.scene)

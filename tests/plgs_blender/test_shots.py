@@ -233,7 +233,7 @@ def test_a_long_shot_is_read_a_few_frames_at_a_time(scene: bpy.types.Scene, tmp_
         reader.read_for(0.0)
 
 
-def test_cameras_outside_the_shots_range_are_read_in_parts(scene: bpy.types.Scene) -> None:
+def test_a_keyed_camera_that_rests_all_scene_is_read_once(scene: bpy.types.Scene) -> None:
     """A keyed camera may stand still, which all of the scene's frames decide."""
     for owner in (scene.camera, scene.camera.data):
         owner.animation_data_clear()

@@ -32,7 +32,7 @@ def area(width: int, height: int, bar: int) -> Any:
 
 @pytest.mark.parametrize("size", [(19.0, 11.0, 3.0), (4.0, 4.0, 40.0), (1.0, 30.0, 2.0)])
 @pytest.mark.parametrize(("width", "height", "bar"), [(1586, 928, 1), (1057, 840, 291), (500, 900, 200)])
-def test_framed_room_fits_the_view_beside_panels(size: tuple[float, ...], width: int, height: int, bar: int) -> None:
+def test_a_framed_room_fits_beside_the_panels(size: tuple[float, ...], width: int, height: int, bar: int) -> None:
     corners = np.array(list(product(*((-2.0, side - 2.0) for side in size))))
     shown = area(width, height, bar)
     rotation = Euler((0.9, 0.0, 1.2)).to_quaternion()
@@ -72,7 +72,7 @@ print("chosen:", start_file().view_settings.view_transform, _new_scene("x").view
     [(None, "Standard"), (["ACES 1.0 - SDR Video", "Un-tone-mapped", "Raw"], "Un-tone-mapped"), (["Plain"], "Plain")],
     ids=["Blender's own", "like ACES", "minimal"],
 )
-def test_lifts_are_saved_with_any_ocio_config(views: list[str] | None, chosen: str, tmp_path: Path, root: Path) -> None:
+def test_view_transforms_fit_any_ocio_config(views: list[str] | None, chosen: str, tmp_path: Path, root: Path) -> None:
     environment = {name: value for name, value in os.environ.items() if name != "OCIO"} | {"PYTHONPATH": str(root)}
     if views is not None:
         lines = "\n".join(f'    - !<View> {{name: "{view}", colorspace: disp}}' for view in views)

@@ -53,7 +53,7 @@ def test_a_picture_with_a_bad_header_is_refused(tmp_path: Path, change: Callable
     [(".png", np.uint8, []), (".png", np.uint16, []), (".jpg", np.uint8, []),
      (".jpg", np.uint8, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])],
 )  # fmt: skip
-def test_headers_give_picture_size(tmp_path: Path, suffix: str, kind: type, settings: list[int], channels: int) -> None:
+def test_image_headers_are_read(tmp_path: Path, suffix: str, kind: type, settings: list[int], channels: int) -> None:
     path = tmp_path / f"image{suffix}"
     channels = min(channels, 3) if suffix == ".jpg" else channels
     cv2.imwrite(str(path), np.zeros((5, 70, channels), kind), settings)
@@ -119,7 +119,7 @@ def test_a_ply_with_a_column_twice_is_refused(original: bytes, tmp_path: Path) -
         read_gaussians(path)
 
 
-def test_splats_with_missing_values_are_left_out(tmp_path: Path) -> None:
+def test_a_splat_file_larger_than_any_lift_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "holes.ply"
     with path.open("wb") as file:
         file.truncate(5 << 30)

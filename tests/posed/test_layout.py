@@ -131,7 +131,7 @@ def test_class_names_are_cleaned_to_one_printable_line() -> None:
         assert one.name.isprintable() and one.name.startswith("chair?gnp.exe")
 
 
-def test_file_that_exceeds_the_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_larger_than_the_free_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     points = sparse(tmp_path / "points.bin", struct.pack("<Q", 1_000_000), 51 * 1_000_000 + 8)
     monkeypatch.setattr(layout, "main_memory", lambda: MainMemory(1 << 34, 101_000_000))
     with raises_key("no-memory 0.051 0.1"):
@@ -144,7 +144,7 @@ def test_file_that_exceeds_the_memory_is_refused(tmp_path: Path, monkeypatch: py
         read_ply_points(sparse(tmp_path / "points.ply", head, 3 * 2_000_000 + 1000))
 
 
-def test_frame_name_that_cannot_be_shown_is_refused(tmp_path: Path) -> None:
+def test_a_frame_name_that_cannot_be_shown_is_refused(tmp_path: Path) -> None:
     camera = Camera(64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(4))
     with raises_key("frame-name 0001?gpj"):
         check_camera("0001\u202egpj", camera, tmp_path / "a.png")

@@ -53,7 +53,7 @@ def test_finding_poses_reports_a_missing_pycolmap(
         assert "engine add colmap" in capfd.readouterr().err and not (tmp_path / "lift").exists()
 
 
-def test_refusal_of_plain_photos_says_how_to_get_poses(photos: Path, tmp_path: Path) -> None:
+def test_the_refusal_of_plain_photos_says_how_to_get_poses(photos: Path, tmp_path: Path) -> None:
     with raises_key("no-poses --poses") as caught:
         open_scene(photos)
     assert caught.value.code is ErrorCode.NO_POSES and len(caught.value.fix) < 200

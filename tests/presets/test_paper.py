@@ -48,7 +48,7 @@ def rows(root: Path) -> dict[str, tuple[str, str]]:
 
 
 @pytest.mark.parametrize("name", OF_THE_PAPER)
-def test_preset_paper_matches_the_paper(name: str, rows: dict[str, tuple[str, str]]) -> None:
+def test_the_preset_paper_has_the_papers_numbers(name: str, rows: dict[str, tuple[str, str]]) -> None:
     value, source = OF_THE_PAPER[name]
     assert option_value(PRESETS["paper"], name) == value
     assert rows[name][1].startswith(source)

@@ -132,7 +132,7 @@ def test_gsplat_draws_without_labels_and_without_gradients() -> None:
     ("installed", "said"),
     [("1.4.0", "too old"), ("1.5.3+pt24cu124", None), ("1.6.0", None), ("1.7.0", "too new"), (None, "not installed")],
 )
-def test_unsuitable_gsplat_is_refused(installed: str | None, said: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unfit_gsplat_is_refused(installed: str | None, said: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
     def version(name: str) -> str:
         if installed is None:
             raise metadata.PackageNotFoundError(name)

@@ -47,7 +47,7 @@ def test_research_refuses_wrong_arguments(capsys: pytest.CaptureFixture[str]) ->
     assert "'0,one' is not a list of whole numbers such as 0,1,2" in capsys.readouterr().err
 
 
-def test_ctrl_c_in_research_says_what_next(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_says_what_to_do_next(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     def stopped(*_: object) -> None:
         signal.raise_signal(signal.SIGINT)
 

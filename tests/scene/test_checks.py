@@ -51,7 +51,7 @@ def test_checking_a_scene_reports_progress_and_can_be_stopped(tmp_path: Path) ->
         check_scene(scene, progress=cancel)
 
 
-def test_depth_beyond_any_room_is_a_warning(tmp_path: Path) -> None:
+def test_depth_beyond_any_room_gives_a_warning(tmp_path: Path) -> None:
     folder = write_tiny_scene(tmp_path, frames=5)
     for path in (folder / "depth").iterdir():
         cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_UNCHANGED) * 10)
@@ -76,7 +76,7 @@ def test_photos_of_12_bits_are_reported_and_not_brightened(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("bits", [8, 10, 14])
-def test_bit_depth_is_inferred_from_the_brightest_photo(tmp_path: Path, bits: int) -> None:
+def test_the_bits_of_dark_photos_are_inferred_and_told(tmp_path: Path, bits: int) -> None:
     folder = write_tiny_scene(tmp_path, frames=5)
     in_16_bits(folder, bits)
     how = "dark" if bits == 14 else "nearly black"

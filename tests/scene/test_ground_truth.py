@@ -54,7 +54,7 @@ def check(folder: Path, before: list[np.ndarray], without: tuple[int, ...] = ())
         (RAW, "scannet:1-1357"),
     ],
 )
-def test_ground_truth_in_numbers_of_no_table_is_refused(folder: Path, numbers: dict[int, int], table: str) -> None:
+def test_ground_truth_in_numbers_of_another_table_is_refused(folder: Path, numbers: dict[int, int], table: str) -> None:
     renumber(folder, numbers, 255 if numbers is ADE else 0)
     refuses(f"truth-numbers {table} Write", folder)
 
@@ -75,7 +75,7 @@ def test_ground_truth_that_fits_no_class_table_is_reported(folder: Path) -> None
         ("", "semantic_scannet", RAW, ""),
     ],
 )
-def test_ground_truth_table_is_used(folder: Path, text: str, name: str, numbers: dict[int, int], told: str) -> None:
+def test_the_truths_own_table_is_used(folder: Path, text: str, name: str, numbers: dict[int, int], told: str) -> None:
     before = renumber(folder, numbers, 255 if numbers is ADE else 0)
     if text:
         (folder / "gt" / "classes.toml").write_text(text)

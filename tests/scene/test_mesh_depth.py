@@ -81,7 +81,7 @@ def off(scene: Scene, sample: Scene) -> tuple[float, float, float]:
 
 
 @pytest.mark.parametrize("kind", ["whole.ply", "tenth.obj", "gltf.glb", "gltf_of_poses.glb"])
-def test_a_mesh_gives_depth(
+def test_depth_from_a_mesh_matches_the_true_depth(
     kind: str, surface: open3d.geometry.TriangleMesh, room: Path, sample: Scene, tmp_path: Path
 ) -> None:
     """Whole, and with a tenth of its triangles and 1 cm of noise; glTF's y is up, but not in every program's files."""

@@ -80,7 +80,7 @@ def test_packages_added_to_the_engine_are_found_and_reported(code: Path, environ
 
 
 @pytest.mark.parametrize("fault", ["cut", "garbage", "exchanged", "elsewhere"])
-def test_failed_adding_leaves_the_engine_alone(fault: str, code: Path, environment: Path, part: PackageIndex) -> None:
+def test_a_failed_addition_changes_no_engine(fault: str, code: Path, environment: Path, part: PackageIndex) -> None:
     before = files_of(environment)
     if fault == "exchanged":
         name, _ = part.wheels["pycolmap"]
@@ -92,7 +92,7 @@ def test_failed_adding_leaves_the_engine_alone(fault: str, code: Path, environme
     assert files_of(environment) == before
 
 
-def test_cancelled_adding_of_packages_keeps_the_engine(code: Path, environment: Path, part: PackageIndex) -> None:
+def test_a_cancelled_addition_of_packages_keeps_the_engine(code: Path, environment: Path, part: PackageIndex) -> None:
     before, stop, ended = files_of(environment), StopSignal(), list[BaseException]()
     part.fault["pycolmap"] = "stall"
 

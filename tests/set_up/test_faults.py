@@ -69,7 +69,7 @@ def environment_in(folder: Path) -> Path | None:
 
 
 @pytest.mark.parametrize("thoroughly", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["in turn", "all"])
-def test_failed_set_up_continues(code: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, thoroughly: bool) -> None:
+def test_a_failed_set_up_goes_on(code: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, thoroughly: bool) -> None:
     folder = tmp_path / "cache"
     faults, refused = Faults(folder, monkeypatch), 0
     for at, error, for_good in every_fault(faults, thoroughly):
@@ -106,7 +106,7 @@ def killed(folder: Path, root: Path, faults: Faults, at: int, counted: Path) -> 
 
 @pytest.mark.parametrize("thoroughly", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["some", "all"])
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
-def test_killed_set_up_continues(code: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, thoroughly: bool) -> None:
+def test_a_killed_set_up_goes_on(code: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, thoroughly: bool) -> None:
     folder, counted = tmp_path / "cache", tmp_path / "count"
     faults, chance = Faults(folder, monkeypatch), random.Random(0)
     assert killed(folder, code, faults, 0, counted) == 0

@@ -213,7 +213,7 @@ def test_a_set_up_reports_a_full_disk_at_once(begin: Begin, folder: Path, monkey
     assert worded("disk-full").search(told) and "Make room" in told and not list(folder.glob("engine-*"))
 
 
-def test_diverted_uv_is_refused(begin: Begin, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_diverted_uv_is_refused(begin: Begin, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "uv.toml").write_text('pip = {target = "/somewhere/else"}')
     monkeypatch.setenv("UV_CONFIG_FILE", str(tmp_path / "uv.toml"))
     assert worded("uv-settings").search(error_of(begin())) and not list(folder.glob("*engine*"))

@@ -21,7 +21,7 @@ WIDTH, HEIGHT = 480, 300
     st.lists(st.tuples(st.floats(-50, 700), st.floats(-50, 500), st.floats(10, 200)), max_size=40),
     st.lists(st.tuples(st.floats(0, 600), st.floats(0, 400)), max_size=2),
 )
-def test_name_labels_dont_overlap(labels: list[tuple[float, float, float]], corners: list[tuple[float, float]]) -> None:
+def test_names_do_not_overlap(labels: list[tuple[float, float, float]], corners: list[tuple[float, float]]) -> None:
     anchors, widths = [(x, y) for x, y, _ in labels], [width for _, _, width in labels]
     free = [(x, y, x + 80.0, y + 60.0) for x, y in corners]
     placed = drawing.place_labels(anchors, widths, 18.0, (640.0, 480.0), free)

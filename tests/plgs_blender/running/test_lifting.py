@@ -71,7 +71,7 @@ def test_every_option_named_in_an_error_has_a_name_in_the_panel(root: Path) -> N
     assert {option for option in declared if field_of_option(option) is None} <= of_commands
 
 
-def test_the_panel_chooses_the_device(tmp_path: Path) -> None:
+def test_the_device_of_the_panel_is_requested_and_restored(tmp_path: Path) -> None:
     settings = bpy.context.scene.plgs
     settings.scene_folder, settings.device = str(tmp_path), "cuda"
     request = request_of(settings)

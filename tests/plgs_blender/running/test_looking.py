@@ -114,7 +114,7 @@ def test_without_a_scene_the_panel_shows_the_presets_options(shown: bpy.types.Pr
         assert values(shown) == (preset.steps, *preset.size, preset.frames)
 
 
-def test_panel_shows_options_for_known_scene(shown: bpy.types.PropertyGroup, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_panel_adapts_options_to_a_scene(shown: bpy.types.PropertyGroup, monkeypatch: pytest.MonkeyPatch) -> None:
     known = SimpleNamespace(error=None, sizes=[((640, 480), 300)], train_frames=300)
     monkeypatch.setattr(estimate, "survey_of_panel", lambda settings: known)
     settings = bpy.context.scene.plgs

@@ -126,7 +126,7 @@ def test_an_experiment_reads_scenes_as_the_options_say(experiment: Experiment, b
         run(experiment)
 
 
-def test_row_uses_depth_of_another_row(experiment: Experiment, behave: Behave, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_row_uses_depth_of_another(experiment: Experiment, behave: Behave, monkeypatch: pytest.MonkeyPatch) -> None:
     exported: list[tuple[Path, str, list[str]]] = []
 
     def export(lift: LiftFolder, kind: str, output: Path, frames: list[str]) -> None:
@@ -145,7 +145,7 @@ def test_row_uses_depth_of_another_row(experiment: Experiment, behave: Behave, m
     assert request.depth == some.folder / "office-preview-no-sensor-maps"
 
 
-def test_failed_lift_is_resumed(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_failed_lift_is_resumed(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
     behave("office-preview", "exits")
     assert run(experiment) is ExitCode.INTERNAL_ERROR
     office, kitchen = read_results(experiment.folder / "results.json")
@@ -170,7 +170,7 @@ def test_an_experiment_reports_bad_input_before_any_lift(experiment: Experiment,
     assert not experiment.folder.exists()
 
 
-def test_unreadable_scene_is_listed(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_scene_is_listed(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
     missing = SceneToLift("cellar", experiment.folder / "cellar")
     page = experiment.folder / "results.md"
     three = replace(experiment, scenes=(missing, *experiment.scenes), only=("ours", "input masks"))
@@ -223,7 +223,7 @@ def test_an_experiment_refuses_a_strangers_folder_before_any_lift(experiment: Ex
     assert not (experiment.folder / "office-preview").exists()
 
 
-def test_earlier_lifts_are_kept(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
+def test_earlier_results_are_kept(experiment: Experiment, behave: Behave, capsys: pytest.CaptureFixture[str]) -> None:
     page = experiment.folder / "results.md"
     assert run(replace(experiment, only=("ours", "input masks"))) is ExitCode.FINISHED
     capsys.readouterr()

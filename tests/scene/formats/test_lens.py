@@ -38,7 +38,7 @@ ASSUMED: list[tuple[Callable[[Path], Path], str, str, str]] = [
 
 
 @pytest.mark.parametrize(("write", "told", "file", "text"), ASSUMED)
-def test_assumed_lens_warns(tmp_path: Path, write: Callable[[Path], Path], told: str, file: str, text: str) -> None:
+def test_an_assumed_lens_warns(tmp_path: Path, write: Callable[[Path], Path], told: str, file: str, text: str) -> None:
     place = write(tmp_path)
     before = open_scene(place)
     assert [told in warning for warning in before.warnings if "assumed" in warning] == [True] * bool(told)

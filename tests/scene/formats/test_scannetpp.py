@@ -70,7 +70,7 @@ def write_scannetpp(folder: Path, pack: Callable[[list[np.ndarray]], bytes]) -> 
 
 
 @pytest.mark.parametrize("pack", [one_stream, lz4_blocks, deflated_blocks])
-def test_points_of_a_scannetpp_scan_lie_on_walls(tmp_path: Path, pack: Callable[[list[np.ndarray]], bytes]) -> None:
+def test_points_of_a_scannetpp_scan_lie_on_the_walls(tmp_path: Path, pack: Callable[[list[np.ndarray]], bytes]) -> None:
     scene = open_scene(write_scannetpp(tmp_path, pack))
     assert scene.format == "scannetpp" and scene.frames[1].name == "frame_000001"
     assert "1 frame without a pose is left out: frame_000006" in scene.warnings

@@ -71,7 +71,7 @@ def wrote(path: Path, content: Any) -> Path:
 
 
 @pytest.mark.parametrize("pack", [compressed, whole])
-def test_coco_results_without_a_class_table_are_refused(tmp_path: Path, pack: Any) -> None:
+def test_coco_results_are_read_with_a_class_table(tmp_path: Path, pack: Any) -> None:
     _, truths = write_frames(tmp_path)
     masks = wrote(tmp_path / "predictions.json", results(truths, pack))
     row = '[[class]]\nid = {}\nname = "{}"\nthing = {}\n'
