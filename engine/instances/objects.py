@@ -66,7 +66,7 @@ def object_classes(
 ) -> NDArray[np.int32]:
     """Return each object's class, int32 [objects + 1], row 0 for no object: that of ``class_ids`` [C] with the most
     ``votes`` [objects + 1, C], weighted by ``balance``; ties go to the lower id. It is 0 without votes, and if the
-    winner has less than ``LEAST_SHARE`` of them, unless ``is_one`` says that it is a single object."""
+    winner has less than ``LEAST_SHARE`` of them, unless ``is_one`` bool [objects + 1] says that it is one."""
     votes = balance.of(votes)
     winner = np.asarray(class_ids, np.int32)[votes.argmax(1)]
     is_agreed = (votes.max(1) >= LEAST_SHARE * votes.sum(1)) | is_one
@@ -166,8 +166,8 @@ def regroup_pieces(
     progress: Progress = lambda *_: None,
 ) -> tuple[NDArray[np.int32], list[int]]:
     """Let the views vote on connected pieces of objects. Return each point's new object, int32 [N], from 1 (0 = none),
-    and for each new object the old object that it was part of. ``xyz`` [N, 3], metres; ``object_of_point`` int32 [N], 0
-    = none; ``class_of_object``: the class of objects 1, 2, ...; ``summaries``: what each view shows at the points."""
+    and for each new object the old object of its largest piece. ``xyz`` [N, 3], metres; ``object_of_point`` int32 [N],
+    0 = none; ``class_of_object``: the class of objects 1, 2, ...; ``summaries``: what each view shows at the points."""
     piece, owner = _pieces(xyz, object_of_point, rules, progress)
     if not len(owner):
         return np.zeros(len(xyz), np.int32), []
@@ -183,7 +183,7 @@ def regroup_pieces(
     touching[piece[rows[pairs[:, 0]]], piece[rows[pairs[:, 1]]]] = True
     merge &= touching | touching.T
     count, group = connected_components(coo_matrix(together | merge), directed=False)
-    # A group belongs to the object that contributed most of its points.
+    # A group belongs to the object of its largest piece.
     size = np.bincount(piece[piece >= 0], minlength=len(owner))
     origin = [int(owner[group == number][size[group == number].argmax()]) for number in range(count)]
     order = np.argsort(origin, kind="stable")

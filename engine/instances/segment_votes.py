@@ -35,7 +35,7 @@ CELLS_AT_A_TIME = 1 << 23
 VIEWS_AT_A_TIME = 32
 """Views whose votes are added at once."""
 AGREEMENT = 0.5
-"""Minimum fraction of a segment's labelled points that must agree for the segment to take their label."""
+"""Minimum fraction of a segment's labelled pixels that must agree for the segment to take their label."""
 LEAST_SHARE = 0.1
 """Minimum fraction of its class's votes for an object (see ``decide_labels``)."""
 

@@ -87,8 +87,8 @@ def segment_options(preset: Preset) -> SegmentOptions:
 @dataclass(frozen=True, eq=False)
 class VotedThings:
     """The ``things`` that several views agree on. ``training``: the views whose masks were joined to objects;
-    ``everyone``: all views that vote, their detections included. ``agreement``: how well these agree; ``balance``: how
-    much votes for each class count."""
+    ``everyone``: all views that vote, and their detections if masks are weak. ``agreement``: how well the masks agree;
+    ``balance``: how much votes for each class count."""
 
     things: list[SceneObject]
     training: ViewsOnCloud

@@ -80,7 +80,7 @@ def prepare(given: ViewsToLift, stages: StageReporter) -> PreparedLift:
 
 
 def find(given: ViewsToLift, stages: StageReporter) -> tuple[Matching, Photos, Sequence[View]]:
-    """Match the views' objects. Return the matching, the photos compared, and the views with holes in depth filled."""
+    """Make the point cloud and match objects. Return the matching, the photos compared, and the views, depth filled."""
     views, preset, scratch = given.views, given.preset, given.scratch
     with stages.stage("consistency") as progress:
         placed = filled_views(views, scratch) if preset.fill_holes else views

@@ -97,7 +97,7 @@ def calibrate(samples: Samples, trained: Sequence[View], held_back: Sequence[Vie
 
 
 class _Named:
-    """What the masks say of each sample. ``views`` float32 [N]: how many views give the point a class. Over the judging
+    """What the masks say of each sample. ``views`` float64 [N]: how many views give the point a class. Over the judging
     views: ``agreeing``, how often it is the class that the lift shows, and ``score``, the sum of the masks' scores."""
 
     def __init__(self, samples: Samples) -> None:

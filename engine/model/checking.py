@@ -25,7 +25,7 @@ LARGEST_LOG = 50.0
 """The largest logarithm of a scale in metres. Its exponential is still a finite float32."""
 LARGEST_WEIGHT = 1e6
 LARGEST_LEVEL = 63
-"""The most generations of growth behind an anchor."""
+"""The largest level of an anchor that is accepted. Growth makes levels up to 3 (see `Anchors`)."""
 MOST_PER_ANCHOR = 64
 """The most Gaussians of an anchor."""
 

@@ -1,6 +1,6 @@
 """Grows anchors where the rendering does not yet match the photos, and prunes anchors that stay transparent
-(Scaffold-GS, section 3.3). Both are decided by the gradients of the projected Gaussian centres, which only the
-reconstruction loss and the depth loss (if any) reach; label losses never do."""
+(Scaffold-GS, section 3.3). Growth is decided by the gradients of the projected Gaussian centres, which only the
+reconstruction loss and the depth loss (if any) reach; label losses never do. Pruning is decided by opacity."""
 
 from __future__ import annotations
 
@@ -106,8 +106,8 @@ def grow_and_prune(
     most_anchors: int,
 ) -> GrowthRound:
     """Return which anchors to keep and which to add, after ``steps_between`` steps. New ones lie in cells of some
-    voxels of ``voxel_size`` metres. Sets the statistics of anchors visited often enough back to 0, in place. Not more
-    than ``most_anchors`` remain in all; if more could grow, ``random`` chooses among them."""
+    voxels of ``voxel_size`` metres. Sets the statistics of anchors visited often enough back to 0, in place. Nothing
+    grows beyond ``most_anchors`` in all; if more could grow, ``random`` chooses among them."""
     judged = statistics.visits > rules.enough(rules.visited_share, steps_between)
     keep = ~(judged & (statistics.opacity < rules.opacity * statistics.visits))
     seen = statistics.drawn > rules.enough(rules.seen_share, steps_between)

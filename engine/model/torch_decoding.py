@@ -84,7 +84,7 @@ def cluster_loss(
     target: torch.Tensor,  # int64 [V], -1 = no label
 ) -> torch.Tensor:
     """Return L_cluster (equation "Cluster Loss"): the mean cross entropy over all k Gaussians, drawn or not, of visible
-    initial anchors, a scalar."""
+    anchors with a label, a scalar."""
     known, k = target >= 0, class_logits.shape[1]
     wanted = target.clamp_min(0)[:, None, None].expand(-1, k, 1)
     # torch's own cross entropy of millions of rows takes ten times as long on a GPU

@@ -246,7 +246,7 @@ def decide(
     has more. With ``instance_classes`` (instance id to class id) an object has one class throughout. Its coverage is
     then part of its class's (see ``scene_labels``), and a pixel shows only an instance of its class with LEAST_OF_CLASS
     of that class's coverage. A thing's class that no such instance owns is left out, unless it is ``unowned`` or there
-    is nothing else: such pixels are specks, as what is larger became an object (``unowned_things``)."""
+    is nothing else: such pixels are specks, as what is larger became an object (``with_unowned``)."""
     columns, made = _columns(rendering, classes, instance_classes or {}, unowned), {}
     needed = {*(wanted or PanopticLayers._fields)}
     if not needed.isdisjoint(FROM_LABELS):

@@ -166,7 +166,7 @@ def voxelise(points: NDArray[np.floating], voxel_size: float) -> NDArray[np.floa
 def label_anchors(
     cloud: SemanticPointCloud, instance_of_point: NDArray[np.int32], anchor_xyz: NDArray[np.floating], voxel_size: float
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Return s_v of the paper: class and instance of each anchor, int32 [M] each, by a vote of the cloud's points in
+    """Return each anchor's class, s_v of the paper, and instance, int32 [M] each, by a vote of the cloud's points in
     its voxel; 0 = unknown. Unknown points do not vote, and only points of the anchor's class vote on its instance. Ties
     go to the lower id. ``instance_of_point`` int32 [N], 0 = none."""
     both = np.concatenate([np.asarray(cloud.xyz, np.float64), np.asarray(anchor_xyz, np.float64)])

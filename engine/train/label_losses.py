@@ -28,7 +28,7 @@ def label_losses(
     """Return L_sem without L_cluster, and L_ins, as scalars: the mean of -log of the rendered probability of the target
     label over the pixels with a target, 0 if there is none. ``coverage`` has channels for ``classes`` (C), then S
     slots; ``semantic`` and ``instance`` hold target channels. L_ins adds a pixel's two instance targets, from linear
-    assignment and M_match. ``alpha``, a mere divisor, gets no gradient: only L_recon changes opacity."""
+    assignment and M_match. ``alpha``, a mere divisor, gets no gradient, so that labels do not change it."""
     losses: tuple[torch.Tensor, torch.Tensor] = _LabelLosses.apply(coverage, alpha, classes, semantic, *instance)
     return losses
 
