@@ -77,7 +77,7 @@ def merge(state: Replay, numbers: Sequence[int]) -> Edit:
 
 
 def delete(state: Replay, number: int, *, around: bool = True) -> Edit:
-    """Delete object ``number``. Its points get labels near them or, unless ``around``, its class without an object."""
+    """Delete object ``number``. Its points get the labels ``around`` them or, if that is False, its class alone."""
     mark = _mark(state, number)
     xyz, other = state.points_of(number), (state.label != number) & (state.label != 0)
     moved: tuple[MovedPoints, ...] = ()

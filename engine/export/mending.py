@@ -62,7 +62,7 @@ def close_holes(surface: Surface, label: Ints, largest: float = HAND) -> tuple[S
 
 
 def without_flakes(surface: Surface, label: Ints) -> tuple[Surface, Ints]:
-    """Return the surface and its vertices' labels [V] without isolated pieces smaller than FLAKE metres."""
+    """Return the surface and its vertices' labels [V] without isolated pieces of less area than FLAKE."""
     piece = pieces(surface.triangles, len(surface.xyz))
     of_triangle = piece[surface.triangles[:, 0]]
     area = np.bincount(of_triangle, _areas(surface.xyz, surface.triangles), len(surface.xyz))

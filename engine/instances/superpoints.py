@@ -31,7 +31,7 @@ PATCH = 12
 """The number of points that a normal is fitted to."""
 AGREEING = 0.78
 """Views that agree with the others on less than this share of what they show are weak evidence. Two small networks'
-masks had 0.66 to 0.77, other networks' 0.84 to 0.93, made masks 0.75 to 0.90 (docs/experiments.md)."""
+masks had 0.66 to 0.77 (docs/experiments.md), other networks' 0.84 to 0.93, made masks 0.75 to 0.90."""
 TOLERANCE = 0.02
 """Superpoints are trusted although agreement falls by this share with them: about what voxels and ragged masks cost."""
 

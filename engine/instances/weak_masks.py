@@ -23,7 +23,7 @@ This parts good masks (0.66, 0.69) from bad ones (0.52, 0.53) on the sample and 
 0.29 to 0.35 and networks' 0.27 to 0.53, so all are weak (docs/experiments.md)."""
 DOUBTED = 0.78
 """If they agree on less than this share of all that they show, common classes are doubtful, too. Two small
-networks' masks had 0.66 to 0.77, other networks' 0.84 to 0.93, made masks 0.75 to 0.90 (docs/experiments.md)."""
+networks' masks had 0.66 to 0.77 (docs/experiments.md), other networks' 0.84 to 0.93, made masks 0.75 to 0.90."""
 EVENING = 0.35
 """How much rare classes are favoured: 0 not at all, 1 until all classes have as many votes."""
 RAREST = 0.02
