@@ -41,8 +41,7 @@ def surface_of(depth: NDArray[np.float32], camera: Camera) -> Surface:
 
     A plane's inverse depth is linear in the pixel coordinates, and its depth if rays are parallel. So a plane is fitted
     by least squares to those of the 25 pixels around a pixel that are on the same surface, and its normal is the
-    pixel's. The median error of these normals is 3 to 8 degrees. That of the Gaussians' own shortest axes is 20 to 30
-    degrees."""
+    pixel's. These normals' median error is 3 to 8 degrees; that of the Gaussians' shortest axes is 20 to 30 degrees."""
     is_parallel = camera.projection == "orthographic"
     inverse = depth if is_parallel else np.divide(1.0, depth, out=np.zeros_like(depth), where=depth > 0)
     step = max(1, round(REACH * camera.width / 2))
@@ -90,9 +89,9 @@ def fit_rows(
 
 @compiled
 def inverse_slopes(inverse: Array, row: int, column: int, step: int, reach: float) -> tuple[float, float, float]:
-    """Fit a plane to the inverse depth of 5 x 5 pixels ``step`` apart. Returns its change from a pixel to the next one
-    right and down, and its value at the pixel. The change is 0 if too few pixels are on the same surface, which are
-    those within ``reach`` of the pixel's value."""
+    """Fit a plane to the inverse depth of 5 x 5 pixels ``step`` apart. Returns the plane's change to the next pixel on
+    the right, its change to the next one below, and its value at the middle pixel. Only pixels within ``reach`` of the
+    middle one's value count; if they are too few, both changes are 0."""
     height, width = inverse.shape
     q = inverse[row, column]
     count = su = sv = sq = suu = suv = svv = suq = svq = 0.0
@@ -131,8 +130,8 @@ def inverse_slopes(inverse: Array, row: int, column: int, step: int, reach: floa
 
 
 def moved(depth: NDArray[np.float32], camera: Camera, other: Camera) -> NDArray[np.float64]:
-    """Return how far each pixel's point of a still room, at ``depth`` [H, W] metres, moves from the picture of
-    ``camera`` to that of ``other``, float64 [2, H, W] pixels, x right, y up; 0 without depth, and behind ``other``."""
+    """Return how far each pixel's point of a still room, at ``depth`` [H, W] metres, moves from ``camera``'s picture to
+    that of ``other``, float64 [2, H, W] pixels, x right, y up; 0 for no depth and for points behind ``other``."""
     pixels, ahead = other.project(camera.unproject(depth))
     to_right = pixels[..., 0] - (np.arange(camera.width) + 0.5)
     to_top = (np.arange(camera.height) + 0.5)[:, None] - pixels[..., 1]
@@ -174,8 +173,8 @@ class BakedView:
     @property
     def vectors(self) -> NDArray[np.float32]:
         """Return motion as in Blender's pass Vector, float32 [4, H, W]: from where a pixel is to where it was in the
-        previous frame, and from where it will be in the next frame to where it is, in pixels, x right, y up. 0 where
-        nothing was rendered, and where the other frame is not known or has the point behind it."""
+        previous frame, and from where it will be in the next frame to where it is, in pixels, x right, y up. It is 0
+        where nothing was rendered, where the other frame is not known, and where its camera has the point behind it."""
         was, will_be = (
             np.zeros((2, *self.layers.depth.shape)) if other is None else moved(self.layers.depth, self.camera, other)
             for other in (self.previous, self.following)

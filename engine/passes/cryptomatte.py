@@ -92,7 +92,7 @@ def rank_pixels(
 @device_function
 def largest_first(coverage: Array, columns: Array, ids: Array, own_ids: Array, own_shares: Array) -> np.float32:
     """Insert a pixel's coverages into its ranks (``own_ids``, ``own_shares``), largest first. Returns the sum of all
-    that are not negligible. ``ids`` are those of the ``columns`` of ``coverage`` that are ranked."""
+    that are not negligible. The ``columns`` of ``coverage`` are ranked; ``ids`` are their ids."""
     total, last = ZERO, RANKS - 1
     for rank in range(RANKS):
         own_ids[rank] = own_shares[rank] = ZERO
@@ -141,7 +141,7 @@ class MatteLayer:
 
 
 def class_layer(class_ids: Sequence[int], classes: ClassTable) -> MatteLayer:
-    """Return the layer of all classes but void. ``class_ids`` are those of the columns of ``class_coverage``."""
+    """Return the layer of all classes but void. ``class_ids`` are the ids of ``class_coverage``'s columns."""
     names = matte_names({category.id: category.name for category in classes.categories})
     return _layer(CRYPTO_CLASS, class_ids, {one: name for one, name in names.items() if one != VOID})
 
@@ -152,8 +152,8 @@ def instance_layer(
     classes: ClassTable,
     instance_classes: Mapping[int, int] | None = None,
 ) -> MatteLayer:
-    """Return the layer of all instances. Those of stuff are left out if ``instance_classes`` (instance id to class id)
-    is given. ``instance_ids`` are those of the columns of ``instance_coverage``."""
+    """Return the layer of all instances. Instances of stuff are left out if ``instance_classes`` (instance id to class
+    id) is given. ``instance_ids`` are the ids of ``instance_coverage``'s columns."""
     kinds, things = instance_classes, classes.thing_ids
     ids = [one for one in instance_ids if one and (kinds is None or kinds.get(one) in things)]
     return _layer(CRYPTO_INSTANCE, instance_ids, matte_names({i: instance_names.get(i, f"instance {i}") for i in ids}))

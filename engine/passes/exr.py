@@ -170,8 +170,7 @@ def write_exr(
 ) -> None:
     """Write a baked view, completely or not at all. The same input gives the same bytes. ``notes``: further attributes
     of the header; ``layers``: the wanted ones of FURTHER_LAYERS; ``shown``: the view's frame, for the header;
-    ``named_for``: one of CHANNELS. Raises ValueError for ids that a 32-bit float cannot hold, and OSError if the file
-    cannot be written."""
+    ``named_for``: one of CHANNELS. Raises ValueError for ids that a 32-bit float cannot hold, and OSError."""
     largest = max(int(ids.max(initial=0)) for ids in (view.layers.semantic, view.layers.instance))
     if largest >= EXACT_IDS:
         raise ValueError(f"class and instance ids must be below {EXACT_IDS} to be exact in an EXR")
@@ -188,8 +187,7 @@ def write_exr(
 
 
 def read_exr(path: Path) -> PanopticLayers:
-    """Read the PLGS layer of a baked view. Raises ValueError if the file is damaged or has no such layer, and OSError
-    if it cannot be read."""
+    """Read the PLGS layer of a baked view. Raises ValueError if the file is damaged or has no such layer, OSError."""
     # Reading allocates all that the header claims.
     memory, numbers = main_memory(), _header(path).numbers
     if memory is not None and 4 * numbers > memory.free:
@@ -223,7 +221,7 @@ _NUKE |= {"vector.Z": "forward.u", "vector.W": "forward.v"}
 
 
 def _in_nuke(name: str) -> str:
-    """Return Nuke's name for one of our channels if it is depth or motion, else our name in lower case."""
+    """Return a channel's name for Nuke: Nuke's own name for depth and motion, else our ``name`` in lower case."""
     _, dot, ours = name.partition(f"{LAYER}.")
     layer, _, axis = ours.partition(".")
     return _NUKE.get(f"{layer.lower()}.{axis}", f"{layer.lower()}.{axis}") if dot else name
@@ -236,7 +234,7 @@ def further_layers(path: Path) -> set[str]:
 
 
 def read_note(path: Path, name: str) -> str | None:
-    """Return an attribute of a baked view's header, None without it. Raises ValueError if that is damaged, OSError."""
+    """Return an attribute of a baked view's header; None if it has none. Raises ValueError for damage, OSError."""
     kind, value = _header(path).attributes.get(name.encode(), (b"", b""))
     return value.decode() if kind == b"string" else None
 
@@ -265,8 +263,8 @@ def is_own(path: Path) -> bool:
 
 
 def is_cut(path: Path) -> bool:
-    """Whether a file of ours ends before its pixels do, as after a copy that was interrupted. Raises ValueError if its
-    header is damaged, OSError."""
+    """Whether an EXR that PLGS wrote ends before its pixels do, as after a copy that was interrupted. Raises ValueError
+    if its header is damaged, OSError."""
     header = _header(path)
     chunks = -(-header.size[1] // _LINES)
     with open_plain(path) as file:
@@ -341,7 +339,7 @@ def _put_rate(path: Path, rate: Fraction) -> None:
 
     The library reads attributes of type rational, but cannot write them. An attribute is stored as its name, its type,
     the length of its value, and the value. "rational" is two bytes longer than "string", so a text of ten bytes takes
-    as much as a rate of eight, and nothing in the file moves. No text before it has zeros, so it is found at once."""
+    as much as a rate of eight, and nothing in the file moves. No text before it has zeros, so it is the first match."""
     name, text = _RATE.encode() + b"\0", _PLACE_OF_RATE.encode()
     placed = name + b"string\0" + struct.pack("<i", len(text)) + text
     exact = name + b"rational\0" + struct.pack("<iiI", 8, rate.numerator, rate.denominator)

@@ -136,8 +136,9 @@ def decide_labels(pixels: Any, columns: Any, start: int, end: int, decided: Any)
 
 @device_function
 def owned_class(coverage: Array, slots: Array, columns: Any, winner: int, most: Any) -> Any:
-    """Return the class with the largest coverage among those that are stuff or have an object at the pixel, its
-    coverage, and the slot of the object, -1 for stuff. If there is none, return ``winner``, ``most`` and -1."""
+    """Return a class's index, its coverage, and the slot of its object at the pixel (-1 for stuff). It is the class
+    with the largest coverage among stuff and things that have an object at the pixel. If none has coverage, return
+    ``winner``, ``most`` and -1."""
     best, largest, shown = winner, ZERO, -1
     for number in range(len(columns.of_class)):
         value, slot = coverage[columns.of_class[number]], -1
@@ -155,7 +156,7 @@ def owned_class(coverage: Array, slots: Array, columns: Any, winner: int, most: 
 def best_slot(coverage: Array, alpha: Any, of_class: Any, columns: Any, winner: int) -> int:
     """Return the slot that a pixel of the class with index ``winner`` shows (the first if several tie), -1 for no
     object. ``coverage`` is that of all slots, ``of_class`` that of the class. If objects have one class throughout,
-    ``object_of_class`` decides. Otherwise it is the slot with the largest coverage, if "no object" has less."""
+    ``object_of_class`` decides. Otherwise the slot with the largest coverage wins, unless "no object" has more."""
     best, most, instances = -1, ZERO, ZERO
     if columns.one_class:
         least = LEAST_SHARE_OF_CLASS * of_class

@@ -38,8 +38,7 @@ def panorama(camera: Camera, draw: Callable[[Camera], BakedView]) -> BakedView:
     """The equirectangular ``camera``'s view, made from what ``draw`` returns for perspective cameras at its place.
 
     Labels, their shares, mattes and normals are those of the nearest pixel, as ids cannot be averaged. Colour and
-    inverse depth are interpolated between four pixels; depth only where they are of one surface. It is the distance
-    from the camera."""
+    inverse depth are interpolated between four pixels; depth, the distance from the camera, only on one surface."""
     x, y = (
         (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx,
         (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy,
@@ -72,7 +71,7 @@ def panorama(camera: Camera, draw: Callable[[Camera], BakedView]) -> BakedView:
 def _window(
     camera: Camera, face: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> tuple[Camera, NDArray[np.float64]]:
-    """The camera of as much of a face as these slopes (x / z, y / z) need, and their pixels in it, float64 [N, 2]."""
+    """Return the camera of the part of a face with these slopes x / z and y / z, and their pixels, float64 [N, 2]."""
     focal = _FINER * max(camera.fx, camera.fy)
     corner = np.floor([focal * x.min(), focal * y.min()]) - _MARGIN
     width, height = (np.ceil([focal * x.max(), focal * y.max()]) + _MARGIN - corner).astype(int)

@@ -34,9 +34,8 @@ def write_ply_table(
     comment: str = "",
     uv: NDArray[np.float32] | None = None,
 ) -> None:
-    """Write vertices of float32, int32 or uint8 columns [N], and triangles [T, 3] of them, with the texture coordinates
-    ``uv`` [T, 3, 2] of their corners, and a comment. Raises ValueError for columns of other types or of different
-    lengths, and OSError."""
+    """Write vertices of float32, int32 or uint8 columns [N], and triangles [T, 3] of them, with their corners' texture
+    coordinates ``uv`` [T, 3, 2], and a comment. Raises ValueError for columns of other types or lengths; OSError."""
     count = {len(values) for values in columns.values()}
     if len(count) != 1:
         raise ValueError(f"columns differ in length: {', '.join(columns)}")

@@ -132,9 +132,8 @@ class SheetRow:
 def write_contact_sheet(
     path: Path, rows: Sequence[SheetRow], classes: ClassTable, instance_colours: Mapping[int, Colour] | None = None
 ) -> None:
-    """Write a sheet with the columns photo, input mask, lifted classes, lifted instances. Of more than eight rows,
-    eight are shown, spread evenly; pass only such frames to save work. Raises ValueError without rows, and OSError if
-    the file cannot be written."""
+    """Write a sheet with the columns photo, input mask, lifted classes, lifted instances. If there are more than eight
+    ``rows``, eight evenly spaced ones are shown. Raises ValueError without rows, and OSError."""
     if not rows:
         raise ValueError("a contact sheet needs at least one view")
     rows = evenly_spread(rows, MOST_ROWS)

@@ -54,7 +54,7 @@ class Completed:
 
 def complete(texture: Texture, leaving: Leaving, staying: NDArray[np.floating]) -> Completed | None:
     """Complete the texture of a plane that ``leaving`` stands on or hides; other things, with the points ``staying``
-    [N, 3], keep their shadows. Returns None if there is nothing to draw, or too little is known."""
+    [N, 3], keep their shadows. Returns None if nothing has to be drawn, or if photos show too little."""
     t, seen, hole = texture.texel, texture.seen, texture.hole()
     good = (distance_transform_edt(np.pad(seen, 1))[1:-1, 1:-1] > EDGE) & ~hole
     if hole.any():
@@ -89,7 +89,7 @@ def _metres(mask: Mask, texel: float) -> NDArray[np.float64]:
 
 def completed_labels(known_label: NDArray[np.int32], hole: Mask, seen: Mask) -> NDArray[np.int32]:
     """Return the labels [h, w] of a texture, continued into the ``hole`` from the nearest texel that was ``seen``. A
-    label that fills its rectangle, as a rug does, fills it in the hole too; the commonest fills the rest."""
+    label that fills its rectangle, as a rug does, fills that in the hole too; the commonest label fills the rest."""
     label = known_label[tuple(distance_transform_edt(~seen, return_distances=False, return_indices=True))]
     kinds, counts = np.unique(known_label[seen], return_counts=True)
     edge = binary_dilation(hole, iterations=4) & seen
@@ -106,8 +106,8 @@ def completed_labels(known_label: NDArray[np.int32], hole: Mask, seen: Mask) -> 
 
 
 def spread(values: Colours, known: Mask, sigma: float) -> Colours:
-    """Blur ``values`` [h, w, 3] by ``sigma`` texels where they are ``known``, and continue them elsewhere. It is a sum
-    of blurs, each twice as wide as the one before, and counting only where the narrower ones hardly reach."""
+    """Blur ``values`` [h, w, 3] by ``sigma`` texels where they are ``known``, and continue them elsewhere. The result
+    sums blurs, each twice as wide as the one before; a blur counts only where narrower ones hardly reach."""
     total, weight = np.zeros_like(values), np.full(known.shape, 1e-12, np.float32)
     shown = np.where(known[..., None], values, 0).astype(np.float32)
     for octave in range(1 + max(0, int(np.log2(max(known.shape) / sigma)))):

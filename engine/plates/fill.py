@@ -30,7 +30,7 @@ def replaced_gaussians(
     centres: NDArray[np.floating], label: NDArray[np.int32], texture: Texture, completed: Completed, others: Others
 ) -> NDArray[np.bool_]:
     """Return which of the lift's Gaussians, at ``centres`` [G, 3], the ``completed`` texture replaces, bool [G]: those
-    on the plane where it is drawn, and those behind that are on no ``others``. ``label`` [G]: the likeliest."""
+    on the plane where it is drawn, and those behind it that are on no ``others``. ``label`` [G]: the likeliest."""
     gone = np.zeros(len(centres), np.bool_)
     local = texture.plane.local(centres)
     cell = np.floor((local[:, :2] - texture.low) / texture.texel).astype(int)
@@ -45,7 +45,7 @@ def replaced_gaussians(
 
 
 def gaussians_of(texture: Texture, completed: Completed) -> Fill:
-    """Return the fill of a texture: a new Gaussian for each texel that is drawn. It clears no cells."""
+    """Return the fill of a texture: a new Gaussian for each texel that is drawn. The fill clears no cells."""
     drawn, t = completed.fill, texture.texel
     xyz = texture.points()[drawn]
     every = max(1, round(POINTS_APART / t))
@@ -71,8 +71,8 @@ def joined(fills: Sequence[Fill]) -> Fill:
 def cleared_cells(
     centres: NDArray[np.floating], gone: NDArray[np.bool_], stays: NDArray[np.bool_]
 ) -> NDArray[np.int32]:
-    """Return the cells to clear of Gaussians, int32 [C, 3]. Of the cells at removed Gaussians and beside them, these
-    are those in which more Gaussians are ``gone`` than ``stays`` says, bool [G] each, or in which none stays."""
+    """Return the cells to clear of Gaussians, int32 [C, 3]. Cells at or beside ``gone`` Gaussians, bool [G], are
+    cleared if in them more are gone than stay (``stays``, bool [G]), or if none stays."""
     cells = with_neighbours(cells_of(centres[gone]))
     keys, owned = cell_keys(cells), [np.sort(cell_keys(cells_of(centres[own]))) for own in (gone, stays)]
     gone_in, stay_in = (np.searchsorted(own, keys, "right") - np.searchsorted(own, keys) for own in owned)

@@ -39,7 +39,7 @@ class Blocked(NamedTuple):
 
 
 def blocked_light(texture: Texture, leaving: NDArray[np.floating], staying: NDArray[np.floating]) -> Blocked:
-    """How much light is blocked by removed things, with the points ``leaving`` [N, 3], and by ``staying`` ones."""
+    """Return the light that things with the points ``leaving`` [N, 3] and things with the points ``staying`` block."""
     t, (h, w) = texture.texel, texture.seen.shape
     rows, columns = (max(2, int(np.ceil(side * t / PLACES_APART))) for side in (h, w))
     v, u = (np.arange(count) + 0.5 for count in (rows, columns))

@@ -62,7 +62,7 @@ def without(folder: LiftFolder, objects: Sequence[str], progress: Progress = unw
 
 
 def _removal(folder: LiftFolder, objects: Sequence[str], progress: Progress) -> tuple[Edit, tuple[Edit, ...]]:
-    """Return the edit that removes the objects, and the edits before it. The edit's fill is in a file, old or new."""
+    """Return the edit that removes the objects, and the edits before it. Write the edit's fill to a file if need be."""
     folder.refuse_read_only()
     state, corrected = replayed(folder.path), read_corrected(folder.path)
     ids = sorted({making.object_of(state, each) for each in objects})
@@ -85,7 +85,7 @@ def _removal(folder: LiftFolder, objects: Sequence[str], progress: Progress) -> 
 
 
 def _drop_unused(lift: Path) -> None:
-    """Delete the fills that no edit needs, not even an undone one, except the UNUSED newest."""
+    """Delete the fills that no edit needs, not even an undone one. The ``UNUSED`` newest of these are kept."""
     fills = [path for path in (lift / FILLS).glob("*.npz") if re.fullmatch("[0-9a-f]{16}", path.stem)]
     used = {edit.fill for edit in read_edits(lift)}  # read again: another process may have added an edit
     with suppress(OSError):  # another process deletes it too, or has it open: no reason to fail

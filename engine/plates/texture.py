@@ -171,8 +171,8 @@ def _look(
     plane: Plane, solid: Sequence[Plane], views: Sequence[PlateView], start: NDArray[np.float64],
     end: NDArray[np.float64], texel: float,
 ) -> Texture | None:  # fmt: skip
-    """Return the texture, in texels of ``texel`` metres, of the rectangle from ``start`` to ``end`` of a plane. None if
-    the photos show nothing of it, or it is a thing's side. What is behind a ``solid`` plane is not inside."""
+    """Return the texture, in texels of ``texel`` metres, of the rectangle from ``start`` to ``end`` of a plane. Returns
+    None if no photo shows it, or if it is a thing's side. What is behind a ``solid`` plane is not inside."""
     w, h = np.ceil((end - start) / texel).astype(int).tolist()
     xyz = grid(plane, start, texel, (h, w)).reshape(-1, 3)
     sums, inside = _Sums(h * w), np.ones(h * w, np.bool_)

@@ -32,8 +32,8 @@ _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.r
 def read_npz(
     path: Path, fix: str, names: Collection[str] | None = None, most_bytes: int = MOST_BYTES
 ) -> dict[str, NDArray[Any]]:
-    """Read the arrays of an .npz, those of ``names`` or all, by name. Raises PlgsError, with ``fix`` as the advice, for
-    a damaged file, a missing array, an array of objects, and more than ``most_bytes`` of unpacked numbers."""
+    """Return arrays of an .npz by name: those in ``names``, or all. Raises PlgsError, with ``fix`` as advice, for a
+    damaged file, a missing array, an array of objects, and more than ``most_bytes`` of unpacked numbers."""
     try:
         with open_plain(path) as file, ZipFile(file) as archive:
             entries = {entry.filename.removesuffix(".npy"): entry for entry in archive.infolist()}
@@ -52,7 +52,7 @@ def read_npz(
 
 
 def read_npy(path: Path, fix: str, most_bytes: int = MOST_BYTES) -> NDArray[Any]:
-    """Read the array of a .npy of at most ``most_bytes``. Raises PlgsError, with ``fix`` as advice, for others."""
+    """Read the array of a .npy of at most ``most_bytes``. Raises PlgsError, with ``fix`` as advice, for other files."""
     with reading(path, fix):
         content = read_plain(path, most_bytes)
     try:

@@ -25,8 +25,8 @@ _FIX = "Write it again as OpenEXR with one part and scan lines."
 @dataclass(frozen=True)
 class ExrHeader:
     """The header of an OpenEXR file. ``size`` is the (width, height) of the stored pixels, which may be only a part of
-    the picture or more than it. ``channels`` gives the bytes per value of each; ``start`` is the first eight bytes;
-    ``attributes`` maps a name to its type and value as stored."""
+    the picture or more than it. ``channels`` maps a channel's name to its bytes per value; ``start`` is the first eight
+    bytes; ``attributes`` maps a name to its type and value as stored."""
 
     size: Size
     channels: Mapping[str, int]
@@ -45,7 +45,7 @@ class ExrHeader:
 
 
 def read_exr_header(path: Path) -> ExrHeader:
-    """Read the header of an OpenEXR file. Raises PlgsError for another or a damaged file, and one of several parts."""
+    """Read the header of an OpenEXR file. Raises PlgsError for other files, damaged ones, and ones of several parts."""
     start, attributes = _attributes_of(path)
     try:
         (left, top, right, bottom), _ = (
@@ -64,8 +64,7 @@ def read_exr_header(path: Path) -> ExrHeader:
 
 
 def one_pixel_of(path: Path) -> bytes:
-    """Return the bytes of an EXR of one black pixel with the channels and attributes of ``path``. Raises PlgsError if
-    that is no plain EXR."""
+    """Return an EXR of one black pixel with the channels and attributes of ``path``. Raises PlgsError for others."""
     header = read_exr_header(path)
     if int.from_bytes(header.start[4:], "little") & _TILED:
         raise PlgsError("exr-tiles", "this OpenEXR file has tiles, which are not read", path, _FIX)

@@ -161,8 +161,8 @@ class PosedFrame:
 class PosedScene:
     """A scene's posed frames in recording order, the classes of its masks, and warnings for the user. ``folder`` is the
     folder or single file that the user named; ``format`` is the name of its reader. ``points`` are its
-    reconstruction's, if any. ``turn``, float64 [3, 3], is the rotation that made z point up, or None. ``estimated``
-    says what was not measured."""
+    reconstruction's, or None. ``turn``, float64 [3, 3], is the rotation that made z point up, or None. ``estimated``
+    tells what was not measured."""
 
     folder: Path
     frames: tuple[PosedFrame, ...]

@@ -46,7 +46,7 @@ class ImageHeader:
 
 
 def read_image_header(path: Path) -> ImageHeader:
-    """Read the header of a PNG or JPEG and check that the file has an end. Raises PlgsError for others."""
+    """Read the header of a PNG or JPEG and check that the file has an end. Raises PlgsError for other files."""
     with reading(path), open_plain(path) as file:
         start = file.read(33)  # a PNG's signature and its whole IHDR
         if start.startswith(_PNG_SIGNATURE):
@@ -183,7 +183,7 @@ def _check_png_chunks(data: bytes, path: Path) -> None:
 
 
 def png_chunks(data: bytes) -> Iterator[bytes]:
-    """The complete chunks of a PNG, each with its length, type, body and checksum."""
+    """Yield the complete chunks of a PNG, each as bytes: its length, type, body and checksum."""
     start = len(_PNG_SIGNATURE)
     while (end := start + 12 + int.from_bytes(data[start : start + 4], "big")) <= len(data):
         yield data[start:end]

@@ -102,8 +102,8 @@ def require_most(names: Sequence[str], present: Collection[str], what: str, wher
 
 
 def of_most(names: Sequence[str], read: Callable[[str], Read], progress: Progress = unwatched) -> dict[str, Read]:
-    """Call ``read`` with each name and return the results by name. Names for which it raises PlgsError are left out,
-    but if they are more than half, the error is raised."""
+    """Call ``read`` with each name and return the results by name. Names for which ``read`` raises PlgsError are left
+    out. If they are over half, the first error is raised; so is one that tells that memory is full."""
     found: dict[str, Read] = {}
     errors: list[PlgsError] = []
     for number, name in enumerate(names):
@@ -120,7 +120,7 @@ def of_most(names: Sequence[str], read: Callable[[str], Read], progress: Progres
 
 
 def file_inside(folder: Path, name: str, path: Path) -> Path:
-    """Return the path of the file in ``folder`` that the file ``path`` names. Raises PlgsError if it leads out."""
+    """Return the path of the file in ``folder`` that ``path`` calls ``name``. Raises PlgsError if that leads out."""
     # Windows' rules are the stricter ones: drives, both kinds of slashes.
     parts = PureWindowsPath(name)
     if parts.anchor or ".." in parts.parts or "\0" in name or not parts.parts:
@@ -173,9 +173,8 @@ _SMALL = 1 << 25  # bytes; files smaller than this skip the free-memory check
 
 
 def check_count(count: int, things: str, path: Path, fix: str, *, most: int, room: int, made: int) -> None:
-    """Raise PlgsError for a ``count`` of ``things`` in the file ``path`` that is larger than ``room``, the most that
-    fit into the rest of the file, or than ``most``, the number that is read in ten seconds, or that needs too much
-    memory at ``made`` bytes each."""
+    """Raise PlgsError if ``path`` claims a ``count`` of ``things`` above ``room`` (as many as fit into the rest of the
+    file) or above ``most`` (as many as are read in ten seconds), or too many for memory at ``made`` bytes each."""
     if count > room:
         raise PlgsError("cut-off", "the file is cut off", path, fix)
     check_most(count, things, path, fix, most)

@@ -46,8 +46,8 @@ def read_matrix(path: Path, shapes: tuple[tuple[int, int], ...]) -> Matrix:
 
 
 def take_array(entry: dict[str, Any], key: str, context: str, path: Path, *shapes: tuple[int, ...]) -> Matrix:
-    """Return the JSON list ``entry[key]`` as an array of one of ``shapes``. Raises PlgsError for anything else; it
-    names the file ``path`` and the place ``context`` in it."""
+    """Return the JSON list ``entry[key]`` as an array of one of ``shapes``. Raises PlgsError for anything else; the
+    error names the file ``path`` and the place ``context`` in it."""
     value = take_list(entry, key, context, path)
     try:
         numbers = np.array(value, np.float64)
@@ -106,7 +106,7 @@ def _is_orthogonal(rotation: Matrix) -> bool:
 
 
 def read_intrinsics(path: Path, size: Size) -> Camera:
-    """Read the intrinsic matrix (3x3 or 4x4) for pictures of this ``size`` from a file. Raises PlgsError for others."""
+    """Read the intrinsic matrix (3x3 or 4x4) for pictures of this ``size``. Raises PlgsError for a file without one."""
     return as_lens(read_matrix(path, ((3, 3), (4, 4), (3, 4))), size, path)
 
 
@@ -144,7 +144,7 @@ def upright_turn(
 ) -> tuple[Matrix, list[str]]:
     """Return the rotation, float64 [3, 3], from a capture's world into one with z up, and warnings. ``poses`` are the
     cameras', float64 [4, 4] camera-to-world. ``asked`` is the up axis that the user chose, ``own`` the format's (None
-    if unknown), and ``is_known`` says that the latter was measured."""
+    if unknown), and ``is_known`` says that ``own`` was measured."""
     axis: UpAxis | None = "z" if asked == "+z" else own if asked == "z" else asked
     if axis is None:
         return upright_rotation(poses), []
@@ -162,7 +162,7 @@ def turned(pose: Matrix, turn: Matrix) -> Matrix:
 
 def up_axis_warning(poses: Sequence[Matrix], up: UpAxis) -> str | None:
     """Return a warning if cameras, float64 [4, 4] camera-to-world each, seem to stand upright about an axis other than
-    z. This is judged by the mean of their up axes; None if all look steeply up or down, or lie on their side."""
+    z. This is judged by the mean of their up axes. Returns None if that is near z, or if no axis is clearly up."""
     mean = -np.mean([pose[:3, 1] for pose in poses], axis=0)
     axis = int(np.abs(mean).argmax())
     if abs(mean[axis]) < _CLEARLY_UP or (axis == 2 and mean[2] > 0.0):
@@ -178,8 +178,8 @@ def up_axis_warning(poses: Sequence[Matrix], up: UpAxis) -> str | None:
 
 def upright_rotation(poses: Sequence[Matrix]) -> Matrix:
     """Return the rotation, float64 [3, 3], into a world in which cameras, float64 [4, 4] camera-to-world each, stand
-    upright; the identity if z is nearly up. An upright camera's right axis is level, so "up" is perpendicular to all of
-    these. If all cameras look the same way, that leaves their pitch open, and their mean up axis is used."""
+    upright; the identity if z is nearly up. An upright camera's right axis is level, so "up" is perpendicular to all
+    right axes. If all cameras look the same way, these leave the pitch open, and the cameras' mean up axis is used."""
     rights = np.array([pose[:3, 0] for pose in poses])
     mean_up = -np.mean([pose[:3, 1] for pose in poses], axis=0)
     _, strengths, axes = np.linalg.svd(rights, full_matrices=True)

@@ -35,7 +35,7 @@ class Split:
 
 def find_split(folder: Path, names: Sequence[str], lost: Sequence[str]) -> Split:
     """Return the split of the frames ``names`` by ``splits.json`` in ``folder``, or the default one without that file.
-    ``lost`` names frames without a pose. Raises PlgsError for a bad file, or if none is left to train on."""
+    ``lost`` names frames without a pose. Raises PlgsError for a bad file, or if no frame is left to train on."""
     table = folder / "splits.json"
     split = read_split(table, names, lost) if table.is_file() else default_split(names)
     if not split.train:
@@ -44,8 +44,8 @@ def find_split(folder: Path, names: Sequence[str], lost: Sequence[str]) -> Split
 
 
 def default_split(names: Sequence[str]) -> Split:
-    """Hold out every 8th of the frames ``names`` for testing: the 5th, the 13th, ..., at most 40; none of fewer than
-    five. The first and last frames see surfaces that no other frame sees, so training keeps them."""
+    """Hold out every 8th of the frames ``names`` for testing: the 5th, the 13th, ..., at most 40. If there are fewer
+    than five, all train. The first and last frames see surfaces that no other frame sees, so both train."""
     every = max(_EVERY, -(-len(names) // _MOST))
     test = names[_FIRST::every]
     train = tuple(name for index, name in enumerate(names) if index % every != _FIRST)
@@ -101,7 +101,7 @@ class PlainFolders:
 
 
 def recognises(place: Path) -> bool:
-    """Whether at least two of the folders exist, so that an error about the missing ones makes sense."""
+    """Whether ``place`` has two or more of the plain folders, so that an error about the missing ones makes sense."""
     return sum((place / name).is_dir() for name in ("color", "pose", "intrinsic")) >= 2
 
 
@@ -154,7 +154,7 @@ def complete_frames(
     frames: tuple[AnyFrame, ...], what: str, has: Callable[[AnyFrame], bool]
 ) -> tuple[tuple[AnyFrame, ...], tuple[str, ...]]:
     """Return the frames that have ``what``, as ``has`` tells, and warnings about the others. All frames are returned if
-    most, or all to train on, lack it."""
+    most of them, or all training frames, lack it."""
     kept = tuple(frame for frame in frames if has(frame))
     lacking = [frame.name for frame in frames if not has(frame)]
     if not kept or not lacking:
@@ -171,8 +171,7 @@ def left_out_warning(names: Sequence[str], what: str) -> str:
 
 
 def _read_lenses(folder: Path, sizes: Mapping[str, Size]) -> dict[str, Camera]:
-    """Read each frame's intrinsics, as a camera at the origin, at the size of its colour image. ``sizes`` are those
-    (width, height) by frame."""
+    """Read each frame's intrinsics, as a camera at the origin, at its colour image's (width, height) in ``sizes``."""
     if not folder.is_dir():
         raise PlgsError("no-folder", "a folder is missing", folder, FOLDERS_FIX)
     shared_path = folder / "intrinsic_color.txt"

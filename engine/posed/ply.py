@@ -62,7 +62,7 @@ class LabelledSurface:
 
 
 def labels_of_triangles(triangles: NDArray[np.integer], label: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the triangles' labels [T] from the vertices' [V]: what two corners share, else the first corner's."""
+    """Return the triangles' labels [T] from vertices' labels [V]: the one that two corners share, else the first's."""
     corners = label[triangles]
     return np.where(corners[:, 1] == corners[:, 2], corners[:, 1], corners[:, 0])
 

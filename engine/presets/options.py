@@ -27,7 +27,7 @@ _BOOLEANS = {"true": True, "yes": True, "on": True, "false": False, "no": False,
 @dataclass(frozen=True)
 class PresetOption:
     """One option of a preset. ``length``: the number of values in a list; ``least`` and ``most`` bound a number, or
-    each one in a list; ``choices``: the allowed texts; ``part``: a kind of `Parts` that may be named as well."""
+    each one in a list; ``choices``: the allowed texts; ``part``: a kind of `Parts` whose names are allowed, too."""
 
     name: str
     kind: Literal["bool", "int", "float", "choice", "ints", "names"]

@@ -34,8 +34,8 @@ def _named(kind: str, default: Names, *known: str) -> Names:
 @dataclass(frozen=True)
 class Matching:
     """The options of Algorithm 1. ``tau_new``: a segment whose smallest cost is above it becomes a new instance.
-    ``rule``: "hybrid" takes the Hungarian partner if its cost is at most tau, else the best global instance if its cost
-    is, else a new one; "literal" is the text of Algorithm 1. ``cost``: which terms of the cost O are used."""
+    ``rule``: "hybrid" takes the Hungarian partner if its cost is at most tau, else the cheapest global instance if its
+    cost is at most tau, else a new one; "literal" is the text of Algorithm 1. ``cost``: the terms used of cost O."""
 
     tau_new: float = _ranged(-0.1, -2.0, 0.0)
     rule: Literal["hybrid", "literal"] = "hybrid"

@@ -142,8 +142,8 @@ def _nothing_drawn(gaussians: GaussianSet, pinhole: Pinhole, want_means2d_grad: 
 
 
 def _call(gaussians: GaussianSet, pinhole: Pinhole) -> tuple[Tensor, Tensor, dict[str, Any]]:
-    """Call gsplat; return colour and depth [H, W, 4], alpha [H, W, 1], and its facts about the Gaussians. Always draws
-    the whole picture, even if only some rows are wanted, as gsplat derives the Jacobian's clamp margins from that."""
+    """Call gsplat; return colour and depth [H, W, 4], alpha [H, W, 1], and gsplat's facts about the Gaussians. It draws
+    the whole picture, even if only some rows are wanted, as the Jacobian's clamp margins depend on its size."""
     from gsplat import rasterization
 
     (fx, fy), (cx, cy) = pinhole.focal, pinhole.principal

@@ -102,8 +102,8 @@ def _for_contributors(kernel: Any, state: ForwardState, *out: Any) -> None:
 
 
 def rasterize_backward(state: ForwardState, shapes: arrays.Shapes, d_layers: Layers) -> arrays.GaussianGradients:
-    """Return the gradients of the Gaussians, given those of the layers, ``d_layers`` (its labels have no channels if
-    none have a gradient). ``state`` and ``shapes`` are of the forward pass."""
+    """Return the gradients of the Gaussians, given those of the layers, ``d_layers`` (whose labels have no channels if
+    no label has a gradient). ``state`` and ``shapes`` are of the forward pass."""
     height, width, channels = d_layers.labels.shape
     size, workers = arrays.Size(width, height, channels), worker_count()
     tiles, count, n = len(state.isects.isect_offsets) - 1, len(state.isects.flatten_ids), len(state.records)

@@ -181,8 +181,7 @@ def project_gaussian(i: int, gaussians: Gaussians, camera: Array, size: Size, ou
 def write_record(
     i: int, centre: tuple[float, float], whitened: tuple[float, float, float], gaussians: Gaussians, records: Array
 ) -> None:
-    """Write record i, without LOG_OPACITY and DEPTH, by its ``centre`` on the image and L11, L12, L22
-    (``whitened``)."""
+    """Write record i, without LOG_OPACITY and DEPTH, by its ``centre`` on the image; ``whitened`` is L11, L12, L22."""
     for c in range(2):
         records[i, conventions.CENTRE_X + 2 * c] = centre[c]
         records[i, conventions.CENTRE_X_LOW + 2 * c] = centre[c] - np.float64(records[i, conventions.CENTRE_X + 2 * c])

@@ -37,7 +37,7 @@ _POSE_RULES = "camera-to-world with x right, y down, z forward, in metres"
 
 @dataclass(frozen=True)
 class DepthFacts:
-    """A frame's depth: its ``range`` (nearest, median, farthest, in metres), and the ``share`` of pixels with any."""
+    """A frame's depth: its ``range`` (nearest, median, farthest, in metres), and the ``share`` of pixels with depth."""
 
     size: Size
     range: tuple[float, float, float]
@@ -46,8 +46,8 @@ class DepthFacts:
 
 @dataclass(frozen=True)
 class MaskFacts:
-    """A frame's mask: the number of ``segments`` with pixels, the ids of others (``unpainted``), and the share of each
-    class, as pairs (class id, share)."""
+    """A frame's mask: the number of ``segments`` with pixels, the ids of segments without pixels (``unpainted``), and
+    the share of each class, as pairs (class id, share)."""
 
     size: Size
     segments: int
@@ -57,7 +57,7 @@ class MaskFacts:
 
 @dataclass(frozen=True)
 class FrameFacts:
-    """What was measured on one frame's pixels; None where it has none. ``unknown_truth`` are classes of the ground
+    """Facts of a frame's pixels; ``depth`` or ``mask`` is None without any. ``unknown_truth`` are classes of the ground
     truth that the masks' table lacks. ``brightest`` is the largest value of a 16-bit photo, None if not decoded."""
 
     name: str
@@ -104,9 +104,9 @@ def survey_scene(scene: Scene, progress: Progress = unwatched, keep_within: Size
 
 
 def _readable(scene: Scene, tick: Progress, keep_within: Size | None) -> tuple[list[_Look], Scene, tuple[str, ...]]:
-    """Return the facts of the frames, the scene without unreadable frames, and warnings that name these. ``tick`` and
-    ``keep_within``: see `survey_scene`. Raises PlgsError for too many of these, if memory runs out, and for a wrong
-    class table or an unreadable ground truth."""
+    """Return the facts of the frames, the scene without unreadable frames, and warnings that name the unreadable ones.
+    ``tick`` and ``keep_within``: see `survey_scene`. Raises PlgsError for too many unreadable ones, if memory runs out,
+    and for a wrong class table or an unreadable ground truth."""
     looks: dict[str, _Look] = {}
     errors: dict[str, PlgsError] = {}
     total = len(scene.frames)
@@ -152,7 +152,7 @@ def _look(frame: Frame, unknown_truth: frozenset[int | str], keep_within: Size |
 
 
 def _check_colour(frame: Frame, decode: bool) -> int | None:
-    """Return the largest value of a 16-bit photo; None for other photos, and if it shall not ``decode``."""
+    """Return the largest value of a 16-bit photo; None for other photos, and unless ``decode`` is set."""
     path, is_image = frame.colour_path, frame.colour_path.suffix.lower() in IMAGES
     if decode:
         frame.read_colour(None)
@@ -197,7 +197,7 @@ def _pixel_warnings(facts: Sequence[FrameFacts]) -> Iterable[str]:
 
 
 def _colour_warnings(brightest: Mapping[str, int]) -> Iterable[str]:
-    """Yield warnings about 16-bit photos, into which cameras write 10, 12 or 14 bits. None is brightened."""
+    """Yield warnings about 16-bit photos, into which cameras write 10, 12 or 14 bits. PLGS does not brighten them."""
     name = max(brightest, key=brightest.__getitem__, default="")
     bits = next((bits for bits in _BITS if 0 < brightest.get(name, 0) < 1 << bits), None)  # 0: a covered lens
     if bits is not None:

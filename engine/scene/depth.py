@@ -88,8 +88,7 @@ def png_depth(path: Path, lens: Camera, unit: float = MILLIMETRES) -> DepthMap:
 
 
 def fault_of(path: Path) -> PlgsError | None:
-    """Return an error that tells why a file is empty or cut off, None if it is whole. Raises PlgsError if memory is
-    full."""
+    """Return an error that tells why a file is empty or cut off, else None. Raises PlgsError if memory is full."""
     try:
         whole_file(path)
     except PlgsError as error:

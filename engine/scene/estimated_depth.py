@@ -102,7 +102,7 @@ def _fit_line(values: Values, depths: Values, inverse: bool) -> DepthFit | None:
 
 
 def _relative_errors(values: Values, depths: Values, scale: Any, shift: Any, inverse: bool) -> Values:
-    """Return the errors, relative to ``depths``, of what scale and shift make of ``values``; inf for no depth."""
+    """Return the errors, relative to ``depths``, of the depth that ``values`` get by scale and shift; inf for none."""
     line = scale * values + shift
     with np.errstate(divide="ignore", invalid="ignore"):
         found = 1.0 / line if inverse else line
@@ -229,8 +229,9 @@ def _fitting(
     pictured: Mapping[str, Pictured],
     seen: Mapping[str, tuple[Values, Values]],
 ) -> tuple[Mapping[str, Path], dict[str, Placement], tuple[Inferred, ...]]:
-    """Return the pairing of frames and maps, the maps' placements, and what was inferred: those that fit the points
-    ``seen`` best, else the ``files`` and ``usual`` placements. ``find`` returns the maps of other frame names."""
+    """Return the pairing of frames and maps, the maps' placements, and what was inferred. If another pairing or
+    placement fits the points ``seen`` clearly better than ``files`` and ``usual``, it is returned, else these. ``find``
+    returns the maps of other frame names."""
     ways: list[tuple[Mapping[str, Path], dict[str, Placement], tuple[Inferred, ...]]] = []
     bent = any(each.lens for each in usual.values())
     straight = {name: Placement() for name in usual}

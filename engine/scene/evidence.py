@@ -64,5 +64,5 @@ def resolves(pixels: float, mask_scale: float) -> bool:
 
 
 def are_near(resolution: NDArray[np.floating], best: float) -> NDArray[np.bool_]:
-    """Return which views of a point are near, bool [V]: their ``resolution`` [V] there almost reaches the ``best``."""
+    """Return which views of a point are near, bool [V]: their ``resolution`` [V] of it almost reaches the ``best``."""
     return resolution >= NEAR * best

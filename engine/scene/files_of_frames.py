@@ -156,7 +156,7 @@ def of_same_name(names: Sequence[str], files: Mapping[str, Value]) -> Mapping[st
 
 def _with_addition(names: Sequence[str], files: Mapping[str, Value]) -> dict[str, Value]:
     """Pair frames with files whose stems are the frames' names with the same addition, or without the same beginning.
-    Of several, the addition that fits most frames is used."""
+    Of several additions, the one that fits most frames is used."""
     ways: set[tuple[str, str, str]] = set()
     for name in names[:: max(1, len(names) // _NAMES_TRIED)]:
         for stem in files:
@@ -179,6 +179,6 @@ def _with_addition(names: Sequence[str], files: Mapping[str, Value]) -> dict[str
 
 
 def _without(words: Collection[str], stem: str) -> tuple[int | str, ...]:
-    """Return a name's numbers and its words other than ``words``, for comparison; a name without numbers unchanged."""
+    """Return a name's numbers and its words other than ``words``, for comparison; if it has no number, all of it."""
     parts = [part for part in re.findall(r"\d+|[^\W\d_]+", stem.casefold()) if part not in words]
     return tuple(int(part) if part.isdecimal() else part for part in parts) if re.search(r"\d", stem) else (stem,)

@@ -89,7 +89,7 @@ def mapped(ids: NDArray[np.integer], values: Mapping[int, float], other: NDArray
 
 @dataclass(frozen=True, eq=False)
 class PanopticMask:
-    """A panoptic mask: segment ids, int32 [H, W], 0 = void, and segments. Ids differ between views; tracks don't."""
+    """A panoptic mask: segment ids, int32 [H, W], 0 = void, and segments. Ids differ between views; tracks do not."""
 
     ids: NDArray[np.int32]
     segments: tuple[Segment, ...]
@@ -119,7 +119,7 @@ class Evidence:
 
     def layers(self) -> tuple[PanopticMask, ...]:
         """Distribute the segments to panoptic pictures without overlaps. In descending order of score, each goes into
-        the first picture that is free at its pixels; its id there counts from 1."""
+        the first picture that is free at its pixels; the ids in each picture count from 1."""
         layers: list[tuple[NDArray[np.int32], list[Segment]]] = []
         for place in sorted(range(len(self.segments)), key=lambda place: -self.segments[place].score):
             inside = self.inside[place]
@@ -179,7 +179,7 @@ class Frame(PosedFrame):
 @dataclass(frozen=True, eq=False)
 class Scene(PosedScene):
     """Posed frames with their pixels, in recording order. ``warnings`` name what was ``left_out``, and the doubtful
-    part of what was ``inferred``. ``fps`` is the frame rate if the numbers in names count at one, else None."""
+    part of what was ``inferred``. ``fps`` is the frame rate by which the numbers in names count, None if unknown."""
 
     frames: tuple[Frame, ...]
     left_out: tuple[LeftOut, ...] = ()

@@ -72,8 +72,8 @@ _AROUND = 9  # frames with which a frame's sharpness is compared
 
 def frames_to_mask(scene: Scene, progress: Progress = unwatched) -> tuple[Frame, ...]:
     """Return the sharpest training frames that together see every surface TIMES times, or as often as all frames see
-    it; a share LEFT of these sightings may be missing. The same share of the held-out frames, evenly spread, is added.
-    If some frames have no depth, all are chosen. Raises PlgsError for bad depth."""
+    it; a share LEFT of these sightings may be missing. As large a share of the held-out frames as of the training
+    frames is added, evenly spread. If a training frame has no depth, all are chosen. Raises PlgsError for bad depth."""
     frames = scene.train_frames
     if not frames or any(frame.read_depth is None for frame in frames):
         return scene.frames

@@ -42,7 +42,7 @@ table whose 0 is a wall is recognised by its other numbers."""
 
 @dataclass(frozen=True)
 class Numbers:
-    """What ground truth's numbers mean: ``class_of`` maps them to the masks' classes, ``names`` to their table's."""
+    """What ground truth's numbers mean: ``class_of`` maps them to the masks' classes, ``names`` to their own names."""
 
     class_of: Mapping[int, int]
     names: Mapping[int, str] = field(default_factory=dict)
@@ -161,8 +161,8 @@ _FIX = "Correct it, or remove the ground truth: only the metrics need it."
 
 @dataclass(frozen=True)
 class GroundTruthReader:
-    """Reads one frame's ground truth. ``class_of`` maps its class ids to the masks'; ids that it lacks, or that have no
-    match there, become void. ``names`` are those of its own table, if it has one."""
+    """Reads one frame's ground truth. ``class_of`` maps the truth's class ids to the masks'; ids that ``class_of``
+    lacks become void. ``names`` are those of the truth's own table, if it has one."""
 
     semantic: Path
     instance: Path
@@ -178,7 +178,7 @@ class GroundTruthReader:
         return GroundTruth(semantic, instance)
 
     def unknown(self) -> frozenset[int | str]:
-        """Return the classes in the file that the masks lack, by name or id. Raises PlgsError if it is bad."""
+        """Return the classes in the file that the masks lack, by name or id. Raises PlgsError for a bad file."""
         check_image_file(self.instance)
         found, _ = distinct_ids(read_indices(self.semantic))
         lacking = frozenset(found.tolist()) - frozenset(self.class_of) - (IGNORED if self.names else {VOID})

@@ -85,7 +85,7 @@ def _fill_one(filled: Depths, depth: Depths, inside: Pixels, own: Pixels) -> Non
 
 
 def _plane(x: NDArray[np.intp], y: NDArray[np.intp], inverse: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Fit a x + b y + c to ``inverse`` depth [n] at pixels ``x``, ``y`` by robust least squares. Returns [3]."""
+    """Fit a x + b y + c to ``inverse`` depth [n] at pixels ``x``, ``y`` by robust least squares. Return [a, b, c]."""
     system = np.column_stack([x, y, np.ones(len(x))])
     weight = np.ones(len(x))
     solution = np.zeros(3)

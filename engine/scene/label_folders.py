@@ -41,7 +41,7 @@ _TABLE_FIX = 'Put COCO\'s panoptic.json, or a labels.json with its "classes", in
 
 @dataclass(frozen=True, eq=False)
 class LabelFolder:
-    """A folder of label images. ``readers`` read a frame's labels at their own size. ``classes`` may be None."""
+    """A folder of label images: its ``classes``, if known, and ``readers`` by frame, of labels at their own size."""
 
     folder: Path
     classes: ClassTable | None

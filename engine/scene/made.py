@@ -44,7 +44,7 @@ class MadeDepth:
 
     @classmethod
     def read(cls, beside: Path) -> MadeDepth | None:
-        """Read the note in the folder ``beside``; None if not all depth was made. Raises PlgsError if it is damaged."""
+        """Read the note in the folder ``beside``; None if there is no note. Raises PlgsError if it is damaged."""
         path = beside / DEPTH_FOLDER / MADE_BY
         content = read_note(path, _AGAIN)
         return None if content is None else record_of(cls, content, path, _AGAIN)
@@ -93,8 +93,8 @@ def made_depth(beside: Path, cameras: Mapping[str, Camera]) -> dict[str, DepthMa
 
 
 def scale_of(beside: Path) -> float:
-    """The factor that multiplies a scene's lengths, from the file of `engine scale` in ``beside``; 1 without. Raises
-    PlgsError if that is damaged."""
+    """The factor that multiplies a scene's lengths, from the file of `engine scale` in ``beside``; 1 without that file.
+    Raises PlgsError if that is damaged."""
     content = read_note(beside / SCALE, _AGAIN)
     return 1.0 if content is None else record_of(_Scale, content, beside / SCALE, _AGAIN).scale
 

@@ -71,8 +71,8 @@ class Placement:
 
 @dataclass(frozen=True)
 class KeptPixels:
-    """The pixels of a frame that count: those not black in the picture ``path``, which is like the photo as taken with
-    the photo's ``lens``. With ``is_photo`` it is the photo itself, and those that are not transparent."""
+    """The pixels of a frame that count. ``path`` is a picture like the photo as taken with the photo's ``lens``; its
+    black pixels do not count. With ``is_photo``, it is the photo itself, whose transparent pixels do not count."""
 
     path: Path
     lens: tuple[Camera, Distortion] | None = None

@@ -42,8 +42,8 @@ class OtherClasses(PlgsError):
 @dataclass(frozen=True)
 class MaskReader:
     """Reads one frame's ``stored`` mask and gives segments the classes of ``known``. Labels in ``void`` are ignored
-    unless the table has them. ``fuses`` joins stuff of one class into one segment. ``table`` is what messages call the
-    class table, ``others`` what else they suggest. ``placement`` maps the mask into the picture."""
+    unless the table has them. ``fuses`` joins stuff of one class into one segment. Messages call the class table
+    ``table``, and suggest ``others`` as well. ``placement`` maps the mask into the picture."""
 
     stored: StoredMask
     known: ClassMap
@@ -140,8 +140,8 @@ class MaskSet:
 
 
 def find_masks(source: SceneSource, scene: Path, pictured: Mapping[str, Pictured], progress: Progress) -> MaskSet:
-    """Find the masks of the frames in ``pictured``, and detections over them; an empty set without masks. Raises
-    PlgsError for bad files."""
+    """Find the masks of the frames in ``pictured``, and detections over them; return an empty set if the scene has no
+    masks. Raises PlgsError for bad files."""
     place = mask_place(scene, None if source.masks is None else Path(source.masks))
     kept = [each.kept.path for each in pictured.values() if each.kept is not None]
     are_kept = source.masks is None and place is not None and any(path.is_relative_to(place) for path in kept)

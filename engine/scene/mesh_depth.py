@@ -51,8 +51,8 @@ _EXPORT = "Export mesh and cameras from one program in one coordinate system, in
 
 
 class Seen(NamedTuple):
-    """What a camera sees of a mesh: ``depth`` float32 [H, W] in metres, 0 = none, and ``behind``, the share of the rays
-    meeting a surface that met its back. Backs have no depth, unless both sides of the mesh count."""
+    """What a camera sees of a mesh: ``depth`` float32 [H, W] in metres, 0 = none, and ``behind``: of the rays that meet
+    a surface, the share that meets its back. A back has no depth, unless both sides of the mesh count."""
 
     depth: NDArray[np.float32]
     behind: float
@@ -149,8 +149,8 @@ def outlines(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
 
 
 def _unshown(depth: NDArray[np.float32], ranks: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return the pixels around outlines of ``depth`` [H, W] without an edge in the photo, bool [H, W]. ``ranks`` [H, W]
-    are the strengths of edges."""
+    """Return the pixels near those outlines of the mesh that lie on no edge of the photo, bool [H, W]. ``depth`` [H, W]
+    is the mesh's; ``ranks`` [H, W] are the strengths of the photo's edges (`edge_ranks`)."""
     import cv2
 
     width = max(depth.shape)
@@ -173,7 +173,7 @@ class Look(NamedTuple):
 
 def _agreement(mesh: Mesh, look: Look) -> float:
     """Return how much stronger the photo's edges are on the mesh's outlines than on the rest of the mesh, as a
-    difference of mean ranks: 0 by chance, NaN if the frame shows too little of either."""
+    difference of mean ranks: 0 by chance, NaN if the frame shows too little of the outlines or of the mesh."""
     depth = mesh.seen(look.frame.camera, look.size).depth
     outline = outlines(depth) & np.isfinite(look.ranks)
     if (depth > 0.0).mean() < _LEAST_SEEN or outline.sum() < _LEAST_OUTLINE:
@@ -223,7 +223,7 @@ def with_mesh_depth(
 ) -> tuple[tuple[Frame, ...], tuple[LeftOut, ...], tuple[Inferred, ...]]:
     """The frames with depth cast from the mesh in the file ``path``, those left out because outlines and photo
     disagree, and what was inferred. ``turn``, float64 [3, 3], takes the poses' world to the scene's. Depth is cast when
-    it is read. Raises PlgsError, also for a mesh that stands elsewhere than the cameras, with a hint on how it fits."""
+    it is read. Raises PlgsError for a bad mesh and, with a hint on how it fits, for one that stands elsewhere."""
     mesh, inferred = _standing(read_mesh(path), path, frames, turn)
     kept, off = [], []
     for frame in watched(frames, progress):
@@ -253,7 +253,7 @@ def _look(frame: Frame) -> Look:
 
 
 def _contradicts(mesh: Mesh, look: Look) -> bool:
-    """Whether a frame sees nothing of the mesh, or its photo is smooth where the mesh has outlines."""
+    """Whether a frame sees nothing of the mesh, or the frame's photo is smooth where the mesh has outlines."""
     if (mesh.seen(look.frame.camera, size_within(look.size, (_COARSE, _COARSE))).depth > 0.0).mean() < _LEAST_SEEN:
         return True
     return bool(_agreement(mesh, look) < 0.0)  # False for NaN: nothing contradicts it

@@ -132,7 +132,7 @@ def numbered(source: MaskSource, choice: ClassChoice | None, where: Path, asking
 
 
 def _as_listed(source: MaskSource, choice: ClassChoice) -> MaskSource:
-    """Return the masks as read in that way, of two, whose kinds of classes agree best with an edited list."""
+    """Return the masks, read in the one of two ways in which kinds of classes agree best with an edited list."""
     rows = {row.id: row.thing for row in choice.rows}
     ways = [source] if source.apart is None else [source, source.apart]
     wrong_kinds = [sum(rows.get(n) != is_thing for n, is_thing in (way.kinds or {}).items()) for way in ways]
@@ -140,8 +140,8 @@ def _as_listed(source: MaskSource, choice: ClassChoice) -> MaskSource:
 
 
 def _agreeing_readings(source: MaskSource, choice: ClassChoice, where: Path) -> list[_Reading]:
-    """Return the readings that agree with what the files call things, the usual one first; all if the files say
-    nothing. Raises PlgsError if none agrees."""
+    """Return the readings that agree with what the files call things, the usual one first; all of them if the files
+    call nothing so. Raises PlgsError if none agrees."""
     readings = _readings(source, choice.table or "")
     agreeing = [each for each in readings if not _disagreements(each, choice)]
     wrong = [] if agreeing or source.kinds is None else _disagreements(readings[0], choice, is_known=True)
@@ -186,7 +186,7 @@ def _refuse_other_table(found: _Found, choice: ClassChoice, asking: Asking, wher
 
 
 def _doubts(found: _Found, asking: Asking) -> tuple[Inferred, ...]:
-    """Return a note why this numbering was chosen; none if there was no choice."""
+    """Return a note why this numbering was chosen; () if there was no choice."""
     chosen, reason = found.chosen, found.reason
     is_doubtful = chosen != found.every[0] or reason is None
     if not (is_doubtful or len(found.every) > 1 or found.alike):

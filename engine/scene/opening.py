@@ -206,7 +206,7 @@ def _of_lenses(shots: Sequence[Shot], cameras: Mapping[str, Camera], kept: Mappi
 
 
 def _depths(shots: Sequence[Shot], beside: Path, scale: float) -> tuple[dict[str, DepthMap], bool]:
-    """The shots' depth in metres, and whether `engine depth` made it, which is used only if no shot has its own."""
+    """The shots' depth in metres, and whether `engine depth` made it, which is used only if no shot has own depth."""
     of_shot = {shot.name: shot for shot in shots}
     found = of_most(list(of_shot), lambda name: _readable_depth(of_shot[name]))
     measured = {name: each for name, each in found.items() if each is not None}

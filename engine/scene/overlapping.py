@@ -63,9 +63,9 @@ class EvidenceReader:
 
 @dataclass(frozen=True)
 class Detections:
-    """The detections ``found`` by frame, the frames' ``sizes`` (width, height), and the ``labels``, None if unnamed.
-    Their pictures' ids may be readable in two ways: ``by_table`` says whether those of the masks' table were assumed,
-    and ``otherwise`` are the detections as read the other way."""
+    """The detections ``found`` by frame, the frames' ``sizes`` (width, height), and the ``labels``, None if unnamed. If
+    the detections' picture ids can be read in two ways, ``by_table`` says whether they were taken for ids of the masks'
+    table, and ``otherwise`` are the detections as read the other way."""
 
     path: Path
     sizes: Mapping[str, Size]
@@ -76,8 +76,8 @@ class Detections:
     otherwise: Detections | None = None
 
     def joined(self, labels: Sequence[ClassLabel]) -> tuple[dict[int, int], tuple[ClassLabel, ...]]:
-        """Map each label of the detections to the masks' label of the same name. Returns this, and the classes that the
-        masks' ``labels`` lack, with free numbers. Raises PlgsError if a number's meaning is unknown."""
+        """Map each label of the detections to the masks' label of the same name. Returns this mapping, and the classes
+        that the masks' ``labels`` lack, with free numbers. Raises PlgsError if a number's meaning is unknown."""
         used = sorted({one.label for each in self.found.values() for one in each if one.label is not None})
         if not used and any(self.found.values()):
             raise PlgsError("no-class-names", "the detections have no classes", self.path, _FIX, option="--detections")
@@ -115,7 +115,7 @@ def open_detections(path: Path, masks: Path, sizes: Mapping[str, Size], progress
 
 
 def _labels(table: DetectionTable, masks: Path) -> tuple[ClassLabel, ...] | None:
-    """Return the classes that the file names, or a classes.toml beside it, if not the masks'; None without either."""
+    """Return the classes that the file or a classes.toml beside it (not the masks' own) names; None without either."""
     path, labels = table.path, table.labels
     choice = find_class_choice(None, path.parent) if path.parent != masks else None
     if labels is None and choice is not None:

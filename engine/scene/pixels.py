@@ -81,7 +81,7 @@ def image_bytes(
 
 
 def largest_of_16_bits(path: Path) -> int | None:
-    """Return the largest colour value of a 16-bit PNG without alpha; None for others. Raises PlgsError for damage."""
+    """Return the largest colour value of a 16-bit PNG without alpha, else None. Raises PlgsError for damage."""
     if read_image_header(path).bit_depth != 16:
         return None
     pixels = decode(path, as_colour=False)
@@ -110,7 +110,7 @@ def decode_depth(path: Path, fix: str) -> NDArray[Any]:
 
 
 def equal_channels(pixels: NDArray[Any]) -> NDArray[Any] | None:
-    """Return a picture's only channel, or its first if all but alpha are equal, [H, W]; otherwise None."""
+    """Return a picture's grey values [H, W] if it has one channel, or equal channels except alpha; otherwise None."""
     if pixels.ndim == 2:
         return pixels
     are_equal = bool((pixels[..., :3] == pixels[..., :1]).all())
@@ -202,7 +202,7 @@ def label_map_size(path: Path) -> Size:
 
 
 def label_header(path: Path) -> ImageHeader:
-    """Return the header of a PNG of labels: one channel, a palette, or equal channels. Raises PlgsError for others."""
+    """Return a header of a PNG of labels: one channel, a palette, or equal channels. Raises PlgsError for any other."""
     header = read_image_header(path)
     is_grey = header.channels == 1 or (header.format == "png" and equal_channels(decode(path, False)) is not None)
     if header.format != "png" or not is_grey:
@@ -233,7 +233,7 @@ def read_label_map(path: Path) -> NDArray[np.int64]:
 
 
 def whole_numbers(values: NDArray[np.generic], path: Path) -> NDArray[np.int64]:
-    """Return ids as int64 [...], also from floats that are whole numbers. Raises PlgsError for others."""
+    """Return ids as int64 [...], also from floats that are whole numbers. Raises PlgsError for other values."""
     numbers = values.astype(np.int64) if values.dtype.kind in "biu" else None
     if values.dtype.kind == "f" and np.isfinite(values).all() and bool((values == np.floor(values)).all()):
         numbers = values.astype(np.int64)

@@ -45,7 +45,7 @@ class SceneReport:
     ``depth_range`` is the nearest, median and farthest depth in metres, ``segments_per_frame`` the fewest, the median
     and the most; None without depth or masks. ``void_share`` is the fraction of mask pixels without a label.
     ``classes`` are those that occur. ``extent`` is the box around the cameras' centres, in metres along x, y, z.
-    ``warnings`` are those besides ``left_out`` and ``inferred``."""
+    ``warnings`` are further ones than ``left_out`` and ``inferred``."""
 
     folder: Path
     format: str
@@ -141,8 +141,8 @@ def list_classes(source: SceneSource, table: str | None = None) -> ClassList:
 
 def write_class_list(source: SceneSource, edited: Path) -> Path:
     """Write the classes.toml beside a scene's masks from an edited ClassList, which is in a JSON file, and return its
-    path. Colours of an existing one are kept, and one that we did not write is renamed to "classes.before.toml". Raises
-    PlgsError for a list of another scene, and for a class without a name."""
+    path. The colours of an existing classes.toml are kept; one that PLGS did not write is renamed to
+    "classes.before.toml". Raises PlgsError for a list of another scene, and for a class without a name."""
     content: dict[str, Any] = read_object(edited, _AGAIN)
     listed, path = record_of(ClassList, content, edited, _AGAIN), class_list_path(source.scene, source.masks)
     if not listed.rows:

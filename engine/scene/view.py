@@ -32,7 +32,7 @@ SEAM = 2  # pixels beside a border that resampling and JPEG have blended with it
 
 def border_mask(colour: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Return the pixels of a full-size picture, uint8 [H, W, 3], that belong to a black border, bool [H, W]. A border
-    is thin, black, smooth and along a side; dark things there reach farther in, are ragged or are not quite black."""
+    is thin, black, smooth and along a side; dark things reach farther in, are ragged or are not quite black."""
     import cv2
 
     sides = (colour[0], colour[-1], colour[:, 0], colour[:, -1])
@@ -74,8 +74,7 @@ class View:
     """A frame's pixels at the size of ``camera``: colour uint8 [H, W, 3], depth float32 [H, W] metres (0 = none) and
     mask. ``border`` bool [H, W] marks pixels of a black border and those that do not count; None if there are none.
     ``mask_scale`` is the side of a pixel in pixels of the frame's own mask. ``layers`` are the detections over the
-    mask, sorted into masks without overlaps. A view that `layer` made of one of them has in ``frame`` the name of the
-    frame; others have ""."""
+    mask, sorted into masks without overlaps. If `layer` made the view, ``frame`` is the frame's name, else ""."""
 
     name: str
     camera: Camera
@@ -223,7 +222,7 @@ def stored(arrays: Iterable[NDArray[Any]], folder: Path | None = None) -> OnDema
 
 class StoredViews(OnDemand[View]):
     """Views on disk, in order, each read back on demand, bit for bit, as a long scan does not fit into memory. They are
-    stored one after another in ``folder`` (see StoredArrays). ``stored`` is called with their number so far."""
+    stored one after another in ``folder`` (see StoredArrays). ``stored`` is called with the number stored so far."""
 
     def __init__(
         self, views: Iterable[View], folder: Path | None = None, stored: Callable[[int], object] | None = None

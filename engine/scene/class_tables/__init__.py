@@ -99,7 +99,7 @@ def reduced_by_name(name: str, with_raw: bool = False) -> int | None:
 
 @cache
 def _reduced_names() -> dict[str, int]:
-    """Return the class among the paper's 21 for each name in a table; the first table counts."""
+    """Return the class among the paper's 21 for each name in a table; the first with the name counts."""
     found: dict[str, int] = {}
     for known in map(known_table, _OF_NETWORKS):
         for label in known.labels:

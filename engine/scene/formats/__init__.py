@@ -64,8 +64,8 @@ _UNPACK = "python -m zipfile -e FILE FOLDER"
 
 def find_format(place: Path, name: str | None = None) -> SceneFormat:
     """Return the format called ``name``, or the one that recognises the folder or file ``place``. Plain folders come
-    before others, as they often also hold what they were made from. Raises PlgsError for an unknown name, and if no
-    other format or more than one recognises it."""
+    before others, as they often also hold what they were made from. Raises PlgsError for an unknown name, and if none
+    of the others, or more than one, recognises it."""
     if not place.exists():
         raise PlgsError("no-folder", "the folder does not exist", place, "Name the folder of a scene.")
     known = {each.name: each for each in FORMATS}

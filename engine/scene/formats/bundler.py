@@ -107,8 +107,8 @@ def _shot(name: str, row: NDArray[np.float64], path: Path, picture: Path) -> Sho
 
 
 def _points(values: NDArray[np.float64], count: int, names: Sequence[str], path: Path) -> SparsePoints | None:
-    """Return the sparse points, and which of them each picture shows; None if there are none. Raises PlgsError if
-    ``values``, the file's numbers after the cameras, are none or end too early for ``count`` points."""
+    """Return the sparse points, and which of them each picture shows; None if ``count`` is 0. ``values`` are the file's
+    numbers after the cameras. Raises PlgsError if they are no numbers, or end too early for ``count`` points."""
     check_count(count, "points", path, _FIX, most=10**7, room=len(values) // (_POINT + 1), made=200)
     if not (np.abs(values) < _LARGEST).all():  # False for NaN
         raise PlgsError("not-numbers", "a point has values that are no numbers", path, _FIX)

@@ -78,7 +78,7 @@ class Capture:
 
 
 def with_picture(picture: Path, make: Callable[[], Shot | None] | None) -> Found:
-    """Return ``make()``, None without ``make`` (no pose), or the error if the header of ``picture`` cannot be read."""
+    """Return ``make()``, or the error if ``picture``'s header is bad; None without ``make``, for lack of a pose."""
     return None if make is None else fault_of(picture) or make()
 
 
@@ -104,7 +104,7 @@ def shots_of(
 
 
 def only_file(place: Path, suffix: str) -> Path | None:
-    """Return the file with this suffix: ``place`` itself, or the only one in it; else None."""
+    """Return the file with this suffix: ``place`` itself, or the only such file in that folder; else None."""
     if place.is_file():
         return place if place.suffix.lower() == suffix else None
     found = [path for path in shown_files(place, f"*{suffix}") if path.is_file()]

@@ -49,7 +49,7 @@ def _find_model(place: Path) -> Path | None:
 
 
 def _has_depth(place: Path) -> bool:
-    """Whether there are depth maps, rather than the empty folders that COLMAP's image_undistorter creates for them."""
+    """Whether ``place`` has depth maps, not only the empty folders that COLMAP's image_undistorter creates for them."""
     return any((place / _DEPTH_MAPS).rglob("*.bin"))
 
 

@@ -39,8 +39,7 @@ def pinhole(
 
 
 def fitted(lens: Camera, picture: Path, fix: str) -> Camera:
-    """Return ``lens`` scaled to the size of an image file. Raises PlgsError, with ``fix`` as advice, if the shapes
-    differ."""
+    """Return ``lens`` scaled to an image file's size. Raises PlgsError, with ``fix`` as advice, for another shape."""
     size = read_image_header(picture).size
     if not same_shape(size, lens.size):
         what = f"the picture is {shown_size(size)}, but its camera is {shown_size(lens.size)}"
@@ -49,7 +48,7 @@ def fitted(lens: Camera, picture: Path, fix: str) -> Camera:
 
 
 def assumed(whose: str, lens: Camera, file: str) -> Inferred:
-    """A note that the lens of ``whose`` camera is assumed, as no file describes it; ``file`` is where a user can."""
+    """A note that the lens of ``whose`` camera is assumed, as no file describes it; a user can write ``file``."""
     values = " ".join(f"{value:.6g}" for value in (lens.fx, lens.fy, lens.cx - 0.5, lens.cy - 0.5))
     taken = f"{whose} lens is assumed ({values} for {shown_size(lens.size)})"
     return Inferred("lens", taken, f"no file describes it; if it is different, write it into {file}")
@@ -142,7 +141,7 @@ def of_colmap(model: str, rest: Sequence[float]) -> Distortion | None:
 
 def undistorted(pixels: NDArray[Any], lens: Camera, distortion: Distortion, path: Path, smooth: bool) -> NDArray[Any]:
     """Return a picture, depth map or mask [H, W, ...] as a pinhole camera of the same intrinsics sees it; 0 beyond its
-    edges. ``smooth`` interpolates. Raises PlgsError, naming ``path``, if little is left of it."""
+    edges. ``smooth`` interpolates. Raises PlgsError, naming ``path``, if little of the picture is left."""
     import cv2
 
     height, width = pixels.shape[:2]
@@ -162,7 +161,7 @@ def _source_pixels(
     size: Size, lens: tuple[float, float, float, float], distortion: Distortion
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
     """For each pixel of the undistorted picture, its position in the distorted one, float32 [H, W] x and y with pixel
-    centres at integers, and the fraction of them that lies inside it. ``lens``: fx, fy, cx, cy."""
+    centres at integers, and the fraction of positions that lies inside that. ``lens``: fx, fy, cx, cy."""
     (width, height), (fx, fy, cx, cy) = size, lens
     across, down = (np.arange(width) + 0.5 - cx) / fx, (np.arange(height) + 0.5 - cy) / fy
     with np.errstate(all="ignore"):

@@ -159,7 +159,7 @@ def _shot(name: str, frame: Mapping[str, Any], path: Path) -> Shot | None:
 
 
 def _applied_scale(entry: dict[str, Any], path: Path) -> float:
-    """Return what the file's poses and points were multiplied by. Its depth was not: it is in metres."""
+    """Return the factor by which the file's poses and points were multiplied. Its depth, in metres, was not."""
     if "applied_scale" not in entry:
         return 1.0
     return take_number(entry, "applied_scale", "the file", path, least=1e-6, most=1e6)
@@ -189,7 +189,7 @@ def _beside(path: Path, name: str) -> Path | None:
 
 
 def _lens(entry: dict[str, Any], size: Size, context: str, path: Path) -> Camera:
-    """Return a camera at the origin, at its intrinsics' size, perhaps not the image's. Raises PlgsError without any."""
+    """Return a camera at the origin, of the intrinsics' own size. Raises PlgsError if ``entry`` has no intrinsics."""
     width, height = (
         take_number(entry, key, context, path) if key in entry else float(side)
         for key, side in zip("wh", size, strict=True)
@@ -264,7 +264,7 @@ _PLY_FIX = "Write a PLY whose first element is vertex, with x, y, z."
 
 
 def read_ply_points(path: Path) -> SparsePoints:
-    """Read the vertices of a PLY (ASCII or binary) as points, white without colours. Raises PlgsError for others."""
+    """Read a PLY's vertices (ASCII or binary) as points, white without colours. Raises PlgsError for other files."""
     data = read_file(path, _MOST_BYTES)
     header = ply_header(data)
     if not header.end:

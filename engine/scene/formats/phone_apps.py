@@ -80,8 +80,9 @@ def _has_size(entry: dict[str, Any]) -> bool:
 
 
 def _size(entry: dict[str, Any], image: Path, path: Path, raw: Path | None) -> tuple[float, ...]:
-    """Return the width and height that a camera's intrinsics refer to. If its ``entry`` does not say, they are those of
-    its ``image``, or of ``raw`` (the camera before optimisation) if its middle is nearer to the principal point."""
+    """Return the width and height that a camera's intrinsics refer to. If its ``entry`` does not say, take from the
+    sizes of ``image`` and ``raw`` (the camera before optimisation) the one whose middle is nearer to the principal
+    point."""
     if _has_size(entry):
         return tuple(take_number(entry, key, "the camera", path) for key in _SIZE)
     sizes: list[tuple[float, ...]] = [read_image_header(image).size]

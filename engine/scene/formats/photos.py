@@ -44,7 +44,7 @@ def pictures_by_stem(place: Path) -> dict[str, Path]:
 
 def picture_of(photos: Mapping[str, Path], label: str) -> Path | None:
     """Return which of ``pictures_by_stem`` is meant by another program's label for a camera: a name or a path, perhaps
-    of Windows, with or without its suffix; None if none is."""
+    of Windows, with or without its suffix; None if it means no photo."""
     name = PurePosixPath(label.replace("\\", "/"))
     return photos.get(name.name) or photos.get(name.stem)
 
@@ -110,7 +110,7 @@ class Video:
         return np.ascontiguousarray(pixels[..., ::-1])
 
     def _numbers(self, *properties: int) -> list[int]:
-        """Return numbers from its header, by OpenCV's ``properties``. Raises PlgsError if there is no video."""
+        """Return numbers from the file's header, by OpenCV's ``properties``. Raises PlgsError if it is no video."""
         with self._lock:
             self._go_to(0)
             return [int(self._capture.get(each)) for each in properties]

@@ -50,7 +50,7 @@ def quaternion_pose(wxyz: Sequence[float], position: Sequence[float], path: Path
 
 
 def nearest(times: Sequence[float], time: float, most: float) -> int | None:
-    """Return the index of the closest of ascending ``times``, or None if it is more than ``most`` away."""
+    """Return the index of the closest of ascending ``times``, or None if that time is more than ``most`` away."""
     after = bisect_left(times, time)
     near = [i for i in (after - 1, after) if 0 <= i < len(times) and abs(times[i] - time) <= most]
     return min(near, key=lambda i: abs(times[i] - time), default=None)
@@ -64,8 +64,8 @@ class Row(NamedTuple):
 
 
 def read_rows(path: Path, fix: str, separator: str | None = None, titles: bool = False) -> Iterator[Row]:
-    """Yield the non-empty rows of a text file, with the row of ``titles`` if asked. ``separator`` None: spaces. Raises
-    PlgsError, with ``fix`` as the advice, if it is no text."""
+    """Yield the non-empty rows of a text file, with a row of column titles only if ``titles`` is set. ``separator``
+    None: spaces. Raises PlgsError, with ``fix`` as the advice, for other files."""
     for number, line in enumerate(read_text(path, LARGEST_TABLE, fix).splitlines(), start=1):
         words = [word.strip() for word in line.partition("#")[0].split(separator)]
         # TUM's column titles are comments; some tools remove the #.
@@ -86,7 +86,7 @@ def numbers(row: Row, path: Path, fix: str, count: int | None = None) -> NDArray
 
 
 def matrix_rows(path: Path, fix: str) -> Iterator[NDArray[np.float64]]:
-    """Yield matrices, float64 [4, 4], from lines of 16 numbers, or 12 (no last row). Raises PlgsError for others."""
+    """Yield matrices, float64 [4, 4], from lines of 16 or 12 numbers (no last row). Raises PlgsError for other text."""
     for row in read_rows(path, fix):
         values = numbers(row, path, fix)
         if len(values) not in (12, 16):

@@ -35,7 +35,7 @@ def _titles(line: str) -> list[str]:
 
 
 def _file(place: Path) -> Path | None:
-    """Return the table, recognised by its titles: ``place`` itself, or the first in it; None without one."""
+    """Return the table, recognised by its titles: ``place`` itself, or the first in that folder; None without one."""
     for path in [place] if place.is_file() else sorted(shown_files(place, "*.csv")):
         try:
             with open_plain(path) as file:

@@ -176,7 +176,7 @@ def _read_exr(path: Path) -> NDArray[np.float32]:
 
 
 def _lens(metadata: dict[str, Any], number: int, path: Path) -> Camera:
-    """Return a picture's camera at the origin. Where pixels count from, the file does not say; corners are assumed."""
+    """Return a picture's camera at the origin. The file does not tell where pixels count from: corners are assumed."""
     width, height = (take_number(metadata, key, "metadata", path) for key in "wh")
     each, whose = metadata.get("perFrameIntrinsicCoeffs"), f"frame {number}"
     if isinstance(each, list) and len(each) > number:
@@ -195,7 +195,7 @@ def _read_depth(
     archive: _Archive, name: str, confidence: str | None, size: Size | None, camera: Camera
 ) -> NDArray[np.float32]:
     """Read planar depth, float32 [H, W] metres, 0 = none. ``name`` and ``confidence`` are entries of the archive;
-    ``size`` is that of depth, None if not given."""
+    ``size`` is the depth's, None if not given."""
     width, height = size or max(_DEPTH_SIZES)  # the largest bounds what is unpacked
     values = np.frombuffer(_unpacked(archive, name, 4, min(width * height, _MOST_DEPTHS)), "<f4")
     if size is None:  # that of a sensor, in the picture's orientation

@@ -72,7 +72,7 @@ def _shot(path: Path, depth: Path | None, unit: float, lens: Camera | None, pose
 
 
 def _read_parameters(place: Path) -> tuple[Camera, float] | None:
-    """Return the lens and the unit of depth in metres, from a file there or in the folder above; None without it."""
+    """Return the lens and depth's unit in metres, from a file in ``place`` or the folder above; None without one."""
     files = (folder / "cam_params.json" for folder in (place, place.parent))
     path = next((path for path in files if path.is_file()), None)
     if path is None:

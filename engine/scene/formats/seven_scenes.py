@@ -89,7 +89,7 @@ def _read(place: Path, progress: Progress) -> Capture:
 
 
 def _info_numbers(info: dict[str, str], key: str, path: Path, count: int) -> NDArray[np.float64]:
-    """Return the numbers of a line, float64 [count]; a single one must be above 0. Raises PlgsError otherwise."""
+    """Return the ``count`` numbers of a line; if only one is wanted, it must be above 0. Raises PlgsError otherwise."""
     try:
         values = np.array([float(word) for word in info.get(key, "").split()])
     except ValueError:
@@ -110,7 +110,7 @@ def _info_lens(info: dict[str, str], kind: str, path: Path) -> Camera:
 def _capture(
     place: Path, progress: Progress, shot: _Reader, warnings: tuple[str, ...] = (), inferred: tuple[Inferred, ...] = ()
 ) -> Capture:
-    """Return all frames, which ``shot`` opens; None for those whose pose is missing or not finite."""
+    """Return all frames, which ``shot`` opens. A frame whose pose is missing or not finite is None."""
     kinds = ("frame-*.pose.txt", "frame-*.color.*")
     files = {path for folder in _folders(place) for kind in kinds for path in shown_files(folder, kind)}
     bases = {path.with_name(path.name.partition(".")[0]) for path in files}

@@ -43,7 +43,7 @@ _LENS_FIX = f"Write fx fy cx cy of the pictures, and k1 k2 p1 p2 k3 if they are 
 @dataclass(frozen=True)
 class _Lens:
     """Intrinsics with integer pixel centres, and OpenCV's distortion coefficients. ``up`` is the up axis of scenes
-    taken with this lens, ``size`` the size of its pictures, None for any."""
+    taken with this lens, ``size`` the size of its pictures, None for any size."""
 
     fx: float
     fy: float
@@ -110,7 +110,7 @@ def _read(place: Path, progress: Progress) -> Capture:
 
 
 def _pairs(place: Path) -> list[tuple[_Stamped, _Stamped | None]]:
-    """Return the colour images in order of time, each with the depth image closest in time, None if that is too far."""
+    """Return the colour images by time, each with the depth image closest in time, None if that is too far in time."""
     lists = [place / name for name in ("associations.txt", "associated.txt") if (place / name).is_file()]
     if lists:
         pairs = []

@@ -40,8 +40,8 @@ _LARGEST_SEGMENT_ID = 256**3 - 1  # the ids are R + 256 G + 65536 B
 
 
 def _read_mask(png: Path, table: str, segments: tuple[FoundSegment, ...], crowd_ids: frozenset[int]) -> FoundMask:
-    """Read one frame's mask with these ``segments``; those of ``crowd_ids``, which are uncounted objects, become void.
-    ``table`` is the JSON's name, for messages."""
+    """Read one frame's mask with these ``segments``; segments in ``crowd_ids``, which are uncounted objects, become
+    void. ``table`` is the JSON's name, for messages."""
     ids = _read_ids(png)
     found, _ = distinct_ids(ids)
     unknown = sorted({*found.tolist()} - {0} - {segment.id for segment in segments} - crowd_ids)
@@ -99,8 +99,8 @@ def _read(place: Path, names: Sequence[str], progress: Progress) -> MaskSource:
 def read_categories(
     content: dict[str, Any], table: Path, key: str = "categories", kind: str = "isthing", *, may_lack: bool = False
 ) -> tuple[ClassLabel, ...]:
-    """The classes that a table lists under ``key``, by ascending id. ``kind`` is the key that says whether one is a
-    thing; if it ``may_lack``, the name decides. Raises PlgsError for a repeated or impossible id."""
+    """The classes that a table lists under ``key``, by ascending id. ``kind`` is the key that says whether a class is a
+    thing; if classes ``may_lack`` it, their name decides. Raises PlgsError for a repeated or impossible id."""
     found: dict[int, ClassLabel] = {}
     for position, entry in enumerate(take_objects(content, key, "the file", table)):
         context = f"category {position}"

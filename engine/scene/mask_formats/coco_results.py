@@ -61,8 +61,8 @@ class DetectedSegment:
     track: int | None = None
 
     def inside(self, path: Path, size: Size | None = None) -> NDArray[np.bool_]:
-        """Return its pixels at ``size`` (width, height), chosen as by `resize_nearest`, or at its own; bool [H, W].
-        Time and memory grow with that size. Raises PlgsError for damaged run lengths, with ``path`` as their file."""
+        """Return the detection's pixels, bool [H, W], at ``size`` (width, height), chosen as by `resize_nearest`, or at
+        its own. Time and memory grow with it. Raises PlgsError for damaged run lengths, with ``path`` as their file."""
         width, height = self.size
         counts = _counts_of(self.runs)
         if not len(counts) or counts.min() < 0 or counts.sum() != width * height:

@@ -136,8 +136,8 @@ def _key(path: Path, what: str) -> str:
 
 
 def _labels(frames: Iterable[Sequence[Detection]]) -> tuple[dict[str, int], tuple[ClassLabel, ...] | None]:
-    """Return a number for each class label, and the classes if the file names them (None if it has only numbers, whose
-    table the user must name)."""
+    """Return a number for each class label, and the classes that the file names. These are None if the labels are only
+    numbers, whose table the user must name."""
     words = {one.word for found in frames for one in found}
     numbers = {word: number for word in words if (number := whole_number(word)) is not None}
     if len(numbers) == len(words) and max(numbers.values(), default=0) < LARGEST_CLASS_ID:

@@ -116,7 +116,7 @@ _LARGEST_OBJECT = 65535
 
 
 def _read_mask(array: Path, table: str, segments: Mapping[int, FoundSegment]) -> FoundMask:
-    """Read one frame's mask from a .npy of object numbers. ``segments`` are by number. Raises PlgsError for others."""
+    """Read a frame's mask from a .npy of object numbers. ``segments`` are by number. Raises PlgsError for bad files."""
     ids = read_label_map(array)
     present = [int(value) for value in np.unique(ids) if value]
     unknown = [value for value in present if value not in segments]

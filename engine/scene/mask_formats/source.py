@@ -61,7 +61,7 @@ class StoredMask:
 
     @property
     def about(self) -> str:
-        """What else the result of ``read`` depends on besides files, such as the segments listed in a table."""
+        """What the result of ``read`` depends on besides files, such as the segments listed in a table."""
         given = ((one, one if isinstance(one, tuple) and one else (one,)) for one in self.read.args)
         return repr([one for one, parts in given if not all(isinstance(part, Path) for part in parts)])
 
@@ -140,7 +140,7 @@ def painted_files(paths: Sequence[Path], segments: Sequence[FoundSegment], size:
 
 
 def pile(paths: Sequence[Path], segments: Sequence[FoundSegment], fix: str) -> StoredMask:
-    """Return a frame's mask that is stored as one PNG per segment. Raises PlgsError if there is none of them."""
+    """Return a frame's mask that is stored as one PNG per segment. Raises PlgsError if the first one is bad."""
     size = label_header(paths[0]).size
     return StoredMask(paths[0], size, partial(painted_files, (*paths,), segments, size, fix))
 
