@@ -54,15 +54,15 @@ class _Fitted:
     grid: Values
 
     def at(self, places: Values) -> Values:
-        """The logarithm of the corrected depth at ``places`` [N, 2], [N], from the small map; NaN without depth."""
+        """Return the logarithm of the corrected depth at ``places`` [N, 2], [N], by the small map; NaN: no depth."""
         depth = values_at(self.depth, places).astype(np.float64)
         index, weight = _corners(places)
         with np.errstate(divide="ignore"):
             return np.where(depth > 0.0, np.log(depth), np.nan) + (self.grid.ravel()[index] * weight).sum(axis=1)
 
     def terms(self, places: Values) -> tuple[NDArray[np.int64], Values]:
-        """Return how the logarithm of depth at ``places`` [N, 2] depends on the frame's unknowns: their indices and its
-        derivatives, [N, 5] each. The unknowns are the grid's values and the shift, in median depths."""
+        """Return the unknowns that the logarithm of depth at ``places`` [N, 2] depends on, as indices, and the
+        derivatives by them, [N, 5] each. The unknowns are the grid's values, then the shift in median depths."""
         index, weight = _corners(places)
         depth = np.exp(self.at(places)) / self.middle
         slope = -depth if self.fit.is_inverse else 1.0 / depth
@@ -158,7 +158,7 @@ def _seen(one: _Fitted, other: _Fitted, places: Values) -> _Seen:
 
 
 def _neighbours(fitted: Sequence[_Fitted]) -> list[tuple[int, int]]:
-    """Return pairs (i, j) of frames' indices: each i with those j that see most of the surfaces that it sees."""
+    """Return pairs (i, j) of frames' indices: each i with those j that see most of the surfaces that i sees."""
     few, pairs = _places((6, 8)), []
     for i, one in enumerate(fitted):
         shares = [(np.abs(_seen(one, other, few).ratio) < _SAME[0]).sum() / len(few) for other in fitted]
@@ -169,8 +169,8 @@ def _neighbours(fitted: Sequence[_Fitted]) -> list[tuple[int, int]]:
 
 
 def _solved(fitted: Sequence[_Fitted], pairs: Sequence[tuple[int, int]], same: float) -> list[_Fitted]:
-    """Do a round of robust least squares. Returns the frames with corrections with which the points and the ``pairs``
-    of frames agree best. A pixel of a pair counts if the logarithms of its depths differ by less than ``same``."""
+    """Do a round of robust least squares. Returns the frames, corrected so that the points and the ``pairs`` of frames
+    agree best. A pixel of a pair counts if the logarithms of its depths differ by less than ``same``."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.linalg import spsolve
 

@@ -72,7 +72,7 @@ def _map_of(name: str, network: Any, processor: Any, colour: NDArray[np.uint8]) 
 
 def make_depth(scene: Scene, folder: Path, network: DepthNetwork, follow: Follow) -> list[str]:
     """Make the depth of every frame below ``folder``, continuing an earlier run; returns warnings. ``follow`` is called
-    with (done, total). Raises PlgsError for depth of another network or other photos, or too few points; OSError."""
+    with (done, total). Raises PlgsError for depth of another network or of other photos, or few points; OSError."""
     place, scale = folder / DEPTH_FOLDER, scale_of(folder)  # stored in the poses' own unit
     names = [frame.name for frame in scene.frames]
     photos = dict(zip(names, digests_of_files([(frame.colour_path,) for frame in scene.frames]), strict=True))

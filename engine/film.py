@@ -114,7 +114,7 @@ def say_terms(name: str, events: EventWriter) -> None:
 
 def depth_scene(scene: Scene, folder: Path, wish: Wish, events: EventWriter, stop: StopSignal) -> None:
     """Make a scene's depth maps in ``folder`` with the network ``wish.depth``, or continue an earlier run. Raises
-    PlgsError if it cannot be loaded or does not fit the scene; OSError; Cancelled."""
+    PlgsError if the network cannot be loaded or does not fit the scene; OSError; Cancelled."""
     from .depth_making import load_depth_network, make_depth
 
     name = _resolved(wish.depth)
@@ -131,7 +131,7 @@ def depth_scene(scene: Scene, folder: Path, wish: Wish, events: EventWriter, sto
 
 def mask_scene(scene: Scene, folder: Path, wish: Wish, events: EventWriter, stop: StopSignal) -> int | None:
     """Make a scene's masks in ``folder`` with the network ``wish.masks``, or continue an earlier run. Returns how many
-    frames have them, or None if all had them before. Raises PlgsError if it cannot be loaded or others exist."""
+    frames have them, or None if all had them before. Raises PlgsError for a bad network or other masks."""
     from .mask_networks import load_model
     from .segment import MERGES, begin_job, make_masks
 

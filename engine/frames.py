@@ -180,8 +180,8 @@ def cloud_strides(frames: Sequence[Frame]) -> dict[str, int]:
 
 
 def add_to_cloud(builder: CloudBuilder, frame: Frame, stride: int) -> None:
-    """Add every ``stride``-th pixel of a frame's picture, or as densely of its depth if that is smaller. Raises
-    PlgsError for bad files, OSError."""
+    """Add points of a frame's depth, as dense as every ``stride``-th pixel of its picture, which often has more pixels
+    than the depth. Raises PlgsError for bad files, OSError."""
     depth = frame.depth(None)
     height, width = depth.shape
     # The stride is that of the picture; depth often has fewer pixels.

@@ -39,7 +39,7 @@ def read_plain(path: Path, most_bytes: int) -> bytes:
 
 
 def refuse_special(path: Path) -> None:
-    """Raise OSError if this is not a plain file, before a library opens it by its name."""
+    """Raise OSError if ``path`` is not a plain file. Call it before a library opens that path."""
     if not S_ISREG(os.stat(path).st_mode):
         raise _special(path)
 

@@ -26,7 +26,7 @@ Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
 
 
 def plain(value: object) -> Json:
-    """Return the value in JSON's own types: paths become text, NaN and infinity null. Raises TypeError for others."""
+    """Return the value in JSON's types: paths become text, NaN and infinity null. Raises TypeError for other types."""
     if value is None or isinstance(value, bool | str):  # before Integral, which bool is, too
         return value
     if isinstance(value, os.PathLike):
@@ -118,7 +118,7 @@ def _bounded(digits: str) -> int:
 
 
 def whole_number(text: str) -> int | None:
-    """The whole number in a text of at most 18 decimal digits, such as a JSON key or part of a name, else None."""
+    """Return the whole number in a text of at most 18 decimal digits, such as a JSON key; None for other texts."""
     return int(text) if text.isdecimal() and len(text) <= 18 else None
 
 
@@ -164,8 +164,7 @@ def take_whole_number(
 def take_number(
     entry: dict[str, Any], key: str, context: str, path: Path, *, least: float = -1e300, most: float = 1e300
 ) -> float:
-    """Return the finite number ``entry[key]`` in ``least``..``most``, or raise PlgsError; ``context`` says whose it
-    is."""
+    """Return the finite number ``entry[key]`` in ``least``..``most``, else raise PlgsError; see `take_list`."""
     value = _take(entry, key, context, path)
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
         raise wrong_type(key, "a number", value, context, path)

@@ -36,7 +36,7 @@ KNOWN = {each.name: each for each in (*MASKS, *DEPTH)}
 
 
 def known_network(name: str) -> KnownNetwork | None:
-    """Return the network called ``name``, perhaps with @REVISION; None if it is not known or a folder."""
+    """Return the network called ``name``, which may end in @REVISION; None for a folder or an unknown name."""
     return KNOWN.get(name.partition("@")[0])
 
 

@@ -27,8 +27,8 @@ class StoredFrame:
     """A frame as it is stored, ``held_out`` from training or not. ``size`` is (width, height) in pixels, ``lens`` fx,
     fy, cx, cy in pixels with centres at +0.5. ``camera_to_world`` has OpenCV's axes and metres. ``colour`` and
     ``depth`` are paths, relative if they lie in the scene's folder. ``is_picture`` says that the file at ``colour``
-    shows the frame as it is. ``files`` is the digest of both when the lift last ran, ``read`` that of confidence and of
-    how all are read; "" is not compared."""
+    shows the frame as it is. ``files`` is the digest of photo and depth when the lift last ran, ``read`` that of
+    confidence and of how the files are read. A digest "" is not compared."""
 
     name: str = field(metadata={"shown": True})
     held_out: bool
@@ -135,8 +135,8 @@ class MadeFrame:
 @dataclass(frozen=True)
 class MadeFrames:
     """What `make_frames` wrote into ``folder``: the cameras of all frames of the ``scene``, and the pictures by frame
-    name. ``cloud`` is made of depth, ``points`` are those of the reconstruction behind the poses: .npz files with xyz
-    float32 [N, 3] metres and rgb uint8 [N, 3], None where there are none."""
+    name. ``cloud`` (made of depth) and ``points`` (of the reconstruction that gave the poses) are .npz files with xyz
+    float32 [N, 3] metres and rgb uint8 [N, 3], or None."""
 
     folder: Path = field(metadata={"apart": True})
     source: SceneSource
@@ -156,7 +156,8 @@ class MadeFrames:
 
 
 def made_of(folder: Path, source: SceneSource) -> MadeFrames | None:
-    """Return what an earlier run made of this scene in ``folder``; None if new. Raises PlgsError for other files."""
+    """Return what an earlier run made of this scene in ``folder``; None if the folder is new or empty. Raises PlgsError
+    if it holds other files."""
     if not folder.exists():
         return None
     if (folder / FILE).is_file():
@@ -169,7 +170,7 @@ def made_of(folder: Path, source: SceneSource) -> MadeFrames | None:
 
 
 def is_newer(path: Path, source: Path) -> bool:
-    """Whether a file is there and at least as new as ``source``."""
+    """Whether the file ``path`` exists and is at least as new as ``source``."""
     try:
         return path.stat().st_mtime >= source.stat().st_mtime
     except OSError:

@@ -72,7 +72,7 @@ def load_model(name: str, *, download: bool, rounds: Rounds = (0.5,)) -> QueryNe
 
 
 def _universal(kind: str, folder: Path, name: str) -> Look:
-    """Load the network in a folder as transformers' model type ``kind``, and return the function that runs it."""
+    """Load the network ``name``, in ``folder``, as transformers' model type ``kind``; return the function to run it."""
     import transformers
 
     limits: dict[str, Any] = {"local_files_only": True, "trust_remote_code": False}

@@ -152,7 +152,7 @@ def map_photos(photos: Path, names: Sequence[str], workplace: Path, events: Even
 
 def _followed(work: Callable[[], Any], token: Any, stop: StopSignal) -> Any:
     """Return the result of ``work``, which runs in its own thread: COLMAP would block the main thread, which must
-    receive signals. ``token`` stops it, if asked to. Raises its error, or Cancelled."""
+    receive signals. ``token`` stops the work when ``stop`` says so. Raises the work's error, or Cancelled."""
     with ThreadPoolExecutor(1) as pool:
         found = pool.submit(work)
         try:

@@ -100,7 +100,7 @@ class MatchedSegment:
 class Instance:
     """One object: ``centre`` and ``size`` of its box in world metres, ``yaw`` in radians about +z, ``rotation`` the
     same as a quaternion wxyz, ``colour`` sRGB bytes, ``score`` in [0, 1], ``points`` the number of points it owns,
-    ``views`` that of the frames whose masks show it, by ``segments``."""
+    ``views`` the number of frames whose masks show it, in ``segments``."""
 
     id: int
     name: str
@@ -147,7 +147,7 @@ def npz_bytes(arrays: Mapping[str, NDArray[Any]], *, fast: bool = False) -> byte
 
 
 def read_arrays(path: Path, kind: type[Arrays]) -> Arrays:
-    """Read the arrays of a file, checked to have the right types and all as many rows, else raises PlgsError."""
+    """Read the arrays of a file. Raises PlgsError unless all have the right types and the same number of rows."""
     try:
         arrays = read_npz(path, MAKE_ANEW, [field.name for field in fields(kind)])
     except PlgsError as error:

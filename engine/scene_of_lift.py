@@ -76,7 +76,7 @@ def remember_scene(
 
 
 def warn_of_earlier(earlier: Path | None, warn: Callable[[str], object]) -> None:
-    """Warn of an earlier result that was moved to the folder ``earlier``."""
+    """Warn of an earlier result, if there is one, that was moved to the folder ``earlier``."""
     if earlier is not None:
         warn(f"the earlier result was moved to {earlier}: bake again the passes that the lift does not bake")
 
@@ -210,7 +210,7 @@ def refuse_others(known: Sequence[PosedFrame], scene: Scene) -> None:
 
 
 def _digests_of(frames: Sequence[Frame], progress: Progress = unwatched) -> list[tuple[str, str]]:
-    """Return two digests for each frame: of photo and depth; of confidence and how all are read; "" if unreadable."""
+    """Return for each frame a digest of photo and depth, and one of confidence and how all are read; "": unreadable."""
     files = digests_of_files([(frame.colour_path, frame.depth_path) for frame in frames], progress)
     trusted = digests_of_files([(frame.confidence_path,) for frame in frames])
     return [

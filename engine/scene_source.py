@@ -19,7 +19,7 @@ def option(help: str, metavar: str, type: Any = str, **more: Any) -> dict[str, A
 
 
 def _set_by(help: str, metavar: str, type: Any = str, default: Any = None) -> Any:
-    """Declare a dataclass field that a command-line option sets."""
+    """Declare a dataclass field with a ``default`` that a command-line option sets, described as for `option`."""
     return field(default=default, metadata=option(help, metavar, type))
 
 

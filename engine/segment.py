@@ -39,14 +39,14 @@ VISIBLE = 0.8
 
 @dataclass(frozen=True)
 class MadeSegment:
-    """A segment of a mask that a network made: its ``id`` there, the network's ``label``, and its score in [0, 1]."""
+    """A segment of a mask that a network made: its ``id`` in the mask, the network's ``label``, its score in [0, 1]."""
 
     id: int
     label: int
     score: float
 
     def to_json(self) -> dict[str, object]:
-        """Return its entry in COCO's segments_info, for a table whose class ids count from 1."""
+        """Return the segment's entry in COCO's segments_info, for a table whose class ids count from 1."""
         return {"id": self.id, "category_id": self.label + 1, "score": round(self.score, 4), "iscrowd": 0}
 
 

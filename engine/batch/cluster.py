@@ -196,7 +196,8 @@ def _close(farm: Farm) -> None:
 
 
 def slurm_cluster(farm_options: FarmOptions) -> Any:
-    """dask-jobqueue's cluster, one worker a job; ``refusals`` are sbatch's messages. Raises PlgsError without Slurm."""
+    """Return dask-jobqueue's cluster, one worker a job; its ``refusals`` are sbatch's messages. Raises PlgsError if
+    Slurm is missing."""
     jobqueue, distributed = require_dask("dask_jobqueue"), require_dask()
     assert farm_options.slurm is not None
     if shutil.which("sbatch") is None:

@@ -78,9 +78,9 @@ _ENDS = {ErrorCode.KILLED: Ended.KILLED, **dict.fromkeys(_WORKER_CODES, Ended.EL
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a piece ended: its ``seconds``, why (``reason``, ``exit_code``), on which ``worker``, with its ``answer``
-    (for a lift its frames, for a score the metrics). ``lacked_memory``: its engine was killed, perhaps for lack of
-    memory."""
+    """How a piece ``ended``, after how many ``seconds``, why (``reason``, ``exit_code``), on which ``worker``, and its
+    ``answer`` (for a lift its frames, for a score the metrics). ``lacked_memory``: its engine was killed, perhaps for
+    lack of memory."""
 
     piece: Piece
     ended: Ended

@@ -174,7 +174,7 @@ def done_before(plan: BatchPlan, job: SceneJob) -> Row | None:
 
 
 def rows_kept(plan: BatchPlan) -> Iterator[Row]:
-    """The rows of earlier batches in the same folder for other scenes, by name. Scenes whose result is gone are left
+    """Yield other scenes' rows of earlier batches in the same folder, by name. Scenes whose result is gone are left
     out, as are failed scenes that no longer exist. A row whose result was changed since has the state "changed"."""
     names = {job.name for job in plan.jobs}
     found = [_read(path) for path in sorted((plan.output / RECORDS).glob("*.json"))]

@@ -51,7 +51,7 @@ STOPPED = "stopped"
 @dataclass
 class _Scene:
     """A scene in a batch: ``stages`` of pieces to do, how many pieces are ``out`` on workers, what is ``wrong`` with
-    the scene ("": nothing), and by the addresses of workers that are ``unfit`` for it, why."""
+    the scene ("": nothing). ``unfit`` gives, by their addresses, why workers cannot do it."""
 
     job: SceneJob
     index: int
@@ -190,8 +190,8 @@ class _Batch:
             self._pins[future] = fit, time.monotonic()
 
     def _look_at_workers(self) -> None:
-        """Report if there has been no worker for long. If all workers for a piece have left, assign it to newer ones,
-        which may be the same with new addresses; if none has come for long, `_submit` reports it."""
+        """Report if there has been no worker for long. If all workers that a piece was assigned to have left, submit it
+        again once other workers are there; if none has come for long, `_submit` reports that."""
         now = time.monotonic()
         if now < self._looked + _LOOK_S or self._farm.client.status != "running":
             return
@@ -231,7 +231,7 @@ class _Batch:
         future.cancel()
 
     def _take_in(self) -> None:
-        """Handle the pieces that ended. If the scheduler was lost, submit all others again; they continue."""
+        """Handle the pieces that ended. If the scheduler was lost, wait for it and submit all pieces again."""
         if self._farm.client.status != "running" or any(future.cancelled() for future in self._out):
             self._report.say("The scheduler does not answer any more. Waiting for it.")
             reconnected(self._farm)

@@ -269,7 +269,7 @@ class _RowParser(argparse.ArgumentParser):
 
 def _arguments(name: str, value: Any, folder: Path, where: str) -> Iterator[str]:
     """Yield the option ``name`` with a cell's ``value`` as command-line arguments; paths are relative to ``folder``.
-    Raises PlgsError, which names the place ``where``, for what is no text, number, true, or list."""
+    Raises PlgsError, which names the place ``where``, for a value that is no text, number, list or true."""
     if isinstance(value, list):
         for each in value:
             yield from _arguments(name, each, folder, where)

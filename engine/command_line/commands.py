@@ -327,9 +327,8 @@ def warm_up(options: argparse.Namespace, events: EventWriter, stop: StopSignal) 
 
 
 def presets(options: argparse.Namespace) -> ExitCode:
-    """Print the names of all presets or, as a file for --preset, one preset (a name or a file) with some options
-    changed. With --json: all options with their values in each preset, or those of the one. Raises PlgsError for
-    unknown ones."""
+    """Print the names of all presets or, as a file for --preset, one preset (a name or a file) with changed options.
+    With --json, print the options' values in all presets, or in that one. Raises PlgsError for unknown names."""
     if options.name is not None or options.set:
         base, changed = chosen_options(options.name, parsed_options(options.set or ()))
         chosen = with_options(PRESETS[base], changed)

@@ -26,7 +26,7 @@ def inspect_scene(
     fix: Path | None = None,
 ) -> None:
     """Decode every frame, and answer with what is there and what is wrong with it. The text also predicts what a lift
-    with ``preset`` would take. ``findings`` is a folder for findings and their pictures, ``fix`` a new one for the
+    with ``preset`` would take. ``findings`` is a folder for findings and their pictures, ``fix`` a new folder for the
     corrected scene. Raises PlgsError for the first fault for which a lift would refuse the scene, after answering with
     findings that may explain it."""
     if fix is not None and fix.exists():

@@ -166,7 +166,7 @@ def failure_of(error: Exception, command: Command, files: TaskFiles | None = Non
 
 
 def _number_of(error: Exception) -> int | None:
-    """The system's number of an error, else None. Rust's have it in their text; C++ libraries' only its message."""
+    """Return the system's number of an error, if any. Rust's errors name it; C++ libraries' give only its message."""
     if isinstance(error, OSError) and error.errno is not None:
         return error.errno
     found = re.search(r"\(os error (\d+)\)", str(error))

@@ -115,8 +115,7 @@ def write_fill(path: Path, fill: Fill) -> str:
 
 
 def read_fill(path: Path, digest: str = "") -> Fill:
-    """Read a fill, whose file must have the SHA-256 ``digest``, if given. Raises PlgsError if it is missing or
-    damaged."""
+    """Read a fill, whose file must have the SHA-256 ``digest``, if given. Raises PlgsError if missing or damaged."""
     if not path.is_file():
         raise PlgsError("fill-missing", "the points that fill a removed object's place are missing", path, _MAKE_ANEW)
     with reading(path, _MAKE_ANEW):

@@ -59,8 +59,8 @@ def object_of(state: Replay, said: int | str) -> int:
 
 
 def reclass(state: Replay, numbers: Sequence[int], said: int | str) -> Edit:
-    """Give the objects ``numbers`` the class ``said``, its number or name. A stuff class has no objects: their points
-    get it alone."""
+    """Give the objects ``numbers`` the class ``said``, its number or name. With a stuff class these objects end, and
+    their points get only the class."""
     class_id = class_of(state.classes, said)
     marks = tuple(_mark(state, number) for number in _some(numbers))
     if not state.classes[class_id].is_thing:
@@ -163,7 +163,7 @@ def assign(
     state: Replay, chosen: NDArray[np.bool_], target: int, *, class_id: int = 0, name: str = "", new_id: int = 0
 ) -> Edit:
     """Give the ``chosen`` points, bool [N], to the object ``target``; if that is 0, to a new object ``new_id`` of the
-    class ``class_id``, with a ``name`` or a made one; if ``new_id`` is 0 too, to the class alone."""
+    class ``class_id``, called ``name`` ("": a made name). If both ids are 0, give them only the class."""
     made: tuple[NewObject, ...] = ()
     if not chosen.any():
         raise PlgsError("no-points", "no points are chosen", CORRECTIONS, "Select points, or enlarge the region.")
@@ -227,7 +227,7 @@ def _some(numbers: Sequence[int]) -> list[int]:
 
 
 def _new_name(state: Replay, class_id: int, more: int = 0) -> str:
-    """Return a name such as "chair 7", with the next number of its class, or ``more`` after it."""
+    """Return a name such as "chair 7". Its number is ``more`` above the next number of the class."""
     kind = state.classes[class_id].name
     names = [one.name.removeprefix(f"{kind} ") for one in state.objects.values()]
     return f"{kind} {max((int(name) for name in names if name.isdecimal()), default=0) + 1 + more}"

@@ -54,8 +54,8 @@ class Proposal:
 
 @dataclass(frozen=True)
 class Proposals:
-    """The proposals about a lift that are ``open``, worst first, and how many of ``all`` its objects were looked at:
-    corrected or accepted."""
+    """The ``open`` proposals about a lift, worst first. ``all`` is the number of its objects, and ``looked_at`` how
+    many of these a person corrected or accepted."""
 
     open: tuple[Proposal, ...]
     looked_at: int

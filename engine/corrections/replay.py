@@ -230,7 +230,8 @@ class Replay:
 
 
 def _take_moved(xyz: NDArray[np.float32], after: Labels, groups: Sequence[MovedPoints]) -> None:
-    """Give the points [N, 3] in ``groups`` their new labels in ``after``; in another lift, the points near those."""
+    """Write the labels that ``groups`` give points among ``xyz`` [N, 3] into ``after`` [N]. In another lift, which has
+    other points, those near the points of ``groups`` get their labels."""
     if not groups or not len(xyz):
         return
     wanted = np.concatenate([np.array(group.millimetres, np.int64).reshape(-1, 3) for group in groups])

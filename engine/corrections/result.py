@@ -47,7 +47,7 @@ class CorrectedResult:
 
     @property
     def left_unowned(self) -> frozenset[int]:
-        """The ids of the classes that edits gave to points which they took from an object without a new one."""
+        """The ids of classes that edits gave to points without an object, as a delete does."""
         applied = [edit for edit in self.edits if edit.uid not in self.not_applied]
         rests = [edit.rest or 0 for edit in applied if edit.kind == "delete" and not edit.moved]
         return frozenset(-each for each in (*rests, *(one.label for edit in applied for one in edit.moved)) if each < 0)
@@ -87,7 +87,7 @@ class CorrectedResult:
         self, before: NDArray[np.int32], after: NDArray[np.int32], class_id: NDArray[np.int32]
     ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Return class and instance ids after the edits, int32 [N] each, of points with the labels ``before`` and
-        ``after`` them, [N] each. ``class_id`` [N] is the class before."""
+        ``after`` the edits, [N] each, and the classes ``class_id`` [N] before."""
         kinds, made = self.class_of, {one.id: one.class_id for one in self.made}
         changed = class_id.copy()
         moved = before != after
@@ -154,8 +154,7 @@ class _Result:
 
     @classmethod
     def read(cls, lift: Path, listed: Listed | None = None) -> _Result:
-        """Read a finished lift's result; ``listed`` is its instances.json, if read. Raises PlgsError if it is
-        damaged."""
+        """Read a finished lift's result; ``listed`` is its instances.json, if read. Raises PlgsError if damaged."""
         classes, made = listed or result_files.read_instances(lift / "result" / result_files.INSTANCES)
         points = result_files.read_arrays(lift / "result" / result_files.SEMANTIC_POINTS, SemanticPoints)
         return cls(lift, classes, made, points)

@@ -49,8 +49,8 @@ def depth_errors(views: Views, one: int, other: int, assumed: Sequence[tuple[str
 
 
 def edges_on(grey: NDArray[np.uint8], edges: Floats, moved: Floats) -> Picture:
-    """Draw depth's ``edges``, float64 [N, 2] as fractions of the picture ``grey`` [H, W], where they are, and ``moved``
-    to where they fit."""
+    """Draw depth's ``edges``, float64 [N, 2] as fractions of the picture, on the picture ``grey`` [H, W]: where they
+    are, and ``moved`` to where they fit."""
     panels = []
     for caption, points in (("depth's edges as they lie", edges), ("where they fit", moved)):
         panel = np.repeat(_fitted(grey)[..., None] // 2 + 40, 3, axis=2)
@@ -129,7 +129,7 @@ class Finding:
 @dataclass(frozen=True, eq=False)
 class Mending:
     """The corrections that a scene needs. ``assumed`` says what its poses, depth and lenses mean. ``depth_shift`` moves
-    depth (x, y as fractions of the picture). ``turn`` float64 [3, 3] rotates the world. ``dropped`` frames go."""
+    depth (x, y as fractions of the picture). ``turn`` float64 [3, 3] rotates the world. ``dropped``: frames to omit."""
 
     assumed: Assumption = Assumption()
     depth_shift: tuple[float, float] = (0.0, 0.0)
@@ -174,8 +174,8 @@ class Diagnosis:
 
 
 def write_findings(diagnosis: Diagnosis, folder: Path) -> dict[str, Any]:
-    """Write findings.json and its pictures, and return its content. The folder must be new or empty, or hold findings,
-    which are replaced. Raises PlgsError for other files in it, or if it cannot be written."""
+    """Write findings.json and the pictures, and return what findings.json holds. The folder must be new or empty, or
+    hold findings, which are replaced. Raises PlgsError for other files in it, or if it cannot be written."""
     try:
         with OwnFiles(folder).begin("findings", {}, replaces=True) as own:
             entries = []

@@ -152,8 +152,8 @@ Counts = defaultdict[int, Counter[str]]  # per class, its number of points ("all
 
 
 def measure_table(examined: Examined, assumed: Assumption, up: Floats) -> Counts:
-    """Count each class's points that are on floors, ceilings and walls by their normals and the direction ``up`` [3].
-    Raises PlgsError for a bad mask."""
+    """Return, by class, how many points masks give it ("all"), and how many of these look like "floor", "ceiling" and
+    "wall" by their normals and the direction ``up`` [3]; none without masks. Raises PlgsError for a bad mask."""
     views, maps = examined.views, examined.class_maps
     if maps is None:
         return defaultdict(Counter)

@@ -26,7 +26,7 @@ Figures = dict[str, float | str]
 
 
 class _CauseWords(NamedTuple):
-    """Texts on a cause: name, caption of the corrected picture, what is wrong, the fix; "" if they need numbers."""
+    """Texts on a cause: its name, the corrected picture's caption, what is wrong, the fix ("": see `_cause_texts`)."""
 
     name: str
     caption: str

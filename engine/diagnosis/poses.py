@@ -51,9 +51,8 @@ class Gap(NamedTuple):
 
 
 def pose_findings(examined: Examined, assumed: Assumption) -> tuple[list[Finding], tuple[str, ...]]:
-    """Return findings about drift and about single frames whose pose is off, and the world axes along which drift could
-    not be tested, as too few frames that are far apart in time share surfaces that face them. Frames must be in
-    order."""
+    """Return findings about drift and single frames whose pose is off, and the world axes along which drift was not
+    tested, as too few frames far apart in time share surfaces that face them. Frames must be in order."""
     distances, along = _surface_distances(examined.views, examined.pairs, assumed)
     numbers = np.array([look.number for look in examined.looks])
     lags = np.abs(numbers[examined.pairs[:, 0]] - numbers[examined.pairs[:, 1]]).astype(np.float64)
@@ -89,8 +88,8 @@ def pose_findings(examined: Examined, assumed: Assumption) -> tuple[list[Finding
 
 
 def _surface_distances(views: Views, pairs: Pairs, assumed: Assumption) -> tuple[Floats, Floats]:
-    """Return the metres along the normal between the surfaces that both frames of a pair see, float64 [P], and between
-    those that face each axis of the world, float64 [P, 3]; nan where they see too little in common."""
+    """Return how far apart a pair's two frames place the surface that both see, in metres: a low quantile along
+    normals, float64 [P], and the median along each axis, by surfaces that face it, [P, 3]; nan with few points."""
     lens, poses = lens_under(views.lens, assumed), views.poses_of(assumed)
     world, known = views.world_points(assumed, lens, poses)
     found, along = np.full(len(pairs), np.nan), np.full((len(pairs), 3), np.nan)

@@ -21,8 +21,9 @@ Pairs = NDArray[np.int64]  # the rows of two looks each, [P, 2]
 
 
 class Sample(NamedTuple):
-    """Which frames are examined: all or, of more than ``most``, ``groups`` of frames spread over the recording;
-    ``steps`` are the offsets within a group. Neighbours show small errors, distant views of a surface large ones."""
+    """Which frames are examined: all if there are at most ``most``, else ``groups`` groups spread over the recording,
+    each with the frames at the offsets ``steps``. Neighbours show small errors, distant views of a surface large
+    ones."""
 
     most: int
     groups: int
@@ -67,7 +68,7 @@ class Photo:
 
 
 def pairs_of(count: int) -> Pairs:
-    """The pairs (from, to) of frames to compare, int64 [P, 2]: each with the next three, and 24 with each other."""
+    """Return the pairs (from, to) of frames to compare, int64 [P, 2] (see `compared`), in alternating directions."""
     # Directions alternate, so that both the points and the depth of each look are used.
     return np.array([(i, j) if (i + j) % 2 else (j, i) for i, j in compared(count)], np.int64).reshape(-1, 2)
 
@@ -225,8 +226,8 @@ class Views:
         return np.matmul(local, poses[:, :3, :3].swapaxes(1, 2)) + poses[:, None, :3, 3], values > 0.0
 
     def depth_at(self, looks: NDArray[np.int64], place: Floats, wanted: NDArray[np.bool_]) -> Floats:
-        """Depth at ``place`` [P, M, 2] of pictures ``looks`` [P] where ``wanted``, interpolated; 0 at edges and
-        outside."""
+        """Return the depth, interpolated, at ``place`` [P, M, 2] of pictures ``looks`` [P] where ``wanted``; 0 at edges
+        and outside."""
         found = np.zeros(wanted.shape)
         width, height = self.size[looks, 0].astype(np.int64)[:, None], self.size[looks, 1].astype(np.int64)[:, None]
         x, y = place[..., 0] * width - 0.5, place[..., 1] * height - 0.5
@@ -345,7 +346,8 @@ class Examined:
         return maps
 
     def mean_by_look(self, values: Floats) -> Floats:
-        """The mean of the pairs' values [P] for each frame that has any, so that one in many pairs counts once."""
+        """Return each frame's mean of the ``values`` [P] of its pairs, for frames with any, so that each counts
+        once."""
         total, count = np.zeros(len(self.looks)), np.zeros(len(self.looks))
         known = np.isfinite(values)
         for column in (0, 1):

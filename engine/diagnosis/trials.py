@@ -71,7 +71,7 @@ def moved(base: Assumption, values: Floats) -> Assumption:
 def calibrate(
     views: Views, pairs: Pairs, base: Assumption, free: tuple[str, ...] = _PARAMETERS, points: int | None = None
 ) -> Calibration | None:
-    """Fit the ``free`` parameters from the assumption ``base``, with some ``points`` a frame. None if too few agree."""
+    """Fit the ``free`` parameters from the assumption ``base``, by ``points`` (None: all) a frame. None if few fit."""
     columns = [_PARAMETERS.index(name) for name in free]
     values, deviations = np.zeros(len(_PARAMETERS)), np.full(len(_PARAMETERS), np.inf)
     for _ in range(_ROUNDS):
@@ -188,8 +188,8 @@ def agreement(views: Views, pairs: Pairs, assumed: Assumption) -> Agreement:
 
 
 def is_far_better(after: Agreement, before: Agreement) -> bool:
-    """Whether a correction is good enough: half of what two frames see agrees ``after`` it, and 15 % more than
-    ``before``, or as much with 30 % less error."""
+    """Whether a correction is good enough: ``after`` it, half of what two frames see agrees, and the agreement is 15 %
+    better than ``before``, or about as good with 30 % less error."""
     more = after.mean > _BETTER * before.mean
     finer = after.mean >= _AS_GOOD * before.mean and after.error < _ERROR_LEFT * before.error
     return after.share >= _LEAST_SHARE and (more or finer)
@@ -226,7 +226,8 @@ def find_cause(views: Views, pairs: Pairs, lens_is_doubtful: bool = False) -> Fo
 
 
 def _whose_lengths(views: Views, found: FoundCause) -> FoundCause:
-    """Decide whether depth or poses have the wrong unit: views cannot tell, but rooms are of a known size."""
+    """Decide by the sizes of rooms, as views cannot tell, whether depth or poses have the wrong unit. Returns ``found``
+    (depth), the same with the cause "length" (poses) or, if both are likely, with "length" as ``rival``."""
     factor = found.assumed.unit
     depth = float(np.median(views.values[views.values > 0.0]))
     is_room, becomes_room = (_NEAREST <= metres <= _FARTHEST for metres in (depth, depth * factor))
@@ -238,7 +239,7 @@ def _whose_lengths(views: Views, found: FoundCause) -> FoundCause:
 
 
 def _fitted(views: Views, pairs: Pairs, after: Agreement, trial: Trial) -> tuple[Agreement, Trial]:
-    """Return ``trial`` with its free values fitted, and its agreement; or itself with ``after``, if that is worse."""
+    """Fit the free values of ``trial``. Returns the agreement and trial after that, or the old ones if it is worse."""
     calibration = calibrate(views, pairs, trial.assumed, trial.free, _POINTS) if trial.free else None
     if calibration is None:
         return after, trial

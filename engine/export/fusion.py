@@ -51,7 +51,7 @@ class Surface:
 @dataclass(frozen=True)
 class Grain:
     """How finely views are fused. ``voxel`` is the side of a voxel and ``farthest`` the largest depth that counts, both
-    in metres. A voxel needs ``least_views`` views. Depth maps are enlarged ``times`` times before. ``reaches`` says how
+    in metres. A voxel needs ``least_views`` views. Depth maps are first enlarged ``times`` times. ``reaches`` says how
     far depth acts around a surface by its slope (see `_by_slope`). Far floors need enlarged depth, and GRAZED."""
 
     voxel: float = VOXEL
@@ -63,7 +63,8 @@ class Grain:
 
 @dataclass(frozen=True, eq=False)
 class SmallView:
-    """A view, scaled down: ``depth`` float32 [H, W] m, ``rgb`` uint8 [H, W, 3], ``label`` int64 [H, W]; its frame."""
+    """A view, scaled down: ``depth`` float32 [H, W] m, ``rgb`` uint8 [H, W, 3], ``label`` int64 [H, W] (class *
+    `mesh.MOST_INSTANCES` + instance); ``frame`` has the photo, None without textures."""
 
     camera: Camera
     depth: NDArray[np.float32]
@@ -184,7 +185,7 @@ def _fused(
     views: Sequence[SmallView], seen: Sequence[Sequence[NDArray[np.int32]]], slab: _Slab, grain: Grain,
     progress: Progress,
 ) -> Surface:  # fmt: skip
-    """Fuse the views within a slab, and return the surface there. ``seen`` are the blocks that each view changes.
+    """Fuse the views within a slab, and return the surface in it. ``seen`` are the blocks that each view changes.
     Blocks beside the slab are fused, too, as its outermost voxels need them."""
     import open3d.core
     import open3d.t.geometry as geometry

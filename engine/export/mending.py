@@ -282,8 +282,8 @@ def around_vertices(triangles: Ints, count: int) -> csr_matrix:
 
 
 def numbered(group: Ints, kind: Ints, groups: int) -> tuple[Ints, Ints]:
-    """Number the different pairs of ``group`` and ``kind`` (0 or more), [N] each. Returns each pair's number, [N], and
-    each number's group. Most of the ``groups`` have one kind, so only other pairs are sorted."""
+    """Number the different pairs of ``group`` and ``kind`` (0 or more), [N] each. Returns the number of each pair, [N],
+    and the group of each number. Only pairs of a group's rarer kinds are sorted."""
     usual = np.full(groups, -1, np.int64)
     usual[group] = kind
     is_usual = usual[group] == kind

@@ -129,8 +129,8 @@ class GlbBuffer:
         return len(self._accessors) - 1
 
     def add_vertices(self, arrays: Mapping[str, NDArray[Any]]) -> dict[str, int]:
-        """Append vertex attributes by name, float32 [N] or [N, K]. Returns their accessors; POSITION also gets
-        limits."""
+        """Append vertex attributes by glTF's names, float32 [N] or [N, K]. Returns their accessors' indices by name.
+        POSITION's accessor also gets the smallest and largest coordinates."""
         found = {name: self.add_array(values, FLOAT, "<f4", VERTICES) for name, values in arrays.items()}
         xyz = arrays["POSITION"]
         limits = {"min": xyz.min(axis=0).tolist(), "max": xyz.max(axis=0).tolist()}
@@ -230,7 +230,7 @@ DRAWN, FUSED, LABELLED, MENDED, TEXTURED = 0.35, 0.5, 0.55, 0.65, 0.9
 
 
 def finished(lift: FinishedLift) -> tuple[Surface, NDArray[np.int64], Texture | None]:
-    """The surface, mended and cut, its labels int64 [V], its texture (None: no photos). Raises PlgsError if empty."""
+    """Return the surface, mended and cut, labels int64 [V], texture (None: no photos). Raises PlgsError if empty."""
     small = views_of(lift, WIDEST, MOST_VIEWS, lift.part(0.0, DRAWN))
     surface = fuse(small, progress=lift.part(DRAWN, FUSED))
     refuse_none(lift, surface)

@@ -84,7 +84,8 @@ def export_splats(lift: FinishedLift, output: Path) -> None:
 
 
 def export_clouds(lift: FinishedLift, output: Path) -> None:
-    """Write <name>.npz for each view: semantic points that it sees. Raises PlgsError for a damaged lift, OSError."""
+    """Write `SemanticPoints` as <name>.npz for each view, one for each pixel that shows a surface. Raises PlgsError for
+    a damaged lift, OSError."""
     for name, camera, layers in lift.shown("combined", "depth", "semantic", "instance", "confidence"):
         height, width = layers.depth.shape
         seen = (layers.combined[..., 3] >= LEAST_COVERAGE) & (layers.depth > 0)

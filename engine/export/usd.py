@@ -171,8 +171,8 @@ def _add_box(stage: Usd.Stage, path: str, one: Instance) -> Usd.Prim:
 
 
 def _add_cameras(stage: Usd.Stage, frames: Sequence[Frame]) -> bool:
-    """Add a camera for each frame, and one that moves: at a frame's time it is that frame's. Returns whether these
-    times are `ascending_numbers`; otherwise they are 1, 2, …"""
+    """Add a camera for each frame, and one that moves from frame to frame. Returns whether the frames' times are their
+    `ascending_numbers`; otherwise they are 1, 2, …"""
     numbers = ascending_numbers([frame.name for frame in frames])
     times = numbers or [*map(float, range(1, len(frames) + 1))]
     if times:

@@ -92,8 +92,8 @@ def _is_double(room: tuple[Surface, Ints], objects: tuple[Surface, Ints]) -> NDA
 
 
 def _joined(surface: Surface, label: Ints, coarse: int) -> tuple[Surface, Ints]:
-    """The surface and its labels [V] with the rims of objects among the first ``coarse`` vertices joined to those of
-    their own surfaces _BESIDE them, so that an object is in one piece. Other labels' vertices there move along."""
+    """Return the surface and its labels [V] with each object in one piece: its rim among the first ``coarse`` vertices
+    is moved to its rim among the others, if that is _BESIDE. Vertices of other labels at the same places move along."""
     rim = np.unique(open_edges(surface.triangles))
     rim = rim[label[rim] % MOST_INSTANCES > 0]
     ours, own = rim[rim < coarse], rim[rim >= coarse]

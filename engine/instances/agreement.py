@@ -49,7 +49,7 @@ class ViewsOnCloud:
 
     @classmethod
     def of(cls, views: Sequence[View], point_of_pixel: Sequence[NDArray[np.int32]]) -> ViewsOnCloud:
-        """Return the views with what they see of the cloud by ``point_of_pixel``; computed anew whenever it is read."""
+        """Return the views with what they see of the cloud by ``point_of_pixel``; ``seen`` is computed when read."""
         seen = OnDemand(len(views), lambda number: view_points(views[number], point_of_pixel[number]))
         return cls(views, point_of_pixel, seen)
 
@@ -179,8 +179,8 @@ def shown_classes(view: View, summary: ViewPoints) -> NDArray[np.int32]:
 def votes_of_views(
     seeing: ViewsOnCloud, points: int, class_ids: NDArray[np.int64], kind: EvidenceKind
 ) -> tuple[list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]], NDArray[np.float64]]:
-    """Return each view's class votes: indices of its points, of the classes that it shows there (in ``class_ids`` [C]),
-    and the votes' weights (by ``kind``), arrays [n]; and the sum over all views, float64 [points, C]."""
+    """Return each view's class votes: indices of points, indices in ``class_ids`` [C] of the classes that it shows
+    there, and weights by ``kind``, arrays [n]. Also return the sum of all votes, float64 [points, C]."""
     said = []
     total = np.zeros((points, len(class_ids)))  # float64: where a view is taken out, nothing must be left of it
     for view, seen in zip(seeing.views, seeing.seen, strict=True):

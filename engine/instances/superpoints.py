@@ -47,7 +47,7 @@ def trusted_superpoints(
 ) -> NDArray[np.int64] | None:
     """Return the superpoint of each of a cloud's points ``xyz`` [N, 3], metres, int64 [N], or None if superpoints would
     harm. They are used if views agree too little to judge them, or if ``masks_are_weak`` and views that are held back
-    agree with them about as well as with points. ``spacing``: between points, metres; ``kind``: of votes."""
+    agree with them about as well as with points. ``spacing``: metres between points; ``kind``: that of votes."""
     if len(xyz) < LEAST_POINTS:
         return None
     part = superpoints(xyz, spacing, seeing)
@@ -75,8 +75,8 @@ class RestOfSuperpoint:
 
 
 def rest_of_superpoints(part: NDArray[np.int64], in_all: float) -> RestOfSuperpoint:
-    """Return the matrix by which points get the votes of their superpoint ``part`` [N]: its mean votes, if views agree
-    well (``in_all``, the share on which they do, is at least AGREEING), else those of all its other points."""
+    """Return the matrix that gives points the votes of their superpoint ``part`` [N]: the mean of all its votes, if
+    views agree on at least the share AGREEING (``in_all`` is theirs), else the sum of all other points' votes."""
     return RestOfSuperpoint(part, mean=in_all >= AGREEING)
 
 

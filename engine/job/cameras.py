@@ -176,7 +176,7 @@ def write_preview_request(path: Path, wanted: PreviewRequest) -> None:
 
 
 def read_preview_request(path: Path) -> PreviewRequest | None:
-    """The frame or camera that preview.json asks for; None without the file. Raises PlgsError if it names none."""
+    """The frame or camera that preview.json asks for; None without the file. Raises PlgsError if it names neither."""
     if not path.exists():
         return None
     content = read_object(path, _PREVIEW_FIX)

@@ -45,7 +45,7 @@ def is_complete(environment: Path) -> bool:
 
 
 def made_environment(root: Path, environ: Mapping[str, str] = os.environ) -> Path | None:
-    """Return the complete environment for these requirements, that of this Python if there are several; else None."""
+    """Return a complete environment for these requirements, best one for this version of Python; None without any."""
     folder = environments_folder(environ)
     if not folder.is_dir():
         return None
@@ -106,8 +106,7 @@ def pinned_hashes(path: Path) -> Iterator[tuple[str, str | None, str]]:
 
 
 def digest(root: Path, version: Version) -> str:
-    """Return a text that changes with the requirements for this version of Python. Raises PlgsError if a file is
-    missing."""
+    """Return a text that changes with the requirements for a Python version. Raises PlgsError if a file is missing."""
     paths = [root / "requirements" / name for name in _FILES] + [requirement_file(root, "constraints", version)]
     return hashlib.sha256("\n".join(_text(path) for path in paths).encode()).hexdigest()[:12]
 

@@ -103,7 +103,7 @@ class EventWriter:
         eta_s: float | None = None,
         left_s: float | None = None,
     ) -> None:
-        """Report that ``step`` of ``steps`` of a stage is done. It takes ``eta_s`` more, the run ``left_s`` seconds."""
+        """Report that ``step`` of ``steps`` are done. The stage takes ``eta_s`` seconds more, the run ``left_s``."""
         self._write("progress", stage=stage, step=step, steps=steps, loss=loss, eta_s=eta_s, left_s=left_s)
 
     def metric(self, name: str, values: Mapping[str, float | int | str | None]) -> None:

@@ -29,11 +29,11 @@ TOO_OLD = "the engine needs Python 3.11 or newer"
 
 @dataclass(frozen=True)
 class EngineAnswer:
-    """What an engine answered about itself. It works when nothing is missing. ``engine`` is its version. ``packages``
-    gives the version of each package that it needs, None if missing, "unknown" if the version cannot be found.
-    ``wanted`` gives the pinned versions, None if nothing is pinned for this Python. ``cuda`` is the CUDA version that
-    torch was built for, None for a CPU build or without torch. ``capabilities`` gives for each of `CAPABILITIES` what
-    it lacks."""
+    """What an engine answered about itself. The engine works if nothing is missing. ``engine`` is its version.
+    ``packages`` gives the version of each package that it needs, None if missing, "unknown" if the version cannot be
+    found. ``wanted`` gives the pinned versions, None if nothing is pinned for this Python. ``cuda`` is the CUDA version
+    that torch was built for, None for a CPU build or without torch. ``capabilities`` gives for each of `CAPABILITIES`
+    what it lacks."""
 
     engine: str
     python: str

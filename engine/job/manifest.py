@@ -22,7 +22,7 @@ MAKE_ANEW = "Make the result again: 'python -m engine lift LIFT --resume'."
 
 
 def damaged(key: str, what: str, path: Path) -> PlgsError:
-    """Return the error ``key`` for the file ``path`` of the result, which has changed since: ``what`` says how."""
+    """Return the error ``key`` for the result's file ``path``, which is not as it was written; ``what`` says how."""
     return PlgsError(key, what, path, MAKE_ANEW, code=ErrorCode.DAMAGED, option="--resume")
 
 
@@ -49,9 +49,9 @@ def write_manifest(
     result: Path, *, versions: _Facts, seed: int, settings: _Facts, timings: _Facts,
     frames: _Names | None = None, masks: str = "", only: Collection[Path] | None = None, estimated: Sequence[str] = (),
 ) -> None:  # fmt: skip
-    """Write the manifest with every file of the result, its size and SHA-256, or with ``only`` these, as others may be
-    somebody else's. This finishes the lift. ``versions`` are those of libraries, ``settings`` the final values of all
-    options; the other arguments are as in `Manifest`."""
+    """Write the manifest, which finishes the lift, with the sizes and SHA-256 of the result's files: all, or those in
+    ``only``, as others may be somebody else's. ``versions`` are those of libraries, ``settings`` the final values of
+    all options; the other arguments are as in `Manifest`."""
     remove_parts(result)
     listed = (path for path in files_below(result) if path != result / NAME and (only is None or path in only))
     files = tuple(ListedFile.of(path, result) for path in listed)
@@ -139,7 +139,7 @@ def verify_of(result: Path, lift: Path) -> None:
 
 
 def verify_lifted(result: Path) -> Manifest:
-    """Return the manifest if files have their sizes and, but for passes and previews, SHA-256; else raise PlgsError."""
+    """Check files' sizes and, but for passes and previews, SHA-256. Returns the manifest, or raises PlgsError."""
     manifest = check_sizes(result)
     verify_files(result, (file for file in manifest.files if len(file.path.parts) == 1))  # others are in folders
     return manifest

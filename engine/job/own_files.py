@@ -79,9 +79,9 @@ class OwnFiles:
             known.add(digest)
 
     def begin(self, kind: str, about: Mapping[str, Any], *, replaces: bool = False, among_others: bool = False) -> Self:
-        """Set what the next run will write: a ``kind``, and ``about`` with the details, for the note. Unless it is
-        written ``among_others``, the folder must be new, empty, or of an equal run; with ``replaces`` the same kind is
-        enough. Raises PlgsError for a folder of anything else, OSError."""
+        """Set what the next run will write: a ``kind``, and ``about`` with the details, for the note. The folder must
+        be new, empty, or of an equal run; with ``replaces``, a run of the same kind is enough; with ``among_others``,
+        it may hold anything. Raises PlgsError for another folder, OSError."""
         self._asked = kind, json.loads(json.dumps(about))
         place = next(each for each in (self.folder, *self.folder.absolute().parents) if os.path.lexists(each))
         if not place.is_dir():
@@ -134,8 +134,8 @@ class OwnFiles:
             raise foreign(path)
 
     def set_aside(self, path: Path) -> Path | None:
-        """Rename a file that is not ours to "NAME.before.json" or the like. Returns its new path, or None if nothing is
-        there to rename. Raises OSError."""
+        """Rename a file that is not ours to a new name such as "NAME.before.json". Returns the new path, None if there
+        is no file or it is ours. Raises OSError."""
         if not os.path.lexists(path) or self.owns(path):
             return None
         numbers = chain([""], (f"_{number}" for number in count(2)))

@@ -156,8 +156,8 @@ def machine_slowness(cache: Path | None = None) -> float:
 
 
 def learn_slowness(seconds: float, megapixels: float, millions_of_gaussians: float, cache: Path | None = None) -> None:
-    """Remember that a training step of a finished lift, with this much to draw, took ``seconds``, in ``cache`` (None:
-    the user's). Raises OSError, PlgsError if the file is locked."""
+    """Remember that a training step of a finished lift, with so many pixels and Gaussians, took ``seconds``, in
+    ``cache`` (None: the user's). Raises OSError, PlgsError if the file is locked."""
     path = _speed_path(cache)
     path.parent.mkdir(parents=True, exist_ok=True)
     with FileLock(path.with_suffix(".lock"), wait_s=20.0):  # as for the list of recent lifts

@@ -295,7 +295,7 @@ def chosen_options(
     preset: str | None, changed: Mapping[str, Json], base: LiftRequest = DEFAULTS
 ) -> tuple[Any, dict[str, Json]]:
     """Return the name of a preset and its changed options: first those of ``preset`` (a name or a preset file), or of
-    ``base`` if it is None, then those in ``changed``. Raises PlgsError for unknown ones."""
+    ``base`` if it is None, then those in ``changed``. Raises PlgsError for a bad preset file."""
     name, options = (base.preset, dict(base.options)) if preset is None else (preset, {})
     if name.endswith(".toml"):
         name, options = presets.read_preset_file(Path(name))

@@ -70,7 +70,7 @@ def studio_defaults(environ: Mapping[str, str] = os.environ) -> StudioDefaults:
 
 
 def filled_in(options: argparse.Namespace) -> argparse.Namespace:
-    """Return a command's options, with the studio's defaults for those that were not given, which are printed to
+    """Return a command's options. Those that were not given have the studio's defaults, which are also printed to
     standard error. Raises PlgsError for a bad file of defaults."""
     studio, given = studio_defaults(), vars(options)
     masks = studio.masks_of(given.get("scene"))

@@ -197,8 +197,7 @@ class StopSignal:
         return self._reason
 
     def ask(self, reason: str, exit_code: ExitCode = ExitCode.CANCELLED) -> None:
-        """Ask the task to stop: the next check raises Cancelled for this reason, and the process ends with this
-        code."""
+        """Ask the task to stop: the next check raises Cancelled for this reason; the exit status is ``exit_code``."""
         self.exit_code = exit_code
         self._reason = reason
 

@@ -78,7 +78,7 @@ class Interrupts:
 
     @contextmanager
     def deferred(self) -> Iterator[None]:
-        """Hold signals back in a ``with`` block. If one came, Interrupted is raised at its end, unless an error is."""
+        """Hold signals back in a ``with`` block. After the block, a signal that came raises Interrupted."""
         self._deferred = True
         try:
             yield
@@ -276,7 +276,7 @@ def _lacks_poses(error: PlgsError, options: argparse.Namespace) -> bool:
 
 
 def _prepare(options: argparse.Namespace, python: Path, interrupts: Interrupts) -> None:
-    """Let an engine make what photos or a film lack for a lift. ``options.scene`` becomes the folder with it all."""
+    """Let an engine make what photos or a film lack for a lift; set ``options.scene`` to the folder that has all."""
     have = [name for name in ("depth", "masks") if getattr(options, name) is not None]
     more = [*(["--have", *have] if have else []), *(["--download"] if getattr(options, "download", False) else [])]
     options.scene = Path(str(ask_engine(python, interrupts, "prepare", options.scene, *more)["folder"]))

@@ -82,7 +82,7 @@ class FrameBaker:
         return {name: text for name, text in notes.items() if text}
 
     def layers(self, camera: Camera, clip: ClipRange | None = None, wanted: Collection[str] = ()) -> PanopticLayers:
-        """Render the ``wanted`` layers (none: all) in the range ``clip``, no Cryptomatte. Faster without labels."""
+        """Render the ``wanted`` layers (none: all but Cryptomatte) at depths in ``clip``; faster without labels."""
         layers = self.decided(camera, clip, wanted)
         return layers._replace(confidence=self.calibration(layers.confidence))
 

@@ -159,8 +159,7 @@ def unresolved(layers: PanopticLayers, camera: Camera, photos: Sequence[Camera],
 
 
 def report_unresolved(found: Sequence[tuple[str, Unresolved]], events: EventWriter, *, before: bool) -> None:
-    """Warn if a large share of one of the views ``found`` is unresolved; unless ``before`` a bake, report the
-    shares."""
+    """Warn if much of one of the views ``found`` is unresolved; unless ``before`` a bake, report all shares."""
     if not found:
         return
     mean = {name: float(np.mean([getattr(each, name) for _, each in found])) for name in ("coarse", "empty")}

@@ -209,8 +209,8 @@ def take_over_edits(folder: LiftFolder, earlier: EarlierLift) -> None:
 
 
 def report_edits(folder: LiftFolder, earlier: EarlierLift, events: EventWriter) -> None:
-    """Warn which of the earlier lift's corrections apply to this lift, and which not. Raises PlgsError for a damaged
-    file."""
+    """Warn of the earlier lift's corrections: which apply to this lift, which do not. Raises PlgsError for bad
+    files."""
     if not earlier.edits:
         return
     corrected = read_corrected(folder.path)

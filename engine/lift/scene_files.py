@@ -95,8 +95,7 @@ def is_within(reach: float, xyz: NDArray[np.floating], others: NDArray[np.floati
 
 
 def shown_by_depth(cloud: SemanticPointCloud, views: Sequence[View], progress: Progress) -> NDArray[np.bool_]:
-    """Return which points of the cloud are confirmed by the measured depth of a view, bool [N]; others come from hole
-    filling."""
+    """Return which points of the cloud a view's measured depth confirms, bool [N]; others come from hole filling."""
     left = np.arange(len(cloud))
     for view in watched(views, progress):
         left = np.delete(left, view.seen_of(cloud.xyz[left], max(NEAR, cloud.spacing))[0])
@@ -107,8 +106,7 @@ def shown_by_depth(cloud: SemanticPointCloud, views: Sequence[View], progress: P
 
 
 def write_model(folder: LiftFolder, lifted: StructuredScene) -> None:
-    """Write model.safetensors: tensors of ``lifted`` and, in its header under "plgs", facts to make it a scene
-    again."""
+    """Write model.safetensors: the tensors of ``lifted`` and, in the header's "plgs", the facts of `to_tensors`."""
     tensors, facts = to_tensors(lifted)
     contiguous: dict[str, torch.Tensor] = {name: tensor.contiguous() for name, tensor in tensors.items()}
     content = save(contiguous, metadata={"plgs": json.dumps(facts, sort_keys=True)})
@@ -136,8 +134,7 @@ def _with_numbers(names: Mapping[int, str], lifted: StructuredScene) -> dict[int
 
 
 def read_shown_instances(folder: LiftFolder, lifted: StructuredScene, corrected: CorrectedResult) -> ShownInstances:
-    """Return objects' names and classes as a finished, corrected lift shows them. Raises PlgsError for damaged
-    files."""
+    """Return objects' names and classes as a finished, corrected lift shows them. Raises PlgsError for bad files."""
     settings = read_manifest(folder.result_path).settings
     if "one_class_an_object" not in settings:
         raise PlgsError("kind-missing", "does not say if each object has one class", folder.manifest_path, LIFT_ANEW)

@@ -62,7 +62,7 @@ def compile_rasteriser() -> None:
 
 
 def lift_a_wall(wait_for_rasteriser: Callable[[], object]) -> None:
-    """Check, match, prepare, train and bake an invented scene, the rasteriser from when the wait for it is over."""
+    """Check, match, prepare, train and bake an invented scene. Training begins when ``wait_for_rasteriser`` returns."""
     classes = ClassTable(
         (Category(WALL, "wall", False, (200, 200, 200)), Category(PICTURE, "picture", True, (200, 0, 0)))
     )

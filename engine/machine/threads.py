@@ -32,8 +32,8 @@ def one_torch_thread() -> Iterator[None]:
 
 def parallel_for(workers: int, kernel: Callable[..., None], *arguments: Any) -> None:
     """Run ``kernel(worker, workers, *arguments)`` for worker 0, 1, ... ``workers`` - 1, and wait for all of them. The
-    calling thread is worker 0. A kernel must not call this. Raises ``ValueError`` if ``workers`` is not between 1 and
-    ``MOST_WORKERS``, and whatever a kernel raised, after all workers have ended."""
+    calling thread is worker 0. A kernel must not call `parallel_for`. Raises ``ValueError`` if ``workers`` is not
+    between 1 and ``MOST_WORKERS``, and whatever a kernel raised, after all workers have ended."""
     if not 1 <= workers <= MOST_WORKERS:
         raise ValueError(f"{workers} workers were requested; there can be 1 to {MOST_WORKERS}")
     others = [_pool().submit(kernel, worker, workers, *arguments) for worker in range(1, workers)]

@@ -14,7 +14,7 @@ from .vectors import FLOAT, INT, INTS_IR, WIDTH, call, constant, intrinsic, lane
 @intrinsic
 def horizontal_sums(typing_context: Any, vectors: Any) -> Any:
     """Sum the lanes of each vector in a tuple of at most sixteen. Lane i of the result is the sum of vector i; the
-    other lanes are 0. It is a tree of pairwise sums, always in the same order."""
+    other lanes are 0. The pairwise sums are a tree, always in the same order."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         level = list(cgutils.unpack_tuple(builder, arguments[0]))

@@ -76,7 +76,7 @@ class _Candidate(NamedTuple):
         return np.asarray(np.median(self.xyz, axis=0))
 
     def holds(self, other: _Candidate) -> bool:
-        """Whether ``other`` is the same thing: of the same class, and its centre lies in the box around this one."""
+        """Whether ``other`` is the same thing: of the same class, with its centre in the box around this candidate."""
         if self.class_id != other.class_id:
             return False
         low, high = self.xyz.min(axis=0) - MARGIN, self.xyz.max(axis=0) + MARGIN
@@ -84,7 +84,7 @@ class _Candidate(NamedTuple):
 
 
 def find_unshown(views: Sequence[JudgedView], classes: ClassTable) -> list[Unshown]:
-    """Return the classes, then the objects, that the lift lacks, each by resolution. Reads each view twice."""
+    """Return classes, then objects, that the lift lacks, those of high resolution first. Reads each view twice."""
     found: list[_Candidate] = []
     shown: set[int] = set()
     for judged in views:
@@ -167,8 +167,8 @@ class _Answers:
         self._rows: list[tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]] = []
 
     def add(self, judged: JudgedView) -> None:
-        """Look up the candidates in a view. Keeps the view's resolution there (0 if it sees less than half of a
-        candidate's points), and the shares of seen points with the candidate's class in the mask, and in the lift."""
+        """Look up the candidates in a view. Keeps for each the resolution in which the view shows it (0 if less than
+        half of its points), and the shares of seen points with its class in the mask, and in the lift."""
         if not self.found:
             return
         view, shown = judged

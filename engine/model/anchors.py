@@ -123,7 +123,7 @@ def _codes(labels: int, width: int, random: np.random.Generator) -> NDArray[np.f
 
 class AnchorsInView(NamedTuple):
     """The rows ``visible`` int64 [V] of ``anchors``, to be decoded as seen from ``centre`` [3]. ``channels`` [M]:
-    semantic channels of anchors' classes, for the cluster loss. ``known_labels``, decoded earlier, replace decoding."""
+    semantic channels of anchors' classes, for the cluster loss. ``known_labels`` are used instead of decoded ones."""
 
     anchors: Anchors
     visible: torch.Tensor  # int64 [V], without repetitions

@@ -131,8 +131,7 @@ class Decoders(nn.Module):
         position: torch.Tensor,  # [V, 3], metres
         camera_centre: torch.Tensor,  # [3], metres
     ) -> torch.Tensor:
-        """Append the direction from the camera (and the distance) to ``feature`` of anchors at ``position``: [V, F + 3
-        or 4]."""
+        """Return ``feature`` with the direction (and distance) from the camera to ``position``: [V, F + 3 or F + 4]."""
         towards = position - camera_centre
         distance = towards.norm(dim=1, keepdim=True).clamp_min(1e-6)
         parts = [feature, towards / distance]

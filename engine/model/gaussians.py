@@ -41,7 +41,7 @@ def decode(
     in_torch: bool = False,
 ) -> NeuralGaussians:
     """Decode the Gaussians of all anchors that ``camera`` can see, and drop those with opacity <= 0. ``channels`` [M]
-    of classes ask for the cluster loss; ``known_labels`` replace decoded ones; ``in_torch``: no kernels."""
+    of classes add the cluster loss; ``known_labels`` replace decoded labels; ``in_torch``: no kernels."""
     position = anchors.position
     centre = torch.from_numpy(camera.centre.copy()).to(position.dtype).to(position.device, non_blocking=True)
     if decoders.decodes_all_anchors:

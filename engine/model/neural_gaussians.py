@@ -45,8 +45,8 @@ class NeuralGaussians:
         rows: tuple[int, int] | None = None, top_k: int = 0, want_surface: bool = False,
         want_means2d_grad: bool = False, backend: Backend | None = None,
     ) -> Rendering:  # fmt: skip
-        """Render these Gaussians from ``camera``, with ``labels`` float32 [N, L] or none. Only ``rows`` (first, last +
-        1), and what lies beyond ``near`` metres; further options go to `rasterize`."""
+        """Render these Gaussians from ``camera``, with ``labels`` float32 [N, L] or none. Draws only ``rows`` (first,
+        last + 1) and Gaussians beyond ``near`` metres. The other options are those of `rasterize`."""
         drawn = (self.means, self.scales, self.quats, self.opacities, self.colours, labels)
         pose, lens = camera.camera_to_world.astype(np.float32), camera.K.astype(np.float32)
         return rasterize(
