@@ -188,7 +188,7 @@ class EngineProcess(ChildProcess):
             raise
 
     def output_tail(self) -> str:
-        """Return the end of its output outside the log: "", or why it could not start."""
+        """Return the end of what it wrote outside the log, such as why it could not start; "" if nothing."""
         length = self._output.seek(0, os.SEEK_END)
         self._output.seek(max(0, length - _OUTPUT_TAIL))
         return self._output.read().decode(errors="replace").strip()

@@ -25,7 +25,7 @@ LARGEST_LOG = 50.0
 """The largest logarithm of a scale in metres. Its exponential is still a finite float32."""
 LARGEST_WEIGHT = 1e6
 LARGEST_LEVEL = 63
-"""The largest level of an anchor that is accepted. Growth makes levels up to 3 (see `Anchors`)."""
+"""The largest level of an anchor. Growth makes 1 to 3; in the baseline 3DGS it counts generations of growth."""
 MOST_PER_ANCHOR = 64
 """The most Gaussians of an anchor."""
 

@@ -107,8 +107,8 @@ def row_bands(camera: Camera, channels: int, most_bytes: int | None) -> list[tup
 @dataclass(frozen=True, eq=False)
 class _Seen:
     """The Gaussians that a camera sees: ``drawn``, decoded; ``rows_of`` int64 [N], their rows in the scene's labels;
-    ``chosen`` int64 [n], which to draw; ``row``, ``reach`` float32 [N], centre and radius in picture rows; ``near``,
-    m."""
+    ``chosen`` int64 [n], to draw; ``row``, ``reach`` float32 [N], centre and radius in picture rows; ``near``,
+    metres."""
 
     drawn: NeuralGaussians
     rows_of: torch.Tensor

@@ -41,7 +41,7 @@ def compare_in_torch(
     l1_weight: float,
     ssim_weight: float,
 ) -> torch.Tensor:
-    """Return the loss that `similarity.compare` returns, for a photo without stored moments, which take much."""
+    """Return the loss that `similarity.compare` returns, for a photo without moments, which take memory."""
     assert isinstance(photo, torch.Tensor)  # as `place_in_torch` makes it
     y = photo.float() / 255.0
     planes = torch.cat([image, image * image, image * y, y, y * y], dim=2).permute(2, 0, 1)[:, None]
