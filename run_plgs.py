@@ -69,7 +69,7 @@ from plgs.engine.job.terminal import Interrupted, Interrupts, ask_engine, lift_i
 
 
 def script_arguments(argv: Sequence[str]) -> list[str]:
-    """Return the arguments for this script: all after ``--``. Without ``--``, all of them, but only outside Blender."""
+    """Return the arguments for this script: those after ``--``. Without ``--``, these are all, or in Blender none."""
     if "--" in argv:
         return list(argv[argv.index("--") + 1 :])
     blender = sys.modules.get("bpy")
@@ -163,7 +163,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 def frame_range(text: str) -> list[float]:
-    """Return the frames of "1-250", "1-3:0.5" or "1001,1003", for argparse: it raises ArgumentTypeError."""
+    """Return the frames of "1-250", "1-3:0.5" or "1001,1003". Raises ArgumentTypeError, for argparse, for others."""
     try:
         ranges = frame_numbers(text)
         if sum(map(len, ranges)) > MOST_FRAMES:
@@ -175,7 +175,7 @@ def frame_range(text: str) -> list[float]:
 
 
 def python_with_blender() -> Path | None:
-    """Return a Python that has bpy, or None if this one does. Raises PlgsError if there is none."""
+    """Return a Python that has bpy, or None if the running one has it. Raises PlgsError if none has it."""
     if "bpy" in sys.modules or importlib.util.find_spec("bpy"):
         return None
     python = engine_python()
@@ -280,7 +280,7 @@ def is_blend(path: Path) -> bool:
 
 
 def build_blend(lift: LiftFolder, blend: Path) -> ExitCode:
-    """Make the .blend of a finished lift. An unexpected error is one line, with details in the log. Raises
+    """Make the .blend of a finished lift. An unexpected error is told in a line; the log has details. Raises
     PlgsError."""
     lift.refuse_read_only()
     print("Building the .blend ...", file=sys.stderr, flush=True)

@@ -72,7 +72,7 @@ class Explained:
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:
-        """Return why it cannot be called now, None if it can. Never reads the disk."""
+        """Return why the operator cannot be called now, or None if it can be. Never reads the disk."""
         return None
 
     @classmethod
@@ -107,7 +107,7 @@ class StartsTask(Explained):
     """Whether a click gets its own undo step, so that a later undo keeps what it set."""
 
     def begin(self, context: bpy.types.Context) -> Task | None:
-        """Start the task; return None if there is nothing to wait for. Raises PlgsError or OSError if it cannot."""
+        """Start the task; return None if there is nothing to wait for. Raises PlgsError or OSError if that fails."""
         raise NotImplementedError
 
     def report_outcome(self, context: bpy.types.Context, task: Task | None) -> set[str]:
@@ -130,7 +130,7 @@ class StartsTask(Explained):
         return self.run(context, waits=True)
 
     def run(self, context: bpy.types.Context, *, waits: bool) -> set[str]:
-        """Begin the task, wait for it if asked to, and report the outcome."""
+        """Begin the task, wait for its end if it ``waits``, and report the outcome."""
         task = self.begin(context)
         if waits and task is not None:
             registry.wait_for(task, context.scene, self.report_step)

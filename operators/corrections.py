@@ -45,7 +45,7 @@ _class_argument = partial(
 
 
 class AsksForOne:
-    """An operator whose dialog shows only the property ``asked``, ready for typing; its others are for scripts."""
+    """An operator whose dialog shows only the property ``asked``, ready for typing; scripts may give its others."""
 
     asked: str
     layout: bpy.types.UILayout

@@ -44,7 +44,7 @@ class OnLift(Acts):
 
 
 class OnChosen(OnLift):
-    """An operator on what is chosen in a lift; buttons are grey while nothing is."""
+    """An operator on the instance chosen in a lift; its button is grey while no instance is chosen."""
 
     @classmethod
     def why_not(cls, context: bpy.types.Context) -> str | None:

@@ -333,7 +333,7 @@ class PLGS_OT_leave_out(OnFinding, bpy.types.Operator):
 
 
 def _known(context: bpy.types.Context) -> Diagnosis | None:
-    """Return the diagnosis of the panel's scene, None if it was not measured."""
+    """Return the diagnosis of the panel's scene, None if the scene was not measured."""
     settings = context.scene.plgs
     return diagnosis_of(chosen_scene(settings)) if settings.scene_folder else None
 

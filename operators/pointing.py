@@ -57,8 +57,8 @@ def _middle_of(event: bpy.types.Event) -> tuple[float, float]:
 
 
 def _is_in_front(context: bpy.types.Context, mouse: tuple[int, int], *, extend: bool) -> bool:
-    """Let Blender select what it finds at a pixel. Returns whether that is not part of a lift's picture; if it is, the
-    selection is restored."""
+    """Let Blender select the object at the pixel ``mouse``. Returns whether that object is the user's, a camera or a
+    cut. If not, the selection is restored."""
     layer = context.view_layer
     before, active = [ob for ob in layer.objects if ob is not None and ob.select_get()], layer.objects.active
     if "FINISHED" not in bpy.ops.view3d.select(location=mouse, toggle=extend):
@@ -76,7 +76,7 @@ def _is_in_front(context: bpy.types.Context, mouse: tuple[int, int], *, extend: 
 
 
 def _lift_of(ob: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Collection | None:
-    """Return the lift that an object is part of; None for the user's objects, copies of ours included."""
+    """Return the lift that an object is part of; None for the user's objects and for copies of a lift's objects."""
     if not text_of(ob, LIFT):
         return None
     own = (root for root in lifts_in(scene) if root[LIFT] == ob[LIFT] and ob in objects_by_key(root).values())

@@ -79,7 +79,7 @@ def read_points(matching: Matching, scene: Scene, preset: Preset) -> Scores:
 
 
 def bench_masks(pairs: Mapping[str, SceneSource], preset: Preset, sizes: Sequence[int]) -> Iterator[Run]:
-    """Yield the scores so far after each pair of masks and each size."""
+    """Yield a growing Run after each pair of masks and each size: the scores by "SCENE MASKS SIZE"."""
     run: Run = {}
     for name, source in pairs.items():
         for size in sizes:
@@ -88,7 +88,7 @@ def bench_masks(pairs: Mapping[str, SceneSource], preset: Preset, sizes: Sequenc
 
 
 def read_run(file: Path) -> Run:
-    """Read a stored run. Raises PlgsError if the file is none."""
+    """Read a stored run. Raises PlgsError if the file holds none."""
     scores = read_object(file, "Give a file that --json wrote.")
     return {key: (number(one[0]) or 0.0, number(one[1]) or 0.0) for key, one in scores.items() if isinstance(one, list)}
 
@@ -100,8 +100,8 @@ def write_run(file: Path, run: Run) -> None:
 
 def differences(run: Run, before: Run) -> Iterator[str]:
     """Yield the lines of a Markdown table: each pair's mean over its sizes, and what was gained since ``before``, with
-    half the range over the sizes; the pair that lost most mIoU comes first. The last line is the mean, with its
-    standard error."""
+    half the range over the sizes; the pair that lost most mIoU comes first. The last line is the mean and its standard
+    error."""
     keys: dict[str, list[str]] = {}
     for key in run:
         keys.setdefault(key.rpartition(" ")[0], []).append(key)

@@ -88,8 +88,8 @@ def bench_step(preset: Preset | None = None) -> dict[str, Any]:
 
 
 def profile_lift(views: Sequence[View], classes: ClassTable, preset: Preset, steps: int = STEPS) -> dict[str, Any]:
-    """Prepare a lift, and measure ``steps`` steps with labels, as the others have fewer parts. The first step measured
-    is the one at which the statistics of growth begin, which are another part.
+    """Prepare a lift, and measure ``steps`` steps with labels, as steps without labels have fewer parts. The first step
+    measured is the one at which the statistics of growth begin, which are another part.
 
     Returns facts for JSON: the numbers of visible anchors and of Gaussians are means over the steps; ``core_ms`` is a
     step's processor time, of all cores together; ``draw_ms`` and ``decide_ms`` are the parts of a panoptic frame."""

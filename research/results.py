@@ -47,7 +47,7 @@ class Figures(NamedTuple):
 @dataclass(frozen=True)
 class Result:
     """The figures of one row on one scene; ``steps`` is 0 if nothing was trained. ``engine_version`` includes the
-    digest of the code, like `this_engine`. ``failed`` says why there are no figures."""
+    digest of the code, like `this_engine`. ``failed`` says why there are no figures, "" if there are."""
 
     scene: str
     row: str

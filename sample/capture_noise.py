@@ -119,7 +119,7 @@ def motion_blur(light: Pixels, motion: Floats) -> Pixels:
 
 def border_mask(size: Size, noise: CaptureNoise, random: np.random.Generator) -> Bools:
     """Return the pixels that undistortion leaves black, bool [H, W]. Undistortion moves the picture's edges inwards by
-    a parabola. It differs on each side, as lenses are not quite centred. Interpolation adds a slight wave."""
+    a parabola. The parabola differs on each side, as lenses are not quite centred. Interpolation adds a slight wave."""
     width, height = size
     narrow, wide = noise.border[0] * width, noise.border[1] * width
     insets = []

@@ -74,8 +74,7 @@ def write_hand_held(scene: Path, out: Path, seed: int, noise: CaptureNoise | Non
 
 def exposed(light: Pixels, gains: Floats, motion: Floats | None, black: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Return the picture, uint8 [H, W, 3], of linear light after the shutter's blur, amplification, clipping and
-    undistortion. ``gains`` float64 [3], ``motion`` float64 [2] in parts of the width or None, ``black`` [H, W]:
-    borders."""
+    undistortion. ``gains`` float64 [3], ``motion`` float64 [2] in widths or None, ``black`` [H, W]: borders."""
     if motion is not None:
         light = capture_noise.motion_blur(light, motion * light.shape[1])
     colour = capture_noise.srgb(light * gains.astype(np.float32))

@@ -198,7 +198,7 @@ def detect(
 
 
 def _miss(regions: list[TrueRegion], noise: MaskNoise, random: np.random.Generator) -> tuple[list[TrueRegion], Bools]:
-    """Return the regions that are found, and the holes, bool [H, W], of missed ones that no neighbour covers."""
+    """Return the regions that are found, and the holes, bool [H, W], of missed regions that no neighbour covers."""
     found: list[TrueRegion] = []
     swallowed: list[Bools] = []
     holes = np.zeros_like(regions[0].pixels)
@@ -278,7 +278,7 @@ def _grown(pixels: Bools) -> Bools:
 
 
 def _draw(seen: list[Region], holes: Bools, noise: MaskNoise, random: np.random.Generator) -> Ids:
-    """Draw like a low-resolution network: coverage of coarse cells, read at displaced pixels; the largest wins."""
+    """Draw like a low-resolution network: coverage of coarse cells, read at displaced pixels; the largest one wins."""
     height, width = holes.shape
     shares = [_coarse(holes, noise.cell), *(_coarse(region.pixels, noise.cell) for region in seen)]
     bonuses = np.concatenate([[0.0], random.normal(size=len(seen)) * noise.bleed])

@@ -131,7 +131,7 @@ def install_packages(packages: list[str]) -> None:
 
 def find_python(uv: Path, environment: str) -> tuple[str, tuple[int, int]]:
     """Return the Python for an environment, as `uv venv` takes it, and its version. For `.venv` it is the first of
-    BLENDER's versions that is on this computer, else one that uv downloads; `.venv-next` may have none: ("", ...)."""
+    BLENDER's versions that is on this computer, else one that uv downloads; for `.venv-next` "" if it is missing."""
     versions = list(BLENDER)
     if environment == ".venv-next":
         versions = [(3, 13)] if (ROOT / ".venv/bin/python3.11").exists() else []

@@ -34,7 +34,7 @@ def tool() -> list[str]:
 
 
 def version_of(blender: str) -> tuple[int, int]:
-    """Return the version that a program says it has; 0, 0 if it says none within a minute."""
+    """Return the version that the program ``blender`` prints; (0, 0) if it prints none within a minute."""
     try:
         said = subprocess.run([blender, "--version"], capture_output=True, text=True, check=False, timeout=60).stdout
     except (OSError, subprocess.TimeoutExpired):

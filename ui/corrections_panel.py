@@ -22,7 +22,7 @@ class PLGS_PT_corrections(OfResult, bpy.types.Panel):
     bl_idname, bl_label = "PLGS_PT_corrections", "Correct"
 
     def draw_header_preset(self, _context: bpy.types.Context) -> None:
-        """Show what X or a menu began also while the panel is closed."""
+        """Show what the key X or a menu began, also while the panel is closed."""
         for kind, name in ((RemoveObjects, "Removing"), (SplitByViews, "Views")):
             task = registry.latest(kind)
             if not draw_bar(self.layout, task, name) and task is not None and task.error is not None:

@@ -45,7 +45,7 @@ def _draw_in_space() -> None:
 def _draw_cameras_path(
     context: bpy.types.Context, root: bpy.types.Collection, objects: dict[str, bpy.types.Object]
 ) -> None:
-    """Draw the path of visible frame cameras (`objects` by key), unless that is off or the view a camera's."""
+    """Draw the path of visible frame cameras (`objects` by key), unless it is off or the view is a camera's."""
     is_off = len(root.plgs.classes) > 0 and not root.plgs.show_cameras
     if is_off or context.region_data.view_perspective == "CAMERA":
         return
@@ -96,7 +96,7 @@ def _draw_selected(context: bpy.types.Context, root: bpy.types.Collection) -> No
 
 
 def legend_of(context: bpy.types.Context, root: bpy.types.Collection) -> list[tuple[str, drawing.Colour | None]]:
-    """Return the legend of the view's colours: of the live preview, the masks shown, or the lift; else []."""
+    """Return the names and colours (None: no colour) of the live preview, else of the masks shown, else of the lift."""
     camera, lists = camera_of(context), root.plgs
     if camera is not None and camera == context.scene.camera:
         if lifts.picture_for(context.scene) is not None:

@@ -108,7 +108,7 @@ def draw_cancel(layout: bpy.types.UILayout, task: Task) -> None:
 
 
 def draw_bar(cell: bpy.types.UILayout, task: Task | None, name: str) -> bool:
-    """While a task runs, draw its progress and a cross in place of its button. Returns whether it runs."""
+    """While a task runs, draw its progress and a cross in place of its button. Returns whether one runs."""
     if task is None or not task.is_running:
         return False
     share, _ = how_far(task)

@@ -23,7 +23,7 @@ class CloudIndex:
 
     def nearest(self, queries: NDArray[np.floating], reach: float) -> NDArray[np.int32]:
         """Return the index of the nearest point within ``reach`` metres of each query [..., 3], int32 [...], -1 = none.
-        Of two equally near points the lower index is taken; of more, always the same."""
+        If two points are equally near, the lower index is taken; if more are, always the same one."""
         flat = np.asarray(queries, np.float64).reshape(-1, 3)
         found = np.full(len(flat), -1, np.int32)
         usable = np.isfinite(flat).all(axis=1)

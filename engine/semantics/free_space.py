@@ -20,10 +20,10 @@ FILLED = 0.3
 
 
 def in_free_space(xyz: NDArray[np.floating], views: Sequence[View]) -> NDArray[np.bool_]:
-    """Return which of the places ``xyz`` [N, 3] metres the views look through, bool [N]: the evidence of those whose
-    measured depth is behind outweighs that of those that show a surface there (1 / depth² each, as noise grows with
-    it), or no view shows one within FILLED. A view looks through a place only if it does so in the pixels around it,
-    too: else thin things would be lost."""
+    """Return which places ``xyz`` [N, 3] metres the views look through, bool [N]. Views that measure depth behind a
+    place speak for this, views that show a surface there against it (by 1 / depth² each, as noise grows with it); a
+    place where no view shows a surface within FILLED is one, too. A view speaks for it only if it also looks through in
+    the pixels around it: else thin things would be lost."""
     from scipy.spatial import cKDTree
 
     shown, empty = np.zeros(len(xyz)), np.zeros(len(xyz))

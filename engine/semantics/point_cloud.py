@@ -62,7 +62,7 @@ def majority_vote(
     votes: NDArray[np.floating], class_ids: Sequence[int], majority: float
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Return the class id with the most votes in each row of ``votes`` [N, C], int32 [N], and its share, float32 [N].
-    Ties go to the lower id. It is 0 (unknown) without votes, or if its share is below ``majority``."""
+    Ties go to the lower id. The id is 0 (unknown) without votes, or if its share is below ``majority``."""
     if not votes.shape[1]:
         return np.zeros(len(votes), np.int32), np.zeros(len(votes), np.float32)
     winner = votes.argmax(1)

@@ -34,7 +34,7 @@ def empty_trash(folder: Path) -> None:
 
 def refuse_others(folder: Path) -> None:
     """Raise PlgsError for a folder that holds files but no earlier set-up, as a set-up might delete somebody else's
-    "downloads". The user's cache always belongs to us."""
+    "downloads". PLGS's own folder in the user's cache is always allowed."""
     is_ours = (folder / LOCK).is_file() or folder == environments_folder()
     if not is_ours and folder.is_dir() and any(path.name[:3] != "uv-" for path in folder.iterdir()):
         fix = "Name a new or an empty folder, or that of an earlier set-up."

@@ -57,7 +57,7 @@ class UvTask:
         self._variables = found
 
     def _get_uv(self, tools: Path) -> Path:
-        """The path of uv in ``tools``. Raises PlgsError without it, and if its settings would install elsewhere."""
+        """Return uv's path in ``tools``; fetch it if missing. Raises PlgsError if that fails, or settings divert it."""
         if setting := uv_program.diverted(os.environ, self._cwd):
             fix = f"Remove it, or set UV_CONFIG_FILE to a file without it, then {self._again}"
             what = "a setting of uv keeps packages out of the engine's environment"
@@ -123,7 +123,7 @@ class UvTask:
                 process.kill()
 
     def _tell(self, step: int, detail: str = "") -> None:
-        """Report that a step (its number) begins, or ``detail``, more about it."""
+        """Report that step number ``step`` begins or, with ``detail``, what is done in it."""
         label = f"{self._labels[step - 1]}: {detail}" if detail else self._labels[step - 1]
         if (step, label) != (self._step, self._label):
             self._step, self._label = step, label

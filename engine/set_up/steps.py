@@ -60,7 +60,7 @@ _SYNC = "import os; getattr(os, 'sync', lambda: None)()"  # Windows has no os.sy
 
 @dataclass(frozen=True)
 class SetUpRequest:
-    """The options of a set-up. ``base_python`` None means this one, or another for which packages are pinned.
+    """The options of a set-up. ``base_python`` None means the running Python, or another with pinned packages.
     ``torch_build`` is "cpu" or "cuda". With ``index_url`` "" packages come from where uv or pip is configured to look;
     ``wheels`` is a folder from which they come instead, without a network. ``download`` is such a folder to make,
     instead of an environment. ``torch_hash`` is the SHA-256 of torch's wheel, for a build whose hash is not pinned."""
@@ -100,7 +100,7 @@ class SetUp(UvTask):
         self._variables["UV_PYTHON_INSTALL_DIR"] = str(self.folder / PYTHON)
 
     def run(self) -> Path:
-        """Do all steps and return the environment's Python, or the folder of wheels. Raises PlgsError if a step fails;
+        """Do all steps; return the environment's Python, or the wheels' folder. Raises PlgsError if a step fails;
         Cancelled."""
         try:
             refuse_others(self.folder)
@@ -142,7 +142,7 @@ class SetUp(UvTask):
         return python_in(environment)
 
     def _find_python(self, uv: Path) -> tuple[str | Path, Version]:
-        """Return a Python for `uv venv`: the given one, else this one, another on this computer, or one to download."""
+        """Return a Python for `uv venv`: the given one, else the running one, one of this computer, or one to get."""
         versions = pinned_versions(self.root)
         if not versions:
             what = "the requirements are missing"

@@ -99,7 +99,7 @@ def assigned_slots(
 ) -> torch.Tensor:
     """Assign each thing segment to the slot that is rendered in it most probably, one to one (Hungarian algorithm).
     Return each pixel's slot, int16 [H, W], -1 = none. Slots are ``coverage``'s channels from ``first`` on; ``coverage``
-    divided by ``alpha`` is a probability. The slot ``no_object`` is left out. CUDA copies back only means."""
+    divided by ``alpha`` is a probability. The slot ``no_object`` is left out. On CUDA, only means are copied back."""
     slots, segments = coverage.shape[-1] - first, len(things.pixels)
     row, slot_of_segment = torch.as_tensor(things.row).long(), np.full(segments + 1, NO_SLOT, np.int16)
     if slots and segments:

@@ -102,7 +102,7 @@ class GrowthSchedule:
 
 @dataclass(frozen=True)
 class StepReport:
-    """What a step reports: its ``loss``, the loss's parts (0 for labels that it does not train), the number of
+    """What a step reports: its ``loss``, the loss's parts (0 for labels that the step does not train), the number of
     Gaussians drawn, and ``further`` terms of the loss by name, weights included."""
 
     step: int
@@ -148,8 +148,8 @@ LOSSES: Parts[Callable[[Step], torch.Tensor]] = Parts("loss", {"depth": weighted
 
 
 def register_loss(name: str, loss: Callable[[Step], torch.Tensor]) -> None:
-    """Make ``loss`` available, in this process, to presets that list ``name`` in their ``losses``. It returns a scalar,
-    already multiplied by its weight."""
+    """Make ``loss`` available, in this process, to presets that list ``name`` in their ``losses``. ``loss`` returns a
+    scalar, already multiplied by its weight."""
     LOSSES.register(name, loss)
 
 

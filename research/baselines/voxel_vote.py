@@ -36,7 +36,7 @@ class VoxelVote:
         self._votes: list[NDArray[np.int64]] = []
 
     def add(self, camera: Camera, depth: NDArray[np.float32], class_map: NDArray[np.int32]) -> None:
-        """A training view: depth float32 [H, W] metres (0 = none) and class ids int32 [H, W] (0 abstains)."""
+        """Add a training view's votes: depth float32 [H, W] metres (0 = none), class ids int32 [H, W] (0 abstains)."""
         voting = (depth > 0) & np.isin(class_map, self.classes.ids)
         voxels, voxel_of = np.unique(_pack(camera.unproject(depth)[voting]), return_inverse=True)
         classes = max(self.classes.ids) + 1

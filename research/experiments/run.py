@@ -99,7 +99,7 @@ def is_finished(task: Task) -> bool:
 
 
 def make_depth_maps(lift: Path, maps: Path) -> None:
-    """Write the rendered depth of all frames of a lift into the folder ``maps``, unless it is there. Raises PlgsError
+    """Write the rendered depth of all frames of a lift into the folder ``maps``, unless that exists. Raises PlgsError
     if the lift is not finished."""
     if not has_manifest(lift):
         what = "the lift whose depth is needed is not finished"
