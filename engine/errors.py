@@ -28,7 +28,7 @@ _SILENT = (errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.EINTR, 
 
 class ExitCode(IntEnum):
     """The exit status of the engine and of run_plgs.py. 75 is EX_TEMPFAIL of sysexits.h, at which render farms try
-    again. Those from 129 on are the shell's numbers for processes ended by a signal: closed terminal, Ctrl-C,
+    again. Codes from 129 on are the shell's numbers for processes ended by a signal: closed terminal, Ctrl-C,
     SIGTERM."""
 
     FINISHED = 0

@@ -41,8 +41,8 @@ def known_network(name: str) -> KnownNetwork | None:
 
 
 def licence_of(name: str) -> dict[str, str | bool | None]:
-    """Return the licence of a network for ``made_by.json``: one sentence as "licence", and as "commercial_use" whether
-    that allows it (None: not known)."""
+    """Return what ``made_by.json`` says of a network's licence: "licence" is a sentence on it, and "commercial_use"
+    whether it allows commercial use (None: not known)."""
     known = known_network(name)
     if known is None:
         return {"licence": f"the licence of {name} is not known here: its authors state it", "commercial_use": None}

@@ -82,7 +82,7 @@ class Farm:
         return {address: worker for address, worker in known.items() if engine_tag() in worker.get("resources", {})}
 
     def largest(self) -> float:
-        """The memory of the largest worker in GB. On Slurm all have the same, which is known before they start."""
+        """The memory of the largest worker in GB. On Slurm all workers have the same, known before they start."""
         if self.options.slurm is not None:
             return self.options.gigabytes
         return max((worker["resources"].get(GIGABYTES, 0.0) for worker in self.workers().values()), default=0.0)

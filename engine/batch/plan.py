@@ -285,7 +285,7 @@ def _figure(row: Row, key: str) -> float | None:
 
 
 def _means(rows: Sequence[Row]) -> list[float | None]:
-    """Return the mean of each figure over the scenes that are done and have it; None if there are none."""
+    """Return the mean of each figure over the scenes that are done and have it; None where no scene has it."""
     done = [row for row in rows if row.state == "done"]
     seconds: list[float | None] = [row.seconds for row in done]
     columns = [seconds, *([_figure(row, key) for row in done] for key in COLUMNS)]

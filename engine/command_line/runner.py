@@ -91,7 +91,7 @@ def run_at(command: Command, files: TaskFiles, terminal: TextIO) -> ExitCode:
 
 def run_task(command: Command, files: TaskFiles | None, *, as_json: bool = False) -> ExitCode:
     """Run a command in the terminal (its answer ``as_json``) or, given ``files``, with its events there. Raises
-    PlgsError if they are in use."""
+    PlgsError if the files are in use."""
     if files is not None:
         with FileLock(files.events), output_to(files.log) as terminal:
             return run_at(command, files, terminal)

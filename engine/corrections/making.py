@@ -34,7 +34,7 @@ def rename(state: Replay, number: int, name: str) -> Edit:
 
 
 def class_of(classes: ClassTable, said: int | str) -> int:
-    """Return the class that ``said`` names by number, unique name or both ("3 chair"). Raises PlgsError if none."""
+    """Return the class that ``said`` names: number, unique name or both ("3 chair"). Raises PlgsError if none fits."""
     names, text = {one.id: one.name for one in classes.categories}, str(said).strip()
     found = named(names, text) if isinstance(said, str) else []
     found = found or [number for number, name in names.items() if text in (str(number), f"{number} {name}")]
@@ -46,7 +46,7 @@ def class_of(classes: ClassTable, said: int | str) -> int:
 
 
 def object_of(state: Replay, said: int | str) -> int:
-    """Return the object that ``said`` names by id, unique name or both ("7 chair 1"). Raises PlgsError if none."""
+    """Return the object that ``said`` names: id, unique name or both ("7 chair 1"). Raises PlgsError if none fits."""
     names, text = {number: one.name for number, one in state.objects.items()}, str(said).strip()
     found = [number for number, name in names.items() if text in (str(number), f"{number} {name}")]
     found = found or named(names, text)

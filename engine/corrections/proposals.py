@@ -187,7 +187,7 @@ def entropy_of(confidence: NDArray[np.floating]) -> NDArray[np.float64]:
 
 
 def entropy_of_views(points: SemanticPoints, cameras: Sequence[Camera]) -> NDArray[np.float64]:
-    """Return the mean ``entropy_of`` the points that each camera sees, float64 [V]; 0 if it sees none."""
+    """Return the mean of `entropy_of` over the points that each camera sees, float64 [V]; 0 if it sees no point."""
     doubt, found = entropy_of(points.confidence), np.zeros(len(cameras))
     for number, camera in enumerate(cameras):
         rows, pixel, depth = camera.seen(points.xyz)

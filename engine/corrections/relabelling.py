@@ -106,7 +106,7 @@ class Relabelling:
 
     @property
     def fills(self) -> list[tuple[int, Fill]]:
-        """The fills of removals, each with the number of steps up to its removal, after which it is added."""
+        """The fills of removals, each with the number of the steps up to its removal; it is added after these steps."""
         return [(number, step.fill) for number, step in enumerate(self.steps, start=1) if step.fill is not None]
 
     def of(self, xyz: NDArray[np.floating], label: Labels, first: int = 0) -> Labels:

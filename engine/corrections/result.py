@@ -113,7 +113,7 @@ class CorrectedResult:
 
     def splats(self, rows: NDArray[np.void]) -> NDArray[np.void]:
         """Return the rows [N] of gaussians.ply with their labels after the edits, without the Gaussians of removed
-        objects, and with those that replace them."""
+        objects, and with the Gaussians that replace these."""
         if not self.changes_labels:
             return rows
         parts = list[NDArray[np.void]]()

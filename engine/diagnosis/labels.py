@@ -30,9 +30,8 @@ foreign ones agree, and no conclusion is possible."""
 
 
 class LabelAgreement(NamedTuple):
-    """How well masks agree. ``counts`` float64 [C, C]: points of one class in one view and of another in the other
-    view, without void. ``by_look`` float64 [F]: fraction of a frame's points with the same class in others; nan: too
-    few."""
+    """How well masks agree. ``counts`` float64 [C, C]: points by class in one view and class in the other view, without
+    void. ``by_look`` float64 [F]: fraction of a frame's points with the same class in others; nan: too few."""
 
     counts: Floats
     by_look: Floats

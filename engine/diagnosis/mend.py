@@ -190,7 +190,7 @@ _NO_WORSE = 0.98
 
 def harm_of(scene: Scene, diagnosis: Diagnosis, folder: Path) -> str | None:
     """Return why the corrected scene in ``folder`` is no improvement on ``scene``, such as "most of the depth would be
-    lost". None if it is one: it opens, keeps its depth, has the size of a room, and its views agree far better."""
+    lost". None if it is better: it opens, keeps its depth, has the size of a room, and its views agree far better."""
     try:
         mended = open_scene(folder)
         examined = examine(mended)

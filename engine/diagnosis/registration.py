@@ -215,7 +215,7 @@ _OTHERS = (Taken(mirrored=True), *(Taken(lag) for lag in (-2, -1, 1, 2)))
 
 def measure_pictures(examined: Examined, assumed: Assumption) -> tuple[Taken, Gain] | None:
     """Return the change of pictures (`Taken`) with which they agree clearly better, and the gain in the mean
-    correlation of greys on surfaces. None if there is none."""
+    correlation of greys on surfaces. None if no change helps clearly."""
     views, pairs = examined.views, examined.pairs
     comparison = views.compare(pairs, assumed)
     seen = [agrees > _SAME_SURFACE for agrees in comparison.agrees]

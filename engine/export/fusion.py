@@ -251,7 +251,7 @@ def _by_slope(view: SmallView, large: NDArray[np.float32], grain: Grain) -> Iter
 
 def _in_order(surface: Surface) -> Surface:
     """Return the same surface with sorted vertices and triangles, as Open3D's threads return them in a varying order.
-    Duplicate vertices, which it leaves between blocks of voxels, are merged."""
+    Duplicate vertices, which Open3D leaves between blocks of voxels, are merged."""
     order = np.lexsort(np.concatenate([surface.normal, surface.xyz], axis=1).T)
     xyz = surface.xyz[order]
     is_first = np.ones(len(xyz), bool)

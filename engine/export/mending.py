@@ -150,7 +150,7 @@ def even_rim(surface: Surface) -> NDArray[np.float32]:
 
 def without_crumbs(surface: Surface, label: Ints, is_stuff: NDArray[np.bool_], least: int = 0) -> Ints:
     """Return the labels [V] without crumbs: small pieces of a label's mesh that are far from its large ones, or tiny. A
-    crumb gets the label that most of its neighbours on the surface have, and 0 without any. Stuff, marked by
+    crumb gets the label that most of its neighbours on the surface have, or 0 without neighbours. Stuff, marked by
     ``is_stuff`` [V], is naturally in pieces, such as the wall between two pictures: only its smallest pieces are
     crumbs. So are pieces of fewer than ``least`` triangles, unless they are the largest."""
     number, crumbs, stays = np.full(len(label), -1, np.int64), 0, np.zeros(len(label), np.bool_)
@@ -178,7 +178,7 @@ def without_crumbs(surface: Surface, label: Ints, is_stuff: NDArray[np.bool_], l
 
 
 def most_frequent(group: Ints, label: Ints, groups: int) -> Ints:
-    """The most frequent label in each of ``groups`` groups, [groups], from members' group and label [N]; 0 for none."""
+    """Return the most frequent label of each group, [groups], from the members' ``group`` and ``label`` [N]; else 0."""
     known, index = np.unique(label, return_inverse=True)
     pairs, count = np.unique(group * max(len(known), 1) + index, return_counts=True)
     pairs = pairs[np.argsort(count, kind="stable")]  # so that the most frequent is written last

@@ -318,7 +318,7 @@ def vertex_labels(xyz: NDArray[np.float32], views: Sequence[SmallView], times: i
 
 
 def label_names(labels: NDArray[np.int64], classes: ClassTable, instances: Mapping[int, str]) -> dict[int, str]:
-    """Return a file name for each label: the instance's name or, if it is stuff, that of the class. Void has none."""
+    """Return a file name for each label: the instance's name or, for stuff, the class's. Void gets no name."""
     names = {}
     for value in labels.tolist():
         class_id, instance = divmod(value, MOST_INSTANCES)

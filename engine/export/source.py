@@ -145,7 +145,7 @@ class FinishedLift:
             self.progress(number, len(self.frames))
 
     def part(self, begin: float, end: float) -> Progress:
-        """Return the progress callback for the part of the export between two shares (0..1) of it, in percent."""
+        """Return a progress callback, in percent, for the part of the export between two shares (0..1) of it."""
         return part_of(self.progress, begin, end, 100)
 
     def small_views(self, width: int, most: int, progress: Progress) -> Iterator[tuple[Frame, Camera, PanopticLayers]]:

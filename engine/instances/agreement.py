@@ -145,7 +145,7 @@ class JudgingRules:
 
 def view_points(view: View, point_of_pixel: NDArray[np.int32]) -> ViewPoints:
     """Return what a view shows at the points it sees. ``point_of_pixel`` int32 [H, W]: each pixel's point, -1 = none.
-    Pixels at a mask's edge, which is often ragged, count only for points without others."""
+    Pixels at a mask's edge, which is often ragged, count only for points that no other pixel shows."""
     seen = point_of_pixel >= 0
     row = point_of_pixel[seen].astype(np.int64)
     segment = view.mask.ids[seen].astype(np.int64)

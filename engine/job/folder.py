@@ -82,7 +82,7 @@ class LiftFolder:
 
     @classmethod
     def open(cls, path: Path) -> LiftFolder:
-        """Open a lift folder. Raises PlgsError if it is none, has links instead of files, or an unreadable request."""
+        """Open a lift folder. Raises PlgsError if it is no lift, has links for files, or an unreadable request."""
         path = path.absolute()
         refuse_unwritable_name(path)
         try:
@@ -152,7 +152,7 @@ class LiftFolder:
         return is_locked(self.events_path)
 
     def lock(self) -> FileLock:
-        """The engine's lock for ``with``, held while it writes. Raises PlgsError if another has it, and OSError."""
+        """The engine's lock for ``with``, held while it writes. Raises PlgsError if another engine has it, OSError."""
         return FileLock(self.events_path)
 
     def refuse_foreign(self) -> None:

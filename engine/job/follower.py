@@ -25,7 +25,7 @@ class TaskFollower:
     """Follows one task: `poll` it often, then read its attributes. It starts no threads. ``kind`` names the task,
     ``progress`` is its progress. When ``state`` is no longer RUNNING, ``answer`` is the command's answer (None if it
     gave none), ``error`` is why it failed, and ``log_lines`` the end of its log if the cause is not the user's input.
-    ``on_event`` is called with each event. ``kill_at`` is when it will be killed, None until it is asked to stop."""
+    ``on_event`` is called with each event. ``kill_at`` is when the engine is killed, None until asked to stop."""
 
     def __init__(
         self,

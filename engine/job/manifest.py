@@ -30,8 +30,8 @@ def damaged(key: str, what: str, path: Path) -> PlgsError:
 class Manifest:
     """What a finished lift made, and how: ``versions`` are those of libraries, ``settings`` all options' final values.
     ``timings`` are seconds by stage. ``frames`` gives the original names of frames whose files are named otherwise, by
-    file name. ``masks`` is the digest of the masks that were lifted; "" if unknown. ``request`` is that of the lift's
-    request.json. ``estimated`` says what was not measured, and licences."""
+    file name. ``masks`` is the digest of the masks that were lifted; "" if unknown. ``request`` is the digest of the
+    lift's request.json. ``estimated`` says what was not measured, and licences."""
 
     engine_version: str
     versions: _Facts

@@ -151,8 +151,8 @@ def voted_points(
     progress: Progress,
 ) -> tuple[SemanticPointCloud, NDArray[np.int32]]:
     """Return the cloud with the classes that segments and points vote for, and each point's object, int32 [N], 0 =
-    none. Votes are shared within superpoints (``superpoint`` int64 [N]); if None, among neighbours if the preset says
-    so."""
+    none. Votes are shared within superpoints, ``superpoint`` int64 [N]. Without these, neighbours share them if the
+    preset says so."""
     neighbours: Any = None
     if superpoint is not None:
         neighbours = rest_of_superpoints(superpoint, found.agreement.in_all)
@@ -190,8 +190,8 @@ def with_unowned(
     seeing: ViewsOnCloud,
     classes: ClassTable,
 ) -> tuple[NDArray[np.int32], list[SceneObject]]:
-    """Add objects for connected points of a thing's class that belong to none but that masks show. ``owner`` int32 [N]
-    is each point's object among ``things``, 0 = none. Return the new owners and the longer list of objects."""
+    """Add objects for connected points of a thing's class that belong to no object but that masks show. ``owner`` int32
+    [N] is each point's object among ``things``, 0 = none. Return the new owners and the longer list of objects."""
     is_alone = (owner == 0) & np.isin(cloud.class_id, sorted(classes.thing_ids))
     class_of_point = np.where(is_alone, cloud.class_id, VOID).astype(np.int32)
     rules = by_votes.PieceRules(reach=max(LARGEST_GAP, 3 * cloud.spacing), fragment=0.0)
@@ -264,7 +264,7 @@ def masks_of_pieces(
     masks: Sequence[ObjectMask], seeing: ViewsOnCloud, owner: NDArray[np.int32], count: int
 ) -> list[tuple[ObjectMask, ...]]:
     """Return the masks of each of ``count`` pieces, in the order of the views. A mask counts for the piece with most of
-    its points; those of views that only vote do not. ``owner`` int32 [N]: each point's piece, from 1, 0 = none."""
+    its points, unless its view only votes. ``owner`` int32 [N]: each point's piece, from 1, 0 = none."""
     number_of = {view.name: number for number, view in enumerate(seeing.views)}
     members: list[list[ObjectMask]] = [[] for _ in range(count)]
     own = (mask for mask in masks if mask.frame in number_of)

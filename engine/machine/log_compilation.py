@@ -13,7 +13,7 @@ log = logging.getLogger("plgs.machine")
 
 
 def log_compilation(what: str, how_long: str) -> Callable[[], None]:
-    """Log that ``what`` is being compiled, and ``how_long`` it takes, the first time. Call the result at the end."""
+    """Log, the first time only, that ``what`` is compiled and ``how_long`` it takes. Call the result when done."""
     # An empty file beside the machine code records that it was compiled.
     stamp = CACHE_FOLDER / f"compiled-{what.replace(' ', '-')}-{_target()}"
     if stamp.exists():

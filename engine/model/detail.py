@@ -36,8 +36,8 @@ def blurred_scales(
     depth: torch.Tensor,  # [N], metres
     camera: Camera,
 ) -> torch.Tensor:
-    """Return scales [N, 3], widened so that Gaussians at ``depth`` appear in ``camera``, which blurs them once more, as
-    blurred as by pixels of side ``finest``, if the camera's own pixels are smaller."""
+    """Return scales [N, 3] with which ``camera``, which adds its own blur, draws Gaussians at ``depth`` as blurred as
+    by pixels of side ``finest``; the same scales where the camera's pixels are larger."""
     own = depth / math.sqrt(camera.fx * camera.fy)
     return widened(scales, (finest.square() - own.square()).clamp_min(0.0).sqrt())
 

@@ -58,7 +58,7 @@ def decode(
 
 
 def decode_rows(given: AnchorsInView, decoders: Decoders) -> NeuralGaussians:
-    """Decode the anchors in ``given``. If it has ``known_labels``, labels are copied from there, and L_cluster is 0."""
+    """Decode the anchors in ``given``. If it has ``known_labels``, labels are copied from these, and L_cluster is 0."""
     own = decoders.own_decoding(given)
     if own is not None:
         return own
