@@ -179,7 +179,7 @@ class _Batch:
         if fit == []:
             why = "; ".join(sorted({reason.rstrip(".") for reason in scene.unfit.values()}))
             fix = "Fix this, then start the batch again."
-            self._fail(scene, PlgsError("no-fit-worker", f"no worker can do it: {why}", "", fix))
+            self._fail(scene, PlgsError("no-fit-worker", f"no worker can take this scene: {why}", "", fix))
             return
         future = self._farm.client.submit(  # with a new key, as Dask would answer a known one with its old result
             do_on_dask, piece, key=f"{piece.kind}-{piece.scene}-{uuid4().hex}", pure=False, resources=wanted,

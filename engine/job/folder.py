@@ -303,7 +303,7 @@ class LiftFolder:
 
     def _discard(self) -> None:
         if self.checkpoints.exists or self.has_result():
-            raise PlgsError("finished-work", "holds finished work", self.path, "Resume it, or delete it yourself.")
+            raise PlgsError("finished-work", "holds finished work", self.path, "Resume the lift, or delete it.")
         (self.path / "request.json").unlink()  # first, as a folder without it is not a lift
         for name in DISCARDED:
             (self.path / name).unlink(missing_ok=True)
@@ -405,4 +405,4 @@ def _refuse(path: Path, is_right: Callable[[int], bool]) -> None:
     if not is_right(mode):
         kind = "a link" if S_ISLNK(mode) else "neither a file nor a folder"
         what = f"is {kind}, which no lift or batch puts here"
-        raise PlgsError("foreign-file", what, path, "Do not trust it. Copy only files you recognise.")
+        raise PlgsError("foreign-file", what, path, "Do not trust the folder. Copy only files you recognise.")

@@ -35,7 +35,7 @@ _ABOUT_DEVICES = (
 )
 _ABOUT_SEEDS = "seed of all random numbers: same seed, same result (default: 0)"
 _PLACES = ("scene", "masks", "detections", "depth", "names_from")
-_FIX = "Fix it, or delete the folder and lift again."
+_FIX = "Correct the file, or delete the folder and lift again."
 
 
 def _switch(about: str) -> dict[str, Any]:

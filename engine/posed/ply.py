@@ -23,7 +23,7 @@ _TEXTURED = [*_FACE, ("values", "u1"), ("uv", "<f4", (3, 2))]
 _COLUMNS = {"x", "y", "z", "red", "green", "blue", "class_id", "instance_id"}
 _MOST_OF_SURFACE, _MOST_OF_SPLATS = 1 << 30, 4 << 30
 _LONGEST_HEADER = 8192
-_MESH_FIX, _SPLATS_FIX = "Delete it, then make the meshes again.", "Lift the scene again."
+_MESH_FIX, _SPLATS_FIX = "Delete the file, then make the meshes again.", "Lift the scene again."
 _FARTHEST = 1e6  # metres, as for points
 _WHOLE = {"class_id": "<i4", "instance_id": "<i4", "red": "u1", "green": "u1", "blue": "u1"}
 """Columns of splat files that hold whole numbers, whatever their declared type."""

@@ -212,7 +212,7 @@ def open_masks(
     files = {name: f"{path.parent.name}/{path.name}" for name, path in paths.items()}
     others_named = [f"{name} has {file}" for name, file in files.items() if name not in file]
     if others_named and len({*paths.values()}) == len(paths):  # else one file serves several frames
-        warnings.append(f"masks are not named like their frames: {listed(others_named, 2)}")
+        warnings.append(f"masks are not named like their frames (do they belong together?): {listed(others_named, 2)}")
     over = {}
     if detections is not None:
         warnings += detections.warnings

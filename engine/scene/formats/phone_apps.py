@@ -66,8 +66,8 @@ def _read_polycam(place: Path, progress: Progress) -> Capture:
         found[name] = with_picture(images[name], partial(make, image=images[name], path=cameras[name]))
     warnings = [] if is_corrected else [_NOT_OPTIMISED]
     if len(entries) < len(found):
-        lost = len(found) - len(entries)
-        warnings.append(f"{lost} of {len(found)} keyframes are not in both {prefix}cameras and {prefix}images")
+        lost = f"{len(found) - len(entries)} of {len(found)} keyframes"
+        warnings.append(f"{lost} are not in both {prefix}cameras and {prefix}images, and are left out")
     sizeless = [name for name, entry in entries.items() if not _has_size(entry)]
     taken = f"the size of the pictures of {len(sizeless)} cameras, which do not say it, is inferred"
     reason = f"their principal points are nearest to its middle ({listed(sizeless)})"
