@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..posed.ply import rows_by_label
-from .fusion import Ints, SmallView, Surface, neighbours
+from .fusion import Ints, SmallView, Surface, neighbours, triangle_normals
 
 Labelled = tuple[Surface, Ints]
 """A surface and the label of each of its vertices, int64 [V]."""
@@ -202,8 +202,7 @@ def _extents(xyz: NDArray[np.float32], group: Ints) -> NDArray[np.float32]:
 
 
 def _areas(xyz: NDArray[np.float32], triangles: Ints) -> NDArray[np.float64]:
-    a, b, c = xyz[triangles].astype(np.float64).transpose(1, 0, 2)
-    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    return np.linalg.norm(triangle_normals(xyz, triangles), axis=1) / 2
 
 
 _ROUNDS = 4  # rounds of smoothing: of rims, and of labels before the line between two is drawn

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from ..job.progress import Progress, part_of, unwatched
 from ..scene import watched
-from .fusion import GRAZED, Grain, Ints, SmallView, Surface, fuse
+from .fusion import GRAZED, Grain, Ints, SmallView, Surface, fuse, triangle_normals
 from .mending import LEAST_PIECE, STEEPEST, cut_by_label, open_edges, without_crumbs, without_flakes, without_flaps
 from .mesh import DRAWN, MENDED, MOST_INSTANCES, TEXTURED, mended, refuse_none, vertex_labels, views_of, write_surface
 from .source import FinishedLift
@@ -53,12 +53,8 @@ def surface_to_view(views: list[SmallView], progress: Progress = unwatched) -> t
     coarse, coarse_label = cut_by_label(*_around(*room, ~_is_double(room, objects)))
     fine, fine_label = cut_by_label(*objects)
     fine, used = fine.of(fine.triangles[fine_label[fine.triangles[:, 0]] % MOST_INSTANCES > 0])
-    both = Surface(
-        np.concatenate([coarse.xyz, fine.xyz]),
-        np.concatenate([coarse.rgb, fine.rgb]),
-        np.concatenate([coarse.normal, fine.normal]),
-        np.concatenate([coarse.triangles, fine.triangles + len(coarse.xyz)]),
-    )
+    fine = replace(fine, triangles=fine.triangles + len(coarse.xyz))
+    both = Surface(*(np.concatenate(each) for each in zip(vars(coarse).values(), vars(fine).values(), strict=True)))
     both, label = _joined(both, np.concatenate([coarse_label, fine_label[used]]), len(coarse.xyz))
     return both, without_crumbs(both, label, label % MOST_INSTANCES == 0, LEAST_PIECE)
 
@@ -80,15 +76,12 @@ def _labelled(
 def _is_double(room: tuple[Surface, Ints], objects: tuple[Surface, Ints]) -> NDArray[np.bool_]:
     """Return which vertices of the surface ``room`` show an object that ``objects`` has, too, bool [V]."""
     double = room[1] % MOST_INSTANCES > 0
-    if double.any() and len(objects[0].xyz):
-        is_rim = np.zeros(len(objects[0].xyz) + 1, np.bool_)
-        triangles = objects[0].triangles
-        is_rim[open_edges(triangles)] = is_rim[-1] = True  # and beyond the rim there is only the room's
-        is_rim[triangles[is_rim[triangles].any(axis=1)]] = True  # which overlaps a little
-        _, nearest = cKDTree(objects[0].xyz).query(room[0].xyz[double], distance_upper_bound=_BESIDE)
-        double[double] = ~is_rim[nearest]
-        return double
-    return np.zeros(len(double), np.bool_)
+    is_rim, triangles = np.zeros(len(objects[0].xyz) + 1, np.bool_), objects[0].triangles
+    is_rim[open_edges(triangles)] = is_rim[-1] = True  # and beyond the rim there is only the room's
+    is_rim[triangles[is_rim[triangles].any(axis=1)]] = True  # which overlaps a little
+    _, nearest = cKDTree(objects[0].xyz).query(room[0].xyz[double], distance_upper_bound=_BESIDE)
+    double[double] = ~is_rim[nearest]
+    return double
 
 
 def _joined(surface: Surface, label: Ints, coarse: int) -> tuple[Surface, Ints]:
@@ -101,11 +94,12 @@ def _joined(surface: Surface, label: Ints, coarse: int) -> tuple[Surface, Ints]:
     away, nearest = cKDTree(apart[own]).query(apart[ours], distance_upper_bound=_BESIDE)
     ours, goal = ours[np.isfinite(away)], own[nearest[np.isfinite(away)]]
     away, copy = cKDTree(surface.xyz[ours]).query(surface.xyz[:coarse], distance_upper_bound=_SAME_PLACE)
-    xyz, number, moves = surface.xyz.copy(), np.arange(len(surface.xyz)), np.flatnonzero(np.isfinite(away))
-    xyz[moves], number[ours] = surface.xyz[goal[copy[moves]]], goal
-    triangles = number[surface.triangles]
-    triangles = triangles[(triangles != np.roll(triangles, 1, axis=1)).all(axis=1)]
-    joined, used = replace(surface, xyz=xyz).of(triangles)
+    number, place, moves = *np.arange(len(surface.xyz))[None].repeat(2, axis=0), np.flatnonzero(np.isfinite(away))
+    number[ours], place[moves] = goal, goal[copy[moves]]
+    xyz, corners = surface.xyz[place], np.sort(place[surface.triangles], axis=1)[::-1]
+    kept = surface.triangles[::-1][np.unique(corners, axis=0, return_index=True)[1]]  # one in a place: an object's own
+    turned = (triangle_normals(surface.xyz, kept) * triangle_normals(xyz, kept)).sum(axis=1) <= 0  # or collapsed
+    joined, used = replace(surface, xyz=xyz).of(number[kept[~turned]])
     return joined, label[used]
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import open3d.t.geometry as raycasting
 import pytest
 
-from engine.export.fusion import SmallView, Surface
+from engine.export.fusion import SmallView, Surface, triangle_normals
 from engine.export.mending import pieces
 from engine.export.mesh import MOST_INSTANCES
 from engine.export.view_surface import OBJECTS, ROOM, surface_to_view
@@ -130,6 +130,16 @@ def test_the_mesh_has_no_gap_where_an_objects_depth_ends_early() -> None:
     rays = np.tile(np.array([0.05, 0, 1, 0, 0, -1], np.float32), (200, 1))
     rays[:, 1] = np.linspace(2.2, 2.8, 200)
     assert (scene.cast_rays(rays)["t_hit"].numpy() < 1.1).all()
+
+
+def test_no_triangle_lies_on_another_or_is_turned_over_where_an_objects_surfaces_are_joined() -> None:
+    whole = look_over_the_floor()
+    partly = replace(whole, depth=np.where((whole.label == RUG) & (whole.depth > 2.5), np.float32(0), whole.depth))
+    for views in ([whole], [whole, partly]):
+        surface, _ = surface_to_view([*views, *views[-1:] * (OBJECTS.least_views - len(views))])
+        corners = np.sort(np.unique(surface.xyz, axis=0, return_inverse=True)[1].reshape(-1)[surface.triangles])
+        assert len(np.unique(corners, axis=0)) == len(corners) and (np.diff(corners) > 0).all()
+        assert (triangle_normals(surface.xyz, surface.triangles)[:, 2] < 0).mean() < 0.001
 
 
 def test_enlarged_depth_follows_planes_and_keeps_edges() -> None:
