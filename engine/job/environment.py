@@ -45,7 +45,7 @@ def is_complete(environment: Path) -> bool:
 
 
 def made_environment(root: Path, environ: Mapping[str, str] = os.environ) -> Path | None:
-    """Return a complete environment for these requirements, best one for this version of Python; None without any."""
+    """Return a complete environment for these requirements, if possible for this Python's version; None without any."""
     folder = environments_folder(environ)
     if not folder.is_dir():
         return None

@@ -131,7 +131,7 @@ def _missed(found: list[_Candidate], answers: _Answers, shown: set[int], classes
 
 
 def _segments(judged: JudgedView) -> tuple[list[_Candidate], set[int]]:
-    """Return the view's resolved segments whose class the lift hardly shows, and the classes of all others."""
+    """Return the view's resolved segments whose class the lift hardly shows, and the other resolved ones' classes."""
     view, shown = judged
     seen, xyz_of_pixels = view.depth > 0, view.camera.unproject(view.depth)
     candidates, kept = [], set()

@@ -89,7 +89,7 @@ def _read(place: Path, progress: Progress) -> Capture:
 
 
 def _info_numbers(info: dict[str, str], key: str, path: Path, count: int) -> NDArray[np.float64]:
-    """Return the ``count`` numbers of a line; if only one is wanted, it must be above 0. Raises PlgsError otherwise."""
+    """Return the numbers of a line, float64 [count]; a single one must be above 0. Raises PlgsError otherwise."""
     try:
         values = np.array([float(word) for word in info.get(key, "").split()])
     except ValueError:
