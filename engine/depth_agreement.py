@@ -217,8 +217,8 @@ def _solved(fitted: Sequence[_Fitted], pairs: Sequence[tuple[int, int]], same: f
 
 
 def _trusted(one: _Fitted, beside: Sequence[_Fitted]) -> Depth:
-    """Return the frame's full-size depth [H, W], 0 on blurred jumps, and 0 where more of the frames ``beside`` see
-    through the surface than agree with it."""
+    """Return the full-size depth [H, W] of frame ``one``, 0 on blurred jumps, and 0 where more of the frames ``beside``
+    see through the surface than agree with it."""
     depth = one.whole()
     jumps = np.zeros(depth.shape, bool)
     for axis in (0, 1):

@@ -84,8 +84,7 @@ class PlgsError(Exception):
     ``key`` names the kind of fault, such as "no-frame", and stays when its sentence is reworded; all places with the
     same fault share one key. ``option`` is the command-line option that ``fix`` advises, spelt as there, such as
     "--masks" (several are separated by blanks, "" means none); the panel shows the name of its own field instead. With
-    LACKS_PART, ``option`` is the name of the part. ``what`` may quote a library's long text: it is shortened to one
-    line."""
+    LACKS_PART, ``option`` is the name of the part. ``what`` may quote a library's text: it becomes one line."""
 
     def __init__(
         self, key: str, what: str, where: Path | str, fix: str, *, code: ErrorCode = _USUAL, option: str = ""
@@ -118,7 +117,8 @@ def problem_of(what: str, where: str) -> str:
 
 
 def lacks_part(what: str, where: Path | str, name: str) -> PlgsError:
-    """Return the error for an engine without the packages of the part ``name``, which `engine add` can install."""
+    """Return the error for an engine without the packages of the part ``name``, which `engine add` can install;
+    ``what`` and ``where`` are as in `PlgsError`."""
     fix = f"Add it to the engine: {shlex.quote(sys.executable)} -m engine add {name}."
     return PlgsError("lacks-part", what, where, fix, code=ErrorCode.LACKS_PART, option=name)
 

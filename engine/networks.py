@@ -108,7 +108,7 @@ def model_folder(name: str, *, download: bool) -> Path:
 
 
 def load_weights(kind: Any, folder: Path, name: str) -> Any:
-    """Load the network in a folder as transformers' class ``kind``, ready to run. Raises PlgsError for bad weights."""
+    """Load network ``name``, in ``folder``, as transformers' class ``kind``, ready to run. Raises PlgsError if bad."""
     limits: dict[str, Any] = {"local_files_only": True, "trust_remote_code": False, "use_safetensors": True}
     with loading(name):
         network, found = kind.from_pretrained(folder, output_loading_info=True, **limits)

@@ -253,7 +253,7 @@ def _whole(value: Any) -> int:
 
 
 def _id(value: Any, least: int = 0) -> int:
-    """Return an id that is within limits, as palettes and lists have an entry for each id up to the largest."""
+    """Return ``value`` as an id from ``least`` to a limit, as palettes and lists have entries for all smaller ids."""
     return _within(int(value), least, LARGEST_ID)
 
 

@@ -256,7 +256,7 @@ PATIENCE_S = 60.0
 
 
 def require_dask(name: str = "distributed") -> Any:
-    """Import a module of Dask. Raises PlgsError if it is not installed."""
+    """Import Dask's module ``name``. Raises PlgsError if it is not installed."""
     try:
         return __import__(name)
     except ModuleNotFoundError as error:
@@ -318,9 +318,10 @@ def run_worker(
     patience_s: float = PATIENCE_S,
     tls: Tls | None = None,
 ) -> ExitCode:
-    """Work for the scheduler at ``address`` until it has been gone for ``patience_s`` seconds. 0 means all memory and
-    threads. A worker of a scheduler on this machine listens on this machine only. The engines that the worker started
-    end with it, at their last checkpoint. Raises PlgsError if the scheduler or ``tls`` cannot be used."""
+    """Work for the scheduler at ``address`` until it has been gone for ``patience_s`` seconds. ``gigabytes`` and
+    ``threads`` of 0 mean all. It also ends with the pipe ``parent_pipe``. A worker of a scheduler on this machine
+    listens on this machine only. The engines that the worker started end with it, at their last checkpoint. Raises
+    PlgsError if the scheduler or ``tls`` cannot be used."""
     require_dask()
     fix = "Give the address that the scheduler prints, such as tcp://machine:8786."
     security = security_for(address, tls, fix)

@@ -41,8 +41,7 @@ class Kind(StrEnum):
 @dataclass(frozen=True)
 class Piece:
     """A piece of work on one scene's lift, for workers with the `engine_tag` ``engine``. ``names`` are the frames of a
-    BAKE, or the form of an EXPORT. ``tells_frames``: a LIFT answers with its frames. ``is_resumed``: it was begun
-    before."""
+    BAKE, or the form of an EXPORT. ``tells_frames``: a LIFT answers with its frames. ``is_resumed``: begun before."""
 
     kind: Kind
     scene: str
@@ -166,8 +165,8 @@ def _refuse_unfit_worker(piece: Piece) -> None:
 
 
 def _followed(piece: Piece, tell: Tell, variables: Mapping[str, str]) -> TaskFollower | None:
-    """Run the piece's engine with these environment ``variables``, and return its follower when it has ended; None if
-    there was nothing to do. If another engine works there, wait for its end first."""
+    """Run the piece's engine with these environment ``variables``, and ``tell`` its progress. Returns its follower at
+    the end, None if there was nothing to do. If another engine works on the lift, wait for its end first."""
     reported = 0.0
     while True:
         follower = _started(piece, variables)

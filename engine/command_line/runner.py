@@ -51,8 +51,8 @@ class Command:
 
 
 def run_in_terminal(command: Command, *, as_json: bool = False) -> ExitCode:
-    """Run a command, with progress on standard error and its answer on standard output, as text or ``as_json``. Returns
-    how it ended."""
+    """Run a command, with progress on standard error, and its answer on standard output, as text or ``as_json``.
+    Returns how it ended."""
     events, stop = ShownEvents(sys.stderr, as_json=as_json), StopSignal()
     try:
         with Interrupts() as interrupts, Watchdog(stop, events, parent_pipe=command.parent_pipe):

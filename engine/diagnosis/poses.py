@@ -107,7 +107,8 @@ def _surface_distances(views: Views, pairs: Pairs, assumed: Assumption) -> tuple
 
 
 def _measure_drift(distances: Floats, lags: Floats, looks: int) -> Drift | None:
-    """Measure how pairs' distances grow with the frames between (``lags``), float64 [P] each. None with too few."""
+    """Measure how the ``distances`` of pairs of ``looks`` frames grow with the frames between, ``lags``, float64 [P]
+    each. None with too few pairs."""
     good = np.isfinite(distances)
     distance, lag = distances[good], lags[good]
     if len(lag) < _LEAST_PAIRS or len(np.unique(lag)) < _LEAST_LAGS:
@@ -127,8 +128,8 @@ def _ranks(values: Floats) -> Floats:
 
 
 def _measure_gap(distances: Floats, numbers: NDArray[np.int64]) -> Gap | None:
-    """Find the frame where two parts of the recording are farthest apart, by distances [P] and frames [P, 2] of pairs.
-    None with too few pairs."""
+    """Find the frame where two parts of the recording are farthest apart, by ``distances`` [P] and frames' ``numbers``
+    [P, 2] of pairs. None with too few pairs."""
     known = np.isfinite(distances)
     first, last = numbers.min(1), numbers.max(1)
     found = []

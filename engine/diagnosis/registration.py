@@ -117,7 +117,7 @@ def _coarse(pairs: list[tuple[Floats, Floats]], scale: float) -> tuple[float, fl
 
 
 def _refined(pairs: list[tuple[Floats, Floats]], scale: float, shift: Shift) -> tuple[float, Shift]:
-    """Search near a scale and shift for the best fit, to a tenth of a pixel of a picture 320 wide. Returns both."""
+    """Search near a scale and shift for the best ones, to a tenth of a pixel of a picture 320 wide. Returns these."""
     best = np.array([scale, *shift])
     for step in (1 / 160, 1 / 320, 1 / 640, 1 / 1280, 1 / 3200):
         moves = [np.array(m) * (2.0 * step, step, step) for m in np.ndindex(3, 3, 3)]

@@ -113,7 +113,8 @@ def _grown(marked: NDArray[np.bool_], triangles: Ints, rounds: int) -> NDArray[n
 
 
 def _rings(surface: Surface, rim: Ints, largest: float) -> tuple[Ints, NDArray[np.bool_]]:
-    """Return the number of each open edge's ring, [E], and which of the rings, [R], are holes to close."""
+    """Return the ring of each edge of the ``rim``, [E], and which of the rings, [R], are holes to close: at most
+    ``largest`` metres in size, and not the rims of small pieces."""
     count = len(surface.xyz)
     number = pieces(rim, count)
     _, ring = np.unique(number[rim[:, 0]], return_inverse=True)
@@ -297,7 +298,7 @@ def numbered(group: Ints, kind: Ints, groups: int) -> tuple[Ints, Ints]:
 
 
 def _shares(triangles: Ints, index: Ints, known: int) -> csr_matrix:
-    """Return the share of each label among a vertex and its neighbours, [V, known]; rows sum to 1."""
+    """Return the share of each of ``known`` labels, by ``index`` [V], around a vertex, [V, known]; rows sum to 1."""
     count = len(index)
     around = around_vertices(triangles, count)
     shares = csr_matrix((np.ones(count), (np.arange(count), index)), (count, known))

@@ -29,8 +29,7 @@ _AXES = {"centre": "xyz", "size": "xyz", "rotation": "wxyz"}
 
 
 def export_boxes(lift: FinishedLift, output: Path) -> None:
-    """Write boxes.json and boxes.csv, with a column for each number, such as size_x. Raises PlgsError for a damaged
-    lift, OSError."""
+    """Write boxes.json and boxes.csv, with a column for each number. Raises PlgsError for a damaged lift, OSError."""
     boxes: list[dict[str, Any]] = [{field: getattr(one, field) for field in FIELDS} for one in lift.listed]
     content = {"up": "z", "unit": "m", "boxes": boxes}
     write_atomically(output / "boxes.json", json.dumps(content, indent=1, ensure_ascii=False) + "\n")

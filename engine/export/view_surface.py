@@ -62,7 +62,8 @@ def surface_to_view(views: list[SmallView], progress: Progress = unwatched) -> t
 def _labelled(
     surface: Surface, views: list[SmallView], largest: float, steepest: float, progress: Progress
 ) -> tuple[Surface, Ints]:
-    """Return the surface mended, with holes up to ``largest`` metres closed, and its labels [V]."""
+    """Return the surface mended, with holes up to ``largest`` metres closed, and its labels [V]; ``steepest`` is that
+    of `without_flaps`."""
     if not len(surface.triangles):
         return surface, np.zeros(len(surface.xyz), np.int64)
     label = vertex_labels(surface.xyz, watched(views, progress), ROOM.times)

@@ -62,8 +62,7 @@ def trusted_superpoints(
 
 class RestOfSuperpoint:
     """Acts as a matrix [N, N] that is multiplied by votes [N, labels]: each point gets the votes of all other points in
-    its superpoint. With ``mean``, it gets the superpoint's mean votes, so that a picture can keep its label on a
-    wall."""
+    its superpoint. With ``mean``, it gets the superpoint's mean votes: a picture can keep its label on a wall."""
 
     def __init__(self, part: NDArray[np.int64], mean: bool = False) -> None:
         self._member = sparse.csr_matrix((np.ones(len(part), np.float32), (part, np.arange(len(part)))))
@@ -102,7 +101,8 @@ def superpoints(xyz: NDArray[np.floating], spacing: float, seeing: ViewsOnCloud)
 
 @compiled
 def _pieces(one: Any, two: Any, bend: Any, points: int, looseness: float, least: int) -> Any:
-    """Join points along edges ``one``-``two`` [E], sorted by ``bend``. Return each point's piece, int64 [points]."""
+    """Join points along edges ``one``-``two`` [E], sorted by ``bend``, into pieces of at least ``least`` points. A
+    larger ``looseness`` lets pieces bend more. Return each point's piece, int64 [points]."""
     parent, size, limit = np.arange(points), np.ones(points, np.int64), np.full(points, looseness)
     for only_small in (False, True):  # first by bend, then what is still too small
         for edge in range(len(one)):

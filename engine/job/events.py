@@ -90,7 +90,7 @@ class EventWriter:
         self._write("hello", task=task, **about, threads=threads, resumed=resumed)
 
     def stage(self, name: str, index: int, count: int, label: str) -> None:
-        """Report that stage ``index`` (from 1) of ``count`` begins; ``label`` is shown to the user."""
+        """Report that stage ``name`` begins, number ``index`` (from 1) of ``count``; ``label`` is for the user."""
         self._write("stage", name=name, index=index, count=count, label=label)
 
     def progress(

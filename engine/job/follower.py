@@ -38,7 +38,7 @@ class TaskFollower:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Own the engine ``process`` or, without one, watch an engine that another process started, on this computer or
-        another. ``lift`` is the lift folder that the task works in."""
+        another. ``lift`` is the lift folder that the task works in; ``reader`` has read its earlier events."""
         self.files, self.lift, self.kind = files, lift, kind
         self.state = TaskState.RUNNING
         self.progress = TaskProgress()

@@ -74,7 +74,7 @@ class BakeCost(NamedTuple):
 
 
 def predict_bake(frames: int, size: tuple[int, int], slowness: float = 1.0, layers: Collection[str] = ()) -> BakeCost:
-    """Predict the cost of baking ``frames`` of ``size`` (width, height) with these FURTHER_LAYERS on this machine."""
+    """Predict the cost of baking ``frames`` of ``size`` (width, height) with these FURTHER_LAYERS, as in `predict`."""
     megapixels = size[0] * size[1] / 1e6
     pixel = PIXEL * (1.0 + sum(_MORE[layer] for layer in layers))
     seconds = slowness * frames * (_render_s(megapixels) + WRITE_S * megapixels)

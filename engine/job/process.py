@@ -80,7 +80,7 @@ def choose_python(
 
 
 def engine_python(root: Path = ROOT, environ: Mapping[str, str] = os.environ, chosen: Path | None = None) -> Path:
-    """Return the Python that runs the engine, within 0.1 s. Raises PlgsError if there is none, or it lacks packages."""
+    """Return the Python of `choose_python`, within 0.1 s. Raises PlgsError if there is none, or it lacks packages."""
     choice = choose_python(root, environ, chosen)
     what = "the engine's Python does not exist"
     if choice.python.exists():
@@ -132,8 +132,8 @@ class ChildProcess:
         stdin: int = subprocess.DEVNULL,
         keep_open: Sequence[int] = (),
     ) -> None:
-        """Start ``command`` in ``cwd``. On POSIX, descriptors in ``keep_open`` stay open. Raises PlgsError if it
-        fails."""
+        """Start ``command`` in ``cwd``; ``output`` also takes its errors. On POSIX, descriptors in ``keep_open`` stay
+        open. Raises PlgsError if it fails."""
         try:
             self._process = subprocess.Popen(
                 [str(part) for part in command],

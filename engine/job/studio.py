@@ -61,8 +61,8 @@ class StudioDefaults:
 
 
 def studio_defaults(environ: Mapping[str, str] = os.environ) -> StudioDefaults:
-    """Read the defaults from the file that an environment variable names; without it all are None. Raises PlgsError for
-    a bad file."""
+    """Read the defaults from the file that an environment variable names; without it, all are None. Raises PlgsError
+    for a bad file."""
     if not (named := environ.get(VARIABLE)):
         return StudioDefaults()
     file = Path(named).absolute()

@@ -55,8 +55,7 @@ def flush_folder(path: Path) -> None:
 
 def start_options(keep_open: Sequence[int] = ()) -> dict[str, Any]:
     """Return options of `Popen` for a program in its own process group, without a window: Ctrl-C in the terminal
-    reaches only the parent, which then stops the program. Descriptors in ``keep_open`` stay open in it, but not on
-    Windows."""
+    reaches only the parent, which then stops the program. Descriptors in ``keep_open`` stay open, not on Windows."""
     if WINDOWS:
         return {"creationflags": _NEW_GROUP | _NO_WINDOW}
     return {"start_new_session": True, "pass_fds": tuple(keep_open)}

@@ -196,7 +196,7 @@ def _peak(scene: Scene, preset: Preset, masks: float) -> int:
 
 
 def _advice(scene: Scene, request: LiftRequest, preset: Preset, *, masks: float, most: int, fewer: int | None) -> str:
-    """Return the text of an error's fix: options besides the request's that make the lift fit (``fewer`` frames do)."""
+    """Return the text of an error's fix: options that make the lift fit into ``most`` bytes (``fewer`` frames do)."""
     found = [] if fewer is None else [f"--frames {fewer} (--fit finds such a number)"]
     sides = [(width, width * 3 // 4) for width in (640, 320, 200) if width < preset.size[0]]
     size = next((size for size in sides if _peak(scene, replace(preset, size=size), masks) <= most), None)

@@ -72,8 +72,7 @@ def judge(
     scratch: Path | None = None,
 ) -> Judgement:
     """Compare the finished lift with the masks of the views it was ``trained`` on and of the views ``held_back``.
-    ``draw`` renders it from a camera, with uncalibrated class shares as confidence. Raises PlgsError, OSError for bad
-    files."""
+    ``draw`` renders it from a camera, with uncalibrated class shares. Raises PlgsError, OSError for bad files."""
     every = chained(trained, held_back)
     samples: list[Samples] = []
     most = MOST_SAMPLES // (len(held_back) or len(trained))

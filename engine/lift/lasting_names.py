@@ -98,8 +98,7 @@ def read_earlier(folder: Path) -> EarlierLift:
 
 @dataclass(frozen=True)
 class LastingNames:
-    """Lasting names. ``id_of``: the final id of each matched id. ``names``: by final id. ``changes``: for
-    names.json."""
+    """Lasting names. ``id_of``: each matched id's final id. ``names``: by final id. ``changes``: for names.json."""
 
     id_of: dict[int, int]
     names: dict[int, str]

@@ -38,7 +38,7 @@ LARGEST_GAP = 0.15
 @dataclass(frozen=True, eq=False)
 class ViewsToMatch:
     """The input of the matching: the ``views``, their semantic point ``cloud`` and the ``classes``. ``others``: views
-    that vote on labels, but whose masks are not joined to objects (not in the paper). ``scratch``: folder for big
+    that vote on labels, but whose masks are not joined to objects (not in the paper). ``scratch``: folder for
     arrays."""
 
     views: Sequence[View]
@@ -250,7 +250,7 @@ def thing_objects(
     kinds: ViewEvidence,
     balance: ClassBalance,
 ) -> list[SceneObject]:
-    """Return those of the ``found`` objects that the views in ``seeing`` vote to be things, with new ids from 1."""
+    """Return the ``found`` objects that views in ``seeing`` vote (``kinds``, ``balance``) to be things; ids from 1."""
     shown = [(seen, shown_classes(view, seen)) for view, seen in zip(seeing.views, seeing.seen, strict=True)]
     asked = found.object_of_point, len(found.objects), cloud.class_ids
     votes = by_votes.vote_classes(shown, *asked, kinds.objects)
@@ -282,8 +282,9 @@ def without_fragments(
 ) -> tuple[NDArray[np.int32], list[SceneObject]]:
     """Keep the pieces that enough masks show. Return each point's object, int32 [N], 0 = none, and the kept pieces,
     with ids from 1. A piece needs as many masks as an object that the same views see. If its object was split, it needs
-    as many as an object that all views see; a piece with fewer is the ragged edge of a few masks. ``owner`` int32 [N]:
-    each point's piece, from 1, 0 = none; a piece's ``id`` is the id of the object that it was part of."""
+    as many as an object that all views see; a piece with fewer is the ragged edge of a few masks. ``seen``: what each
+    view shows. ``owner`` int32 [N]: each point's piece, from 1, 0 = none; a piece's ``id`` is the id of the object that
+    it was part of."""
     parts, size = Counter(one.id for one in pieces), np.bincount(owner, minlength=len(pieces) + 1)
     shares = (np.bincount(owner[one.row], minlength=len(size)) / np.maximum(size, 1) for one in seen)
     seeing = sum((share >= 0.5 for share in shares), np.zeros(len(size), np.int64))[1:]

@@ -77,9 +77,8 @@ def samples_of(view: View, class_id: NDArray[np.int32], share: NDArray[np.float3
 
 
 def calibrate(samples: Samples, trained: Sequence[View], held_back: Sequence[View]) -> Calibration:
-    """Measure the calibration on up to MOST_SAMPLES of the samples, by the masks of all views. How far masks are
-    believed is measured on the ``held_back`` views or, without these, on the ``trained`` views. Each view is read
-    once."""
+    """Measure the calibration on up to MOST_SAMPLES samples, by the masks of all views. How far masks are believed is
+    measured on the ``held_back`` views or, without these, on the ``trained`` views. Each view is read once."""
     rows = np.flatnonzero(samples.class_id)
     rows = rows[:: -(-len(rows) // MOST_SAMPLES) or 1]
     samples = Samples(samples.xyz[rows], samples.class_id[rows], samples.share[rows])

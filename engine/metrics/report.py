@@ -70,8 +70,8 @@ class Report:
         self._frames: list[str] = []
 
     def add(self, method: str, frame: Frame, view: PredictedView) -> None:
-        """Score one held-out view at its own size: labels if the frame has ground truth, picture and depth if the frame
-        has them. Raises PlgsError if a file is bad."""
+        """Score one held-out view of a ``method`` at its own size: labels if the frame has ground truth, picture and
+        depth if the frame has them. Raises PlgsError if a file is bad."""
         height, width = view.semantic.shape
         size = width, height
         if frame.name not in self._frames:
@@ -86,7 +86,7 @@ class Report:
             self.add_labels(method, frame.name, view, frame.read_ground_truth(size))
 
     def add_labels(self, method: str, frame: str, view: PredictedView, truth: GroundTruth) -> None:
-        """Score the labels of one view. Raises ValueError if they differ in size from the ground truth."""
+        """Score a ``method``'s labels of one view. Raises ValueError if they differ in size from the ground truth."""
         if frame not in self._frames:
             self._frames.append(frame)
         if method not in self._labels:

@@ -174,7 +174,8 @@ def _anchor_means(
     colour: NDArray[np.float32],
     labels: NDArray[np.float32],
 ) -> dict[str, NDArray]:
-    """Return anchors' ``colour`` [count, 3] and ``labels``: means over their Gaussians by opacity; and ``weight``."""
+    """Return, by name, each anchor's ``colour`` and ``labels``, means over the Gaussians that it owns (``owner`` [N])
+    by opacity, and ``weight``."""
     total = np.bincount(owner, weight, count)
     safe = np.maximum(total, 1e-9)[:, None]
     mean_colour = np.stack([np.bincount(owner, weight * column, count) for column in colour.T], axis=1) / safe

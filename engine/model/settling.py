@@ -72,8 +72,8 @@ def settled(
 def within_reach(
     label: NDArray[np.int16], centres: NDArray[np.float32], channels: LabelChannels, points: OwnedPoints
 ) -> NDArray[np.int16]:
-    """Return ``label`` int16 [n, K] of the Gaussians at ``centres`` [n, 3], metres, in which objects farther away than
-    REACH are replaced by their class alone."""
+    """Return ``label`` int16 [n, K] of the Gaussians at ``centres`` [n, 3], metres, with objects farther away than
+    REACH replaced by their class alone."""
     classes, found = len(channels.class_ids), label.copy()
     for number, slot in enumerate(channels.instance_slots, start=classes):
         row, column = np.nonzero(label == number)
