@@ -33,8 +33,8 @@ def place_boxes(
     owned: OwnedDataBlocks, parent: bpy.types.Collection, instances: Iterable[Instance], *, anew: bool = True
 ) -> list[bpy.types.Object]:
     """Place one mesh object per instance, with the engine's name and its true size (object scale 1). The box of an
-    unchanged instance keeps the transform and name that the user gave it, and is not touched at all unless ``anew``. If
-    there are very many instances, those with the most points get objects of their own, and one holds all others."""
+    unchanged instance keeps the user's transform and name, and is not touched at all unless ``anew``. If there are very
+    many instances, those with the most points get objects of their own, and one holds all other boxes."""
     own, others = shared_out(instances)
     return [*(_place(owned, parent, one, anew) for one in own), *place_together(owned, parent, others)]
 
@@ -103,7 +103,8 @@ def set_faces(mesh: bpy.types.Mesh, xyz: NDArray[np.floating], faces: NDArray[np
 def place_together(
     owned: OwnedDataBlocks, parent: bpy.types.Collection, instances: Sequence[Instance]
 ) -> list[bpy.types.Object]:
-    """Place one object with the boxes of all these instances; its vertices have their ids and classes as attributes."""
+    """Place one object that holds the boxes of all ``instances``; each of its vertices has the instance's id and class
+    as attributes. Returns a list of this object; [] without instances."""
     if not instances:
         return []
     mesh = owned.data(TOGETHER, lambda: bpy.data.meshes.new("Other boxes"))

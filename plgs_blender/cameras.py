@@ -177,7 +177,7 @@ def place_frames(
 ) -> list[bpy.types.Object]:
     """Place one camera per frame in `parent`, with the frame's data as properties and, perhaps hidden, its photo in
     front of the view. `made` gives pictures, by frame name, that an engine made for frames without an image file.
-    ``shows_photo``: they are not hidden."""
+    ``shows_photo``: photos are not hidden."""
     cameras = []
     for frame in frames:
         ob = place_camera(owned, parent, f"frame:{frame.name}", frame.name, camera=frame.camera)
@@ -193,7 +193,7 @@ def place_frames(
 
 
 def camera_seen(scene: bpy.types.Scene) -> Camera | None:
-    """Return the view of the scene's active camera; None if it is missing, not a perspective camera, or mirrored."""
+    """Return the view of the scene's active camera; None without one, if it is mirrored, or if not in perspective."""
     ob = scene.camera
     if ob is None or ob.type != "CAMERA" or ob.data.type != "PERSP" or ob.matrix_world.is_negative:
         return None
@@ -228,7 +228,7 @@ def seen_by(ob: bpy.types.Object, render: bpy.types.RenderSettings) -> Camera:
 
 
 def panorama_of(ob: bpy.types.Object) -> Any:
-    """The settings of a panoramic camera, None if Blender has none: they are Cycles' before Blender 5."""
+    """Return the settings of a panoramic camera (before Blender 5, Cycles' settings); None if Blender has none."""
     return ob.data if hasattr(ob.data, "panorama_type") else getattr(ob.data, "cycles", None)
 
 
@@ -261,7 +261,7 @@ def place_camera_path(
 
 
 def _new_action(owned: OwnedDataBlocks, part: str) -> bpy.types.Action:
-    """Return a new, empty action for ``part``, which replaces that of an earlier placement."""
+    """Return a new, empty action for ``part``, which replaces the action of an earlier placement."""
     key = f"{PATH}:{part}"
     owned.drop("actions", key)
     action: bpy.types.Action = owned.block("actions", key, lambda: bpy.data.actions.new(f"Camera path {part}"))

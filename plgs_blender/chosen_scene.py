@@ -70,7 +70,7 @@ class ChosenScene(SceneSource):
 
     @property
     def is_plain(self) -> bool:
-        """Whether it has plain folders, which Blender can read without an engine. Reads the disk."""
+        """Whether the scene has plain folders, which Blender can read without an engine. Reads the disk."""
         has_lens = (self.scene / "intrinsic").is_dir()  # else it may be in a sensor's file, which the engine reads
         return self.scene_format in (None, NAME) and has_lens and recognises(self.scene)
 
@@ -119,7 +119,7 @@ _HIGHEST = 3  # search at most this many folders up, as from result/passes/0001.
 
 
 def lift_or_scene(path: Path) -> tuple[Path | None, Path | None]:
-    """Return the lift's folder, or the scene's folder or file, to which a path belongs; the other is None."""
+    """Return the lift's folder and None, or None and the scene's folder or file, to which a path belongs."""
     path = path.absolute()
     for folder in [path, *path.parents][: _HIGHEST + 1]:
         if (folder / "request.json").is_file():

@@ -100,7 +100,7 @@ COMPOSITE_OUTPUT = "NodeGroupOutput" if _COMPOSITOR_IS_A_GROUP else "CompositorN
 
 
 def new_node(tree: bpy.types.NodeTree, *kinds: str) -> bpy.types.Node:
-    """Add a node of the first of these kinds, newest first, that this Blender has. Raises RuntimeError for none."""
+    """Add a node of the first of these kinds, newest first, that Blender has. Raises RuntimeError if it has none."""
     # Before 4.5 a compositor refuses the new kinds, and writes a line to the terminal for each that is tried.
     for kind in kinds if bpy.app.version >= (4, 5) else kinds[::-1]:
         try:
@@ -111,7 +111,7 @@ def new_node(tree: bpy.types.NodeTree, *kinds: str) -> bpy.types.Node:
 
 
 def new_colour_mix(tree: bpy.types.NodeTree) -> tuple[bpy.types.Node, Any, Any, Any, Any]:
-    """Add a compositor node that mixes two colours. Returns it and its sockets: factor, first, second, result."""
+    """Add a compositor node that mixes two colours. Returns the node and its sockets: factor, first, second, result."""
     node = new_node(tree, "ShaderNodeMix", "CompositorNodeMixRGB")
     if node.bl_idname == "ShaderNodeMix":
         node.data_type = "RGBA"

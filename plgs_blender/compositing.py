@@ -77,8 +77,8 @@ def show_room(window: bpy.types.Window) -> None:
 
 
 def follow_workspace() -> None:
-    """In a window from which the compositor was opened, show the room in all workspaces but the compositor's, and there
-    the passes. If the user chose another scene, the window is left alone."""
+    """In a window from which the compositor was opened, show the passes in the compositor's workspace and the room in
+    all others. If the user chose another scene, the window is left alone."""
     windows = {window.as_pointer(): window for window in bpy.context.window_manager.windows}
     for address, opened in [*_opened.items()]:
         window = windows.get(address)
@@ -190,7 +190,7 @@ def compositors_of(root: bpy.types.Collection) -> Iterator[tuple[bpy.types.Scene
 
 
 def panoptic_of(scene: bpy.types.Scene) -> bpy.types.Node | None:
-    """Return the group node, which has the controls, in the compositor that opens from a scene; or None."""
+    """Return the group node with the controls, in the compositor that opens from a scene; None without such a node."""
     passes = passes_scene_of(scene)
     return None if passes is None else _group_node(compat.compositor_tree(passes))
 
@@ -225,8 +225,8 @@ def matte_class(root: bpy.types.Collection, class_id: int) -> str:
 
 
 def _set(root: bpy.types.Collection, layer: str, name: str, by_class: float) -> None:
-    """Make ``name`` the matte of a ``layer`` in all passes scenes of the lift whose files have it. ``by_class`` is 1
-    for a class, 0 for an instance. If no control shows it, it gets an outline. Raises PlgsError if files lack it."""
+    """Make ``name`` the matte of a ``layer`` in all the lift's passes scenes whose files have it. ``by_class`` is 1 for
+    a class, 0 for an instance. If no control shows the matte, it gets an outline. Raises PlgsError if files lack it."""
     compositors = [*compositors_of(root)]
     if not compositors:
         raise PlgsError("no-passes", "has no passes in a compositor", root.name, "Bake some in the Passes panel.")

@@ -207,7 +207,7 @@ class EditByEngine(Task):
 
     @property
     def has_finished(self) -> bool:
-        """Whether the edit was made: also if an engine was stopped after writing it, before it answered."""
+        """Whether the edit was made; true also if an engine was stopped after writing it but before answering."""
         return self._edit is not None
 
     @property
@@ -228,7 +228,7 @@ class EditByEngine(Task):
 
     @classmethod
     def start(cls, root: bpy.types.Collection, *edit: str) -> Self:
-        """Let an engine make an edit: arguments of its command ``correct``. Raises PlgsError if none can; OSError."""
+        """Let an engine run ``correct`` with the arguments ``edit``. Raises PlgsError if no engine can; OSError."""
         registry.refuse_second(cls)
         lift, python = folder_of(root), engine_environment.usable_python()
         known = {each.uid for each in read_edits(lift)}

@@ -90,7 +90,7 @@ def undo_last(root: bpy.types.Collection) -> Edit:
 
 
 def put_back(root: bpy.types.Collection, instance: int) -> Edit:
-    """Put a removed object back, with all that were removed with it. Raises PlgsError if none is removed; OSError."""
+    """Put a removed object back, with all that were removed with it. Raises PlgsError if it is not removed; OSError."""
     undone, result = engine_put_back(folder_of(root), [instance], listed_in(folder_of(root)))
     show_corrections(root, result)
     return undone
@@ -142,7 +142,7 @@ def answer(root: bpy.types.Collection, instance: int, *, keep: bool) -> Edit:
 
 
 def remember(root: bpy.types.Collection, result: LiftResult | CorrectedResult) -> None:
-    """Store in the collection which edits the scene shows and, if proposals were asked for, which there are now."""
+    """Store in the collection which edits the scene shows and, if proposals were asked for, the present proposals."""
     root[EDITS] = " ".join(each.uid for each in result.edits if not each.undone)
     root[CORRECTIONS] = result.label_fingerprint
     with suppress(OSError):
@@ -199,7 +199,7 @@ def class_choices(root: bpy.types.Collection, instance: int) -> list[str]:
 
 def rename(root: bpy.types.Collection, instance: int, name: str) -> Edit:
     """Rename an object. If only this Blender changed the corrections, only the object's row, box and mesh are updated,
-    as one of their fields may call this; otherwise all is. Raises PlgsError for an impossible name; OSError."""
+    as one of their fields may call this; otherwise all of the lift. Raises PlgsError for a bad name; OSError."""
     made, result = _correct(root, lambda state, _: making.rename(state, instance, name))
     if root[LIFT] in outdated:  # the view lacks other edits, too
         show_corrections(root, result)

@@ -71,7 +71,7 @@ def sentence(text: str) -> str:
 
 
 def field_of_option(option: str) -> str | None:
-    """Return the settings' property for a command-line option such as "--masks"; None if it has none."""
+    """Return the settings' property for a command-line option such as "--masks"; None if the option has none."""
     name = option.removeprefix("--")
     field = _FIELD_OF_OPTION.get(name, name.replace("-", "_"))
     return field if field in _fields() else None

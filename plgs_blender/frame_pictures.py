@@ -32,8 +32,8 @@ _MOST_BESIDE = 9  # maximum number of frame folders beside a scene
 
 def frames_folder(source: SceneSource) -> Path:
     """Return the folder for a scene's pictures, which may not exist yet. It lies beside the scene, as lifts do:
-    "room_frames", or "room_frames_2" if that belongs to another scene; if that place is read-only, in the user's cache.
-    Raises PlgsError if no folder is left."""
+    "room_frames", or "room_frames_2" if another scene uses that. If that place is read-only, it lies in the user's
+    cache. Raises PlgsError if no folder is left."""
     for folder in _candidates(source):
         try:
             made_of(folder, source)
@@ -76,8 +76,8 @@ def cloud_of(made: MadeFrames | None, frames: Iterable[PosedFrame]) -> Path | No
 
 
 def has_cameras_of(made: MadeFrames, frames: Iterable[PosedFrame]) -> bool:
-    """Whether an engine read the same cameras as ``frames`` has. Frames in only one of the two are ignored, as the
-    engine skips those without a good mask or depth file, but at least one must be in both."""
+    """Whether an engine read the same cameras as ``frames`` has. Frames that only one of the two has are ignored, as
+    the engine skips frames without a good mask or depth file, but they must share at least one frame."""
     cameras = {frame.name: frame.camera for frame in frames}
     both = [(cameras[stored.name], stored) for stored in made.scene.frames if stored.name in cameras]
     here = [(*one.size, one.fx, one.fy, one.cx, one.cy, *one.camera_to_world.ravel().tolist()) for one, _ in both]
@@ -126,7 +126,7 @@ _COLOURS = "colours"  # property of a mask picture: its colours as numbers
 
 
 def why_no_picture(scene: bpy.types.Scene) -> str | None:
-    """Return why nothing can be shown in front of the active camera, None if something can. Never reads the disk."""
+    """Return why nothing can be shown in front of the active camera, None if a picture can. Never reads the disk."""
     ob = scene.camera
     if ob is None or "frame" not in ob or LIFT not in ob:
         return "Look through a frame's camera first: select it and press Ctrl+Numpad 0"
@@ -134,7 +134,7 @@ def why_no_picture(scene: bpy.types.Scene) -> str | None:
 
 
 def root_of(scene: bpy.types.Scene, ob: bpy.types.Object) -> bpy.types.Collection:
-    """Return the collection of the import or lift to which a frame's camera belongs. Raises PlgsError for others."""
+    """Return the collection of the import or lift that a frame's camera is of. Raises PlgsError for other cameras."""
     root = next((each for each in lifts_in(scene) if each[LIFT] == ob.get(LIFT)), None)
     if root is None:
         raise PlgsError("scene-gone", "does not belong to any scene in this file", ob.name, "Import the scene again.")
@@ -156,7 +156,7 @@ def picture_file(made: MadeFrame, what: str) -> Path | None:
 
 
 def show_made(scene: bpy.types.Scene, ob: bpy.types.Object, what: str, made: MadeFrame) -> None:
-    """Show the picture that an engine made of the camera's frame. Raises PlgsError if there is none."""
+    """Show the picture that an engine made of the camera's frame. Raises PlgsError if ``made`` lacks it."""
     path = picture_file(made, what)
     if path is None:
         raise PlgsError("no-pictures", f"has no {KIND_OF[what]}", ob["frame"], "Import the scene again.")
@@ -192,7 +192,7 @@ def colours_shown(ob: bpy.types.Object) -> set[int] | None:
 
 
 def range_shown(ob: bpy.types.Object) -> tuple[float, float] | None:
-    """The depths in metres of the lightest and darkest colour in front of a camera; None if it shows no depth."""
+    """The depths in metres of the lightest and darkest colour in front of a camera; None if no depth is shown."""
     if ob.get(SHOWN) != DEPTH or not ob.data.background_images:
         return None
     image = ob.data.background_images[0].image

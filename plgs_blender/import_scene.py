@@ -72,8 +72,8 @@ def room_of(root: bpy.types.Collection, scene: bpy.types.Scene) -> tuple[Quatern
 
 
 def add_made(scene: bpy.types.Scene, root: bpy.types.Collection, made: MadeFrames) -> None:
-    """Add the photos and the cloud that an engine made since the import. Views that the user has not moved show all.
-    Raises PlgsError if the cloud's file is damaged."""
+    """Add the photos and the cloud that an engine made since the import. Views that the user has not moved then show
+    the whole room. Raises PlgsError if the cloud's file is damaged."""
     owned = OwnedDataBlocks(root[LIFT], scene)
     cameras = {ob["frame"]: ob for key, ob in objects_by_key(root).items() if key.startswith("frame:")}
     for name, picture in photos(made).items():

@@ -76,7 +76,7 @@ def place_lift(lift: Path, scene: bpy.types.Scene) -> bpy.types.Collection:
 @dataclass(frozen=True, eq=False)
 class ReadLift:
     """A result and data computed from its points [N]: their grid, their normals float32 [N, 3], and a camera outside
-    the room. ``gaussians`` are the rows of its splats; None if there are none or Blender reads them itself."""
+    the room. ``gaussians`` are the rows of its splats; None if it has no splats or Blender reads them itself."""
 
     result: LiftResult
     grid: SurfaceGrid
@@ -242,7 +242,7 @@ def place_room(read: ReadLift, scene: bpy.types.Scene) -> tuple[Placed, Generato
 
 
 def _show_instead(root: bpy.types.Collection, before: list[bpy.types.Collection], scene: bpy.types.Scene) -> None:
-    """Let the panels show a lift that was just added, and hide those of the same scene that were there ``before``."""
+    """Let the panels show a lift that was just added, and hide the same scene's lifts that were placed ``before``."""
     for layer in scene.view_layers:
         choose_lift(root, scene, layer)
     for other in before:
@@ -260,7 +260,7 @@ def place_passes_anew(lift: Path, scene: bpy.types.Scene) -> None:
 
 def placing_meshes_anew(lift: Path, scene: bpy.types.Scene, *, asked: bool = True) -> Generator[None, None, int]:
     """Put new meshes into the lift that is placed in `scene`, in parts. Show them if a user ``asked`` for them or has
-    not chosen anything else. Returns their number. Raises PlgsError if the lift is not there."""
+    not chosen another look. Returns the number of meshes. Raises PlgsError if no lift is placed."""
     scene = scene_to_fill(scene)
     placed = Placed(root_of_placed(lift, scene)[LIFT], scene.name)
     result = yield from _reading(lift)
@@ -308,8 +308,7 @@ def _reading(lift: Path) -> Generator[None, None, LiftResult]:
 
 
 def save_lift(lift: Path, blend: Path) -> None:
-    """Put a finished lift into a .blend, new or existing. Raises PlgsError if that fails; the file is then
-    unchanged."""
+    """Put a finished lift into a .blend, new or existing. Raises PlgsError if that fails, with the file unchanged."""
     blend = blend.absolute()
     read_result(lift)  # before another file is opened
     is_new = not blend.exists()
@@ -329,8 +328,8 @@ def save_lift(lift: Path, blend: Path) -> None:
 
 
 def open_blend(blend: Path, lift: Path, named_by: str = "--save") -> bpy.types.Scene:
-    """Open a .blend with its screens. Returns the scene that has the lift, else the active one. Raises PlgsError if it
-    is no readable .blend; ``named_by`` is the option that named it."""
+    """Open a .blend with its screens. Returns the scene that has the lift, else the active one. Raises PlgsError if the
+    file is no readable .blend; ``named_by`` is the option that named it."""
     if not blend.is_file():  # Blender would wait for whoever writes into a FIFO
         raise PlgsError("not-a-file", "is not a file", blend, f"Name another with {named_by}.")
     try:

@@ -139,8 +139,8 @@ def _cast_no_light(material: bpy.types.Material) -> None:
 
 def catcher_material(owned: OwnedDataBlocks, scene: bpy.types.Scene) -> bpy.types.Material:
     """Return the material of shadow catchers, for the scene's current lights. Cycles uses its matt colours for bounced
-    light and reflections. EEVEE has no catchers: there it is transparent, and black where less light arrives than
-    without a shadow; its normal is the light's direction, so that walls facing away are not dark."""
+    light and reflections. EEVEE has no catchers: in EEVEE the material is transparent, and black where less light
+    arrives than without a shadow; its normal is the light's direction, so that walls facing away are not dark."""
     material = owned.block("materials", "catcher", lambda: bpy.data.materials.new("PLGS shadow catcher"))
     tree = use_nodes(material)
     if value_node(material, CATCHER) is None:
@@ -219,8 +219,7 @@ def splat_material(owned: OwnedDataBlocks) -> bpy.types.Material:
 
 
 def value_node(material: bpy.types.Material, label: str) -> bpy.types.Node | None:
-    """Return the node whose first output's default value sets ``label``: CLASS_COLOURS, RELIEF or LIT; None without
-    it."""
+    """Return the node whose first output's default sets ``label``: CLASS_COLOURS, RELIEF or LIT; None without it."""
     nodes = material.node_tree.nodes if material.node_tree else ()
     return next((node for node in nodes if node.label == label), None)
 

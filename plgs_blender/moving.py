@@ -26,7 +26,7 @@ _before: list[tuple[Callable[[str], object], str]] = []
 
 
 def relate(blend: Path) -> None:
-    """Make our paths relative to a .blend that is about to be saved. Those on another drive stay absolute."""
+    """Make our paths relative to a .blend that is about to be saved. Paths on another drive stay absolute."""
     now = Path(bpy.data.filepath)
     is_kept_absolute = bool(bpy.data.filepath) and not bpy.context.preferences.filepaths.use_relative_paths
     for store, path in _stored_paths():
@@ -93,8 +93,7 @@ def _before_saving(blend: str, *_: object) -> None:
 
 @bpy.app.handlers.persistent
 def _after_saving(blend: str, *_: object) -> None:
-    """Restore the paths that `relate` changed before saving, if the open file stayed where it was: saving failed, or a
-    copy was saved elsewhere."""
+    """Restore the paths that `relate` changed if the open file stayed where it was: saving failed, or made a copy."""
     if not blend or Path(bpy.data.filepath).parent != Path(blend).absolute().parent:
         for store, before in _before:
             store(before)

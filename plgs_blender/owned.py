@@ -231,7 +231,7 @@ def shows(root: bpy.types.Collection, lift: Path) -> bool:
 
 
 def mark_of(lift: Path) -> str:
-    """A text that distinguishes a lift's result from earlier ones, stored as RESULT; "" without one. Raises OSError."""
+    """A text that tells a lift's result from earlier ones, stored as RESULT; "" without a result. Raises OSError."""
     path, at = version_of(lift)
     if at is None:
         return ""
@@ -281,8 +281,8 @@ class Placed:
 
 
 def root_collection(scene_folder: Path, lift_folder: Path | None, scene: bpy.types.Scene) -> bpy.types.Collection:
-    """The collection for this lift, which may have been moved on disk: its own, that of its scene if no other lift is
-    in it, or a new one. Without a lift, any collection of the scene. Raises OSError, and PlgsError for a bad path."""
+    """Return the collection for this lift, which may have been moved on disk: the lift's own, or that of its scene if
+    it has no lift, or a new one. Without a lift, any of the scene or a new one. Raises PlgsError, OSError."""
     _check_name(scene_folder)
     ours = [root for root in lifts_in(scene) if root.library is None and root.override_library is None]
     of_scene = [root for root in ours if is_same_place(text_of(root, SCENE), scene_folder)]
@@ -309,7 +309,7 @@ def root_collection(scene_folder: Path, lift_folder: Path | None, scene: bpy.typ
 
 
 def scene_to_fill(scene: bpy.types.Scene) -> bpy.types.Scene:
-    """The scene itself or, if it holds a lift's passes, the scene with the lift. Raises PlgsError if that is gone."""
+    """The scene itself or, if it holds a lift's passes, the scene with the lift. Raises PlgsError if it is gone."""
     if KEY not in scene:
         return scene
     for other in bpy.data.scenes:

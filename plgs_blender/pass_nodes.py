@@ -169,7 +169,7 @@ def has_nodes(tree: bpy.types.NodeTree | None) -> bool:
 
 
 def output_of(tree: bpy.types.NodeTree, name: str) -> Any:
-    """An output socket to link from: a layer, such as "Depth", or one of `_OUTPUTS`. Raises KeyError for others."""
+    """An output socket to link from: a layer, such as "Depth", or one of `_OUTPUTS`. Raises KeyError for other ones."""
     key, output = _OUTPUTS.get(name, (PASSES, name))
     for socket in node_of(tree, key).outputs:
         if socket.enabled and output == socket.name:

@@ -86,7 +86,7 @@ def place_passes(owned: OwnedDataBlocks, result: LiftResult) -> bpy.types.Scene 
 
 
 def place_shots(owned: OwnedDataBlocks, result: LiftResult, shot_scene: bpy.types.Scene) -> list[bpy.types.Scene]:
-    """Make or refill a scene "PLGS <name> <camera>" for each baked user camera, which moves in `shot_scene`."""
+    """Make or refill a scene "PLGS <name> <camera>" for each baked user camera; these cameras move in `shot_scene`."""
     groups = sequences(list(result.shots))
     for scene in list(bpy.data.scenes):
         key = key_of(scene, owned.lift) or ""
@@ -122,8 +122,8 @@ def _fill_scene(
     sequence: NumberedNames | None,
     count: Callable[[bpy.types.Scene, bpy.types.NodeTree], None],
 ) -> bpy.types.Scene:
-    """Return our scene `key` with nodes that show the files, made if missing. ``count`` is called with the scene and
-    its nodes, and maps timeline frames to files; ``sequence`` gives the files' numbers, if they can be one."""
+    """Make if missing, fill and return our scene `key`, whose nodes show the files. ``count`` is called with the scene
+    and its nodes, and maps timeline frames to files; ``sequence`` gives the files' numbers, or is None without any."""
     name = f"PLGS {result.name} {key.removeprefix(SHOT)}"
     scene = owned.block("scenes", key, lambda: _new_scene(name))
     scene.name = name
@@ -181,7 +181,7 @@ def _new_scene(name: str) -> bpy.types.Scene:
 def _images(
     owned: OwnedDataBlocks, key: str, files: Mapping[str, Path], sequence: NumberedNames | None
 ) -> bpy.types.Image:
-    """Make images that read the files, without loading any: one for a sequence, or one per file. Returns the first."""
+    """Make images that read the files, without loading any: one of a sequence, or one per file. Returns the first."""
     if sequence is not None:
         files = {"": next(path for path in files.values() if path.stem == sequence.first)}
     images = []

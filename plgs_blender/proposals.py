@@ -52,8 +52,8 @@ def proposal_of(root: bpy.types.Collection, instance: int) -> Proposal:
 
 
 def next_uncertain(root: bpy.types.Collection) -> tuple[str, int, int]:
-    """Return the most uncertain unvisited frame, the number of frames visited with it, and of all frames. After the
-    last frame it starts again. Raises PlgsError if the lift is damaged."""
+    """Return the most uncertain unvisited frame, how many frames are then visited, and the number of all frames. After
+    the last frame it starts again. Raises PlgsError if the lift is damaged."""
     folder = LiftFolder.open(folder_of(root))
     frames = known_scene(folder).frames
     drawn = doubt_of_frames(read_metrics(folder)) if (folder.result_path / "metrics.json").is_file() else {}

@@ -83,7 +83,7 @@ class Task:
 
     @property
     def took_s(self) -> float:
-        """The seconds since it began, even in another Blender or on a machine with a different clock."""
+        """The seconds since the task began, even in another Blender or on a machine with a different clock."""
         began = self.progress.began or time.time()
         return max(time.monotonic() - self.began, time.time() - began)
 
@@ -99,7 +99,7 @@ class Task:
 
     @property
     def error(self) -> PlgsError | None:
-        """The error of the engine, else the one that occurred when its answer was taken; or None."""
+        """The engine's error, else the error that occurred when its answer was taken, else None."""
         return self.follower.error or self._problem
 
     def poll(self, scene: Any) -> bool:
@@ -128,7 +128,7 @@ class Task:
 
     def done(self, scene: Any) -> Iterator[object] | None:
         """Take the answer into Blender, whose current scene is ``scene``. Called once, however the task ended. Slow
-        work yields between its parts; there the user may change anything. A PlgsError or OSError becomes `error`."""
+        work yields between its parts, where the user may change anything. A PlgsError or OSError becomes `error`."""
         return None
 
     def watch(self, scenes: Sequence[Any], has_news: bool) -> bool:
@@ -137,7 +137,7 @@ class Task:
         return False
 
     def cancel(self) -> None:
-        """Ask the engine to stop, which takes less than a second. Raises OSError if it is somebody else's."""
+        """Ask the engine to stop, which takes less than a second. Raises OSError if the engine is somebody else's."""
         self.follower.cancel()
 
     def let_go(self) -> None:
@@ -164,14 +164,14 @@ _tasks: dict[Hashable, Task] = {}
 def start_engine(
     kind: str, python: Path, *arguments: str | Path, variables: Mapping[str, str] | None = None
 ) -> TaskFollower:
-    """Start the engine's command ``kind``, with environment ``variables``; it ends with this Blender. Raises PlgsError,
-    OSError if it cannot."""
+    """Start the engine's command ``kind``, with environment ``variables``; it ends with this Blender. Raises PlgsError
+    or OSError if it cannot start."""
     command = [*engine_call(python), kind, *arguments]
     return TaskFollower.start(command, TaskFiles.temporary(), kind=kind, variables=variables or {})
 
 
 def follow(task: Kind) -> Kind:
-    """Follow a task, replacing the one with the same key."""
+    """Follow a task, in place of an earlier task with the same key."""
     forget(task.key)
     _tasks[task.key] = task
     return task
@@ -243,14 +243,14 @@ _drawn_at = 0.0
 
 
 def begin(task: Kind) -> Kind:
-    """Follow a task until its end. Without a window nothing polls it, so the caller must wait for it."""
+    """Follow a task until its end. Without a window nothing polls the task, so the caller must wait for its end."""
     follow(task)
     go_on()
     return task
 
 
 def go_on() -> None:
-    """Start the timer that polls, if there is a window."""
+    """Start the timer that polls all tasks (`tick`), if Blender has a window and the timer does not run."""
     if not bpy.app.background and not bpy.app.timers.is_registered(tick):
         bpy.app.timers.register(tick, first_interval=TICK_S, persistent=True)
 
@@ -283,7 +283,7 @@ def _poll() -> None:
 
 
 def redraw_panels(*, views_too: bool = False) -> None:
-    """Redraw the sidebars of 3D views and the preferences; with ``views_too`` the views, which takes far longer."""
+    """Redraw the 3D views' sidebars and the preferences; with ``views_too`` also the views, which takes far longer."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "PREFERENCES":

@@ -54,7 +54,7 @@ _DECODER = json.JSONDecoder(parse_constant=_refuse)  # NaN and Infinity, which J
 
 
 def reading_instances(path: Path) -> Generator[None, None, Listed]:
-    """Read instances.json object by object, as `read_instances`. Raises PlgsError, also for over MOST_INSTANCES."""
+    """Read instances.json object by object, as `read_instances` does. Raises PlgsError, also for too many objects."""
     try:
         content: dict[str, Any] = {"instances": []}
         for key, value in _Reader(instances_text(path)).members():
@@ -152,7 +152,7 @@ class _Reader:
             raise ValueError("something follows the JSON object")
 
     def _mark(self, marks: str, *, needed: bool = True) -> str:
-        """Consume and return the next character if it is among ``marks``; "" if it is not and not ``needed``."""
+        """Consume and return the next character if it is among ``marks``. Else return "" or, if ``needed``, fail."""
         at = self._next()
         found = self._text[at : at + 1]
         if found and found in marks:
@@ -228,12 +228,12 @@ class LiftResult:
 
 
 def read_result(folder: Path) -> LiftResult:
-    """Read a finished lift and its frames' cameras. Raises PlgsError if it is none, unfinished or damaged."""
+    """Read a finished lift and its frames' cameras. Raises PlgsError for no lift, an unfinished or a damaged one."""
     return result_of(reading_result(folder))
 
 
 def reading_result(folder: Path) -> Generator[None, None, LiftResult]:
-    """Read a lift as `read_result` does, in parts, so that the window does not freeze. Raises what that does."""
+    """Read a lift in parts, so that the window does not freeze. Returns and raises what `read_result` does."""
     lift = LiftFolder.open(folder)
     lift.refuse_foreign()
     manifest = check_sizes(lift.result_path)

@@ -207,7 +207,7 @@ def request_of(settings: PLGS_PG_settings) -> LiftRequest:
 
 def asked_of_preset(settings: PLGS_PG_settings) -> tuple[Any, dict[str, Any]]:
     """Return the preset's name and its changed options. The panel's fields take precedence over its text of options.
-    Raises PlgsError for bad ones."""
+    Raises PlgsError for bad options."""
     changed = presets.parsed_options(settings.preset_options.split())
     if settings.steps:
         changed["steps"] = settings.steps

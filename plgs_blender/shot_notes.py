@@ -74,7 +74,7 @@ class Claim:
     left: tuple[str, ...] = ()
 
     def withdraw(self) -> None:
-        """Leave all as it was, unless another bake has claimed more frames since then. Raises OSError if it cannot."""
+        """Leave all as it was, unless another bake has claimed more frames since then. Raises OSError if that fails."""
         lock = self.path.with_suffix(".lock")
         with FileLock(lock, _CLAIM_S):
             if self.path.read_text(encoding="utf-8") != self.text:
@@ -93,8 +93,8 @@ class Claim:
 
 def claim(folder: Path, name: str, source: ShotSource, *, cameras: Path, passes: Path, replaces: bool) -> Claim:
     """Record in a folder which shot has this ``name`` and what it shows; ``cameras`` is the file of its cameras,
-    ``passes`` the folder of its views. Raises PlgsError if a bake would overwrite another shot, or one that shows
-    something else, unless it ``replaces`` that."""
+    ``passes`` the folder of its views. Raises PlgsError if a bake would overwrite another shot, or the same shot with
+    another content, unless it ``replaces`` that."""
     path, before, left = _note(folder, name), "", tuple[str, ...]()
     lock = path.with_suffix(".lock")
     made = [each for each in (path, cameras, lock, folder, *folder.parents) if not each.exists()]
@@ -122,7 +122,7 @@ def claim(folder: Path, name: str, source: ShotSource, *, cameras: Path, passes:
 
 
 def next_version(folder: Path, earlier: str, name: str) -> list[str]:
-    """Say why a shot is the next version of ``earlier``, and which frames it lacks. Raises PlgsError for bad notes."""
+    """Return lines: why ``name`` is the next version of ``earlier``, and frames that it lacks. Raises PlgsError."""
     before, now = (read_record(ShotSource, _note(folder, each), _NOTE_FIX) for each in (earlier, name))
     lacking = [frame for frame in before.frames if frame not in now.frames]
     lines = [f"{name} is the next version of {earlier}: {now.changed_from(before)}"]

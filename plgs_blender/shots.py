@@ -105,7 +105,7 @@ def shot_of(
     motion: bool = False,
 ) -> Shot:
     """Return the shot of the named or the active camera over the given range, else the scene's. ``given`` names its
-    files (else the studio does); ``only`` and ``motion``: see `Shot`. Raises PlgsError for a bad range, and without a
+    files (else the studio does); ``only`` and ``motion``: see `Shot`. Raises PlgsError for a bad range and no
     camera."""
     cuts = () if camera else _cuts_of(scene)
     wanted = camera or (cuts[0][1] if cuts else "")
@@ -147,7 +147,7 @@ def _cuts_of(scene: bpy.types.Scene) -> tuple[tuple[int, str], ...]:
 
 
 def _cameras_to_choose(scene: bpy.types.Scene, wanted: str) -> str:
-    """Return advice for a user whose ``wanted`` camera ("": the active one) is none: cameras, the likeliest first."""
+    """Return advice, if no camera is called ``wanted`` ("": none is active): names of cameras, the likeliest first."""
     cameras = [ob for ob in scene.objects if ob.type == "CAMERA"]
     if not cameras:
         return "Add a camera, select it and press Ctrl+Numpad 0."
@@ -206,7 +206,7 @@ class ShotReader:
 
     @property
     def progress(self) -> tuple[int, int]:
-        """The number of frames read so far, and of all to read; for a camera at rest, also frames outside the shot."""
+        """The numbers of frames read and of all to read, which for a camera at rest has frames outside the shot."""
         return len(self._read) + self._checked, len(self._frames) + len(self._others)
 
     @property
@@ -223,8 +223,7 @@ class ShotReader:
         return list(zip(self._frames, self._read, strict=False))
 
     def read_for(self, seconds: float) -> bool:
-        """Read on for about ``seconds``, at least one frame. Returns whether all is read. Raises PlgsError without
-        one."""
+        """Read at least a frame, for about ``seconds``. Returns whether all is read. Raises PlgsError for no camera."""
         end = time.monotonic() + seconds
         scene = bpy.data.scenes.get(self._scene)
         if scene is None:
@@ -380,8 +379,8 @@ def _camera_now(scene: bpy.types.Scene, ob: bpy.types.Object, frame: float, name
 
 def _rendered_part(camera: Camera, scene: bpy.types.Scene) -> tuple[Camera, tuple[int, int, int, int] | None]:
     """Return the camera of the baked picture: the render region if Blender crops to it, else the whole picture with
-    EEVEE's overscan on all sides. Also return where the rendered picture lies in it, as left, top, width and height in
-    pixels; None if it fills it. Raises PlgsError for an empty region."""
+    EEVEE's overscan on all sides. Also return where the rendered picture lies in the baked one: left, top, width and
+    height in pixels; None if it fills that. Raises PlgsError for an empty region."""
     # A region that is not cropped would be a data window, which Blender's compositor misplaces (centred in 4.5, upside
     # down in 5.2), so the whole picture is baked then.
     render, (width, height) = scene.render, camera.size

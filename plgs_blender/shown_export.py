@@ -23,7 +23,7 @@ _FIX = "Choose a place that you may write to, on a disk with space."
 
 
 def why_not(form: str) -> str | None:
-    """Return what this Blender lacks to export a form, None if it can."""
+    """Return what this Blender lacks to export a form, None if it lacks nothing."""
     if form == "usd" and not bpy.app.build_options.usd:
         return "This Blender was built without OpenUSD. Use OpenUSD, Finer, or Blender's glTF"
     if form == "gltf" and "io_scene_gltf2" not in bpy.context.preferences.addons:

@@ -23,7 +23,7 @@ NAME = "Open room"
 
 
 def open_room(owned: OwnedDataBlocks, clouds: Iterable[bpy.types.Object]) -> None:
-    """Put the modifier on clouds that have the attribute `normal`; where it is already, its settings stay."""
+    """Put the modifier on clouds that have the attribute `normal`; a cloud that has it keeps its settings."""
     for cloud in clouds:
         material, of_splats = (point_material(owned), "") if cloud.data.materials else (None, " of splats")
         group = owned.block("node_groups", f"open room{of_splats}", partial(_group, material))

@@ -128,7 +128,7 @@ class SeenSurface:
         return cls(SurfaceGrid.of(xyz), normals)
 
     def facing(self, positions: NDArray[np.float32], eyes: Eyes) -> NDArray[np.float32]:
-        """Return unit normals float32 [M, 3] for positions [M, 3]: that of a nearby point, else towards a camera."""
+        """Return unit normals float32 [M, 3] for positions [M, 3]: a nearby point's, else the direction to a camera."""
         beside = self.grid.beside(positions)
         normal = np.zeros((len(positions), 3), np.float32)
         normal[beside >= 0] = self.normals[beside[beside >= 0]]
@@ -153,7 +153,7 @@ def seen(rows: NDArray[np.void], faintest: float) -> NDArray[np.int64]:
 
 
 def splats_of(rows: NDArray[np.void], surface: SeenSurface, eyes: Eyes) -> Splats:
-    """Return Gaussians [M] as native splats. Those of no object get normals, so that walls facing away are hidden."""
+    """Return Gaussians [M] as native splats. Those without object get normals, so that walls facing away are hidden."""
     xyz, size, ids = _positions(rows), _size(rows).T, _ids(rows)
     normal = _fronts(_axes(rows), size, surface.facing(xyz, eyes))
     normal[ids["instance_id"] > 0] = 0.0

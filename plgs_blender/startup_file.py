@@ -29,7 +29,7 @@ _RANGE, _SIZE, _ASPECT = (1, 250), (1920, 1080, 100), (1.0, 1.0)
 def taking_over(scene: bpy.types.Scene) -> Iterator[bool]:
     """Wrap the placing of a capture or lift; yields whether the scene is an unchanged startup scene. Such a scene takes
     the capture's range, size, pixel aspect, camera and colours, and its own objects are hidden. In another scene, the
-    range follows our frames if it was theirs before. If placing fails, everything is restored."""
+    range follows the lift's frames if it was theirs before. If placing fails, everything is restored."""
     is_untouched = _is_untouched(scene)
     follows = is_untouched or (scene.frame_start, scene.frame_end) == _span(scene)
     camera = scene.camera
@@ -116,7 +116,7 @@ def _is_startup_object(ob: bpy.types.Object) -> bool:
 
 
 def _hide_startup_objects(scene: bpy.types.Scene) -> None:
-    """Hide objects that are not ours in the views and, if they are in the way there, in renders."""
+    """Hide all objects that belong to no lift in the views, and the meshes among them in renders, too."""
     for ob in scene.objects:
         if LIFT in ob:
             continue
@@ -139,7 +139,7 @@ def _use_size(scene: bpy.types.Scene) -> None:
 
 
 def _span(scene: bpy.types.Scene) -> tuple[int, int] | None:
-    """Return the first and last timeline frame of the frames' cameras, None without any. The overview's is later."""
+    """Return the first and last timeline frame of the frames' cameras, not the overview's; None without any."""
     numbers = [number for ob, number in _frame_numbers(scene).items() if "frame" in ob]
     return (min(numbers), max(numbers)) if numbers else None
 

@@ -97,7 +97,7 @@ def _waiting(scene: bpy.types.Scene, lift: str) -> list[bpy.types.Object]:
 
 
 def is_of_lift(camera: bpy.types.Object, scene: bpy.types.Scene) -> bool:
-    """Whether a lift or an import of the scene placed a camera; a user's copy of one is not ours."""
+    """Whether a lift or an import of the scene placed a camera; false for a user's copy of one."""
     return any(camera in _originals(scene, root[LIFT]) for root in lifts_in(scene))
 
 

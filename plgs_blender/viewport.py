@@ -79,7 +79,7 @@ _tries: list[int] = []
 
 def look_first() -> float | None:
     """Show the sidebar's tab PLGS when a file of ours is opened for the first time, and materials if there is a
-    graphics card. For a timer: until Blender knows the tab, by drawing it, return the seconds to wait; then None."""
+    graphics card. As a timer, it returns the seconds to wait until Blender has drawn the tab; then None."""
     new = [root for scene in bpy.data.scenes for root in lifts_in(scene) if root.get(NEW)]
     bars = [region for area in all_views() for region in area.regions if region.type == "UI" and region.width > 1]
     _tries.append(0)
@@ -157,7 +157,7 @@ def areas_of(scene: bpy.types.Scene) -> list[bpy.types.Area]:
 
 
 def own_view(scene: bpy.types.Scene) -> tuple[bpy.types.Area, Camera] | None:
-    """Return the scene's first 3D view, if in perspective, and what it sees; None if one looks through a camera."""
+    """Return the scene's first 3D view, if in perspective, and what it sees; None if any looks through a camera."""
     areas = [area for area in areas_of(scene) if _free_of_sidebar(area)[0].width > 1]
     if not areas or any(area.spaces.active.region_3d.view_perspective == "CAMERA" for area in areas):
         return None
@@ -263,7 +263,7 @@ def load_finding(picture: Path) -> bpy.types.Image:
 
 
 def show_beside(image: bpy.types.Image, context: bpy.types.Context) -> bool:
-    """Show an image in the largest image editor, else in one split off the largest 3D view. Returns whether it did."""
+    """Show an image in the largest image editor, else in one split off the largest 3D view. Returns if it is shown."""
     areas = [(window, area) for window in context.window_manager.windows for area in window.screen.areas]
     editors = _largest_first(areas, "IMAGE_EDITOR")
     if not editors and (views := _largest_first(areas, "VIEW_3D")):

@@ -68,8 +68,8 @@ def set_up_choice(base_python: str = "", torch_build: str = "", index_url: str =
 
 
 def studio() -> StudioDefaults:
-    """Return the studio's defaults, from the file that PLGS_DEFAULTS names, else from the one in the preferences, which
-    later engines read, too. Raises PlgsError if that file is bad."""
+    """Return the studio's defaults, from the file that PLGS_DEFAULTS names, else from the one in the preferences, and
+    let later engines read it. Raises PlgsError if that file is bad."""
     global _file_of_preferences
     if os.environ.get(VARIABLE, "") == _file_of_preferences:  # not set by the user, who comes first
         _file_of_preferences = os.environ[VARIABLE] = str(_path(_choices().defaults_file) or "")

@@ -47,7 +47,7 @@ class EngineState(Enum):
 @dataclass(frozen=True)
 class EngineStatus:
     """The engine's ``state``, a ``message`` about it for the user, and a ``fix`` if it is unusable. ``note`` warns of
-    package versions that differ from the tested ones. ``answer`` is what the engine in ``python`` said, if it did."""
+    package versions that differ from the tested ones. ``answer`` is the answer of the engine in ``python``, or None."""
 
     state: EngineState
     message: str = ""
@@ -194,8 +194,7 @@ def check() -> EngineCheck | None:
 
 
 def ask_chosen() -> EngineCheck | None:
-    """Check a newly chosen Python; forget the last set-up's end, which concerned another. Returns None if none is
-    chosen."""
+    """Check a newly chosen Python; forget how the last set-up ended. Returns None if no Python is chosen."""
     if running_set_up() is None:
         registry.forget(SetUp.kind)
     return check()
@@ -219,7 +218,7 @@ def why_no_set_up() -> str | None:
 
 
 def set_up(choice: SetUpChoice) -> SetUp:
-    """Start, or continue, making an environment. Raises PlgsError if one is made or Blender is offline; OSError."""
+    """Start, or continue, making an environment. Raises PlgsError if a set-up runs or Blender is offline; OSError."""
     reason = why_no_set_up()
     if reason is not None:
         raise PlgsError("set-up-refused", "the engine cannot be set up now", "Set Up Engine", reason)
@@ -228,7 +227,8 @@ def set_up(choice: SetUpChoice) -> SetUp:
 
 
 def remove() -> Removal:
-    """Delete all environments that "Set Up Engine" made, and nothing else. Raises PlgsError while it runs; OSError."""
+    """Delete all environments that "Set Up Engine" made, and nothing else. Raises PlgsError during a set-up;
+    OSError."""
     if running_set_up() is not None:
         what = "the engine is being set up"
         raise PlgsError("being-set-up", what, environments_folder(), "Wait until it is done, or cancel it.")

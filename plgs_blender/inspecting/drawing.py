@@ -68,9 +68,9 @@ class ViewRegion:
 
 @dataclass(frozen=True)
 class TextBox:
-    """A text on a rectangle, perhaps with a `swatch` of colour before it; `instance` is the one that it names, or 0.
-    Lengths are in pixels, from the lower left corner; `size` is the text's, `ink` its colour, `ground` the rectangle's;
-    colours are sRGB 0..1."""
+    """A text on a rectangle, perhaps with a `swatch` of colour before it; `instance` is the instance that the text
+    names, or 0. Lengths are in pixels, from the lower left corner; `size` is the text's, `ink` its colour, `ground` the
+    rectangle's; colours are sRGB 0..1."""
 
     x: float
     y: float
@@ -246,7 +246,7 @@ def draw_path(points: Sequence[Vector]) -> None:
 
 
 def draw_mark(mark: Mark | None) -> None:
-    """Draw the outline of points as `mark_of` returned it; None, if the points are out of view, draws nothing."""
+    """Draw the outline of points that `mark_of` returned. None draws nothing: the points are out of view."""
     if mark is not None:
         left, low, right, high = mark.place
         draw_picture(mark.pixels, [(left, low), (right, high)], blend="ALPHA")
@@ -255,8 +255,8 @@ def draw_mark(mark: Mark | None) -> None:
 def draw_picture(
     pixels: NDArray[np.float32], corners: Sequence[tuple[float, float] | None], blend: str = "NONE"
 ) -> None:
-    """Draw a picture (float32 [H, W, 4], sRGB, lowest row first) over the rectangle of these corners, in pixels; not if
-    one is None. `blend` is a mode of gpu.state.blend_set."""
+    """Draw a picture (float32 [H, W, 4], sRGB, lowest row first) over the rectangle of these corners, in pixels. If a
+    corner is None, nothing is drawn. `blend` is a mode of gpu.state.blend_set."""
     seen = [corner for corner in corners if corner is not None]
     if len(seen) != len(corners):
         return

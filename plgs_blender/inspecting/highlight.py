@@ -127,7 +127,7 @@ def _grown(mask: NDArray[np.bool_], times: int) -> NDArray[np.bool_]:
 def outline_in_space(
     camera: bpy.types.Object, outline: str, rectangle: tuple[float, float, float, float]
 ) -> list[list[Vector]]:
-    """Return the polygons of a mask's outline, or its rectangle if there is none (see `MatchedSegment`), as world
+    """Return the polygons of a mask's ``outline`` (of its ``rectangle`` without one; see `MatchedSegment`) as world
     points one metre in front of a frame's camera; [] if the user removed the lens properties from the camera."""
     if any(name not in camera for name in ("width", "height", "fx", "fy", "cx", "cy")):
         return []

@@ -201,8 +201,8 @@ def registered() -> Iterator[None]:
 
 
 def fill_lists(root: bpy.types.Collection, result: LiftResult | CorrectedResult, *, anew: bool = True) -> None:
-    """List a result's classes and instances, whose masks are filled in later. With ``anew``, all are visible; else
-    unchanged instances keep their rows and stay hidden, because listing thousands takes long."""
+    """List a result's classes and instances, whose masks are filled in later. With ``anew``, all instances become
+    visible. Otherwise unchanged ones keep their rows and stay hidden, because listing thousands takes long."""
     with registered(), looks.apply_colours.at_once(root), looks.apply_visibility.at_once(root):
         lists = root.plgs
         root[looks.REMOVED] = json.dumps({one.id: one.name for one in result.removed})
@@ -252,7 +252,7 @@ def _fill_instances(rows: Any, instances: Sequence[Instance]) -> None:
 
 
 def _facts(one: Any, score: float, masks: list[tuple[str, int]]) -> tuple[Any, ...]:
-    """Return the facts about an instance by which it is compared with its row in the list (`one` is either)."""
+    """Return the facts by which an instance and its row in the list are compared; `one` is the instance or the row."""
     return one.name, one.class_id, one.points, one.views, score, masks
 
 
@@ -280,7 +280,7 @@ def fill_not_shown(root: bpy.types.Collection, result: LiftResult) -> None:
 
 
 def best_view(masks: Sequence[MatchedSegment]) -> int:
-    """The index of the mask that covers most of its picture; -1 if unknown. Masks cut off by its edge count half."""
+    """The index of the mask that covers most of its picture (half counts if the edge cuts it off); -1 if unknown."""
     is_cut_off = [min(mask.rectangle) <= 0.0 or max(mask.rectangle) >= 1.0 for mask in masks]
     worth = [mask.share * (0.5 if cut_off else 1.0) for mask, cut_off in zip(masks, is_cut_off, strict=True)]
     return int(np.argmax(worth)) if worth and max(worth) > 0.0 else -1

@@ -105,8 +105,8 @@ def shows_pictures(root: bpy.types.Collection) -> bool:
 
 
 def show_pictures_in(scene: bpy.types.Scene) -> None:
-    """Show the pictures of meshes in 3D views with our Solid shading if lifts show nothing else there; what has no
-    picture would be white. Crevices are darkened then, or a user's own object would be a silhouette."""
+    """Let 3D views with our Solid shading show the pictures of meshes if all lifts are shown as such meshes; anything
+    without a picture would be white. Crevices are darkened then, or a user's own object would be a silhouette."""
     roots = lifts_shown(scene, scene.view_layers[0])
     has_all = bool(roots) and all(map(shows_pictures, roots))
     for shading in (area.spaces.active.shading for area in areas_of(scene)):
@@ -185,7 +185,7 @@ def _confidence(data: Any) -> NDArray[np.float32]:
 
 
 def _cells(xyz: NDArray[np.float32]) -> NDArray[np.int64]:
-    """The number of each position's cell, int64 [N]. More than 100 km from the origin, cells have equal numbers."""
+    """The number of each position's cell, int64 [N]. Cells more than 100 km from the origin share numbers."""
     x, y, z = (np.floor(xyz / _CELL).astype(np.int64) + (1 << 20)).T  # 21 bits each, none negative
     return (x << 42) | (y << 21) | z
 
@@ -281,7 +281,7 @@ def size_cameras(root: bpy.types.Collection) -> None:
 
 
 def isolate(root: bpy.types.Collection, instance: int = 0) -> None:
-    """Show only one instance (0: the list's active one), or all if it is alone. Raises PlgsError if it is unknown."""
+    """Show only one instance (0: the list's active one); all if it was alone. Raises PlgsError if it is unknown."""
     number = row_of(root, instance).instance_id
     root.plgs.isolated = 0 if root.plgs.isolated == number else number
 

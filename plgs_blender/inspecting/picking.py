@@ -34,7 +34,7 @@ def camera_of(context: bpy.types.Context) -> bpy.types.Object | None:
 
 def outlined(context: bpy.types.Context, root: bpy.types.Collection) -> Any:
     """The row of the list's active instance, if the view looks through the camera of the frame of the row's chosen
-    mask, which is then outlined; else None."""
+    mask, so that the mask is outlined; else None."""
     lists, camera = root.plgs, camera_of(context)
     if camera is None or not 0 <= lists.instance_index < len(lists.instances):
         return None

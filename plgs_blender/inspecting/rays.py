@@ -123,8 +123,8 @@ class Projected:
 
 
 def first_drawn(parts: Sequence[Projected], mouse: tuple[float, float]) -> tuple[int, int, int] | None:
-    """Return the index in `parts` of what is drawn at a pixel (else of the nearest instance within MISS pixels), and
-    its instance and class; None if nothing is there."""
+    """Return an index in `parts`, an instance and a class: what is drawn at the pixel ``mouse``, else the nearest
+    instance within MISS pixels of it; None if there is neither."""
     for offsets in (_OFFSETS[:1], _OFFSETS[1:]) if parts else ():  # most often the mouse's own pixel is drawn
         found = [part.at(np.array(mouse, np.float32) + offsets) for part in parts]
         opacities, near = (np.concatenate([each[column] for each in found], axis=1) for column in (0, 1))

@@ -41,7 +41,7 @@ def find_lift(scene: bpy.types.Scene, lift: str = "", active: bpy.types.Object |
 
 
 def active_lift(scene: bpy.types.Scene, active: bpy.types.Object | None) -> bpy.types.Collection | None:
-    """Return the active object's lift, else the chosen one, the scene's first with a result, its first, or None."""
+    """Return the active object's lift, else the chosen one, else the first with a result, else the first; or None."""
     roots = lifts_in(scene)
     owns = (None if active is None else text_of(active, LIFT), scene.get(CHOSEN))
     of_object = [root for own in owns for root in roots if root[LIFT] == own]
@@ -197,7 +197,7 @@ def select_instance(
 
 
 def select_nothing(root: bpy.types.Collection, class_id: int, layer: bpy.types.ViewLayer) -> None:
-    """Deselect all objects, also in the lift's list, and make a class the active row in its list (-1: none)."""
+    """Deselect all objects, also in the lift's list, and make a class the active row of the class list (-1: none)."""
     deselect_all(layer)
     layer.objects.active, root.plgs.instance_index = None, -1
     hide_unselected(root, layer)
@@ -228,8 +228,8 @@ def select_row(root: bpy.types.Collection, layer: bpy.types.ViewLayer) -> None:
 
 
 def follow_selected(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
-    """Make the selected object's row active in its lift's list. If nothing of a lift is selected, no row is active,
-    unless it is that of a hidden object, whose box cannot be selected, or of the object which is about to be cut."""
+    """Make the selected object's row active in its lift's list. If nothing of a lift is selected, make no row active;
+    but keep the row of a hidden object, whose box cannot be selected, and of an object about to be cut."""
     for root in lifts_in(scene):
         lists = root.plgs
         number = next(iter(selected_instances(root, layer)), 0)
@@ -273,7 +273,7 @@ def _select(root: bpy.types.Collection, box: bpy.types.Object, layer: bpy.types.
 
 
 def _select_box(root: bpy.types.Collection, number: int, layer: bpy.types.ViewLayer) -> None:
-    """Select only the box of the instance ``number``. If that cannot be, no object of the lift stays selected."""
+    """Select only the box of the instance ``number``. If that is hidden, no object of the lift stays selected."""
     box, selected = boxes_of(root).get(number), [ob for ob in layer.objects if ob is not None and ob.select_get()]
     if box is not None and _select(root, box, layer):
         deselect_all(layer, but=box)
@@ -298,7 +298,7 @@ _followed: list[Any] = []  # the scene, active object and selection when the lis
 
 @bpy.app.handlers.persistent
 def follow(*_arguments: object) -> None:
-    """Update the lists of the windows' scenes to the selection there. It is safe to call at any time."""
+    """Update the lists of the windows' scenes to the windows' selections. It is safe to call at any time."""
     for window in bpy.context.window_manager.windows:
         follow_selected(window.scene, window.view_layer)
 

@@ -43,8 +43,7 @@ _before_alone: dict[int, tuple[Any, ...]] = {}
 
 
 def show_alone(root: bpy.types.Collection, view: bpy.types.SpaceView3D, aspect: float) -> None:
-    """Frame the isolated instance in a 3D view of width / height ``aspect``; restore the view if none is isolated
-    now."""
+    """Frame the isolated instance in a 3D view of width / height ``aspect``; restore the view if none is isolated."""
     region, key = view.region_3d, view.as_pointer()
     if not root.plgs.isolated:
         if key in _before_alone:

@@ -46,7 +46,7 @@ def lacking(name: str) -> tuple[str, ...]:
 
 
 def why_lacking(name: str) -> str | None:
-    """Return why the engine lacks a capability; None if it has it or has not answered yet."""
+    """Return why the engine lacks a capability; None if the engine has it or has not answered yet."""
     packages = lacking(name)
     label = CAPABILITIES[name].label
     return f"{label}: the engine lacks {', '.join(packages)}. Add it to the engine" if packages else None
@@ -58,7 +58,7 @@ def size_of(name: str) -> int:
 
 
 def why_not_added() -> str | None:
-    """Return why nothing can be added now, None if something can. Never reads the disk."""
+    """Return why nothing can be added now, None if packages can. Never reads the disk."""
     return "Something is already being added to the engine" if registry.running(Adding) else tasks.why_no_set_up()
 
 

@@ -115,8 +115,8 @@ def diagnosis_of(chosen: ChosenScene) -> Diagnosis | None:
 
 
 def diagnose(settings: PLGS_PG_settings, mended: Path | None = None) -> Diagnosis:
-    """Let an engine measure the panel's scene and, if given, write ``mended``, corrected. Raises PlgsError without
-    one."""
+    """Let an engine measure the panel's scene and, if ``mended`` is given, write a corrected copy into that folder.
+    Raises PlgsError without an engine."""
     registry.refuse_second(Diagnosis)
     chosen, python = chosen_scene(settings), usable_python()
     folder = Path(tempfile.mkdtemp(prefix="plgs-findings-"))
@@ -131,8 +131,8 @@ def diagnose(settings: PLGS_PG_settings, mended: Path | None = None) -> Diagnosi
 
 
 def leave_out(known: Diagnosis, finding: Finding) -> tuple[Path, Path | None]:
-    """Remove a finding's frames from the capture's splits.json; one that we did not write is renamed first. Returns the
-    paths of both, the second perhaps None. Raises OSError, and PlgsError if no training frames would be left."""
+    """Remove a finding's frames from the capture's splits.json; one that PLGS did not write is renamed first. Returns
+    the paths of the new file and of the renamed one or None. Raises PlgsError if no training frame is left; OSError."""
     assert known.split is not None
     split = known.split.without(finding.leave_out)
     if not split.train:

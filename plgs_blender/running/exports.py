@@ -39,7 +39,7 @@ OF_FRAMES = ("depth", "clouds", "coco", "instances", "scannet")
 
 class Export(Task):
     """An export in progress. Files written before a cancel stay. ``shown_in`` names the scene for its meshes or clouds.
-    If no user ``asked`` for it, what the user chose to show stays, and an export by the user ends this one."""
+    If no user ``asked`` for it, it does not change what is shown, and an export by the user ends it."""
 
     kind, label, cancel_operator = "export", "Exporting", "plgs.cancel_export"
 
@@ -55,17 +55,17 @@ class Export(Task):
 
     @property
     def is_for_scene(self) -> bool:
-        """Whether its meshes or clouds go into a scene."""
+        """Whether the export's meshes or clouds go into a scene."""
         return bool(self._shown_in)
 
     @property
     def makes_meshes(self) -> bool:
-        """Whether it makes the surface that a scene shows."""
+        """Whether the export makes the surface that a scene shows."""
         return self.is_for_scene and self.form == SURFACE
 
     @property
     def message(self) -> str:
-        """One line for the user about its success or cancellation."""
+        """One line for the user about the export's success or cancellation."""
         if self.was_cancelled:
             return "The export was cancelled"
         if self._shown_in:

@@ -59,11 +59,11 @@ class FrameMaking(Task):
         self._folder = folder
 
     def watch(self, scenes: Sequence[Any], has_news: bool) -> bool:
-        """Place the cameras as soon as the engine has read them, while it makes pictures. Returns whether it did."""
+        """Place the cameras once the engine has read them, while it makes pictures. Returns whether it placed them."""
         return not self.order.lift and self.is_running and self.progress.step > 0 and self._place_cameras()
 
     def _place_cameras(self) -> bool:
-        """Place the cameras, if they are ready. Returns whether it did. Raises PlgsError for a damaged note."""
+        """Place the cameras, if they are ready. Returns whether they were. Raises PlgsError for a damaged note."""
         made, target = made_of(self._folder, self.order.chosen.resolved), bpy.data.scenes.get(self.order.scene)
         if made is None or target is None:
             return False
@@ -91,13 +91,13 @@ class FrameMaking(Task):
                     frame_pictures.show_made(each, ob, order.shown_kind, made.frames[order.frame])
 
     def error_for(self, chosen: ChosenScene | None, lift: str) -> PlgsError | None:
-        """Return its error, if it concerns this scene, or the import or lift with this key; else None."""
+        """Return the task's error, if it concerns this scene, or the import or lift with this key; else None."""
         is_of_it = self.order.chosen == chosen or (lift and self.order.lift == lift)
         return self.error if is_of_it else None
 
 
 def make_frames(order: FrameOrder, python: Path) -> FrameMaking:
-    """Start an engine that makes the files. Raises PlgsError if one is running or cannot be started; OSError."""
+    """Start an engine that makes the files. Raises PlgsError if one is at work or none can be started; OSError."""
     registry.refuse_second(FrameMaking)
     folder = frame_pictures.frames_folder(order.chosen.resolved)
     command: list[str | Path] = [*order.chosen.arguments(), "-o", folder, "--make", *order.kinds]
@@ -200,8 +200,8 @@ _tried: list[tuple[str, str]] = []
 
 
 def choose_picture(scene: bpy.types.Scene, kind: str, *, asked: bool = True) -> FrameMaking | None:
-    """Show one kind of picture before the active camera and, from now on, each that becomes active. Returns as
-    `show_picture`."""
+    """Show one kind of picture before the active camera and, from now on, before each camera that becomes active.
+    Returns what `show_picture` returns."""
     making = show_picture(scene, kind, asked=asked)
     frame_pictures.root_of(scene, scene.camera)[_CHOSEN] = kind
     _tried[:] = [(scene.camera.name, kind)]
@@ -221,7 +221,7 @@ def wanted(scene: bpy.types.Scene) -> str:
 
 
 def catch_up() -> float | None:
-    """Show the picture that the camera should show. Returns the seconds to wait if something else is going on."""
+    """Show the picture that the camera should show. Returns None or, while something else runs, the seconds to wait."""
     scene, windows = bpy.context.scene, bpy.context.window_manager.windows
     kind = wanted(scene)
     if not kind:

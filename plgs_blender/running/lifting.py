@@ -39,7 +39,7 @@ def followed_lift(settings: PLGS_PG_settings) -> Lift | None:
 
 
 def why_no_scene(settings: PLGS_PG_settings) -> str | None:
-    """Return why the panel's scene cannot be used; None if it can or is not known yet. Never reads the disk."""
+    """Return why the panel's scene cannot be used; None if it can, or if nobody knows yet. Never reads the disk."""
     if not settings.scene_folder:
         return "Choose the scene's folder first"
     survey = survey_of_panel(settings)
@@ -66,8 +66,8 @@ def why_no_device(settings: PLGS_PG_settings) -> str | None:
 
 
 def earlier_lift(settings: PLGS_PG_settings) -> Path | None:
-    """Return the earlier lift of the same scene whose names the objects shall keep; None if that is off or there is
-    none. It must be complete and placed in Blender's scene; the active one comes first."""
+    """Return the earlier lift of the same scene whose names the objects shall keep; None if Keep Names is off or there
+    is no such lift. It must be complete and placed in Blender's scene; the active lift comes first."""
     if not settings.keep_names or not settings.scene_folder:
         return None
     scene, folder = settings.id_data, absolute(settings.scene_folder)
@@ -80,8 +80,7 @@ def earlier_lift(settings: PLGS_PG_settings) -> Path | None:
 def start_lift(settings: PLGS_PG_settings, *, in_that_folder: bool = False, names_from: str = "") -> Lift:
     """Start the lift that the settings describe, in their lift folder. If that already holds a lift, use a new folder
     beside the scene or, with ``in_that_folder``, refuse. Objects keep their names in the lift ``names_from``, else in
-    `earlier_lift`. Raises PlgsError without a scene or an engine and for bad options, OSError; then no folder is
-    left."""
+    `earlier_lift`. Raises PlgsError without scene or engine and for bad options, OSError, and then leaves no folder."""
     if not settings.scene_folder:
         what = "no scene is chosen"
         raise PlgsError("no-scene", what, "Scene", "Choose a capture's folder or file.")
@@ -139,7 +138,7 @@ def refine_lift(settings: PLGS_PG_settings, folder: str = "") -> Lift:
 
 
 class SceneFinding(Task):
-    """Compares the frames of a folder with those of a lift. If they match, the lift now reads them from there."""
+    """Compares the frames of a folder with those of a lift. If they match, the lift now reads them from that folder."""
 
     kind, label, undo_step = "find_scene", "Comparing the frames", "Find Scene"
 
@@ -180,7 +179,8 @@ def join_lift(scene: bpy.types.Scene, folder: str = "") -> Lift:
 
 
 def bind_lift(scene: bpy.types.Scene, active: bpy.types.Object | None, folder: Path) -> str:
-    """Tell the shown lift and the panel the folder it was moved to. Raises PlgsError if that holds another lift."""
+    """Bind the shown lift and the panel to the folder it was moved to; return a line about that. Raises PlgsError if
+    the folder holds another lift."""
     root = find_lift(scene, active=active)
     bind(root, folder)
     lift = lifts.attach(folder).folder
@@ -269,7 +269,7 @@ def make_depth_cloud(scene: bpy.types.Scene, frame: str, folder: str = "") -> ex
 
 def showing_lift(scene: bpy.types.Scene, folder: str = "") -> Generator[None, None, Placed | None]:
     """Put the finished lift in `folder`, else the settings' lift, into the scene, part by part. Returns where it is;
-    None if the scene is gone by then. Raises PlgsError if the lift is not finished."""
+    None if the scene was deleted meanwhile. Raises PlgsError if the lift is not finished."""
     lift = lift_at(scene.plgs, folder)
     try:
         return (yield from lifts.showing_lift(scene, lift))

@@ -60,7 +60,7 @@ def follow_camera(lift: LiftFolder, scenes: Iterable[bpy.types.Scene]) -> None:
 
 def show(lift: LiftFolder, picture: Path, camera: str) -> bool:
     """Keep the engine's newest picture if it was rendered from the requested camera, whose fingerprint is ``camera``;
-    returns whether it was. If another Blender requested another camera, ours is requested again."""
+    returns whether it was. If another Blender requested another camera, request this Blender's again."""
     asked = _asked.get(lift.path)
     if asked is None or not picture.is_file():
         return False
@@ -169,7 +169,7 @@ class Lift(Task):
 
     @property
     def message(self) -> str:
-        """One line for the user about its success or cancellation."""
+        """One line for the user about the lift's success or cancellation."""
         if self.is_baking:
             return "The passes are baked" if self.state is TaskState.FINISHED else "Baking was cancelled"
         if self.is_finished:
@@ -300,7 +300,7 @@ def shown_lift(settings: PLGS_PG_settings) -> Path | None:
 
 
 def look_at(folder: Path) -> Lift | None:
-    """Follow the lift in a folder and return it; None if there is none, or if `refusals` now says what is wrong."""
+    """Follow the lift in a folder and return it; None without a lift, or if `refusals` now says what is wrong."""
     known = lift_of(folder)
     if known is not None:
         return known

@@ -169,7 +169,7 @@ class PoseMaking(Preparation):
 
     @property
     def message(self) -> str:
-        """What was made, in a line; "" before that."""
+        """What was made, in a line; "" before the end."""
         made = self.answer or {}
         return f"Poses of {made['posed']} of {made['photos']} photos" if "posed" in made else ""
 
@@ -249,6 +249,6 @@ def make_masks(chosen: ChosenScene, python: Path, model: str, *, download: bool,
 
 
 def make_poses(chosen: ChosenScene, python: Path) -> PoseMaking:
-    """Start an engine that finds poses. Raises PlgsError if one is already running or cannot be started; OSError."""
+    """Start an engine that finds poses. Raises PlgsError if one is at work or none can be started; OSError."""
     registry.refuse_second(PoseMaking)
     return registry.begin(PoseMaking(chosen, start_engine("poses", python, chosen.scene)))

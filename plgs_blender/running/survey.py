@@ -97,7 +97,7 @@ def look(chosen: ChosenScene, python: Path | None) -> Survey:
 
 
 def _look_alone(chosen: ChosenScene) -> Survey | None:
-    """Return what Blender sees without engine; None if one is needed and there. Raises PlgsError if there is none."""
+    """Return what Blender sees without engine; None if one is needed and usable. Raises PlgsError if none is usable."""
     for path in (chosen.scene, chosen.masks, chosen.depth):
         if path is not None and not os.path.exists(path):
             raise PlgsError("file-missing", "there is no such file or folder", path, "Choose another one.")
