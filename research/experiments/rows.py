@@ -68,7 +68,7 @@ class Rows:
     tables: Mapping[str, str]
 
     def named(self, name: str) -> Row:
-        """Return the row with this name. Raises KeyError if there is none."""
+        """Return the row with this name. Raises StopIteration if there is none."""
         return next(row for row in self.rows if row.name == name)
 
     def lift_of(self, row: Row) -> Row:
