@@ -50,8 +50,8 @@ STOPPED = "stopped"
 
 @dataclass
 class _Scene:
-    """A scene in a batch: ``stages`` of pieces to do, how many pieces are ``out`` on workers, what is ``wrong`` with
-    the scene ("": nothing). ``unfit`` gives, by their addresses, why workers cannot do it."""
+    """A scene in a batch: its ``stages`` of pieces to do, how many pieces are ``out`` on workers, and what is ``wrong``
+    with it ("": nothing). ``unfit`` gives, by a worker's address, why the worker cannot do the scene."""
 
     job: SceneJob
     index: int

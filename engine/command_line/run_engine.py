@@ -102,8 +102,8 @@ def run_bake(
     ``channels``; ``replace`` overwrites others' files there. The objects ``without`` are not shown, as if they had been
     removed. Whatever happens, the lift stays finished and earlier passes are kept. If another process is baking
     already, both bake at the same time: this one has its events in ``files`` or, if no program follows it (no
-    ``parent_pipe``), in its own folder below bake/. The lift's file 'cancel' stops all of them. If no program follows
-    it, standard output says what was baked. Events also go to the descriptor ``echo``."""
+    ``parent_pipe``), in its own folder below bake/. The lift's file 'cancel' stops all bakes. If no program follows it,
+    standard output says what was baked. Events also go to the descriptor ``echo``."""
     baked = list[str]()
 
     def work(events: EventWriter, stop: StopSignal) -> None:

@@ -78,7 +78,7 @@ class Edit:
     has a ``name``. A reclass has a ``class_id``, as has a split whose first part changes its class. A merge turns all
     ``objects`` into the first. A move gives points of the ``objects`` and of the stuff ``classes`` other labels
     (``moved``), perhaps of objects that it ``made``; ``rest`` is the label of the objects' other points, None where
-    they keep theirs. A removal takes the ``objects`` out of the room; ``fill`` names the file of what is there instead,
+    they keep theirs. A removal takes the ``objects`` out of the room; ``fill`` names the file of what replaces them,
     and ``digest`` is its SHA-256. ``raw`` is the entry as it was read, for kinds that this version does not know."""
 
     kind: str = field(metadata=_SHOWN)

@@ -137,9 +137,9 @@ FITS = 0.5
 
 
 def class_of_parts(lift: Path, state: Replay, number: int, part: NDArray[np.integer]) -> dict[int, int]:
-    """Return the class that most masks of an object give each part; ``part`` int [n] is that of its points in their
-    order. A mask votes for the part whose points fill its rectangle, weighted by its pixels; parts without votes are
-    left out. Raises PlgsError if the list of the lift's frames is damaged."""
+    """Return the class that most masks of an object give each part; ``part`` int [n] is the part of each of its points.
+    A mask votes for the part whose points fill its rectangle, weighted by its pixels; parts without votes are left out.
+    Raises PlgsError if the list of the lift's frames is damaged."""
     if number not in state.objects or not len(part):
         return {}
     folder = LiftFolder.open(lift)

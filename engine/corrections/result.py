@@ -23,10 +23,10 @@ from .replay import Replay
 
 @dataclass(frozen=True, eq=False)
 class CorrectedResult:
-    """The objects (``instances``) and points of a result after the ``edits``; ``relabelling`` changes other labels.
-    ``made`` are the objects as the engine made them, ``removed`` those that were taken out of the room. ``accepted``
-    are ids of objects that a person confirmed. ``not_applied`` gives, by the uid of an edit, why it was not applied.
-    ``fingerprint`` identifies the edits that change what is shown; it is "" without any."""
+    """The objects (``instances``) and points of a result after the ``edits``; ``relabelling`` changes the labels of
+    anything else. ``made`` are the objects as the engine made them, ``removed`` those that were taken out of the room.
+    ``accepted`` are ids of objects that a person confirmed. ``not_applied`` gives, by the uid of an edit, why it was
+    not applied. ``fingerprint`` identifies the edits that change what is shown; it is "" without any."""
 
     folder: Path
     classes: ClassTable

@@ -26,7 +26,7 @@ Figures = dict[str, float | str]
 
 
 class _CauseWords(NamedTuple):
-    """Texts on a cause: its name, the corrected picture's caption, what is wrong, the fix ("": see `_cause_texts`)."""
+    """Texts on a cause: its name, a picture's caption, what is wrong, the fix. `_cause_texts` writes empty ones."""
 
     name: str
     caption: str
@@ -220,7 +220,8 @@ def _doubtful_unit(found: Calibration) -> Finding:
 
 
 def _values_off(examined: Examined, found: Calibration, mended: Assumption, may_move: bool) -> tuple[str, ...]:
-    """The names of fitted values ("unit", "focal" …) that are off by more than tolerance and noise after mending."""
+    """The names of values ("unit", "focal" …) that ``found`` shows to be off by more than tolerance, and by more than
+    the noise left if they are ``mended``. The principal point, "x" and "y", is among them only if it ``may_move``."""
     left = agreement(examined.views, examined.pairs, mended).error
     pixels, focals = examined.looks[0].frame.size, np.median(examined.views.lens[:, :2], axis=0).tolist()
     x, y = (max(_OFF_PIXELS / p, _ABOVE_NOISE * left * focal) for p, focal in zip(pixels, focals, strict=True))

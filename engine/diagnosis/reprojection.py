@@ -49,7 +49,7 @@ _SMOOTH_AROUND = 1.05  # largest ratio of the depths around a point; above it, t
 class Look:
     """A frame whose depth is loaded. ``number`` is its index in the scene's frames. ``depth`` float32 [H, W] is in the
     scene's metres, 0 = none; ``camera`` has its size. ``points`` int32 [N, 2] (column, row) lie on smooth surfaces,
-    spread over the picture; they are what is compared with other frames."""
+    spread over the picture; these points are compared with other frames."""
 
     number: int
     frame: Frame
@@ -333,8 +333,8 @@ class Examined:
 
     @cached_property
     def class_maps(self) -> list[NDArray[np.int32]] | None:
-        """The class ids of each look's mask, int32 [H, W <= 320]; None if one has no mask. Raises PlgsError for a bad
-        mask."""
+        """Return class ids of each look's mask, int32 [H, W <= 320]; None if one is missing. Raises PlgsError if
+        bad."""
         if any(look.frame.read_mask is None for look in self.looks):
             return None
         maps, within = [], self.masks_within

@@ -71,7 +71,8 @@ def moved(base: Assumption, values: Floats) -> Assumption:
 def calibrate(
     views: Views, pairs: Pairs, base: Assumption, free: tuple[str, ...] = _PARAMETERS, points: int | None = None
 ) -> Calibration | None:
-    """Fit the ``free`` parameters from the assumption ``base``, by ``points`` (None: all) a frame. None if few fit."""
+    """Fit the ``free`` parameters, from the assumption ``base`` on, to ``points`` points of each frame (None: all).
+    Returns None if too few points agree."""
     columns = [_PARAMETERS.index(name) for name in free]
     values, deviations = np.zeros(len(_PARAMETERS)), np.full(len(_PARAMETERS), np.inf)
     for _ in range(_ROUNDS):

@@ -47,8 +47,7 @@ NEIGHBOURS = 30  # the number of nearest points that a normal is fitted to
 
 
 def export_points(lift: FinishedLift, output: Path) -> None:
-    """Write points.ply: semantic points with colours, normals, ids, confidence. Raises PlgsError for a damaged lift,
-    OSError."""
+    """Write points.ply: points with colours, normals, ids, confidence. Raises PlgsError for a damaged lift, OSError."""
     points = lift.corrected.points
     centres = np.array([frame.camera.centre for frame in lift.scene.frames])
     columns = {

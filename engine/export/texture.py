@@ -219,7 +219,7 @@ def _evened(photo: NDArray[np.uint8], pixel: NDArray[np.float64], rgb: NDArray[n
 
 def _packed(crops: Sequence[NDArray[np.uint8]], cells: int) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
     """Pack all crops into one picture, in rows of descending height, and ``cells`` squares of _CELL pixels below.
-    Returns the picture, and each one's upper left corner, float64 [crops + cells, 2]."""
+    Returns the picture, and the upper left corners of crops and squares, float64 [crops + cells, 2]."""
     area = sum(crop.shape[0] * crop.shape[1] for crop in crops) + cells * _CELL**2
     width = max(*(crop.shape[1] for crop in crops), round(np.sqrt(1.1 * area)), _CELL, 0)  # 1.1: shelves leave gaps
     corner, x, y, height = np.zeros((len(crops) + cells, 2)), 0, 0, 0

@@ -62,7 +62,7 @@ def update_instances(
     known: list[SceneObject], local: list[SceneObject], voxel_size: float, options: Matching
 ) -> list[SceneObject]:
     """Match a view's masks, ``local``, to the ``known`` instances, whose points are thinned to ``voxel_size`` metres.
-    Return a new list of the instances after that."""
+    Return a new list of all instances."""
     updated = list(known)
     cost = np.array([[pair_cost(item.box, g.box, options.cost) for g in known] for item in local])
     for row, target in enumerate(_targets(cost.reshape(len(local), len(known)), options)):  # empty lists have no axis

@@ -46,10 +46,10 @@ def _switch(about: str) -> dict[str, Any]:
 class LiftRequest(SceneSource):
     """The request for one lift of a scene. Relative paths are taken from the working directory, and become absolute.
     ``options`` are the changed options of the preset, by name (see ``engine/presets``). ``fit`` uses fewer frames if
-    memory is limited; ``seed`` is that of random numbers. ``bake`` None: what is usual for the preset (``bakes``).
-    ``device`` trains and renders the Gaussians. ``names_from`` is the folder of an earlier lift whose objects keep
-    their names and ids. ``anyway`` lifts even if the scene's numbers or masks are certainly wrong. Raises PlgsError if
-    a value is out of range. Files are checked later, when the scene is opened."""
+    memory is limited; ``seed`` starts random numbers. If ``bake`` is None, what is usual for the preset is baked
+    (``bakes``). ``device`` trains and renders the Gaussians. ``names_from`` is the folder of an earlier lift whose
+    objects keep their names and ids. ``anyway`` lifts even if the scene's numbers or masks are certainly wrong. Raises
+    PlgsError if a value is out of range. Files are checked later, when the scene is opened."""
 
     preset: PresetName = "preview"
     options: Mapping[str, Json] = field(default_factory=dict)
@@ -152,7 +152,7 @@ _FIELDS = {each.name: each.metadata["option"] for each in fields(LiftRequest) if
 
 
 def usual_bake(preset: str) -> Bake:
-    """Return which frames a lift by this preset bakes if nothing is chosen."""
+    """Return which frames a lift by this preset bakes if ``bake`` is not given."""
     return "none" if preset == "draft" else "test"
 
 

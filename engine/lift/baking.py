@@ -61,7 +61,8 @@ class FrameBaker:
         calibration: Calibration = UNCALIBRATED, removed: Sequence[str] = (),
     ) -> None:  # fmt: skip
         """``corrections``: the fingerprint of the corrections that ``lifted`` and ``instances`` include; ``removed``:
-        the names of objects that they removed. ``calibration`` turns blended class shares into probabilities."""
+        the names of objects that the corrections removed. ``calibration`` turns blended class shares into
+        probabilities."""
         self.corrections, self.calibration, self.removed = corrections, calibration, removed
         self.classes, self.lifted, self.labels = classes, lifted, shown_labels(lifted)
         self.instances, self.colours = instances, instances.colours

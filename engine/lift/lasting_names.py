@@ -159,8 +159,8 @@ def _changes(
 def keep_names(
     earlier: EarlierLift, prepared: PreparedLift, seen: NDArray[np.bool_], lifted: StructuredScene, classes: ClassTable
 ) -> tuple[PreparedLift, LastingNames]:
-    """Return the lift with the earlier lift's ids, and its objects' names. ``lifted`` is renumbered in place. Only
-    points with ``seen`` bool [N] are compared, since the earlier lift stored no others."""
+    """Return the ``prepared`` lift with the ids of the earlier lift's objects, and these objects' names. ``lifted`` is
+    renumbered in place. Only points with ``seen`` bool [N] are compared, since the earlier lift stored no others."""
     points = prepared.instance_of_point
     lasting = lasting_names(earlier, prepared.instances, prepared.cloud.xyz[seen], points[seen], classes)
     id_of = lasting.id_of

@@ -250,7 +250,8 @@ def thing_objects(
     kinds: ViewEvidence,
     balance: ClassBalance,
 ) -> list[SceneObject]:
-    """Return the ``found`` objects that views in ``seeing`` vote (``kinds``, ``balance``) to be things; ids from 1."""
+    """Return those of the ``found`` objects that the views in ``seeing`` vote to be things, with new ids from 1. Votes
+    are of ``kinds``, and classes are weighted by ``balance``."""
     shown = [(seen, shown_classes(view, seen)) for view, seen in zip(seeing.views, seeing.seen, strict=True)]
     asked = found.object_of_point, len(found.objects), cloud.class_ids
     votes = by_votes.vote_classes(shown, *asked, kinds.objects)

@@ -105,7 +105,7 @@ def check_model(tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -
 
 
 def decoders_of(facts: Mapping[str, Any]) -> tuple[type[Decoders], DecoderShape]:
-    """Return the class of decoders that a file's facts name, and their shape. Raises ValueError if it is unknown."""
+    """Return the class of decoders that a file's facts name, and their shape. Raises ValueError for unknown ones."""
     kind = DECODERS.get(facts.get("kind", Decoders.kind))
     known = {name: value for name, value in facts.items() if name != "kind"}
     if kind is None or set(known) != {each.name for each in fields(DecoderShape)}:
