@@ -69,7 +69,7 @@ from plgs.engine.job.terminal import Interrupted, Interrupts, ask_engine, lift_i
 
 
 def script_arguments(argv: Sequence[str]) -> list[str]:
-    """Return the arguments for this script: those after ``--``. Without ``--``, these are all, or in Blender none."""
+    """Return the arguments for this script: those after ``--``. Without ``--``, return all, or none inside Blender."""
     if "--" in argv:
         return list(argv[argv.index("--") + 1 :])
     blender = sys.modules.get("bpy")

@@ -45,7 +45,7 @@ _class_argument = partial(
 
 
 class AsksForOne:
-    """An operator whose dialog shows only the property ``asked``, ready for typing; scripts may give its others."""
+    """An operator whose dialog shows only the property ``asked``, ready for typing. A script may give others, too."""
 
     asked: str
     layout: bpy.types.UILayout

@@ -40,7 +40,7 @@ def place_boxes(
 
 
 def shared_out(instances: Iterable[Instance]) -> tuple[list[Instance], list[Instance]]:
-    """Return the instances that get a box object of their own, and the others."""
+    """Return the instances that get a box object of their own, and those that share one."""
     given = [*instances]
     most = {one.id for one in sorted(given, key=lambda one: (-one.points, one.id))[:MOST_BOXES]}
     return [one for one in given if one.id in most], [one for one in given if one.id not in most]

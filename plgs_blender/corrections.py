@@ -244,7 +244,7 @@ def merge(root: bpy.types.Collection, instances: Sequence[int]) -> Edit:
 
 
 def delete(root: bpy.types.Collection, instance: int, *, around: bool) -> Edit:
-    """Delete an object. Its points join what is ``around`` them or, if that is False, belong to no object."""
+    """Delete an object. If ``around``, its points join what is around them; otherwise they belong to no object."""
     return edit(root, lambda state, _: making.delete(state, instance, around=around))
 
 
@@ -297,8 +297,8 @@ def crop(root: bpy.types.Collection, instance: int) -> Edit:
 def assign(
     root: bpy.types.Collection, choose: Choose, instance: int, class_name: str = "", *, is_new: bool = False
 ) -> Edit:
-    """Assign the points that ``choose`` selects to the object ``instance`` or, if that is 0, to a class or (``is_new``)
-    a new object of it."""
+    """Assign the points that ``choose`` selects to the object ``instance``. If that is 0, assign them to the class
+    ``class_name`` or, with ``is_new``, to a new object of that class."""
     class_id = 0 if instance else class_named(root, class_name)
 
     def make(state: Replay, first_id: int) -> Edit:

@@ -72,9 +72,9 @@ def clear_material(owned: OwnedDataBlocks) -> bpy.types.Material:
 def surface_material(
     owned: OwnedDataBlocks, *, both_sides: bool = False, image: bpy.types.Image | None = None, of: str = ""
 ) -> bpy.types.Material:
-    """Return the meshes' material, in the colours of the attribute Col or, with an ``image`` ``of`` one mesh, of that
-    image. It is unlit, as photos contain their light; its value node LIT lets the scene's lights act on it. Backs are
-    transparent, so that a room is open from outside, unless ``both_sides`` show."""
+    """Return the meshes' material, in the colours of the attribute Col. With ``image``, return one that shows this
+    image, for the mesh ``of`` alone. It is unlit, as photos contain their light; its value node LIT lets the scene's
+    lights act on it. Backs are transparent, so that a room is open from outside, unless ``both_sides`` show."""
     name = "PLGS objects" if both_sides else "PLGS surfaces"
     key = f"objects {of}" if both_sides else f"surfaces {of}"
     material = owned.block("materials", key.strip(), lambda: bpy.data.materials.new(name))

@@ -58,7 +58,7 @@ def reading_meshes(lift: Path) -> Generator[None, None, ReadMeshes]:
 
 
 def placing_meshes(placed: Placed, result: LiftResult, read: ReadMeshes) -> Generator[None, None, int]:
-    """Place a lift's meshes in parts, remove outdated ones, and return their number; 0 if the lift is removed then."""
+    """Place a lift's meshes in parts, remove outdated ones, and return their number; 0 if the lift was removed."""
     instances = {one.id: one for one in result.instances}
     keys: list[str] = []
     for (class_id, instance_id), surface in read.parts.items():

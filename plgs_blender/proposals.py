@@ -34,7 +34,7 @@ def keep_proposals(root: bpy.types.Collection, result: CorrectedResult) -> Propo
 
 
 def kept_proposals(root: bpy.types.Collection) -> tuple[list[Proposal], str]:
-    """The open proposals, without those answered since `propose`, and the user's progress ("" before `propose`)."""
+    """The open proposals, without those answered since `propose`, and the user's progress in words ("" before that)."""
     try:
         content = json.loads(text_of(root, PROPOSALS) or "{}")
         return [Proposal(**one) for one in content.get("open", ())], str(content.get("progress", ""))

@@ -39,7 +39,7 @@ def make_objects(
 ) -> list[bpy.types.Collection]:
     """Extract these instances of a placed lift, or extract them again, as collections, and select their objects. With
     ``as_assets`` they become assets with a preview picture; with ``catch_shadows`` they show only the shadows that
-    others cast on them. Raises PlgsError for an unknown instance."""
+    other objects cast on them. Raises PlgsError for an unknown instance."""
     result = read_corrected(folder_of(root))
     known = {one.id: one for one in (*result.instances, *result.removed)}  # removed instances still have meshes
     lost = [number for number in numbers if number not in known]

@@ -68,8 +68,8 @@ class NumberedNames:
 
 
 def numbered(names: Sequence[str]) -> NumberedNames | None:
-    """Return the names as one numbered sequence, possibly with gaps, None if they are none. Blender replaces the last
-    number in the opened name, padded to its width: this must give all the other names."""
+    """Return the names as one numbered sequence, possibly with gaps, None if they form no sequence. Blender replaces
+    the last number in the opened name, padded to its width: this must give all the other names."""
     parts = [_LAST_NUMBER.fullmatch(name) for name in names]
     if not parts or any(part is None for part in parts):
         return None

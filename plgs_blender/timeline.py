@@ -66,7 +66,7 @@ def places_of(root: bpy.types.Collection, scene: bpy.types.Scene) -> dict[bpy.ty
 
 @bpy.app.handlers.persistent
 def follow_camera(scene: bpy.types.Scene, *_arguments: object) -> None:
-    """Put our markers on the timeline if the scene's camera is one of ours, else remove them. Safe at any time."""
+    """Put lifts' markers on the timeline if the scene's camera is a lift's, else remove them. Safe at any time."""
     camera, roots = scene.camera, {root[LIFT]: root for root in lifts_in(scene) if root.library is None}
     if not roots or scene.library is not None:
         return

@@ -78,7 +78,7 @@ _tries: list[int] = []
 
 
 def look_first() -> float | None:
-    """Show the sidebar's tab PLGS when a file of ours is opened for the first time, and materials if there is a
+    """Show the sidebar's tab PLGS when a file that PLGS made is opened for the first time, and materials if there is a
     graphics card. As a timer, it returns the seconds to wait until Blender has drawn the tab; then None."""
     new = [root for scene in bpy.data.scenes for root in lifts_in(scene) if root.get(NEW)]
     bars = [region for area in all_views() for region in area.regions if region.type == "UI" and region.width > 1]

@@ -63,7 +63,7 @@ def write_masks(scene: Path, out: Path, seed: int, noise: MaskNoise, name: str =
 
 
 def mask_of_frame(frame: Frame, classes: ClassTable, seed: int, noise: MaskNoise) -> tuple[Ids, Segments]:
-    """Return a frame's mask, int32 [H, W], and segments, independent of others. Raises PlgsError for bad files."""
+    """Return a frame's mask, int32 [H, W], and segments, whatever other frames show. Raises PlgsError for bad files."""
     regions = true_regions(frame, classes)
     is_thing = {entry.name: entry.is_thing for entry in classes.categories}
     number = {entry.name: entry.id for entry in classes.categories}

@@ -45,8 +45,8 @@ Mask = NDArray[np.bool_]
 class Texture:
     """A rectangle of a plane, of [h, w] texels with sides of ``texel`` metres; ``low`` [2] is its corner in the plane.
     Per texel: ``colour`` [h, w, 3]; ``seen`` by a photo; ``hidden`` in every photo by removed objects; ``label`` int32
-    (see PlateView); ``inside`` the room and some photo's view; ``open`` where photos look through the plane;
-    ``poorly`` seen: most photos that look there show removed objects."""
+    (see PlateView); ``inside`` the room and some photo's view; ``open`` where photos look through the plane; ``poorly``
+    seen: most photos of it show removed objects."""
 
     plane: Plane
     low: NDArray[np.float64]

@@ -33,7 +33,7 @@ class ClassLabel:
 
 @dataclass(frozen=True)
 class Category:
-    """A class of a scene. ``id`` is at least 1; ``colour`` is three sRGB bytes; see ClassLabel for the others."""
+    """A class of a scene. ``id`` is at least 1; ``colour`` is three sRGB bytes; see ClassLabel for the other fields."""
 
     id: int
     name: str
@@ -83,6 +83,6 @@ def distinct_colour(instance: int) -> tuple[int, int, int]:
 
 
 def named(names: Mapping[int, str], text: str) -> list[int]:
-    """Return the ids of the names equal to ``text`` or, if none is, equal to it but for upper and lower case."""
+    """Return the ids of the names equal to ``text``. If there are none, ignore upper and lower case."""
     exact = [key for key, name in names.items() if name == text]
     return exact or [key for key, name in names.items() if name.casefold() == text.casefold()]

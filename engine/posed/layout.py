@@ -38,7 +38,7 @@ def read_text(path: Path, most_bytes: int, fix: str) -> str:
 
 
 def composed(name: str) -> str:
-    """Return the name with composed letters (Unicode NFC): macOS writes ü as two characters, others as one."""
+    """Return the name with composed letters (Unicode NFC): macOS writes ü as two characters, other systems as one."""
     return unicodedata.normalize("NFC", name)
 
 

@@ -96,7 +96,7 @@ def class_map(
     """The classes of masks whose files have ``labels`` (None: no classes), after the user's ``choice``. ``more`` are
     classes of detections that no table lists. A table that uses the number 0, which is void here, is shifted by one as
     a whole. With ``objects``, labels number objects; those without a name get the class "object". Raises PlgsError if
-    several have a name."""
+    several labels have a name."""
     choice = choice or ClassChoice()
     labels = (*((labels if choice.labels is None else choice.labels) or ()), *more)
     rows = _numbered(labels, choice)
@@ -194,7 +194,7 @@ def _labels(
 def _targets(
     labels: Mapping[int, ClassLabel], rows: Sequence[tuple[int, ClassRow]], choice: ClassChoice
 ) -> dict[int, str]:
-    """Return the name of the class into which ``rows`` merge a label, by its number; others are left out."""
+    """Return the name of the class into which ``rows`` merge a label, by its number, without labels not merged."""
     names, into = {number: label.name for number, label in labels.items()}, {}
     for number, row in rows:
         found = [] if row.into is None else named(names, row.into)

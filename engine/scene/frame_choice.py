@@ -28,7 +28,7 @@ LOOKED_AT_WITHIN = (480, 480)  # maximum (width, height) in pixels at which shar
 
 
 def choose_frames(scene: Scene, most: int, progress: Progress = unwatched) -> Scene:
-    """Return the scene with at most ``most`` training frames; those held out stay. ``progress`` counts windows."""
+    """Return the scene with at most ``most`` training frames; held-out frames stay. ``progress`` counts windows."""
     frames = scene.train_frames
     if len(frames) <= most:
         return scene

@@ -52,7 +52,7 @@ class Numbers:
 def numbers_of_truth(folder: Path, files: Mapping[str, Path], masks: MaskSet) -> Numbers:
     """Find out what the numbers in a ``folder`` of ground truth mean; its ``files`` are by frame. Its table is named by
     ``classes.toml`` beside it, or by the folder (``semantic_nyu40``; ``rs_semantics``: the paper's 21). Raises
-    PlgsError if they look like those of another table."""
+    PlgsError if the numbers look like another table's."""
     choice = _own_choice(folder)
     if choice is None:
         doubts = refuse_other_numbers(_compared(files, masks), masks.classes, folder)
@@ -99,8 +99,8 @@ def joined(numbers: NDArray[np.integer], classes: NDArray[np.integer]) -> Counte
 
 def refuse_other_numbers(joint: Joint, classes: ClassTable, where: Path, fix: str = "") -> tuple[Inferred, ...]:
     """Raise PlgsError if the numbers counted in ``joint`` agree with the masks far better as those of another table
-    than as ids of ``classes``: a table must not be chosen because it scores best. Returns a doubt if they hardly agree
-    at all. ``fix`` tells how to name a table, if that is not done in a file beside the ground truth."""
+    than as ids of ``classes``: a table must not be chosen because it scores best. Returns a doubt if numbers and masks
+    hardly agree at all. ``fix`` tells how to name a table, if that is not done in a file beside the ground truth."""
     total, numbers = sum(joint.values()), {number for number, _ in joint}
     own = sum(pixels for (number, class_id), pixels in joint.items() if number == class_id)
     if total < _FEWEST or len(numbers) < 2 or len({class_id for _, class_id in joint}) < 2:

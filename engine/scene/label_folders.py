@@ -98,8 +98,9 @@ def _classes(folder: Path, semantics: Path) -> ClassTable | None:
 
 def in_one_table(predictions: LabelFolder, truth: LabelFolder) -> tuple[ClassTable, LabelFolder]:
     """One class table for predictions and ground truth, in which ids mean the same, and the predictions in it. If an id
-    has two names, the ground truth's counts: predicted classes become those of the same name there, and others are
-    appended. Raises PlgsError without a table, without a common class name, or if numbers look like another table."""
+    has two names, the ground truth's counts: predicted classes become the true ones of the same name; classes without
+    one are appended. Raises PlgsError without a table, without a common class name, or if numbers look like another
+    table."""
     tables = [each.classes for each in (predictions, truth) if each.classes is not None]
     if not tables:
         raise PlgsError("no-table", "no class table says which classes are things", truth.folder, _TABLE_FIX)

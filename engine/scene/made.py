@@ -56,7 +56,7 @@ class _Scale:
 
 
 def read_note(path: Path, fix: str) -> dict[str, Any] | None:
-    """Return the JSON object in a file of ours, or None if nothing has this name. Raises PlgsError, with ``fix`` as the
+    """Return the JSON object in a note of PLGS, or None if nothing has this name. Raises PlgsError, with ``fix`` as the
     advice, if it is damaged, and for a folder, a FIFO, or a broken link, which must not count as a missing note."""
     try:
         return read_object(path, fix)

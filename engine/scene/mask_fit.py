@@ -210,7 +210,7 @@ def other_numbers(names: Sequence[str]) -> list[tuple[str, dict[str, str]]]:
 @dataclass(frozen=True)
 class Pictured:
     """What a frame's masks are aligned by: how to read its picture, the picture's size, the photo's EXIF orientation (1
-    is upright), the lens that distorted it, if any, and the pixels that count (``kept``), if not all do."""
+    is upright), the lens that distorted it, if any, and the pixels that count (``kept``), None if all do."""
 
     read: Read
     size: Size

@@ -43,7 +43,7 @@ def refuse_others(folder: Path) -> None:
 
 def remove_environments(folder: Path) -> None:
     """Delete a set-up's environments in ``folder``, and its downloads. Raises PlgsError while a set-up runs, and for a
-    folder that is not ours; OSError."""
+    folder that no set-up made; OSError."""
     refuse_others(folder)
     if is_locked(folder / LOCK):
         raise PlgsError("being-set-up", "the engine is being set up", folder, "Wait until it is done, or cancel it.")

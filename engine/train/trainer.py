@@ -119,7 +119,7 @@ class StepReport:
 
 
 class Losses(NamedTuple):
-    """The losses of a step. ``total``, to be minimised, is the weighted sum of the others and ``further`` terms."""
+    """The losses of a step. ``total``, to be minimised, is the weighted sum of all the others."""
 
     total: torch.Tensor
     reconstruction: torch.Tensor

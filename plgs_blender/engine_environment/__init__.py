@@ -23,7 +23,7 @@ def why_no_engine() -> str | None:
 
 
 def usable_python() -> Path:
-    """The last Python that answered or, without a window, one asked now, in 0.1 s. Raises PlgsError if none does."""
+    """Return the last Python that answered; without a window, ask one now, in 0.1 s. Raises PlgsError if none does."""
     known = status()
     if known.state is EngineState.READY and known.python is not None:
         return known.python

@@ -118,7 +118,7 @@ def make_meshes(lift: Path, scene: bpy.types.Scene, frames: str = "all", *, aske
 
 
 def beside(lift: Path) -> Path:
-    """Return where to propose exports of a lift: in its own name, beside it or, if that is read-only, at home."""
+    """Return where to propose a lift's exports: at a path of its name beside it, or at home if that is read-only."""
     return lift if os.access(lift.parent, os.W_OK) else Path.home() / lift.name
 
 

@@ -100,7 +100,7 @@ def touched(first: Any, last: Any, square: Any, reach: Any) -> Any:
 
 @inlined
 def halves_touched(s1: Any, slope: Any, square: Any, reach: Any) -> Any:
-    """Return bit masks of the sixteen Gaussians that reach a row's left half, and those that reach its right one."""
+    """Return two bit masks of the sixteen Gaussians: which reach a row's left half, and which reach its right half."""
     left = touched(s1, fma(slope, broadcast(LEFT_END), s1), square, reach)
     right = touched(fma(slope, broadcast(MIDDLE), s1), fma(slope, broadcast(RIGHT_END), s1), square, reach)
     return movemask(left), movemask(right)

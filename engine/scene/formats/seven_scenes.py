@@ -89,7 +89,7 @@ def _read(place: Path, progress: Progress) -> Capture:
 
 
 def _info_numbers(info: dict[str, str], key: str, path: Path, count: int) -> NDArray[np.float64]:
-    """Return the numbers of a line, float64 [count]; a single one must be above 0. Raises PlgsError otherwise."""
+    """Return a line's numbers, float64 [count]; with ``count`` 1, that must be above 0. Raises PlgsError otherwise."""
     try:
         values = np.array([float(word) for word in info.get(key, "").split()])
     except ValueError:
