@@ -138,7 +138,7 @@ class Cancelled(Exception):
 
 
 def lacks_memory(error: BaseException) -> bool:
-    """Whether an error means that memory ran out. C++ libraries have their own: torch (CPU and GPU), OpenCV."""
+    """Whether an error means that memory ran out. C++ libraries raise errors of their own: torch (CPU, GPU), OpenCV."""
     is_kind = isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
     return is_kind or any(words in str(error) for words in _NO_MEMORY)
 

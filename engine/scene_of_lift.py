@@ -210,7 +210,7 @@ def refuse_others(known: Sequence[PosedFrame], scene: Scene) -> None:
 
 
 def _digests_of(frames: Sequence[Frame], progress: Progress = unwatched) -> list[tuple[str, str]]:
-    """Return for each frame a digest of photo and depth, and one of confidence and how all are read; "": unreadable."""
+    """Return each frame's digests: of photo and depth, of confidence and how all are read; "" for unreadable files."""
     files = digests_of_files([(frame.colour_path, frame.depth_path) for frame in frames], progress)
     trusted = digests_of_files([(frame.confidence_path,) for frame in frames])
     return [

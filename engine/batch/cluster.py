@@ -292,8 +292,7 @@ class Tls:
 
 
 def security_for(address: str, tls: Tls | None, fix: str) -> Any:
-    """Dask's settings for an address, None without ``tls``. Raises PlgsError, with ``fix``, for a bad address or
-    files."""
+    """Dask's settings for an address, None without ``tls``. Raises PlgsError, with ``fix``, for a bad input."""
     if re.fullmatch(r"[a-z]+://[^\s/]+:[0-9]{1,5}", address) is None:  # Dask waits long, and ends with its own errors
         raise PlgsError("scheduler-address", "is not the address of a scheduler", address, fix)
     if tls is None:

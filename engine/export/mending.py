@@ -179,7 +179,7 @@ def without_crumbs(surface: Surface, label: Ints, is_stuff: NDArray[np.bool_], l
 
 
 def most_frequent(group: Ints, label: Ints, groups: int) -> Ints:
-    """Return the most frequent label of each group, [groups], from the members' ``group`` and ``label`` [N]; else 0."""
+    """Return the most frequent label of each group, [groups], by members' ``group`` and ``label`` [N]; 0 for none."""
     known, index = np.unique(label, return_inverse=True)
     pairs, count = np.unique(group * max(len(known), 1) + index, return_counts=True)
     pairs = pairs[np.argsort(count, kind="stable")]  # so that the most frequent is written last

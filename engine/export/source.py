@@ -159,7 +159,7 @@ class FinishedLift:
 
 
 def is_corrected(baked: Path, corrections: str) -> bool:
-    """Whether the passes ``baked`` show the ``corrections``, a fingerprint. True for damaged ones: readers say so."""
+    """Whether the passes ``baked`` show the ``corrections``, a fingerprint. True for damaged passes: readers tell."""
     try:
         return (read_note(baked, CORRECTIONS_NOTE) or "") == corrections
     except ValueError:

@@ -48,8 +48,8 @@ class Course:
         self.began -= share * self.seconds[stage]
 
     def left(self, stage: str, share: float, eta: float | None, now: float) -> float | None:
-        """Return the seconds left in the run when ``share`` of a stage is done and ``eta`` seconds of it are left; None
-        for a stage without a prediction."""
+        """Return the seconds left in the run at the time ``now``, when ``share`` of a stage is done and ``eta`` seconds
+        of it are left; None for a stage without a prediction."""
         if stage not in self.seconds:
             return None
         values, index = [*self.seconds.values()], [*self.seconds].index(stage)

@@ -61,8 +61,7 @@ class FrameBaker:
         calibration: Calibration = UNCALIBRATED, removed: Sequence[str] = (),
     ) -> None:  # fmt: skip
         """``corrections``: the fingerprint of the corrections that ``lifted`` and ``instances`` include; ``removed``:
-        the names of objects that the corrections removed. ``calibration`` turns blended class shares into
-        probabilities."""
+        the names of objects removed by these. ``calibration`` turns blended class shares into probabilities."""
         self.corrections, self.calibration, self.removed = corrections, calibration, removed
         self.classes, self.lifted, self.labels = classes, lifted, shown_labels(lifted)
         self.instances, self.colours = instances, instances.colours
@@ -133,8 +132,8 @@ def baked_files(folder: LiftFolder, frame: str) -> tuple[Path, Path, Path, Path]
 
 
 def names_of_files(folder: LiftFolder) -> dict[str, str]:
-    """Return file names by frame name. Numbers are padded with zeros to the longest, at least DIGITS digits ("3":
-    "0003"); all frames keep their names if two would clash. Empty for unknown frames. Raises PlgsError for a damaged
+    """Return file names by frame name. Numbers are zero-padded to the longest, at least DIGITS digits ("3": "0003");
+    all frames keep their names if two would clash. Empty for unknown frames. Raises PlgsError for a damaged
     scene.json."""
     found = {name: _NUMBERED.fullmatch(name) for name in names_of_frames(folder)}
     digits = max([DIGITS, *(len(match[2]) for match in found.values() if match)])

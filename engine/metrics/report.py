@@ -104,7 +104,7 @@ class Report:
         }
 
     def _tables(self, method: str) -> Iterator[dict[str, object]]:
-        """Yield a method's tables: one per mode, or a single one without a mode if no labels were scored."""
+        """Yield a method's tables: one per mode or, if no labels were scored, one table without a mode."""
         errors = self._depths.get(method, DepthErrors())
         depth = {"depth_error_m": errors.median}
         pictures = self._pictures.get(method, [])  # the means over the views

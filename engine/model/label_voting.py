@@ -49,7 +49,7 @@ class Contributors:
 
 
 class HeldVotes(NamedTuple):
-    """The labels with votes for each Gaussian, int16 [G, L] (-1 = none yet), and how many, float32 [G, L]."""
+    """The labels with votes for each Gaussian, int16 [G, L] (-1 = none yet), and the votes' sums, float32 [G, L]."""
 
     label: NDArray[np.int16]
     votes: NDArray[np.float32]
