@@ -193,7 +193,7 @@ class LiveLine:
 
 
 def describe(progress: TaskProgress) -> str:
-    """Return a text such as "[3/6] Training 1200/3000 loss 0.0123 2:31 left 3:20 to the end"."""
+    """Return a text such as "[3/6] Training  1200/3000  loss 0.0123  2:31 left  3:20 to the end"."""
     stage = f"[{progress.stage_index}/{progress.stage_count}] " if progress.stage_count > 1 else ""
     parts = [stage + progress.label]
     if progress.steps:
